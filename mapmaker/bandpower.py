@@ -1,0 +1,269 @@
+"""How well a map's noise lets a flat CMB band power be measured: the score of a survey.
+
+Symbols: a bin b of multipole holds `n_b` real degrees of freedom; the noise map has the PSD `N_b` and a sky
+of flat band power `ell (ell + 1) C_ell / 2 pi = A` adds `A M_b`. `A` is in uK_CMB^2, PSDs in uK_CMB^2 sr, `M`
+in sr. All per-bin arrays are (n_bin,), `mask` is a boolean (n_bin,) that selects bins.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class BandPower:
+    """Uncertainty of a flat band power from noise alone, and which multipoles it comes from."""
+
+    sigma_ukcmb2: float
+    error_ukcmb2: float  # standard error of sigma
+    ell_eff: float
+    fwhm_ell: float
+    weight: np.ndarray  # (n_bin,) share of a bin in sigma^-2; sums to 1
+    ell: np.ndarray  # (n_bin,)
+    cumulative: np.ndarray  # (n_bin,) sigma of the selected bins from this ell up; inf where none
+
+
+@dataclass(frozen=True)
+class ErrorBudget:
+    """Relative standard errors of sigma: noise realizations, sampling of the weather, signal window."""
+
+    noise: float
+    weather: float
+    window: float
+
+    @property
+    def total(self) -> float:
+        """The three parts, being independent, in quadrature."""
+        return float(np.hypot(np.hypot(self.noise, self.weather), self.window))
+
+
+def flat_spectrum_psd(ell: np.ndarray) -> np.ndarray:
+    """PSD on the sky of a flat spectrum of unit band power, `2 pi / (ell (ell + 1))`, in uK^2 sr per uK^2."""
+    ell = np.asarray(ell, dtype=np.float64)
+    return 2 * np.pi / (ell * (ell + 1))
+
+
+def flat_band_power(
+    noise_psd_ukcmb2: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray
+) -> float:
+    """Uncertainty of A with every bin weighted optimally, in uK_CMB^2: `sigma^-2 = sum n/2 (M/N)^2`.
+
+    A bin's PSD has the variance `2/n N^2` while noise dominates, so `P_b - N_b = A M_b` measures A in each
+    bin and inverse-variance weights combine them.
+    Raises ValueError for shapes that differ, no selected bin, or selected noise or mode counts that are not
+    positive.
+    """
+    return float(_information(noise_psd_ukcmb2, signal_psd, n_modes, mask).sum() ** -0.5)
+
+
+def flat_band_power_fixed_weights(
+    noise_psd_ukcmb2: np.ndarray,
+    signal_psd: np.ndarray,
+    n_modes: np.ndarray,
+    mask: np.ndarray,
+    weighting_noise_psd_ukcmb2: np.ndarray,
+) -> float:
+    """Uncertainty of A when bins are weighted for another data set's noise `R`, in uK_CMB^2.
+
+    `A = sum w (P - N) / sum w M` with `w = n M / R^2` has `sigma^2 = sum w^2 N^2 2/n / (sum w M)^2`; it
+    equals `flat_band_power` for R = N and is never smaller. Raises ValueError as `flat_band_power`, for both
+    noise PSDs.
+    """
+    _check(noise_psd_ukcmb2, signal_psd, n_modes, mask)
+    _check(weighting_noise_psd_ukcmb2, signal_psd, n_modes, mask)
+    noise, signal, modes = noise_psd_ukcmb2[mask], signal_psd[mask], n_modes[mask]
+    weight = modes * signal / weighting_noise_psd_ukcmb2[mask] ** 2
+    return float(np.sqrt(np.sum((weight * noise) ** 2 * 2 / modes)) / np.sum(weight * signal))
+
+
+def estimate_amplitude(
+    psd_ukcmb2: np.ndarray,
+    noise_psd_ukcmb2: np.ndarray,
+    signal_psd: np.ndarray,
+    n_modes: np.ndarray,
+    mask: np.ndarray,
+) -> np.ndarray:
+    """Band power A of maps, in uK_CMB^2: `sum w (P - N) / sum w M`, `w = n M / N^2`.
+
+    `psd_ukcmb2` is (..., n_bin), the result (...). Its standard deviation is `flat_band_power` while noise
+    dominates.
+    Raises ValueError as `flat_band_power`.
+    """
+    _check(noise_psd_ukcmb2, signal_psd, n_modes, mask)
+    if psd_ukcmb2.shape[-1:] != mask.shape:
+        raise ValueError(f"expected psd_ukcmb2 (..., {mask.size}), got {psd_ukcmb2.shape}")
+    noise, signal = noise_psd_ukcmb2[mask], signal_psd[mask]
+    weight = n_modes[mask] * signal / noise**2
+    return (psd_ukcmb2[..., mask] - noise) @ weight / (signal @ weight)
+
+
+def band_power(
+    noise_psd_ukcmb2: np.ndarray,
+    signal_psd: np.ndarray,
+    n_modes: np.ndarray,
+    mask: np.ndarray,
+    ell: np.ndarray,
+    edges_ell: np.ndarray,
+    relative_error: float,
+) -> BandPower:
+    """`flat_band_power`, the multipoles it comes from and its error (`relative_error` 0 for a closed form).
+
+    `ell_eff` is the mean of `ell` and `fwhm_ell` the width of the weight `n/2 (M/N)^2`; `cumulative` is the
+    paper's cumulative sensitivity to a flat band power from all data above ell (figure `map_psd_ave_plane`,
+    bottom). `edges_ell` is (n_bin + 1,). Raises ValueError as `flat_band_power`.
+    """
+    information = _information(noise_psd_ukcmb2, signal_psd, n_modes, mask)
+    if ell.shape != mask.shape or edges_ell.shape != (mask.size + 1,):
+        raise ValueError(f"expected {mask.size} ell and one edge more, got {ell.shape} and {edges_ell.shape}")
+    above = np.cumsum(information[::-1])[::-1]
+    cumulative = np.full(mask.size, np.inf)
+    np.power(above, -0.5, out=cumulative, where=above > 0)
+    sigma = float(above[0] ** -0.5)
+    weight = information / above[0]
+    return BandPower(
+        sigma_ukcmb2=sigma,
+        error_ukcmb2=sigma * relative_error,
+        ell_eff=float(weight @ ell),
+        fwhm_ell=weight_fwhm(weight, edges_ell, mask),
+        weight=weight,
+        ell=ell,
+        cumulative=cumulative,
+    )
+
+
+def weight_fwhm(weight: np.ndarray, edges_ell: np.ndarray, mask: np.ndarray) -> float:
+    """Full width at half maximum, in ell, of a weight known in bins.
+
+    The weight per unit ell is interpolated linearly between bin centres and constant from the outermost
+    centres to the edges of the selected range. The width goes from the first to the last multipole above half
+    of the maximum; an edge of the range counts as a crossing, since a sharp cut is one.
+    """
+    selected = np.flatnonzero(mask)
+    bins = slice(selected[0], selected[-1] + 1)
+    low, high = edges_ell[:-1][bins], edges_ell[1:][bins]
+    density = weight[bins] / (high - low)
+    ell = np.concatenate((low[:1], (low + high) / 2, high[-1:]))
+    above = np.concatenate((density[:1], density, density[-1:])) - density.max() / 2
+    over = np.flatnonzero(above >= 0)
+    return float(_crossing(ell, above, over[-1], 1) - _crossing(ell, above, over[0], -1))
+
+
+def _crossing(ell: np.ndarray, above: np.ndarray, inside: int, step: int) -> float:
+    """Where `above` falls to zero between point `inside` and its neighbour, or the end of the range."""
+    outside = inside + step
+    if not 0 <= outside < ell.size:
+        return ell[inside]
+    return ell[inside] + (ell[outside] - ell[inside]) * above[inside] / (above[inside] - above[outside])
+
+
+def score(
+    noise_psds_ukcmb2: np.ndarray,
+    signal_psd: np.ndarray,
+    signal_psd_relative_error: np.ndarray,
+    n_modes: np.ndarray,
+    mask: np.ndarray,
+    observation_weights: np.ndarray,
+    ell: np.ndarray,
+    edges_ell: np.ndarray,
+) -> tuple[BandPower, ErrorBudget]:
+    """Band power of a simulated survey and its Monte Carlo error from K sign-flip realizations of the noise.
+
+    `noise_psds_ukcmb2` (K, n_bin) are PSDs of `sum_i s_ki w_i m_i / sum_i w_i`: the same observations m_i,
+    weights w_i (n_obs,) that are their inverse variances up to a factor, and independent random signs s_ki.
+    sigma follows from the mean over K; the parts of its error are those of `noise_error`, `weather_error` and
+    `window_error`. The division by a noisy N leaves sigma low by a relative `sum_b (3/2 g_b - g_b^2) e_b^2`,
+    where e_b is the relative error of N_b and g the normalised weight: far below the error of sigma itself.
+    Raises ValueError as `flat_band_power`, and for fewer than 2 realizations or observations or a bad weight.
+    """
+    if noise_psds_ukcmb2.ndim != 2 or len(noise_psds_ukcmb2) < 2:
+        raise ValueError(f"expected at least 2 noise realizations (K, n_bin), got {noise_psds_ukcmb2.shape}")
+    if signal_psd_relative_error.shape != mask.shape:
+        raise ValueError(f"expected {mask.size} signal PSD errors, got {signal_psd_relative_error.shape}")
+    noise_psd = noise_psds_ukcmb2.mean(axis=0)
+    information = _information(noise_psd, signal_psd, n_modes, mask)
+    weight = information / information.sum()
+    budget = ErrorBudget(
+        noise=noise_error(noise_psds_ukcmb2, weight, observation_weights),
+        weather=weather_error(observation_weights),
+        window=window_error(signal_psd_relative_error, weight),
+    )
+    return band_power(noise_psd, signal_psd, n_modes, mask, ell, edges_ell, budget.total), budget
+
+
+def noise_error(noise_psds_ukcmb2: np.ndarray, weight: np.ndarray, observation_weights: np.ndarray) -> float:
+    """Relative error of sigma from the finite number of noise realizations (K, n_bin) and of observations.
+
+    Response of sigma: `sigma^-2 = sum n/2 (M/N)^2` gives `d ln sigma = sum_b g_b dN_b / N_b`, g the
+    normalised `weight`. So each realization has a response `r_k`, and the error of sigma is that of the mean
+    of r_k.
+
+    The realizations share their observations. In a Fourier mode let observation i add the complex Gaussian
+    a_i of variance v_i, and `z_k = sum_i s_ki a_i`. Then `<|z_k|^2> = V = sum v_i` and, by Wick's theorem,
+    the powers have `cov(|z_k|^2, |z_l|^2) = |<z_k z_l*>|^2 = (sum_i s_ki s_li v_i)^2`: V^2 for k = l and on
+    average over signs `sum v_i^2` for k != l. With inverse-variance weights `v_i ~ w_i^2 / w_i = w_i`, so two
+    realizations correlate by `1 / n_eff`, `n_eff = (sum w)^2 / sum w^2`, and
+    `var(mean r) = var(r) (1/K + (1 - 1/K) / n_eff)`: more signs cannot replace more observations.
+    The scatter s within the K misses the common part: `<s^2> = var(r) (1 - 1/n_eff)`.
+    Raises ValueError for fewer than 2 observations or a weight that is not positive.
+    """
+    _check_observations(observation_weights)
+    used = weight > 0
+    mean = noise_psds_ukcmb2[:, used].mean(axis=0)
+    response = (noise_psds_ukcmb2[:, used] / mean) @ weight[used]
+    correlation = np.sum(observation_weights**2) / np.sum(observation_weights) ** 2
+    variance = np.var(response, ddof=1) / (1 - correlation)
+    n_real = len(response)
+    return float(np.sqrt(variance * (1 / n_real + (1 - 1 / n_real) * correlation)))
+
+
+def weather_error(observation_weights: np.ndarray) -> float:
+    """Relative error of sigma from sampling the weather of (n_obs,) observations: `CV(w) / sqrt(n_obs)`.
+
+    With inverse-variance weights the co-added noise is `N = 1 / sum w`; if it changes alike in all bins,
+    `d ln sigma = d ln N = -d ln sum w`, and a sum of n independent draws has the relative variance
+    `CV(w)^2 / n`. Weights with a long tail make it too small: a sample rarely holds its best nights.
+    Raises ValueError for fewer than 2 observations or a weight that is not positive.
+    """
+    _check_observations(observation_weights)
+    variation = np.std(observation_weights, ddof=1) / np.mean(observation_weights)
+    return float(variation / np.sqrt(observation_weights.size))
+
+
+def window_error(signal_psd_relative_error: np.ndarray, weight: np.ndarray) -> float:
+    """Relative error of sigma from errors of the signal PSD that are independent between bins.
+
+    `d ln sigma = -sum_b g_b dM_b / M_b`, g the normalised `weight`: `sqrt(sum (g e)^2)`.
+    """
+    used = weight > 0
+    return float(np.linalg.norm(weight[used] * signal_psd_relative_error[used]))
+
+
+def _information(
+    noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray
+) -> np.ndarray:
+    """`n/2 (M/N)^2` of selected bins, zero in the others, (n_bin,)."""
+    _check(noise_psd, signal_psd, n_modes, mask)
+    information = np.zeros(mask.shape)
+    information[mask] = n_modes[mask] / 2 * (signal_psd[mask] / noise_psd[mask]) ** 2
+    return information
+
+
+def _check(noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray) -> None:
+    shapes = [array.shape for array in (noise_psd, signal_psd, n_modes, mask)]
+    if mask.ndim != 1 or len(set(shapes)) != 1:
+        raise ValueError(f"noise PSD, signal PSD, n_modes and mask must all be (n_bin,), got {shapes}")
+    if mask.dtype != np.bool_ or not mask.any():
+        raise ValueError("mask must be boolean and select at least one bin")
+    if not (noise_psd[mask] > 0).all():
+        raise ValueError("the noise PSD must be positive in all selected bins")
+    if not (n_modes[mask] > 0).all():
+        raise ValueError("the number of modes must be positive in all selected bins")
+    if not (np.isfinite(signal_psd[mask]).all() and signal_psd[mask].any()):
+        raise ValueError("the signal PSD must be finite and not zero in all selected bins")
+
+
+def _check_observations(observation_weights: np.ndarray) -> None:
+    if observation_weights.ndim != 1 or observation_weights.size < 2:
+        raise ValueError(f"expected weights of 2 or more observations, got shape {observation_weights.shape}")
+    if not (observation_weights > 0).all():
+        raise ValueError("observation weights must be positive")

@@ -1,0 +1,169 @@
+"""Cleaning with polynomial templates over the focal plane: none, average, planar, quadratic.
+
+Sayers et al. (2010), "Average Template Subtraction" and "Higher-Order Template Subtraction". Each scan is
+modelled as d_n = C S p_n: S holds the polynomial terms at the detector positions, C = diag(c) the relative
+responsivities. c and the templates T_n = S p_n are found in turn until c stands still, and c_i T_in is
+subtracted.
+
+The iteration needs the stream only through its Gram matrix G_ij = sum_n d_in d_jn, so it runs on G alone.
+The Gram matrix is formed in float64 whatever the stream's type: in float32 it would limit c to about 1e-7,
+short of the tolerance of 1e-8.
+
+With more than the constant term, a gradient of c over the array and a share of the common signal in the
+gradient template are the same data to first order: (1 + a x) p_0 = p_0 + (a p_0) x. The iteration as the
+paper states it drifts along these directions for 10^2 to 10^5 steps, and hardly a scan would pass 1e-8 in
+100 steps. c is therefore held free of the non-constant template shapes, and the templates carry those
+components; what this leaves behind is of second order, a times the atmosphere's own gradient. Average
+subtraction has no such direction and is the paper's as it stands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mapmaker.kernels.cleaning import iterate_responsivity
+
+if TYPE_CHECKING:
+    from mapmaker.timestreams import FocalPlane
+
+# Singular values of the scaled basis below this fraction of the largest: detectors on one line or conic to
+# within the rounding of their positions.
+RANK_TOLERANCE = 1e-10
+
+# Exponents (of x, of y) of the terms of S.
+AVERAGE = ((0, 0),)
+PLANAR = (*AVERAGE, (1, 0), (0, 1))
+QUADRATIC = (*PLANAR, (1, 1), (2, 0), (0, 2))
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """One observation after cleaning."""
+
+    data_mk: np.ndarray  # (n_det, n_samp), type of the input; 0 in discarded scans and outside scans
+    kept: np.ndarray  # (n_scan,) bool; False: not converged, not finite, or a dead detector
+    responsivity: np.ndarray  # (n_scan, n_det) c_i; nan where discarded
+    iterations: np.ndarray  # (n_scan,) int64; 0 where none was made
+
+
+@dataclass(frozen=True)
+class TemplateOptions:
+    """When the responsivities have converged; the paper takes 1e-8 within 100 iterations."""
+
+    tolerance: float  # mean fractional change of c_i
+    max_iterations: int
+
+    def __post_init__(self):
+        """Raise ValueError for values out of range."""
+        if not self.tolerance > 0:
+            raise ValueError(f"tolerance must be positive, got {self.tolerance}")
+        if self.max_iterations < 1:
+            raise ValueError(f"max_iterations must be at least 1, got {self.max_iterations}")
+
+
+def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
+    """Orthonormal rows (n_par, n_det) that span x^a y^b at the detectors, for (a, b) in exponents.
+
+    Row k spans with those before it the first k + 1 terms; the first is constant if the first exponents are
+    (0, 0). Positions are centred and scaled to the array first, then orthonormalised by QR: (S^T S)^-1 S^T
+    is then the transpose, and normal equations, which square the condition number, are never formed. Raises
+    ValueError if there are not more detectors than terms or if the positions cannot tell the terms apart.
+    """
+    n_det, n_par = len(focal_plane.x_rad), len(exponents)
+    if n_det <= n_par:
+        raise ValueError(f"{n_par} templates need at least {n_par + 1} detectors, got {n_det}")
+    x = np.asarray(focal_plane.x_rad, dtype=np.float64)
+    y = np.asarray(focal_plane.y_rad, dtype=np.float64)
+    x, y = x - x.mean(), y - y.mean()
+    scale = np.hypot(x, y).max() or 1.0
+    shapes = np.stack([(x / scale) ** a * (y / scale) ** b for a, b in exponents], axis=1)
+    rank = np.linalg.matrix_rank(shapes, rtol=RANK_TOLERANCE)
+    if rank < n_par:
+        raise ValueError(
+            f"the {n_det} detector positions support {rank} independent templates, need {n_par}: "
+            "they lie on one line or conic"
+        )
+    return np.ascontiguousarray(np.linalg.qr(shapes)[0].T)
+
+
+def subtract_mean(data_mk, scan_bounds, focal_plane: FocalPlane, options: object) -> Cleaned:
+    """Remove each detector's mean in each scan, nothing else.
+
+    The options are ignored: there is nothing to choose. Arguments, result and errors as for `clean`;
+    responsivities are 1 and no iterations are made.
+    """
+    return _clean_scans(data_mk, scan_bounds, focal_plane, lambda block: (np.ones(len(block)), 0))
+
+
+def subtract_average(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
+    """Remove the mean and the common signal; arguments, result and errors as for `clean`.
+
+    The paper's average template, sum c^-1 d / sum c^-1, differs from the one-parameter polynomial's by a
+    factor common to all detectors, which c takes up: c_i T_n is the same.
+    """
+    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, AVERAGE)
+
+
+def subtract_planar(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
+    """Remove the mean and templates 1, x, y; arguments, result and errors as for `clean`."""
+    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, PLANAR)
+
+
+def subtract_quadratic(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
+    """Remove the mean and templates 1, x, y, xy, x^2, y^2; arguments, result and errors as for `clean`."""
+    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, QUADRATIC)
+
+
+def _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents) -> Cleaned:
+    basis = template_basis(focal_plane, exponents)
+    held = basis[1:]  # the first row is the constant
+
+    def subtract(block):
+        """Clean the block in place; c is None if it did not converge."""
+        responsivity = np.ones(len(block))
+        converged, iterations = iterate_responsivity(
+            block @ block.T, basis, held, options.tolerance, options.max_iterations, responsivity
+        )
+        if not converged:
+            return None, iterations
+        block -= (basis * responsivity).T @ ((basis / responsivity) @ block)
+        return responsivity, iterations
+
+    return _clean_scans(data_mk, scan_bounds, focal_plane, subtract)
+
+
+def _clean_scans(data_mk, scan_bounds, focal_plane, subtract) -> Cleaned:
+    """Apply subtract, block -> (c or None, iterations), in place to each mean-removed float64 scan."""
+    _check(data_mk, scan_bounds, focal_plane)
+    n_det, n_scan = len(data_mk), len(scan_bounds)
+    cleaned_mk = np.zeros_like(data_mk, order="C")
+    responsivity = np.full((n_scan, n_det), np.nan)
+    iterations = np.zeros(n_scan, dtype=np.int64)
+    for s, (start, stop) in enumerate(scan_bounds):
+        block = data_mk[:, start:stop].astype(np.float64)
+        if not np.isfinite(block).all():
+            continue
+        block -= block.mean(axis=1, keepdims=True)
+        found, iterations[s] = subtract(block)
+        if found is not None:
+            responsivity[s] = found
+            cleaned_mk[:, start:stop] = block
+    kept = np.isfinite(responsivity).all(axis=1)
+    return Cleaned(cleaned_mk, kept, responsivity, iterations)
+
+
+def _check(data_mk, scan_bounds, focal_plane) -> None:
+    if data_mk.ndim != 2 or data_mk.dtype not in (np.float32, np.float64):
+        raise ValueError(f"expected (n_det, n_samp) float32 or float64, got {data_mk.shape} {data_mk.dtype}")
+    n_det, n_samp = data_mk.shape
+    if len(focal_plane.x_rad) != n_det:
+        raise ValueError(f"data have {n_det} detectors, the focal plane has {len(focal_plane.x_rad)}")
+    bounds = np.asarray(scan_bounds)
+    if bounds.ndim != 2 or bounds.shape[1] != 2:
+        raise ValueError(f"expected scan bounds (n_scan, 2), got {bounds.shape}")
+    wrong = (bounds[:, 0] < 0) | (bounds[:, 0] >= bounds[:, 1]) | (bounds[:, 1] > n_samp)
+    if wrong.any():
+        raise ValueError(f"scan {bounds[wrong][0].tolist()} is empty or outside the {n_samp} samples")

@@ -1,0 +1,106 @@
+"""Kernel of the template cleaning: responsivities from the Gram matrix of one scan."""
+
+import numpy as np
+from numba import njit
+
+# A detector with less than this fraction of the mean power is dead or stuck: what is left is rounding of
+# its mean.
+DEAD_POWER = 1e-16
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _has_dead(gram):
+    """Whether a detector has next to no power."""
+    n_det = len(gram)
+    least = gram[0, 0]
+    total = 0.0
+    for i in range(n_det):
+        least = min(least, gram[i, i])
+        total += gram[i, i]
+    return least <= DEAD_POWER * total / n_det
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _apply_gram(weighted, gram, product):
+    """Write weighted @ gram into product, both (n_par, n_det); gram is symmetric."""
+    n_par, n_det = weighted.shape
+    for k in range(n_par):
+        row = product[k]
+        row[:] = 0.0
+        for j in range(n_det):
+            weight = weighted[k, j]
+            column = gram[j]
+            for i in range(n_det):  # along memory, so that it vectorises without reordering sums
+                row[i] += weight * column[i]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _correlate(basis, weighted, product, power, responsivity):
+    """Write c_i = sum_n T_in d_in / sum_n T_in^2; power is (n_par, n_par) workspace for sum_n p_n p_n^T."""
+    n_par, n_det = basis.shape
+    for k in range(n_par):
+        for m in range(n_par):
+            total = 0.0
+            for i in range(n_det):
+                total += product[k, i] * weighted[m, i]
+            power[k, m] = total
+    for i in range(n_det):
+        cross = 0.0
+        square = 0.0
+        for k in range(n_par):
+            cross += basis[k, i] * product[k, i]
+            for m in range(n_par):
+                square += basis[k, i] * power[k, m] * basis[m, i]
+        responsivity[i] = cross / square if square > 0.0 else np.nan
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _hold(held, responsivity):
+    """Remove the components along the rows of held from c, then scale c to mean 1."""
+    n_held, n_det = held.shape
+    for k in range(n_held):
+        component = 0.0
+        for i in range(n_det):
+            component += held[k, i] * responsivity[i]
+        for i in range(n_det):
+            responsivity[i] -= component * held[k, i]
+    if n_held > 0:
+        responsivity /= np.mean(responsivity)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def iterate_responsivity(gram, basis, held, tolerance, max_iterations, responsivity):
+    """Iterate templates and responsivities of one scan on its Gram matrix, never on the stream.
+
+    gram: (n_det, n_det) float64, sum_n d_in d_jn of the mean-removed scan [mK^2]. basis: (n_par, n_det)
+    float64, orthonormal rows that span the template shapes. held: (n_held, n_det) float64, orthonormal
+    rows, each of zero sum, along which c is kept zero (0 rows: the paper's iteration as it stands).
+    responsivity: (n_det,) float64, in: first guess, out: c_i. Returns (converged, iterations): converged
+    when the mean fractional change of c falls below tolerance within max_iterations. A dead detector (0
+    iterations) or a vanishing or non-finite c_i end it unconverged. Sayers et al. (2010), sections "Average
+    Template Subtraction" and "Higher-Order Template Subtraction": with B = basis / c, sum_n T_in d_in =
+    sum_k basis_ki (B G)_ki and sum_n T_in^2 = basis_i^T (B G B^T) basis_i.
+    """
+    n_par, n_det = basis.shape
+    if _has_dead(gram):
+        return False, 0
+    weighted = np.empty((n_par, n_det))
+    product = np.empty((n_par, n_det))
+    power = np.empty((n_par, n_par))
+    previous = np.empty(n_det)
+    for iteration in range(1, max_iterations + 1):
+        previous[:] = responsivity
+        for k in range(n_par):
+            for i in range(n_det):
+                weighted[k, i] = basis[k, i] / responsivity[i]
+        _apply_gram(weighted, gram, product)
+        _correlate(basis, weighted, product, power, responsivity)
+        if not np.all(np.isfinite(responsivity)) or np.any(responsivity == 0.0):
+            return False, iteration
+        _hold(held, responsivity)
+        change = 0.0
+        for i in range(n_det):
+            change += abs(responsivity[i] / previous[i] - 1.0)
+        if change < tolerance * n_det:
+            return True, iteration
+    return False, max_iterations

@@ -1,0 +1,69 @@
+"""Loops from pointing to pixels and from time-streams to maps."""
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def plane_pixels(column, row, cos, sin, x_rad, y_rad, n_x, n_y):
+    """Flat pixel index (n_det, n_samp) int32, -1 off the map.
+
+    `column`, `row`, `cos`, `sin` (n_samp,) are the boresight in pixels and the array angle's cosine
+    and sine over the pixel size; `x_rad`, `y_rad` (n_det,) the detectors in the array frame.
+    """
+    n_det, n_samp = x_rad.size, column.size
+    index = np.empty((n_det, n_samp), np.int32)
+    for d in range(n_det):
+        x, y = x_rad[d], y_rad[d]
+        for n in range(n_samp):
+            c = column[n] + x * cos[n] - y * sin[n]
+            r = row[n] + x * sin[n] + y * cos[n]
+            inside = (c >= 0.0) & (r >= 0.0) & (c < n_x) & (r < n_y)
+            index[d, n] = np.int32(r) * n_x + np.int32(c) if inside else -1
+    return index
+
+
+@njit(cache=True, nogil=True)
+def bin_samples(data, index, bounds, kept, weighted_sum, hits):
+    """Add the samples of kept scans to the flat maps `weighted_sum` (float64) and `hits` (int64), in place."""
+    for d in range(data.shape[0]):
+        for s in range(bounds.shape[0]):
+            if kept[s]:
+                for n in range(bounds[s, 0], bounds[s, 1]):
+                    pixel = index[d, n]
+                    if pixel >= 0:
+                        weighted_sum[pixel] += data[d, n]
+                        hits[pixel] += 1
+
+
+@njit(cache=True, nogil=True)
+def bin_signal(data, index, bounds, kept, weighted_sum):
+    """Add the samples of kept scans to the flat map `weighted_sum` (float64) where hits are known, in place."""
+    for d in range(data.shape[0]):
+        for s in range(bounds.shape[0]):
+            if kept[s]:
+                for n in range(bounds[s, 0], bounds[s, 1]):
+                    pixel = index[d, n]
+                    if pixel >= 0:
+                        weighted_sum[pixel] += data[d, n]
+
+
+@njit(cache=True, nogil=True)
+def add_sky(data, sky, column, row, cos, sin, x_rad, y_rad, gain):
+    """Add the bilinear look-up of `sky` (n_y, n_x) along every detector's track to `data`, in place.
+
+    `column`, `row` (n_samp,) are the boresight in sky pixels, counted from pixel centres; `cos`, `sin`
+    as in `plane_pixels`; `gain` (n_det,) multiplies. Nothing is added off the sky.
+    """
+    n_y, n_x = sky.shape
+    for d in range(data.shape[0]):
+        x, y, g = x_rad[d], y_rad[d], gain[d]
+        for n in range(data.shape[1]):
+            c = column[n] + x * cos[n] - y * sin[n]
+            r = row[n] + x * sin[n] + y * cos[n]
+            if (c >= 0.0) & (r >= 0.0) & (c < n_x - 1) & (r < n_y - 1):
+                i, j = int(r), int(c)
+                v, u = r - i, c - j
+                low = sky[i, j] + u * (sky[i, j + 1] - sky[i, j])
+                high = sky[i + 1, j] + u * (sky[i + 1, j + 1] - sky[i + 1, j])
+                data[d, n] += g * (low + v * (high - low))

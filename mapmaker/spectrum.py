@@ -1,0 +1,129 @@
+"""Power spectral density of maps: taper, 2-D and azimuthally binned, and how many modes a bin holds."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+
+@dataclass(frozen=True)
+class Annuli:
+    """Rings of constant multipole on the half plane of `rfft2`.
+
+    Bin b holds `edges_ell[b] <= ell < edges_ell[b + 1]`. `bin_of_mode` is the bin of each flattened
+    half-plane mode, `n_bin` for a mode outside all bins.
+    `multiplicity` is 2 for a mode whose complex conjugate `rfft2` leaves out, else 1.
+    """
+
+    edges_ell: np.ndarray  # (n_bin + 1,)
+    ell: np.ndarray  # (n_bin,) mean over the modes of the bin
+    n_modes: np.ndarray  # (n_bin,) independent real degrees of freedom
+    bin_of_mode: np.ndarray  # (n_y * (n_x // 2 + 1),) int64
+    multiplicity: np.ndarray  # (n_y * (n_x // 2 + 1),) float64
+
+
+def tukey_taper(n_y: int, n_x: int, pixel_rad: float, size_rad: float, edge_fraction: float) -> np.ndarray:
+    """Separable cosine-edged taper (n_y, n_x) on a centred square of side `size_rad`, zero outside.
+
+    `edge_fraction` is the share of the side taken by the two cosine edges: 0 is a box, 1 a Hann taper.
+    Raises ValueError for an edge fraction outside [0, 1] or a square that is larger than the map.
+    """
+    if not 0 <= edge_fraction <= 1:
+        raise ValueError(f"edge_fraction must be in [0, 1], got {edge_fraction}")
+    extent_rad = min(n_y, n_x) * pixel_rad
+    if not 0 < size_rad <= extent_rad * (1 + 1e-9):
+        raise ValueError(f"size_rad must be in (0, {extent_rad}], the map's shorter side; got {size_rad}")
+    return np.outer(
+        _tukey(n_y, pixel_rad, size_rad, edge_fraction), _tukey(n_x, pixel_rad, size_rad, edge_fraction)
+    )
+
+
+def _tukey(n: int, pixel_rad: float, size_rad: float, edge_fraction: float) -> np.ndarray:
+    from_centre = np.abs(np.arange(n) - (n - 1) / 2) * pixel_rad / (size_rad / 2)
+    inside = from_centre <= 1
+    if edge_fraction == 0:
+        return inside.astype(np.float64)
+    into_edge = np.clip((from_centre - (1 - edge_fraction)) / edge_fraction, 0, 1)
+    return np.where(inside, 0.5 * (1 + np.cos(np.pi * into_edge)), 0.0)
+
+
+def mode_ell(n_y: int, n_x: int, pixel_rad: float) -> np.ndarray:
+    """Multipole `ell = |k|` of each mode of `rfft2`, (n_y, n_x // 2 + 1)."""
+    k_y = 2 * np.pi * fft.fftfreq(n_y, pixel_rad)
+    k_x = 2 * np.pi * fft.rfftfreq(n_x, pixel_rad)
+    return np.hypot(k_y[:, None], k_x)
+
+
+def annuli(n_y: int, n_x: int, pixel_rad: float, edges_ell: np.ndarray, taper: np.ndarray) -> Annuli:
+    """Sort the Fourier modes of a map into bins of multipole and count the degrees of freedom of each bin.
+
+    A full plane has as many real degrees of freedom as cells. The taper T correlates modes: the squared
+    correlation of one mode with all modes adds up to `N_pix sum T^4 / (sum T^2)^2`, so a bin that is wide
+    against the taper's resolution holds `n = cells (sum T^2)^2 / (N_pix sum T^4)`, and the relative variance
+    of its PSD is 2 / n for stationary isotropic noise. A bin no wider than that scatters less than 2 / n by
+    itself, but its correlation with its neighbours makes up for it in any smooth sum over bins, which is what
+    a band power is.
+    Raises ValueError for edges that do not increase, a bin without modes or a taper of another shape.
+    """
+    edges_ell = np.asarray(edges_ell, dtype=np.float64)
+    if edges_ell.ndim != 1 or edges_ell.size < 2 or not (np.diff(edges_ell) > 0).all():
+        raise ValueError(f"edges_ell must be at least two increasing multipoles, got {edges_ell}")
+    if taper.shape != (n_y, n_x):
+        raise ValueError(f"taper must have the map's shape {(n_y, n_x)}, got {taper.shape}")
+    n_bin = edges_ell.size - 1
+    ell = mode_ell(n_y, n_x, pixel_rad).ravel()
+    bin_of_mode = np.searchsorted(edges_ell, ell, side="right") - 1
+    bin_of_mode[bin_of_mode < 0] = n_bin
+    multiplicity = _multiplicity(n_y, n_x)
+    cells = np.bincount(bin_of_mode, multiplicity, n_bin + 1)[:n_bin]
+    if not cells.all():
+        empty = int(np.argmin(cells))
+        raise ValueError(f"no Fourier mode of the map has {edges_ell[empty]} <= ell < {edges_ell[empty + 1]}")
+    ell_mean = np.bincount(bin_of_mode, multiplicity * ell, n_bin + 1)[:n_bin] / cells
+    kept = np.sum(taper**2) ** 2 / (taper.size * np.sum(taper**4))
+    return Annuli(edges_ell, ell_mean, cells * kept, bin_of_mode, multiplicity)
+
+
+def _multiplicity(n_y: int, n_x: int) -> np.ndarray:
+    """Full-plane cells of each flattened half-plane mode: columns 0 and Nyquist hold both signs of k_y."""
+    of_column = np.full(n_x // 2 + 1, 2.0)
+    of_column[0] = 1
+    if n_x % 2 == 0:
+        of_column[-1] = 1
+    return np.tile(of_column, n_y)
+
+
+def mode_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> np.ndarray:
+    """2-D PSD of tapered maps on the half plane of `rfft2`, in mK^2 rad^2 (any map unit squared).
+
+    `map_mk` is (..., n_y, n_x), zero where nothing was observed; the result is (..., n_y, n_x // 2 + 1).
+    Divided by `sum T^2`, so that white noise of variance s^2 a pixel has the PSD s^2 pixel_rad^2, whatever
+    the taper.
+    Raises ValueError if the taper does not have the map's shape.
+    """
+    if map_mk.shape[-2:] != taper.shape:
+        raise ValueError(f"map and taper must have the same shape, got {map_mk.shape[-2:]} and {taper.shape}")
+    modes = fft.rfft2(map_mk * taper, workers=1)
+    return (modes.real**2 + modes.imag**2) * (pixel_rad**2 / np.sum(taper**2))
+
+
+def map_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float, rings: Annuli) -> np.ndarray:
+    """Azimuthal mean of the PSD of tapered maps: (..., n_y, n_x) in mK to (..., n_bin) in mK^2 rad^2.
+
+    Normalised as `mode_psd`. Raises ValueError if taper or annuli do not fit the map.
+    """
+    n_bin = rings.ell.size
+    n_half = map_mk.shape[-2] * (map_mk.shape[-1] // 2 + 1)
+    if rings.bin_of_mode.size != n_half:
+        raise ValueError(f"annuli are for {rings.bin_of_mode.size} half-plane modes, the map has {n_half}")
+    cells = np.bincount(rings.bin_of_mode, rings.multiplicity, n_bin + 1)[:n_bin]
+    psd = np.empty(map_mk.shape[:-2] + (n_bin,))
+    for index in np.ndindex(map_mk.shape[:-2]):
+        power = mode_psd(map_mk[index], taper, pixel_rad).ravel() * rings.multiplicity
+        psd[index] = np.bincount(rings.bin_of_mode, power, n_bin + 1)[:n_bin] / cells
+    return psd
+
+
+def psd_relative_error(n_modes: np.ndarray) -> np.ndarray:
+    """Relative standard error `sqrt(2 / n)` of the PSD of Gaussian noise with n real degrees of freedom."""
+    return np.sqrt(2 / np.asarray(n_modes))

@@ -1,0 +1,58 @@
+"""What is lost of a sky signal's power on its way into the map: beam, pixel, scans and cleaning."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Window:
+    """Share of the signal's power that is left, a bin of multipole, with its Monte Carlo error."""
+
+    ell: np.ndarray  # (n_bin,)
+    transmission: np.ndarray  # (n_bin,) power out / power in
+    error: np.ndarray  # (n_bin,) standard error of the transmission
+
+
+def beam_window(ell: np.ndarray, fwhm_rad: float) -> np.ndarray:
+    """Power transmission `B_ell^2 = exp(-ell^2 s^2)` of a Gaussian beam, `s = fwhm / sqrt(8 ln 2)`."""
+    return np.exp(-(np.asarray(ell) ** 2) * fwhm_rad**2 / (8 * np.log(2)))
+
+
+def pixel_window(ell: np.ndarray, pixel_rad: float) -> np.ndarray:
+    """Power transmission of square pixels: `sinc^2(k_x p / 2) sinc^2(k_y p / 2)` averaged over azimuth.
+
+    `ell` has any shape. Equal steps over the period of a smooth function converge exponentially: 32 are exact
+    to rounding for all multipoles that a map of such pixels can hold.
+    """
+    azimuth = (np.arange(32) + 0.5) * (np.pi / 2 / 32)
+    cycles = np.asarray(ell, dtype=np.float64)[..., None] * pixel_rad / (2 * np.pi)
+    return np.mean((np.sinc(cycles * np.cos(azimuth)) * np.sinc(cycles * np.sin(azimuth))) ** 2, axis=-1)
+
+
+def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.ndarray) -> Window:
+    """Power transmission from the PSDs of the same skies with and without the losses, both (n_sky, n_bin).
+
+    The ratio of the means over skies, not the mean of ratios: it is consistent and not ruled by skies that
+    happen to be faint. The error is the delete-one jackknife over skies, `(n - 1) / n sum_i (r_i - mean
+    r)^2`, in which the sample variance common to both PSDs cancels. `ell` is (n_bin,).
+    Raises ValueError for fewer than 2 skies, shapes that differ or a reference without power.
+    """
+    if (
+        psd_cleaned.ndim != 2
+        or psd_cleaned.shape != psd_reference.shape
+        or psd_cleaned.shape[1:] != ell.shape
+    ):
+        raise ValueError(
+            "expected psd_cleaned and psd_reference (n_sky, n_bin) and ell (n_bin,), got "
+            f"{psd_cleaned.shape}, {psd_reference.shape} and {ell.shape}"
+        )
+    n_sky = len(psd_cleaned)
+    if n_sky < 2:
+        raise ValueError(f"the error of a window needs at least 2 skies, got {n_sky}")
+    if not (psd_reference > 0).all():
+        raise ValueError("the reference skies must have power in every bin")
+    cleaned, reference = psd_cleaned.sum(axis=0), psd_reference.sum(axis=0)
+    left_out = (cleaned - psd_cleaned) / (reference - psd_reference)
+    variance = (n_sky - 1) * np.var(left_out, axis=0)
+    return Window(ell, cleaned / reference, np.sqrt(variance))

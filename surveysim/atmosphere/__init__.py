@@ -1,0 +1,1 @@
+"""The Kolmogorov-Taylor thin screen: closed forms and realizations."""

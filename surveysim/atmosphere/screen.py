@@ -1,0 +1,276 @@
+"""Realizations of the thin screen: one random strip of the layer for every scan.
+
+In the frame of the moving layer all detectors of a scan at constant velocity follow straight parallel
+lines. A scan therefore needs a strip of the layer that is long along the relative velocity (x) and as wide
+as the focal plane (y): `n_lane` lanes of `n_x` lattice points.
+
+The field has stationary increments but, without an outer scale, no finite variance, and much of its
+gradient comes from scales beyond any box. Intrinsic circulant embedding along x (Stein 2002, J. Comput.
+Graph. Stat. 11, 587) deals with both: with D the structure function, the covariance
+
+    C(x, dy) = -(D(r) - a x^2) / 2,   r^2 = x^2 + dy^2,   a = D'(L/2) / L,
+
+continued with period L = n_x step has zero slope at the seam x = L/2; an independent linear ramp along x,
+of slope variance a, gives back what a x^2 took away. The higher odd derivatives jump at the seam and would
+put negative power at high frequencies, where the beam leaves almost none; so C is made smooth and even
+about the seam over its last quarter. The structure function on the lattice is then exact up to the seam's
+beginning, and longer tracks are not allowed.
+
+A Fourier transform along x turns C into one small matrix per frequency, whose eigenvectors are the factors
+kept in `Strip`. At zero frequency C is positive for contrasts between lanes alone, so the constant is
+projected out: a common offset of a strip is of no consequence, since the mean of every scan is removed.
+"""
+
+from dataclasses import dataclass, field
+from math import ceil, log2, pi, radians
+
+import numpy as np
+import scipy.fft
+
+from surveysim.atmosphere.spectrum import Screen, structure_function, structure_slope
+from surveysim.kernels import screen as kernels
+
+# The lattice step is never coarser than the closest pair of detectors.
+_STEP_MAX_RAD = radians(40.0 / 3600.0)
+_STEPS_PER_BEAM = 14
+# Share of half a period that is bent to make the seam smooth, and the number of even powers fitted there.
+_SEAM = 0.25
+_SEAM_TERMS = 4
+# Modes that add less than this share to the differences between lattice neighbours are left out.
+_NEGLIGIBLE = 1e-8
+_CLIPPED_MAX = 1e-3
+_N_X_MIN, _N_X_MAX = 32, 2**17
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Factors of strips of one size, per unit amplitude; made once and drawn from many times.
+
+    columns (n_total, n_lane) float32: eigenvectors scaled to the standard deviation of each part of a mode
+    in an unnormalized DFT; those of frequency k are rows start[k]:start[k + 1], and no frequency above
+    n_freq has any. ramp_std [1/rad] is the standard deviation of the slope along x. clipped_fraction is the
+    share of the variance of neighbour differences in negative eigenvalues, which were set to zero.
+    """
+
+    step_rad: float
+    n_x: int
+    n_lane: int
+    ramp_std: float
+    columns: np.ndarray
+    start: np.ndarray
+    clipped_fraction: float
+
+    @property
+    def length_rad(self):
+        """Longest track [rad] for which the structure function is exact."""
+        return 0.5 * (1.0 - _SEAM) * self.n_x * self.step_rad
+
+    @property
+    def half_width_rad(self):
+        """Largest distance [rad] of a track from the strip's middle."""
+        return 0.5 * (self.n_lane - 1) * self.step_rad
+
+
+@dataclass(frozen=True)
+class StripCache:
+    """Strips of one screen and width, made when first asked for, in lengths of powers of two."""
+
+    screen: Screen
+    half_width_rad: float
+    step_rad: float
+    strips: dict = field(default_factory=dict, repr=False, compare=False)
+
+    def strip_for(self, length_rad):
+        """The strip for tracks up to `length_rad` long; raises ValueError as `build_strip` does."""
+        n_x = _points_along(length_rad, self.step_rad)
+        if n_x not in self.strips:
+            self.strips[n_x] = build_strip(self.screen, length_rad, self.half_width_rad, self.step_rad)
+        return self.strips[n_x]
+
+
+def strip_step(screen):
+    """Lattice step [rad] for bilinear look-up: a fourteenth of the beam, 40 arcsec at most.
+
+    The first keeps the structure function: within 3 % at 0.67 arcmin and above for b >= 2, 0.2 % for b = 11/3. The
+    second is for what is left after a quadratic in an 8 arcmin field of view has been removed: within 5 % of its
+    variance at b = 11/3, where a fixed share of a wide beam would not do. For b < 2 the beam's sharp edge makes
+    the field rough on every scale: at b = 2/3 and 1000 m the structure function is 22 % low at 0.67 arcmin and within
+    3 % only from 4 arcmin up.
+    """
+    return min(screen.beam_rad / _STEPS_PER_BEAM, _STEP_MAX_RAD)
+
+
+# ---------------------------------------------------------------- factors
+
+
+def build_strip(screen, length_rad, half_width_rad, step_rad):
+    """Factors of a strip for tracks up to `length_rad` long within +-`half_width_rad` of its middle.
+
+    The period is the smallest power of two of steps that holds the length, doubled as long as more than
+    1e-3 of the variance of neighbour differences has negative eigenvalues (that happens for b > 5 with a
+    large outer scale). Raises ValueError when no period does.
+    """
+    n_lane = max(2, ceil(2.0 * half_width_rad / step_rad) + 1)
+    n_x = _points_along(length_rad, step_rad)
+    strip = _factorize(screen, n_x, n_lane, step_rad)
+    while strip.clipped_fraction > _CLIPPED_MAX:
+        n_x *= 2
+        if n_x > _N_X_MAX:
+            raise ValueError(
+                f"no strip of {n_lane} lanes {step_rad:g} rad apart for {screen}: negative eigenvalues with"
+                f" {strip.clipped_fraction:.2g} of the variance found; at most {_CLIPPED_MAX:g} is allowed,"
+                " use a smaller outer scale"
+            )
+        strip = _factorize(screen, n_x, n_lane, step_rad)
+    return strip
+
+
+def _points_along(length_rad, step_rad):
+    """Smallest power of two of lattice points whose half, without the seam, is longer than the length."""
+    return max(_N_X_MIN, 2 ** ceil(log2(2.0 / (1.0 - _SEAM) * (length_rad / step_rad + 1.0))))
+
+
+def _factorize(screen, n_x, n_lane, step_rad):
+    """Strip of a given size, whatever its clipped fraction."""
+    ramp_variance, density = _lane_spectra(screen, n_x, n_lane, step_rad)
+    value, vector, share = _eigen_modes(density, n_x)
+    share /= 2.0 * float(structure_function(screen, step_rad))
+    kept = share > _NEGLIGIBLE
+    # A real mode (k = 0 or Nyquist) has all its variance, n_x times the eigenvalue, in one part, the others
+    # half of it.
+    part = np.full(n_x // 2 + 1, 0.5 * n_x)
+    part[[0, -1]] = n_x
+    scale = np.sqrt(np.maximum(value, 0.0) * part[: len(value), None])
+    columns = (vector * scale[:, None, :]).transpose(0, 2, 1)[kept]
+    start = np.concatenate([[0], np.cumsum(kept.sum(axis=1))])
+    n_freq = int(np.searchsorted(start, start[-1]))
+    clipped = max(0.0, -float(share[share < 0.0].sum()))
+    return Strip(
+        step_rad,
+        n_x,
+        n_lane,
+        ramp_variance**0.5,
+        columns.astype(np.float32),
+        start[: n_freq + 1].astype(np.int64),
+        clipped,
+    )
+
+
+def _lane_spectra(screen, n_x, n_lane, step_rad):
+    """Ramp variance [1/rad^2], and spectra (n_x/2 + 1, n_lane): DFT along x of C, lanes 0, 1, ... apart."""
+    half = 0.5 * n_x * step_rad
+    ramp_variance = max(0.0, float(structure_slope(screen, half)) / (2.0 * half))
+    x = step_rad * np.arange(n_x // 2 + 1)
+    distance = np.hypot(x[:, None], step_rad * np.arange(n_lane))
+    covariance = -0.5 * (structure_function(screen, distance) - ramp_variance * x[:, None] ** 2)
+    return ramp_variance, scipy.fft.dct(_smooth_seam(covariance), type=1, axis=0)
+
+
+def _smooth_seam(covariance):
+    """Covariance (n_x/2 + 1, n_lane) made smooth and even about its last row, the seam.
+
+    Over the last _SEAM of its length it goes over into the best-fitting polynomial that is even about the
+    seam.
+    """
+    n = int(_SEAM * (covariance.shape[0] - 1))
+    s = np.arange(n, -1, -1.0) / n  # 1 where the change begins, 0 at the seam
+    even = s[:, None] ** np.arange(0, 2 * _SEAM_TERMS, 2)
+    far = slice(0, max(_SEAM_TERMS, n // 2))
+    end = covariance[-n - 1 :]
+    coefficients = np.linalg.lstsq(even[far], end[far], rcond=None)[0]
+    step = np.clip((1.0 - s) / 0.8, 0.0, 1.0)
+    step = step**4 * (35.0 - 84.0 * step + 70.0 * step**2 - 20.0 * step**3)
+    return np.concatenate([covariance[: -n - 1], end + step[:, None] * (even @ coefficients - end)])
+
+
+def _eigen_modes(density, n_x):
+    """Eigenvalues (n_freq, n_lane), eigenvectors (n_freq, n_lane, n_lane) and shares (n_freq, n_lane).
+
+    A mode's share is what it adds to the variance of the difference of neighbours along x plus of that
+    across; without the ramp all shares add to 2 D(step). Frequencies above the last that could matter are
+    left out.
+    """
+    n_lane = density.shape[1]
+    lane, k = np.arange(n_lane), np.arange(n_x // 2 + 1)
+    weight = np.full(k.size, 2.0 / n_x)
+    weight[[0, -1]] = 1.0 / n_x
+    along = weight * (2.0 * np.sin(pi * k / n_x)) ** 2
+    # No eigenvalue exceeds its matrix' largest absolute row sum.
+    bound = np.abs(density).sum(axis=1) * (along + weight)
+    used = 1 + int(np.flatnonzero(bound[1:] > 1e-2 * _NEGLIGIBLE * bound[1:].sum()).max()) + 1
+    matrix = density[:used, np.abs(lane[:, None] - lane)]
+    matrix[0] -= matrix[0].mean(axis=0)
+    matrix[0] -= matrix[0].mean(axis=1)[:, None]
+    value, vector = np.linalg.eigh(matrix)
+    across = np.square(np.diff(vector, axis=1)).sum(axis=1) / (n_lane - 1)
+    return value, vector, value * (along[:used, None] / n_lane + weight[:used, None] * across)
+
+
+# ---------------------------------------------------------------- realizations
+
+
+def draw_strip(strip, rng):
+    """One realization (n_lane, n_x) float32 of unit amplitude, from one draw of 2 n_total + 1 normals.
+
+    The structure function holds for points up to `strip.length_rad` apart; lattice points are
+    strip.step_rad apart.
+    """
+    normals = rng.standard_normal(2 * len(strip.columns) + 1, dtype=np.float32)
+    modes = np.empty((strip.n_lane, len(strip.start) - 1), np.complex64)
+    kernels.combine_columns(strip.columns, strip.start, normals, modes)
+    # The inverse transform takes the modes above as zero, and only the real parts of the real modes.
+    layer = scipy.fft.irfft(modes, n=strip.n_x, axis=1, overwrite_x=True)
+    layer += np.arange(strip.n_x, dtype=np.float32) * np.float32(
+        normals[-1] * strip.ramp_std * strip.step_rad
+    )
+    return layer
+
+
+def add_atmosphere(
+    data_mk,
+    scan_bounds,
+    sample_rate_hz,
+    offsets_rad,
+    velocity_rad_s,
+    layer_velocity_rad_s,
+    amplitude_mk,
+    strips,
+    rng,
+):
+    """Add the emission of the moving layer to time streams, in place.
+
+    data_mk (n_det, n_samp) float32 or float64 [mK]; scan_bounds (n_scan, 2) first sample and end of each
+    scan; offsets_rad (n_scan, n_det, 2) detectors' offsets (xi, eta) from the boresight; velocity_rad_s and
+    layer_velocity_rad_s (n_scan, 2) velocities of boresight and layer (xi, eta); amplitude_mk (n_scan,)
+    sqrt(B2 sin(el)^(1 - b)); strips a `StripCache`.
+
+    Every scan is an independent strip: correlations across turnarounds are neglected, as the mean of each
+    scan is removed, and the common offset of a scan's streams is arbitrary. Without relative motion the
+    streams are constant. Raises ValueError when a detector lies outside the strip's width.
+    """
+    relative = np.asarray(velocity_rad_s, dtype=float) - np.asarray(layer_velocity_rad_s, dtype=float)
+    for (start, stop), offset, motion, amplitude in zip(
+        scan_bounds, offsets_rad, relative, amplitude_mk, strict=True
+    ):
+        speed = float(np.hypot(*motion))
+        direction = motion / speed if speed > 0.0 else np.array([1.0, 0.0])
+        track = speed * (stop - start - 1) / sample_rate_hz
+        strip, x0, y0 = _place(offset, direction, track, strips)
+        layer = draw_strip(strip, rng)
+        dx = speed / (sample_rate_hz * strip.step_rad)
+        kernels.add_screen(data_mk, start, stop, layer, x0, y0, dx, float(amplitude))
+
+
+def _place(offset_rad, direction, track_rad, strips):
+    """Strip for one scan, and where each detector's track begins (n_det,), (n_det,) in lattice steps."""
+    along = offset_rad @ direction
+    across = offset_rad @ np.array([-direction[1], direction[0]])
+    strip = strips.strip_for(float(np.ptp(along)) + track_rad)
+    widest = float(np.abs(across).max())
+    if widest > strip.half_width_rad + 1e-6 * strip.step_rad:
+        raise ValueError(
+            f"detector {widest:g} rad from the middle of the strip found;"
+            f" half_width_rad allows {strip.half_width_rad:g}"
+        )
+    y0 = np.clip((across + strip.half_width_rad) / strip.step_rad, 0.0, strip.n_lane - 1.0)
+    return strip, (along - along.min()) / strip.step_rad, y0

@@ -1,0 +1,60 @@
+"""Checkpoints: the running sums of a survey on disk, so that a stopped run goes on with the same bits."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from surveysim import __version__
+from surveysim.coadds import CoAdds
+
+_ARRAYS = ("sums", "weight", "hits", "flipped", "window", "window_weight")
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that can't be used; the text says why and what to do."""
+
+
+def save_checkpoint(path: Path, coadds: CoAdds, scene_hash: str) -> None:
+    """Write the sums atomically: the old checkpoint stays whole until the new one is."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".part")
+    meta = {"scene": scene_hash, "version": __version__, "seconds": coadds.seconds}
+    with open(partial, "wb") as file:
+        np.savez(
+            file,
+            meta=json.dumps(meta),
+            rows=np.array(coadds.rows),
+            raw_psd=np.array(coadds.raw_psd),
+            clean_psd=np.array(coadds.clean_psd),
+            **{name: getattr(coadds, name) for name in _ARRAYS},
+        )
+    partial.replace(path)
+
+
+def load_checkpoint(path: Path, scene_hash: str) -> CoAdds:
+    """Read the sums back.
+
+    Raises CheckpointError for a damaged checkpoint or one of another scene or version.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            meta = json.loads(str(file["meta"]))
+            arrays = {name: file[name] for name in (*_ARRAYS, "rows", "raw_psd", "clean_psd")}
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise CheckpointError(f"{path}: damaged ({error}); delete it and run without --resume") from None
+    for key, expected in (("version", __version__), ("scene", scene_hash)):
+        if meta[key] != expected:
+            raise CheckpointError(
+                f"{path}: of another {key} (found {meta[key][:12]}, expected {expected[:12]}); "
+                "run without --resume, or with --out elsewhere"
+            )
+    rows, raw, clean = (arrays.pop(name) for name in ("rows", "raw_psd", "clean_psd"))
+    return CoAdds(
+        **arrays,
+        rows=[tuple(float(value) for value in row) for row in rows],
+        raw_psd=list(raw),
+        clean_psd=list(clean),
+        seconds=meta["seconds"],
+    )

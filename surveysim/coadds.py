@@ -1,0 +1,128 @@
+"""Running sums over observations: the co-added maps, sign-flipped co-adds, window skies.
+
+The one mutable thing in a run: it grows by one observation at a time, in index order, so its memory does
+not depend on how many there are, and it is what a checkpoint holds.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from surveysim.kernels.sums import add_signed
+from surveysim.observation import ObservationResult
+from surveysim.setup import Setup
+from surveysim.streams import Stage, generator
+
+ROW_FIELDS = (
+    "observation",
+    "b2",
+    "wind_speed_rad_s",
+    "wind_angle_rad",
+    "elevation_rad",
+    "white_mk2_hz",
+)
+
+
+@dataclass
+class CoAdds:
+    """Sums over the first `done` observations.
+
+    `sums`, `weight`, `hits` (n_set, n_y, n_x): sum of w S, w H and H; `flipped` (K, n_set, n, n): sums
+    with random signs on the scored patch; `window` (n_sky, n_array, 2, n, n) and `window_weight`
+    (n_array, n, n) on the patch; `rows` one tuple an observation (`ROW_FIELDS`, then per array discarded
+    scans and iterations, then per data set the noise); `raw_psd`, `clean_psd` (n_obs, n_freq).
+    """
+
+    sums: np.ndarray
+    weight: np.ndarray
+    hits: np.ndarray
+    flipped: np.ndarray
+    window: np.ndarray
+    window_weight: np.ndarray
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+    raw_psd: list[np.ndarray] = field(default_factory=list)
+    clean_psd: list[np.ndarray] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def done(self) -> int:
+        """How many observations are in."""
+        return len(self.rows)
+
+    @property
+    def n_set(self) -> int:
+        """How many data sets are kept."""
+        return len(self.sums)
+
+    def noise_mk2(self) -> np.ndarray:
+        """Noise variance a sample, (n_obs, n_set)."""
+        return np.array([row[-self.n_set :] for row in self.rows])
+
+
+def empty_coadds(setup: Setup) -> CoAdds:
+    """Sums over no observation."""
+    n_set, n_array = len(setup.data_sets), n_arrays(setup)
+    shape = (setup.geometry.n_y, setup.geometry.n_x)
+    n_flip = n_sky = n = 0
+    if setup.scene.score:
+        n_flip, n_sky = setup.scene.score.jackknives, setup.scene.score.window.skies
+        n = len(setup.band.taper)
+    return CoAdds(
+        sums=np.zeros((n_set, *shape)),
+        weight=np.zeros((n_set, *shape)),
+        hits=np.zeros((n_set, *shape), np.int64),
+        flipped=np.zeros((n_flip, n_set, n, n)),
+        window=np.zeros((n_sky, n_array, 2, n, n)),
+        window_weight=np.zeros((n_array, n, n)),
+    )
+
+
+def n_arrays(setup: Setup) -> int:
+    """1, or 2 with a masked array."""
+    return 1 if setup.masked is None else 2
+
+
+def signs(setup: Setup, observation: int) -> np.ndarray:
+    """Random signs (K,) of one observation in the sign-flipped co-adds: noise stays, the sky cancels."""
+    score = setup.scene.score
+    if score is None:
+        return np.zeros(0)
+    rng = generator(setup.scene.seed, Stage.JACKKNIFE, observation)
+    return 2.0 * rng.integers(0, 2, score.jackknives) - 1.0
+
+
+def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> None:
+    """Add one observation, weighted by its own noise, in place."""
+    if result.observation != coadds.done:
+        raise ValueError(f"found observation {result.observation}; {coadds.done} is the next in order")
+    weights = np.where(np.isfinite(result.noise_mk2) & (result.noise_mk2 > 0), 1 / result.noise_mk2, 0.0)
+    sign = signs(setup, result.observation)
+    patch = setup.band.patch if setup.band else slice(0, 0)
+    for s, weight in enumerate(weights):
+        weighted = weight * result.sums[s].astype(float)
+        coadds.sums[s] += weighted
+        coadds.weight[s] += weight * result.hits[s]
+        if len(sign):
+            add_signed(coadds.flipped[:, s], np.ascontiguousarray(weighted[patch, patch]), sign)
+    coadds.hits += result.hits
+    if result.window is not None:
+        _add_window(setup, coadds, result, weights)
+    coadds.rows.append(_row(result))
+    coadds.raw_psd.append(result.raw_psd)
+    coadds.clean_psd.append(result.clean_psd)
+    for stage, seconds in result.seconds.items():
+        coadds.seconds[stage] = coadds.seconds.get(stage, 0.0) + seconds
+
+
+def _add_window(setup: Setup, coadds: CoAdds, result: ObservationResult, weights: np.ndarray) -> None:
+    patch = setup.band.patch
+    for array, data_set in enumerate((0, -1)[: n_arrays(setup)]):
+        coadds.window[:, array] += weights[data_set] * result.window[:, array, :, patch, patch]
+        coadds.window_weight[array] += weights[data_set] * result.hits[data_set][patch, patch]
+
+
+def _row(result: ObservationResult) -> tuple[float, ...]:
+    weather = result.weather
+    drawn = (np.nan,) * 3 if weather is None else (weather.b2, weather.wind_speed_rad_s, weather.wind_angle_rad)
+    conditions = (result.observation, *drawn, result.elevation_rad, result.white_mk2_hz)
+    return (*conditions, *result.discarded, *result.iterations, *result.noise_mk2)

@@ -1,0 +1,124 @@
+"""Focal planes: hexagonal layouts, tables of positions, dead and masked detectors."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mapmaker.timestreams import FocalPlane
+from surveysim.scene import Instrument as InstrumentSection
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A focal plane in the array frame and what couples its detectors.
+
+    `focal_plane` holds n_det detectors; `f_lambda_rad` is one (f/#)lambda on the sky.
+    """
+
+    focal_plane: FocalPlane
+    frequency_hz: float
+    f_lambda_rad: float
+
+    @property
+    def positions_f_lambda(self) -> np.ndarray:
+        """Positions (n_det, 2) in (f/#)lambda."""
+        return np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad]) / self.f_lambda_rad
+
+    @property
+    def radius_rad(self) -> float:
+        """Distance of the outermost detector from the centre."""
+        return float(np.hypot(self.focal_plane.x_rad, self.focal_plane.y_rad).max())
+
+
+def camera(section: InstrumentSection) -> Camera:
+    """The camera of a scene, dead positions left out.
+
+    Raises ValueError for a dead position that is not in the layout, no live detector, two
+    detectors at one position, or an unreadable table.
+    """
+    if section.positions is not None:
+        positions = read_positions(section.positions)
+    else:
+        layout = section.layout
+        positions = hexagon(layout.rings, layout.pitch_f_lambda * section.f_lambda_rad)
+        positions = without(positions, layout.dead)
+    check_distinct(positions)
+    plane = FocalPlane(positions[:, 0].copy(), positions[:, 1].copy(), section.beam_fwhm_rad)
+    return Camera(plane, section.frequency_hz, section.f_lambda_rad)
+
+
+def hexagon(rings: int, pitch: float) -> np.ndarray:
+    """Positions (3 n (n+1) + 1, 2) of `rings` rings around a centre, in the unit of `pitch`.
+
+    Ordered by distance from the centre, then by angle: 127 positions for six rings.
+    """
+    q, r = np.meshgrid(np.arange(-rings, rings + 1), np.arange(-rings, rings + 1), indexing="ij")
+    inside = np.abs(q + r) <= rings
+    x = q[inside] + 0.5 * r[inside]
+    y = np.sqrt(0.75) * r[inside]
+    order = np.lexsort((np.round(np.arctan2(y, x), 9), np.round(np.hypot(x, y), 9)))
+    return pitch * np.column_stack([x, y])[order]
+
+
+def without(positions: np.ndarray, dead: tuple[int, ...]) -> np.ndarray:
+    """Positions less the dead ones; raises ValueError for one that does not exist or appears twice."""
+    wrong = [index for index in dead if not 0 <= index < len(positions)]
+    if wrong or len(set(dead)) != len(dead):
+        raise ValueError(
+            f"instrument.layout.dead: found {list(dead)}; different numbers from 0 to {len(positions) - 1} are expected"
+        )
+    if len(dead) == len(positions):
+        raise ValueError(f"instrument.layout.dead: found all {len(dead)} positions; one live detector is expected")
+    return np.delete(positions, list(dead), axis=0)
+
+
+def check_distinct(positions: np.ndarray) -> None:
+    """Raise ValueError when two detectors have one position (within 1e-6 of the extent)."""
+    from scipy.spatial import cKDTree
+
+    if len(positions) < 2:
+        return
+    tolerance = 1e-6 * float(np.ptp(positions, axis=0).max())
+    pairs = cKDTree(positions).query_pairs(tolerance)
+    if pairs:
+        first, second = min(pairs)
+        raise ValueError(
+            f"instrument: detectors {first} and {second} have one position; different positions are expected"
+        )
+
+
+def read_positions(path: Path) -> np.ndarray:
+    """Positions (n_det, 2) in radians from an ECSV table with columns x and y that carry angular units.
+
+    Raises ValueError when the file can't be read, lacks a column or a unit, or has a non-finite value.
+    """
+    from astropy.table import QTable
+
+    try:
+        table = QTable.read(path, format="ascii.ecsv")
+        positions = np.column_stack([table[name].to_value("rad") for name in ("x", "y")]).astype(float)
+    except Exception as error:  # astropy raises a wide range for broken tables
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise ValueError(
+            f"instrument.positions: {path} is not an ECSV table with columns x and y in angular units ({reason})"
+        ) from None
+    if len(positions) == 0 or not np.isfinite(positions).all():
+        raise ValueError(f"instrument.positions: {path} has no row or a non-finite value; finite angles are expected")
+    return positions
+
+
+def mask_by_separation(positions: np.ndarray, separation: float) -> np.ndarray:
+    """Indices of detectors that are all at least `separation` apart (section 5.2's mask).
+
+    Taken greedily from the centre outwards, ties by angle; on a hexagonal layout that keeps every
+    second position in both axes for separations between sqrt(3) and 2 pitches.
+    """
+    x, y = positions.T
+    order = np.lexsort((np.round(np.arctan2(y, x), 9), np.round(np.hypot(x, y) / separation, 9)))
+    kept: list[int] = []
+    for index in order:
+        apart = np.hypot(*(positions[kept] - positions[index]).T) if kept else np.array([np.inf])
+        if apart.min() >= separation * (1 - 1e-9):
+            kept.append(int(index))
+    return np.array(sorted(kept))

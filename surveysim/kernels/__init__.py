@@ -1,0 +1,1 @@
+"""Numba loops of the simulator, each short, each with a slow twin in tests/naive.py."""

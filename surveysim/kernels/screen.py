@@ -1,0 +1,66 @@
+"""Loops of the atmospheric screen: a strip's Fourier modes, and look-up along detector tracks."""
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def combine_columns(columns, start, normals, modes):
+    """Sum the factors of every frequency with their random amplitudes.
+
+    columns (n_total, n_lane), start (n_freq + 1,), normals (2 n_total,) as real and imaginary parts in turn;
+    writes modes (n_lane, n_freq), complex.
+    """
+    n_lane = columns.shape[1]
+    real = np.empty(n_lane, columns.dtype)
+    imag = np.empty(n_lane, columns.dtype)
+    for k in range(start.size - 1):
+        real[:] = 0.0
+        imag[:] = 0.0
+        for r in range(start[k], start[k + 1]):
+            a = normals[2 * r]
+            b = normals[2 * r + 1]
+            for lane in range(n_lane):
+                real[lane] += a * columns[r, lane]
+                imag[lane] += b * columns[r, lane]
+        for lane in range(n_lane):
+            modes[lane, k] = complex(real[lane], imag[lane])
+
+
+@njit(cache=True, nogil=True)
+def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
+    """Add bilinear look-ups in a strip to the samples start:stop of every detector.
+
+    data (n_det, n_samp), changed in place; strip (n_lane, n_x), both at least 2; detector d is at x0[d] + n
+    dx along the strip and at lane coordinate y0[d], in lattice steps, n counted from `start`; dx >= 0.
+    Raises IndexError for samples or detectors outside the data, ValueError when a track leaves the strip.
+    """
+    n_lane, n_x = strip.shape
+    n_samp = stop - start
+    if not (0 <= start < stop <= data.shape[1] and x0.size == data.shape[0] and y0.size == data.shape[0]):
+        raise IndexError("samples or detectors outside the data")
+    row = np.empty(n_x + 1, strip.dtype)
+    for d in range(data.shape[0]):
+        last = x0[d] + (n_samp - 1) * dx
+        # Written so that NaN fails too.
+        if not (dx >= 0.0 and x0[d] >= 0.0 and last <= n_x - 1 and y0[d] >= 0.0 and y0[d] <= n_lane - 1):
+            raise ValueError("a detector's track leaves the strip")
+        lane = min(int(y0[d]), n_lane - 2)
+        upper = strip.dtype.type(amplitude * (y0[d] - lane))
+        lower = strip.dtype.type(amplitude * (1.0 - (y0[d] - lane)))
+        first = int(x0[d])
+        n_cell = min(int(last) + 2, n_x) - first
+        near, far = strip[lane, first : first + n_cell], strip[lane + 1, first : first + n_cell]
+        for m in range(n_cell):
+            row[m] = lower * near[m] + upper * far[m]
+        # A last sample that rounds up to the end has weight zero here.
+        row[n_cell] = row[n_cell - 1]
+        samples = data[d, start:stop]
+        x_first = x0[d] - first
+        for n in range(n_samp):
+            x = x_first + n * dx
+            # Through 32 bits, which convert fast, to unsigned, which spares numba's test for negative
+            # indices.
+            m = np.uint64(np.int32(x))
+            value = row[m]
+            samples[n] += value + strip.dtype.type(x - m) * (row[m + np.uint64(1)] - value)

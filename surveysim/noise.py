@@ -1,0 +1,129 @@
+"""Noise streams other than the atmosphere: white, photon with overlap, excess at low frequency.
+
+One-sided PSDs throughout; streams are (n_det, n_samp) float32 with whole scans side by side.
+"""
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len
+
+from surveysim.scene import Excess
+
+
+def add_white(data_mk: np.ndarray, psd_mk2_hz: float, sample_rate_hz: float, rng: np.random.Generator) -> None:
+    """Add white noise of one-sided PSD `psd_mk2_hz`, independent in each detector, in place."""
+    deviates = rng.standard_normal(data_mk.shape, dtype=np.float32)
+    deviates *= np.float32(np.sqrt(psd_mk2_hz * sample_rate_hz / 2))
+    data_mk += deviates
+
+
+def add_correlated_white(
+    data_mk: np.ndarray,
+    psd_mk2_hz: float,
+    sample_rate_hz: float,
+    factor: np.ndarray,
+    rng: np.random.Generator,
+) -> None:
+    """Add white noise of one-sided PSD `psd_mk2_hz` with correlation ``factor factor^T``, in place."""
+    scaled = (factor * np.sqrt(psd_mk2_hz * sample_rate_hz / 2)).astype(np.float32)
+    data_mk += scaled @ rng.standard_normal(data_mk.shape, dtype=np.float32)
+
+
+def photon_correlation(correlation: np.ndarray, coherent_fraction: float) -> np.ndarray:
+    """Correlation of photon noise (n_det, n_det): only the coherent part of the load is shared (section 5.1)."""
+    return coherent_fraction * correlation + (1 - coherent_fraction) * np.eye(len(correlation))
+
+
+def excess_variance(section: Excess, b2: float | None) -> float:
+    """Excess variance below the band limit [mK^2] at one B2: log-log through the knots (Table 2).
+
+    Held constant beyond the outermost knots: the paper has no data there.
+    """
+    if b2 is None or len(section.b2) == 1:
+        return section.variance_mk2[0]
+    return float(np.exp(np.interp(np.log(max(b2, 1e-300)), np.log(section.b2), np.log(section.variance_mk2))))
+
+
+def excess_psd(section: Excess, variance_mk2: float, scan_s: float, frequency_hz: np.ndarray) -> np.ndarray:
+    """One-sided PSD [mK^2/Hz]: A f^-index, whose integral from 1/scan to the band limit is `variance_mk2`.
+
+    Below 1/scan the scan's mean removal takes what there is; the spectrum is flat at f = 0.
+    """
+    low, high, index = 1 / scan_s, section.band_limit_hz, section.spectral_index
+    if high <= low:
+        raise ValueError(f"excess.band_limit: found {high:g} Hz; more than 1 / scan.duration = {low:g} Hz is expected")
+    if abs(index - 1) < 1e-9:
+        integral = np.log(high / low)
+    else:
+        integral = (high ** (1 - index) - low ** (1 - index)) / (1 - index)
+    positive = np.where(frequency_hz > 0, frequency_hz, np.inf)
+    return variance_mk2 / integral * positive ** (-index) if index else np.full_like(positive, variance_mk2 / integral)
+
+
+def draw_from_psd(
+    psd_mk2_hz: np.ndarray, shape: tuple, n: int, sample_rate_hz: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Gaussian streams (*shape, n) float32 of a one-sided PSD given at the rfft frequencies of n samples.
+
+    `psd_mk2_hz` is (..., n // 2 + 1) and broadcasts against (*shape, n // 2 + 1). Each stream is
+    periodic in n samples and has no mean.
+    """
+    n_freq = n // 2 + 1
+    amplitude = np.sqrt(psd_mk2_hz * (sample_rate_hz * n / 4))
+    amplitude[..., 0] = 0
+    if n % 2 == 0:  # the Nyquist mode is real: all its power is in one deviate
+        amplitude[..., -1] *= np.sqrt(2)
+    deviates = rng.standard_normal((*shape, n_freq, 2), dtype=np.float32).view(np.complex64)[..., 0]
+    deviates *= amplitude.astype(np.float32)
+    return irfft(deviates, n, axis=-1, overwrite_x=True)
+
+
+def add_excess(
+    data_mk: np.ndarray,
+    section: Excess,
+    variance_mk2: float,
+    n_scans: int,
+    sample_rate_hz: float,
+    factor: np.ndarray,
+    rng: np.random.Generator,
+) -> None:
+    """Add the excess low-frequency noise of one observation, correlated as ``factor factor^T``, in place.
+
+    Drawn over twice the length of a scan, so that its end does not know of its beginning.
+    """
+    n_det, n_samp = data_mk.shape
+    per_scan = n_samp // n_scans
+    n = next_fast_len(2 * per_scan, real=True)
+    frequency = np.arange(n // 2 + 1) * (sample_rate_hz / n)
+    psd = excess_psd(section, variance_mk2, per_scan / sample_rate_hz, frequency)
+    streams = draw_from_psd(psd, (n_det, n_scans), n, sample_rate_hz, rng)[..., :per_scan]
+    data_mk += factor.astype(np.float32) @ np.ascontiguousarray(streams).reshape(n_det, n_samp)
+
+
+def hann_psd(data_mk: np.ndarray, n_scans: int, kept: np.ndarray, sample_rate_hz: float) -> np.ndarray:
+    """One-sided Hann-tapered PSD (n_det, n_samp // n_scans // 2 + 1) [mK^2/Hz], the mean over kept scans.
+
+    The taper keeps the red noise of a short scan from leaking into the white level.
+    """
+    from scipy.fft import rfft
+
+    n_det, n_samp = data_mk.shape
+    n = n_samp // n_scans
+    taper = np.hanning(n + 1)[:n].astype(data_mk.dtype)
+    spectrum = rfft(data_mk.reshape(n_det, n_scans, n)[:, kept] * taper, axis=-1)
+    power = (spectrum.real**2 + spectrum.imag**2).mean(axis=1, dtype=np.float64)
+    return power * (2 / (sample_rate_hz * float((taper.astype(float) ** 2).sum())))
+
+
+def white_level(psd_mk2_hz: np.ndarray, sample_rate_hz: float, above_hz: float) -> np.ndarray:
+    """White level (n_det,) [mK^2/Hz]: the mean PSD above `above_hz`, Nyquist excluded.
+
+    Raises ValueError when no frequency of the streams lies above it.
+    """
+    n_freq = psd_mk2_hz.shape[-1]
+    frequency = np.linspace(0, sample_rate_hz / 2, n_freq)
+    high = (frequency > above_hz) & (frequency < sample_rate_hz / 2)
+    if not high.any():
+        raise ValueError(
+            f"score.white_above: found {above_hz:g} Hz; less than half the sample rate, {sample_rate_hz / 2:g} Hz, is expected"
+        )
+    return psd_mk2_hz[:, high].mean(axis=1)

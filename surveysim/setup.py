@@ -1,0 +1,354 @@
+"""What all observations of a scene share, prepared once: camera, scans, angles, factors, skies."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from scipy.fft import next_fast_len, rfft2
+
+from mapmaker.bandpower import flat_spectrum_psd
+from mapmaker.cleaning.templates import TemplateOptions
+from mapmaker.geometry import MapGeometry, covering_geometry
+from mapmaker.spectrum import Annuli, annuli, mode_ell, tukey_taper
+from mapmaker.window import beam_window
+from surveysim.coherence import correlation_factor, correlation_matrix
+from surveysim.instrument import Camera, camera, mask_by_separation
+from surveysim.pointing import (
+    FieldCentre,
+    Pointing,
+    Site,
+    observation_pointing,
+    schedule,
+    survey_angles,
+)
+from surveysim.scan import Raster, RasterPath, duration_s, raster
+from surveysim.scene import Scene, SceneError
+from surveysim.streams import Stage, generator
+
+
+@dataclass(frozen=True)
+class Angles:
+    """When each observation starts (n_obs,) [MJD UTC] and its angles at mid-scan, (n_obs, n_scan) [rad]."""
+
+    start_mjd: np.ndarray
+    elevation_rad: np.ndarray
+    parallactic_rad: np.ndarray
+
+
+@dataclass(frozen=True)
+class Band:
+    """The scored sky area and multipoles.
+
+    `patch`: rows (and columns) of the map under the taper; `taper` (n, n) on the patch; `rings` the bins
+    of multipole of the patch padded to (n_pad, n_pad); `selected` (n_bin,) bins that count; `mode_weight`
+    (n_pad, n_pad // 2 + 1): squared signal PSD times multiplicity in the scored range.
+    """
+
+    patch: slice
+    taper: np.ndarray
+    rings: Annuli
+    selected: np.ndarray
+    mode_weight: np.ndarray
+
+    @property
+    def padded_taper(self) -> np.ndarray:
+        """The taper on the grid of the rings."""
+        return self.pad(self.taper)
+
+    def pad(self, patch: np.ndarray) -> np.ndarray:
+        """A patch (..., n, n) with zeros up to the grid of the rings."""
+        extra = len(self.mode_weight) - self.taper.shape[0]
+        return np.pad(patch, [(0, 0)] * (patch.ndim - 2) + [(0, extra)] * 2)
+
+    def noise(self, total: np.ndarray, hits: np.ndarray) -> float:
+        """Noise variance a sample of a patch of sums and hits, both (n, n); inf without a hit."""
+        norm = float(np.sum(self.taper**2 * hits))
+        if norm == 0:
+            return np.inf
+        modes = rfft2(self.taper * total, s=self.mode_weight.shape[:1] * 2, workers=1)
+        power = modes.real**2 + modes.imag**2
+        return float(np.sum(self.mode_weight * power) / (self.mode_weight.sum() * norm))
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A scene made ready: nothing here depends on the observation but the angles' rows.
+
+    `photon_factor`, `excess_factor` (n_det, n_det) or None; `responsivity` (n_det,); `masked` indices of
+    the detectors that the mask keeps, or None; `sky_mk` on `sky_geometry` or None; `window_skies_mk`
+    (n_sky, n_y, n_x) or None; `strips` the atmosphere's strips or None.
+    """
+
+    scene: Scene
+    camera: Camera
+    raster: Raster
+    angles: Angles
+    geometry: MapGeometry
+    sky_geometry: MapGeometry
+    band: Band | None
+    cleaning: TemplateOptions
+    responsivity: np.ndarray
+    photon_factor: np.ndarray | None
+    excess_factor: np.ndarray | None
+    strips: object | None
+    sky_mk: np.ndarray | None
+    window_skies_mk: np.ndarray | None
+    masked: np.ndarray | None
+
+    @property
+    def data_sets(self) -> tuple[str, ...]:
+        """Names of the data sets that are scored, in the order of their maps."""
+        score = self.scene.score
+        if score is None:
+            return ("actual",)
+        masked = () if self.masked is None else (f"masked_{len(self.masked)}",)
+        return ("actual", *score.simulated, *masked)
+
+
+@lru_cache(maxsize=2)
+def prepare(scene: Scene) -> Setup:
+    """Make a scene ready. Raises SceneError when the scene can't be run, with key, found and allowed."""
+    try:
+        return _prepare(scene)
+    except SceneError:
+        raise
+    except ValueError as error:
+        raise SceneError(str(error)) from None
+
+
+def _prepare(scene: Scene) -> Setup:
+    cam = camera(scene.instrument)
+    lines = _raster(scene)
+    check_templates(scene, cam)
+    geometry = _geometry(scene, cam, scene.map.pixel_rad)
+    # Half a map pixel holds the beam's multipoles with room to spare.
+    sky_geometry = _geometry(scene, cam, scene.map.pixel_rad / 2)
+    masked = None
+    if scene.score and scene.score.mask_separation_f_lambda:
+        masked = mask_by_separation(cam.positions_f_lambda, scene.score.mask_separation_f_lambda)
+        check_masked(scene, masked)
+    _check_score(scene, geometry)
+    return Setup(
+        scene=scene,
+        band=_band(scene, geometry),
+        camera=cam,
+        raster=lines,
+        angles=_angles(scene, lines),
+        geometry=geometry,
+        sky_geometry=sky_geometry,
+        cleaning=TemplateOptions(scene.cleaning.tolerance, scene.cleaning.max_iterations),
+        responsivity=_responsivity(scene, len(cam.focal_plane.x_rad)),
+        photon_factor=_photon_factor(scene, cam),
+        excess_factor=_excess_factor(scene, cam),
+        strips=_strips(scene, cam),
+        sky_mk=_sky(scene, sky_geometry),
+        window_skies_mk=_window_skies(scene, sky_geometry),
+        masked=masked,
+    )
+
+
+N_TEMPLATES = {"none": 0, "average": 1, "planar": 3, "quadratic": 6}
+
+
+def check_templates(scene: Scene, cam: Camera) -> None:
+    """Raise SceneError when the camera has too few detectors for the templates."""
+    _check_count(scene, len(cam.focal_plane.x_rad), "cleaning.algorithm")
+
+
+def check_masked(scene: Scene, masked: np.ndarray) -> None:
+    """Raise SceneError when the mask leaves too few detectors for the templates."""
+    _check_count(scene, len(masked), "score.mask_separation_f_lambda")
+
+
+def _check_count(scene: Scene, n_det: int, key: str) -> None:
+    needed = N_TEMPLATES[scene.cleaning.algorithm] + 1
+    if n_det < needed:
+        raise SceneError(f"{key}: found {n_det} detectors; {scene.cleaning.algorithm!r} needs {needed} or more")
+
+
+def _check_score(scene: Scene, geometry: MapGeometry) -> None:
+    if scene.score is None:
+        return
+    extent = geometry.n_x * geometry.pixel_rad
+    if scene.score.size_rad > extent:
+        found, allowed = (math.degrees(x) * 60 for x in (scene.score.size_rad, extent))
+        raise SceneError(f"score.size: found {found:.4g} arcmin; the map's {allowed:.4g} arcmin or less is expected")
+    nyquist = math.pi / geometry.pixel_rad
+    if scene.score.ell_max > nyquist:
+        raise SceneError(
+            f"score.ell_max: found {scene.score.ell_max}; the map pixel's {nyquist:.0f} or less is expected"
+        )
+    if scene.score.white_above_hz >= scene.scan.sample_rate_hz / 2:
+        raise SceneError(
+            f"score.white_above: found {scene.score.white_above_hz:g} Hz; "
+            f"less than half the sample rate, {scene.scan.sample_rate_hz / 2:g} Hz, is expected"
+        )
+
+
+def _band(scene: Scene, geometry: MapGeometry) -> Band | None:
+    score = scene.score
+    if score is None:
+        return None
+    n = min(geometry.n_x, 2 * math.ceil(score.size_rad / geometry.pixel_rad / 2))
+    first = (geometry.n_x - n) // 2
+    taper = tukey_taper(n, n, geometry.pixel_rad, score.size_rad, score.taper_fraction)
+    # The padding resolves bins of multipole that are narrower than the patch's own modes.
+    n_pad = next_fast_len(2 * n, real=True)
+    edges = np.arange(0, score.ell_max + score.ell_bin, score.ell_bin)
+    edges = edges[edges <= max(score.ell_max, score.ell_min + score.ell_bin)].astype(float)
+    padded = np.pad(taper, (0, n_pad - n))
+    rings = annuli(n_pad, n_pad, geometry.pixel_rad, edges, padded)
+    selected = (edges[:-1] >= score.ell_min) & (edges[1:] <= score.ell_max)
+    if not selected.any():
+        raise SceneError(
+            f"score.ell_bin: found {score.ell_bin}; a bin within ell_min to ell_max is expected"
+        )
+    ell = mode_ell(n_pad, n_pad, geometry.pixel_rad)
+    signal = np.zeros(ell.shape)
+    inside = (ell >= score.ell_min) & (ell < score.ell_max)
+    signal[inside] = flat_spectrum_psd(ell[inside]) * beam_window(ell[inside], scene.instrument.beam_fwhm_rad)
+    signal /= signal.max()
+    weight = signal**2 * rings.multiplicity.reshape(ell.shape)
+    return Band(slice(first, first + n), taper, rings, selected, weight)
+
+
+def _raster(scene: Scene) -> Raster:
+    scan = scene.scan
+    return Raster(
+        scan.speed_rad_s,
+        scan.scans,
+        scan.duration_s,
+        scan.turnaround_s,
+        scan.step_rad,
+        scan.dither_rad,
+        scan.sample_rate_hz,
+    )
+
+
+def _geometry(scene: Scene, cam: Camera, pixel_rad: float) -> MapGeometry:
+    scan = scene.scan
+    along = scan.speed_rad_s * scan.duration_s / 2
+    across = scan.step_rad * (scan.scans - 1) / 2
+    reach = max(along, across) + scan.dither_rad / 2 + cam.radius_rad
+    return covering_geometry(scene.field.ra_rad, scene.field.dec_rad, pixel_rad, reach)
+
+
+def _angles(scene: Scene, lines: Raster) -> Angles:
+    shape = (scene.observations, scene.scan.scans)
+    if scene.fixed_pointing:
+        fixed = scene.fixed_pointing
+        elevation, parallactic = np.full(shape, fixed.elevation_rad), np.full(shape, fixed.parallactic_angle_rad)
+        return Angles(np.zeros(shape[0]), elevation, parallactic)
+    plan = scene.schedule
+    field = FieldCentre(scene.field.ra_rad, scene.field.dec_rad)
+    site = Site(plan.latitude_rad, plan.longitude_rad, plan.height_m)
+    try:
+        times = schedule(
+            field,
+            site,
+            plan.first_night,
+            plan.nights,
+            scene.observations,
+            plan.max_hour_angle_rad,
+            plan.min_elevation_rad,
+            duration_s(lines),
+        )
+    except ValueError as error:
+        raise SceneError(f"schedule: {error}") from None
+    mid_time = raster(lines, "ra", np.zeros(2)).mid_time_s
+    return Angles(times.start_mjd, *survey_angles(field, site, times, mid_time))
+
+
+def _responsivity(scene: Scene, n_det: int) -> np.ndarray:
+    scatter = generator(scene.seed, Stage.RESPONSIVITY).standard_normal(n_det)
+    # Log-normal, so that a large scatter never turns a detector's sign.
+    return np.exp(scene.instrument.responsivity_scatter * scatter)
+
+
+def _photon_factor(scene: Scene, cam: Camera) -> np.ndarray | None:
+    from surveysim.noise import photon_correlation
+
+    if scene.photon is None:
+        return None
+    overlap = correlation_matrix(cam.positions_f_lambda, scene.photon.coherence)
+    return correlation_factor(photon_correlation(overlap, scene.photon.coherent_fraction))
+
+
+def _excess_factor(scene: Scene, cam: Camera) -> np.ndarray | None:
+    if scene.excess is None:
+        return None
+    return correlation_factor(correlation_matrix(cam.positions_f_lambda, scene.excess.coherence))
+
+
+def _strips(scene: Scene, cam: Camera):
+    if scene.atmosphere is None:
+        return None
+    from surveysim.atmosphere.screen import StripCache, strip_step
+    from surveysim.atmosphere.spectrum import Screen
+
+    air = scene.atmosphere
+    outer = math.inf if air.outer_scale_m is None else air.outer_scale_m / air.layer_height_m
+    screen = Screen(air.index, air.illuminated_aperture_m / air.layer_height_m, outer)
+    return StripCache(screen, cam.radius_rad, strip_step(screen))
+
+
+def _sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
+    if scene.sky is None:
+        return None
+    from surveysim.sky import draw_sky
+
+    instrument = scene.instrument
+    rng = generator(scene.seed, Stage.SKY)
+    return draw_sky(scene.sky, geometry, instrument.frequency_hz, instrument.beam_fwhm_rad, rng)
+
+
+def _window_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
+    if scene.score is None:
+        return None
+    from surveysim.sky import flat_cmb_sky
+
+    window, instrument = scene.score.window, scene.instrument
+    return np.stack(
+        [
+            flat_cmb_sky(
+                geometry,
+                window.band_power_ukcmb2,
+                instrument.frequency_hz,
+                instrument.beam_fwhm_rad,
+                generator(scene.seed, Stage.WINDOW_SKY, realization=sky),
+            )
+            for sky in range(window.skies)
+        ]
+    )
+
+
+def observation_path(setup: Setup, observation: int) -> tuple[RasterPath, Pointing]:
+    """The boresight of one observation: scans along RA and Dec in turn, dithered, the camera turned."""
+    rng = generator(setup.scene.seed, Stage.POINTING, observation)
+    dither = (rng.random(2) - 0.5) * setup.raster.dither_rad
+    turn = (rng.random() - 0.5) * setup.scene.instrument.camera_rotation_rad
+    path = raster(setup.raster, ("ra", "dec")[observation % 2], dither)
+    angles = setup.angles
+    pointing = observation_pointing(
+        path,
+        angles.start_mjd[observation],
+        angles.elevation_rad[observation],
+        angles.parallactic_rad[observation],
+        turn,
+    )
+    return path, pointing
+
+
+def window_observations(scene: Scene) -> np.ndarray:
+    """Observations (n_obs,) bool that carry the window skies: pairs of both directions, spread over the survey."""
+    chosen = np.zeros(scene.observations, bool)
+    if scene.score is None:
+        return chosen
+    pairs = max(1, scene.observations // 2)
+    wanted = min(pairs, max(1, scene.score.window.observations // 2))
+    first = 2 * (np.arange(wanted) * pairs // wanted)
+    chosen[first] = True
+    chosen[np.minimum(first + 1, scene.observations - 1)] = True
+    return chosen

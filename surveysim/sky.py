@@ -1,0 +1,96 @@
+"""Astronomical skies on a fine tangent-plane grid: a flat CMB band power and point sources."""
+
+import numpy as np
+
+from mapmaker.geometry import MapGeometry, plane_directions, plane_offsets
+from surveysim.scene import PointSource, Sky
+from surveysim.units import rj_to_cmb
+
+
+def flat_cmb_sky(
+    geometry: MapGeometry,
+    band_power_ukcmb2: float,
+    frequency_hz: float,
+    fwhm_rad: float,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """A Gaussian sky (n_y, n_x) float32 [mK RJ] of flat ``l(l+1) C_l / 2 pi``, seen by a Gaussian beam.
+
+    Flat-sky synthesis, periodic in the grid, without a mean.
+    """
+    from scipy.fft import irfft2, rfft2
+
+    n_y, n_x, pixel = geometry.n_y, geometry.n_x, geometry.pixel_rad
+    ell = 2 * np.pi * np.hypot(np.fft.fftfreq(n_y, pixel)[:, None], np.fft.rfftfreq(n_x, pixel)[None, :])
+    amplitude = np.sqrt(flat_spectrum_mk2(ell, band_power_ukcmb2, frequency_hz)) * beam_amplitude(ell, fwhm_rad)
+    modes = rfft2(rng.standard_normal((n_y, n_x))) * (amplitude / pixel)
+    return irfft2(modes, (n_y, n_x)).astype(np.float32)
+
+
+def curved_cmb_sky(
+    geometry: MapGeometry,
+    band_power_ukcmb2: float,
+    frequency_hz: float,
+    fwhm_rad: float,
+    nside: int,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """The same sky on the sphere by healpy, up to l = 2 nside, read off at the grid's pixel centres.
+
+    For fields too large for a plane. healpy interpolates between pixels of `nside`.
+    """
+    import healpy
+
+    lmax = 2 * nside
+    degree, order = healpy.Alm.getlm(lmax)
+    # healpy's own synthesis draws from numpy's global generator; these draws are keyed.
+    deviates = rng.standard_normal((2, len(degree)))
+    alm = np.where(order == 0, deviates[0], (deviates[0] + 1j * deviates[1]) / np.sqrt(2))
+    ell = np.arange(lmax + 1.0)
+    spectrum = np.sqrt(flat_spectrum_mk2(ell, band_power_ukcmb2, frequency_hz)) * beam_amplitude(ell, fwhm_rad)
+    sphere = healpy.alm2map(healpy.almxfl(alm, spectrum), nside)
+    ra, dec = plane_directions(geometry, *pixel_centers(geometry))
+    return healpy.get_interp_val(sphere, np.pi / 2 - dec, ra).astype(np.float32)
+
+
+def flat_spectrum_mk2(ell: np.ndarray, band_power_ukcmb2: float, frequency_hz: float) -> np.ndarray:
+    """C_l [mK^2 sr, Rayleigh-Jeans] of a flat band power in uK_CMB^2; 0 at l = 0."""
+    scale = 2 * np.pi * band_power_ukcmb2 * (1e-3 / rj_to_cmb(frequency_hz)) ** 2
+    safe = np.where(ell > 0, ell * (ell + 1), np.inf)
+    return scale / safe
+
+
+def beam_amplitude(ell: np.ndarray, fwhm_rad: float) -> np.ndarray:
+    """Transfer (amplitude) of a Gaussian beam."""
+    sigma = fwhm_rad / np.sqrt(8 * np.log(2))
+    return np.exp(-0.5 * (ell * sigma) ** 2)
+
+
+def pixel_centers(geometry: MapGeometry) -> tuple[np.ndarray, np.ndarray]:
+    """Tangent-plane (xi, eta) [rad] of all pixel centres, each (n_y, n_x)."""
+    xi = (geometry.n_x / 2 - 0.5 - np.arange(geometry.n_x)) * geometry.pixel_rad
+    eta = (np.arange(geometry.n_y) + 0.5 - geometry.n_y / 2) * geometry.pixel_rad
+    return np.meshgrid(xi, eta)
+
+
+def add_point_sources(
+    sky_mk: np.ndarray, geometry: MapGeometry, sources: tuple[PointSource, ...], fwhm_rad: float
+) -> np.ndarray:
+    """The sky with Gaussian beams at the sources, (n_y, n_x) float32."""
+    xi, eta = pixel_centers(geometry)
+    sigma = fwhm_rad / np.sqrt(8 * np.log(2))
+    total = sky_mk.astype(float)
+    for source in sources:
+        x, y = plane_offsets(geometry, source.ra_rad, source.dec_rad)
+        total += source.peak_mk * np.exp(-((xi - x) ** 2 + (eta - y) ** 2) / (2 * sigma**2))
+    return total.astype(np.float32)
+
+
+def draw_sky(section: Sky, geometry: MapGeometry, frequency_hz: float, fwhm_rad: float, rng) -> np.ndarray:
+    """The sky of a scene (n_y, n_x) float32 [mK RJ], with the beam applied."""
+    arguments = (geometry, section.cmb_band_power_ukcmb2, frequency_hz, fwhm_rad)
+    if section.curved_nside is None:
+        cmb = flat_cmb_sky(*arguments, rng)
+    else:
+        cmb = curved_cmb_sky(*arguments, section.curved_nside, rng)
+    return add_point_sources(cmb, geometry, section.point_sources, fwhm_rad)

@@ -1,0 +1,31 @@
+"""Random generators keyed by what they are for: (seed, realization, observation, stage).
+
+Leaving a stage out, changing the number of workers, resuming or re-ordering moves no other draw.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+
+class Stage(IntEnum):
+    """What a stream of random numbers is for. Numbers are given once and never reused."""
+
+    WEATHER = 0
+    POINTING = 1
+    RESPONSIVITY = 2
+    ATMOSPHERE = 3
+    EXCESS = 4
+    PHOTON = 5
+    DETECTOR = 6
+    SKY = 7
+    UNCORRELATED = 8
+    WHITE = 9
+    WINDOW_SKY = 10
+    JACKKNIFE = 11
+
+
+def generator(seed: int, stage: Stage, observation: int = 0, realization: int = 0) -> np.random.Generator:
+    """The generator of one stage of one observation of one realization."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(realization, observation, int(stage)))
+    return np.random.Generator(np.random.SFC64(sequence))

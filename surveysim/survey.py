@@ -1,0 +1,69 @@
+"""Many observations: engine, checkpoint, and the records of a finished survey."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic
+
+from mapmaker.timestreams import write_timestreams
+from surveysim.checkpoint import load_checkpoint, save_checkpoint
+from surveysim.coadds import CoAdds, add_observation, empty_coadds
+from surveysim.engines import ordered_map
+from surveysim.observation import ObservationResult, observe
+from surveysim.scene import scene_hash
+from surveysim.setup import Setup, window_observations
+
+CHECKPOINT_SECONDS = 10.0
+
+
+@dataclass(frozen=True)
+class ObservationJob:
+    """What a worker does with an observation's number; goes to each worker once."""
+
+    setup: Setup
+    timestream_dir: Path | None
+
+    def __call__(self, observation: int) -> ObservationResult:
+        """Simulate, clean and bin; write the streams if asked."""
+        with_window = bool(window_observations(self.setup.scene)[observation])
+        result, streams = observe(self.setup, observation, with_window)
+        if self.timestream_dir is not None:
+            write_timestreams(self.timestream_dir / f"{observation:04d}.h5", streams)
+        return result
+
+
+def run_observations(
+    setup: Setup,
+    checkpoint: Path | None,
+    workers: int = 1,
+    resume: bool = False,
+    timestream_dir: Path | None = None,
+    progress: Callable[[CoAdds], None] = lambda coadds: None,
+) -> CoAdds:
+    """Run all observations of a scene and add them up in order.
+
+    `progress` is called after each. With a `checkpoint` path, the sums are written there every few
+    seconds and when the run is interrupted (KeyboardInterrupt passes on); with `resume`, they are taken
+    up from there. Raises CheckpointError for one that does not belong to the scene.
+    """
+    identity = scene_hash(setup.scene)
+    coadds = empty_coadds(setup)
+    if resume and checkpoint is not None and checkpoint.exists():
+        coadds = load_checkpoint(checkpoint, identity)
+    job = ObservationJob(setup, timestream_dir)
+    results = ordered_map(job, range(coadds.done, setup.scene.observations), workers)
+    saved = monotonic()
+    try:
+        for result in results:
+            add_observation(setup, coadds, result)
+            progress(coadds)
+            if checkpoint is not None and monotonic() - saved > CHECKPOINT_SECONDS:
+                save_checkpoint(checkpoint, coadds, identity)
+                saved = monotonic()
+    except KeyboardInterrupt:
+        if checkpoint is not None and coadds.done:
+            save_checkpoint(checkpoint, coadds, identity)
+        raise
+    finally:
+        results.close()
+    return coadds

@@ -1,0 +1,194 @@
+"""Exact properties of the band-power formulas, the width of a weight, and what they reject."""
+
+import numpy as np
+import pytest
+
+from mapmaker.bandpower import (
+    band_power,
+    estimate_amplitude,
+    flat_band_power,
+    flat_band_power_fixed_weights,
+    flat_spectrum_psd,
+    noise_error,
+    score,
+    weather_error,
+    weight_fwhm,
+    window_error,
+)
+
+EDGES = np.arange(1000.0, 12001.0, 500.0)
+ELL = (EDGES[:-1] + EDGES[1:]) / 2
+N_MODES = ELL / 50
+SIGNAL = flat_spectrum_psd(ELL)
+NOISE = 1e-5 * (1 + (3000 / ELL) ** 4) * np.exp((ELL / 9000) ** 2)
+MASK = ELL > 4000
+
+
+def test_flat_spectrum():
+    np.testing.assert_allclose(flat_spectrum_psd(np.array([1.0, 4000.0])), [np.pi, 2 * np.pi / (4000 * 4001)])
+
+
+def test_one_bin_is_the_error_of_its_psd():
+    one = np.arange(ELL.size) == 9
+    expected = np.sqrt(2 / N_MODES[9]) * NOISE[9] / SIGNAL[9]
+    np.testing.assert_allclose(flat_band_power(NOISE, SIGNAL, N_MODES, one), expected)
+
+
+def test_equal_bins_average_down():
+    ones = np.ones(8)
+    np.testing.assert_allclose(flat_band_power(3 * ones, ones, 2 * ones, ones > 0), 3 / np.sqrt(8))
+
+
+def test_unselected_bins_may_hold_anything():
+    noise = np.where(MASK, NOISE, np.nan)
+    result = band_power(noise, SIGNAL, N_MODES, MASK, ELL, EDGES, 0.0)
+    assert result.sigma_ukcmb2 == flat_band_power(NOISE, SIGNAL, N_MODES, MASK)
+    assert (result.weight[~MASK] == 0).all()
+
+
+def test_fixed_weights_reduce_to_the_optimum_and_never_beat_it():
+    best = flat_band_power(NOISE, SIGNAL, N_MODES, MASK)
+    same = flat_band_power_fixed_weights(NOISE, SIGNAL, N_MODES, MASK, 7 * NOISE)
+    np.testing.assert_allclose(same, best)
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        other = NOISE * np.exp(rng.normal(size=NOISE.size))
+        assert flat_band_power_fixed_weights(NOISE, SIGNAL, N_MODES, MASK, other) > best
+
+
+def test_fixed_weights_by_hand():
+    """Bins of N = (1, 2), M = 1, n = 2 weighted equally (R = 1): A = (A_1 + A_2) / 2 of variance 5 / 4."""
+    ones = np.ones(2)
+    sigma = flat_band_power_fixed_weights(np.array([1.0, 2.0]), ones, 2 * ones, ones > 0, ones)
+    np.testing.assert_allclose(sigma, np.sqrt(5) / 2)
+
+
+def test_amplitude_of_exact_psds():
+    amplitude = np.array([[0.0, 3.0], [-2.0, 1e4]])
+    psd = NOISE + amplitude[..., None] * SIGNAL
+    np.testing.assert_allclose(estimate_amplitude(psd, NOISE, SIGNAL, N_MODES, MASK), amplitude, atol=1e-9)
+
+
+def test_band_power_is_consistent():
+    result = band_power(NOISE, SIGNAL, N_MODES, MASK, ELL, EDGES, 0.02)
+    first = np.argmax(MASK)
+    np.testing.assert_allclose(result.weight.sum(), 1)
+    np.testing.assert_allclose(
+        result.ell_eff, np.average(ELL, weights=N_MODES * MASK * (SIGNAL / NOISE) ** 2)
+    )
+    np.testing.assert_allclose(result.cumulative[: first + 1], result.sigma_ukcmb2)
+    assert (np.diff(result.cumulative[first:]) > 0).all()
+    number = np.arange(ELL.size)
+    from_there = [flat_band_power(NOISE, SIGNAL, N_MODES, number >= b) for b in number[first:]]
+    np.testing.assert_allclose(result.cumulative[first:], from_there)
+    np.testing.assert_allclose(result.error_ukcmb2, 0.02 * result.sigma_ukcmb2)
+
+
+def test_nothing_is_left_above_the_last_selected_bin():
+    below = np.arange(ELL.size) < 10
+    result = band_power(NOISE, SIGNAL, N_MODES, below, ELL, EDGES, 0.0)
+    assert np.isinf(result.cumulative[~below]).all()
+
+
+def test_width_of_known_shapes():
+    edges = np.arange(0.0, 2001.0, 20.0)
+    ell = (edges[:-1] + edges[1:]) / 2
+    everywhere = np.ones(ell.size, dtype=bool)
+    gauss = np.exp(-((ell - 1003) ** 2) / (2 * 150**2))
+    full = 150 * np.sqrt(8 * np.log(2))
+    np.testing.assert_allclose(weight_fwhm(gauss, edges, everywhere), full, rtol=2e-3)
+    np.testing.assert_allclose(weight_fwhm(gauss, edges, ell > 1000), full / 2 + 3, rtol=4e-3)
+    np.testing.assert_allclose(weight_fwhm(everywhere * 1.0, edges, everywhere), 2000)
+    triangle = np.maximum(0, 1 - np.abs(ell - 1010) / 500)
+    np.testing.assert_allclose(weight_fwhm(triangle, edges, everywhere), 500)
+
+
+def test_width_does_not_depend_on_the_binning():
+    """A weight per unit ell that falls linearly from a cut, in bins of equal and of unequal width."""
+    fine, coarse = (
+        np.arange(4000.0, 8001.0, 100.0),
+        np.array([4000.0, 4200.0, 4900.0, 5500.0, 6700.0, 8000.0]),
+    )
+    widths = []
+    for edges in (fine, coarse):
+        weight = -np.diff((8000 - edges) ** 2)
+        widths.append(weight_fwhm(weight, edges, weight > 0))
+    np.testing.assert_allclose(widths, 2000, rtol=0.04)
+
+
+def test_width_of_a_single_bin_is_its_own():
+    one = np.arange(ELL.size) == 4
+    np.testing.assert_allclose(weight_fwhm(1.0 * one, EDGES, one), 500)
+
+
+def test_error_parts_by_hand():
+    """Two equal observations correlate by 1/2: s^2 of the PSDs (1, 3) is 2 / 4 of the mean squared."""
+    psds, one = np.array([[1.0, np.nan], [3.0, np.nan]]), np.array([1.0, 0.0])
+    np.testing.assert_allclose(
+        noise_error(psds, one, np.ones(2)), np.sqrt(0.5 / 0.5 * (1 / 2 + 1 / 2 * 1 / 2))
+    )
+    np.testing.assert_allclose(weather_error(np.array([1.0, 3.0])), np.sqrt(2) / 2 / np.sqrt(2))
+    np.testing.assert_allclose(window_error(np.array([0.3, 0.4]), np.array([0.5, 0.5])), 0.25)
+
+
+def test_score_joins_its_parts():
+    rng = np.random.default_rng(2)
+    psds = NOISE * rng.chisquare(N_MODES, size=(8, NOISE.size)) / N_MODES
+    weights, errors = rng.uniform(1, 2, 30), np.full(NOISE.size, 0.1)
+    result, budget = score(psds, SIGNAL, errors, N_MODES, MASK, weights, ELL, EDGES)
+    assert result.sigma_ukcmb2 == flat_band_power(psds.mean(axis=0), SIGNAL, N_MODES, MASK)
+    assert budget.noise == noise_error(psds, result.weight, weights)
+    assert budget.weather == weather_error(weights)
+    np.testing.assert_allclose(budget.window, 0.1 * np.sqrt(np.sum(result.weight**2)))
+    parts = budget.noise**2 + budget.weather**2 + budget.window**2
+    np.testing.assert_allclose(result.error_ukcmb2, result.sigma_ukcmb2 * np.sqrt(parts))
+
+
+@pytest.mark.parametrize(
+    "noise, signal, n_modes, mask, message",
+    [
+        (NOISE, SIGNAL, N_MODES, np.zeros(ELL.size, dtype=bool), "at least one bin"),
+        (NOISE, SIGNAL, N_MODES, MASK.astype(int), "boolean"),
+        (NOISE * 0, SIGNAL, N_MODES, MASK, "noise PSD must be positive"),
+        (NOISE * np.nan, SIGNAL, N_MODES, MASK, "noise PSD must be positive"),
+        (NOISE, SIGNAL, -N_MODES, MASK, "number of modes"),
+        (NOISE, SIGNAL * 0, N_MODES, MASK, "signal PSD"),
+        (NOISE, SIGNAL * np.nan, N_MODES, MASK, "signal PSD"),
+        (NOISE[1:], SIGNAL, N_MODES, MASK, r"must all be \(n_bin,\)"),
+        (NOISE[None], SIGNAL[None], N_MODES[None], MASK[None], r"must all be \(n_bin,\)"),
+    ],
+)
+def test_bad_bins_are_rejected(noise, signal, n_modes, mask, message):
+    with pytest.raises(ValueError, match=message):
+        flat_band_power(noise, signal, n_modes, mask)
+    with pytest.raises(ValueError, match=message):
+        flat_band_power_fixed_weights(noise, signal, n_modes, mask, noise)
+    with pytest.raises(ValueError, match=message):
+        estimate_amplitude(noise, noise, signal, n_modes, mask)
+
+
+def test_the_weighting_noise_is_checked_too():
+    with pytest.raises(ValueError, match="noise PSD must be positive"):
+        flat_band_power_fixed_weights(NOISE, SIGNAL, N_MODES, MASK, 0 * NOISE)
+
+
+def test_other_shapes_are_rejected():
+    with pytest.raises(ValueError, match="psd_ukcmb2"):
+        estimate_amplitude(np.ones((3, 2)), NOISE, SIGNAL, N_MODES, MASK)
+    with pytest.raises(ValueError, match="one edge more"):
+        band_power(NOISE, SIGNAL, N_MODES, MASK, ELL, ELL, 0.0)
+
+
+@pytest.mark.parametrize(
+    "psds, errors, weights, message",
+    [
+        (NOISE[None], SIGNAL, np.ones(4), "at least 2 noise realizations"),
+        (NOISE, SIGNAL, np.ones(4), "at least 2 noise realizations"),
+        (np.stack([NOISE] * 2), SIGNAL[1:], np.ones(4), "signal PSD errors"),
+        (np.stack([NOISE] * 2), SIGNAL, np.ones(1), "2 or more observations"),
+        (np.stack([NOISE] * 2), SIGNAL, np.array([1.0, 0.0]), "weights must be positive"),
+    ],
+)
+def test_score_rejects_too_little(psds, errors, weights, message):
+    with pytest.raises(ValueError, match=message):
+        score(psds, SIGNAL, errors, N_MODES, MASK, weights, ELL, EDGES)

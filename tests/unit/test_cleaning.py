@@ -1,0 +1,186 @@
+"""Template cleaning: table, options, bad input, discarded scans, twins."""
+
+import numpy as np
+import pytest
+
+from mapmaker.cleaning import CLEANERS, TemplateOptions, clean
+from mapmaker.cleaning.templates import PLANAR, QUADRATIC, template_basis
+from mapmaker.timestreams import FocalPlane
+from tests import naive
+
+OPTIONS = TemplateOptions(tolerance=1e-8, max_iterations=100)
+BOUNDS = np.array([[0, 50], [50, 90], [95, 140]])  # samples 90-94 and 140-149 are outside scans
+N_SAMP = 150
+TEMPLATES = ["average", "planar", "quadratic"]
+
+
+def _focal_plane(n_det=25, seed=0):
+    x, y = np.random.default_rng(seed).uniform(-1e-3, 1e-3, (2, n_det))
+    return FocalPlane(x_rad=x, y_rad=y, fwhm_rad=1.5e-4)
+
+
+def _data(seed=1, n_det=25, dtype=np.float64):
+    rng = np.random.default_rng(seed)
+    common = 10 * rng.standard_normal(N_SAMP)
+    c = 1 + 0.05 * rng.standard_normal((n_det, 1))
+    return (40 + c * common + rng.standard_normal((n_det, N_SAMP))).astype(dtype)
+
+
+def _shapes(focal_plane, name):
+    x, y = focal_plane.x_rad, focal_plane.y_rad
+    n_par = {"average": 1, "planar": 3, "quadratic": 6}[name]
+    x, y = x / 1e-3, y / 1e-3  # the twin inverts S^T S, so it gets coordinates of order one
+    return np.stack([np.ones_like(x), x, y, x * y, x**2, y**2], axis=1)[:, :n_par]
+
+
+def _outside():
+    outside = np.ones(N_SAMP, dtype=bool)
+    for start, stop in BOUNDS:
+        outside[start:stop] = False
+    return outside
+
+
+def test_none_removes_the_scan_mean_only():
+    data = _data()
+    cleaned = clean("none", data, BOUNDS, _focal_plane(), OPTIONS)
+    for start, stop in BOUNDS:
+        scan = data[:, start:stop]
+        np.testing.assert_allclose(cleaned.data_mk[:, start:stop], scan - scan.mean(axis=1, keepdims=True))
+    assert cleaned.kept.all() and (cleaned.iterations == 0).all()
+    assert (cleaned.responsivity == 1).all()
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("name", CLEANERS)
+def test_keeps_type_input_and_gaps(name, dtype):
+    data = _data(dtype=dtype)
+    before = data.copy()
+    cleaned = clean(name, data, BOUNDS, _focal_plane(), OPTIONS)
+    assert cleaned.data_mk.dtype == dtype and cleaned.data_mk.shape == data.shape
+    assert cleaned.kept.all() and cleaned.responsivity.shape == (3, 25)
+    np.testing.assert_array_equal(data, before)
+    np.testing.assert_array_equal(cleaned.data_mk[:, _outside()], 0)
+
+
+def test_average_is_the_paper_s_own_equations():
+    """Its template has another common factor; converged to rounding, c_i T_n is the same to rounding."""
+    data = _data()
+    cleaned = clean("average", data, BOUNDS, _focal_plane(), TemplateOptions(1e-14, 100))
+    for s, (start, stop) in enumerate(BOUNDS):
+        expected, c = naive.average_cleaning(data[:, start:stop], 1e-14, 100)
+        np.testing.assert_allclose(cleaned.data_mk[:, start:stop], expected, atol=1e-12)
+        ratio = cleaned.responsivity[s] / c
+        np.testing.assert_allclose(ratio, ratio[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_equals_the_loop_over_samples(name):
+    data, focal_plane = _data(), _focal_plane()
+    cleaned = clean(name, data, BOUNDS, focal_plane, OPTIONS)
+    for s, (start, stop) in enumerate(BOUNDS):
+        scan = data[:, start:stop]
+        shapes = _shapes(focal_plane, name)
+        expected, c, steps = naive.template_cleaning(scan, shapes, name != "average", 1e-8, 100)
+        np.testing.assert_allclose(cleaned.data_mk[:, start:stop], expected, atol=1e-10)
+        np.testing.assert_allclose(cleaned.responsivity[s], c, rtol=1e-10)
+        assert cleaned.iterations[s] == steps
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", CLEANERS)
+def test_scan_with_a_value_not_finite_is_discarded(name, bad):
+    data = _data(dtype=np.float32)
+    good = clean(name, data, BOUNDS, _focal_plane(), OPTIONS)
+    data[7, 60] = bad
+    cleaned = clean(name, data, BOUNDS, _focal_plane(), OPTIONS)
+    np.testing.assert_array_equal(cleaned.kept, [True, False, True])
+    assert np.isnan(cleaned.responsivity[1]).all() and cleaned.iterations[1] == 0
+    expected = good.data_mk.copy()
+    expected[:, 50:90] = 0
+    np.testing.assert_array_equal(cleaned.data_mk, expected)
+
+
+def test_value_not_finite_outside_scans_does_not_matter():
+    data = _data()
+    data[:, _outside()] = np.nan
+    cleaned = clean("planar", data, BOUNDS, _focal_plane(), OPTIONS)
+    assert cleaned.kept.all() and np.isfinite(cleaned.data_mk).all()
+
+
+@pytest.mark.parametrize("stuck_at_mk", [0.0, 40.1])
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_scan_with_a_dead_detector_is_discarded(name, stuck_at_mk):
+    data = _data()
+    data[3, 50:90] = stuck_at_mk
+    cleaned = clean(name, data, BOUNDS, _focal_plane(), OPTIONS)
+    np.testing.assert_array_equal(cleaned.kept, [True, False, True])
+    np.testing.assert_array_equal(cleaned.data_mk[:, 50:90], 0)
+    assert np.isfinite(cleaned.data_mk).all() and cleaned.iterations[1] == 0
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_all_zero_scan_is_discarded(name):
+    data = _data()
+    data[:, 50:90] = 0
+    cleaned = clean(name, data, BOUNDS, _focal_plane(), OPTIONS)
+    np.testing.assert_array_equal(cleaned.kept, [True, False, True])
+    np.testing.assert_array_equal(cleaned.data_mk[:, 50:90], 0)
+
+
+@pytest.mark.parametrize("name", TEMPLATES)
+def test_unconverged_scans_are_discarded_and_counted(name):
+    cleaned = clean(name, _data(), BOUNDS, _focal_plane(), TemplateOptions(1e-8, 1))
+    assert (~cleaned.kept).sum() == 3
+    np.testing.assert_array_equal(cleaned.iterations, 1)
+    np.testing.assert_array_equal(cleaned.data_mk, 0)
+    assert np.isnan(cleaned.responsivity).all()
+
+
+@pytest.mark.parametrize(("name", "n_par"), [("average", 1), ("planar", 3), ("quadratic", 6)])
+def test_too_few_detectors(name, n_par):
+    with pytest.raises(ValueError, match=f"at least {n_par + 1} detectors, got {n_par}"):
+        clean(name, _data(n_det=n_par), BOUNDS, _focal_plane(n_par), OPTIONS)
+    clean(name, _data(n_det=n_par + 1), BOUNDS, _focal_plane(n_par + 1), OPTIONS)
+
+
+def test_detectors_on_a_line_do_not_support_planes():
+    x = np.linspace(-1e-3, 1e-3, 25)
+    line = FocalPlane(x_rad=x, y_rad=0.3 * x + 1e-4, fwhm_rad=1e-4)
+    with pytest.raises(ValueError, match="support 2 independent templates, need 3"):
+        clean("planar", _data(), BOUNDS, line, OPTIONS)
+    assert clean("average", _data(), BOUNDS, line, OPTIONS).kept.all()
+
+
+def test_detectors_on_a_circle_do_not_support_quadratics():
+    angle = np.linspace(0, 6, 25)
+    circle = FocalPlane(x_rad=1e-3 * np.cos(angle), y_rad=1e-3 * np.sin(angle), fwhm_rad=1e-4)
+    with pytest.raises(ValueError, match="support 5 independent templates, need 6"):
+        clean("quadratic", _data(), BOUNDS, circle, OPTIONS)
+
+
+@pytest.mark.parametrize("exponents", [PLANAR, QUADRATIC])
+def test_basis_is_orthonormal_and_constant_first(exponents):
+    basis = template_basis(_focal_plane(), exponents)
+    np.testing.assert_allclose(basis @ basis.T, np.eye(len(exponents)), atol=1e-14)
+    np.testing.assert_allclose(basis[0], basis[0, 0], rtol=1e-13)
+
+
+@pytest.mark.parametrize("options", [(0.0, 10), (-1.0, 10), (np.nan, 10), (1e-8, 0)])
+def test_options_out_of_range(options):
+    with pytest.raises(ValueError, match="must be"):
+        TemplateOptions(*options)
+
+
+def test_bad_arguments_say_what_was_found():
+    data, focal_plane = _data(), _focal_plane()
+    with pytest.raises(ValueError, match="'cubic', allowed: none, average, planar, quadratic"):
+        clean("cubic", data, BOUNDS, focal_plane, OPTIONS)
+    with pytest.raises(ValueError, match="24 detectors, the focal plane has 25"):
+        clean("planar", data[:24], BOUNDS, focal_plane, OPTIONS)
+    with pytest.raises(ValueError, match="float32 or float64"):
+        clean("planar", data.astype(int), BOUNDS, focal_plane, OPTIONS)
+    with pytest.raises(ValueError, match="scan bounds"):
+        clean("planar", data, BOUNDS[0], focal_plane, OPTIONS)
+    for wrong in ([5, 5], [-1, 5], [100, 151]):
+        with pytest.raises(ValueError, match="empty or outside the 150 samples"):
+            clean("planar", data, np.array([wrong]), focal_plane, OPTIONS)

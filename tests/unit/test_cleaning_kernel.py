@@ -1,0 +1,79 @@
+"""The iteration on the Gram matrix against the sample-by-sample twin."""
+
+import numpy as np
+import pytest
+
+from mapmaker.kernels.cleaning import iterate_responsivity
+from tests import naive
+
+N_DET, N_SAMP = 20, 60
+
+
+def _scan(seed, n_par, noise=0.3):
+    """Shapes with a constant first column, and a mean-removed scan with gradients, scatter of c and noise."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(-1, 1, (2, N_DET))
+    shapes = np.stack([np.ones(N_DET), x, y, x * y, x * x, y * y], axis=1)
+    amplitude = np.array([1, 0.3, 0.3, 0.1, 0.1, 0.1])[:, None] * rng.standard_normal((6, N_SAMP))
+    c = 1 + 0.05 * rng.standard_normal((N_DET, 1))
+    data = c * (shapes @ amplitude) + noise * rng.standard_normal((N_DET, N_SAMP))
+    return shapes[:, :n_par], data - data.mean(axis=1, keepdims=True)
+
+
+def _iterate(data, shapes, n_held, tolerance, max_iterations):
+    basis = np.ascontiguousarray(np.linalg.qr(shapes)[0].T)
+    c = np.ones(N_DET)
+    held = basis[len(basis) - n_held :]
+    converged, steps = iterate_responsivity(data @ data.T, basis, held, tolerance, max_iterations, c)
+    cleaned = data - (basis * c).T @ ((basis / c) @ data)
+    return cleaned, c, converged, steps
+
+
+@pytest.mark.parametrize("n_par", [1, 3, 6])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_equals_the_loop_over_samples(n_par, seed):
+    shapes, data = _scan(seed, n_par)
+    cleaned, c, converged, steps = _iterate(data, shapes, n_par - 1, 1e-8, 100)
+    expected, expected_c, expected_steps = naive.template_cleaning(data, shapes, n_par > 1, 1e-8, 100)
+    assert converged and steps == expected_steps
+    np.testing.assert_allclose(c, expected_c, rtol=1e-11)
+    np.testing.assert_allclose(cleaned, expected, atol=1e-11)
+
+
+def test_without_held_shapes_equals_the_literal_loop():
+    shapes, data = _scan(2, 3)
+    cleaned, c, converged, steps = _iterate(data, shapes, 0, 1e-4, 1000)
+    expected, expected_c, expected_steps = naive.template_cleaning(data, shapes, False, 1e-4, 1000)
+    assert converged and steps == expected_steps
+    np.testing.assert_allclose(c, expected_c, rtol=1e-9)
+    np.testing.assert_allclose(cleaned, expected, atol=1e-9)
+
+
+def test_held_components_vanish_and_mean_is_one():
+    shapes, data = _scan(3, 6)
+    _, c, converged, _ = _iterate(data, shapes, 5, 1e-8, 100)
+    fit = np.linalg.lstsq(shapes, c, rcond=None)[0]
+    assert converged
+    np.testing.assert_allclose(fit, [1, 0, 0, 0, 0, 0], atol=1e-13)
+
+
+def test_gives_up_after_max_iterations():
+    shapes, data = _scan(4, 1)
+    _, _, converged, steps = _iterate(data, shapes, 0, 1e-8, 2)
+    assert not converged and steps == 2
+
+
+@pytest.mark.parametrize(("fill", "expected_steps"), [(0.0, 0), (np.nan, 1), (np.inf, 0)])
+def test_singular_gram_matrix_ends_unconverged(fill, expected_steps):
+    basis = np.full((1, N_DET), N_DET**-0.5)
+    c = np.ones(N_DET)
+    converged, steps = iterate_responsivity(np.full((N_DET, N_DET), fill), basis, basis[1:], 1e-8, 100, c)
+    assert not converged and steps == expected_steps
+
+
+def test_vanishing_responsivity_ends_unconverged():
+    """The third detector's correlation with the template is exactly zero."""
+    gram = np.array([[2.0, 2.0, -1.0], [2.0, 2.0, -1.0], [-1.0, -1.0, 2.0]])
+    basis = np.full((1, 3), 3**-0.5)
+    converged, steps = iterate_responsivity(gram, basis, basis[1:], 1e-8, 100, np.ones(3))
+    assert not converged and steps == 1
