@@ -87,7 +87,7 @@ def read_fits(path: str | Path) -> BinnedMap:
             header = file["SIGNAL"].header
             center = np.radians([header["CRVAL1"], header["CRVAL2"]])
             pixel = float(np.radians(header["CDELT2"]))
-    except (OSError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{path}: not a whole map file ({error})") from None
     geometry = MapGeometry(center[0], center[1], pixel, signal.shape[1], signal.shape[0])
     return BinnedMap(geometry, signal * weight, weight, hits.astype(np.int64))

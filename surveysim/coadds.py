@@ -54,6 +54,11 @@ class CoAdds:
         """How many data sets are kept."""
         return len(self.sums)
 
+    def column(self, name: str) -> np.ndarray:
+        """One of `ROW_FIELDS` of all observations, (n_obs,)."""
+        place = ROW_FIELDS.index(name)
+        return np.array([row[place] for row in self.rows])
+
     def noise_mk2(self) -> np.ndarray:
         """Noise variance a sample, (n_obs, n_set)."""
         return np.array([row[-self.n_set :] for row in self.rows])

@@ -118,7 +118,7 @@ def observe(setup: Setup, observation: int, with_window: bool) -> tuple[Observat
         psd = hann_psd(cleaned[0].data_mk, n_scans, _some(cleaned[0].kept), rate)
         raw = hann_psd(_mean_removed(streams.data_mk, n_scans), n_scans, np.ones(n_scans, bool), rate)
     maps = [_bin(setup, cleaned[0].data_mk, index, bounds, cleaned[0].kept, watch)]
-    white = np.zeros(1)
+    white = np.full(1, np.nan)
     if setup.scene.score:
         white = white_level(psd, rate, setup.scene.score.white_above_hz)
         for name in setup.scene.score.simulated:

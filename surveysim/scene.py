@@ -6,6 +6,7 @@ leaves its stage out. Every record here is frozen and holds floats in internal u
 
 import hashlib
 import json
+import re
 import tomllib
 from collections.abc import Mapping
 from fractions import Fraction
@@ -44,6 +45,10 @@ def _quantity(unit: str, above: float | None = None, at_least: float | None = No
 
 def _fraction(value: object) -> object:
     return float(Fraction(value)) if isinstance(value, str) else value
+
+
+def _pairs(value: object) -> object:
+    return tuple(value.items()) if isinstance(value, dict) else value  # a scene is hashable, a dict is not
 
 
 Angle = Annotated[float, _quantity("rad")]
@@ -252,6 +257,16 @@ class Window(Section):
     band_power_ukcmb2: PositiveBandPower = Field(alias="band_power")
 
 
+class Reference(Section):
+    """Published uncertainties to print beside the run's, by data set."""
+
+    source: str
+    values_ukcmb2: Annotated[tuple[tuple[str, PositiveBandPower], ...], BeforeValidator(_pairs)] = Field(
+        alias="values"
+    )
+    gains: Annotated[tuple[tuple[str, Positive], ...], BeforeValidator(_pairs)] = ()
+
+
 class Score(Section):
     """The flat band-power uncertainty: which sky area, which multipoles, which data sets."""
 
@@ -265,6 +280,7 @@ class Score(Section):
     mask_separation_f_lambda: Positive | None = None
     simulated: tuple[Literal["uncorrelated", "white"], ...]
     window: Window
+    reference: Reference | None = None
 
     @model_validator(mode="after")
     def _range_has_bins(self) -> Self:
@@ -274,7 +290,11 @@ class Score(Section):
 
 
 class Scene(Section):
-    """A whole scene; an absent section leaves its stage out."""
+    """A whole scene; an absent section leaves its stage out.
+
+    `assumed` is not a key of the file: it lists the file's own values whose comment says that they are
+    assumed or calibrated.
+    """
 
     name: str = Field(pattern=r"^[A-Za-z0-9_.-]+$")
     title: str
@@ -293,6 +313,7 @@ class Scene(Section):
     cleaning: Cleaning
     map: MapSection
     score: Score | None = None
+    assumed: tuple[str, ...] = ()
 
     @model_validator(mode="after")
     def _sections_fit(self) -> Self:
@@ -314,7 +335,10 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     Raises SceneError with one line for each error: file, key, what was found, what is allowed.
     """
     path = Path(path)
-    data = _read(path)
+    text, data = _read(path)
+    if "assumed" in data:
+        raise SceneError(f"{path}: assumed: unknown key; allowed are {', '.join(_allowed(()))}")
+    data["assumed"] = assumed_values(text)
     for key, value in (overrides or {}).items():
         _override(path, data, key, value)
     data.setdefault("name", path.stem)
@@ -328,8 +352,9 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
 
 
 def scene_hash(scene: Scene) -> str:
-    """SHA-256 of the resolved scene: equal for equal runs."""
-    return hashlib.sha256(resolved(scene).encode()).hexdigest()
+    """SHA-256 of all that a run's results depend on: equal for equal runs, whatever the comments say."""
+    content = json.dumps(scene.model_dump(mode="json", exclude={"title", "assumed"}), sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()
 
 
 def resolved(scene: Scene) -> str:
@@ -337,9 +362,21 @@ def resolved(scene: Scene) -> str:
     return json.dumps(scene.model_dump(mode="json"), indent=1, sort_keys=True)
 
 
-def _read(path: Path) -> dict:
+def assumed_values(text: str) -> list[str]:
+    """Lines ``section.key = value: comment`` of a scene's text whose comment begins with assumed or calibrated."""
+    section, found = "", []
+    for line in text.splitlines():
+        if match := re.match(r"\s*\[\[?([\w.]+)\]", line):
+            section = match[1] + "."
+        elif match := re.match(r"\s*(\w+)\s*=\s*(.*?)\s*#\s*((?:assumed|calibrated).*)$", line):
+            found.append(f"{section}{match[1]} = {match[2]}: {match[3]}")
+    return found
+
+
+def _read(path: Path) -> tuple[str, dict]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        return text, tomllib.loads(text)
     except OSError as error:
         raise SceneError(f"{path}: can't be read ({error.strerror}); a scene file (TOML) is expected") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -375,4 +412,4 @@ def _allowed(location: tuple) -> list[str]:
         annotation = next(f.annotation for k, f in model.model_fields.items() if (f.alias or k) == name)
         candidates = [annotation, *getattr(annotation, "__args__", ())]
         model = next(c for c in candidates if isinstance(c, type) and issubclass(c, Section))
-    return sorted(f.alias or k for k, f in model.model_fields.items())
+    return sorted(f.alias or k for k, f in model.model_fields.items() if k != "assumed")

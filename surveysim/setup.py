@@ -153,7 +153,12 @@ N_TEMPLATES = {"none": 0, "average": 1, "planar": 3, "quadratic": 6}
 
 
 def check_templates(scene: Scene, cam: Camera) -> None:
-    """Raise SceneError when the camera has too few detectors for the templates."""
+    """Raise SceneError when the templates have no atmosphere to follow, or too few detectors."""
+    if scene.atmosphere is None and scene.cleaning.algorithm != "none":
+        # The iteration calibrates detectors on their common signal; without one it discards every scan.
+        raise SceneError(
+            f"cleaning.algorithm: found {scene.cleaning.algorithm!r} without [atmosphere]; 'none' is expected"
+        )
     _check_count(scene, len(cam.focal_plane.x_rad), "cleaning.algorithm")
 
 

@@ -71,3 +71,46 @@ def combine_columns(columns, start, normals):
         for r in range(start[k], start[k + 1]):
             modes[:, k] += columns[r] * complex(normals[2 * r], normals[2 * r + 1])
     return modes
+
+
+def plane_pixels(column, row, cos, sin, x_rad, y_rad, n_x, n_y):
+    """The pixel that holds each sample, by rounding down; -1 off the map."""
+    index = np.full((len(x_rad), len(column)), -1)
+    for d in range(len(x_rad)):
+        for n in range(len(column)):
+            c = np.floor(column[n] + x_rad[d] * cos[n] - y_rad[d] * sin[n])
+            r = np.floor(row[n] + x_rad[d] * sin[n] + y_rad[d] * cos[n])
+            if c in range(n_x) and r in range(n_y):
+                index[d, n] = r * n_x + c
+    return index
+
+
+def bin_samples(data, index, bounds, kept, n_pixel):
+    """Sums and hits of each pixel, pixel by pixel."""
+    n_samp = data.shape[1]
+    used = np.zeros(n_samp, bool)
+    for (start, stop), keep in zip(bounds, kept, strict=True):
+        for n in range(start, stop):
+            used[n] = keep
+    seen = [used & (index == pixel) for pixel in range(n_pixel)]
+    return np.array([data[s].sum(dtype=float) for s in seen]), np.array([s.sum() for s in seen])
+
+
+def add_sky(data, sky, column, row, cos, sin, x_rad, y_rad, gain):
+    """Bilinear look-up of the sky by the area that each of four pixels has in common with a shifted one."""
+    n_y, n_x = sky.shape
+    for d in range(data.shape[0]):
+        for n in range(data.shape[1]):
+            c = column[n] + x_rad[d] * cos[n] - y_rad[d] * sin[n]
+            r = row[n] + x_rad[d] * sin[n] + y_rad[d] * cos[n]
+            if not (0 <= c < n_x - 1 and 0 <= r < n_y - 1):
+                continue
+            for i in range(n_y):
+                for j in range(n_x):
+                    data[d, n] += gain[d] * sky[i, j] * max(0, 1 - abs(r - i)) * max(0, 1 - abs(c - j))
+
+
+def add_signed(total, values, signs):
+    """Signed copies, one by one."""
+    for k in range(len(signs)):
+        total[k] = total[k] + signs[k] * values

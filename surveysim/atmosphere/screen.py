@@ -37,8 +37,11 @@ _STEPS_PER_BEAM = 14
 _SEAM = 0.25
 _SEAM_TERMS = 4
 # Modes that add less than this share to the differences between lattice neighbours are left out.
-_NEGLIGIBLE = 1e-8
-_CLIPPED_MAX = 1e-3
+_NEGLIGIBLE = 1e-9
+# Negative power looks like roughness: it hardly changes the structure function, but 2e-4 of it adds 7 % to
+# what a quadratic in the field of view leaves at 1000 m, and 7e-4 adds 40 % at 375 m. The spline of the
+# structure function must be as smooth for the same reason.
+_CLIPPED_MAX = 1e-5
 _N_X_MIN, _N_X_MAX = 32, 2**17
 
 
@@ -91,11 +94,11 @@ class StripCache:
 def strip_step(screen):
     """Lattice step [rad] for bilinear look-up: a fourteenth of the beam, 40 arcsec at most.
 
-    The first keeps the structure function: within 3 % at 0.67 arcmin and above for b >= 2, 0.2 % for b = 11/3. The
-    second is for what is left after a quadratic in an 8 arcmin field of view has been removed: within 5 % of its
-    variance at b = 11/3, where a fixed share of a wide beam would not do. For b < 2 the beam's sharp edge makes
-    the field rough on every scale: at b = 2/3 and 1000 m the structure function is 22 % low at 0.67 arcmin and within
-    3 % only from 4 arcmin up.
+    The first keeps the structure function: within 3 % at 0.67 arcmin and above for b >= 2, 0.2 % for b =
+    11/3. The second is for what is left after a quadratic in an 8 arcmin field of view has been removed: at
+    b = 11/3 within 5 % of its variance from 1000 m up and 10 % at 375 m, where a share of the wide beam
+    alone would not do. For b < 2 the beam's sharp edge makes the field rough on every scale: at b = 2/3 and
+    1000 m the structure function is 22 % low at 0.67 arcmin and within 3 % only from 4 arcmin up.
     """
     return min(screen.beam_rad / _STEPS_PER_BEAM, _STEP_MAX_RAD)
 
@@ -106,9 +109,9 @@ def strip_step(screen):
 def build_strip(screen, length_rad, half_width_rad, step_rad):
     """Factors of a strip for tracks up to `length_rad` long within +-`half_width_rad` of its middle.
 
-    The period is the smallest power of two of steps that holds the length, doubled as long as more than
-    1e-3 of the variance of neighbour differences has negative eigenvalues (that happens for b > 5 with a
-    large outer scale). Raises ValueError when no period does.
+    The period is the smallest power of two of steps that holds the length, doubled as long as more than 1e-5
+    of the variance of neighbour differences has negative eigenvalues: that happens where the field is smooth
+    over the period, on tracks of a few beams or for b > 5. Raises ValueError when no period does.
     """
     n_lane = max(2, ceil(2.0 * half_width_rad / step_rad) + 1)
     n_x = _points_along(length_rad, step_rad)

@@ -64,7 +64,7 @@ def power(screen, alpha):
 
 
 def beam_transfer(alpha_d):
-    """Transfer of a uniform disc, 2 J1(pi alpha D) / (pi alpha D); `alpha_d` is alpha times the diameter D."""
+    """Transfer of a uniform disc, 2 J1(pi alpha D) / (pi alpha D); `alpha_d` is alpha times D."""
     argument = pi * np.maximum(np.abs(alpha_d), 1e-9)
     return 2.0 * j1(argument) / argument
 
@@ -123,7 +123,7 @@ def _log_structure(screen):
     """Spline of ln D against ln(theta / beam), and its slope at the lower end."""
     from scipy.interpolate import CubicSpline
 
-    lag = np.geomspace(_LAG_MIN, _LAG_MAX, 321)
+    lag = np.geomspace(_LAG_MIN, _LAG_MAX, 801)
     near = np.append(lag[lag < _LAG_JOIN], _LAG_JOIN)
     value_near = _structure_near(screen, near)
     far = lag[lag >= _LAG_JOIN]
@@ -166,8 +166,9 @@ def _structure_far(screen, lag):
     the disc (the disc's autocorrelation), which is smooth.
     """
     node, weight = np.polynomial.legendre.leggauss(24)
-    s = 0.5 * (node + 1.0)
-    overlap = (np.arccos(s) - s * np.sqrt(1.0 - s * s)) * s * weight
+    root = 0.5 * (node + 1.0)  # s = 1 - root^2, for the overlap vanishes as (1 - s)^(3/2)
+    s = 1.0 - root * root
+    overlap = (np.arccos(s) - s * np.sqrt(1.0 - s * s)) * s * root * weight
     phi = (np.arange(24) + 0.5) * pi / 24.0
     distance = np.sqrt(
         lag[:, None, None] ** 2 + s[:, None] ** 2 + 2.0 * lag[:, None, None] * s[:, None] * np.cos(phi)

@@ -1,9 +1,9 @@
 """Realizations of the thin screen against the closed forms.
 
-Most checks need no random numbers: the covariance of a strip follows from its factors, and that of bilinear look-ups
-and of any estimate linear in them from the covariance. The Monte Carlo checks then show that draws have the
-covariance of the factors; their tolerance is 4.5 standard deviations, where a variance from n independent normals is
-known to sqrt(2/n).
+Most checks need no random numbers: the covariance of a strip follows from its factors, and that of bilinear
+look-ups and of any estimate linear in them from the covariance. The Monte Carlo checks then show that draws
+have the covariance of the factors; their tolerance is 4.5 standard deviations, where a variance from n
+independent normals is known to sqrt(2/n).
 """
 
 import math
@@ -81,9 +81,11 @@ def test_structure_function_on_the_lattice(screen):
     lane = np.arange(strip.n_lane)
     x = np.arange(used + 1)[:, None, None]
     distance = strip.step_rad * np.hypot(x, lane[:, None] - lane)
-    # Exact but for modes left out (1e-8 each) and negative eigenvalues (clipped_fraction): 0.1 % at most.
-    assert strip.clipped_fraction < 1e-3
-    np.testing.assert_allclose(structure[: used + 1], structure_function(screen, distance), rtol=2e-3, atol=1e-30)
+    # Exact but for modes left out (1e-9 each) and negative eigenvalues (1e-5 of the variance at one step).
+    assert strip.clipped_fraction < 1e-5
+    np.testing.assert_allclose(
+        structure[: used + 1], structure_function(screen, distance), rtol=3e-4, atol=1e-30
+    )
 
 
 @pytest.mark.parametrize("screen", SCREENS[:-1], ids=str)
@@ -100,23 +102,27 @@ def test_structure_function_of_look_ups(screen):
             shift = np.array([math.sqrt(1.0 - across**2), across]) * lag / strip.step_rad
             lanes = rng.random(300) * (strip.n_lane - 1 - shift[1])
             p = np.stack([rng.random(300) * 9.0, lanes], axis=1)
-            measured = structure_between(strip, structure, p, np.minimum(p + shift, [np.inf, strip.n_lane - 1.001]))
+            measured = structure_between(
+                strip, structure, p, np.minimum(p + shift, [np.inf, strip.n_lane - 1.001])
+            )
             assert measured.mean() == pytest.approx(structure_function(screen, lag), rel=0.03)
 
 
 def test_look_ups_of_a_rough_field():
-    """b = 2/3: the field is rough down to the step, so look-ups lose power below a few arcmin; 3 % from 4 arcmin."""
+    """b = 2/3: the field is rough down to the step, so look-ups lose power; within 3 % from 4 arcmin."""
     screen = SCREENS[-1]
     strip = survey_strip(screen)
     structure = lattice_structure(strip)
     p = np.random.default_rng(1).random((2000, 2)) * [9.0, strip.n_lane - 1.001]
     for lag_arcmin, loss in ((0.67, 0.22), (4.0, 0.03), (60.0, 0.01)):
-        measured = structure_between(strip, structure, p, p + [lag_arcmin * ARCMIN / strip.step_rad, 0.0]).mean()
+        measured = structure_between(
+            strip, structure, p, p + [lag_arcmin * ARCMIN / strip.step_rad, 0.0]
+        ).mean()
         assert 1.0 - 1.15 * loss < measured / structure_function(screen, lag_arcmin * ARCMIN) <= 1.0
 
 
 def test_large_outer_scale_of_a_steep_spectrum():
-    """A very smooth field decorrelates so slowly that its strip must be longer, and is then as exact as any."""
+    """A very smooth field decorrelates slowly: its strip must be longer, and is then as exact as any."""
     screen = Screen(20 / 3, 8 / 1000, 5.0)
     strip = survey_strip(screen)
     assert strip.n_x > survey_strip(KOLMOGOROV).n_x
@@ -125,23 +131,29 @@ def test_large_outer_scale_of_a_steep_spectrum():
     np.testing.assert_allclose(along, structure_function(screen, distance), rtol=2e-3)
 
 
+@pytest.mark.parametrize("length_arcmin", [60.0, 465.0])
 @pytest.mark.parametrize("screen", [KOLMOGOROV, Screen(11 / 3, 8 / 375), Screen(11 / 3, 8 / 6000)], ids=str)
-def test_what_cleaning_leaves(screen):
-    """Variance over the field of view after a plane (2 %) and a quadratic (6 %) are removed, by look-ups."""
-    strip = survey_strip(screen)
+def test_what_cleaning_leaves(screen, length_arcmin):
+    """Variance over the field of view after a plane (2 %) and a quadratic (10 %) are removed, by look-ups."""
+    strip = survey_strip(screen, length_arcmin * ARCMIN)
     structure = lattice_structure(strip)
     grid = np.arange(-5, 6) * 0.7 * ARCMIN
     x, y = (a.ravel() for a in np.meshgrid(grid, grid))
+    x, y = 0.87 * x - 0.5 * y, 0.5 * x + 0.87 * y  # turned, so that detectors and lattice do not line up
     x, y = x[np.hypot(x, y) < 4.0 * ARCMIN], y[np.hypot(x, y) < 4.0 * ARCMIN]
     exact = structure_function(screen, np.hypot(x[:, None] - x, y[:, None] - y))
-    position = np.stack([x - x.min() + 20.3 * strip.step_rad, y + strip.half_width_rad], axis=1) / strip.step_rad
+    position = (
+        np.stack([x - x.min() + 20.3 * strip.step_rad, y + strip.half_width_rad], axis=1) / strip.step_rad
+    )
     i, j = (a.ravel() for a in np.indices(exact.shape))
     looked_up = structure_between(strip, structure, position[i], position[j]).reshape(exact.shape)
     linear = np.stack([x**0, x, y], axis=1)
-    for shapes, tolerance in ((linear, 0.02), (np.column_stack([linear, x * x, x * y, y * y]), 0.06)):
+    for shapes, tolerance in ((linear, 0.02), (np.column_stack([linear, x * x, x * y, y * y]), 0.1)):
         keep = np.eye(x.size) - shapes @ np.linalg.pinv(shapes)
         # (1 - P) D (1 - P) = -2 (1 - P) C (1 - P)
-        assert np.trace(keep @ looked_up @ keep) == pytest.approx(np.trace(keep @ exact @ keep), rel=tolerance)
+        assert np.trace(keep @ looked_up @ keep) == pytest.approx(
+            np.trace(keep @ exact @ keep), rel=tolerance
+        )
 
 
 @pytest.mark.parametrize("screen", SCREENS, ids=str)
@@ -176,8 +188,8 @@ def lattice_cross_periodogram(strip, structure, lanes, duration_s, bins):
 
 
 def convolved(psd, f_hz, duration_s):
-    """A one-sided PSD as a Hann periodogram sees it: convolved with the taper's response, both signs of frequency."""
-    fine = np.geomspace(1e-6, 25.0 / duration_s, 600) / 1.0
+    """A one-sided PSD as a Hann periodogram sees it: convolved with the taper, both signs of frequency."""
+    fine = np.geomspace(1e-6, 25.0 / duration_s, 600)
     fine = np.unique(np.concatenate([fine, np.arange(1, 25 * 40) / (40.0 * duration_s)]))
     model = psd(fine)
 
@@ -191,7 +203,7 @@ def convolved(psd, f_hz, duration_s):
 
 
 def test_temporal_psd_and_coherence_across_the_wind():
-    """A 15 s scan's Hann periodogram, bins 2-12 (0.13-0.8 Hz), within 2 %; coherence at 4 and 8 arcmin to 0.003."""
+    """Hann periodogram of a 15 s scan at 0.13-0.8 Hz within 2 %; coherence at 4 and 8 arcmin to 0.003."""
     strip = survey_strip(KOLMOGOROV)
     structure = lattice_structure(strip)
     bins = np.arange(2, 13)
@@ -205,7 +217,9 @@ def test_temporal_psd_and_coherence_across_the_wind():
         np.testing.assert_allclose(cross / auto, expected_cross / expected, atol=3e-3)
 
 
-def draw_streams(screen, n_scan, n_samp, rate_hz, offsets_rad, velocity, layer_velocity, amplitude=1.0, seed=5):
+def draw_streams(
+    screen, n_scan, n_samp, rate_hz, offsets_rad, velocity, layer_velocity, amplitude=1.0, seed=5
+):
     """Streams (n_scan, n_det, n_samp) of independent scans with the same geometry."""
     bounds = np.arange(n_scan)[:, None] * n_samp + [0, n_samp]
     data = np.zeros((len(offsets_rad), n_scan * n_samp))
@@ -228,7 +242,7 @@ def draw_streams(screen, n_scan, n_samp, rate_hz, offsets_rad, velocity, layer_v
     ("velocity", "wind"), [((4.0, 0.0), (-27.0, 0.0)), ((2.0, 3.5), (20.0, -9.0)), ((0.0, -4.0), (0.0, -4.0))]
 )
 def test_drawn_structure_function(velocity, wind):
-    """Any two samples of a scan differ as D of their distance in the layer: along, across, oblique, 0 to 465 arcmin."""
+    """Any two samples of a scan differ as D of their distance in the layer, 0 to 465 arcmin."""
     n_scan, rate = 2000, 0.2
     velocity, wind = np.array(velocity) * ARCMIN, np.array(wind) * ARCMIN
     offsets = np.array([(0.0, 0.0), (0.67, 0.1), (-2.9, 2.2), (1.0, -3.8)]) * ARCMIN
@@ -267,13 +281,17 @@ def test_drawn_mean_removed_variance():
     variance = streams[:, 0].var(axis=1)
     error = variance.std() / math.sqrt(n_scan)
     assert error < 0.04 * 304.4
-    assert variance.mean() == pytest.approx(280.0 * mean_removed_variance(KOLMOGOROV, SPEED, 15.0), abs=4.5 * error)
+    assert variance.mean() == pytest.approx(
+        280.0 * mean_removed_variance(KOLMOGOROV, SPEED, 15.0), abs=4.5 * error
+    )
 
 
 def test_drawn_temporal_psd():
     """Hann periodograms of drawn scans, through the look-up; bins 3-10 each known to 1/sqrt(n_scan)."""
     n_scan, n_samp, rate = 1500, 300, 20.0
-    streams = draw_streams(KOLMOGOROV, n_scan, n_samp, rate, [(1.0 * ARCMIN, 0.2 * ARCMIN)], (0.0, SPEED), (0.0, 0.0))
+    streams = draw_streams(
+        KOLMOGOROV, n_scan, n_samp, rate, [(1.0 * ARCMIN, 0.2 * ARCMIN)], (0.0, SPEED), (0.0, 0.0)
+    )
     taper = 1.0 - np.cos(2.0 * np.pi * np.arange(n_samp) / n_samp)
     series = streams[:, 0] - streams[:, 0].mean(axis=1, keepdims=True)
     bins = np.arange(3, 11)

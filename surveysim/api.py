@@ -1,0 +1,67 @@
+"""The Python interface: the same that the command line does."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+
+from mapmaker.timestreams import Timestreams
+from surveysim.coadds import CoAdds
+from surveysim.observation import draw_observation
+from surveysim.outputs import write_outputs
+from surveysim.results import SurveyResult, survey_result
+from surveysim.scene import Scene
+from surveysim.setup import prepare
+from surveysim.survey import run_observations
+
+
+def simulate_observation(scene: Scene, observation: int) -> Timestreams:
+    """The time-streams of one observation of a scene, the weather drawn for it in their attributes.
+
+    Raises SceneError when the scene can't be run, ValueError for an observation that it does not have.
+    """
+    if not 0 <= observation < scene.observations:
+        raise ValueError(f"observation: found {observation}; 0 to {scene.observations - 1} is expected")
+    return draw_observation(prepare(scene), observation)
+
+
+def run(
+    scene: Scene,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    resume: bool = False,
+    save_timestreams: bool = False,
+    figures: bool = True,
+    progress: Callable[[CoAdds], None] = lambda coadds: None,
+) -> SurveyResult:
+    """Run a scene and, with `out`, write its results there.
+
+    `workers` is one a core by default; results do not depend on it. With `out`, finished work is kept in
+    `out/checkpoint.npz` until the results are written; `resume` goes on from there. Raises SceneError when
+    the scene can't be run and CheckpointError for a checkpoint that does not belong to it.
+    """
+    start = perf_counter()
+    setup = prepare(scene)
+    directory = None if out is None else Path(out)
+    checkpoint = None if directory is None else directory / "checkpoint.npz"
+    if save_timestreams and directory is None:
+        raise ValueError("save_timestreams: found no output directory; one is expected")
+    workers = workers or default_workers()
+    coadds = run_observations(
+        setup,
+        checkpoint,
+        workers=min(workers, scene.observations),
+        resume=resume,
+        timestream_dir=directory / "timestreams" if save_timestreams else None,
+        progress=progress,
+    )
+    result = survey_result(setup, coadds, perf_counter() - start, workers)
+    if directory is not None:
+        write_outputs(directory, result, figures)
+        checkpoint.unlink(missing_ok=True)
+    return result
+
+
+def default_workers() -> int:
+    """One worker a core that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

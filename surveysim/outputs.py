@@ -1,0 +1,137 @@
+"""Files of a finished run: summary, resolved scene, tables, maps and figures, each written atomically."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mapmaker.binning import BinnedMap, write_fits, write_healpix
+from surveysim.results import SurveyResult, alternatives, scan_samples, score_rows, summary
+from surveysim.scene import resolved, scene_hash
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+
+
+def write_outputs(directory: Path, result: SurveyResult, figures: bool) -> None:
+    """Write all results of a run below `directory`."""
+    directory.mkdir(parents=True, exist_ok=True)
+    write_text(directory / "scene.json", resolved(result.setup.scene) + "\n")
+    _write_tables(directory / "tables", result)
+    _write_maps(directory / "maps", result)
+    if figures:
+        from surveysim.report.figures import draw_figures
+
+        draw_figures(directory / "figures", result.setup, result.coadds, result.scores)
+    write_text(directory / "summary.json", json.dumps(summary(result), indent=2) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".part")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(path)
+
+
+def _write_maps(directory: Path, result: SurveyResult) -> None:
+    setup, coadds = result.setup, result.coadds
+    for s, name in enumerate(setup.data_sets):
+        item = BinnedMap(setup.geometry, coadds.sums[s], coadds.weight[s], coadds.hits[s])
+        header = {
+            "SCENE": setup.scene.name,
+            "DATASET": name,
+            "SEED": setup.scene.seed,
+            "NOBS": coadds.done,
+            "SHA256": scene_hash(setup.scene)[:60],
+        }
+        write_fits(directory / f"{name}.fits", item, header)
+        if setup.scene.map.healpix_nside:
+            write_healpix(directory / f"{name}_healpix.fits", item, setup.scene.map.healpix_nside)
+
+
+def _write_tables(directory: Path, result: SurveyResult) -> None:
+    _write_table(directory / "observations.ecsv", _observation_table(result))
+    _write_table(directory / "timestream_psd.ecsv", _timestream_table(result))
+    if result.scores:
+        _write_table(directory / "scores.ecsv", _score_table(result))
+        _write_table(directory / "alternatives.ecsv", _alternative_table(result))
+        _write_table(directory / "map_psd.ecsv", _spectrum_table(result))
+
+
+def _write_table(path: Path, table: "Table") -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".part")
+    table.write(partial, format="ascii.ecsv", overwrite=True)
+    partial.replace(path)
+
+
+def _score_table(result: SurveyResult) -> "Table":
+    from astropy.table import Table
+
+    rows = [vars(row) | {"reference_ukcmb2": row.reference_ukcmb2 or np.nan} for row in score_rows(result)]
+    table = Table(rows=rows)
+    for name in ("sigma_ukcmb2", "error_ukcmb2", "reference_ukcmb2"):
+        table[name].unit = "uK2"
+    reference = result.setup.scene.score.reference
+    table.meta["temperature"] = "CMB"
+    table.meta["reference"] = reference.source if reference else "none"
+    return table
+
+
+def _alternative_table(result: SurveyResult) -> "Table":
+    from astropy.table import Table
+
+    table = Table(rows=alternatives(result))
+    table.meta["comment"] = "sigma(A) in uK_CMB^2 of the same data, scored otherwise"
+    return table
+
+
+def _spectrum_table(result: SurveyResult) -> "Table":
+    from astropy.table import Table
+
+    rings = result.setup.band.rings
+    table = Table({"ell": rings.ell, "n_modes": rings.n_modes, "scored": result.setup.band.selected})
+    for name, item in result.scores.items():
+        table[f"noise_{name}"] = item.noise_psd
+        table[f"noise_{name}"].unit = "uK2 sr"
+        table[f"noise_error_{name}"] = item.noise_psds.std(axis=0, ddof=1) / np.sqrt(len(item.noise_psds))
+        table[f"signal_{name}"] = item.signal_psd
+        table[f"window_{name}"] = item.window.transmission
+        table[f"window_error_{name}"] = item.window.error
+        table[f"cumulative_{name}"] = item.band.cumulative
+    table.meta["temperature"] = "CMB"
+    return table
+
+
+def _timestream_table(result: SurveyResult) -> "Table":
+    from astropy.table import Table
+
+    coadds = result.coadds
+    rate = result.setup.raster.sample_rate_hz
+    n_freq = len(coadds.raw_psd[0])
+    table = Table({"frequency": np.arange(n_freq) * rate / scan_samples(result.setup)})
+    table["frequency"].unit = "Hz"
+    for name, psds in (("raw", coadds.raw_psd), ("clean", coadds.clean_psd)):
+        for label, level in (("q25", 25), ("median", 50), ("q75", 75)):
+            table[f"{name}_{label}"] = np.percentile(psds, level, axis=0)
+            table[f"{name}_{label}"].unit = "mK2 / Hz"
+    table.meta["comment"] = "quantiles over observations of the mean PSD over detectors"
+    return table
+
+
+def _observation_table(result: SurveyResult) -> "Table":
+    from astropy.table import Table
+
+    setup = result.setup
+    arrays = ["whole"] if setup.masked is None else ["whole", "masked"]
+    names = ["observation", "b2_mk2", "wind_speed_rad_s", "wind_angle_rad", "elevation_rad", "white_mk2_hz"]
+    names += [f"discarded_{name}" for name in arrays] + [f"iterations_{name}" for name in arrays]
+    names += [f"noise_mk2_{name}" for name in setup.data_sets]
+    table = Table(np.array(result.coadds.rows), names=names)
+    table["start_mjd"] = setup.angles.start_mjd[: result.coadds.done]
+    table["start_mjd"].unit = "d"
+    for name, unit in (("wind_speed_rad_s", "rad / s"), ("wind_angle_rad", "rad"), ("elevation_rad", "rad")):
+        table[name].unit = unit
+    return table

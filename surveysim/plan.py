@@ -1,0 +1,74 @@
+"""What a run of a scene would do, take and leave behind, predicted from one observation made here."""
+
+import os
+from dataclasses import dataclass
+from time import perf_counter
+
+from surveysim.coadds import CoAdds, empty_coadds
+from surveysim.observation import observe
+from surveysim.results import scan_samples, stages_left_out
+from surveysim.setup import Setup, window_observations
+
+# What Python and the libraries hold before the first array, and what one observation's work doubles to.
+BASE_BYTES = 190e6
+WORKING_COPIES = 8
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Stages that run with the reason for each left out, and the predicted cost."""
+
+    stages: dict[str, str]
+    left_out: dict[str, str]
+    detector_samples: int
+    wall_s: float
+    memory_bytes: float
+    output_bytes: float
+    timestream_bytes: float
+
+
+def make_plan(setup: Setup, workers: int) -> Plan:
+    """Predict by running one observation (twice: the first warms the caches) with and without window skies."""
+    scene = setup.scene
+    n_window = int(window_observations(scene).sum())
+    seconds = {}
+    for with_window in (False, True) if n_window else (False,):
+        observe(setup, 0, with_window)
+        start = perf_counter()
+        observe(setup, 0, with_window)
+        seconds[with_window] = perf_counter() - start
+    total = (scene.observations - n_window) * seconds[False] + n_window * seconds.get(True, 0.0)
+    samples = len(setup.responsivity) * setup.raster.n_scans * scan_samples(setup)
+    coadds = empty_coadds(setup)
+    maps = coadds.sums.nbytes + coadds.weight.nbytes + coadds.hits.nbytes
+    return Plan(
+        stages=_stages(setup, n_window),
+        left_out={name: f"no section [{name}]" for name in stages_left_out(scene)},
+        detector_samples=samples * scene.observations,
+        wall_s=total / min(workers, scene.observations, os.cpu_count() or 1),
+        memory_bytes=BASE_BYTES + _bytes(coadds) + 4 * samples * WORKING_COPIES,
+        output_bytes=0.6 * maps + 400 * scene.observations,
+        timestream_bytes=4.0 * samples * scene.observations,
+    )
+
+
+def _bytes(coadds: CoAdds) -> int:
+    arrays = (coadds.sums, coadds.weight, coadds.hits, coadds.flipped, coadds.window, coadds.window_weight)
+    return sum(array.nbytes for array in arrays)
+
+
+def _stages(setup: Setup, n_window: int) -> dict[str, str]:
+    scene = setup.scene
+    n_det = len(setup.responsivity)
+    scans = f"{scene.observations} observations of {setup.raster.n_scans} scans"
+    stages = {"pointing": f"{scans}, {n_det} detectors, {scene.scan.sample_rate_hz:g} Hz"}
+    for name in ("atmosphere", "excess", "photon", "detector", "sky"):
+        if getattr(scene, name) is not None:
+            stages[name] = "streams"
+    stages["cleaning"] = scene.cleaning.algorithm
+    stages["maps"] = f"{setup.geometry.n_x} x {setup.geometry.n_y} pixels"
+    if scene.score:
+        stages["data sets"] = ", ".join(setup.data_sets)
+        stages["window"] = f"{scene.score.window.skies} skies through {n_window} observations"
+        stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
+    return stages

@@ -1,0 +1,112 @@
+"""Results and plans as text: tables on the terminal."""
+
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from surveysim.plan import Plan
+from surveysim.results import METHOD, Row, SurveyResult, alternatives, gains, score_rows, summary
+from surveysim.scene import Scene
+
+
+def print_result(result: SurveyResult, directory: Path) -> None:
+    """Score table beside the reference, gains, what is assumed, time taken and where the files are."""
+    console = _console()
+    if result.scores:
+        console.print(_score_table(result))
+        for line in gain_lines(result):
+            console.print(line, highlight=False)
+        console.print()
+        console.print(_alternative_table(result))
+        console.print("\nMethod, where the reference leaves it open:", highlight=False)
+        for line in METHOD:
+            console.print(f"  - {line}", highlight=False, markup=False)
+    if result.setup.scene.assumed:
+        console.print("\nAssumed or calibrated in the scene:", highlight=False)
+        for line in result.setup.scene.assumed:
+            console.print(f"  - {line}", highlight=False, markup=False)
+    console.print(f"\n{closing_line(result)}\nResults in {directory}", highlight=False, markup=False)
+
+
+def _console() -> Console:
+    # Off a terminal rich takes 80 columns, in which the tables would break.
+    return Console(soft_wrap=True, width=None if sys.stdout.isatty() else 120)
+
+
+def closing_line(result: SurveyResult) -> str:
+    """What was done and how long it took."""
+    content = summary(result)
+    scans = f"{content['scans_discarded']} of {content['scans']} scans discarded"
+    return (
+        f"{content['observations']} observations, {content['detector_samples'] / 1e6:.4g} million "
+        f"detector-samples, {scans}, {result.wall_s:.1f} s with {result.workers} worker(s)"
+    )
+
+
+def gain_lines(result: SurveyResult) -> list[str]:
+    """Gains between data sets, beside the reference's."""
+    reference = result.setup.scene.score.reference
+    published = dict(reference.gains) if reference else {}
+    lines = []
+    for name, item in gains(result).items():
+        beside = f"   (reference {published[name]:g})" if name in published else ""
+        lines.append(f"  {name} = {item.ratio:.2f} +- {item.error:.2f}{beside}")
+    return lines
+
+
+def _score_table(result: SurveyResult) -> Table:
+    reference = result.setup.scene.score.reference
+    table = Table(title=f"{result.setup.scene.title}: uncertainty on a flat CMB band power")
+    for heading in ("data set", "detectors", "sigma(A) [uK_CMB^2]", "ell_eff", "FWHM"):
+        table.add_column(heading, justify="left" if heading == "data set" else "right")
+    if reference:
+        table.add_column(reference.source, justify="right")
+        table.add_column("ratio", justify="right")
+    for row in score_rows(result):
+        table.add_row(*_cells(row, reference is not None))
+    return table
+
+
+def _cells(row: Row, with_reference: bool) -> list[str]:
+    cells = [
+        row.name,
+        str(row.n_det),
+        f"{row.sigma_ukcmb2:.1f} +- {row.error_ukcmb2:.1f}",
+        f"{row.ell_eff:.0f}",
+        f"{row.fwhm_ell:.0f}",
+    ]
+    if with_reference and row.reference_ukcmb2 is not None:
+        cells += [f"{row.reference_ukcmb2:g}", f"{row.sigma_ukcmb2 / row.reference_ukcmb2:.2f}"]
+    return cells
+
+
+def _alternative_table(result: SurveyResult) -> Table:
+    rows = alternatives(result)
+    table = Table(title="The same data scored otherwise: sigma(A) [uK_CMB^2]")
+    for name in rows[0]:
+        table.add_column(name.replace("_", " "), justify="right")
+    for row in rows:
+        table.add_row(*(value if isinstance(value, str) else f"{value:.0f}" for value in row.values()))
+    return table
+
+
+def print_plan(scene: Scene, plan: Plan, workers: int) -> None:
+    """Stages, what is left out and why, and the predicted cost."""
+    console = _console()
+    table = Table(title=f"{scene.name}: {scene.title}")
+    for heading in ("stage", "what"):
+        table.add_column(heading)
+    for name, what in plan.stages.items():
+        table.add_row(name, what)
+    for name, reason in plan.left_out.items():
+        table.add_row(f"[dim]{name}[/dim]", f"[dim]left out: {reason}[/dim]".replace("[" + name + "]", rf"\[{name}]"))
+    console.print(table)
+    lines = (
+        f"about {plan.wall_s:.0f} s with {workers} worker(s), predicted from one observation made here",
+        f"about {plan.memory_bytes / 1e6:.0f} MB a process",
+        f"about {plan.output_bytes / 1e6:.1f} MB of results; time-streams, if saved, {plan.timestream_bytes / 1e6:.0f} MB",
+        f"{plan.detector_samples / 1e6:.4g} million detector-samples",
+    )
+    console.print("\n".join(lines), highlight=False)

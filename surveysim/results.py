@@ -1,0 +1,179 @@
+"""What a finished run says: the score table, gains, alternatives, and the summary of everything."""
+
+import platform
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from mapmaker.bandpower import flat_band_power_fixed_weights
+from surveysim import __version__
+from surveysim.coadds import CoAdds
+from surveysim.scene import Scene, scene_hash
+from surveysim.scores import DataSetScore, Gain, gain, rescore, score_survey
+from surveysim.setup import Setup
+
+PACKAGES = ("numpy", "scipy", "numba", "astropy", "healpy", "h5py", "pydantic")
+ALTERNATIVE_ELL_MIN = (1000, 2000, 3000, 4000, 4500, 5000, 5500)
+
+METHOD = (
+    "Noise is measured by co-adds with random signs: sky cancels, noise keeps its power.",
+    "Each data set's observations are weighted by their own noise in the scored multipoles.",
+    "sigma(A)^-2 = sum over bins of n/2 (M/N)^2: every data set weights its bins by its own noise.",
+    "The window is that of the actual data's cleaning, also for the simulated sets; the masked array has its own.",
+    "The simulated sets take each detector's Hann-tapered PSD of the cleaned streams and are not cleaned again.",
+    "The masked array is cleaned with its own detectors alone; scaled means times its share of the detectors.",
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the score table: `sigma_ukcmb2` with its Monte Carlo error; `reference_ukcmb2` or None."""
+
+    name: str
+    n_det: int
+    sigma_ukcmb2: float
+    error_ukcmb2: float
+    ell_eff: float
+    fwhm_ell: float
+    reference_ukcmb2: float | None
+
+
+@dataclass(frozen=True)
+class SurveyResult:
+    """A finished run: setup, sums and scores (empty without a score or with too few observations)."""
+
+    setup: Setup
+    coadds: CoAdds
+    scores: dict[str, DataSetScore]
+    wall_s: float
+    workers: int
+
+
+def survey_result(setup: Setup, coadds: CoAdds, wall_s: float, workers: int) -> SurveyResult:
+    """Score what was summed."""
+    scorable = setup.scene.score is not None and coadds.done > 1
+    scores = score_survey(setup, coadds) if scorable else {}
+    return SurveyResult(setup, coadds, scores, wall_s, workers)
+
+
+def score_rows(result: SurveyResult) -> list[Row]:
+    """The score table, masked sets also scaled by their share of the detectors (section 5.2)."""
+    rows = [_row(item) for item in result.scores.values()]
+    for row in list(rows):
+        if row.name.startswith("masked"):
+            share = row.n_det / len(result.setup.responsivity)
+            sigma, error = share * row.sigma_ukcmb2, share * row.error_ukcmb2
+            rows.append(replace(row, name=f"{row.name}_scaled", sigma_ukcmb2=sigma, error_ukcmb2=error))
+    reference = result.setup.scene.score.reference if rows else None
+    values = dict(reference.values_ukcmb2) if reference else {}
+    return [replace(row, reference_ukcmb2=values.get(row.name)) for row in rows]
+
+
+def _row(item: DataSetScore) -> Row:
+    band = item.band
+    return Row(
+        item.name, item.n_det, band.sigma_ukcmb2, band.error_ukcmb2, band.ell_eff, band.fwhm_ell, None
+    )
+
+
+def gains(result: SurveyResult) -> dict[str, Gain]:
+    """Ratios of uncertainties between data sets, with the error of each pair."""
+    scores = result.scores
+    masked = next((name for name in scores if name.startswith("masked")), None)
+    found = {}
+    if {"actual", "uncorrelated"} <= scores.keys():
+        found["actual / uncorrelated"] = gain(scores["actual"], scores["uncorrelated"])
+    if {"uncorrelated", "white"} <= scores.keys():
+        found["uncorrelated / white"] = gain(scores["uncorrelated"], scores["white"])
+    if masked and "uncorrelated" in scores:
+        share = scores[masked].n_det / len(result.setup.responsivity)
+        found[f"{masked}_scaled / uncorrelated"] = gain(scores[masked], scores["uncorrelated"], share)
+    return found
+
+
+def alternatives(result: SurveyResult) -> list[dict[str, float | str]]:
+    """The same data scored otherwise: from other lowest multipoles, and with every set's bins weighted alike.
+
+    `weights` is "own" (each data set weights its bins by its own noise) or "actual" (all by the actual
+    data's noise). Masked sets are scaled by their share of the detectors.
+    """
+    score = result.setup.scene.score
+    lowest = [ell for ell in ALTERNATIVE_ELL_MIN if ell + score.ell_bin <= score.ell_max]
+    return [_alternative(result, weights, ell) for weights in ("own", "actual") for ell in lowest]
+
+
+def _alternative(result: SurveyResult, weights: str, ell_min: int) -> dict[str, float | str]:
+    reference = result.scores["actual"]
+    band = rescore(result.setup, reference, ell_min).band
+    row: dict[str, float | str] = {"weights": weights, "ell_min": ell_min}
+    row |= {"ell_eff": band.ell_eff, "fwhm_ell": band.fwhm_ell}
+    for name, item in result.scores.items():
+        share = item.n_det / len(result.setup.responsivity)
+        if weights == "own":
+            sigma = rescore(result.setup, item, ell_min).band.sigma_ukcmb2
+        else:
+            used = band.weight > 0
+            sigma = flat_band_power_fixed_weights(
+                item.noise_psd, item.signal_psd, result.setup.band.rings.n_modes, used, reference.noise_psd
+            )
+        row[f"{name}_scaled" if share < 1 else name] = share * sigma
+    return row
+
+
+def stages_left_out(scene: Scene) -> list[str]:
+    """Optional sections that the scene does not have."""
+    optional = ("atmosphere", "excess", "photon", "detector", "sky", "score")
+    return [name for name in optional if getattr(scene, name) is None]
+
+
+def summary(result: SurveyResult) -> dict[str, Any]:
+    """The content of summary.json; its keys are stable (README, "What a run leaves behind")."""
+    setup, coadds = result.setup, result.coadds
+    n_arrays = 1 if setup.masked is None else 2
+    rows = np.array([row[6 : 6 + 2 * n_arrays] for row in coadds.rows])
+    samples = coadds.done * len(setup.responsivity) * setup.raster.n_scans * scan_samples(setup)
+    content: dict[str, Any] = {
+        "scene": setup.scene.name,
+        "title": setup.scene.title,
+        "seed": setup.scene.seed,
+        "scene_sha256": scene_hash(setup.scene),
+        "surveysim": __version__,
+        "python": platform.python_version(),
+        "packages": {name: version(name) for name in PACKAGES},
+        "observations": coadds.done,
+        "detectors": len(setup.responsivity),
+        "detector_samples": samples,
+        "stages_left_out": stages_left_out(setup.scene),
+        "scans": coadds.done * setup.raster.n_scans,
+        "scans_discarded": int(rows[:, 0].sum()),
+        "mean_iterations": float(rows[:, n_arrays].mean()),
+        "scores": {},
+    }
+    if result.scores:
+        content["scores"] = {row.name: _score_entry(row) for row in score_rows(result)}
+        content["error_budget"] = {name: vars(item.budget) for name, item in result.scores.items()}
+        content["gains"] = {name: vars(item) for name, item in gains(result).items()}
+        content["alternatives"] = alternatives(result)
+    content["run"] = {
+        "workers": result.workers,
+        "wall_s": result.wall_s,
+        "stage_cpu_s": coadds.seconds,
+        "stage_ns_per_detector_sample": {k: 1e9 * v / samples for k, v in coadds.seconds.items()},
+    }
+    return content
+
+
+def scan_samples(setup: Setup) -> int:
+    """Samples of one scan."""
+    from surveysim.scan import samples_per_scan
+
+    return samples_per_scan(setup.raster)
+
+
+def _score_entry(row: Row) -> dict[str, float]:
+    entry = {key: value for key, value in vars(row).items() if key != "name" and value is not None}
+    if row.reference_ukcmb2 is not None:
+        entry["ratio_to_reference"] = row.sigma_ukcmb2 / row.reference_ukcmb2
+    return entry

@@ -1,0 +1,136 @@
+"""One benchmark a stage of an observation, in the order in which they run, after floors for comparison."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.fft import irfft, next_fast_len, rfft
+
+from mapmaker.cleaning import clean
+from mapmaker.geometry import boresight_pixels
+from mapmaker.kernels.pixels import bin_samples
+from surveysim import observation as stages
+from surveysim.coadds import add_observation, empty_coadds
+from surveysim.noise import add_white, hann_psd, white_level
+from surveysim.streams import Stage, generator
+from tests.benchmark.conftest import FLOOR, OBSERVATION
+
+
+def test_floor_normal_deviates(per_sample, lynx):
+    rng = generator(lynx.setup.scene.seed, Stage.DETECTOR, OBSERVATION)
+    per_sample(FLOOR, lambda: rng.standard_normal(lynx.data_mk.shape, dtype=np.float32))
+
+
+def test_floor_fft_pair(per_sample, lynx):
+    """As many and as long transforms as the excess noise takes, forth and back."""
+    n_scans = lynx.setup.raster.n_scans
+    n = next_fast_len(2 * lynx.data_mk.shape[1] // n_scans, real=True)
+    data = np.ones((len(lynx.data_mk), n_scans, n), np.float32)
+    per_sample("floor: FFT pair", lambda: irfft(rfft(data), n))
+
+
+def test_floor_copy(per_sample, lynx):
+    out = np.empty_like(lynx.data_mk)
+    per_sample("floor: copy", lambda: np.copyto(out, lynx.data_mk))
+
+
+def test_atmosphere(per_sample, lynx):
+    weather = stages.observation_weather(lynx.setup, OBSERVATION)
+    data = np.zeros_like(lynx.data_mk)
+    per_sample(
+        "atmosphere", lambda: stages._add_atmosphere(lynx.setup, OBSERVATION, lynx.pointing, weather, data)
+    )
+
+
+def test_excess(per_sample, lynx):
+    weather = stages.observation_weather(lynx.setup, OBSERVATION)
+    data = np.zeros_like(lynx.data_mk)
+    per_sample("excess", lambda: stages._add_excess(lynx.setup, OBSERVATION, weather, data))
+
+
+def test_photon(per_sample, lynx):
+    data = np.zeros_like(lynx.data_mk)
+    per_sample("photon", lambda: stages._add_photon(lynx.setup, OBSERVATION, data))
+
+
+def test_detector(per_sample, lynx):
+    data = np.zeros_like(lynx.data_mk)
+    rng = generator(lynx.setup.scene.seed, Stage.DETECTOR, OBSERVATION)
+    psd, rate = lynx.setup.scene.detector.psd_mk2_hz, lynx.setup.raster.sample_rate_hz
+    per_sample("detector", lambda: add_white(data, psd, rate, rng))
+
+
+def test_pixels(per_sample, lynx):
+    pointing, streams = lynx.pointing, lynx.streams
+    boresight = (pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad)
+    per_sample("pixels", lambda: boresight_pixels(lynx.setup.geometry, *boresight, streams.focal_plane))
+
+
+@pytest.mark.parametrize("algorithm", ["average", "planar", "quadratic"])
+def test_cleaning(per_sample, lynx, algorithm):
+    streams, options = lynx.streams, lynx.setup.cleaning
+    bounds = streams.scan_bounds
+    per_sample(
+        f"cleaning, {algorithm}",
+        lambda: clean(algorithm, streams.data_mk, bounds, streams.focal_plane, options),
+    )
+
+
+def test_spectra(per_sample, lynx):
+    n_scans, rate = lynx.setup.raster.n_scans, lynx.setup.raster.sample_rate_hz
+    kept = np.ones(n_scans, bool)
+    per_sample("Hann spectra", lambda: hann_psd(lynx.data_mk, n_scans, kept, rate))
+
+
+def test_binning(per_sample, lynx):
+    n_pixel = lynx.setup.geometry.n_y * lynx.setup.geometry.n_x
+    bounds = lynx.streams.scan_bounds
+    kept = np.ones(len(bounds), bool)
+    total, hits = np.zeros(n_pixel), np.zeros(n_pixel, np.int64)
+    per_sample("binning", lambda: bin_samples(lynx.data_mk, lynx.index, bounds, kept, total, hits))
+
+
+@pytest.mark.parametrize("name", ["uncorrelated", "white"])
+def test_simulated_set(per_sample, lynx, name):
+    setup, (n_det, n_samp) = lynx.setup, lynx.data_mk.shape
+    psd = np.tile(lynx.result.clean_psd, (n_det, 1))
+    white = white_level(psd, setup.raster.sample_rate_hz, setup.scene.score.white_above_hz)
+    per_sample(
+        f"simulated set, {name}",
+        lambda: stages._simulated_set(setup, OBSERVATION, name, psd, white, n_samp),
+    )
+
+
+def test_window_of_one_sky(per_sample, lynx):
+    """A sky through the streams of the whole and the masked array, with cleaning and without."""
+    setup = replace(lynx.setup, window_skies_mk=lynx.setup.window_skies_mk[:1])
+    streams, bounds = lynx.streams, lynx.streams.scan_bounds
+    arrays = [np.arange(len(streams.data_mk)), setup.masked]
+    cleaned = [
+        stages._clean(setup, streams.data_mk[rows], bounds, streams.focal_plane.subset(rows)) for rows in arrays
+    ]
+    per_sample(
+        "window, one sky",
+        lambda: stages._window_maps(setup, lynx.pointing, streams, lynx.index, arrays, cleaned),
+    )
+
+
+def test_weights(per_sample, lynx):
+    """The noise of the maps of all data sets."""
+    maps = list(zip(lynx.result.sums, lynx.result.hits, strict=True))
+    per_sample("weights", lambda: [stages.map_noise(lynx.setup, *item) for item in maps])
+
+
+def test_coadds(per_sample, lynx):
+    """All data sets and the window skies into the sums and the sign-flipped sums."""
+    coadds = empty_coadds(lynx.setup)
+    per_sample(
+        "co-adds",
+        lambda: add_observation(lynx.setup, coadds, replace(lynx.result, observation=coadds.done)),
+    )
+
+
+@pytest.mark.parametrize("with_window", [False, True], ids=["bare", "window"])
+def test_observe(per_sample, lynx, with_window):
+    name = "observation, with window skies" if with_window else "whole observation"
+    per_sample(name, lambda: stages.observe(lynx.setup, OBSERVATION, with_window))

@@ -1,0 +1,336 @@
+"""Drawn noise against the spectra and correlations asked for.
+
+Tolerances are 5 standard deviations: a variance from n independent normals is known to sqrt(2 / n), a bin of a
+periodogram has the relative scatter 1. A Hann taper correlates the powers of neighbouring bins, by (2/3)^2 and
+(1/6)^2, so that their mean over N bins scatters by sqrt(HANN / N), HANN = 1 + 2 (4/9 + 1/36).
+"""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from surveysim.coherence import correlation_factor, correlation_matrix, mutual_coherence
+from surveysim.instrument import hexagon
+from surveysim.noise import (
+    add_correlated_white,
+    add_excess,
+    add_white,
+    draw_from_psd,
+    excess_psd,
+    excess_variance,
+    hann_psd,
+    photon_correlation,
+    white_level,
+)
+from surveysim.scene import Excess
+
+RATE = 10.0
+HANN = 1 + 2 * (4 / 9 + 1 / 36)
+PAPER = {
+    "spectral_index": 1.0,
+    "band_limit": "1 Hz",
+    "b2": [46, 170, 580, 4000],
+    "variance": "[2.05, 2.12, 4.52, 10.9] mK2",
+    "coherence": "field",
+}
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(20031028)
+
+
+def excess(**changes):
+    return Excess.model_validate(PAPER | changes)
+
+
+def test_white_level_by_psd_and_by_variance(rng):
+    n_det, n_scans, n = 20, 10, 150
+    data = np.full((n_det, n_scans * n), 100, np.float32)  # the mean is no part of the noise
+    add_white(data, 2.5, RATE, rng)
+    assert data.mean() == pytest.approx(100, abs=5 * math.sqrt(12.5 / data.size))
+    assert data.var(dtype=float) == pytest.approx(2.5 * RATE / 2, rel=5 * math.sqrt(2 / data.size))
+    psd = hann_psd(data - np.float32(100), n_scans, np.ones(n_scans, bool), RATE)
+    assert psd.shape == (n_det, n // 2 + 1)
+    inner = psd[:, 2:-2]
+    assert inner.mean() == pytest.approx(2.5, rel=5 * math.sqrt(HANN / (inner.size * n_scans)))
+    level = white_level(psd, RATE, 2.5)
+    used = 37  # 2.53 to 4.93 Hz in steps of 1/15 Hz
+    assert level.shape == (n_det,)
+    assert np.abs(level / 2.5 - 1).max() < 5 * math.sqrt(HANN / (used * n_scans))
+    correlation = np.corrcoef(data) - np.eye(n_det)
+    assert np.abs(correlation).max() < 5 / math.sqrt(n_scans * n)
+
+
+def test_psd_of_kept_scans_only(rng):
+    data = rng.standard_normal((2, 400)).astype(np.float32)
+    kept = np.array([True, False, True, False])
+    spoiled = data.copy()
+    spoiled[:, 100:200] = 1e6
+    spoiled[:, 300:] = np.nan
+    some = hann_psd(data, 4, kept, RATE)
+    np.testing.assert_array_equal(hann_psd(spoiled, 4, kept, RATE), some)
+    both = [hann_psd(data[:, start : start + 100], 1, np.ones(1, bool), RATE) for start in (0, 200)]
+    np.testing.assert_allclose(some, np.mean(both, axis=0), rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_psd_of_a_sine(kind):
+    """A sine of amplitude a has the power a^2 / 2, all of it within two bins of its frequency."""
+    n, amplitude, bin_of_sine = 200, 3.0, 31
+    time = np.arange(n) / RATE
+    data = (amplitude * np.sin(2 * np.pi * bin_of_sine * RATE / n * time + 0.3)).astype(kind)[None, :]
+    psd = hann_psd(data, 1, np.ones(1, bool), RATE)[0]
+    assert psd[29:34].sum() * RATE / n == pytest.approx(amplitude**2 / 2, rel=1e-5)
+    assert np.delete(psd, range(29, 34)).max() < 1e-9 * psd.max()
+
+
+def test_white_level_leaves_out_red_noise_and_nyquist():
+    frequency = np.linspace(0, 5, 51)
+    psd = np.where(frequency > 2.5, 4.0, 1e6)[None, :] * np.array([[1], [2]])
+    psd[:, -1] = 1e6
+    np.testing.assert_allclose(white_level(psd, RATE, 2.5), [4, 8], rtol=1e-14)
+
+
+@pytest.mark.parametrize("above", [4.95, 5.0, 7.0])
+def test_white_level_needs_a_frequency(above):
+    with pytest.raises(
+        ValueError, match=f"score.white_above: found {above:g} Hz; less than half the sample rate, 5 Hz"
+    ):
+        white_level(np.ones((2, 51)), RATE, above)
+
+
+def test_correlated_white_has_the_covariance_of_its_factor(rng):
+    """Elements of a covariance from n samples scatter as Wishart: (C_ii C_jj + C_ij^2) / n."""
+    correlation = photon_correlation(correlation_matrix(hexagon(2, 0.7), "field"), 0.6)
+    n = 40000
+    data = np.zeros((19, n), np.float32)
+    add_correlated_white(data, 2.5, RATE, correlation_factor(correlation), rng)
+    expected = 2.5 * RATE / 2 * correlation
+    covariance = data.astype(float) @ data.T.astype(float) / n
+    spread = np.sqrt((np.outer(np.diagonal(expected), np.diagonal(expected)) + expected**2) / n)
+    assert (np.abs(covariance - expected) < 5 * spread).all()
+    # Neighbours share 0.3 of their power, so that this would show a factor left out or used twice.
+    assert 0.6 * mutual_coherence(0.7) > 20 / math.sqrt(n)
+    # White: neighbouring samples do not know of each other.
+    assert abs(np.mean(data[:, 1:] * data[:, :-1])) < 5 * 12.5 / math.sqrt(n)
+
+
+def test_photon_correlation():
+    """Only the coherent fraction of the load is shared; each detector's own power stays."""
+    overlap = correlation_matrix(hexagon(2, 0.7), "field")
+    shared = photon_correlation(overlap, 0.1)
+    np.testing.assert_allclose(np.diagonal(shared), 1, rtol=1e-14)
+    off = ~np.eye(19, dtype=bool)
+    np.testing.assert_allclose(shared[off], 0.1 * overlap[off], rtol=1e-14)
+    np.testing.assert_array_equal(photon_correlation(overlap, 0.0), np.eye(19))
+    np.testing.assert_array_equal(photon_correlation(overlap, 1.0), overlap)
+
+
+def test_noise_is_added_to_what_is_there(rng):
+    start = rng.standard_normal((3, 200)).astype(np.float32)
+    section, factor = excess(), np.eye(3)
+    adders = [
+        lambda data, rng: add_white(data, 1.0, RATE, rng),
+        lambda data, rng: add_correlated_white(data, 1.0, RATE, factor, rng),
+        lambda data, rng: add_excess(data, section, 1.0, 2, RATE, factor, rng),
+    ]
+    for add in adders:
+        empty, full = np.zeros_like(start), start.copy()
+        add(empty, np.random.default_rng(4))
+        add(full, np.random.default_rng(4))
+        assert empty.std() > 0.1
+        np.testing.assert_allclose(full - start, empty, atol=1e-5)
+
+
+@pytest.mark.parametrize("index", [0.0, 0.5, 1.0, 1.0 + 1e-7, 5 / 3, 2.0, 3.0])
+def test_excess_spectrum_holds_its_variance_in_its_band(index):
+    section = excess(spectral_index=index)
+
+    def psd(f):
+        return float(excess_psd(section, 4.52, 15.0, np.array([f]))[0])
+
+    # 1e-6: at 1 + 1e-7 the difference of two powers close to 1 loses 7 digits and more.
+    assert quad(psd, 1 / 15, 1.0, epsrel=1e-10)[0] == pytest.approx(4.52, rel=1e-6)
+    assert psd(0.8) / psd(0.2) == pytest.approx(4**-index, rel=1e-12)
+    assert psd(3.0) == pytest.approx(psd(0.3) * 10**-index, rel=1e-12)  # and goes on beyond the band
+    assert math.isfinite(psd(0.0))
+
+
+def test_excess_spectrum_needs_a_band():
+    for scan_s in (1.0, 0.5):
+        with pytest.raises(
+            ValueError, match=f"excess.band_limit: found 1 Hz; more than .* {1 / scan_s:g} Hz is expected"
+        ):
+            excess_psd(excess(), 1.0, scan_s, np.array([1.0]))
+
+
+def test_excess_variance_goes_through_the_paper_table():
+    section = excess()
+    for b2, variance in zip(section.b2, section.variance_mk2, strict=True):
+        assert excess_variance(section, b2) == pytest.approx(variance, rel=1e-13)
+    # Log-log between: the geometric mean at the geometric mean.
+    assert excess_variance(section, math.sqrt(170 * 580)) == pytest.approx(math.sqrt(2.12 * 4.52), rel=1e-13)
+    # Held beyond.
+    assert [excess_variance(section, b2) for b2 in (0.0, 1.0, 1e6)] == pytest.approx(
+        [2.05, 2.05, 10.9], rel=1e-13
+    )
+
+
+def test_excess_of_one_value_does_not_follow_the_weather():
+    section = excess(b2=[280], variance="[3] mK2")
+    assert [excess_variance(section, b2) for b2 in (None, 0.0, 46.0, 1e6)] == [3, 3, 3, 3]
+
+
+@pytest.mark.parametrize("n", [240, 241])
+def test_drawn_spectrum(rng, n):
+    """Periodic streams: each periodogram bin is exponential about the PSD, the Nyquist bin a squared normal.
+
+    A bin's mean squared amplitude is psd * rate * n / 2 up to Nyquist, as it is for white samples."""
+    n_det, n_scans = 10, 150
+    frequency = np.arange(n // 2 + 1) * RATE / n
+    psd = 1 + 3 / np.maximum(frequency, RATE / n)
+    streams = draw_from_psd(psd, (n_det, n_scans), n, RATE, rng)
+    assert streams.shape == (n_det, n_scans, n) and streams.dtype == np.float32
+    power = np.abs(np.fft.rfft(streams.astype(float))) ** 2 * 2 / (RATE * n)
+    mean = power.mean(axis=(0, 1))
+    n_draws = n_det * n_scans
+    inner = slice(1, n // 2 if n % 2 == 0 else None)
+    assert np.abs(mean[inner] / psd[inner] - 1).max() < 5 / math.sqrt(n_draws)
+    assert (mean[inner] / psd[inner]).mean() == pytest.approx(1, abs=5 / math.sqrt(n_draws * len(psd[inner])))
+    # Exponential: the scatter is the mean, known to sqrt(8 / N) for N values of kurtosis 9.
+    scatter = (power[..., inner] / psd[inner]).std()
+    assert scatter == pytest.approx(1, abs=0.5 * 5 * math.sqrt(8 / (n_draws * len(psd[inner]))))
+    if n % 2 == 0:
+        assert mean[-1] == pytest.approx(psd[-1], rel=5 * math.sqrt(2 / n_draws))
+    assert np.abs(streams.mean(axis=-1)).max() < 1e-5
+
+
+@pytest.mark.parametrize("n", [240, 241])
+def test_drawn_variance_is_the_integral_of_the_spectrum(rng, n):
+    """White draws: sample variance psd * rate / 2 less the share of the mean, one of n degrees of freedom."""
+    streams = draw_from_psd(np.full(n // 2 + 1, 2.5), (40, 100), n, RATE, rng)
+    expected = 2.5 * RATE / 2 * (n - 1) / n
+    assert streams.var(dtype=float) == pytest.approx(expected, rel=5 * math.sqrt(2 / streams.size))
+
+
+def test_drawn_spectra_of_each_detector(rng):
+    """PSDs broadcast: (n_det, 1, n_freq) against (n_det, n_scans); the caller's array stays as it is."""
+    psd = np.array([1.0, 4.0, 9.0])[:, None, None] * np.ones(101)
+    before = psd.copy()
+    streams = draw_from_psd(psd, (3, 200), 200, RATE, rng)
+    np.testing.assert_array_equal(psd, before)
+    variance = streams.var(axis=(1, 2), dtype=float) / (RATE / 2 * 199 / 200)
+    np.testing.assert_allclose(variance, [1, 4, 9], rtol=5 * math.sqrt(2 / (200 * 200)))
+    correlation = np.corrcoef(streams.reshape(3, -1)) - np.eye(3)
+    assert np.abs(correlation).max() < 5 / math.sqrt(200 * 200)
+
+
+N_SCANS, PER_SCAN = 60, 600
+
+
+def excess_streams(rng, index, factor):
+    data = np.zeros((len(factor), N_SCANS * PER_SCAN), np.float32)
+    add_excess(data, excess(spectral_index=index), 4.52, N_SCANS, RATE, factor, rng)
+    return data
+
+
+@pytest.mark.parametrize("index", [0.5, 1.0, 2.0])
+def test_excess_streams_have_the_spectrum(rng, index):
+    """Level and slope of the Hann PSD in the band, from bin 5 on.
+
+    The taper's kernel of variance 1/3 bins raises f^-a at bin k by a (a + 1) / 6 k^2: 4 % at most, at bin 5
+    for a = 2, and that is allowed for.
+    """
+    n_det = 12
+    data = excess_streams(rng, index, np.eye(n_det))
+    psd = hann_psd(data, N_SCANS, np.ones(N_SCANS, bool), RATE).mean(axis=0)
+    k = np.arange(5, 61)  # 1/12 to 1 Hz
+    expected = excess_psd(excess(spectral_index=index), 4.52, PER_SCAN / RATE, k * RATE / PER_SCAN)
+    ratio = psd[k] / (expected * (1 + index * (index + 1) / (6 * k**2)))
+    n_spectra = n_det * N_SCANS
+    # The next order of the kernel, a (a + 1) (a + 2) (a + 3) / 72 k^4 for its fourth moment 1/3: 0.3 % at most.
+    assert ratio.mean() == pytest.approx(1, abs=5 * math.sqrt(HANN / (n_spectra * len(k))) + 0.0005)
+    assert np.abs(ratio - 1).max() < 5 / math.sqrt(n_spectra) + 0.003
+    # The error of a fitted slope: scatter of a bin over the spread of ln k.
+    x = np.log(k) - np.log(k).mean()
+    slope = np.sum(x * np.log(ratio)) / np.sum(x**2)
+    assert slope == pytest.approx(0, abs=5 * math.sqrt(HANN / n_spectra / np.sum(x**2)) + 0.002)
+
+
+@pytest.mark.parametrize("index", [0.0, 1.0])
+def test_excess_streams_hold_the_variance_of_the_band(rng, index):
+    """The PSD's integral over the band, 1 / scan to 1 Hz.
+
+    First against the exact mean of a Hann PSD, of which the scatter is known; then against the variance asked for.
+    """
+    n_det = 12
+    data = excess_streams(rng, index, np.eye(n_det))
+    psd = hann_psd(data, N_SCANS, np.ones(N_SCANS, bool), RATE).mean(axis=0)
+    expected = expected_hann_psd(index)
+    k = np.arange(2, 61)
+    n_spectra = n_det * N_SCANS
+    spread = math.sqrt(HANN / n_spectra * np.sum(expected[k] ** 2))
+    assert psd[k].sum() == pytest.approx(expected[k].sum(), abs=5 * spread)
+    # And what lies between 1 / scan and bin 1.5, by the integral of the formula.
+    section = excess(spectral_index=index)
+    low = quad(lambda f: float(excess_psd(section, 4.52, 60.0, np.array([f]))[0]), 1 / 60, 1.5 / 60)[0]
+    high = quad(lambda f: float(excess_psd(section, 4.52, 60.0, np.array([f]))[0]), 1.0, 60.5 / 60)[0]
+    band = psd[k].sum() / 60 + low - high
+    # For 1 / f the taper adds 1 / 3 k^2 to bin k, 1.6 % in all, and bins at their middles take 0.4 % from the integral.
+    assert band == pytest.approx(4.52, abs=5 * spread / 60 + (0.02 * 4.52 if index else 0))
+
+
+def expected_hann_psd(index):
+    """Mean Hann PSD of a stretch of PER_SCAN samples out of periodic noise twice as long, by its covariance."""
+    n = 2 * PER_SCAN
+    frequency = np.arange(n // 2 + 1) * RATE / n
+    psd = excess_psd(excess(spectral_index=index), 4.52, PER_SCAN / RATE, frequency)
+    psd[0] = 0
+    lines = psd * RATE / n  # variance of each frequency
+    covariance = np.array(
+        [np.sum(lines * np.cos(2 * np.pi * np.arange(n // 2 + 1) * lag / n)) for lag in range(PER_SCAN)]
+    )
+    taper = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(PER_SCAN) / PER_SCAN)
+    lag_window = np.correlate(taper, taper, "full")[PER_SCAN - 1 :] * covariance
+    lag = np.arange(1, PER_SCAN)
+    k = np.arange(PER_SCAN // 2 + 1)[:, None]
+    power = lag_window[0] + 2 * np.cos(2 * np.pi * k * lag / PER_SCAN) @ lag_window[1:]
+    return power * 2 / (RATE * np.sum(taper**2))
+
+
+def test_a_scan_does_not_know_where_it_ends(rng):
+    """Red noise: first and last sample of a scan differ by far more than neighbours do, and scans are independent."""
+    data = excess_streams(rng, 2.0, np.eye(12)).reshape(12, N_SCANS, PER_SCAN)
+    neighbours = np.mean((data[..., 1:] - data[..., :-1]) ** 2)
+    ends = np.mean((data[..., -1] - data[..., 0]) ** 2)
+    assert ends > 50 * neighbours
+    correlation = np.mean(data[:, 1:].mean(axis=-1) * data[:, :-1].mean(axis=-1)) / np.var(data.mean(axis=-1))
+    assert abs(correlation) < 5 / math.sqrt(12 * (N_SCANS - 1))
+
+
+@pytest.mark.parametrize("coherence", ["field", "intensity", "none"])
+def test_excess_is_shared_as_overlap_says(rng, coherence):
+    """Correlations of Hann spectra over the band, each bin with the same weight.
+
+    A coherence from N independent complex amplitudes scatters by less than sqrt((1 + rho^2) / 2 N).
+    """
+    from scipy.fft import rfft
+
+    positions = hexagon(1, 0.7)
+    expected = correlation_matrix(positions, coherence)
+    data = excess_streams(rng, 1.0, correlation_factor(expected)).reshape(7, N_SCANS, PER_SCAN)
+    modes = rfft(data * np.hanning(PER_SCAN + 1)[:PER_SCAN], axis=-1)[..., 2:200].astype(complex)
+    modes /= np.sqrt(np.mean(np.abs(modes) ** 2, axis=(0, 1)))
+    modes = modes.reshape(7, -1)
+    n = modes.shape[1] / HANN
+    cross = (modes @ modes.conj().T).real / modes.shape[1]
+    spread = np.sqrt((1 + expected**2) / (2 * n))
+    assert (
+        np.abs(cross - expected) < 5 * np.where(np.eye(7, dtype=bool), math.sqrt(2) * spread, spread)
+    ).all()
+    if coherence == "field":
+        adjacent = [cross[0, d] for d in range(1, 7)]
+        assert np.mean(adjacent) == pytest.approx(0.506, abs=5 * spread[0, 1])

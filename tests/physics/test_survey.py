@@ -1,0 +1,190 @@
+"""The whole chain against closed forms: what goes into the streams must come out of the maps."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mapmaker.bandpower import estimate_amplitude, flat_band_power, flat_spectrum_psd
+from mapmaker.binning import weighted_mean
+from mapmaker.spectrum import map_psd
+from mapmaker.window import beam_window, pixel_window
+from surveysim.atmosphere.spectrum import temporal_psd
+from surveysim.noise import excess_psd
+from surveysim.scene import load_scene
+from surveysim.scores import score_survey
+from surveysim.setup import prepare
+from surveysim.survey import run_observations
+from surveysim.units import rj_to_cmb
+from tests.scenes import SMALL_SCENE
+
+LYNX = Path(__file__).parents[2] / "scenarios" / "lynx.toml"
+STREAMS = ("atmosphere", "excess", "photon", "detector", "sky")
+
+
+def survey(tmp_path, keep=(), **overrides):
+    """Setup and sums of the small scene with only the streams in `keep`, one ring of scans enlarged to a survey."""
+    text = SMALL_SCENE
+    for name in STREAMS:
+        if name not in keep:
+            text = without_section(text, name)
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    settings = {
+        "observations": 24,
+        "scan.scans": 12,
+        "scan.duration": "7.5 s",
+        "scan.step": "2 arcmin",
+        "map.pixel": "20 arcsec",
+        "score.size": "24 arcmin",
+        "score.ell_bin": 1000,
+        "score.window.observations": 4,
+        "instrument.responsivity_scatter": 0.0,
+    }
+    setup = prepare(load_scene(path, settings | overrides))
+    return setup, run_observations(setup, None)
+
+
+def without_section(text, name):
+    """Scene text less the section `name` and its tables."""
+    blocks = text.replace("\n[", "\n\0[").split("\0")
+    heads = (f"[{name}]", f"[{name}.", f"[[{name}.")
+    return "".join(block for block in blocks if not block.startswith(heads))
+
+
+def test_white_streams_give_the_map_noise_of_their_hits(tmp_path):
+    setup, coadds = survey(tmp_path, ("detector",), **{"cleaning.algorithm": "none"})
+    white = setup.scene.detector.psd_mk2_hz * setup.raster.sample_rate_hz / 2
+    # The removed mean takes 1 / n of each scan's variance.
+    variance = white * (1 - 1 / 75)
+    signal = weighted_mean(coadds.sums[0], coadds.weight[0])
+    hits = coadds.hits[0]
+    # The observations' weights scatter by their own noise estimates (n_modes of about 100: 14 %), which costs
+    # their variance, 2 %, in the co-add; the mean over pixels has sqrt(2 / n_pix) of error.
+    deep = hits > 20
+    scaled = np.mean(signal[deep] ** 2 * hits[deep]) / variance
+    assert scaled == pytest.approx(1.01, abs=0.015 + 4 * np.sqrt(2 / deep.sum()))
+    # And 1 / sqrt(hits) pixel by pixel: the lower and upper half in hits agree.
+    half = hits > np.median(hits[deep])
+    low, high = deep & ~half, deep & half
+    ratio = np.mean(signal[high] ** 2 * hits[high]) / np.mean(signal[low] ** 2 * hits[low])
+    assert ratio == pytest.approx(1, abs=4 * np.sqrt(2 / high.sum() + 2 / low.sum()))
+
+
+def test_band_power_of_white_noise_against_its_closed_form(tmp_path):
+    setup, coadds = survey(tmp_path, ("detector",), **{"cleaning.algorithm": "none", "score.jackknives": 24})
+    score = score_survey(setup, coadds, ("actual",))["actual"]
+    band, scale = setup.band, (1e3 * rj_to_cmb(143e9)) ** 2
+    variance = setup.scene.detector.psd_mk2_hz * setup.raster.sample_rate_hz / 2 * (1 - 1 / 75)
+    hits = coadds.hits[0][band.patch, band.patch]
+    taper2 = band.taper**2
+    assert hits[band.taper > 0.01].min() > 0
+    pixel = setup.geometry.pixel_rad
+    noise = scale * variance * pixel**2 * np.sum(taper2[hits > 0] / hits[hits > 0]) / taper2.sum()
+    ell = band.rings.ell
+    signal = flat_spectrum_psd(ell) * beam_window(ell, np.radians(1 / 60)) * pixel_window(ell, pixel)
+    signal = signal * score.window.transmission
+    expected = flat_band_power(np.full(ell.shape, noise), signal, band.rings.n_modes, band.selected)
+    # 1 % more for the scatter of the weights, as above; the score's own error besides.
+    assert score.band.sigma_ukcmb2 == pytest.approx(1.01 * expected, rel=0.015 + 3 * score.budget.noise)
+
+
+def test_removing_scan_means_leaves_the_window_that_geometry_gives(tmp_path):
+    setup, coadds = survey(
+        tmp_path,
+        ("detector",),
+        **{"cleaning.algorithm": "none", "score.window.skies": 6, "score.window.observations": 24},
+    )
+    window = score_survey(setup, coadds, ("actual",))["actual"].window
+    # A scan of length L along x turns exp(i k x) into itself less its mean, sinc(k_x L / 2) exp(i k x_0); what
+    # stays in phase is 1 - sinc^2. Half of the scans run along x, half along y; W is the azimuthal mean.
+    length = setup.raster.speed_rad_s * setup.raster.scan_s
+    azimuth = (np.arange(3600) + 0.5) * (2 * np.pi / 3600)
+    for ell, found, error in zip(window.ell, window.transmission, window.error, strict=True):
+        along = [np.sinc(ell * f(azimuth) * length / (2 * np.pi)) ** 2 for f in (np.cos, np.sin)]
+        expected = np.mean((1 - 0.5 * (along[0] + along[1])) ** 2)
+        # Below, the field holds few modes; above, where the beam leaves a hundredth, the steps that the means
+        # of large-scale signal leave between scans show. 2 % of model error: scan ends weigh less in the taper.
+        if 3000 < ell < 10000:
+            assert found == pytest.approx(expected, abs=0.02 + 3 * error)
+
+
+def test_a_flat_cmb_comes_back_with_its_band_power(tmp_path):
+    power = 4000.0
+    found, spread = [], []
+    for seed in range(4):
+        setup, coadds = survey(
+            tmp_path,
+            ("sky", "detector"),
+            **{
+                "seed": seed,
+                "sky.cmb_band_power": f"{power} uK2",
+                "sky.point_sources": [],
+                "detector.psd": "0.01 mK2 / Hz",
+                "cleaning.algorithm": "none",
+                "observations": 8,
+            },
+        )
+        score = score_survey(setup, coadds, ("actual",))["actual"]
+        band = setup.band
+        patch = weighted_mean(coadds.sums[0], coadds.weight[0])[band.patch, band.patch]
+        psd = map_psd(band.pad(patch), band.padded_taper, setup.geometry.pixel_rad, band.rings)
+        psd *= (1e3 * rj_to_cmb(143e9)) ** 2
+        # The sky dominates: weight its bins by its own variance.
+        total = power * score.signal_psd + score.noise_psd
+        modes = band.rings.n_modes
+        selected = band.selected & (band.rings.ell < 9000)
+        weight = np.where(selected, modes * score.signal_psd / total**2, 0)
+        found.append(weight @ (psd - score.noise_psd) / (weight @ score.signal_psd))
+        spread.append(np.sqrt(1 / np.sum((modes / 2 * (score.signal_psd / total) ** 2)[selected])))
+        assert found[-1] == pytest.approx(
+            estimate_amplitude(psd, total, score.signal_psd, modes, selected) + power, rel=0.02
+        )
+    # Cosmic variance of four fields, and 3 % for the sky grid's interpolation and the leakage of the steep spectrum.
+    assert np.mean(found) == pytest.approx(power, abs=4 * np.mean(spread) / 2 + 0.03 * power)
+
+
+def test_stream_psds_add_up(tmp_path):
+    """Raw PSDs are atmosphere + excess + white, each from its closed form."""
+    setup, coadds = survey(
+        tmp_path,
+        ("atmosphere", "excess", "detector"),
+        **{
+            "atmosphere.b2_probabilities": [0.5],
+            "atmosphere.b2": "[280] mK2 rad(-5/3)",
+            "atmosphere.wind_log_scatter": 0.0,
+            "observations": 60,
+            "scan.duration": "15 s",
+        },
+    )
+    scene, air = setup.scene, setup.scene.atmosphere
+    frequency = np.arange(76) / 15
+    elevation = scene.fixed_pointing.elevation_rad
+    amplitude = 280 * np.sin(elevation) ** (1 - air.index)
+    wind, scan = air.wind_median_rad_s, setup.raster.speed_rad_s
+    # The layer passes at the vector difference of wind and scan, at all angles alike.
+    angles = (np.arange(24) + 0.5) * (2 * np.pi / 24)
+    speeds = np.hypot(wind - scan * np.cos(angles), scan * np.sin(angles))
+    used = (frequency >= 0.3) & (frequency < 4.9)
+    atmosphere = np.mean([temporal_psd(setup.strips.screen, frequency[used], w) for w in speeds], axis=0)
+    excess = excess_psd(scene.excess, 2.05 * (280 / 46) ** (np.log(4.52 / 2.05) / np.log(580 / 46)), 15.0, frequency)
+    expected = amplitude * atmosphere + excess[used] + scene.detector.psd_mk2_hz
+    found = np.mean(coadds.raw_psd, axis=0)[used]
+    # 60 x 12 independent scans: the atmosphere, common to the detectors, has 1 / sqrt(720) = 3.7 % a bin; the Hann
+    # taper's leakage of f^-8/3 adds up to 5 % at the lowest bins.
+    assert np.allclose(found, expected, rtol=0.16)
+    assert np.mean(found / expected) == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.slow
+def test_lynx_gains_of_table_3():
+    """The survey's gains, paper section 5.2: 1.6 and 1.7, and none left when neighbours are masked."""
+    scene = load_scene(LYNX, {"observations": 160, "score.window.observations": 40})
+    setup = prepare(scene)
+    scores = score_survey(setup, run_observations(setup, None, workers=2))
+    sigma = {name: item.band.sigma_ukcmb2 for name, item in scores.items()}
+    # Tolerances: the paper's rounding and the Monte Carlo error of 160 observations, 4 % a ratio.
+    assert sigma["actual"] / sigma["uncorrelated"] == pytest.approx(1.6, abs=0.25)
+    assert sigma["uncorrelated"] / sigma["white"] == pytest.approx(1.7, abs=0.35)
+    assert sigma["masked_36"] * 36 / 115 / sigma["uncorrelated"] == pytest.approx(1.0, abs=0.2)
+    assert scores["actual"].band.ell_eff == pytest.approx(5700, abs=700)

@@ -1,0 +1,92 @@
+"""A small scene with every stage, for tests that need one: a survey of it takes about a second."""
+
+SMALL_SCENE = """\
+title = "A small camera over a small field"
+seed = 11
+observations = 4
+
+[field]
+ra = "08h49m12s"
+dec = "+44d50m24s"
+
+[fixed_pointing]
+elevation = "55 deg"
+parallactic_angle = "20 deg"
+
+[instrument]
+frequency = "143 GHz"
+beam_fwhm = "60 arcsec"
+f_lambda = "57.142857 arcsec"
+responsivity_scatter = 0.05
+camera_rotation = "60 deg"
+
+[instrument.layout]
+rings = 2
+pitch_f_lambda = 0.7
+dead = [5]
+
+[scan]
+speed = "4 arcmin / s"
+scans = 4
+duration = "6 s"
+turnaround = "2 s"
+step = "3 arcmin"
+dither = "2 arcmin"
+sample_rate = "10 Hz"
+
+[atmosphere]
+index = "11/3"
+layer_height = "1000 m"
+illuminated_aperture = "8 m"
+b2_probabilities = [0.25, 0.5, 0.75]
+b2 = "[100, 280, 980] mK2 rad(-5/3)"
+wind_median = "31 arcmin / s"
+wind_log_scatter = 0.4
+
+[excess]
+spectral_index = 1.0
+band_limit = "1 Hz"
+b2 = [46, 580]
+variance = "[2.05, 4.52] mK2"
+coherence = "field"
+
+[photon]
+psd = "2.5 mK2 / Hz"
+coherent_fraction = 0.1
+coherence = "field"
+
+[detector]
+psd = "2.5 mK2 / Hz"
+
+[sky]
+cmb_band_power = "1000 uK2"
+
+[[sky.point_sources]]
+ra = "08h49m20s"
+dec = "+44d51m00s"
+peak = "5 mK"
+
+[cleaning]
+algorithm = "average"
+tolerance = 1e-8
+max_iterations = 100
+
+[map]
+pixel = "30 arcsec"
+
+[score]
+size = "12 arcmin"
+taper_fraction = 0.5
+ell_bin = 2000
+ell_min = 4000
+ell_max = 12000
+jackknives = 4
+white_above = "2.5 Hz"
+mask_separation_f_lambda = 1.3
+simulated = ["uncorrelated", "white"]
+
+[score.window]
+skies = 2
+observations = 2
+band_power = "1000 uK2"
+"""
