@@ -238,9 +238,7 @@ def window_error(signal_psd_relative_error: np.ndarray, weight: np.ndarray) -> f
     return float(np.linalg.norm(weight[used] * signal_psd_relative_error[used]))
 
 
-def _information(
-    noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray
-) -> np.ndarray:
+def _information(noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """`n/2 (M/N)^2` of selected bins, zero in the others, (n_bin,)."""
     _check(noise_psd, signal_psd, n_modes, mask)
     information = np.zeros(mask.shape)

@@ -33,9 +33,7 @@ def tukey_taper(n_y: int, n_x: int, pixel_rad: float, size_rad: float, edge_frac
     extent_rad = min(n_y, n_x) * pixel_rad
     if not 0 < size_rad <= extent_rad * (1 + 1e-9):
         raise ValueError(f"size_rad must be in (0, {extent_rad}], the map's shorter side; got {size_rad}")
-    return np.outer(
-        _tukey(n_y, pixel_rad, size_rad, edge_fraction), _tukey(n_x, pixel_rad, size_rad, edge_fraction)
-    )
+    return np.outer(_tukey(n_y, pixel_rad, size_rad, edge_fraction), _tukey(n_x, pixel_rad, size_rad, edge_fraction))
 
 
 def _tukey(n: int, pixel_rad: float, size_rad: float, edge_fraction: float) -> np.ndarray:
@@ -82,6 +80,29 @@ def annuli(n_y: int, n_x: int, pixel_rad: float, edges_ell: np.ndarray, taper: n
     ell_mean = np.bincount(bin_of_mode, multiplicity * ell, n_bin + 1)[:n_bin] / cells
     kept = np.sum(taper**2) ** 2 / (taper.size * np.sum(taper**4))
     return Annuli(edges_ell, ell_mean, cells * kept, bin_of_mode, multiplicity)
+
+
+def split_azimuth(rings: Annuli, n_y: int, n_x: int, pixel_rad: float, n_sector: int) -> Annuli:
+    """The same rings cut into sectors by the angle between a mode and the nearer map axis, 0 to 45 degrees.
+
+    Scans along the axes make the noise anisotropic with just this symmetry. Bin b of `rings` becomes bins
+    `b n_sector` to `b n_sector + n_sector - 1`; `edges_ell` stay those of the rings.
+    Raises ValueError for a sector without modes.
+    """
+    n_bin = rings.ell.size
+    k_y, k_x = fft.fftfreq(n_y, pixel_rad)[:, None], fft.rfftfreq(n_x, pixel_rad)[None, :]
+    from_axis = np.abs((np.arctan2(k_y, k_x).ravel() + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+    sector = np.minimum((from_axis / (np.pi / 4) * n_sector).astype(np.int64), n_sector - 1)
+    inside = rings.bin_of_mode < n_bin
+    bin_of_mode = np.where(inside, rings.bin_of_mode * n_sector + sector, n_bin * n_sector)
+    cells = np.bincount(bin_of_mode, rings.multiplicity, n_bin * n_sector + 1)[:-1]
+    if not cells.all():
+        raise ValueError(f"{n_sector} sectors leave one of the {n_bin} rings without modes in a sector")
+    of_ring = cells.reshape(n_bin, n_sector)
+    n_modes = rings.n_modes[:, None] * of_ring / of_ring.sum(axis=1, keepdims=True)
+    ell = mode_ell(n_y, n_x, pixel_rad).ravel()
+    ell_mean = np.bincount(bin_of_mode, rings.multiplicity * ell, n_bin * n_sector + 1)[:-1] / cells
+    return Annuli(rings.edges_ell, ell_mean, n_modes.ravel(), bin_of_mode, rings.multiplicity)
 
 
 def _multiplicity(n_y: int, n_x: int) -> np.ndarray:

@@ -32,8 +32,9 @@ class Timestreams:
     """Time-streams of one observation.
 
     `data_mk` (n_det, n_samp) mK Rayleigh-Jeans, float32 or float64; `time_s`, `ra_rad`, `dec_rad`
-    (boresight), `array_angle_rad` and `scan` (n_samp,), `scan` -1 outside scans and the samples of
-    one scan contiguous; `attributes` hold units, seed and truth.
+    (boresight), `array_angle_rad` (position angle of the array's y axis, counted from north at the map's
+    centre) and `scan` (n_samp,), `scan` -1 outside scans and the samples of one scan contiguous;
+    `attributes` hold units, seed and truth.
     """
 
     data_mk: np.ndarray
@@ -116,6 +117,8 @@ def _check_layout(path: str | Path, file) -> None:
     missing = [name for name in ("data", *_PER_SAMPLE, *_PER_DETECTOR) if name not in file]
     if missing or "fwhm_arcsec" not in file.attrs:
         raise ValueError(f"{path}: lacks {', '.join(missing or ['the attribute fwhm_arcsec'])}")
+    if file["data"].ndim != 2:
+        raise ValueError(f"{path}: data has the shape {file['data'].shape}; (n_det, n_samp) is expected")
     n_det, n_samp = file["data"].shape
     wanted = {name: (n_samp,) for name in _PER_SAMPLE} | {name: (n_det,) for name in _PER_DETECTOR}
     for name, shape in wanted.items():

@@ -38,11 +38,7 @@ def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.nd
     r)^2`, in which the sample variance common to both PSDs cancels. `ell` is (n_bin,).
     Raises ValueError for fewer than 2 skies, shapes that differ or a reference without power.
     """
-    if (
-        psd_cleaned.ndim != 2
-        or psd_cleaned.shape != psd_reference.shape
-        or psd_cleaned.shape[1:] != ell.shape
-    ):
+    if psd_cleaned.ndim != 2 or psd_cleaned.shape != psd_reference.shape or psd_cleaned.shape[1:] != ell.shape:
         raise ValueError(
             "expected psd_cleaned and psd_reference (n_sky, n_bin) and ell (n_bin,), got "
             f"{psd_cleaned.shape}, {psd_reference.shape} and {ell.shape}"

@@ -1,7 +1,6 @@
 """Checkpoints: the running sums of a survey on disk, so that a stopped run goes on with the same bits."""
 
 import json
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -21,16 +20,20 @@ def save_checkpoint(path: Path, coadds: CoAdds, scene_hash: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".part")
     meta = {"scene": scene_hash, "version": __version__, "seconds": coadds.seconds}
-    with open(partial, "wb") as file:
-        np.savez(
-            file,
-            meta=json.dumps(meta),
-            rows=np.array(coadds.rows),
-            raw_psd=np.array(coadds.raw_psd),
-            clean_psd=np.array(coadds.clean_psd),
-            **{name: getattr(coadds, name) for name in _ARRAYS},
-        )
-    partial.replace(path)
+    try:
+        with open(partial, "wb") as file:
+            np.savez(
+                file,
+                meta=json.dumps(meta),
+                rows=np.array(coadds.rows),
+                raw_psd=np.array(coadds.raw_psd),
+                clean_psd=np.array(coadds.clean_psd),
+                **{name: getattr(coadds, name) for name in _ARRAYS},
+            )
+        partial.replace(path)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
 
 
 def load_checkpoint(path: Path, scene_hash: str) -> CoAdds:
@@ -42,12 +45,15 @@ def load_checkpoint(path: Path, scene_hash: str) -> CoAdds:
         with np.load(path, allow_pickle=False) as file:
             meta = json.loads(str(file["meta"]))
             arrays = {name: file[name] for name in (*_ARRAYS, "rows", "raw_psd", "clean_psd")}
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise CheckpointError(f"{path}: damaged ({error}); delete it and run without --resume") from None
+            found = {key: str(meta[key]) for key in ("version", "scene")}
+            seconds = dict(meta["seconds"])
+    except Exception as error:  # zip, npy and JSON readers raise a wide range for damaged bytes
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise CheckpointError(f"{path}: damaged ({reason}); delete it and run without --resume") from None
     for key, expected in (("version", __version__), ("scene", scene_hash)):
-        if meta[key] != expected:
+        if found[key] != expected:
             raise CheckpointError(
-                f"{path}: of another {key} (found {meta[key][:12]}, expected {expected[:12]}); "
+                f"{path}: of another {key} (found {found[key][:12]}, expected {expected[:12]}); "
                 "run without --resume, or with --out elsewhere"
             )
     rows, raw, clean = (arrays.pop(name) for name in ("rows", "raw_psd", "clean_psd"))
@@ -56,5 +62,5 @@ def load_checkpoint(path: Path, scene_hash: str) -> CoAdds:
         rows=[tuple(float(value) for value in row) for row in rows],
         raw_psd=list(raw),
         clean_psd=list(clean),
-        seconds=meta["seconds"],
+        seconds=seconds,
     )

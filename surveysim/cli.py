@@ -1,16 +1,23 @@
 """The command line: run, plan, check, new."""
 
-import json
 import re
 import signal
 import sys
 import tomllib
+from collections.abc import Callable
+from errno import EISDIR, ENOTDIR
+from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any
+from threading import Event
+from time import process_time
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from surveysim.scene import Scene, SceneError, load_scene
+
+if TYPE_CHECKING:
+    from surveysim.coadds import CoAdds
 
 app = typer.Typer(
     add_completion=False,
@@ -20,14 +27,33 @@ app = typer.Typer(
 )
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="a scene file (TOML)")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override one key")]
-Workers = Annotated[int | None, typer.Option(min=1, help="worker processes; one a core by default")]
+Workers = Annotated[int | None, typer.Option(help="worker processes; one a core by default")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
 
+_asked_to_stop = Event()
+EXIT_FAILED = 1
 EXIT_WRONG_SCENE = 2
 EXIT_INTERRUPTED = 130
+DIRECTORIES = ("tables", "maps", "figures", "timestreams")
+FILES = ("summary.json", "scene.json", "checkpoint.npz")
+
+
+def _says_interrupted(command: Callable[..., None]) -> Callable[..., None]:
+    """A command that ends with one line and exit code 130 on Ctrl-C."""
+
+    @wraps(command)
+    def wrapped(*arguments: Any, **options: Any) -> None:
+        try:
+            command(*arguments, **options)
+        except KeyboardInterrupt:
+            typer.echo("interrupted", err=True)
+            raise typer.Exit(EXIT_INTERRUPTED) from None
+
+    return wrapped
 
 
 @app.command()
+@_says_interrupted
 def run(
     scene: SceneFile,
     out: Annotated[Path | None, typer.Option(help="where results go; outputs/<name> by default")] = None,
@@ -41,45 +67,50 @@ def run(
     quiet: Quiet = False,
 ) -> None:
     """Simulate, clean, map and score a scene."""
+    workers = _workers(workers)
     checked = _ready(scene, settings)
     directory = out or Path("outputs") / checked.name
     _check_writable(directory)
-    from surveysim.api import default_workers
+    from concurrent.futures.process import BrokenProcessPool
+
     from surveysim.api import run as run_scene
+    from surveysim.checkpoint import CheckpointError
     from surveysim.progress import progress_display
     from surveysim.report.text import print_result
 
-    workers = workers or default_workers()
-    # A batch system's request to stop is treated like Ctrl-C: the checkpoint is kept.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        with progress_display(checked, quiet) as progress:
-            result = run_scene(
-                checked, directory, workers, resume, save_timestreams, not no_figures, progress
-            )
+        with progress_display(checked, quiet) as show:
+            progress = _stopping(show)
+            result = run_scene(checked, directory, workers, resume, save_timestreams, not no_figures, progress)
+    except CheckpointError as error:
+        _fail(str(error))
     except KeyboardInterrupt:
-        kept = (directory / "checkpoint.npz").exists()
-        hint = f"; go on with --resume --out {directory}" if kept else ""
-        typer.echo(f"interrupted{hint}", err=True)
-        raise typer.Exit(EXIT_INTERRUPTED) from None
+        _stopped("interrupted", directory, EXIT_INTERRUPTED)
+    except BrokenProcessPool:
+        _stopped("a worker process was killed, perhaps for want of memory", directory, EXIT_FAILED)
+    except OSError as error:
+        _stopped(_cause(error), directory, EXIT_FAILED)
+    except (ValueError, ArithmeticError) as error:
+        _stopped(f"{scene}: an observation failed: {error}", directory, EXIT_FAILED)
     if not quiet:
         print_result(result, directory)
 
 
 @app.command()
+@_says_interrupted
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
     """Say what would run, what is left out, and what time, memory and disk it would take."""
+    workers = _workers(workers)
     checked = _ready(scene, settings)
-    from surveysim.api import default_workers
     from surveysim.plan import make_plan
     from surveysim.report.text import print_plan
     from surveysim.setup import prepare
 
-    workers = workers or default_workers()
-    print_plan(checked, make_plan(prepare(checked), workers), workers)
+    print_plan(checked, make_plan(prepare(checked), workers, process_time()), workers)
 
 
 @app.command()
+@_says_interrupted
 def check(scene: SceneFile, settings: Overrides = None) -> None:
     """Check a scene: errors only, each with file, key, what was found and what is allowed."""
     checked = _ready(scene, settings)
@@ -109,18 +140,71 @@ def new(
 
 def main() -> None:
     """Entry point: errors of the user become one line each and exit code 2, never a traceback."""
-    from surveysim.checkpoint import CheckpointError
-
+    _asked_to_stop.clear()
+    # A batch system's request to stop is treated like Ctrl-C: the checkpoint is kept.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _stop_once)
     try:
         app()
-    except (SceneError, CheckpointError) as error:
+    except SceneError as error:
         typer.echo(str(error), err=True)
         sys.exit(EXIT_WRONG_SCENE)
     except OSError as error:
-        typer.echo(f"{error.filename or 'output'}: {error.strerror or error}", err=True)
-        sys.exit(1)
+        typer.echo(_cause(error), err=True)
+        sys.exit(EXIT_FAILED)
+    except MemoryError:
+        typer.echo("not enough memory for this scene; 'surveysim plan' says how much one takes", err=True)
+        sys.exit(EXIT_FAILED)
     except KeyboardInterrupt:
         sys.exit(EXIT_INTERRUPTED)
+
+
+def _stop_once(number: int, frame: object) -> None:
+    """Interrupt the run; a second Ctrl-C would only cut short the saving of its checkpoint."""
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, signal.SIG_IGN)
+    _asked_to_stop.set()
+    # Python drops, with a traceback, what is raised inside a finalizer; `_stopping` raises it again.
+    sys.unraisablehook = _without_interrupts
+    raise KeyboardInterrupt
+
+
+def _without_interrupts(unraisable: Any) -> None:
+    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(unraisable)
+
+
+def _stopping(show: Callable[["CoAdds"], None]) -> Callable[["CoAdds"], None]:
+    """Progress that ends a run whose interrupt was lost in a finalizer."""
+
+    def progress(coadds: "CoAdds") -> None:
+        if _asked_to_stop.is_set():
+            raise KeyboardInterrupt
+        show(coadds)
+
+    return progress
+
+
+def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
+    """Say why a run stopped and how to go on; leave no half-written file."""
+    for partial in directory.rglob("*.part"):
+        partial.unlink(missing_ok=True)
+    kept = (directory / "checkpoint.npz").exists()
+    hint = f"; go on with --resume --out {directory}" if kept else ""
+    typer.echo(" ".join(reason.split()) + hint, err=True)
+    raise typer.Exit(code)
+
+
+def _cause(error: OSError) -> str:
+    return f"{error.filename or 'output'}: {error.strerror or error}"
+
+
+def _workers(workers: int | None) -> int:
+    from surveysim.api import default_workers
+
+    if workers is not None and workers < 1:
+        raise SceneError(f"--workers: found {workers}; 1 or more is expected")
+    return workers or default_workers()
 
 
 def _ready(path: Path, settings: list[str] | None) -> Scene:
@@ -137,21 +221,29 @@ def _ready(path: Path, settings: list[str] | None) -> Scene:
 
 def _setting(text: str) -> tuple[str, Any]:
     key, separator, value = text.partition("=")
-    if not separator:
+    if not separator or not all(part.strip() for part in key.split(".")):
         raise SceneError(f"--set: found {text!r}; KEY=VALUE is expected")
+    key, value = key.strip(), value.strip()
     try:
-        return key.strip(), tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
-        return key.strip(), tomllib.loads(f"value = {json.dumps(value.strip())}")["value"]
+        parsed = tomllib.loads(f"value = {value}")
+    except ValueError:
+        return key, value  # text needs no quotes here
+    return key, parsed["value"] if len(parsed) == 1 else value
 
 
 def _check_writable(directory: Path) -> None:
     """Fail before an hour of work, not after it, when the output can't be written."""
     directory.mkdir(parents=True, exist_ok=True)
+    for path in (directory / name for name in DIRECTORIES):
+        if path.exists() and not path.is_dir():
+            raise NotADirectoryError(ENOTDIR, "a file where a folder is to be written", str(path))
+    for path in (directory / name for name in FILES):
+        if path.is_dir():
+            raise IsADirectoryError(EISDIR, "a folder where a file is to be written", str(path))
     probe = directory / ".writable"
     probe.touch()
     probe.unlink()
 
 
-def _fail(message: str) -> None:
+def _fail(message: str) -> NoReturn:
     raise SceneError(message)

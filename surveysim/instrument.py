@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from mapmaker.timestreams import FocalPlane
-from surveysim.scene import Instrument as InstrumentSection
+from surveysim.sections import Instrument as InstrumentSection
 
 
 @dataclass(frozen=True)

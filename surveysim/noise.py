@@ -6,7 +6,7 @@ One-sided PSDs throughout; streams are (n_det, n_samp) float32 with whole scans 
 import numpy as np
 from scipy.fft import irfft, next_fast_len
 
-from surveysim.scene import Excess
+from surveysim.sections import Excess
 
 
 def add_white(data_mk: np.ndarray, psd_mk2_hz: float, sample_rate_hz: float, rng: np.random.Generator) -> None:
@@ -124,6 +124,7 @@ def white_level(psd_mk2_hz: np.ndarray, sample_rate_hz: float, above_hz: float) 
     high = (frequency > above_hz) & (frequency < sample_rate_hz / 2)
     if not high.any():
         raise ValueError(
-            f"score.white_above: found {above_hz:g} Hz; less than half the sample rate, {sample_rate_hz / 2:g} Hz, is expected"
+            f"score.white_above: found {above_hz:g} Hz; "
+            f"less than half the sample rate, {sample_rate_hz / 2:g} Hz, is expected"
         )
     return psd_mk2_hz[:, high].mean(axis=1)

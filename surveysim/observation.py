@@ -107,10 +107,8 @@ def observe(setup: Setup, observation: int, with_window: bool) -> tuple[Observat
     bounds = streams.scan_bounds
     plane = streams.focal_plane
     with watch("pixels"):
-        index = boresight_pixels(
-            setup.geometry, pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad, plane
-        )
-    arrays = [np.arange(len(streams.data_mk))] + ([] if setup.masked is None else [setup.masked])
+        index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad, plane)
+    arrays = [slice(None)] + ([] if setup.masked is None else [setup.masked])
     with watch("cleaning"):
         cleaned = [_clean(setup, streams.data_mk[rows], bounds, plane.subset(rows)) for rows in arrays]
     with watch("spectra"):
@@ -152,9 +150,7 @@ def observe(setup: Setup, observation: int, with_window: bool) -> tuple[Observat
     return result, streams
 
 
-def add_sky_signal(
-    setup: Setup, pointing: Pointing, sky_mk: np.ndarray, data_mk: np.ndarray, gain: np.ndarray
-) -> None:
+def add_sky_signal(setup: Setup, pointing: Pointing, sky_mk: np.ndarray, data_mk: np.ndarray, gain: np.ndarray) -> None:
     """Add what the detectors see of a sky on the setup's sky grid to the streams, in place."""
     grid, plane = setup.sky_geometry, setup.camera.focal_plane
     scale = 1 / grid.pixel_rad
@@ -230,12 +226,16 @@ def _timestreams(
     setup: Setup, observation: int, pointing: Pointing, weather: Weather | None, data: np.ndarray
 ) -> Timestreams:
     ra, dec = plane_directions(setup.geometry, pointing.xi_rad, pointing.eta_rad)
-    truth = {} if weather is None else {
-        "b2_mk2": weather.b2,
-        "wind_speed_arcmin_s": np.degrees(weather.wind_speed_rad_s) * 60,
-        "wind_angle_deg": np.degrees(weather.wind_angle_rad),
-        "layer_height_m": setup.scene.atmosphere.layer_height_m,
-    }
+    truth = (
+        {}
+        if weather is None
+        else {
+            "b2_mk2": weather.b2,
+            "wind_speed_arcmin_s": np.degrees(weather.wind_speed_rad_s) * 60,
+            "wind_angle_deg": np.degrees(weather.wind_angle_rad),
+            "layer_height_m": setup.scene.atmosphere.layer_height_m,
+        }
+    )
     attributes = {
         "scene": setup.scene.name,
         "seed": setup.scene.seed,
@@ -298,7 +298,7 @@ def _window_maps(
     pointing: Pointing,
     streams: Timestreams,
     index: np.ndarray,
-    arrays: list[np.ndarray],
+    arrays: list[np.ndarray | slice],
     cleaned: list[Cleaned],
 ) -> np.ndarray:
     """Signal of each window sky without and with cleaning, the difference that it makes to the cleaned data."""

@@ -9,9 +9,13 @@ from surveysim.observation import observe
 from surveysim.results import scan_samples, stages_left_out
 from surveysim.setup import Setup, window_observations
 
-# What Python and the libraries hold before the first array, and what one observation's work doubles to.
-BASE_BYTES = 190e6
+# What Python and the libraries hold before the first array, what drawing figures adds, and how many copies of
+# its streams one observation's work takes.
+BASE_BYTES = 230e6
+FIGURE_BYTES = 80e6
 WORKING_COPIES = 8
+# The figures of a scored run take about three times as long as it takes to start.
+FIGURE_STARTS = 3
 
 
 @dataclass(frozen=True)
@@ -27,8 +31,11 @@ class Plan:
     timestream_bytes: float
 
 
-def make_plan(setup: Setup, workers: int) -> Plan:
-    """Predict by running one observation (twice: the first warms the caches) with and without window skies."""
+def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
+    """Predict by running one observation (twice: the first warms the caches) with and without window skies.
+
+    `start_s` is the time that it took to start and to prepare `setup`; worker processes take it once more.
+    """
     scene = setup.scene
     n_window = int(window_observations(scene).sum())
     seconds = {}
@@ -39,14 +46,16 @@ def make_plan(setup: Setup, workers: int) -> Plan:
         seconds[with_window] = perf_counter() - start
     total = (scene.observations - n_window) * seconds[False] + n_window * seconds.get(True, 0.0)
     samples = len(setup.responsivity) * setup.raster.n_scans * scan_samples(setup)
+    parallel = min(workers, scene.observations, os.cpu_count() or 1)
+    starts = 1 + (parallel > 1) + FIGURE_STARTS * (scene.score is not None)
     coadds = empty_coadds(setup)
     maps = coadds.sums.nbytes + coadds.weight.nbytes + coadds.hits.nbytes
     return Plan(
         stages=_stages(setup, n_window),
         left_out={name: f"no section [{name}]" for name in stages_left_out(scene)},
         detector_samples=samples * scene.observations,
-        wall_s=total / min(workers, scene.observations, os.cpu_count() or 1),
-        memory_bytes=BASE_BYTES + _bytes(coadds) + 4 * samples * WORKING_COPIES,
+        wall_s=starts * start_s + total / parallel,
+        memory_bytes=BASE_BYTES + FIGURE_BYTES + _bytes(coadds) + 4 * samples * WORKING_COPIES,
         output_bytes=0.6 * maps + 400 * scene.observations,
         timestream_bytes=4.0 * samples * scene.observations,
     )

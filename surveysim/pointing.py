@@ -97,9 +97,7 @@ def _sky(field: FieldCentre, site: Site, mjd: np.ndarray):
     from astropy.time import Time
 
     centre = SkyCoord(field.ra_rad * u.rad, field.dec_rad * u.rad, frame="icrs")
-    place = EarthLocation.from_geodetic(
-        site.longitude_rad * u.rad, site.latitude_rad * u.rad, site.height_m * u.m
-    )
+    place = EarthLocation.from_geodetic(site.longitude_rad * u.rad, site.latitude_rad * u.rad, site.height_m * u.m)
     return centre, {"obstime": Time(mjd, format="mjd", scale="utc"), "location": place}
 
 
@@ -135,9 +133,7 @@ def _hour_angle_dec(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np
         return seen.ha.wrap_at(180 * u.deg).to_value(u.rad), seen.dec.to_value(u.rad)
 
 
-def _half_window_s(
-    dec_rad: np.ndarray, site: Site, max_hour_angle_rad: float, min_elevation_rad: float
-) -> np.ndarray:
+def _half_window_s(dec_rad: np.ndarray, site: Site, max_hour_angle_rad: float, min_elevation_rad: float) -> np.ndarray:
     """Time from transit to the limit in hour angle or elevation, (nights,) [s]; ValueError if too low."""
     highest = np.pi / 2 - np.abs(site.latitude_rad - dec_rad).min()
     if highest < min_elevation_rad:

@@ -73,5 +73,8 @@ def score_so_far(scene: Scene, coadds: CoAdds) -> str:
     windows = window_observations(scene)[: coadds.done].sum()
     if scene.score is None or coadds.done < 2 or windows < 2:
         return ""
-    band = score_survey(prepare(scene), coadds, ("actual",))["actual"].band
+    try:
+        band = score_survey(prepare(scene), coadds, ("actual",))["actual"].band
+    except ValueError:  # too few scans are kept so far
+        return ""
     return f"sigma(A) = {band.sigma_ukcmb2:.3g} +- {band.error_ukcmb2:.2g} uK_CMB^2"

@@ -11,7 +11,7 @@ from mapmaker.bandpower import flat_band_power_fixed_weights
 from surveysim import __version__
 from surveysim.coadds import CoAdds
 from surveysim.scene import Scene, scene_hash
-from surveysim.scores import DataSetScore, Gain, gain, rescore, score_survey
+from surveysim.scores import DataSetScore, Gain, gain, rescore, score_survey, sector_sigma
 from surveysim.setup import Setup
 
 PACKAGES = ("numpy", "scipy", "numba", "astropy", "healpy", "h5py", "pydantic")
@@ -42,20 +42,25 @@ class Row:
 
 @dataclass(frozen=True)
 class SurveyResult:
-    """A finished run: setup, sums and scores (empty without a score or with too few observations)."""
+    """A finished run: setup, sums and scores; no scores without [score], or if `unscored` says why not."""
 
     setup: Setup
     coadds: CoAdds
     scores: dict[str, DataSetScore]
     wall_s: float
     workers: int
+    unscored: str = ""
 
 
 def survey_result(setup: Setup, coadds: CoAdds, wall_s: float, workers: int) -> SurveyResult:
     """Score what was summed."""
-    scorable = setup.scene.score is not None and coadds.done > 1
-    scores = score_survey(setup, coadds) if scorable else {}
-    return SurveyResult(setup, coadds, scores, wall_s, workers)
+    scores, unscored = {}, ""
+    if setup.scene.score is not None:
+        try:
+            scores = score_survey(setup, coadds)
+        except ValueError as error:  # too few observations, or too few scans kept in them
+            unscored = str(error)
+    return SurveyResult(setup, coadds, scores, wall_s, workers, unscored)
 
 
 def score_rows(result: SurveyResult) -> list[Row]:
@@ -73,9 +78,7 @@ def score_rows(result: SurveyResult) -> list[Row]:
 
 def _row(item: DataSetScore) -> Row:
     band = item.band
-    return Row(
-        item.name, item.n_det, band.sigma_ukcmb2, band.error_ukcmb2, band.ell_eff, band.fwhm_ell, None
-    )
+    return Row(item.name, item.n_det, band.sigma_ukcmb2, band.error_ukcmb2, band.ell_eff, band.fwhm_ell, None)
 
 
 def gains(result: SurveyResult) -> dict[str, Gain]:
@@ -96,12 +99,14 @@ def gains(result: SurveyResult) -> dict[str, Gain]:
 def alternatives(result: SurveyResult) -> list[dict[str, float | str]]:
     """The same data scored otherwise: from other lowest multipoles, and with every set's bins weighted alike.
 
-    `weights` is "own" (each data set weights its bins by its own noise) or "actual" (all by the actual
-    data's noise). Masked sets are scaled by their share of the detectors.
+    `weights` is "own" (each data set weights its bins by its own noise), "actual" (all by the actual
+    data's noise) or "own, 2-D" (modes also by their direction, which the scans set; the scene's range).
+    Masked sets are scaled by their share of the detectors.
     """
     score = result.setup.scene.score
     lowest = [ell for ell in ALTERNATIVE_ELL_MIN if ell + score.ell_bin <= score.ell_max]
-    return [_alternative(result, weights, ell) for weights in ("own", "actual") for ell in lowest]
+    rows = [_alternative(result, weights, ell) for weights in ("own", "actual") for ell in lowest]
+    return [*rows, _by_direction(result)]
 
 
 def _alternative(result: SurveyResult, weights: str, ell_min: int) -> dict[str, float | str]:
@@ -118,6 +123,17 @@ def _alternative(result: SurveyResult, weights: str, ell_min: int) -> dict[str, 
             sigma = flat_band_power_fixed_weights(
                 item.noise_psd, item.signal_psd, result.setup.band.rings.n_modes, used, reference.noise_psd
             )
+        row[f"{name}_scaled" if share < 1 else name] = share * sigma
+    return row
+
+
+def _by_direction(result: SurveyResult) -> dict[str, float | str]:
+    band, setup = result.scores["actual"].band, result.setup
+    row: dict[str, float | str] = {"weights": "own, 2-D", "ell_min": setup.scene.score.ell_min}
+    row |= {"ell_eff": band.ell_eff, "fwhm_ell": band.fwhm_ell}
+    for name, item in result.scores.items():
+        share = item.n_det / len(setup.responsivity)
+        sigma = sector_sigma(setup, result.coadds, item)
         row[f"{name}_scaled" if share < 1 else name] = share * sigma
     return row
 
@@ -151,6 +167,8 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "mean_iterations": float(rows[:, n_arrays].mean()),
         "scores": {},
     }
+    if result.unscored:
+        content["unscored"] = result.unscored
     if result.scores:
         content["scores"] = {row.name: _score_entry(row) for row in score_rows(result)}
         content["error_budget"] = {name: vars(item.budget) for name, item in result.scores.items()}

@@ -4,13 +4,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmaker.bandpower import BandPower, ErrorBudget, flat_spectrum_psd, noise_error, score
+from mapmaker.bandpower import (
+    BandPower,
+    ErrorBudget,
+    flat_band_power,
+    flat_spectrum_psd,
+    noise_error,
+    score,
+)
 from mapmaker.binning import weighted_mean
-from mapmaker.spectrum import map_psd
+from mapmaker.spectrum import Annuli, annuli, map_psd, split_azimuth
 from mapmaker.window import Window, beam_window, pixel_window, signal_window
 from surveysim.coadds import CoAdds, n_arrays
 from surveysim.setup import Setup
 from surveysim.units import rj_to_cmb
+
+N_SECTORS = 3
 
 
 @dataclass(frozen=True)
@@ -50,7 +59,7 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
 
     Raises ValueError with fewer than 2 observations with data, or before a window observation is in.
     """
-    windows = [_window(setup, coadds, array) for array in range(n_arrays(setup))]
+    windows = [_window(setup, coadds, array, setup.band.rings) for array in range(n_arrays(setup))]
     noise = coadds.noise_mk2()
     scores = {}
     for s, name in enumerate(setup.data_sets):
@@ -58,7 +67,7 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
             masked = name.startswith("masked")
             n_det = len(setup.masked) if masked else len(setup.responsivity)
             good = np.isfinite(noise[:, s]) & (noise[:, s] > 0)
-            psds = _noise_psds(setup, coadds, s)
+            psds = _noise_psds(setup, coadds, s, setup.band.rings)
             scores[name] = _score(setup, name, n_det, psds, windows[int(masked)], 1 / noise[good, s])
     return scores
 
@@ -68,6 +77,26 @@ def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
     low, high = setup.band.rings.edges_ell[:-1], setup.band.rings.edges_ell[1:]
     selected = (low >= ell_min) & (high <= setup.scene.score.ell_max)
     return _score(setup, item.name, item.n_det, item.noise_psds, item.window, item.weights, selected)
+
+
+def sector_sigma(setup: Setup, coadds: CoAdds, item: DataSetScore) -> float:
+    """sigma(A) [uK_CMB^2] of the scored range with modes weighted by their direction too (`split_azimuth`)."""
+    band = setup.band
+    n_pad = len(band.mode_weight)
+    # The padded patch has no modes for sectors in the lowest rings: take the scored ones alone.
+    edges = band.rings.edges_ell[:-1][band.selected]
+    rings = annuli(
+        n_pad,
+        n_pad,
+        setup.geometry.pixel_rad,
+        np.append(edges, edges[-1] + setup.scene.score.ell_bin),
+        band.padded_taper,
+    )
+    sectors = split_azimuth(rings, n_pad, n_pad, setup.geometry.pixel_rad, N_SECTORS)
+    noise = _noise_psds(setup, coadds, setup.data_sets.index(item.name), sectors).mean(axis=0)
+    window = _window(setup, coadds, int(item.name.startswith("masked")), sectors)
+    signal = _signal_psd(setup, window)
+    return flat_band_power(noise, signal, sectors.n_modes, np.ones(len(noise), bool))
 
 
 def gain(worse: DataSetScore, better: DataSetScore, factor: float = 1.0) -> Gain:
@@ -93,34 +122,36 @@ def gain(worse: DataSetScore, better: DataSetScore, factor: float = 1.0) -> Gain
 
 
 def _score(setup, name, n_det, psds, window, weights, selected=None) -> DataSetScore:
-    rings = setup.band.rings
-    beam = beam_window(rings.ell, setup.scene.instrument.beam_fwhm_rad)
-    pixel = pixel_window(rings.ell, setup.scene.map.pixel_rad)
-    signal = flat_spectrum_psd(rings.ell) * beam * pixel * window.transmission
+    rings, signal = setup.band.rings, _signal_psd(setup, window)
     relative = np.divide(
         window.error, window.transmission, out=np.zeros_like(window.error), where=window.transmission > 0
     )
     selected = setup.band.selected if selected is None else selected
-    band, budget = score(
-        psds, signal, relative, rings.n_modes, selected, weights, rings.ell, rings.edges_ell
-    )
+    band, budget = score(psds, signal, relative, rings.n_modes, selected, weights, rings.ell, rings.edges_ell)
     return DataSetScore(name, n_det, band, budget, psds, signal, window, weights)
 
 
-def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int) -> np.ndarray:
+def _signal_psd(setup: Setup, window: Window) -> np.ndarray:
+    """PSD (n_bin,) [sr] that a flat spectrum of unit band power leaves in the map."""
+    beam = beam_window(window.ell, setup.scene.instrument.beam_fwhm_rad)
+    pixel = pixel_window(window.ell, setup.scene.map.pixel_rad)
+    return flat_spectrum_psd(window.ell) * beam * pixel * window.transmission
+
+
+def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> np.ndarray:
     """PSDs (K, n_bin) [uK_CMB^2 sr] of the sign-flipped co-adds."""
     patch = setup.band.patch
     maps = weighted_mean(coadds.flipped[:, data_set], coadds.weight[data_set][patch, patch])
     to_ukcmb = 1e3 * rj_to_cmb(setup.scene.instrument.frequency_hz)
-    return _psd(setup, maps) * to_ukcmb**2
+    return _psd(setup, maps, rings) * to_ukcmb**2
 
 
-def _window(setup: Setup, coadds: CoAdds, array: int) -> Window:
+def _window(setup: Setup, coadds: CoAdds, array: int, rings: Annuli) -> Window:
     maps = weighted_mean(coadds.window[:, array], coadds.window_weight[array])
-    psd = _psd(setup, maps)
-    return signal_window(psd[:, 1], psd[:, 0], setup.band.rings.ell)
+    psd = _psd(setup, maps, rings)
+    return signal_window(psd[:, 1], psd[:, 0], rings.ell)
 
 
-def _psd(setup: Setup, patches: np.ndarray) -> np.ndarray:
+def _psd(setup: Setup, patches: np.ndarray, rings: Annuli) -> np.ndarray:
     band = setup.band
-    return map_psd(band.pad(patches), band.padded_taper, setup.geometry.pixel_rad, band.rings)
+    return map_psd(band.pad(patches), band.padded_taper, setup.geometry.pixel_rad, rings)

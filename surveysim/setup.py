@@ -6,13 +6,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from scipy.fft import next_fast_len, rfft2
-
-from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.cleaning.templates import TemplateOptions
 from mapmaker.geometry import MapGeometry, covering_geometry
-from mapmaker.spectrum import Annuli, annuli, mode_ell, tukey_taper
-from mapmaker.window import beam_window
+from surveysim.band import Band, scored_band
+from surveysim.checks import check_excess, check_masked, check_score, check_size, check_templates, reach
 from surveysim.coherence import correlation_factor, correlation_matrix
 from surveysim.instrument import Camera, camera, mask_by_separation
 from surveysim.pointing import (
@@ -35,41 +32,6 @@ class Angles:
     start_mjd: np.ndarray
     elevation_rad: np.ndarray
     parallactic_rad: np.ndarray
-
-
-@dataclass(frozen=True)
-class Band:
-    """The scored sky area and multipoles.
-
-    `patch`: rows (and columns) of the map under the taper; `taper` (n, n) on the patch; `rings` the bins
-    of multipole of the patch padded to (n_pad, n_pad); `selected` (n_bin,) bins that count; `mode_weight`
-    (n_pad, n_pad // 2 + 1): squared signal PSD times multiplicity in the scored range.
-    """
-
-    patch: slice
-    taper: np.ndarray
-    rings: Annuli
-    selected: np.ndarray
-    mode_weight: np.ndarray
-
-    @property
-    def padded_taper(self) -> np.ndarray:
-        """The taper on the grid of the rings."""
-        return self.pad(self.taper)
-
-    def pad(self, patch: np.ndarray) -> np.ndarray:
-        """A patch (..., n, n) with zeros up to the grid of the rings."""
-        extra = len(self.mode_weight) - self.taper.shape[0]
-        return np.pad(patch, [(0, 0)] * (patch.ndim - 2) + [(0, extra)] * 2)
-
-    def noise(self, total: np.ndarray, hits: np.ndarray) -> float:
-        """Noise variance a sample of a patch of sums and hits, both (n, n); inf without a hit."""
-        norm = float(np.sum(self.taper**2 * hits))
-        if norm == 0:
-            return np.inf
-        modes = rfft2(self.taper * total, s=self.mode_weight.shape[:1] * 2, workers=1)
-        power = modes.real**2 + modes.imag**2
-        return float(np.sum(self.mode_weight * power) / (self.mode_weight.sum() * norm))
 
 
 @dataclass(frozen=True)
@@ -122,6 +84,7 @@ def _prepare(scene: Scene) -> Setup:
     cam = camera(scene.instrument)
     lines = _raster(scene)
     check_templates(scene, cam)
+    check_size(scene, cam)
     geometry = _geometry(scene, cam, scene.map.pixel_rad)
     # Half a map pixel holds the beam's multipoles with room to spare.
     sky_geometry = _geometry(scene, cam, scene.map.pixel_rad / 2)
@@ -129,10 +92,11 @@ def _prepare(scene: Scene) -> Setup:
     if scene.score and scene.score.mask_separation_f_lambda:
         masked = mask_by_separation(cam.positions_f_lambda, scene.score.mask_separation_f_lambda)
         check_masked(scene, masked)
-    _check_score(scene, geometry)
+    check_score(scene, geometry)
+    check_excess(scene)
     return Setup(
         scene=scene,
-        band=_band(scene, geometry),
+        band=scored_band(scene, geometry),
         camera=cam,
         raster=lines,
         angles=_angles(scene, lines),
@@ -149,76 +113,6 @@ def _prepare(scene: Scene) -> Setup:
     )
 
 
-N_TEMPLATES = {"none": 0, "average": 1, "planar": 3, "quadratic": 6}
-
-
-def check_templates(scene: Scene, cam: Camera) -> None:
-    """Raise SceneError when the templates have no atmosphere to follow, or too few detectors."""
-    if scene.atmosphere is None and scene.cleaning.algorithm != "none":
-        # The iteration calibrates detectors on their common signal; without one it discards every scan.
-        raise SceneError(
-            f"cleaning.algorithm: found {scene.cleaning.algorithm!r} without [atmosphere]; 'none' is expected"
-        )
-    _check_count(scene, len(cam.focal_plane.x_rad), "cleaning.algorithm")
-
-
-def check_masked(scene: Scene, masked: np.ndarray) -> None:
-    """Raise SceneError when the mask leaves too few detectors for the templates."""
-    _check_count(scene, len(masked), "score.mask_separation_f_lambda")
-
-
-def _check_count(scene: Scene, n_det: int, key: str) -> None:
-    needed = N_TEMPLATES[scene.cleaning.algorithm] + 1
-    if n_det < needed:
-        raise SceneError(f"{key}: found {n_det} detectors; {scene.cleaning.algorithm!r} needs {needed} or more")
-
-
-def _check_score(scene: Scene, geometry: MapGeometry) -> None:
-    if scene.score is None:
-        return
-    extent = geometry.n_x * geometry.pixel_rad
-    if scene.score.size_rad > extent:
-        found, allowed = (math.degrees(x) * 60 for x in (scene.score.size_rad, extent))
-        raise SceneError(f"score.size: found {found:.4g} arcmin; the map's {allowed:.4g} arcmin or less is expected")
-    nyquist = math.pi / geometry.pixel_rad
-    if scene.score.ell_max > nyquist:
-        raise SceneError(
-            f"score.ell_max: found {scene.score.ell_max}; the map pixel's {nyquist:.0f} or less is expected"
-        )
-    if scene.score.white_above_hz >= scene.scan.sample_rate_hz / 2:
-        raise SceneError(
-            f"score.white_above: found {scene.score.white_above_hz:g} Hz; "
-            f"less than half the sample rate, {scene.scan.sample_rate_hz / 2:g} Hz, is expected"
-        )
-
-
-def _band(scene: Scene, geometry: MapGeometry) -> Band | None:
-    score = scene.score
-    if score is None:
-        return None
-    n = min(geometry.n_x, 2 * math.ceil(score.size_rad / geometry.pixel_rad / 2))
-    first = (geometry.n_x - n) // 2
-    taper = tukey_taper(n, n, geometry.pixel_rad, score.size_rad, score.taper_fraction)
-    # The padding resolves bins of multipole that are narrower than the patch's own modes.
-    n_pad = next_fast_len(2 * n, real=True)
-    edges = np.arange(0, score.ell_max + score.ell_bin, score.ell_bin)
-    edges = edges[edges <= max(score.ell_max, score.ell_min + score.ell_bin)].astype(float)
-    padded = np.pad(taper, (0, n_pad - n))
-    rings = annuli(n_pad, n_pad, geometry.pixel_rad, edges, padded)
-    selected = (edges[:-1] >= score.ell_min) & (edges[1:] <= score.ell_max)
-    if not selected.any():
-        raise SceneError(
-            f"score.ell_bin: found {score.ell_bin}; a bin within ell_min to ell_max is expected"
-        )
-    ell = mode_ell(n_pad, n_pad, geometry.pixel_rad)
-    signal = np.zeros(ell.shape)
-    inside = (ell >= score.ell_min) & (ell < score.ell_max)
-    signal[inside] = flat_spectrum_psd(ell[inside]) * beam_window(ell[inside], scene.instrument.beam_fwhm_rad)
-    signal /= signal.max()
-    weight = signal**2 * rings.multiplicity.reshape(ell.shape)
-    return Band(slice(first, first + n), taper, rings, selected, weight)
-
-
 def _raster(scene: Scene) -> Raster:
     scan = scene.scan
     return Raster(
@@ -233,11 +127,7 @@ def _raster(scene: Scene) -> Raster:
 
 
 def _geometry(scene: Scene, cam: Camera, pixel_rad: float) -> MapGeometry:
-    scan = scene.scan
-    along = scan.speed_rad_s * scan.duration_s / 2
-    across = scan.step_rad * (scan.scans - 1) / 2
-    reach = max(along, across) + scan.dither_rad / 2 + cam.radius_rad
-    return covering_geometry(scene.field.ra_rad, scene.field.dec_rad, pixel_rad, reach)
+    return covering_geometry(scene.field.ra_rad, scene.field.dec_rad, pixel_rad, reach(scene, cam))
 
 
 def _angles(scene: Scene, lines: Raster) -> Angles:
@@ -295,7 +185,10 @@ def _strips(scene: Scene, cam: Camera):
 
     air = scene.atmosphere
     outer = math.inf if air.outer_scale_m is None else air.outer_scale_m / air.layer_height_m
-    screen = Screen(air.index, air.illuminated_aperture_m / air.layer_height_m, outer)
+    try:
+        screen = Screen(air.index, air.illuminated_aperture_m / air.layer_height_m, outer)
+    except ValueError as error:
+        raise SceneError(f"atmosphere: {error}") from None
     return StripCache(screen, cam.radius_rad, strip_step(screen))
 
 

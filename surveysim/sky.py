@@ -3,7 +3,7 @@
 import numpy as np
 
 from mapmaker.geometry import MapGeometry, plane_directions, plane_offsets
-from surveysim.scene import PointSource, Sky
+from surveysim.sections import PointSource, Sky
 from surveysim.units import rj_to_cmb
 
 

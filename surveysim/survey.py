@@ -8,7 +8,7 @@ from time import monotonic
 from mapmaker.timestreams import write_timestreams
 from surveysim.checkpoint import load_checkpoint, save_checkpoint
 from surveysim.coadds import CoAdds, add_observation, empty_coadds
-from surveysim.engines import ordered_map
+from surveysim.engines import held_back_signals, ordered_map
 from surveysim.observation import ObservationResult, observe
 from surveysim.scene import scene_hash
 from surveysim.setup import Setup, window_observations
@@ -43,8 +43,9 @@ def run_observations(
     """Run all observations of a scene and add them up in order.
 
     `progress` is called after each. With a `checkpoint` path, the sums are written there every few
-    seconds and when the run is interrupted (KeyboardInterrupt passes on); with `resume`, they are taken
-    up from there. Raises CheckpointError for one that does not belong to the scene.
+    seconds and when the run is interrupted or fails (KeyboardInterrupt and errors pass on); with `resume`,
+    they are taken up from there. Raises CheckpointError for one that does not belong to the scene, and
+    BrokenProcessPool when a worker process is gone.
     """
     identity = scene_hash(setup.scene)
     coadds = empty_coadds(setup)
@@ -52,16 +53,18 @@ def run_observations(
         coadds = load_checkpoint(checkpoint, identity)
     job = ObservationJob(setup, timestream_dir)
     results = ordered_map(job, range(coadds.done, setup.scene.observations), workers)
-    saved = monotonic()
+    saved, saved_done = monotonic(), coadds.done
     try:
         for result in results:
-            add_observation(setup, coadds, result)
+            # An observation is in the sums whole or not at all: a checkpoint may be made of them any time.
+            with held_back_signals():
+                add_observation(setup, coadds, result)
             progress(coadds)
             if checkpoint is not None and monotonic() - saved > CHECKPOINT_SECONDS:
                 save_checkpoint(checkpoint, coadds, identity)
-                saved = monotonic()
-    except KeyboardInterrupt:
-        if checkpoint is not None and coadds.done:
+                saved, saved_done = monotonic(), coadds.done
+    except BaseException:
+        if checkpoint is not None and coadds.done > saved_done:
             save_checkpoint(checkpoint, coadds, identity)
         raise
     finally:

@@ -29,11 +29,10 @@ def to_float(text: object, unit: str) -> float:
             raise ValueError(f"found the bare number {text}; a string with a unit like {unit!r} is expected")
         return _finite(float(text), text)
     try:
-        return _finite(float(u.Quantity(text).to_value(unit)), text)
-    except (u.UnitConversionError, TypeError, ValueError) as error:
-        if "finite" in str(error):
-            raise
+        value = float(u.Quantity(text).to_value(unit))
+    except (u.UnitConversionError, TypeError, ValueError):
         raise ValueError(f"found {text!r}; a quantity in units like {unit or '1'!r} is expected") from None
+    return _finite(value, text)
 
 
 def to_floats(text: object, unit: str) -> tuple[float, ...]:

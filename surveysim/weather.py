@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surveysim.scene import Atmosphere
+from surveysim.sections import Atmosphere
 
 
 @dataclass(frozen=True)

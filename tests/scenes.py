@@ -90,3 +90,19 @@ skies = 2
 observations = 2
 band_power = "1000 uK2"
 """
+
+
+def without_sections(text: str, *names: str) -> str:
+    """The scene less some sections and what lies below them."""
+    kept, leave_out = [], False
+    for line in text.splitlines(keepends=True):
+        if line.startswith("["):
+            leave_out = line.strip("[]\n").split(".")[0] in names
+        if not leave_out:
+            kept.append(line)
+    return "".join(kept)
+
+
+WHITE_NOISE_SCENE = without_sections(SMALL_SCENE, "atmosphere", "excess", "photon", "sky", "score").replace(
+    'algorithm = "average"', 'algorithm = "none"'
+)

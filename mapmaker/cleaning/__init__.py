@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from mapmaker.cleaning.templates import (
+    AVERAGE,
+    PLANAR,
+    QUADRATIC,
     Cleaned,
     TemplateOptions,
     subtract_average,
@@ -18,15 +21,13 @@ from mapmaker.cleaning.templates import (
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
 
-__all__ = ["CLEANERS", "Cleaned", "Cleaner", "TemplateOptions", "clean"]
+__all__ = ["CLEANERS", "N_TEMPLATES", "Cleaned", "Cleaner", "TemplateOptions", "clean"]
 
 
 class Cleaner(Protocol):
     """What every algorithm offers; `options` is the algorithm's own frozen record."""
 
-    def __call__(
-        self, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: Any
-    ) -> Cleaned:
+    def __call__(self, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: Any) -> Cleaned:
         """Clean one observation; arguments, result and errors as for `clean`."""
         ...
 
@@ -37,11 +38,11 @@ CLEANERS: dict[str, Cleaner] = {
     "planar": subtract_planar,
     "quadratic": subtract_quadratic,
 }
+# How many templates each takes from the detectors: more detectors than these are needed.
+N_TEMPLATES = {"none": 0, "average": len(AVERAGE), "planar": len(PLANAR), "quadratic": len(QUADRATIC)}
 
 
-def clean(
-    name: str, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: Any
-) -> Cleaned:
+def clean(name: str, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: Any) -> Cleaned:
     """Clean one observation with the named algorithm; the input is left as it is.
 
     data_mk: (n_det, n_samp) float32 or float64 [mK]. scan_bounds: (n_scan, 2) [start, stop). options: the

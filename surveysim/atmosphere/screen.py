@@ -223,9 +223,7 @@ def draw_strip(strip, rng):
     kernels.combine_columns(strip.columns, strip.start, normals, modes)
     # The inverse transform takes the modes above as zero, and only the real parts of the real modes.
     layer = scipy.fft.irfft(modes, n=strip.n_x, axis=1, overwrite_x=True)
-    layer += np.arange(strip.n_x, dtype=np.float32) * np.float32(
-        normals[-1] * strip.ramp_std * strip.step_rad
-    )
+    layer += np.arange(strip.n_x, dtype=np.float32) * np.float32(normals[-1] * strip.ramp_std * strip.step_rad)
     return layer
 
 
@@ -252,9 +250,7 @@ def add_atmosphere(
     streams are constant. Raises ValueError when a detector lies outside the strip's width.
     """
     relative = np.asarray(velocity_rad_s, dtype=float) - np.asarray(layer_velocity_rad_s, dtype=float)
-    for (start, stop), offset, motion, amplitude in zip(
-        scan_bounds, offsets_rad, relative, amplitude_mk, strict=True
-    ):
+    for (start, stop), offset, motion, amplitude in zip(scan_bounds, offsets_rad, relative, amplitude_mk, strict=True):
         speed = float(np.hypot(*motion))
         direction = motion / speed if speed > 0.0 else np.array([1.0, 0.0])
         track = speed * (stop - start - 1) / sample_rate_hz

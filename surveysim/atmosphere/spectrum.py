@@ -53,8 +53,7 @@ class Screen:
             )
         if not self.outer_scale_rad >= self.beam_rad:
             raise ValueError(
-                f"outer_scale_rad = {self.outer_scale_rad:g} found;"
-                f" at least the beam, {self.beam_rad:g}, is allowed"
+                f"outer_scale_rad = {self.outer_scale_rad:g} found; at least the beam, {self.beam_rad:g}, is allowed"
             )
 
 
@@ -110,11 +109,7 @@ def pencil_structure_function(index, theta_rad):
 def _pencil_constant(index):
     p = index - 1.0
     return (
-        4.0
-        * pi
-        * (2.0 * pi) ** (index - 2.0)
-        * pi
-        / (2.0**p * gamma((p + 1.0) / 2.0) ** 2 * sin(pi * (p - 1.0) / 2.0))
+        4.0 * pi * (2.0 * pi) ** (index - 2.0) * pi / (2.0**p * gamma((p + 1.0) / 2.0) ** 2 * sin(pi * (p - 1.0) / 2.0))
     )
 
 
@@ -170,9 +165,7 @@ def _structure_far(screen, lag):
     s = 1.0 - root * root
     overlap = (np.arccos(s) - s * np.sqrt(1.0 - s * s)) * s * root * weight
     phi = (np.arange(24) + 0.5) * pi / 24.0
-    distance = np.sqrt(
-        lag[:, None, None] ** 2 + s[:, None] ** 2 + 2.0 * lag[:, None, None] * s[:, None] * np.cos(phi)
-    )
+    distance = np.sqrt(lag[:, None, None] ** 2 + s[:, None] ** 2 + 2.0 * lag[:, None, None] * s[:, None] * np.cos(phi))
     return _pencil_difference(screen, distance).mean(axis=-1) @ (overlap / overlap.sum())
 
 
@@ -227,8 +220,7 @@ def cross_psd(screen, f_hz, speed_rad_s, dy_rad):
     )
     weight = weight * np.cos(2.0 * pi * u_y * dy_rad / screen.beam_rad)
     integral = [
-        _transverse_integral(screen, u_x, u_y, weight)
-        for u_x in np.ravel(f_hz) * screen.beam_rad / speed_rad_s
+        _transverse_integral(screen, u_x, u_y, weight) for u_x in np.ravel(f_hz) * screen.beam_rad / speed_rad_s
     ]
     return 4.0 / speed_rad_s * screen.beam_rad ** (screen.index - 1.0) * np.reshape(integral, f_hz.shape)
 
@@ -236,9 +228,7 @@ def cross_psd(screen, f_hz, speed_rad_s, dy_rad):
 def _transverse_integral(screen, u_x, u_y, weight):
     u0 = screen.beam_rad / screen.outer_scale_rad
     u_squared = u_x * u_x + u_y * u_y
-    return np.sum(
-        weight * (u_squared + u0 * u0) ** (-screen.index / 2.0) * beam_transfer(np.sqrt(u_squared)) ** 2
-    )
+    return np.sum(weight * (u_squared + u0 * u0) ** (-screen.index / 2.0) * beam_transfer(np.sqrt(u_squared)) ** 2)
 
 
 def pencil_temporal_psd(index, f_hz, speed_rad_s):

@@ -19,7 +19,7 @@ from PIL import Image
 from mapmaker.bandpower import noise_error
 from mapmaker.geometry import wcs
 from mapmaker.window import Window, beam_window, pixel_window
-from surveysim.coadds import ROW_FIELDS, CoAdds
+from surveysim.coadds import CoAdds
 from surveysim.scan import samples_per_scan
 from surveysim.scores import DataSetScore, rescore
 from surveysim.setup import Setup
@@ -52,9 +52,7 @@ UK_CMB = r"$\mu$K$_\mathrm{CMB}$"
 UK2_CMB = r"$\mu$K$_\mathrm{CMB}^2$"
 
 
-def draw_figures(
-    directory: Path, setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]
-) -> list[Path]:
+def draw_figures(directory: Path, setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -> list[Path]:
     """Draw the figures that the scene has results for, as PNGs in `directory`; returns their paths.
 
     Time-stream PSDs and the map where any scan was kept; PSDs, windows, sensitivity and weights of the maps
@@ -68,7 +66,7 @@ def draw_figures(
         drawn["window"] = windows(setup, scores)
         drawn["cumulative_sensitivity"] = cumulative_sensitivity(setup, scores)
         drawn["weights"] = bin_weights(setup, scores)
-    if (_column(coadds, "b2") > 0).any():
+    if (coadds.column("b2") > 0).any():
         drawn["weather"] = weather(setup, coadds)
     directory.mkdir(parents=True, exist_ok=True)
     for name, figure in drawn.items():
@@ -244,7 +242,7 @@ def bin_weights(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
 
 def weather(setup: Setup, coadds: CoAdds) -> Figure:
     """Noise of each observation's map of the actual data against B2, coloured by the speed of the wind."""
-    b2, wind, white = (_column(coadds, name) for name in ("b2", "wind_speed_rad_s", "white_mk2_hz"))
+    b2, wind, white = (coadds.column(name) for name in ("b2", "wind_speed_rad_s", "white_mk2_hz"))
     noise = coadds.noise_mk2()[:, 0]
     good = np.isfinite(noise) & (noise > 0) & (b2 > 0)
     arcmin_s = np.degrees(wind) * 60
@@ -271,7 +269,7 @@ def weather(setup: Setup, coadds: CoAdds) -> Figure:
 
 def _weather_quarters(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
     """Observations (indices), of those with data, of each panel of the time-stream PSDs, by its title."""
-    kept, b2 = np.flatnonzero(np.any(coadds.clean_psd, axis=1)), _column(coadds, "b2")
+    kept, b2 = np.flatnonzero(np.any(coadds.clean_psd, axis=1)), coadds.column("b2")
     if not np.ptp(b2[kept]) > 0:
         return {"all observations": kept}
     order, n = kept[np.argsort(b2[kept])], max(1, len(kept) // 4)
@@ -300,12 +298,8 @@ def _usable(setup: Setup) -> np.ndarray:
     return setup.band.rings.edges_ell[:-1] >= min(LOWEST_ELL, setup.scene.score.ell_min)
 
 
-def _column(coadds: CoAdds, name: str) -> np.ndarray:
-    return np.array([row[ROW_FIELDS.index(name)] for row in coadds.rows])
-
-
 def _white_levels(axes: Axes, setup: Setup, coadds: CoAdds, rows: np.ndarray) -> None:
-    scene, measured = setup.scene, _column(coadds, "white_mk2_hz")[rows].mean()
+    scene, measured = setup.scene, coadds.column("white_mk2_hz")[rows].mean()
     photon = scene.photon.psd_mk2_hz if scene.photon else 0.0
     white = photon + (scene.detector.psd_mk2_hz if scene.detector else 0.0)
     levels = (

@@ -23,6 +23,8 @@ def print_result(result: SurveyResult, directory: Path) -> None:
         console.print("\nMethod, where the reference leaves it open:", highlight=False)
         for line in METHOD:
             console.print(f"  - {line}", highlight=False, markup=False)
+    if result.unscored:
+        console.print(f"Not scored: {result.unscored}", highlight=False, markup=False)
     if result.setup.scene.assumed:
         console.print("\nAssumed or calibrated in the scene:", highlight=False)
         for line in result.setup.scene.assumed:
@@ -106,7 +108,8 @@ def print_plan(scene: Scene, plan: Plan, workers: int) -> None:
     lines = (
         f"about {plan.wall_s:.0f} s with {workers} worker(s), predicted from one observation made here",
         f"about {plan.memory_bytes / 1e6:.0f} MB a process",
-        f"about {plan.output_bytes / 1e6:.1f} MB of results; time-streams, if saved, {plan.timestream_bytes / 1e6:.0f} MB",
+        f"about {plan.output_bytes / 1e6:.1f} MB of results",
+        f"about {plan.timestream_bytes / 1e6:.0f} MB of time-streams, if saved",
         f"{plan.detector_samples / 1e6:.4g} million detector-samples",
     )
     console.print("\n".join(lines), highlight=False)

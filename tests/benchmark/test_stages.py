@@ -37,9 +37,7 @@ def test_floor_copy(per_sample, lynx):
 def test_atmosphere(per_sample, lynx):
     weather = stages.observation_weather(lynx.setup, OBSERVATION)
     data = np.zeros_like(lynx.data_mk)
-    per_sample(
-        "atmosphere", lambda: stages._add_atmosphere(lynx.setup, OBSERVATION, lynx.pointing, weather, data)
-    )
+    per_sample("atmosphere", lambda: stages._add_atmosphere(lynx.setup, OBSERVATION, lynx.pointing, weather, data))
 
 
 def test_excess(per_sample, lynx):
@@ -106,9 +104,7 @@ def test_window_of_one_sky(per_sample, lynx):
     setup = replace(lynx.setup, window_skies_mk=lynx.setup.window_skies_mk[:1])
     streams, bounds = lynx.streams, lynx.streams.scan_bounds
     arrays = [np.arange(len(streams.data_mk)), setup.masked]
-    cleaned = [
-        stages._clean(setup, streams.data_mk[rows], bounds, streams.focal_plane.subset(rows)) for rows in arrays
-    ]
+    cleaned = [stages._clean(setup, streams.data_mk[rows], bounds, streams.focal_plane.subset(rows)) for rows in arrays]
     per_sample(
         "window, one sky",
         lambda: stages._window_maps(setup, lynx.pointing, streams, lynx.index, arrays, cleaned),

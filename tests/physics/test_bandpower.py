@@ -69,9 +69,7 @@ def test_known_spectrum_comes_back(edge_fraction):
     n_maps = 600
     taper = tukey_taper(N_PIX, N_PIX, PIXEL_RAD, SIDE_RAD, edge_fraction)
     rings = annuli(N_PIX, N_PIX, PIXEL_RAD, EDGES, taper)
-    maps = gaussian_maps(
-        lambda ell: flat_spectrum_psd(np.maximum(ell, 500)), n_maps, np.random.default_rng(4)
-    )
+    maps = gaussian_maps(lambda ell: flat_spectrum_psd(np.maximum(ell, 500)), n_maps, np.random.default_rng(4))
     within_bin = annuli_mean(lambda ell: flat_spectrum_psd(np.maximum(ell, 500)), rings)
     ratio = map_psd(maps, taper, PIXEL_RAD, rings).mean(axis=0) / within_bin
     leakage = 2 / 3 * edge_fraction * (2 * np.pi / (SIDE_RAD * rings.ell)) ** 2

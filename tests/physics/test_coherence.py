@@ -60,7 +60,7 @@ def test_matrix(pitch, coherence):
 @DENSE
 @COHERENCES
 def test_positive_semi_definite(pitch, coherence):
-    """61 pixels, at 0.1 (f/#)lambda with all but a few modes shared; rounding of eigenvalues is eps times the norm."""
+    """61 pixels, at 0.1 (f/#)lambda with a few modes between them; rounding is eps times the norm."""
     values = np.linalg.eigvalsh(correlation_matrix(hexagon(4, pitch), coherence))
     assert values[0] > -1e-14 * len(values) * values[-1]
     if pitch == 0.1 and coherence == "field":
@@ -74,7 +74,7 @@ def test_factor(pitch, coherence):
     matrix = correlation_matrix(hexagon(4, pitch), coherence)
     factor = correlation_factor(matrix)
     assert factor.shape == matrix.shape
-    # Eigenvectors are orthogonal to some eps n; clipped eigenvalues are below 1e-10 n of the largest, here rounding.
+    # Eigenvectors are orthogonal to some eps n, and what is clipped of these matrices is rounding.
     np.testing.assert_allclose(factor @ factor.T, matrix, atol=1e-12)
 
 
@@ -94,7 +94,7 @@ def lattice_sum(pitch, rings):
 
 
 def poisson_sum(pitch):
-    """The same over the whole lattice: the overlap of two stops (the MTF) at the reciprocal lattice's points."""
+    """The same over the whole lattice: overlap of two stops (the MTF) at the points of the reciprocal one."""
     cell = np.sqrt(0.75) * pitch**2
     q, r = np.meshgrid(np.arange(-3, 4), np.arange(-3, 4))
     k = np.hypot(q + 0.5 * r, np.sqrt(0.75) * r) / (np.sqrt(0.75) * pitch)

@@ -1,8 +1,8 @@
 """Drawn noise against the spectra and correlations asked for.
 
-Tolerances are 5 standard deviations: a variance from n independent normals is known to sqrt(2 / n), a bin of a
-periodogram has the relative scatter 1. A Hann taper correlates the powers of neighbouring bins, by (2/3)^2 and
-(1/6)^2, so that their mean over N bins scatters by sqrt(HANN / N), HANN = 1 + 2 (4/9 + 1/36).
+Tolerances are 5 standard deviations: a variance from n independent normals is known to sqrt(2 / n), a bin of
+a periodogram has the relative scatter 1. A Hann taper correlates the powers of neighbouring bins, by (2/3)^2
+and (1/6)^2, so that their mean over N bins scatters by sqrt(HANN / N), HANN = 1 + 2 (4/9 + 1/36).
 """
 
 import math
@@ -24,7 +24,7 @@ from surveysim.noise import (
     photon_correlation,
     white_level,
 )
-from surveysim.scene import Excess
+from surveysim.sections import Excess
 
 RATE = 10.0
 HANN = 1 + 2 * (4 / 9 + 1 / 36)
@@ -174,9 +174,7 @@ def test_excess_variance_goes_through_the_paper_table():
     # Log-log between: the geometric mean at the geometric mean.
     assert excess_variance(section, math.sqrt(170 * 580)) == pytest.approx(math.sqrt(2.12 * 4.52), rel=1e-13)
     # Held beyond.
-    assert [excess_variance(section, b2) for b2 in (0.0, 1.0, 1e6)] == pytest.approx(
-        [2.05, 2.05, 10.9], rel=1e-13
-    )
+    assert [excess_variance(section, b2) for b2 in (0.0, 1.0, 1e6)] == pytest.approx([2.05, 2.05, 10.9], rel=1e-13)
 
 
 def test_excess_of_one_value_does_not_follow_the_weather():
@@ -251,7 +249,7 @@ def test_excess_streams_have_the_spectrum(rng, index):
     expected = excess_psd(excess(spectral_index=index), 4.52, PER_SCAN / RATE, k * RATE / PER_SCAN)
     ratio = psd[k] / (expected * (1 + index * (index + 1) / (6 * k**2)))
     n_spectra = n_det * N_SCANS
-    # The next order of the kernel, a (a + 1) (a + 2) (a + 3) / 72 k^4 for its fourth moment 1/3: 0.3 % at most.
+    # The next order, a (a + 1) (a + 2) (a + 3) / 72 k^4 from the fourth moment 1/3: 0.3 % at most.
     assert ratio.mean() == pytest.approx(1, abs=5 * math.sqrt(HANN / (n_spectra * len(k))) + 0.0005)
     assert np.abs(ratio - 1).max() < 5 / math.sqrt(n_spectra) + 0.003
     # The error of a fitted slope: scatter of a bin over the spread of ln k.
@@ -264,7 +262,7 @@ def test_excess_streams_have_the_spectrum(rng, index):
 def test_excess_streams_hold_the_variance_of_the_band(rng, index):
     """The PSD's integral over the band, 1 / scan to 1 Hz.
 
-    First against the exact mean of a Hann PSD, of which the scatter is known; then against the variance asked for.
+    First against the exact mean of a Hann PSD, then against the variance asked for.
     """
     n_det = 12
     data = excess_streams(rng, index, np.eye(n_det))
@@ -279,12 +277,12 @@ def test_excess_streams_hold_the_variance_of_the_band(rng, index):
     low = quad(lambda f: float(excess_psd(section, 4.52, 60.0, np.array([f]))[0]), 1 / 60, 1.5 / 60)[0]
     high = quad(lambda f: float(excess_psd(section, 4.52, 60.0, np.array([f]))[0]), 1.0, 60.5 / 60)[0]
     band = psd[k].sum() / 60 + low - high
-    # For 1 / f the taper adds 1 / 3 k^2 to bin k, 1.6 % in all, and bins at their middles take 0.4 % from the integral.
+    # For 1 / f the taper adds 1 / 3 k^2 to bin k, 1.6 % in all, and a sum of middles lacks 0.4 %.
     assert band == pytest.approx(4.52, abs=5 * spread / 60 + (0.02 * 4.52 if index else 0))
 
 
 def expected_hann_psd(index):
-    """Mean Hann PSD of a stretch of PER_SCAN samples out of periodic noise twice as long, by its covariance."""
+    """Mean Hann PSD of PER_SCAN samples out of periodic noise twice as long, by its covariance."""
     n = 2 * PER_SCAN
     frequency = np.arange(n // 2 + 1) * RATE / n
     psd = excess_psd(excess(spectral_index=index), 4.52, PER_SCAN / RATE, frequency)
@@ -302,7 +300,7 @@ def expected_hann_psd(index):
 
 
 def test_a_scan_does_not_know_where_it_ends(rng):
-    """Red noise: first and last sample of a scan differ by far more than neighbours do, and scans are independent."""
+    """Red noise: ends of a scan differ by far more than neighbours do, and scans are independent."""
     data = excess_streams(rng, 2.0, np.eye(12)).reshape(12, N_SCANS, PER_SCAN)
     neighbours = np.mean((data[..., 1:] - data[..., :-1]) ** 2)
     ends = np.mean((data[..., -1] - data[..., 0]) ** 2)
@@ -328,9 +326,7 @@ def test_excess_is_shared_as_overlap_says(rng, coherence):
     n = modes.shape[1] / HANN
     cross = (modes @ modes.conj().T).real / modes.shape[1]
     spread = np.sqrt((1 + expected**2) / (2 * n))
-    assert (
-        np.abs(cross - expected) < 5 * np.where(np.eye(7, dtype=bool), math.sqrt(2) * spread, spread)
-    ).all()
+    assert (np.abs(cross - expected) < 5 * np.where(np.eye(7, dtype=bool), math.sqrt(2) * spread, spread)).all()
     if coherence == "field":
         adjacent = [cross[0, d] for d in range(1, 7)]
         assert np.mean(adjacent) == pytest.approx(0.506, abs=5 * spread[0, 1])

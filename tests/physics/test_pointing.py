@@ -141,9 +141,7 @@ def test_sky_vector_maps_horizontal_offsets_to_the_sky(field):
 
     times = schedule(field, CSO, "2003-11-20", 3, 30, 4 * HOUR, 30 * DEG, 440.0).start_mjd
     with iers.conf.set_temp("auto_download", False), iers.conf.set_temp("auto_max_age", None):
-        place = EarthLocation.from_geodetic(
-            CSO.longitude_rad * u.rad, CSO.latitude_rad * u.rad, CSO.height_m * u.m
-        )
+        place = EarthLocation.from_geodetic(CSO.longitude_rad * u.rad, CSO.latitude_rad * u.rad, CSO.height_m * u.m)
         frame = AltAz(obstime=Time(times, format="mjd"), location=place)
         centre = SkyCoord(field.ra_rad * u.rad, field.dec_rad * u.rad)
         seen = centre.transform_to(frame)

@@ -83,9 +83,7 @@ def test_structure_function_on_the_lattice(screen):
     distance = strip.step_rad * np.hypot(x, lane[:, None] - lane)
     # Exact but for modes left out (1e-9 each) and negative eigenvalues (1e-5 of the variance at one step).
     assert strip.clipped_fraction < 1e-5
-    np.testing.assert_allclose(
-        structure[: used + 1], structure_function(screen, distance), rtol=3e-4, atol=1e-30
-    )
+    np.testing.assert_allclose(structure[: used + 1], structure_function(screen, distance), rtol=3e-4, atol=1e-30)
 
 
 @pytest.mark.parametrize("screen", SCREENS[:-1], ids=str)
@@ -102,9 +100,7 @@ def test_structure_function_of_look_ups(screen):
             shift = np.array([math.sqrt(1.0 - across**2), across]) * lag / strip.step_rad
             lanes = rng.random(300) * (strip.n_lane - 1 - shift[1])
             p = np.stack([rng.random(300) * 9.0, lanes], axis=1)
-            measured = structure_between(
-                strip, structure, p, np.minimum(p + shift, [np.inf, strip.n_lane - 1.001])
-            )
+            measured = structure_between(strip, structure, p, np.minimum(p + shift, [np.inf, strip.n_lane - 1.001]))
             assert measured.mean() == pytest.approx(structure_function(screen, lag), rel=0.03)
 
 
@@ -115,9 +111,7 @@ def test_look_ups_of_a_rough_field():
     structure = lattice_structure(strip)
     p = np.random.default_rng(1).random((2000, 2)) * [9.0, strip.n_lane - 1.001]
     for lag_arcmin, loss in ((0.67, 0.22), (4.0, 0.03), (60.0, 0.01)):
-        measured = structure_between(
-            strip, structure, p, p + [lag_arcmin * ARCMIN / strip.step_rad, 0.0]
-        ).mean()
+        measured = structure_between(strip, structure, p, p + [lag_arcmin * ARCMIN / strip.step_rad, 0.0]).mean()
         assert 1.0 - 1.15 * loss < measured / structure_function(screen, lag_arcmin * ARCMIN) <= 1.0
 
 
@@ -142,18 +136,14 @@ def test_what_cleaning_leaves(screen, length_arcmin):
     x, y = 0.87 * x - 0.5 * y, 0.5 * x + 0.87 * y  # turned, so that detectors and lattice do not line up
     x, y = x[np.hypot(x, y) < 4.0 * ARCMIN], y[np.hypot(x, y) < 4.0 * ARCMIN]
     exact = structure_function(screen, np.hypot(x[:, None] - x, y[:, None] - y))
-    position = (
-        np.stack([x - x.min() + 20.3 * strip.step_rad, y + strip.half_width_rad], axis=1) / strip.step_rad
-    )
+    position = np.stack([x - x.min() + 20.3 * strip.step_rad, y + strip.half_width_rad], axis=1) / strip.step_rad
     i, j = (a.ravel() for a in np.indices(exact.shape))
     looked_up = structure_between(strip, structure, position[i], position[j]).reshape(exact.shape)
     linear = np.stack([x**0, x, y], axis=1)
     for shapes, tolerance in ((linear, 0.02), (np.column_stack([linear, x * x, x * y, y * y]), 0.1)):
         keep = np.eye(x.size) - shapes @ np.linalg.pinv(shapes)
         # (1 - P) D (1 - P) = -2 (1 - P) C (1 - P)
-        assert np.trace(keep @ looked_up @ keep) == pytest.approx(
-            np.trace(keep @ exact @ keep), rel=tolerance
-        )
+        assert np.trace(keep @ looked_up @ keep) == pytest.approx(np.trace(keep @ exact @ keep), rel=tolerance)
 
 
 @pytest.mark.parametrize("screen", SCREENS, ids=str)
@@ -217,9 +207,7 @@ def test_temporal_psd_and_coherence_across_the_wind():
         np.testing.assert_allclose(cross / auto, expected_cross / expected, atol=3e-3)
 
 
-def draw_streams(
-    screen, n_scan, n_samp, rate_hz, offsets_rad, velocity, layer_velocity, amplitude=1.0, seed=5
-):
+def draw_streams(screen, n_scan, n_samp, rate_hz, offsets_rad, velocity, layer_velocity, amplitude=1.0, seed=5):
     """Streams (n_scan, n_det, n_samp) of independent scans with the same geometry."""
     bounds = np.arange(n_scan)[:, None] * n_samp + [0, n_samp]
     data = np.zeros((len(offsets_rad), n_scan * n_samp))
@@ -281,26 +269,20 @@ def test_drawn_mean_removed_variance():
     variance = streams[:, 0].var(axis=1)
     error = variance.std() / math.sqrt(n_scan)
     assert error < 0.04 * 304.4
-    assert variance.mean() == pytest.approx(
-        280.0 * mean_removed_variance(KOLMOGOROV, SPEED, 15.0), abs=4.5 * error
-    )
+    assert variance.mean() == pytest.approx(280.0 * mean_removed_variance(KOLMOGOROV, SPEED, 15.0), abs=4.5 * error)
 
 
 def test_drawn_temporal_psd():
     """Hann periodograms of drawn scans, through the look-up; bins 3-10 each known to 1/sqrt(n_scan)."""
     n_scan, n_samp, rate = 1500, 300, 20.0
-    streams = draw_streams(
-        KOLMOGOROV, n_scan, n_samp, rate, [(1.0 * ARCMIN, 0.2 * ARCMIN)], (0.0, SPEED), (0.0, 0.0)
-    )
+    streams = draw_streams(KOLMOGOROV, n_scan, n_samp, rate, [(1.0 * ARCMIN, 0.2 * ARCMIN)], (0.0, SPEED), (0.0, 0.0))
     taper = 1.0 - np.cos(2.0 * np.pi * np.arange(n_samp) / n_samp)
     series = streams[:, 0] - streams[:, 0].mean(axis=1, keepdims=True)
     bins = np.arange(3, 11)
     periodogram = np.abs(np.fft.rfft(series * taper)) ** 2 * 2.0 / (rate * taper @ taper)
     duration = n_samp / rate
     expected = convolved(lambda nu: temporal_psd(KOLMOGOROV, nu, SPEED), bins / duration, duration)
-    np.testing.assert_allclose(
-        periodogram[:, bins].mean(axis=0) / expected, 1.0, atol=4.5 / math.sqrt(n_scan) + 0.01
-    )
+    np.testing.assert_allclose(periodogram[:, bins].mean(axis=0) / expected, 1.0, atol=4.5 / math.sqrt(n_scan) + 0.01)
 
 
 def test_no_motion_gives_constant_streams():

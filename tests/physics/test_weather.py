@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
-from surveysim.scene import Atmosphere
+from surveysim.sections import Atmosphere
 from surveysim.weather import b2_quantile, draw_weather
 
-N_DRAWS = 4000
+N_DRAWS = 16000
 LYNX = {
     "index": "11/3",
     "layer_height": "1000 m",
@@ -52,9 +52,7 @@ def test_quantiles_increase_within_and_beyond_the_knots():
 
 def test_between_knots_the_logarithm_is_linear():
     low, high = ndtri([0.5, 0.625])
-    assert b2_quantile(ATMOSPHERE, 0.75 * low + 0.25 * high) == pytest.approx(
-        280**0.75 * 580**0.25, rel=1e-13
-    )
+    assert b2_quantile(ATMOSPHERE, 0.75 * low + 0.25 * high) == pytest.approx(280**0.75 * 580**0.25, rel=1e-13)
 
 
 def test_tails_are_log_normal_with_the_slope_of_the_outermost_knots():
@@ -93,7 +91,7 @@ def test_wind_speed_is_log_normal(draws):
 
 
 def test_wind_direction_is_uniform(draws):
-    """The mean direction, and of twice the angle, vanishes: each component has variance 1 / 2 n. Octants are equal."""
+    """Mean vectors of the angle and of twice it vanish, to 1 / sqrt(2 n) a component; octants are equal."""
     angle = np.array([weather.wind_angle_rad for weather in draws])
     assert (angle >= 0).all() and (angle < 2 * math.pi).all()
     for order in (1, 2):
@@ -114,6 +112,6 @@ def test_wind_along_azimuth_and_elevation(draws):
     for weather in draws[:20]:
         along_azimuth, along_elevation = weather.wind_rad_s
         assert math.hypot(along_azimuth, along_elevation) == pytest.approx(weather.wind_speed_rad_s)
-        assert math.remainder(
-            math.atan2(along_elevation, along_azimuth) - weather.wind_angle_rad, 2 * math.pi
-        ) == (pytest.approx(0, abs=1e-12))
+        assert math.remainder(math.atan2(along_elevation, along_azimuth) - weather.wind_angle_rad, 2 * math.pi) == (
+            pytest.approx(0, abs=1e-12)
+        )

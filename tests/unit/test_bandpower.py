@@ -73,9 +73,7 @@ def test_band_power_is_consistent():
     result = band_power(NOISE, SIGNAL, N_MODES, MASK, ELL, EDGES, 0.02)
     first = np.argmax(MASK)
     np.testing.assert_allclose(result.weight.sum(), 1)
-    np.testing.assert_allclose(
-        result.ell_eff, np.average(ELL, weights=N_MODES * MASK * (SIGNAL / NOISE) ** 2)
-    )
+    np.testing.assert_allclose(result.ell_eff, np.average(ELL, weights=N_MODES * MASK * (SIGNAL / NOISE) ** 2))
     np.testing.assert_allclose(result.cumulative[: first + 1], result.sigma_ukcmb2)
     assert (np.diff(result.cumulative[first:]) > 0).all()
     number = np.arange(ELL.size)
@@ -124,9 +122,7 @@ def test_width_of_a_single_bin_is_its_own():
 def test_error_parts_by_hand():
     """Two equal observations correlate by 1/2: s^2 of the PSDs (1, 3) is 2 / 4 of the mean squared."""
     psds, one = np.array([[1.0, np.nan], [3.0, np.nan]]), np.array([1.0, 0.0])
-    np.testing.assert_allclose(
-        noise_error(psds, one, np.ones(2)), np.sqrt(0.5 / 0.5 * (1 / 2 + 1 / 2 * 1 / 2))
-    )
+    np.testing.assert_allclose(noise_error(psds, one, np.ones(2)), np.sqrt(0.5 / 0.5 * (1 / 2 + 1 / 2 * 1 / 2)))
     np.testing.assert_allclose(weather_error(np.array([1.0, 3.0])), np.sqrt(2) / 2 / np.sqrt(2))
     np.testing.assert_allclose(window_error(np.array([0.3, 0.4]), np.array([0.5, 0.5])), 0.25)
 

@@ -100,9 +100,7 @@ def test_a_linear_sky_is_looked_up_exactly():
     row, column = np.indices((N_Y, N_X)).astype(float)
     c, r = np.array([0.0, 2.25, 7.9]), np.array([0.5, 5.75, 0.0])
     data, one = np.zeros((1, 3)), np.ones(3)
-    add_sky(
-        data, 2 * column - 3 * row, c, r, one, 0 * one, np.array([0.05]), np.array([0.1]), np.array([1.5])
-    )
+    add_sky(data, 2 * column - 3 * row, c, r, one, 0 * one, np.array([0.05]), np.array([0.1]), np.array([1.5]))
     np.testing.assert_allclose(data[0], 1.5 * (2 * (c + 0.05) - 3 * (r + 0.1)), atol=1e-13)
 
 
@@ -154,9 +152,7 @@ def test_coadd_weights(rng):
     np.testing.assert_array_equal(found.hits, sum(item.hits for item in maps))
     mean = sum(w * item.signal_mk for w, item in zip(per_map, maps, strict=True))
     seen = found.weight > 0
-    np.testing.assert_allclose(
-        found.signal_mk[seen], (mean / np.where(seen, found.weight, 1))[seen], rtol=1e-12
-    )
+    np.testing.assert_allclose(found.signal_mk[seen], (mean / np.where(seen, found.weight, 1))[seen], rtol=1e-12)
     assert found.geometry == GEOMETRY
 
 

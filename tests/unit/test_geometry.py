@@ -72,9 +72,7 @@ def streams_at(ra, dec, angle=None, plane=None):
     n = len(ra)
     plane = plane or FocalPlane(np.zeros(1), np.zeros(1), 1e-4)
     angle = np.zeros(n) if angle is None else angle
-    return Timestreams(
-        np.zeros((len(plane.x_rad), n)), np.arange(n) / 10, ra, dec, angle, np.zeros(n, int), plane
-    )
+    return Timestreams(np.zeros((len(plane.x_rad), n)), np.arange(n) / 10, ra, dec, angle, np.zeros(n, int), plane)
 
 
 @ON_SKY

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapmaker.spectrum import annuli, map_psd, mode_ell, mode_psd, psd_relative_error, tukey_taper
+from mapmaker.spectrum import annuli, map_psd, mode_ell, mode_psd, psd_relative_error, split_azimuth, tukey_taper
 from mapmaker.window import beam_window, pixel_window, signal_window
 
 PIXEL_RAD = np.radians(0.5 / 60)
@@ -117,9 +117,7 @@ def test_psd_relative_error():
 def test_beam_window_is_the_square_of_the_transform_of_the_beam():
     """A beam of FWHM f has B = exp(-ell^2 f^2 / (16 ln 2)): B^2 is 1/2 at ell = sqrt(8) ln 2 / f."""
     fwhm_rad = np.radians(1 / 60)
-    np.testing.assert_allclose(
-        beam_window(np.array([0.0, np.sqrt(8) * np.log(2) / fwhm_rad]), fwhm_rad), [1, 0.5]
-    )
+    np.testing.assert_allclose(beam_window(np.array([0.0, np.sqrt(8) * np.log(2) / fwhm_rad]), fwhm_rad), [1, 0.5])
 
 
 def test_pixel_window_at_small_ell_and_against_a_fine_average():
@@ -161,3 +159,38 @@ def test_signal_window_rejects_one_sky_other_shapes_and_no_power():
         signal_window(np.ones((2, 3)), np.ones((3, 3)), ell)
     with pytest.raises(ValueError, match="power"):
         signal_window(np.ones((2, 3)), np.zeros((2, 3)), ell)
+
+
+def test_sectors_split_their_rings():
+    taper = tukey_taper(48, 48, PIXEL_RAD, 40 * PIXEL_RAD, 0.5)
+    edges = np.linspace(0.25, 0.9, 4) * np.pi / PIXEL_RAD
+    rings = annuli(48, 48, PIXEL_RAD, edges, taper)
+    sectors = split_azimuth(rings, 48, 48, PIXEL_RAD, 3)
+    assert np.allclose(sectors.n_modes.reshape(3, 3).sum(axis=1), rings.n_modes)
+    # A wave along an axis falls into the first sector of its ring, one at 45 degrees into the last.
+    x, y = np.meshgrid(np.arange(48), np.arange(48))
+    for wave, place in ((np.cos(2 * np.pi * 14 * x / 48), 0), (np.cos(2 * np.pi * 10 * (x + y) / 48), 2)):
+        psd = map_psd(wave, taper, PIXEL_RAD, sectors)
+        ring = (
+            np.searchsorted(
+                edges,
+                mode_ell(48, 48, PIXEL_RAD)[0, 14] if place == 0 else np.sqrt(2) * mode_ell(48, 48, PIXEL_RAD)[0, 10],
+            )
+            - 1
+        )
+        assert np.argmax(psd) == 3 * ring + place
+    with pytest.raises(ValueError, match="without modes"):
+        split_azimuth(
+            annuli(48, 48, PIXEL_RAD, np.array([1, 1.5]) * 2 * np.pi / (48 * PIXEL_RAD), taper), 48, 48, PIXEL_RAD, 3
+        )
+
+
+def test_sectors_average_to_their_ring():
+    taper = tukey_taper(40, 40, PIXEL_RAD, 36 * PIXEL_RAD, 0.5)
+    rings = annuli(40, 40, PIXEL_RAD, np.array([0.3, 0.6, 0.9]) * np.pi / PIXEL_RAD, taper)
+    sectors = split_azimuth(rings, 40, 40, PIXEL_RAD, 2)
+    sky = np.random.default_rng(5).standard_normal((40, 40))
+    by_sector = map_psd(sky, taper, PIXEL_RAD, sectors).reshape(2, 2)
+    weight = sectors.n_modes.reshape(2, 2)
+    average = (by_sector * weight).sum(axis=1) / weight.sum(axis=1)
+    assert np.allclose(average, map_psd(sky, taper, PIXEL_RAD, rings), rtol=1e-12)

@@ -85,9 +85,7 @@ def test_structure_function_with_outer_scale_saturates():
 
 def test_structure_slope_is_the_derivative():
     theta = np.array([1.0, 30.0, 700.0]) * ARCMIN
-    difference = structure_function(KOLMOGOROV, theta * 1.0001) - structure_function(
-        KOLMOGOROV, theta * 0.9999
-    )
+    difference = structure_function(KOLMOGOROV, theta * 1.0001) - structure_function(KOLMOGOROV, theta * 0.9999)
     np.testing.assert_allclose(structure_slope(KOLMOGOROV, theta), difference / (2e-4 * theta), rtol=1e-5)
 
 
@@ -113,17 +111,11 @@ def test_temporal_psd_in_the_pencil_limit():
         pencil_temporal_psd(1.0, f, speed)
 
 
-@pytest.mark.parametrize(
-    "screen", [KOLMOGOROV, Screen(4.5, 0.008, 0.5), Screen(2.5, 0.0013), Screen(2 / 3, 0.008)]
-)
+@pytest.mark.parametrize("screen", [KOLMOGOROV, Screen(4.5, 0.008, 0.5), Screen(2.5, 0.0013), Screen(2 / 3, 0.008)])
 def test_psd_and_structure_function_are_one_field(screen):
     """D(theta) = 2 int S(f) (1 - cos(2 pi f theta / w)) df, two quite different quadratures."""
     speed, theta = 0.01, np.array([0.3, 3.0]) * screen.beam_rad
-    f = (
-        np.concatenate([np.geomspace(1e-10, 0.3, 1500), np.arange(0.3, 30.0, 1e-2)[1:]])
-        * speed
-        / screen.beam_rad
-    )
+    f = np.concatenate([np.geomspace(1e-10, 0.3, 1500), np.arange(0.3, 30.0, 1e-2)[1:]]) * speed / screen.beam_rad
     psd = temporal_psd(screen, f, speed)
     for t in theta:
         integrand = 2.0 * psd * (1.0 - np.cos(2.0 * np.pi * f * t / speed))
@@ -153,9 +145,7 @@ def test_mean_removed_variance():
     variance = mean_removed_variance(KOLMOGOROV, speed, duration_s)
     f = np.geomspace(1e-7, 20.0, 4001)
     psd = temporal_psd(KOLMOGOROV, f, speed)
-    below = (
-        psd[0] * f[0] ** 3 * 3.0 * (np.pi * duration_s) ** 2 / 3.0
-    )  # f^(-8/3) (pi f T)^2 / 3 from 0 to f[0]
+    below = psd[0] * f[0] ** 3 * 3.0 * (np.pi * duration_s) ** 2 / 3.0  # f^(-8/3) (pi f T)^2 / 3 from 0 to f[0]
     by_psd = np.trapezoid(psd * f * (1.0 - np.sinc(f * duration_s) ** 2), np.log(f)) + below
     assert variance == pytest.approx(by_psd, rel=1e-4)
     assert 280.0 * variance == pytest.approx(304.4, abs=0.1)
@@ -167,9 +157,7 @@ def test_steep_spectrum_needs_an_outer_scale(index):
         Screen(index, 0.008)
 
 
-@pytest.mark.parametrize(
-    "values", [(0.0, 0.008), (math.nan, 0.008), (3.0, 0.0), (3.0, math.inf), (3.0, 0.008, 0.001)]
-)
+@pytest.mark.parametrize("values", [(0.0, 0.008), (math.nan, 0.008), (3.0, 0.0), (3.0, math.inf), (3.0, 0.008, 0.001)])
 def test_impossible_screens(values):
     with pytest.raises(ValueError, match="is allowed"):
         Screen(*values)

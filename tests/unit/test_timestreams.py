@@ -63,9 +63,7 @@ def test_file_says_its_units(path, streams):
 def test_double_streams_are_stored_in_single_precision(tmp_path, streams):
     double = replace(streams, data_mk=streams.data_mk.astype(float) + 1e-12)
     write_timestreams(tmp_path / "a.h5", double)
-    np.testing.assert_array_equal(
-        read_timestreams(tmp_path / "a.h5").data_mk, double.data_mk.astype(np.float32)
-    )
+    np.testing.assert_array_equal(read_timestreams(tmp_path / "a.h5").data_mk, double.data_mk.astype(np.float32))
 
 
 def test_nothing_partial_is_left(path, streams):

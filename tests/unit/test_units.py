@@ -61,9 +61,7 @@ def test_words_that_only_mention_finite_are_refused_like_others(found):
         to_float(found, "s")
 
 
-@pytest.mark.parametrize(
-    "found", ["[46, 100.5,1e3] mK2", ["46 mK2", "100.5 mK2", "1e9 uK2"], "  [46 ,100.5, 1000]mK2"]
-)
+@pytest.mark.parametrize("found", ["[46, 100.5,1e3] mK2", ["46 mK2", "100.5 mK2", "1e9 uK2"], "  [46 ,100.5, 1000]mK2"])
 def test_lists_of_quantities(found):
     assert to_floats(found, "mK2") == pytest.approx((46, 100.5, 1000), rel=ROUNDING)
 

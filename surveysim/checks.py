@@ -1,0 +1,98 @@
+"""What sections of a scene ask of each other: errors that need the camera or the map to be known."""
+
+import math
+
+import numpy as np
+
+from mapmaker.cleaning import N_TEMPLATES
+from mapmaker.geometry import MapGeometry
+from surveysim.instrument import Camera
+from surveysim.scene import Scene, SceneError
+
+MAX_REACH_RAD = math.radians(15)
+MAX_SIDE_PIXELS = 16_384
+MAX_DETECTOR_SAMPLES = 2e9
+MAX_SURVEY_SCANS = 1e8
+
+
+def check_templates(scene: Scene, cam: Camera) -> None:
+    """Raise SceneError when the templates have no atmosphere to follow, or too few detectors."""
+    if scene.atmosphere is None and scene.cleaning.algorithm != "none":
+        # The iteration calibrates detectors on their common signal; without one it discards every scan.
+        raise SceneError(
+            f"cleaning.algorithm: found {scene.cleaning.algorithm!r} without [atmosphere]; 'none' is expected"
+        )
+    _check_count(scene, len(cam.focal_plane.x_rad), "cleaning.algorithm")
+
+
+def check_size(scene: Scene, cam: Camera) -> None:
+    """Raise SceneError for a map beyond the tangent plane's use, or arrays that no machine would hold."""
+    scan = scene.scan
+    extent = reach(scene, cam)
+    if extent > MAX_REACH_RAD:
+        raise SceneError(
+            f"scan: found a map that reaches {math.degrees(extent):.4g} deg from its centre with this speed, duration, "
+            f"step, dither and camera; {math.degrees(MAX_REACH_RAD):g} deg or less is expected"
+        )
+    side = 2 * extent / scene.map.pixel_rad
+    if side > MAX_SIDE_PIXELS:
+        raise SceneError(f"map.pixel: found a map of {side:.4g} pixels a side; {MAX_SIDE_PIXELS} or less are expected")
+    samples = len(cam.focal_plane.x_rad) * scan.scans * scan.duration_s * scan.sample_rate_hz
+    if samples > MAX_DETECTOR_SAMPLES:
+        raise SceneError(
+            f"scan.sample_rate: found {samples:.3g} detector-samples an observation; "
+            f"{MAX_DETECTOR_SAMPLES:g} or less are expected"
+        )
+    if scene.observations * scan.scans > MAX_SURVEY_SCANS:
+        raise SceneError(
+            f"observations: found {scene.observations * scan.scans:.3g} scans in all; "
+            f"{MAX_SURVEY_SCANS:g} or less are expected"
+        )
+
+
+def check_excess(scene: Scene) -> None:
+    """Raise SceneError when a scan is too short to hold the excess' band."""
+    if scene.excess and scene.excess.band_limit_hz * scene.scan.duration_s <= 1:
+        raise SceneError(
+            f"excess.band_limit: found {scene.excess.band_limit_hz:g} Hz; "
+            f"more than 1 / scan.duration = {1 / scene.scan.duration_s:g} Hz is expected"
+        )
+
+
+def check_masked(scene: Scene, masked: np.ndarray) -> None:
+    """Raise SceneError when the mask leaves too few detectors for the templates."""
+    _check_count(scene, len(masked), "score.mask_separation_f_lambda")
+
+
+def _check_count(scene: Scene, n_det: int, key: str) -> None:
+    needed = N_TEMPLATES[scene.cleaning.algorithm] + 1
+    if n_det < needed:
+        raise SceneError(f"{key}: found {n_det} detectors; {scene.cleaning.algorithm!r} needs {needed} or more")
+
+
+def check_score(scene: Scene, geometry: MapGeometry) -> None:
+    """Raise SceneError when the map or the sample rate can't carry the score."""
+    if scene.score is None:
+        return
+    extent = geometry.n_x * geometry.pixel_rad
+    if scene.score.size_rad > extent:
+        found, allowed = (math.degrees(x) * 60 for x in (scene.score.size_rad, extent))
+        raise SceneError(f"score.size: found {found:.4g} arcmin; the map's {allowed:.4g} arcmin or less is expected")
+    nyquist = math.pi / geometry.pixel_rad
+    if scene.score.ell_max > nyquist:
+        raise SceneError(
+            f"score.ell_max: found {scene.score.ell_max}; the map pixel's {nyquist:.0f} or less is expected"
+        )
+    if scene.score.white_above_hz >= scene.scan.sample_rate_hz / 2:
+        raise SceneError(
+            f"score.white_above: found {scene.score.white_above_hz:g} Hz; "
+            f"less than half the sample rate, {scene.scan.sample_rate_hz / 2:g} Hz, is expected"
+        )
+
+
+def reach(scene: Scene, cam: Camera) -> float:
+    """Largest offset of a sample from the field's centre, along either axis [rad]."""
+    scan = scene.scan
+    along = scan.speed_rad_s * scan.duration_s / 2
+    across = scan.step_rad * (scan.scans - 1) / 2
+    return max(along, across) + scan.dither_rad / 2 + cam.radius_rad

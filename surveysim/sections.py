@@ -1,0 +1,265 @@
+"""The sections of a scene file: their keys, units and bounds, as frozen records in internal units."""
+
+import math
+from fractions import Fraction
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+
+from surveysim.quantities import (
+    Algorithm,
+    Angle,
+    AngleExtent,
+    BandPowerExtent,
+    BeamWidth,
+    Coherence,
+    Duration,
+    DurationExtent,
+    Elevation,
+    ElevationLimit,
+    Frequency,
+    Height,
+    HourAngle,
+    Index,
+    IsoDate,
+    Latitude,
+    Length,
+    Longitude,
+    NoisePsd,
+    Nside,
+    Positive,
+    PositiveAngle,
+    PositiveBandPower,
+    Speed,
+    SpeedExtent,
+    TableFile,
+    Temperature,
+    Variances,
+    pairs,
+)
+from surveysim.units import to_floats
+
+
+class Section(BaseModel):
+    """A part of a scene: frozen, no unknown keys, keys named without units in the file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=False, strict=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_key_is_true_or_false(cls, value: Any) -> Any:
+        if isinstance(value, bool):
+            raise ValueError(f"found {str(value).lower()}; no key of a scene is true or false")
+        return value
+
+
+class FieldSection(Section):
+    """The centre of the field (J2000)."""
+
+    ra_rad: Longitude = Field(alias="ra")
+    dec_rad: Latitude = Field(alias="dec")
+
+
+class Schedule(Section):
+    """Where and when the field is observed: elevation and parallactic angle come from real dates."""
+
+    latitude_rad: Latitude = Field(alias="latitude")
+    longitude_rad: Longitude = Field(alias="longitude")
+    height_m: Height = Field(alias="height")
+    first_night: IsoDate
+    nights: int = Field(ge=1, le=10_000)
+    max_hour_angle_rad: HourAngle = Field(alias="max_hour_angle")
+    min_elevation_rad: ElevationLimit = Field(alias="min_elevation")
+
+
+class FixedPointing(Section):
+    """A telescope at one elevation and parallactic angle, for scenes that need no dates."""
+
+    elevation_rad: Elevation = Field(alias="elevation")
+    parallactic_angle_rad: Angle = Field(alias="parallactic_angle")
+
+
+class Layout(Section):
+    """A hexagonal layout: rings around a central position, pitch in (f/#)lambda, dead positions."""
+
+    rings: int = Field(ge=0, le=60)
+    pitch_f_lambda: Positive
+    dead: tuple[int, ...] = ()
+
+
+class Instrument(Section):
+    """Band, beam and focal plane; detectors from `layout` or from the table `positions`."""
+
+    frequency_hz: Frequency = Field(alias="frequency", le=1e13)
+    beam_fwhm_rad: BeamWidth = Field(alias="beam_fwhm")
+    f_lambda_rad: PositiveAngle = Field(alias="f_lambda")
+    responsivity_scatter: float = Field(ge=0, le=1)
+    camera_rotation_rad: AngleExtent = Field(alias="camera_rotation")
+    layout: Layout | None = None
+    positions: TableFile = None
+
+    @model_validator(mode="after")
+    def _one_focal_plane(self) -> Self:
+        if (self.layout is None) == (self.positions is None):
+            raise ValueError("exactly one of 'layout' (a section) and 'positions' (an ECSV file) is expected")
+        return self
+
+
+class Scan(Section):
+    """The raster of one observation."""
+
+    speed_rad_s: Speed = Field(alias="speed")
+    scans: int = Field(ge=1, le=100_000)
+    duration_s: Duration = Field(alias="duration")
+    turnaround_s: DurationExtent = Field(alias="turnaround")
+    step_rad: AngleExtent = Field(alias="step")
+    dither_rad: AngleExtent = Field(alias="dither")
+    sample_rate_hz: Frequency = Field(alias="sample_rate")
+
+
+class Atmosphere(Section):
+    """The Kolmogorov-Taylor thin screen and the distributions that each observation draws from."""
+
+    index: Index
+    layer_height_m: Length = Field(alias="layer_height")
+    illuminated_aperture_m: Length = Field(alias="illuminated_aperture")
+    outer_scale_m: Length | None = Field(alias="outer_scale", default=None)
+    b2_probabilities: tuple[float, ...]
+    b2: tuple[float, ...]
+    wind_median_rad_s: SpeedExtent = Field(alias="wind_median")
+    wind_log_scatter: float = Field(ge=0, le=2)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _b2_in_units_of_the_index(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or "b2" not in data or "index" not in data:
+            return data
+        try:
+            unit = f"mK2 rad({2 - Fraction(str(data['index'])).limit_denominator(1000)})"
+        except (ValueError, ZeroDivisionError):
+            return data | {"b2": ()}  # one error is enough: the index is refused by its own check
+        try:
+            return data | {"b2": to_floats(data["b2"], unit)}
+        except ValueError as error:
+            raise ValueError(f"b2: {error}") from None
+
+    @model_validator(mode="after")
+    def _distribution_is_one(self) -> Self:
+        check_knots("b2_probabilities", self.b2_probabilities, "b2", self.b2)
+        if not all(0 < p < 1 for p in self.b2_probabilities):
+            raise ValueError(f"b2_probabilities: found {self.b2_probabilities}; values between 0 and 1 are expected")
+        if self.index >= 4 and self.outer_scale_m is None:
+            raise ValueError(f"outer_scale: missing; an index of {self.index:g} (4 or more) needs an outer scale")
+        return self
+
+
+def check_knots(x_name: str, x: tuple[float, ...], y_name: str, y: tuple[float, ...]) -> None:
+    """Raise ValueError unless x increases, y does not decrease or turn negative, and the lengths agree."""
+    if len(x) != len(y) or not x:
+        raise ValueError(f"{y_name}: found {len(y)} values for {len(x)} {x_name}; as many as these are expected")
+    if any(b <= a for a, b in zip(x, x[1:], strict=False)):
+        raise ValueError(f"{x_name}: found {x}; increasing values are expected")
+    if min(y) < 0 or any(b < a for a, b in zip(y, y[1:], strict=False)):
+        raise ValueError(f"{y_name}: found {y}; values of 0 or more that do not decrease are expected")
+
+
+class Excess(Section):
+    """Excess low-frequency noise: variance below a band limit against B2, spectrum f^-index."""
+
+    spectral_index: float = Field(ge=0, le=10)
+    band_limit_hz: Frequency = Field(alias="band_limit")
+    b2: tuple[float, ...]
+    variance_mk2: Variances = Field(alias="variance")
+    coherence: Coherence
+
+    @model_validator(mode="after")
+    def _knots_fit(self) -> Self:
+        check_knots("b2", self.b2, "variance", self.variance_mk2)
+        # Excess is interpolated in the logarithms of both.
+        for name, values in (("b2", self.b2), ("variance", self.variance_mk2)):
+            if len(self.b2) > 1 and not all(0 < value < math.inf for value in values):
+                raise ValueError(f"{name}: found {values}; finite values above 0 are expected")
+        return self
+
+
+class Photon(Section):
+    """Photon noise, of which a coherent part is shared by overlapping pixels."""
+
+    psd_mk2_hz: NoisePsd = Field(alias="psd")
+    coherent_fraction: float = Field(ge=0, le=1)
+    coherence: Coherence
+
+
+class Detector(Section):
+    """White noise of detectors and electronics, uncorrelated."""
+
+    psd_mk2_hz: NoisePsd = Field(alias="psd")
+
+
+class PointSource(Section):
+    """A point source: peak Rayleigh-Jeans temperature in the beam."""
+
+    ra_rad: Longitude = Field(alias="ra")
+    dec_rad: Latitude = Field(alias="dec")
+    peak_mk: Temperature = Field(alias="peak")
+
+
+class Sky(Section):
+    """Astronomical signal in the streams: a flat CMB band power and point sources."""
+
+    cmb_band_power_ukcmb2: BandPowerExtent = Field(alias="cmb_band_power")
+    point_sources: tuple[PointSource, ...] = ()
+    curved_nside: Nside = None
+
+
+class Cleaning(Section):
+    """The subtraction algorithm and its convergence."""
+
+    algorithm: Algorithm
+    tolerance: float = Field(gt=0, lt=1)
+    max_iterations: int = Field(ge=1, le=1_000_000)
+
+
+class MapSection(Section):
+    """Pixels of the map."""
+
+    pixel_rad: PositiveAngle = Field(alias="pixel")
+    healpix_nside: Nside = None
+
+
+class Window(Section):
+    """Flat-CMB skies that measure what cleaning takes from the signal."""
+
+    skies: int = Field(ge=2, le=1000)
+    observations: int = Field(ge=1)
+    band_power_ukcmb2: PositiveBandPower = Field(alias="band_power")
+
+
+class Reference(Section):
+    """Published uncertainties to print beside the run's, by data set."""
+
+    source: str
+    values_ukcmb2: Annotated[tuple[tuple[str, PositiveBandPower], ...], BeforeValidator(pairs)] = Field(alias="values")
+    gains: Annotated[tuple[tuple[str, Positive], ...], BeforeValidator(pairs)] = ()
+
+
+class Score(Section):
+    """The flat band-power uncertainty: which sky area, which multipoles, which data sets."""
+
+    size_rad: PositiveAngle = Field(alias="size")
+    taper_fraction: float = Field(ge=0, le=1)
+    ell_bin: int = Field(ge=1)
+    ell_min: int = Field(ge=1)
+    ell_max: int = Field(ge=2)
+    jackknives: int = Field(ge=2, le=1000)
+    white_above_hz: Frequency = Field(alias="white_above")
+    mask_separation_f_lambda: Positive | None = None
+    simulated: tuple[Literal["uncorrelated", "white"], ...]
+    window: Window
+    reference: Reference | None = None
+
+    @model_validator(mode="after")
+    def _range_has_bins(self) -> Self:
+        if self.ell_max < self.ell_min + self.ell_bin:
+            raise ValueError(f"ell_max: found {self.ell_max}; at least ell_min + ell_bin is expected")
+        return self

@@ -1,0 +1,149 @@
+"""The Python interface: the same bits whatever the workers, the resumption and the stages left out."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from mapmaker.timestreams import read_timestreams
+from surveysim import SceneError, load_scene, run, simulate_observation
+from surveysim.setup import prepare
+from surveysim.survey import run_observations
+from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
+
+STAGES = ("atmosphere", "excess", "photon", "detector", "sky")
+ONE_B2 = {"excess.b2": [46], "excess.variance": "[2.05] mK2"}  # excess that needs no weather
+
+
+@pytest.fixture
+def path(tmp_path):
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL_SCENE)
+    return path
+
+
+def streams(path, stages, observation=1, **overrides):
+    settings = {name: None for name in (*STAGES, "score") if name not in stages}
+    settings["cleaning.algorithm"] = "none"
+    if "excess" in stages:
+        settings |= ONE_B2
+    return simulate_observation(load_scene(path, settings | overrides), observation)
+
+
+@pytest.mark.parametrize("left_out", STAGES)
+def test_leaving_a_stage_out_moves_no_other_draw(path, left_out):
+    """The streams of all stages less those without one are that stage's own, and the rest draws the same.
+
+    Float32 sums of up to ~1e3 mK round to 6e-5 mK a step; all differ by one draw at least otherwise.
+    """
+    others = [name for name in STAGES if name != left_out]
+    whole, rest = (streams(path, names).data_mk.astype(float) for names in (STAGES, others))
+    alone = streams(path, [left_out]).data_mk.astype(float)
+    level = np.abs(whole).max()
+    np.testing.assert_allclose(whole - rest, alone, atol=8 * level * 2.0**-24)
+    assert alone.std() > 100 * level * 2.0**-24
+
+
+def test_leaving_stages_out_of_the_end_is_exact(path):
+    """[score] draws for the maps only; the pointing does not know of the weather."""
+    scene = load_scene(path)
+    whole = simulate_observation(scene, 2)
+    unscored = simulate_observation(load_scene(path, {"score": None}), 2)
+    np.testing.assert_array_equal(whole.data_mk, unscored.data_mk)
+    calm = streams(path, ["detector"], 2)
+    for name in ("time_s", "ra_rad", "dec_rad", "array_angle_rad", "scan"):
+        np.testing.assert_array_equal(getattr(whole, name), getattr(calm, name))
+
+
+def test_observations_and_seeds_differ(path):
+    scene = load_scene(path)
+    one, again, other = (simulate_observation(scene, number) for number in (0, 0, 1))
+    np.testing.assert_array_equal(one.data_mk, again.data_mk)
+    seeded = simulate_observation(load_scene(path, {"seed": 12}), 0)
+    for different in (other, seeded):
+        assert abs(np.corrcoef(np.diff(one.data_mk).ravel(), np.diff(different.data_mk).ravel())[0, 1]) < 0.1
+
+
+def test_observations_of_a_longer_survey_are_the_same(path):
+    short, long = load_scene(path), load_scene(path, {"observations": 9})
+    np.testing.assert_array_equal(simulate_observation(short, 3).data_mk, simulate_observation(long, 3).data_mk)
+
+
+@pytest.mark.parametrize("observation", [-1, 4])
+def test_observations_that_are_not_there(path, observation):
+    with pytest.raises(ValueError, match="0 to 3 is expected"):
+        simulate_observation(load_scene(path), observation)
+
+
+def test_two_workers_give_the_same_bits(path):
+    setup = prepare(load_scene(path))
+    one, two = (run_observations(setup, None, workers) for workers in (1, 2))
+    arrays = ("sums", "weight", "hits", "flipped", "window", "window_weight", "rows", "raw_psd", "clean_psd")
+    for name in arrays:
+        np.testing.assert_array_equal(np.array(getattr(one, name)), np.array(getattr(two, name)))
+
+
+def test_saved_timestreams_are_what_is_simulated(path, tmp_path):
+    scene = load_scene(path)
+    run(scene, tmp_path / "out", workers=1, save_timestreams=True, figures=False)
+    files = sorted((tmp_path / "out" / "timestreams").iterdir())
+    assert [file.name for file in files] == ["0000.h5", "0001.h5", "0002.h5", "0003.h5"]
+    for number, file in enumerate(files):
+        read, made = read_timestreams(file), simulate_observation(scene, number)
+        np.testing.assert_array_equal(read.data_mk, made.data_mk)
+        np.testing.assert_array_equal(read.time_s, made.time_s)
+        np.testing.assert_array_equal(read.scan, made.scan)
+        for name in ("ra_rad", "dec_rad", "array_angle_rad"):
+            np.testing.assert_allclose(getattr(read, name), getattr(made, name), rtol=1e-14)
+        np.testing.assert_allclose(read.focal_plane.x_rad, made.focal_plane.x_rad, rtol=1e-14, atol=1e-18)
+        assert read.focal_plane.fwhm_rad == pytest.approx(made.focal_plane.fwhm_rad)
+        assert dict(read.attributes) == pytest.approx(dict(made.attributes))
+        assert read.attributes["seed"] == 11 and read.attributes["b2_mk2"] > 0
+
+
+def test_timestreams_need_a_place(path):
+    with pytest.raises(ValueError, match="save_timestreams"):
+        run(load_scene(path), save_timestreams=True)
+
+
+def test_scenes_that_cannot_run(path):
+    scene = load_scene(path, {"score.ell_max": 30000})
+    for attempt in (lambda: run(scene), lambda: simulate_observation(scene, 0)):
+        with pytest.raises(SceneError, match="score.ell_max: found 30000"):
+            attempt()
+
+
+def test_progress_sees_every_observation(path):
+    seen = []
+    result = run(load_scene(path), workers=1, progress=lambda coadds: seen.append(coadds.done))
+    assert seen == [1, 2, 3, 4] and result.workers == 1 and result.wall_s > 0
+
+
+def test_white_noise_has_its_variance(tmp_path):
+    """PSD times half the rate; the mean of n squares scatters by sqrt(2 / n), of which 4 are allowed."""
+    path = tmp_path / "white.toml"
+    path.write_text(WHITE_NOISE_SCENE)
+    data = simulate_observation(load_scene(path), 0).data_mk.astype(float)
+    assert np.mean(data**2) == pytest.approx(2.5 * 10 / 2, rel=4 * np.sqrt(2 / data.size))
+
+
+def test_white_noise_imports_no_coordinates(tmp_path):
+    path = tmp_path / "white.toml"
+    path.write_text(WHITE_NOISE_SCENE)
+    code = (
+        "import sys\nfrom surveysim import load_scene, run\n"
+        f"run(load_scene({str(path)!r}), workers=1)\nprint(' '.join(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    unwanted = {
+        "astropy.coordinates",
+        "astropy.table",
+        "astropy.wcs",
+        "healpy",
+        "matplotlib",
+        "dask",
+        "h5py",
+        "typer",
+    }
+    assert not unwanted & set(done.stdout.split())

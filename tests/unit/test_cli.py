@@ -1,0 +1,392 @@
+"""The command line: wrong input in one line, clean interruption, progress, plan, check, new."""
+
+import contextlib
+import errno
+import os
+import pty
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surveysim import cli, survey
+from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
+from tests.unit.test_interruption import COMMAND, assert_same_results
+
+ECSV = (
+    "# %ECSV 1.0\n# ---\n# datatype:\n# - {name: x, unit: arcsec, datatype: float64}\n"
+    "# - {name: y, unit: arcsec, datatype: float64}\nx y\n"
+)
+SCHEDULE = """
+[schedule]
+latitude = "19.8 deg"
+longitude = "-155.5 deg"
+height = "4070 m"
+first_night = "2003-10-28"
+nights = 1
+max_hour_angle = "3 hourangle"
+min_elevation = "40 deg"
+"""
+
+
+@pytest.fixture(autouse=True)
+def handlers():
+    """The entry point sets signal handlers; a test run keeps its own."""
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in kept.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL_SCENE)
+    return path
+
+
+@pytest.fixture
+def call(monkeypatch, capsys):
+    """Run the command line here; returns exit code, standard output and error."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["surveysim", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        text = capsys.readouterr()
+        return end.value.code or 0, text.out, text.err
+
+    return call
+
+
+def refused(call, scene, *arguments):
+    """The line that `run` refuses a scene with; checks that nothing is written."""
+    out = scene.parent / "out"
+    code, _, error = call("run", scene, "--out", out, *arguments)
+    assert code == 2 and not out.exists()
+    assert len(error.splitlines()) == 1 and "Traceback" not in error
+    return error
+
+
+@pytest.mark.parametrize(
+    "setting, words",
+    [
+        ("typo=1", ("typo: unknown key; allowed are atmosphere",)),
+        ("scan=3", ("scan: found 3; a section is expected",)),
+        ("instrument.layout=[1]", ("instrument.layout: found [1]; a section is expected",)),
+        ("title=2003-01-01", ("title: found 2003-01-01; a text in quotes is expected",)),
+        ("atmosphere.b2_probabilities=0.5", ("b2_probabilities: found 0.5; a list is expected",)),
+        ("atmosphere.b2=[]", ("b2: found 0 values for 3", "expected")),
+        ("atmosphere.index=true", ("index: found true",)),
+        ("atmosphere.index=1/0", ("index: found '1/0'; a number or a fraction like '11/3' is expected",)),
+        ("scan.speed=4 arcmin", ("scan.speed: found '4 arcmin'", "rad / s")),
+        ("scan.speed=-4 arcmin/s", ("scan.speed: found", "above 0")),
+        ("scan.scans=nan", ("scan.scans: found nan", "finite")),
+        ("scan.scans=1000000000", ("scan.scans: found 1000000000", "100000")),
+        ("observations=1000000000", ("observations: found 1000000000", "1000000")),
+        ("instrument.layout.rings=61", ("rings: found 61", "60")),
+        ("instrument.layout.rings=0", ("dead: found [5]", "0 to 0 are expected")),
+        ("instrument.layout.dead=[19]", ("dead: found [19]", "0 to 18 are expected")),
+        (
+            "score.mask_separation_f_lambda=9",
+            ("mask_separation_f_lambda: found 1 detectors", "needs 2 or more"),
+        ),
+        ("scan.duration=0.5 s", ("scan.duration: found 5 samples", "8 or more")),
+        ("scan.duration=1e6 s", ("scan: found a map that reaches", "15 deg or less")),
+        ("map.pixel=1e-5 arcsec", ("map.pixel: found a map of", "16384 or less")),
+        ("scan.sample_rate=1e12 Hz", ("scan.sample_rate: found", "2e+09 or less")),
+        ("score.size=3 deg", ("score.size: found 180 arcmin", "or less is expected")),
+        ("score.ell_max=30000", ("score.ell_max: found 30000", "21600 or less")),
+        ("score.ell_bin=3", ("score.ell_bin: no Fourier mode", "expected")),
+        ("score.white_above=5 Hz", ("score.white_above: found 5 Hz", "less than half the sample rate")),
+        ("instrument.beam_fwhm=5 deg", ("score.ell_min: found 4000", "beam")),
+        ("excess.band_limit=0.1 Hz", ("excess.band_limit: found 0.1 Hz", "1 / scan.duration")),
+        ("atmosphere.outer_scale=1 m", ("atmosphere: outer_scale", "found")),
+        ("map.healpix_nside=3", ("healpix_nside: found 3; a power of two",)),
+        ("sky.curved_nside=0", ("curved_nside: found 0; a power of two",)),
+        ("fixed_pointing.elevation=91 deg", ("elevation: found '91 deg'; 90 deg or less",)),
+        ("field.dec=91 deg", ("field.dec: found '91 deg'; -90 deg to 90 deg",)),
+        ("name=..", ("name: found '..'",)),
+        ("assumed=[]", ("assumed: unknown key",)),
+    ],
+)
+def test_wrong_scene(call, scene, setting, words):
+    error = refused(call, scene, "--set", setting)
+    assert error.startswith(f"{scene}: ")
+    assert all(word in error for word in words), error
+
+
+def test_too_few_detectors(call, scene):
+    text = without_sections(SMALL_SCENE, "score").replace("dead = [5]", "")
+    scene.write_text(text.replace("rings = 2", "rings = 0"))
+    assert "cleaning.algorithm: found 1 detectors; 'average' needs 2 or more" in refused(call, scene)
+
+
+@pytest.mark.parametrize("item", ["scan.speed", "=3", "scan..speed=3", ""])
+def test_set_syntax(call, scene, item):
+    assert f"--set: found {item!r}; KEY=VALUE is expected" in refused(call, scene, "--set", item)
+
+
+def test_set_values(tmp_path):
+    """TOML where it is TOML, else text: quantities need no quotes; one value only."""
+    parse = cli._setting
+    assert parse("a=3") == ("a", 3) and parse("a = [1, 2]") == ("a", [1, 2])
+    assert parse("a=4 arcmin / s") == ("a", "4 arcmin / s") == parse('a="4 arcmin / s"')
+    assert parse("a=1\nb=2") == ("a", "1\nb=2") and parse("a=") == ("a", "") and parse("a=x=y") == ("a", "x=y")
+
+
+@pytest.mark.parametrize("workers", ["0", "-1"])
+def test_workers(call, scene, workers):
+    assert f"--workers: found {workers}; 1 or more is expected" in refused(call, scene, "--workers", workers)
+
+
+@pytest.mark.parametrize(
+    "content, words",
+    [
+        (None, "can't be read"),
+        (b"\x93NUMPY\x00\xff\xfe", "not a whole TOML file"),
+        (SMALL_SCENE[:300].encode(), "missing"),
+        (b"first_night = 2003-02-30", "not a whole TOML file"),
+        (b"a = " + b"[" * 5000, "expected"),
+        (b"", "missing"),
+    ],
+)
+def test_unreadable_scene(call, tmp_path, content, words):
+    path = tmp_path / "bad.toml"
+    if content is not None:
+        path.write_bytes(content)
+    code, _, error = call("run", path, "--out", tmp_path / "out")
+    assert code == 2 and not (tmp_path / "out").exists()
+    assert all(line.startswith(f"{path}: ") for line in error.splitlines()) and words in error
+    code, _, error = call("run", tmp_path)
+    assert code == 2 and "can't be read (Is a directory)" in error
+
+
+@pytest.mark.parametrize(
+    "table, words",
+    [
+        (ECSV + "0 0\n40 0\n0 0\n", "detectors 0 and 2 have one position"),
+        (ECSV, "no row"),
+        (ECSV + "0 nan\n", "non-finite"),
+        (ECSV.replace("unit: arcsec", "unit: m"), "angular units"),
+        (ECSV.replace("name: x", "name: z") + "0 0\n", "columns x and y"),
+        (ECSV[:40], "not an ECSV table"),
+        ("\0\1\2", "not an ECSV table"),
+        (None, "not an ECSV table"),
+    ],
+)
+def test_positions(call, scene, table, words):
+    before = 'camera_rotation = "60 deg"'
+    text = SMALL_SCENE.replace(before, f'{before}\npositions = "table.ecsv"')
+    start, end = text.index("[instrument.layout]"), text.index("[scan]")
+    scene.write_text(text[:start] + text[end:])
+    if table is not None:
+        (scene.parent / "table.ecsv").write_text(table)
+    error = refused(call, scene)
+    assert "instrument" in error and words in error and error.startswith(f"{scene}: ")
+
+
+def test_schedules(call, scene):
+    text = without_sections(SMALL_SCENE, "fixed_pointing") + SCHEDULE
+    scene.write_text(text)
+    assert "schedule: 100000 observations" in (error := refused(call, scene, "--set", "observations=100000"))
+    assert "would fit" in error
+    error = refused(call, scene, "--set", "field.dec=-60 deg")
+    assert "schedule: the field never rises above 10." in error and "40.00 deg" in error
+    for date in ("28 October", "2003-10-32", 3):
+        assert "first_night: found" in refused(call, scene, "--set", f"schedule.first_night={date}")
+    scene.write_text(text.replace('"2003-10-28"', "2003-10-28"))
+    assert "a date in quotes like '2003-10-28' is expected" in refused(call, scene)
+
+
+def test_a_file_in_the_way(call, scene):
+    """Found before any work."""
+    out = scene.parent / "out"
+    out.write_text("mine")
+    for found in (out, out / "below"):
+        code, _, error = call("run", scene, "--out", found)
+        assert code == 1 and str(out) in error and len(error.splitlines()) == 1
+    assert out.read_text() == "mine"
+    out.unlink()
+    out.mkdir()
+    (out / "maps").write_text("mine")
+    code, _, error = call("run", scene, "--out", out)
+    assert code == 1 and f"{out / 'maps'}: a file where a folder is to be written" in error
+    assert list(out.iterdir()) == [out / "maps"]
+    (out / "maps").unlink()
+    (out / "summary.json").mkdir()
+    assert call("run", scene, "--out", out)[0] == 1
+
+
+def test_full_disk(call, scene, monkeypatch):
+    """One line that names the file; no half-written checkpoint, and an older one stays."""
+    out = scene.parent / "out"
+
+    def full(file, **arrays):
+        file.write(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(survey, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(np, "savez", full)
+    code, _, error = call("run", scene, "--out", out, "--workers", 1, "--quiet")
+    assert (code, error) == (1, "output: No space left on device\n")
+    assert not list(out.iterdir())
+
+
+def test_failure_in_an_observation(call, scene, monkeypatch):
+    def fail(setup, observation, with_window):
+        raise ValueError("no strip\nis long enough")
+
+    monkeypatch.setattr(survey, "observe", fail)
+    code, _, error = call("run", scene, "--out", scene.parent / "out", "--workers", 1)
+    assert (code, error) == (1, f"{scene}: an observation failed: no strip is long enough\n")
+
+
+@pytest.mark.parametrize("damage", ["truncated", "bits", "other", "version"])
+def test_wrong_checkpoints(call, scene, monkeypatch, damage):
+    out = scene.parent / "out"
+    interrupt_after(call, scene, out, 2, monkeypatch)
+    path = out / "checkpoint.npz"
+    raw = bytearray(path.read_bytes())
+    if damage == "truncated":
+        raw = raw[: len(raw) // 2]
+    if damage == "bits":
+        raw[len(raw) // 3] ^= 0x10
+    if damage == "version":
+        monkeypatch.setattr("surveysim.checkpoint.__version__", "0.0.1")
+    path.write_bytes(raw)
+    settings = ("--set", "seed=12") if damage == "other" else ()
+    code, _, error = call("run", scene, "--out", out, "--resume", "--workers", 1, *settings)
+    assert code == 2 and error.startswith(f"{path}: ") and "without --resume" in error
+    assert len(error.splitlines()) == 1
+    assert path.read_bytes() == raw and [item.name for item in out.iterdir()] == ["checkpoint.npz"]
+
+
+def interrupt_after(call, scene, out, done, monkeypatch):
+    """A run that is interrupted once `done` observations are in."""
+
+    @contextlib.contextmanager
+    def display(checked, quiet):
+        def show(coadds):
+            if coadds.done == done:
+                raise KeyboardInterrupt
+
+        yield show
+
+    with monkeypatch.context() as patch:
+        patch.setattr("surveysim.progress.progress_display", display)
+        code, _, error = call("run", scene, "--out", out, "--workers", 1)
+    assert (code, error) == (130, f"interrupted; go on with --resume --out {out}\n")
+
+
+def test_resume_gives_the_same_bits(call, scene, monkeypatch):
+    out, whole = scene.parent / "out", scene.parent / "whole"
+    interrupt_after(call, scene, out, 3, monkeypatch)
+    for directory, more in ((out, ["--resume"]), (whole, [])):
+        code, _, error = call("run", scene, "--out", directory, "--no-figures", "--workers", 1, "-q", *more)
+        assert (code, error) == (0, "")
+    assert_same_results(out, whole)
+    assert not (out / "checkpoint.npz").exists()
+
+
+def test_progress_lines(call, scene):
+    code, out, error = call("run", scene, "--out", scene.parent / "out", "--workers", 1, "--no-figures")
+    assert code == 0 and "sigma(A)" in out and "Results in" in out
+    lines = error.splitlines()
+    assert [line.split()[1] for line in lines] == ["1/4", "2/4", "3/4", "4/4"]
+    assert all("\x1b" not in line and " s left" in line for line in lines)
+    assert "sigma(A) = " in lines[-1] and " uK_CMB^2" in lines[-1]
+
+
+def test_quiet(call, scene):
+    arguments = ("run", scene, "--out", scene.parent / "out", "--workers", 1, "--no-figures", "--quiet")
+    assert call(*arguments) == (0, "", "")
+
+
+def test_bar_on_a_terminal(tmp_path):
+    path = tmp_path / "white.toml"
+    path.write_text(WHITE_NOISE_SCENE)
+    ours, theirs = pty.openpty()
+    arguments = ["run", str(path), "--out", str(tmp_path / "o"), "--no-figures", "--workers", "1"]
+    with subprocess.Popen([*COMMAND, *arguments], stdout=theirs, stderr=theirs, stdin=theirs) as process:
+        os.close(theirs)
+        shown = b""
+        with contextlib.suppress(OSError):
+            while part := os.read(ours, 4096):
+                shown += part
+    os.close(ours)
+    assert process.returncode == 0
+    assert b"4/4" in shown and "━".encode() in shown and b"\x1b[" in shown
+
+
+def test_help(call):
+    code, out, error = call()
+    assert code == 2 and all(name in out + error for name in ("run", "plan", "check", "new"))
+    code, out, _ = call("--help")
+    assert code == 0 and "Usage" in out
+    code, _, error = call("run")
+    assert code == 2 and "Missing argument 'SCENE'" in error
+    code, _, error = call("sprint")
+    assert code == 2 and "sprint" in error
+
+
+def test_check(call, scene):
+    assert call("check", scene) == (0, f"{scene}: 'small' is a scene that can be run\n", "")
+    code, out, error = call("check", scene, "--set", "scan.typo=1", "--set", "map.typo=1")
+    assert code == 2 and out == "" and len(error.splitlines()) == 2
+    assert sorted(path.name for path in scene.parent.iterdir()) == ["small.toml"]
+
+
+def test_plan(call, tmp_path):
+    path = tmp_path / "white.toml"
+    path.write_text(WHITE_NOISE_SCENE)
+    code, out, error = call("plan", path, "--workers", 1)
+    assert (code, error) == (0, "")
+    assert "4 observations of 4 scans, 18 detectors" in out
+    for name in ("atmosphere", "excess", "photon", "sky", "score"):
+        assert f"left out: no section [{name}]" in out
+    assert "MB a process" in out and "with 1 worker(s)" in out
+    assert "0.01728 million detector-samples" in out  # 4 observations of 4 scans of 60 samples, 18 detectors
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_new(call, scene, monkeypatch):
+    monkeypatch.chdir(scene.parent)
+    code, out, _ = call("new", "mine", "--like", "small.toml")
+    assert code == 0 and Path("scenarios/mine.toml").read_text() == SMALL_SCENE and "surveysim check" in out
+    assert call("new", "yours", "--like", "mine")[0] == 0
+    for arguments, words in (
+        (("mine", "--like", "yours"), "exists"),
+        (("other", "--like", "nowhere"), "mine, yours"),
+        (("../other", "--like", "mine"), "letters, digits"),
+    ):
+        code, _, error = call("new", *arguments)
+        assert code == 2 and words in error and len(error.splitlines()) == 1
+    assert call("new", "other")[0] == 2
+
+
+def test_white_noise_needs_little(tmp_path):
+    """No import of what only other scenes need, in a process of its own."""
+    path = tmp_path / "white.toml"
+    path.write_text(WHITE_NOISE_SCENE)
+    code = (
+        "import sys\nfrom surveysim.cli import main\ntry:\n    main()\n"
+        "except SystemExit as end:\n    assert not end.code\nprint(' '.join(sys.modules))"
+    )
+    arguments = ["run", str(path), "--out", str(tmp_path / "o"), "--no-figures", "--workers", "1", "-q"]
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert not loaded & {
+        "healpy",
+        "matplotlib",
+        "dask",
+        "distributed",
+        "h5py",
+        "scipy.optimize",
+        "scipy.stats",
+    }
+    assert not loaded & {"surveysim.atmosphere.screen", "surveysim.sky"}
+    assert (tmp_path / "o" / "maps" / "actual.fits").exists()
