@@ -5,6 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 
+from threadpoolctl import threadpool_limits
+
 from mapmaker.timestreams import Timestreams
 from surveysim.coadds import CoAdds
 from surveysim.observation import draw_observation
@@ -22,7 +24,8 @@ def simulate_observation(scene: Scene, observation: int) -> Timestreams:
     """
     if not 0 <= observation < scene.observations:
         raise ValueError(f"observation: found {observation}; 0 to {scene.observations - 1} is expected")
-    return draw_observation(prepare(scene), observation)
+    with threadpool_limits(1):  # the same bits as in a run
+        return draw_observation(prepare(scene), observation)
 
 
 def run(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from mapmaker.cleaning.templates import TemplateOptions
 from mapmaker.geometry import MapGeometry, covering_geometry
@@ -73,7 +74,10 @@ class Setup:
 def prepare(scene: Scene) -> Setup:
     """Make a scene ready. Raises SceneError when the scene can't be run, with key, found and allowed."""
     try:
-        return _prepare(scene)
+        # Eigenvectors of the correlations differ in the last bits, or in a degenerate space altogether, between
+        # numbers of BLAS threads; a run must not depend on the machine's cores.
+        with threadpool_limits(1):
+            return _prepare(scene)
     except SceneError:
         raise
     except ValueError as error:

@@ -10,23 +10,27 @@ from surveysim.checkpoint import load_checkpoint, save_checkpoint
 from surveysim.coadds import CoAdds, add_observation, empty_coadds
 from surveysim.engines import held_back_signals, ordered_map
 from surveysim.observation import ObservationResult, observe
-from surveysim.scene import scene_hash
-from surveysim.setup import Setup, window_observations
+from surveysim.scene import Scene, scene_hash
+from surveysim.setup import Setup, prepare, window_observations
 
 CHECKPOINT_SECONDS = 10.0
 
 
 @dataclass(frozen=True)
 class ObservationJob:
-    """What a worker does with an observation's number; goes to each worker once."""
+    """What a worker does with an observation's number.
 
-    setup: Setup
+    It holds the scene and not its setup, which each worker prepares: while the megabytes of a setup went to
+    one worker, no other would start.
+    """
+
+    scene: Scene
     timestream_dir: Path | None
 
     def __call__(self, observation: int) -> ObservationResult:
         """Simulate, clean and bin; write the streams if asked."""
-        with_window = bool(window_observations(self.setup.scene)[observation])
-        result, streams = observe(self.setup, observation, with_window)
+        with_window = bool(window_observations(self.scene)[observation])
+        result, streams = observe(prepare(self.scene), observation, with_window)
         if self.timestream_dir is not None:
             write_timestreams(self.timestream_dir / f"{observation:04d}.h5", streams)
         return result
@@ -51,7 +55,7 @@ def run_observations(
     coadds = empty_coadds(setup)
     if resume and checkpoint is not None and checkpoint.exists():
         coadds = load_checkpoint(checkpoint, identity)
-    job = ObservationJob(setup, timestream_dir)
+    job = ObservationJob(setup.scene, timestream_dir)
     results = ordered_map(job, range(coadds.done, setup.scene.observations), workers)
     saved, saved_done = monotonic(), coadds.done
     try:
