@@ -71,10 +71,10 @@ def run(
     checked = _ready(scene, settings)
     directory = out or Path("outputs") / checked.name
     _check_writable(directory)
-    from concurrent.futures.process import BrokenProcessPool
 
     from surveysim.api import run as run_scene
     from surveysim.checkpoint import CheckpointError
+    from surveysim.engines import WorkerLostError
     from surveysim.progress import progress_display
     from surveysim.report.text import print_result
 
@@ -86,7 +86,7 @@ def run(
         _fail(str(error))
     except KeyboardInterrupt:
         _stopped("interrupted", directory, EXIT_INTERRUPTED)
-    except BrokenProcessPool:
+    except WorkerLostError:
         _stopped("a worker process was killed, perhaps for want of memory", directory, EXIT_FAILED)
     except OSError as error:
         _stopped(_cause(error), directory, EXIT_FAILED)

@@ -1,19 +1,23 @@
 """Engines: ordered maps of observations over workers. The order of results never depends on them."""
 
 import multiprocessing
-import os
 import signal
 import threading
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-_job: Callable[[Any], Any] | None = None
+TAKEN_AHEAD = 2  # items that wait at a worker, so that it does not wait for the parent
+
+
+class WorkerLostError(RuntimeError):
+    """A worker process is gone: killed, or out of memory."""
 
 
 def ordered_map(job: Callable[[Any], Any], items: Iterable[Any], workers: int) -> Iterator[Any]:
@@ -21,7 +25,7 @@ def ordered_map(job: Callable[[Any], Any], items: Iterable[Any], workers: int) -
 
     One BLAS thread a worker, so that sums do not depend on the machine's cores. At most a few items a
     worker are under way at a time: results wait in bounded memory. Closing the iterator early ends the
-    workers at once. Raises what a job raises, and BrokenProcessPool when a worker is gone.
+    workers at once. Raises what a job raises, and WorkerLostError when a worker is gone.
     """
     if workers == 1:
         yield from _serial(job, items)
@@ -56,58 +60,111 @@ def _serial(job: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
         yield result
 
 
+@dataclass
+class _Worker:
+    """A worker process, this end of its pipe, and how many items it has not answered."""
+
+    process: BaseProcess
+    pipe: Connection
+    open_items: int = 0
+
+
 def _processes(job: Callable[[Any], Any], items: Iterable[Any], workers: int) -> Iterator[Any]:
-    # Spawned, not forked: a fork in a process with threads can hang, and does not exist everywhere.
-    context = multiprocessing.get_context("spawn")
-    others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=(job,))
-    waiting: deque = deque()
-    finished = False
+    # A pipe a worker, and not an executor's shared queues: one that is killed while it holds a lock of the
+    # queue, or halfway through a result, would leave the others and the parent waiting for ever.
+    crew: list[_Worker] = []
+    numbered = enumerate(items)
+    ready: dict[int, tuple[Any, Exception | None]] = {}
+    position = 0
+    entry = next(numbered, None)
     try:
-        for item in items:
-            waiting.append(_submit(pool, item))
-            if len(waiting) > 3 * workers:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-        finished = True
+        while entry is not None or any(worker.open_items for worker in crew):
+            while entry is not None and entry[0] - position <= 3 * workers:
+                worker = _least_busy(crew, job, workers)
+                if worker is None:
+                    break
+                _give(worker, entry)
+                entry = next(numbered, None)
+            ready |= _collect(crew)
+            while position in ready:
+                result, error = ready.pop(position)
+                if error is not None:
+                    raise error
+                yield result
+                position += 1
     finally:
-        if not finished:
-            for process in set(multiprocessing.active_children()) - others:
-                process.kill()
-        pool.shutdown(wait=True, cancel_futures=True)
+        for worker in crew:
+            worker.process.kill()
+            worker.process.join()
+            worker.pipe.close()
 
 
-def _submit(pool: ProcessPoolExecutor, item: Any) -> Future:
-    """Submit an item; a worker that this starts is deaf to Ctrl-C from its first instruction.
+def _least_busy(crew: list[_Worker], job: Callable[[Any], Any], workers: int) -> _Worker | None:
+    """The worker to give an item to, a new one while there are fewer than `workers`; None if all are busy."""
+    if len(crew) < workers:
+        with held_back_signals():
+            crew.append(_start(job))
+        return crew[-1]
+    worker = min(crew, key=lambda item: item.open_items)
+    return worker if worker.open_items < TAKEN_AHEAD else None
+
+
+def _give(worker: _Worker, entry: tuple[int, Any]) -> None:
+    try:
+        worker.pipe.send(entry)
+    except OSError:
+        raise WorkerLostError("a worker process is gone") from None
+    worker.open_items += 1
+
+
+def _collect(crew: list[_Worker]) -> dict[int, tuple[Any, Exception | None]]:
+    """(result, error) by number, of all workers that have one; waits for the first."""
+    found = {}
+    waiting = {worker.pipe: worker for worker in crew if worker.open_items}
+    for pipe in wait(list(waiting)):
+        try:
+            number, result, error = pipe.recv()
+        except (EOFError, OSError):
+            raise WorkerLostError("a worker process is gone") from None
+        waiting[pipe].open_items -= 1
+        found[number] = (result, error)
+    return found
+
+
+def _start(job: Callable[[Any], Any]) -> _Worker:
+    """A new worker, deaf to Ctrl-C from its first instruction.
 
     A terminal sends Ctrl-C to the whole process group, and the parent decides what happens: a signal that is
-    blocked here is so in the worker. A pool that is interrupted while it starts one would never end.
+    blocked here is so in the worker.
     """
-    with held_back_signals():
-        if not hasattr(signal, "pthread_sigmask"):
-            return pool.submit(_run_job, item)
+    # Spawned, not forked: a fork in a process with threads can hang, and does not exist everywhere.
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_work, args=(job, theirs), daemon=True)
+    if hasattr(signal, "pthread_sigmask"):
         resource_tracker.ensure_running()  # unblocks signals when it is started
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            return pool.submit(_run_job, item)
+            process.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    else:
+        process.start()
+    theirs.close()  # held by the worker alone: its end closes with it
+    return _Worker(process, ours)
 
 
-def _start_worker(job: Callable[[Any], Any]) -> None:
-    global _job
+def _work(job: Callable[[Any], Any], pipe: Connection) -> None:
+    """Answer items from the parent until it is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
     threadpool_limits(1)
-    _job = job
-
-
-def _end_with_parent() -> None:
-    # A parent that is killed can't tell its workers to end; they would wait for work for ever.
-    multiprocessing.parent_process().join()
-    os._exit(1)
-
-
-def _run_job(item: Any) -> Any:
-    return _job(item)
+    try:
+        while True:
+            number, item = pipe.recv()
+            try:
+                answer = (number, job(item), None)
+            except Exception as error:  # whatever it is, the parent decides
+                answer = (number, None, error)
+            pipe.send(answer)
+    except (EOFError, OSError):
+        return

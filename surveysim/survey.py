@@ -49,7 +49,7 @@ def run_observations(
     `progress` is called after each. With a `checkpoint` path, the sums are written there every few
     seconds and when the run is interrupted or fails (KeyboardInterrupt and errors pass on); with `resume`,
     they are taken up from there. Raises CheckpointError for one that does not belong to the scene, and
-    BrokenProcessPool when a worker process is gone.
+    WorkerLostError when a worker process is gone.
     """
     identity = scene_hash(setup.scene)
     coadds = empty_coadds(setup)
