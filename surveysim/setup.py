@@ -74,16 +74,16 @@ class Setup:
 def prepare(scene: Scene) -> Setup:
     """Make a scene ready. Raises SceneError when the scene can't be run, with key, found and allowed."""
     try:
-        # Eigenvectors of the correlations differ in the last bits, or in a degenerate space altogether, between
-        # numbers of BLAS threads; a run must not depend on the machine's cores.
-        with threadpool_limits(1):
-            return _prepare(scene)
+        return _prepare(scene)
     except SceneError:
         raise
     except ValueError as error:
         raise SceneError(str(error)) from None
 
 
+# Eigenvectors of the correlations differ in their last bits, or in a degenerate space altogether, between
+# numbers of BLAS threads; a run must not depend on the machine's cores.
+@threadpool_limits.wrap(limits=1)
 def _prepare(scene: Scene) -> Setup:
     cam = camera(scene.instrument)
     lines = _raster(scene)

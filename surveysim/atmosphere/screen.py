@@ -26,6 +26,7 @@ from math import ceil, log2, pi, radians
 
 import numpy as np
 import scipy.fft
+from threadpoolctl import threadpool_limits
 
 from surveysim.atmosphere.spectrum import Screen, structure_function, structure_slope
 from surveysim.kernels import screen as kernels
@@ -106,6 +107,7 @@ def strip_step(screen):
 # ---------------------------------------------------------------- factors
 
 
+@threadpool_limits.wrap(limits=1)  # eigenvectors differ in their last bits between numbers of BLAS threads
 def build_strip(screen, length_rad, half_width_rad, step_rad):
     """Factors of a strip for tracks up to `length_rad` long within +-`half_width_rad` of its middle.
 

@@ -19,6 +19,7 @@ from math import gamma, inf, isfinite, pi, sin, sqrt
 
 import numpy as np
 from scipy.special import j0, j1, kv
+from threadpoolctl import threadpool_limits
 
 # In units of the beam: limits of the tabulated structure function, and where its two methods meet.
 _LAG_MIN, _LAG_JOIN, _LAG_MAX = 1e-4, 1.5, 1e4
@@ -114,6 +115,7 @@ def _pencil_constant(index):
 
 
 @lru_cache(maxsize=64)
+@threadpool_limits.wrap(limits=1)  # what is kept must not depend on who asked first, with how many threads
 def _log_structure(screen):
     """Spline of ln D against ln(theta / beam), and its slope at the lower end."""
     from scipy.interpolate import CubicSpline
