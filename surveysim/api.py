@@ -39,7 +39,8 @@ def run(
 ) -> SurveyResult:
     """Run a scene and, with `out`, write its results there.
 
-    `workers` is one a core by default; results do not depend on it. With `out`, finished work is kept in
+    `workers` is one a core by default; results do not depend on it. Workers import the calling script, which
+    therefore needs the usual ``if __name__ == "__main__":``. With `out`, finished work is kept in
     `out/checkpoint.npz` until the results are written; `resume` goes on from there. Raises SceneError when
     the scene can't be run and CheckpointError for a checkpoint that does not belong to it.
     """

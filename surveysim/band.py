@@ -39,6 +39,13 @@ class Band:
         extra = len(self.mode_weight) - self.taper.shape[0]
         return np.pad(patch, [(0, 0)] * (patch.ndim - 2) + [(0, extra)] * 2)
 
+    @property
+    def noise_scatter(self) -> float:
+        """Relative variance of `noise`: the modes that it weighs are few, and the taper ties them."""
+        taper = self.taper
+        kept = np.sum(taper**2) ** 2 / (len(self.mode_weight) ** 2 * np.sum(taper**4))
+        return float(np.sum(self.mode_weight**2) / self.mode_weight.sum() ** 2 / kept)
+
     def noise(self, total: np.ndarray, hits: np.ndarray) -> float:
         """Noise variance a sample of a patch of sums and hits, both (n, n); inf without a hit."""
         norm = float(np.sum(self.taper**2 * hits))

@@ -43,20 +43,19 @@ def excess_variance(section: Excess, b2: float | None) -> float:
     return float(np.exp(np.interp(np.log(max(b2, 1e-300)), np.log(section.b2), np.log(section.variance_mk2))))
 
 
-def excess_psd(section: Excess, variance_mk2: float, scan_s: float, frequency_hz: np.ndarray) -> np.ndarray:
-    """One-sided PSD [mK^2/Hz]: A f^-index, whose integral from 1/scan to the band limit is `variance_mk2`.
+def excess_psd(section: Excess, variance_mk2: float, n_samp: int, n: int, sample_rate_hz: float) -> np.ndarray:
+    """One-sided PSD [mK^2/Hz] A f^-index at the rfft frequencies of n samples, 0 at f = 0.
 
-    Below 1/scan the scan's mean removal takes what there is; the spectrum is flat at f = 0.
+    A is such that a scan of `n_samp` samples, its mean removed, has the variance `variance_mk2` below the
+    band limit, which is how Table 2 counts it: ``sum A f^-index (1 - sinc^2(f T)) df`` over the n-sample
+    grid that is drawn.
     """
-    low, high, index = 1 / scan_s, section.band_limit_hz, section.spectral_index
-    if high <= low:
-        raise ValueError(f"excess.band_limit: found {high:g} Hz; more than 1 / scan.duration = {low:g} Hz is expected")
-    if abs(index - 1) < 1e-9:
-        integral = np.log(high / low)
-    else:
-        integral = (high ** (1 - index) - low ** (1 - index)) / (1 - index)
-    positive = np.where(frequency_hz > 0, frequency_hz, np.inf)
-    return variance_mk2 / integral * positive ** (-index) if index else np.full_like(positive, variance_mk2 / integral)
+    frequency = np.arange(n // 2 + 1) * (sample_rate_hz / n)
+    shape = np.zeros(len(frequency))
+    shape[1:] = frequency[1:] ** (-section.spectral_index)
+    band = frequency <= section.band_limit_hz
+    left = 1 - np.sinc(frequency[band] * n_samp / sample_rate_hz) ** 2
+    return shape * (variance_mk2 / (np.sum(shape[band] * left) * sample_rate_hz / n))
 
 
 def draw_from_psd(
@@ -93,8 +92,7 @@ def add_excess(
     n_det, n_samp = data_mk.shape
     per_scan = n_samp // n_scans
     n = next_fast_len(2 * per_scan, real=True)
-    frequency = np.arange(n // 2 + 1) * (sample_rate_hz / n)
-    psd = excess_psd(section, variance_mk2, per_scan / sample_rate_hz, frequency)
+    psd = excess_psd(section, variance_mk2, per_scan, n, sample_rate_hz)
     streams = draw_from_psd(psd, (n_det, n_scans), n, sample_rate_hz, rng)[..., :per_scan]
     data_mk += factor.astype(np.float32) @ np.ascontiguousarray(streams).reshape(n_det, n_samp)
 
@@ -114,13 +112,12 @@ def hann_psd(data_mk: np.ndarray, n_scans: int, kept: np.ndarray, sample_rate_hz
     return power * (2 / (sample_rate_hz * float((taper.astype(float) ** 2).sum())))
 
 
-def white_level(psd_mk2_hz: np.ndarray, sample_rate_hz: float, above_hz: float) -> np.ndarray:
-    """White level (n_det,) [mK^2/Hz]: the mean PSD above `above_hz`, Nyquist excluded.
+def white_level(psd_mk2_hz: np.ndarray, n: int, sample_rate_hz: float, above_hz: float) -> np.ndarray:
+    """White level (n_det,) [mK^2/Hz]: the mean above `above_hz` of PSDs of n samples, Nyquist excluded.
 
     Raises ValueError when no frequency of the streams lies above it.
     """
-    n_freq = psd_mk2_hz.shape[-1]
-    frequency = np.linspace(0, sample_rate_hz / 2, n_freq)
+    frequency = np.fft.rfftfreq(n, 1 / sample_rate_hz)
     high = (frequency > above_hz) & (frequency < sample_rate_hz / 2)
     if not high.any():
         raise ValueError(

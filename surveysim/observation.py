@@ -81,7 +81,8 @@ def draw_observation(setup: Setup, observation: int, watch: Stopwatch | None = N
     with watch("sky"):
         if setup.sky_mk is not None:
             add_sky_signal(setup, pointing, setup.sky_mk, data, np.ones(len(data)))
-    # What comes through the optics is seen with each detector's own responsivity.
+    # Atmosphere, excess and sky are seen with each detector's own responsivity; the levels of photon and detector
+    # noise are those at its output.
     data *= setup.responsivity[:, None].astype(np.float32)
     with watch("photon"):
         _add_photon(setup, observation, data)
@@ -118,7 +119,7 @@ def observe(setup: Setup, observation: int, with_window: bool) -> tuple[Observat
     maps = [_bin(setup, cleaned[0].data_mk, index, bounds, cleaned[0].kept, watch)]
     white = np.full(1, np.nan)
     if setup.scene.score:
-        white = white_level(psd, rate, setup.scene.score.white_above_hz)
+        white = white_level(psd, streams.data_mk.shape[1] // n_scans, rate, setup.scene.score.white_above_hz)
         for name in setup.scene.score.simulated:
             with watch("simulated sets"):
                 data = _simulated_set(setup, observation, name, psd, white, streams.data_mk.shape[1])

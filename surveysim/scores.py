@@ -27,8 +27,8 @@ class DataSetScore:
     """One data set's result.
 
     `noise_psd` (n_bin,) [uK_CMB^2 sr] with `noise_psds` (K, n_bin) of the sign-flipped co-adds;
-    `signal_psd` (n_bin,) [sr]; `window` of its array; `weights` (n_obs,) [1/mK^2 a sample] of the
-    observations with data.
+    `signal_psd` (n_bin,) [sr]; `window` of its array; `weights` (n_obs,) [1/mK^2 a sample], 0 for an
+    observation without data.
     """
 
     name: str
@@ -66,9 +66,8 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
         if names is None or name in names:
             masked = name.startswith("masked")
             n_det = len(setup.masked) if masked else len(setup.responsivity)
-            good = np.isfinite(noise[:, s]) & (noise[:, s] > 0)
             psds = _noise_psds(setup, coadds, s, setup.band.rings)
-            scores[name] = _score(setup, name, n_det, psds, windows[int(masked)], 1 / noise[good, s])
+            scores[name] = _score(setup, name, n_det, psds, windows[int(masked)], _weights(noise[:, s]))
     return scores
 
 
@@ -112,11 +111,11 @@ def gain(worse: DataSetScore, better: DataSetScore, factor: float = 1.0) -> Gain
         for used in (item.band.weight > 0,)
     ]
     difference = (1 + responses[0] - responses[1])[:, None]
-    noise = noise_error(difference, np.ones(1), worse.weights)
-    weather = 0.0
-    if len(worse.weights) == len(better.weights):
-        relative = worse.weights / worse.weights.mean() - better.weights / better.weights.mean()
-        weather = relative.std(ddof=1) / np.sqrt(len(relative))
+    both = (worse.weights > 0) & (better.weights > 0)
+    pair = [item.weights[both] for item in (worse, better)]
+    noise = noise_error(difference, np.ones(1), pair[0])
+    relative = pair[0] / pair[0].mean() - pair[1] / pair[1].mean()
+    weather = relative.std(ddof=1) / np.sqrt(len(relative))
     window = 0.0 if worse.window is better.window else np.hypot(worse.budget.window, better.budget.window)
     return Gain(ratio, ratio * float(np.sqrt(noise**2 + weather**2 + window**2)))
 
@@ -127,8 +126,15 @@ def _score(setup, name, n_det, psds, window, weights, selected=None) -> DataSetS
         window.error, window.transmission, out=np.zeros_like(window.error), where=window.transmission > 0
     )
     selected = setup.band.selected if selected is None else selected
-    band, budget = score(psds, signal, relative, rings.n_modes, selected, weights, rings.ell, rings.edges_ell)
+    band, budget = score(
+        psds, signal, relative, rings.n_modes, selected, weights[weights > 0], rings.ell, rings.edges_ell
+    )
     return DataSetScore(name, n_det, band, budget, psds, signal, window, weights)
+
+
+def _weights(noise_mk2: np.ndarray) -> np.ndarray:
+    good = np.isfinite(noise_mk2) & (noise_mk2 > 0)
+    return np.divide(1, noise_mk2, out=np.zeros_like(noise_mk2), where=good)
 
 
 def _signal_psd(setup: Setup, window: Window) -> np.ndarray:
@@ -139,11 +145,16 @@ def _signal_psd(setup: Setup, window: Window) -> np.ndarray:
 
 
 def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> np.ndarray:
-    """PSDs (K, n_bin) [uK_CMB^2 sr] of the sign-flipped co-adds."""
+    """PSDs (K, n_bin) [uK_CMB^2 sr] of the sign-flipped co-adds.
+
+    Weights measured on the very maps that they weigh favour an observation whose noise fluctuates low, which
+    lowers the co-added PSD by the relative variance d^2 of the measured noise (to first order: the weights
+    w = 1/v follow the modes' own power, <w^2 P> / <w>^2 = N (1 - d^2)); that is given back.
+    """
     patch = setup.band.patch
     maps = weighted_mean(coadds.flipped[:, data_set], coadds.weight[data_set][patch, patch])
     to_ukcmb = 1e3 * rj_to_cmb(setup.scene.instrument.frequency_hz)
-    return _psd(setup, maps, rings) * to_ukcmb**2
+    return _psd(setup, maps, rings) * (to_ukcmb**2 * (1 + setup.band.noise_scatter))
 
 
 def _window(setup: Setup, coadds: CoAdds, array: int, rings: Annuli) -> Window:

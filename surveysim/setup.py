@@ -162,8 +162,9 @@ def _angles(scene: Scene, lines: Raster) -> Angles:
 
 def _responsivity(scene: Scene, n_det: int) -> np.ndarray:
     scatter = generator(scene.seed, Stage.RESPONSIVITY).standard_normal(n_det)
-    # Log-normal, so that a large scatter never turns a detector's sign.
-    return np.exp(scene.instrument.responsivity_scatter * scatter)
+    # Log-normal, so that a large scatter never turns a detector's sign; relative, so that their mean is 1.
+    responsivity = np.exp(scene.instrument.responsivity_scatter * scatter)
+    return responsivity / responsivity.mean()
 
 
 def _photon_factor(scene: Scene, cam: Camera) -> np.ndarray | None:

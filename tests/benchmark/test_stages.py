@@ -92,7 +92,7 @@ def test_binning(per_sample, lynx):
 def test_simulated_set(per_sample, lynx, name):
     setup, (n_det, n_samp) = lynx.setup, lynx.data_mk.shape
     psd = np.tile(lynx.result.clean_psd, (n_det, 1))
-    white = white_level(psd, setup.raster.sample_rate_hz, setup.scene.score.white_above_hz)
+    white = white_level(psd, 150, setup.raster.sample_rate_hz, setup.scene.score.white_above_hz)
     per_sample(
         f"simulated set, {name}",
         lambda: stages._simulated_set(setup, OBSERVATION, name, psd, white, n_samp),
