@@ -24,7 +24,7 @@ METHOD = (
     "sigma(A)^-2 = sum over bins of n/2 (M/N)^2: every data set weights its bins by its own noise.",
     "The window is that of the actual data's cleaning, also for the simulated sets; the masked array has its own.",
     "The simulated sets take each detector's Hann-tapered PSD of the cleaned streams and are not cleaned again.",
-    "Rayleigh-Jeans becomes CMB temperature at the band's centre (1.65 at 143 GHz; the paper's NEPs have 1.53).",
+    "Rayleigh-Jeans becomes CMB temperature at the band's centre.",
     "The masked array is cleaned with its own detectors alone; scaled means times its share of the detectors.",
 )
 
