@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mapmaker.files import whole_file
 from mapmaker.geometry import MapGeometry, plane_directions, wcs
 from mapmaker.kernels.pixels import bin_samples
 
@@ -60,8 +61,6 @@ def write_fits(path: str | Path, item: BinnedMap, header: Mapping[str, object]) 
     """Write signal, weight and hits as image extensions with one WCS, atomically."""
     from astropy.io import fits
 
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     base = wcs(item.geometry).to_header()
     planes = [("SIGNAL", item.signal_mk, "mK"), ("WEIGHT", item.weight, "mK-2"), ("HITS", item.hits, "")]
     images = [fits.PrimaryHDU()]
@@ -72,9 +71,8 @@ def write_fits(path: str | Path, item: BinnedMap, header: Mapping[str, object]) 
         image = fits.ImageHDU(data.astype(kind), header=base, name=name)
         image.header["BUNIT"] = unit
         images.append(image)
-    partial = path.with_name(path.name + ".part")
-    fits.HDUList(images).writeto(partial, overwrite=True)
-    partial.replace(path)
+    with whole_file(path) as partial:
+        fits.HDUList(images).writeto(partial, overwrite=True)
 
 
 def read_fits(path: str | Path) -> BinnedMap:
@@ -101,8 +99,6 @@ def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
     import healpy
     from astropy.io import fits
 
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     rows, columns = np.nonzero(item.weight > 0)
     g = item.geometry
     xi = (g.n_x / 2 - columns - 0.5) * g.pixel_rad
@@ -121,7 +117,6 @@ def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
     table = fits.BinTableHDU.from_columns(columns)
     keywords = {"PIXTYPE": "HEALPIX", "ORDERING": "NESTED", "NSIDE": nside, "COORDSYS": "C"}
     table.header.update(keywords | {"INDXSCHM": "EXPLICIT", "OBJECT": "PARTIAL"})
-    partial = path.with_name(path.name + ".part")
     # healpy's own writer wants the whole sphere in memory: 10 GB at nside 8192.
-    fits.HDUList([fits.PrimaryHDU(), table]).writeto(partial, overwrite=True)
-    partial.replace(path)
+    with whole_file(path) as partial:
+        fits.HDUList([fits.PrimaryHDU(), table]).writeto(partial, overwrite=True)

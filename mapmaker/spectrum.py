@@ -143,8 +143,3 @@ def map_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float, rings: Annu
         power = mode_psd(map_mk[index], taper, pixel_rad).ravel() * rings.multiplicity
         psd[index] = np.bincount(rings.bin_of_mode, power, n_bin + 1)[:n_bin] / cells
     return psd
-
-
-def psd_relative_error(n_modes: np.ndarray) -> np.ndarray:
-    """Relative standard error `sqrt(2 / n)` of the PSD of Gaussian noise with n real degrees of freedom."""
-    return np.sqrt(2 / np.asarray(n_modes))

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from mapmaker.files import whole_file
+
 _PER_SAMPLE = ("time_s", "ra_deg", "dec_deg", "array_angle_deg", "scan")
 _PER_DETECTOR = ("x_arcmin", "y_arcmin")
 
@@ -66,10 +68,7 @@ def write_timestreams(path: str | Path, streams: Timestreams) -> None:
     """Write one observation to HDF5, atomically (a partial file never has the final name)."""
     import h5py
 
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
-    with h5py.File(partial, "w") as file:
+    with whole_file(path) as partial, h5py.File(partial, "w") as file:
         data = file.create_dataset("data", data=streams.data_mk.astype(np.float32, copy=False))
         data.attrs["unit"] = "mK (Rayleigh-Jeans)"
         file["time_s"] = streams.time_s
@@ -81,7 +80,6 @@ def write_timestreams(path: str | Path, streams: Timestreams) -> None:
         file["y_arcmin"] = np.degrees(streams.focal_plane.y_rad) * 60
         file.attrs["fwhm_arcsec"] = np.degrees(streams.focal_plane.fwhm_rad) * 3600
         file.attrs.update(dict(streams.attributes))
-    partial.replace(path)
 
 
 def read_timestreams(path: str | Path) -> Timestreams:

@@ -44,17 +44,19 @@ def run(
     `out/checkpoint.npz` until the results are written; `resume` goes on from there. Raises SceneError when
     the scene can't be run and CheckpointError for a checkpoint that does not belong to it.
     """
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers: found {workers}; 1 or more is expected")
+    workers = min(workers or default_workers(), scene.observations)
     start = perf_counter()
     setup = prepare(scene)
     directory = None if out is None else Path(out)
     checkpoint = None if directory is None else directory / "checkpoint.npz"
     if save_timestreams and directory is None:
         raise ValueError("save_timestreams: found no output directory; one is expected")
-    workers = workers or default_workers()
     coadds = run_observations(
         setup,
         checkpoint,
-        workers=min(workers, scene.observations),
+        workers=workers,
         resume=resume,
         timestream_dir=directory / "timestreams" if save_timestreams else None,
         progress=progress,

@@ -8,9 +8,11 @@ from scipy.fft import fft, next_fast_len, rfft
 
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry
-from mapmaker.spectrum import Annuli, annuli, mode_ell, tukey_taper
+from mapmaker.spectrum import Annuli, annuli, mode_ell, split_azimuth, tukey_taper
 from mapmaker.window import beam_window
 from surveysim.scene import Scene, SceneError
+
+N_SECTORS = 3
 
 
 @dataclass(frozen=True)
@@ -20,7 +22,7 @@ class Band:
     `patch`: rows (and columns) of the map under the taper; `taper` (n, n) on the patch; `rings` the bins
     of multipole of the patch padded to (n_pad, n_pad); `selected` (n_bin,) bins that count; `mode_weight`
     (n_pad, n_column): squared signal PSD times multiplicity, up to the last column of the half plane in
-    the scored range.
+    the scored range; `sectors` the scored bins cut by direction, None where a sector would be empty.
     """
 
     patch: slice
@@ -28,6 +30,7 @@ class Band:
     rings: Annuli
     selected: np.ndarray
     mode_weight: np.ndarray
+    sectors: Annuli | None
 
     @property
     def padded_taper(self) -> np.ndarray:
@@ -78,7 +81,12 @@ def scored_band(scene: Scene, geometry: MapGeometry) -> Band | None:
     if not selected.any():
         raise SceneError(f"score.ell_bin: found {score.ell_bin}; a bin within ell_min to ell_max is expected")
     weight = _mode_weight(scene, mode_ell(n_pad, n_pad, geometry.pixel_rad), rings)
-    return Band(slice(first, first + n), taper, rings, selected, weight)
+    scored = annuli(n_pad, n_pad, geometry.pixel_rad, np.append(edges[:-1][selected], edges[1:][selected][-1]), padded)
+    try:
+        sectors = split_azimuth(scored, n_pad, n_pad, geometry.pixel_rad, N_SECTORS)
+    except ValueError:
+        sectors = None
+    return Band(slice(first, first + n), taper, rings, selected, weight, sectors)
 
 
 def _mode_weight(scene: Scene, ell: np.ndarray, rings: Annuli) -> np.ndarray:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mapmaker.files import whole_file
 from surveysim import __version__
 from surveysim.coadds import CoAdds
 
@@ -17,23 +18,16 @@ class CheckpointError(ValueError):
 
 def save_checkpoint(path: Path, coadds: CoAdds, scene_hash: str) -> None:
     """Write the sums atomically: the old checkpoint stays whole until the new one is."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
     meta = {"scene": scene_hash, "version": __version__, "seconds": coadds.seconds}
-    try:
-        with open(partial, "wb") as file:
-            np.savez(
-                file,
-                meta=json.dumps(meta),
-                rows=np.array(coadds.rows),
-                raw_psd=np.array(coadds.raw_psd),
-                clean_psd=np.array(coadds.clean_psd),
-                **{name: getattr(coadds, name) for name in _ARRAYS},
-            )
-        partial.replace(path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
+    with whole_file(path) as partial, open(partial, "wb") as file:
+        np.savez(
+            file,
+            meta=json.dumps(meta),
+            rows=np.array(coadds.rows),
+            raw_psd=np.array(coadds.raw_psd),
+            clean_psd=np.array(coadds.clean_psd),
+            **{name: getattr(coadds, name) for name in _ARRAYS},
+        )
 
 
 def load_checkpoint(path: Path, scene_hash: str) -> CoAdds:

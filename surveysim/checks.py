@@ -7,6 +7,8 @@ import numpy as np
 from mapmaker.cleaning import N_TEMPLATES
 from mapmaker.geometry import MapGeometry
 from surveysim.instrument import Camera
+from surveysim.noise import highest_frequency
+from surveysim.scan import Raster, samples_per_scan
 from surveysim.scene import Scene, SceneError
 
 MAX_REACH_RAD = math.radians(15)
@@ -70,7 +72,7 @@ def _check_count(scene: Scene, n_det: int, key: str) -> None:
         raise SceneError(f"{key}: found {n_det} detectors; {scene.cleaning.algorithm!r} needs {needed} or more")
 
 
-def check_score(scene: Scene, geometry: MapGeometry) -> None:
+def check_score(scene: Scene, geometry: MapGeometry, lines: Raster) -> None:
     """Raise SceneError when the map or the sample rate can't carry the score."""
     if scene.score is None:
         return
@@ -83,10 +85,11 @@ def check_score(scene: Scene, geometry: MapGeometry) -> None:
         raise SceneError(
             f"score.ell_max: found {scene.score.ell_max}; the map pixel's {nyquist:.0f} or less is expected"
         )
-    if scene.score.white_above_hz >= scene.scan.sample_rate_hz / 2:
+    highest = highest_frequency(samples_per_scan(lines), lines.sample_rate_hz)
+    if scene.score.white_above_hz >= highest:
         raise SceneError(
             f"score.white_above: found {scene.score.white_above_hz:g} Hz; "
-            f"less than half the sample rate, {scene.scan.sample_rate_hz / 2:g} Hz, is expected"
+            f"less than {highest:.4g} Hz, the highest frequency of a scan, is expected"
         )
 
 

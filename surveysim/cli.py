@@ -87,7 +87,7 @@ def run(
     except KeyboardInterrupt:
         _stopped("interrupted", directory, EXIT_INTERRUPTED)
     except WorkerLostError:
-        _stopped("a worker process was killed, perhaps for want of memory", directory, EXIT_FAILED)
+        _stopped("a worker process is gone, perhaps killed for want of memory", directory, EXIT_FAILED)
     except OSError as error:
         _stopped(_cause(error), directory, EXIT_FAILED)
     except (ValueError, ArithmeticError) as error:
@@ -187,7 +187,7 @@ def _stopping(show: Callable[["CoAdds"], None]) -> Callable[["CoAdds"], None]:
 
 def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
     """Say why a run stopped and how to go on; leave no half-written file."""
-    for partial in directory.rglob("*.part"):
+    for partial in (directory / "timestreams").glob("*.h5.part"):  # of workers that were killed
         partial.unlink(missing_ok=True)
     kept = (directory / "checkpoint.npz").exists()
     hint = f"; go on with --resume --out {directory}" if kept else ""

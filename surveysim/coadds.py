@@ -1,7 +1,7 @@
 """Running sums over observations: the co-added maps, sign-flipped co-adds, window skies.
 
-The one mutable thing in a run: it grows by one observation at a time, in index order, so its memory does
-not depend on how many there are, and it is what a checkpoint holds.
+The one mutable record of a run: it grows by one observation at a time, in index order, and it is what a
+checkpoint holds. But for a row and two PSDs an observation (1 kB), its size does not depend on their number.
 """
 
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from surveysim.streams import Stage, generator
 
 ROW_FIELDS = (
     "observation",
-    "b2",
+    "b2_mk2",
     "wind_speed_rad_s",
     "wind_angle_rad",
     "elevation_rad",

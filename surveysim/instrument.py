@@ -17,7 +17,6 @@ class Camera:
     """
 
     focal_plane: FocalPlane
-    frequency_hz: float
     f_lambda_rad: float
 
     @property
@@ -45,7 +44,7 @@ def camera(section: InstrumentSection) -> Camera:
         positions = without(positions, layout.dead)
     check_distinct(positions)
     plane = FocalPlane(positions[:, 0].copy(), positions[:, 1].copy(), section.beam_fwhm_rad)
-    return Camera(plane, section.frequency_hz, section.f_lambda_rad)
+    return Camera(plane, section.f_lambda_rad)
 
 
 def hexagon(rings: int, pitch: float) -> np.ndarray:

@@ -7,9 +7,10 @@ from time import perf_counter
 
 import numpy as np
 
+from mapmaker.binning import bin_map
 from mapmaker.cleaning import Cleaned, clean
 from mapmaker.geometry import boresight_pixels, plane_directions, sky_offsets
-from mapmaker.kernels.pixels import add_sky, bin_samples, bin_signal
+from mapmaker.kernels.pixels import add_sky, bin_signal
 from mapmaker.timestreams import FocalPlane, Timestreams, scan_bounds
 from surveysim.noise import (
     add_correlated_white,
@@ -73,7 +74,7 @@ def draw_observation(setup: Setup, observation: int, watch: Stopwatch | None = N
     watch = watch or Stopwatch()
     path, pointing = observation_path(setup, observation)
     weather = observation_weather(setup, observation)
-    data = np.zeros((len(setup.responsivity), len(path.time_s)), np.float32)
+    data = np.zeros((setup.n_det, len(path.time_s)), np.float32)
     with watch("atmosphere"):
         _add_atmosphere(setup, observation, pointing, weather, data)
     with watch("excess"):
@@ -287,11 +288,9 @@ def _simulated_set(
 def _bin(
     setup: Setup, data: np.ndarray, index: np.ndarray, bounds: np.ndarray, kept: np.ndarray, watch: Stopwatch
 ) -> tuple[np.ndarray, np.ndarray]:
-    shape = (setup.geometry.n_y, setup.geometry.n_x)
-    total, hits = np.zeros(shape[0] * shape[1]), np.zeros(shape[0] * shape[1], np.int64)
     with watch("binning"):
-        bin_samples(data, index, bounds, kept, total, hits)
-    return total.reshape(shape).astype(np.float32), hits.reshape(shape).astype(np.int32)
+        item = bin_map(setup.geometry, data, index, bounds, kept)
+    return item.weighted_sum.astype(np.float32), item.hits.astype(np.int32)
 
 
 def _window_maps(

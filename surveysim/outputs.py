@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.binning import BinnedMap, write_fits, write_healpix
-from surveysim.results import SurveyResult, alternatives, scan_samples, score_rows, summary
+from mapmaker.files import whole_file
+from surveysim.coadds import ROW_FIELDS
+from surveysim.results import SurveyResult, score_rows, summary
+from surveysim.scan import samples_per_scan
 from surveysim.scene import resolved, scene_hash
 
 if TYPE_CHECKING:
@@ -29,10 +32,8 @@ def write_outputs(directory: Path, result: SurveyResult, figures: bool) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
+    with whole_file(path) as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def _write_maps(directory: Path, result: SurveyResult) -> None:
@@ -56,15 +57,14 @@ def _write_tables(directory: Path, result: SurveyResult) -> None:
     _write_table(directory / "timestream_psd.ecsv", _timestream_table(result))
     if result.scores:
         _write_table(directory / "scores.ecsv", _score_table(result))
-        _write_table(directory / "alternatives.ecsv", _alternative_table(result))
+        if result.alternatives:
+            _write_table(directory / "alternatives.ecsv", _alternative_table(result))
         _write_table(directory / "map_psd.ecsv", _spectrum_table(result))
 
 
 def _write_table(path: Path, table: "Table") -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
-    table.write(partial, format="ascii.ecsv", overwrite=True)
-    partial.replace(path)
+    with whole_file(path) as partial:
+        table.write(partial, format="ascii.ecsv", overwrite=True)
 
 
 def _score_table(result: SurveyResult) -> "Table":
@@ -83,7 +83,7 @@ def _score_table(result: SurveyResult) -> "Table":
 def _alternative_table(result: SurveyResult) -> "Table":
     from astropy.table import Table
 
-    table = Table(rows=alternatives(result))
+    table = Table(rows=result.alternatives)
     table.meta["comment"] = "sigma(A) in uK_CMB^2 of the same data, scored otherwise"
     return table
 
@@ -111,7 +111,7 @@ def _timestream_table(result: SurveyResult) -> "Table":
     coadds = result.coadds
     rate = result.setup.raster.sample_rate_hz
     n_freq = len(coadds.raw_psd[0])
-    table = Table({"frequency": np.arange(n_freq) * rate / scan_samples(result.setup)})
+    table = Table({"frequency": np.arange(n_freq) * rate / samples_per_scan(result.setup.raster)})
     table["frequency"].unit = "Hz"
     for name, psds in (("raw", coadds.raw_psd), ("clean", coadds.clean_psd)):
         for label, level in (("q25", 25), ("median", 50), ("q75", 75)):
@@ -126,7 +126,7 @@ def _observation_table(result: SurveyResult) -> "Table":
 
     setup = result.setup
     arrays = ["whole"] if setup.masked is None else ["whole", "masked"]
-    names = ["observation", "b2_mk2", "wind_speed_rad_s", "wind_angle_rad", "elevation_rad", "white_mk2_hz"]
+    names = list(ROW_FIELDS)
     names += [f"discarded_{name}" for name in arrays] + [f"iterations_{name}" for name in arrays]
     names += [f"noise_mk2_{name}" for name in setup.data_sets]
     table = Table(np.array(result.coadds.rows), names=names)

@@ -6,7 +6,8 @@ from time import perf_counter
 
 from surveysim.coadds import CoAdds, empty_coadds
 from surveysim.observation import observe
-from surveysim.results import scan_samples, stages_left_out
+from surveysim.results import stages_left_out
+from surveysim.scan import samples_per_scan
 from surveysim.setup import Setup, window_observations
 
 # What Python and the libraries hold before the first array, what drawing figures adds, and how many copies of
@@ -45,7 +46,7 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
         observe(setup, 0, with_window)
         seconds[with_window] = perf_counter() - start
     total = (scene.observations - n_window) * seconds[False] + n_window * seconds.get(True, 0.0)
-    samples = len(setup.responsivity) * setup.raster.n_scans * scan_samples(setup)
+    samples = setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)
     parallel = min(workers, scene.observations, os.cpu_count() or 1)
     starts = 1 + (parallel > 1) + FIGURE_STARTS * (scene.score is not None)
     coadds = empty_coadds(setup)
@@ -68,7 +69,7 @@ def _bytes(coadds: CoAdds) -> int:
 
 def _stages(setup: Setup, n_window: int) -> dict[str, str]:
     scene = setup.scene
-    n_det = len(setup.responsivity)
+    n_det = setup.n_det
     scans = f"{scene.observations} observations of {setup.raster.n_scans} scans"
     stages = {"pointing": f"{scans}, {n_det} detectors, {scene.scan.sample_rate_hz:g} Hz"}
     for name in ("atmosphere", "excess", "photon", "detector", "sky"):

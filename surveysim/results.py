@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from mapmaker.bandpower import flat_band_power_fixed_weights
+from mapmaker.bandpower import BandPower, flat_band_power_fixed_weights
 from surveysim import __version__
-from surveysim.coadds import CoAdds
+from surveysim.coadds import ROW_FIELDS, CoAdds, n_arrays
+from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene, scene_hash
 from surveysim.scores import DataSetScore, Gain, gain, rescore, score_survey, sector_sigma
 from surveysim.setup import Setup
@@ -44,25 +45,32 @@ class Row:
 
 @dataclass(frozen=True)
 class SurveyResult:
-    """A finished run: setup, sums and scores; no scores without [score], or if `unscored` says why not."""
+    """A finished run: setup, sums, scores, gains between data sets and the same data scored otherwise.
+
+    The last three are empty without a score or where `unscored` says why there is none. `wall_s` is the time
+    since the run was started or, the last time, resumed.
+    """
 
     setup: Setup
     coadds: CoAdds
     scores: dict[str, DataSetScore]
+    gains: dict[str, Gain]
+    alternatives: list[dict[str, float | str]]
     wall_s: float
     workers: int
     unscored: str = ""
 
 
 def survey_result(setup: Setup, coadds: CoAdds, wall_s: float, workers: int) -> SurveyResult:
-    """Score what was summed."""
-    scores, unscored = {}, ""
+    """Score what was summed; a survey that can't be scored keeps its maps and says why."""
+    scores, ratios, others, unscored = {}, {}, [], ""
     if setup.scene.score is not None:
         try:
             scores = score_survey(setup, coadds)
+            ratios, others = _gains(setup, scores), _alternatives(setup, coadds, scores)
         except ValueError as error:  # too few observations, or too few scans kept in them
-            unscored = str(error)
-    return SurveyResult(setup, coadds, scores, wall_s, workers, unscored)
+            scores, ratios, others, unscored = {}, {}, [], str(error)
+    return SurveyResult(setup, coadds, scores, ratios, others, wall_s, workers, unscored)
 
 
 def score_rows(result: SurveyResult) -> list[Row]:
@@ -70,7 +78,7 @@ def score_rows(result: SurveyResult) -> list[Row]:
     rows = [_row(item) for item in result.scores.values()]
     for row in list(rows):
         if row.name.startswith("masked"):
-            share = row.n_det / len(result.setup.responsivity)
+            share = row.n_det / result.setup.n_det
             sigma, error = share * row.sigma_ukcmb2, share * row.error_ukcmb2
             rows.append(replace(row, name=f"{row.name}_scaled", sigma_ukcmb2=sigma, error_ukcmb2=error))
     reference = result.setup.scene.score.reference if rows else None
@@ -83,9 +91,8 @@ def _row(item: DataSetScore) -> Row:
     return Row(item.name, item.n_det, band.sigma_ukcmb2, band.error_ukcmb2, band.ell_eff, band.fwhm_ell, None)
 
 
-def gains(result: SurveyResult) -> dict[str, Gain]:
+def _gains(setup: Setup, scores: dict[str, DataSetScore]) -> dict[str, Gain]:
     """Ratios of uncertainties between data sets, with the error of each pair."""
-    scores = result.scores
     masked = next((name for name in scores if name.startswith("masked")), None)
     found = {}
     if {"actual", "uncorrelated"} <= scores.keys():
@@ -93,50 +100,53 @@ def gains(result: SurveyResult) -> dict[str, Gain]:
     if {"uncorrelated", "white"} <= scores.keys():
         found["uncorrelated / white"] = gain(scores["uncorrelated"], scores["white"])
     if masked and "uncorrelated" in scores:
-        share = scores[masked].n_det / len(result.setup.responsivity)
+        share = scores[masked].n_det / setup.n_det
         found[f"{masked}_scaled / uncorrelated"] = gain(scores[masked], scores["uncorrelated"], share)
     return found
 
 
-def alternatives(result: SurveyResult) -> list[dict[str, float | str]]:
+def _alternatives(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -> list[dict[str, float | str]]:
     """The same data scored otherwise: from other lowest multipoles, and with every set's bins weighted alike.
 
     `weights` is "own" (each data set weights its bins by its own noise), "actual" (all by the actual
     data's noise) or "own, 2-D" (modes also by their direction, which the scans set; the scene's range).
     Masked sets are scaled by their share of the detectors.
     """
-    score = result.setup.scene.score
-    lowest = [ell for ell in ALTERNATIVE_ELL_MIN if ell + score.ell_bin <= score.ell_max]
-    rows = [_alternative(result, weights, ell) for weights in ("own", "actual") for ell in lowest]
-    return [*rows, _by_direction(result)]
+    score, edges = setup.scene.score, setup.band.rings.edges_ell
+    lowest = [ell for ell in ALTERNATIVE_ELL_MIN if ell in edges and ell + score.ell_bin <= score.ell_max]
+    rows = [_alternative(setup, scores, weights, ell) for weights in ("own", "actual") for ell in lowest]
+    if setup.band.sectors is not None:
+        sigma = {name: sector_sigma(setup, coadds, item) for name, item in scores.items()}
+        rows.append(_alternative_row(setup, scores, "own, 2-D", scores["actual"].band, score.ell_min, sigma))
+    return rows
 
 
-def _alternative(result: SurveyResult, weights: str, ell_min: int) -> dict[str, float | str]:
-    reference = result.scores["actual"]
-    band = rescore(result.setup, reference, ell_min).band
-    row: dict[str, float | str] = {"weights": weights, "ell_min": ell_min}
-    row |= {"ell_eff": band.ell_eff, "fwhm_ell": band.fwhm_ell}
-    for name, item in result.scores.items():
-        share = item.n_det / len(result.setup.responsivity)
+def _alternative(setup: Setup, scores: dict[str, DataSetScore], weights: str, ell_min: int) -> dict[str, float | str]:
+    reference = scores["actual"]
+    band = rescore(setup, reference, ell_min).band
+    used, modes = band.weight > 0, setup.band.rings.n_modes
+    sigma = {}
+    for name, item in scores.items():
         if weights == "own":
-            sigma = rescore(result.setup, item, ell_min).band.sigma_ukcmb2
+            sigma[name] = rescore(setup, item, ell_min).band.sigma_ukcmb2
         else:
-            used = band.weight > 0
-            sigma = flat_band_power_fixed_weights(
-                item.noise_psd, item.signal_psd, result.setup.band.rings.n_modes, used, reference.noise_psd
-            )
-        row[f"{name}_scaled" if share < 1 else name] = share * sigma
-    return row
+            psds = (item.noise_psd, item.signal_psd, modes, used, reference.noise_psd)
+            sigma[name] = flat_band_power_fixed_weights(*psds)
+    return _alternative_row(setup, scores, weights, band, ell_min, sigma)
 
 
-def _by_direction(result: SurveyResult) -> dict[str, float | str]:
-    band, setup = result.scores["actual"].band, result.setup
-    row: dict[str, float | str] = {"weights": "own, 2-D", "ell_min": setup.scene.score.ell_min}
-    row |= {"ell_eff": band.ell_eff, "fwhm_ell": band.fwhm_ell}
-    for name, item in result.scores.items():
-        share = item.n_det / len(setup.responsivity)
-        sigma = sector_sigma(setup, result.coadds, item)
-        row[f"{name}_scaled" if share < 1 else name] = share * sigma
+def _alternative_row(
+    setup: Setup,
+    scores: dict[str, DataSetScore],
+    weights: str,
+    band: BandPower,
+    ell_min: int,
+    sigma_ukcmb2: dict[str, float],
+) -> dict[str, float | str]:
+    row = {"weights": weights, "ell_min": ell_min, "ell_eff": band.ell_eff, "fwhm_ell": band.fwhm_ell}
+    for name, item in scores.items():
+        share = item.n_det / setup.n_det
+        row[f"{name}_scaled" if share < 1 else name] = share * sigma_ukcmb2[name]
     return row
 
 
@@ -149,9 +159,9 @@ def stages_left_out(scene: Scene) -> list[str]:
 def summary(result: SurveyResult) -> dict[str, Any]:
     """The content of summary.json; its keys are stable (README, "What a run leaves behind")."""
     setup, coadds = result.setup, result.coadds
-    n_arrays = 1 if setup.masked is None else 2
-    rows = np.array([row[6 : 6 + 2 * n_arrays] for row in coadds.rows])
-    samples = coadds.done * len(setup.responsivity) * setup.raster.n_scans * scan_samples(setup)
+    first = len(ROW_FIELDS)
+    rows = np.array([row[first : first + 2 * n_arrays(setup)] for row in coadds.rows])
+    samples = coadds.done * setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)
     content: dict[str, Any] = {
         "scene": setup.scene.name,
         "title": setup.scene.title,
@@ -161,12 +171,12 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "python": platform.python_version(),
         "packages": {name: version(name) for name in PACKAGES},
         "observations": coadds.done,
-        "detectors": len(setup.responsivity),
+        "detectors": setup.n_det,
         "detector_samples": samples,
         "stages_left_out": stages_left_out(setup.scene),
         "scans": coadds.done * setup.raster.n_scans,
         "scans_discarded": int(rows[:, 0].sum()),
-        "mean_iterations": float(rows[:, n_arrays].mean()),
+        "mean_iterations": float(rows[:, n_arrays(setup)].mean()),
         "scores": {},
     }
     if result.unscored:
@@ -174,22 +184,15 @@ def summary(result: SurveyResult) -> dict[str, Any]:
     if result.scores:
         content["scores"] = {row.name: _score_entry(row) for row in score_rows(result)}
         content["error_budget"] = {name: vars(item.budget) for name, item in result.scores.items()}
-        content["gains"] = {name: vars(item) for name, item in gains(result).items()}
-        content["alternatives"] = alternatives(result)
+        content["gains"] = {name: vars(item) for name, item in result.gains.items()}
+        content["alternatives"] = result.alternatives
     content["run"] = {
         "workers": result.workers,
         "wall_s": result.wall_s,
-        "stage_cpu_s": coadds.seconds,
+        "stage_s": coadds.seconds,
         "stage_ns_per_detector_sample": {k: 1e9 * v / samples for k, v in coadds.seconds.items()},
     }
     return content
-
-
-def scan_samples(setup: Setup) -> int:
-    """Samples of one scan."""
-    from surveysim.scan import samples_per_scan
-
-    return samples_per_scan(setup.raster)
 
 
 def _score_entry(row: Row) -> dict[str, float]:

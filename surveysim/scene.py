@@ -17,6 +17,7 @@ from pydantic import Field, ValidationError, model_validator
 from surveysim.quantities import (
     shown,
 )
+from surveysim.scan import MIN_SAMPLES
 from surveysim.sections import (
     Atmosphere,
     Cleaning,
@@ -73,9 +74,8 @@ class Scene(Section):
             raise ValueError("excess.b2: found several values; without [atmosphere] one value is expected")
         if not any((self.atmosphere, self.excess, self.photon, self.detector, self.sky)):
             raise ValueError("at least one of atmosphere, excess, photon, detector and sky is expected")
-        if self.scan.duration_s * self.scan.sample_rate_hz < 8:
-            found = self.scan.duration_s * self.scan.sample_rate_hz
-            raise ValueError(f"scan.duration: found {found:.3g} samples a scan; 8 or more are expected")
+        if (found := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
+            raise ValueError(f"scan.duration: found {found:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
         return self
 
 
@@ -86,12 +86,10 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     """
     path = Path(path)
     text, data = _read(path)
-    if "assumed" in data:
+    if "assumed" in data or "assumed" in (overrides or {}):
         raise SceneError(f"{path}: assumed: unknown key; allowed are {', '.join(_allowed(()))}")
-    data["assumed"] = assumed_values(text)
+    data["assumed"] = [line for line in assumed_values(text) if line.partition(" = ")[0] not in (overrides or {})]
     for key, value in (overrides or {}).items():
-        if key == "assumed":
-            raise SceneError(f"{path}: assumed: unknown key; allowed are {', '.join(_allowed(()))}")
         _override(path, data, key, value)
     data.setdefault("name", path.stem)
     positions = data.get("instrument", {}).get("positions") if isinstance(data.get("instrument"), dict) else None

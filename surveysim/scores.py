@@ -13,13 +13,11 @@ from mapmaker.bandpower import (
     score,
 )
 from mapmaker.binning import weighted_mean
-from mapmaker.spectrum import Annuli, annuli, map_psd, split_azimuth
+from mapmaker.spectrum import Annuli, map_psd
 from mapmaker.window import Window, beam_window, pixel_window, signal_window
 from surveysim.coadds import CoAdds, n_arrays
 from surveysim.setup import Setup
 from surveysim.units import rj_to_cmb
-
-N_SECTORS = 3
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
     for s, name in enumerate(setup.data_sets):
         if names is None or name in names:
             masked = name.startswith("masked")
-            n_det = len(setup.masked) if masked else len(setup.responsivity)
+            n_det = len(setup.masked) if masked else setup.n_det
             psds = _noise_psds(setup, coadds, s, setup.band.rings)
             scores[name] = _score(setup, name, n_det, psds, windows[int(masked)], _weights(noise[:, s]))
     return scores
@@ -80,18 +78,7 @@ def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
 
 def sector_sigma(setup: Setup, coadds: CoAdds, item: DataSetScore) -> float:
     """sigma(A) [uK_CMB^2] of the scored range with modes weighted by their direction too (`split_azimuth`)."""
-    band = setup.band
-    n_pad = len(band.mode_weight)
-    # The padded patch has no modes for sectors in the lowest rings: take the scored ones alone.
-    edges = band.rings.edges_ell[:-1][band.selected]
-    rings = annuli(
-        n_pad,
-        n_pad,
-        setup.geometry.pixel_rad,
-        np.append(edges, edges[-1] + setup.scene.score.ell_bin),
-        band.padded_taper,
-    )
-    sectors = split_azimuth(rings, n_pad, n_pad, setup.geometry.pixel_rad, N_SECTORS)
+    sectors = setup.band.sectors
     noise = _noise_psds(setup, coadds, setup.data_sets.index(item.name), sectors).mean(axis=0)
     window = _window(setup, coadds, int(item.name.startswith("masked")), sectors)
     signal = _signal_psd(setup, window)

@@ -13,6 +13,7 @@ from surveysim.band import Band, scored_band
 from surveysim.checks import check_excess, check_masked, check_score, check_size, check_templates, reach
 from surveysim.coherence import correlation_factor, correlation_matrix
 from surveysim.instrument import Camera, camera, mask_by_separation
+from surveysim.noise import photon_correlation
 from surveysim.pointing import (
     FieldCentre,
     Pointing,
@@ -61,6 +62,11 @@ class Setup:
     masked: np.ndarray | None
 
     @property
+    def n_det(self) -> int:
+        """How many live detectors the camera has."""
+        return len(self.responsivity)
+
+    @property
     def data_sets(self) -> tuple[str, ...]:
         """Names of the data sets that are scored, in the order of their maps."""
         score = self.scene.score
@@ -96,7 +102,7 @@ def _prepare(scene: Scene) -> Setup:
     if scene.score and scene.score.mask_separation_f_lambda:
         masked = mask_by_separation(cam.positions_f_lambda, scene.score.mask_separation_f_lambda)
         check_masked(scene, masked)
-    check_score(scene, geometry)
+    check_score(scene, geometry, lines)
     check_excess(scene)
     return Setup(
         scene=scene,
@@ -168,8 +174,6 @@ def _responsivity(scene: Scene, n_det: int) -> np.ndarray:
 
 
 def _photon_factor(scene: Scene, cam: Camera) -> np.ndarray | None:
-    from surveysim.noise import photon_correlation
-
     if scene.photon is None:
         return None
     overlap = correlation_matrix(cam.positions_f_lambda, scene.photon.coherence)

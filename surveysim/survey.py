@@ -67,6 +67,9 @@ def run_observations(
             if checkpoint is not None and monotonic() - saved > CHECKPOINT_SECONDS:
                 save_checkpoint(checkpoint, coadds, identity)
                 saved, saved_done = monotonic(), coadds.done
+        if checkpoint is not None and coadds.done > saved_done:
+            save_checkpoint(checkpoint, coadds, identity)  # until the results are written
+            saved_done = coadds.done
     except BaseException:
         if checkpoint is not None and coadds.done > saved_done:
             save_checkpoint(checkpoint, coadds, identity)

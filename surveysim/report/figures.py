@@ -17,6 +17,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from PIL import Image
 
 from mapmaker.bandpower import noise_error
+from mapmaker.files import whole_file
 from mapmaker.geometry import wcs
 from mapmaker.window import Window, beam_window, pixel_window
 from surveysim.coadds import CoAdds
@@ -66,7 +67,7 @@ def draw_figures(directory: Path, setup: Setup, coadds: CoAdds, scores: dict[str
         drawn["window"] = windows(setup, scores)
         drawn["cumulative_sensitivity"] = cumulative_sensitivity(setup, scores)
         drawn["weights"] = bin_weights(setup, scores)
-    if (coadds.column("b2") > 0).any():
+    if (coadds.column("b2_mk2") > 0).any():
         drawn["weather"] = weather(setup, coadds)
     directory.mkdir(parents=True, exist_ok=True)
     for name, figure in drawn.items():
@@ -242,7 +243,7 @@ def bin_weights(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
 
 def weather(setup: Setup, coadds: CoAdds) -> Figure:
     """Noise of each observation's map of the actual data against B2, coloured by the speed of the wind."""
-    b2, wind, white = (coadds.column(name) for name in ("b2", "wind_speed_rad_s", "white_mk2_hz"))
+    b2, wind, white = (coadds.column(name) for name in ("b2_mk2", "wind_speed_rad_s", "white_mk2_hz"))
     noise = coadds.noise_mk2()[:, 0]
     good = np.isfinite(noise) & (noise > 0) & (b2 > 0)
     arcmin_s = np.degrees(wind) * 60
@@ -251,7 +252,7 @@ def weather(setup: Setup, coadds: CoAdds) -> Figure:
     drawn = axes.scatter(
         b2[good], noise[good], c=arcmin_s[good], norm=norm, cmap="viridis", s=18, lw=0.3, edgecolors=BLACK
     )
-    if white.any():
+    if setup.scene.score:
         level = white.mean() * setup.scene.scan.sample_rate_hz / 2
         axes.axhline(level, color=GREY, ls="--", lw=1.2, label="white level of the streams, mean")
         _legend(axes)
@@ -269,7 +270,7 @@ def weather(setup: Setup, coadds: CoAdds) -> Figure:
 
 def _weather_quarters(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
     """Observations (indices), of those with data, of each panel of the time-stream PSDs, by its title."""
-    kept, b2 = np.flatnonzero(np.any(coadds.clean_psd, axis=1)), coadds.column("b2")
+    kept, b2 = np.flatnonzero(np.any(coadds.clean_psd, axis=1)), coadds.column("b2_mk2")
     if not np.ptp(b2[kept]) > 0:
         return {"all observations": kept}
     order, n = kept[np.argsort(b2[kept])], max(1, len(kept) // 4)
@@ -329,7 +330,7 @@ def _look(setup: Setup, item: DataSetScore) -> tuple[str, str, str, float]:
     """Colour, dashes, label and the factor that makes up for detectors left out."""
     if item.name in LINES:
         return *LINES[item.name], item.name, 1.0
-    n_all = len(setup.responsivity)
+    n_all = setup.n_det
     return *MASKED_LINE, rf"{_name(item)}, $\times$ {item.n_det}/{n_all}", item.n_det / n_all
 
 
@@ -339,7 +340,8 @@ def _name(item: DataSetScore) -> str:
 
 def _bin_errors(item: DataSetScore) -> np.ndarray:
     """Relative standard error (n_bin,) of the noise PSD of each bin."""
-    return np.array([noise_error(psds[:, None], np.ones(1), item.weights) for psds in item.noise_psds.T])
+    used = item.weights[item.weights > 0]
+    return np.array([noise_error(psds[:, None], np.ones(1), used) for psds in item.noise_psds.T])
 
 
 def _arrays(scores: dict[str, DataSetScore]) -> list[tuple[int, Window]]:
@@ -383,11 +385,10 @@ def _plain_ticks(axis: Axis) -> None:
 
 
 def _save(figure: Figure, path: Path, full_colour: bool) -> None:
-    partial = path.with_name(path.name + ".part")
     figure.canvas.draw()
     image = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy())
     if not full_colour:
         # Lines look the same in 256 colours and take a third of the space.
         image = image.quantize(256, dither=Image.Dither.NONE)
-    image.save(partial, "PNG", dpi=(DPI, DPI), optimize=True)
-    partial.replace(path)
+    with whole_file(path) as partial:
+        image.save(partial, "PNG", dpi=(DPI, DPI), optimize=True)

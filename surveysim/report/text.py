@@ -5,9 +5,10 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from surveysim.plan import Plan
-from surveysim.results import METHOD, Row, SurveyResult, alternatives, gains, score_rows, summary
+from surveysim.results import METHOD, Row, SurveyResult, score_rows, summary
 from surveysim.scene import Scene
 
 
@@ -19,7 +20,8 @@ def print_result(result: SurveyResult, directory: Path) -> None:
         for line in gain_lines(result):
             console.print(line, highlight=False)
         console.print()
-        console.print(_alternative_table(result))
+        if result.alternatives:
+            console.print(_alternative_table(result))
         console.print("\nMethod, where the reference leaves it open:", highlight=False)
         for line in METHOD:
             console.print(f"  - {line}", highlight=False, markup=False)
@@ -52,7 +54,7 @@ def gain_lines(result: SurveyResult) -> list[str]:
     reference = result.setup.scene.score.reference
     published = dict(reference.gains) if reference else {}
     lines = []
-    for name, item in gains(result).items():
+    for name, item in result.gains.items():
         beside = f"   (reference {published[name]:g})" if name in published else ""
         lines.append(f"  {name} = {item.ratio:.2f} +- {item.error:.2f}{beside}")
     return lines
@@ -60,11 +62,12 @@ def gain_lines(result: SurveyResult) -> list[str]:
 
 def _score_table(result: SurveyResult) -> Table:
     reference = result.setup.scene.score.reference
-    table = Table(title=f"{result.setup.scene.title}: uncertainty on a flat CMB band power")
+    # As Text: a plain string's square brackets would be taken for markup.
+    table = Table(title=Text(f"{result.setup.scene.title}: uncertainty on a flat CMB band power"))
     for heading in ("data set", "detectors", "sigma(A) [uK_CMB^2]", "ell_eff", "FWHM"):
-        table.add_column(heading, justify="left" if heading == "data set" else "right")
+        table.add_column(Text(heading), justify="left" if heading == "data set" else "right")
     if reference:
-        table.add_column(reference.source, justify="right")
+        table.add_column(Text(reference.source), justify="right")
         table.add_column("ratio", justify="right")
     for row in score_rows(result):
         table.add_row(*_cells(row, reference is not None))
@@ -85,8 +88,8 @@ def _cells(row: Row, with_reference: bool) -> list[str]:
 
 
 def _alternative_table(result: SurveyResult) -> Table:
-    rows = alternatives(result)
-    table = Table(title="The same data scored otherwise: sigma(A) [uK_CMB^2]")
+    rows = result.alternatives
+    table = Table(title=Text("The same data scored otherwise: sigma(A) [uK_CMB^2]"))
     for name in rows[0]:
         table.add_column(name.replace("_", " "), justify="right")
     for row in rows:
@@ -97,13 +100,13 @@ def _alternative_table(result: SurveyResult) -> Table:
 def print_plan(scene: Scene, plan: Plan, workers: int) -> None:
     """Stages, what is left out and why, and the predicted cost."""
     console = _console()
-    table = Table(title=f"{scene.name}: {scene.title}")
+    table = Table(title=Text(f"{scene.name}: {scene.title}"))
     for heading in ("stage", "what"):
         table.add_column(heading)
     for name, what in plan.stages.items():
         table.add_row(name, what)
     for name, reason in plan.left_out.items():
-        table.add_row(f"[dim]{name}[/dim]", f"[dim]left out: {reason}[/dim]".replace("[" + name + "]", rf"\[{name}]"))
+        table.add_row(Text(name, style="dim"), Text(f"left out: {reason}", style="dim"))
     console.print(table)
     lines = (
         f"about {plan.wall_s:.0f} s with {workers} worker(s), predicted from one observation made here",

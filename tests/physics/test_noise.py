@@ -20,6 +20,7 @@ from surveysim.noise import (
     excess_psd,
     excess_variance,
     hann_psd,
+    highest_frequency,
     photon_correlation,
     white_level,
 )
@@ -93,12 +94,10 @@ def test_white_level_leaves_out_red_noise_and_nyquist():
     np.testing.assert_allclose(white_level(psd, 100, RATE, 2.5), [4, 8], rtol=1e-14)
 
 
-@pytest.mark.parametrize("above", [4.95, 5.0, 7.0])
-def test_white_level_needs_a_frequency(above):
-    with pytest.raises(
-        ValueError, match=f"score.white_above: found {above:g} Hz; less than half the sample rate, 5 Hz"
-    ):
-        white_level(np.ones((2, 51)), 100, RATE, above)
+@pytest.mark.parametrize("n", [8, 60, 61, 150])
+def test_highest_frequency_is_the_last_below_nyquist(n):
+    frequency = np.fft.rfftfreq(n, 1 / RATE)
+    assert highest_frequency(n, RATE) == pytest.approx(frequency[frequency < RATE / 2 * (1 - 1e-12)].max(), rel=1e-14)
 
 
 def test_correlated_white_has_the_covariance_of_its_factor(rng):

@@ -101,7 +101,7 @@ def refused(call, scene, *arguments):
         ("score.size=3 deg", ("score.size: found 180 arcmin", "or less is expected")),
         ("score.ell_max=30000", ("score.ell_max: found 30000", "21600 or less")),
         ("score.ell_bin=3", ("score.ell_bin: no Fourier mode", "expected")),
-        ("score.white_above=5 Hz", ("score.white_above: found 5 Hz", "less than half the sample rate")),
+        ("score.white_above=5 Hz", ("score.white_above: found 5 Hz", "the highest frequency of a scan")),
         ("instrument.beam_fwhm=5 deg", ("score.ell_min: found 4000", "beam")),
         ("excess.band_limit=0.1 Hz", ("excess.band_limit: found 0.1 Hz", "1 / scan.duration")),
         ("atmosphere.outer_scale=1 m", ("atmosphere: outer_scale", "found")),

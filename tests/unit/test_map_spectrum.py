@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapmaker.spectrum import annuli, map_psd, mode_ell, mode_psd, psd_relative_error, split_azimuth, tukey_taper
+from mapmaker.spectrum import annuli, map_psd, mode_ell, mode_psd, split_azimuth, tukey_taper
 from mapmaker.window import beam_window, pixel_window, signal_window
 
 PIXEL_RAD = np.radians(0.5 / 60)
@@ -108,10 +108,6 @@ def test_mode_ell_reaches_nyquist():
     ell = mode_ell(16, 16, PIXEL_RAD)
     assert ell.shape == (16, 9)
     np.testing.assert_allclose(ell[0, 8], np.pi / PIXEL_RAD)
-
-
-def test_psd_relative_error():
-    np.testing.assert_allclose(psd_relative_error(np.array([2.0, 50.0])), [1.0, 0.2])
 
 
 def test_beam_window_is_the_square_of_the_transform_of_the_beam():
