@@ -72,6 +72,8 @@ def run(
     directory = out or Path("outputs") / checked.name
     _check_writable(directory)
 
+    if resume and not quiet and not (directory / "checkpoint.npz").exists():
+        typer.echo(f"no checkpoint in {directory}: starting with the first observation", err=True)
     from surveysim.api import run as run_scene
     from surveysim.checkpoint import CheckpointError
     from surveysim.engines import WorkerLostError

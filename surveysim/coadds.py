@@ -103,10 +103,12 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
     weights = np.where(np.isfinite(result.noise_mk2) & (result.noise_mk2 > 0), 1 / result.noise_mk2, 0.0)
     sign = signs(setup, result.observation)
     patch = setup.band.patch if setup.band else slice(0, 0)
-    for s, weight in enumerate(weights):
-        weighted = weight * result.sums[s].astype(float)
+    # All that could fail for want of memory comes before the first sum: none is left half done.
+    sums = weights[:, None, None] * result.sums.astype(float)
+    hits = weights[:, None, None] * result.hits
+    for s, weighted in enumerate(sums):
         coadds.sums[s] += weighted
-        coadds.weight[s] += weight * result.hits[s]
+        coadds.weight[s] += hits[s]
         if len(sign):
             add_signed(coadds.flipped[:, s], np.ascontiguousarray(weighted[patch, patch]), sign)
     coadds.hits += result.hits
