@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mapmaker.files import whole_file
-from mapmaker.geometry import MapGeometry, plane_directions, wcs
+from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, wcs
 from mapmaker.kernels.pixels import bin_samples
 
 
@@ -100,10 +100,8 @@ def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
     from astropy.io import fits
 
     rows, columns = np.nonzero(item.weight > 0)
-    g = item.geometry
-    xi = (g.n_x / 2 - columns - 0.5) * g.pixel_rad
-    eta = (rows + 0.5 - g.n_y / 2) * g.pixel_rad
-    ra, dec = plane_directions(g, xi, eta)
+    xi, eta = (plane[rows, columns] for plane in pixel_centres(item.geometry))
+    ra, dec = plane_directions(item.geometry, xi, eta)
     pixel, slot = np.unique(healpy.ang2pix(nside, np.pi / 2 - dec, ra, nest=True), return_inverse=True)
     total, weight, hits = (
         np.bincount(slot, plane[rows, columns], len(pixel)) for plane in (item.weighted_sum, item.weight, item.hits)

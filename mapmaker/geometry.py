@@ -37,6 +37,13 @@ def plane_directions(geometry: MapGeometry, xi_rad: np.ndarray, eta_rad: np.ndar
     return np.mod(ra, 2 * np.pi), dec
 
 
+def pixel_centres(geometry: MapGeometry) -> tuple[np.ndarray, np.ndarray]:
+    """Tangent-plane (xi, eta) [rad] of all pixel centres, each (n_y, n_x)."""
+    xi = (geometry.n_x / 2 - 0.5 - np.arange(geometry.n_x)) * geometry.pixel_rad
+    eta = (np.arange(geometry.n_y) + 0.5 - geometry.n_y / 2) * geometry.pixel_rad
+    return np.meshgrid(xi, eta)
+
+
 def sky_offsets(plane: FocalPlane, array_angle_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Offsets (n_angle, n_det) [rad] of the detectors from the boresight, east and north."""
     cos, sin = np.cos(array_angle_rad)[:, None], np.sin(array_angle_rad)[:, None]

@@ -10,7 +10,7 @@ import numpy as np
 from mapmaker.binning import bin_map
 from mapmaker.cleaning import Cleaned, clean
 from mapmaker.geometry import boresight_pixels, plane_directions, sky_offsets
-from mapmaker.kernels.pixels import add_sky, bin_signal
+from mapmaker.kernels.pixels import add_sky
 from mapmaker.timestreams import FocalPlane, Timestreams, scan_bounds
 from surveysim.noise import (
     add_correlated_white,
@@ -304,7 +304,7 @@ def _window_maps(
     """Signal of each window sky without and with cleaning, the difference that it makes to the cleaned data."""
     skies, bounds = setup.window_skies_mk, streams.scan_bounds
     shape = (setup.geometry.n_y, setup.geometry.n_x)
-    maps = np.zeros((len(skies), len(arrays), 2, shape[0] * shape[1]))
+    maps = np.zeros((len(skies), len(arrays), 2, *shape), np.float32)
     for s, sky in enumerate(skies):
         signal = np.zeros_like(streams.data_mk)
         add_sky_signal(setup, pointing, sky, signal, setup.responsivity)
@@ -312,6 +312,6 @@ def _window_maps(
             plane = streams.focal_plane.subset(rows)
             both = _clean(setup, streams.data_mk[rows] + signal[rows], bounds, plane)
             kept = both.kept & base.kept
-            bin_signal(signal[rows], index[rows], bounds, kept, maps[s, a, 0])
-            bin_signal(both.data_mk - base.data_mk, index[rows], bounds, kept, maps[s, a, 1])
-    return maps.reshape(len(skies), len(arrays), 2, *shape).astype(np.float32)
+            for state, data in enumerate((signal[rows], both.data_mk - base.data_mk)):
+                maps[s, a, state] = bin_map(setup.geometry, data, index[rows], bounds, kept).weighted_sum
+    return maps

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from mapmaker.geometry import MapGeometry, plane_directions, plane_offsets
+from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, plane_offsets
+from mapmaker.spectrum import mode_ell
+from mapmaker.window import beam_window
 from surveysim.sections import PointSource, Sky
 from surveysim.units import rj_to_cmb
 
@@ -21,8 +23,8 @@ def flat_cmb_sky(
     from scipy.fft import irfft2, rfft2
 
     n_y, n_x, pixel = geometry.n_y, geometry.n_x, geometry.pixel_rad
-    ell = 2 * np.pi * np.hypot(np.fft.fftfreq(n_y, pixel)[:, None], np.fft.rfftfreq(n_x, pixel)[None, :])
-    amplitude = np.sqrt(flat_spectrum_mk2(ell, band_power_ukcmb2, frequency_hz)) * beam_amplitude(ell, fwhm_rad)
+    ell = mode_ell(n_y, n_x, pixel)
+    amplitude = np.sqrt(flat_spectrum_mk2(ell, band_power_ukcmb2, frequency_hz) * beam_window(ell, fwhm_rad))
     modes = rfft2(rng.standard_normal((n_y, n_x))) * (amplitude / pixel)
     return irfft2(modes, (n_y, n_x)).astype(np.float32)
 
@@ -47,9 +49,9 @@ def curved_cmb_sky(
     deviates = rng.standard_normal((2, len(degree)))
     alm = np.where(order == 0, deviates[0], (deviates[0] + 1j * deviates[1]) / np.sqrt(2))
     ell = np.arange(lmax + 1.0)
-    spectrum = np.sqrt(flat_spectrum_mk2(ell, band_power_ukcmb2, frequency_hz)) * beam_amplitude(ell, fwhm_rad)
+    spectrum = np.sqrt(flat_spectrum_mk2(ell, band_power_ukcmb2, frequency_hz) * beam_window(ell, fwhm_rad))
     sphere = healpy.alm2map(healpy.almxfl(alm, spectrum), nside)
-    ra, dec = plane_directions(geometry, *pixel_centers(geometry))
+    ra, dec = plane_directions(geometry, *pixel_centres(geometry))
     return healpy.get_interp_val(sphere, np.pi / 2 - dec, ra).astype(np.float32)
 
 
@@ -60,24 +62,11 @@ def flat_spectrum_mk2(ell: np.ndarray, band_power_ukcmb2: float, frequency_hz: f
     return scale / safe
 
 
-def beam_amplitude(ell: np.ndarray, fwhm_rad: float) -> np.ndarray:
-    """Transfer (amplitude) of a Gaussian beam."""
-    sigma = fwhm_rad / np.sqrt(8 * np.log(2))
-    return np.exp(-0.5 * (ell * sigma) ** 2)
-
-
-def pixel_centers(geometry: MapGeometry) -> tuple[np.ndarray, np.ndarray]:
-    """Tangent-plane (xi, eta) [rad] of all pixel centres, each (n_y, n_x)."""
-    xi = (geometry.n_x / 2 - 0.5 - np.arange(geometry.n_x)) * geometry.pixel_rad
-    eta = (np.arange(geometry.n_y) + 0.5 - geometry.n_y / 2) * geometry.pixel_rad
-    return np.meshgrid(xi, eta)
-
-
 def add_point_sources(
     sky_mk: np.ndarray, geometry: MapGeometry, sources: tuple[PointSource, ...], fwhm_rad: float
 ) -> np.ndarray:
     """The sky with Gaussian beams at the sources, (n_y, n_x) float32."""
-    xi, eta = pixel_centers(geometry)
+    xi, eta = pixel_centres(geometry)
     sigma = fwhm_rad / np.sqrt(8 * np.log(2))
     total = sky_mk.astype(float)
     for source in sources:

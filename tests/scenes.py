@@ -103,6 +103,18 @@ def without_sections(text: str, *names: str) -> str:
     return "".join(kept)
 
 
+# In place of [fixed_pointing].
+SCHEDULE = """
+[schedule]
+latitude = "19.8 deg"
+longitude = "-155.5 deg"
+height = "4070 m"
+first_night = "2003-10-28"
+nights = 1
+max_hour_angle = "3 hourangle"
+min_elevation = "40 deg"
+"""
+
 WHITE_NOISE_SCENE = without_sections(SMALL_SCENE, "atmosphere", "excess", "photon", "sky", "score").replace(
     'algorithm = "average"', 'algorithm = "none"'
 )

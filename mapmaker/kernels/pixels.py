@@ -37,18 +37,6 @@ def bin_samples(data, index, bounds, kept, weighted_sum, hits):
 
 
 @njit(cache=True, nogil=True)
-def bin_signal(data, index, bounds, kept, weighted_sum):
-    """Add the samples of kept scans to the flat map `weighted_sum` (float64) where hits are known, in place."""
-    for d in range(data.shape[0]):
-        for s in range(bounds.shape[0]):
-            if kept[s]:
-                for n in range(bounds[s, 0], bounds[s, 1]):
-                    pixel = index[d, n]
-                    if pixel >= 0:
-                        weighted_sum[pixel] += data[d, n]
-
-
-@njit(cache=True, nogil=True)
 def add_sky(data, sky, column, row, cos, sin, x_rad, y_rad, gain):
     """Add the bilinear look-up of `sky` (n_y, n_x) along every detector's track to `data`, in place.
 

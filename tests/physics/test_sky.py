@@ -9,17 +9,16 @@ import math
 import numpy as np
 import pytest
 
-from mapmaker.geometry import MapGeometry, plane_directions, wcs
+from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, wcs
 from mapmaker.spectrum import annuli, map_psd, mode_ell, mode_psd
+from mapmaker.window import beam_window
 from surveysim.sections import PointSource, Sky
 from surveysim.sky import (
     add_point_sources,
-    beam_amplitude,
     curved_cmb_sky,
     draw_sky,
     flat_cmb_sky,
     flat_spectrum_mk2,
-    pixel_centers,
 )
 from surveysim.units import rj_to_cmb
 
@@ -35,7 +34,7 @@ def flat_skies(n, geometry=GEOMETRY, seed=1):
 
 
 def expected_psd(ell):
-    return flat_spectrum_mk2(ell, BAND_POWER, FREQUENCY) * beam_amplitude(ell, FWHM) ** 2
+    return flat_spectrum_mk2(ell, BAND_POWER, FREQUENCY) * beam_window(ell, FWHM)
 
 
 def test_spectrum_is_a_flat_band_power():
@@ -52,7 +51,7 @@ def test_beam_is_the_transform_of_a_gaussian():
     beam = 0.5 ** ((2 * x / FWHM) ** 2)
     for ell in (0.0, 2000.0, 9000.0):
         # Trapezoids of a Gaussian converge exponentially; 450 arcsec are 17 sigma.
-        assert beam_amplitude(np.array(ell), FWHM) == pytest.approx(
+        assert np.sqrt(beam_window(np.array(ell), FWHM)) == pytest.approx(
             np.sum(beam * np.cos(ell * x)) / np.sum(beam), rel=1e-9
         )
 
@@ -125,7 +124,7 @@ def test_same_seed_same_sky_and_no_global_state():
 def test_pixel_centres_are_those_of_the_wcs():
     g = MapGeometry(*np.radians([132.3, 44.84]), ARCMIN, 11, 8)
     row, column = np.indices((8, 11))
-    ra, dec = plane_directions(g, *pixel_centers(g))
+    ra, dec = plane_directions(g, *pixel_centres(g))
     expected = wcs(g).wcs_pix2world(column.ravel(), row.ravel(), 0)
     np.testing.assert_allclose(np.degrees([ra.ravel(), dec.ravel()]), expected, rtol=1e-12)
 
@@ -185,7 +184,7 @@ NSIDE, N_SKY = 256, 40
 def expected_tapered_psd(geometry, taper, fwhm_rad):
     """Mean PSD of a tapered map on the half plane, by the sky's correlation function, lag by lag."""
     ell = np.arange(2 * NSIDE + 1)
-    spectrum = flat_spectrum_mk2(ell, BAND_POWER, FREQUENCY) * beam_amplitude(ell, fwhm_rad) ** 2
+    spectrum = flat_spectrum_mk2(ell, BAND_POWER, FREQUENCY) * beam_window(ell, fwhm_rad)
     angle = np.linspace(0, 30 * DEGREE, 3000)
     correlation = np.polynomial.legendre.legval(np.cos(angle), (2 * ell + 1) / (4 * np.pi) * spectrum)
     n = len(taper)
@@ -242,8 +241,8 @@ def test_curved_sky_lies_where_the_grid_looks():
     """Single harmonics of l = 1: along the pole sin(dec), along RA 0 cos(dec) cos(ra)."""
     nside, fwhm = 64, 4 * DEGREE
     g = MapGeometry(*np.radians([132.3, -15.0]), DEGREE, 20, 16)
-    ra, dec = plane_directions(g, *pixel_centers(g))
-    amplitude = math.sqrt(flat_spectrum_mk2(np.array(1.0), BAND_POWER, FREQUENCY)) * beam_amplitude(1.0, fwhm)
+    ra, dec = plane_directions(g, *pixel_centres(g))
+    amplitude = math.sqrt(flat_spectrum_mk2(np.array(1.0), BAND_POWER, FREQUENCY)) * np.sqrt(beam_window(1.0, fwhm))
     # Y_10 = sqrt(3 / 4 pi) cos(theta); a_11 = 1 / sqrt(2) and its conjugate give sqrt(2) Re Y_11.
     shapes = {0: np.sin(dec), 1: -np.cos(dec) * np.cos(ra)}
     for m, shape in shapes.items():
@@ -259,7 +258,7 @@ def test_curved_sky_has_the_variance():
     """
     nside, fwhm, n_sky = 64, 4 * DEGREE, 6
     ell = np.arange(2 * nside + 1)
-    power = flat_spectrum_mk2(ell, BAND_POWER, FREQUENCY) * beam_amplitude(ell, fwhm) ** 2
+    power = flat_spectrum_mk2(ell, BAND_POWER, FREQUENCY) * beam_window(ell, fwhm)
     right_ascensions = np.arange(12) * np.pi / 6
     fields = [MapGeometry(ra, dec, 2 * DEGREE, 1, 21) for ra in right_ascensions for dec in (-0.9, 0, 0.9)]
     variance = np.mean(
@@ -272,7 +271,7 @@ def test_curved_sky_has_the_variance():
             for g in fields
         ]
     )
-    ra, dec = np.concatenate([np.reshape(plane_directions(g, *pixel_centers(g)), (2, -1)) for g in fields], axis=1)
+    ra, dec = np.concatenate([np.reshape(plane_directions(g, *pixel_centres(g)), (2, -1)) for g in fields], axis=1)
     points = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
     covariance = np.polynomial.legendre.legval(points.T @ points, (2 * ell + 1) / (4 * np.pi) * power)
     expected = np.sum((2 * ell + 1) * power) / (4 * np.pi)

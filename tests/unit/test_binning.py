@@ -7,7 +7,7 @@ import pytest
 
 from mapmaker.binning import BinnedMap, bin_map, coadd, read_fits, weighted_mean, write_fits, write_healpix
 from mapmaker.geometry import MapGeometry, plane_directions, wcs
-from mapmaker.kernels.pixels import add_sky, bin_samples, bin_signal, plane_pixels
+from mapmaker.kernels.pixels import add_sky, bin_samples, plane_pixels
 from surveysim.kernels.sums import add_signed
 from tests import naive
 
@@ -63,14 +63,6 @@ def test_bin_samples(rng, kind):
     # Both sum at double precision: rounding of a few numbers of order 1.
     np.testing.assert_allclose(found - 1, total, atol=1e-14)
     assert hits.sum() == (index[:, np.r_[0:20, 50:62, 70:90]] >= 0).sum()
-
-
-@KINDS
-def test_bin_signal(rng, kind):
-    data, index, total, _ = binning(rng, kind)
-    found = np.ones(N_X * N_Y)
-    bin_signal(data, index, BOUNDS, KEPT, found)
-    np.testing.assert_allclose(found - 1, total, atol=1e-14)
 
 
 @KINDS

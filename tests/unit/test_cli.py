@@ -13,23 +13,13 @@ import numpy as np
 import pytest
 
 from surveysim import cli, survey
-from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
+from tests.scenes import SCHEDULE, SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
 from tests.unit.test_interruption import COMMAND, assert_same_results
 
 ECSV = (
     "# %ECSV 1.0\n# ---\n# datatype:\n# - {name: x, unit: arcsec, datatype: float64}\n"
     "# - {name: y, unit: arcsec, datatype: float64}\nx y\n"
 )
-SCHEDULE = """
-[schedule]
-latitude = "19.8 deg"
-longitude = "-155.5 deg"
-height = "4070 m"
-first_night = "2003-10-28"
-nights = 1
-max_hour_angle = "3 hourangle"
-min_elevation = "40 deg"
-"""
 
 
 @pytest.fixture(autouse=True)

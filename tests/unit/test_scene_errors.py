@@ -5,7 +5,7 @@ import math
 import pytest
 
 from surveysim.scene import SceneError, load_scene
-from tests.scenes import SMALL_SCENE
+from tests.scenes import SCHEDULE, SMALL_SCENE
 
 
 @pytest.fixture
@@ -278,17 +278,7 @@ def test_two_focal_planes_or_none(path):
 def test_two_ways_of_pointing_or_none(path):
     text = refusal(path, {"fixed_pointing": None})
     assert "exactly one of the sections 'schedule' and 'fixed_pointing' is expected" in text
-    schedule = """
-[schedule]
-latitude = "19.8 deg"
-longitude = "-155.5 deg"
-height = "4070 m"
-first_night = "2003-10-28"
-nights = 1
-max_hour_angle = "3 hourangle"
-min_elevation = "40 deg"
-"""
-    path.write_text(SMALL_SCENE + schedule)
+    path.write_text(SMALL_SCENE + SCHEDULE)
     assert "exactly one of the sections 'schedule' and 'fixed_pointing' is expected" in refusal(path)
     assert load_scene(path, {"fixed_pointing": None}).schedule.height_m == 4070
 
