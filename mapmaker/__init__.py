@@ -2,3 +2,39 @@
 
 Knows detector positions, time-streams and maps, and nothing of scenes, weather or random numbers.
 """
+
+from importlib import import_module
+from typing import Any
+
+_PUBLIC = {
+    "FocalPlane": "timestreams",
+    "Timestreams": "timestreams",
+    "read_timestreams": "timestreams",
+    "write_timestreams": "timestreams",
+    "scan_bounds": "timestreams",
+    "TemplateOptions": "cleaning",
+    "clean": "cleaning",
+    "MapGeometry": "geometry",
+    "covering_geometry": "geometry",
+    "pixel_indices": "geometry",
+    "BinnedMap": "binning",
+    "bin_map": "binning",
+    "coadd": "binning",
+    "read_fits": "binning",
+    "write_fits": "binning",
+    "write_healpix": "binning",
+    "tukey_taper": "spectrum",
+    "annuli": "spectrum",
+    "map_psd": "spectrum",
+    "signal_window": "window",
+    "flat_band_power": "bandpower",
+    "estimate_amplitude": "bandpower",
+}
+__all__ = list(_PUBLIC)
+
+
+def __getattr__(name: str) -> Any:
+    # Loaded on first use: a kernel costs numba's import.
+    if name in _PUBLIC:
+        return getattr(import_module(f"mapmaker.{_PUBLIC[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mapmaker.files import whole_file
-from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, wcs
+from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, same_geometry, wcs
 from mapmaker.kernels.pixels import bin_samples
 
 
@@ -50,8 +50,11 @@ def coadd(maps: list[BinnedMap], weights: list[float]) -> BinnedMap:
 
     Raises ValueError when there is no map or the geometries differ.
     """
-    if not maps or any(item.geometry != maps[0].geometry for item in maps):
-        raise ValueError(f"found {len(maps)} maps; one or more of the same geometry are expected")
+    if not maps:
+        raise ValueError("found no map; one or more are expected")
+    for number, item in enumerate(maps):
+        if not same_geometry(item.geometry, maps[0].geometry):
+            raise ValueError(f"map {number} has another geometry than map 0: {item.geometry} and {maps[0].geometry}")
     total = sum(w * item.weighted_sum for item, w in zip(maps, weights, strict=True))
     weight = sum(w * item.weight for item, w in zip(maps, weights, strict=True))
     return BinnedMap(maps[0].geometry, total, weight, sum(item.hits for item in maps))
@@ -87,7 +90,7 @@ def read_fits(path: str | Path) -> BinnedMap:
             pixel = float(np.radians(header["CDELT2"]))
     except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{path}: not a whole map file ({error})") from None
-    geometry = MapGeometry(center[0], center[1], pixel, signal.shape[1], signal.shape[0])
+    geometry = MapGeometry(float(center[0]), float(center[1]), pixel, signal.shape[1], signal.shape[0])
     return BinnedMap(geometry, signal * weight, weight, hits.astype(np.int64))
 
 

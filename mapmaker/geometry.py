@@ -19,6 +19,12 @@ class MapGeometry:
     n_y: int
 
 
+def same_geometry(one: MapGeometry, other: MapGeometry) -> bool:
+    """Whether two geometries are one but for the rounding of degrees in a file."""
+    angles = [(g.ra0_rad, g.dec0_rad, g.pixel_rad) for g in (one, other)]
+    return (one.n_x, one.n_y) == (other.n_x, other.n_y) and bool(np.allclose(*angles, rtol=1e-12, atol=0))
+
+
 def plane_offsets(geometry: MapGeometry, ra_rad: np.ndarray, dec_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gnomonic (xi east, eta north) [rad] of directions."""
     delta = ra_rad - geometry.ra0_rad

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from mapmaker.timestreams import Timestreams
 from surveysim.coadds import CoAdds
 from surveysim.observation import draw_observation
-from surveysim.outputs import write_outputs
+from surveysim.outputs import remove_outputs, write_outputs
 from surveysim.results import SurveyResult, survey_result
 from surveysim.scene import Scene
 from surveysim.setup import prepare
@@ -37,7 +37,7 @@ def run(
     figures: bool = True,
     progress: Callable[[CoAdds], None] = lambda coadds: None,
 ) -> SurveyResult:
-    """Run a scene and, with `out`, write its results there.
+    """Run a scene and, with `out`, write its results there in place of an earlier run's.
 
     `workers` is one a core by default; results do not depend on it. Workers import the calling script, which
     therefore needs the usual ``if __name__ == "__main__":``. With `out`, finished work is kept in
@@ -53,6 +53,8 @@ def run(
     checkpoint = None if directory is None else directory / "checkpoint.npz"
     if save_timestreams and directory is None:
         raise ValueError("save_timestreams: found no output directory; one is expected")
+    if directory is not None and not resume:
+        remove_outputs(directory)
     coadds = run_observations(
         setup,
         checkpoint,

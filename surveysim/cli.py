@@ -138,6 +138,8 @@ def new(
     target.parent.mkdir(exist_ok=True)
     target.write_text(text, encoding="utf-8")
     typer.echo(f"{target}: a copy of {source}; edit it, then: surveysim check {target}")
+    if "[score.reference]" in text:
+        typer.echo("it compares with published numbers; delete [score.reference] and its gains for another survey")
 
 
 def main() -> None:

@@ -94,8 +94,15 @@ def read_positions(path: Path) -> np.ndarray:
     """
     from astropy.table import QTable
 
+    if not path.is_file():
+        raise ValueError(f"instrument.positions: {path}: no such file; an ECSV table beside the scene is expected")
     try:
         table = QTable.read(path, format="ascii.ecsv")
+        for name in ("x", "y"):
+            if name not in table.colnames:
+                raise ValueError(f"found the columns {', '.join(table.colnames)}")
+            if table[name].unit is None:
+                raise ValueError(f"column {name} has no unit")
         positions = np.column_stack([table[name].to_value("rad") for name in ("x", "y")]).astype(float)
     except Exception as error:  # astropy raises a wide range for broken tables
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

@@ -30,6 +30,14 @@ def write_outputs(directory: Path, result: SurveyResult, figures: bool) -> None:
     write_text(directory / "summary.json", json.dumps(summary(result), indent=2) + "\n")
 
 
+def remove_outputs(directory: Path) -> None:
+    """Remove what an earlier run left in `directory`, so that no result of it stands beside this run's."""
+    for pattern in ("figures/*.png", "tables/*.ecsv", "maps/*.fits", "timestreams/[0-9]*.h5", "s*.json"):
+        for path in directory.glob(pattern):
+            if path.suffix != ".json" or path.name in ("summary.json", "scene.json"):
+                path.unlink()
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file atomically."""
     with whole_file(path) as partial:
@@ -45,7 +53,7 @@ def _write_maps(directory: Path, result: SurveyResult) -> None:
             "DATASET": name,
             "SEED": setup.scene.seed,
             "NOBS": coadds.done,
-            "SHA256": scene_hash(setup.scene)[:60],
+            "SHA256": scene_hash(setup.scene),
         }
         write_fits(directory / f"{name}.fits", item, header)
         if setup.scene.map.healpix_nside:
@@ -84,6 +92,9 @@ def _alternative_table(result: SurveyResult) -> "Table":
     from astropy.table import Table
 
     table = Table(rows=result.alternatives)
+    for name in table.colnames:
+        if name not in ("weights", "ell_min", "ell_eff", "fwhm_ell"):
+            table[name].unit = "uK2"
     table.meta["comment"] = "sigma(A) in uK_CMB^2 of the same data, scored otherwise"
     return table
 
@@ -101,6 +112,12 @@ def _spectrum_table(result: SurveyResult) -> "Table":
         table[f"window_{name}"] = item.window.transmission
         table[f"window_error_{name}"] = item.window.error
         table[f"cumulative_{name}"] = item.band.cumulative
+        for column, unit in (
+            (f"noise_error_{name}", "uK2 sr"),
+            (f"signal_{name}", "sr"),
+            (f"cumulative_{name}", "uK2"),
+        ):
+            table[column].unit = unit
     table.meta["temperature"] = "CMB"
     return table
 
@@ -132,6 +149,8 @@ def _observation_table(result: SurveyResult) -> "Table":
     table = Table(np.array(result.coadds.rows), names=names)
     table["start_mjd"] = setup.angles.start_mjd[: result.coadds.done]
     table["start_mjd"].unit = "d"
-    for name, unit in (("wind_speed_rad_s", "rad / s"), ("wind_angle_rad", "rad"), ("elevation_rad", "rad")):
+    units = {"wind_speed_rad_s": "rad / s", "wind_angle_rad": "rad", "elevation_rad": "rad", "white_mk2_hz": "mK2 / Hz"}
+    for name, unit in units.items() | {(f"noise_mk2_{name}", "mK2") for name in setup.data_sets}:
         table[name].unit = unit
+    table["observation"] = table["observation"].astype(int)
     return table

@@ -53,16 +53,16 @@ def _bar(scene: Scene) -> Iterator[Callable[[CoAdds], None]]:
 
 
 def _lines(scene: Scene) -> Callable[[CoAdds], None]:
-    start = monotonic()
     every = max(1, scene.observations // LINES)
-    begun: list[int] = []
+    first: list[tuple[float, int]] = []  # when the first observation was in; before it lie start-up and compilation
 
     def show(coadds: CoAdds) -> None:
-        begun.append(coadds.done - 1)
+        if not first:
+            first.append((monotonic(), coadds.done))
         if coadds.done % every == 0 or coadds.done == scene.observations:
-            rate = (monotonic() - start) / (coadds.done - begun[0])
-            left = rate * (scene.observations - coadds.done)
-            done = f"{scene.name}: {coadds.done}/{scene.observations} observations, {left:.0f} s left"
+            since, begun = monotonic() - first[0][0], coadds.done - first[0][1]
+            left = f", {since / begun * (scene.observations - coadds.done):.0f} s left" if begun else ""
+            done = f"{scene.name}: {coadds.done}/{scene.observations} observations{left}"
             print(f"{done}  {score_so_far(scene, coadds)}".rstrip(), file=sys.stderr, flush=True)
 
     return show

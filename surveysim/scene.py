@@ -150,6 +150,9 @@ def _override(path: Path, data: dict, key: str, value: Any) -> None:
 def _error_line(path: Path, item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"])
     message = item["msg"].removeprefix("Value error, ")
+    if item["type"] == "value_error" and (match := re.match(r"([a-z_0-9]+): ", message)) and key:
+        # A check of a whole section names the key that it is about.
+        key, message = f"{key}.{match[1]}", message[match.end() :]
     if item["type"] == "extra_forbidden":
         message = f"unknown key; allowed are {', '.join(_allowed(item['loc'][:-1]))}"
     elif item["type"] == "missing":

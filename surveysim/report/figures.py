@@ -99,7 +99,8 @@ def timestream_psd(setup: Setup, coadds: CoAdds) -> Figure:
         scaled = r"beam power at $\ell = 2\pi f$ / speed, arbitrary scale"
         axes.plot(frequency, 10 * pairs[:, 1].max() * beam, color=PURPLE, ls=":", lw=1.5, label=scaled)
         axes.set(xscale="log", yscale="log", xlim=(frequency[0], scan.sample_rate_hz / 2))
-        axes.set_ylim(pairs.min() / 4, pairs.max() * 2)
+        levels = [line.get_ydata()[0] for line in axes.lines if len(line.get_ydata()) == 2 and line.get_ydata()[0] > 0]
+        axes.set_ylim(min([pairs.min() / 2, *levels]) / 2, pairs.max() * 2)
         axes.set_title(name, fontsize=10)
         _finish(axes, "Frequency [Hz]", "Time-stream PSD [mK$^2$/Hz]")
         _plain_ticks(axes.xaxis)

@@ -165,7 +165,7 @@ def test_unreadable_scene(call, tmp_path, content, words):
         (ECSV.replace("name: x", "name: z") + "0 0\n", "columns x and y"),
         (ECSV[:40], "not an ECSV table"),
         ("\0\1\2", "not an ECSV table"),
-        (None, "not an ECSV table"),
+        (None, "no such file"),
     ],
 )
 def test_positions(call, scene, table, words):

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from astropy.io import fits
-from astropy.table import Table
+from astropy.table import QTable, Table
 from astropy.wcs import WCS
 
 from surveysim import load_scene, run
@@ -182,3 +182,22 @@ def test_runs_that_cannot_be_scored(tmp_path, capsys, setting):
     assert content["scores"] == {} and content["unscored"] == result.unscored != ""
     print_result(result, tmp_path)
     assert f"Not scored: {result.unscored}" in capsys.readouterr().out.replace("\n", " ").replace("  ", " ")
+
+
+def test_a_run_replaces_an_earlier_one(tmp_path):
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL_SCENE)
+    out = tmp_path / "out"
+    run(load_scene(path), out, workers=1, save_timestreams=True)
+    (out / "notes.txt").write_text("mine")
+    run(load_scene(path, {"observations": 2}), out, workers=1, figures=False)
+    assert not list((out / "figures").glob("*")) and not list((out / "timestreams").glob("*"))
+    assert json.loads((out / "summary.json").read_text())["observations"] == 2
+    assert (out / "notes.txt").read_text() == "mine"
+
+
+def test_units_of_tables(finished):
+    _, out = finished
+    table = QTable.read(out / "tables" / "map_psd.ecsv")
+    assert (table["noise_actual"] + table["noise_error_actual"]).unit == "uK2 sr"
+    assert QTable.read(out / "tables" / "observations.ecsv")["noise_mk2_actual"].unit == "mK2"
