@@ -65,7 +65,7 @@ def run(
     )
     result = survey_result(setup, coadds, perf_counter() - start, workers)
     if directory is not None:
-        write_outputs(directory, result, figures)
+        write_outputs(directory, result, figures, save_timestreams)
         checkpoint.unlink(missing_ok=True)
     return result
 

@@ -17,35 +17,45 @@ if TYPE_CHECKING:
     from astropy.table import Table
 
 
-def write_outputs(directory: Path, result: SurveyResult, figures: bool) -> None:
-    """Write all results of a run below `directory`."""
-    directory.mkdir(parents=True, exist_ok=True)
-    write_text(directory / "scene.json", resolved(result.setup.scene) + "\n")
-    _write_tables(directory / "tables", result)
-    _write_maps(directory / "maps", result)
+def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestreams: bool) -> None:
+    """Write all results of a run below `directory`; summary.json, the last, lists the files of the run."""
+    written = [write_text(directory / "scene.json", resolved(result.setup.scene) + "\n")]
+    written += _write_tables(directory / "tables", result)
+    written += _write_maps(directory / "maps", result)
     if figures:
         from surveysim.report.figures import draw_figures
 
-        draw_figures(directory / "figures", result.setup, result.coadds, result.scores)
-    write_text(directory / "summary.json", json.dumps(summary(result), indent=2) + "\n")
+        written += draw_figures(directory / "figures", result.setup, result.coadds, result.scores)
+    if timestreams:
+        written += [directory / "timestreams" / f"{number:04d}.h5" for number in range(result.coadds.done)]
+    files = sorted(path.relative_to(directory).as_posix() for path in written)
+    write_text(directory / "summary.json", json.dumps(summary(result) | {"files": files}, indent=2) + "\n")
 
 
 def remove_outputs(directory: Path) -> None:
-    """Remove what an earlier run left in `directory`, so that no result of it stands beside this run's."""
-    for pattern in ("figures/*.png", "tables/*.ecsv", "maps/*.fits", "timestreams/[0-9]*.h5", "s*.json"):
-        for path in directory.glob(pattern):
-            if path.suffix != ".json" or path.name in ("summary.json", "scene.json"):
-                path.unlink()
+    """Remove the files that an earlier run listed in its summary, so that none stands beside this run's.
+
+    Nothing else in `directory` is touched, nor anything where there is no readable summary.
+    """
+    summary_file = directory / "summary.json"
+    try:
+        files = [directory / name for name in json.loads(summary_file.read_text(encoding="utf-8"))["files"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return
+    for path in (*files, summary_file):
+        if path.resolve().is_relative_to(directory.resolve()):
+            path.unlink(missing_ok=True)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically."""
+def write_text(path: Path, text: str) -> Path:
+    """Write a text file atomically; returns its path."""
     with whole_file(path) as partial:
         partial.write_text(text, encoding="utf-8")
+    return path
 
 
-def _write_maps(directory: Path, result: SurveyResult) -> None:
-    setup, coadds = result.setup, result.coadds
+def _write_maps(directory: Path, result: SurveyResult) -> list[Path]:
+    setup, coadds, written = result.setup, result.coadds, []
     for s, name in enumerate(setup.data_sets):
         item = BinnedMap(setup.geometry, coadds.sums[s], coadds.weight[s], coadds.hits[s])
         header = {
@@ -55,24 +65,26 @@ def _write_maps(directory: Path, result: SurveyResult) -> None:
             "NOBS": coadds.done,
             "SHA256": scene_hash(setup.scene),
         }
-        write_fits(directory / f"{name}.fits", item, header)
+        written.append(directory / f"{name}.fits")
+        write_fits(written[-1], item, header)
         if setup.scene.map.healpix_nside:
-            write_healpix(directory / f"{name}_healpix.fits", item, setup.scene.map.healpix_nside)
+            written.append(directory / f"{name}_healpix.fits")
+            write_healpix(written[-1], item, setup.scene.map.healpix_nside)
+    return written
 
 
-def _write_tables(directory: Path, result: SurveyResult) -> None:
-    _write_table(directory / "observations.ecsv", _observation_table(result))
-    _write_table(directory / "timestream_psd.ecsv", _timestream_table(result))
+def _write_tables(directory: Path, result: SurveyResult) -> list[Path]:
+    tables = {"observations": _observation_table(result), "timestream_psd": _timestream_table(result)}
     if result.scores:
-        _write_table(directory / "scores.ecsv", _score_table(result))
-        if result.alternatives:
-            _write_table(directory / "alternatives.ecsv", _alternative_table(result))
-        _write_table(directory / "map_psd.ecsv", _spectrum_table(result))
-
-
-def _write_table(path: Path, table: "Table") -> None:
-    with whole_file(path) as partial:
-        table.write(partial, format="ascii.ecsv", overwrite=True)
+        tables |= {"scores": _score_table(result), "map_psd": _spectrum_table(result)}
+    if result.alternatives:
+        tables["alternatives"] = _alternative_table(result)
+    written = []
+    for name, table in tables.items():
+        written.append(directory / f"{name}.ecsv")
+        with whole_file(written[-1]) as partial:
+            table.write(partial, format="ascii.ecsv", overwrite=True)
+    return written
 
 
 def _score_table(result: SurveyResult) -> "Table":

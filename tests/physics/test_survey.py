@@ -91,6 +91,18 @@ def test_band_power_of_white_noise_against_its_closed_form(tmp_path):
     assert score.band.sigma_ukcmb2 == pytest.approx(expected, rel=0.01 + 3 * score.budget.noise)
 
 
+def test_the_measured_noise_scatters_as_the_band_says(tmp_path):
+    """The variance that chance gives weights, which scores give back: over white maps of even coverage."""
+    (tmp_path / "scene.toml").write_text(SMALL_SCENE)
+    band = prepare(load_scene(tmp_path / "scene.toml", {"score.size": "24 arcmin", "map.pixel": "20 arcsec"})).band
+    rng, hits, n_maps = np.random.default_rng(6), np.full(band.taper.shape, 100), 3000
+    noise = [band.noise(10 * rng.standard_normal(hits.shape), hits) for _ in range(n_maps)]
+    assert np.mean(noise) == pytest.approx(1, abs=4 * np.sqrt(band.noise_scatter / n_maps))
+    # The variance of n draws is known to sqrt(2 / n), 2.6 %; 5 % more for the rim of the range, where the taper
+    # spreads modes over weights that are not even.
+    assert np.var(noise) == pytest.approx(band.noise_scatter, rel=4 * np.sqrt(2 / n_maps) + 0.05)
+
+
 def test_removing_scan_means_leaves_the_window_that_geometry_gives(tmp_path):
     setup, coadds = survey(
         tmp_path,

@@ -18,6 +18,7 @@ from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
 KEYS = {
     "scene", "title", "seed", "scene_sha256", "surveysim", "python", "packages", "observations", "detectors",
     "detector_samples", "stages_left_out", "scans", "scans_discarded", "mean_iterations", "scores", "run",
+    "files",
 }  # fmt: skip
 SCORED_KEYS = {"error_budget", "gains", "alternatives"}
 SETS = ("actual", "uncorrelated", "white", "masked_7")
@@ -189,9 +190,11 @@ def test_a_run_replaces_an_earlier_one(tmp_path):
     path.write_text(SMALL_SCENE)
     out = tmp_path / "out"
     run(load_scene(path), out, workers=1, save_timestreams=True)
-    (out / "notes.txt").write_text("mine")
+    for name in ("notes.txt", "figures/mine.png", "tables/mine.ecsv"):
+        (out / name).write_text("mine")
     run(load_scene(path, {"observations": 2}), out, workers=1, figures=False)
-    assert not list((out / "figures").glob("*")) and not list((out / "timestreams").glob("*"))
+    assert [path.name for path in (out / "figures").glob("*")] == ["mine.png"]
+    assert not list((out / "timestreams").glob("*")) and (out / "tables" / "mine.ecsv").exists()
     assert json.loads((out / "summary.json").read_text())["observations"] == 2
     assert (out / "notes.txt").read_text() == "mine"
 
