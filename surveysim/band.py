@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import fft, next_fast_len, rfft
+from scipy.fft import fft, fft2, fftfreq, ifft2, next_fast_len, rfft
 
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry
@@ -22,7 +22,8 @@ class Band:
     `patch`: rows (and columns) of the map under the taper; `taper` (n, n) on the patch; `rings` the bins
     of multipole of the patch padded to (n_pad, n_pad); `selected` (n_bin,) bins that count; `mode_weight`
     (n_pad, n_column): squared signal PSD times multiplicity, up to the last column of the half plane in
-    the scored range; `sectors` the scored bins cut by direction, None where a sector would be empty.
+    the scored range; `sectors` the scored bins cut by direction, None where a sector would be empty;
+    `noise_scatter` the relative variance of `noise` over white maps.
     """
 
     patch: slice
@@ -31,6 +32,7 @@ class Band:
     selected: np.ndarray
     mode_weight: np.ndarray
     sectors: Annuli | None
+    noise_scatter: float
 
     @property
     def padded_taper(self) -> np.ndarray:
@@ -41,13 +43,6 @@ class Band:
         """A patch (..., n, n) with zeros up to the grid of the rings."""
         extra = len(self.mode_weight) - self.taper.shape[0]
         return np.pad(patch, [(0, 0)] * (patch.ndim - 2) + [(0, extra)] * 2)
-
-    @property
-    def noise_scatter(self) -> float:
-        """Relative variance of `noise`: the modes that it weighs are few, and the taper ties them."""
-        taper = self.taper
-        kept = np.sum(taper**2) ** 2 / (len(self.mode_weight) ** 2 * np.sum(taper**4))
-        return float(np.sum(self.mode_weight**2) / self.mode_weight.sum() ** 2 / kept)
 
     def noise(self, total: np.ndarray, hits: np.ndarray) -> float:
         """Noise variance a sample of a patch of sums and hits, both (n, n); inf without a hit."""
@@ -86,17 +81,42 @@ def scored_band(scene: Scene, geometry: MapGeometry) -> Band | None:
         sectors = split_azimuth(scored, n_pad, n_pad, geometry.pixel_rad, N_SECTORS)
     except ValueError:
         sectors = None
-    return Band(slice(first, first + n), taper, rings, selected, weight, sectors)
+    return Band(
+        patch=slice(first, first + n),
+        taper=taper,
+        rings=rings,
+        selected=selected,
+        mode_weight=weight,
+        sectors=sectors,
+        noise_scatter=_noise_scatter(scene, padded, geometry.pixel_rad),
+    )
 
 
 def _mode_weight(scene: Scene, ell: np.ndarray, rings: Annuli) -> np.ndarray:
+    weight = _squared_signal(scene, ell) * rings.multiplicity.reshape(ell.shape)
+    # The scored range ends far below the Nyquist multipole: the columns beyond it weigh nothing.
+    return np.ascontiguousarray(weight[:, : 1 + np.flatnonzero(weight.any(axis=0))[-1]])
+
+
+def _squared_signal(scene: Scene, ell: np.ndarray) -> np.ndarray:
+    """Squared PSD of a flat spectrum behind the beam, largest 1, 0 outside the scored range."""
     score = scene.score
     signal = np.zeros(ell.shape)
     inside = (ell >= score.ell_min) & (ell < score.ell_max)
     signal[inside] = flat_spectrum_psd(ell[inside]) * beam_window(ell[inside], scene.instrument.beam_fwhm_rad)
     if not signal.max() > 0:
         raise SceneError(f"score.ell_min: found {score.ell_min}; multipoles that the beam lets through are expected")
-    signal /= signal.max()
-    weight = signal**2 * rings.multiplicity.reshape(ell.shape)
-    # The scored range ends far below the Nyquist multipole: the columns beyond it weigh nothing.
-    return np.ascontiguousarray(weight[:, : 1 + np.flatnonzero(weight.any(axis=0))[-1]])
+    return (signal / signal.max()) ** 2
+
+
+def _noise_scatter(scene: Scene, taper: np.ndarray, pixel_rad: float) -> float:
+    """Relative variance of `Band.noise` over white maps.
+
+    With weights m of the modes, ``2 sum_kk' m_k m_k' |r(k - k')|^2 / (sum m)^2``, r the transform of the squared
+    taper over its sum: Wick's theorem for the powers of modes that the taper ties together.
+    """
+    frequency = 2 * np.pi * fftfreq(len(taper), pixel_rad)
+    weight = _squared_signal(scene, np.hypot(frequency[:, None], frequency))
+    tied = np.abs(fft2(taper**2) / np.sum(taper**2)) ** 2
+    spread = fft2(ifft2(weight) * ifft2(tied)).real * weight.size
+    return float(2 * np.sum(weight * spread) / weight.sum() ** 2)
