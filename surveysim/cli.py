@@ -1,4 +1,4 @@
-"""The command line: run, plan, check, new."""
+"""The command line: run, plan, paper, check, new."""
 
 import re
 import signal
@@ -7,17 +7,15 @@ import tomllib
 from collections.abc import Callable
 from errno import EISDIR, ENOTDIR
 from functools import wraps
+from itertools import count
 from pathlib import Path
 from threading import Event
 from time import process_time
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
 from surveysim.scene import Scene, SceneError, load_scene
-
-if TYPE_CHECKING:
-    from surveysim.coadds import CoAdds
 
 app = typer.Typer(
     add_completion=False,
@@ -77,12 +75,12 @@ def run(
     from surveysim.api import run as run_scene
     from surveysim.checkpoint import CheckpointError
     from surveysim.engines import WorkerLostError
-    from surveysim.progress import progress_display
+    from surveysim.progress import progress_display, score_so_far
     from surveysim.report.text import print_result
 
     try:
-        with progress_display(checked, quiet) as show:
-            progress = _stopping(show)
+        with progress_display(checked.name, checked.observations, quiet) as show:
+            progress = _stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds)))
             result = run_scene(checked, directory, workers, resume, save_timestreams, not no_figures, progress)
     except CheckpointError as error:
         _fail(str(error))
@@ -109,6 +107,53 @@ def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) 
     from surveysim.setup import prepare
 
     print_plan(checked, make_plan(prepare(checked), workers, process_time()), workers)
+
+
+@app.command()
+@_says_interrupted
+def paper(
+    table: Annotated[list[int] | None, typer.Option(help="number of a table; may be given again")] = None,
+    figure: Annotated[list[int] | None, typer.Option(help="number of a figure; may be given again")] = None,
+    everything: Annotated[bool, typer.Option("--all", help="all tables and figures there are")] = False,
+    out: Annotated[Path, typer.Option(help="where they go")] = Path("outputs/paper"),
+    scenarios: Annotated[Path, typer.Option(help="folder of the scenes")] = Path("scenarios"),
+    observations: Annotated[int | None, typer.Option(help="at most so many a scene, for a quick look")] = None,
+    workers: Workers = None,
+    quiet: Quiet = False,
+) -> None:
+    """Make the paper's tables and figures from simulated observations, beside the paper's values."""
+    from surveysim.engines import WorkerLostError
+    from surveysim.progress import progress_display
+    from surveysim.reproduce import FIGURES, TABLES, reproduce, wanted
+
+    workers = _workers(workers)
+    tables = _numbers("--table", table, TABLES, everything)
+    figures = _numbers("--figure", figure, FIGURES, everything)
+    if not tables and not figures:
+        _fail("nothing asked for: --table, --figure or --all is expected")
+    if observations is not None and observations < 1:
+        _fail(f"--observations: found {observations}; 1 or more is expected")
+    asked = wanted(tables, figures, scenarios, observations)
+    out.mkdir(parents=True, exist_ok=True)
+    done = count(1)
+    try:
+        with progress_display("paper", asked.observations, quiet) as show:
+            written = reproduce(asked, out, workers, _stopping(lambda: show(next(done), lambda: "")))
+    except WorkerLostError:
+        typer.echo("a worker process is gone, perhaps killed for want of memory", err=True)
+        raise typer.Exit(EXIT_FAILED) from None
+    if not quiet:
+        from surveysim.report.text import print_paper
+
+        print_paper(written)
+
+
+def _numbers(option: str, given: list[int] | None, there: tuple[int, ...], everything: bool) -> list[int]:
+    """Numbers of tables or figures, in order; fails for one that can't be made."""
+    wrong = [number for number in given or () if number not in there]
+    if wrong:
+        _fail(f"{option}: found {wrong[0]}; {', '.join(map(str, there))} can be made")
+    return [number for number in there if everything or number in (given or ())]
 
 
 @app.command()
@@ -178,13 +223,13 @@ def _without_interrupts(unraisable: Any) -> None:
         sys.__unraisablehook__(unraisable)
 
 
-def _stopping(show: Callable[["CoAdds"], None]) -> Callable[["CoAdds"], None]:
+def _stopping(show: Callable[..., None]) -> Callable[..., None]:
     """Progress that ends a run whose interrupt was lost in a finalizer."""
 
-    def progress(coadds: "CoAdds") -> None:
+    def progress(*state: Any) -> None:
         if _asked_to_stop.is_set():
             raise KeyboardInterrupt
-        show(coadds)
+        show(*state)
 
     return progress
 

@@ -18,6 +18,7 @@ ROW_FIELDS = (
     "b2_mk2",
     "wind_speed_rad_s",
     "wind_angle_rad",
+    "pwv_mm",
     "elevation_rad",
     "white_mk2_hz",
 )
@@ -130,6 +131,8 @@ def _add_window(setup: Setup, coadds: CoAdds, result: ObservationResult, weights
 
 def _row(result: ObservationResult) -> tuple[float, ...]:
     weather = result.weather
-    drawn = (np.nan,) * 3 if weather is None else (weather.b2, weather.wind_speed_rad_s, weather.wind_angle_rad)
+    drawn = (np.nan,) * 4
+    if weather is not None:
+        drawn = (weather.b2, weather.wind_speed_rad_s, weather.wind_angle_rad, weather.pwv_mm)
     conditions = (result.observation, *drawn, result.elevation_rad, result.white_mk2_hz)
     return (*conditions, *result.discarded, *result.iterations, *result.noise_mk2)

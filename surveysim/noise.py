@@ -110,6 +110,19 @@ def hann_psd(data_mk: np.ndarray, n_scans: int, kept: np.ndarray, sample_rate_hz
     return power * (2 / (sample_rate_hz * float((taper.astype(float) ** 2).sum())))
 
 
+def low_frequency_variance(data_mk: np.ndarray, n_scans: int, sample_rate_hz: float, up_to_hz: float) -> np.ndarray:
+    """Variance (n_det,) [mK^2] of mean-removed scans at frequencies up to `up_to_hz`, averaged over scans.
+
+    That is how Table 2 counts: the mean of a scan is removed, nothing else.
+    """
+    n_det, n_samp = data_mk.shape
+    n = n_samp // n_scans
+    spectrum = rfft(data_mk.reshape(n_det, n_scans, n), axis=-1)
+    band = slice(1, int(np.floor(up_to_hz * n / sample_rate_hz + 1e-9)) + 1)
+    power = spectrum.real[..., band] ** 2 + spectrum.imag[..., band] ** 2
+    return 2 * power.sum(axis=-1, dtype=np.float64).mean(axis=1) / n**2
+
+
 def highest_frequency(n: int, sample_rate_hz: float) -> float:
     """The highest frequency [Hz] of n samples below Nyquist's."""
     return (n - 1) // 2 * sample_rate_hz / n

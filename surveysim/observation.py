@@ -76,7 +76,8 @@ def draw_observation(setup: Setup, observation: int, watch: Stopwatch | None = N
     weather = observation_weather(setup, observation)
     data = np.zeros((setup.n_det, len(path.time_s)), np.float32)
     with watch("atmosphere"):
-        _add_atmosphere(setup, observation, pointing, weather, data)
+        if weather is not None:
+            add_layer(setup, observation, pointing, weather, data)
     with watch("excess"):
         _add_excess(setup, observation, weather, data)
     with watch("sky"):
@@ -98,7 +99,8 @@ def observation_weather(setup: Setup, observation: int) -> Weather | None:
     """The weather drawn for one observation; None without an atmosphere."""
     if setup.scene.atmosphere is None:
         return None
-    return draw_weather(setup.scene.atmosphere, generator(setup.scene.seed, Stage.WEATHER, observation))
+    rng = generator(setup.scene.seed, Stage.WEATHER, observation)
+    return draw_weather(setup.scene.atmosphere, setup.water, rng)
 
 
 def observe(setup: Setup, observation: int, with_window: bool) -> tuple[ObservationResult, Timestreams]:
@@ -163,11 +165,10 @@ def add_sky_signal(setup: Setup, pointing: Pointing, sky_mk: np.ndarray, data_mk
     add_sky(data_mk, sky_mk, column, row, cos, sin, plane.x_rad, plane.y_rad, gain.astype(np.float32))
 
 
-def _add_atmosphere(
-    setup: Setup, observation: int, pointing: Pointing, weather: Weather | None, data: np.ndarray
+def add_layer(
+    setup: Setup, observation: int, pointing: Pointing, weather: Weather, data: np.ndarray, realization: int = 0
 ) -> None:
-    if weather is None:
-        return
+    """Add one realization of the moving layer in this weather to the streams (n_det, n_samp) [mK], in place."""
     from surveysim.atmosphere.screen import add_atmosphere
 
     air = setup.scene.atmosphere
@@ -175,7 +176,7 @@ def _add_atmosphere(
     layer = np.stack(sky_vector(pointing.parallactic_rad, *weather.wind_rad_s), axis=-1)
     # Equation 2 of the paper: P = B2 sin(el)^(1 - b) alpha^-b.
     amplitude = np.sqrt(weather.b2 * np.sin(pointing.elevation_rad) ** (1 - air.index))
-    rng = generator(setup.scene.seed, Stage.ATMOSPHERE, observation)
+    rng = generator(setup.scene.seed, Stage.ATMOSPHERE, observation, realization)
     add_atmosphere(
         data,
         scan_bounds(pointing.scan),
@@ -228,16 +229,16 @@ def _timestreams(
     setup: Setup, observation: int, pointing: Pointing, weather: Weather | None, data: np.ndarray
 ) -> Timestreams:
     ra, dec = plane_directions(setup.geometry, pointing.xi_rad, pointing.eta_rad)
-    truth = (
-        {}
-        if weather is None
-        else {
+    truth = {}
+    if weather is not None:
+        truth = {
             "b2_mk2": weather.b2,
             "wind_speed_arcmin_s": np.degrees(weather.wind_speed_rad_s) * 60,
             "wind_angle_deg": np.degrees(weather.wind_angle_rad),
             "layer_height_m": setup.scene.atmosphere.layer_height_m,
         }
-    )
+    if setup.water is not None:
+        truth["pwv_mm"] = weather.pwv_mm
     attributes = {
         "scene": setup.scene.name,
         "seed": setup.scene.seed,
@@ -245,6 +246,7 @@ def _timestreams(
         "start_mjd_utc": pointing.start_mjd,
         "sample_rate_hz": setup.raster.sample_rate_hz,
         "elevation_deg": float(np.degrees(pointing.elevation_rad.mean())),
+        "camera_angle_deg": float(np.degrees(pointing.array_angle_rad[0] - pointing.parallactic_rad[0])),
         **truth,
     }
     angle = pointing.array_angle_rad[pointing.scan]

@@ -161,8 +161,11 @@ def _observation_table(result: SurveyResult) -> "Table":
     table = Table(np.array(result.coadds.rows), names=names)
     table["start_mjd"] = setup.angles.start_mjd[: result.coadds.done]
     table["start_mjd"].unit = "d"
-    units = {"wind_speed_rad_s": "rad / s", "wind_angle_rad": "rad", "elevation_rad": "rad", "white_mk2_hz": "mK2 / Hz"}
+    units = {"wind_speed_rad_s": "rad / s", "wind_angle_rad": "rad", "pwv_mm": "mm"}
+    units |= {"elevation_rad": "rad", "white_mk2_hz": "mK2 / Hz"}
     for name, unit in units.items() | {(f"noise_mk2_{name}", "mK2") for name in setup.data_sets}:
         table[name].unit = unit
     table["observation"] = table["observation"].astype(int)
+    if np.isnan(table["pwv_mm"]).all():  # the scene has its own distribution of B2
+        table.remove_column("pwv_mm")
     return table

@@ -1,4 +1,4 @@
-"""Progress of a run: a bar on a terminal, plain lines elsewhere, with the score so far."""
+"""Progress of a run: a bar on a terminal, plain lines elsewhere, with what can be said so far."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -10,24 +10,27 @@ from surveysim.scene import Scene
 from surveysim.scores import score_survey
 from surveysim.setup import prepare, window_observations
 
-SCORE_EVERY_S = 4.0
+STATUS_EVERY_S = 4.0
 LINES = 10
 
 
+Show = Callable[[int, Callable[[], str]], None]  # how many observations are done; what else there is to say
+
+
 @contextmanager
-def progress_display(scene: Scene, quiet: bool) -> Iterator[Callable[[CoAdds], None]]:
-    """A callable that shows the sums after each observation, for the time of the block."""
+def progress_display(name: str, total: int, quiet: bool) -> Iterator[Show]:
+    """A callable that shows how many of `total` observations are done, for the time of the block."""
     if quiet:
-        yield lambda coadds: None
+        yield lambda done, status: None
     elif sys.stderr.isatty():
-        with _bar(scene) as show:
+        with _bar(name, total) as show:
             yield show
     else:
-        yield _lines(scene)
+        yield _lines(name, total)
 
 
 @contextmanager
-def _bar(scene: Scene) -> Iterator[Callable[[CoAdds], None]]:
+def _bar(name: str, total: int) -> Iterator[Show]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -36,34 +39,33 @@ def _bar(scene: Scene) -> Iterator[Callable[[CoAdds], None]]:
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[score]}"),
+        TextColumn("{task.fields[status]}"),
     )
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(scene.name, total=scene.observations, score="")
-        scored = monotonic()
+        task = bar.add_task(name, total=total, status="")
+        said = monotonic()
 
-        def show(coadds: CoAdds) -> None:
-            nonlocal scored
-            bar.update(task, completed=coadds.done)
-            if monotonic() - scored > SCORE_EVERY_S:
-                bar.update(task, score=score_so_far(scene, coadds))
-                scored = monotonic()
+        def show(done: int, status: Callable[[], str]) -> None:
+            nonlocal said
+            bar.update(task, completed=done)
+            if monotonic() - said > STATUS_EVERY_S:
+                bar.update(task, status=status())
+                said = monotonic()
 
         yield show
 
 
-def _lines(scene: Scene) -> Callable[[CoAdds], None]:
-    every = max(1, scene.observations // LINES)
+def _lines(name: str, total: int) -> Show:
+    every = max(1, total // LINES)
     first: list[tuple[float, int]] = []  # when the first observation was in; before it lie start-up and compilation
 
-    def show(coadds: CoAdds) -> None:
+    def show(done: int, status: Callable[[], str]) -> None:
         if not first:
-            first.append((monotonic(), coadds.done))
-        if coadds.done % every == 0 or coadds.done == scene.observations:
-            since, begun = monotonic() - first[0][0], coadds.done - first[0][1]
-            left = f", {since / begun * (scene.observations - coadds.done):.0f} s left" if begun else ""
-            done = f"{scene.name}: {coadds.done}/{scene.observations} observations{left}"
-            print(f"{done}  {score_so_far(scene, coadds)}".rstrip(), file=sys.stderr, flush=True)
+            first.append((monotonic(), done))
+        if done % every == 0 or done == total:
+            since, begun = monotonic() - first[0][0], done - first[0][1]
+            left = f", {since / begun * (total - done):.0f} s left" if begun else ""
+            print(f"{name}: {done}/{total} observations{left}  {status()}".rstrip(), file=sys.stderr, flush=True)
 
     return show
 

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field
 
+from surveysim.sites import SITES
 from surveysim.units import to_float, to_floats, to_sky_angle
 
 
@@ -90,6 +91,12 @@ def _algorithm(value: object) -> object:
     return value
 
 
+def _site(value: object) -> object:
+    if value is not None and value not in SITES:
+        raise ValueError(f"found {shown(value)}; one of {', '.join(map(repr, SITES))} is expected")
+    return value
+
+
 def pairs(value: object) -> object:
     """A table of the file as pairs."""
     return tuple(value.items()) if isinstance(value, dict) else value  # a scene is hashable, a dict is not
@@ -106,6 +113,7 @@ Longitude = Annotated[float, BeforeValidator(_longitude)]
 Latitude = Annotated[float, BeforeValidator(_latitude)]
 IsoDate = Annotated[str, BeforeValidator(_date)]
 Nside = Annotated[int | None, BeforeValidator(_nside)]
+SiteName = Annotated[str | None, BeforeValidator(_site)]
 TableFile = Annotated[Path | None, BeforeValidator(_file)]
 Speed = Annotated[float, quantity("rad / s", above=0)]
 SpeedExtent = Annotated[float, quantity("rad / s", at_least=0)]
@@ -121,5 +129,6 @@ PositiveBandPower = Annotated[float, quantity("uK2", above=0)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Index = Annotated[float, BeforeValidator(_fraction), Field(gt=0, allow_inf_nan=False)]
 Variances = Annotated[tuple[float, ...], BeforeValidator(lambda value: to_floats(value, "mK2"))]
+Waters = Annotated[tuple[float, ...], BeforeValidator(lambda value: to_floats(value, "mm"))]
 Coherence = Literal["field", "intensity", "none"]
 Algorithm = Annotated[str, BeforeValidator(_algorithm)]

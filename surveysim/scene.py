@@ -34,6 +34,7 @@ from surveysim.sections import (
     Section,
     Sky,
 )
+from surveysim.sites import sites_text
 
 
 class SceneError(ValueError):
@@ -72,6 +73,8 @@ class Scene(Section):
             raise ValueError("exactly one of the sections 'schedule' and 'fixed_pointing' is expected")
         if self.excess and len(self.excess.b2) > 1 and self.atmosphere is None:
             raise ValueError("excess.b2: found several values; without [atmosphere] one value is expected")
+        if self.atmosphere and self.atmosphere.site and self.instrument.bandwidth is None:
+            raise ValueError("instrument.bandwidth: missing; the opacity of a site needs the width of the band")
         if not any((self.atmosphere, self.excess, self.photon, self.detector, self.sky)):
             raise ValueError("at least one of atmosphere, excess, photon, detector and sky is expected")
         if (found := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
@@ -91,6 +94,8 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     data["assumed"] = [line for line in assumed_values(text) if line.partition(" = ")[0] not in (overrides or {})]
     for key, value in (overrides or {}).items():
         _override(path, data, key, value)
+    if isinstance(data.get("atmosphere"), dict):
+        data["assumed"] += _assumed_of_site(data["atmosphere"])
     data.setdefault("name", path.stem)
     positions = data.get("instrument", {}).get("positions") if isinstance(data.get("instrument"), dict) else None
     if isinstance(positions, str) and positions and "\0" not in positions:
@@ -124,6 +129,14 @@ def assumed_values(text: str) -> list[str]:
         elif match := re.match(r"\s*(\w+)\s*=\s*(.*?)\s*#\s*((?:assumed|calibrated).*)$", line):
             found.append(f"{section}{match[1]} = {match[2]}: {match[3]}")
     return found
+
+
+def _assumed_of_site(section: Mapping[str, Any]) -> list[str]:
+    """What the site of an [atmosphere] assumes, of the keys that the scene leaves to it."""
+    lines = (line.partition(".")[::2] for line in assumed_values(sites_text()))
+    return [
+        f"atmosphere.{rest}" for site, rest in lines if site == section.get("site") and rest.split()[0] not in section
+    ]
 
 
 def _read(path: Path) -> tuple[str, dict]:

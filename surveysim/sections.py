@@ -30,13 +30,16 @@ from surveysim.quantities import (
     Positive,
     PositiveAngle,
     PositiveBandPower,
+    SiteName,
     Speed,
     SpeedExtent,
     TableFile,
     Temperature,
     Variances,
+    Waters,
     pairs,
 )
+from surveysim.sites import with_site
 from surveysim.units import to_floats
 
 
@@ -91,6 +94,7 @@ class Instrument(Section):
     """Band, beam and focal plane; detectors from `layout` or from the table `positions`."""
 
     frequency_hz: Frequency = Field(alias="frequency", le=1e13)
+    bandwidth: float | None = Field(gt=0, lt=1, default=None)
     beam_fwhm_rad: BeamWidth = Field(alias="beam_fwhm")
     f_lambda_rad: PositiveAngle = Field(alias="f_lambda")
     responsivity_scatter: float = Field(ge=0, le=1)
@@ -118,39 +122,73 @@ class Scan(Section):
 
 
 class Atmosphere(Section):
-    """The Kolmogorov-Taylor thin screen and the distributions that each observation draws from."""
+    """The Kolmogorov-Taylor thin screen and the distributions that each observation draws from.
+
+    A `site` gives the keys that the scene leaves out: layer height, wind, the precipitable water (`pwv`) and its
+    fractional fluctuations (`fluctuation`, (delta C / C)^2 as an amplitude like B2), from which B2 follows. With
+    `b2` beside a site the B2 that follows keeps its rank and takes these quantiles; without a site there is no water.
+    """
 
     index: Index
-    layer_height_m: Length = Field(alias="layer_height")
     illuminated_aperture_m: Length = Field(alias="illuminated_aperture")
     outer_scale_m: Length | None = Field(alias="outer_scale", default=None)
-    b2_probabilities: tuple[float, ...]
-    b2: tuple[float, ...]
+    site: SiteName = None
+    layer_height_m: Length = Field(alias="layer_height")
+    b2_probabilities: tuple[float, ...] = ()
+    b2: tuple[float, ...] = ()
+    pwv_probabilities: tuple[float, ...] = ()
+    pwv_mm: Waters = Field(alias="pwv", default=())
+    fluctuation_probabilities: tuple[float, ...] = ()
+    fluctuation: tuple[float, ...] = ()
     wind_median_rad_s: SpeedExtent = Field(alias="wind_median")
     wind_log_scatter: float = Field(ge=0, le=2)
+    wind_b2_exponent: float = Field(ge=-2, le=2, default=0.0)
 
     @model_validator(mode="before")
     @classmethod
-    def _b2_in_units_of_the_index(cls, data: Any) -> Any:
-        if not isinstance(data, dict) or "b2" not in data or "index" not in data:
+    def _site_and_units_of_the_index(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        data = with_site(data)
+        if "index" not in data:
             return data
         try:
-            unit = f"mK2 rad({2 - Fraction(str(data['index'])).limit_denominator(1000)})"
+            power = f"rad({2 - Fraction(str(data['index'])).limit_denominator(1000)})"
         except (ValueError, ZeroDivisionError):
-            return data | {"b2": ()}  # one error is enough: the index is refused by its own check
-        try:
-            return data | {"b2": to_floats(data["b2"], unit)}
-        except ValueError as error:
-            raise ValueError(f"b2: {error}") from None
+            power = None  # one error is enough: the index is refused by its own check
+        found = {}
+        for name, unit in (("b2", f"mK2 {power}"), ("fluctuation", power)):
+            try:
+                found |= {name: to_floats(data[name], unit) if power else ()} if name in data else {}
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from None
+        return data | found
 
     @model_validator(mode="after")
-    def _distribution_is_one(self) -> Self:
-        check_knots("b2_probabilities", self.b2_probabilities, "b2", self.b2)
-        if not all(0 < p < 1 for p in self.b2_probabilities):
-            raise ValueError(f"b2_probabilities: found {self.b2_probabilities}; values between 0 and 1 are expected")
+    def _distributions_are_whole(self) -> Self:
+        if self.site is None and self.pwv_mm:
+            raise ValueError("site: missing; 'pwv' needs the opacity of a site")
+        if self.b2 or self.b2_probabilities:
+            check_quantiles("b2", self.b2_probabilities, self.b2)
+        elif self.site is None:
+            raise ValueError("b2: missing; a distribution of B2, or a site that it follows from, is expected")
+        if self.site is not None:
+            check_quantiles("fluctuation", self.fluctuation_probabilities, self.fluctuation)
+            check_knots("pwv_probabilities", self.pwv_probabilities, "pwv", self.pwv_mm)
+            if min(self.pwv_probabilities) < 0 or max(self.pwv_probabilities) > 1:
+                raise ValueError(f"pwv_probabilities: found {self.pwv_probabilities}; values from 0 to 1 are expected")
+            if not min(self.pwv_mm + self.fluctuation) > 0:
+                raise ValueError(f"pwv: found {self.pwv_mm} and {self.fluctuation}; values above 0 are expected")
         if self.index >= 4 and self.outer_scale_m is None:
             raise ValueError(f"outer_scale: missing; an index of {self.index:g} (4 or more) needs an outer scale")
         return self
+
+
+def check_quantiles(name: str, probabilities: tuple[float, ...], values: tuple[float, ...]) -> None:
+    """Raise ValueError unless these are quantiles, with probabilities between 0 and 1."""
+    check_knots(f"{name}_probabilities", probabilities, name, values)
+    if not all(0 < p < 1 for p in probabilities):
+        raise ValueError(f"{name}_probabilities: found {probabilities}; values between 0 and 1 are expected")
 
 
 def check_knots(x_name: str, x: tuple[float, ...], y_name: str, y: tuple[float, ...]) -> None:

@@ -25,6 +25,7 @@ from surveysim.pointing import (
 from surveysim.scan import Raster, RasterPath, duration_s, raster
 from surveysim.scene import Scene, SceneError
 from surveysim.streams import Stage, generator
+from surveysim.weather import Water, site_water
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,8 @@ class Setup:
 
     `photon_factor`, `excess_factor` (n_det, n_det) or None; `responsivity` (n_det,); `masked` indices of
     the detectors that the mask keeps, or None; `sky_mk` on `sky_geometry` or None; `window_skies_mk`
-    (n_sky, n_y, n_x) or None; `strips` the atmosphere's strips or None.
+    (n_sky, n_y, n_x) or None; `strips` the atmosphere's strips or None; `water` what the band makes of the
+    site's water, None without a site.
     """
 
     scene: Scene
@@ -57,6 +59,7 @@ class Setup:
     photon_factor: np.ndarray | None
     excess_factor: np.ndarray | None
     strips: object | None
+    water: Water | None
     sky_mk: np.ndarray | None
     window_skies_mk: np.ndarray | None
     masked: np.ndarray | None
@@ -117,6 +120,7 @@ def _prepare(scene: Scene) -> Setup:
         photon_factor=_photon_factor(scene, cam),
         excess_factor=_excess_factor(scene, cam),
         strips=_strips(scene, cam),
+        water=_water(scene),
         sky_mk=_sky(scene, sky_geometry),
         window_skies_mk=_window_skies(scene, sky_geometry),
         masked=masked,
@@ -199,6 +203,16 @@ def _strips(scene: Scene, cam: Camera):
     except ValueError as error:
         raise SceneError(f"atmosphere: {error}") from None
     return StripCache(screen, cam.radius_rad, strip_step(screen))
+
+
+def _water(scene: Scene) -> Water | None:
+    air, instrument = scene.atmosphere, scene.instrument
+    if air is None or air.site is None:
+        return None
+    try:
+        return site_water(air, instrument.frequency_hz, instrument.bandwidth)
+    except ValueError as error:
+        raise SceneError(f"atmosphere.site: {error}") from None
 
 
 def _sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:

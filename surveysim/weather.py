@@ -1,20 +1,28 @@
-"""The weather of one observation: B2 and wind drawn from the survey's distributions."""
+"""The weather of one observation: water, B2 and wind drawn from the survey's distributions."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from surveysim.sections import Atmosphere
 
+_RANKS = 400  # of water and of fluctuations, for the quantiles of their product
+
 
 @dataclass(frozen=True)
 class Weather:
-    """One draw: B2 at zenith [mK^2 rad^(b-2) of the screen's index] and the wind in azimuth-elevation axes."""
+    """One draw: B2 at zenith [mK^2 rad^(2-b) of the screen's index], the wind in azimuth-elevation axes, the water.
+
+    `pwv_mm` is the zenith column of precipitable water, NaN without a site.
+    """
 
     b2: float
     wind_speed_rad_s: float
     wind_angle_rad: float
+    pwv_mm: float
 
     @property
     def wind_rad_s(self) -> tuple[float, float]:
@@ -25,25 +33,81 @@ class Weather:
         )
 
 
-def draw_weather(atmosphere: Atmosphere, rng: np.random.Generator) -> Weather:
-    """B2 from the quantiles of the scene; wind speed log-normal about its median, direction uniform."""
+@dataclass(frozen=True)
+class Water:
+    """What a band makes of a site's water.
+
+    `response`: (d eps / dC C)^2 B_atm^2 [mK^2] against PWV [mm] (section 3.3). `log_b2` (n,): quantiles of ln B2 that
+    follow from it and the distributions of water and fluctuations, at the normal levels `level` (n,).
+    """
+
+    response: Callable[[np.ndarray], np.ndarray]
+    log_b2: np.ndarray
+    level: np.ndarray
+
+
+def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) -> Water:
+    """The water of a scene's site in a band; raises ValueError where the site's opacities do not reach."""
+    from scipy.special import ndtri
+
+    from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
+
+    response = partial(fluctuation_factor_mk2, band_opacity(atmosphere.site, frequency_hz, bandwidth))
+    response(np.array(atmosphere.pwv_mm))
+    share = (np.arange(_RANKS) + 0.5) / _RANKS
+    seen = np.log(response(pwv_quantile(atmosphere, share)))
+    drawn = np.log(log_quantile(atmosphere.fluctuation_probabilities, atmosphere.fluctuation, ndtri(share)))
+    log_b2 = np.sort((seen[:, None] + drawn).ravel())
+    rank = (np.arange(log_b2.size) + 0.5) / log_b2.size
+    return Water(response, log_b2, ndtri(rank))
+
+
+def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: np.random.Generator) -> Weather:
+    """One observation's weather. Wind speeds are log-normal about their median, directions uniform.
+
+    Without a site B2 comes from its own quantiles. With one it is the fractional fluctuation of the water times
+    what the band makes of it, (delta C / C)^2 (d eps / dC C)^2 B_atm^2, PWV and fluctuation drawn independently
+    (section 3.3); quantiles of B2 beside a site replace those that follow, each draw keeping its rank. With
+    `wind_b2_exponent` the median wind goes as that power of B2 over its median.
+    """
     level, speed = rng.standard_normal(2)
     angle = rng.uniform(0, 2 * math.pi)
-    b2 = float(b2_quantile(atmosphere, level))
-    return Weather(b2, atmosphere.wind_median_rad_s * math.exp(atmosphere.wind_log_scatter * speed), angle)
+    share = rng.random()
+    pwv = math.nan
+    if water is not None:
+        pwv = float(pwv_quantile(atmosphere, share))
+        fluctuation = log_quantile(atmosphere.fluctuation_probabilities, atmosphere.fluctuation, level)
+        level = np.interp(math.log(water.response(pwv) * fluctuation), water.log_b2, water.level)
+    b2 = float(b2_quantile(atmosphere, water, level))
+    wind = atmosphere.wind_median_rad_s * math.exp(atmosphere.wind_log_scatter * speed)
+    if atmosphere.wind_b2_exponent and b2 > 0:
+        wind *= (b2 / float(b2_quantile(atmosphere, water, 0.0))) ** atmosphere.wind_b2_exponent
+    return Weather(b2, wind, angle, pwv)
 
 
-def b2_quantile(atmosphere: Atmosphere, normal_level: np.ndarray) -> np.ndarray:
-    """B2 at a level of the standard normal distribution.
+def b2_quantile(atmosphere: Atmosphere, water: Water | None, normal_level: np.ndarray) -> np.ndarray:
+    """B2 of a scene at a level of the standard normal distribution: its own quantiles, else those of its site."""
+    if atmosphere.b2:
+        return log_quantile(atmosphere.b2_probabilities, atmosphere.b2, normal_level)
+    return np.exp(np.interp(normal_level, water.level, water.log_b2))
 
-    ln B2 is linear in the normal level between the quantiles of the scene; beyond them it goes on
-    with the slope between the outermost two, a log-normal tail.
+
+def pwv_quantile(atmosphere: Atmosphere, probability: np.ndarray) -> np.ndarray:
+    """PWV [mm] with this probability below it: ln PWV is linear in it between the knots, and constant beyond."""
+    return np.exp(np.interp(probability, atmosphere.pwv_probabilities, np.log(atmosphere.pwv_mm)))
+
+
+def log_quantile(probabilities: tuple[float, ...], values: tuple[float, ...], normal_level: np.ndarray) -> np.ndarray:
+    """The value at a level of the standard normal distribution, given its quantiles.
+
+    Its logarithm is linear in the normal level between the quantiles; beyond them it goes on with the slope
+    between the outermost two, a log-normal tail.
     """
     from scipy.special import ndtri
 
-    if len(atmosphere.b2) == 1 or min(atmosphere.b2) == 0:
-        return np.interp(normal_level, ndtri(atmosphere.b2_probabilities), atmosphere.b2)
-    levels, logs = ndtri(atmosphere.b2_probabilities), np.log(atmosphere.b2)
+    if len(values) == 1 or min(values) == 0:
+        return np.interp(normal_level, ndtri(probabilities), values)
+    levels, logs = ndtri(probabilities), np.log(values)
     slope = (logs[-1] - logs[0]) / (levels[-1] - levels[0])
     beyond = np.minimum(normal_level - levels[0], 0) + np.maximum(normal_level - levels[-1], 0)
     return np.exp(np.interp(normal_level, levels, logs) + slope * beyond)

@@ -82,18 +82,26 @@ def structure_function(screen, theta_rad):
     lag = np.abs(np.asarray(theta_rad, dtype=float)) / screen.beam_rad
     if np.any(lag > _LAG_MAX):
         raise ValueError(f"angle of {lag.max():g} beams found; at most {_LAG_MAX:g} is allowed")
-    spline, slope_min = _log_structure(screen)
+    spline, slope_min = _log_structure(*_in_beams(screen))
     x = np.log(np.maximum(lag, 1e-300))
     below = np.minimum(x - np.log(_LAG_MIN), 0.0)
-    value = np.exp(spline(np.maximum(x, np.log(_LAG_MIN))) + slope_min * below)
+    value = screen.beam_rad ** (screen.index - 2.0) * np.exp(
+        spline(np.maximum(x, np.log(_LAG_MIN))) + slope_min * below
+    )
     return np.where(lag > 0.0, value, 0.0)
 
 
 def structure_slope(screen, theta_rad):
     """Derivative of the structure function [1/rad] at angles `theta_rad` > 0 between 1e-4 and 1e4 beams."""
-    spline, _ = _log_structure(screen)
+    spline, _ = _log_structure(*_in_beams(screen))
     x = np.log(np.asarray(theta_rad, dtype=float) / screen.beam_rad)
-    return spline(x, 1) * np.exp(spline(x)) / theta_rad
+    return screen.beam_rad ** (screen.index - 2.0) * spline(x, 1) * np.exp(spline(x)) / theta_rad
+
+
+def _in_beams(screen):
+    """Index and outer scale in units of the beam, on which the shape of the structure function depends."""
+    # Rounded, so that one aperture at many heights is one shape.
+    return screen.index, float(f"{screen.outer_scale_rad / screen.beam_rad:.12g}")
 
 
 def pencil_structure_function(index, theta_rad):
@@ -116,10 +124,11 @@ def _pencil_constant(index):
 
 @lru_cache(maxsize=64)
 @threadpool_limits.wrap(limits=1)  # what is kept must not depend on who asked first, with how many threads
-def _log_structure(screen):
-    """Spline of ln D against ln(theta / beam), and its slope at the lower end."""
+def _log_structure(index, outer_scale):
+    """Spline of ln D against ln(theta / beam) for a beam of 1 and an outer scale in beams; slope at its lower end."""
     from scipy.interpolate import CubicSpline
 
+    screen = Screen(index, 1.0, outer_scale)
     lag = np.geomspace(_LAG_MIN, _LAG_MAX, 801)
     near = np.append(lag[lag < _LAG_JOIN], _LAG_JOIN)
     value_near = _structure_near(screen, near)

@@ -1,4 +1,4 @@
-"""Figures of a finished survey as PNG files; the only module that knows matplotlib.
+"""Figures of a finished survey as PNG files.
 
 Each figure is one function from results to a `Figure`, drawn with Agg and without any global state.
 """
@@ -8,25 +8,32 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-from PIL import Image
 
 from mapmaker.bandpower import noise_error
-from mapmaker.files import whole_file
 from mapmaker.geometry import wcs
 from mapmaker.window import Window, beam_window, pixel_window
 from surveysim.coadds import CoAdds
+from surveysim.report.drawing import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    PURPLE,
+    VERMILION,
+    finish,
+    legend,
+    new_figure,
+    plain_ticks,
+    save,
+)
 from surveysim.scan import samples_per_scan
 from surveysim.scores import DataSetScore, rescore
 from surveysim.setup import Setup
 from surveysim.units import rj_to_cmb
 
-DPI = 150
 TITLES = {
     "timestream_psd": "time-streams before and after cleaning",
     "map": "co-added map and its noise",
@@ -39,10 +46,6 @@ TITLES = {
 FULL_COLOUR = ("map", "weather")  # those with a colour bar
 LOWEST_ELL = 500  # bins below it hold few modes, and of those little but the map's mean and gradient
 DEEPEST = 4  # the map is shown where its noise is at most this many times the lowest
-
-# The palette of Okabe and Ito, told apart by all kinds of colour vision.
-BLACK, GREEN, BLUE, VERMILION, PURPLE = "#000000", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
-GREY = "#7F7F7F"
 
 # Colours and dashes of the paper's figure `sim_noise`.
 LINES = {"actual": (BLACK, "-"), "uncorrelated": (VERMILION, ":"), "white": (GREEN, "--")}
@@ -72,7 +75,7 @@ def draw_figures(directory: Path, setup: Setup, coadds: CoAdds, scores: dict[str
     directory.mkdir(parents=True, exist_ok=True)
     for name, figure in drawn.items():
         figure.suptitle(f"{setup.scene.name}: {TITLES[name]} ({coadds.done} observations)", fontsize=11)
-        _save(figure, directory / f"{name}.png", name in FULL_COLOUR)
+        save(figure, directory / f"{name}.png", name in FULL_COLOUR)
     return [directory / f"{name}.png" for name in drawn]
 
 
@@ -102,8 +105,8 @@ def timestream_psd(setup: Setup, coadds: CoAdds) -> Figure:
         levels = [line.get_ydata()[0] for line in axes.lines if len(line.get_ydata()) == 2 and line.get_ydata()[0] > 0]
         axes.set_ylim(min([pairs.min() / 2, *levels]) / 2, pairs.max() * 2)
         axes.set_title(name, fontsize=10)
-        _finish(axes, "Frequency [Hz]", "Time-stream PSD [mK$^2$/Hz]")
-        _plain_ticks(axes.xaxis)
+        finish(axes, "Frequency [Hz]", "Time-stream PSD [mK$^2$/Hz]")
+        plain_ticks(axes.xaxis)
     entries = panels[0].get_legend_handles_labels()
     figure.legend(*entries, loc="outside lower center", ncols=1 + len(panels), fontsize=8.5, frameon=False)
     return figure
@@ -126,7 +129,7 @@ def coadded_map(setup: Setup, coadds: CoAdds) -> Figure:
         (signal, "Signal smoothed with the beam", "RdBu_r", -reach, reach, "both"),
         (noise, f"Noise of {side} arcsec pixels", "cividis_r", lowest, DEEPEST * lowest, "max"),
     )
-    figure = _figure(10, 4)
+    figure = new_figure(10, 4)
     for number, (image, label, colours, low, high, extend) in enumerate(shown, start=1):
         axes = figure.add_subplot(1, 2, number, axes_class=WCSAxes, wcs=wcs(setup.geometry))
         drawn = axes.imshow(image, origin="lower", cmap=colours, vmin=low, vmax=high, interpolation="nearest")
@@ -176,9 +179,9 @@ def map_psds(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
     lowest = min(_look(setup, item)[3] * item.noise_psd[used].min() for item in scores.values())
     axes.set(xscale="log", yscale="log", xlim=(rings.edges_ell[:-1][used][0], rings.edges_ell[-1]))
     axes.set_ylim(bottom=lowest / 10)
-    _finish(axes, ELL, f"Map noise PSD [{UK2_CMB} sr]")
-    _plain_ticks(axes.xaxis)
-    _legend(axes)
+    finish(axes, ELL, f"Map noise PSD [{UK2_CMB} sr]")
+    plain_ticks(axes.xaxis)
+    legend(axes)
     return figure
 
 
@@ -198,8 +201,8 @@ def windows(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
     product = beam * pixel * first.window.transmission
     axes.plot(rings.ell, product, color=VERMILION, lw=1.8, label=f"product, {first.n_det} detectors")
     axes.set(xlim=(0, rings.edges_ell[-1]), ylim=(0, 1.1))
-    _finish(axes, ELL, "Power transmission")
-    _legend(axes)
+    finish(axes, ELL, "Power transmission")
+    legend(axes)
     return figure
 
 
@@ -221,8 +224,8 @@ def cumulative_sensitivity(setup: Setup, scores: dict[str, DataSetScore]) -> Fig
         axes.plot(starts, sigma, color=colour, ls=dashes, lw=1.8, label=label)
     axes.axvline(score.ell_min, color=GREY, lw=1, label=rf"score from $\ell$ = {score.ell_min}")
     axes.set(yscale="log", xlim=(starts[0], score.ell_max))
-    _finish(axes, r"Lowest multipole $\ell$ used", rf"Uncertainty of a flat band power [{UK2_CMB}]")
-    _legend(axes)
+    finish(axes, r"Lowest multipole $\ell$ used", rf"Uncertainty of a flat band power [{UK2_CMB}]")
+    legend(axes)
     return figure
 
 
@@ -237,8 +240,8 @@ def bin_weights(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
         axes.plot(ell, weight, color=colour, ls=dashes, marker="o", ms=3.5, label=label)
         axes.axvline(item.band.ell_eff, color=colour, ls=dashes, lw=0.9)
     axes.set_ylim(bottom=0)
-    _finish(axes, ELL, f"Share in the score of a bin of {setup.scene.score.ell_bin} multipoles")
-    _legend(axes)
+    finish(axes, ELL, f"Share in the score of a bin of {setup.scene.score.ell_bin} multipoles")
+    legend(axes)
     return figure
 
 
@@ -256,16 +259,16 @@ def weather(setup: Setup, coadds: CoAdds) -> Figure:
     if setup.scene.score:
         level = white.mean() * setup.scene.scan.sample_rate_hz / 2
         axes.axhline(level, color=GREY, ls="--", lw=1.2, label="white level of the streams, mean")
-        _legend(axes)
+        legend(axes)
     axes.set(xscale="log", yscale="log")
     bar = figure.colorbar(drawn, ax=axes)
     bar.set_label("Wind speed [arcmin/s]", fontsize=10)
     if norm is not None:
-        _plain_ticks(bar.ax.yaxis)
+        plain_ticks(bar.ax.yaxis)
     bar.ax.tick_params(labelsize=9)
     band = " in the scored band" if setup.band else ""
-    _finish(axes, f"$B^2$ [{_b2_unit(setup)}]", f"Map noise{band} [mK$^2$ a sample]")
-    _plain_ticks(axes.yaxis)
+    finish(axes, f"$B^2$ [{_b2_unit(setup)}]", f"Map noise{band} [mK$^2$ a sample]")
+    plain_ticks(axes.yaxis)
     return figure
 
 
@@ -355,41 +358,6 @@ def _shade_scored(axes: Axes, setup: Setup) -> None:
     axes.axvspan(score.ell_min, score.ell_max, color=GREY, alpha=0.12, lw=0, label="scored range")
 
 
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
 def _panels(n: int, height: float = 4.6) -> tuple[Figure, list[Axes]]:
-    figure = _figure(10 if n > 1 else 6.4, height)
+    figure = new_figure(10 if n > 1 else 6.4, height)
     return figure, list(figure.subplots(1, n, squeeze=False, sharey=True)[0])
-
-
-def _finish(axes: Axes, x_label: str, y_label: str) -> None:
-    axes.set_xlabel(x_label, fontsize=10)
-    if axes.get_subplotspec().is_first_col():
-        axes.set_ylabel(y_label, fontsize=10)
-    axes.tick_params(which="both", labelsize=9, direction="in", top=True, right=True)
-    axes.grid(alpha=0.25, lw=0.5)
-
-
-def _legend(axes: Axes) -> None:
-    axes.legend(fontsize=8.5, frameon=False)
-
-
-def _plain_ticks(axis: Axis) -> None:
-    """Numbers such as 0.5 and 2000 on a logarithmic axis, in place of powers of ten."""
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
-def _save(figure: Figure, path: Path, full_colour: bool) -> None:
-    figure.canvas.draw()
-    image = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy())
-    if not full_colour:
-        # Lines look the same in 256 colours and take a third of the space.
-        image = image.quantize(256, dither=Image.Dither.NONE)
-    with whole_file(path) as partial:
-        image.save(partial, "PNG", dpi=(DPI, DPI), optimize=True)

@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
@@ -10,6 +11,9 @@ from rich.text import Text
 from surveysim.plan import Plan
 from surveysim.results import METHOD, Row, SurveyResult, score_rows, summary
 from surveysim.scene import Scene
+
+if TYPE_CHECKING:
+    from astropy.table import Table as AstropyTable
 
 
 def print_result(result: SurveyResult, directory: Path) -> None:
@@ -116,3 +120,29 @@ def print_plan(scene: Scene, plan: Plan, workers: int) -> None:
         f"{plan.detector_samples / 1e6:.4g} million detector-samples",
     )
     console.print("\n".join(lines), highlight=False)
+
+
+def print_paper(written: list[Path]) -> None:
+    """The tables that were made, figures as their captions, and where the files are."""
+    from astropy.table import Table as AstropyTable
+
+    console = _console()
+    for path in written:
+        if path.suffix == ".ecsv" and not path.stem.startswith("measurements"):
+            made = AstropyTable.read(path, format="ascii.ecsv")
+            if path.stem.startswith("figure"):
+                console.print(f"\n{made.meta['title']}: {made.meta['caption']}", highlight=False, markup=False)
+            else:
+                console.print(_plain_table(made))
+    console.print(f"\n{len(written)} files in {written[0].parent}", highlight=False, markup=False)
+
+
+def _plain_table(made: "AstropyTable") -> Table:
+    table = Table(title=Text(made.meta["title"]))
+    for name in made.colnames:
+        numbers = made[name].dtype.kind in "fi"
+        table.add_column(Text(name.replace("_", " ")), justify="right" if numbers else "left")
+    for row in made:
+        cells = ("" if value != value else value for value in row)
+        table.add_row(*(f"{value:.3g}" if isinstance(value, float) else str(value) for value in cells))
+    return table

@@ -25,7 +25,7 @@ ATMOSPHERE = Atmosphere.model_validate(LYNX)
 @pytest.fixture(scope="module")
 def draws():
     rng = np.random.default_rng(20031028)
-    return [draw_weather(ATMOSPHERE, rng) for _ in range(N_DRAWS)]
+    return [draw_weather(ATMOSPHERE, None, rng) for _ in range(N_DRAWS)]
 
 
 def fraction_tolerance(p):
@@ -40,34 +40,34 @@ def median_tolerance(spread):
 
 def test_quantiles_are_those_of_the_scene():
     levels = ndtri(ATMOSPHERE.b2_probabilities)
-    np.testing.assert_allclose(b2_quantile(ATMOSPHERE, levels), ATMOSPHERE.b2, rtol=1e-13)
-    assert b2_quantile(ATMOSPHERE, 0.0) == pytest.approx(280, rel=1e-13)
+    np.testing.assert_allclose(b2_quantile(ATMOSPHERE, None, levels), ATMOSPHERE.b2, rtol=1e-13)
+    assert b2_quantile(ATMOSPHERE, None, 0.0) == pytest.approx(280, rel=1e-13)
 
 
 def test_quantiles_increase_within_and_beyond_the_knots():
-    b2 = b2_quantile(ATMOSPHERE, np.linspace(-4, 4, 2001))
+    b2 = b2_quantile(ATMOSPHERE, None, np.linspace(-4, 4, 2001))
     assert (np.diff(b2) > 0).all() and b2[0] > 0
     assert b2[0] < 46 < 4000 < b2[-1]
 
 
 def test_between_knots_the_logarithm_is_linear():
     low, high = ndtri([0.5, 0.625])
-    assert b2_quantile(ATMOSPHERE, 0.75 * low + 0.25 * high) == pytest.approx(280**0.75 * 580**0.25, rel=1e-13)
+    assert b2_quantile(ATMOSPHERE, None, 0.75 * low + 0.25 * high) == pytest.approx(280**0.75 * 580**0.25, rel=1e-13)
 
 
 def test_tails_are_log_normal_with_the_slope_of_the_outermost_knots():
     low, high = ndtri([0.125, 0.875])
     slope = math.log(4000 / 46) / (high - low)
-    assert b2_quantile(ATMOSPHERE, high + 1.5) == pytest.approx(4000 * math.exp(1.5 * slope), rel=1e-12)
-    assert b2_quantile(ATMOSPHERE, low - 0.7) == pytest.approx(46 * math.exp(-0.7 * slope), rel=1e-12)
+    assert b2_quantile(ATMOSPHERE, None, high + 1.5) == pytest.approx(4000 * math.exp(1.5 * slope), rel=1e-12)
+    assert b2_quantile(ATMOSPHERE, None, low - 0.7) == pytest.approx(46 * math.exp(-0.7 * slope), rel=1e-12)
 
 
 def test_one_weather_or_none():
     for b2, expected in (("[280] mK2 rad(-5/3)", 280), ("[0] mK2 rad(-5/3)", 0)):
         one = Atmosphere.model_validate(LYNX | {"b2_probabilities": [0.5], "b2": b2})
-        np.testing.assert_allclose(b2_quantile(one, np.array([-3, 0, 3.0])), expected, rtol=1e-13)
+        np.testing.assert_allclose(b2_quantile(one, None, np.array([-3, 0, 3.0])), expected, rtol=1e-13)
     none = Atmosphere.model_validate(LYNX | {"b2_probabilities": [0.25, 0.75], "b2": "[0, 0] mK2 rad(-5/3)"})
-    assert draw_weather(none, np.random.default_rng(1)).b2 == 0
+    assert draw_weather(none, None, np.random.default_rng(1)).b2 == 0
 
 
 @pytest.mark.parametrize("p, b2", [(0.25, 100), (0.5, 280), (0.75, 980), (0.125, 46), (0.875, 4000)])

@@ -259,9 +259,9 @@ def interrupt_after(call, scene, out, done, monkeypatch):
     """A run that is interrupted once `done` observations are in."""
 
     @contextlib.contextmanager
-    def display(checked, quiet):
-        def show(coadds):
-            if coadds.done == done:
+    def display(name, total, quiet):
+        def show(finished, status):
+            if finished == done:
                 raise KeyboardInterrupt
 
         yield show

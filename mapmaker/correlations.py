@@ -1,0 +1,126 @@
+"""Correlations between detectors: covariance of every pair, and its profile with separation (paper, section 3.2).
+
+The signal of the atmosphere is so nearly the same in all detectors that its correlation falls by a part in a
+thousand over the array, while gains differ by percents. The profile is therefore solved for together with the
+detectors' gains: ``ln C_ij = ln g_i + ln g_j + p(separation of i and j)``, linear least squares over pairs.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmaker.timestreams import FocalPlane
+
+# In units of the closest pair: pairs nearer than this are adjacent; the width of a bin of separation.
+ADJACENT = 1.2
+BIN_WIDTH = 1.0
+
+
+@dataclass(frozen=True)
+class PairBins:
+    """Pairs of detectors by separation, adjacent ones apart.
+
+    `first`, `second`, `separation_rad` (n_pair,) of all pairs; `bin` (n_pair,), -1 for adjacent pairs;
+    `theta_rad` (n_bin,) root mean square separation, as correlations fall nearly with its square; `count`
+    (n_bin,); `solve` (n_bin, n_distant): the profile of ln C of the pairs that are not adjacent.
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    separation_rad: np.ndarray
+    bin: np.ndarray
+    theta_rad: np.ndarray
+    count: np.ndarray
+    solve: np.ndarray
+
+    @property
+    def adjacent(self) -> np.ndarray:
+        """Which pairs are adjacent, (n_pair,) bool."""
+        return self.bin < 0
+
+    def mean(self, per_pair: np.ndarray) -> np.ndarray:
+        """Means over the pairs of each bin, (n_bin,), of values (n_pair,)."""
+        distant = ~self.adjacent
+        return np.bincount(self.bin[distant], per_pair[distant]) / self.count
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Correlation against separation of one observation.
+
+    `covariance_mk2` (n_bin,) and `adjacent_mk2`: plain means of C_ij; `log_profile` (n_bin,): ln C less its mean
+    over bins, free of gains, of which `scan_profiles` (n_scan, n_bin) leave out one scan each; `log_level`: mean
+    of ln C over pairs. The last three are NaN where an average C_ij is not positive.
+    """
+
+    covariance_mk2: np.ndarray
+    adjacent_mk2: float
+    log_profile: np.ndarray
+    scan_profiles: np.ndarray
+    log_level: float
+
+
+def pair_bins(focal_plane: FocalPlane) -> PairBins:
+    """Sort the pairs of a focal plane by separation.
+
+    Raises ValueError for fewer than three detectors, for arrays without a pair that is not adjacent, and for
+    those whose positions can't tell a profile from gains.
+    """
+    n_det = len(focal_plane.x_rad)
+    if n_det < 3:
+        raise ValueError(f"found {n_det} detectors; 3 or more are expected for correlations against separation")
+    first, second = np.triu_indices(n_det, 1)
+    apart = np.hypot(*(axis[first] - axis[second] for axis in (focal_plane.x_rad, focal_plane.y_rad)))
+    pitch = apart.min()
+    number = np.floor((apart / pitch - ADJACENT) / BIN_WIDTH + 1e-9).astype(int)
+    distant = number >= 0
+    if not distant.any():
+        raise ValueError("found adjacent pairs of detectors only; pairs further apart are expected")
+    used, bins = np.unique(number[distant], return_inverse=True)
+    number = np.where(distant, 0, -1)
+    number[distant] = bins
+    count = np.bincount(bins)
+    theta = np.sqrt(np.bincount(bins, apart[distant] ** 2) / count)
+    solve = _profile_solution(first[distant], second[distant], bins, n_det)
+    return PairBins(first, second, apart, number, theta, count, solve)
+
+
+def _profile_solution(first: np.ndarray, second: np.ndarray, bins: np.ndarray, n_det: int) -> np.ndarray:
+    """Matrix (n_bin, n_pair) that takes ln C to the profile with mean 0, whatever the gains."""
+    n_bin, row = bins.max() + 1, np.arange(len(bins))
+    design = np.zeros((len(bins), n_det + n_bin))
+    design[row, first] = 1.0
+    design[row, second] = 1.0
+    design[row, n_det + bins] = 1.0
+    # A level common to all bins is one of gains too; every other direction must be told apart.
+    unused = n_det - len(np.union1d(first, second))
+    if np.linalg.matrix_rank(design) < n_det + n_bin - 1 - unused:
+        raise ValueError(f"found {n_det} detectors whose positions can't tell correlations from gains; more are expected")
+    solution = np.linalg.pinv(design)[n_det:]
+    return solution - solution.mean(axis=0)
+
+
+def scan_covariances(data_mk: np.ndarray, scan_bounds: np.ndarray) -> np.ndarray:
+    """C_ij of each scan [mK^2], its mean removed: (n_scan, n_det, n_det) of streams (n_det, n_samp)."""
+    covariances = []
+    for start, stop in scan_bounds:
+        block = data_mk[:, start:stop].astype(np.float64)
+        block -= block.mean(axis=1, keepdims=True)
+        covariances.append(block @ block.T / (stop - start))
+    return np.array(covariances)
+
+
+def correlation_profile(covariances_mk2: np.ndarray, bins: PairBins) -> Profile:
+    """Profile of correlation against separation of one observation, from `scan_covariances`."""
+    pairs = covariances_mk2[:, bins.first, bins.second]
+    mean, distant, n_scan = pairs.mean(axis=0), ~bins.adjacent, len(pairs)
+    adjacent = float(mean[bins.adjacent].mean()) if bins.adjacent.any() else np.nan
+    with np.errstate(invalid="ignore", divide="ignore"):
+        logs = np.log(mean[distant])
+        others = np.log((n_scan * mean[distant] - pairs[:, distant]) / max(1, n_scan - 1))
+    whole = np.isfinite(logs).all() and np.isfinite(others).all()
+    if not whole:
+        n_bin = len(bins.count)
+        nothing = np.full((n_scan, n_bin), np.nan)
+        return Profile(bins.mean(mean), adjacent, nothing[0], nothing, np.nan)
+    return Profile(bins.mean(mean), adjacent, bins.solve @ logs, others @ bins.solve.T, float(logs.mean()))

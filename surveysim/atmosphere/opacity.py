@@ -1,0 +1,102 @@
+"""Optical depth of a site's zenith against water vapour, averaged over a band, and the noise it scales.
+
+Tables of the `am` atmospheric model lie in ``tables/`` with the script that builds them.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import as_file, files
+
+import numpy as np
+
+from surveysim.sites import SITES
+
+
+@dataclass(frozen=True)
+class BandOpacity:
+    """A site seen through a top-hat band: zenith optical depth (n,) at columns of water vapour (n,) [mm].
+
+    `temperature_k` is the physical temperature of the water vapour, `bandwidth` the width over the centre.
+    """
+
+    site: str
+    frequency_hz: float
+    bandwidth: float
+    pwv_mm: np.ndarray
+    optical_depth: np.ndarray
+    temperature_k: float
+
+
+@cache
+def band_opacity(site: str, frequency_hz: float, bandwidth: float) -> BandOpacity:
+    """Average a site's table over a top-hat band: -ln of the mean transmission.
+
+    Cells at the band's edges count by the part that lies inside. Raises ValueError for a site without a
+    table, and for a band that is empty or leaves the table.
+    """
+    edge_ghz, pwv_mm, depth, temperature_k = _table(site)
+    low, high = (frequency_hz * (1 + side * bandwidth / 2) / 1e9 for side in (-1, 1))
+    if not (edge_ghz[0] <= low < high <= edge_ghz[-1]):
+        raise ValueError(
+            f"found a band of {low:g} to {high:g} GHz; bands within {edge_ghz[0]:g} to {edge_ghz[-1]:g} GHz are allowed"
+        )
+    inside = np.diff(np.clip(edge_ghz, low, high))
+    averaged = -np.log(inside @ np.exp(-depth) / (high - low))
+    averaged.setflags(write=False)
+    return BandOpacity(site, frequency_hz, bandwidth, pwv_mm, averaged, temperature_k)
+
+
+@cache
+def _table(site):
+    """Cell edges (m + 1,) [GHz], PWV (n,) [mm], optical depth (m, n), temperature [K]."""
+    from astropy.table import Table
+
+    if site not in SITES:
+        raise ValueError(f"found site {site!r}; {', '.join(SITES)} are allowed")
+    with as_file(files("surveysim.atmosphere") / "tables" / f"opacity_{site}.ecsv") as path:
+        table = Table.read(path, format="ascii.ecsv")
+    centre_ghz = np.asarray(table["frequency"])
+    edge_ghz = np.append(centre_ghz - 0.5, centre_ghz[-1] + 0.5)
+    pwv_mm = np.array(table.meta["pwv"])
+    pwv_mm.setflags(write=False)
+    depth = np.stack([np.asarray(table[f"pwv_{pwv:g}"]) for pwv in pwv_mm], axis=1)
+    return edge_ghz, pwv_mm, depth, table.meta["atmosphere_temperature"]
+
+
+def optical_depth(band: BandOpacity, pwv_mm) -> np.ndarray:
+    """Zenith optical depth at water columns of any shape [mm]: a cubic spline, for it is nearly a straight line.
+
+    Raises ValueError outside the table.
+    """
+    return _spline(band)(_allowed(band, pwv_mm))
+
+
+def optical_depth_slope(band: BandOpacity, pwv_mm) -> np.ndarray:
+    """Derivative of the zenith optical depth with the water column [1/mm], any shape; errors as `optical_depth`."""
+    return _spline(band)(_allowed(band, pwv_mm), 1)
+
+
+def fluctuation_factor_mk2(band: BandOpacity, pwv_mm) -> np.ndarray:
+    """What constant fractional fluctuations of the water column are in the band, squared [mK^2], any shape.
+
+    ``(C d eps / dC)^2 B_atm^2`` of section 3.3 with the emissivity eps = 1 - exp(-tau); the brightness of the
+    atmosphere is its temperature, Rayleigh-Jeans. B2 is proportional to it. Errors as `optical_depth`.
+    """
+    pwv_mm = _allowed(band, pwv_mm)
+    spline = _spline(band)
+    return (pwv_mm * spline(pwv_mm, 1) * np.exp(-spline(pwv_mm)) * band.temperature_k * 1e3) ** 2
+
+
+def _spline(band):
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(band.pwv_mm, band.optical_depth)
+
+
+def _allowed(band, pwv_mm):
+    pwv_mm = np.asarray(pwv_mm, dtype=float)
+    first, last = band.pwv_mm[0], band.pwv_mm[-1]
+    wrong = ~((pwv_mm >= first) & (pwv_mm <= last))
+    if wrong.any():
+        raise ValueError(f"found {pwv_mm[wrong].flat[0]:g} mm of water vapour; {first:g} to {last:g} mm is allowed")
+    return pwv_mm

@@ -1,0 +1,139 @@
+"""What one observation says of the atmosphere: wind, correlations, variances, from its time-streams alone.
+
+The truth that was drawn is kept beside it, for comparison and nothing else.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from mapmaker.binning import bin_map
+from mapmaker.cleaning import clean
+from mapmaker.correlations import PairBins, Profile, correlation_profile, pair_bins, scan_covariances
+from mapmaker.geometry import MapGeometry, boresight_pixels
+from mapmaker.spectrum import mode_ell, mode_psd, tukey_taper
+from mapmaker.timestreams import FocalPlane, Timestreams
+from mapmaker.wind import WindFit, measure_wind, scan_velocities
+from surveysim.noise import hann_psd, low_frequency_variance, white_level
+from surveysim.observation import draw_observation, observation_weather
+from surveysim.pointing import Pointing
+from surveysim.scan import samples_per_scan
+from surveysim.scene import Scene
+from surveysim.setup import Setup, observation_path, prepare
+from surveysim.weather import Weather
+
+# Multipoles, of the highest that the map's pixels hold along an axis, where no atmosphere is left in a map.
+WHITE_FROM = 0.6
+LOW_FREQUENCY_HZ = 1.0  # the paper's Table 2
+WHITE_ABOVE_HZ = 2.5  # section 5.1
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One observation measured, and the `truth` drawn for it.
+
+    `wind` in the array's frame, of which the x axis lies at `camera_angle_rad` from the direction of increasing
+    azimuth; `profile` of correlations; `track_rad` (n_scan,) how far the layer moves during a scan by the
+    measured wind; `elevation_rad` (n_scan,). `raw_mk2`: variance of mean-removed scans below 1 Hz without the
+    white level's share, mean over detectors. `map_mk2` and `map_white_mk2`: variance of the map after average
+    cleaning, and the white part of it.
+    """
+
+    observation: int
+    truth: Weather
+    wind: WindFit
+    camera_angle_rad: float
+    profile: Profile
+    track_rad: np.ndarray
+    elevation_rad: np.ndarray
+    raw_mk2: float
+    map_mk2: float
+    map_white_mk2: float
+
+
+@dataclass(frozen=True)
+class MeasurementJob:
+    """What a worker does with an observation's number: the scene, which each prepares for itself."""
+
+    scene: Scene
+
+    def __call__(self, observation: int) -> Measurement:
+        """Simulate and measure."""
+        setup = prepare(self.scene)
+        streams = draw_observation(setup, observation)
+        return measure(setup, streams, observation)
+
+
+def measure(setup: Setup, streams: Timestreams, observation: int) -> Measurement:
+    """Measure the streams of one observation of a scene with an atmosphere."""
+    _, pointing = observation_path(setup, observation)
+    bounds, rate = streams.scan_bounds, setup.raster.sample_rate_hz
+    velocity = scan_velocities(streams)
+    wind = measure_wind(streams.data_mk, bounds, streams.focal_plane, rate, velocity)
+    seconds = samples_per_scan(setup.raster) / rate
+    variance, white = map_variances(setup, streams, pointing)
+    return Measurement(
+        observation=observation,
+        truth=observation_weather(setup, observation),
+        wind=wind,
+        camera_angle_rad=float(pointing.array_angle_rad[0] - pointing.parallactic_rad[0]),
+        profile=correlation_profile(scan_covariances(streams.data_mk, bounds), camera_pairs(setup)),
+        track_rad=np.hypot(*(wind.velocity_rad_s - velocity).T) * seconds,
+        elevation_rad=pointing.elevation_rad,
+        raw_mk2=raw_variance(setup, streams),
+        map_mk2=variance,
+        map_white_mk2=white,
+    )
+
+
+def camera_pairs(setup: Setup) -> PairBins:
+    """Pairs of the scene's camera by separation; raises ValueError as `pair_bins` does."""
+    plane = setup.camera.focal_plane
+    return _pairs(plane.x_rad.tobytes(), plane.y_rad.tobytes())
+
+
+@lru_cache(maxsize=2)
+def _pairs(x: bytes, y: bytes) -> PairBins:
+    return pair_bins(FocalPlane(np.frombuffer(x), np.frombuffer(y), 0.0))
+
+
+def raw_variance(setup: Setup, streams: Timestreams) -> float:
+    """Variance [mK^2] of mean-removed scans below 1 Hz less the white level's share, mean over detectors (Table 2)."""
+    rate, n_scans = setup.raster.sample_rate_hz, setup.raster.n_scans
+    low = low_frequency_variance(streams.data_mk, n_scans, rate, LOW_FREQUENCY_HZ)
+    psd = hann_psd(streams.data_mk, n_scans, np.ones(n_scans, bool), rate)
+    white = white_level(psd, samples_per_scan(setup.raster), rate, WHITE_ABOVE_HZ)
+    return float(np.mean(low - white * LOW_FREQUENCY_HZ))
+
+
+def map_variances(setup: Setup, streams: Timestreams, pointing: Pointing) -> tuple[float, float]:
+    """Variance of the map of one observation after average cleaning, and its white part [mK^2] (section 3.5).
+
+    Over the middle of the map, under a cosine taper; the white part is the level of the highest multipoles.
+    """
+    geometry, plane, bounds = setup.geometry, streams.focal_plane, streams.scan_bounds
+    cleaned = clean("average", streams.data_mk, bounds, plane, setup.cleaning)
+    index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad, plane)
+    item = bin_map(geometry, cleaned.data_mk, index, bounds, cleaned.kept)
+    signal = np.divide(item.weighted_sum, item.hits, out=np.zeros(item.hits.shape), where=item.hits > 0)
+    taper, high, share = _map_modes(geometry, setup.scene.scan.step_rad * (setup.raster.n_scans - 1))
+    psd = mode_psd(signal, taper, geometry.pixel_rad) / geometry.pixel_rad**2
+    return float(np.sum(psd * share)), float(np.mean(psd[high]))
+
+
+@lru_cache(maxsize=2)
+def _map_modes(geometry: MapGeometry, covered_rad: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Taper (n_y, n_x) over the covered square, modes without atmosphere and every mode's share of a variance."""
+    n_y, n_x = geometry.n_y, geometry.n_x
+    side = min(covered_rad, n_x * geometry.pixel_rad)
+    ell = mode_ell(n_y, n_x, geometry.pixel_rad)
+    twice = np.full(ell.shape, 2.0)
+    twice[:, 0] = 1.0
+    if n_x % 2 == 0:
+        twice[:, -1] = 1.0
+    return (
+        tukey_taper(n_y, n_x, geometry.pixel_rad, side, 0.5),
+        ell > WHITE_FROM * np.pi / geometry.pixel_rad,
+        twice / twice.sum(),
+    )

@@ -1,0 +1,132 @@
+"""The observations that tables and figures are made of: whole surveys, measured and fitted."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from math import degrees
+
+import numpy as np
+
+from mapmaker.correlations import PairBins
+from surveysim.atmosphere.correlation import CorrelationGrid, correlation_grid
+from surveysim.atmosphere.fit import (
+    HEIGHT_GRID_M,
+    INDEX_GRID,
+    KOLMOGOROV,
+    OUTER_SCALE_M,
+    TRACKS_RAD,
+    TurbulenceFit,
+    fit_turbulence,
+)
+from surveysim.coherence import mutual_coherence
+from surveysim.engines import ordered_map
+from surveysim.measurement import Measurement, MeasurementJob, camera_pairs
+from surveysim.scene import Scene
+from surveysim.setup import Setup, prepare
+
+
+@dataclass(frozen=True)
+class MeasuredSurvey:
+    """All observations of one band, of scenes that share their camera.
+
+    `setup` of the first scene; `scene_of` (n_obs,) each observation's scene; `fits` on `grid` with the measured
+    wind, or the median one where that is not to be trusted, None where an observation can't be fitted; `overlap`
+    (n_bin,) coherence of pixels of each separation.
+    """
+
+    setup: Setup
+    scene_of: tuple[str, ...]
+    measurements: tuple[Measurement, ...]
+    bins: PairBins
+    grid: CorrelationGrid
+    overlap: np.ndarray
+    fits: tuple[TurbulenceFit | None, ...]
+
+    @property
+    def band_ghz(self) -> int:
+        """Centre of the band, in whole GHz."""
+        return round(self.setup.scene.instrument.frequency_hz / 1e9)
+
+    @property
+    def fixed(self) -> tuple[int, int]:
+        """The grid point (i_b, i_h) at which the paper fits B2: 11/3 and the scene's layer height."""
+        height = self.setup.scene.atmosphere.layer_height_m
+        return KOLMOGOROV, int(np.argmin(np.abs(self.grid.height_m - height)))
+
+    @cached_property
+    def b2_drawn(self) -> np.ndarray:
+        """B2 that the weather had, (n_obs,)."""
+        return np.array([item.truth.b2 for item in self.measurements])
+
+    @cached_property
+    def b2_fitted(self) -> np.ndarray:
+        """B2 at the fixed grid point, (n_obs,), NaN without a fit."""
+        return self.b2_at(self.fixed)
+
+    def b2_at(self, point: tuple[int, int]) -> np.ndarray:
+        """B2 fitted at a grid point, (n_obs,), NaN without a fit."""
+        return np.array([np.nan if fit is None else fit.b2[point] for fit in self.fits])
+
+    @cached_property
+    def pwv_mm(self) -> np.ndarray:
+        """Water column drawn, (n_obs,), NaN without a site."""
+        return np.array([item.truth.pwv_mm for item in self.measurements])
+
+    @cached_property
+    def wind_arcmin_s(self) -> np.ndarray:
+        """Measured wind speed, (n_obs,), NaN where none was found."""
+        return np.array([degrees(item.wind.speed_rad_s) * 60 for item in self.measurements])
+
+    @cached_property
+    def wind_drawn_arcmin_s(self) -> np.ndarray:
+        """Wind speed that the weather had, (n_obs,)."""
+        return np.array([degrees(item.truth.wind_speed_rad_s) * 60 for item in self.measurements])
+
+    @cached_property
+    def wind_good(self) -> np.ndarray:
+        """Which measured winds are to be trusted, (n_obs,) bool."""
+        return np.array([item.wind.flag == "" for item in self.measurements])
+
+
+def measure_survey(scenes: list[Scene], workers: int, progress: Callable[[], None] = lambda: None) -> MeasuredSurvey:
+    """Simulate, measure and fit every observation of scenes that share a camera; `progress` is called after each.
+
+    Raises SceneError for a scene that can't be run, ValueError for one without an atmosphere.
+    """
+    # No score: no map is co-added here, and no window sky needed.
+    scenes = [scene.model_copy(update={"score": None}) for scene in scenes]
+    setup = prepare(scenes[0])
+    measurements, names = [], []
+    for scene in scenes:
+        if scene.atmosphere is None:
+            raise ValueError(f"scene {scene.name!r} has no [atmosphere]; one is expected to measure it")
+        for item in ordered_map(MeasurementJob(scene), range(scene.observations), workers):
+            measurements.append(item)
+            names.append(scene.name)
+            progress()
+    bins = camera_pairs(setup)
+    grid = correlation_grid(
+        bins.theta_rad,
+        INDEX_GRID,
+        HEIGHT_GRID_M,
+        scenes[0].atmosphere.illuminated_aperture_m,
+        OUTER_SCALE_M,
+        TRACKS_RAD,
+    )
+    overlap = bins.mean(mutual_coherence(bins.separation_rad / setup.camera.f_lambda_rad))
+    usual = median_track(measurements)
+    fits = tuple(
+        fit_turbulence(item.profile, bins, grid, trusted_track(item, usual), item.elevation_rad, overlap)
+        for item in measurements
+    )
+    return MeasuredSurvey(setup, tuple(names), tuple(measurements), bins, grid, overlap, fits)
+
+
+def median_track(measurements: list[Measurement]) -> float:
+    """Median over observations with a trusted wind of how far the layer moves during a scan [rad]."""
+    return float(np.median([item.track_rad.mean() for item in measurements if item.wind.flag == ""] or [np.nan]))
+
+
+def trusted_track(item: Measurement, usual_rad: float) -> np.ndarray:
+    """Tracks (n_scan,) [rad] by the measured wind, or the survey's usual one where that is not to be trusted."""
+    return item.track_rad if item.wind.flag == "" else np.full(len(item.track_rad), usual_rad)

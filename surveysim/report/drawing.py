@@ -1,0 +1,61 @@
+"""The look that all figures share: canvas, palette, axes, ticks, and how a PNG is written."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from PIL import Image
+
+from mapmaker.files import whole_file
+
+DPI = 150
+
+# The palette of Okabe and Ito, told apart by all kinds of colour vision.
+BLACK, GREEN, BLUE, VERMILION, PURPLE = "#000000", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
+ORANGE, SKY = "#E69F00", "#56B4E9"
+GREY = "#7F7F7F"
+
+LEGEND = {"fontsize": 8.5, "frameon": False}
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of a size [inch], drawn with Agg, whose parts make room for each other."""
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def finish(axes: Axes, x_label: str, y_label: str) -> None:
+    """Labels (that of y in the first column only), ticks inwards on all sides, a light grid."""
+    axes.set_xlabel(x_label, fontsize=10)
+    if axes.get_subplotspec().is_first_col():
+        axes.set_ylabel(y_label, fontsize=10)
+    axes.tick_params(which="both", labelsize=9, direction="in", top=True, right=True)
+    axes.grid(alpha=0.25, lw=0.5)
+
+
+def legend(axes: Axes) -> None:
+    """A frameless legend where it hides least."""
+    axes.legend(**LEGEND)
+
+
+def plain_ticks(axis: Axis, marks: tuple[int, ...] = (1, 2, 5)) -> None:
+    """Numbers such as 0.5 and 2000 on a logarithmic axis, `marks` in each decade, in place of powers of ten."""
+    axis.set_major_locator(LogLocator(subs=marks))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def save(figure: Figure, path: Path, full_colour: bool = False) -> None:
+    """Write a PNG, whole or not at all; `full_colour` for those with a colour bar."""
+    figure.canvas.draw()
+    image = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy())
+    if not full_colour:
+        # Lines look the same in 256 colours and take a third of the space.
+        image = image.quantize(256, dither=Image.Dither.NONE)
+    with whole_file(path) as partial:
+        image.save(partial, "PNG", dpi=(DPI, DPI), optimize=True)

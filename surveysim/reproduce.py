@@ -1,0 +1,158 @@
+"""The paper's tables and figures made again: which observations each needs, and its files."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mapmaker.files import whole_file
+from surveysim.paper.campaign import MeasuredSurvey, measure_survey
+from surveysim.scene import Scene, load_scene
+from surveysim.setup import prepare
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+
+    from surveysim.paper.figure import PaperFigure
+
+TABLES = (1, 2)
+FIGURES = tuple(range(1, 10))
+# Scenes of each band's observations, in GHz, and what is changed in them.
+SCENES: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    "143": (("lynx", "sds1"), {}),
+    "268": (("cosmos",), {}),
+    "151": (("acbar_south_pole",), {}),
+    "282": (
+        ("acbar_south_pole",),
+        {"name": "acbar_south_pole_282", "instrument.frequency": "282 GHz", "instrument.bandwidth": 0.18},
+    ),
+}
+_NEEDS = {
+    "table 1": ("143", "268", "151", "282"),
+    "table 2": ("143",),
+    "figure 1": (),
+    "figure 2": (),
+    "figure 3": ("143",),
+    "figure 4": ("143", "268"),
+    "figure 5": ("143",),
+    "figure 6": ("143",),
+    "figure 7": ("143", "268"),
+    "figure 8": ("143", "268"),
+    "figure 9": ("143",),
+}
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is asked for: numbers of tables and figures, and the scenes of every band that they need."""
+
+    tables: tuple[int, ...]
+    figures: tuple[int, ...]
+    scenes: dict[str, list[Scene]]
+    model: Scene
+
+    @property
+    def items(self) -> list[str]:
+        """Names of all items, as in "figure 5"."""
+        return [f"table {number}" for number in self.tables] + [f"figure {number}" for number in self.figures]
+
+    @property
+    def observations(self) -> int:
+        """How many observations that takes."""
+        return sum(scene.observations for scenes in self.scenes.values() for scene in scenes)
+
+
+def wanted(tables: Sequence[int], figures: Sequence[int], scenarios: Path, observations: int | None) -> Wanted:
+    """Load the scenes that these items need from a folder; `observations` is the most that each scene is to make.
+
+    Raises SceneError for a scene that can't be read.
+    """
+    names = [f"table {number}" for number in tables] + [f"figure {number}" for number in figures]
+    bands = [band for band in SCENES if any(band in _NEEDS[name] for name in names)]
+    scenes = {
+        band: [_scene(scenarios, name, SCENES[band][1], observations) for name in SCENES[band][0]] for band in bands
+    }
+    return Wanted(tuple(tables), tuple(figures), scenes, _scene(scenarios, "lynx", {}, observations))
+
+
+def _scene(scenarios: Path, name: str, changes: dict[str, Any], observations: int | None) -> Scene:
+    scene = load_scene(scenarios / f"{name}.toml", changes)
+    if observations is None or observations >= scene.observations:
+        return scene
+    return scene.model_copy(update={"observations": observations})
+
+
+def reproduce(asked: Wanted, out: Path, workers: int, progress: Callable[[], None] = lambda: None) -> list[Path]:
+    """Make what is asked for below `out`, each as soon as its observations are measured; returns the files.
+
+    `progress` is called after each observation. Raises SceneError for scenes that can't be run and what
+    observations raise.
+    """
+    surveys: dict[str, MeasuredSurvey] = {}
+    left, written = asked.items, []
+    for band in (None, *asked.scenes):
+        if band is not None:
+            surveys[band] = measure_survey(asked.scenes[band], workers, progress)
+            written += _write_measurements(out, band, surveys[band])
+        ready = [name for name in left if set(_NEEDS[name]) <= set(surveys)]
+        left = [name for name in left if name not in ready]
+        for name in ready:
+            written += _write(name, out, surveys, asked.model)
+    return written
+
+
+def _write_measurements(out: Path, band: str, survey: MeasuredSurvey) -> list[Path]:
+    from surveysim.paper.recovery import measurement_table, recovery_table
+
+    return [
+        _write_table(out / f"measurements_{band}.ecsv", measurement_table(survey)),
+        _write_table(out / f"recovered_{band}.ecsv", recovery_table(survey)),
+    ]
+
+
+def _write(name: str, out: Path, surveys: dict[str, MeasuredSurvey], model: Scene) -> list[Path]:
+    if name == "table 1":
+        from surveysim.paper.tables import amplitude_table, site_table
+
+        return [
+            _write_table(out / "table1.ecsv", amplitude_table(surveys)),
+            _write_table(out / "table1_sites.ecsv", site_table()),
+        ]
+    if name == "table 2":
+        from surveysim.paper.tables import raw_atmosphere_table
+
+        return [_write_table(out / "table2.ecsv", raw_atmosphere_table(surveys["143"]))]
+    return _write_figure(out, _figure(int(name.split()[1]), surveys, model))
+
+
+def _figure(number: int, surveys: dict[str, MeasuredSurvey], model: Scene) -> "PaperFigure":
+    from surveysim.paper import model_figures, noise_figures, turbulence_figures, wind_figures
+
+    bolocam = [surveys[band] for band in ("143", "268") if band in surveys]
+    makers: dict[int, Callable[[], PaperFigure]] = {
+        1: model_figures.opacity_figure,
+        2: lambda: model_figures.screen_figure(prepare(model)),
+        3: lambda: wind_figures.wind_examples_figure(surveys["143"]),
+        4: lambda: wind_figures.wind_histogram_figure(bolocam),
+        5: lambda: turbulence_figures.correlation_figure(surveys["143"]),
+        6: lambda: turbulence_figures.index_height_figure(surveys["143"]),
+        7: lambda: noise_figures.b2_distribution_figure(bolocam),
+        8: lambda: noise_figures.b2_water_figure(bolocam),
+        9: lambda: noise_figures.map_variance_figure(surveys["143"]),
+    }
+    return makers[number]()
+
+
+def _write_figure(out: Path, figure: "PaperFigure") -> list[Path]:
+    from surveysim.paper.points import points_table
+    from surveysim.report.panels import draw_figure
+
+    picture = out / f"figure{figure.number:02d}.png"
+    draw_figure(figure, picture)
+    return [_write_table(picture.with_suffix(".ecsv"), points_table(figure)), picture]
+
+
+def _write_table(path: Path, table: "Table") -> Path:
+    with whole_file(path) as partial:
+        table.write(partial, format="ascii.ecsv", overwrite=True)
+    return path

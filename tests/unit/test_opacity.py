@@ -1,0 +1,177 @@
+"""Opacity tables, their averages over a band and the interpolation in water vapour."""
+
+from importlib.resources import files
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from scipy.interpolate import CubicSpline
+
+from surveysim.atmosphere.opacity import (
+    SITES,
+    band_opacity,
+    fluctuation_factor_mk2,
+    optical_depth,
+    optical_depth_slope,
+)
+from surveysim.atmosphere.tables import build_opacity
+
+TABLES = files("surveysim.atmosphere") / "tables"
+
+
+def read(site):
+    return Table.read(str(TABLES / f"opacity_{site}.ecsv"), format="ascii.ecsv")
+
+
+@pytest.mark.parametrize("site", SITES)
+def test_table_is_whole(site):
+    table = read(site)
+    np.testing.assert_array_equal(table["frequency"], np.arange(80.5, 420))
+    assert table["frequency"].unit == "GHz"
+    pwv = np.array(table.meta["pwv"])
+    assert table.colnames[1:] == [f"pwv_{p:g}" for p in pwv]
+    depth = np.stack([table[name] for name in table.colnames[1:]])
+    assert (np.diff(pwv) > 0).all() and depth.min() > 0 and depth.max() <= table.meta["ceiling"]
+    assert (np.diff(depth, axis=0) > 0)[:, depth.max(axis=0) < table.meta["ceiling"]].all()
+    assert (TABLES / f"opacity_{site}.ecsv").stat().st_size < 60e3
+    setup = build_opacity.SITES[site]
+    assert (table.meta["site"], tuple(pwv), table.meta["profile"]) == (site, setup.pwv_mm, setup.profile)
+    expected = build_opacity.atmosphere_temperature_k(setup)
+    assert table.meta["atmosphere_temperature"] == pytest.approx(expected, abs=0.05)  # one decimal
+
+
+def test_band_of_one_cell_is_the_table():
+    table = read("alma")
+    band = band_opacity("alma", 183.5e9, 1 / 183.5)
+    row = [table[f"pwv_{pwv:g}"][103] for pwv in band.pwv_mm]
+    np.testing.assert_allclose(band.optical_depth, row, rtol=1e-12)
+    np.testing.assert_allclose(optical_depth(band, band.pwv_mm), row, rtol=1e-12)
+    assert band.temperature_k == table.meta["atmosphere_temperature"]
+
+
+def test_cells_at_the_edges_count_by_the_part_inside():
+    """182.25 to 184.5 GHz: three quarters of a cell, a whole one, half a cell; the line is steep there."""
+    table = read("mauna_kea")
+    band = band_opacity("mauna_kea", 183.375e9, 2.25 / 183.375)
+    transmission = np.exp(-np.array([table["pwv_0.5"][row] for row in (102, 103, 104)]))
+    expected = -np.log(np.array([0.75, 1.0, 0.5]) @ transmission / 2.25)
+    assert optical_depth(band, 0.5) == pytest.approx(expected, rel=1e-12)
+    assert np.ptp(np.log(transmission)) > 0.3
+
+
+@pytest.mark.parametrize("site", SITES)
+@pytest.mark.parametrize(("frequency_ghz", "tolerance"), [(143, 5e-5), (268, 5e-5), (183.3, 1e-3), (350, 1e-3)])
+def test_a_knot_left_out_is_predicted(site, frequency_ghz, tolerance):
+    """Where no line saturates to half a unit of the five digits of the tables."""
+    band = band_opacity(site, frequency_ghz * 1e9, 0.15)
+    for i in range(1, len(band.pwv_mm) - 1):
+        spline = CubicSpline(np.delete(band.pwv_mm, i), np.delete(band.optical_depth, i))
+        assert spline(band.pwv_mm[i]) == pytest.approx(band.optical_depth[i], rel=tolerance)
+
+
+@pytest.mark.parametrize("site", SITES)
+@pytest.mark.parametrize("frequency_ghz", [100, 143, 183.3, 268, 350])
+def test_monotone_between_the_knots(site, frequency_ghz):
+    band = band_opacity(site, frequency_ghz * 1e9, 0.1)
+    pwv_mm = np.linspace(band.pwv_mm[0], band.pwv_mm[-1], 2001)
+    assert (np.diff(optical_depth(band, pwv_mm)) > 0).all()
+    # A spline that swings would not keep the slope positive.
+    assert (optical_depth_slope(band, pwv_mm) > 0).all()
+
+
+def test_slope_is_the_derivative():
+    band = band_opacity("mauna_kea", 268e9, 0.15)
+    pwv_mm = np.array([[0.06, 0.5], [1.68, 5.9]])
+    difference = optical_depth(band, pwv_mm + 1e-4) - optical_depth(band, pwv_mm - 1e-4)
+    np.testing.assert_allclose(optical_depth_slope(band, pwv_mm), difference / 2e-4, rtol=1e-7)
+
+
+def test_factor_is_the_emissivity_s_change():
+    band = band_opacity("mauna_kea", 268e9, 0.15)
+    pwv_mm = np.array([[0.06, 0.5], [1.68, 5.9]])
+    emissivity = [1 - np.exp(-optical_depth(band, pwv_mm + step)) for step in (-1e-4, 1e-4)]
+    expected = (pwv_mm * (emissivity[1] - emissivity[0]) / 2e-4 * band.temperature_k * 1e3) ** 2
+    np.testing.assert_allclose(fluctuation_factor_mk2(band, pwv_mm), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("frequency_ghz", [100, 143])
+def test_thin_limit_goes_as_the_column_squared(frequency_ghz):
+    """From 0.03 to 0.06 mm exp(-2 tau) changes by 0.1 %, and the slope by 0.6 % for water broadens itself."""
+    band = band_opacity("south_pole", frequency_ghz * 1e9, 0.15)
+    low, high = fluctuation_factor_mk2(band, np.array([0.03, 0.06]))
+    assert high / low == pytest.approx(4.0, rel=0.015)
+
+
+def test_thick_limit_has_no_fluctuations():
+    """At the centre of the 183 GHz line the atmosphere is black: its emission cannot change."""
+    band = band_opacity("mauna_kea", 183.5e9, 1 / 183.5)
+    assert fluctuation_factor_mk2(band, 6.0) < 1e-4 * fluctuation_factor_mk2(band, 0.5)
+
+
+def test_bands_are_kept_and_cannot_be_written_to():
+    band = band_opacity("ccat", 143e9, 0.15)
+    assert band_opacity("ccat", 143e9, 0.15) is band
+    for array in (band.pwv_mm, band.optical_depth):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
+def test_water_outside_the_table():
+    band = band_opacity("mauna_kea", 143e9, 0.15)
+    for function in (optical_depth, optical_depth_slope, fluctuation_factor_mk2):
+        for wrong in (7.0, [1.0, 7.0], [[7.0]]):
+            with pytest.raises(ValueError, match=r"found 7 mm of water vapour; 0.05 to 6 mm is allowed"):
+                function(band, wrong)
+        for wrong in (0.04, -1.0, np.nan):
+            with pytest.raises(ValueError, match="0.05 to 6 mm is allowed"):
+                function(band, wrong)
+
+
+@pytest.mark.parametrize(
+    ("frequency_hz", "bandwidth"),
+    [(85e9, 0.15), (410e9, 0.15), (143e9, 0.0), (143e9, -0.1), (143.0, 0.15), (np.nan, 0.1)],
+)
+def test_bands_outside_the_table(frequency_hz, bandwidth):
+    with pytest.raises(ValueError, match=r"found a band of .* GHz; bands within 80 to 420 GHz are allowed"):
+        band_opacity("mauna_kea", frequency_hz, bandwidth)
+
+
+def test_unknown_site():
+    with pytest.raises(ValueError, match="found site 'moon'; mauna_kea, south_pole, alma, ccat are allowed"):
+        band_opacity("moon", 143e9, 0.15)
+
+
+@pytest.mark.parametrize("site", SITES)
+def test_layers_share_out_the_columns(site):
+    setup = build_opacity.SITES[site]
+    pressure, temperature, water, ozone = build_opacity.layers(setup)
+    assert pressure[0] == setup.pressure_mbar and temperature[0] == setup.temperature[0][1]
+    assert (np.diff(pressure) < 0).all()
+    assert water.sum() == pytest.approx(1) and ozone.sum() == pytest.approx(1)
+    assert water[:10].sum() > 0.85 and ozone[:10].sum() < 0.05  # below 5 km
+
+
+def test_layers_of_exponential_vapour_are_hydrostatic():
+    """T = 272 K - 6 K/km: pressure is a power of T, vapour of 2 km has 1 - exp(-1/2) below 1 km."""
+    pressure, temperature, water, _ = build_opacity.layers(build_opacity.SITES["mauna_kea"])
+    index = build_opacity.GRAVITY_M_S2 / build_opacity.GAS_CONSTANT_J_KG_K / 6e-3
+    np.testing.assert_allclose(pressure[:14], 620 * (temperature[:14] / 272) ** index, rtol=1e-6)
+    assert water[:4].sum() == pytest.approx(1 - np.exp(-0.5), rel=1e-3)
+    np.testing.assert_allclose(build_opacity.WATER_CM2_PER_MM, 3.3428e21, rtol=1e-4)
+
+
+def test_cells_average_transmission():
+    depth = np.array([1.0, 2.0, 3.0, 300.0, 300.0])
+    expected = -np.log((np.exp(-1.0) + 2 * np.exp(-2.0) + np.exp(-3.0)) / 4)
+    np.testing.assert_allclose(build_opacity.cell_optical_depth(depth, 2)[0], expected, rtol=1e-12)
+    assert build_opacity.cell_optical_depth(np.full(5, 300.0), 2).tolist() == [50.0, 50.0]
+
+
+@pytest.mark.parametrize("site", SITES)
+def test_table_is_what_am_computes(site):
+    """Direct spectra at a column that is not one of the three a table is made of: 6e-4 was measured."""
+    pytest.importorskip("am")
+    setup = build_opacity.SITES[site]
+    pwv = setup.pwv_mm[6]
+    direct = build_opacity.cell_optical_depth(build_opacity.spectrum(setup, pwv, 224, 227)[0], build_opacity.CELL_STEPS)
+    np.testing.assert_allclose(read(site)[f"pwv_{pwv:g}"][144:147], direct, rtol=1.5e-3)

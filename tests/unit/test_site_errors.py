@@ -1,0 +1,53 @@
+"""What a scene may say of a site, and how it is refused."""
+
+import pytest
+
+from surveysim.scene import SceneError, load_scene
+from surveysim.setup import prepare
+from tests.scenes import SMALL_SCENE
+
+SITE = {"atmosphere.site": "mauna_kea", "instrument.bandwidth": 0.15}
+
+
+@pytest.fixture
+def path(tmp_path):
+    file = tmp_path / "small.toml"
+    file.write_text(SMALL_SCENE)
+    return file
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"atmosphere.site": "mauna_loa"}, "atmosphere.site: found 'mauna_loa'; one of 'mauna_kea', 'south_pole'"),
+        ({"atmosphere.site": 3}, "atmosphere.site: found 3; one of"),
+        ({"atmosphere.site": "alma"}, "instrument.bandwidth: missing"),
+        ({"atmosphere.pwv": "[1] mm", "atmosphere.pwv_probabilities": [0.5]}, "atmosphere.site: missing"),
+        (SITE | {"atmosphere.pwv": "[1, 2] mm"}, "atmosphere.pwv: found 2 values for 5 pwv_probabilities"),
+        (SITE | {"atmosphere.pwv": "[1, 2, 3, 4, 5] K"}, "atmosphere.pwv: found '1 K'"),
+        (SITE | {"atmosphere.fluctuation": "[1, 2, 3] mK2"}, "atmosphere.fluctuation: found '1 mK2'"),
+        (SITE | {"atmosphere.fluctuation": "[0, 1, 2] rad(-5/3)"}, "atmosphere.pwv: found"),
+        (SITE | {"atmosphere.pwv_probabilities": [0, 0.25, 0.5, 0.75, 1.5]}, "values from 0 to 1 are expected"),
+        (SITE | {"atmosphere.pwv": "[1, 2, 3, 4, 50] mm"}, "found 50 mm of water vapour; 0.05 to 6 mm is allowed"),
+        (SITE | {"instrument.frequency": "500 GHz"}, "bands within 80 to 420 GHz are allowed"),
+        (SITE | {"atmosphere.wind_b2_exponent": 5}, "atmosphere.wind_b2_exponent: found 5; "),
+    ],
+)
+def test_refused(path, changes, words):
+    with pytest.raises(SceneError) as caught:
+        prepare(load_scene(path, changes))
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_site_gives_what_the_scene_leaves_out(path):
+    scene = load_scene(path, SITE | {"atmosphere.pwv": "[0.6, 1, 1.5, 2, 3] mm"})
+    assert scene.atmosphere.pwv_mm == (0.6, 1.0, 1.5, 2.0, 3.0) and scene.atmosphere.b2 == (100, 280, 980)
+    assert scene.atmosphere.fluctuation == (3.6e-6, 9.5e-6, 1.85e-5)
+
+
+def test_what_the_site_assumes_is_said_unless_the_scene_replaces_it(path):
+    said = [line for line in load_scene(path, SITE).assumed if line.startswith("atmosphere.")]
+    # The scene has its own wind and height; of the rest the site calibrates its fluctuations.
+    assert [line.split()[0] for line in said] == ["atmosphere.fluctuation"]
+    own = load_scene(path, SITE | {"atmosphere.fluctuation": "[3e-6, 9e-6, 2e-5] rad(-5/3)"})
+    assert not [line for line in own.assumed if line.startswith("atmosphere.")]
