@@ -59,11 +59,10 @@ def _row(survey: MeasuredSurvey, k: int) -> dict[str, float | str]:
 def wind_angle(survey: MeasuredSurvey, k: int) -> float:
     """Measured direction of the wind [rad] from the direction of increasing azimuth towards that of elevation.
 
-    The array's x axis, from which it is measured, is turned against azimuth by the camera's angle: a position
-    angle, which runs the other way round in these axes.
+    It is measured from the array's x axis, which the camera's angle turns from azimuth towards elevation.
     """
     item = survey.measurements[k]
-    return item.wind.angle_rad - item.camera_angle_rad
+    return item.wind.angle_rad + item.camera_angle_rad
 
 
 def recovery_table(survey: MeasuredSurvey) -> "Table":

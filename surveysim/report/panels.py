@@ -58,9 +58,9 @@ def lay_out(figure: PaperFigure) -> Figure:
     for place, panel in enumerate(figure.panels, start=1):
         _draw_panel(canvas.add_subplot(rows, columns, place), panel, width / columns)
     title = canvas.suptitle(_wrapped(canvas, figure.title, width - 4 * _MARGIN, _TITLE_PT), fontsize=_TITLE_PT)
-    caption = _add_caption(canvas, figure.caption)
+    caption = _caption(canvas, figure.caption)
     common = _common_legend(canvas, figure.panels)
-    height = rows * row_height + _size(title)[1] + caption + common
+    height = rows * row_height + _size(title)[1] + _size(caption)[1] + common
     _resize(canvas, height, caption, common)
     if not common:
         _resize(canvas, height + _add_legends(canvas, figure.panels), caption, common)
@@ -239,24 +239,24 @@ def _between(first: np.ndarray, last: np.ndarray) -> np.ndarray:
 # ---------------------------------------------------------------- text and room for it
 
 
-def _add_caption(canvas: Figure, caption: str) -> float:
-    """Write the caption at the bottom; returns the height [inch] that it takes with its margins."""
+def _caption(canvas: Figure, caption: str) -> Text:
     width = canvas.get_figwidth()
     text = _wrapped(canvas, caption, width - 4 * _MARGIN, _CAPTION_PT)
     written = canvas.text(2 * _MARGIN / width, 0, text, fontsize=_CAPTION_PT, va="bottom", linespacing=1.3)
     written.set_in_layout(False)
-    return _size(written)[1] + 2 * _MARGIN
+    return written
 
 
-def _resize(canvas: Figure, height: float, caption: float, common: float) -> None:
+def _resize(canvas: Figure, height: float, caption: Text, common: float) -> None:
     """Give the figure a height [inch], of which the lowest is the caption's and, above it, the common legend's."""
     canvas.set_figheight(height)
-    canvas.texts[0].set_y(_MARGIN / height)
-    below = (caption + common) / height
+    caption.set_y(_MARGIN / height)
+    top = (_size(caption)[1] + 2 * _MARGIN) / height
+    below = top + common / height
     canvas.get_layout_engine().set(rect=(0, below, 1, 1 - below))
     for legend in canvas.legends:
         legend.set_in_layout(False)
-        legend.set_bbox_to_anchor((0, caption / height, 1, 1), canvas.transFigure)
+        legend.set_bbox_to_anchor((0, top, 1, 1), canvas.transFigure)
 
 
 def _wrapped(canvas: Figure, text: str, width: float, size: float) -> str:

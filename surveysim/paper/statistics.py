@@ -1,0 +1,101 @@
+"""What is said of many observations: how many, centiles and their errors, medians in bins, distributions."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from surveysim.paper.campaign import MeasuredSurvey
+
+RESAMPLES = 400
+SEED = 20100101
+CENTILES = (10.0, 25.0, 50.0, 75.0, 90.0)
+FEWEST = 15  # values in a bin that has centiles
+MOST_BINS = 8
+
+
+@dataclass(frozen=True)
+class Binned:
+    """Values y in bins of x with equal numbers of observations.
+
+    `x` (n_bin,) medians; `count` (n_bin,); `centile` (5, n_bin) of y, those of CENTILES; `median_error` (n_bin,).
+    """
+
+    x: np.ndarray
+    count: np.ndarray
+    centile: np.ndarray
+    median_error: np.ndarray
+
+    @property
+    def median(self) -> np.ndarray:
+        """Median of y in each bin, (n_bin,)."""
+        return self.centile[2]
+
+
+def bootstrap(values: np.ndarray, statistic: Callable[[np.ndarray], float]) -> tuple[float, float]:
+    """A statistic of values (n,) and its standard error, from resampling them with always the same draws.
+
+    Raises ValueError without values.
+    """
+    values = _some(values)
+    drawn = [statistic(sample) for sample in _resampled(values)]
+    return float(statistic(values)), float(np.std(drawn))
+
+
+def centile_errors(values: np.ndarray, centiles: Sequence[float]) -> np.ndarray:
+    """Standard errors (n_centile,) of centiles of values (n,), by `bootstrap`'s draws; errors as there."""
+    return np.percentile(_resampled(_some(values)), centiles, axis=1).std(axis=1)
+
+
+def _some(values: np.ndarray) -> np.ndarray:
+    if len(values) == 0:
+        raise ValueError("found no observation; at least one is expected")
+    return np.asarray(values, dtype=float)
+
+
+def _resampled(values: np.ndarray) -> np.ndarray:
+    rng = np.random.default_rng(SEED)
+    return values[rng.integers(len(values), size=(RESAMPLES, len(values)))]
+
+
+def binned(x: np.ndarray, y: np.ndarray) -> Binned:
+    """Centiles of y (n,) in at most MOST_BINS bins of x (n,), of at least FEWEST observations, if there are so many.
+
+    Raises ValueError without observations.
+    """
+    order = np.argsort(_some(x), kind="stable")
+    groups = np.array_split(order, int(np.clip(len(x) // FEWEST, 1, MOST_BINS)))
+    return Binned(
+        x=np.array([np.median(x[group]) for group in groups]),
+        count=np.array([len(group) for group in groups]),
+        centile=np.array([np.percentile(y[group], CENTILES) for group in groups]).T,
+        median_error=np.array([centile_errors(y[group], (50.0,))[0] for group in groups]),
+    )
+
+
+def cumulative(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sorted values (n,) and the share (n,) up to each, half of it counted; raises ValueError without any."""
+    ordered = np.sort(_some(values))
+    return ordered, (np.arange(len(ordered)) + 0.5) / len(ordered)
+
+
+def scale_to(measured: np.ndarray, model: np.ndarray) -> float:
+    """The factor by which a model (n,) comes closest to positive values (n,): least squares of logarithms.
+
+    Values that are not positive don't count; NaN where none is.
+    """
+    used = measured > 0
+    return float(np.exp(np.mean(np.log(measured[used] / model[used])))) if used.any() else float("nan")
+
+
+def described(survey: MeasuredSurvey) -> str:
+    """How many observations of which band and scenes, for captions."""
+    scenes = ", ".join(f"{count} of {name}" for name, count in Counter(survey.scene_of).items())
+    return f"{len(survey.scene_of)} simulated observations at {survey.band_ghz} GHz ({scenes})"
+
+
+def without_fit(survey: MeasuredSurvey) -> str:
+    """How many observations have no fit, for captions."""
+    missing = sum(fit is None for fit in survey.fits)
+    return f"{missing} left out for want of a fit" if missing else "all fitted"
