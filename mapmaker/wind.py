@@ -31,12 +31,12 @@ _LOWEST_BIN = 2  # the removed mean of a scan reaches the first bin of a Hann ta
 _HANN = 1 + 2 * (4 / 9 + 1 / 36)  # what a Hann taper's correlation of neighbouring bins adds to the variance of a mean
 _MIN_DETECTORS, _MIN_SCANS, _MIN_BINS = 7, 3, 2
 _NEIGHBOUR = 1.2  # pairs up to this many nearest separations apart are neighbours
-_COHERENT = 0.5  # least mean relative cross-PSD: as much signal as noise
-_START_COHERENT = 0.8  # the same before delays are known: keeps phases from wrapping
+_COHERENT = 0.2  # least mean relative cross-PSD: a quarter as much signal as noise
+_START_COHERENT = 0.5  # the same before delays are known: keeps phases from wrapping
 _ROUNDS = 5
 _ROUNDING = 1e-14  # power of rounding in what a fit leaves, against the whole
 _SHORTEST = 1e-3  # longest delay from the array's centre, in samples, that is none
-_CERTAIN = 0.15  # largest relative error of a trusted wind
+_CERTAIN = 0.12  # largest relative error of a trusted wind
 _AGREE = 12.5  # chi^2 a degree of freedom that two groups of 9 scans exceed once in a thousand times
 # Largest reduced chi^2 of the pairs, where departures of a hundredth of the sinusoid count for nothing.
 _GOOD_FIT, _GOOD_SHARE = 5.0, 0.01

@@ -29,6 +29,14 @@ class Camera:
         """Distance of the outermost detector from the centre."""
         return float(np.hypot(self.focal_plane.x_rad, self.focal_plane.y_rad).max())
 
+    @property
+    def closest_rad(self) -> float:
+        """Separation of the closest pair of detectors; 0 for a single one."""
+        from scipy.spatial import cKDTree
+
+        positions = np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad])
+        return float(cKDTree(positions).query(positions, k=2)[0][:, 1].min()) if len(positions) > 1 else 0.0
+
 
 def camera(section: InstrumentSection) -> Camera:
     """The camera of a scene, dead positions left out.

@@ -202,7 +202,7 @@ def _strips(scene: Scene, cam: Camera):
         screen = Screen(air.index, air.illuminated_aperture_m / air.layer_height_m, outer)
     except ValueError as error:
         raise SceneError(f"atmosphere: {error}") from None
-    return StripCache(screen, cam.radius_rad, strip_step(screen))
+    return StripCache(screen, cam.radius_rad, strip_step(screen, cam.closest_rad))
 
 
 def _water(scene: Scene) -> Water | None:

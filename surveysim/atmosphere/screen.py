@@ -31,9 +31,8 @@ from threadpoolctl import threadpool_limits
 from surveysim.atmosphere.spectrum import Screen, structure_function, structure_slope
 from surveysim.kernels import screen as kernels
 
-# The lattice step is never coarser than the closest pair of detectors.
 _STEP_MAX_RAD = radians(40.0 / 3600.0)
-_STEPS_PER_BEAM = 14
+_STEPS_PER_BEAM, _FEWEST_STEPS_PER_BEAM, _STEPS_PER_PAIR = 14, 4, 8
 # Share of half a period that is bent to make the seam smooth, and the number of even powers fitted there.
 _SEAM = 0.25
 _SEAM_TERMS = 4
@@ -92,16 +91,20 @@ class StripCache:
         return self.strips[n_x]
 
 
-def strip_step(screen):
-    """Lattice step [rad] for bilinear look-up: a fourteenth of the beam, 40 arcsec at most.
+def strip_step(screen, closest_rad):
+    """Lattice step [rad] for bilinear look-up by detectors `closest_rad` apart or more.
 
-    The first keeps the structure function: within 3 % at 0.67 arcmin and above for b >= 2, 0.2 % for b =
-    11/3. The second is for what is left after a quadratic in an 8 arcmin field of view has been removed: at
-    b = 11/3 within 5 % of its variance from 1000 m up and 10 % at 375 m, where a share of the wide beam
-    alone would not do. For b < 2 the beam's sharp edge makes the field rough on every scale: at b = 2/3 and
-    1000 m the structure function is 22 % low at 0.67 arcmin and within 3 % only from 4 arcmin up.
+    A fourteenth of the beam, 40 arcsec at most. The first keeps the structure function: within 3 % at 0.67
+    arcmin and above for b >= 2, 0.2 % for b = 11/3. The second is for what is left after a quadratic in an 8
+    arcmin field of view has been removed: at b = 11/3 within 5 % of its variance from 1000 m up and 10 % at
+    375 m, where a share of the wide beam alone would not do. For b < 2 the beam's sharp edge makes the field
+    rough on every scale: at b = 2/3 and 1000 m the structure function is 22 % low at 0.67 arcmin and within 3 %
+    only from 4 arcmin up. Detectors that are far apart do with an eighth of their separation, up to a quarter of
+    the beam.
     """
-    return min(screen.beam_rad / _STEPS_PER_BEAM, _STEP_MAX_RAD)
+    wide = closest_rad / _STEPS_PER_PAIR
+    step = max(screen.beam_rad / _STEPS_PER_BEAM, min(wide, screen.beam_rad / _FEWEST_STEPS_PER_BEAM))
+    return min(step, max(wide, _STEP_MAX_RAD))
 
 
 # ---------------------------------------------------------------- factors

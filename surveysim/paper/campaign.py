@@ -24,13 +24,15 @@ from surveysim.measurement import Measurement, MeasurementJob, camera_pairs
 from surveysim.scene import Scene
 from surveysim.setup import Setup, prepare
 
+KNOWN = 0.3  # largest relative error of a speed that is used
+
 
 @dataclass(frozen=True)
 class MeasuredSurvey:
     """All observations of one band, of scenes that share their camera.
 
     `setup` of the first scene; `scene_of` (n_obs,) each observation's scene; `fits` on `grid` with the measured
-    wind, or the median one where that is not to be trusted, None where an observation can't be fitted; `overlap`
+    wind, or the scene's median one where none is known, None where an observation can't be fitted; `overlap`
     (n_bin,) coherence of pixels of each separation.
     """
 
@@ -114,19 +116,19 @@ def measure_survey(scenes: list[Scene], workers: int, progress: Callable[[], Non
         TRACKS_RAD,
     )
     overlap = bins.mean(mutual_coherence(bins.separation_rad / setup.camera.f_lambda_rad))
-    usual = median_track(measurements)
+    wind, seconds = scenes[0].atmosphere.wind_median_rad_s, scenes[0].scan.duration_s
     fits = tuple(
-        fit_turbulence(item.profile, bins, grid, trusted_track(item, usual), item.elevation_rad, overlap)
+        fit_turbulence(item.profile, bins, grid, known_track(item, wind, seconds), item.elevation_rad, overlap)
         for item in measurements
     )
     return MeasuredSurvey(setup, tuple(names), tuple(measurements), bins, grid, overlap, fits)
 
 
-def median_track(measurements: list[Measurement]) -> float:
-    """Median over observations with a trusted wind of how far the layer moves during a scan [rad]."""
-    return float(np.median([item.track_rad.mean() for item in measurements if item.wind.flag == ""] or [np.nan]))
+def known_track(item: Measurement, usual_rad_s: float, scan_s: float) -> np.ndarray:
+    """How far the layer moves during each scan (n_scan,) [rad]: by the measured wind, or a usual one.
 
-
-def trusted_track(item: Measurement, usual_rad: float) -> np.ndarray:
-    """Tracks (n_scan,) [rad] by the measured wind, or the survey's usual one where that is not to be trusted."""
-    return item.track_rad if item.wind.flag == "" else np.full(len(item.track_rad), usual_rad)
+    B2 goes as the wind's power -5/3, so a speed known to 30 % is better than none, flagged or not.
+    """
+    if item.wind.speed_error_rad_s < KNOWN * item.wind.speed_rad_s:
+        return item.track_rad
+    return np.full(len(item.track_rad), usual_rad_s * scan_s)

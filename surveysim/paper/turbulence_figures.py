@@ -46,8 +46,8 @@ def correlation_figure(survey: MeasuredSurvey) -> PaperFigure:
     scene = survey.setup.scene
     caption = (
         f"{described(survey)}, of which two in better and in worse weather than the median fitted B2 of {median:.0f}"
-        f" mK^2 rad^(-5/3), with a chi^2 near the {TYPICAL_CENTILE:.0f}th centile of all fits as the paper chose its"
-        f" own: {'; '.join(texts)}; the layers drawn have b = {scene.atmosphere.index:.2f} at"
+        f" mK^2 rad^(-5/3), with a chi^2 closest to the {TYPICAL_CENTILE:.0f}th centile of all fits as the paper"
+        f" chose its own: {'; '.join(texts)}; the layers drawn have b = {scene.atmosphere.index:.2f} at"
         f" {scene.atmosphere.layer_height_m:g} m. As C falls by about a thousandth of itself over the array while"
         f" gains scatter by percents, the profile of ln C is solved for together with the gains; it is shown times"
         f" the level of C, with errors from leaving out one scan at a time, less the low-frequency noise that pixels"
@@ -59,9 +59,9 @@ def correlation_figure(survey: MeasuredSurvey) -> PaperFigure:
 
 
 def typical_observations(survey: MeasuredSurvey) -> tuple[int, int]:
-    """Indices of two observations, of chi^2 nearest the paper's centile, in better and in worse weather than the median.
+    """Indices of two observations of chi^2 nearest the paper's centile, in better and in worse than median weather.
 
-    Of the eighth that comes nearest the quartile of B2 on its side of the median, of the first scene's with a
+    Of the fourth that comes nearest the quartile of B2 on its side of the median, of the first scene's with a
     trusted wind and a fit; of all of those where there is none on that side. Raises ValueError without any.
     """
     smallest = np.array([np.nan if fit is None else fit.chi2[fit.best] for fit in survey.fits])
@@ -74,7 +74,7 @@ def typical_observations(survey: MeasuredSurvey) -> tuple[int, int]:
     chosen = []
     for quartile, on_side in ((low, log_b2[usable] < middle), (high, log_b2[usable] >= middle)):
         side = usable[on_side] if on_side.any() else usable
-        near = side[np.argsort(np.abs(log_b2[side] - quartile), kind="stable")][: max(1, len(side) // 8)]
+        near = side[np.argsort(np.abs(log_b2[side] - quartile), kind="stable")][: max(1, len(side) // 4)]
         chosen.append(int(near[np.argmin(np.abs(smallest[near] - target))]))
     return chosen[0], chosen[1]
 

@@ -40,7 +40,7 @@ SCREENS = [
 
 
 def survey_strip(screen, length_rad=SCAN_RAD):
-    return build_strip(screen, length_rad, HALF_WIDTH, strip_step(screen))
+    return build_strip(screen, length_rad, HALF_WIDTH, strip_step(screen, 0.0))
 
 
 def lattice_structure(strip):
@@ -211,7 +211,7 @@ def draw_streams(screen, n_scan, n_samp, rate_hz, offsets_rad, velocity, layer_v
     """Streams (n_scan, n_det, n_samp) of independent scans with the same geometry."""
     bounds = np.arange(n_scan)[:, None] * n_samp + [0, n_samp]
     data = np.zeros((len(offsets_rad), n_scan * n_samp))
-    strips = StripCache(screen, HALF_WIDTH, strip_step(screen))
+    strips = StripCache(screen, HALF_WIDTH, strip_step(screen, 0.0))
     add_atmosphere(
         data,
         bounds,
@@ -298,7 +298,7 @@ def test_detector_outside_the_strip():
 
 
 def test_draws_depend_on_the_generator_alone():
-    strip = build_strip(KOLMOGOROV, 30.0 * ARCMIN, HALF_WIDTH, strip_step(KOLMOGOROV))
+    strip = build_strip(KOLMOGOROV, 30.0 * ARCMIN, HALF_WIDTH, strip_step(KOLMOGOROV, 0.0))
     one, two = np.random.default_rng(8), np.random.default_rng(8)
     np.testing.assert_array_equal(draw_strip(strip, one), draw_strip(strip, two))
     two.standard_normal(2 * len(strip.columns) + 1, dtype=np.float32)
@@ -307,7 +307,7 @@ def test_draws_depend_on_the_generator_alone():
 
 
 def test_strips_come_in_powers_of_two():
-    strips = StripCache(KOLMOGOROV, HALF_WIDTH, strip_step(KOLMOGOROV))
+    strips = StripCache(KOLMOGOROV, HALF_WIDTH, strip_step(KOLMOGOROV, 0.0))
     assert strips.strip_for(300.0 * ARCMIN) is strips.strip_for(301.0 * ARCMIN)
     for length in np.array([0.0, 1.0, 30.0, 300.0]) * ARCMIN:
         assert strips.strip_for(length).length_rad >= length

@@ -77,16 +77,15 @@ def test_spline_in_the_track_is_the_quadrature(grid):
             )
 
 
-def realizations(layer, n_scan, seed, amplitude=1.0):
+def realizations(layer, n_scan, seed, amplitude=1.0, plane=focal_plane(), closest_rad=0.0):
     """Streams (n_det, n_scan N_SAMP) of independent scans of the moving layer, and their bounds."""
-    plane = focal_plane()
     offsets = np.broadcast_to(np.stack([plane.x_rad, plane.y_rad], axis=-1), (n_scan, 37, 2))
     angle = np.random.default_rng(seed).uniform(0, 2 * math.pi, n_scan)
     velocity = WIND * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     data = np.zeros((37, n_scan * N_SAMP), np.float32)
     bounds = N_SAMP * np.arange(n_scan)[:, None] + [0, N_SAMP]
     radius = float(np.hypot(plane.x_rad, plane.y_rad).max())
-    strips = StripCache(layer, radius, strip_step(layer))
+    strips = StripCache(layer, radius, strip_step(layer, closest_rad))
     add_atmosphere(
         data,
         bounds,
@@ -131,6 +130,27 @@ def test_theory_is_the_mean_of_realizations(index, height):
     error = fall.std(axis=0, ddof=1) / math.sqrt(len(fall))
     expected = theory[0] - theory[1:]
     np.testing.assert_array_less(np.abs(fall.mean(axis=0) - expected), 0.03 * expected + 2 * error)
+
+
+@pytest.mark.slow
+def test_wide_array_on_a_coarse_lattice():
+    """Detectors 16 arcmin apart, beams of 1.5 m: the coarser lattice that they get leaves C(theta) as it should be."""
+    x, y = hexagon(2, 16 * ARCMIN).T
+    plane, layer = FocalPlane(x, y, 1e-3), Screen(11 / 3, 1.5e-3)
+    bins = pair_bins(plane)
+    assert strip_step(layer, 16 * ARCMIN) > 3 * strip_step(layer, 0.0)
+    theory = scan_correlation(layer, bins.theta_rad, TRACK)
+    means = []
+    for block in range(20):
+        data, bounds = realizations(layer, 200, 7 + 2 * block, plane=plane, closest_rad=16 * ARCMIN)
+        covariance = scan_covariances(data, bounds).mean(axis=0)
+        means.append(bins.mean(covariance[bins.first, bins.second]))
+    means = np.array(means)
+    fall = means[:, :1] - means[:, 1:]
+    error = fall.std(axis=0, ddof=1) / math.sqrt(len(fall))
+    np.testing.assert_array_less(
+        np.abs(fall.mean(axis=0) - theory[0] + theory[1:]), 0.03 * (theory[0] - theory[1:]) + 2 * error
+    )
 
 
 def exact_profile(bins, theory, n_scan=18):
