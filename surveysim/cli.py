@@ -142,6 +142,11 @@ def paper(
     except WorkerLostError:
         typer.echo("a worker process is gone, perhaps killed for want of memory", err=True)
         raise typer.Exit(EXIT_FAILED) from None
+    except (ValueError, ArithmeticError) as error:
+        if isinstance(error, SceneError):
+            raise
+        typer.echo(" ".join(str(error).split()), err=True)
+        raise typer.Exit(EXIT_FAILED) from None
     if not quiet:
         from surveysim.report.text import print_paper
 

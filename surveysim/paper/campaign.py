@@ -89,6 +89,11 @@ class MeasuredSurvey:
         """Which measured winds are to be trusted, (n_obs,) bool."""
         return np.array([item.wind.flag == "" for item in self.measurements])
 
+    @cached_property
+    def wind_known(self) -> np.ndarray:
+        """Which observations are fitted with their own wind, (n_obs,) bool."""
+        return np.array([knows_wind(item) for item in self.measurements])
+
 
 def measure_survey(scenes: list[Scene], workers: int, progress: Callable[[], None] = lambda: None) -> MeasuredSurvey:
     """Simulate, measure and fit every observation of scenes that share a camera; `progress` is called after each.
@@ -124,11 +129,16 @@ def measure_survey(scenes: list[Scene], workers: int, progress: Callable[[], Non
     return MeasuredSurvey(setup, tuple(names), tuple(measurements), bins, grid, overlap, fits)
 
 
+def knows_wind(item: Measurement) -> bool:
+    """Whether an observation's wind speed is known well enough to say how far the layer moves."""
+    return item.wind.speed_error_rad_s < KNOWN * item.wind.speed_rad_s
+
+
 def known_track(item: Measurement, usual_rad_s: float, scan_s: float) -> np.ndarray:
     """How far the layer moves during each scan (n_scan,) [rad]: by the measured wind, or a usual one.
 
     B2 goes as the wind's power -5/3, so a speed known to 30 % is better than none, flagged or not.
     """
-    if item.wind.speed_error_rad_s < KNOWN * item.wind.speed_rad_s:
+    if knows_wind(item):
         return item.track_rad
     return np.full(len(item.track_rad), usual_rad_s * scan_s)

@@ -30,7 +30,7 @@ def b2_distribution_figure(surveys: Sequence[MeasuredSurvey]) -> PaperFigure:
         )
     caption = (
         f"{'; '.join(texts)} mK^2 rad^(-5/3). B2 is fitted to the level of the correlation between detectors at b ="
-        f" 11/3 and the scene's layer height, with the measured wind where that is to be trusted. Points: the paper's"
+        f" 11/3 and the scene's layer height, with the measured wind where that is known. Points: the paper's"
         f" quartiles (Table 1), with its {published()['calibration_uncertainty'] * 100:g} % uncertainty of"
         f" calibration."
     )

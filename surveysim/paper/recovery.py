@@ -131,12 +131,5 @@ def _index_rows(survey: MeasuredSurvey) -> list[tuple]:
         _entry("index b, standard deviation", "", paper["std"], index, np.std),
         _entry("index b at the scene's height, mean", "", np.nan, fixed, np.mean),
         _entry("index b at the scene's height, standard deviation", "", np.nan, fixed, np.std),
-        (
-            "largest share of one of nine heights",
-            "",
-            np.nan,
-            counts.max(),
-            np.sqrt(counts.max() / len(fits)),
-            len(fits),
-        ),
+        ("largest share of one of nine heights", "", np.nan, most, error, len(fits)),
     ]

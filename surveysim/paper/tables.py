@@ -101,7 +101,5 @@ def raw_atmosphere_table(survey: MeasuredSurvey) -> "Table":
     table = Table(rows=rows, names=["bin", "observations", *names])
     for name in names:
         table[name].unit = "mK2 rad(-5/3)" if name.startswith("b2") else "mK2"
-    table.meta["title"] = (
-        "143 GHz, f <= 1 Hz: medians in quarters of B2 (its rows of correlated noise are not made)"
-    )
+    table.meta["title"] = "143 GHz, f <= 1 Hz: medians in quarters of B2 (its rows of correlated noise are not made)"
     return table

@@ -7,7 +7,7 @@ import numpy as np
 from mapmaker.correlations import PairBins, Profile, scan_covariances
 from surveysim.atmosphere.fit import KOLMOGOROV, fitted_profile
 from surveysim.observation import draw_observation
-from surveysim.paper.campaign import MeasuredSurvey
+from surveysim.paper.campaign import KNOWN, MeasuredSurvey
 from surveysim.paper.figure import Panel, PaperFigure, Series
 from surveysim.paper.published import published
 from surveysim.paper.statistics import described, without_fit
@@ -162,10 +162,10 @@ def index_height_figure(survey: MeasuredSurvey) -> PaperFigure:
     air, paper = survey.setup.scene.atmosphere, published()["fitted_index"]
     caption = (
         f"{described(survey)}, {without_fit(survey)}. Every observation is fitted on the paper's grid of indices and"
-        f" heights with its measured wind, or with the survey's median one where that is not to be trusted"
-        f" ({int((~survey.wind_good).sum())} observations). All layers are drawn with b = {air.index:.2f} at"
-        f" {air.layer_height_m:g} m; the paper fits {paper['observations']} observations. Heights differ from a"
-        f" uniform distribution by chi^2 = {chi2:.1f} for {len(counts) - 1} degrees of freedom: as in the paper, a"
+        f" heights with its measured wind, or with the scene's median one where that is not known to"
+        f" {100 * KNOWN:.0f} % ({int((~survey.wind_known).sum())} observations). All layers are drawn with"
+        f" b = {air.index:.2f} at {air.layer_height_m:g} m; the paper fits {paper['observations']} observations. Heights"
+        f" differ from a uniform distribution by chi^2 = {chi2:.1f} for {len(counts) - 1} degrees of freedom: as in the paper, a"
         f" single observation hardly tells the height."
     )
     return PaperFigure(

@@ -1,0 +1,108 @@
+"""The paper command on small scenes: which observations are made, which files come out, what they hold."""
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from PIL import Image
+
+from surveysim.reproduce import FIGURES, TABLES, reproduce, wanted
+from surveysim.scene import SceneError
+from tests.scenes import SMALL_SCENE, without_sections
+
+# Streams that are nearly all atmosphere, so that four short scans tell its wind.
+SCENE = (
+    without_sections(SMALL_SCENE, "excess", "sky", "score")
+    .replace("[100, 280, 980]", "[30000, 60000, 90000]")
+    .replace('beam_fwhm = "60 arcsec"', 'beam_fwhm = "60 arcsec"\nbandwidth = 0.15')
+    .replace("[atmosphere]", '[atmosphere]\nsite = "mauna_kea"')
+    .replace("observations = 4", "observations = 8")
+    .replace('duration = "6 s"', 'duration = "12 s"')
+    .replace("scans = 4", "scans = 8")
+)
+
+
+@pytest.fixture(scope="module")
+def scenarios(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("scenarios")
+    for number, name in enumerate(("lynx", "sds1", "cosmos", "acbar_south_pole")):
+        text = SCENE.replace("seed = 11", f"seed = {11 + number}")
+        (folder / f"{name}.toml").write_text(text.replace("143 GHz", "268 GHz") if name == "cosmos" else text)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(scenarios, tmp_path_factory):
+    out = tmp_path_factory.mktemp("paper")
+    counted = []
+    written = reproduce(wanted(TABLES, FIGURES, scenarios, None), out, 1, lambda: counted.append(1))
+    return out, written, len(counted)
+
+
+def read(path):
+    return Table.read(path, format="ascii.ecsv")
+
+
+def test_everything_is_there_and_nothing_else(made):
+    out, written, _ = made
+    bands = ("143", "268", "151", "282")
+    names = {f"{kind}_{band}.ecsv" for kind in ("measurements", "recovered") for band in bands}
+    names |= {"table1.ecsv", "table1_sites.ecsv", "table2.ecsv"}
+    names |= {f"figure{number:02d}.{kind}" for number in FIGURES for kind in ("png", "ecsv")}
+    assert {path.name for path in written} == names == {path.name for path in out.iterdir()}
+
+
+def test_each_observation_is_made_once(made):
+    assert made[2] == 5 * 8
+
+
+def test_pictures_and_their_points(made):
+    for number in FIGURES:
+        table = read(made[0] / f"figure{number:02d}.ecsv")
+        assert table.colnames == ["panel", "series", "kind", "x", "y", "low", "high"] and len(table) > 5
+        assert table.meta["figure"] == number and len(table.meta["caption"]) > 80
+        with Image.open(made[0] / f"figure{number:02d}.png") as image:
+            assert image.format == "PNG" and min(image.size) > 500
+
+
+def test_tables_have_the_paper_s_value_ours_and_our_error(made):
+    table = read(made[0] / "table1.ecsv")
+    assert table.colnames == ["instrument", "band", "quartile", "paper", "ours", "error", "drawn"] and len(table) == 18
+    assert list(table["paper"][:3]) == [100, 280, 980]
+    ours, error = np.array(table["ours"]), np.array(table["error"])
+    assert (ours > 0).all() and (error > 0).all()
+    # Bolocam over ACBAR, and the errors of both.
+    assert ours[12] == pytest.approx(ours[0] / ours[6])
+    assert error[12] / ours[12] == pytest.approx(np.hypot(error[0] / ours[0], error[6] / ours[6]))
+    raw = read(made[0] / "table2.ecsv")
+    assert list(raw["observations"]) == [4, 4, 4, 4, 16] and list(raw["raw_paper"]) == [77, 131, 310, 1060, 240]
+    sites = read(made[0] / "table1_sites.ecsv")
+    assert list(sites["paper"]) == [16, 12, 21, 3.5, 0.3]
+
+
+def test_measurements_stand_beside_the_truth(made):
+    table = read(made[0] / "measurements_143.ecsv")
+    assert list(table["scene"]) == ["lynx"] * 8 + ["sds1"] * 8 and list(table["observation"]) == 2 * list(range(8))
+    drawn, measured = np.array(table["drawn_b2"]), np.array(table["measured_b2"])
+    assert 0.2 < np.median(measured / drawn) < 3
+    assert not set(np.round(drawn[:8], 3)) & set(np.round(drawn[8:], 3))  # each scene has its own weather
+    assert table["drawn_wind_arcmin_s"].unit == "arcmin / s" and table["raw_below_1_hz_mk2"].unit == "mK2"
+    recovered = read(made[0] / "recovered_143.ecsv")
+    rows = {row["quantity"]: row for row in recovered}
+    assert rows["B2 over the drawn one, median"]["ours"] == pytest.approx(np.median(measured / drawn))
+    assert rows["median wind, drawn"]["paper"] == 31
+
+
+def test_same_bits_whatever_the_workers(scenarios, made, tmp_path):
+    written = reproduce(wanted((2,), (), scenarios, None), tmp_path, 2)
+    for path in written:
+        assert path.read_bytes() == (made[0] / path.name).read_bytes()
+
+
+def test_only_what_is_needed_is_made(scenarios, tmp_path):
+    asked = wanted((), (1, 2), scenarios, None)
+    assert asked.observations == 0 and asked.items == ["figure 1", "figure 2"]
+    assert wanted((1,), (), scenarios, 3).observations == 5 * 3
+    assert list(wanted((), (6, 9), scenarios, None).scenes) == ["143"]
+    (tmp_path / "lynx.toml").write_text(SCENE)
+    with pytest.raises(SceneError, match="sds1.toml: can't be read"):
+        wanted((2,), (), tmp_path, None)
