@@ -164,8 +164,9 @@ def index_height_figure(survey: MeasuredSurvey) -> PaperFigure:
         f"{described(survey)}, {without_fit(survey)}. Every observation is fitted on the paper's grid of indices and"
         f" heights with its measured wind, or with the scene's median one where that is not known to"
         f" {100 * KNOWN:.0f} % ({int((~survey.wind_known).sum())} observations). All layers are drawn with"
-        f" b = {air.index:.2f} at {air.layer_height_m:g} m; the paper fits {paper['observations']} observations. Heights"
-        f" differ from a uniform distribution by chi^2 = {chi2:.1f} for {len(counts) - 1} degrees of freedom: as in the paper, a"
+        f" b = {air.index:.2f} at {air.layer_height_m:g} m; the paper fits {paper['observations']} observations."
+        f" Heights differ from a uniform distribution by chi^2 = {chi2:.1f} for {len(counts) - 1} degrees of freedom:"
+        f" as in the paper, a"
         f" single observation hardly tells the height."
     )
     return PaperFigure(
