@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import fft, fft2, fftfreq, ifft2, next_fast_len, rfft
+from scipy.fft import fft, fft2, fftfreq, ifft2, next_fast_len, rfft, rfft2
 
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry
@@ -43,6 +43,17 @@ class Band:
         """A patch (..., n, n) with zeros up to the grid of the rings."""
         extra = len(self.mode_weight) - self.taper.shape[0]
         return np.pad(patch, [(0, 0)] * (patch.ndim - 2) + [(0, extra)] * 2)
+
+    def ring_noise(self, total: np.ndarray, hits: np.ndarray) -> np.ndarray:
+        """Noise variance a sample in each bin of multipole (n_bin,) of a patch of sums and hits; inf without a hit."""
+        norm = float(np.sum(self.taper**2 * hits))
+        if norm == 0:
+            return np.full(len(self.rings.ell), np.inf)
+        modes = rfft2(self.pad(self.taper * total)).ravel()
+        power = (modes.real**2 + modes.imag**2) * self.rings.multiplicity
+        n_bin = len(self.rings.ell)
+        cells = np.bincount(self.rings.bin_of_mode, self.rings.multiplicity, n_bin + 1)[:n_bin]
+        return np.bincount(self.rings.bin_of_mode, power, n_bin + 1)[:n_bin] / cells / norm
 
     def noise(self, total: np.ndarray, hits: np.ndarray) -> float:
         """Noise variance a sample of a patch of sums and hits, both (n, n); inf without a hit."""

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from mapmaker.cleaning import N_TEMPLATES
 from mapmaker.geometry import MapGeometry
 from surveysim.instrument import Camera
 from surveysim.noise import highest_frequency
+from surveysim.recipes import needed_detectors
 from surveysim.scan import Raster, samples_per_scan
 from surveysim.scene import Scene, SceneError
 
@@ -19,12 +19,13 @@ MAX_SURVEY_SCANS = 1e8
 
 def check_templates(scene: Scene, cam: Camera) -> None:
     """Raise SceneError when the templates have no atmosphere to follow, or too few detectors."""
-    if scene.atmosphere is None and scene.cleaning.algorithm != "none":
-        # The iteration calibrates detectors on their common signal; without one it discards every scan.
-        raise SceneError(
-            f"cleaning.algorithm: found {scene.cleaning.algorithm!r} without [atmosphere]; 'none' is expected"
-        )
-    _check_count(scene, len(cam.focal_plane.x_rad), "cleaning.algorithm")
+    section = scene.cleaning
+    for key, steps in (("algorithm", section.algorithm), *(("compare", steps) for steps in section.compare)):
+        if scene.atmosphere is None and steps != ("none",):
+            # The iteration calibrates detectors on their common signal; without one it discards every scan.
+            found = repr(steps[0]) if len(steps) == 1 else list(steps)
+            raise SceneError(f"cleaning.{key}: found {found} without [atmosphere]; 'none' is expected")
+        _check_count(scene, steps, len(cam.focal_plane.x_rad), f"cleaning.{key}")
 
 
 def check_size(scene: Scene, cam: Camera) -> None:
@@ -63,13 +64,14 @@ def check_excess(scene: Scene) -> None:
 
 def check_masked(scene: Scene, masked: np.ndarray) -> None:
     """Raise SceneError when the mask leaves too few detectors for the templates."""
-    _check_count(scene, len(masked), "score.mask_separation_f_lambda")
+    _check_count(scene, scene.cleaning.algorithm, len(masked), "score.mask_separation_f_lambda")
 
 
-def _check_count(scene: Scene, n_det: int, key: str) -> None:
-    needed = N_TEMPLATES[scene.cleaning.algorithm] + 1
-    if n_det < needed:
-        raise SceneError(f"{key}: found {n_det} detectors; {scene.cleaning.algorithm!r} needs {needed} or more")
+def _check_count(scene: Scene, steps: tuple[str, ...], n_det: int, key: str) -> None:
+    for name in steps:
+        needed = needed_detectors(scene.cleaning, name)
+        if n_det < needed:
+            raise SceneError(f"{key}: found {n_det} detectors; {name!r} needs {needed} or more")
 
 
 def check_score(scene: Scene, geometry: MapGeometry, lines: Raster) -> None:

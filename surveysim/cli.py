@@ -119,6 +119,7 @@ def paper(
     scenarios: Annotated[Path, typer.Option(help="folder of the scenes")] = Path("scenarios"),
     observations: Annotated[int | None, typer.Option(help="at most so many a scene, for a quick look")] = None,
     workers: Workers = None,
+    settings: Overrides = None,
     quiet: Quiet = False,
 ) -> None:
     """Make the paper's tables and figures from simulated observations, beside the paper's values."""
@@ -133,12 +134,12 @@ def paper(
         _fail("nothing asked for: --table, --figure or --all is expected")
     if observations is not None and observations < 1:
         _fail(f"--observations: found {observations}; 1 or more is expected")
-    asked = wanted(tables, figures, scenarios, observations)
+    asked = wanted(tables, figures, scenarios, observations, dict(_setting(item) for item in settings or ()))
     out.mkdir(parents=True, exist_ok=True)
     done = count(1)
     try:
         with progress_display("paper", asked.observations, quiet) as show:
-            written = reproduce(asked, out, workers, _stopping(lambda: show(next(done), lambda: "")))
+            written, failed = reproduce(asked, out, workers, _stopping(lambda: show(next(done), lambda: "")))
     except WorkerLostError:
         typer.echo("a worker process is gone, perhaps killed for want of memory", err=True)
         raise typer.Exit(EXIT_FAILED) from None
@@ -151,6 +152,10 @@ def paper(
         from surveysim.report.text import print_paper
 
         print_paper(written)
+    for line in failed:
+        typer.echo(line, err=True)
+    if failed:
+        raise typer.Exit(EXIT_FAILED)
 
 
 def _numbers(option: str, given: list[int] | None, there: tuple[int, ...], everything: bool) -> list[int]:

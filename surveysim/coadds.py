@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from surveysim.choice import TARGETS
 from surveysim.kernels.sums import add_signed
-from surveysim.observation import ObservationResult
+from surveysim.reduction import ObservationResult
 from surveysim.setup import Setup
 from surveysim.streams import Stage, generator
 
@@ -29,9 +30,9 @@ class CoAdds:
     """Sums over the first `done` observations.
 
     `sums`, `weight`, `hits` (n_set, n_y, n_x): sum of w S, w H and H; `flipped` (K, n_set, n, n): sums
-    with random signs on the scored patch; `window` (n_sky, n_array, 2, n, n) and `window_weight`
-    (n_array, n, n) on the patch; `rows` one tuple an observation (`ROW_FIELDS`, then per array discarded
-    scans and iterations, then per data set the noise); `raw_psd`, `clean_psd` (n_obs, n_freq).
+    with random signs on the scored patch; `window` (n_sky, n_window, 2, n, n) and `window_weight`
+    (n_window, n, n) on the patch; `rows` one tuple an observation (`row_names`); `raw_psd`, `clean_psd`
+    (n_obs, n_freq).
     """
 
     sums: np.ndarray
@@ -67,25 +68,20 @@ class CoAdds:
 
 def empty_coadds(setup: Setup) -> CoAdds:
     """Sums over no observation."""
-    n_set, n_array = len(setup.data_sets), n_arrays(setup)
+    n_set, n_window = len(setup.data_sets), len(setup.windows)
     shape = (setup.geometry.n_y, setup.geometry.n_x)
     n_flip = n_sky = n = 0
     if setup.scene.score:
-        n_flip, n_sky = setup.scene.score.jackknives, setup.scene.score.window.skies
+        n_flip, n_sky = setup.scene.score.jackknives, len(setup.window_skies_mk)
         n = len(setup.band.taper)
     return CoAdds(
         sums=np.zeros((n_set, *shape)),
         weight=np.zeros((n_set, *shape)),
         hits=np.zeros((n_set, *shape), np.int64),
         flipped=np.zeros((n_flip, n_set, n, n)),
-        window=np.zeros((n_sky, n_array, 2, n, n)),
-        window_weight=np.zeros((n_array, n, n)),
+        window=np.zeros((n_sky, n_window, 2, n, n)),
+        window_weight=np.zeros((n_window, n, n)),
     )
-
-
-def n_arrays(setup: Setup) -> int:
-    """1, or 2 with a masked array."""
-    return 1 if setup.masked is None else 2
 
 
 def signs(setup: Setup, observation: int) -> np.ndarray:
@@ -124,9 +120,10 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
 
 def _add_window(setup: Setup, coadds: CoAdds, result: ObservationResult, weights: np.ndarray) -> None:
     patch = setup.band.patch
-    for array, data_set in enumerate((0, -1)[: n_arrays(setup)]):
-        coadds.window[:, array] += weights[data_set] * result.window[:, array, :, patch, patch]
-        coadds.window_weight[array] += weights[data_set] * result.hits[data_set][patch, patch]
+    for place, name in enumerate(setup.windows):
+        data_set = setup.data_sets.index(name)
+        coadds.window[:, place] += weights[data_set] * result.window[:, place, :, patch, patch]
+        coadds.window_weight[place] += weights[data_set] * result.hits[data_set][patch, patch]
 
 
 def _row(result: ObservationResult) -> tuple[float, ...]:
@@ -135,4 +132,14 @@ def _row(result: ObservationResult) -> tuple[float, ...]:
     if weather is not None:
         drawn = (weather.b2, weather.wind_speed_rad_s, weather.wind_angle_rad, weather.pwv_mm)
     conditions = (result.observation, *drawn, result.elevation_rad, result.white_mk2_hz)
-    return (*conditions, *result.discarded, *result.iterations, *result.noise_mk2)
+    cleaning = (*result.discarded, *result.iterations, *result.removed, *result.best)
+    return (*conditions, *cleaning, *result.noise_mk2)
+
+
+def row_names(setup: Setup) -> list[str]:
+    """What the values of a row of `CoAdds.rows` are."""
+    of_recipes = [
+        f"{what}_{recipe.data_set}" for what in ("discarded", "iterations", "removed") for recipe in setup.recipes
+    ]
+    best = [f"best_{target}" for target in TARGETS]
+    return [*ROW_FIELDS, *of_recipes, *best, *(f"noise_mk2_{name}" for name in setup.data_sets)]

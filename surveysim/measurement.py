@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from mapmaker.binning import bin_map
-from mapmaker.cleaning import clean
+from mapmaker.cleaning import TemplateOptions, clean
 from mapmaker.correlations import PairBins, Profile, correlation_profile, pair_bins, scan_covariances
 from mapmaker.geometry import MapGeometry, boresight_pixels
 from mapmaker.spectrum import mode_ell, mode_psd, tukey_taper
@@ -25,6 +25,7 @@ from surveysim.weather import Weather
 
 # Multipoles, of the highest that the map's pixels hold along an axis, where no atmosphere is left in a map.
 WHITE_FROM = 0.6
+UNHIT_MAX = 0.01  # share of a map that may be unhit for a variance to be had
 LOW_FREQUENCY_HZ = 1.0  # the paper's Table 2
 WHITE_ABOVE_HZ = 2.5  # section 5.1
 
@@ -111,13 +112,18 @@ def map_variances(setup: Setup, streams: Timestreams, pointing: Pointing) -> tup
     """Variance of the map of one observation after average cleaning, and its white part [mK^2] (section 3.5).
 
     Over the middle of the map, under a cosine taper; the white part is the level of the highest multipoles.
+    NaN for a map with gaps.
     """
     geometry, plane, bounds = setup.geometry, streams.focal_plane, streams.scan_bounds
-    cleaned = clean("average", streams.data_mk, bounds, plane, setup.cleaning)
+    section = setup.scene.cleaning
+    options = TemplateOptions(section.tolerance, section.max_iterations)
+    cleaned = clean("average", streams.data_mk, bounds, plane, options)
     index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad, plane)
     item = bin_map(geometry, cleaned.data_mk, index, bounds, cleaned.kept)
     signal = np.divide(item.weighted_sum, item.hits, out=np.zeros(item.hits.shape), where=item.hits > 0)
     taper, high, share = _map_modes(geometry, setup.scene.scan.step_rad * (setup.raster.n_scans - 1))
+    if np.sum(taper**2 * (item.hits == 0)) > UNHIT_MAX * np.sum(taper**2):
+        return np.nan, np.nan  # gaps would count as quiet sky
     psd = mode_psd(signal, taper, geometry.pixel_rad) / geometry.pixel_rad**2
     return float(np.sum(psd * share)), float(np.mean(psd[high]))
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from mapmaker.binning import BinnedMap, write_fits, write_healpix
 from mapmaker.files import whole_file
-from surveysim.coadds import ROW_FIELDS
+from surveysim.choice import TARGETS
+from surveysim.coadds import row_names
 from surveysim.results import SurveyResult, score_rows, summary
 from surveysim.scan import samples_per_scan
 from surveysim.scene import resolved, scene_hash
@@ -154,11 +155,7 @@ def _observation_table(result: SurveyResult) -> "Table":
     from astropy.table import Table
 
     setup = result.setup
-    arrays = ["whole"] if setup.masked is None else ["whole", "masked"]
-    names = list(ROW_FIELDS)
-    names += [f"discarded_{name}" for name in arrays] + [f"iterations_{name}" for name in arrays]
-    names += [f"noise_mk2_{name}" for name in setup.data_sets]
-    table = Table(np.array(result.coadds.rows), names=names)
+    table = Table(np.array(result.coadds.rows), names=row_names(setup))
     table["start_mjd"] = setup.angles.start_mjd[: result.coadds.done]
     table["start_mjd"].unit = "d"
     units = {"wind_speed_rad_s": "rad / s", "wind_angle_rad": "rad", "pwv_mm": "mm"}
@@ -166,6 +163,9 @@ def _observation_table(result: SurveyResult) -> "Table":
     for name, unit in units.items() | {(f"noise_mk2_{name}", "mK2") for name in setup.data_sets}:
         table[name].unit = unit
     table["observation"] = table["observation"].astype(int)
+    for target in TARGETS:
+        labels = np.array([recipe.label for recipe in setup.whole_recipes])
+        table[f"best_{target}"] = labels[np.asarray(table[f"best_{target}"], int)]
     if np.isnan(table["pwv_mm"]).all():  # the scene has its own distribution of B2
         table.remove_column("pwv_mm")
     return table

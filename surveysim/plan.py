@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from time import perf_counter
 
 from surveysim.coadds import CoAdds, empty_coadds
-from surveysim.observation import observe
+from surveysim.reduction import observe
 from surveysim.results import stages_left_out
 from surveysim.scan import samples_per_scan
 from surveysim.setup import Setup, window_observations
@@ -75,7 +75,7 @@ def _stages(setup: Setup, n_window: int) -> dict[str, str]:
     for name in ("atmosphere", "excess", "photon", "detector", "sky"):
         if getattr(scene, name) is not None:
             stages[name] = "streams"
-    stages["cleaning"] = scene.cleaning.algorithm
+    stages["cleaning"] = ", ".join(recipe.label for recipe in setup.whole_recipes)
     stages["maps"] = f"{setup.geometry.n_x} x {setup.geometry.n_y} pixels"
     if scene.score:
         stages["data sets"] = ", ".join(setup.data_sets)

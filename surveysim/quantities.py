@@ -83,12 +83,14 @@ def _file(value: object) -> object:
     return value
 
 
-def _algorithm(value: object) -> object:
+def _steps(value: object) -> object:
     from mapmaker.cleaning import CLEANERS
 
-    if not isinstance(value, str) or value not in CLEANERS:
-        raise ValueError(f"found {shown(value)}; one of {', '.join(map(repr, CLEANERS))} is expected")
-    return value
+    steps = value if isinstance(value, list | tuple) else [value]
+    for name in steps or [value]:
+        if not isinstance(name, str) or name not in CLEANERS:
+            raise ValueError(f"found {shown(name)}; one of {', '.join(map(repr, CLEANERS))} is expected")
+    return tuple(steps)
 
 
 def _site(value: object) -> object:
@@ -131,4 +133,4 @@ Index = Annotated[float, BeforeValidator(_fraction), Field(gt=0, allow_inf_nan=F
 Variances = Annotated[tuple[float, ...], BeforeValidator(lambda value: to_floats(value, "mK2"))]
 Waters = Annotated[tuple[float, ...], BeforeValidator(lambda value: to_floats(value, "mm"))]
 Coherence = Literal["field", "intensity", "none"]
-Algorithm = Annotated[str, BeforeValidator(_algorithm)]
+Steps = Annotated[tuple[str, ...], BeforeValidator(_steps)]

@@ -1,13 +1,15 @@
 """The paper's tables and figures made again: which observations each needs, and its files."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mapmaker.files import whole_file
+from surveysim.atmosphere.fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV
 from surveysim.paper.campaign import MeasuredSurvey, measure_survey
-from surveysim.scene import Scene, load_scene
+from surveysim.scene import Scene, SceneError, load_scene
 from surveysim.setup import prepare
 
 if TYPE_CHECKING:
@@ -24,7 +26,12 @@ SCENES: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "151": (("acbar_south_pole",), {}),
     "282": (
         ("acbar_south_pole",),
-        {"name": "acbar_south_pole_282", "instrument.frequency": "282 GHz", "instrument.bandwidth": 0.18},
+        {
+            "name": "acbar_south_pole_282",
+            "seed": 20020602,
+            "instrument.frequency": "282 GHz",
+            "instrument.bandwidth": 0.18,
+        },
     ),
 }
 _NEEDS = {
@@ -44,12 +51,12 @@ _NEEDS = {
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is asked for: numbers of tables and figures, and the scenes of every band that they need."""
+    """What is asked for: numbers of tables and figures, the scenes of every band that they need, that of figure 2."""
 
     tables: tuple[int, ...]
     figures: tuple[int, ...]
     scenes: dict[str, list[Scene]]
-    model: Scene
+    model: Scene | None
 
     @property
     def items(self) -> list[str]:
@@ -62,43 +69,80 @@ class Wanted:
         return sum(scene.observations for scenes in self.scenes.values() for scene in scenes)
 
 
-def wanted(tables: Sequence[int], figures: Sequence[int], scenarios: Path, observations: int | None) -> Wanted:
-    """Load the scenes that these items need from a folder; `observations` is the most that each scene is to make.
+def wanted(
+    tables: Sequence[int],
+    figures: Sequence[int],
+    scenarios: Path,
+    observations: int | None,
+    overrides: Mapping[str, Any] | None = None,
+) -> Wanted:
+    """Load and check the scenes that these items need, from a folder.
 
-    Raises SceneError for a scene that can't be read.
+    `observations` is the most that each scene is to make; `overrides` replace keys of all scenes. Raises SceneError
+    for a scene that can't be run or measured, and for scenes of one band that do not share what is measured with.
     """
     names = [f"table {number}" for number in tables] + [f"figure {number}" for number in figures]
-    bands = [band for band in SCENES if any(band in _NEEDS[name] for name in names)]
-    scenes = {
-        band: [_scene(scenarios, name, SCENES[band][1], observations) for name in SCENES[band][0]] for band in bands
-    }
-    return Wanted(tuple(tables), tuple(figures), scenes, _scene(scenarios, "lynx", {}, observations))
+    scenes: dict[str, list[Scene]] = {}
+    for band in (band for band in SCENES if any(band in _NEEDS[name] for name in names)):
+        files, changes = SCENES[band]
+        paths = [scenarios / f"{name}.toml" for name in files]
+        scenes[band] = [_scene(path, changes | dict(overrides or {}), observations) for path in paths]
+        for path, scene in zip(paths, scenes[band], strict=True):
+            _check(path, scene, scenes[band][0])
+    model = _scene(scenarios / "lynx.toml", dict(overrides or {}), observations) if 2 in figures else None
+    return Wanted(tuple(tables), tuple(figures), scenes, model)
 
 
-def _scene(scenarios: Path, name: str, changes: dict[str, Any], observations: int | None) -> Scene:
-    scene = load_scene(scenarios / f"{name}.toml", changes)
+def _scene(path: Path, changes: dict[str, Any], observations: int | None) -> Scene:
+    scene = load_scene(path, changes)
     if observations is None or observations >= scene.observations:
         return scene
     return scene.model_copy(update={"observations": observations})
 
 
-def reproduce(asked: Wanted, out: Path, workers: int, progress: Callable[[], None] = lambda: None) -> list[Path]:
-    """Make what is asked for below `out`, each as soon as its observations are measured; returns the files.
+def _check(path: Path, scene: Scene, first: Scene) -> None:
+    """Raise SceneError unless a scene can be run and measured together with the first one of its band."""
+    try:
+        prepare(scene.model_copy(update={"score": None}))
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from None
+    if scene.atmosphere is None:
+        raise SceneError(f"{path}: atmosphere: missing; it is what is measured")
+    index, height = scene.atmosphere.index, scene.atmosphere.layer_height_m
+    if abs(index - INDEX_GRID[KOLMOGOROV]) > 1e-9 or height not in HEIGHT_GRID_M:
+        raise SceneError(
+            f"{path}: atmosphere: found index {index:.4g} and layer_height {height:g} m; B2 is fitted at"
+            f" 11/3 and one of {', '.join(f'{height:g}' for height in HEIGHT_GRID_M)} m"
+        )
+    for name in ("instrument", "atmosphere", "scan"):
+        if getattr(scene, name) != getattr(first, name):
+            raise SceneError(f"{path}: {name}: not that of {first.name!r}; scenes of one band are measured together")
 
-    `progress` is called after each observation. Raises SceneError for scenes that can't be run and what
-    observations raise.
+
+def reproduce(
+    asked: Wanted, out: Path, workers: int, progress: Callable[[], None] = lambda: None
+) -> tuple[list[Path], list[str]]:
+    """Make what is asked for below `out`, each as soon as its observations are measured.
+
+    Returns the files, and for each item that can't be made of these observations a line that says why. `progress` is
+    called after each observation.
     """
     surveys: dict[str, MeasuredSurvey] = {}
-    left, written = asked.items, []
+    left, written, failed = asked.items, [], []
     for band in (None, *asked.scenes):
+        makers = []
         if band is not None:
             surveys[band] = measure_survey(asked.scenes[band], workers, progress)
-            written += _write_measurements(out, band, surveys[band])
+            makers.append((f"{band} GHz", partial(_write_measurements, out, band, surveys[band])))
         ready = [name for name in left if set(_NEEDS[name]) <= set(surveys)]
         left = [name for name in left if name not in ready]
-        for name in ready:
-            written += _write(name, out, surveys, asked.model)
-    return written
+        makers += [(name, partial(_write, name, out, surveys, asked.model)) for name in ready]
+        for name, make in makers:
+            try:
+                written += make()
+            except ValueError as error:  # too few observations for a median, a fit or an example
+                failed.append(f"{name}: {' '.join(str(error).split())}")
+    return written, failed
 
 
 def _write_measurements(out: Path, band: str, survey: MeasuredSurvey) -> list[Path]:
@@ -110,7 +154,7 @@ def _write_measurements(out: Path, band: str, survey: MeasuredSurvey) -> list[Pa
     ]
 
 
-def _write(name: str, out: Path, surveys: dict[str, MeasuredSurvey], model: Scene) -> list[Path]:
+def _write(name: str, out: Path, surveys: dict[str, MeasuredSurvey], model: Scene | None) -> list[Path]:
     if name == "table 1":
         from surveysim.paper.tables import amplitude_table, site_table
 
@@ -125,7 +169,7 @@ def _write(name: str, out: Path, surveys: dict[str, MeasuredSurvey], model: Scen
     return _write_figure(out, _figure(int(name.split()[1]), surveys, model))
 
 
-def _figure(number: int, surveys: dict[str, MeasuredSurvey], model: Scene) -> "PaperFigure":
+def _figure(number: int, surveys: dict[str, MeasuredSurvey], model: Scene | None) -> "PaperFigure":
     from surveysim.paper import model_figures, noise_figures, turbulence_figures, wind_figures
 
     bolocam = [surveys[band] for band in ("143", "268") if band in surveys]

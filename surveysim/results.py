@@ -9,10 +9,12 @@ import numpy as np
 
 from mapmaker.bandpower import BandPower, flat_band_power_fixed_weights
 from surveysim import __version__
-from surveysim.coadds import ROW_FIELDS, CoAdds, n_arrays
+from surveysim.choice import TARGETS
+from surveysim.coadds import CoAdds, row_names
+from surveysim.recipes import ACTUAL, Recipe
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene, scene_hash
-from surveysim.scores import DataSetScore, Gain, gain, rescore, score_survey, sector_sigma
+from surveysim.scores import DataSetScore, Gain, flux_removed, gain, rescore, score_survey, sector_sigma
 from surveysim.setup import Setup
 
 PACKAGES = ("numpy", "scipy", "numba", "astropy", "healpy", "h5py", "pydantic")
@@ -47,7 +49,8 @@ class Row:
 class SurveyResult:
     """A finished run: setup, sums, scores, gains between data sets and the same data scored otherwise.
 
-    The last three are empty without a score or where `unscored` says why there is none. `wall_s` is the time
+    They are empty without a score or where `unscored` says why there is none. `flux_removed` is the share of a faint
+    point source's flux that each recipe takes, known where recipes are compared. `wall_s` is the time
     since the run was started or, the last time, resumed.
     """
 
@@ -56,6 +59,7 @@ class SurveyResult:
     scores: dict[str, DataSetScore]
     gains: dict[str, Gain]
     alternatives: list[dict[str, float | str]]
+    flux_removed: dict[str, float]
     wall_s: float
     workers: int
     unscored: str = ""
@@ -63,14 +67,15 @@ class SurveyResult:
 
 def survey_result(setup: Setup, coadds: CoAdds, wall_s: float, workers: int) -> SurveyResult:
     """Score what was summed; a survey that can't be scored keeps its maps and says why."""
-    scores, ratios, others, unscored = {}, {}, [], ""
+    scores, ratios, others, removed, unscored = {}, {}, [], {}, ""
     if setup.scene.score is not None:
         try:
             scores = score_survey(setup, coadds)
             ratios, others = _gains(setup, scores), _alternatives(setup, coadds, scores)
+            removed = flux_removed(setup, coadds)
         except ValueError as error:  # too few observations, or too few scans kept in them
-            scores, ratios, others, unscored = {}, {}, [], str(error)
-    return SurveyResult(setup, coadds, scores, ratios, others, wall_s, workers, unscored)
+            scores, ratios, others, removed, unscored = {}, {}, [], {}, str(error)
+    return SurveyResult(setup, coadds, scores, ratios, others, removed, wall_s, workers, unscored)
 
 
 def score_rows(result: SurveyResult) -> list[Row]:
@@ -159,8 +164,7 @@ def stages_left_out(scene: Scene) -> list[str]:
 def summary(result: SurveyResult) -> dict[str, Any]:
     """The content of summary.json; its keys are stable (README, "What a run leaves behind")."""
     setup, coadds = result.setup, result.coadds
-    first = len(ROW_FIELDS)
-    rows = np.array([row[first : first + 2 * n_arrays(setup)] for row in coadds.rows])
+    columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
     samples = coadds.done * setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)
     content: dict[str, Any] = {
         "scene": setup.scene.name,
@@ -175,8 +179,9 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "detector_samples": samples,
         "stages_left_out": stages_left_out(setup.scene),
         "scans": coadds.done * setup.raster.n_scans,
-        "scans_discarded": int(rows[:, 0].sum()),
-        "mean_iterations": float(rows[:, n_arrays(setup)].mean()),
+        "scans_discarded": int(columns[f"discarded_{ACTUAL}"].sum()),
+        "mean_iterations": float(columns[f"iterations_{ACTUAL}"].mean()),
+        "cleaning": {recipe.data_set: _cleaning_entry(recipe, result, columns) for recipe in setup.recipes},
         "scores": {},
     }
     if result.unscored:
@@ -193,6 +198,23 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "stage_ns_per_detector_sample": {k: 1e9 * v / samples for k, v in coadds.seconds.items()},
     }
     return content
+
+
+def _cleaning_entry(recipe: Recipe, result: SurveyResult, columns: dict[str, np.ndarray]) -> dict[str, Any]:
+    """What one recipe costs: scans, iterations, templates, time, and of how many observations it is the best."""
+    setup = result.setup
+    entry: dict[str, Any] = {
+        "steps": list(recipe.steps),
+        "scans_discarded": int(columns[f"discarded_{recipe.data_set}"].sum()),
+        "mean_iterations": float(columns[f"iterations_{recipe.data_set}"].mean()),
+        "mean_removed": float(columns[f"removed_{recipe.data_set}"].mean()),
+    }
+    if recipe.data_set in result.flux_removed:
+        entry["point_source_flux_removed"] = result.flux_removed[recipe.data_set]
+    if setup.chooses and recipe.detectors is None:
+        place = setup.whole_recipes.index(recipe)
+        entry |= {f"best_for_{target}": float(np.mean(columns[f"best_{target}"] == place)) for target in TARGETS}
+    return entry
 
 
 def _score_entry(row: Row) -> dict[str, float]:

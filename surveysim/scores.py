@@ -15,7 +15,7 @@ from mapmaker.bandpower import (
 from mapmaker.binning import weighted_mean
 from mapmaker.spectrum import Annuli, map_psd
 from mapmaker.window import Window, beam_window, pixel_window, signal_window
-from surveysim.coadds import CoAdds, n_arrays
+from surveysim.coadds import CoAdds
 from surveysim.setup import Setup
 from surveysim.units import rj_to_cmb
 
@@ -57,15 +57,15 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
 
     Raises ValueError with fewer than 2 observations with data, or before a window observation is in.
     """
-    windows = [_window(setup, coadds, array, setup.band.rings) for array in range(n_arrays(setup))]
+    windows = [_window(setup, coadds, place, setup.band.rings) for place in range(len(setup.windows))]
     noise = coadds.noise_mk2()
     scores = {}
     for s, name in enumerate(setup.data_sets):
         if names is None or name in names:
-            masked = name.startswith("masked")
-            n_det = len(setup.masked) if masked else setup.n_det
+            n_det = len(setup.masked) if name.startswith("masked") else setup.n_det
             psds = _noise_psds(setup, coadds, s, setup.band.rings)
-            scores[name] = _score(setup, name, n_det, psds, windows[int(masked)], _weights(noise[:, s]))
+            window = windows[setup.window_of(name)]
+            scores[name] = _score(setup, name, n_det, psds, window, _weights(noise[:, s]))
     return scores
 
 
@@ -80,7 +80,7 @@ def sector_sigma(setup: Setup, coadds: CoAdds, item: DataSetScore) -> float:
     """sigma(A) [uK_CMB^2] of the scored range with modes weighted by their direction too (`split_azimuth`)."""
     sectors = setup.band.sectors
     noise = _noise_psds(setup, coadds, setup.data_sets.index(item.name), sectors).mean(axis=0)
-    window = _window(setup, coadds, int(item.name.startswith("masked")), sectors)
+    window = _window(setup, coadds, setup.window_of(item.name), sectors)
     signal = _signal_psd(setup, window)
     return flat_band_power(noise, signal, sectors.n_modes, np.ones(len(noise), bool))
 
@@ -144,8 +144,23 @@ def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> n
     return _psd(setup, maps, rings) * (to_ukcmb**2 * (1 + setup.band.noise_scatter))
 
 
-def _window(setup: Setup, coadds: CoAdds, array: int, rings: Annuli) -> Window:
-    maps = weighted_mean(coadds.window[:, array], coadds.window_weight[array])
+def flux_removed(setup: Setup, coadds: CoAdds) -> dict[str, float]:
+    """Share of a faint point source's flux that cleaning takes, by data set; empty where recipes are not compared.
+
+    The amplitude of the source's own map, binned without cleaning, in the map with cleaning.
+    """
+    if not setup.chooses:
+        return {}
+    removed = {}
+    for place, name in enumerate(setup.windows):
+        without, cleaned = weighted_mean(coadds.window[-1, place], coadds.window_weight[place])
+        removed[name] = 1 - float(np.sum(without * cleaned) / np.sum(without**2))
+    return removed
+
+
+def _window(setup: Setup, coadds: CoAdds, place: int, rings: Annuli) -> Window:
+    skies = setup.scene.score.window.skies
+    maps = weighted_mean(coadds.window[:skies, place], coadds.window_weight[place])
     psd = _psd(setup, maps, rings)
     return signal_window(psd[:, 1], psd[:, 0], rings.ell)
 

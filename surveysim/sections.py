@@ -7,7 +7,6 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
 from surveysim.quantities import (
-    Algorithm,
     Angle,
     AngleExtent,
     BandPowerExtent,
@@ -33,6 +32,7 @@ from surveysim.quantities import (
     SiteName,
     Speed,
     SpeedExtent,
+    Steps,
     TableFile,
     Temperature,
     Variances,
@@ -251,11 +251,36 @@ class Sky(Section):
 
 
 class Cleaning(Section):
-    """The subtraction algorithm and its convergence."""
+    """The subtraction algorithm, or several in order, others to compare it with, and what they need to know.
 
-    algorithm: Algorithm
+    `tolerance` and `max_iterations` are of all templates, `sigma_cut` of "pca", `reach` (in closest separations)
+    of "local", `order` and `regions` of "polynomial".
+    """
+
+    algorithm: Steps
+    compare: tuple[Steps, ...] = ()
     tolerance: float = Field(gt=0, lt=1)
     max_iterations: int = Field(ge=1, le=1_000_000)
+    sigma_cut: Positive | None = None
+    reach: Positive | None = None
+    order: Annotated[int | None, Field(ge=0, le=20)] = None
+    regions: Annotated[int | None, Field(ge=1, le=1000)] = None
+
+    @model_validator(mode="after")
+    def _each_algorithm_has_its_keys(self) -> Self:
+        named = {name for steps in (self.algorithm, *self.compare) for name in steps}
+        for key, algorithm in (
+            ("sigma_cut", "pca"),
+            ("reach", "local"),
+            ("order", "polynomial"),
+            ("regions", "polynomial"),
+        ):
+            if algorithm in named and getattr(self, key) is None:
+                raise ValueError(f"{key}: missing; {algorithm!r} needs it")
+        sets = ["+".join(steps) for steps in (self.algorithm, *self.compare)]
+        if repeated := [name for name in sets if sets.count(name) > 1]:
+            raise ValueError(f"compare: found {repeated[0]!r} more than once; different algorithms are expected")
+        return self
 
 
 class MapSection(Section):

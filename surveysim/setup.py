@@ -7,7 +7,6 @@ from functools import lru_cache
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from mapmaker.cleaning.templates import TemplateOptions
 from mapmaker.geometry import MapGeometry, covering_geometry
 from surveysim.band import Band, scored_band
 from surveysim.checks import check_excess, check_masked, check_score, check_size, check_templates, reach
@@ -22,10 +21,14 @@ from surveysim.pointing import (
     schedule,
     survey_angles,
 )
+from surveysim.recipes import ACTUAL, OPTIMAL, Recipe, recipes
 from surveysim.scan import Raster, RasterPath, duration_s, raster
 from surveysim.scene import Scene, SceneError
 from surveysim.streams import Stage, generator
 from surveysim.weather import Water, site_water
+
+# Point sources lie so many array radii apart that cleaning never sees two of them.
+POINT_SPACING = 3.0
 
 
 @dataclass(frozen=True)
@@ -41,10 +44,11 @@ class Angles:
 class Setup:
     """A scene made ready: nothing here depends on the observation but the angles' rows.
 
-    `photon_factor`, `excess_factor` (n_det, n_det) or None; `responsivity` (n_det,); `masked` indices of
-    the detectors that the mask keeps, or None; `sky_mk` on `sky_geometry` or None; `window_skies_mk`
-    (n_sky, n_y, n_x) or None; `strips` the atmosphere's strips or None; `water` what the band makes of the
-    site's water, None without a site.
+    `photon_factor`, `excess_factor` (n_det, n_det) or None; `responsivity` (n_det,); `recipes` all ways of
+    cleaning, those of the masked array last; `masked` indices of the detectors that it keeps, or None; `sky_mk` on
+    `sky_geometry` or None; `window_skies_mk` (n_sky, n_y, n_x) or None, the last of point sources where recipes are
+    compared; `strips` the atmosphere's strips or None; `water` what the band makes of the site's water, None
+    without a site.
     """
 
     scene: Scene
@@ -54,7 +58,7 @@ class Setup:
     geometry: MapGeometry
     sky_geometry: MapGeometry
     band: Band | None
-    cleaning: TemplateOptions
+    recipes: tuple[Recipe, ...]
     responsivity: np.ndarray
     photon_factor: np.ndarray | None
     excess_factor: np.ndarray | None
@@ -72,11 +76,30 @@ class Setup:
     @property
     def data_sets(self) -> tuple[str, ...]:
         """Names of the data sets that are scored, in the order of their maps."""
-        score = self.scene.score
-        if score is None:
-            return ("actual",)
-        masked = () if self.masked is None else (f"masked_{len(self.masked)}",)
-        return ("actual", *score.simulated, *masked)
+        whole = [recipe.data_set for recipe in self.whole_recipes]
+        masked = [recipe.data_set for recipe in self.recipes[len(whole) :]]
+        simulated = self.scene.score.simulated if self.scene.score else ()
+        return (ACTUAL, *simulated, *whole[1:], *([OPTIMAL] if self.chooses else ()), *masked)
+
+    @property
+    def whole_recipes(self) -> tuple[Recipe, ...]:
+        """Recipes for all detectors, the scene's own first."""
+        return tuple(recipe for recipe in self.recipes if recipe.detectors is None)
+
+    @property
+    def chooses(self) -> bool:
+        """Whether the best recipe of each observation makes a data set of its own."""
+        return self.scene.score is not None and len(self.whole_recipes) > 1
+
+    @property
+    def windows(self) -> tuple[str, ...]:
+        """Data sets that have a signal window of their own; the others share the first."""
+        own = {recipe.data_set for recipe in self.recipes} | {OPTIMAL}
+        return tuple(name for name in self.data_sets if name in own)
+
+    def window_of(self, data_set: str) -> int:
+        """Place of a data set's window among `windows`."""
+        return self.windows.index(data_set) if data_set in self.windows else 0
 
 
 @lru_cache(maxsize=2)
@@ -115,14 +138,14 @@ def _prepare(scene: Scene) -> Setup:
         angles=_angles(scene, lines),
         geometry=geometry,
         sky_geometry=sky_geometry,
-        cleaning=TemplateOptions(scene.cleaning.tolerance, scene.cleaning.max_iterations),
+        recipes=recipes(scene.cleaning, masked),
         responsivity=_responsivity(scene, len(cam.focal_plane.x_rad)),
         photon_factor=_photon_factor(scene, cam),
         excess_factor=_excess_factor(scene, cam),
         strips=_strips(scene, cam),
         water=_water(scene),
         sky_mk=_sky(scene, sky_geometry),
-        window_skies_mk=_window_skies(scene, sky_geometry),
+        window_skies_mk=_window_skies(scene, cam, sky_geometry),
         masked=masked,
     )
 
@@ -225,24 +248,27 @@ def _sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
     return draw_sky(scene.sky, geometry, instrument.frequency_hz, instrument.beam_fwhm_rad, rng)
 
 
-def _window_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
+def _window_skies(scene: Scene, cam: Camera, geometry: MapGeometry) -> np.ndarray | None:
     if scene.score is None:
         return None
-    from surveysim.sky import flat_cmb_sky
+    from surveysim.sky import flat_cmb_sky, point_grid
 
     window, instrument = scene.score.window, scene.instrument
-    return np.stack(
-        [
-            flat_cmb_sky(
-                geometry,
-                window.band_power_ukcmb2,
-                instrument.frequency_hz,
-                instrument.beam_fwhm_rad,
-                generator(scene.seed, Stage.WINDOW_SKY, realization=sky),
-            )
-            for sky in range(window.skies)
-        ]
-    )
+    skies = [
+        flat_cmb_sky(
+            geometry,
+            window.band_power_ukcmb2,
+            instrument.frequency_hz,
+            instrument.beam_fwhm_rad,
+            generator(scene.seed, Stage.WINDOW_SKY, realization=sky),
+        )
+        for sky in range(window.skies)
+    ]
+    if scene.cleaning.compare:
+        skies.append(
+            point_grid(geometry, POINT_SPACING * cam.radius_rad, scene.score.size_rad / 2, instrument.beam_fwhm_rad)
+        )
+    return np.stack(skies)
 
 
 def observation_path(setup: Setup, observation: int) -> tuple[RasterPath, Pointing]:

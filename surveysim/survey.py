@@ -9,7 +9,7 @@ from mapmaker.timestreams import write_timestreams
 from surveysim.checkpoint import load_checkpoint, save_checkpoint
 from surveysim.coadds import CoAdds, add_observation, empty_coadds
 from surveysim.engines import held_back_signals, ordered_map
-from surveysim.observation import ObservationResult, observe
+from surveysim.reduction import ObservationResult, observe
 from surveysim.scene import Scene, scene_hash
 from surveysim.setup import Setup, prepare, window_observations
 

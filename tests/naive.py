@@ -50,6 +50,81 @@ def template_cleaning(scan_mk, shapes, hold, tolerance, max_iterations):
     raise ArithmeticError("not converged")
 
 
+def shifted_stream(stream, delay):
+    """A periodic stream read `delay` samples later, as the appendix has it: interpolated, then divided by |S|."""
+    n_samp = len(stream)
+    whole = int(np.floor(delay))
+    part = delay - whole
+    drawn = [(1 - part) * stream[(n + whole) % n_samp] + part * stream[(n + whole + 1) % n_samp] for n in range(n_samp)]
+    f_hz = np.fft.fftfreq(n_samp)
+    s = 1 - part + part * np.exp(2j * np.pi * f_hz)
+    return np.fft.ifft(np.fft.fft(drawn) / np.abs(s)).real
+
+
+def wind_cleaning(scan_mk, delay, tolerance, max_iterations):
+    """Average subtraction at rest with the layer, detector by detector; returns (cleaned, c)."""
+    data = scan_mk - scan_mk.mean(axis=1, keepdims=True)
+    n_det, n_samp = data.shape
+    pad = int(np.ceil(max(abs(delay))))
+
+    def mirrored(stream):
+        return np.concatenate([stream, stream[::-1]])
+
+    rest = np.empty((n_det, n_samp + 2 * pad))
+    for i in range(n_det):
+        longer = np.concatenate([data[i, :pad][::-1], data[i], data[i, n_samp - pad :][::-1]])
+        rest[i] = shifted_stream(mirrored(longer), delay[i])[: len(longer)]
+    has = np.array([[0 <= n - pad + delay[i] <= n_samp - 1 for n in range(n_samp + 2 * pad)] for i in range(n_det)])
+    common = has.all(axis=0)
+    _, c = average_cleaning(rest[:, common], tolerance, max_iterations)
+    rest = rest - rest[:, common].mean(axis=1, keepdims=True)
+    template = [np.mean((rest[:, n] / c)[has[:, n]]) if has[:, n].any() else np.nan for n in range(n_samp + 2 * pad)]
+    known = np.flatnonzero(np.isfinite(template))
+    template = np.array([template[min(max(n, known[0]), known[-1])] for n in range(n_samp + 2 * pad)])
+    cleaned = np.empty_like(data)
+    for i in range(n_det):
+        cleaned[i] = data[i] - c[i] * shifted_back(mirrored(template), delay[i])[pad : pad + n_samp]
+    return cleaned - cleaned.mean(axis=1, keepdims=True), c
+
+
+def shifted_back(stream, delay):
+    """The inverse of `shifted_stream`: the same in reversed time."""
+    return shifted_stream(stream[::-1], delay)[::-1]
+
+
+def pca_cleaning(scan_mk, sigma_cut):
+    """Adaptive PCA in the paper's own steps; returns (cleaned, number of modes cut)."""
+    data = scan_mk - scan_mk.mean(axis=1, keepdims=True)
+    values, vectors = np.linalg.eigh(data @ data.T)
+    amplitudes = vectors.T @ data
+    left = [k for k in range(len(values)) if values[k] > 1e-12 * max(values)]
+    cut = []
+    while True:
+        logarithm = {k: np.log(values[k]) for k in left}
+        mean, sigma = np.mean(list(logarithm.values())), np.std(list(logarithm.values()))
+        out = [k for k in left if logarithm[k] > mean + sigma_cut * sigma]
+        if not out:
+            break
+        cut, left = cut + out, [k for k in left if k not in out]
+    amplitudes[cut] = 0
+    return vectors @ amplitudes, len(cut)
+
+
+def local_cleaning(scan_mk, x_rad, y_rad, reach):
+    """Each detector less the fitted mean of itself and its six or fewer nearest neighbours."""
+    data = scan_mk - scan_mk.mean(axis=1, keepdims=True)
+    n_det = len(data)
+    apart = np.hypot(np.subtract.outer(x_rad, x_rad), np.subtract.outer(y_rad, y_rad))
+    closest = min(apart[apart > 0])
+    cleaned = data.copy()
+    for i in range(n_det):
+        others = sorted((apart[i, j], j) for j in range(n_det) if j != i and apart[i, j] < reach * closest)
+        if others:
+            template = np.mean([data[i], *(data[j] for _, j in others[:6])], axis=0)
+            cleaned[i] -= template * sum(template * data[i]) / sum(template**2)
+    return cleaned
+
+
 def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
     """Bilinear look-up of every detector's track, from the four lattice points around each sample."""
     n_lane, n_x = strip.shape
@@ -114,3 +189,34 @@ def add_signed(total, values, signs):
     """Signed copies, one by one."""
     for k in range(len(signs)):
         total[k] = total[k] + signs[k] * values
+
+
+def cosine_modes(n):
+    """Orthonormal rows cos(pi k (j + 1/2) / n): the modes of a scan that goes on as its mirror image."""
+    rows = np.array([[np.cos(np.pi * k * (j + 0.5) / n) for j in range(n)] for k in range(n)])
+    return rows / np.sqrt(np.sum(rows**2, axis=1, keepdims=True))
+
+
+def inverse_covariance(band_of_mode, covariances):
+    """N^-1 (n_det n_samp, n_det n_samp) of one scan, detector by detector; mode 0 and modes of band -1 have none."""
+    n_det, n = len(covariances[0]), len(band_of_mode)
+    rows = cosine_modes(n)
+    total = np.zeros((n_det, n, n_det, n))
+    for k in range(1, n):
+        if band_of_mode[k] >= 0:
+            inverse = np.linalg.inv(covariances[band_of_mode[k]])
+            total += np.einsum("de,i,j->diej", inverse, rows[k], rows[k])
+    return total.reshape(n_det * n, n_det * n)
+
+
+def gls_map(scans, n_pixel):
+    """Maximum-likelihood map by a dense pseudo-inverse, from (data, index, N^-1) of each scan."""
+    normal, right = np.zeros((n_pixel, n_pixel)), np.zeros(n_pixel)
+    for data, index, inverse in scans:
+        pointing = np.zeros((data.size, n_pixel))
+        for sample, pixel in enumerate(index.ravel()):
+            if pixel >= 0:
+                pointing[sample, pixel] = 1
+        normal += pointing.T @ inverse @ pointing
+        right += pointing.T @ inverse @ data.ravel()
+    return np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right

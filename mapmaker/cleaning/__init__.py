@@ -2,26 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from mapmaker.cleaning.local import LocalOptions, subtract_local
+from mapmaker.cleaning.pca import PcaOptions, least_eigenvalues, subtract_pca
+from mapmaker.cleaning.polynomial import PolynomialOptions, exponents, subtract_polynomial
+from mapmaker.cleaning.scans import Cleaned, check_streams
 from mapmaker.cleaning.templates import (
     AVERAGE,
     PLANAR,
     QUADRATIC,
-    Cleaned,
     TemplateOptions,
     subtract_average,
     subtract_mean,
     subtract_planar,
     subtract_quadratic,
 )
+from mapmaker.cleaning.wind import WindOptions, slowness, subtract_wind
 
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
 
-__all__ = ["CLEANERS", "N_TEMPLATES", "Cleaned", "Cleaner", "TemplateOptions", "clean"]
+__all__ = [
+    "CLEANERS",
+    "N_TEMPLATES",
+    "OPTIONS",
+    "Cleaned",
+    "Cleaner",
+    "LocalOptions",
+    "PcaOptions",
+    "PolynomialOptions",
+    "TemplateOptions",
+    "WindOptions",
+    "clean",
+    "clean_in_order",
+    "detectors_needed",
+    "slowness",
+]
 
 
 class Cleaner(Protocol):
@@ -37,21 +57,90 @@ CLEANERS: dict[str, Cleaner] = {
     "average": subtract_average,
     "planar": subtract_planar,
     "quadratic": subtract_quadratic,
+    "polynomial": subtract_polynomial,
+    "wind": subtract_wind,
+    "pca": subtract_pca,
+    "local": subtract_local,
 }
-# How many templates each takes from the detectors: more detectors than these are needed.
-N_TEMPLATES = {"none": 0, "average": len(AVERAGE), "planar": len(PLANAR), "quadratic": len(QUADRATIC)}
+# Each algorithm's record; "none" has nothing to choose and takes anything.
+OPTIONS: dict[str, type] = {
+    "none": object,
+    "average": TemplateOptions,
+    "planar": TemplateOptions,
+    "quadratic": TemplateOptions,
+    "polynomial": PolynomialOptions,
+    "wind": WindOptions,
+    "pca": PcaOptions,
+    "local": LocalOptions,
+}
+# How many templates each takes from the detectors, whatever its options: more detectors than these are needed.
+N_TEMPLATES = {
+    "none": 0,
+    "average": len(AVERAGE),
+    "planar": len(PLANAR),
+    "quadratic": len(QUADRATIC),
+    "polynomial": 1,
+    "wind": len(AVERAGE),
+    "pca": 1,
+    "local": 1,
+}
+
+
+def detectors_needed(name: str, options: Any) -> int:
+    """How many detectors the named algorithm needs with these options; errors as for `clean`."""
+    _check(name, options)
+    if name == "pca":
+        return least_eigenvalues(options.sigma_cut)
+    if name == "polynomial":
+        return options.regions * (len(exponents(options.order)) + 1)
+    return N_TEMPLATES[name] + 1
 
 
 def clean(name: str, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: Any) -> Cleaned:
     """Clean one observation with the named algorithm; the input is left as it is.
 
     data_mk: (n_det, n_samp) float32 or float64 [mK]. scan_bounds: (n_scan, 2) [start, stop). options: the
-    algorithm's record, `TemplateOptions` for average, planar, quadratic. For a subset of the detectors,
-    slice data and focal plane alike. A scan with a value that is not finite, or whose iteration does not
-    converge or that has a dead detector, is discarded: `kept` is False and its samples are 0. Raises
-    ValueError for an unknown name, for shapes, types or bounds that do not fit, and for focal planes that
-    do not support the templates. Sayers et al. (2010), section on atmospheric noise removal.
+    algorithm's record in `OPTIONS`, for average, planar and quadratic `TemplateOptions`. For a subset of the
+    detectors, slice data and focal plane alike. A scan with a value that is not finite, or whose iteration does not
+    converge or that has a dead detector, is discarded: `kept` is False and its samples are 0. (With "none" a dead
+    detector is no different from others.) Raises ValueError for an unknown name, for options of another algorithm,
+    for shapes, types or bounds that do not fit, and for focal planes that do not support the templates.
+    Sayers et al. (2010), section on atmospheric noise removal.
     """
+    _check(name, options)
+    check_streams(data_mk, scan_bounds, focal_plane)
+    return CLEANERS[name](data_mk, scan_bounds, focal_plane, options)
+
+
+def clean_in_order(
+    steps: Sequence[tuple[str, Any]], data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane
+) -> Cleaned:
+    """Clean with several algorithms, (name, options) each, one after the other.
+
+    A scan is kept that every step keeps: once discarded it is 0, and stays so. `responsivity` is that of the first
+    step that fits one, 1 if none does; `iterations` and `removed` are sums. Other arguments and errors as for `clean`;
+    raises ValueError for no steps.
+    """
+    if not steps:
+        raise ValueError("no cleaning steps found; one or more are expected")
+    for name, options in steps:
+        _check(name, options)
+    done: list[Cleaned] = []
+    for name, options in steps:
+        done.append(clean(name, done[-1].data_mk if done else data_mk, scan_bounds, focal_plane, options))
+    kept = np.all([item.kept for item in done], axis=0)
+    fitted = [item for item in done if item.iterations.any()]
+    return Cleaned(
+        data_mk=done[-1].data_mk,
+        kept=kept,
+        responsivity=np.where(kept[:, None], (fitted or done)[0].responsivity, np.nan),
+        iterations=np.sum([item.iterations for item in done], axis=0),
+        removed=np.where(kept, np.sum([item.removed for item in done], axis=0), 0),
+    )
+
+
+def _check(name: str, options: Any) -> None:
     if name not in CLEANERS:
         raise ValueError(f"unknown cleaning {name!r}, allowed: {', '.join(CLEANERS)}")
-    return CLEANERS[name](data_mk, scan_bounds, focal_plane, options)
+    if not isinstance(options, OPTIONS[name]):
+        raise ValueError(f"options of {name!r} must be {OPTIONS[name].__name__}, got {type(options).__name__}")

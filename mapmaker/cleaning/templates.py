@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans
 from mapmaker.kernels.cleaning import iterate_responsivity
 
 if TYPE_CHECKING:
@@ -40,16 +41,6 @@ QUADRATIC = (*PLANAR, (1, 1), (2, 0), (0, 2))
 
 
 @dataclass(frozen=True)
-class Cleaned:
-    """One observation after cleaning."""
-
-    data_mk: np.ndarray  # (n_det, n_samp), type of the input; 0 in discarded scans and outside scans
-    kept: np.ndarray  # (n_scan,) bool; False: not converged, not finite, or a dead detector
-    responsivity: np.ndarray  # (n_scan, n_det) c_i; nan where discarded
-    iterations: np.ndarray  # (n_scan,) int64; 0 where none was made
-
-
-@dataclass(frozen=True)
 class TemplateOptions:
     """When the responsivities have converged; the paper takes 1e-8 within 100 iterations."""
 
@@ -58,10 +49,15 @@ class TemplateOptions:
 
     def __post_init__(self):
         """Raise ValueError for values out of range."""
-        if not self.tolerance > 0:
-            raise ValueError(f"tolerance must be positive, got {self.tolerance}")
-        if self.max_iterations < 1:
-            raise ValueError(f"max_iterations must be at least 1, got {self.max_iterations}")
+        check_convergence(self.tolerance, self.max_iterations)
+
+
+def check_convergence(tolerance: float, max_iterations: int) -> None:
+    """Raise ValueError for values out of range."""
+    if not tolerance > 0:
+        raise ValueError(f"tolerance must be positive, got {tolerance}")
+    if max_iterations < 1:
+        raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
 
 
 def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
@@ -95,7 +91,7 @@ def subtract_mean(data_mk, scan_bounds, focal_plane: FocalPlane, options: object
     The options are ignored: there is nothing to choose. Arguments, result and errors as for `clean`;
     responsivities are 1 and no iterations are made.
     """
-    return _clean_scans(data_mk, scan_bounds, focal_plane, lambda block: (np.ones(len(block)), 0))
+    return clean_scans(data_mk, scan_bounds, lambda block, scan: Fit(np.ones(len(block))))
 
 
 def subtract_average(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
@@ -119,51 +115,20 @@ def subtract_quadratic(data_mk, scan_bounds, focal_plane: FocalPlane, options: T
 
 def _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents) -> Cleaned:
     basis = template_basis(focal_plane, exponents)
+    return clean_scans(data_mk, scan_bounds, lambda block, scan: fit_templates(block, basis, options))
+
+
+def fit_templates(block: np.ndarray, basis: np.ndarray, options) -> Fit:
+    """Subtract the templates of `template_basis` from one mean-removed scan (n_det, n_samp), in place.
+
+    options: a record with tolerance and max_iterations. An unconverged scan is left as it is, without c.
+    """
+    responsivity = np.ones(len(block))
     held = basis[1:]  # the first row is the constant
-
-    def subtract(block):
-        """Clean the block in place; c is None if it did not converge."""
-        responsivity = np.ones(len(block))
-        converged, iterations = iterate_responsivity(
-            block @ block.T, basis, held, options.tolerance, options.max_iterations, responsivity
-        )
-        if not converged:
-            return None, iterations
-        block -= (basis * responsivity).T @ ((basis / responsivity) @ block)
-        return responsivity, iterations
-
-    return _clean_scans(data_mk, scan_bounds, focal_plane, subtract)
-
-
-def _clean_scans(data_mk, scan_bounds, focal_plane, subtract) -> Cleaned:
-    """Apply subtract, block -> (c or None, iterations), in place to each mean-removed float64 scan."""
-    _check(data_mk, scan_bounds, focal_plane)
-    n_det, n_scan = len(data_mk), len(scan_bounds)
-    cleaned_mk = np.zeros_like(data_mk, order="C")
-    responsivity = np.full((n_scan, n_det), np.nan)
-    iterations = np.zeros(n_scan, dtype=np.int64)
-    for s, (start, stop) in enumerate(scan_bounds):
-        block = data_mk[:, start:stop].astype(np.float64)
-        if not np.isfinite(block).all():
-            continue
-        block -= block.mean(axis=1, keepdims=True)
-        found, iterations[s] = subtract(block)
-        if found is not None:
-            responsivity[s] = found
-            cleaned_mk[:, start:stop] = block
-    kept = np.isfinite(responsivity).all(axis=1)
-    return Cleaned(cleaned_mk, kept, responsivity, iterations)
-
-
-def _check(data_mk, scan_bounds, focal_plane) -> None:
-    if data_mk.ndim != 2 or data_mk.dtype not in (np.float32, np.float64):
-        raise ValueError(f"expected (n_det, n_samp) float32 or float64, got {data_mk.shape} {data_mk.dtype}")
-    n_det, n_samp = data_mk.shape
-    if len(focal_plane.x_rad) != n_det:
-        raise ValueError(f"data have {n_det} detectors, the focal plane has {len(focal_plane.x_rad)}")
-    bounds = np.asarray(scan_bounds)
-    if bounds.ndim != 2 or bounds.shape[1] != 2:
-        raise ValueError(f"expected scan bounds (n_scan, 2), got {bounds.shape}")
-    wrong = (bounds[:, 0] < 0) | (bounds[:, 0] >= bounds[:, 1]) | (bounds[:, 1] > n_samp)
-    if wrong.any():
-        raise ValueError(f"scan {bounds[wrong][0].tolist()} is empty or outside the {n_samp} samples")
+    converged, iterations = iterate_responsivity(
+        block @ block.T, basis, held, options.tolerance, options.max_iterations, responsivity
+    )
+    if not converged:
+        return Fit(None, iterations)
+    block -= (basis * responsivity).T @ ((basis / responsivity) @ block)
+    return Fit(responsivity, iterations, len(basis))

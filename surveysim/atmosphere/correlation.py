@@ -10,6 +10,7 @@ import numpy as np
 from surveysim.atmosphere.spectrum import Screen, structure_function
 
 _ORIENTATIONS, _NODES = 8, 32
+OUTER_SCALE_M = 10_000.0
 
 
 def scan_correlation(screen: Screen, theta_rad: np.ndarray, track_rad: float) -> np.ndarray:
@@ -33,13 +34,12 @@ class CorrelationGrid:
     """C(theta) on a grid of indices (n_b,), heights (n_h,) [m] and tracks, per unit amplitude.
 
     `theta_rad` (n_bin,); `spline` is cubic in ln track, its values (n_b, n_h, n_bin + 1): ln C(0), then the ratios
-    C(theta) / C(0). Indices of 4 and more have the outer scale `outer_scale_m`, below 4 there is none.
+    C(theta) / C(0).
     """
 
     index: np.ndarray
     height_m: np.ndarray
     theta_rad: np.ndarray
-    outer_scale_m: float
     spline: object
 
     def correlation(self, track_rad: np.ndarray) -> np.ndarray:
@@ -53,10 +53,13 @@ def correlation_grid(
     index: Sequence[float],
     height_m: Sequence[float],
     aperture_m: float,
-    outer_scale_m: float,
+    outer_scale_m: float | None,
     track_rad: np.ndarray,
 ) -> CorrelationGrid:
-    """Tabulate C(theta) for every index and height; `track_rad` (n,) are the knots of its spline, increasing."""
+    """Tabulate C(theta) for every index and height; `track_rad` (n,) are the knots of its spline, increasing.
+
+    Without an outer scale, indices of 4 and more have one of `OUTER_SCALE_M`: they need one.
+    """
     from scipy.interpolate import CubicSpline
 
     theta = np.concatenate([[0.0], theta_rad])
@@ -69,8 +72,10 @@ def correlation_grid(
     values[..., 1:] /= values[..., :1]
     values[..., 0] = np.log(values[..., 0])
     spline = CubicSpline(np.log(track_rad), values, axis=2, extrapolate=False)
-    return CorrelationGrid(np.array(index), np.array(height_m), np.asarray(theta_rad), outer_scale_m, spline)
+    return CorrelationGrid(np.array(index), np.array(height_m), np.asarray(theta_rad), spline)
 
 
-def _screen(index: float, height_m: float, aperture_m: float, outer_scale_m: float) -> Screen:
-    return Screen(index, aperture_m / height_m, outer_scale_m / height_m if index >= 4 else inf)
+def _screen(index: float, height_m: float, aperture_m: float, outer_scale_m: float | None) -> Screen:
+    if outer_scale_m is None:
+        outer_scale_m = OUTER_SCALE_M if index >= 4 else inf
+    return Screen(index, aperture_m / height_m, outer_scale_m / height_m)

@@ -7,10 +7,9 @@ import numpy as np
 from mapmaker.correlations import PairBins, Profile
 from surveysim.atmosphere.correlation import CorrelationGrid
 
-# The paper's grid, and the outer scale that indices of 4 and more need.
+# The paper's grid.
 INDEX_GRID = tuple(2 / 3 + 0.5 * k for k in range(13))
 HEIGHT_GRID_M = (375.0, 500.0, 750.0, 1000.0, 1500.0, 2000.0, 3000.0, 4000.0, 6000.0)
-OUTER_SCALE_M = 10_000.0
 KOLMOGOROV = 6  # 11/3 in INDEX_GRID
 # Of layers that move by an arcminute to those that move by a radian and a half during a scan.
 TRACKS_RAD = np.geomspace(3e-4, 1.5, 24)

@@ -13,7 +13,6 @@ from surveysim.atmosphere.fit import (
     HEIGHT_GRID_M,
     INDEX_GRID,
     KOLMOGOROV,
-    OUTER_SCALE_M,
     TRACKS_RAD,
     TurbulenceFit,
     fit_turbulence,
@@ -33,7 +32,7 @@ class MeasuredSurvey:
 
     `setup` of the first scene; `scene_of` (n_obs,) each observation's scene; `fits` on `grid` with the measured
     wind, or the scene's median one where none is known, None where an observation can't be fitted; `overlap`
-    (n_bin,) coherence of pixels of each separation.
+    (n_bin,) coherence of pixels of each separation, None where no noise is shared through it.
     """
 
     setup: Setup
@@ -41,7 +40,7 @@ class MeasuredSurvey:
     measurements: tuple[Measurement, ...]
     bins: PairBins
     grid: CorrelationGrid
-    overlap: np.ndarray
+    overlap: np.ndarray | None
     fits: tuple[TurbulenceFit | None, ...]
 
     @property
@@ -111,22 +110,31 @@ def measure_survey(scenes: list[Scene], workers: int, progress: Callable[[], Non
             measurements.append(item)
             names.append(scene.name)
             progress()
-    bins = camera_pairs(setup)
+    bins, air = camera_pairs(setup), scenes[0].atmosphere
     grid = correlation_grid(
         bins.theta_rad,
         INDEX_GRID,
         HEIGHT_GRID_M,
-        scenes[0].atmosphere.illuminated_aperture_m,
-        OUTER_SCALE_M,
+        air.illuminated_aperture_m,
+        air.outer_scale_m,
         TRACKS_RAD,
     )
-    overlap = bins.mean(mutual_coherence(bins.separation_rad / setup.camera.f_lambda_rad))
-    wind, seconds = scenes[0].atmosphere.wind_median_rad_s, scenes[0].scan.duration_s
+    overlap = shared_overlap(setup, bins)
+    wind, seconds = air.wind_median_rad_s, scenes[0].scan.duration_s
     fits = tuple(
         fit_turbulence(item.profile, bins, grid, known_track(item, wind, seconds), item.elevation_rad, overlap)
         for item in measurements
     )
     return MeasuredSurvey(setup, tuple(names), tuple(measurements), bins, grid, overlap, fits)
+
+
+def shared_overlap(setup: Setup, bins: PairBins) -> np.ndarray | None:
+    """Coherence (n_bin,) of pixels of each separation; None where it shares no low-frequency noise between them."""
+    excess = setup.scene.excess
+    if excess is None or excess.coherence == "none":
+        return None
+    gamma = mutual_coherence(bins.separation_rad / setup.camera.f_lambda_rad)
+    return bins.mean(gamma if excess.coherence == "field" else gamma**2)
 
 
 def knows_wind(item: Measurement) -> bool:

@@ -11,9 +11,8 @@ from surveysim.atmosphere.spectrum import mean_removed_variance
 from surveysim.paper.figure import Panel, PaperFigure, Series
 from surveysim.scan import samples_per_scan
 from surveysim.setup import Setup
-from surveysim.sites import SITES, with_site
+from surveysim.sites import SITES, median_water_mm, water_mm
 from surveysim.streams import Stage, generator
-from surveysim.units import to_floats
 from surveysim.weather import b2_quantile
 
 BANDS_HZ = (150e9, 275e9)  # of the paper's figure 1
@@ -31,9 +30,9 @@ THICKNESS_M = 100.0  # of the layer as drawn: the model only wants it small besi
 
 def opacity_figure() -> PaperFigure:
     """Zenith optical depth against water vapour at four sites (figure 1), a panel for each band."""
-    longest = max(_water_mm(site)[1] for site in SITES)
+    longest = max(water_mm(site)[1][-1] for site in SITES)
     bands = " and ".join(f"{hz / 1e9:g}" for hz in BANDS_HZ)
-    medians = ", ".join(f"{SITE_LOOKS[site][0]} {_water_mm(site)[0]:g} mm" for site in SITES)
+    medians = ", ".join(f"{SITE_LOOKS[site][0]} {median_water_mm(site):g} mm" for site in SITES)
     caption = (
         f"Zenith optical depth against the column of precipitable water vapour, averaged over bands of"
         f" {100 * BANDWIDTH:g} % around {bands} GHz, from tables of the am model of each site's atmosphere."
@@ -51,19 +50,12 @@ def _opacity_panel(frequency_hz: float, longest_mm: float) -> Panel:
         band = band_opacity(site, frequency_hz, BANDWIDTH)
         pwv_mm = np.linspace(band.pwv_mm[0], min(longest_mm, band.pwv_mm[-1]), 100)
         lines.append(Series(name, "line", pwv_mm, optical_depth(band, pwv_mm), look))
-        median = np.array(_water_mm(site)[:1])
+        median = np.array([median_water_mm(site)])
         points.append(Series("", "points", median, optical_depth(band, median), look))
     title, x_label = f"{frequency_hz / 1e9:g} GHz", "Precipitable water vapour [mm]"
     deepest = max(series.y.max() for series in lines)
     series, x_range, y_range = (*lines, *points), (0.0, longest_mm), (0.0, 1.05 * deepest)
     return Panel(title, x_label, "Zenith optical depth", series, x_range=x_range, y_range=y_range)
-
-
-def _water_mm(site: str) -> tuple[float, float]:
-    """Median and largest water column of a site's weather."""
-    section = with_site({"site": site})
-    columns = to_floats(section["pwv"], "mm")
-    return float(np.interp(0.5, section["pwv_probabilities"], columns)), columns[-1]
 
 
 # ---------------------------------------------------------------- figure 2

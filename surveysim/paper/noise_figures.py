@@ -123,10 +123,14 @@ def _medians(points: Binned) -> Series:
 def map_variance_figure(survey: MeasuredSurvey) -> PaperFigure:
     """Figure 9: residual variance of single maps against B2, and its cumulative distribution."""
     to_cmb = rj_to_cmb(survey.setup.scene.instrument.frequency_hz) ** 2
-    left = to_cmb * np.array([item.map_mk2 - item.map_white_mk2 for item in survey.measurements])
-    white = to_cmb * float(np.median([item.map_white_mk2 for item in survey.measurements]))
-    fitted = np.isfinite(survey.b2_fitted)
-    points = binned(survey.b2_fitted[fitted], left[fitted])
+    whole = [item for item in survey.measurements if np.isfinite(item.map_mk2)]
+    if not whole:
+        raise ValueError("found no map without gaps; one or more is expected")
+    residual = to_cmb * np.array([item.map_mk2 - item.map_white_mk2 for item in survey.measurements])
+    left = residual[np.isfinite(residual)]
+    white = to_cmb * float(np.median([item.map_white_mk2 for item in whole]))
+    used = np.isfinite(survey.b2_fitted) & np.isfinite(residual)
+    points = binned(survey.b2_fitted[used], residual[used])
     factor = scale_to(points.median, points.x)
     label = r"$\sigma^2_\mathrm{map} - \sigma^2_\mathrm{white}$ [mK$_\mathrm{CMB}^2$]"
     line = Series("proportional to $B_\\nu^2$", "line", points.x, factor * points.x, "vermilion")
@@ -134,7 +138,8 @@ def map_variance_figure(survey: MeasuredSurvey) -> PaperFigure:
     shares = (Series("simulated observations", "line", *cumulative(left), "blue"),)
     caption = (
         f"{described(survey)}: variance of each observation's map after average subtraction, less the white level of"
-        f" its highest multipoles, at the thermodynamic temperature of the band's centre. The median white level is"
+        f" its highest multipoles, at the thermodynamic temperature of the band's centre;"
+        f" {len(survey.measurements) - len(whole)} maps have gaps and are left out. The median white level is"
         f" {white:.2g} mK_CMB^2 (paper about {published()['map_white_variance_mkcmb2']:g}), the median residual"
         f" {np.median(left):.2g} mK_CMB^2, {np.percentile(left, 10):.2g} and {np.percentile(left, 90):.2g} at the"
         f" 10th and 90th centile. Top: {len(points.x)} bins of fitted B2 with {points.count.min()} or more"

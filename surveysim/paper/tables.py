@@ -8,13 +8,14 @@ from surveysim.atmosphere.opacity import BandOpacity, band_opacity, fluctuation_
 from surveysim.paper.campaign import MeasuredSurvey
 from surveysim.paper.published import published
 from surveysim.paper.statistics import centile_errors
+from surveysim.sites import median_water_mm
+from surveysim.weather import b2_quantile
 
 if TYPE_CHECKING:
     from astropy.table import Table
 
 QUARTILES = (25.0, 50.0, 75.0)
-# Median water of the sites (section 1.2 and 3.4) and the bands of section 3.4: centre [Hz], width over centre.
-MEDIAN_PWV_MM = {"mauna_kea": 1.68, "south_pole": 0.25, "alma": 1.00, "ccat": 0.83}
+# The bands of section 3.4: centre [Hz], width over centre.
 BOLOCAM = {150: (143e9, 0.15), 275: (268e9, 0.15)}
 ACBAR = {150: (151e9, 0.2), 275: (282e9, 0.18)}
 
@@ -23,25 +24,30 @@ def amplitude_table(surveys: dict[str, MeasuredSurvey]) -> "Table":
     """Table 1: quartiles of B2 [mK^2 rad^(-5/3)] measured in each band, and what Bolocam's are over ACBAR's.
 
     `surveys` by band in GHz: 143, 268 (Bolocam), 151, 282 (ACBAR). `drawn` are the quartiles of what the weather
-    had; errors are those of sampling so many observations.
+    had, `expected` those of its distribution; errors are those of sampling so many observations. Raises ValueError
+    where a band has no fit.
     """
     from astropy.table import Table
+    from scipy.special import ndtri
 
     rows, found = [], {}
     for band, survey in surveys.items():
         fitted = survey.b2_fitted[np.isfinite(survey.b2_fitted)]
+        if not len(fitted):
+            raise ValueError(f"found no fit of B2 at {band} GHz; one or more is expected")
         values, drawn = np.percentile(fitted, QUARTILES), np.percentile(survey.b2_drawn, QUARTILES)
+        expected = b2_quantile(survey.setup.scene.atmosphere, survey.setup.water, ndtri(np.array(QUARTILES) / 100))
         found[band] = values, centile_errors(fitted, QUARTILES)
         name = "Bolocam" if band in ("143", "268") else "ACBAR"
         for k, paper in enumerate(published()["table1"][band]):
-            rows.append((name, f"{band} GHz", k + 1, paper, values[k], found[band][1][k], drawn[k]))
+            rows.append((name, f"{band} GHz", k + 1, paper, values[k], found[band][1][k], drawn[k], expected[k]))
     for label, ours, theirs in (("150", "143", "151"), ("275", "268", "282")):
         for k, paper in enumerate(published()["table1"][f"{label}_ratio"]):
             pair = [(found[band][0][k], found[band][1][k]) for band in (ours, theirs)]
             ratio = pair[0][0] / pair[1][0]
             error = ratio * np.hypot(*(sigma / value for value, sigma in pair))
-            rows.append(("Bolocam/ACBAR", f"{ours}/{theirs} GHz", k + 1, paper, ratio, error, np.nan))
-    table = Table(rows=rows, names=("instrument", "band", "quartile", "paper", "ours", "error", "drawn"))
+            rows.append(("Bolocam/ACBAR", f"{ours}/{theirs} GHz", k + 1, paper, ratio, error, np.nan, np.nan))
+    table = Table(rows=rows, names=("instrument", "band", "quartile", "paper", "ours", "error", "drawn", "expected"))
     table.meta["title"] = "Atmospheric noise amplitude B2 [mK2 rad(-5/3)]; ratios without unit"
     table.meta["observations"] = {band: len(survey.measurements) for band, survey in surveys.items()}
     return table
@@ -73,7 +79,7 @@ def site_table() -> "Table":
 
 def _median_factor(site: str, frequency_hz: float, bandwidth: float) -> float:
     band: BandOpacity = band_opacity(site, frequency_hz, bandwidth)
-    return float(fluctuation_factor_mk2(band, MEDIAN_PWV_MM[site]))
+    return float(fluctuation_factor_mk2(band, median_water_mm(site)))
 
 
 def raw_atmosphere_table(survey: MeasuredSurvey) -> "Table":
@@ -87,6 +93,8 @@ def raw_atmosphere_table(survey: MeasuredSurvey) -> "Table":
     b2 = survey.b2_fitted
     raw = np.array([item.raw_mk2 for item in survey.measurements])
     used = np.isfinite(b2)
+    if used.sum() < 4:
+        raise ValueError(f"found {used.sum()} fits of B2 at {survey.band_ghz} GHz; 4 or more make quarters")
     quarter = np.searchsorted(np.percentile(b2[used], QUARTILES), b2, side="right")
     groups = [used & (quarter == k) for k in range(4)] + [used]
     paper, rows = published()["table2"], []

@@ -46,8 +46,9 @@ def correlation_figure(survey: MeasuredSurvey) -> PaperFigure:
     scene = survey.setup.scene
     caption = (
         f"{described(survey)}, of which two in better and in worse weather than the median fitted B2 of {median:.0f}"
-        f" mK^2 rad^(-5/3), with a chi^2 closest to the {TYPICAL_CENTILE:.0f}th centile of all fits as the paper"
-        f" chose its own: {'; '.join(texts)}; the layers drawn have b = {scene.atmosphere.index:.2f} at"
+        f" mK^2 rad^(-5/3), each of the chi^2 closest to the {TYPICAL_CENTILE:.0f}th centile (which the paper's have)"
+        f" among the quarter of trusted observations near a quartile of B2: {'; '.join(texts)};"
+        f" the layers drawn have b = {scene.atmosphere.index:.2f} at"
         f" {scene.atmosphere.layer_height_m:g} m. As C falls by about a thousandth of itself over the array while"
         f" gains scatter by percents, the profile of ln C is solved for together with the gains; it is shown times"
         f" the level of C, with errors from leaving out one scan at a time, less the low-frequency noise that pixels"
@@ -80,7 +81,9 @@ def typical_observations(survey: MeasuredSurvey) -> tuple[int, int]:
 
 
 def without_overlap(survey: MeasuredSurvey, k: int) -> Profile:
-    """The profile of an observation less the noise shared through overlap, as its best fit has it."""
+    """The profile of an observation less the noise shared through overlap, as its best fit has it, if there is any."""
+    if survey.overlap is None:
+        return survey.measurements[k].profile
     profile, best = survey.measurements[k].profile, survey.fits[k].best
     theory = np.log(survey.grid.correlation(survey.measurements[k].track_rad)[best])
     shared = fitted_profile(profile, theory, survey.overlap)[0] - theory
@@ -165,8 +168,8 @@ def index_height_figure(survey: MeasuredSurvey) -> PaperFigure:
         f" heights with its measured wind, or with the scene's median one where that is not known to"
         f" {100 * KNOWN:.0f} % ({int((~survey.wind_known).sum())} observations). All layers are drawn with"
         f" b = {air.index:.2f} at {air.layer_height_m:g} m; the paper fits {paper['observations']} observations."
-        f" Heights differ from a uniform distribution by chi^2 = {chi2:.1f} for {len(counts) - 1} degrees of freedom:"
-        f" as in the paper, a"
+        f" The paper's heights are uniform; these differ from that by chi^2 = {chi2:.1f} for {len(counts) - 1} degrees"
+        f" of freedom, but with {100 * counts.max() / len(best):.0f} % at the commonest of {len(counts)} heights a"
         f" single observation hardly tells the height."
     )
     return PaperFigure(

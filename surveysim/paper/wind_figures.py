@@ -33,7 +33,7 @@ def wind_examples_figure(survey: MeasuredSurvey) -> PaperFigure:
         f"{described(survey)}. Slopes of the cross-PSDs' phase, averaged over pairs that are not neighbours and over"
         f" all scans of one observation, with errors from leaving out one scan at a time; the line is the sinusoid of"
         f" one frozen layer. Left: observation {item.observation} of {survey.scene_of[number]}, of median goodness"
-        f" among those in better than median weather whose wind is to be trusted (B2 drawn {item.truth.b2:.0f} mK^2"
+        f" among those in worse than median weather whose wind is to be trusted (B2 drawn {item.truth.b2:.0f} mK^2"
         f" rad^(-5/3), wind drawn {speed:.1f}, measured {_speed(item.wind)} arcmin/s). Right: the same observation"
         f" under a second layer of equal amplitude, whose wind of {speed:.1f} arcmin/s blows"
         f" {degrees(SECOND_LAYER_RAD):.0f} deg away from the first; measured {_speed(double)} arcmin/s,"
@@ -54,15 +54,15 @@ def wind_examples_figure(survey: MeasuredSurvey) -> PaperFigure:
 
 
 def typical_observation(survey: MeasuredSurvey) -> int:
-    """Index of the observation of median goodness among the first scene's with a trusted wind and B2 below the median.
+    """Index of the observation of median goodness among the first scene's with a trusted wind and B2 above the median.
 
-    Where all B2 of trusted winds are above the median, of all of them. Raises ValueError without a trusted wind.
+    Where all B2 of trusted winds are below the median, of all of them. Raises ValueError without a trusted wind.
     """
     first = np.array(survey.scene_of) == survey.scene_of[0]
     trusted = first & survey.wind_good
     if not trusted.any():
         raise ValueError(f"found no wind to be trusted in scene {survey.scene_of[0]!r}; one or more is expected")
-    fair = trusted & (survey.b2_fitted < np.nanmedian(survey.b2_fitted))
+    fair = trusted & (survey.b2_fitted > np.nanmedian(survey.b2_fitted))
     chosen = np.flatnonzero(fair if fair.any() else trusted)
     goodness = [survey.measurements[k].wind.goodness for k in chosen]
     return int(chosen[np.argsort(goodness, kind="stable")[(len(chosen) - 1) // 2]])

@@ -96,7 +96,7 @@ def timestream_psd(setup: Setup, coadds: CoAdds) -> Figure:
     figure, panels = _panels(len(groups), 4.9)
     for axes, (name, rows), (before, after) in zip(panels, groups.items(), pairs, strict=True):
         axes.plot(frequency, before, color=VERMILION, lw=1.8, label="before cleaning")
-        cleaned = f"after cleaning ({setup.scene.cleaning.algorithm})"
+        cleaned = f"after cleaning ({setup.recipes[0].label})"
         axes.plot(frequency, after, color=BLUE, lw=1.8, label=cleaned)
         _white_levels(axes, setup, coadds, rows)
         scaled = r"beam power at $\ell = 2\pi f$ / speed, arbitrary scale"
@@ -194,7 +194,7 @@ def windows(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
     _shade_scored(axes, setup)
     style = {"fmt": "o-", "ms": 3.5, "lw": 1, "capsize": 2}
     for (n_det, window), colour in zip(_arrays(scores), (BLACK, BLUE), strict=False):
-        label = f"cleaning ({setup.scene.cleaning.algorithm}), {n_det} detectors"
+        label = f"cleaning ({setup.recipes[0].label}), {n_det} detectors"
         axes.errorbar(window.ell, window.transmission, window.error, color=colour, label=label, **style)
     axes.plot(rings.ell, beam, color=PURPLE, ls=":", lw=1.8, label=r"beam, $B_\ell^2$")
     axes.plot(rings.ell, pixel, color=GREEN, ls="--", lw=1.5, label="pixel")

@@ -134,7 +134,8 @@ def print_paper(written: list[Path]) -> None:
                 console.print(f"\n{made.meta['title']}: {made.meta['caption']}", highlight=False, markup=False)
             else:
                 console.print(_plain_table(made))
-    console.print(f"\n{len(written)} files in {written[0].parent}", highlight=False, markup=False)
+    if written:
+        console.print(f"\n{len(written)} files in {written[0].parent}", highlight=False, markup=False)
 
 
 def _plain_table(made: "AstropyTable") -> Table:

@@ -7,17 +7,10 @@ import pytest
 
 from mapmaker.correlations import Profile, correlation_profile, pair_bins, scan_covariances
 from mapmaker.timestreams import FocalPlane
-from surveysim.atmosphere.correlation import correlation_grid, scan_correlation
-from surveysim.atmosphere.fit import (
-    HEIGHT_GRID_M,
-    INDEX_GRID,
-    KOLMOGOROV,
-    OUTER_SCALE_M,
-    TRACKS_RAD,
-    fit_turbulence,
-)
+from surveysim.atmosphere.correlation import OUTER_SCALE_M, correlation_grid, scan_correlation
+from surveysim.atmosphere.fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV, TRACKS_RAD, fit_turbulence
 from surveysim.atmosphere.screen import StripCache, add_atmosphere, strip_step
-from surveysim.atmosphere.spectrum import Screen, mean_removed_variance, structure_function
+from surveysim.atmosphere.spectrum import Screen, beam_transfer, mean_removed_variance, structure_function
 from surveysim.coherence import mutual_coherence
 from surveysim.instrument import hexagon
 
@@ -40,7 +33,7 @@ def focal_plane():
 @pytest.fixture(scope="module")
 def grid():
     bins = pair_bins(focal_plane())
-    return bins, correlation_grid(bins.theta_rad, INDEX_GRID, HEIGHT_GRID_M, 8.0, OUTER_SCALE_M, TRACKS_RAD)
+    return bins, correlation_grid(bins.theta_rad, INDEX_GRID, HEIGHT_GRID_M, 8.0, None, TRACKS_RAD)
 
 
 @pytest.mark.parametrize("index", [2 / 3, 2.0, 11 / 3, 14 / 3])
@@ -198,6 +191,43 @@ def test_what_can_not_be_fitted(grid):
     for track in (np.nan, 0.0, 1e-5, 10.0):
         with np.errstate(divide="ignore"):
             assert fit_turbulence(profile, bins, table, np.full(3, track), zenith, None) is None
+
+
+def test_a_scene_s_outer_scale_is_in_the_fit(grid):
+    """Theory with an outer scale of 2 km, fitted with it and without: B2 comes back, or at half of it."""
+    bins, table = grid
+    zenith, track = np.full(18, math.pi / 2), np.full(18, TRACK)
+    bounded = correlation_grid(bins.theta_rad, [11 / 3], [1000.0], 8.0, 2000.0, TRACKS_RAD)
+    theory = 280 * scan_correlation(Screen(11 / 3, 8e-3, 2.0), bins.theta_rad, TRACK)
+    profile = exact_profile(bins, theory)
+    assert fit_turbulence(profile, bins, bounded, track, zenith, None).b2[0, 0] == pytest.approx(280, rel=1e-3)
+    assert 0.4 < fit_turbulence(profile, bins, table, track, zenith, None).b2[KOLMOGOROV, 3] / 280 < 0.6
+
+
+@pytest.mark.parametrize("outer_scale, low, high", [(math.inf, 0.025, -0.007), (0.3, 0.13, -0.037)])
+def test_what_a_wrong_height_does_to_b2(outer_scale, low, high):
+    """Little, as most of a scan's variance is on scales far above the beam; more if an outer scale leaves them out."""
+    right, lowest, highest = (
+        mean_removed_variance(Screen(11 / 3, 8 / height, outer_scale), WIND, SECONDS) for height in (1000, 375, 6000)
+    )
+    assert right / lowest - 1 == pytest.approx(low, abs=0.005)
+    assert right / highest - 1 == pytest.approx(high, abs=0.003)
+
+
+def test_a_periodic_map_of_a_scan_s_length_has_the_paper_s_dependence_on_height():
+    """Mean-removed variance summed over the modes of a box of 465 arcmin: B2 moves by +19 and -5 %, the paper's 15."""
+    box = 465 * ARCMIN
+    k = np.arange(-400, 401) / box
+    k_x, k_y = np.meshgrid(k, k)
+    alpha = np.hypot(k_x, k_y)
+    alpha[alpha == 0] = np.inf
+    kept = alpha ** (-11 / 3) * (1 - np.sinc(k_x * TRACK) ** 2)
+
+    def variance(height):
+        return np.sum(kept * beam_transfer(np.where(np.isfinite(alpha), alpha, 0) * 8 / height) ** 2)
+
+    assert variance(1000) / variance(375) - 1 == pytest.approx(0.186, abs=0.01)
+    assert variance(1000) / variance(6000) - 1 == pytest.approx(-0.05, abs=0.01)
 
 
 @pytest.mark.slow

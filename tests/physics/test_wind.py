@@ -103,7 +103,7 @@ def layers(winds, n, b2, noise=True):
     """Fits of n observations of Lynx through layers of given (speed [arcmin/s], angle [deg]), one strength each."""
     full = scene("lynx")
     excess = full.excess.model_copy(update={"b2": (1.0,), "variance_mk2": (6.0,)})
-    without = full.cleaning.model_copy(update={"algorithm": "none"})
+    without = full.cleaning.model_copy(update={"algorithm": ("none",)})
     still = prepare(full.model_copy(update={"atmosphere": None, "score": None, "cleaning": without, "excess": excess}))
     strips = prepare(full).strips
     fits = []

@@ -34,7 +34,8 @@ def scenarios(tmp_path_factory):
 def made(scenarios, tmp_path_factory):
     out = tmp_path_factory.mktemp("paper")
     counted = []
-    written = reproduce(wanted(TABLES, FIGURES, scenarios, None), out, 1, lambda: counted.append(1))
+    written, failed = reproduce(wanted(TABLES, FIGURES, scenarios, None), out, 1, lambda: counted.append(1))
+    assert failed == []
     return out, written, len(counted)
 
 
@@ -66,7 +67,10 @@ def test_pictures_and_their_points(made):
 
 def test_tables_have_the_paper_s_value_ours_and_our_error(made):
     table = read(made[0] / "table1.ecsv")
-    assert table.colnames == ["instrument", "band", "quartile", "paper", "ours", "error", "drawn"] and len(table) == 18
+    assert (
+        table.colnames == ["instrument", "band", "quartile", "paper", "ours", "error", "drawn", "expected"]
+        and len(table) == 18
+    )
     assert list(table["paper"][:3]) == [100, 280, 980]
     ours, error = np.array(table["ours"]), np.array(table["error"])
     assert (ours > 0).all() and (error > 0).all()
@@ -93,7 +97,7 @@ def test_measurements_stand_beside_the_truth(made):
 
 
 def test_same_bits_whatever_the_workers(scenarios, made, tmp_path):
-    written = reproduce(wanted((2,), (), scenarios, None), tmp_path, 2)
+    written, _ = reproduce(wanted((2,), (), scenarios, None), tmp_path, 2)
     for path in written:
         assert path.read_bytes() == (made[0] / path.name).read_bytes()
 
@@ -103,6 +107,32 @@ def test_only_what_is_needed_is_made(scenarios, tmp_path):
     assert asked.observations == 0 and asked.items == ["figure 1", "figure 2"]
     assert wanted((1,), (), scenarios, 3).observations == 5 * 3
     assert list(wanted((), (6, 9), scenarios, None).scenes) == ["143"]
+    assert wanted((), (1,), tmp_path, None).scenes == {}  # needs no scene at all
     (tmp_path / "lynx.toml").write_text(SCENE)
     with pytest.raises(SceneError, match="sds1.toml: can't be read"):
         wanted((2,), (), tmp_path, None)
+
+
+def test_what_can_t_be_made_is_said_and_the_rest_is_made(scenarios, tmp_path):
+    asked = wanted((2,), (1, 6, 9), scenarios, 1, {"atmosphere.b2": "[0, 0, 0] mK2 rad(-5/3)"})
+    written, failed = reproduce(asked, tmp_path, 1)
+    assert {path.name for path in written} >= {"figure01.png", "figure01.ecsv"}
+    assert [line.partition(":")[0] for line in failed] == ["143 GHz", "table 2", "figure 6", "figure 9"]
+
+
+@pytest.mark.parametrize(
+    "name, old, new, words",
+    [
+        ("sds1", "pitch_f_lambda = 0.7", "pitch_f_lambda = 0.8", "sds1.toml: instrument: not that of 'lynx'"),
+        ("sds1", 'wind_median = "31', 'wind_median = "20', "sds1.toml: atmosphere: not that of 'lynx'"),
+        ("lynx", "143 GHz", "600 GHz", "lynx.toml: atmosphere.site: found a band"),
+        ("lynx", '"1000 m"', '"1234 m"', "lynx.toml: atmosphere: found index 3.667 and layer_height 1234 m"),
+    ],
+)
+def test_scenes_that_can_t_be_measured_together(scenarios, tmp_path, name, old, new, words):
+    for path in scenarios.iterdir():
+        text = path.read_text()
+        (tmp_path / path.name).write_text(text.replace(old, new) if path.stem == name else text)
+    with pytest.raises(SceneError) as caught:
+        wanted((2,), (), tmp_path, None)
+    assert words in str(caught.value)

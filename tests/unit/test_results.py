@@ -17,7 +17,7 @@ from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
 
 KEYS = {
     "scene", "title", "seed", "scene_sha256", "surveysim", "python", "packages", "observations", "detectors",
-    "detector_samples", "stages_left_out", "scans", "scans_discarded", "mean_iterations", "scores", "run",
+    "detector_samples", "stages_left_out", "scans", "scans_discarded", "mean_iterations", "scores", "run", "cleaning",
     "files",
 }  # fmt: skip
 SCORED_KEYS = {"error_budget", "gains", "alternatives"}
@@ -112,8 +112,8 @@ def test_observation_table(finished, content):
     result, folder = finished
     table = Table.read(folder / "tables" / "observations.ecsv")
     assert list(table["observation"]) == [0, 1, 2, 3]
-    assert table["discarded_whole"].sum() == content["scans_discarded"]
-    assert table["iterations_whole"].mean() == pytest.approx(content["mean_iterations"])
+    assert table["discarded_actual"].sum() == content["scans_discarded"]
+    assert table["iterations_actual"].mean() == pytest.approx(content["mean_iterations"])
     np.testing.assert_allclose(table["elevation_rad"], math.radians(55))
     noise = np.column_stack([table[f"noise_mk2_{name}"] for name in SETS])
     np.testing.assert_array_equal(noise, result.coadds.noise_mk2())

@@ -1,0 +1,89 @@
+"""Cleaning by adaptive principal component analysis.
+
+Sayers et al. (2010), "Adaptive Principal Component Analysis (PCA)". The eigenvectors of each scan's covariance whose
+eigenvalues stand out in the logarithm are projected out. Eigenvalues that are zero but for rounding, of fewer samples
+than detectors or of an earlier cleaning, have no part in the distribution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import floor
+from typing import TYPE_CHECKING
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, has_dead
+
+if TYPE_CHECKING:
+    from mapmaker.timestreams import FocalPlane
+
+# Eigenvalues below this fraction of the largest are zero but for rounding, of float32 streams too.
+_ZERO = 1e-12
+# Logarithms of equal eigenvalues differ by rounding, which is not to stand out.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class PcaOptions:
+    """Which eigenvalues stand out; the paper takes 3."""
+
+    sigma_cut: float  # standard deviations of log(eigenvalue) above the mean
+
+    def __post_init__(self):
+        """Raise ValueError for a value out of range."""
+        if not 0 < self.sigma_cut < np.inf:
+            raise ValueError(f"sigma_cut must be positive and finite, got {self.sigma_cut}")
+
+
+def least_eigenvalues(sigma_cut: float) -> int:
+    """How many numbers it takes for one to lie more than `sigma_cut` standard deviations above their mean.
+
+    One apart from n - 1 equal ones lies sqrt(n - 1) above it, and none lies further.
+    """
+    return floor(sigma_cut**2) + 2
+
+
+@threadpool_limits.wrap(limits=1)  # small eigenproblems: more threads are slower and change the last bits
+def subtract_pca(data_mk, scan_bounds, focal_plane: FocalPlane, options: PcaOptions) -> Cleaned:
+    """Remove the mean and the outstanding modes; arguments, result and errors as for `clean`.
+
+    `removed` is the number of modes; responsivities are 1 and no iterations are counted. A scan of few samples may
+    have too few eigenvalues for any to stand out, and then loses its mean alone. Raises ValueError for too few
+    detectors. Sayers et al. (2010), "Adaptive Principal Component Analysis (PCA)".
+    """
+    needed = least_eigenvalues(options.sigma_cut)
+    if len(data_mk) < needed:
+        raise ValueError(f"a cut at {options.sigma_cut} sigma needs at least {needed} detectors, got {len(data_mk)}")
+    return clean_scans(data_mk, scan_bounds, lambda block, scan: _project(block, options.sigma_cut))
+
+
+def outstanding(eigenvalues: np.ndarray, sigma_cut: float) -> int:
+    """How many of the positive eigenvalues, in rising order, are cut from the upper end."""
+    logarithm = np.log(eigenvalues)
+    n_left = len(logarithm)
+    while n_left > 0:
+        rest = logarithm[:n_left]
+        limit = rest.mean() + max(sigma_cut * rest.std(), _ROUNDING)
+        within = int(np.searchsorted(rest, limit, side="right"))
+        if within == n_left:
+            break
+        n_left = within
+    return len(logarithm) - n_left
+
+
+def _project(block: np.ndarray, sigma_cut: float) -> Fit:
+    """Project the outstanding modes out of one mean-removed scan, in place."""
+    if has_dead(block):
+        return Fit(None)
+    n_det, n_samp = block.shape
+    # Detectors and samples have the same non-zero eigenvalues and modes: the smaller matrix is the faster.
+    across = n_det <= n_samp
+    eigenvalues, vectors = np.linalg.eigh(block @ block.T if across else block.T @ block)
+    above = eigenvalues > _ZERO * eigenvalues[-1]
+    rank = min(int(above.sum()), n_samp - 1)
+    n_modes = outstanding(eigenvalues[len(eigenvalues) - rank :], sigma_cut)
+    modes = vectors[:, len(eigenvalues) - n_modes :]
+    block -= modes @ (modes.T @ block) if across else (block @ modes) @ modes.T
+    return Fit(np.ones(n_det), 0, n_modes)

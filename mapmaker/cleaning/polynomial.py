@@ -1,0 +1,94 @@
+"""Cleaning with polynomial templates of any order, on the whole focal plane or on regions of it.
+
+Sayers et al. (2010) take orders 0, 1 and 2 over 8 arcmin ("Higher-Order Template Subtraction"); larger fields of view
+need higher orders or sub-regions. Each region has templates and responsivities of its own.
+
+Regions are cut as a k-d tree is: a set of detectors is split across the wider of its extents in x and y, until there
+are as many sets as asked for, whose sizes differ by one detector at most.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans
+from mapmaker.cleaning.templates import check_convergence, fit_templates, template_basis
+
+if TYPE_CHECKING:
+    from mapmaker.timestreams import FocalPlane
+
+# Extents and positions that differ by less than this fraction of the array's are equal: a lattice's rows are, but
+# for rounding.
+_EQUAL = 1e-6
+
+
+@dataclass(frozen=True)
+class PolynomialOptions:
+    """Highest power of the terms, number of regions, and when the responsivities have converged."""
+
+    order: int
+    regions: int
+    tolerance: float  # mean fractional change of c_i in a region
+    max_iterations: int
+
+    def __post_init__(self):
+        """Raise ValueError for values out of range."""
+        if self.order < 0:
+            raise ValueError(f"order must be at least 0, got {self.order}")
+        if self.regions < 1:
+            raise ValueError(f"regions must be at least 1, got {self.regions}")
+        check_convergence(self.tolerance, self.max_iterations)
+
+
+def exponents(order: int) -> tuple[tuple[int, int], ...]:
+    """Exponents (of x, of y) of all terms up to the order, the lowest first."""
+    return tuple((total - b, b) for total in range(order + 1) for b in range(total + 1))
+
+
+def focal_plane_regions(focal_plane: FocalPlane, regions: int) -> list[np.ndarray]:
+    """Detectors by index, region by region; sizes differ by one at most. Raises ValueError for too few detectors."""
+    if len(focal_plane.x_rad) < regions:
+        raise ValueError(f"{regions} regions need at least as many detectors, got {len(focal_plane.x_rad)}")
+    places = np.stack([focal_plane.x_rad, focal_plane.y_rad], axis=1).astype(np.float64)
+    places = np.rint((places - places.min(axis=0)) / (_EQUAL * (np.ptp(places, axis=0).max() or 1.0)))
+    base, more = divmod(len(places), regions)
+    sizes = [base + (k < more) for k in range(regions)]
+    return [np.sort(region) for region in _split(places, np.arange(len(places)), sizes)]
+
+
+def _split(places: np.ndarray, members: np.ndarray, sizes: list[int]) -> list[np.ndarray]:
+    if len(sizes) == 1:
+        return [members]
+    x, y = places[members].T
+    order = np.lexsort((y, x) if np.ptp(x) >= np.ptp(y) else (x, y))
+    half = len(sizes) // 2
+    first, second = np.split(members[order], [sum(sizes[:half])])
+    return _split(places, first, sizes[:half]) + _split(places, second, sizes[half:])
+
+
+def subtract_polynomial(data_mk, scan_bounds, focal_plane: FocalPlane, options: PolynomialOptions) -> Cleaned:
+    """Remove the mean and all templates x^a y^b, a + b <= order, in each region.
+
+    Arguments, result and errors as for `clean`. Above order 0 responsivities have the mean 1 in each region: they
+    compare detectors of one region only. `iterations` is that of the region that took longest, `removed` counts the
+    templates of all regions; a scan is discarded if one of its regions does not converge. With one region, orders
+    0, 1 and 2 are average, planar and quadratic subtraction. Raises ValueError if a region does not support the
+    templates.
+    """
+    regions = focal_plane_regions(focal_plane, options.regions)
+    bases = [template_basis(focal_plane.subset(region), exponents(options.order)) for region in regions]
+
+    def subtract(block: np.ndarray, scan: int) -> Fit:
+        responsivity, fits = np.empty(len(block)), []
+        for region, basis in zip(regions, bases, strict=True):
+            part = block[region]
+            fits.append(fit_templates(part, basis, options))
+            if fits[-1].responsivity is None:
+                return Fit(None, fits[-1].iterations)
+            block[region], responsivity[region] = part, fits[-1].responsivity
+        return Fit(responsivity, max(fit.iterations for fit in fits), sum(fit.removed for fit in fits))
+
+    return clean_scans(data_mk, scan_bounds, subtract)

@@ -1,0 +1,141 @@
+"""Cleaning of a layer that the wind carries: average subtraction of streams brought to rest.
+
+Sayers et al. (2010), "Wind Model" and "Appendix Material". A frozen layer reaches a detector at r later by r . s, with
+the slowness s of `slowness`. With each stream read that much later, the average template is found and fitted; what is
+subtracted from the stream as it was is c_i T(t - r_i . s), the template delayed again.
+
+The shift is the appendix's: a linear interpolation, S in frequency, divided by |S|. Power spectra stay as they are
+since S / |S| has the modulus 1; its phase is that of the delay at low frequencies, and off by half a sample's at most.
+
+Beyond its ends a scan goes on as its mirror image, from which the interpolation takes what it needs there. Neither c
+nor the template rests on these samples: c is fitted where every stream is within the scan, and the template is at each
+instant the mean of those detectors that then have data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans
+from mapmaker.cleaning.templates import AVERAGE, check_convergence, template_basis
+from mapmaker.kernels.cleaning import iterate_responsivity
+
+if TYPE_CHECKING:
+    from mapmaker.timestreams import FocalPlane
+
+# Longest delay from the array's centre, as a share of the scan: half of the samples are left to all detectors.
+_LONGEST = 0.25
+# A delay may pass the end of a scan by this fraction of a sample: by rounding.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class WindOptions:
+    """How long the layer takes over the array, and when the responsivities have converged."""
+
+    slowness_s_rad: np.ndarray  # (n_scan, 2) along the array's x and y [s/rad]
+    sample_rate_hz: float
+    tolerance: float  # mean fractional change of c_i
+    max_iterations: int
+
+    def __post_init__(self):
+        """Raise ValueError for values out of range."""
+        found = np.shape(self.slowness_s_rad)
+        if len(found) != 2 or found[1] != 2:
+            raise ValueError(f"slowness_s_rad must be (n_scan, 2), got {found}")
+        if not np.isfinite(self.slowness_s_rad).all():
+            raise ValueError("slowness_s_rad must be finite, got values that are not")
+        if not 0 < self.sample_rate_hz < np.inf:
+            raise ValueError(f"sample_rate_hz must be positive and finite, got {self.sample_rate_hz}")
+        check_convergence(self.tolerance, self.max_iterations)
+
+
+def slowness(wind_rad_s: np.ndarray, scan_velocity_rad_s: np.ndarray) -> np.ndarray:
+    """Slowness u / |u|^2 (n_scan, 2) [s/rad] of a layer, with u = wind - scan velocity [rad/s] in the array frame.
+
+    wind_rad_s: (2,), `mapmaker.wind.WindFit.velocity_rad_s`. scan_velocity_rad_s: (n_scan, 2),
+    `mapmaker.wind.scan_velocities`. Raises ValueError for a layer at rest and for values that are not finite, such
+    as those of a wind that could not be measured.
+    """
+    u = np.asarray(wind_rad_s, dtype=np.float64) - np.asarray(scan_velocity_rad_s, dtype=np.float64)
+    square = np.sum(u**2, axis=-1, keepdims=True)
+    if not (np.isfinite(u).all() and square.all()):
+        raise ValueError("wind less scan velocity is zero or not finite; a finite velocity other than zero is allowed")
+    return u / square
+
+
+def subtract_wind(data_mk, scan_bounds, focal_plane: FocalPlane, options: WindOptions) -> Cleaned:
+    """Remove the mean and the common signal that passes with the wind.
+
+    Arguments, result and errors as for `clean`; with no slowness it is average subtraction. Raises ValueError too
+    for slownesses that do not fit the scans in number, or whose delays from the array's centre exceed a quarter of
+    a scan. Sayers et al. (2010), "Wind Model".
+    """
+    if len(options.slowness_s_rad) != len(scan_bounds):
+        raise ValueError(f"{len(options.slowness_s_rad)} slownesses found for {len(scan_bounds)} scans; one a scan")
+    basis = template_basis(focal_plane, AVERAGE)
+    r_rad = np.stack([focal_plane.x_rad - np.mean(focal_plane.x_rad), focal_plane.y_rad - np.mean(focal_plane.y_rad)])
+    delays = options.sample_rate_hz * (np.asarray(options.slowness_s_rad, dtype=np.float64) @ r_rad)
+    return clean_scans(data_mk, scan_bounds, lambda block, scan: _subtract(block, delays[scan], basis, options))
+
+
+def _subtract(block: np.ndarray, delay: np.ndarray, basis: np.ndarray, options: WindOptions) -> Fit:
+    """Subtract the delayed template from one mean-removed scan, in place."""
+    n_det, n_samp = block.shape
+    longest = np.abs(delay).max()
+    if longest > _LONGEST * n_samp:
+        raise ValueError(f"delays of up to {longest:.4g} samples found in a scan of {n_samp}; a quarter is allowed")
+    pad = ceil(longest)
+    turn = phases(delay, n_samp + 2 * pad)
+    rest = turned(np.pad(block, ((0, 0), (pad, pad)), mode="symmetric"), turn)
+    instant = np.arange(-pad, n_samp + pad) + delay[:, None]
+    within = (instant >= -_ROUNDING) & (instant <= n_samp - 1 + _ROUNDING)
+    common = rest[:, within.all(axis=0)]
+    mean = common.mean(axis=1, keepdims=True)
+    common = common - mean
+    responsivity = np.ones(n_det)
+    converged, iterations = iterate_responsivity(
+        common @ common.T, basis, basis[1:], options.tolerance, options.max_iterations, responsivity
+    )
+    if not converged:
+        return Fit(None, iterations)
+    rest -= mean
+    template = turned(_mean_within(rest / responsivity[:, None], within)[None], turn.conj())
+    block -= responsivity[:, None] * template[:, pad : pad + n_samp]
+    block -= block.mean(axis=1, keepdims=True)
+    return Fit(responsivity, iterations, 1)
+
+
+def phases(delay: np.ndarray, n_samp: int) -> np.ndarray:
+    """S / |S| (n_det, n_samp + 1) for scans of n_samp samples with their mirror images, delays in samples.
+
+    Multiplied with the transform it reads a stream `delay` (n_det,) samples later.
+    """
+    circle = np.exp(1j * np.pi * np.arange(2 * n_samp) / n_samp)
+    whole = np.floor(delay).astype(np.int64)
+    fraction = (delay - whole)[:, None]
+    s = (1 - fraction) + fraction * circle[: n_samp + 1]
+    # At the Nyquist frequency, where S is zero for half a sample, a scan with its mirror image has nothing.
+    s[:, -1] = 1.0
+    s /= np.abs(s)
+    return s * circle[whole[:, None] * np.arange(n_samp + 1) % (2 * n_samp)]
+
+
+def turned(streams: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Streams (n_det, n_samp), or one of them for all, mirrored at their ends and with `phases` (n_det, n_samp + 1)."""
+    n_samp = streams.shape[1]
+    spectrum = np.fft.rfft(np.concatenate([streams, streams[:, ::-1]], axis=1))
+    return np.fft.irfft(spectrum * turn, 2 * n_samp)[:, :n_samp]
+
+
+def _mean_within(streams: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """Mean over the detectors that are within the scan; where none is, the nearest mean."""
+    count = within.sum(axis=0)
+    some = np.flatnonzero(count)
+    total = np.einsum("in,in->n", streams, within)[some[0] : some[-1] + 1]
+    mean = total / count[some[0] : some[-1] + 1]
+    return np.pad(mean, (some[0], len(count) - 1 - some[-1]), mode="edge")

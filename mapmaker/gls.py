@@ -1,0 +1,283 @@
+"""Maximum-likelihood maps: the noise of streams measured as white levels and correlated modes, and inverted.
+
+The map m solves ``(P^T N^-1 P) m = P^T N^-1 d`` for pointing P and streams d, with nothing taken out of the
+streams beforehand: modes that the atmosphere shares among the detectors weigh little, and so do those of low
+frequency, but what they hold of the sky is not lost. For any symmetric N^-1 the map's expectation is the sky.
+
+The noise of each scan is taken for stationary and independent of the other scans. N is block diagonal in the
+discrete cosine transform of the scan, which is the Fourier transform of the scan followed by its mirror image:
+a circulant approximation without the step between the end of a scan and its beginning, which in red noise would
+leak a power of f^-2 over all frequencies. In each band of frequency ``N_b = w_b diag(r) + V_b V_b^T``, the leading
+eigenvectors of the measured covariance and what is left of its diagonal (Duenner et al. 2013 do the like),
+inverted by Woodbury's identity. Phases between detectors are not kept: a pattern that drifts over the array takes
+two modes. The mean of a scan has no information.
+
+The streams whose noise is measured are those that are mapped, and every number that is fitted to them takes a
+little of the sky with it. The model is therefore kept small: one level w_b a band, one r a detector, and only
+modes that are beyond doubt.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.fft import dct, idct
+
+from mapmaker.binning import BinnedMap
+from mapmaker.geometry import MapGeometry
+from mapmaker.iterative import StreamBlock, subtract_sky
+
+# A detector with less than this share of the mean noise is dead and gets no weight.
+_DEAD = 1e-10
+
+
+@dataclass(frozen=True)
+class GlsOptions:
+    """How the noise is modelled and the map is solved for.
+
+    `band_edges_hz` (n_band + 1,): what lies outside has no information. A band has the modes whose eigenvalue,
+    in the correlation matrix, is above `eigenvalue_cut` times the largest that uncorrelated noise would show,
+    `max_modes` at most. `tolerance`: residual of the normal equations over their right-hand side.
+    """
+
+    band_edges_hz: tuple[float, ...] = (0.0, 0.1, 0.2, 0.4, 0.8, 1.6, np.inf)
+    max_modes: int = 20
+    eigenvalue_cut: float = 2.0
+    tolerance: float = 1e-5
+    max_iterations: int = 300
+
+    def __post_init__(self):
+        """Raise ValueError for values out of range."""
+        edges = np.asarray(self.band_edges_hz)
+        if len(edges) < 2 or edges[0] < 0 or not (np.diff(edges) > 0).all():
+            raise ValueError(f"band_edges_hz must be 2 or more and increase from 0 or more, got {self.band_edges_hz}")
+        if self.max_modes < 0 or self.max_iterations < 1:
+            raise ValueError(
+                f"max_modes must be at least 0 and max_iterations 1, got {self.max_modes}, {self.max_iterations}"
+            )
+        if not (self.eigenvalue_cut >= 1 and self.tolerance > 0):
+            raise ValueError(
+                f"eigenvalue_cut must be at least 1 and tolerance positive, got {self.eigenvalue_cut}, {self.tolerance}"
+            )
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Noise covariance of one cosine mode, ``diag(white) + modes modes^T``, in each band [mK^2, a sample].
+
+    `white_mk2` (n_band, n_det), 0 for a dead detector, which gets no weight; `modes_mk` of each band
+    (n_det, n_mode). A mode of frequency f and noise of one-sided PSD p [mK^2/Hz] has the variance p rate / 2.
+    """
+
+    band_edges_hz: tuple[float, ...]
+    white_mk2: np.ndarray
+    modes_mk: tuple[np.ndarray, ...]
+    sample_rate_hz: float
+
+    @cached_property
+    def inverse_white(self) -> np.ndarray:
+        """Inverse of the levels (n_band, n_det) [1/mK^2]."""
+        return np.divide(1.0, self.white_mk2, out=np.zeros_like(self.white_mk2), where=self.white_mk2 > 0)
+
+    @cached_property
+    def inverse_modes(self) -> tuple[np.ndarray, ...]:
+        """U (n_det, n_mode) [1/mK] of each band: ``N^-1 = diag(inverse_white) - U U^T``, Woodbury's identity."""
+        return tuple(_woodbury(row, modes) for row, modes in zip(self.inverse_white, self.modes_mk, strict=True))
+
+
+@dataclass(frozen=True)
+class GlsMap:
+    """The map and how it was solved for.
+
+    `map`: weights are those of the white noise alone [1/mK^2]. A constant added to all pixels of the map is not
+    determined; its weighted mean is 0. `residual` of the normal equations over their right-hand side.
+    """
+
+    map: BinnedMap
+    iterations: int
+    residual: float
+    converged: bool
+    discarded: int  # scans with values that are not finite
+
+
+@dataclass(frozen=True)
+class _Scans:
+    """What the solution keeps of an observation; off the map the index is the number of pixels."""
+
+    index: np.ndarray
+    bounds: np.ndarray
+    noise: NoiseModel
+
+
+def _woodbury(inverse_white: np.ndarray, modes: np.ndarray) -> np.ndarray:
+    weighted = inverse_white[:, None] * modes
+    inner = np.linalg.cholesky(np.eye(modes.shape[1]) + modes.T @ weighted)
+    return np.linalg.solve(inner, weighted.T).T
+
+
+def measure_noise(
+    data_mk: np.ndarray, scan_bounds: np.ndarray, sample_rate_hz: float, options: GlsOptions
+) -> NoiseModel:
+    """The noise of one observation's streams (n_det, n_samp), from all its scans (n_scan, 2) together.
+
+    A sky signal in the streams counts as noise. Raises ValueError where a band holds fewer than 2 modes of the
+    scans, and where no detector has noise in a band.
+    """
+    columns: list[list[np.ndarray]] = [[] for _ in options.band_edges_hz[1:]]
+    for start, stop in scan_bounds:
+        modes = dct(data_mk[:, start:stop].astype(np.float64), axis=1, norm="ortho")
+        for column, band in zip(columns, band_slices(stop - start, sample_rate_hz, options.band_edges_hz), strict=True):
+            column.append(modes[:, band])
+    amplitudes = [np.concatenate(column, axis=1) for column in columns]
+    for b, n in enumerate(item.shape[1] for item in amplitudes):
+        if n < 2:
+            low, high = options.band_edges_hz[b : b + 2]
+            raise ValueError(f"the scans have {n} modes from {low} to {high} Hz; 2 or more are needed")
+    left, modes = zip(*(_band_noise(item, options) for item in amplitudes), strict=True)
+    white = _separable(np.array(left), np.array([item.shape[1] for item in amplitudes]))
+    return NoiseModel(options.band_edges_hz, white, modes, sample_rate_hz)
+
+
+def band_slices(n_samp: int, sample_rate_hz: float, band_edges_hz: tuple[float, ...]) -> list[slice]:
+    """The cosine modes of a scan that each band holds; mode k has the frequency ``k rate / (2 n_samp)``.
+
+    Mode 0, the mean, is in no band.
+    """
+    frequency = np.arange(n_samp) * sample_rate_hz / (2 * n_samp)
+    edges = np.maximum(np.searchsorted(frequency, band_edges_hz), 1)
+    return [slice(int(low), int(high)) for low, high in zip(edges[:-1], edges[1:], strict=True)]
+
+
+def _band_noise(amplitudes: np.ndarray, options: GlsOptions) -> tuple[np.ndarray, np.ndarray]:
+    """What the modes leave of the variances (n_det,), and the modes (n_det, n_mode), from amplitudes (n_det, n)."""
+    n_det, n = amplitudes.shape
+    power = np.mean(amplitudes**2, axis=1)
+    alive = power > _DEAD * power.mean()
+    scale = np.sqrt(np.where(alive, power, 1.0))
+    scaled = np.where(alive[:, None], amplitudes, 0.0) / scale[:, None]
+    values, vectors = np.linalg.eigh(scaled @ scaled.T / n)
+    values, vectors = values[::-1], vectors[:, ::-1]
+    n_mode = _count_modes(values, int(alive.sum()), n, options)
+    values, vectors = values[:n_mode], vectors[:, :n_mode]
+    white = power * (1 - vectors**2 @ values)
+    white[~alive | (white < _DEAD * power)] = 0.0
+    return white, scale[:, None] * vectors * np.sqrt(values)
+
+
+def _separable(left: np.ndarray, n_modes: np.ndarray) -> np.ndarray:
+    """Level of the band times level of the detector, from variances (n_band, n_det) of so many modes a band."""
+    level = left.mean(axis=1)
+    if not (level > 0).all():
+        raise ValueError("found no detector with noise in a band; one or more are needed")
+    return np.outer(level, n_modes @ (left / level[:, None]) / n_modes.sum())
+
+
+def _count_modes(values: np.ndarray, n_det: int, n: int, options: GlsOptions) -> int:
+    """How many leading eigenvalues stand above what noise without correlations would show.
+
+    Its largest, for n vectors of n_det independent deviates of variance v, is ``v (1 + sqrt(n_det / n))^2``
+    (Marchenko & Pastur 1967); v is the mean of the eigenvalues that are left.
+    """
+    # With as many modes as vectors nothing would be left to be white.
+    for k in range(min(options.max_modes, n // 2, n_det // 2)):
+        left = n_det - k
+        level = values[k:].sum() / left
+        if values[k] <= options.eigenvalue_cut * level * (1 + np.sqrt(left / n)) ** 2:
+            return k
+    return min(options.max_modes, n // 2, n_det // 2)
+
+
+def weigh(noise: NoiseModel, scan_mk: np.ndarray) -> np.ndarray:
+    """``N^-1 d`` of one scan (n_det, n_samp), in 1/mK."""
+    modes = dct(scan_mk, axis=1, norm="ortho")
+    bands = band_slices(scan_mk.shape[1], noise.sample_rate_hz, noise.band_edges_hz)
+    weighed = np.zeros_like(modes)
+    for band, white, shared in zip(bands, noise.inverse_white, noise.inverse_modes, strict=True):
+        x = modes[:, band]
+        weighed[:, band] = white[:, None] * x - shared @ (shared.T @ x)
+    return idct(weighed, axis=1, norm="ortho")
+
+
+def gls_map(
+    geometry: MapGeometry,
+    observations: Iterable[StreamBlock],
+    sample_rate_hz: float,
+    options: GlsOptions,
+    sky_mk: np.ndarray | None = None,
+) -> GlsMap:
+    """The maximum-likelihood map of observations, each with the noise measured from its own streams.
+
+    The streams are read once, one observation at a time; their indices are kept. `sky_mk` (n_y, n_x), an earlier
+    map, is taken out of the streams before their noise is measured: needed where the sky is not faint against
+    the noise. The blocks' weights are not used. Scans with values that are not finite are discarded. Raises
+    ValueError without an observation and as `measure_noise`.
+    """
+    n_pixel = geometry.n_y * geometry.n_x
+    right = np.zeros(n_pixel)
+    scans, discarded = [], 0
+    for block in observations:
+        bounds = np.array([b for b in block.scan_bounds if np.isfinite(block.data_mk[:, b[0] : b[1]]).all()])
+        discarded += len(block.scan_bounds) - len(bounds)
+        if not len(bounds):
+            continue
+        rest = block if sky_mk is None else subtract_sky(block, sky_mk)
+        noise = measure_noise(rest.data_mk, bounds, sample_rate_hz, options)
+        index = np.where(block.index < 0, n_pixel, block.index)
+        one = _Scans(index, bounds, noise)
+        right += _project(one, lambda start, stop, data=block.data_mk: data[:, start:stop].astype(float), n_pixel)
+        scans.append(one)
+    if not scans:
+        raise ValueError("found no observation with finite values; one or more are expected")
+    return _solved(geometry, scans, right, discarded, options)
+
+
+def _project(scans: _Scans, stream, n_pixel: int) -> np.ndarray:
+    """``P^T N^-1`` of the streams that `stream(start, stop)` gives, (n_pixel,)."""
+    total = np.zeros(n_pixel + 1)
+    for start, stop in scans.bounds:
+        weighed = weigh(scans.noise, stream(start, stop))
+        total += np.bincount(scans.index[:, start:stop].ravel(), weighed.ravel(), n_pixel + 1)
+    return total[:-1]
+
+
+def _solved(geometry, scans: list[_Scans], right: np.ndarray, discarded: int, options: GlsOptions) -> GlsMap:
+    """The solution by conjugate gradients; pixels without a hit stay 0."""
+    from scipy.sparse.linalg import LinearOperator, cg
+
+    n_pixel = len(right)
+
+    def normal(sky):
+        padded = np.append(sky, 0.0)
+        return sum(_project(one, lambda i, j, one=one: padded[one.index[:, i:j]], n_pixel) for one in scans)
+
+    weight, hits = _weight_and_hits(scans, n_pixel)
+    scale = np.divide(1.0, weight, out=np.zeros(n_pixel), where=weight > 0)
+    steps = []
+    sky, failed = cg(
+        LinearOperator((n_pixel, n_pixel), normal, dtype=float),
+        right,
+        rtol=options.tolerance,
+        maxiter=options.max_iterations,
+        M=LinearOperator((n_pixel, n_pixel), lambda r: scale * r.ravel(), dtype=float),
+        callback=lambda _: steps.append(1),
+    )
+    residual = np.linalg.norm(right - normal(sky)) / (np.linalg.norm(right) or 1.0)
+    shape = (geometry.n_y, geometry.n_x)
+    item = BinnedMap(geometry, (sky * weight).reshape(shape), weight.reshape(shape), hits.reshape(shape))
+    return GlsMap(item, len(steps), float(residual), failed == 0, discarded)
+
+
+def _weight_and_hits(scans: list[_Scans], n_pixel: int) -> tuple[np.ndarray, np.ndarray]:
+    """Weight of the white noise alone [1/mK^2] and hits of each pixel."""
+    weight, hits = np.zeros(n_pixel + 1), np.zeros(n_pixel + 1, np.int64)
+    for one in scans:
+        for start, stop in one.bounds:
+            bands = band_slices(stop - start, one.noise.sample_rate_hz, one.noise.band_edges_hz)
+            share = np.array([band.stop - band.start for band in bands]) / (stop - start)
+            pixels = one.index[:, start:stop]
+            # The diagonal of N^-1 without the modes: the mean over all cosine modes, 0 for those in no band.
+            white = np.repeat(share @ one.noise.inverse_white, stop - start)
+            weight += np.bincount(pixels.ravel(), white, n_pixel + 1)
+            hits += np.bincount(pixels.ravel(), minlength=n_pixel + 1)
+    return weight[:-1], hits[:-1]

@@ -1,0 +1,97 @@
+"""Which algorithms clean the streams, in which order, and the data set that each makes."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mapmaker.cleaning import (
+    Cleaned,
+    LocalOptions,
+    PcaOptions,
+    PolynomialOptions,
+    TemplateOptions,
+    WindOptions,
+    clean_in_order,
+    detectors_needed,
+    slowness,
+)
+from mapmaker.timestreams import FocalPlane, Timestreams
+from mapmaker.wind import measure_wind, scan_velocities
+from surveysim.sections import Cleaning
+
+ACTUAL, OPTIMAL = "actual", "optimal"
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Cleaning steps in order, and the data set that they make of some detectors (None: of all)."""
+
+    data_set: str
+    steps: tuple[str, ...]
+    detectors: np.ndarray | None = None
+
+    @property
+    def label(self) -> str:
+        """Its steps as one name."""
+        return "+".join(self.steps)
+
+    @property
+    def rows(self) -> np.ndarray | slice:
+        """Index of its detectors into the streams."""
+        return slice(None) if self.detectors is None else self.detectors
+
+
+def recipes(section: Cleaning, masked: np.ndarray | None) -> tuple[Recipe, ...]:
+    """The scene's own cleaning, those that it compares with, and its own on a masked array."""
+    found = [Recipe(ACTUAL, section.algorithm)]
+    found += [Recipe("+".join(steps), steps) for steps in section.compare]
+    if masked is not None:
+        found.append(Recipe(f"masked_{len(masked)}", section.algorithm, masked))
+    return tuple(found)
+
+
+def step_options(section: Cleaning, name: str, delays_s_rad: np.ndarray, sample_rate_hz: float) -> Any:
+    """The record that one step takes; `delays_s_rad` (n_scan, 2) is the slowness that a wind model shifts by."""
+    template = (section.tolerance, section.max_iterations)
+    if name == "wind":
+        return WindOptions(delays_s_rad, sample_rate_hz, *template)
+    if name == "pca":
+        return PcaOptions(section.sigma_cut)
+    if name == "local":
+        return LocalOptions(section.reach)
+    if name == "polynomial":
+        return PolynomialOptions(section.order, section.regions, *template)
+    return TemplateOptions(*template)
+
+
+def needed_detectors(section: Cleaning, name: str) -> int:
+    """How many detectors one step needs."""
+    return detectors_needed(name, step_options(section, name, np.zeros((1, 2)), 1.0))
+
+
+def apply_recipe(
+    section: Cleaning,
+    recipe: Recipe,
+    data_mk: np.ndarray,
+    scan_bounds: np.ndarray,
+    focal_plane: FocalPlane,
+    delays_s_rad: np.ndarray,
+    sample_rate_hz: float,
+) -> Cleaned:
+    """Clean the streams (n_det, n_samp) of the recipe's detectors, which `data_mk` and `focal_plane` hold alone."""
+    steps = [(name, step_options(section, name, delays_s_rad, sample_rate_hz)) for name in recipe.steps]
+    return clean_in_order(steps, data_mk, scan_bounds, focal_plane)
+
+
+def measured_delays(recipes: tuple[Recipe, ...], streams: Timestreams, sample_rate_hz: float) -> np.ndarray:
+    """Slowness (n_scan, 2) [s/rad] of the layer by the wind measured from the streams; 0 where none is trusted.
+
+    Measured only if a recipe shifts by it: elsewhere 0 too.
+    """
+    none = np.zeros((len(streams.scan_bounds), 2))
+    if not any("wind" in recipe.steps for recipe in recipes):
+        return none
+    velocity = scan_velocities(streams)
+    wind = measure_wind(streams.data_mk, streams.scan_bounds, streams.focal_plane, sample_rate_hz, velocity)
+    return none if wind.flag else slowness(wind.velocity_rad_s, velocity)

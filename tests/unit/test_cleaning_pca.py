@@ -1,0 +1,110 @@
+"""Adaptive PCA: twin, planted modes, degenerate eigenvalues, few samples."""
+
+import numpy as np
+import pytest
+
+from mapmaker.cleaning import PcaOptions, clean
+from mapmaker.cleaning.pca import least_eigenvalues, outstanding
+from mapmaker.timestreams import FocalPlane
+from tests import naive
+
+OPTIONS = PcaOptions(3.0)
+
+
+def _focal_plane(n_det):
+    x, y = np.random.default_rng(0).uniform(-1e-3, 1e-3, (2, n_det))
+    return FocalPlane(x_rad=x, y_rad=y, fwhm_rad=1.5e-4)
+
+
+def _modes(singular, n_det, n_samp, seed=0):
+    """Orthonormal modes of detectors (n_det, k) and of samples (k, n_samp), these mean-free, and their matrix."""
+    rng = np.random.default_rng(seed)
+    k = len(singular)
+    left = np.linalg.qr(rng.standard_normal((n_det, k)))[0]
+    course = rng.standard_normal((n_samp, k))
+    right = np.linalg.qr(course - course.mean(axis=0))[0].T
+    return left, right, (left * singular) @ right
+
+
+def _clean(data):
+    return clean("pca", data, np.array([[0, data.shape[1]]]), _focal_plane(len(data)), OPTIONS)
+
+
+@pytest.mark.parametrize("n_samp", [20, 39, 40, 41, 150])
+@pytest.mark.parametrize("seed", range(4))
+def test_equals_the_paper_s_steps(seed, n_samp):
+    rng = np.random.default_rng(seed)
+    common = np.array([[30], [5]]) * rng.standard_normal((2, n_samp))
+    data = rng.standard_normal((40, 2)) @ common + rng.standard_normal((40, n_samp))
+    cleaned = _clean(data)
+    expected, n_modes = naive.pca_cleaning(data, 3.0)
+    assert cleaned.removed[0] == n_modes
+    np.testing.assert_allclose(cleaned.data_mk, expected, atol=1e-11)
+
+
+@pytest.mark.parametrize(("n_det", "n_samp"), [(60, 150), (60, 41)])
+@pytest.mark.parametrize(("dtype", "level"), [(np.float64, 1e-10), (np.float32, 1e-4)])
+def test_planted_modes_vanish_and_the_rest_stays(n_det, n_samp, dtype, level):
+    """38 logarithms of eigenvalues from -1 to 1, and 4 and 14: 4 stands out only when 14 is gone.
+
+    The 20 directions without power are not to count as small eigenvalues.
+    float32: its rounding of the strongest mode, whose values are 100 or so.
+    """
+    singular = np.exp(np.concatenate([np.linspace(-0.5, 0.5, 38), [2, 7]]))
+    logarithm = 2 * np.log(singular)
+    assert logarithm[38] < logarithm.mean() + 3 * logarithm.std() < logarithm[39]
+    left, right, data = _modes(singular, n_det, n_samp)
+    cleaned = _clean(data.astype(dtype))
+    rest = (left[:, :38] * singular[:38]) @ right[:38]
+    assert cleaned.data_mk.dtype == dtype and cleaned.removed[0] == 2
+    np.testing.assert_allclose(cleaned.data_mk, rest, atol=level)
+    np.testing.assert_array_equal(cleaned.responsivity, 1)
+    np.testing.assert_array_equal(cleaned.iterations, 0)
+
+
+def test_equal_eigenvalues_are_cut_together_or_not_at_all():
+    rng = np.random.default_rng(1)
+    _, _, flat = _modes(np.ones(30), 30, 100)
+    assert _clean(flat).removed[0] == 0
+    np.testing.assert_allclose(_clean(flat).data_mk, flat, atol=1e-14)
+    singular = np.concatenate([np.exp(0.1 * rng.standard_normal(30)), [1e3, 1e3]])
+    left, right, data = _modes(singular, 32, 100)
+    cleaned = _clean(data)
+    assert cleaned.removed[0] == 2
+    np.testing.assert_allclose(cleaned.data_mk, (left[:, :30] * singular[:30]) @ right[:30], atol=1e-10)
+
+
+def test_rounding_of_equal_eigenvalues_does_not_stand_out():
+    assert outstanding(np.concatenate([np.ones(40), [1 + 1e-12]]), 3.0) == 0
+
+
+def test_low_eigenvalues_are_never_cut():
+    assert outstanding(np.exp(np.concatenate([[-20.0], np.linspace(-0.1, 0.1, 50)])), 3.0) == 0
+
+
+@pytest.mark.parametrize("sigma_cut", [0.5, 1.3, 2.2, 3.1, 4.5])
+def test_least_number_of_which_one_can_stand_out(sigma_cut):
+    n = least_eigenvalues(sigma_cut)
+    one = np.exp(np.concatenate([np.zeros(n), [5.0]]))
+    assert outstanding(one[1:], sigma_cut) == 1
+    assert outstanding(one[2:], sigma_cut) == 0
+    assert least_eigenvalues(3.0) == 11
+
+
+def test_too_few_samples_for_an_outlier_lose_their_mean_alone():
+    """11 samples without their mean have 10 eigenvalues; 11 are needed."""
+    data = 100 * np.random.default_rng(2).standard_normal(11) + np.random.default_rng(3).standard_normal((30, 11))
+    cleaned = _clean(data)
+    assert cleaned.kept.all() and cleaned.removed[0] == 0
+    np.testing.assert_allclose(cleaned.data_mk, data - data.mean(axis=1, keepdims=True), atol=1e-12)
+
+
+def test_too_few_detectors():
+    with pytest.raises(ValueError, match="a cut at 3.0 sigma needs at least 11 detectors, got 10"):
+        _clean(np.random.default_rng(0).standard_normal((10, 50)))
+
+
+@pytest.mark.parametrize("sigma_cut", [0.0, -3.0, np.nan, np.inf])
+def test_options_out_of_range(sigma_cut):
+    with pytest.raises(ValueError, match="sigma_cut must be positive and finite"):
+        PcaOptions(sigma_cut)
