@@ -95,7 +95,7 @@ def _profile_solution(first: np.ndarray, second: np.ndarray, bins: np.ndarray, n
     # A level common to all bins is one of gains too; every other direction must be told apart.
     unused = n_det - len(np.union1d(first, second))
     if np.linalg.matrix_rank(design) < n_det + n_bin - 1 - unused:
-        raise ValueError(f"found {n_det} detectors whose positions can't tell correlations from gains; more are expected")
+        raise ValueError(f"found {n_det} detectors whose places can't tell correlations from gains; more are expected")
     solution = np.linalg.pinv(design)[n_det:]
     return solution - solution.mean(axis=0)
 
