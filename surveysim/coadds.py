@@ -132,8 +132,9 @@ def _row(result: ObservationResult) -> tuple[float, ...]:
     if weather is not None:
         drawn = (weather.b2, weather.wind_speed_rad_s, weather.wind_angle_rad, weather.pwv_mm)
     conditions = (result.observation, *drawn, result.elevation_rad, result.white_mk2_hz)
-    cleaning = (*result.discarded, *result.iterations, *result.removed, *result.best)
-    return (*conditions, *cleaning, *result.noise_mk2)
+    cleaning = (*result.discarded, *result.iterations, *result.removed)
+    merits = () if result.merits is None else result.merits.T.ravel()
+    return (*conditions, *cleaning, *merits, *result.noise_mk2)
 
 
 def row_names(setup: Setup) -> list[str]:
@@ -141,5 +142,6 @@ def row_names(setup: Setup) -> list[str]:
     of_recipes = [
         f"{what}_{recipe.data_set}" for what in ("discarded", "iterations", "removed") for recipe in setup.recipes
     ]
-    best = [f"best_{target}" for target in TARGETS]
-    return [*ROW_FIELDS, *of_recipes, *best, *(f"noise_mk2_{name}" for name in setup.data_sets)]
+    whole = setup.whole_recipes if setup.chooses else ()
+    merits = [f"merit_{target}_{recipe.data_set}" for target in TARGETS for recipe in whole]
+    return [*ROW_FIELDS, *of_recipes, *merits, *(f"noise_mk2_{name}" for name in setup.data_sets)]

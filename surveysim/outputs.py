@@ -8,7 +8,6 @@ import numpy as np
 
 from mapmaker.binning import BinnedMap, write_fits, write_healpix
 from mapmaker.files import whole_file
-from surveysim.choice import TARGETS
 from surveysim.coadds import row_names
 from surveysim.results import SurveyResult, score_rows, summary
 from surveysim.scan import samples_per_scan
@@ -163,9 +162,6 @@ def _observation_table(result: SurveyResult) -> "Table":
     for name, unit in units.items() | {(f"noise_mk2_{name}", "mK2") for name in setup.data_sets}:
         table[name].unit = unit
     table["observation"] = table["observation"].astype(int)
-    for target in TARGETS:
-        labels = np.array([recipe.label for recipe in setup.whole_recipes])
-        table[f"best_{target}"] = labels[np.asarray(table[f"best_{target}"], int)]
     if np.isnan(table["pwv_mm"]).all():  # the scene has its own distribution of B2
         table.remove_column("pwv_mm")
     return table

@@ -8,7 +8,7 @@ from mapmaker.binning import bin_map
 from mapmaker.cleaning import Cleaned
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import Timestreams
-from surveysim.choice import TARGETS, merits, transmissions
+from surveysim.choice import merits, transmissions
 from surveysim.noise import draw_from_psd, hann_psd, white_level
 from surveysim.observation import Stopwatch, add_sky_signal, draw_observation, observation_weather
 from surveysim.pointing import Pointing
@@ -25,9 +25,9 @@ class ObservationResult:
     `sums` (n_set, n_y, n_x) float32 [mK] with `hits` (n_set, n_y, n_x) int32; `noise_mk2` (n_set,), the
     noise variance a sample in the scored band, by which observations are weighted; `window` (n_sky, n_window,
     2, n_y, n_x) float32, signal of the window skies binned without [0] and with [1] cleaning for each of the
-    setup's windows, or None; `discarded`, `iterations` and `removed` (templates a scan) per recipe; `best` recipe for
-    each of `choice.TARGETS`, 0 where there is no choice; `raw_psd`, `clean_psd` (n_freq,) [mK^2/Hz], mean over
-    detectors; `seconds` spent per stage.
+    setup's windows, or None; `discarded`, `iterations` and `removed` (templates a scan) per recipe; `merits`
+    (n_recipe, n_target) figures of merit of the recipes for all detectors, or None without a choice; `raw_psd`,
+    `clean_psd` (n_freq,) [mK^2/Hz], mean over detectors; `seconds` spent per stage.
     """
 
     observation: int
@@ -38,7 +38,7 @@ class ObservationResult:
     discarded: tuple[int, ...]
     iterations: tuple[float, ...]
     removed: tuple[float, ...]
-    best: tuple[int, ...]
+    merits: np.ndarray | None
     weather: Weather | None
     elevation_rad: float
     raw_psd: np.ndarray
@@ -73,13 +73,17 @@ def observe(setup: Setup, observation: int, with_window: bool) -> tuple[Observat
     if setup.scene.score:
         white = white_level(psd, streams.data_mk.shape[1] // n_scans, rate, setup.scene.score.white_above_hz)
     maps = _maps(work, psd, white, watch)
-    best = _best(setup, maps, watch)
+    worth, best = None, 0
     if setup.chooses:
-        maps[OPTIMAL] = maps[setup.whole_recipes[best[0]].data_set]
+        with watch("choice"):
+            of_recipes = [maps[recipe.data_set] for recipe in setup.whole_recipes]
+            worth = merits(setup, transmissions(setup.scene), of_recipes)
+        best = int(worth[:, 0].argmax())
+        maps[OPTIMAL] = maps[setup.whole_recipes[best].data_set]
     window = None
     if with_window:
         with watch("window"):
-            window = _window_maps(work, best[0])
+            window = _window_maps(work, best)
     ordered = [maps[name] for name in setup.data_sets]
     sums, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
     with watch("weights"):
@@ -93,7 +97,7 @@ def observe(setup: Setup, observation: int, with_window: bool) -> tuple[Observat
         discarded=tuple(int((~item.kept).sum()) for item in cleaned),
         iterations=tuple(float(item.iterations.mean()) for item in cleaned),
         removed=tuple(float(item.removed[_some(item.kept)].mean()) for item in cleaned),
-        best=best,
+        merits=worth,
         weather=observation_weather(setup, observation),
         elevation_rad=float(work.pointing.elevation_rad.mean()),
         raw_psd=raw.mean(axis=0),
@@ -140,14 +144,6 @@ def _maps(work: _Reduced, psd: np.ndarray, white: np.ndarray, watch: Stopwatch) 
             data = _simulated_set(setup, work.observation, name, psd, white, work.streams.data_mk.shape[1])
         maps[name] = _bin(work, data, slice(None), kept, watch)
     return maps
-
-
-def _best(setup: Setup, maps: dict[str, Map], watch: Stopwatch) -> tuple[int, ...]:
-    if not setup.chooses:
-        return (0,) * len(TARGETS)
-    with watch("choice"):
-        of_recipes = [maps[recipe.data_set] for recipe in setup.whole_recipes]
-        return tuple(int(place) for place in merits(setup, transmissions(setup.scene), of_recipes).argmax(axis=0))
 
 
 def map_noise(setup: Setup, total: np.ndarray, hits: np.ndarray) -> float:

@@ -213,8 +213,16 @@ def _cleaning_entry(recipe: Recipe, result: SurveyResult, columns: dict[str, np.
         entry["point_source_flux_removed"] = result.flux_removed[recipe.data_set]
     if setup.chooses and recipe.detectors is None:
         place = setup.whole_recipes.index(recipe)
-        entry |= {f"best_for_{target}": float(np.mean(columns[f"best_{target}"] == place)) for target in TARGETS}
+        entry |= {
+            f"best_for_{target}": float(np.mean(best_recipe(setup, columns, target) == place)) for target in TARGETS
+        }
     return entry
+
+
+def best_recipe(setup: Setup, columns: dict[str, np.ndarray], target: str) -> np.ndarray:
+    """Place (n_obs,) among the recipes for all detectors of the one with the highest merit for a target."""
+    merits = [columns[f"merit_{target}_{recipe.data_set}"] for recipe in setup.whole_recipes]
+    return np.argmax(merits, axis=0)
 
 
 def _score_entry(row: Row) -> dict[str, float]:

@@ -20,6 +20,9 @@ from surveysim.setup import Setup
 from surveysim.units import rj_to_cmb
 
 
+PEAK = 0.8  # of the brightest pixel: what counts as a point source's peak
+
+
 @dataclass(frozen=True)
 class DataSetScore:
     """One data set's result.
@@ -147,14 +150,15 @@ def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> n
 def flux_removed(setup: Setup, coadds: CoAdds) -> dict[str, float]:
     """Share of a faint point source's flux that cleaning takes, by data set; empty where recipes are not compared.
 
-    The amplitude of the source's own map, binned without cleaning, in the map with cleaning.
+    At the sources' peaks, against the map binned without cleaning; the mean of the scans goes with it.
     """
     if not setup.chooses:
         return {}
     removed = {}
     for place, name in enumerate(setup.windows):
         without, cleaned = weighted_mean(coadds.window[-1, place], coadds.window_weight[place])
-        removed[name] = 1 - float(np.sum(without * cleaned) / np.sum(without**2))
+        peak = without > PEAK * without.max()
+        removed[name] = 1 - float(cleaned[peak].sum() / without[peak].sum())
     return removed
 
 

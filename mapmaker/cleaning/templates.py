@@ -68,14 +68,10 @@ def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
     is then the transpose, and normal equations, which square the condition number, are never formed. Raises
     ValueError if there are not more detectors than terms or if the positions cannot tell the terms apart.
     """
-    n_det, n_par = len(focal_plane.x_rad), len(exponents)
+    shapes = _shapes(focal_plane, exponents, focal_plane.x_rad, focal_plane.y_rad)
+    n_det, n_par = shapes.shape
     if n_det <= n_par:
         raise ValueError(f"{n_par} templates need at least {n_par + 1} detectors, got {n_det}")
-    x = np.asarray(focal_plane.x_rad, dtype=np.float64)
-    y = np.asarray(focal_plane.y_rad, dtype=np.float64)
-    x, y = x - x.mean(), y - y.mean()
-    scale = np.hypot(x, y).max() or 1.0
-    shapes = np.stack([(x / scale) ** a * (y / scale) ** b for a, b in exponents], axis=1)
     rank = np.linalg.matrix_rank(shapes, rtol=RANK_TOLERANCE)
     if rank < n_par:
         raise ValueError(
@@ -83,6 +79,41 @@ def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
             "they lie on one line or conic"
         )
     return np.ascontiguousarray(np.linalg.qr(shapes)[0].T)
+
+
+def _shapes(focal_plane: FocalPlane, exponents, x_rad, y_rad) -> np.ndarray:
+    """x^a y^b (n_place, n_par) at some places, from the array's centre in units of its radius."""
+    x, y = np.asarray(focal_plane.x_rad, dtype=np.float64), np.asarray(focal_plane.y_rad, dtype=np.float64)
+    scale = np.hypot(x - x.mean(), y - y.mean()).max() or 1.0
+    u, v = (np.asarray(x_rad) - x.mean()) / scale, (np.asarray(y_rad) - y.mean()) / scale
+    return np.stack([u**a * v**b for a, b in exponents], axis=1)
+
+
+def template_streams(
+    data_mk: np.ndarray,
+    scan_bounds: np.ndarray,
+    focal_plane: FocalPlane,
+    responsivity: np.ndarray,
+    exponents,
+    place_rad: tuple[float, float],
+) -> np.ndarray:
+    """What each term x^a y^b adds to the template at one place of the focal plane, (n_par, n_samp) float64 [mK].
+
+    That is p_n = (S^T S)^-1 S^T C^-1 d_n of each scan, its means removed, times the terms at `place_rad`, an (x, y) in
+    the frame of the focal plane; terms count from the mean position of the detectors. responsivity: (n_scan, n_det),
+    that of `Cleaned`; discarded scans and samples outside scans are 0. Raises ValueError as `template_basis`.
+    Sayers et al. (2010), "Higher-Order Template Subtraction".
+    """
+    basis = template_basis(focal_plane, exponents)
+    shapes = _shapes(focal_plane, exponents, focal_plane.x_rad, focal_plane.y_rad)
+    here = _shapes(focal_plane, exponents, *np.reshape(place_rad, (2, 1)))[0]
+    terms = here[:, None] * np.linalg.solve(basis @ shapes, basis)
+    streams = np.zeros((len(terms), data_mk.shape[1]))
+    for (start, stop), c in zip(scan_bounds, responsivity, strict=True):
+        if np.isfinite(c).all():
+            block = data_mk[:, start:stop] / c[:, None]
+            streams[:, start:stop] = terms @ (block - block.mean(axis=1, keepdims=True))
+    return streams
 
 
 def subtract_mean(data_mk, scan_bounds, focal_plane: FocalPlane, options: object) -> Cleaned:

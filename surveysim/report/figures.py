@@ -14,14 +14,17 @@ from matplotlib.patches import Rectangle
 
 from mapmaker.bandpower import noise_error
 from mapmaker.geometry import wcs
-from mapmaker.window import Window, beam_window, pixel_window
+from mapmaker.window import beam_window, pixel_window
 from surveysim.coadds import CoAdds
+from surveysim.recipes import ACTUAL, OPTIMAL
 from surveysim.report.drawing import (
     BLACK,
     BLUE,
     GREEN,
     GREY,
+    ORANGE,
     PURPLE,
+    SKY,
     VERMILION,
     finish,
     legend,
@@ -50,6 +53,9 @@ DEEPEST = 4  # the map is shown where its noise is at most this many times the l
 # Colours and dashes of the paper's figure `sim_noise`.
 LINES = {"actual": (BLACK, "-"), "uncorrelated": (VERMILION, ":"), "white": (GREEN, "--")}
 MASKED_LINE = (BLUE, "-.")
+# Of recipes that the scene compares with its own, and of the best one of each observation.
+COMPARED = ((PURPLE, "-"), (ORANGE, "-"), (SKY, "-"), (PURPLE, "--"), (ORANGE, "--"), (SKY, "--"))
+OPTIMAL_LINE = (GREY, "-")
 
 ELL = r"Multipole $\ell$"
 UK_CMB = r"$\mu$K$_\mathrm{CMB}$"
@@ -192,10 +198,12 @@ def windows(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
     pixel = pixel_window(rings.ell, setup.scene.map.pixel_rad)
     figure, (axes,) = _panels(1)
     _shade_scored(axes, setup)
-    style = {"fmt": "o-", "ms": 3.5, "lw": 1, "capsize": 2}
-    for (n_det, window), colour in zip(_arrays(scores), (BLACK, BLUE), strict=False):
-        label = f"cleaning ({setup.recipes[0].label}), {n_det} detectors"
-        axes.errorbar(window.ell, window.transmission, window.error, color=colour, label=label, **style)
+    style = {"marker": "o", "ms": 3.5, "lw": 1, "capsize": 2}
+    labels = {recipe.data_set: f"cleaning ({recipe.label})" for recipe in setup.recipes}
+    for item in {id(item.window): item for item in reversed(scores.values())}.values():
+        colour, dashes, label, _ = _look(setup, item)
+        label = f"{labels.get(item.name, label)}, {item.n_det} detectors"
+        axes.errorbar(rings.ell, item.window.transmission, item.window.error, c=colour, ls=dashes, label=label, **style)
     axes.plot(rings.ell, beam, color=PURPLE, ls=":", lw=1.8, label=r"beam, $B_\ell^2$")
     axes.plot(rings.ell, pixel, color=GREEN, ls="--", lw=1.5, label="pixel")
     product = beam * pixel * first.window.transmission
@@ -236,7 +244,7 @@ def bin_weights(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
         colour, dashes, _, _ = _look(setup, item)
         used = item.band.weight > 0
         ell, weight = item.band.ell[used], item.band.weight[used]
-        label = rf"{_name(item)}: $\ell_\mathrm{{eff}}$ = {item.band.ell_eff:.0f}"
+        label = rf"{_name(setup, item)}: $\ell_\mathrm{{eff}}$ = {item.band.ell_eff:.0f}"
         axes.plot(ell, weight, color=colour, ls=dashes, marker="o", ms=3.5, label=label)
         axes.axvline(item.band.ell_eff, color=colour, ls=dashes, lw=0.9)
     axes.set_ylim(bottom=0)
@@ -332,25 +340,26 @@ def _sky_axes(axes: Axes, setup: Setup) -> None:
 
 def _look(setup: Setup, item: DataSetScore) -> tuple[str, str, str, float]:
     """Colour, dashes, label and the factor that makes up for detectors left out."""
-    if item.name in LINES:
-        return *LINES[item.name], item.name, 1.0
-    n_all = setup.n_det
-    return *MASKED_LINE, rf"{_name(item)}, $\times$ {item.n_det}/{n_all}", item.n_det / n_all
+    if item.n_det < setup.n_det:
+        return *MASKED_LINE, rf"{_name(setup, item)}, $\times$ {item.n_det}/{setup.n_det}", item.n_det / setup.n_det
+    if item.name == OPTIMAL:
+        return *OPTIMAL_LINE, "the best of each observation", 1.0
+    compared = [recipe.data_set for recipe in setup.whole_recipes[1:]]
+    if item.name in compared:
+        return *COMPARED[compared.index(item.name) % len(COMPARED)], item.name, 1.0
+    return *LINES[item.name], _name(setup, item), 1.0
 
 
-def _name(item: DataSetScore) -> str:
-    return item.name if item.name in LINES else f"masked, {item.n_det} detectors"
+def _name(setup: Setup, item: DataSetScore) -> str:
+    if item.n_det < setup.n_det:
+        return f"masked, {item.n_det} detectors"
+    return f"actual ({setup.recipes[0].label})" if item.name == ACTUAL and setup.chooses else item.name
 
 
 def _bin_errors(item: DataSetScore) -> np.ndarray:
     """Relative standard error (n_bin,) of the noise PSD of each bin."""
     used = item.weights[item.weights > 0]
     return np.array([noise_error(psds[:, None], np.ones(1), used) for psds in item.noise_psds.T])
-
-
-def _arrays(scores: dict[str, DataSetScore]) -> list[tuple[int, Window]]:
-    """Number of detectors and window of each array."""
-    return list({id(item.window): (item.n_det, item.window) for item in scores.values()}.values())
 
 
 def _shade_scored(axes: Axes, setup: Setup) -> None:

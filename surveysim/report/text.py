@@ -24,6 +24,8 @@ def print_result(result: SurveyResult, directory: Path) -> None:
         for line in gain_lines(result):
             console.print(line, highlight=False)
         console.print()
+        if result.setup.chooses:
+            console.print(_cleaning_table(result))
         if result.alternatives:
             console.print(_alternative_table(result))
         console.print("\nMethod, where the reference leaves it open:", highlight=False)
@@ -89,6 +91,20 @@ def _cells(row: Row, with_reference: bool) -> list[str]:
     if with_reference and row.reference_ukcmb2 is not None:
         cells += [f"{row.reference_ukcmb2:g}", f"{row.sigma_ukcmb2 / row.reference_ukcmb2:.2f}"]
     return cells
+
+
+def _cleaning_table(result: SurveyResult) -> Table:
+    """What each way of cleaning costs, and of how many observations it is the best."""
+    table = Table(title=Text("Cleaning: what it costs, and the share of observations for which it is the best"))
+    headings = ("cleaning", "scans discarded", "iterations", "templates", "flux removed", "best: CMB", "best: source")
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading == "cleaning" else "right")
+    for recipe in result.setup.whole_recipes:
+        entry = summary(result)["cleaning"][recipe.data_set]
+        shares = ("point_source_flux_removed", "best_for_cmb", "best_for_point_source")
+        counts = (str(entry["scans_discarded"]), f"{entry['mean_iterations']:.1f}", f"{entry['mean_removed']:.2f}")
+        table.add_row(recipe.label, *counts, *(f"{100 * entry[name]:.1f} %" for name in shares))
+    return table
 
 
 def _alternative_table(result: SurveyResult) -> Table:
