@@ -17,6 +17,7 @@ _PUBLIC = {
     "WindOptions": "cleaning",
     "PcaOptions": "cleaning",
     "LocalOptions": "cleaning",
+    "SpectralOptions": "cleaning",
     "clean": "cleaning",
     "clean_in_order": "cleaning",
     "measure_wind": "wind",

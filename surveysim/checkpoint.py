@@ -10,6 +10,7 @@ from surveysim import __version__
 from surveysim.coadds import CoAdds
 
 _ARRAYS = ("sums", "weight", "hits", "flipped", "window", "window_weight")
+_LISTS = ("raw_psd", "clean_psd", "compared_psd")
 
 
 class CheckpointError(ValueError):
@@ -26,6 +27,7 @@ def save_checkpoint(path: Path, coadds: CoAdds, scene_hash: str) -> None:
             rows=np.array(coadds.rows),
             raw_psd=np.array(coadds.raw_psd),
             clean_psd=np.array(coadds.clean_psd),
+            compared_psd=np.array(coadds.compared_psd),
             **{name: getattr(coadds, name) for name in _ARRAYS},
         )
 
@@ -38,7 +40,7 @@ def load_checkpoint(path: Path, scene_hash: str) -> CoAdds:
     try:
         with np.load(path, allow_pickle=False) as file:
             meta = json.loads(str(file["meta"]))
-            arrays = {name: file[name] for name in (*_ARRAYS, "rows", "raw_psd", "clean_psd")}
+            arrays = {name: file[name] for name in (*_ARRAYS, "rows", *_LISTS)}
             found = {key: str(meta[key]) for key in ("version", "scene")}
             seconds = dict(meta["seconds"])
     except Exception as error:  # zip, npy and JSON readers raise a wide range for damaged bytes
@@ -50,11 +52,9 @@ def load_checkpoint(path: Path, scene_hash: str) -> CoAdds:
                 f"{path}: of another {key} (found {found[key][:12]}, expected {expected[:12]}); "
                 "run without --resume, or with --out elsewhere"
             )
-    rows, raw, clean = (arrays.pop(name) for name in ("rows", "raw_psd", "clean_psd"))
+    rows = arrays.pop("rows")
     return CoAdds(
-        **arrays,
+        **{name: list(array) if name in _LISTS else array for name, array in arrays.items()},
         rows=[tuple(float(value) for value in row) for row in rows],
-        raw_psd=list(raw),
-        clean_psd=list(clean),
         seconds=seconds,
     )

@@ -14,8 +14,8 @@ from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.binning import bin_map
 from mapmaker.geometry import boresight_pixels
 from mapmaker.window import beam_window
-from surveysim.observation import add_sky_signal, draw_observation
-from surveysim.recipes import apply_recipe, measured_delays
+from surveysim.observation import add_sky_signal, draw_colours, draw_observation
+from surveysim.recipes import apply_recipe, what_is_beside
 from surveysim.scene import Scene
 from surveysim.setup import Setup, observation_path, prepare
 
@@ -56,14 +56,14 @@ def _signal_powers(setup: Setup, observation: int) -> np.ndarray:
     plane, bounds = streams.focal_plane, streams.scan_bounds
     index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad, plane)
     rate = setup.raster.sample_rate_hz
-    delays = measured_delays(setup.whole_recipes, streams, rate)
+    beside = what_is_beside(setup.whole_recipes, streams, draw_colours(setup, observation), rate)
     powers = np.zeros((len(setup.whole_recipes), len(TARGETS), 2, len(setup.band.rings.ell)))
     for s, sky in enumerate((setup.window_skies_mk[0], setup.window_skies_mk[-1])):
         signal = np.zeros_like(streams.data_mk)
         add_sky_signal(setup, pointing, sky, signal, setup.responsivity)
         for r, recipe in enumerate(setup.whole_recipes):
             base, both = (
-                apply_recipe(setup.scene.cleaning, recipe, data, bounds, plane, delays, rate)
+                apply_recipe(setup.scene.cleaning, recipe, data, bounds, plane, beside, rate)
                 for data in (streams.data_mk, streams.data_mk + signal)
             )
             kept = both.kept & base.kept

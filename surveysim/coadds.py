@@ -32,7 +32,7 @@ class CoAdds:
     `sums`, `weight`, `hits` (n_set, n_y, n_x): sum of w S, w H and H; `flipped` (K, n_set, n, n): sums
     with random signs on the scored patch; `window` (n_sky, n_window, 2, n, n) and `window_weight`
     (n_window, n, n) on the patch; `rows` one tuple an observation (`row_names`); `raw_psd`, `clean_psd`
-    (n_obs, n_freq).
+    (n_obs, n_freq), `compared_psd` (n_obs, n_compare, n_freq).
     """
 
     sums: np.ndarray
@@ -44,6 +44,7 @@ class CoAdds:
     rows: list[tuple[float, ...]] = field(default_factory=list)
     raw_psd: list[np.ndarray] = field(default_factory=list)
     clean_psd: list[np.ndarray] = field(default_factory=list)
+    compared_psd: list[np.ndarray] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -114,6 +115,7 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
     coadds.rows.append(_row(result))
     coadds.raw_psd.append(result.raw_psd)
     coadds.clean_psd.append(result.clean_psd)
+    coadds.compared_psd.append(result.compared_psd)
     for stage, seconds in result.seconds.items():
         coadds.seconds[stage] = coadds.seconds.get(stage, 0.0) + seconds
 

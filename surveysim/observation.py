@@ -58,6 +58,29 @@ def draw_observation(setup: Setup, observation: int, watch: Stopwatch | None = N
     return _timestreams(setup, observation, pointing, weather, data)
 
 
+def draw_colours(setup: Setup, observation: int) -> np.ndarray:
+    """Streams of the other bands of the same detectors, (n_colour, n_det, n_samp) float32 [mK].
+
+    The same layer as in the mapped band, times what each band makes of the water (section 3.3), and white noise of
+    their own. Excess noise and sky are in the mapped band alone.
+    """
+    colours = setup.scene.instrument.colours
+    path, pointing = observation_path(setup, observation)
+    streams = np.zeros((len(colours), setup.n_det, len(path.time_s)), np.float32)
+    if not colours:
+        return streams
+    weather = observation_weather(setup, observation)
+    layer = np.zeros(streams.shape[1:], np.float32)
+    add_layer(setup, observation, pointing, weather, layer)
+    mapped = setup.water.response(weather.pwv_mm)
+    for number, (colour, data) in enumerate(zip(colours, streams, strict=True)):
+        scale = np.sqrt(setup.colour_waters[number].response(weather.pwv_mm) / mapped)
+        data += layer * (scale * setup.colour_responsivity[number]).astype(np.float32)[:, None]
+        rng = generator(setup.scene.seed, Stage.DETECTOR, observation, realization=number + 1)
+        add_white(data, colour.psd_mk2_hz, setup.raster.sample_rate_hz, rng)
+    return streams
+
+
 def observation_weather(setup: Setup, observation: int) -> Weather | None:
     """The weather drawn for one observation; None without an atmosphere."""
     if setup.scene.atmosphere is None:

@@ -142,7 +142,11 @@ def _timestream_table(result: SurveyResult) -> "Table":
     n_freq = len(coadds.raw_psd[0])
     table = Table({"frequency": np.arange(n_freq) * rate / samples_per_scan(result.setup.raster)})
     table["frequency"].unit = "Hz"
-    for name, psds in (("raw", coadds.raw_psd), ("clean", coadds.clean_psd)):
+    compared = np.array(coadds.compared_psd)
+    recipes = enumerate(result.setup.whole_recipes[1:])
+    psds_of = {"raw": coadds.raw_psd, "clean": coadds.clean_psd}
+    psds_of |= {f"clean_{recipe.data_set}": compared[:, place] for place, recipe in recipes}
+    for name, psds in psds_of.items():
         for label, level in (("q25", 25), ("median", 50), ("q75", 75)):
             table[f"{name}_{label}"] = np.percentile(psds, level, axis=0)
             table[f"{name}_{label}"].unit = "mK2 / Hz"

@@ -1,6 +1,6 @@
 """Which algorithms clean the streams, in which order, and the data set that each makes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from mapmaker.cleaning import (
     LocalOptions,
     PcaOptions,
     PolynomialOptions,
+    SpectralOptions,
     TemplateOptions,
     WindOptions,
     clean_in_order,
@@ -51,11 +52,23 @@ def recipes(section: Cleaning, masked: np.ndarray | None) -> tuple[Recipe, ...]:
     return tuple(found)
 
 
-def step_options(section: Cleaning, name: str, delays_s_rad: np.ndarray, sample_rate_hz: float) -> Any:
-    """The record that one step takes; `delays_s_rad` (n_scan, 2) is the slowness that a wind model shifts by."""
+@dataclass(frozen=True)
+class Beside:
+    """What recipes know beside the streams: `delays_s_rad` (n_scan, 2), the slowness that a wind model shifts by,
+    and `colours_mk` (n_colour, n_det, n_samp) of all detectors.
+    """
+
+    delays_s_rad: np.ndarray
+    colours_mk: np.ndarray
+
+
+def step_options(section: Cleaning, name: str, beside: Beside, sample_rate_hz: float) -> Any:
+    """The record that one step takes."""
     template = (section.tolerance, section.max_iterations)
     if name == "wind":
-        return WindOptions(delays_s_rad, sample_rate_hz, *template)
+        return WindOptions(beside.delays_s_rad, sample_rate_hz, *template)
+    if name == "spectral":
+        return SpectralOptions(beside.colours_mk)
     if name == "pca":
         return PcaOptions(section.sigma_cut)
     if name == "local":
@@ -67,7 +80,7 @@ def step_options(section: Cleaning, name: str, delays_s_rad: np.ndarray, sample_
 
 def needed_detectors(section: Cleaning, name: str) -> int:
     """How many detectors one step needs."""
-    return detectors_needed(name, step_options(section, name, np.zeros((1, 2)), 1.0))
+    return detectors_needed(name, step_options(section, name, Beside(np.zeros((1, 2)), np.zeros((1, 1, 1))), 1.0))
 
 
 def apply_recipe(
@@ -76,12 +89,28 @@ def apply_recipe(
     data_mk: np.ndarray,
     scan_bounds: np.ndarray,
     focal_plane: FocalPlane,
-    delays_s_rad: np.ndarray,
+    beside: Beside,
     sample_rate_hz: float,
 ) -> Cleaned:
-    """Clean the streams (n_det, n_samp) of the recipe's detectors, which `data_mk` and `focal_plane` hold alone."""
-    steps = [(name, step_options(section, name, delays_s_rad, sample_rate_hz)) for name in recipe.steps]
+    """Clean the streams (n_det, n_samp) of the recipe's detectors, which `data_mk` and `focal_plane` hold alone.
+
+    Before their spectral common mode is subtracted, the other bands are cleaned by the same steps as the mapped one.
+    """
+    colours = beside.colours_mk[:, recipe.rows]
+    steps: list[tuple[str, Any]] = []
+    for name in recipe.steps:
+        if name == "spectral" and steps:
+            before = [clean_in_order(steps, colour, scan_bounds, focal_plane).data_mk for colour in colours]
+            colours = np.array(before)
+        steps.append((name, step_options(section, name, replace(beside, colours_mk=colours), sample_rate_hz)))
     return clean_in_order(steps, data_mk, scan_bounds, focal_plane)
+
+
+def what_is_beside(
+    recipes: tuple[Recipe, ...], streams: Timestreams, colours_mk: np.ndarray, sample_rate_hz: float
+) -> Beside:
+    """What the recipes need to know of one observation beside its streams."""
+    return Beside(measured_delays(recipes, streams, sample_rate_hz), colours_mk)
 
 
 def measured_delays(recipes: tuple[Recipe, ...], streams: Timestreams, sample_rate_hz: float) -> np.ndarray:

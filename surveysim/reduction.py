@@ -10,9 +10,9 @@ from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import Timestreams
 from surveysim.choice import merits, transmissions
 from surveysim.noise import draw_from_psd, hann_psd, white_level
-from surveysim.observation import Stopwatch, add_sky_signal, draw_observation, observation_weather
+from surveysim.observation import Stopwatch, add_sky_signal, draw_colours, draw_observation, observation_weather
 from surveysim.pointing import Pointing
-from surveysim.recipes import OPTIMAL, Recipe, apply_recipe, measured_delays
+from surveysim.recipes import OPTIMAL, Beside, Recipe, apply_recipe, what_is_beside
 from surveysim.setup import Setup, observation_path
 from surveysim.streams import Stage, generator
 from surveysim.weather import Weather
@@ -26,8 +26,9 @@ class ObservationResult:
     noise variance a sample in the scored band, by which observations are weighted; `window` (n_sky, n_window,
     2, n_y, n_x) float32, signal of the window skies binned without [0] and with [1] cleaning for each of the
     setup's windows, or None; `discarded`, `iterations` and `removed` (templates a scan) per recipe; `merits`
-    (n_recipe, n_target) figures of merit of the recipes for all detectors, or None without a choice; `raw_psd`,
-    `clean_psd` (n_freq,) [mK^2/Hz], mean over detectors; `seconds` spent per stage.
+    (n_recipe, n_target) figures of merit of the recipes for all detectors, or None without a choice; `raw_psd` and
+    `clean_psd` (n_freq,) [mK^2/Hz], means over detectors, `compared_psd` (n_compare, n_freq) that of the other
+    recipes; `seconds` spent per stage.
     """
 
     observation: int
@@ -43,20 +44,21 @@ class ObservationResult:
     elevation_rad: float
     raw_psd: np.ndarray
     clean_psd: np.ndarray
+    compared_psd: np.ndarray
     white_mk2_hz: float
     seconds: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class _Reduced:
-    """Streams on their way to maps: `index` (n_det, n_samp) of pixels, `cleaned` per recipe, `delays` of the wind."""
+    """Streams on their way to maps: `index` (n_det, n_samp) of pixels, `cleaned` per recipe, what they know beside."""
 
     setup: Setup
     observation: int
     pointing: Pointing
     streams: Timestreams
     index: np.ndarray
-    delays: np.ndarray
+    beside: Beside
     cleaned: tuple[Cleaned, ...]
 
 
@@ -69,6 +71,9 @@ def observe(setup: Setup, observation: int, with_window: bool) -> tuple[Observat
         rate, n_scans = setup.raster.sample_rate_hz, len(streams.scan_bounds)
         psd = hann_psd(cleaned[0].data_mk, n_scans, _some(cleaned[0].kept), rate)
         raw = hann_psd(_mean_removed(streams.data_mk, n_scans), n_scans, np.ones(n_scans, bool), rate)
+        others = cleaned[1 : len(setup.whole_recipes)]
+        psds = [hann_psd(item.data_mk, n_scans, _some(item.kept), rate).mean(axis=0) for item in others]
+        compared = np.array(psds).reshape(len(psds), psd.shape[1])
     white = np.full(1, np.nan)
     if setup.scene.score:
         white = white_level(psd, streams.data_mk.shape[1] // n_scans, rate, setup.scene.score.white_above_hz)
@@ -102,6 +107,7 @@ def observe(setup: Setup, observation: int, with_window: bool) -> tuple[Observat
         elevation_rad=float(work.pointing.elevation_rad.mean()),
         raw_psd=raw.mean(axis=0),
         clean_psd=psd.mean(axis=0),
+        compared_psd=compared,
         white_mk2_hz=float(white.mean()),
         seconds=watch.seconds,
     )
@@ -115,18 +121,18 @@ def _reduce(setup: Setup, observation: int, watch: Stopwatch) -> _Reduced:
     with watch("pixels"):
         index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad, plane)
     with watch("wind"):
-        delays = measured_delays(setup.recipes, streams, setup.raster.sample_rate_hz)
+        beside = what_is_beside(setup.recipes, streams, draw_colours(setup, observation), setup.raster.sample_rate_hz)
     cleaned = []
     for recipe in setup.recipes:
         with watch("cleaning" if recipe.steps == setup.scene.cleaning.algorithm else f"cleaning {recipe.label}"):
-            cleaned.append(_clean(setup, recipe, streams, streams.data_mk[recipe.rows], delays))
-    return _Reduced(setup, observation, pointing, streams, index, delays, tuple(cleaned))
+            cleaned.append(_clean(setup, recipe, streams, streams.data_mk[recipe.rows], beside))
+    return _Reduced(setup, observation, pointing, streams, index, beside, tuple(cleaned))
 
 
-def _clean(setup: Setup, recipe: Recipe, streams: Timestreams, data_mk: np.ndarray, delays: np.ndarray) -> Cleaned:
+def _clean(setup: Setup, recipe: Recipe, streams: Timestreams, data_mk: np.ndarray, beside: Beside) -> Cleaned:
     """Clean the streams of a recipe's detectors."""
     plane, rate = streams.focal_plane.subset(recipe.rows), setup.raster.sample_rate_hz
-    return apply_recipe(setup.scene.cleaning, recipe, data_mk, streams.scan_bounds, plane, delays, rate)
+    return apply_recipe(setup.scene.cleaning, recipe, data_mk, streams.scan_bounds, plane, beside, rate)
 
 
 Map = tuple[np.ndarray, np.ndarray]  # sums and hits, (n_y, n_x) each
@@ -209,7 +215,7 @@ def _window_maps(work: _Reduced, best: int) -> np.ndarray:
         add_sky_signal(setup, work.pointing, sky, signal, setup.responsivity)
         for recipe, base in zip(setup.recipes, work.cleaned, strict=True):
             rows = recipe.rows
-            both = _clean(setup, recipe, streams, streams.data_mk[rows] + signal[rows], work.delays)
+            both = _clean(setup, recipe, streams, streams.data_mk[rows] + signal[rows], work.beside)
             kept = both.kept & base.kept
             place = setup.windows.index(recipe.data_set)
             for state, data in enumerate((signal[rows], both.data_mk - base.data_mk)):

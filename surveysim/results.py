@@ -18,6 +18,7 @@ from surveysim.scores import DataSetScore, Gain, flux_removed, gain, rescore, sc
 from surveysim.setup import Setup
 
 PACKAGES = ("numpy", "scipy", "numba", "astropy", "healpy", "h5py", "pydantic")
+PSD_AT_HZ = (0.01, 0.1, 1.0)
 ALTERNATIVE_ELL_MIN = (1000, 2000, 3000, 4000, 4500, 5000, 5500)
 
 METHOD = (
@@ -209,6 +210,8 @@ def _cleaning_entry(recipe: Recipe, result: SurveyResult, columns: dict[str, np.
         "mean_iterations": float(columns[f"iterations_{recipe.data_set}"].mean()),
         "mean_removed": float(columns[f"removed_{recipe.data_set}"].mean()),
     }
+    if recipe.detectors is None:
+        entry["psd_over_white"] = _psd_over_white(result, setup.whole_recipes.index(recipe))
     if recipe.data_set in result.flux_removed:
         entry["point_source_flux_removed"] = result.flux_removed[recipe.data_set]
     if setup.chooses and recipe.detectors is None:
@@ -217,6 +220,21 @@ def _cleaning_entry(recipe: Recipe, result: SurveyResult, columns: dict[str, np.
             f"best_for_{target}": float(np.mean(best_recipe(setup, columns, target) == place)) for target in TARGETS
         }
     return entry
+
+
+def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float]:
+    """Median PSD of the cleaned streams over the white noise of the scene, at the frequencies that a scan holds."""
+    setup, coadds = result.setup, result.coadds
+    scene = setup.scene
+    white = sum(noise.psd_mk2_hz for noise in (scene.photon, scene.detector) if noise)
+    if not white:
+        return {}
+    psds = coadds.clean_psd if place == 0 else [psd[place - 1] for psd in coadds.compared_psd]
+    median = np.median([psd for psd in psds if psd.any()] or [np.full(len(psds[0]), np.nan)], axis=0)
+    step = setup.raster.sample_rate_hz / samples_per_scan(setup.raster)
+    bins = {f"{hz:g} Hz": round(hz / step) for hz in PSD_AT_HZ}
+    # The first bin holds what the scan's removed mean leaves, the last Nyquist's single mode.
+    return {name: float(median[k] / white) for name, k in bins.items() if 2 <= k < len(median) - 1}
 
 
 def best_recipe(setup: Setup, columns: dict[str, np.ndarray], target: str) -> np.ndarray:

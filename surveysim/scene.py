@@ -75,6 +75,11 @@ class Scene(Section):
             raise ValueError("excess.b2: found several values; without [atmosphere] one value is expected")
         if self.atmosphere and self.atmosphere.site and self.instrument.bandwidth is None:
             raise ValueError("instrument.bandwidth: missing; the opacity of a site needs the width of the band")
+        named = {name for steps in (self.cleaning.algorithm, *self.cleaning.compare) for name in steps}
+        if "spectral" in named and not self.instrument.colours:
+            raise ValueError("instrument.colours: missing; 'spectral' cleaning needs other bands of the pixels")
+        if self.instrument.colours and not (self.atmosphere and self.atmosphere.site):
+            raise ValueError("atmosphere.site: missing; how colours scale with each other is the opacity of a site")
         if not any((self.atmosphere, self.excess, self.photon, self.detector, self.sky)):
             raise ValueError("at least one of atmosphere, excess, photon, detector and sky is expected")
         if (found := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:

@@ -19,7 +19,6 @@ from surveysim.coadds import CoAdds
 from surveysim.setup import Setup
 from surveysim.units import rj_to_cmb
 
-
 PEAK = 0.8  # of the brightest pixel: what counts as a point source's peak
 
 

@@ -90,8 +90,19 @@ class Layout(Section):
     dead: tuple[int, ...] = ()
 
 
+class Colour(Section):
+    """Another band of every pixel: its place in the spectrum and its noise, all of it white."""
+
+    frequency_hz: Frequency = Field(alias="frequency", le=1e13)
+    bandwidth: float = Field(gt=0, lt=1)
+    psd_mk2_hz: NoisePsd = Field(alias="psd")
+
+
 class Instrument(Section):
-    """Band, beam and focal plane; detectors from `layout` or from the table `positions`."""
+    """Band, beam and focal plane; detectors from `layout` or from the table `positions`.
+
+    `colours` are further bands of the same pixels, which "spectral" cleaning subtracts from the one that is mapped.
+    """
 
     frequency_hz: Frequency = Field(alias="frequency", le=1e13)
     bandwidth: float | None = Field(gt=0, lt=1, default=None)
@@ -101,6 +112,7 @@ class Instrument(Section):
     camera_rotation_rad: AngleExtent = Field(alias="camera_rotation")
     layout: Layout | None = None
     positions: TableFile = None
+    colours: tuple[Colour, ...] = ()
 
     @model_validator(mode="after")
     def _one_focal_plane(self) -> Self:

@@ -24,6 +24,7 @@ from surveysim.pointing import (
 from surveysim.recipes import ACTUAL, OPTIMAL, Recipe, recipes
 from surveysim.scan import Raster, RasterPath, duration_s, raster
 from surveysim.scene import Scene, SceneError
+from surveysim.sections import Colour, Instrument
 from surveysim.streams import Stage, generator
 from surveysim.weather import Water, site_water
 
@@ -48,7 +49,7 @@ class Setup:
     cleaning, those of the masked array last; `masked` indices of the detectors that it keeps, or None; `sky_mk` on
     `sky_geometry` or None; `window_skies_mk` (n_sky, n_y, n_x) or None, the last of point sources where recipes are
     compared; `strips` the atmosphere's strips or None; `water` what the band makes of the site's water, None
-    without a site.
+    without a site, and `colour_waters` what the other bands make of it; `colour_responsivity` (n_colour, n_det).
     """
 
     scene: Scene
@@ -64,6 +65,8 @@ class Setup:
     excess_factor: np.ndarray | None
     strips: object | None
     water: Water | None
+    colour_waters: tuple[Water, ...]
+    colour_responsivity: np.ndarray
     sky_mk: np.ndarray | None
     window_skies_mk: np.ndarray | None
     masked: np.ndarray | None
@@ -143,7 +146,9 @@ def _prepare(scene: Scene) -> Setup:
         photon_factor=_photon_factor(scene, cam),
         excess_factor=_excess_factor(scene, cam),
         strips=_strips(scene, cam),
-        water=_water(scene),
+        water=_water(scene, scene.instrument),
+        colour_waters=tuple(_water(scene, colour) for colour in scene.instrument.colours),
+        colour_responsivity=_colour_responsivity(scene, len(cam.focal_plane.x_rad)),
         sky_mk=_sky(scene, sky_geometry),
         window_skies_mk=_window_skies(scene, cam, sky_geometry),
         masked=masked,
@@ -193,8 +198,14 @@ def _angles(scene: Scene, lines: Raster) -> Angles:
     return Angles(times.start_mjd, *survey_angles(field, site, times, mid_time))
 
 
-def _responsivity(scene: Scene, n_det: int) -> np.ndarray:
-    scatter = generator(scene.seed, Stage.RESPONSIVITY).standard_normal(n_det)
+def _colour_responsivity(scene: Scene, n_det: int) -> np.ndarray:
+    """Responsivity (n_colour, n_det) of the other bands' detectors, each with its own scatter."""
+    colours = range(1, len(scene.instrument.colours) + 1)
+    return np.array([_responsivity(scene, n_det, colour) for colour in colours]).reshape(len(colours), n_det)
+
+
+def _responsivity(scene: Scene, n_det: int, realization: int = 0) -> np.ndarray:
+    scatter = generator(scene.seed, Stage.RESPONSIVITY, realization=realization).standard_normal(n_det)
     # Log-normal, so that a large scatter never turns a detector's sign; relative, so that their mean is 1.
     responsivity = np.exp(scene.instrument.responsivity_scatter * scatter)
     return responsivity / responsivity.mean()
@@ -228,12 +239,12 @@ def _strips(scene: Scene, cam: Camera):
     return StripCache(screen, cam.radius_rad, strip_step(screen, cam.closest_rad))
 
 
-def _water(scene: Scene) -> Water | None:
-    air, instrument = scene.atmosphere, scene.instrument
+def _water(scene: Scene, band: Instrument | Colour) -> Water | None:
+    air = scene.atmosphere
     if air is None or air.site is None:
         return None
     try:
-        return site_water(air, instrument.frequency_hz, instrument.bandwidth)
+        return site_water(air, band.frequency_hz, band.bandwidth)
     except ValueError as error:
         raise SceneError(f"atmosphere.site: {error}") from None
 

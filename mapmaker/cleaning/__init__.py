@@ -11,6 +11,7 @@ from mapmaker.cleaning.local import LocalOptions, subtract_local
 from mapmaker.cleaning.pca import PcaOptions, least_eigenvalues, subtract_pca
 from mapmaker.cleaning.polynomial import PolynomialOptions, exponents, subtract_polynomial
 from mapmaker.cleaning.scans import Cleaned, check_streams
+from mapmaker.cleaning.spectral import SpectralOptions, subtract_spectral
 from mapmaker.cleaning.templates import (
     AVERAGE,
     PLANAR,
@@ -35,6 +36,7 @@ __all__ = [
     "LocalOptions",
     "PcaOptions",
     "PolynomialOptions",
+    "SpectralOptions",
     "TemplateOptions",
     "WindOptions",
     "clean",
@@ -61,6 +63,7 @@ CLEANERS: dict[str, Cleaner] = {
     "wind": subtract_wind,
     "pca": subtract_pca,
     "local": subtract_local,
+    "spectral": subtract_spectral,
 }
 # Each algorithm's record; "none" has nothing to choose and takes anything.
 OPTIONS: dict[str, type] = {
@@ -72,6 +75,7 @@ OPTIONS: dict[str, type] = {
     "wind": WindOptions,
     "pca": PcaOptions,
     "local": LocalOptions,
+    "spectral": SpectralOptions,
 }
 # How many templates each takes from the detectors, whatever its options: more detectors than these are needed.
 N_TEMPLATES = {
@@ -83,6 +87,7 @@ N_TEMPLATES = {
     "wind": len(AVERAGE),
     "pca": 1,
     "local": 1,
+    "spectral": 0,
 }
 
 

@@ -11,7 +11,7 @@ from mapmaker.cleaning.templates import QUADRATIC, template_streams
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.wind import scan_velocities
 from mapmaker.window import beam_window
-from surveysim.measurement import Measurement
+from surveysim.measurement import WHITE_ABOVE_HZ, Measurement
 from surveysim.noise import hann_psd
 from surveysim.observation import add_sky_signal, draw_observation
 from surveysim.paper.campaign import MeasuredSurvey
@@ -31,15 +31,15 @@ LOOKS = {
     "wind": "orange --",
     "planar": "green",
     "quadratic": "vermilion",
-    "pca": "vermilion",
+    "pca": "vermilion --",
 }
 NAMES = {"none": "before cleaning", "wind": "wind model", "pca": "adaptive PCA"}
+RATIO_LOOKS = {"pca": "vermilion -.", "average": "blue :"}
 TERMS = {"1": "black", "$x$": "blue", "$y$": "sky --", "$xy$": "green", "$x^2$": "vermilion", "$y^2$": "orange --"}
 PCA_SIGMA_CUT = 3.0  # section 4.4
 ATMOSPHERE_HZ = 0.5  # section 4.3: above it the atmosphere is negligible
-WHITE_HZ = 2.5  # section 5.1
 SIGNAL_BAND_POWER_UKCMB2 = 1000.0  # too faint to change what cleaning does
-FAINTEST_BEAM = 0.01  # power of the beam below which no signal is left to tell a window from
+FAINTEST_BEAM = 0.1  # power of the beam below which no signal is left to tell a window from
 FREQUENCY, PSD = "Frequency [Hz]", "PSD [mK$^2$/Hz]"
 
 
@@ -103,15 +103,13 @@ def weather_examples(survey: MeasuredSurvey) -> tuple[Example, ...]:
         k = int(usable[np.argmin(away)])
         item = survey.measurements[k]
         streams = draw_observation(survey.setup, item.observation)
-        examples.append(
-            Example(weather, survey.setup, survey.scene_of[k], item, float(survey.b2_fitted[k]), streams)
-        )
+        examples.append(Example(weather, survey.setup, survey.scene_of[k], item, float(survey.b2_fitted[k]), streams))
     return tuple(examples)
 
 
 def _chosen(examples: tuple[Example, ...]) -> str:
-    each = ", ".join(f"{one.item.observation} of {one.scene} ({one.weather})" for one in examples)
-    return f"the observations of B2 nearest its quartiles whose wind is to be trusted, {each}"
+    each = " and ".join(f"{one.item.observation} of {one.scene} ({one.weather} weather)" for one in examples)
+    return f"of those whose wind is to be trusted, the two of fitted B2 nearest its quartiles are {each}"
 
 
 # ---------------------------------------------------------------- figure 10
@@ -124,20 +122,23 @@ def timestream_figure(survey: MeasuredSurvey) -> PaperFigure:
     """
     examples = weather_examples(survey)
     spectra = [{name: _mean_psd(one, one.clean(name)) for name in ALGORITHMS} for one in examples]
-    rows = (("none", "average", "wind"), ("average", "planar", "quadratic"))
-    panels = []
-    for row, names in enumerate(rows):
-        # Both columns have one scale: the weather's difference is to be seen.
-        shown = np.array([psds[name] for psds in spectra for name in names])
-        for one, psds in zip(examples, spectra, strict=True):
-            title = one.title if row == 0 else f"{one.weather} weather"
-            panels.append(_stream_panel(one, title, {name: psds[name] for name in names}, shown))
+    # Both columns have one scale: they are there to be compared.
+    highest = max(psds["none"].max() for psds in spectra)
+    cleaned = np.array([psds[name] for psds in spectra for name in ALGORITHMS[1:]])
+    photon = survey.setup.scene.photon
+    lowest = min(cleaned.min(), photon.psd_mk2_hz if photon else np.inf) / 2
+    columns = [(one, _stream_series(one, psds, cleaned.max())) for one, psds in zip(examples, spectra, strict=True)]
+    panels = [_psd_panel(one.title, series, (lowest, 2 * highest)) for one, series in columns]
+    panels += [
+        _psd_panel(f"{one.weather} weather, after cleaning", series, (lowest, 2 * cleaned.max()))
+        for one, series in columns
+    ]
     caption = (
-        f"{described(survey)}: {_chosen(examples)}. Hann-tapered PSDs of single scans, averaged over all kept scans"
-        f" and all detectors, which have scatter in their gains; dotted the beam's power at the multipole that a"
-        f" frequency has at the scan speed, on an arbitrary scale; dashed the photon noise (BLIP). Power left below"
-        f" {ATMOSPHERE_HZ:g} Hz, in units of what the average leaves: {_left(examples, spectra)}. The"
-        f" paper finds no gain from the wind model and a slight one, at low frequencies, from the higher orders."
+        f"{described(survey)}; {_chosen(examples)}. Hann-tapered PSDs of single scans, averaged over all kept scans"
+        f" and all detectors; the lower row is the upper one in part. Dotted: power of the beam at the multipole that a"
+        f" frequency has at the scan speed; dashed: photon noise. Power below {ATMOSPHERE_HZ:g} Hz over that which the"
+        f" average leaves: {_left(examples, spectra)}. The paper finds no gain from the wind model, and a slight one"
+        f" at low frequencies from planar and quadratic subtraction."
     )
     return PaperFigure(10, "Time-streams before and after cleaning", caption, tuple(panels), len(examples))
 
@@ -146,16 +147,13 @@ def _mean_psd(one: Example, cleaned: Cleaned) -> np.ndarray:
     return one.psd(cleaned.data_mk, cleaned.kept).mean(axis=0)
 
 
-def _stream_panel(one: Example, title: str, psds: dict[str, np.ndarray], shown: np.ndarray) -> Panel:
-    setup, frequency = one.setup, frequencies(one.setup)
-    photon = setup.scene.photon.psd_mk2_hz if setup.scene.photon else None
+def _stream_series(one: Example, psds: dict[str, np.ndarray], beam_at: float) -> list[Series]:
+    frequency, photon = frequencies(one.setup), one.setup.scene.photon
     series = [_line(NAMES.get(name, name), frequency, psd, LOOKS[name]) for name, psd in psds.items()]
-    series.append(_line("beam, arbitrary scale", frequency, shown.max() / 2 * beam_power(setup), "purple :"))
-    lowest = shown.min()
+    series.append(_line("beam, arbitrary scale", frequency, beam_at * beam_power(one.setup), "purple :"))
     if photon is not None:
-        series.append(_line("photon noise (BLIP)", frequency, np.full(len(frequency), photon), "grey --"))
-        lowest = min(lowest, photon)
-    return _psd_panel(title, series, (lowest / 2, 2 * shown.max()))
+        series.append(_line("photon noise (BLIP)", frequency, np.full(len(frequency), photon.psd_mk2_hz), "grey --"))
+    return series
 
 
 def beam_power(setup: Setup) -> np.ndarray:
@@ -185,31 +183,35 @@ def template_figure(survey: MeasuredSurvey) -> PaperFigure:
     examples = weather_examples(survey)
     spectra = [template_psds(one) for one in examples]
     ends = (min(psds.min() for psds in spectra) / 2, 2 * max(psds.max() for psds in spectra))
+    frequency, paper = frequencies(survey.setup), published()["cleaning"]
     panels = [
         _psd_panel(
             one.title,
-            [_line(label, frequencies(one.setup), psd, look) for (label, look), psd in zip(TERMS.items(), psds, strict=True)],
+            [_line(name, frequency, psd, look) for (name, look), psd in zip(TERMS.items(), psds, strict=True)],
             ends,
         )
         for one, psds in zip(examples, spectra, strict=True)
     ]
-    frequency, paper = frequencies(survey.setup), published()["cleaning"]
-    low = frequency <= ATMOSPHERE_HZ
-    ratios = [psds[1:, low].sum(axis=1) / psds[0, low].sum() for psds in spectra]
-    growth = spectra[1][:, low].sum(axis=1) / spectra[0][:, low].sum(axis=1)
-    higher = np.sqrt(spectra[1][1:, low].sum() / spectra[0][1:, low].sum())
-    noise = np.mean([_high_ratio(psds, frequency) for psds in spectra])
+    low, high = frequency <= ATMOSPHERE_HZ, frequency > WHITE_ABOVE_HZ
+    good, poor = (psds[:, low].sum(axis=1) for psds in spectra)
+    noise = np.mean([psds[1:, high].mean() / psds[0, high].mean() for psds in spectra])
     caption = (
-        f"{described(survey)}: {_chosen(examples)}. The elements of p_n that quadratic subtraction fits, each times its"
+        f"{described(survey)}; {_chosen(examples)}. The elements of p_n that quadratic subtraction fits, each times its"
         f" term x^a y^b at a place halfway from the centre of the array to its edge, on the diagonal of its axes,"
-        f" where all terms differ from zero. Power below {ATMOSPHERE_HZ:g} Hz of the five higher orders over the zeroth"
-        f" order's: {_span(ratios[0])} in good and {_span(ratios[1])} in poor weather; the paper says about"
-        f" {paper['higher_order_template_psd_ratio']:g}, more in worse weather. From good to poor the amplitude of the"
-        f" higher orders below {ATMOSPHERE_HZ:g} Hz grows by {higher:.1f} (paper about"
-        f" {paper['higher_order_template_growth']:g}), the zeroth order's by {np.sqrt(growth[0]):.1f}. Above"
-        f" {WHITE_HZ:g} Hz, where the templates are noise, the higher orders have {noise:.2g} of the zeroth's power."
+        f" where no term is zero. The five higher orders have, below {ATMOSPHERE_HZ:g} Hz, {_share(good)} of the zeroth"
+        f" order's power in good and {_share(poor)} in poor weather, and {noise:.2g} above {WHITE_ABOVE_HZ:g} Hz, where"
+        f" all are noise; the paper says about {paper['higher_order_template_psd_ratio']:g}, more in worse weather, of no"
+        f" frequency in particular. From good to poor weather the amplitude below {ATMOSPHERE_HZ:g} Hz grows by"
+        f" {np.sqrt(poor[1:].sum() / good[1:].sum()):.1f} in the higher orders (paper about"
+        f" {paper['higher_order_template_growth']:g}) and by {np.sqrt(poor[0] / good[0]):.1f} in the zeroth."
     )
     return PaperFigure(11, "Templates of quadratic subtraction", caption, tuple(panels), len(examples))
+
+
+def _share(power: np.ndarray) -> str:
+    """Least and largest power of the higher orders over that of the zeroth, and their amplitudes."""
+    low, high = np.sort(power[1:] / power[0])[[0, -1]]
+    return f"{low:.2g} to {high:.2g} (in amplitude {np.sqrt(low):.2g} to {np.sqrt(high):.2g})"
 
 
 def template_psds(one: Example) -> np.ndarray:
@@ -225,15 +227,6 @@ def halfway_out(plane: FocalPlane) -> tuple[float, float]:
     x, y = float(np.mean(plane.x_rad)), float(np.mean(plane.y_rad))
     half = float(np.hypot(plane.x_rad - x, plane.y_rad - y).max()) / 2
     return x + half * cos(pi / 4), y + half * sin(pi / 4)
-
-
-def _high_ratio(psds: np.ndarray, frequency: np.ndarray) -> float:
-    high = frequency > WHITE_HZ
-    return float(psds[1:, high].mean() / psds[0, high].mean())
-
-
-def _span(values: np.ndarray) -> str:
-    return f"{values.min():.2g} to {values.max():.2g}"
 
 
 # ---------------------------------------------------------------- figure 12
@@ -262,18 +255,14 @@ def pca_figure(survey: MeasuredSurvey) -> PaperFigure:
     scale = highest / max((cost.window / cost.psd)[seen].max() for cost in every)
     ratios = np.concatenate([scale * (cost.window / cost.psd)[seen] for cost in every])
     ends = (min(ratios.min(), *(cost.psd.min() for cost in every)) / 2, 2 * highest)
-    panels = []
-    for one, costs in zip(examples, found, strict=True):
-        frequency, series = frequencies(one.setup), []
-        for name, cost in costs.items():
-            label, ratio = NAMES.get(name, name), scale * (cost.window / cost.psd)
-            series.append(_line(f"{label}: PSD", frequency, cost.psd, LOOKS[name]))
-            series.append(_line(f"{label}: S/N, arbitrary units", frequency[seen], ratio[seen], f"{LOOKS[name]} :"))
-        panels.append(_psd_panel(one.title, series, ends))
+    panels = [
+        _psd_panel(one.title, _cost_series(one, costs, seen, scale), ends)
+        for one, costs in zip(examples, found, strict=True)
+    ]
     texts = [_compared(one, costs) for one, costs in zip(examples, found, strict=True)]
     modes = published()["cleaning"]["modes_removed_by_pca"]
     caption = (
-        f"{described(survey)}: {_chosen(examples)}. Dotted the window of a CMB sky of flat band power, the share of its"
+        f"{described(survey)}; {_chosen(examples)}. S/N: the window of a CMB sky of flat band power, the share of its"
         f" power that cleaning leaves in the time-streams, over the noise PSD, where the beam leaves more than"
         f" {100 * FAINTEST_BEAM:g} % of the power; the sky of {SIGNAL_BAND_POWER_UKCMB2:g} uK_CMB^2 is far fainter than"
         f" the noise, and scans in which it changes the number of modes are left out. Adaptive PCA cuts eigenvalues"
@@ -282,6 +271,22 @@ def pca_figure(survey: MeasuredSurvey) -> PaperFigure:
         f" the lower signal to noise in both."
     )
     return PaperFigure(12, "Average subtraction and adaptive PCA", caption, tuple(panels), len(examples))
+
+
+def _cost_series(one: Example, costs: dict[str, Cost], seen: np.ndarray, scale: float) -> list[Series]:
+    """PSDs, and above them the ratios with the dots last: where curves agree both are seen."""
+    frequency = frequencies(one.setup)
+    psds = [_line(f"{NAMES.get(name, name)}: PSD", frequency, cost.psd, LOOKS[name]) for name, cost in costs.items()]
+    ratios = [
+        _line(
+            f"{NAMES.get(name, name)}: S/N, arbitrary units",
+            frequency[seen],
+            scale * (costs[name].window / costs[name].psd)[seen],
+            look,
+        )
+        for name, look in RATIO_LOOKS.items()
+    ]
+    return psds + ratios
 
 
 def cleaning_cost(one: Example, name: str) -> Cost:

@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 def print_result(result: SurveyResult, directory: Path) -> None:
     """Score table beside the reference, gains, what is assumed, time taken and where the files are."""
     console = _console()
+    if len(result.setup.whole_recipes) > 1:
+        console.print(_cleaning_table(result))
     if result.scores:
         console.print(_score_table(result))
         for line in gain_lines(result):
             console.print(line, highlight=False)
         console.print()
-        if result.setup.chooses:
-            console.print(_cleaning_table(result))
         if result.alternatives:
             console.print(_alternative_table(result))
         console.print("\nMethod, where the reference leaves it open:", highlight=False)
@@ -94,16 +94,20 @@ def _cells(row: Row, with_reference: bool) -> list[str]:
 
 
 def _cleaning_table(result: SurveyResult) -> Table:
-    """What each way of cleaning costs, and of how many observations it is the best."""
-    table = Table(title=Text("Cleaning: what it costs, and the share of observations for which it is the best"))
-    headings = ("cleaning", "scans discarded", "iterations", "templates", "flux removed", "best: CMB", "best: source")
-    for heading in headings:
+    """What each way of cleaning costs and leaves, and of how many observations it is the best."""
+    table = Table(title=Text("Cleaning: what it costs, and what it leaves"))
+    entries = {recipe.label: summary(result)["cleaning"][recipe.data_set] for recipe in result.setup.whole_recipes}
+    first = next(iter(entries.values()))
+    shares = {"point_source_flux_removed": "flux removed", "best_for_cmb": "best: CMB"}
+    shares["best_for_point_source"] = "best: source"
+    headings = ["cleaning", "scans discarded", "iterations", "templates"]
+    headings += [f"PSD / white, {hz}" for hz in first["psd_over_white"]]
+    for heading in headings + [heading for name, heading in shares.items() if name in first]:
         table.add_column(heading, justify="left" if heading == "cleaning" else "right")
-    for recipe in result.setup.whole_recipes:
-        entry = summary(result)["cleaning"][recipe.data_set]
-        shares = ("point_source_flux_removed", "best_for_cmb", "best_for_point_source")
-        counts = (str(entry["scans_discarded"]), f"{entry['mean_iterations']:.1f}", f"{entry['mean_removed']:.2f}")
-        table.add_row(recipe.label, *counts, *(f"{100 * entry[name]:.1f} %" for name in shares))
+    for label, entry in entries.items():
+        cells = [str(entry["scans_discarded"]), f"{entry['mean_iterations']:.1f}", f"{entry['mean_removed']:.2f}"]
+        cells += [f"{ratio:.3g}" for ratio in entry["psd_over_white"].values()]
+        table.add_row(label, *cells, *(f"{100 * entry[name]:.1f} %" for name in shares if name in entry))
     return table
 
 

@@ -1,0 +1,60 @@
+"""Cleaning by colours: what a pixel's other bands see too is the atmosphere.
+
+Sayers et al. (2010), "Prospects": cameras with several bands a pixel (SuZIE, MKIDCam) subtract first the spatial, then
+the spectral common mode. The other bands' streams, cleaned of the spatial one like these, are fitted to each detector's
+own stream, scan by scan, and subtracted; the coefficients take up how the opacity scales between the bands, and gains.
+A band whose atmosphere is much brighter has a small coefficient and adds little noise. Sky signal in the other bands
+is subtracted with their atmosphere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans
+
+if TYPE_CHECKING:
+    from mapmaker.timestreams import FocalPlane
+
+
+@dataclass(frozen=True)
+class SpectralOptions:
+    """The other bands' streams of the same detectors: `others_mk` (n_colour, n_det, n_samp) [mK]."""
+
+    others_mk: np.ndarray
+
+    def __post_init__(self):
+        """Raise ValueError unless there is a band."""
+        if self.others_mk.ndim != 3 or not len(self.others_mk):
+            raise ValueError(f"others_mk must be (n_colour, n_det, n_samp), got {self.others_mk.shape}")
+
+
+def subtract_spectral(data_mk, scan_bounds, focal_plane: FocalPlane, options: SpectralOptions) -> Cleaned:
+    """Remove the mean and what each detector's other bands see too; arguments, result and errors as for `clean`.
+
+    Raises ValueError for other streams of another shape and for scans of no more samples than bands. A scan in which
+    another band has a value that is not finite is discarded.
+    """
+    others = options.others_mk
+    if others.shape[1:] != data_mk.shape:
+        n_det, n_samp = data_mk.shape
+        raise ValueError(f"others_mk have the shape {others.shape}; (n_colour, {n_det}, {n_samp}) is expected")
+    shortest = int(np.diff(scan_bounds, axis=1).min())
+    if shortest <= len(others):
+        raise ValueError(f"{len(others)} other bands need scans of {len(others) + 1} samples, got {shortest}")
+
+    def subtract(block: np.ndarray, scan: int) -> Fit:
+        start, stop = scan_bounds[scan]
+        colours = others[:, :, start:stop].astype(np.float64)
+        if not np.isfinite(colours).all():
+            return Fit(None)
+        colours -= colours.mean(axis=2, keepdims=True)
+        # Bands that see one atmosphere are nearly alike: an orthogonal basis keeps the digits of their difference.
+        basis = np.linalg.qr(colours.transpose(1, 2, 0))[0]
+        block -= (basis @ (basis.transpose(0, 2, 1) @ block[..., None]))[..., 0]
+        return Fit(np.ones(len(block)), removed=len(others))
+
+    return clean_scans(data_mk, scan_bounds, subtract)

@@ -1,0 +1,59 @@
+"""Cameras of several colours: one layer in all bands, scaled by opacity, and what subtracting it leaves."""
+
+import numpy as np
+import pytest
+
+from surveysim.api import run
+from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
+from surveysim.observation import draw_colours, draw_observation
+from surveysim.results import summary
+from surveysim.scene import SceneError, load_scene
+from surveysim.setup import prepare
+
+SUZIE = "scenarios/suzie_ii.toml"
+
+
+def test_bands_see_one_layer_as_opacity_scales_it():
+    """Without noise: streams of two bands are in the ratio of the responses to the water, times gains."""
+    quiet = {"photon.psd": "0 mK2 / Hz", "detector.psd": "0 mK2 / Hz", "observations": 2}
+    scene = load_scene(SUZIE, quiet)
+    colours = tuple(colour.model_copy(update={"psd_mk2_hz": 0.0}) for colour in scene.instrument.colours)
+    scene = scene.model_copy(update={"instrument": scene.instrument.model_copy(update={"colours": colours})})
+    setup = prepare(scene)
+    mapped, others = draw_observation(setup, 1), draw_colours(setup, 1)
+    pwv = mapped.attributes["pwv_mm"]
+    response = [
+        fluctuation_factor_mk2(band_opacity("mauna_kea", frequency, width), pwv)
+        for frequency, width in ((143e9, 0.12), (221e9, 0.1), (355e9, 0.09))
+    ]
+    for number, other in enumerate(others):
+        scale = np.sqrt(response[number + 1] / response[0]) * setup.colour_responsivity[number] / setup.responsivity
+        np.testing.assert_allclose(other, mapped.data_mk * scale[:, None], rtol=2e-5, atol=1e-3)
+    assert response[2] > 10 * response[0]  # the atmosphere is far brighter at 355 GHz
+    assert np.abs(setup.colour_responsivity[0] / setup.colour_responsivity[1] - 1).max() > 0.01
+
+
+def test_residual_at_10_mhz_is_near_the_instrument_s_noise():
+    """SuZIE II came within a factor 1.5 of it (paper, "Prospects"); of white noise in four detectors 3/4 is left."""
+    result = run(load_scene(SUZIE, {"observations": 40}), workers=1)
+    entries = summary(result)["cleaning"]
+    spectral, spatial = (entries[name]["psd_over_white"] for name in ("actual", "average"))
+    floor = 3 / 4
+    assert floor * 0.9 < spectral["0.01 Hz"] < 1.5 * floor
+    assert spectral["0.01 Hz"] < spatial["0.01 Hz"]
+    assert spectral["1 Hz"] == pytest.approx(floor, rel=0.06)
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"instrument.colours": []}, "instrument.colours: missing; 'spectral' cleaning needs other bands"),
+        ({"atmosphere.site": "mars"}, "atmosphere.site: found 'mars'"),
+        ({"instrument.colours": [{"frequency": "500 GHz", "bandwidth": 0.1, "psd": "1 mK2 / Hz"}]}, "bands within"),
+        ({"instrument.colours": [{"frequency": "300 GHz", "psd": "1 mK2 / Hz"}]}, "colours.0.bandwidth: missing"),
+    ],
+)
+def test_refused(changes, words):
+    with pytest.raises(SceneError) as caught:
+        prepare(load_scene(SUZIE, changes))
+    assert words in str(caught.value)
