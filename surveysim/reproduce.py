@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from surveysim.paper.figure import PaperFigure
 
 TABLES = (1, 2)
-FIGURES = tuple(range(1, 10))
+FIGURES = tuple(range(1, 14))
 # Scenes of each band's observations, in GHz, and what is changed in them.
 SCENES: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "143": (("lynx", "sds1"), {}),
@@ -46,17 +46,24 @@ _NEEDS = {
     "figure 7": ("143", "268"),
     "figure 8": ("143", "268"),
     "figure 9": ("143",),
+    "figure 10": ("143",),
+    "figure 11": ("143",),
+    "figure 12": ("143",),
+    "figure 13": (),
 }
+# What figure 13 compares with average subtraction.
+COMPARED = (("planar",), ("quadratic",))
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is asked for: numbers of tables and figures, the scenes of every band that they need, that of figure 2."""
+    """What is asked for: numbers of tables and figures, the scenes of every band, those of figures 2, 13."""
 
     tables: tuple[int, ...]
     figures: tuple[int, ...]
     scenes: dict[str, list[Scene]]
     model: Scene | None
+    compared: Scene | None
 
     @property
     def items(self) -> list[str]:
@@ -66,7 +73,8 @@ class Wanted:
     @property
     def observations(self) -> int:
         """How many observations that takes."""
-        return sum(scene.observations for scenes in self.scenes.values() for scene in scenes)
+        measured = sum(scene.observations for scenes in self.scenes.values() for scene in scenes)
+        return measured + (self.compared.observations if self.compared else 0)
 
 
 def wanted(
@@ -89,8 +97,24 @@ def wanted(
         scenes[band] = [_scene(path, changes | dict(overrides or {}), observations) for path in paths]
         for path, scene in zip(paths, scenes[band], strict=True):
             _check(path, scene, scenes[band][0])
-    model = _scene(scenarios / "lynx.toml", dict(overrides or {}), observations) if 2 in figures else None
-    return Wanted(tuple(tables), tuple(figures), scenes, model)
+    lynx = scenarios / "lynx.toml"
+    model = _scene(lynx, dict(overrides or {}), observations) if 2 in figures else None
+    compared = _compared(lynx, dict(overrides or {}), observations) if 13 in figures else None
+    return Wanted(tuple(tables), tuple(figures), scenes, model, compared)
+
+
+def _compared(path: Path, overrides: dict[str, Any], observations: int | None) -> Scene:
+    """A scene that scores the algorithms of figure 13, and no other data set."""
+    scene = _scene(path, {"cleaning.compare": [list(steps) for steps in COMPARED]} | overrides, observations)
+    if scene.score is None:
+        raise SceneError(f"{path}: score: missing; figure 13 scores the maps")
+    score = scene.score.model_copy(update={"mask_separation_f_lambda": None, "simulated": (), "reference": None})
+    scene = scene.model_copy(update={"score": score})
+    try:
+        prepare(scene)
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from None
+    return scene
 
 
 def _scene(path: Path, changes: dict[str, Any], observations: int | None) -> Scene:
@@ -134,15 +158,32 @@ def reproduce(
         if band is not None:
             surveys[band] = measure_survey(asked.scenes[band], workers, progress)
             makers.append((f"{band} GHz", partial(_write_measurements, out, band, surveys[band])))
-        ready = [name for name in left if set(_NEEDS[name]) <= set(surveys)]
+        ready = [name for name in left if set(_NEEDS[name]) <= set(surveys) and name != "figure 13"]
         left = [name for name in left if name not in ready]
         makers += [(name, partial(_write, name, out, surveys, asked.model)) for name in ready]
-        for name, make in makers:
-            try:
-                written += make()
-            except ValueError as error:  # too few observations for a median, a fit or an example
-                failed.append(f"{name}: {' '.join(str(error).split())}")
+        _make(makers, written, failed)
+    if asked.compared is not None:
+        _make([("figure 13", partial(_write_compared, out, asked.compared, workers, progress))], written, failed)
     return written, failed
+
+
+def _make(makers: list[tuple[str, Callable[[], list[Path]]]], written: list[Path], failed: list[str]) -> None:
+    """Make items by name; those that can't be made of so few observations go to `failed` with the reason."""
+    for name, make in makers:
+        try:
+            written += make()
+        except ValueError as error:
+            failed.append(f"{name}: {' '.join(str(error).split())}")
+
+
+def _write_compared(out: Path, scene: Scene, workers: int, progress: Callable[[], None]) -> list[Path]:
+    from surveysim.api import run
+    from surveysim.paper.map_figures import map_psd_figure
+
+    result = run(scene, workers=workers, progress=lambda coadds: progress())
+    if result.unscored:
+        raise ValueError(result.unscored)
+    return _write_figure(out, map_psd_figure(result))
 
 
 def _write_measurements(out: Path, band: str, survey: MeasuredSurvey) -> list[Path]:
@@ -170,7 +211,7 @@ def _write(name: str, out: Path, surveys: dict[str, MeasuredSurvey], model: Scen
 
 
 def _figure(number: int, surveys: dict[str, MeasuredSurvey], model: Scene | None) -> "PaperFigure":
-    from surveysim.paper import model_figures, noise_figures, turbulence_figures, wind_figures
+    from surveysim.paper import cleaning_figures, model_figures, noise_figures, turbulence_figures, wind_figures
 
     bolocam = [surveys[band] for band in ("143", "268") if band in surveys]
     makers: dict[int, Callable[[], PaperFigure]] = {
@@ -183,6 +224,9 @@ def _figure(number: int, surveys: dict[str, MeasuredSurvey], model: Scene | None
         7: lambda: noise_figures.b2_distribution_figure(bolocam),
         8: lambda: noise_figures.b2_water_figure(bolocam),
         9: lambda: noise_figures.map_variance_figure(surveys["143"]),
+        10: lambda: cleaning_figures.timestream_figure(surveys["143"]),
+        11: lambda: cleaning_figures.template_figure(surveys["143"]),
+        12: lambda: cleaning_figures.pca_figure(surveys["143"]),
     }
     return makers[number]()
 

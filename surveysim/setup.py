@@ -28,9 +28,6 @@ from surveysim.sections import Colour, Instrument
 from surveysim.streams import Stage, generator
 from surveysim.weather import Water, site_water
 
-# Point sources lie so many array radii apart that cleaning never sees two of them.
-POINT_SPACING = 3.0
-
 
 @dataclass(frozen=True)
 class Angles:
@@ -47,7 +44,7 @@ class Setup:
 
     `photon_factor`, `excess_factor` (n_det, n_det) or None; `responsivity` (n_det,); `recipes` all ways of
     cleaning, those of the masked array last; `masked` indices of the detectors that it keeps, or None; `sky_mk` on
-    `sky_geometry` or None; `window_skies_mk` (n_sky, n_y, n_x) or None, the last of point sources where recipes are
+    `sky_geometry` or None; `window_skies_mk` (n_sky, n_y, n_x) or None, the last of a point source where recipes are
     compared; `strips` the atmosphere's strips or None; `water` what the band makes of the site's water, None
     without a site, and `colour_waters` what the other bands make of it; `colour_responsivity` (n_colour, n_det).
     """
@@ -150,7 +147,7 @@ def _prepare(scene: Scene) -> Setup:
         colour_waters=tuple(_water(scene, colour) for colour in scene.instrument.colours),
         colour_responsivity=_colour_responsivity(scene, len(cam.focal_plane.x_rad)),
         sky_mk=_sky(scene, sky_geometry),
-        window_skies_mk=_window_skies(scene, cam, sky_geometry),
+        window_skies_mk=_window_skies(scene, sky_geometry),
         masked=masked,
     )
 
@@ -259,10 +256,10 @@ def _sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
     return draw_sky(scene.sky, geometry, instrument.frequency_hz, instrument.beam_fwhm_rad, rng)
 
 
-def _window_skies(scene: Scene, cam: Camera, geometry: MapGeometry) -> np.ndarray | None:
+def _window_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
     if scene.score is None:
         return None
-    from surveysim.sky import flat_cmb_sky, point_grid
+    from surveysim.sky import central_source, flat_cmb_sky
 
     window, instrument = scene.score.window, scene.instrument
     skies = [
@@ -276,9 +273,7 @@ def _window_skies(scene: Scene, cam: Camera, geometry: MapGeometry) -> np.ndarra
         for sky in range(window.skies)
     ]
     if scene.cleaning.compare:
-        skies.append(
-            point_grid(geometry, POINT_SPACING * cam.radius_rad, scene.score.size_rad / 2, instrument.beam_fwhm_rad)
-        )
+        skies.append(central_source(geometry, instrument.beam_fwhm_rad))
     return np.stack(skies)
 
 

@@ -75,16 +75,11 @@ def add_point_sources(
     return total.astype(np.float32)
 
 
-def point_grid(geometry: MapGeometry, spacing_rad: float, reach_rad: float, fwhm_rad: float) -> np.ndarray:
-    """A sky (n_y, n_x) float32 of Gaussian beams of 1 mK on a square grid through the middle, within +-`reach_rad`."""
+def central_source(geometry: MapGeometry, fwhm_rad: float) -> np.ndarray:
+    """A sky (n_y, n_x) float32 of one point source of 1 mK in the middle of the grid."""
     xi, eta = pixel_centres(geometry)
     sigma = fwhm_rad / np.sqrt(8 * np.log(2))
-    n = int(reach_rad / spacing_rad)
-    profiles = []
-    for axis in (xi, eta):
-        offset = axis - spacing_rad * np.clip(np.round(axis / spacing_rad), -n, n)
-        profiles.append(np.exp(-(offset**2) / (2 * sigma**2)))
-    return (profiles[0] * profiles[1]).astype(np.float32)
+    return np.exp(-(xi**2 + eta**2) / (2 * sigma**2)).astype(np.float32)
 
 
 def draw_sky(section: Sky, geometry: MapGeometry, frequency_hz: float, fwhm_rad: float, rng) -> np.ndarray:

@@ -200,8 +200,8 @@ def template_figure(survey: MeasuredSurvey) -> PaperFigure:
         f" term x^a y^b at a place halfway from the centre of the array to its edge, on the diagonal of its axes,"
         f" where no term is zero. The five higher orders have, below {ATMOSPHERE_HZ:g} Hz, {_share(good)} of the zeroth"
         f" order's power in good and {_share(poor)} in poor weather, and {noise:.2g} above {WHITE_ABOVE_HZ:g} Hz, where"
-        f" all are noise; the paper says about {paper['higher_order_template_psd_ratio']:g}, more in worse weather, of no"
-        f" frequency in particular. From good to poor weather the amplitude below {ATMOSPHERE_HZ:g} Hz grows by"
+        f" all are noise; the paper says about {paper['higher_order_template_psd_ratio']:g}, more in worse weather, of"
+        f" no frequency in particular. From good to poor weather the amplitude below {ATMOSPHERE_HZ:g} Hz grows by"
         f" {np.sqrt(poor[1:].sum() / good[1:].sum()):.1f} in the higher orders (paper about"
         f" {paper['higher_order_template_growth']:g}) and by {np.sqrt(poor[0] / good[0]):.1f} in the zeroth."
     )

@@ -12,6 +12,7 @@ from surveysim.scores import DataSetScore, gain, rescore
 LOOKS = ("blue", "green", "vermilion", "purple", "orange", "sky")  # of the recipes, in their order
 OPTIMAL_LOOK = "black --"
 LOWEST_ELL = 500  # bins below it hold few modes, and of those little but the map's mean and gradient
+ARCMIN2_IN_SR = np.degrees(60.0) ** 2  # square arcminutes in a steradian: PSDs get plain numbers
 ELL, UNCERTAINTY = r"Multipole $\ell$", r"$\sigma(A)$ [$\mu$K$_\mathrm{CMB}^2$]"
 FROM_ELL = r"Lowest multipole $\ell$ used"
 
@@ -68,8 +69,8 @@ def winners(result: SurveyResult, target: str, data_sets: tuple[str, ...]) -> di
 
 def _psd_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
     used, rings = _usable(result), result.setup.band.rings
-    psds = {label: result.scores[name].noise_psd[used] for label, name in names.items()}
-    return _panel("noise", ELL, r"Map PSD [$\mu$K$_\mathrm{CMB}^2$ sr]", _lines(rings.ell[used], psds))
+    psds = {label: ARCMIN2_IN_SR * result.scores[name].noise_psd[used] for label, name in names.items()}
+    return _panel("noise", ELL, r"Map PSD [$\mu$K$_\mathrm{CMB}^2$ arcmin$^2$]", _lines(rings.ell[used], psds))
 
 
 def _sensitivity_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
@@ -155,7 +156,8 @@ def _caption(result: SurveyResult, names: dict[str, str]) -> str:
     flux = _beside(removed, published()["cleaning"]["point_source_flux_removed"])
     return (
         f"{result.coadds.done} simulated observations of {scene.name}, co-added after each algorithm, and after the one"
-        f" that is best for a flat CMB spectrum in each observation (optimal). Noise from co-adds with random signs."
+        f" that is best in each observation for a flat CMB spectrum in the scored range (optimal). Noise from"
+        f" co-adds with random signs."
         f" Top right: noise PSD over that of unit flat band power behind beam, pixel and the algorithm's window, as"
         f" the uncertainty that bins of one unit of ln l would have; bottom: from all data from a multipole up to"
         f" {scene.score.ell_max}, with Monte Carlo errors; right, of the ratio. In the scored range from"

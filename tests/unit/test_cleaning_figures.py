@@ -276,7 +276,7 @@ def test_map_figure_draws_the_scores(result):
     score, edges = result.setup.scene.score, result.setup.band.rings.edges_ell
     for label, name in recipe_names(result).items():
         item = result.scores[name]
-        np.testing.assert_array_equal(named(noise, label).y, item.noise_psd[1:])
+        np.testing.assert_allclose(named(noise, label).y, item.noise_psd[1:] * 3437.7468**2)
         np.testing.assert_array_equal(named(sensitivity, label).y, log_bin_sigma(result, item)[1:])
         line = named(cumulative, label)
         np.testing.assert_array_equal(line.x, edges[1:-1])
