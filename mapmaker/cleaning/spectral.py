@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans
+from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, has_dead
 
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
@@ -42,14 +42,14 @@ def subtract_spectral(data_mk, scan_bounds, focal_plane: FocalPlane, options: Sp
     if others.shape[1:] != data_mk.shape:
         n_det, n_samp = data_mk.shape
         raise ValueError(f"others_mk have the shape {others.shape}; (n_colour, {n_det}, {n_samp}) is expected")
-    shortest = int(np.diff(scan_bounds, axis=1).min())
+    shortest = int(np.diff(scan_bounds, axis=1).min(initial=len(others) + 1))
     if shortest <= len(others):
         raise ValueError(f"{len(others)} other bands need scans of {len(others) + 1} samples, got {shortest}")
 
     def subtract(block: np.ndarray, scan: int) -> Fit:
         start, stop = scan_bounds[scan]
         colours = others[:, :, start:stop].astype(np.float64)
-        if not np.isfinite(colours).all():
+        if not np.isfinite(colours).all() or has_dead(block):
             return Fit(None)
         colours -= colours.mean(axis=2, keepdims=True)
         # Bands that see one atmosphere are nearly alike: an orthogonal basis keeps the digits of their difference.

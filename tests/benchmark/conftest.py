@@ -11,8 +11,9 @@ from threadpoolctl import threadpool_limits
 
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import Timestreams
-from surveysim.observation import ObservationResult, draw_observation, observe
+from surveysim.observation import draw_observation
 from surveysim.pointing import Pointing
+from surveysim.reduction import ObservationResult, observe
 from surveysim.scene import load_scene
 from surveysim.setup import Setup, observation_path, prepare
 

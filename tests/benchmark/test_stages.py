@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from scipy.fft import irfft, next_fast_len, rfft
 
-from mapmaker.cleaning import clean
 from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
+from mapmaker.wind import measure_wind, scan_velocities
 from surveysim import observation as stages
+from surveysim import reduction
 from surveysim.coadds import add_observation, empty_coadds
 from surveysim.noise import add_white, hann_psd, white_level
+from surveysim.recipes import Beside, Recipe, apply_recipe, measured_delays
 from surveysim.streams import Stage, generator
 from tests.benchmark.conftest import FLOOR, OBSERVATION
 
@@ -37,7 +39,7 @@ def test_floor_copy(per_sample, lynx):
 def test_atmosphere(per_sample, lynx):
     weather = stages.observation_weather(lynx.setup, OBSERVATION)
     data = np.zeros_like(lynx.data_mk)
-    per_sample("atmosphere", lambda: stages._add_atmosphere(lynx.setup, OBSERVATION, lynx.pointing, weather, data))
+    per_sample("atmosphere", lambda: stages.add_layer(lynx.setup, OBSERVATION, lynx.pointing, weather, data))
 
 
 def test_excess(per_sample, lynx):
@@ -64,14 +66,22 @@ def test_pixels(per_sample, lynx):
     per_sample("pixels", lambda: boresight_pixels(lynx.setup.geometry, *boresight, streams.focal_plane))
 
 
-@pytest.mark.parametrize("algorithm", ["average", "planar", "quadratic"])
+def test_wind(per_sample, lynx):
+    streams, rate = lynx.streams, lynx.setup.raster.sample_rate_hz
+    velocity = scan_velocities(streams)
+    arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane, rate, velocity)
+    per_sample("wind, measured", lambda: measure_wind(*arguments))
+
+
+@pytest.mark.parametrize("algorithm", ["average", "planar", "quadratic", "polynomial", "wind", "pca", "local"])
 def test_cleaning(per_sample, lynx, algorithm):
-    streams, options = lynx.streams, lynx.setup.cleaning
-    bounds = streams.scan_bounds
-    per_sample(
-        f"cleaning, {algorithm}",
-        lambda: clean(algorithm, streams.data_mk, bounds, streams.focal_plane, options),
-    )
+    streams, rate = lynx.streams, lynx.setup.raster.sample_rate_hz
+    section = lynx.setup.scene.cleaning.model_copy(update={"sigma_cut": 3.0, "reach": 1.2, "order": 3, "regions": 1})
+    recipe = Recipe("actual", (algorithm,))
+    delays = measured_delays((Recipe("actual", ("wind",)),), streams, rate)
+    beside = Beside(delays, np.zeros((0, *streams.data_mk.shape), np.float32))
+    arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane, beside, rate)
+    per_sample(f"cleaning, {algorithm}", lambda: apply_recipe(section, recipe, *arguments))
 
 
 def test_spectra(per_sample, lynx):
@@ -95,26 +105,21 @@ def test_simulated_set(per_sample, lynx, name):
     white = white_level(psd, 150, setup.raster.sample_rate_hz, setup.scene.score.white_above_hz)
     per_sample(
         f"simulated set, {name}",
-        lambda: stages._simulated_set(setup, OBSERVATION, name, psd, white, n_samp),
+        lambda: reduction._simulated_set(setup, OBSERVATION, name, psd, white, n_samp),
     )
 
 
 def test_window_of_one_sky(per_sample, lynx):
     """A sky through the streams of the whole and the masked array, with cleaning and without."""
     setup = replace(lynx.setup, window_skies_mk=lynx.setup.window_skies_mk[:1])
-    streams, bounds = lynx.streams, lynx.streams.scan_bounds
-    arrays = [np.arange(len(streams.data_mk)), setup.masked]
-    cleaned = [stages._clean(setup, streams.data_mk[rows], bounds, streams.focal_plane.subset(rows)) for rows in arrays]
-    per_sample(
-        "window, one sky",
-        lambda: stages._window_maps(setup, lynx.pointing, streams, lynx.index, arrays, cleaned),
-    )
+    work = reduction._reduce(setup, OBSERVATION, stages.Stopwatch())
+    per_sample("window, one sky", lambda: reduction._window_maps(work, 0))
 
 
 def test_weights(per_sample, lynx):
     """The noise of the maps of all data sets."""
     maps = list(zip(lynx.result.sums, lynx.result.hits, strict=True))
-    per_sample("weights", lambda: [stages.map_noise(lynx.setup, *item) for item in maps])
+    per_sample("weights", lambda: [reduction.map_noise(lynx.setup, *item) for item in maps])
 
 
 def test_coadds(per_sample, lynx):
@@ -129,4 +134,4 @@ def test_coadds(per_sample, lynx):
 @pytest.mark.parametrize("with_window", [False, True], ids=["bare", "window"])
 def test_observe(per_sample, lynx, with_window):
     name = "observation, with window skies" if with_window else "whole observation"
-    per_sample(name, lambda: stages.observe(lynx.setup, OBSERVATION, with_window))
+    per_sample(name, lambda: reduction.observe(lynx.setup, OBSERVATION, with_window))

@@ -12,6 +12,7 @@ from mapmaker.cleaning import (
     LocalOptions,
     PcaOptions,
     PolynomialOptions,
+    SpectralOptions,
     TemplateOptions,
     WindOptions,
     clean,
@@ -30,6 +31,7 @@ CHOSEN = dict.fromkeys(["none", *TEMPLATES], TEMPLATE_OPTIONS) | {
     "wind": WindOptions(np.array([[20.0, -10.0], [15.0, 0.0], [-20.0, 10.0]]), 10.0, 1e-8, 100),
     "pca": PcaOptions(3.0),
     "local": LocalOptions(reach=10.0),
+    "spectral": SpectralOptions(np.random.default_rng(7).standard_normal((2, 25, N_SAMP))),
 }
 FITTED = ["average", "planar", "quadratic", "polynomial", "wind"]
 
@@ -160,6 +162,7 @@ def test_unconverged_scans_are_discarded_and_counted(name):
 @pytest.mark.parametrize("name", CLEANERS)
 def test_templates_taken_are_counted(name):
     taken = {"none": 0, "average": 1, "planar": 3, "quadratic": 6, "polynomial": 6, "wind": 1, "pca": 1, "local": 1}
+    taken["spectral"] = 2  # one for each other band
     cleaned = clean(name, _data(), BOUNDS, _focal_plane(), CHOSEN[name])
     np.testing.assert_array_equal(cleaned.removed, taken[name])
     assert (cleaned.iterations > 0).all() == (name in FITTED)
@@ -172,7 +175,11 @@ def test_observation_without_scans(name):
     assert len(cleaned.kept) == 0 and not cleaned.data_mk.any()
 
 
-@pytest.mark.parametrize("name", CLEANERS)
+def test_each_detector_has_its_own_bands():
+    assert detectors_needed("spectral", CHOSEN["spectral"]) == 1
+
+
+@pytest.mark.parametrize("name", [name for name in CLEANERS if name != "spectral"])
 def test_detectors_needed(name):
     needed = detectors_needed(name, CHOSEN[name])
     assert needed > N_TEMPLATES[name]
@@ -225,7 +232,7 @@ def test_options_out_of_range(options):
 def test_bad_arguments_say_what_was_found():
     data, focal_plane = _data(), _focal_plane()
     with pytest.raises(
-        ValueError, match="'cubic', allowed: none, average, planar, quadratic, polynomial, wind, pca, local"
+        ValueError, match="'cubic', allowed: none, average, planar, quadratic, polynomial, wind, pca, local, spectral"
     ):
         clean("cubic", data, BOUNDS, focal_plane, TEMPLATE_OPTIONS)
     with pytest.raises(ValueError, match="options of 'pca' must be PcaOptions, got TemplateOptions"):

@@ -1,0 +1,84 @@
+"""Figures of merit: noise of a single map in bins of multipole, what recipes leave of signals, and which one wins."""
+
+import numpy as np
+import pytest
+
+from surveysim.api import run
+from surveysim.choice import merits, transmissions
+from surveysim.results import summary
+from surveysim.scene import load_scene
+from surveysim.setup import prepare
+from tests.scenes import SMALL_SCENE
+
+LYNX = "scenarios/lynx.toml"
+
+
+@pytest.fixture(scope="module")
+def setup():
+    return prepare(load_scene(LYNX, {"cleaning.compare": ["planar", "quadratic"], "observations": 4}))
+
+
+def test_noise_of_white_maps_in_bins(setup):
+    """Sums of H samples of variance 9 have it in every bin, to sqrt(2 / n) of its modes."""
+    rng = np.random.default_rng(1)
+    n = len(setup.band.taper)
+    hits = rng.integers(5, 30, (n, n))
+    found = np.mean(
+        [setup.band.ring_noise(3 * np.sqrt(hits) * rng.standard_normal((n, n)), hits) for _ in range(40)], axis=0
+    )
+    error = 9 * np.sqrt(2 / setup.band.rings.n_modes / 40)
+    # Bins narrower than the taper's resolution scatter less than their modes say, and share them.
+    assert (np.abs(found - 9) < 5 * error).all()
+    assert np.isinf(setup.band.ring_noise(np.zeros((n, n)), np.zeros((n, n), int))).all()
+
+
+def test_merit_falls_with_noise_and_with_what_is_taken_of_the_signal(setup):
+    """A flat band power's goes as (T / N)^2, a source's as T / N."""
+    rng = np.random.default_rng(2)
+    shape = (setup.geometry.n_y, setup.geometry.n_x)
+    hits = np.full(shape, 10)
+    total = rng.standard_normal(shape)
+    transmission = np.ones((3, 2, len(setup.band.rings.ell)))
+    transmission[2] = 0.5
+    found = merits(setup, transmission, [(total, hits), (2 * total, hits), (total, hits)])
+    np.testing.assert_allclose(found[1] / found[0], [1 / 16, 1 / 4], rtol=1e-12)
+    np.testing.assert_allclose(found[2] / found[0], [1 / 4, 1 / 2], rtol=1e-12)
+
+
+def test_higher_orders_leave_less_on_large_scales(setup):
+    transmission = transmissions(setup.scene)
+    ell = setup.band.rings.ell
+    large, small = (ell > 1500) & (ell < 3500), ell > 9000
+    for signal in (0, 1):
+        average, planar, quadratic = transmission[:, signal]
+        assert (average[large] > planar[large]).all() and (planar[large] > quadratic[large]).all()
+        # Where structures are far smaller than the array, all leave nearly everything.
+        assert (transmission[:, signal][:, small] > 0.85).all() and (transmission[:, signal] < 1.1).all()
+
+
+def test_without_templates_only_the_scan_s_mean_is_lost(tmp_path):
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL_SCENE)
+    scene = load_scene(path, {"cleaning.algorithm": "none", "cleaning.compare": ["average"]})
+    none, average = transmissions(scene)
+    ell = prepare(scene).band.rings.ell
+    high = ell > 3000  # scans of 24 arcmin, whose means take little of that
+    assert (none[:, high].mean(axis=1) > 0.85).all()
+    # For a point source in every bin: each loses its share of a template of 18 detectors.
+    assert (none[1, high] > average[1, high] + 0.01).all()
+
+
+@pytest.mark.slow
+def test_who_wins_in_the_lynx_survey():
+    """Average and planar alike within their errors, quadratic worse; planar wins more often in poor weather."""
+    result = run(load_scene(LYNX, {"cleaning.compare": ["planar", "quadratic"], "observations": 120}), workers=1)
+    sigma = {name: item.band.sigma_ukcmb2 for name, item in result.scores.items()}
+    assert sigma["planar"] / sigma["actual"] == pytest.approx(1, abs=0.04)
+    assert sigma["quadratic"] / sigma["actual"] > 1.04
+    assert sigma["optimal"] < 1.01 * min(sigma["actual"], sigma["planar"])
+    entries = summary(result)["cleaning"]
+    shares = [entries[name]["best_for_cmb"] for name in ("actual", "planar", "quadratic")]
+    assert sum(shares) == pytest.approx(1) and shares[2] < 0.15 and min(shares[:2]) > 0.2
+    removed = [entries[name]["point_source_flux_removed"] for name in ("actual", "planar", "quadratic")]
+    # 2.94 beams at once over 115 detectors, a template each, on peaks of 0.9 of the height: 2.8 %; 2 % for the mean.
+    np.testing.assert_allclose(removed, [0.048, 0.105, 0.19], rtol=0.25)
