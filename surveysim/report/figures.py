@@ -22,6 +22,7 @@ from surveysim.report.drawing import (
     BLUE,
     GREEN,
     GREY,
+    LEGEND,
     ORANGE,
     PURPLE,
     SKY,
@@ -187,7 +188,7 @@ def map_psds(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
     axes.set_ylim(bottom=lowest / 10)
     finish(axes, ELL, f"Map noise PSD [{UK2_CMB} sr]")
     plain_ticks(axes.xaxis)
-    legend(axes)
+    _place_legend(setup, figure, axes)
     return figure
 
 
@@ -210,7 +211,7 @@ def windows(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
     axes.plot(rings.ell, product, color=VERMILION, lw=1.8, label=f"product, {first.n_det} detectors")
     axes.set(xlim=(0, rings.edges_ell[-1]), ylim=(0, 1.1))
     finish(axes, ELL, "Power transmission")
-    legend(axes)
+    _place_legend(setup, figure, axes)
     return figure
 
 
@@ -233,7 +234,7 @@ def cumulative_sensitivity(setup: Setup, scores: dict[str, DataSetScore]) -> Fig
     axes.axvline(score.ell_min, color=GREY, lw=1, label=rf"score from $\ell$ = {score.ell_min}")
     axes.set(yscale="log", xlim=(starts[0], score.ell_max))
     finish(axes, r"Lowest multipole $\ell$ used", rf"Uncertainty of a flat band power [{UK2_CMB}]")
-    legend(axes)
+    _place_legend(setup, figure, axes)
     return figure
 
 
@@ -249,7 +250,7 @@ def bin_weights(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
         axes.axvline(item.band.ell_eff, color=colour, ls=dashes, lw=0.9)
     axes.set_ylim(bottom=0)
     finish(axes, ELL, f"Share in the score of a bin of {setup.scene.score.ell_bin} multipoles")
-    legend(axes)
+    _place_legend(setup, figure, axes)
     return figure
 
 
@@ -365,6 +366,14 @@ def _bin_errors(item: DataSetScore) -> np.ndarray:
 def _shade_scored(axes: Axes, setup: Setup) -> None:
     score = setup.scene.score
     axes.axvspan(score.ell_min, score.ell_max, color=GREY, alpha=0.12, lw=0, label="scored range")
+
+
+def _place_legend(setup: Setup, figure: Figure, axes: Axes) -> None:
+    """The legend in the axes, or below them where recipes are compared: that is too many for inside."""
+    if setup.chooses:
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, **LEGEND)
+    else:
+        legend(axes)
 
 
 def _panels(n: int, height: float = 4.6) -> tuple[Figure, list[Axes]]:
