@@ -30,6 +30,7 @@ _CENTRES_RAD = np.arange(N_PAIR_BINS) * (2 * pi / N_PAIR_BINS) - pi
 _LOWEST_BIN = 2  # the removed mean of a scan reaches the first bin of a Hann taper, and no other
 _HANN = 1 + 2 * (4 / 9 + 1 / 36)  # what a Hann taper's correlation of neighbouring bins adds to the variance of a mean
 _MIN_DETECTORS, _MIN_SCANS, _MIN_BINS = 7, 3, 2
+HIGHEST_HZ, LEAST_CYCLES = 1.0, _LOWEST_BIN + _MIN_BINS  # of the band that is used, and in a scan
 _NEIGHBOUR = 1.2  # pairs up to this many nearest separations apart are neighbours
 _COHERENT = 0.2  # least mean relative cross-PSD: a quarter as much signal as noise
 _START_COHERENT = 0.5  # the same before delays are known: keeps phases from wrapping
@@ -138,7 +139,7 @@ def measure_wind(
     focal_plane: FocalPlane,
     sample_rate_hz: float,
     scan_velocity_rad_s: np.ndarray,
-    highest_hz: float = 1.0,
+    highest_hz: float = HIGHEST_HZ,
 ) -> WindFit:
     """Angular wind velocity in the array frame, from the delays between the detectors of one observation.
 
@@ -173,7 +174,7 @@ def _check(data, bounds, plane, rate, velocity, highest_hz) -> None:
     length = np.diff(bounds, axis=1)
     if np.ptp(length) or bounds.min() < 0 or bounds.max() > data.shape[1]:
         raise ValueError("scans of different lengths or outside data_mk found; scans of one length are allowed")
-    lowest = (_LOWEST_BIN + _MIN_BINS) * rate / length[0, 0]
+    lowest = LEAST_CYCLES * rate / length[0, 0]
     if not lowest <= highest_hz < rate / 2:
         raise ValueError(f"highest_hz = {highest_hz} found; {lowest:.3g} to less than {rate / 2:.3g} Hz is allowed")
     if not (np.isfinite(data).all() and np.isfinite(velocity).all()):

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from mapmaker.geometry import MapGeometry
+from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES
 from surveysim.instrument import Camera
 from surveysim.noise import highest_frequency
 from surveysim.recipes import needed_detectors
@@ -26,6 +27,13 @@ def check_templates(scene: Scene, cam: Camera) -> None:
             found = repr(steps[0]) if len(steps) == 1 else list(steps)
             raise SceneError(f"cleaning.{key}: found {found} without [atmosphere]; 'none' is expected")
         _check_count(scene, steps, len(cam.focal_plane.x_rad), f"cleaning.{key}")
+        cycles = scene.scan.duration_s * HIGHEST_HZ
+        if "wind" in steps and (cycles < LEAST_CYCLES or scene.scan.sample_rate_hz <= 2 * HIGHEST_HZ):
+            raise SceneError(
+                f"cleaning.{key}: found 'wind' with scans of {scene.scan.duration_s:g} s at"
+                f" {scene.scan.sample_rate_hz:g} Hz; {LEAST_CYCLES / HIGHEST_HZ:g} s or more at more than"
+                f" {2 * HIGHEST_HZ:g} Hz are expected to measure it"
+            )
 
 
 def check_size(scene: Scene, cam: Camera) -> None:

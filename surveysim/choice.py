@@ -41,12 +41,19 @@ def merits(setup: Setup, transmission: np.ndarray, maps: Sequence[tuple[np.ndarr
     )
 
 
+def best_places(merits: np.ndarray) -> np.ndarray:
+    """Place of the recipe with the highest merit, of merits (n_recipe, ...); -1 where none has any."""
+    merits = np.nan_to_num(merits)
+    return np.where(merits.max(axis=0) > 0, merits.argmax(axis=0), -1)
+
+
 @lru_cache(maxsize=2)
 def transmissions(scene: Scene) -> np.ndarray:
     """What each recipe leaves of the power of a flat CMB sky and of point sources, (n_recipe, 2, n_bin)."""
     setup = prepare(scene)
     powers = sum(_signal_powers(setup, observation % scene.observations) for observation in REFERENCE)
-    return powers[:, :, 1] / powers[:, :, 0]
+    # A recipe that discards all scans of the reference leaves nothing.
+    return np.divide(powers[:, :, 1], powers[:, :, 0], out=np.zeros_like(powers[:, :, 0]), where=powers[:, :, 0] > 0)
 
 
 def _signal_powers(setup: Setup, observation: int) -> np.ndarray:

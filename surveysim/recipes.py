@@ -21,6 +21,7 @@ from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.wind import measure_wind, scan_velocities
 from surveysim.sections import Cleaning
 
+LONGEST_DELAY = 0.2  # of a scan; the wind model allows a quarter
 ACTUAL, OPTIMAL = "actual", "optimal"
 
 
@@ -100,10 +101,19 @@ def apply_recipe(
     steps: list[tuple[str, Any]] = []
     for name in recipe.steps:
         if name == "spectral" and steps:
-            before = [clean_in_order(steps, colour, scan_bounds, focal_plane).data_mk for colour in colours]
-            colours = np.array(before)
+            colours = np.array([_cleaned_alike(steps, colour, scan_bounds, focal_plane) for colour in colours])
         steps.append((name, step_options(section, name, replace(beside, colours_mk=colours), sample_rate_hz)))
     return clean_in_order(steps, data_mk, scan_bounds, focal_plane)
+
+
+def _cleaned_alike(
+    steps: list[tuple[str, Any]], colour_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane
+) -> np.ndarray:
+    """Streams of another band, cleaned; NaN in scans that are discarded, so that the mapped band's are too."""
+    cleaned = clean_in_order(steps, colour_mk, scan_bounds, focal_plane)
+    for start, stop in scan_bounds[~cleaned.kept]:
+        cleaned.data_mk[:, start:stop] = np.nan
+    return cleaned.data_mk
 
 
 def what_is_beside(
@@ -114,7 +124,7 @@ def what_is_beside(
 
 
 def measured_delays(recipes: tuple[Recipe, ...], streams: Timestreams, sample_rate_hz: float) -> np.ndarray:
-    """Slowness (n_scan, 2) [s/rad] of the layer by the wind measured from the streams; 0 where none is trusted.
+    """Slowness (n_scan, 2) [s/rad] of the layer by the wind measured from the streams; 0 where none is of use.
 
     Measured only if a recipe shifts by it: elsewhere 0 too.
     """
@@ -123,4 +133,10 @@ def measured_delays(recipes: tuple[Recipe, ...], streams: Timestreams, sample_ra
         return none
     velocity = scan_velocities(streams)
     wind = measure_wind(streams.data_mk, streams.scan_bounds, streams.focal_plane, sample_rate_hz, velocity)
-    return none if wind.flag else slowness(wind.velocity_rad_s, velocity)
+    if wind.flag:
+        return none
+    found, plane = slowness(wind.velocity_rad_s, velocity), streams.focal_plane
+    radius = np.hypot(plane.x_rad - plane.x_rad.mean(), plane.y_rad - plane.y_rad.mean()).max()
+    seconds = np.diff(streams.scan_bounds, axis=1) / sample_rate_hz
+    # A layer that hardly moves against the scan can't be followed within it.
+    return np.where(np.hypot(*found.T)[:, None] * radius < LONGEST_DELAY * seconds, found, 0.0)

@@ -8,7 +8,7 @@ from mapmaker.binning import bin_map
 from mapmaker.cleaning import Cleaned
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import Timestreams
-from surveysim.choice import merits, transmissions
+from surveysim.choice import best_places, merits, transmissions
 from surveysim.noise import draw_from_psd, hann_psd, white_level
 from surveysim.observation import Stopwatch, add_sky_signal, draw_colours, draw_observation, observation_weather
 from surveysim.pointing import Pointing
@@ -83,7 +83,7 @@ def observe(setup: Setup, observation: int, with_window: bool) -> tuple[Observat
         with watch("choice"):
             of_recipes = [maps[recipe.data_set] for recipe in setup.whole_recipes]
             worth = merits(setup, transmissions(setup.scene), of_recipes)
-        best = int(worth[:, 0].argmax())
+        best = max(0, int(best_places(worth[:, 0])))
         maps[OPTIMAL] = maps[setup.whole_recipes[best].data_set]
     window = None
     if with_window:

@@ -9,7 +9,7 @@ import numpy as np
 
 from mapmaker.bandpower import BandPower, flat_band_power_fixed_weights
 from surveysim import __version__
-from surveysim.choice import TARGETS
+from surveysim.choice import TARGETS, best_places
 from surveysim.coadds import CoAdds, row_names
 from surveysim.recipes import ACTUAL, Recipe
 from surveysim.scan import samples_per_scan
@@ -28,6 +28,8 @@ METHOD = (
     "sigma(A)^-2 = sum over bins of n/2 (M/N)^2: every data set weights its bins by its own noise.",
     "The window is that of the actual data's cleaning, also for the simulated sets; the masked array has its own.",
     "The simulated sets take each detector's Hann-tapered PSD of the cleaned streams and are not cleaned again.",
+    "The optimal set takes for each observation the recipe whose own map has the least noise for its signal, which "
+    "favours chance; what a recipe leaves of the signal is that of two observations.",
     "Rayleigh-Jeans becomes CMB temperature at the band's centre.",
     "The masked array is cleaned with its own detectors alone; scaled means times its share of the detectors.",
 )
@@ -216,21 +218,21 @@ def _cleaning_entry(recipe: Recipe, result: SurveyResult, columns: dict[str, np.
         entry["point_source_flux_removed"] = result.flux_removed[recipe.data_set]
     if setup.chooses and recipe.detectors is None:
         place = setup.whole_recipes.index(recipe)
-        entry |= {
-            f"best_for_{target}": float(np.mean(best_recipe(setup, columns, target) == place)) for target in TARGETS
-        }
+        for target in TARGETS:
+            best = best_recipe(setup, columns, target)
+            entry[f"best_for_{target}"] = float(np.mean(best[best >= 0] == place)) if (best >= 0).any() else 0.0
     return entry
 
 
 def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float]:
-    """Median PSD of the cleaned streams over the white noise of the scene, at the frequencies that a scan holds."""
+    """Median PSD of the cleaned streams over its own level in the upper half of the band, at some frequencies.
+
+    That level is the instrument's noise as the recipe leaves it: templates of few detectors take some of it too.
+    """
     setup, coadds = result.setup, result.coadds
-    scene = setup.scene
-    white = sum(noise.psd_mk2_hz for noise in (scene.photon, scene.detector) if noise)
-    if not white:
-        return {}
     psds = coadds.clean_psd if place == 0 else [psd[place - 1] for psd in coadds.compared_psd]
     median = np.median([psd for psd in psds if psd.any()] or [np.full(len(psds[0]), np.nan)], axis=0)
+    white = median[len(median) // 2 : -1].mean()
     step = setup.raster.sample_rate_hz / samples_per_scan(setup.raster)
     bins = {f"{hz:g} Hz": round(hz / step) for hz in PSD_AT_HZ}
     # The first bin holds what the scan's removed mean leaves, the last Nyquist's single mode.
@@ -238,9 +240,8 @@ def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float]:
 
 
 def best_recipe(setup: Setup, columns: dict[str, np.ndarray], target: str) -> np.ndarray:
-    """Place (n_obs,) among the recipes for all detectors of the one with the highest merit for a target."""
-    merits = [columns[f"merit_{target}_{recipe.data_set}"] for recipe in setup.whole_recipes]
-    return np.argmax(merits, axis=0)
+    """Place (n_obs,) among the recipes for all detectors of the best one for a target, -1 without data."""
+    return best_places(np.array([columns[f"merit_{target}_{recipe.data_set}"] for recipe in setup.whole_recipes]))
 
 
 def _score_entry(row: Row) -> dict[str, float]:

@@ -36,7 +36,7 @@ def subtract_spectral(data_mk, scan_bounds, focal_plane: FocalPlane, options: Sp
     """Remove the mean and what each detector's other bands see too; arguments, result and errors as for `clean`.
 
     Raises ValueError for other streams of another shape and for scans of no more samples than bands. A scan in which
-    another band has a value that is not finite is discarded.
+    another band has a value that is not finite or a dead detector is discarded.
     """
     others = options.others_mk
     if others.shape[1:] != data_mk.shape:
@@ -49,9 +49,11 @@ def subtract_spectral(data_mk, scan_bounds, focal_plane: FocalPlane, options: Sp
     def subtract(block: np.ndarray, scan: int) -> Fit:
         start, stop = scan_bounds[scan]
         colours = others[:, :, start:stop].astype(np.float64)
-        if not np.isfinite(colours).all() or has_dead(block):
+        if not np.isfinite(colours).all():
             return Fit(None)
         colours -= colours.mean(axis=2, keepdims=True)
+        if has_dead(block) or any(has_dead(colour) for colour in colours):
+            return Fit(None)
         # Bands that see one atmosphere are nearly alike: an orthogonal basis keeps the digits of their difference.
         basis = np.linalg.qr(colours.transpose(1, 2, 0))[0]
         block -= (basis @ (basis.transpose(0, 2, 1) @ block[..., None]))[..., 0]

@@ -101,7 +101,7 @@ def _cleaning_table(result: SurveyResult) -> Table:
     shares = {"point_source_flux_removed": "flux removed", "best_for_cmb": "best: CMB"}
     shares["best_for_point_source"] = "best: source"
     headings = ["cleaning", "scans discarded", "iterations", "templates"]
-    headings += [f"PSD / white, {hz}" for hz in first["psd_over_white"]]
+    headings += [f"PSD / high, {hz}" for hz in first["psd_over_white"]]
     for heading in headings + [heading for name, heading in shares.items() if name in first]:
         table.add_column(heading, justify="left" if heading == "cleaning" else "right")
     for label, entry in entries.items():

@@ -73,6 +73,14 @@ def test_a_scan_with_a_broken_band_is_discarded():
     assert cleaned.kept.tolist() == [True, False] and not cleaned.data_mk[:, 310:610].any()
 
 
+def test_a_scan_that_another_band_has_lost_is_discarded():
+    """A scan of zeros, as cleaning leaves one that it discards, says nothing of the atmosphere."""
+    data, others = streams(noise=1.0)
+    others[0, :, 310:610] = 0
+    cleaned = clean("spectral", data, BOUNDS, focal_plane(), SpectralOptions(others))
+    assert cleaned.kept.tolist() == [True, False]
+
+
 def test_errors():
     data, others = streams()
     with pytest.raises(ValueError, match=r"must be \(n_colour, n_det, n_samp\)"):

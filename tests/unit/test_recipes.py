@@ -5,6 +5,7 @@ import pytest
 
 from mapmaker.binning import read_fits
 from surveysim.api import run
+from surveysim.choice import best_places
 from surveysim.coadds import row_names
 from surveysim.recipes import needed_detectors
 from surveysim.results import best_recipe
@@ -67,6 +68,21 @@ def test_refused(path, changes, words):
     assert words in str(caught.value)
 
 
+def test_a_recipe_that_discards_everything_never_wins(path):
+    """Local templates leave nothing to calibrate on: the average after them keeps no scan, and no window."""
+    scene = load_scene(path, {"cleaning.compare": [["local", "average"]], "cleaning.reach": 1.2})
+    result = run(scene, workers=1)
+    columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
+    assert columns["discarded_local+average"].sum() == 16
+    assert (best_recipe(result.setup, columns, "cmb") == 0).all()
+    np.testing.assert_array_equal(columns["noise_mk2_optimal"], columns["noise_mk2_actual"])
+
+
+def test_wind_needs_scans_that_tell_it(path):
+    with pytest.raises(SceneError, match="cleaning.compare: found 'wind' with scans of 2 s at 10 Hz; 4 s or more"):
+        prepare(load_scene(path, {"cleaning.compare": ["wind"], "scan.duration": "2 s"}))
+
+
 def test_detectors_that_steps_need(path):
     section = load_scene(path, {"cleaning.order": 3, "cleaning.regions": 2, "cleaning.sigma_cut": 3.0}).cleaning
     needed = [needed_detectors(section, name) for name in ("none", "average", "quadratic", "polynomial", "pca")]
@@ -111,3 +127,8 @@ def test_flux_at_the_peak_of_a_source(compared):
     assert removed["actual"] < removed["planar"] and removed["actual"] == pytest.approx(removed["wind"], abs=0.05)
     mean_of_scan = 1.06 / 24  # a beam of 1 arcmin in a scan of 24
     assert removed["actual"] == pytest.approx((2.94 / 18 + mean_of_scan) / 0.9, rel=0.35)
+
+
+def test_the_best_of_merits():
+    merits = np.array([[1.0, np.nan, 0.0, np.nan], [2.0, 1.0, 0.0, np.nan], [np.nan, 3.0, 0.0, np.nan]])
+    assert best_places(merits).tolist() == [1, 2, -1, -1]
