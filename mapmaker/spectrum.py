@@ -72,7 +72,7 @@ def annuli(n_y: int, n_x: int, pixel_rad: float, edges_ell: np.ndarray, taper: n
     ell = mode_ell(n_y, n_x, pixel_rad).ravel()
     bin_of_mode = np.searchsorted(edges_ell, ell, side="right") - 1
     bin_of_mode[bin_of_mode < 0] = n_bin
-    multiplicity = _multiplicity(n_y, n_x)
+    multiplicity = mode_multiplicity(n_y, n_x)
     cells = np.bincount(bin_of_mode, multiplicity, n_bin + 1)[:n_bin]
     if not cells.all():
         empty = int(np.argmin(cells))
@@ -105,8 +105,8 @@ def split_azimuth(rings: Annuli, n_y: int, n_x: int, pixel_rad: float, n_sector:
     return Annuli(rings.edges_ell, ell_mean, n_modes.ravel(), bin_of_mode, rings.multiplicity)
 
 
-def _multiplicity(n_y: int, n_x: int) -> np.ndarray:
-    """Full-plane cells of each flattened half-plane mode: columns 0 and Nyquist hold both signs of k_y."""
+def mode_multiplicity(n_y: int, n_x: int) -> np.ndarray:
+    """Full-plane cells of each flattened half-plane mode of `rfft2`: columns 0 and Nyquist hold both signs of k_y."""
     of_column = np.full(n_x // 2 + 1, 2.0)
     of_column[0] = 1
     if n_x % 2 == 0:

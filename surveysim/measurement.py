@@ -12,7 +12,7 @@ from mapmaker.binning import bin_map
 from mapmaker.cleaning import TemplateOptions, clean
 from mapmaker.correlations import PairBins, Profile, correlation_profile, pair_bins, scan_covariances
 from mapmaker.geometry import MapGeometry, boresight_pixels
-from mapmaker.spectrum import mode_ell, mode_psd, tukey_taper
+from mapmaker.spectrum import mode_ell, mode_multiplicity, mode_psd, tukey_taper
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.wind import WindFit, measure_wind, scan_velocities
 from surveysim.noise import hann_psd, low_frequency_variance, white_level
@@ -134,12 +134,9 @@ def _map_modes(geometry: MapGeometry, covered_rad: float) -> tuple[np.ndarray, n
     n_y, n_x = geometry.n_y, geometry.n_x
     side = min(covered_rad, n_x * geometry.pixel_rad)
     ell = mode_ell(n_y, n_x, geometry.pixel_rad)
-    twice = np.full(ell.shape, 2.0)
-    twice[:, 0] = 1.0
-    if n_x % 2 == 0:
-        twice[:, -1] = 1.0
+    cells = mode_multiplicity(n_y, n_x).reshape(ell.shape)
     return (
         tukey_taper(n_y, n_x, geometry.pixel_rad, side, 0.5),
         ell > WHITE_FROM * np.pi / geometry.pixel_rad,
-        twice / twice.sum(),
+        cells / cells.sum(),
     )

@@ -62,9 +62,9 @@ def draw_colours(setup: Setup, observation: int) -> np.ndarray:
     """Streams of the other bands of the same detectors, (n_colour, n_det, n_samp) float32 [mK].
 
     The same layer as in the mapped band, times what each band makes of the water (section 3.3), and white noise of
-    their own. Excess noise and sky are in the mapped band alone.
+    their own. Excess noise and sky are in the mapped band alone. None where no recipe subtracts other bands.
     """
-    colours = setup.scene.instrument.colours
+    colours = setup.scene.instrument.colours if setup.subtracts_colours else ()
     path, pointing = observation_path(setup, observation)
     streams = np.zeros((len(colours), setup.n_det, len(path.time_s)), np.float32)
     if not colours:

@@ -1,6 +1,7 @@
 """One observation reduced: cleaning by every recipe, maps of every data set, noise levels, the best recipe."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -8,14 +9,17 @@ from mapmaker.binning import bin_map
 from mapmaker.cleaning import Cleaned
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import Timestreams
-from surveysim.choice import best_places, merits, transmissions
+from surveysim.choice import TARGETS, best_places, merits
 from surveysim.noise import draw_from_psd, hann_psd, white_level
 from surveysim.observation import Stopwatch, add_sky_signal, draw_colours, draw_observation, observation_weather
 from surveysim.pointing import Pointing
 from surveysim.recipes import OPTIMAL, Beside, Recipe, apply_recipe, what_is_beside
-from surveysim.setup import Setup, observation_path
+from surveysim.scene import Scene
+from surveysim.setup import Setup, observation_path, prepare
 from surveysim.streams import Stage, generator
 from surveysim.weather import Weather
+
+REFERENCE = (0, 1)  # observations that tell what recipes leave of a signal: one along each direction
 
 
 @dataclass(frozen=True)
@@ -225,3 +229,22 @@ def _window_maps(work: _Reduced, best: int) -> np.ndarray:
         chosen = setup.windows.index(setup.whole_recipes[best].data_set)
         maps[:, setup.windows.index(OPTIMAL)] = maps[:, chosen]
     return maps
+
+
+@lru_cache(maxsize=2)
+def transmissions(scene: Scene) -> np.ndarray:
+    """What each recipe leaves of the power of a flat CMB sky and of a point source, (n_recipe, 2, n_bin).
+
+    From the observations of `REFERENCE`, 0 for a recipe that discards all their scans.
+    """
+    setup = prepare(scene)
+    setup = replace(setup, window_skies_mk=setup.window_skies_mk[[0, -1]])
+    rows, everywhere = setup.band.patch, np.ones_like(setup.band.taper)
+    powers = np.zeros((len(setup.whole_recipes), len(TARGETS), 2, len(setup.band.rings.ell)))
+    for observation in REFERENCE:
+        maps = _window_maps(_reduce(setup, observation % scene.observations, Stopwatch()), 0)[..., rows, rows]
+        for r, recipe in enumerate(setup.whole_recipes):
+            place = setup.windows.index(recipe.data_set)
+            for s, state in np.ndindex(powers.shape[1:3]):
+                powers[r, s, state] += setup.band.ring_noise(maps[s, place, state], everywhere)
+    return np.divide(powers[:, :, 1], powers[:, :, 0], out=np.zeros_like(powers[:, :, 0]), where=powers[:, :, 0] > 0)

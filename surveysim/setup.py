@@ -92,6 +92,11 @@ class Setup:
         return self.scene.score is not None and len(self.whole_recipes) > 1
 
     @property
+    def subtracts_colours(self) -> bool:
+        """Whether a recipe needs the other bands of the pixels."""
+        return any("spectral" in recipe.steps for recipe in self.recipes)
+
+    @property
     def windows(self) -> tuple[str, ...]:
         """Data sets that have a signal window of their own; the others share the first."""
         own = {recipe.data_set for recipe in self.recipes} | {OPTIMAL}

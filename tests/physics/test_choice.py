@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from surveysim.api import run
-from surveysim.choice import merits, transmissions
+from surveysim.choice import merits
+from surveysim.reduction import transmissions
 from surveysim.results import summary
 from surveysim.scene import load_scene
 from surveysim.setup import prepare
