@@ -33,10 +33,10 @@ def tukey_taper(n_y: int, n_x: int, pixel_rad: float, size_rad: float, edge_frac
     extent_rad = min(n_y, n_x) * pixel_rad
     if not 0 < size_rad <= extent_rad * (1 + 1e-9):
         raise ValueError(f"size_rad must be in (0, {extent_rad}], the map's shorter side; got {size_rad}")
-    return np.outer(_tukey(n_y, pixel_rad, size_rad, edge_fraction), _tukey(n_x, pixel_rad, size_rad, edge_fraction))
+    return np.outer(tukey(n_y, pixel_rad, size_rad, edge_fraction), tukey(n_x, pixel_rad, size_rad, edge_fraction))
 
 
-def _tukey(n: int, pixel_rad: float, size_rad: float, edge_fraction: float) -> np.ndarray:
+def tukey(n: int, pixel_rad: float, size_rad: float, edge_fraction: float) -> np.ndarray:
     from_centre = np.abs(np.arange(n) - (n - 1) / 2) * pixel_rad / (size_rad / 2)
     inside = from_centre <= 1
     if edge_fraction == 0:

@@ -10,6 +10,8 @@ _PUBLIC = {
     "SceneError": "surveysim.scene",
     "simulate_observation": "surveysim.api",
     "run": "surveysim.api",
+    "load_sweep": "surveysim.sweep",
+    "run_sweep": "surveysim.api",
 }
 __all__ = ["__version__", *_PUBLIC]
 

@@ -5,16 +5,22 @@ from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mapmaker.timestreams import Timestreams
 from surveysim.coadds import CoAdds
 from surveysim.observation import draw_observation
-from surveysim.outputs import remove_outputs, write_outputs
+from surveysim.outputs import remove_outputs, write_outputs, write_sweep
+from surveysim.point_files import remove_points
 from surveysim.results import SurveyResult, survey_result
 from surveysim.scene import Scene
 from surveysim.setup import prepare
 from surveysim.survey import run_observations
+from surveysim.sweep import Sweep, load_sweep
+from surveysim.trade import SweepResult, compare_forecasts, compare_runs, forecast_points, run_points
+
+DRAWS_SEED = 0  # of the draws that say how sure the best point of a sweep is
 
 
 def simulate_observation(scene: Scene, observation: int) -> Timestreams:
@@ -44,9 +50,7 @@ def run(
     `out/checkpoint.npz` until the results are written; `resume` goes on from there. Raises SceneError when
     the scene can't be run and CheckpointError for a checkpoint that does not belong to it.
     """
-    if workers is not None and workers < 1:
-        raise ValueError(f"workers: found {workers}; 1 or more is expected")
-    workers = min(workers or default_workers(), scene.observations)
+    workers = min(_workers(workers), scene.observations)
     start = perf_counter()
     setup = prepare(scene)
     directory = None if out is None else Path(out)
@@ -68,6 +72,62 @@ def run(
         write_outputs(directory, result, figures, save_timestreams)
         checkpoint.unlink(missing_ok=True)
     return result
+
+
+def run_sweep(
+    sweep: Sweep | str | Path,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    resume: bool = False,
+    figures: bool = True,
+    progress: Callable[[int], None] = lambda done: None,
+) -> SweepResult:
+    """Run every point of a sweep (of a scene file with [sweep]) and compare them.
+
+    `workers`, one a core by default, take a point each; results do not depend on them, and the calling script needs
+    the usual ``if __name__ == "__main__":``. With `out`, results are written there in place of an earlier run's, and
+    what is done is kept in `out/points` until then; `resume` goes on from there. `progress` is told how many points
+    are done. Raises SceneError for a point that can't be run and CheckpointError for files of other scenes.
+    """
+    workers, start = _workers(workers), perf_counter()
+    sweep = sweep if isinstance(sweep, Sweep) else load_sweep(sweep)
+    directory = None if out is None else Path(out)
+    kept = None if directory is None else directory / "points"
+    if directory is not None and not resume:
+        remove_outputs(directory)
+        remove_points(kept)
+    points = run_points(sweep, kept, workers, resume, progress)
+    with threadpool_limits(1):  # the same bits on any machine
+        comparison = compare_runs(points, np.random.default_rng(DRAWS_SEED))
+    seconds = perf_counter() - start
+    result = SweepResult(sweep, points, comparison, True, seconds, min(workers, len(points)))
+    if directory is not None:
+        write_sweep(directory, result, figures)
+        remove_points(kept)
+    return result
+
+
+def forecast_sweep(
+    sweep: Sweep | str | Path,
+    out: str | Path | None = None,
+    figures: bool = True,
+    progress: Callable[[int], None] = lambda done: None,
+) -> SweepResult:
+    """As `run_sweep`, with forecasts in place of simulations: quick, and without Monte Carlo errors."""
+    start = perf_counter()
+    sweep = sweep if isinstance(sweep, Sweep) else load_sweep(sweep)
+    points = forecast_points(sweep, progress)
+    result = SweepResult(sweep, points, compare_forecasts(points), False, perf_counter() - start, 1)
+    if out is not None:
+        remove_outputs(Path(out))
+        write_sweep(Path(out), result, figures)
+    return result
+
+
+def _workers(workers: int | None) -> int:
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers: found {workers}; 1 or more is expected")
+    return workers or default_workers()
 
 
 def default_workers() -> int:

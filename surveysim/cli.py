@@ -1,21 +1,24 @@
-"""The command line: run, plan, paper, check, new."""
+"""The command line: run, forecast, plan, paper, check, new."""
 
 import re
 import signal
 import sys
 import tomllib
-from collections.abc import Callable
-from errno import EISDIR, ENOTDIR
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from itertools import count
 from pathlib import Path
 from threading import Event
 from time import process_time
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from surveysim.scene import Scene, SceneError, load_scene
+
+if TYPE_CHECKING:
+    from surveysim.sweep import Sweep
 
 app = typer.Typer(
     add_completion=False,
@@ -26,14 +29,13 @@ app = typer.Typer(
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="a scene file (TOML)")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override one key")]
 Workers = Annotated[int | None, typer.Option(help="worker processes; one a core by default")]
+NoFigures = Annotated[bool, typer.Option("--no-figures", help="leave the figures out")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
 
 _asked_to_stop = Event()
 EXIT_FAILED = 1
 EXIT_WRONG_SCENE = 2
 EXIT_INTERRUPTED = 130
-DIRECTORIES = ("tables", "maps", "figures", "timestreams")
-FILES = ("summary.json", "scene.json", "checkpoint.npz")
 
 
 def _says_interrupted(command: Callable[..., None]) -> Callable[..., None]:
@@ -60,52 +62,108 @@ def run(
     save_timestreams: Annotated[
         bool, typer.Option("--save-timestreams", help="write every observation to HDF5")
     ] = False,
-    no_figures: Annotated[bool, typer.Option("--no-figures", help="leave the figures out")] = False,
+    no_figures: NoFigures = False,
     settings: Overrides = None,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate, clean, map and score a scene."""
+    """Simulate, clean, map and score a scene, or every point of its sweep."""
     workers = _workers(workers)
+    if sweep := _sweep(scene, settings):
+        if save_timestreams:
+            _fail(f"{scene}: --save-timestreams: found a sweep, which keeps none; a scene without [sweep] is expected")
+        _run_sweep(sweep, out, workers, resume, not no_figures, quiet)
+        return
     checked = _ready(scene, settings)
-    directory = out or Path("outputs") / checked.name
-    _check_writable(directory)
+    from surveysim.outputs import check_writable
 
+    directory = out or Path("outputs") / checked.name
+    check_writable(directory)
     if resume and not quiet and not (directory / "checkpoint.npz").exists():
         typer.echo(f"no checkpoint in {directory}: starting with the first observation", err=True)
     from surveysim.api import run as run_scene
-    from surveysim.checkpoint import CheckpointError
-    from surveysim.engines import WorkerLostError
     from surveysim.progress import progress_display, score_so_far
     from surveysim.report.text import print_result
 
-    try:
-        with progress_display(checked.name, checked.observations, quiet) as show:
-            progress = _stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds)))
-            result = run_scene(checked, directory, workers, resume, save_timestreams, not no_figures, progress)
-    except CheckpointError as error:
-        _fail(str(error))
-    except KeyboardInterrupt:
-        _stopped("interrupted", directory, EXIT_INTERRUPTED)
-    except WorkerLostError:
-        _stopped("a worker process is gone, perhaps killed for want of memory", directory, EXIT_FAILED)
-    except OSError as error:
-        _stopped(_cause(error), directory, EXIT_FAILED)
-    except (ValueError, ArithmeticError) as error:
-        _stopped(f"{scene}: an observation failed: {error}", directory, EXIT_FAILED)
+    with _going_on_later(scene, directory), progress_display(checked.name, checked.observations, quiet) as show:
+        progress = _stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds)))
+        result = run_scene(checked, directory, workers, resume, save_timestreams, not no_figures, progress)
     if not quiet:
         print_result(result, directory)
+
+
+def _run_sweep(sweep: "Sweep", out: Path | None, workers: int, resume: bool, figures: bool, quiet: bool) -> None:
+    from surveysim.outputs import check_writable
+
+    directory = out or Path("outputs") / sweep.name
+    check_writable(directory)
+    if resume and not quiet and not _kept(directory):
+        typer.echo(f"no points in {directory}: starting with the first", err=True)
+    from surveysim.api import run_sweep
+    from surveysim.progress import progress_display
+    from surveysim.report.text import print_sweep
+
+    total = len(sweep.points)
+    with _going_on_later(sweep.path, directory), progress_display(sweep.name, total, quiet, "points") as show:
+        result = run_sweep(sweep, directory, workers, resume, figures, _stopping(lambda done: show(done, lambda: "")))
+    if not quiet:
+        print_sweep(result, directory)
+
+
+@app.command()
+@_says_interrupted
+def forecast(
+    scene: SceneFile,
+    out: Annotated[Path | None, typer.Option(help="where results go; of a sweep outputs/<name>_forecast")] = None,
+    no_figures: NoFigures = False,
+    settings: Overrides = None,
+    quiet: Quiet = False,
+) -> None:
+    """Say in seconds, without a Monte Carlo, what a scene or every point of its sweep would score."""
+    from surveysim.forecast import forecast as forecast_scene
+    from surveysim.outputs import check_writable, write_forecast
+    from surveysim.report.text import print_forecast
+
+    if sweep := _sweep(scene, settings):
+        _forecast_sweep(sweep, out or Path("outputs") / f"{sweep.name}_forecast", not no_figures, quiet)
+        return
+    checked = _ready(scene, settings)
+    try:
+        found = forecast_scene(checked)
+    except ValueError as error:  # of a scene that can't be forecast
+        _fail(f"{scene}: {error}")
+    if out is not None:
+        check_writable(out)
+        write_forecast(out, found)
+    if not quiet:
+        print_forecast(checked, found)
+
+
+def _forecast_sweep(sweep: "Sweep", directory: Path, figures: bool, quiet: bool) -> None:
+    from surveysim.api import forecast_sweep
+    from surveysim.outputs import check_writable
+    from surveysim.progress import progress_display
+    from surveysim.report.text import print_sweep
+
+    check_writable(directory)
+    with progress_display(sweep.name, len(sweep.points), quiet, "points") as show:
+        result = forecast_sweep(sweep, directory, figures, _stopping(lambda done: show(done, lambda: "")))
+    if not quiet:
+        print_sweep(result, directory)
 
 
 @app.command()
 @_says_interrupted
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
     """Say what would run, what is left out, and what time, memory and disk it would take."""
-    workers = _workers(workers)
-    checked = _ready(scene, settings)
-    from surveysim.plan import make_plan
-    from surveysim.report.text import print_plan
+    from surveysim.plan import make_plan, make_sweep_plan
+    from surveysim.report.text import print_plan, print_sweep_plan
     from surveysim.setup import prepare
 
+    workers = _workers(workers)
+    if sweep := _sweep(scene, settings):
+        print_sweep_plan(sweep, make_sweep_plan(sweep, workers, process_time()), workers)
+        return
+    checked = _ready(scene, settings)
     print_plan(checked, make_plan(prepare(checked), workers, process_time()), workers)
 
 
@@ -134,7 +192,7 @@ def paper(
         _fail("nothing asked for: --table, --figure or --all is expected")
     if observations is not None and observations < 1:
         _fail(f"--observations: found {observations}; 1 or more is expected")
-    asked = wanted(tables, figures, scenarios, observations, dict(_setting(item) for item in settings or ()))
+    asked = wanted(tables, figures, scenarios, observations, _settings(settings))
     out.mkdir(parents=True, exist_ok=True)
     done = count(1)
     try:
@@ -170,6 +228,9 @@ def _numbers(option: str, given: list[int] | None, there: tuple[int, ...], every
 @_says_interrupted
 def check(scene: SceneFile, settings: Overrides = None) -> None:
     """Check a scene: errors only, each with file, key, what was found and what is allowed."""
+    if sweep := _sweep(scene, settings):
+        typer.echo(f"{scene}: {sweep.name!r} is a sweep of {len(sweep.points)} points that can be run")
+        return
     checked = _ready(scene, settings)
     typer.echo(f"{scene}: {checked.name!r} is a scene that can be run")
 
@@ -244,14 +305,39 @@ def _stopping(show: Callable[..., None]) -> Callable[..., None]:
     return progress
 
 
+@contextmanager
+def _going_on_later(scene: Path, directory: Path) -> Iterator[None]:
+    """End with one line where a run stops: why, and how to go on if anything is kept in `directory`."""
+    from surveysim.checkpoint import CheckpointError
+    from surveysim.engines import WorkerLostError
+
+    try:
+        yield
+    except CheckpointError as error:
+        _fail(str(error))
+    except KeyboardInterrupt:
+        _stopped("interrupted", directory, EXIT_INTERRUPTED)
+    except WorkerLostError:
+        _stopped("a worker process is gone, perhaps killed for want of memory", directory, EXIT_FAILED)
+    except OSError as error:
+        _stopped(_cause(error), directory, EXIT_FAILED)
+    except (ValueError, ArithmeticError) as error:
+        _stopped(f"{scene}: an observation failed: {error}", directory, EXIT_FAILED)
+
+
 def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
     """Say why a run stopped and how to go on; leave no half-written file."""
-    for partial in (directory / "timestreams").glob("*.h5.part"):  # of workers that were killed
-        partial.unlink(missing_ok=True)
-    kept = (directory / "checkpoint.npz").exists()
-    hint = f"; go on with --resume --out {directory}" if kept else ""
+    for pattern in ("timestreams/*.h5.part", "points/*.npz.part"):  # of workers that were killed
+        for partial in directory.glob(pattern):
+            partial.unlink(missing_ok=True)
+    hint = f"; go on with --resume --out {directory}" if _kept(directory) else ""
     typer.echo(" ".join(reason.split()) + hint, err=True)
     raise typer.Exit(code)
+
+
+def _kept(directory: Path) -> bool:
+    """Whether there is anything that a run could go on from."""
+    return (directory / "checkpoint.npz").exists() or any(directory.glob("points/*.npz"))
 
 
 def _cause(error: OSError) -> str:
@@ -270,12 +356,23 @@ def _ready(path: Path, settings: list[str] | None) -> Scene:
     """A scene that is checked and prepared; raises SceneError whose lines name the file."""
     from surveysim.setup import prepare
 
-    scene = load_scene(path, dict(_setting(item) for item in settings or ()))
+    scene = load_scene(path, _settings(settings))
     try:
         prepare(scene)
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
     return scene
+
+
+def _sweep(path: Path, settings: list[str] | None) -> "Sweep | None":
+    """The sweep of a scene file that has one, checked and prepared."""
+    from surveysim.sweep import is_sweep, load_sweep
+
+    return load_sweep(path, _settings(settings)) if is_sweep(path) else None
+
+
+def _settings(given: list[str] | None) -> dict[str, Any]:
+    return dict(_setting(item) for item in given or ())
 
 
 def _setting(text: str) -> tuple[str, Any]:
@@ -288,20 +385,6 @@ def _setting(text: str) -> tuple[str, Any]:
     except ValueError:
         return key, value  # text needs no quotes here
     return key, parsed["value"] if len(parsed) == 1 else value
-
-
-def _check_writable(directory: Path) -> None:
-    """Fail before an hour of work, not after it, when the output can't be written."""
-    directory.mkdir(parents=True, exist_ok=True)
-    for path in (directory / name for name in DIRECTORIES):
-        if path.exists() and not path.is_dir():
-            raise NotADirectoryError(ENOTDIR, "a file where a folder is to be written", str(path))
-    for path in (directory / name for name in FILES):
-        if path.is_dir():
-            raise IsADirectoryError(EISDIR, "a folder where a file is to be written", str(path))
-    probe = directory / ".writable"
-    probe.touch()
-    probe.unlink()
 
 
 def _fail(message: str) -> NoReturn:

@@ -6,18 +6,23 @@ from pathlib import Path
 import numpy as np
 
 from mapmaker.timestreams import FocalPlane
+from surveysim.coherence import Illumination, horn_taper_db, stop_efficiency
 from surveysim.sections import Instrument as InstrumentSection
+
+MAX_RINGS = 60
 
 
 @dataclass(frozen=True)
 class Camera:
     """A focal plane in the array frame and what couples its detectors.
 
-    `focal_plane` holds n_det detectors; `f_lambda_rad` is one (f/#)lambda on the sky.
+    `focal_plane` holds n_det detectors; `f_lambda_rad` is one (f/#)lambda on the sky; `illumination` is how each
+    pixel lights the stop.
     """
 
     focal_plane: FocalPlane
     f_lambda_rad: float
+    illumination: Illumination = Illumination()
 
     @property
     def positions_f_lambda(self) -> np.ndarray:
@@ -42,17 +47,51 @@ def camera(section: InstrumentSection) -> Camera:
     """The camera of a scene, dead positions left out.
 
     Raises ValueError for a dead position that is not in the layout, no live detector, two
-    detectors at one position, or an unreadable table.
+    detectors at one position, horns that do not fit between their neighbours, or an unreadable table.
     """
     if section.positions is not None:
         positions = read_positions(section.positions)
     else:
-        layout = section.layout
-        positions = hexagon(layout.rings, layout.pitch_f_lambda * section.f_lambda_rad)
-        positions = without(positions, layout.dead)
+        positions = without(_layout_positions(section), section.layout.dead)
     check_distinct(positions)
     plane = FocalPlane(positions[:, 0].copy(), positions[:, 1].copy(), section.beam_fwhm_rad)
-    return Camera(plane, section.f_lambda_rad)
+    cam = Camera(plane, section.f_lambda_rad, illumination(section))
+    closest = cam.closest_rad / section.f_lambda_rad
+    if section.horn_f_lambda is not None and 0 < closest < section.horn_f_lambda * (1 - 1e-9):
+        raise ValueError(
+            f"instrument.horn_f_lambda: found {section.horn_f_lambda:g}; {closest:.4g}, the closest pair's distance in "
+            "(f/#)lambda, or less is expected"
+        )
+    return cam
+
+
+def illumination(section: InstrumentSection) -> Illumination:
+    """How pixels light the stop: uniformly, with the scene's edge taper, or with that of its horns."""
+    if section.horn_f_lambda is not None:
+        return Illumination(horn_taper_db(section.horn_f_lambda))
+    return Illumination(section.edge_taper_db or 0.0)
+
+
+def total_efficiency(section: InstrumentSection) -> float:
+    """From window to detector, with what horns spill on the stop; the scene must give an `efficiency`."""
+    if section.horn_f_lambda is None:
+        return section.efficiency
+    return section.efficiency * stop_efficiency(horn_taper_db(section.horn_f_lambda))
+
+
+def _layout_positions(section: InstrumentSection) -> np.ndarray:
+    """Positions (n, 2) [rad] of a layout, dead ones among them."""
+    layout, pitch = section.layout, section.layout.pitch_f_lambda * section.f_lambda_rad
+    if layout.rings is not None:
+        return hexagon(layout.rings, pitch)
+    radius = layout.field_of_view_rad / 2 * (1 + 1e-9)
+    rings = int(radius / (np.sqrt(0.75) * pitch))
+    if rings > MAX_RINGS:
+        raise ValueError(
+            f"instrument.layout.field_of_view: found {rings} rings in it; {MAX_RINGS} or fewer are expected"
+        )
+    positions = hexagon(rings, pitch)
+    return positions[np.hypot(*positions.T) <= radius]
 
 
 def hexagon(rings: int, pitch: float) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from time import perf_counter
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from mapmaker.geometry import plane_directions, sky_offsets
 from mapmaker.kernels.pixels import add_sky
 from mapmaker.timestreams import Timestreams, scan_bounds
+from surveysim.coherence import Overlap
+from surveysim.levels import WhiteLevels, white_levels
 from surveysim.noise import add_correlated_white, add_excess, add_white, excess_variance
 from surveysim.pointing import Pointing, sky_vector
 from surveysim.setup import Setup, observation_path
@@ -49,12 +52,13 @@ def draw_observation(setup: Setup, observation: int, watch: Stopwatch | None = N
     # Atmosphere, excess and sky are seen with each detector's own responsivity; the levels of photon and detector
     # noise are those at its output.
     data *= setup.responsivity[:, None].astype(np.float32)
+    levels = observation_levels(setup, observation)
     with watch("photon"):
-        _add_photon(setup, observation, data)
+        _add_photon(setup, observation, levels, data)
     with watch("detector"):
         if setup.scene.detector:
             rng = generator(setup.scene.seed, Stage.DETECTOR, observation)
-            add_white(data, setup.scene.detector.psd_mk2_hz, setup.raster.sample_rate_hz, rng)
+            add_white(data, levels.detector_mk2_hz, setup.raster.sample_rate_hz, rng)
     return _timestreams(setup, observation, pointing, weather, data)
 
 
@@ -87,6 +91,14 @@ def observation_weather(setup: Setup, observation: int) -> Weather | None:
         return None
     rng = generator(setup.scene.seed, Stage.WEATHER, observation)
     return draw_weather(setup.scene.atmosphere, setup.water, rng)
+
+
+def observation_levels(setup: Setup, observation: int) -> WhiteLevels:
+    """Photon and detector noise of one observation, in its weather and at its elevation."""
+    weather = observation_weather(setup, observation)
+    opacity = setup.water.opacity if setup.water else None
+    elevation = float(setup.angles.elevation_rad[observation].mean())
+    return white_levels(setup.scene, opacity, weather.pwv_mm if weather else np.nan, elevation)
 
 
 def add_sky_signal(setup: Setup, pointing: Pointing, sky_mk: np.ndarray, data_mk: np.ndarray, gain: np.ndarray) -> None:
@@ -135,12 +147,17 @@ def _add_excess(setup: Setup, observation: int, weather: Weather | None, data: n
     add_excess(data, section, variance, n_scans, rate, setup.excess_factor, rng)
 
 
-def _add_photon(setup: Setup, observation: int, data: np.ndarray) -> None:
-    section = setup.scene.photon
-    if section is None:
+def _add_photon(setup: Setup, observation: int, levels: WhiteLevels, data: np.ndarray) -> None:
+    if setup.photon_overlap is None:
         return
     rng = generator(setup.scene.seed, Stage.PHOTON, observation)
-    add_correlated_white(data, section.psd_mk2_hz, setup.raster.sample_rate_hz, setup.photon_factor, rng)
+    factor = _shared_factor(setup.photon_overlap, levels.shared)
+    add_correlated_white(data, levels.photon_mk2_hz, setup.raster.sample_rate_hz, factor, rng)
+
+
+@lru_cache(maxsize=1)  # most scenes have one share for all observations
+def _shared_factor(pixels: Overlap, share: float) -> np.ndarray:
+    return pixels.factor(share)
 
 
 def _timestreams(

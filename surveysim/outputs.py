@@ -1,20 +1,47 @@
 """Files of a finished run: summary, resolved scene, tables, maps and figures, each written atomically."""
 
 import json
+import platform
+from collections.abc import Iterable
+from errno import EISDIR, ENOTDIR
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mapmaker.binning import BinnedMap, write_fits, write_healpix
 from mapmaker.files import whole_file
+from surveysim import __version__
 from surveysim.coadds import row_names
-from surveysim.results import SurveyResult, score_rows, summary
+from surveysim.results import PACKAGES, SurveyResult, score_rows, summary
 from surveysim.scan import samples_per_scan
 from surveysim.scene import resolved, scene_hash
+from surveysim.sweep import numbers_of, value_text
+from surveysim.trade import SweepResult
 
 if TYPE_CHECKING:
     from astropy.table import Table
+
+    from surveysim.forecast import Forecast
+
+
+DIRECTORIES = ("tables", "maps", "figures", "timestreams", "points")
+FILES = ("summary.json", "scene.json", "checkpoint.npz", "sweep.ecsv", "forecast.ecsv")
+
+
+def check_writable(directory: Path) -> None:
+    """Make `directory`; raises OSError before an hour of work, not after it, when results can't be written there."""
+    directory.mkdir(parents=True, exist_ok=True)
+    for path in (directory / name for name in DIRECTORIES):
+        if path.exists() and not path.is_dir():
+            raise NotADirectoryError(ENOTDIR, "a file where a folder is to be written", str(path))
+    for path in (directory / name for name in FILES):
+        if path.is_dir():
+            raise IsADirectoryError(EISDIR, "a folder where a file is to be written", str(path))
+    probe = directory / ".writable"
+    probe.touch()
+    probe.unlink()
 
 
 def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestreams: bool) -> None:
@@ -25,11 +52,34 @@ def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestre
     if figures:
         from surveysim.report.figures import draw_figures
 
-        written += draw_figures(directory / "figures", result.setup, result.coadds, result.scores)
+        written += draw_figures(directory / "figures", result.setup, result.coadds, result.scores, result.expected)
     if timestreams:
         written += [directory / "timestreams" / f"{number:04d}.h5" for number in range(result.coadds.done)]
     files = sorted(path.relative_to(directory).as_posix() for path in written)
     write_text(directory / "summary.json", json.dumps(summary(result) | {"files": files}, indent=2) + "\n")
+
+
+def write_sweep(directory: Path, result: SweepResult, figures: bool) -> None:
+    """Write table, figure and summary of a sweep below `directory`; summary.json is the last and lists the others."""
+    written = [_write_table(directory / "sweep.ecsv", sweep_table(result))]
+    if figures and result.comparison.best:
+        from surveysim.report.sweep_figure import draw_sweep
+
+        written.append(draw_sweep(directory / "figures" / "sweep.png", result))
+    files = sorted(path.relative_to(directory).as_posix() for path in written)
+    write_text(directory / "summary.json", json.dumps(sweep_summary(result) | {"files": files}, indent=2) + "\n")
+
+
+def write_forecast(directory: Path, forecast: "Forecast") -> Path:
+    """Write forecast.ecsv, noise and signal PSDs of the map of each data set; returns its path."""
+    from astropy.table import Table
+
+    table = Table({"ell": forecast.ell})
+    for name, item in forecast.scores.items():
+        table[f"noise_{name}"], table[f"signal_{name}"] = item.noise_psd, item.signal_psd
+        table[f"noise_{name}"].unit, table[f"signal_{name}"].unit = "uK2 sr", "sr"
+    table.meta["temperature"] = "CMB"
+    return _write_table(directory / "forecast.ecsv", table)
 
 
 def remove_outputs(directory: Path) -> None:
@@ -79,20 +129,23 @@ def _write_tables(directory: Path, result: SurveyResult) -> list[Path]:
         tables |= {"scores": _score_table(result), "map_psd": _spectrum_table(result)}
     if result.alternatives:
         tables["alternatives"] = _alternative_table(result)
-    written = []
-    for name, table in tables.items():
-        written.append(directory / f"{name}.ecsv")
-        with whole_file(written[-1]) as partial:
-            table.write(partial, format="ascii.ecsv", overwrite=True)
-    return written
+    return [_write_table(directory / f"{name}.ecsv", table) for name, table in tables.items()]
+
+
+def _write_table(path: Path, table: "Table") -> Path:
+    with whole_file(path) as partial:
+        table.write(partial, format="ascii.ecsv", overwrite=True)
+    return path
 
 
 def _score_table(result: SurveyResult) -> "Table":
     from astropy.table import Table
 
-    rows = [vars(row) | {"reference_ukcmb2": row.reference_ukcmb2 or np.nan} for row in score_rows(result)]
-    table = Table(rows=rows)
-    for name in ("sigma_ukcmb2", "error_ukcmb2", "reference_ukcmb2"):
+    unknown = {"forecast_ukcmb2": np.nan, "reference_ukcmb2": np.nan}
+    table = Table(
+        rows=[vars(row) | {k: vars(row)[k] or nan for k, nan in unknown.items()} for row in score_rows(result)]
+    )
+    for name in ("sigma_ukcmb2", "error_ukcmb2", *unknown):
         table[name].unit = "uK2"
     reference = result.setup.scene.score.reference
     table.meta["temperature"] = "CMB"
@@ -124,6 +177,10 @@ def _spectrum_table(result: SurveyResult) -> "Table":
         table[f"window_{name}"] = item.window.transmission
         table[f"window_error_{name}"] = item.window.error
         table[f"cumulative_{name}"] = item.band.cumulative
+        if result.expected and name in result.expected.scores:
+            table[f"noise_forecast_{name}"] = result.expected.scores[name].noise_psd
+            table[f"noise_forecast_{name}"].unit = "uK2 sr"
+            table[f"window_forecast_{name}"] = result.expected.scores[name].transmission
         for column, unit in (
             (f"noise_error_{name}", "uK2 sr"),
             (f"signal_{name}", "sr"),
@@ -169,3 +226,100 @@ def _observation_table(result: SurveyResult) -> "Table":
     if np.isnan(table["pwv_mm"]).all():  # the scene has its own distribution of B2
         table.remove_column("pwv_mm")
     return table
+
+
+# ---------------------------------------------------------------- sweeps
+
+
+def sweep_table(result: SweepResult) -> "Table":
+    """A row for each point: values of the keys, sigma(A) of each data set, and the actual one against the others.
+
+    `sigma_`, `error_` and `forecast_<data set>` are in uK_CMB^2; `ratio` is sigma(A) over that of the reference
+    point with its paired error; `best_probability` that of being the lowest. A forecast's have no errors.
+    """
+    from astropy.table import Table
+
+    sweep, comparison = result.sweep, result.comparison
+    table = Table({"point": np.arange(len(sweep.points))})
+    for key in sweep.points[0].settings:
+        _add_values(table, key, [point.settings[key] for point in sweep.points])
+    table["n_det"] = [point.n_det for point in result.points]
+    for name in _in_order(item.scores for item in result.points):
+        bands = [item.scores[name].band if name in item.scores else None for item in result.points]
+        table[f"sigma_{name}"] = [np.nan if band is None else band.sigma_ukcmb2 for band in bands]
+        table[f"error_{name}"] = [np.nan if band is None else band.error_ukcmb2 for band in bands]
+    for name in _in_order(item.forecast_ukcmb2 for item in result.points):
+        table[f"forecast_{name}"] = [item.forecast_ukcmb2.get(name, np.nan) for item in result.points]
+    for name in table.colnames:
+        if name.startswith(("sigma_", "error_", "forecast_")):
+            table[name].unit = "uK2"
+    table["ratio"] = comparison.ratio
+    if result.simulated:
+        table["ratio_error"] = comparison.paired_error
+        table["independent_error"] = comparison.independent_error
+        table["best_probability"] = comparison.best_probability
+    table["unscored"] = [item.unscored for item in result.points]
+    table.meta = {"temperature": "CMB", "reference": comparison.reference, "best": list(comparison.best)}
+    return table
+
+
+def _add_values(table: "Table", key: str, values: list[Any]) -> None:
+    """A column of a key's values: numbers with their unit, or else text."""
+    found = numbers_of(values)
+    table[key] = [value_text(value) for value in values] if found is None else found[0]
+    if found is not None and found[1]:
+        table[key].unit = found[1]
+
+
+def _in_order(of_points: Iterable[dict[str, Any]]) -> list[str]:
+    """All data sets of all points, in the order in which they first come."""
+    return list(dict.fromkeys(name for names in of_points for name in names))
+
+
+def sweep_summary(result: SweepResult) -> dict[str, Any]:
+    """The content of a sweep's summary.json."""
+    sweep, comparison = result.sweep, result.comparison
+    scene = sweep.points[0].scene
+    points = [_point_entry(result, number) for number in range(len(sweep.points))]
+    return {
+        "scene": sweep.name,
+        "title": scene.title,
+        "seed": scene.seed,
+        "surveysim": __version__,
+        "python": platform.python_version(),
+        "packages": {name: version(name) for name in PACKAGES},
+        "axes": [{"name": axis.name, "keys": list(axis.keys), "values": axis.values} for axis in sweep.axes],
+        "kind": "simulated" if result.simulated else "forecast",
+        "reference": comparison.reference,
+        "best": list(comparison.best),
+        "points": points,
+        "run": {
+            "workers": result.workers,
+            "wall_s": result.wall_s,
+            "point_s": [item.wall_s for item in result.points],
+        },
+    }
+
+
+def _point_entry(result: SweepResult, number: int) -> dict[str, Any]:
+    point, item, comparison = result.sweep.points[number], result.points[number], result.comparison
+    bands = {name: score.band for name, score in item.scores.items()}
+    entry = {
+        "point": number,
+        "settings": point.settings,
+        "scene_sha256": scene_hash(point.scene),
+        "n_det": item.n_det,
+        "scores": {
+            name: {"sigma_ukcmb2": band.sigma_ukcmb2, "error_ukcmb2": band.error_ukcmb2} for name, band in bands.items()
+        },
+        "forecast_ukcmb2": item.forecast_ukcmb2,
+    }
+    if item.unscored:
+        entry["unscored"] = item.unscored
+    if np.isfinite(comparison.ratio[number]):
+        entry["ratio"] = float(comparison.ratio[number])
+        if result.simulated:
+            entry["ratio_error"] = float(comparison.paired_error[number])
+            entry["independent_error"] = float(comparison.independent_error[number])
+            entry["best_probability"] = float(comparison.best_probability[number])
+    return entry

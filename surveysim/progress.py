@@ -14,19 +14,19 @@ STATUS_EVERY_S = 4.0
 LINES = 10
 
 
-Show = Callable[[int, Callable[[], str]], None]  # how many observations are done; what else there is to say
+Show = Callable[[int, Callable[[], str]], None]  # how many are done; what else there is to say
 
 
 @contextmanager
-def progress_display(name: str, total: int, quiet: bool) -> Iterator[Show]:
-    """A callable that shows how many of `total` observations are done, for the time of the block."""
+def progress_display(name: str, total: int, quiet: bool, what: str = "observations") -> Iterator[Show]:
+    """A callable that shows how many of `total` observations (or `what` else) are done, for the time of the block."""
     if quiet:
         yield lambda done, status: None
     elif sys.stderr.isatty():
         with _bar(name, total) as show:
             yield show
     else:
-        yield _lines(name, total)
+        yield _lines(name, total, what)
 
 
 @contextmanager
@@ -55,9 +55,9 @@ def _bar(name: str, total: int) -> Iterator[Show]:
         yield show
 
 
-def _lines(name: str, total: int) -> Show:
+def _lines(name: str, total: int, what: str) -> Show:
     every = max(1, total // LINES)
-    first: list[tuple[float, int]] = []  # when the first observation was in; before it lie start-up and compilation
+    first: list[tuple[float, int]] = []  # when the first was in; before it lie start-up and compilation
 
     def show(done: int, status: Callable[[], str]) -> None:
         if not first:
@@ -65,7 +65,7 @@ def _lines(name: str, total: int) -> Show:
         if done % every == 0 or done == total:
             since, begun = monotonic() - first[0][0], done - first[0][1]
             left = f", {since / begun * (total - done):.0f} s left" if begun else ""
-            print(f"{name}: {done}/{total} observations{left}  {status()}".rstrip(), file=sys.stderr, flush=True)
+            print(f"{name}: {done}/{total} {what}{left}  {status()}".rstrip(), file=sys.stderr, flush=True)
 
     return show
 

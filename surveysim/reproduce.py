@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,9 +16,10 @@ if TYPE_CHECKING:
     from astropy.table import Table
 
     from surveysim.paper.figure import PaperFigure
+    from surveysim.results import SurveyResult
 
-TABLES = (1, 2)
-FIGURES = tuple(range(1, 14))
+TABLES = (1, 2, 3)
+FIGURES = tuple(range(1, 17))
 # Scenes of each band's observations, in GHz, and what is changed in them.
 SCENES: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "143": (("lynx", "sds1"), {}),
@@ -49,21 +50,31 @@ _NEEDS = {
     "figure 10": ("143",),
     "figure 11": ("143",),
     "figure 12": ("143",),
-    "figure 13": ("compared",),  # a run of its own
+    "figure 14": ("143",),
+    "figure 15": ("143",),
+    # Runs of their own.
+    "figure 13": ("compared",),
+    "table 3": ("scored",),
+    "figure 16": ("scored",),
 }
 # What figure 13 compares with average subtraction.
 COMPARED = (("planar",), ("quadratic",))
+# What Table 3 and figure 16 set beside the survey itself, and an array masked by separation.
+SIMULATED = ("uncorrelated", "white")
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is asked for: numbers of tables and figures, the scenes of every band, those of figures 2, 13."""
+    """What is asked for: numbers of tables and figures, the scenes of every band, those of runs of their own.
+
+    `model` is the scene of figure 2, `runs` those of the runs that `_NEEDS` names.
+    """
 
     tables: tuple[int, ...]
     figures: tuple[int, ...]
     scenes: dict[str, list[Scene]]
     model: Scene | None
-    compared: Scene | None
+    runs: dict[str, Scene]
 
     @property
     def items(self) -> list[str]:
@@ -74,7 +85,7 @@ class Wanted:
     def observations(self) -> int:
         """How many observations that takes."""
         measured = sum(scene.observations for scenes in self.scenes.values() for scene in scenes)
-        return measured + (self.compared.observations if self.compared else 0)
+        return measured + sum(scene.observations for scene in self.runs.values())
 
 
 def wanted(
@@ -99,8 +110,13 @@ def wanted(
             _check(path, scene, scenes[band][0])
     lynx = scenarios / "lynx.toml"
     model = _scene(lynx, dict(overrides or {}), observations) if 2 in figures else None
-    compared = _compared(lynx, dict(overrides or {}), observations) if 13 in figures else None
-    return Wanted(tuple(tables), tuple(figures), scenes, model, compared)
+    loaders = {"compared": _compared, "scored": _scored}
+    runs = {
+        need: load(lynx, dict(overrides or {}), observations)
+        for need, load in loaders.items()
+        if any(need in _NEEDS[name] for name in names)
+    }
+    return Wanted(tuple(tables), tuple(figures), scenes, model, runs)
 
 
 def _compared(path: Path, overrides: dict[str, Any], observations: int | None) -> Scene:
@@ -109,7 +125,27 @@ def _compared(path: Path, overrides: dict[str, Any], observations: int | None) -
     if scene.score is None:
         raise SceneError(f"{path}: score: missing; figure 13 scores the maps")
     score = scene.score.model_copy(update={"mask_separation_f_lambda": None, "simulated": (), "reference": None})
-    scene = scene.model_copy(update={"score": score})
+    return _prepared(path, scene.model_copy(update={"score": score}))
+
+
+def _scored(path: Path, overrides: dict[str, Any], observations: int | None) -> Scene:
+    """A scene that scores the four data sets of Table 3, and no other cleaning."""
+    scene = _scene(path, {"cleaning.compare": []} | overrides, observations)
+    if scene.score is None:
+        raise SceneError(f"{path}: score: missing; Table 3 and figure 16 score the maps")
+    if set(scene.score.simulated) != set(SIMULATED):
+        found = ", ".join(scene.score.simulated) or "none"
+        raise SceneError(
+            f"{path}: score.simulated: found {found}; Table 3 and figure 16 need {' and '.join(SIMULATED)}"
+        )
+    if scene.score.mask_separation_f_lambda is None:
+        raise SceneError(f"{path}: score.mask_separation_f_lambda: missing; Table 3 and figure 16 need a masked array")
+    score = scene.score.model_copy(update={"reference": None})
+    return _prepared(path, scene.model_copy(update={"score": score}))
+
+
+def _prepared(path: Path, scene: Scene) -> Scene:
+    """The scene, made ready once; raises SceneError with its file when it can't be run."""
     try:
         prepare(scene)
     except SceneError as error:
@@ -126,10 +162,7 @@ def _scene(path: Path, changes: dict[str, Any], observations: int | None) -> Sce
 
 def _check(path: Path, scene: Scene, first: Scene) -> None:
     """Raise SceneError unless a scene can be run and measured together with the first one of its band."""
-    try:
-        prepare(scene.model_copy(update={"score": None}))
-    except SceneError as error:
-        raise SceneError(f"{path}: {error}") from None
+    _prepared(path, scene.model_copy(update={"score": None}))
     if scene.atmosphere is None:
         raise SceneError(f"{path}: atmosphere: missing; it is what is measured")
     index, height = scene.atmosphere.index, scene.atmosphere.layer_height_m
@@ -162,9 +195,20 @@ def reproduce(
         left = [name for name in left if name not in ready]
         makers += [(name, partial(_write, name, out, surveys, asked.model)) for name in ready]
         _make(makers, written, failed)
-    if asked.compared is not None:
-        _make([("figure 13", partial(_write_compared, out, asked.compared, workers, progress))], written, failed)
+    for need, scene in asked.runs.items():
+        makers = _run_makers([name for name in left if _NEEDS[name] == (need,)], out, scene, workers, progress)
+        _make(makers, written, failed)
     return written, failed
+
+
+def _run_makers(
+    names: list[str], out: Path, scene: Scene, workers: int, progress: Callable[[], None]
+) -> list[tuple[str, Callable[[], list[Path]]]]:
+    """What makes the items of one run, which the first of them starts."""
+    from surveysim.api import run
+
+    result = cache(lambda: run(scene, workers=workers, progress=lambda coadds: progress()))
+    return [(name, partial(_write_scored, name, out, result)) for name in names]
 
 
 def _make(makers: list[tuple[str, Callable[[], list[Path]]]], written: list[Path], failed: list[str]) -> None:
@@ -176,14 +220,19 @@ def _make(makers: list[tuple[str, Callable[[], list[Path]]]], written: list[Path
             failed.append(f"{name}: {' '.join(str(error).split())}")
 
 
-def _write_compared(out: Path, scene: Scene, workers: int, progress: Callable[[], None]) -> list[Path]:
-    from surveysim.api import run
-    from surveysim.paper.map_figures import map_psd_figure
+def _write_scored(name: str, out: Path, run: Callable[[], "SurveyResult"]) -> list[Path]:
+    from surveysim.paper import map_figures, score_figures
 
-    result = run(scene, workers=workers, progress=lambda coadds: progress())
+    result = run()
     if result.unscored:
         raise ValueError(result.unscored)
-    return _write_figure(out, map_psd_figure(result))
+    if name == "table 3":
+        return [
+            _write_table(out / "table3.ecsv", score_figures.sensitivity_table(result)),
+            _write_table(out / "table3_gains.ecsv", score_figures.gain_table(result)),
+        ]
+    make = {"figure 13": map_figures.map_psd_figure, "figure 16": score_figures.data_set_psd_figure}[name]
+    return _write_figure(out, make(result))
 
 
 def _write_measurements(out: Path, band: str, survey: MeasuredSurvey) -> list[Path]:
@@ -204,14 +253,24 @@ def _write(name: str, out: Path, surveys: dict[str, MeasuredSurvey], model: Scen
             _write_table(out / "table1_sites.ecsv", site_table()),
         ]
     if name == "table 2":
-        from surveysim.paper.tables import raw_atmosphere_table
+        from surveysim.paper.tables import correlated_noise_table, photon_noise_table
 
-        return [_write_table(out / "table2.ecsv", raw_atmosphere_table(surveys["143"]))]
+        return [
+            _write_table(out / "table2.ecsv", correlated_noise_table(surveys["143"])),
+            _write_table(out / "table2_photons.ecsv", photon_noise_table()),
+        ]
     return _write_figure(out, _figure(int(name.split()[1]), surveys, model))
 
 
 def _figure(number: int, surveys: dict[str, MeasuredSurvey], model: Scene | None) -> "PaperFigure":
-    from surveysim.paper import cleaning_figures, model_figures, noise_figures, turbulence_figures, wind_figures
+    from surveysim.paper import (
+        cleaning_figures,
+        model_figures,
+        noise_figures,
+        pair_figures,
+        turbulence_figures,
+        wind_figures,
+    )
 
     bolocam = [surveys[band] for band in ("143", "268") if band in surveys]
     makers: dict[int, Callable[[], PaperFigure]] = {
@@ -227,6 +286,8 @@ def _figure(number: int, surveys: dict[str, MeasuredSurvey], model: Scene | None
         10: lambda: cleaning_figures.timestream_figure(surveys["143"]),
         11: lambda: cleaning_figures.template_figure(surveys["143"]),
         12: lambda: cleaning_figures.pca_figure(surveys["143"]),
+        14: lambda: pair_figures.correlation_histogram_figure(surveys["143"]),
+        15: lambda: pair_figures.separation_figure(surveys["143"]),
     }
     return makers[number]()
 

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from mapmaker.bandpower import BandPower, flat_band_power_fixed_weights
+from mapmaker.bandpower import BandPower, flat_band_power_fixed_weights, noise_error
 from surveysim import __version__
 from surveysim.choice import TARGETS, best_places
 from surveysim.coadds import CoAdds, row_names
+from surveysim.forecast import DataSetForecast, Forecast, can_forecast, forecast
 from surveysim.recipes import ACTUAL, Recipe
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene, scene_hash
@@ -19,6 +20,7 @@ from surveysim.setup import Setup
 
 PACKAGES = ("numpy", "scipy", "numba", "astropy", "healpy", "h5py", "pydantic")
 PSD_AT_HZ = (0.01, 0.1, 1.0)
+COMPARED_ELL = (2500, 15000)  # below, the ends of scans and the map's edge rule; beyond, its pixels
 ALTERNATIVE_ELL_MIN = (1000, 2000, 3000, 4000, 4500, 5000, 5500)
 
 METHOD = (
@@ -37,7 +39,7 @@ METHOD = (
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the score table: `sigma_ukcmb2` with its Monte Carlo error; `reference_ukcmb2` or None."""
+    """A row of the score table: `sigma_ukcmb2` with its Monte Carlo error; forecast and reference or None."""
 
     name: str
     n_det: int
@@ -45,6 +47,7 @@ class Row:
     error_ukcmb2: float
     ell_eff: float
     fwhm_ell: float
+    forecast_ukcmb2: float | None
     reference_ukcmb2: float | None
 
 
@@ -53,8 +56,8 @@ class SurveyResult:
     """A finished run: setup, sums, scores, gains between data sets and the same data scored otherwise.
 
     They are empty without a score or where `unscored` says why there is none. `flux_removed` is the share of a faint
-    point source's flux that each recipe takes, known where recipes are compared. `wall_s` is the time
-    since the run was started or, the last time, resumed.
+    point source's flux that each recipe takes, known where recipes are compared; `expected` the forecast of the data
+    sets, None where cleaning has none. `wall_s` is the time since the run was started or, the last time, resumed.
     """
 
     setup: Setup
@@ -63,6 +66,7 @@ class SurveyResult:
     gains: dict[str, Gain]
     alternatives: list[dict[str, float | str]]
     flux_removed: dict[str, float]
+    expected: Forecast | None
     wall_s: float
     workers: int
     unscored: str = ""
@@ -78,25 +82,69 @@ def survey_result(setup: Setup, coadds: CoAdds, wall_s: float, workers: int) -> 
             removed = flux_removed(setup, coadds)
         except ValueError as error:  # too few observations, or too few scans kept in them
             scores, ratios, others, removed, unscored = {}, {}, [], {}, str(error)
-    return SurveyResult(setup, coadds, scores, ratios, others, removed, wall_s, workers, unscored)
+    expected = forecast(setup.scene) if scores and can_forecast(setup) else None
+    return SurveyResult(setup, coadds, scores, ratios, others, removed, expected, wall_s, workers, unscored)
 
 
 def score_rows(result: SurveyResult) -> list[Row]:
     """The score table, masked sets also scaled by their share of the detectors (section 5.2)."""
-    rows = [_row(item) for item in result.scores.values()]
+    expected = result.expected.scores if result.expected else {}
+    rows = [_row(item, expected.get(name)) for name, item in result.scores.items()]
     for row in list(rows):
         if row.name.startswith("masked"):
             share = row.n_det / result.setup.n_det
-            sigma, error = share * row.sigma_ukcmb2, share * row.error_ukcmb2
-            rows.append(replace(row, name=f"{row.name}_scaled", sigma_ukcmb2=sigma, error_ukcmb2=error))
+            scaled = {
+                name: None if value is None else share * value
+                for name, value in vars(row).items()
+                if name in ("sigma_ukcmb2", "error_ukcmb2", "forecast_ukcmb2")
+            }
+            rows.append(replace(row, name=f"{row.name}_scaled", **scaled))
     reference = result.setup.scene.score.reference if rows else None
     values = dict(reference.values_ukcmb2) if reference else {}
     return [replace(row, reference_ukcmb2=values.get(row.name)) for row in rows]
 
 
-def _row(item: DataSetScore) -> Row:
-    band = item.band
-    return Row(item.name, item.n_det, band.sigma_ukcmb2, band.error_ukcmb2, band.ell_eff, band.fwhm_ell, None)
+def _row(item: DataSetScore, expected: DataSetForecast | None) -> Row:
+    band, sigma = item.band, expected.band.sigma_ukcmb2 if expected else None
+    return Row(item.name, item.n_det, band.sigma_ukcmb2, band.error_ukcmb2, band.ell_eff, band.fwhm_ell, sigma, None)
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Forecast over simulation of one data set, less 1, each with the simulation's own error.
+
+    `sigma` of sigma(A); `psd` of the noise PSD in the bin around `worst_ell`, of those from 2500 to 15000 the one that
+    is furthest off for certain (by two standard errors); NaN without such bins.
+    """
+
+    sigma: float
+    sigma_error: float
+    psd: float
+    psd_error: float
+    worst_ell: float
+
+
+def forecast_agreement(result: SurveyResult) -> dict[str, Agreement]:
+    """How far the forecast of each data set is from what was simulated; empty without a forecast."""
+    if result.expected is None:
+        return {}
+    return {name: _agreement(result, result.scores[name], item) for name, item in result.expected.scores.items()}
+
+
+def _agreement(result: SurveyResult, simulated: DataSetScore, expected: DataSetForecast) -> Agreement:
+    band, (low, high) = simulated.band, COMPARED_ELL
+    edges = result.setup.band.rings.edges_ell
+    bins = np.flatnonzero((edges[:-1] >= low) & (edges[1:] <= high))
+    psd, error, ell = np.nan, np.nan, np.nan
+    if len(bins):
+        weights = simulated.weights[simulated.weights > 0]
+        off = expected.noise_psd[bins] / simulated.noise_psd[bins] - 1
+        errors = np.array([noise_error(simulated.noise_psds[:, [k]], np.ones(1), weights) for k in bins])
+        errors *= 1 + off
+        worst = int(np.argmax(np.abs(off) - 2 * errors))
+        psd, error, ell = float(off[worst]), float(errors[worst]), float(band.ell[bins[worst]])
+    ratio = expected.band.sigma_ukcmb2 / band.sigma_ukcmb2
+    return Agreement(ratio - 1, ratio * band.error_ukcmb2 / band.sigma_ukcmb2, psd, error, ell)
 
 
 def _gains(setup: Setup, scores: dict[str, DataSetScore]) -> dict[str, Gain]:
@@ -192,6 +240,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
     if result.scores:
         content["scores"] = {row.name: _score_entry(row) for row in score_rows(result)}
         content["error_budget"] = {name: vars(item.budget) for name, item in result.scores.items()}
+        content["forecast_over_simulated"] = {name: vars(item) for name, item in forecast_agreement(result).items()}
         content["gains"] = {name: vars(item) for name, item in result.gains.items()}
         content["alternatives"] = result.alternatives
     content["run"] = {

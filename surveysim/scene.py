@@ -9,14 +9,13 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import Any, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from surveysim.quantities import (
-    shown,
-)
+from surveysim.quantities import shown
 from surveysim.scan import MIN_SAMPLES
 from surveysim.sections import (
     Atmosphere,
@@ -80,24 +79,57 @@ class Scene(Section):
             raise ValueError("instrument.colours: missing; 'spectral' cleaning needs other bands of the pixels")
         if self.instrument.colours and not (self.atmosphere and self.atmosphere.site):
             raise ValueError("atmosphere.site: missing; how colours scale with each other is the opacity of a site")
+        self._power_is_known()
         if not any((self.atmosphere, self.excess, self.photon, self.detector, self.sky)):
             raise ValueError("at least one of atmosphere, excess, photon, detector and sky is expected")
         if (found := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
             raise ValueError(f"scan.duration: found {found:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
         return self
 
+    def _power_is_known(self) -> None:
+        """Raise ValueError where noise is given by optical power and something to tell its temperature is missing."""
+        load = self.photon.load if self.photon else None
+        if load is None and not (self.detector and self.detector.nep_w_rthz is not None):
+            return
+        name = "photon.load" if load else "detector.nep"
+        for key in ("bandwidth", "efficiency", "polarizations"):
+            if getattr(self.instrument, key) is None:
+                raise ValueError(f"instrument.{key}: missing; {name!r} needs it")
+        if load and load.sky_k is None and not (self.atmosphere and self.atmosphere.site):
+            raise ValueError("photon.load.sky: missing; a temperature, or a site that it follows from, is expected")
+
 
 def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scene:
     """Read and check a scene file; `overrides` maps dotted keys to values.
 
+    A table [sweep] is set aside: the scene is the one that its points start from (`surveysim.sweep`).
     Raises SceneError with one line for each error: file, key, what was found, what is allowed.
     """
     path = Path(path)
-    text, data = _read(path)
-    if "assumed" in data or "assumed" in (overrides or {}):
-        raise SceneError(f"{path}: assumed: unknown key; allowed are {', '.join(_allowed(()))}")
-    data["assumed"] = [line for line in assumed_values(text) if line.partition(" = ")[0] not in (overrides or {})]
-    for key, value in (overrides or {}).items():
+    return scene_of(path, *read_scene(path), overrides or {})
+
+
+def read_scene(path: Path) -> tuple[str, dict]:
+    """Text and unchecked content of a scene file; raises SceneError when it can't be read."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        return text, tomllib.loads(text)
+    except OSError as error:
+        raise SceneError(f"{path}: can't be read ({error.strerror}); a scene file (TOML) is expected") from None
+    except RecursionError:
+        raise SceneError(f"{path}: nested too deeply; a scene file (TOML) is expected") from None
+    except ValueError as error:  # of TOML, of its dates and of its encoding
+        raise SceneError(f"{path}: not a whole TOML file ({error})") from None
+
+
+def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mapping[str, Any]) -> Scene:
+    """The scene of a file that `read_scene` has read; `content` stays as it is. Errors as `load_scene`."""
+    data = deepcopy({key: value for key, value in content.items() if key != "sweep"})
+    if "assumed" in data or "assumed" in overrides:
+        raise SceneError(f"{path}: assumed: unknown key; allowed are {', '.join(allowed_keys(()))}")
+    assumed = {line: line.partition(" = ")[0] for line in assumed_values(text)}
+    data["assumed"] = [line for line, key in assumed.items() if key not in overrides and not key.startswith("sweep.")]
+    for key, value in overrides.items():
         _override(path, data, key, value)
     if isinstance(data.get("atmosphere"), dict):
         data["assumed"] += _assumed_of_site(data["atmosphere"])
@@ -144,18 +176,6 @@ def _assumed_of_site(section: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _read(path: Path) -> tuple[str, dict]:
-    try:
-        text = path.read_text(encoding="utf-8")
-        return text, tomllib.loads(text)
-    except OSError as error:
-        raise SceneError(f"{path}: can't be read ({error.strerror}); a scene file (TOML) is expected") from None
-    except RecursionError:
-        raise SceneError(f"{path}: nested too deeply; a scene file (TOML) is expected") from None
-    except ValueError as error:  # of TOML, of its dates and of its encoding
-        raise SceneError(f"{path}: not a whole TOML file ({error})") from None
-
-
 def _override(path: Path, data: dict, key: str, value: Any) -> None:
     *sections, last = key.split(".")
     for name in sections:
@@ -172,7 +192,7 @@ def _error_line(path: Path, item: Any) -> str:
         # A check of a whole section names the key that it is about.
         key, message = f"{key}.{match[1]}", message[match.end() :]
     if item["type"] == "extra_forbidden":
-        message = f"unknown key; allowed are {', '.join(_allowed(item['loc'][:-1]))}"
+        message = f"unknown key; allowed are {', '.join(allowed_keys(item['loc'][:-1]))}"
     elif item["type"] == "missing":
         message = "missing; this key is expected"
     elif item["type"] != "value_error":
@@ -193,12 +213,15 @@ _EXPECTED = {
 }
 
 
-def _allowed(location: tuple) -> list[str]:
+def allowed_keys(location: tuple) -> list[str]:
+    """Keys that a section of the file may have, by the names that lead to it; none where there is no section."""
     model: Any = Scene
     for name in location:
         if isinstance(name, int):
             continue
-        annotation = next(f.annotation for k, f in model.model_fields.items() if (f.alias or k) == name)
+        annotation = next((f.annotation for k, f in model.model_fields.items() if (f.alias or k) == name), None)
         candidates = [annotation, *getattr(annotation, "__args__", ())]
-        model = next(c for c in candidates if isinstance(c, type) and issubclass(c, Section))
+        model = next((c for c in candidates if isinstance(c, type) and issubclass(c, Section)), None)
+        if model is None:
+            return []
     return sorted(f.alias or k for k, f in model.model_fields.items() if k != "assumed")

@@ -1,5 +1,6 @@
 """From co-added maps to the uncertainty on a flat CMB band power, for every data set."""
 
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,6 @@ from mapmaker.bandpower import (
     ErrorBudget,
     flat_band_power,
     flat_spectrum_psd,
-    noise_error,
     score,
 )
 from mapmaker.binning import weighted_mean
@@ -90,23 +90,65 @@ def sector_sigma(setup: Setup, coadds: CoAdds, item: DataSetScore) -> float:
 def gain(worse: DataSetScore, better: DataSetScore, factor: float = 1.0) -> Gain:
     """``factor * sigma(worse) / sigma(better)`` with the Monte Carlo error of the ratio.
 
-    The two share signs, weather and window skies, so their errors are taken of the difference of their
-    responses, and not in quadrature: `mapmaker.bandpower` on how sigma responds.
+    The two share signs, weather and perhaps window skies, so their errors are those of a difference
+    (`error_modes`), and not in quadrature.
     """
     ratio = factor * worse.band.sigma_ukcmb2 / better.band.sigma_ukcmb2
-    responses = [
-        (item.noise_psds[:, used] / item.noise_psd[used]) @ item.band.weight[used]
-        for item in (worse, better)
-        for used in (item.band.weight > 0,)
-    ]
-    difference = (1 + responses[0] - responses[1])[:, None]
-    both = (worse.weights > 0) & (better.weights > 0)
-    pair = [item.weights[both] for item in (worse, better)]
-    noise = noise_error(difference, np.ones(1), pair[0])
-    relative = pair[0] / pair[0].mean() - pair[1] / pair[1].mean()
-    weather = relative.std(ddof=1) / np.sqrt(len(relative))
-    window = 0.0 if worse.window is better.window else np.hypot(worse.budget.window, better.budget.window)
-    return Gain(ratio, ratio * float(np.sqrt(noise**2 + weather**2 + window**2)))
+    one, other = error_modes((worse, better), (id(worse.window), id(better.window)))
+    return Gain(ratio, ratio * float(np.linalg.norm(one - other)))
+
+
+def error_modes(items: Sequence[DataSetScore], skies: Sequence[Hashable]) -> np.ndarray:
+    """Responses (n_item, n_mode) of ln sigma to independent unit deviates: products of rows are their covariance.
+
+    The items are data sets of one survey or of surveys with one seed. A row's norm is the relative error of its
+    item, and the norm of the difference of two rows that of their ratio; what both respond to alike cancels.
+    Responses are those of `mapmaker.bandpower`: to the noise, one mode for each of the sign-flipped co-adds, whose
+    signs are common; to the weather, one for each observation, common too; to the window, one for each bin, common to
+    items whose `skies` and bins are equal. How far noise is common shows in the scatter of K co-adds: its
+    correlation between two items is known to 1 / sqrt(K - 1).
+    """
+    groups = [(key, item.band.ell.tobytes()) for item, key in zip(items, skies, strict=True)]
+    window = [_window_row(item) for item in items]
+    columns = [_stacked([_noise_row(item) for item in items]), _stacked([_weather_row(item) for item in items])]
+    for group in dict.fromkeys(groups):
+        rows = [row if own == group else row[:0] for row, own in zip(window, groups, strict=True)]
+        if groups.count(group) == 1:  # shared with nobody: one mode has it all
+            rows = [np.linalg.norm(row, keepdims=True) if len(row) else row for row in rows]
+        columns.append(_stacked(rows))
+    return np.hstack(columns)
+
+
+def _noise_row(item: DataSetScore) -> np.ndarray:
+    used = item.band.weight > 0
+    response = (item.noise_psds[:, used] / item.noise_psd[used]) @ item.band.weight[used]
+    return _of_norm(item.budget.noise, response - response.mean())
+
+
+def _weather_row(item: DataSetScore) -> np.ndarray:
+    used = item.weights > 0
+    change = np.where(used, item.weights / item.weights[used].mean() - 1, 0.0)
+    return _of_norm(item.budget.weather, change)
+
+
+def _window_row(item: DataSetScore) -> np.ndarray:
+    used, window = item.band.weight > 0, item.window
+    row = np.zeros(len(used))
+    row[used] = item.band.weight[used] * window.error[used] / window.transmission[used]
+    return row
+
+
+def _of_norm(norm: float, row: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(row)
+    return row * (norm / length) if length > 0 else row
+
+
+def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows of any lengths as one array, short ones with zeros behind."""
+    stacked = np.zeros((len(rows), max(len(row) for row in rows)))
+    for row, values in zip(stacked, rows, strict=True):
+        row[: len(values)] = values
+    return stacked
 
 
 def _score(setup, name, n_det, psds, window, weights, selected=None) -> DataSetScore:

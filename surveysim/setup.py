@@ -10,9 +10,8 @@ from threadpoolctl import threadpool_limits
 from mapmaker.geometry import MapGeometry, covering_geometry
 from surveysim.band import Band, scored_band
 from surveysim.checks import check_excess, check_masked, check_score, check_size, check_templates, reach
-from surveysim.coherence import correlation_factor, correlation_matrix
+from surveysim.coherence import Overlap, correlation_factor, correlation_matrix, overlap
 from surveysim.instrument import Camera, camera, mask_by_separation
-from surveysim.noise import photon_correlation
 from surveysim.pointing import (
     FieldCentre,
     Pointing,
@@ -42,7 +41,7 @@ class Angles:
 class Setup:
     """A scene made ready: nothing here depends on the observation but the angles' rows.
 
-    `photon_factor`, `excess_factor` (n_det, n_det) or None; `responsivity` (n_det,); `recipes` all ways of
+    `photon_overlap` and `excess_factor` (n_det, n_det), or None; `responsivity` (n_det,); `recipes` all ways of
     cleaning, those of the masked array last; `masked` indices of the detectors that it keeps, or None; `sky_mk` on
     `sky_geometry` or None; `window_skies_mk` (n_sky, n_y, n_x) or None, the last of a point source where recipes are
     compared; `strips` the atmosphere's strips or None; `water` what the band makes of the site's water, None
@@ -58,7 +57,7 @@ class Setup:
     band: Band | None
     recipes: tuple[Recipe, ...]
     responsivity: np.ndarray
-    photon_factor: np.ndarray | None
+    photon_overlap: Overlap | None
     excess_factor: np.ndarray | None
     strips: object | None
     water: Water | None
@@ -145,7 +144,7 @@ def _prepare(scene: Scene) -> Setup:
         sky_geometry=sky_geometry,
         recipes=recipes(scene.cleaning, masked),
         responsivity=_responsivity(scene, len(cam.focal_plane.x_rad)),
-        photon_factor=_photon_factor(scene, cam),
+        photon_overlap=_photon_overlap(scene, cam),
         excess_factor=_excess_factor(scene, cam),
         strips=_strips(scene, cam),
         water=_water(scene, scene.instrument),
@@ -213,32 +212,37 @@ def _responsivity(scene: Scene, n_det: int, realization: int = 0) -> np.ndarray:
     return responsivity / responsivity.mean()
 
 
-def _photon_factor(scene: Scene, cam: Camera) -> np.ndarray | None:
+def _photon_overlap(scene: Scene, cam: Camera) -> Overlap | None:
     if scene.photon is None:
         return None
-    overlap = correlation_matrix(cam.positions_f_lambda, scene.photon.coherence)
-    return correlation_factor(photon_correlation(overlap, scene.photon.coherent_fraction))
+    return overlap(correlation_matrix(cam.positions_f_lambda, scene.photon.coherence, cam.illumination))
 
 
 def _excess_factor(scene: Scene, cam: Camera) -> np.ndarray | None:
     if scene.excess is None:
         return None
-    return correlation_factor(correlation_matrix(cam.positions_f_lambda, scene.excess.coherence))
+    return correlation_factor(correlation_matrix(cam.positions_f_lambda, scene.excess.coherence, cam.illumination))
+
+
+def screen(scene: Scene):
+    """The layer as the telescope sees it; raises SceneError where there is none of these numbers."""
+    from surveysim.atmosphere.spectrum import Screen
+
+    air = scene.atmosphere
+    outer = math.inf if air.outer_scale_m is None else air.outer_scale_m / air.layer_height_m
+    try:
+        return Screen(air.index, air.illuminated_aperture_m / air.layer_height_m, outer)
+    except ValueError as error:
+        raise SceneError(f"atmosphere: {error}") from None
 
 
 def _strips(scene: Scene, cam: Camera):
     if scene.atmosphere is None:
         return None
     from surveysim.atmosphere.screen import StripCache, strip_step
-    from surveysim.atmosphere.spectrum import Screen
 
-    air = scene.atmosphere
-    outer = math.inf if air.outer_scale_m is None else air.outer_scale_m / air.layer_height_m
-    try:
-        screen = Screen(air.index, air.illuminated_aperture_m / air.layer_height_m, outer)
-    except ValueError as error:
-        raise SceneError(f"atmosphere: {error}") from None
-    return StripCache(screen, cam.radius_rad, strip_step(screen, cam.closest_rad))
+    layer = screen(scene)
+    return StripCache(layer, cam.radius_rad, strip_step(layer, cam.closest_rad))
 
 
 def _water(scene: Scene, band: Instrument | Colour) -> Water | None:

@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from surveysim.atmosphere.opacity import BandOpacity
 from surveysim.sections import Atmosphere
 
 _RANKS = 400  # of water and of fluctuations, for the quantiles of their product
@@ -35,12 +36,13 @@ class Weather:
 
 @dataclass(frozen=True)
 class Water:
-    """What a band makes of a site's water.
+    """What a band makes of a site's water, by its `opacity`.
 
     `response`: (d eps / dC C)^2 B_atm^2 [mK^2] against PWV [mm] (section 3.3). `log_b2` (n,): quantiles of ln B2 that
     follow from it and the distributions of water and fluctuations, at the normal levels `level` (n,).
     """
 
+    opacity: BandOpacity
     response: Callable[[np.ndarray], np.ndarray]
     log_b2: np.ndarray
     level: np.ndarray
@@ -52,14 +54,15 @@ def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) ->
 
     from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
 
-    response = partial(fluctuation_factor_mk2, band_opacity(atmosphere.site, frequency_hz, bandwidth))
+    opacity = band_opacity(atmosphere.site, frequency_hz, bandwidth)
+    response = partial(fluctuation_factor_mk2, opacity)
     response(np.array(atmosphere.pwv_mm))
     share = (np.arange(_RANKS) + 0.5) / _RANKS
     seen = np.log(response(pwv_quantile(atmosphere, share)))
     drawn = np.log(log_quantile(atmosphere.fluctuation_probabilities, atmosphere.fluctuation, ndtri(share)))
     log_b2 = np.sort((seen[:, None] + drawn).ravel())
     rank = (np.arange(log_b2.size) + 0.5) / log_b2.size
-    return Water(response, log_b2, ndtri(rank))
+    return Water(opacity, response, log_b2, ndtri(rank))
 
 
 def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: np.random.Generator) -> Weather:

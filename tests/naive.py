@@ -220,3 +220,45 @@ def gls_map(scans, n_pixel):
         normal += pointing.T @ inverse @ pointing
         right += pointing.T @ inverse @ data.ravel()
     return np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right
+
+
+def windowed_sums(strength, frequency, at, transfer, per_step, mean):
+    """Sum over the streams' frequencies of what a time window lets through, w looked up between its steps."""
+
+    def w(frequency_hz):
+        return np.interp(abs(frequency_hz) * per_step, range(len(transfer)), transfer, right=0.0)
+
+    total = np.zeros(len(at))
+    for k in range(len(at)):
+        row = strength[k] if len(strength) > 1 else strength[0]
+        for a in range(len(frequency)):
+            total[k] += (w(at[k] - frequency[a]) - mean[a] * w(at[k])) ** 2 * row[a]
+    return total
+
+
+def cleaning_matrix(x_rad, y_rad, responsivity, order):
+    """1 - P (n_det, n_det) of polynomials up to an order (-1: none) times known responsivities."""
+    powers = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
+    n_det = len(x_rad)
+    if not powers:
+        return np.eye(n_det)
+    shapes = np.array([(x_rad / 1e-3) ** i * (y_rad / 1e-3) ** j for i, j in powers]).T
+    fit = shapes @ np.linalg.inv(shapes.T @ shapes) @ shapes.T
+    return np.eye(n_det) - np.diag(responsivity) @ fit @ np.diag(1 / responsivity)
+
+
+def layer_strength(place, responsivity, left, wave, alpha, power):
+    """What each wavevector (cycles/rad) of a layer puts into each mode (n_mode, n_a), detector by detector.
+
+    `left` is the matrix of the cleaning.
+    """
+    strength = np.zeros((len(wave), len(alpha)))
+    for m, k in enumerate(wave):
+        for a, q in enumerate(alpha):
+            streams = [g * np.exp(2j * np.pi * (q * np.conj(r)).real) for g, r in zip(responsivity, place, strict=True)]
+            cleaned = [sum(left[i, j] * streams[j] for j in range(len(place))) for i in range(len(place))]
+            amplitude = sum(
+                np.exp(-1j * (k * np.conj(r)).real) * value for r, value in zip(place, cleaned, strict=True)
+            )
+            strength[m, a] = abs(amplitude) ** 2 * power[a] / len(place)
+    return strength

@@ -54,6 +54,7 @@ def measured(setup, number=0, b2=280.0, pwv=1.0, left=1.0, found=None, profile=N
         raw_mk2=1.0,
         map_mk2=2.0 + left,
         map_white_mk2=2.0,
+        pair_noise={},
     )
 
 

@@ -13,7 +13,7 @@ from mapmaker.wind import scan_velocities
 from mapmaker.window import beam_window
 from surveysim.measurement import WHITE_ABOVE_HZ, Measurement
 from surveysim.noise import hann_psd
-from surveysim.observation import add_sky_signal, draw_observation
+from surveysim.observation import add_sky_signal, draw_observation, observation_levels
 from surveysim.paper.campaign import MeasuredSurvey
 from surveysim.paper.figure import Panel, PaperFigure, Series
 from surveysim.paper.published import published
@@ -125,8 +125,8 @@ def timestream_figure(survey: MeasuredSurvey) -> PaperFigure:
     # Both columns have one scale: they are there to be compared.
     highest = max(psds["none"].max() for psds in spectra)
     cleaned = np.array([psds[name] for psds in spectra for name in ALGORITHMS[1:]])
-    photon = survey.setup.scene.photon
-    lowest = min(cleaned.min(), photon.psd_mk2_hz if photon else np.inf) / 2
+    photon = min(photon_level(one) or np.inf for one in examples)
+    lowest = min(cleaned.min(), photon) / 2
     columns = [(one, _stream_series(one, psds, cleaned.max())) for one, psds in zip(examples, spectra, strict=True)]
     panels = [_psd_panel(one.title, series, (lowest, 2 * highest)) for one, series in columns]
     panels += [
@@ -148,12 +148,17 @@ def _mean_psd(one: Example, cleaned: Cleaned) -> np.ndarray:
 
 
 def _stream_series(one: Example, psds: dict[str, np.ndarray], beam_at: float) -> list[Series]:
-    frequency, photon = frequencies(one.setup), one.setup.scene.photon
+    frequency, photon = frequencies(one.setup), photon_level(one)
     series = [_line(NAMES.get(name, name), frequency, psd, LOOKS[name]) for name, psd in psds.items()]
     series.append(_line("beam, arbitrary scale", frequency, beam_at * beam_power(one.setup), "purple :"))
-    if photon is not None:
-        series.append(_line("photon noise (BLIP)", frequency, np.full(len(frequency), photon.psd_mk2_hz), "grey --"))
+    if photon:
+        series.append(_line("photon noise (BLIP)", frequency, np.full(len(frequency), photon), "grey --"))
     return series
+
+
+def photon_level(one: Example) -> float:
+    """Photon noise [mK^2/Hz] of an observation, 0 where the scene leaves it out."""
+    return observation_levels(one.setup, one.item.observation).photon_mk2_hz
 
 
 def beam_power(setup: Setup) -> np.ndarray:

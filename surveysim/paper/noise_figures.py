@@ -7,12 +7,11 @@ import numpy as np
 from surveysim.paper.campaign import MeasuredSurvey
 from surveysim.paper.figure import Panel, PaperFigure, Series
 from surveysim.paper.published import published
-from surveysim.paper.statistics import Binned, binned, cumulative, described, scale_to, without_fit
+from surveysim.paper.statistics import QUARTILES, Binned, binned, cumulative, described, scale_to, without_fit
 from surveysim.units import rj_to_cmb
 
 BAND_LOOKS = ("blue", "vermilion", "green", "purple")  # of the surveys, in their order
 B2_LABEL = r"$B_\nu^2$ [mK$^2$ rad$^{-5/3}$]"
-QUARTILES = (25.0, 50.0, 75.0)
 
 
 def b2_distribution_figure(surveys: Sequence[MeasuredSurvey]) -> PaperFigure:

@@ -10,6 +10,7 @@ from surveysim.paper.campaign import MeasuredSurvey
 
 RESAMPLES = 400
 SEED = 20100101
+QUARTILES = (25.0, 50.0, 75.0)
 CENTILES = (10.0, 25.0, 50.0, 75.0, 90.0)
 FEWEST = 15  # values in a bin that has centiles
 MOST_BINS = 8
@@ -72,6 +73,24 @@ def binned(x: np.ndarray, y: np.ndarray) -> Binned:
         centile=np.array([np.percentile(y[group], CENTILES) for group in groups]).T,
         median_error=np.array([centile_errors(y[group], (50.0,))[0] for group in groups]),
     )
+
+
+def quarters(values: np.ndarray) -> list[np.ndarray]:
+    """Which of values (n,) lie in each quarter of those that are known, four masks (n,); no NaN is in any.
+
+    Raises ValueError for fewer than four that are known.
+    """
+    known = np.isfinite(values)
+    if known.sum() < 4:
+        raise ValueError(f"found {known.sum()} observations with a fit; 4 or more make quarters")
+    number = np.searchsorted(np.percentile(values[known], QUARTILES), values, side="right")
+    return [known & (number == k) for k in range(4)]
+
+
+def median_error(values: np.ndarray) -> tuple[float, float]:
+    """Median of the values (n,) that are known and its error by `centile_errors`; NaN where none is."""
+    known = values[np.isfinite(values)]
+    return (float(np.median(known)), float(centile_errors(known, (50.0,))[0])) if len(known) else (np.nan, np.nan)
 
 
 def cumulative(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

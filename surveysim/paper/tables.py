@@ -1,20 +1,24 @@
 """Tables of the paper beside what simulated observations give: every row with its Monte Carlo error."""
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from surveysim.atmosphere.opacity import BandOpacity, band_opacity, fluctuation_factor_mk2
+from surveysim.load import photon_noise
+from surveysim.measurement import PAIR_CLEANINGS
 from surveysim.paper.campaign import MeasuredSurvey
+from surveysim.paper.excess import excess_noise, white_correlation
 from surveysim.paper.published import published
-from surveysim.paper.statistics import centile_errors
+from surveysim.paper.statistics import QUARTILES, centile_errors, median_error, quarters
 from surveysim.sites import median_water_mm
 from surveysim.weather import b2_quantile
 
 if TYPE_CHECKING:
     from astropy.table import Table
 
-QUARTILES = (25.0, 50.0, 75.0)
+BINS = ("bin 1", "bin 2", "bin 3", "bin 4", "all data")  # of Table 2
 # The bands of section 3.4: centre [Hz], width over centre.
 BOLOCAM = {150: (143e9, 0.15), 275: (268e9, 0.15)}
 ACBAR = {150: (151e9, 0.2), 275: (282e9, 0.18)}
@@ -82,32 +86,67 @@ def _median_factor(site: str, frequency_hz: float, bandwidth: float) -> float:
     return float(fluctuation_factor_mk2(band, median_water_mm(site)))
 
 
-def raw_atmosphere_table(survey: MeasuredSurvey) -> "Table":
-    """Table 2, first two rows: medians of B2 and of the raw atmosphere below 1 Hz in quarters of B2, and of all data.
+def correlated_noise_table(survey: MeasuredSurvey) -> "Table":
+    """Table 2: medians in quarters of fitted B2, and of all data, of noise up to 1 Hz and what adjacent pairs share.
 
-    Columns for B2 [mK^2 rad^(-5/3)] and the variance [mK^2] that mean-removed scans have below 1 Hz, the white
-    level's share taken off.
+    B2; raw atmosphere before cleaning, without white noise; after average and after quadratic subtraction the excess
+    covariance of adjacent pairs and its share of the excess variance (`surveysim.paper.excess`), and for all data their
+    correlation above 2.5 Hz. `sigmas` is the difference over both errors in quadrature. The paper does not say
+    after which cleaning it finds the excess; its figures show it after both. Raises ValueError for fewer than
+    four observations with a fit of B2.
     """
     from astropy.table import Table
 
-    b2 = survey.b2_fitted
+    groups = quarters(survey.b2_fitted)
+    groups.append(np.any(groups, axis=0))
     raw = np.array([item.raw_mk2 for item in survey.measurements])
-    used = np.isfinite(b2)
-    if used.sum() < 4:
-        raise ValueError(f"found {used.sum()} fits of B2 at {survey.band_ghz} GHz; 4 or more make quarters")
-    quarter = np.searchsorted(np.percentile(b2[used], QUARTILES), b2, side="right")
-    groups = [used & (quarter == k) for k in range(4)] + [used]
-    paper, rows = published()["table2"], []
-    for k, (label, rows_in) in enumerate(zip(("bin 1", "bin 2", "bin 3", "bin 4", "all data"), groups, strict=True)):
-        row = [label, int(rows_in.sum())]
-        for name, values in (("b2", b2), ("raw_atmosphere_mk2", raw)):
-            error_name = name.replace("_mk2", "") + ("_error_mk2" if name.endswith("_mk2") else "_error")
-            row += [paper[name][k], paper[error_name][k], np.median(values[rows_in])]
-            row += [float(centile_errors(values[rows_in], (50.0,))[0])]
-        rows.append(row)
-    names = [f"{what}{part}" for what in ("b2", "raw") for part in ("_paper", "_paper_error", "_ours", "_ours_error")]
-    table = Table(rows=rows, names=["bin", "observations", *names])
-    for name in names:
-        table[name].unit = "mK2 rad(-5/3)" if name.startswith("b2") else "mK2"
-    table.meta["title"] = "143 GHz, f <= 1 Hz: medians in quarters of B2 (its rows of correlated noise are not made)"
+    rows = _group_rows("b2", "none", survey.b2_fitted, groups)
+    rows += _group_rows("raw_atmosphere", "none", raw, groups)
+    for cleaning in PAIR_CLEANINGS:
+        excess = excess_noise(survey, cleaning)
+        rows += _group_rows("adjacent_correlated_noise", cleaning, excess.covariance_mk2, groups)
+        rows += _group_rows("adjacent_correlation_fraction", cleaning, excess.fraction, groups)
+        shared = white_correlation(survey, cleaning)
+        rows += _group_rows("adjacent_white_correlation", cleaning, shared, groups)[-1:]
+    names = ["quantity", "cleaning", "bin", "observations", "paper", "paper_error", "ours", "error", "sigmas"]
+    table = Table(rows=rows, names=names)
+    table.meta["title"] = "143 GHz, up to 1 Hz: medians in quarters of B2 [mK2 rad(-5/3)] and of all data; noise in mK2"
+    return table
+
+
+def _group_rows(quantity: str, cleaning: str, values: np.ndarray, groups: list[np.ndarray]) -> list[tuple]:
+    """A row of Table 2 for each group of observations; the paper's values are NaN where it has none."""
+    table, name, rows = published()["table2"], quantity.replace("_", " "), []
+    paper, paper_error = table[quantity], table[f"{quantity}_error"]
+    for k, group in enumerate(groups):
+        ours, error = median_error(values[group])
+        sigmas = (ours - paper[k]) / np.hypot(error, paper_error[k])
+        count = int(np.isfinite(values[group]).sum())
+        rows.append((name, cleaning, BINS[k], count, paper[k], paper_error[k], ours, error, sigmas))
+    return rows
+
+
+def photon_noise_table() -> "Table":
+    """Photon noise of Bolocam's load by the formulas of `surveysim.load`, beside the paper's figures (section 1.1).
+
+    Two polarizations, for which the paper's loads in pW and in K agree and shot and Bose noise are equal, as it says.
+    """
+    from astropy.table import Table
+
+    rows = []
+    for band, (frequency_hz, bandwidth) in (("143", BOLOCAM[150]), ("268", BOLOCAM[275])):
+        paper = published()["blip"][band]
+        found = photon_noise(paper["load_k"], frequency_hz, bandwidth, paper["efficiency"], polarizations=2)
+        shot, bose = (math.sqrt(psd) for psd in (found.shot_psd_mk2_hz, found.bose_psd_mk2_hz))
+        rows += [
+            (f"{band} GHz", "absorbed power", "pW", paper["load_pw"], 1e12 * found.power_w),
+            (f"{band} GHz", "photon NEP", "1e-17 W / Hz(1/2)", math.nan, 1e17 * found.nep_w_rthz),
+            (f"{band} GHz", "its shot part", "mK / Hz(1/2)", math.nan, shot),
+            (f"{band} GHz", "its Bose part", "mK / Hz(1/2)", math.nan, bose),
+            (f"{band} GHz", "photon NET", "mK / Hz(1/2)", paper["net_mk_rthz"], found.net_mk_rthz),
+            (f"{band} GHz", "photon NET, CMB", "mK / Hz(1/2)", paper["net_mkcmb_rthz"], found.net_mkcmb_rthz),
+        ]
+    table = Table(rows=rows, names=("band", "quantity", "unit", "paper", "formula"))
+    table["over paper"] = table["formula"] / table["paper"]
+    table.meta["title"] = "Photon noise of 80 K at the window, 15 % bands, two polarizations (computed, not drawn)"
     return table

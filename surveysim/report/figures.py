@@ -16,6 +16,8 @@ from mapmaker.bandpower import noise_error
 from mapmaker.geometry import wcs
 from mapmaker.window import beam_window, pixel_window
 from surveysim.coadds import CoAdds
+from surveysim.forecast import Forecast
+from surveysim.observation import observation_levels
 from surveysim.recipes import ACTUAL, OPTIMAL
 from surveysim.report.drawing import (
     BLACK,
@@ -63,18 +65,25 @@ UK_CMB = r"$\mu$K$_\mathrm{CMB}$"
 UK2_CMB = r"$\mu$K$_\mathrm{CMB}^2$"
 
 
-def draw_figures(directory: Path, setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -> list[Path]:
+def draw_figures(
+    directory: Path,
+    setup: Setup,
+    coadds: CoAdds,
+    scores: dict[str, DataSetScore],
+    expected: Forecast | None = None,
+) -> list[Path]:
     """Draw the figures that the scene has results for, as PNGs in `directory`; returns their paths.
 
     Time-stream PSDs and the map where any scan was kept; PSDs, windows, sensitivity and weights of the maps
-    with `scores`; the weather with an atmosphere. Each file is written whole or not at all.
+    with `scores`, PSDs and windows beside those `expected` by forecast; the weather with an atmosphere. Each file is
+    written whole or not at all.
     """
     if not coadds.weight[0].any():
         return []
     drawn = {"timestream_psd": timestream_psd(setup, coadds), "map": coadded_map(setup, coadds)}
     if scores:
-        drawn["map_psd"] = map_psds(setup, scores)
-        drawn["window"] = windows(setup, scores)
+        drawn["map_psd"] = map_psds(setup, scores, expected)
+        drawn["window"] = windows(setup, scores, expected)
         drawn["cumulative_sensitivity"] = cumulative_sensitivity(setup, scores)
         drawn["weights"] = bin_weights(setup, scores)
     if (coadds.column("b2_mk2") > 0).any():
@@ -163,11 +172,11 @@ def _map_planes(setup: Setup, coadds: CoAdds) -> tuple[np.ndarray, np.ndarray]:
     return to_ukcmb * signal, to_ukcmb * noise
 
 
-def map_psds(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
+def map_psds(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast | None = None) -> Figure:
     """Noise PSD of the map of each data set (the paper's figure `sim_noise`), and a signal to hold against.
 
     The masked array's PSD is multiplied by its share of the detectors: the paper multiplies an amplitude by
-    the root of it. Bands are the standard error of `noise_error`, for each bin by itself.
+    the root of it. Bands are the standard error of `noise_error`, for each bin by itself; thin lines the forecast.
     """
     rings, first = setup.band.rings, next(iter(scores.values()))
     used = _usable(setup)
@@ -179,6 +188,10 @@ def map_psds(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
         error = psd * _bin_errors(item)[used]
         axes.fill_between(ell, psd - error, psd + error, color=colour, alpha=0.18, lw=0)
         axes.plot(ell, psd, color=colour, ls=dashes, lw=1.8, label=label)
+        if expected and item.name in expected.scores:
+            axes.plot(ell, share * expected.scores[item.name].noise_psd[used], color=colour, lw=0.8)
+    if expected:
+        axes.plot([], [], color=BLACK, lw=0.8, label="forecast of each")
     sigma = first.band.sigma_ukcmb2
     flat = f"flat CMB of {_short(sigma)} {UK2_CMB}, as the map shows it"
     axes.plot(ell, sigma * first.signal_psd[used], color=GREY, lw=1, label=flat)
@@ -192,8 +205,8 @@ def map_psds(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
     return figure
 
 
-def windows(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
-    """Power transmission of cleaning, for the whole and the masked array, of beam and pixel, and of all."""
+def windows(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast | None = None) -> Figure:
+    """Power transmission of cleaning (thin lines: forecast), for both arrays, of beam and pixel, and of all."""
     rings, first = setup.band.rings, next(iter(scores.values()))
     beam = beam_window(rings.ell, setup.scene.instrument.beam_fwhm_rad)
     pixel = pixel_window(rings.ell, setup.scene.map.pixel_rad)
@@ -205,6 +218,10 @@ def windows(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
         colour, dashes, label, _ = _look(setup, item)
         label = f"{labels.get(item.name, label)}, {item.n_det} detectors"
         axes.errorbar(rings.ell, item.window.transmission, item.window.error, c=colour, ls=dashes, label=label, **style)
+        if expected and item.name in expected.scores:
+            axes.plot(rings.ell, expected.scores[item.name].transmission, color=colour, lw=0.8)
+    if expected:
+        axes.plot([], [], color=BLACK, lw=0.8, label="forecast of each")
     axes.plot(rings.ell, beam, color=PURPLE, ls=":", lw=1.8, label=r"beam, $B_\ell^2$")
     axes.plot(rings.ell, pixel, color=GREEN, ls="--", lw=1.5, label="pixel")
     product = beam * pixel * first.window.transmission
@@ -313,9 +330,10 @@ def _usable(setup: Setup) -> np.ndarray:
 
 
 def _white_levels(axes: Axes, setup: Setup, coadds: CoAdds, rows: np.ndarray) -> None:
-    scene, measured = setup.scene, coadds.column("white_mk2_hz")[rows].mean()
-    photon = scene.photon.psd_mk2_hz if scene.photon else 0.0
-    white = photon + (scene.detector.psd_mk2_hz if scene.detector else 0.0)
+    measured = coadds.column("white_mk2_hz")[rows].mean()
+    levels = [observation_levels(setup, int(number)) for number in np.arange(coadds.done)[rows]]
+    photon = float(np.mean([item.photon_mk2_hz for item in levels]))
+    white = photon + float(np.mean([item.detector_mk2_hz for item in levels]))
     levels = (
         (measured, "measured white level", BLACK, "-"),
         (white, "white noise of the scene", GREEN, "-"),

@@ -8,12 +8,23 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from surveysim.plan import Plan
-from surveysim.results import METHOD, Row, SurveyResult, score_rows, summary
+from surveysim.plan import Plan, SweepPlan
+from surveysim.recipes import ACTUAL
+from surveysim.results import COMPARED_ELL, METHOD, Row, SurveyResult, forecast_agreement, score_rows, summary
 from surveysim.scene import Scene
+from surveysim.sweep import Sweep
+from surveysim.trade import SweepResult
 
 if TYPE_CHECKING:
     from astropy.table import Table as AstropyTable
+
+    from surveysim.forecast import Forecast
+
+SURE = 0.995  # from here on a probability rounds to 100 %, which it is not
+
+
+# What a forecast is good to; a report says where one is worse.
+FORECAST_SIGMA, FORECAST_PSD = 0.1, 0.15
 
 
 def print_result(result: SurveyResult, directory: Path) -> None:
@@ -23,7 +34,7 @@ def print_result(result: SurveyResult, directory: Path) -> None:
         console.print(_cleaning_table(result))
     if result.scores:
         console.print(_score_table(result))
-        for line in gain_lines(result):
+        for line in (*gain_lines(result), *agreement_lines(result)):
             console.print(line, highlight=False)
         console.print()
         if result.alternatives:
@@ -55,6 +66,27 @@ def closing_line(result: SurveyResult) -> str:
     )
 
 
+def agreement_lines(result: SurveyResult) -> list[str]:
+    """How far the forecast is from the simulation, and where that is more than it should be and than chance."""
+    found, (low, high) = forecast_agreement(result), COMPARED_ELL
+    if not found:
+        return []
+    off = ", ".join(f"{name} {100 * item.sigma:+.0f} +- {100 * item.sigma_error:.0f} %" for name, item in found.items())
+    lines = [f"  forecast of sigma(A) over simulated, less 1: {off}"]
+    lines += [
+        f"  forecast of {name}: sigma(A) is worse than {100 * FORECAST_SIGMA:.0f} %"
+        for name, item in found.items()
+        if abs(item.sigma) > FORECAST_SIGMA + 2 * item.sigma_error
+    ]
+    worse = [
+        f"  forecast of {name}: noise PSD is {100 * item.psd:+.0f} +- {100 * item.psd_error:.0f} % off at"
+        f" ell = {item.worst_ell:.0f}"
+        for name, item in found.items()
+        if abs(item.psd) > FORECAST_PSD + 2 * item.psd_error
+    ]
+    return lines + (worse or [f"  its noise PSDs: within {100 * FORECAST_PSD:.0f} % in all bins from {low} to {high}"])
+
+
 def gain_lines(result: SurveyResult) -> list[str]:
     """Gains between data sets, beside the reference's."""
     reference = result.setup.scene.score.reference
@@ -70,17 +102,18 @@ def _score_table(result: SurveyResult) -> Table:
     reference = result.setup.scene.score.reference
     # As Text: a plain string's square brackets would be taken for markup.
     table = Table(title=Text(f"{result.setup.scene.title}: uncertainty on a flat CMB band power"))
-    for heading in ("data set", "detectors", "sigma(A) [uK_CMB^2]", "ell_eff", "FWHM"):
+    headings = ["data set", "detectors", "sigma(A) [uK_CMB^2]", "ell_eff", "FWHM"]
+    for heading in headings + ["forecast"] * (result.expected is not None):
         table.add_column(Text(heading), justify="left" if heading == "data set" else "right")
     if reference:
         table.add_column(Text(reference.source), justify="right")
         table.add_column("ratio", justify="right")
     for row in score_rows(result):
-        table.add_row(*_cells(row, reference is not None))
+        table.add_row(*_cells(row, result.expected is not None, reference is not None))
     return table
 
 
-def _cells(row: Row, with_reference: bool) -> list[str]:
+def _cells(row: Row, with_forecast: bool, with_reference: bool) -> list[str]:
     cells = [
         row.name,
         str(row.n_det),
@@ -88,6 +121,8 @@ def _cells(row: Row, with_reference: bool) -> list[str]:
         f"{row.ell_eff:.0f}",
         f"{row.fwhm_ell:.0f}",
     ]
+    if with_forecast:
+        cells.append("" if row.forecast_ukcmb2 is None else f"{row.forecast_ukcmb2:.1f}")
     if with_reference and row.reference_ukcmb2 is not None:
         cells += [f"{row.reference_ukcmb2:g}", f"{row.sigma_ukcmb2 / row.reference_ukcmb2:.2f}"]
     return cells
@@ -140,6 +175,100 @@ def print_plan(scene: Scene, plan: Plan, workers: int) -> None:
         f"{plan.detector_samples / 1e6:.4g} million detector-samples",
     )
     console.print("\n".join(lines), highlight=False)
+
+
+def print_sweep_plan(sweep: Sweep, plan: SweepPlan, workers: int) -> None:
+    """Axes of a sweep and the predicted cost of its points."""
+    console = _console()
+    table = Table(title=Text(f"{sweep.name}: {plan.n_points} points"))
+    table.add_column("axis")
+    table.add_column("values")
+    for axis in sweep.axes:
+        table.add_row(Text(axis.name), Text(", ".join(axis.labels)))
+    console.print(table)
+    lines = (
+        f"about {plan.wall_s:.0f} s with {workers} worker(s), predicted from the first and the last point",
+        f"about {plan.memory_bytes / 1e6:.0f} MB a process",
+        f"{plan.detector_samples / 1e6:.4g} million detector-samples",
+    )
+    console.print("\n".join(lines), highlight=False)
+
+
+def print_sweep(result: SweepResult, directory: Path) -> None:
+    """A row for each point, why points have no score, the reference point, the best one, and where the files are."""
+    console = _console()
+    console.print(_sweep_table(result))
+    for point, item in zip(result.sweep.points, result.points, strict=True):
+        if item.unscored:
+            console.print(f"Not scored: {point.label}: {item.unscored}", highlight=False, markup=False)
+    if result.comparison.reference is not None:
+        reference = result.sweep.points[result.comparison.reference].label
+        shared = ", their errors those of runs with one seed" if result.simulated else ""
+        console.print(f"Ratios are to {reference}{shared}.", highlight=False, markup=False)
+        console.print(best_line(result), highlight=False, markup=False)
+    done = f"{len(result.points)} points in {result.wall_s:.1f} s with {result.workers} worker(s)"
+    console.print(f"\n{done}\nResults in {directory}", highlight=False, markup=False)
+
+
+def best_line(result: SweepResult) -> str:
+    """``best: key = value, ... with confidence 93 %``, or all points that are equally good."""
+    comparison = result.comparison
+    labels = " or ".join(result.sweep.points[number].label for number in comparison.best)
+    first = comparison.best[0]
+    sigma = f"sigma(A) = {comparison.sigma_ukcmb2[first]:.1f}"
+    if not result.simulated:
+        return f"best: {labels}, {sigma} uK_CMB^2 by forecast"
+    probability = comparison.best_probability[first]
+    confidence = f"more than {100 * SURE:g} %" if probability > SURE else f"{100 * probability:.0f} %"
+    error = f"+- {comparison.error_ukcmb2[first]:.1f} uK_CMB^2"
+    return f"best: {labels}, {sigma} {error}, {'each ' if len(comparison.best) > 1 else ''}with confidence {confidence}"
+
+
+def _sweep_table(result: SweepResult) -> Table:
+    sweep, comparison = result.sweep, result.comparison
+    table = Table(title=Text(f"{sweep.points[0].scene.title}: uncertainty on a flat CMB band power"))
+    for axis in sweep.axes:
+        table.add_column(Text(axis.name))
+    headings = ["detectors"] + ["sigma(A) [uK_CMB^2]"] * result.simulated + ["forecast", "ratio"]
+    for heading in headings + ["best"] * result.simulated:
+        table.add_column(Text(heading), justify="right", no_wrap=True)
+    for number, (point, item) in enumerate(zip(sweep.points, result.points, strict=True)):
+        cells = [Text(axis.labels[step]) for axis, step in zip(sweep.axes, point.place, strict=True)]
+        forecast = item.forecast_ukcmb2.get(ACTUAL)
+        level = f"{comparison.sigma_ukcmb2[number]:.1f} +- {comparison.error_ukcmb2[number]:.1f}"
+        ratio = f"{comparison.ratio[number]:.3f}"
+        if result.simulated and number != comparison.reference:
+            ratio += f" +- {comparison.paired_error[number]:.3f}"
+        scored = comparison.ratio[number] > 0  # NaN is not
+        cells += [str(item.n_det)] + [level if scored else "not scored"] * result.simulated
+        cells += ["" if forecast is None else f"{forecast:.1f}", ratio if scored else ""]
+        if result.simulated:
+            cells.append(f"{100 * comparison.best_probability[number]:.0f} %" if scored else "")
+        table.add_row(*cells)
+    return table
+
+
+def print_forecast(scene: Scene, forecast: "Forecast") -> None:
+    """The forecast of each data set, beside the reference if there is one, and what it neglects."""
+    console = _console()
+    reference = scene.score.reference
+    published = dict(reference.values_ukcmb2) if reference else {}
+    table = Table(title=Text(f"{scene.title}: forecast of the uncertainty on a flat CMB band power"))
+    for heading in ("data set", "detectors", "sigma(A) [uK_CMB^2]", "ell_eff", "FWHM"):
+        table.add_column(Text(heading), justify="left" if heading == "data set" else "right")
+    if reference:
+        table.add_column(Text(reference.source), justify="right")
+        table.add_column("ratio", justify="right")
+    for name, item in forecast.scores.items():
+        band = item.band
+        cells = [name, str(item.n_det), f"{band.sigma_ukcmb2:.1f}", f"{band.ell_eff:.0f}", f"{band.fwhm_ell:.0f}"]
+        if name in published:
+            cells += [f"{published[name]:g}", f"{band.sigma_ukcmb2 / published[name]:.2f}"]
+        table.add_row(*cells)
+    console.print(table)
+    console.print("Neglected:", highlight=False)
+    for line in forecast.neglected:
+        console.print(f"  - {line}", highlight=False, markup=False)
 
 
 def print_paper(written: list[Path]) -> None:

@@ -5,7 +5,7 @@ from surveysim.sections.analysis import Cleaning, MapSection, Reference, Score, 
 from surveysim.sections.base import Section
 from surveysim.sections.instrument import Colour, Instrument, Layout
 from surveysim.sections.observing import FieldSection, FixedPointing, Scan, Schedule
-from surveysim.sections.streams import Detector, Excess, Photon, PointSource, Sky
+from surveysim.sections.streams import Detector, Excess, OpticalLoad, Photon, PointSource, Sky
 
 __all__ = [
     "Atmosphere",
@@ -18,6 +18,7 @@ __all__ = [
     "Instrument",
     "Layout",
     "MapSection",
+    "OpticalLoad",
     "Photon",
     "PointSource",
     "Reference",

@@ -10,7 +10,9 @@ from surveysim.quantities import (
     Coherence,
     Frequency,
     Latitude,
+    Load,
     Longitude,
+    Nep,
     NoisePsd,
     Nside,
     Temperature,
@@ -38,18 +40,49 @@ class Excess(Section):
         return self
 
 
-class Photon(Section):
-    """Photon noise, of which a coherent part is shared by overlapping pixels."""
+class OpticalLoad(Section):
+    """The load of a pixel at the cryostat's window, Rayleigh-Jeans.
 
-    psd_mk2_hz: NoisePsd = Field(alias="psd")
-    coherent_fraction: float = Field(ge=0, le=1)
+    `sky` comes through the beam, and neighbours share it; left out, it follows from the site's water in each
+    observation. `optics` is scattered in from warm surfaces, of which no two pixels see the same.
+    """
+
+    sky_k: Load | None = Field(alias="sky", default=None)
+    optics_k: Load = Field(alias="optics")
+
+
+class Photon(Section):
+    """Photon noise, of which a coherent part is shared by overlapping pixels.
+
+    Either a PSD and the part that is coherent, or the load from which both follow.
+    """
+
+    psd_mk2_hz: NoisePsd | None = Field(alias="psd", default=None)
+    coherent_fraction: float | None = Field(ge=0, le=1, default=None)
+    load: OpticalLoad | None = None
     coherence: Coherence
+
+    @model_validator(mode="after")
+    def _psd_or_load(self) -> Self:
+        if (self.psd_mk2_hz is None) == (self.load is None):
+            raise ValueError("exactly one of 'psd' and 'load' (a section) is expected")
+        if (self.psd_mk2_hz is None) != (self.coherent_fraction is None):
+            found = "missing; 'psd' needs it" if self.load is None else "found beside 'load', which sets it"
+            raise ValueError(f"coherent_fraction: {found}")
+        return self
 
 
 class Detector(Section):
-    """White noise of detectors and electronics, uncorrelated."""
+    """White noise of detectors and electronics, uncorrelated: a PSD, or a noise-equivalent power."""
 
-    psd_mk2_hz: NoisePsd = Field(alias="psd")
+    psd_mk2_hz: NoisePsd | None = Field(alias="psd", default=None)
+    nep_w_rthz: Nep | None = Field(alias="nep", default=None)
+
+    @model_validator(mode="after")
+    def _psd_or_nep(self) -> Self:
+        if (self.psd_mk2_hz is None) == (self.nep_w_rthz is None):
+            raise ValueError("exactly one of 'psd' and 'nep' is expected")
+        return self
 
 
 class PointSource(Section):

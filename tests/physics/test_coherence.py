@@ -1,13 +1,34 @@
-"""Overlap of pixels against quadrature over the stop, and sums over lattices against Poisson's formula."""
+"""Overlap of pixels against quadrature over the stop, horns against their beams, lattices against direct sums."""
+
+import tracemalloc
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
+from scipy.optimize import minimize_scalar
+from scipy.special import j0, roots_legendre
 
-from surveysim.coherence import correlation_factor, correlation_matrix, mutual_coherence
+from surveysim.coherence import (
+    Illumination,
+    correlation_factor,
+    correlation_matrix,
+    horn_taper_db,
+    lattice_sum,
+    mutual_coherence,
+    stop_efficiency,
+    taper_efficiency,
+)
 from surveysim.instrument import hexagon
 
 DENSE = pytest.mark.parametrize("pitch", [0.1, 0.7, 1.3])
 COHERENCES = pytest.mark.parametrize("coherence", ["field", "intensity", "none"])
+OVERLAPS = pytest.mark.parametrize("coherence", ["field", "intensity"])
+TAPERS = pytest.mark.parametrize("taper_db", [0.0, 3.0, 10.0, 30.0])
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(51)
 
 
 def test_values_of_the_paper():
@@ -41,6 +62,108 @@ def test_van_cittert_zernike(s):
     assert mutual_coherence(s) == pytest.approx(stop_quadrature(s), abs=1e-13)
 
 
+def taper_quadrature(s, taper_db):
+    """gamma at separations (n,), by Gauss-Legendre over the stop's radius; 600 nodes hold 2 pi * 600 / 2 > 500 pi."""
+    node, weight = roots_legendre(600)
+    u = (node + 1) / 2
+    weight = weight * u * 10 ** (-taper_db / 10 * u * u)
+    return j0(np.pi * np.multiply.outer(s, u)) @ weight / weight.sum()
+
+
+@pytest.mark.parametrize("taper_db", [0.0, 1e-9, 0.1, 3.0, 10.0, 30.0, 100.0, 173.0, 174.0, 300.0])
+def test_tapered_stop(taper_db):
+    s = np.concatenate([np.linspace(0, 20, 201), np.geomspace(21, 500, 50)])
+    np.testing.assert_allclose(
+        mutual_coherence(s, Illumination(taper_db)), taper_quadrature(s, taper_db), rtol=0, atol=1e-12
+    )
+
+
+@TAPERS
+def test_small_separations_of_a_tapered_stop(taper_db):
+    """gamma = 1 - (pi s)^2 <u^2> / 4 + ..., <u^2> = 1 / kappa - 1 / (e^kappa - 1), 1 / 2 if uniform."""
+    kappa = Illumination(taper_db).exponent
+    mean_square = 1 / kappa - 1 / np.expm1(kappa) if kappa else 0.5
+    s = np.array([0, 1e-9, 1e-3, 1e-2])
+    # The next term is (pi s)^4 <u^4> / 64, and 1 is good to rounding.
+    rest = mutual_coherence(s, Illumination(taper_db)) - 1 + (np.pi * s) ** 2 * mean_square / 4
+    assert np.all(abs(rest) < 0.6 * s**4 + 1e-15)
+    assert mutual_coherence(0.0, Illumination(taper_db)) == 1
+
+
+@pytest.mark.parametrize("taper_db", [10.0, 30.0, 60.0, 100.0])
+def test_strong_taper_is_a_gaussian(taper_db):
+    """Without the stop's edge exp(-(pi s)^2 / 4 kappa); what the edge cuts off is e^-kappa of either integral."""
+    s = np.linspace(0, 10, 201)
+    kappa = Illumination(taper_db).exponent
+    beyond = abs(mutual_coherence(s, Illumination(taper_db)) - np.exp(-((np.pi * s) ** 2) / (4 * kappa)))
+    assert 0.1 * np.exp(-kappa) < beyond.max() < 2 * np.exp(-kappa) + 1e-13
+
+
+def test_weak_taper_is_uniform():
+    """The intensity differs by kappa at most, so do numerator and denominator."""
+    s = np.linspace(0, 10, 201)
+    for taper_db in (1e-12, 1e-6, 1e-2):
+        tapered = mutual_coherence(s, Illumination(taper_db))
+        assert np.all(abs(tapered - mutual_coherence(s)) < 2 * Illumination(taper_db).exponent + 1e-15)
+
+
+@pytest.mark.parametrize("taper_db", [-0.1, np.inf, np.nan])
+def test_no_such_taper(taper_db):
+    for refuses in (Illumination, stop_efficiency, taper_efficiency):
+        with pytest.raises(ValueError, match="edge_taper_db = .* found; a finite taper of 0 dB or more"):
+            refuses(taper_db)
+
+
+def test_horn_taper():
+    """At 2 (f/#)lambda the waist is 0.6435, pi w0 / 2 = 1.0108, and exp(-2 * 1.0217) = 0.1296 is -8.87 dB."""
+    assert horn_taper_db(2.0) == pytest.approx(8.87, abs=0.005)
+    assert horn_taper_db(0.7) == pytest.approx(8.87 * 0.35**2, abs=0.002)
+    assert horn_taper_db(0.0) == 0
+    for diameter in (-1.0, np.inf, np.nan):
+        with pytest.raises(ValueError, match="diameter_f_lambda = .* found; a finite diameter"):
+            horn_taper_db(diameter)
+
+
+def test_waist_of_a_corrugated_horn():
+    """The Gaussian that overlaps most, 98 %, with the field J0(2.405 r / a) of a corrugated horn's aperture.
+
+    The paraxial far field is the transform: the beam's intensity at the stop's edge follows from either.
+    """
+
+    def overlap(waist):
+        cross = quad(lambda r: j0(2.404826 * r) * np.exp(-((r / waist) ** 2)) * r, 0, 1)[0]
+        return cross**2 / (quad(lambda r: (j0(2.404826 * r)) ** 2 * r, 0, 1)[0] * waist**2 / 4)
+
+    best = minimize_scalar(lambda waist: -overlap(waist), bounds=(0.3, 1.0), method="bounded", options={"xatol": 1e-9})
+    assert -best.fun == pytest.approx(0.98, abs=0.002)
+    assert best.x == pytest.approx(0.6435, abs=5e-4)
+    field = quad(lambda r: np.exp(-((r / (best.x * 0.5 * 2.0)) ** 2)) * j0(np.pi * r) * r, 0, 8)[0]
+    centre = quad(lambda r: np.exp(-((r / (best.x * 0.5 * 2.0)) ** 2)) * r, 0, 8)[0]
+    assert -20 * np.log10(field / centre) == pytest.approx(horn_taper_db(2.0), rel=2e-3)
+
+
+@pytest.mark.parametrize("taper_db", [0.1, 3.0, 10.9, 30.0])
+def test_efficiencies_of_a_tapered_stop(taper_db):
+    """Against quadrature of the field E = 10^(-T/20 u^2) over the stop and to infinity."""
+
+    def disc(power, radius):
+        return quad(lambda u: 10 ** (-power * taper_db / 20 * u * u) * 2 * u, 0, radius, limit=200)[0]
+
+    wide = np.sqrt(400 / taper_db)  # to 400 dB
+    assert stop_efficiency(taper_db) == pytest.approx(disc(2, 1) / disc(2, wide), rel=1e-7)
+    assert taper_efficiency(taper_db) == pytest.approx(disc(1, 1) ** 2 / disc(2, 1), rel=1e-10)
+
+
+def test_best_aperture_efficiency():
+    """0.815 at an edge taper of 10.9 dB (Goldsmith 1998), for which a horn is some 2 (f/#)lambda wide."""
+    tapers = np.linspace(0.5, 30, 2951)
+    aperture = np.array([stop_efficiency(t) * taper_efficiency(t) for t in tapers])
+    assert aperture.max() == pytest.approx(0.815, abs=5e-4)
+    assert tapers[aperture.argmax()] == pytest.approx(10.9, abs=0.05)
+    assert horn_taper_db(2.2) < 10.9 < horn_taper_db(2.25)
+    assert (stop_efficiency(0.0), taper_efficiency(0.0)) == (0, 1)
+
+
 @DENSE
 @COHERENCES
 def test_matrix(pitch, coherence):
@@ -57,25 +180,92 @@ def test_matrix(pitch, coherence):
     assert matrix[3, 17] == pytest.approx(expected[coherence], abs=1e-12)
 
 
-@DENSE
-@COHERENCES
-def test_positive_semi_definite(pitch, coherence):
-    """61 pixels, at 0.1 (f/#)lambda with a few modes between them; rounding is eps times the norm."""
-    values = np.linalg.eigvalsh(correlation_matrix(hexagon(4, pitch), coherence))
-    assert values[0] > -1e-14 * len(values) * values[-1]
-    if pitch == 0.1 and coherence == "field":
-        # Area of the array times that of the stop, 61 * 0.0087 * pi / 4 = 0.41 modes, and those of its edge.
-        assert values[-1] > 0.5 * values.sum() and (values > 1e-3).sum() < 15
+@pytest.mark.parametrize("pitch", [0.1, 0.3, 0.7, 1.3, 3.0, 10.0])
+@TAPERS
+@OVERLAPS
+def test_positive_semi_definite(coherence, taper_db, pitch):
+    """1 to 397 pixels of a lattice; elements are good to 1e-12, so that eigenvalues are to n times that at worst."""
+    for rings in (0, 1, 4, 11):
+        matrix = correlation_matrix(hexagon(rings, pitch), coherence, Illumination(taper_db))
+        assert np.linalg.eigvalsh(matrix)[0] > -1e-12 * len(matrix)
+
+
+@TAPERS
+@OVERLAPS
+def test_positive_semi_definite_off_lattices(rng, coherence, taper_db):
+    """300 pixels at random, ten to the square of (f/#)lambda, so that the least eigenvalue is rounding."""
+    matrix = correlation_matrix(rng.uniform(0, 5.5, (300, 2)), coherence, Illumination(taper_db))
+    assert abs(np.linalg.eigvalsh(matrix)[0]) < 1e-12 * len(matrix)
+
+
+def test_few_modes_in_a_small_array():
+    """Area of the array times that of the stop, 61 * 0.0087 * pi / 4 = 0.41 modes, and those of its edge."""
+    values = np.linalg.eigvalsh(correlation_matrix(hexagon(4, 0.1), "field"))
+    assert values[-1] > 0.5 * values.sum() and (values > 1e-3).sum() < 15
+
+
+@TAPERS
+def test_matrix_of_many_separations(rng, taper_db):
+    """Interpolated in separation where that pays, as for 45 distinct ones of 10 pixels it does not."""
+    for n, extent in ((10, 30), (60, 1), (60, 100)):
+        positions = rng.uniform(0, extent, (n, 2))
+        separation = np.linalg.norm(positions[:, None] - positions[None, :], axis=-1)
+        expected = mutual_coherence(separation, Illumination(taper_db))
+        matrix = correlation_matrix(positions, "field", Illumination(taper_db))
+        # Polynomials of order 300 amplify rounding by about as much.
+        np.testing.assert_allclose(matrix, expected, rtol=0, atol=1e-11)
+
+
+def test_equal_separations_have_equal_correlations():
+    """To the last bit, though their positions differ by rounding: 19 pixels of a lattice have 8 separations."""
+    matrix = correlation_matrix(hexagon(2, 0.7) + 1 / 3, "intensity", Illumination(8.9))
+    assert len(np.unique(matrix)) == 1 + 8
 
 
 @DENSE
 @COHERENCES
 def test_factor(pitch, coherence):
-    matrix = correlation_matrix(hexagon(4, pitch), coherence)
+    matrix = correlation_matrix(hexagon(4, pitch), coherence, Illumination(3.0))
     factor = correlation_factor(matrix)
-    assert factor.shape == matrix.shape
+    np.testing.assert_array_equal(factor, factor.T)
     # Eigenvectors are orthogonal to some eps n, and what is clipped of these matrices is rounding.
-    np.testing.assert_allclose(factor @ factor.T, matrix, atol=1e-12)
+    np.testing.assert_allclose(factor @ factor.T, matrix, rtol=0, atol=1e-12)
+    assert np.linalg.eigvalsh(factor)[0] > -1e-10
+
+
+@DENSE
+@OVERLAPS
+def test_factor_is_continuous(coherence, pitch):
+    """``|A - B| <= |A^2 - B^2|^(1/2)`` for roots of positive matrices, in the spectral norm (Bhatia, X.1.1)."""
+    positions = hexagon(4, pitch)
+    matrix = correlation_matrix(positions, coherence)
+    for change in (1e-2, 1e-4, 1e-6):
+        other = correlation_matrix(positions * (1 + change), coherence, Illumination(change))
+        moved = np.linalg.norm(correlation_factor(other) - correlation_factor(matrix), 2)
+        # Rounding of eigenvalues near 0, some 1e-15, has a root too.
+        assert 0 < moved < np.sqrt(np.linalg.norm(other - matrix, 2)) + 1e-6
+
+
+@OVERLAPS
+def test_factor_knows_no_order(rng, coherence):
+    """A lattice has equal eigenvalues, between whose eigenvectors there is a choice; the root does not see it."""
+    matrix = correlation_matrix(hexagon(3, 0.7), coherence)
+    values = np.linalg.eigvalsh(matrix)
+    assert np.sum(np.diff(values) < 1e-12 * values[1:]) >= 5
+    order = rng.permutation(len(matrix))
+    there = np.ix_(order, order)
+    # Eigenvalues down to about 2e-3 of the largest: their roots are good to some 1e-13.
+    np.testing.assert_allclose(correlation_factor(matrix[there]), correlation_factor(matrix)[there], atol=1e-11)
+
+
+def test_memory_of_2000_detectors():
+    """A matrix of 32 MB, the separations of half of it and their order."""
+    positions = hexagon(26, 1.0)[:2000]
+    tracemalloc.start()
+    matrix = correlation_matrix(positions, "intensity", Illumination(10.0))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert matrix.shape == (2000, 2000) and peak < 150e6
 
 
 def test_a_matrix_that_is_no_correlation_is_refused():
@@ -83,33 +273,96 @@ def test_a_matrix_that_is_no_correlation_is_refused():
         correlation_factor(np.array([[1, 1.2], [1.2, 1]]))
     with pytest.raises(ValueError, match="eigenvalue"):
         correlation_factor(np.array([[1, 0.9, -0.9], [0.9, 1, 0.9], [-0.9, 0.9, 1]]))
+    with pytest.raises(ValueError, match="eigenvalue nan"):
+        correlation_factor(np.array([[1, np.nan], [np.nan, 1]]))
 
 
-def lattice_sum(pitch, rings):
-    """Sum of gamma^2 from one pixel of a hexagonal lattice over all others up to `rings` pitches away."""
+def lattice(rings):
+    """Distances from a pixel of a hexagonal lattice to all others, up to `rings` pitches; (n,), and their counts."""
     q, r = np.meshgrid(np.arange(-2 * rings, 2 * rings + 1), np.arange(-2 * rings, 2 * rings + 1))
-    distance = np.hypot(q + 0.5 * r, np.sqrt(0.75) * r)
-    distance = distance[(distance > 0) & (distance <= rings)] * pitch
-    return np.sum(mutual_coherence(distance) ** 2)
-
-
-def poisson_sum(pitch):
-    """The same over the whole lattice: overlap of two stops (the MTF) at the points of the reciprocal one."""
-    cell = np.sqrt(0.75) * pitch**2
-    q, r = np.meshgrid(np.arange(-3, 4), np.arange(-3, 4))
-    k = np.hypot(q + 0.5 * r, np.sqrt(0.75) * r) / (np.sqrt(0.75) * pitch)
-    inside = np.clip(k, 0, 1)
-    overlap = 2 / np.pi * (np.arccos(inside) - inside * np.sqrt(1 - inside**2))
-    return np.sum(overlap) * (4 / np.pi) / cell - 1
+    square = q * q + q * r + r * r
+    distance, count = np.unique(square[(square > 0) & (square <= rings**2)], return_counts=True)
+    return np.sqrt(distance), count
 
 
 @pytest.mark.parametrize("pitch, expected", [(0.7, 2.00), (1.0, 0.47), (1.2, 0.07)])
 def test_shared_power_of_a_lattice(pitch, expected):
     """Noise that a whole lattice shares: 2.00, 0.47, 0.07 at 0.7, 1.0, 1.2 (f/#)lambda."""
-    rings = 300
-    # On average J1(x)^2 = 1 / (pi x), so that the pixels beyond hold 8 / (pi^3 R cell) all in all.
-    beyond = 8 / (np.pi**3 * rings * pitch * np.sqrt(0.75) * pitch**2)
-    assert beyond < 0.003
-    total = lattice_sum(pitch, rings) + beyond
-    assert total == pytest.approx(poisson_sum(pitch), abs=0.1 * beyond)
-    assert total == pytest.approx(expected, abs=0.005)
+    assert lattice_sum(pitch, "intensity") == pytest.approx(expected, abs=0.005)
+    if pitch < 2 / np.sqrt(3):
+        assert lattice_sum(pitch, "intensity") == pytest.approx(8 / (np.pi * np.sqrt(3) * pitch**2) - 1, rel=1e-12)
+
+
+@pytest.mark.parametrize("pitch", [0.5, 1.0, 1.2, 2.0, 3.3])
+@TAPERS
+def test_lattice_sum_of_intensity(taper_db, pitch):
+    """Against the direct sum to 300 pitches R and the mean of what lies beyond.
+
+    Far away gamma is that of the stop's edge, a 2 J1(x) / x with a = kappa / (e^kappa - 1), and J1(x)^2 is
+    1 / (pi x) on average, so that the pixels beyond hold 8 a^2 / (pi^3 R cell) all in all.
+    """
+    kappa = Illumination(taper_db).exponent
+    edge = kappa / np.expm1(kappa) if kappa else 1.0
+    beyond = 8 * edge**2 / (np.pi**3 * 300 * pitch * np.sqrt(0.75) * pitch**2)
+    distance, count = lattice(300)
+    total = count @ mutual_coherence(distance * pitch, Illumination(taper_db)) ** 2 + beyond
+    assert lattice_sum(pitch, "intensity", Illumination(taper_db)) == pytest.approx(total, abs=0.1 * beyond + 1e-9)
+
+
+@pytest.mark.parametrize("pitch", [0.5, 1.155, 1.2, 2.0, 3.3, 10.0])
+def test_lattice_sum_of_uniform_stops(pitch):
+    """Poisson's formula with the overlap of two discs in closed form (the optical transfer function)."""
+    reach = np.arange(-12, 13)
+    q, r = np.meshgrid(reach, reach)
+    k = np.minimum(np.sqrt(q * q + q * r + r * r) / (np.sqrt(0.75) * pitch), 1)
+    overlap = 2 / np.pi * (np.arccos(k) - k * np.sqrt(1 - k * k))
+    expected = np.sum(overlap) * (4 / np.pi) / (np.sqrt(0.75) * pitch**2)
+    assert lattice_sum(pitch, "intensity") + 1 == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("pitch", [0.5, 1.2, 3.3, 10.0])
+def test_lattice_sum_of_gaussians(pitch):
+    """At 120 dB, where the direct sum of exp(-(pi s)^2 / 4 kappa) and of its square ends within 20 (f/#)lambda."""
+    illumination = Illumination(120.0)
+    distance, count = lattice(40)
+    gamma = np.exp(-((np.pi * distance * pitch) ** 2) / (4 * illumination.exponent))
+    # The stop's edge cuts off 1e-12.
+    assert lattice_sum(pitch, "field", illumination) == pytest.approx(count @ gamma, rel=1e-10, abs=1e-10)
+    assert lattice_sum(pitch, "intensity", illumination) == pytest.approx(count @ gamma**2, rel=1e-10, abs=1e-10)
+
+
+@pytest.mark.parametrize("pitch", [0.8, 1.7, 3.3])
+@TAPERS
+def test_lattice_sum_of_field(taper_db, pitch):
+    """Against the direct sum with a Gaussian cut-off exp(-(s / R)^2), R = 40 (f/#)lambda.
+
+    The cut-off smooths the stop by a Gaussian of variance v = 1 / (2 pi^2 R^2) per axis; the lit stop's is
+    1 / (8 kappa), so that each term changes by no more than a share 8 kappa v (1 + 4 kappa k^2), 4 k^2 < 1.
+    """
+    distance, count = lattice(int(np.ceil(240 / pitch)))
+    s = distance * pitch
+    total = count @ (mutual_coherence(s, Illumination(taper_db)) * np.exp(-((s / 40) ** 2)))
+    kappa = Illumination(taper_db).exponent
+    share = 8 * kappa / (2 * np.pi**2 * 40**2) * (1 + kappa)
+    exact = lattice_sum(pitch, "field", Illumination(taper_db))
+    assert abs(total - exact) < share * (exact + 1) + 1e-9
+
+
+@TAPERS
+def test_lattice_sum_of_dense_pixels(taper_db):
+    """A continuous plane, the stop's (auto)correlation at 0: int I^2 / (int I)^2, and I(0) / int I."""
+    kappa = Illumination(taper_db).exponent
+    mean = -np.expm1(-kappa) / kappa if kappa else 1.0
+    mean_square = -np.expm1(-2 * kappa) / (2 * kappa) if kappa else 1.0
+    cell, stop = np.sqrt(0.75) * 0.1**2, np.pi / 4
+    field = lattice_sum(0.1, "field", Illumination(taper_db))
+    intensity = lattice_sum(0.1, "intensity", Illumination(taper_db))
+    assert field + 1 == pytest.approx(1 / (mean * stop * cell), rel=1e-12)
+    assert intensity + 1 == pytest.approx(mean_square / (mean**2 * stop * cell), rel=1e-12)
+
+
+def test_lattice_sum_of_nothing_shared():
+    assert lattice_sum(0.7, "none") == 0
+    for pitch in (0.0, -1.0, np.inf, np.nan):
+        with pytest.raises(ValueError, match="pitch_f_lambda = .* found; a positive finite pitch is allowed"):
+            lattice_sum(pitch, "intensity")

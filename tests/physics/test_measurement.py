@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from mapmaker.cleaning import TemplateOptions, clean
 from surveysim.measurement import map_variances, raw_variance
 from surveysim.noise import low_frequency_variance
 from surveysim.observation import draw_observation
@@ -48,7 +49,9 @@ def test_map_of_white_noise_is_white(tmp_path):
     common = np.repeat(np.cumsum(rng.standard_normal(streams.data_mk.shape[1]))[None], setup.n_det, axis=0)
     noise = rng.standard_normal(streams.data_mk.shape)
     streams.data_mk[:] = 30 * common + 5 * noise
-    variance, white = map_variances(setup, streams, observation_path(setup, 0)[1])
+    options = TemplateOptions(1e-8, 100)
+    cleaned = clean("average", streams.data_mk, streams.scan_bounds, streams.focal_plane, options)
+    variance, white = map_variances(setup, streams, observation_path(setup, 0)[1], cleaned)
     # A few hundred pixels under the taper, of which an eighth of the modes are the highest.
     assert variance == pytest.approx(white, rel=0.25)
     pixel, detectors = (30 / 60) ** 2, streams.data_mk.shape[1] * setup.n_det

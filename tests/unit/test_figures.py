@@ -29,7 +29,7 @@ TINY = {
     "score.ell_max": 10000,
     "score.jackknives": 4,
     "score.window.skies": 2,
-    "score.window.observations": 2,
+    "score.window.observations": 4,
 }
 CALM = {"atmosphere": None, "excess": None, "score": None, "cleaning.algorithm": "none", "observations": 1}
 

@@ -1,4 +1,4 @@
-"""Figures 3 to 9 of the paper from records made by hand: what is counted, scaled and drawn is known beforehand."""
+"""Figures 3 to 9 and 16 of the paper from records made by hand: what is counted and drawn is known beforehand."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -12,7 +12,17 @@ from surveysim.measurement import camera_pairs
 from surveysim.paper import wind_figures
 from surveysim.paper.campaign import MeasuredSurvey
 from surveysim.paper.noise_figures import b2_distribution_figure, b2_water_figure, map_variance_figure
-from surveysim.paper.statistics import binned, bootstrap, centile_errors, cumulative, described, scale_to
+from surveysim.paper.score_figures import data_set_psd_figure, gain_table, sensitivity_table
+from surveysim.paper.statistics import (
+    binned,
+    bootstrap,
+    centile_errors,
+    cumulative,
+    described,
+    median_error,
+    quarters,
+    scale_to,
+)
 from surveysim.paper.turbulence_figures import (
     adjacent_profile,
     correlation_figure,
@@ -21,10 +31,12 @@ from surveysim.paper.turbulence_figures import (
     without_overlap,
 )
 from surveysim.paper.wind_figures import typical_observation, wind_examples_figure, wind_histogram_figure
+from surveysim.results import survey_result
 from surveysim.scene import load_scene
 from surveysim.setup import observation_path, prepare
+from surveysim.survey import run_observations
 from surveysim.units import rj_to_cmb
-from surveysim.weather import Water, Weather
+from surveysim.weather import Weather
 from tests.scenes import SMALL_SCENE
 from tests.surveys import ARCMIN, N_SCAN, falls, fit, measured, named, of_b2, survey, wind
 
@@ -77,6 +89,16 @@ def test_cumulative_and_scale():
     # 2 and 8 times the model: 4 in the logarithms; what is not positive does not count.
     np.testing.assert_allclose(scale_to(np.array([2.0, 80.0, -3.0, 0.0]), np.array([1.0, 10.0, 1.0, 1.0])), 4.0)
     assert np.isnan(scale_to(np.array([-1.0]), np.array([1.0])))
+
+
+def test_quarters_and_medians_of_what_is_known():
+    values = np.array([4.0, np.nan, 1.0, 3.0, 2.0])
+    parts = quarters(values)
+    np.testing.assert_array_equal([np.flatnonzero(part) for part in parts], [[2], [4], [3], [0]])
+    with pytest.raises(ValueError, match="found 3 observations with a fit; 4 or more"):
+        quarters(values[1:])
+    assert median_error(values)[0] == 2.5 and median_error(values)[1] > 0
+    assert np.isnan(median_error(np.full(3, np.nan))).all()
 
 
 def test_a_survey_is_described(setup):
@@ -291,7 +313,7 @@ def test_distribution_of_b2_and_the_papers_quartiles(setup):
 
 
 def test_b2_against_water_follows_the_response_that_it_is_made_of(setup):
-    water = replace(setup, water=Water(lambda pwv: 100.0 * pwv**2, np.zeros(1), np.zeros(1)))
+    water = replace(setup, water=SimpleNamespace(response=lambda pwv: 100.0 * pwv**2))
     pwv = np.linspace(0.5, 3.5, 121)
     whole = of_b2(water, 0.25 * 100.0 * pwv**2, pwv=pwv)
     figure = b2_water_figure([whole, whole])
@@ -329,3 +351,40 @@ def test_maps_without_a_fit_are_left_out_of_the_bins_alone(setup):
     figure = map_variance_figure(of_b2(setup, b2, left=np.ones(31)))
     top, bottom = figure.panels
     assert len(named(top, "median").x) == 2 and len(bottom.series[0].x) == 31
+
+
+# ---------------------------------------------------------------- figure 16 and Table 3
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scored") / "small.toml"
+    path.write_text(SMALL_SCENE, encoding="utf-8")
+    scored = prepare(load_scene(path))
+    return survey_result(scored, run_observations(scored, None), 1.0, 1)
+
+
+def test_noise_of_data_sets_is_an_amplitude_of_all_detectors(result):
+    figure = data_set_psd_figure(result)
+    (panel,) = figure.panels
+    used = result.setup.band.rings.edges_ell[:-1] >= 500
+    to_arcmin2 = np.degrees(60.0) ** 2
+    masked = next(name for name in result.scores if name.startswith("masked"))
+    share = result.scores[masked].n_det / result.setup.n_det
+    for name, label, factor in (("actual", "actual", 1.0), ("white", "white", 1.0), (masked, "masked", share)):
+        line = next(series for series in panel.series if series.kind == "line" and label in series.label)
+        np.testing.assert_allclose(line.y**2, factor * to_arcmin2 * result.scores[name].noise_psd[used])
+        np.testing.assert_array_equal(line.x, result.setup.band.rings.ell[used])
+    bands = [series for series in panel.series if series.kind == "band"]
+    assert len(bands) == 4 and all((band.low < band.high).all() for band in bands)
+    own = result.scores["actual"]
+    flat = named(panel, "flat CMB")
+    np.testing.assert_allclose(flat.y**2, own.band.sigma_ukcmb2 * own.signal_psd[used] * to_arcmin2)
+    gain = result.gains["actual / uncorrelated"]
+    assert f"actual / uncorrelated {gain.ratio:.2f} ± {gain.error:.2f}" in figure.caption
+
+
+@pytest.mark.parametrize("make", [data_set_psd_figure, sensitivity_table, gain_table])
+def test_a_run_without_scores_is_refused(result, make):
+    with pytest.raises(ValueError, match="found no scores: too few; a scored run is expected"):
+        make(replace(result, scores={}, unscored="too few"))

@@ -47,13 +47,20 @@ def test_everything_is_there_and_nothing_else(made):
     out, written, _ = made
     bands = ("143", "268", "151", "282")
     names = {f"{kind}_{band}.ecsv" for kind in ("measurements", "recovered") for band in bands}
-    names |= {"table1.ecsv", "table1_sites.ecsv", "table2.ecsv"}
+    names |= {
+        "table1.ecsv",
+        "table1_sites.ecsv",
+        "table2.ecsv",
+        "table2_photons.ecsv",
+        "table3.ecsv",
+        "table3_gains.ecsv",
+    }
     names |= {f"figure{number:02d}.{kind}" for number in FIGURES for kind in ("png", "ecsv")}
     assert {path.name for path in written} == names == {path.name for path in out.iterdir()}
 
 
 def test_each_observation_is_made_once(made):
-    assert made[2] == 6 * 8  # lynx once more, cleaned in three ways
+    assert made[2] == 7 * 8  # lynx twice more: cleaned in three ways, and beside simulated and masked sets
 
 
 def test_pictures_and_their_points(made):
@@ -77,10 +84,30 @@ def test_tables_have_the_paper_s_value_ours_and_our_error(made):
     # Bolocam over ACBAR, and the errors of both.
     assert ours[12] == pytest.approx(ours[0] / ours[6])
     assert error[12] / ours[12] == pytest.approx(np.hypot(error[0] / ours[0], error[6] / ours[6]))
-    raw = read(made[0] / "table2.ecsv")
-    assert list(raw["observations"]) == [4, 4, 4, 4, 16] and list(raw["raw_paper"]) == [77, 131, 310, 1060, 240]
+    correlated = read(made[0] / "table2.ecsv")
+    raw = correlated[correlated["quantity"] == "raw atmosphere"]
+    assert list(raw["observations"]) == [4, 4, 4, 4, 16] and list(raw["paper"]) == [77, 131, 310, 1060, 240]
+    shared = correlated[correlated["quantity"] == "adjacent correlated noise"]
+    assert list(shared["cleaning"]) == ["average"] * 5 + ["quadratic"] * 5
+    assert list(shared["paper"]) == 2 * [0.8, 1.1, 1.9, 5.8, 1.9] and np.isfinite(shared["ours"]).all()
     sites = read(made[0] / "table1_sites.ecsv")
     assert list(sites["paper"]) == [16, 12, 21, 3.5, 0.3]
+
+
+def test_sensitivities_of_the_four_data_sets(made):
+    table, gains = read(made[0] / "table3.ecsv"), read(made[0] / "table3_gains.ecsv")
+    assert table.colnames == ["data_set", "detectors", "sigma_ukcmb2", "error", "paper", "ratio"]
+    assert list(table["paper"]) == [270, 170, 100, 550, 170]
+    actual, uncorrelated, white, masked, scaled = table
+    assert [actual["data_set"], uncorrelated["data_set"], white["data_set"]] == ["actual", "uncorrelated", "white"]
+    share = masked["detectors"] / actual["detectors"]
+    assert 0 < share < 1 and scaled["sigma_ukcmb2"] == pytest.approx(share * masked["sigma_ukcmb2"])
+    np.testing.assert_allclose(table["ratio"], table["sigma_ukcmb2"] / table["paper"])
+    sigma = {row["data_set"]: row["sigma_ukcmb2"] for row in table}
+    for row, paper in zip(gains, (1.6, 1.7, 1.0), strict=True):
+        worse, better = row["gain"].split(" / ")
+        assert row["ours"] == pytest.approx(sigma[worse] / sigma[better]) and row["error"] > 0
+        assert row["paper"] == paper and row["ratio"] == pytest.approx(row["ours"] / paper)
 
 
 def test_measurements_stand_beside_the_truth(made):
@@ -104,10 +131,13 @@ def test_same_bits_whatever_the_workers(scenarios, made, tmp_path):
 
 def test_only_what_is_needed_is_made(scenarios, tmp_path):
     assert wanted((), (13,), scenarios, 5).observations == 5
+    assert wanted((3,), (16,), scenarios, 5).observations == 5  # one run for both
+    assert wanted((3,), (13, 16), scenarios, 5).observations == 10
     asked = wanted((), (1, 2), scenarios, None)
     assert asked.observations == 0 and asked.items == ["figure 1", "figure 2"]
     assert wanted((1,), (), scenarios, 3).observations == 5 * 3
     assert list(wanted((), (6, 9), scenarios, None).scenes) == ["143"]
+    assert wanted((2,), (14, 15), scenarios, 3).observations == 2 * 3
     assert wanted((), (1,), tmp_path, None).scenes == {}  # needs no scene at all
     (tmp_path / "lynx.toml").write_text(SCENE)
     with pytest.raises(SceneError, match="sds1.toml: can't be read"):
@@ -115,10 +145,36 @@ def test_only_what_is_needed_is_made(scenarios, tmp_path):
 
 
 def test_what_can_t_be_made_is_said_and_the_rest_is_made(scenarios, tmp_path):
-    asked = wanted((2,), (1, 6, 9), scenarios, 1, {"atmosphere.b2": "[0, 0, 0] mK2 rad(-5/3)"})
+    asked = wanted((2,), (1, 6, 9, 14, 15), scenarios, 1, {"atmosphere.b2": "[0, 0, 0] mK2 rad(-5/3)"})
     written, failed = reproduce(asked, tmp_path, 1)
     assert {path.name for path in written} >= {"figure01.png", "figure01.ecsv"}
-    assert [line.partition(":")[0] for line in failed] == ["143 GHz", "table 2", "figure 6", "figure 9"]
+    items = ["143 GHz", "table 2", "figure 6", "figure 9", "figure 14", "figure 15"]
+    assert [line.partition(":")[0] for line in failed] == items
+
+
+def test_a_survey_without_a_score_is_said_for_each_item_of_its_run(scenarios, tmp_path):
+    written, failed = reproduce(wanted((3,), (16,), scenarios, 1), tmp_path, 1)
+    assert written == [] and [line.partition(":")[0] for line in failed] == ["table 3", "figure 16"]
+    assert "observations" in failed[0]
+
+
+@pytest.mark.parametrize("asked", [((3,), ()), ((), (16,))])
+@pytest.mark.parametrize(
+    "old, new, words",
+    [
+        ("", "", "score: missing; Table 3 and figure 16 score the maps"),
+        ('["uncorrelated", "white"]', '["white"]', "score.simulated: found white; Table 3 and figure 16 need"),
+        ('["uncorrelated", "white"]', "[]", "score.simulated: found none; Table 3 and figure 16 need"),
+        ("mask_separation_f_lambda = 1.3", "", "score.mask_separation_f_lambda: missing; Table 3"),
+        ("mask_separation_f_lambda = 1.3", "mask_separation_f_lambda = 9", "lynx.toml: "),
+    ],
+)
+def test_scenes_without_the_four_data_sets(tmp_path, asked, old, new, words):
+    text = SCENE.replace(old, new) if old else without_sections(SCENE, "score")
+    (tmp_path / "lynx.toml").write_text(text)
+    with pytest.raises(SceneError) as caught:
+        wanted(*asked, tmp_path, None)
+    assert words in str(caught.value) and "lynx.toml" in str(caught.value)
 
 
 @pytest.mark.parametrize(

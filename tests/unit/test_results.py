@@ -20,7 +20,7 @@ KEYS = {
     "detector_samples", "stages_left_out", "scans", "scans_discarded", "mean_iterations", "scores", "run", "cleaning",
     "files",
 }  # fmt: skip
-SCORED_KEYS = {"error_budget", "gains", "alternatives"}
+SCORED_KEYS = {"forecast_over_simulated", "error_budget", "gains", "alternatives"}
 SETS = ("actual", "uncorrelated", "white", "masked_7")
 
 
@@ -62,7 +62,7 @@ def test_summary(finished, content):
     assert content["stages_left_out"] == [] and 0 <= content["scans_discarded"] < 16
     assert set(content["scores"]) == {*SETS, "masked_7_scaled"}
     for entry in content["scores"].values():
-        assert set(entry) == {"n_det", "sigma_ukcmb2", "error_ukcmb2", "ell_eff", "fwhm_ell"}
+        assert set(entry) == {"n_det", "sigma_ukcmb2", "error_ukcmb2", "ell_eff", "fwhm_ell", "forecast_ukcmb2"}
         assert all(0 < value < math.inf for value in entry.values())
         assert 4000 < entry["ell_eff"] < 12000
     assert set(content["run"]["stage_s"]) >= {"atmosphere", "cleaning", "binning", "window"}

@@ -38,7 +38,7 @@ def check(path, overrides, key, found, allowed):
     [
         ("typo", "atmosphere, cleaning"),
         ("scan.typo", "dither, duration"),
-        ("instrument.layout.typo", "dead, pitch_f_lambda, rings"),
+        ("instrument.layout.typo", "dead, field_of_view, pitch_f_lambda, rings"),
         ("score.window.typo", "band_power, observations, skies"),
         ("scan.speed_rad_s", "speed"),  # names of the records are no keys of the file
     ],

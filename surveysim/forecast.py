@@ -1,0 +1,397 @@
+"""The noise of a survey's map without a Monte Carlo: closed forms for every part of the streams.
+
+Each observation's noise in a map mode is that of `surveysim.response`, averaged over rings; observations are weighted
+and co-added as in a run, with the weather that the scene's seed draws for them. What a flat sky loses comes from the
+same array responses.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
+from mapmaker.geometry import boresight_pixels
+from mapmaker.timestreams import FocalPlane
+from mapmaker.window import beam_window, pixel_window
+from surveysim.coherence import correlation_matrix
+from surveysim.noise import excess_psd, excess_variance
+from surveysim.observation import observation_levels, observation_weather
+from surveysim.recipes import Recipe
+from surveysim.response import (
+    PROJECTIONS,
+    Array,
+    Layer,
+    Modes,
+    TimeWindow,
+    frequency_nodes,
+    hann_window,
+    layer_stream_strength,
+    layer_strength,
+    layer_waves,
+    matrix_power,
+    projected_array,
+    ring_modes,
+    scan_window,
+    stream_power,
+)
+from surveysim.scan import samples_per_scan
+from surveysim.scene import Scene, SceneError
+from surveysim.setup import Setup, observation_path, prepare, screen
+from surveysim.units import rj_to_cmb
+
+NEGLECTED = (
+    "the edge of the map, gaps in it and what scans share with each other",
+    "scans that are discarded, and noise in the responsivities that cleaning fits",
+    "that an observation's weight is measured on its own map",
+    "what wind and pca do beyond average subtraction, as which they are taken",
+)
+_ANGLES = 3  # of the array against the scan that stand for all observations
+_SPEEDS, _DIRECTIONS = 5, 4  # of the layer against the scan
+_SLOWEST = 0.02  # relative speed that is told from none, in scan speeds
+_HIT_SAMPLES = 3e7  # of the observations that stand for the coverage
+_FEWEST_HITS, _MOST_HITS = 4, 48
+
+
+@dataclass(frozen=True)
+class DataSetForecast:
+    """One data set's forecast: `noise_psd` [uK_CMB^2 sr], `signal_psd` [sr] and `transmission`, (n_bin,)."""
+
+    name: str
+    n_det: int
+    band: BandPower
+    noise_psd: np.ndarray
+    signal_psd: np.ndarray
+    transmission: np.ndarray
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Forecasts by data set, in bins around `ell` (n_bin,).
+
+    Missing are the best recipe of each observation, and recipes that are no projection of the detectors.
+    """
+
+    ell: np.ndarray
+    scores: dict[str, DataSetForecast]
+    neglected: tuple[str, ...] = NEGLECTED
+
+
+@dataclass(frozen=True)
+class _Conditions:
+    """Every observation's levels: (n_obs,) `white` and `shared` photon and detector noise [mK^2/Hz], `excess` [mK^2],
+    `layer` (B2 at its elevation); `angle` (n_obs,) the array's against the scan; `motion` (n_obs, 2) complex, against
+    the layer, there and back [rad/s].
+    """
+
+    white: np.ndarray
+    shared: np.ndarray
+    excess: np.ndarray
+    layer: np.ndarray
+    angle: np.ndarray
+    motion: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Noise variance a sample in each bin (n_bin,) of unit levels, and of the layer (n_obs, n_bin)."""
+
+    white: np.ndarray
+    shared: np.ndarray
+    excess: np.ndarray
+    layer: np.ndarray
+
+    def noise(self, levels: _Conditions) -> np.ndarray:
+        """Noise variance a sample [mK^2] of every observation, (n_obs, n_bin)."""
+        parts = ((levels.white, self.white), (levels.shared, self.shared), (levels.excess, self.excess))
+        return sum(np.outer(*part) for part in parts) + levels.layer[:, None] * self.layer
+
+
+@dataclass(frozen=True)
+class _Spectrum:
+    """What is known of frequencies: the scored modes' (n_mode,) as samples hold them, nodes and weights (n,), and the
+    lines of the excess noise (n_line,) with the variance that each adds to one of unit variance.
+    """
+
+    modes: Modes
+    at_hz: np.ndarray
+    window: TimeWindow
+    nodes_hz: np.ndarray
+    weight_hz: np.ndarray
+    excess_hz: np.ndarray
+    excess: np.ndarray
+
+
+def forecast(scene: Scene) -> Forecast:
+    """Forecast the data sets of a scene.
+
+    Raises SceneError for a scene that can't be run, has no [score], or a first cleaning that is none of `PROJECTIONS`.
+    """
+    setup = prepare(scene)
+    if scene.score is None:
+        raise SceneError("score: missing; a forecast says what a map is worth")
+    if not can_forecast(setup):
+        allowed = ", ".join(map(repr, PROJECTIONS))
+        raise SceneError(f"cleaning.algorithm: found {setup.recipes[0].label!r}; one of {allowed} can be forecast")
+    levels, spectrum = _conditions(setup), _spectrum(setup)
+    found: dict[str, DataSetForecast] = {}
+    for recipe in filter(is_projection, setup.recipes):
+        arrays = _arrays(setup, recipe, levels)
+        responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
+        transmission = _transmission(setup, spectrum, arrays, responses)
+        hits = _mean_hits(setup, recipe)
+        noise = _map_parts(setup, levels, spectrum, arrays, responses).noise(levels)
+        found[recipe.data_set] = _scored(setup, recipe.data_set, len(arrays[0].place), noise, hits, transmission)
+        if recipe is setup.recipes[0]:
+            for name in scene.score.simulated:
+                noise = _simulated_parts(setup, levels, spectrum, arrays, name).noise(levels)
+                found[name] = _scored(setup, name, setup.n_det, noise, hits, transmission)
+    return Forecast(setup.band.rings.ell, {name: found[name] for name in setup.data_sets if name in found})
+
+
+def can_forecast(setup: Setup) -> bool:
+    """Whether a prepared scene has a score and its first cleaning can be forecast."""
+    return setup.scene.score is not None and is_projection(setup.recipes[0])
+
+
+def is_projection(recipe: Recipe) -> bool:
+    """Whether a recipe is, nearly at least, a projection that does not depend on the data."""
+    return len(recipe.steps) == 1 and recipe.steps[0] in PROJECTIONS
+
+
+def _conditions(setup: Setup) -> _Conditions:
+    scene, observations = setup.scene, range(setup.scene.observations)
+    rows = []
+    for number in observations:
+        weather = observation_weather(setup, number)
+        _, pointing = observation_path(setup, number)
+        middle = len(pointing.elevation_rad) // 2
+        white = observation_levels(setup, number)
+        excess = excess_variance(scene.excess, weather and weather.b2) if scene.excess else 0.0
+        layer, wind = 0.0, 0.0
+        if weather is not None:
+            layer = weather.b2 * np.mean(np.sin(pointing.elevation_rad) ** (1 - scene.atmosphere.index))
+            # Azimuth and elevation on the sky, then in the frame of the scan.
+            wind = np.exp(-1j * pointing.parallactic_rad[middle]) * (
+                -weather.wind_rad_s[0] + 1j * weather.wind_rad_s[1]
+            )
+        turn = number % 2 * np.pi / 2  # scans along Dec
+        wind = wind * np.exp(-1j * turn)
+        speed = setup.raster.speed_rad_s
+        # A scan back is a scan there in a frame that is turned by half a turn.
+        shared = white.photon_mk2_hz * white.shared
+        unshared = white.photon_mk2_hz - shared + white.detector_mk2_hz
+        angle = pointing.array_angle_rad[middle] + turn
+        rows.append((unshared, shared, excess, layer, angle, speed - wind, speed + wind))
+    white, shared, excess, layer, angle, there, back = (np.array(column) for column in zip(*rows, strict=True))
+    return _Conditions(white, shared, excess, layer, angle, np.stack([there, back], axis=1))
+
+
+def _spectrum(setup: Setup) -> _Spectrum:
+    scene, lines = setup.scene, setup.raster
+    seconds = samples_per_scan(lines) / lines.sample_rate_hz
+    modes = ring_modes(setup.band.rings.ell)
+    rate = lines.sample_rate_hz
+    at_hz = modes.wave.real.ravel() * lines.speed_rad_s / (2 * np.pi)
+    at_hz -= rate * np.round(at_hz / rate)  # what samples can't tell apart
+    window = scan_window(seconds, lines.speed_rad_s, scene.score.size_rad, scene.score.taper_fraction)
+    nodes, weight = frequency_nodes(window, max(1.1 * np.abs(at_hz).max(), 0.5 * rate))
+    excess_hz, excess = np.zeros(0), np.zeros(0)
+    if scene.excess:
+        # Lines of streams twice as long as a scan, as they are drawn: a steep spectrum is mostly the lowest.
+        n_samp = samples_per_scan(lines)
+        psd = excess_psd(scene.excess, 1.0, n_samp, 2 * n_samp, rate)[1:]
+        step = rate / (2 * n_samp)
+        positive = step * np.arange(1, n_samp + 1)
+        excess_hz, excess = np.concatenate([-positive, positive]), np.tile(psd * step, 2)
+    return _Spectrum(modes, at_hz, window, nodes, weight, excess_hz, excess)
+
+
+def _arrays(setup: Setup, recipe: Recipe, levels: _Conditions) -> list[Array]:
+    """The recipe's detectors at angles to the scan that stand for all observations."""
+    plane = setup.camera.focal_plane.subset(recipe.rows)
+    angles = np.sort(np.mod(levels.angle, 2 * np.pi))
+    chosen = angles[((np.arange(_ANGLES) + 0.5) * len(angles) / _ANGLES).astype(int)] if len(angles) > 1 else angles
+    responsivity = setup.responsivity[recipe.rows]
+    try:
+        return [projected_array(plane, angle, responsivity, recipe.steps[0]) for angle in np.unique(chosen)]
+    except ValueError as error:
+        raise SceneError(f"cleaning: {error}") from None
+
+
+def _correlations(setup: Setup, array: Array) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Correlation of the shared photon noise and of the excess noise, this with responsivities; None without."""
+    place = np.column_stack([array.place.real, array.place.imag]) / setup.camera.f_lambda_rad
+    scene = setup.scene
+    lit = setup.camera.illumination
+    photon = correlation_matrix(place, scene.photon.coherence, lit) if scene.photon else None
+    excess = None
+    if scene.excess:
+        excess = correlation_matrix(place, scene.excess.coherence, lit)
+        excess *= array.responsivity[:, None] * array.responsivity
+    return photon, excess
+
+
+def _map_parts(
+    setup: Setup, levels: _Conditions, spectrum: _Spectrum, arrays: list[Array], responses: list[np.ndarray]
+) -> _Parts:
+    rate, modes = setup.raster.sample_rate_hz, spectrum.modes
+    window, nodes = spectrum.window, spectrum.nodes_hz
+    flat = window.sums(spectrum.weight_hz[None], nodes, spectrum.at_hz)
+    red = window.sums(spectrum.excess[None], spectrum.excess_hz, spectrum.at_hz)
+    parts = []
+    for array, response in zip(arrays, responses, strict=True):
+        photon, excess = _correlations(setup, array)
+        white = matrix_power(array, response, None)
+        shared = white if photon is None else matrix_power(array, response, photon)
+        low = white if excess is None else matrix_power(array, response, excess)
+        own = matrix_power(array, response, np.diag(array.responsivity**2))
+        parts.append([modes.mean(item) for item in (white * flat, shared * flat, own * red, low * red)])
+    white, shared, own, low = np.mean(parts, axis=0) * rate / 2
+    layer = _layer_parts(setup, levels, spectrum, arrays, responses)
+    # Pixels smooth what streams share; of each stream's own noise, scattered over all modes, they take next to nothing.
+    pixel = pixel_window(setup.band.rings.ell, setup.geometry.pixel_rad)
+    return _Parts(white, white + (shared - white) * pixel, own + (low - own) * pixel, layer * pixel)
+
+
+def _layer_parts(
+    setup: Setup, levels: _Conditions, spectrum: _Spectrum, arrays: list[Array], responses: list[np.ndarray]
+) -> np.ndarray:
+    """Noise variance a sample (n_obs, n_bin) of a layer of unit amplitude, between nodes of its motion."""
+    if setup.scene.atmosphere is None:
+        return np.zeros((1, len(spectrum.modes.wave)))
+    layer = _layer(setup, levels, spectrum)
+    strengths = [layer_strength(array, response, layer) for array, response in zip(arrays, responses, strict=True)]
+
+    def noise(motion: complex) -> np.ndarray:
+        along = _along(layer, motion)
+        sums = [spectrum.window.sums(strength, along, spectrum.at_hz) for strength in strengths]
+        return spectrum.modes.mean(np.mean(sums, axis=0)) * setup.raster.sample_rate_hz
+
+    return _between_motions(levels.motion, setup.raster.speed_rad_s, noise)
+
+
+def _layer(setup: Setup, levels: _Conditions, spectrum: _Spectrum) -> Layer:
+    return layer_waves(screen(setup.scene), np.abs(levels.motion).max() * spectrum.window.duration_s)
+
+
+def _along(layer: Layer, motion: complex) -> np.ndarray:
+    """Frequency [Hz] that each wavevector of the layer has in the streams."""
+    return (layer.alpha * np.conj(motion)).real
+
+
+def _between_motions(motion: np.ndarray, speed_rad_s: float, noise) -> np.ndarray:
+    """Means over columns of `noise` (n_bin,) of motions (n_obs, n_motion), between a few speeds and directions.
+
+    Mirrored directions count as one: the array stands at many angles to them.
+    """
+    from scipy.interpolate import RegularGridInterpolator
+
+    speed = np.log(np.maximum(np.abs(motion), _SLOWEST * speed_rad_s))
+    turn = np.abs(np.angle(motion))
+    speeds = np.linspace(speed.min(), speed.max() + 1e-6, _SPEEDS if np.ptp(speed) > 1e-3 else 2)
+    turns = np.linspace(turn.min(), turn.max() + 1e-6, _DIRECTIONS if np.ptp(turn) > 1e-3 else 2)
+    table = np.array([[noise(np.exp(s + 1j * t)) for t in turns] for s in speeds])
+    logs = RegularGridInterpolator((speeds, turns), np.log(np.maximum(table, 1e-300)))
+    return np.exp(logs(np.stack([speed, turn], axis=-1))).mean(axis=1)
+
+
+def _simulated_parts(setup: Setup, levels: _Conditions, spectrum: _Spectrum, arrays: list[Array], name: str) -> _Parts:
+    """Noise of the sets that take the measured PSDs of the cleaned streams: "uncorrelated" or "white"."""
+    rate = setup.raster.sample_rate_hz
+    seconds = spectrum.window.duration_s
+    n_samp = samples_per_scan(setup.raster)
+    lines = np.arange(1, (n_samp - 1) // 2 + 1) / seconds
+    hann, nodes = hann_window(seconds), spectrum.nodes_hz
+    window = spectrum.window
+    if name == "uncorrelated":
+        # Streams of a whole number of periods a scan: lines, without a mean.
+        both = np.concatenate([-lines, lines])
+        through = window.at(spectrum.at_hz[:, None] - both) ** 2 / seconds
+        to_modes = rate * (through[:, : len(lines)] + through[:, len(lines) :])
+    else:
+        high = lines > setup.scene.score.white_above_hz
+        flat = window.sums(spectrum.weight_hz[None], nodes, spectrum.at_hz)
+        to_modes = rate * np.outer(flat, high / high.sum())
+
+    def in_bins(psd: np.ndarray) -> np.ndarray:
+        """Bins of a two-sided PSD (n_line,) of the streams."""
+        return spectrum.modes.mean(to_modes @ psd)
+
+    powers = []
+    for array in arrays:
+        photon, excess = _correlations(setup, array)
+        powers.append([stream_power(array, item) for item in (None, photon, excess)])
+    white, shared, low = np.mean(powers, axis=0)
+    flat = in_bins(hann.sums(spectrum.weight_hz[None] / 2, nodes, lines))
+    red = in_bins(hann.sums(spectrum.excess[None] / 2, spectrum.excess_hz, lines))
+    layer = np.zeros((1, len(flat)))
+    if setup.scene.atmosphere is not None:
+        waves = _layer(setup, levels, spectrum)
+        strength = np.mean([layer_stream_strength(array, waves) for array in arrays], axis=0)
+        layer = _between_motions(
+            levels.motion,
+            setup.raster.speed_rad_s,
+            lambda motion: in_bins(hann.sums(strength, _along(waves, motion), lines)),
+        )
+    return _Parts(white * flat, shared * flat, low * red, layer)
+
+
+def _transmission(setup: Setup, spectrum: _Spectrum, arrays: list[Array], responses: list[np.ndarray]) -> np.ndarray:
+    """Share (n_bin,) of a flat sky's power that scans and cleaning leave in the co-added map.
+
+    Amplitudes of all observations are averaged before they are squared: what scans along one direction lose, those
+    along the other keep.
+    """
+    modes = spectrum.modes
+    wave = modes.wave.ravel()
+    kept = [
+        np.einsum("ij,ij->j", response.conj(), array.seen(wave) * array.responsivity[:, None])
+        / array.responsivity.sum()
+        for array, response in zip(arrays, responses, strict=True)
+    ]
+    amplitude = (np.mean(kept, axis=0) * spectrum.window.passed(spectrum.at_hz)).reshape(modes.wave.shape)
+    across = amplitude[:, modes.turned]
+    half = len(modes.share) // 2
+    across[:, :half] = across[:, :half].conj()
+    n_obs = setup.scene.observations
+    share = (n_obs // 2) / n_obs  # of scans along Dec
+    both = (1 - share) * amplitude + share * across
+    return modes.mean((both.real**2 + both.imag**2).ravel())
+
+
+def _mean_hits(setup: Setup, recipe: Recipe) -> np.ndarray:
+    """Mean hits of one observation on the scored patch (n, n), from some observations spread over the survey."""
+    n_obs, geometry = setup.scene.observations, setup.geometry
+    plane: FocalPlane = setup.camera.focal_plane.subset(recipe.rows)
+    samples = len(plane.x_rad) * setup.raster.n_scans * samples_per_scan(setup.raster)
+    wanted = min(n_obs, int(np.clip(_HIT_SAMPLES / samples, _FEWEST_HITS, _MOST_HITS)))
+    # In pairs of both directions.
+    numbers = np.unique(np.minimum(2 * (np.arange(wanted) * n_obs // wanted // 2) + np.arange(wanted) % 2, n_obs - 1))
+    hits = np.zeros(geometry.n_x * geometry.n_y)
+    for number in numbers:
+        _, pointing = observation_path(setup, int(number))
+        angle = pointing.array_angle_rad[pointing.scan]
+        index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, angle, plane).ravel()
+        hits += np.bincount(index[index >= 0], minlength=len(hits))
+    patch = setup.band.patch
+    return hits.reshape(geometry.n_y, geometry.n_x)[patch, patch] / len(numbers)
+
+
+def _scored(
+    setup: Setup, name: str, n_det: int, noise: np.ndarray, hits: np.ndarray, transmission: np.ndarray
+) -> DataSetForecast:
+    """Weight and co-add observations whose noise a sample is (n_obs, n_bin) [mK^2]; score the map."""
+    scene, band, rings = setup.scene, setup.band, setup.band.rings
+    # The lowest bin of a small map may hold nothing but ell = 0.
+    sky = flat_spectrum_psd(np.maximum(rings.ell, 1)) * beam_window(rings.ell, scene.instrument.beam_fwhm_rad)
+    taper, covered = band.taper**2, hits > 0
+    if not (noise[:, band.selected].all() and taper[covered].any()):
+        raise SceneError("score: found no noise in its multipoles or no scan across its patch; both are expected")
+    weight = rings.n_modes * (sky * band.selected / sky[band.selected].max()) ** 2
+    weight = 1 / (noise @ weight / weight.sum())
+    variance = weight**2 @ noise / weight.sum() ** 2
+    area = setup.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
+    psd = variance * area * (1e3 * rj_to_cmb(scene.instrument.frequency_hz)) ** 2
+    signal = sky * pixel_window(rings.ell, scene.map.pixel_rad) * transmission
+    score = band_power(psd, signal, rings.n_modes, band.selected, rings.ell, rings.edges_ell, 0.0)
+    return DataSetForecast(name, n_det, score, psd, signal, transmission)

@@ -1,0 +1,30 @@
+"""Loop of the forecast: what a scan's time window makes of the layer's spectrum."""
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def windowed_sums(strength, frequency, at, transfer, per_step, mean):
+    """Sum (w(f_k - f_a) - m_a w(f_k))^2 strength_ka over a, (n_k,).
+
+    strength (n_k, n_a), or (1, n_a) for all k alike; frequency (n_a,) and at (n_k,) [Hz]; transfer (n,) is w at steps
+    of 1 / per_step [Hz] from 0, even and taken as 0 beyond its end; mean (n_a,).
+    """
+    n_a, last = frequency.size, transfer.size - 1
+    total = np.zeros(at.size)
+    for k in range(at.size):
+        own = 0.0
+        x = abs(at[k]) * per_step
+        if x < last:
+            i = int(x)
+            own = transfer[i] + (x - i) * (transfer[i + 1] - transfer[i])
+        row = k if strength.shape[0] > 1 else 0
+        for a in range(n_a):
+            value = -mean[a] * own
+            x = abs(at[k] - frequency[a]) * per_step
+            if x < last:
+                i = int(x)
+                value += transfer[i] + (x - i) * (transfer[i + 1] - transfer[i])
+            total[k] += value * value * strength[row, a]
+    return total

@@ -1,0 +1,114 @@
+"""What a sweep keeps of a point, and its small file, by which an interrupted sweep goes on."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mapmaker.bandpower import BandPower, ErrorBudget
+from mapmaker.files import whole_file
+from mapmaker.window import Window
+from surveysim import __version__
+from surveysim.checkpoint import CheckpointError
+from surveysim.scores import DataSetScore
+
+_OF_BAND, _OF_WINDOW = ("weight", "ell", "cumulative"), ("ell", "transmission", "error")
+_OF_SET = ("noise_psds", "signal_psd", "weights")
+
+
+@dataclass(frozen=True)
+class PointResult:
+    """Scores by data set, or why there are none; forecasts of sigma(A) [uK_CMB^2] by data set.
+
+    `skies` is equal for points whose windows are measured with the same skies. `wall_s` is the time that the point
+    took since it was started or, the last time, resumed.
+    """
+
+    n_det: int
+    scores: dict[str, DataSetScore]
+    forecast_ukcmb2: dict[str, float]
+    skies: str
+    unscored: str
+    wall_s: float
+
+
+def point_file(directory: Path, number: int) -> Path:
+    """Where a finished point is kept."""
+    return directory / f"{number:03d}.npz"
+
+
+def point_checkpoint(directory: Path, number: int) -> Path:
+    """Where a point under way is kept."""
+    return directory / f"{number:03d}.checkpoint.npz"
+
+
+def finished_points(directory: Path) -> dict[int, Path]:
+    """Files of finished points by number."""
+    return {int(path.stem): path for path in sorted(directory.glob("[0-9][0-9][0-9].npz"))}
+
+
+def remove_points(directory: Path) -> None:
+    """Remove the files of points, half-written ones too, and the folder if nothing else is in it."""
+    for path in directory.glob("[0-9][0-9][0-9]*.npz*"):
+        path.unlink(missing_ok=True)
+    if directory.is_dir() and not any(directory.iterdir()):
+        directory.rmdir()
+
+
+def save_point(path: Path, result: PointResult, scene_hash: str) -> None:
+    """Write a finished point atomically."""
+    meta = {
+        "scene": scene_hash,
+        "version": __version__,
+        "sets": {name: _numbers(item) for name, item in result.scores.items()},
+        "rest": {key: value for key, value in vars(result).items() if key != "scores"},
+    }
+    arrays = {f"{name}/{key}": array for name, item in result.scores.items() for key, array in _arrays(item).items()}
+    with whole_file(path) as partial, open(partial, "wb") as file:
+        np.savez(file, meta=json.dumps(meta), **arrays)
+
+
+def load_point(path: Path, scene_hash: str) -> PointResult:
+    """Read a finished point back; raises CheckpointError for a damaged file or one of another scene or version."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            meta = json.loads(str(file["meta"]))
+            found = {key: str(meta[key]) for key in ("version", "scene")}
+            scores = {name: _score(file, name, numbers) for name, numbers in meta["sets"].items()}
+            result = PointResult(scores=scores, **meta["rest"])
+    except Exception as error:  # zip, npy and JSON readers raise a wide range for damaged bytes
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise CheckpointError(f"{path}: damaged ({reason}); delete it and go on with --resume") from None
+    for key, expected in (("version", __version__), ("scene", scene_hash)):
+        if found[key] != expected:
+            raise CheckpointError(
+                f"{path}: of another {key} (found {found[key][:12]}, expected {expected[:12]}); "
+                "run without --resume, or with --out elsewhere"
+            )
+    return result
+
+
+def _numbers(item: DataSetScore) -> dict[str, Any]:
+    band = {key: value for key, value in vars(item.band).items() if key not in _OF_BAND}
+    return {"n_det": item.n_det, "band": band, "budget": vars(item.budget)}
+
+
+def _arrays(item: DataSetScore) -> dict[str, np.ndarray]:
+    return (
+        {key: getattr(item, key) for key in _OF_SET}
+        | {f"band.{key}": getattr(item.band, key) for key in _OF_BAND}
+        | {f"window.{key}": getattr(item.window, key) for key in _OF_WINDOW}
+    )
+
+
+def _score(file: Any, name: str, numbers: dict[str, Any]) -> DataSetScore:
+    return DataSetScore(
+        name=name,
+        n_det=numbers["n_det"],
+        band=BandPower(**numbers["band"], **{key: file[f"{name}/band.{key}"] for key in _OF_BAND}),
+        budget=ErrorBudget(**numbers["budget"]),
+        window=Window(**{key: file[f"{name}/window.{key}"] for key in _OF_WINDOW}),
+        **{key: file[f"{name}/{key}"] for key in _OF_SET},
+    )

@@ -1,0 +1,26 @@
+"""A whole forecast, and its parts."""
+
+import numpy as np
+import pytest
+
+from surveysim.forecast import forecast
+from surveysim.kernels.forecast import windowed_sums
+from surveysim.scene import load_scene
+from surveysim.setup import prepare
+
+
+@pytest.mark.parametrize("algorithm", ["average", "quadratic"])
+def test_lynx(benchmark, pytestconfig, algorithm):
+    """All data sets of 100 observations, the scene made ready before."""
+    path = pytestconfig.rootpath / "scenarios" / "lynx.toml"
+    scene = load_scene(path, {"observations": 100, "cleaning.algorithm": algorithm})
+    prepare(scene)
+    benchmark.pedantic(forecast, args=(scene,), rounds=3, warmup_rounds=1)
+
+
+def test_windowed_sums(benchmark):
+    """The layer's wavevectors through the window of the modes of 25 bins."""
+    rng = np.random.default_rng(1)
+    strength, transfer = rng.random((1000, 512)), rng.random(641)
+    frequency, at, mean = rng.uniform(-4, 4, 512), rng.uniform(-3, 3, 1000), rng.random(512)
+    benchmark.pedantic(windowed_sums, args=(strength, frequency, at, transfer, 160.0, mean), rounds=10, warmup_rounds=1)

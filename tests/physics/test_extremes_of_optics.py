@@ -1,0 +1,251 @@
+"""Cameras far from the paper's: dense and sparse pixels, one detector, thousands, loads that are all or none shared."""
+
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+from surveysim.api import run, simulate_observation
+from surveysim.coherence import correlation_matrix, lattice_sum
+from surveysim.forecast import forecast
+from surveysim.instrument import camera, hexagon
+from surveysim.observation import observation_levels
+from surveysim.response import matrix_power, projected_array
+from surveysim.results import forecast_agreement
+from surveysim.scene import SceneError, load_scene
+from surveysim.setup import prepare
+from tests.scenes import SMALL_SCENE, without_sections
+
+# A patch wide enough for few observations, in weather that keeps all scans.
+WIDE = {
+    "observations": 24,
+    "scan.scans": 19,
+    "scan.step": "2 arcmin",
+    "scan.duration": "12 s",
+    "map.pixel": "20 arcsec",
+    "score.size": "36 arcmin",
+    "score.ell_bin": 2000,
+    "score.jackknives": 32,
+    "score.window.observations": 8,
+}
+BRIGHT = {"atmosphere.b2": "[400, 900, 2000] mK2 rad(-5/3)"}
+NO_AIR = (
+    without_sections(SMALL_SCENE, "atmosphere", "sky")
+    .replace('b2 = [46, 580]\nvariance = "[2.05, 4.52] mK2"', 'b2 = [100]\nvariance = "[3] mK2"')
+    .replace('"average"', '"none"')
+    .replace("mask_separation_f_lambda = 1.3\n", "")
+    .replace("dead = [5]\n", "")
+)
+LOAD = """
+[photon]
+coherence = "field"
+[photon.load]
+sky = "40 K"
+optics = "0 K"
+"""
+EFFICIENT = {"instrument.bandwidth": 0.15, "instrument.efficiency": 0.8, "instrument.polarizations": 1}
+
+
+@pytest.fixture
+def scene_of(tmp_path):
+    def load(text: str, overrides=None):
+        path = tmp_path / "scene.toml"
+        path.write_text(text)
+        return load_scene(path, overrides or {})
+
+    return load
+
+
+def check_survey(scene, names=("actual", "uncorrelated", "white")):
+    """Finite, and as forecast: within three errors of 24 observations, and 10 % of them for their own weights."""
+    result = run(scene, workers=1)
+    found = forecast_agreement(result)
+    for name in names:
+        score = result.scores[name]
+        assert np.isfinite(score.noise_psds).all() and np.isfinite(score.band.sigma_ukcmb2)
+        assert abs(found[name].sigma) < 0.1 + 3 * found[name].sigma_error, (name, found[name])
+        assert found[name].sigma_error < 0.12
+
+
+@pytest.mark.parametrize("pitch", [0.1, 10.0])
+@pytest.mark.parametrize("coherence", ["field", "intensity"])
+def test_pitch(scene_of, pitch, coherence):
+    keys = WIDE | {"instrument.layout.pitch_f_lambda": pitch, "instrument.layout.rings": 1}
+    check_survey(scene_of(NO_AIR.replace('"field"', f'"{coherence}"'), keys))
+
+
+def test_dense_pixels_under_the_atmosphere(scene_of):
+    """37 pixels within half a beam: their average takes most of the sky as well."""
+    keys = WIDE | BRIGHT | {"instrument.layout.pitch_f_lambda": 0.3, "instrument.layout.rings": 3}
+    keys |= {"score.mask_separation_f_lambda": 0.6, "instrument.layout.dead": []}
+    check_survey(scene_of(without_sections(SMALL_SCENE, "sky"), keys))
+
+
+def test_one_detector(scene_of):
+    keys = WIDE | {"instrument.layout.rings": 0}
+    scene = scene_of(NO_AIR, keys)
+    assert prepare(scene).n_det == 1
+    check_survey(scene)
+
+
+def test_one_detector_has_no_average(scene_of):
+    with pytest.raises(SceneError, match="cleaning.algorithm: found 1 detectors; 'average' needs 2 or more"):
+        forecast(
+            scene_of(without_sections(SMALL_SCENE, "sky"), {"instrument.layout": {"rings": 0, "pitch_f_lambda": 1}})
+        )
+
+
+@pytest.mark.parametrize("fraction", [0.0, 1.0])
+@pytest.mark.parametrize("coherence", ["field", "intensity"])
+def test_all_or_nothing_coherent(scene_of, fraction, coherence):
+    keys = WIDE | {"photon.coherent_fraction": fraction, "photon.coherence": coherence, "photon.psd": "9 mK2/Hz"}
+    check_survey(scene_of(without_sections(NO_AIR, "excess"), keys))
+
+
+def test_nothing_coherent_is_no_coherence(scene_of):
+    """Two ways to say the same, in forecasts to the last digits."""
+    none = forecast(scene_of(NO_AIR, {"photon.coherent_fraction": 0.0})).scores["actual"].noise_psd
+    other = forecast(scene_of(NO_AIR, {"photon.coherence": "none", "photon.coherent_fraction": 1.0}))
+    np.testing.assert_allclose(other.scores["actual"].noise_psd, none, rtol=1e-9)
+
+
+def test_nearly_singular_correlations(scene_of):
+    """127 pixels within 1.2 (f/#)lambda share a few modes: most eigenvalues are rounding."""
+    keys = {"instrument.layout.pitch_f_lambda": 0.1, "instrument.layout.rings": 6, "photon.coherent_fraction": 1.0}
+    scene = scene_of(NO_AIR, WIDE | keys)
+    values = np.linalg.eigvalsh(correlation_matrix(prepare(scene).camera.positions_f_lambda, "field"))
+    assert np.sum(values > 1e-6 * values[-1]) < 60
+    check_survey(scene)
+
+
+# ---------------------------------------------------------------- ideal arrays
+
+
+@pytest.mark.parametrize("pitch", [0.7, 1.0, 1.4])
+def test_mean_of_an_ideal_array_has_the_lattice_s_noise(pitch):
+    """All photon noise coherent as an intensity: 1 + lattice sum, less the neighbours that detectors at the edge lack.
+
+    Of 1951 detectors a share of 6 r / n, r rings, lie at the edge and lack up to half of their neighbours; of the sum's
+    longer tail, gamma^2 ~ s^-3, those beyond reach of the array lack: some 3 % of the sum in all.
+    """
+    place = hexagon(25, pitch)
+    common = correlation_matrix(place, "intensity").sum() / len(place)
+    expected = 1 + lattice_sum(pitch, "intensity")
+    assert common < expected + 1e-9
+    assert common == pytest.approx(expected, rel=0.05)
+
+
+def test_forecast_of_the_common_mode_is_the_lattice_s(scene_of):
+    """The same from the array response at a wave so long that the array sees no phase."""
+    cam = camera(scene_of(NO_AIR, {"instrument.layout.rings": 12}).instrument)
+    array = projected_array(cam.focal_plane, 0.3, np.ones(len(cam.focal_plane.x_rad)), "none")
+    correlation = correlation_matrix(cam.positions_f_lambda, "intensity")
+    response = array.response(np.array([1.0 + 0.5j]))
+    ratio = matrix_power(array, response, correlation) / matrix_power(array, response, None)
+    assert ratio[0] == pytest.approx(correlation.sum() / len(correlation), rel=1e-4)
+    assert ratio[0] == pytest.approx(1 + lattice_sum(0.7, "intensity"), rel=0.08)  # of 469 detectors, 72 at the edge
+
+
+def test_streams_of_an_ideal_load_have_the_lattice_s_common_mode(scene_of):
+    """Variance of the array's mean over that of as many independent ones: 4 sqrt(2 / 20 000) of it is 4 %.
+
+    Of the lattice sum, 217 detectors with 48 at the edge lack some 8 % more.
+    """
+    text = without_sections(NO_AIR, "excess", "photon", "detector", "score") + LOAD.replace("field", "intensity")
+    keys = EFFICIENT | {
+        "instrument.layout.rings": 8,
+        "scan.scans": 50,
+        "scan.duration": "40 s",
+        "scan.speed": "0.1 arcmin/s",
+    }
+    scene = scene_of(text, keys | {"instrument.responsivity_scatter": 0, "scan.step": "0.1 arcmin"})
+    data = simulate_observation(scene, 0).data_mk
+    n_det = len(data)
+    ratio = n_det * data.mean(axis=0).var() / data.var(axis=1).mean()
+    correlation = correlation_matrix(prepare(scene).camera.positions_f_lambda, "intensity")
+    shared = observation_levels(prepare(scene), 0).shared
+    exact = 1 + shared * (correlation.sum() / n_det - 1)
+    assert ratio == pytest.approx(exact, rel=0.04)
+    assert ratio == pytest.approx(1 + shared * lattice_sum(0.7, "intensity"), rel=0.12)
+
+
+# ---------------------------------------------------------------- layouts
+
+
+def test_field_of_view_of_the_paper(scene_of):
+    """8 arcmin of pixels 40 arcsec apart: six rings, the corners at a radius of 4 arcmin among them."""
+    keys = {"instrument.layout": {"field_of_view": "8 arcmin", "pitch_f_lambda": 0.7}}
+    plane = camera(scene_of(NO_AIR, keys).instrument).focal_plane
+    assert len(plane.x_rad) == 127
+    np.testing.assert_allclose(np.column_stack([plane.x_rad, plane.y_rad]), hexagon(6, 0.7 * 57.142857 * np.pi / 648e3))
+
+
+def test_field_of_view_is_round(scene_of):
+    """All lattice points within the circle, and the area of their cells is that of the circle."""
+    keys = {"instrument.layout": {"field_of_view": "20 arcmin", "pitch_f_lambda": 0.7}}
+    plane = camera(scene_of(NO_AIR, keys).instrument).focal_plane
+    radius, pitch = np.radians(10 / 60), np.radians(40 / 3600)
+    assert np.hypot(plane.x_rad, plane.y_rad).max() <= radius * (1 + 1e-6)
+    everything = hexagon(40, pitch)
+    assert len(plane.x_rad) == np.sum(np.hypot(*everything.T) <= radius * (1 + 1e-6))
+    assert len(plane.x_rad) * np.sqrt(0.75) * pitch**2 == pytest.approx(np.pi * radius**2, rel=0.02)
+
+
+def test_field_of_view_smaller_than_a_pitch_is_one_detector(scene_of):
+    keys = {"instrument.layout": {"field_of_view": "1 arcmin", "pitch_f_lambda": 0.7}}
+    assert len(camera(scene_of(NO_AIR, keys).instrument).focal_plane.x_rad) == 1
+
+
+@pytest.mark.parametrize(
+    "layout, message",
+    [
+        (
+            {"rings": 2, "field_of_view": "8 arcmin", "pitch_f_lambda": 0.7},
+            "exactly one of 'rings' and 'field_of_view'",
+        ),
+        ({"pitch_f_lambda": 0.7}, "exactly one of 'rings' and 'field_of_view'"),
+        ({"field_of_view": "10 deg", "pitch_f_lambda": 0.7}, "instrument.layout.field_of_view: found .* rings"),
+    ],
+)
+def test_layouts_that_are_refused(scene_of, layout, message):
+    with pytest.raises(SceneError, match=message):
+        prepare(scene_of(NO_AIR, {"instrument.layout": layout}))
+
+
+def test_horns_fit_between_their_neighbours(scene_of):
+    horns = {"instrument.layout.pitch_f_lambda": 2.0}
+    assert prepare(scene_of(NO_AIR, horns | {"instrument.horn_f_lambda": 2.0})).camera.illumination.edge_taper_db > 8
+    with pytest.raises(SceneError, match="instrument.horn_f_lambda: found 2.01; 2, the closest pair's distance"):
+        prepare(scene_of(NO_AIR, horns | {"instrument.horn_f_lambda": 2.01}))
+    with pytest.raises(SceneError, match="edge_taper: found beside 'horn_f_lambda'"):
+        scene_of(NO_AIR, horns | {"instrument.horn_f_lambda": 1.0, "instrument.edge_taper": "3 dB"})
+
+
+# ---------------------------------------------------------------- size
+
+_BIG = """
+    import resource
+    from surveysim.api import simulate_observation
+    from surveysim.forecast import forecast
+    from surveysim.scene import load_scene
+    scene = load_scene({path!r}, {keys!r})
+    print(simulate_observation(scene, 0).data_mk.shape[0])
+    print(forecast(scene).scores["actual"].band.sigma_ukcmb2)
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2)
+"""
+
+
+@pytest.mark.slow
+def test_2000_detectors_fit_into_4_gigabytes(tmp_path):
+    """25 rings, one observation simulated and the survey forecast: the peak of a fresh process."""
+    path = tmp_path / "scene.toml"
+    path.write_text(SMALL_SCENE)
+    keys = {"instrument.layout.rings": 25, "scan.scans": 18, "scan.duration": "15 s", "score.size": "30 arcmin"}
+    code = textwrap.dedent(_BIG.format(path=str(path), keys=keys))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    n_det, sigma, gigabytes = (float(line) for line in done.stdout.split())
+    assert n_det == 1950
+    assert 0 < sigma < np.inf
+    assert gigabytes < 4

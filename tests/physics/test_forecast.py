@@ -1,0 +1,371 @@
+"""The forecast against drawn streams, part by part, and against whole simulated surveys."""
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mapmaker.geometry import sky_offsets
+from mapmaker.spectrum import tukey
+from mapmaker.timestreams import FocalPlane
+from surveysim import response
+from surveysim.api import run
+from surveysim.atmosphere.screen import StripCache, add_atmosphere, strip_step
+from surveysim.atmosphere.spectrum import Screen
+from surveysim.coherence import correlation_factor, correlation_matrix
+from surveysim.forecast import forecast
+from surveysim.instrument import hexagon
+from surveysim.noise import add_correlated_white, add_excess, excess_psd
+from surveysim.response import layer_strength, layer_waves, matrix_power, projected_array, scan_window
+from surveysim.results import forecast_agreement
+from surveysim.scene import SceneError, load_scene
+from surveysim.sections import Excess
+from surveysim.units import rj_to_cmb
+from tests import naive
+from tests.scenes import SMALL_SCENE, without_sections
+
+ARCSEC = np.pi / 648_000
+F_LAMBDA = 57.142857 * ARCSEC
+RATE, SAMPLES = 10.0, 100
+SPEED, SIZE = 240 * ARCSEC, 2000 * ARCSEC  # the map's taper is a little shorter than the scan
+LYNX = Path(__file__).parents[2] / "scenarios" / "lynx.toml"
+EXCESS = Excess.model_validate(
+    {"spectral_index": 1.0, "band_limit": "1 Hz", "b2": [100.0], "variance": "[3] mK2", "coherence": "field"}
+)
+
+
+# ---------------------------------------------------------------- one mode
+
+
+class Scans:
+    """Scans of a small array along xi: what its cleaned streams put into modes of the map, and what should be."""
+
+    def __init__(self, algorithm: str, angle_rad: float = 0.5):
+        x, y = hexagon(2, 0.7 * F_LAMBDA).T
+        self.plane = FocalPlane(x.copy(), y.copy(), 60 * ARCSEC)
+        self.angle_rad = angle_rad
+        self.gain = np.exp(0.05 * np.random.default_rng(3).standard_normal(19))
+        self.gain /= self.gain.mean()
+        self.left = naive.cleaning_matrix(x, y, self.gain, {"none": -1, "average": 0, "planar": 1}[algorithm])
+        # From x and y, the scan's direction and its normal, to position angles from there.
+        self.array = projected_array(self.plane, angle_rad, self.gain, algorithm)
+        self.window = scan_window(SAMPLES / RATE, SPEED, SIZE, 0.5)
+        self.wave = np.array([3000, 6000 * np.exp(0.6j), 1500j, 5000 * np.exp(1.52j), 4000 * np.exp(2.2j), 9000j])
+        self.at_hz = self.wave.real * SPEED / (2 * np.pi)
+        self.response = self.array.response(self.wave)
+
+    def power(self, streams: np.ndarray) -> np.ndarray:
+        """Variance a sample (n_mode,) of streams (n_det, n_scan, n_samp), mean over scans."""
+        xi, eta = (np.ravel(item) for item in sky_offsets(self.plane, np.array([self.angle_rad])))
+        along = SPEED * (np.arange(SAMPLES) - (SAMPLES - 1) / 2) / RATE
+        taper = tukey(SAMPLES, SPEED / RATE, SIZE, 0.5)
+        cleaned = np.einsum("ij,jst->ist", self.left, streams - streams.mean(axis=-1, keepdims=True), optimize=True)
+        found = []
+        for k in self.wave:
+            time = cleaned @ (taper * np.exp(-1j * k.real * along))
+            mode = np.exp(-1j * (k.real * xi + k.imag * eta)) @ time
+            found.append(np.mean(np.abs(mode) ** 2) / (len(xi) * np.sum(taper**2)))
+        return np.array(found)
+
+
+def four_sigma(draws: int) -> float:
+    """Relative, of a mean of powers of complex Gaussians; those of modes across the scan may be as of real ones."""
+    return 4 * np.sqrt(2 / draws)
+
+
+@pytest.mark.parametrize("algorithm", ["none", "average", "planar"])
+@pytest.mark.parametrize("back", [False, True])
+def test_layer_in_a_mode_is_that_of_drawn_screens(monkeypatch, algorithm, back):
+    """The strips of a run, each a scan, in a wind across: their structure function is good to a few per cent.
+
+    Single modes need more wavevectors than the mean of a ring does.
+    """
+    monkeypatch.setattr(response, "_RADII", 96)
+    monkeypatch.setattr(response, "_AZIMUTHS", 64)
+    draws, wind = 1000, np.array([-90.0, 200.0]) * ARCSEC
+    scans = Scans(algorithm)
+    screen = Screen(11 / 3, 8e-3)
+    sign = -1 if back else 1
+    cache = StripCache(screen, np.hypot(scans.plane.x_rad, scans.plane.y_rad).max(), strip_step(screen, 40 * ARCSEC))
+    offsets = np.stack(sky_offsets(scans.plane, np.array([scans.angle_rad])), axis=-1).reshape(1, -1, 2)
+    data = np.zeros((19, draws * SAMPLES), np.float32)
+    starts = SAMPLES * np.arange(draws)
+    add_atmosphere(
+        data,
+        np.column_stack([starts, starts + SAMPLES]),
+        RATE,
+        np.broadcast_to(offsets, (draws, 19, 2)),
+        np.tile([sign * SPEED, 0.0], (draws, 1)),
+        np.tile(wind, (draws, 1)),
+        np.ones(draws),
+        cache,
+        np.random.default_rng(4),
+    )
+    streams = (data * scans.gain[:, None]).astype(float).reshape(19, draws, SAMPLES)
+    # Backward in time, a scan back sees the same places as one there.
+    found = scans.power(streams[..., ::sign])
+    motion = SPEED - sign * complex(*wind)
+    layer = layer_waves(screen, abs(motion) * SAMPLES / RATE)
+    strength = layer_strength(scans.array, scans.response, layer)
+    expected = scans.window.sums(strength, (layer.alpha * np.conj(motion)).real, scans.at_hz) * RATE
+    np.testing.assert_allclose(found, expected, rtol=four_sigma(draws) + 0.05)
+
+
+def test_wavevectors_are_enough_for_rings(scene_of, monkeypatch):
+    """Nothing but the layer, under templates that take nearly all of it: a few per cent in the faintest bins."""
+    scene = scene_of(without_sections(SMALL_SCENE, "excess", "photon", "detector"), observations=20)
+    few = forecast(scene).scores
+    monkeypatch.setattr(response, "_RADII", 96)
+    monkeypatch.setattr(response, "_AZIMUTHS", 64)
+    for name, item in forecast(scene).scores.items():
+        if name == "white":
+            continue  # of nothing but the layer, the ends of its beam
+        np.testing.assert_allclose(few[name].noise_psd, item.noise_psd, rtol=0.1)
+        assert few[name].band.sigma_ukcmb2 == pytest.approx(item.band.sigma_ukcmb2, rel=0.05)
+
+
+@pytest.mark.parametrize("algorithm", ["none", "average"])
+def test_excess_in_a_mode_is_that_of_drawn_streams(algorithm):
+    """Shared as the field is; the lines that are drawn, so nothing but the number of scans limits it."""
+    draws = 3000
+    scans = Scans(algorithm)
+    place = np.column_stack([scans.plane.x_rad, scans.plane.y_rad]) / F_LAMBDA
+    correlation = correlation_matrix(place, "field")
+    data = np.zeros((19, draws * SAMPLES), np.float32)
+    add_excess(data, EXCESS, 3.0, draws, RATE, correlation_factor(correlation), np.random.default_rng(5))
+    found = scans.power((data * scans.gain[:, None]).astype(float).reshape(19, draws, SAMPLES))
+    psd = excess_psd(EXCESS, 3.0, SAMPLES, 2 * SAMPLES, RATE)[1:]
+    step = RATE / (2 * SAMPLES)
+    line = step * np.arange(1, SAMPLES + 1)
+    both, strength = np.concatenate([-line, line]), np.tile(psd * step, 2)[None]
+    power = matrix_power(scans.array, scans.response, correlation * np.outer(scans.gain, scans.gain))
+    expected = power * scans.window.sums(strength, both, scans.at_hz) * RATE / 2
+    np.testing.assert_allclose(found, expected, rtol=four_sigma(draws) + 0.02)
+
+
+@pytest.mark.parametrize("coherence", ["field", "intensity", "none"])
+def test_photon_noise_in_a_mode_is_that_of_drawn_streams(coherence):
+    """White in time: what is left of a unit PSD is the array's share times what the mean leaves."""
+    draws = 3000
+    scans = Scans("average")
+    place = np.column_stack([scans.plane.x_rad, scans.plane.y_rad]) / F_LAMBDA
+    correlation = correlation_matrix(place, coherence)
+    data = np.zeros((19, draws * SAMPLES), np.float32)
+    add_correlated_white(data, 2.5, RATE, correlation_factor(correlation), np.random.default_rng(6))
+    found = scans.power(data.astype(float).reshape(19, draws, SAMPLES))
+    frequency = np.linspace(-RATE, RATE, 16_001)
+    flat = np.full((1, len(frequency)), 2.5 * (frequency[1] - frequency[0]))
+    expected = matrix_power(scans.array, scans.response, correlation) * RATE / 2
+    expected *= scans.window.sums(flat, frequency, scans.at_hz)
+    np.testing.assert_allclose(found, expected, rtol=four_sigma(draws) + 0.02)
+
+
+# ---------------------------------------------------------------- whole surveys
+
+# A patch of 36 arcmin in bright weather: scans are hardly ever lost, and an observation's weight is known to 12 %.
+WIDE = {
+    "observations": 48,
+    "scan.scans": 19,
+    "scan.step": "2 arcmin",
+    "scan.duration": "12 s",
+    "instrument.layout.rings": 3,
+    "map.pixel": "20 arcsec",
+    "atmosphere.b2": "[400, 900, 2000] mK2 rad(-5/3)",
+    "score.size": "36 arcmin",
+    "score.ell_bin": 1000,
+    "score.jackknives": 32,
+    "score.window.observations": 20,
+}
+BARE_EXCESS = ('b2 = [46, 580]\nvariance = "[2.05, 4.52] mK2"', 'b2 = [100]\nvariance = "[3] mK2"')
+
+
+@pytest.fixture
+def scene_of(tmp_path):
+    def load(text: str = SMALL_SCENE, /, **overrides):
+        path = tmp_path / "scene.toml"
+        path.write_text(text)
+        return load_scene(path, {key.replace("__", "."): value for key, value in overrides.items()})
+
+    return load
+
+
+@lru_cache(maxsize=1)
+def wide_survey(path: Path):
+    path.write_text(SMALL_SCENE)
+    return run(load_scene(path, WIDE), workers=1)
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory):
+    return wide_survey(tmp_path_factory.mktemp("wide") / "scene.toml")
+
+
+def check_agreement(result, names, sigma=0.1, psd=0.15):
+    """Within a share, or three errors of the simulation; weights measured on the maps add their own scatter."""
+    found = forecast_agreement(result)
+    assert set(names) <= set(found)
+    for name in names:
+        item = found[name]
+        assert abs(item.sigma) < max(sigma, 3 * item.sigma_error), (name, item)
+        assert abs(item.psd) < psd + 3 * item.psd_error, (name, item)
+
+
+def test_a_survey_is_as_forecast(wide):
+    assert [name for name in wide.scores if name.startswith("masked")]
+    check_agreement(wide, list(wide.scores))
+
+
+def test_error_of_the_agreement_is_small_enough_to_tell(wide):
+    assert all(0 < item.sigma_error < 0.06 for item in forecast_agreement(wide).values())
+
+
+def test_gains_are_as_forecast(wide):
+    """Ratios of data sets share most of the simulation's error."""
+    for upper, lower in (("actual", "uncorrelated"), ("uncorrelated", "white")):
+        gain = wide.gains[f"{upper} / {lower}"]
+        expected = wide.expected.scores[upper].band.sigma_ukcmb2 / wide.expected.scores[lower].band.sigma_ukcmb2
+        assert expected == pytest.approx(gain.ratio, abs=3 * gain.error + 0.05 * gain.ratio)
+
+
+def test_transmission_is_the_measured_window(wide):
+    """Within 15 % from ell = 5000, where the patch's own modes are no longer wide beside the array's scale."""
+    score = wide.scores["actual"]
+    ratio = wide.expected.scores["actual"].transmission / score.window.transmission
+    high = score.band.ell > 5000
+    error = score.window.error / score.window.transmission
+    assert (np.abs(ratio - 1) < 0.15 + 3 * error)[high].all()
+
+
+def test_undersampled_scans_alias_alike(scene_of):
+    """At 20 arcmin/s and 10 Hz the highest modes turn more than once a sample: noise folds back into the band."""
+    text = without_sections(SMALL_SCENE, "atmosphere").replace(*BARE_EXCESS).replace('"average"', '"none"')
+    fast = {"scan.speed": "20 arcmin/s", "scan.duration": "3 s"}
+    keys = {key: value for key, value in {**WIDE, **fast}.items() if not key.startswith("atmosphere")}
+    result = run(scene_of(text, **keys), workers=1)
+    check_agreement(result, ["actual", "uncorrelated", "white"], psd=0.2)
+
+
+@pytest.mark.parametrize("index", [0.5, 3.0, 6.0])
+def test_excess_of_any_slope(scene_of, index):
+    """Steep excess is all in the lowest line that is drawn."""
+    text = without_sections(SMALL_SCENE, "atmosphere").replace(*BARE_EXCESS).replace('"average"', '"none"')
+    keys = {key: value for key, value in WIDE.items() if not key.startswith("atmosphere")}
+    keys |= {"scan.scans": 13, "score.size": "24 arcmin", "excess.spectral_index": index}
+    result = run(scene_of(text, **keys), workers=1)
+    found = forecast_agreement(result)["uncorrelated"]
+    assert abs(found.sigma) < 0.1 + 3 * found.sigma_error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algorithm", ["average", "planar", "quadratic"])
+def test_lynx_is_as_forecast(algorithm):
+    """200 observations of the paper's survey: sigma(A) to 10 %, noise PSDs to 15 %, each with two errors beside."""
+    scene = load_scene(LYNX, {"observations": 200, "cleaning.algorithm": algorithm, "score.window.observations": 40})
+    result = run(scene, workers=1)
+    for name, item in forecast_agreement(result).items():
+        assert abs(item.sigma) < 0.1 + 2 * item.sigma_error, (name, item)
+        assert abs(item.psd) < 0.15 + 2 * item.psd_error, (name, item)
+    for name in ("actual", next(name for name in result.scores if name.startswith("masked"))):
+        window = result.scores[name].window
+        ratio = result.expected.scores[name].transmission / window.transmission
+        assert (np.abs(ratio - 1) < 0.15)[window.ell > 3000].all(), name
+
+
+# ---------------------------------------------------------------- scalings and limits
+
+
+def test_sigma_goes_as_one_over_the_observations(scene_of):
+    """Fixed weather and camera: sigma(A) is a power, so that four times the data are worth a factor of four."""
+    text = without_sections(SMALL_SCENE, "atmosphere", "excess").replace('"average"', '"none"')
+    few, many = (forecast(scene_of(text, observations=n)).scores["actual"].band.sigma_ukcmb2 for n in (48, 192))
+    assert few / many == pytest.approx(4, rel=0.03)  # dithers differ
+
+
+def test_sigma_goes_as_the_noise(scene_of):
+    text = without_sections(SMALL_SCENE, "atmosphere", "excess", "photon").replace('"average"', '"none"')
+    one, three = (
+        forecast(scene_of(text, detector__psd=f"{level} mK2/Hz")).scores["actual"].band.sigma_ukcmb2 for level in (2, 6)
+    )
+    assert three / one == pytest.approx(3, rel=1e-9)
+
+
+def test_white_noise_by_hand(scene_of):
+    """Detector noise alone, high multipoles: a sample's variance is psd rate / 2, over the hits a pixel."""
+    text = without_sections(SMALL_SCENE, "atmosphere", "excess", "photon").replace('"average"', '"none"')
+    keys = {key: value for key, value in WIDE.items() if not key.startswith("atmosphere")}
+    scene = scene_of(text, **keys)
+    result = forecast(scene).scores["actual"]
+    seconds = 48 * 19 * 12 * result.n_det
+    # Scans of 48 arcmin, 19 of them 2 arcmin apart, are evenly covered but for their ends.
+    area = (48 / 60 * np.pi / 180) * (38 / 60 * np.pi / 180)
+    expected = 2.5 / 2 * area / seconds * (1e3 * rj_to_cmb(143e9)) ** 2
+    assert result.noise_psd[-1] == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"observations": 1},
+        {"atmosphere__wind_median": "0 arcmin/s"},
+        {"atmosphere__wind_median": "240 arcmin/s", "atmosphere__wind_log_scatter": 2.0},
+        {"scan__step": "0 arcmin"},
+        {"score__ell_min": 500, "score__ell_max": 2000, "score__ell_bin": 750},
+        {"instrument__camera_rotation": "0 deg"},
+        {"scan__duration": "2 s"},
+        {"scan__speed": "60 arcmin/s"},
+        {"scan__duration": "200 s", "scan__speed": "0.1 arcmin/s"},
+        {"atmosphere__b2": "[0, 280, 980] mK2 rad(-5/3)"},
+        {"atmosphere__outer_scale": "50 m"},
+        {"atmosphere__index": "2/3", "atmosphere__b2": "[100, 280, 980] mK2 rad(4/3)"},
+        {"photon__psd": "0 mK2/Hz", "detector__psd": "0 mK2/Hz"},
+        {"photon__coherence": "intensity", "photon__coherent_fraction": 1.0},
+        {"cleaning__algorithm": "quadratic", "score__mask_separation_f_lambda": 0.8},
+    ],
+)
+def test_odd_scenes_end_finite(scene_of, change):
+    for item in forecast(scene_of(**change)).scores.values():
+        assert np.isfinite(item.noise_psd).all() and np.isfinite(item.transmission).all()
+        assert 0 < item.band.sigma_ukcmb2 < np.inf
+
+
+@pytest.mark.parametrize(
+    "text, change, message",
+    [
+        (without_sections(SMALL_SCENE, "score"), {}, "score: missing"),
+        (
+            SMALL_SCENE,
+            {"cleaning__algorithm": "local", "cleaning__reach": 1.2},
+            "found 'local'; one of 'none', 'average'",
+        ),
+        (SMALL_SCENE, {"cleaning__algorithm": ["average", "planar"]}, "can be forecast"),
+        (
+            without_sections(SMALL_SCENE, "atmosphere", "excess", "photon", "detector").replace('"average"', '"none"'),
+            {},
+            "score: found no noise in its multipoles or no scan across",
+        ),
+        (
+            SMALL_SCENE,
+            {"scan__scans": 2, "scan__step": "20 arcmin"},
+            "score: found no noise in its multipoles or no scan across",
+        ),
+    ],
+)
+def test_what_can_not_be_forecast(scene_of, text, change, message):
+    with pytest.raises(SceneError, match=message.replace("[", r"\[")):
+        forecast(scene_of(text, **change))
+
+
+def test_detectors_on_a_line_have_no_plane(scene_of, tmp_path):
+    rows = "".join(f"{40 * i} 0\n" for i in range(12))
+    header = "# %ECSV 1.0\n# ---\n# datatype:\n" + "".join(
+        f"# - {{name: {name}, unit: arcsec, datatype: float64}}\n" for name in "xy"
+    )
+    (tmp_path / "line.ecsv").write_text(header + "x y\n" + rows)
+    text = SMALL_SCENE[: SMALL_SCENE.index("[instrument.layout]")] + SMALL_SCENE[SMALL_SCENE.index("[scan]") :]
+    text = text.replace("mask_separation_f_lambda = 1.3\n", "").replace(
+        "[instrument]", '[instrument]\npositions = "line.ecsv"'
+    )
+    assert forecast(scene_of(text)).scores["actual"].n_det == 12
+    with pytest.raises(SceneError, match="cleaning: the 12 detector positions support 2 independent templates"):
+        forecast(scene_of(text, cleaning__algorithm="planar"))

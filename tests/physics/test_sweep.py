@@ -1,0 +1,157 @@
+"""Paired errors of points against the scatter that surveys of many seeds have.
+
+A variance from n draws is known to sqrt(2 / n), relative; the tests allow three times that unless said otherwise.
+"""
+
+import numpy as np
+import pytest
+
+from mapmaker.bandpower import flat_spectrum_psd, score
+from mapmaker.window import Window
+from surveysim import load_sweep, run_sweep
+from surveysim.point_files import PointResult
+from surveysim.scores import DataSetScore, error_modes
+from surveysim.trade import compare_runs
+from tests.scenes import SMALL_SCENE, without_sections
+
+ELL = np.array([4500.0, 5500.0, 6500.0, 7500.0])
+EDGES = np.arange(4000.0, 8001.0, 1000.0)
+N_MODES = np.array([40, 50, 60, 70])
+FLIPS = 16
+
+NO_SETS = (
+    without_sections(SMALL_SCENE, "sky")
+    .replace('simulated = ["uncorrelated", "white"]', "simulated = []")
+    .replace("mask_separation_f_lambda = 1.3\n", "")
+    .replace("jackknives = 4", f"jackknives = {FLIPS}")
+)
+NO_AIR = (
+    without_sections(NO_SETS, "atmosphere", "excess")
+    .replace('algorithm = "average"', 'algorithm = "none"')
+    .replace("observations = 4\n", "observations = 10\n")
+)
+AIR = NO_SETS.replace("observations = 4\n", "observations = 24\n")
+
+
+# ---------------------------------------------------------------- surveys of toy modes
+
+
+def toy_pair(weights, own, rng):
+    """Scores of two surveys with the same signs, weather and window, whose modes have `own` of their power alone."""
+    shape = (weights.size, N_MODES.sum() // 2)
+    common, *apart = (rng.normal(size=(*shape, 2)) @ [1, 1j] / np.sqrt(2) for _ in range(3))
+    signs = rng.choice([-1.0, 1.0], size=(FLIPS, weights.size))
+    window = Window(ELL, np.ones(4), np.zeros(4))
+    items = []
+    for noise in apart:
+        modes = np.sqrt(weights)[:, None] * (np.sqrt(1 - own) * common + np.sqrt(own) * noise)
+        power = np.abs(signs @ modes / weights.sum()) ** 2
+        psds = 1e-5 * np.stack([part.mean(axis=1) for part in np.split(power, np.cumsum(N_MODES // 2)[:-1], 1)], 1)
+        signal = flat_spectrum_psd(ELL)
+        band, budget = score(psds, signal, np.zeros(4), N_MODES, ELL > 0, weights, ELL, EDGES)
+        items.append(DataSetScore("actual", 100, band, budget, psds, signal, window, weights))
+    return items
+
+
+@pytest.mark.parametrize("own", [0.03, 0.3, 1.0])
+def test_error_of_a_ratio_of_toy_surveys(own):
+    """300 pairs of surveys of 60 observations that share all, most or none of their noise, in new weather each time:
+    the mean squared error of their ratio against its scatter. What is not common, and no more, is in it.
+    """
+    n, rng = 300, np.random.default_rng(8)
+    log_ratio, variance, apart = np.empty(n), np.empty(n), np.empty(n)
+    for i in range(n):
+        weights = np.exp(0.6 * rng.normal(size=60))
+        one, other = items = toy_pair(weights, own, rng)
+        rows = error_modes(items, ("same", "same"))
+        log_ratio[i] = np.log(one.band.sigma_ukcmb2 / other.band.sigma_ukcmb2)
+        variance[i] = np.sum((rows[0] - rows[1]) ** 2)
+        apart[i] = one.budget.total**2 + other.budget.total**2
+    assert np.var(log_ratio) == pytest.approx(variance.mean(), rel=3 * np.sqrt(2 / n))
+    assert variance.mean() < apart.mean()  # the weather is common whatever the noise does
+    if own < 0.1:
+        assert np.sqrt(variance.mean()) < np.sqrt(apart.mean()) / 3
+
+
+# ---------------------------------------------------------------- simulated surveys
+
+
+def seeds_of(tmp_path, scene, table, n):
+    """ln ratio, its paired error and that of independent runs (n,) of two points, for n seeds."""
+    path = tmp_path / "pair.toml"
+    path.write_text(f"{scene}\n[sweep]\n{table}\n")
+    rows = []
+    for seed in range(n):
+        found = run_sweep(load_sweep(path, {"seed": seed}), workers=1).comparison
+        ratio = found.ratio[1]
+        rows.append((np.log(ratio), found.paired_error[1] / ratio, found.independent_error[1] / ratio))
+    return np.array(rows).T
+
+
+def assert_right(log_ratio, paired):
+    """Scatter of n values about their mean, and the mean of variances that each have FLIPS - 1 degrees of freedom."""
+    n = len(log_ratio)
+    tolerance = 3 * np.sqrt(2 / (n - 1) + 2 / (n * (FLIPS - 1)))
+    assert np.var(log_ratio, ddof=1) == pytest.approx(np.mean(paired**2), rel=tolerance)
+
+
+def test_paired_error_of_a_small_change(tmp_path, monkeypatch):
+    """Half more detector noise beside the same photon noise: far better known than from independent runs."""
+    monkeypatch.setattr("surveysim.trade.forecast_sigma", lambda point: ({}, ""))
+    table = '"detector.psd" = ["2.5 mK2 / Hz", "3.75 mK2 / Hz"]'
+    log_ratio, paired, independent = seeds_of(tmp_path, NO_AIR, table, 24)
+    assert_right(log_ratio, paired)
+    assert np.sqrt(np.mean(paired**2)) < np.sqrt(np.mean(independent**2)) / 3
+    # 5 and 6.25 mK^2/Hz of white noise.
+    assert log_ratio.mean() == pytest.approx(np.log(1.25), abs=4 * np.sqrt(np.mean(paired**2) / 24))
+
+
+@pytest.mark.slow
+def test_paired_error_where_little_is_common(tmp_path, monkeypatch):
+    """Another scan speed: other maps of the same streams."""
+    monkeypatch.setattr("surveysim.trade.forecast_sigma", lambda point: ({}, ""))
+    table = '"scan.speed" = ["4 arcmin / s", "4.5 arcmin / s"]'
+    log_ratio, paired, independent = seeds_of(tmp_path, NO_AIR, table, 60)
+    assert_right(log_ratio, paired)
+    assert np.mean(paired**2) < np.mean(independent**2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "table, gained",
+    [
+        ('"detector.psd" = ["2.5 mK2 / Hz", "3.5 mK2 / Hz"]', 4),
+        ('"excess.spectral_index" = [1.0, 1.2]', 4),
+        ('"cleaning.algorithm" = ["average", "planar"]', 1),
+    ],
+)
+def test_paired_error_in_varying_weather(tmp_path, monkeypatch, table, gained):
+    """Twenty-four observations in the atmosphere, cleaned: weather and window are common too.
+
+    Weights with long tails scatter more from seed to seed than normal ones: the variance from n seeds is known to
+    sqrt(5 / n) for the kurtosis of 6 that is found.
+    """
+    monkeypatch.setattr("surveysim.trade.forecast_sigma", lambda point: ({}, ""))
+    n = 40
+    log_ratio, paired, independent = seeds_of(tmp_path, AIR, table, n)
+    assert np.var(log_ratio, ddof=1) == pytest.approx(np.mean(paired**2), rel=3 * np.sqrt(5 / n))
+    assert np.sqrt(np.mean(paired**2)) < np.sqrt(np.mean(independent**2)) / gained
+
+
+def test_best_of_equal_toy_surveys_is_drawn_by_lot():
+    """60 pairs that differ in nothing but chance: the probability that the first is the best is uniform, as it has
+    to be if it is right. Its mean within 4 standard errors; its variance, 1/12, within 3 of sqrt(0.8 / 60).
+    """
+    rng, n = np.random.default_rng(9), 60
+    found = np.empty((n, 2))
+    for i in range(n):
+        items = toy_pair(np.exp(0.5 * rng.normal(size=60)), 0.3, rng)
+        points = tuple(_point(item) for item in items)
+        found[i] = compare_runs(points, rng).best_probability
+    assert found.sum(axis=1) == pytest.approx(1)
+    assert found[:, 0].mean() == pytest.approx(0.5, abs=4 * found[:, 0].std() / np.sqrt(n))
+    assert found[:, 0].var() == pytest.approx(1 / 12, rel=0.35)
+
+
+def _point(item):
+    return PointResult(100, {"actual": item}, {}, "same", "", 0.0)
