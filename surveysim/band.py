@@ -13,6 +13,7 @@ from mapmaker.window import beam_window
 from surveysim.scene import Scene, SceneError
 
 N_SECTORS = 3
+FAINTEST = 1e-100  # signal behind the beam whose square is still a number
 
 
 @dataclass(frozen=True)
@@ -22,8 +23,8 @@ class Band:
     `patch`: rows (and columns) of the map under the taper; `taper` (n, n) on the patch; `rings` the bins
     of multipole of the patch padded to (n_pad, n_pad); `selected` (n_bin,) bins that count; `mode_weight`
     (n_pad, n_column): squared signal PSD times multiplicity, up to the last column of the half plane in
-    the scored range; `sectors` the scored bins cut by direction, None where a sector would be empty;
-    `noise_scatter` the relative variance of `noise` over white maps.
+    the scored range; `sectors` the scored bins cut by direction, None where a sector would be empty; `mode_chance`
+    (n_mode,), for the modes of `rings`, the share of its noise that each loses by chance where `noise` weighs maps.
     """
 
     patch: slice
@@ -32,7 +33,7 @@ class Band:
     selected: np.ndarray
     mode_weight: np.ndarray
     sectors: Annuli | None
-    noise_scatter: float
+    mode_chance: np.ndarray
 
     @property
     def padded_taper(self) -> np.ndarray:
@@ -43,6 +44,19 @@ class Band:
         """A patch (..., n, n) with zeros up to the grid of the rings."""
         extra = len(self.mode_weight) - self.taper.shape[0]
         return np.pad(patch, [(0, 0)] * (patch.ndim - 2) + [(0, extra)] * 2)
+
+    @property
+    def noise_scatter(self) -> float:
+        """Relative variance of `noise` over white maps: the modes' chance as they weigh in it."""
+        n_pad, n_column = self.mode_weight.shape
+        chance = self.mode_chance.reshape(n_pad, -1)[:, :n_column]
+        return float(np.sum(self.mode_weight * chance) / self.mode_weight.sum())
+
+    def chance(self, rings: Annuli) -> np.ndarray:
+        """Mean of `mode_chance` over the modes of each of some bins, (n_bin,)."""
+        n_bin = len(rings.n_modes)
+        total = np.bincount(rings.bin_of_mode, self.mode_chance * rings.multiplicity, n_bin + 1)[:n_bin]
+        return total / np.bincount(rings.bin_of_mode, rings.multiplicity, n_bin + 1)[:n_bin]
 
     def ring_noise(self, total: np.ndarray, hits: np.ndarray) -> np.ndarray:
         """Noise variance a sample in each bin of multipole (n_bin,) of a patch of sums and hits; inf without a hit."""
@@ -99,7 +113,7 @@ def scored_band(scene: Scene, geometry: MapGeometry) -> Band | None:
         selected=selected,
         mode_weight=weight,
         sectors=sectors,
-        noise_scatter=_noise_scatter(scene, padded, geometry.pixel_rad),
+        mode_chance=_mode_chance(scene, padded, geometry.pixel_rad),
     )
 
 
@@ -115,19 +129,23 @@ def _squared_signal(scene: Scene, ell: np.ndarray) -> np.ndarray:
     signal = np.zeros(ell.shape)
     inside = (ell >= score.ell_min) & (ell < score.ell_max)
     signal[inside] = flat_spectrum_psd(ell[inside]) * beam_window(ell[inside], scene.instrument.beam_fwhm_rad)
-    if not signal.max() > 0:
+    if not signal.max() > FAINTEST:
         raise SceneError(f"score.ell_min: found {score.ell_min}; multipoles that the beam lets through are expected")
     return (signal / signal.max()) ** 2
 
 
-def _noise_scatter(scene: Scene, taper: np.ndarray, pixel_rad: float) -> float:
-    """Relative variance of `Band.noise` over white maps.
+def _mode_chance(scene: Scene, taper: np.ndarray, pixel_rad: float) -> np.ndarray:
+    """What weights 1 / `Band.noise`, measured on the maps that they weigh, take of each mode's noise, (n_mode,).
 
-    With weights m of the modes, ``2 sum_kk' m_k m_k' |r(k - k')|^2 / (sum m)^2``, r the transform of the squared
-    taper over its sum: Wick's theorem for the powers of modes that the taper ties together.
+    With relative errors e of the measured noise, of variance d^2, a co-added mode of power P has ``<w^2 P> / <w>^2 =
+    N (1 + d^2 - 2 c)``, c the covariance of e with that mode's relative power; this is 2 c - d^2. Wick's theorem for
+    modes that the taper ties together: with weights m, ``c_k = 2 sum_k' m_k' |r(k - k')|^2 / sum m``, r the transform
+    of the squared taper over its sum, and d^2 is the mean of c weighted by m. White maps, to first order.
     """
-    frequency = 2 * np.pi * fftfreq(len(taper), pixel_rad)
+    n = len(taper)
+    frequency = 2 * np.pi * fftfreq(n, pixel_rad)
     weight = _squared_signal(scene, np.hypot(frequency[:, None], frequency))
     tied = np.abs(fft2(taper**2) / np.sum(taper**2)) ** 2
-    spread = fft2(ifft2(weight) * ifft2(tied)).real * weight.size
-    return float(2 * np.sum(weight * spread) / weight.sum() ** 2)
+    covariance = 2 * fft2(ifft2(weight) * ifft2(tied)).real * weight.size / weight.sum()
+    scatter = float(np.sum(weight * covariance) / weight.sum())
+    return (2 * covariance - scatter)[:, : n // 2 + 1].ravel()

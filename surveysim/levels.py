@@ -41,9 +41,10 @@ def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, eleva
 
 
 def sky_transmission(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevation_rad: float) -> float:
-    """Transmission of the atmosphere where the scene's noise is that of its site's sky, else 1.
+    """Transmission of the atmosphere where the photon noise is that of the site's sky, else 1.
 
-    A load that the scene states is taken with temperatures that are calibrated above the atmosphere, as in the paper.
+    A load that the scene states, and a detector's power without a load, are taken with temperatures that are calibrated
+    above the atmosphere, as in the paper.
     """
     of_site = scene.photon and scene.photon.load and scene.photon.load.sky_k is None
     if not of_site:

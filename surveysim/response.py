@@ -88,7 +88,7 @@ def hann_window(duration_s: float) -> TimeWindow:
 
 def frequency_nodes(window: TimeWindow, highest_hz: float) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies (n,) of both signs and their weights: fine where the scan's mean goes, else by its resolution."""
-    cycle = min(window.per_step and _STEPS_PER_CYCLE / window.per_step, highest_hz / 8)
+    cycle = min(_STEPS_PER_CYCLE / window.per_step, highest_hz / 8)
     near = np.geomspace(0.02 / window.duration_s, 0.5 * cycle, 24)
     far = np.linspace(0.5 * cycle, highest_hz, 1 + int(np.ceil(4 * (highest_hz / cycle - 0.5))))
     positive = np.concatenate([near[near < 0.5 * cycle], far])

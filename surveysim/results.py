@@ -14,7 +14,7 @@ from surveysim.coadds import CoAdds, row_names
 from surveysim.forecast import DataSetForecast, Forecast, can_forecast, forecast
 from surveysim.recipes import ACTUAL, Recipe
 from surveysim.scan import samples_per_scan
-from surveysim.scene import Scene, scene_hash
+from surveysim.scene import Scene, SceneError, scene_hash
 from surveysim.scores import DataSetScore, Gain, flux_removed, gain, rescore, score_survey, sector_sigma
 from surveysim.setup import Setup
 
@@ -82,8 +82,16 @@ def survey_result(setup: Setup, coadds: CoAdds, wall_s: float, workers: int) -> 
             removed = flux_removed(setup, coadds)
         except ValueError as error:  # too few observations, or too few scans kept in them
             scores, ratios, others, removed, unscored = {}, {}, [], {}, str(error)
-    expected = forecast(setup.scene) if scores and can_forecast(setup) else None
+    expected = _forecast(setup) if scores else None
     return SurveyResult(setup, coadds, scores, ratios, others, removed, expected, wall_s, workers, unscored)
+
+
+def _forecast(setup: Setup) -> Forecast | None:
+    """The forecast beside a run, None where the scene has none: a finished run never fails for want of it."""
+    try:
+        return forecast(setup.scene) if can_forecast(setup) else None
+    except SceneError:
+        return None
 
 
 def score_rows(result: SurveyResult) -> list[Row]:

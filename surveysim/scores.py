@@ -178,14 +178,13 @@ def _signal_psd(setup: Setup, window: Window) -> np.ndarray:
 def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> np.ndarray:
     """PSDs (K, n_bin) [uK_CMB^2 sr] of the sign-flipped co-adds.
 
-    Weights measured on the very maps that they weigh favour an observation whose noise fluctuates low, which
-    lowers the co-added PSD by the relative variance d^2 of the measured noise (to first order: the weights
-    w = 1/v follow the modes' own power, <w^2 P> / <w>^2 = N (1 - d^2)); that is given back.
+    Weights measured on the very maps that they weigh favour an observation whose noise fluctuates low, which lowers
+    the co-added PSD where they are measured and raises it elsewhere (`Band.mode_chance`); that is given back.
     """
     patch = setup.band.patch
     maps = weighted_mean(coadds.flipped[:, data_set], coadds.weight[data_set][patch, patch])
     to_ukcmb = 1e3 * rj_to_cmb(setup.scene.instrument.frequency_hz)
-    return _psd(setup, maps, rings) * (to_ukcmb**2 * (1 + setup.band.noise_scatter))
+    return _psd(setup, maps, rings) * (to_ukcmb**2 * (1 + setup.band.chance(rings)))
 
 
 def flux_removed(setup: Setup, coadds: CoAdds) -> dict[str, float]:

@@ -84,6 +84,8 @@ def agreement_lines(result: SurveyResult) -> list[str]:
         for name, item in found.items()
         if abs(item.psd) > FORECAST_PSD + 2 * item.psd_error
     ]
+    if all(item.psd != item.psd for item in found.values()):  # no bin was compared
+        return lines
     return lines + (worse or [f"  its noise PSDs: within {100 * FORECAST_PSD:.0f} % in all bins from {low} to {high}"])
 
 

@@ -50,7 +50,8 @@ def test_excess(per_sample, lynx):
 
 def test_photon(per_sample, lynx):
     data = np.zeros_like(lynx.data_mk)
-    per_sample("photon", lambda: stages._add_photon(lynx.setup, OBSERVATION, data))
+    levels = stages.observation_levels(lynx.setup, OBSERVATION)
+    per_sample("photon", lambda: stages._add_photon(lynx.setup, OBSERVATION, levels, data))
 
 
 def test_detector(per_sample, lynx):

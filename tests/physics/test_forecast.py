@@ -14,13 +14,16 @@ from surveysim.api import run
 from surveysim.atmosphere.screen import StripCache, add_atmosphere, strip_step
 from surveysim.atmosphere.spectrum import Screen
 from surveysim.coherence import correlation_factor, correlation_matrix
-from surveysim.forecast import forecast
+from surveysim.forecast import _conditions, forecast
 from surveysim.instrument import hexagon
 from surveysim.noise import add_correlated_white, add_excess, excess_psd
+from surveysim.observation import observation_weather
+from surveysim.pointing import sky_vector
 from surveysim.response import layer_strength, layer_waves, matrix_power, projected_array, scan_window
 from surveysim.results import forecast_agreement
 from surveysim.scene import SceneError, load_scene
 from surveysim.sections import Excess
+from surveysim.setup import observation_path, prepare
 from surveysim.units import rj_to_cmb
 from tests import naive
 from tests.scenes import SMALL_SCENE, without_sections
@@ -48,7 +51,6 @@ class Scans:
         self.gain = np.exp(0.05 * np.random.default_rng(3).standard_normal(19))
         self.gain /= self.gain.mean()
         self.left = naive.cleaning_matrix(x, y, self.gain, {"none": -1, "average": 0, "planar": 1}[algorithm])
-        # From x and y, the scan's direction and its normal, to position angles from there.
         self.array = projected_array(self.plane, angle_rad, self.gain, algorithm)
         self.window = scan_window(SAMPLES / RATE, SPEED, SIZE, 0.5)
         self.wave = np.array([3000, 6000 * np.exp(0.6j), 1500j, 5000 * np.exp(1.52j), 4000 * np.exp(2.2j), 9000j])
@@ -103,8 +105,7 @@ def test_layer_in_a_mode_is_that_of_drawn_screens(monkeypatch, algorithm, back):
         np.random.default_rng(4),
     )
     streams = (data * scans.gain[:, None]).astype(float).reshape(19, draws, SAMPLES)
-    # Backward in time, a scan back sees the same places as one there.
-    found = scans.power(streams[..., ::sign])
+    found = scans.power(streams[..., ::sign])  # in reversed time a scan back is one there
     motion = SPEED - sign * complex(*wind)
     layer = layer_waves(screen, abs(motion) * SAMPLES / RATE)
     strength = layer_strength(scans.array, scans.response, layer)
@@ -154,11 +155,27 @@ def test_photon_noise_in_a_mode_is_that_of_drawn_streams(coherence):
     data = np.zeros((19, draws * SAMPLES), np.float32)
     add_correlated_white(data, 2.5, RATE, correlation_factor(correlation), np.random.default_rng(6))
     found = scans.power(data.astype(float).reshape(19, draws, SAMPLES))
-    frequency = np.linspace(-RATE, RATE, 16_001)
-    flat = np.full((1, len(frequency)), 2.5 * (frequency[1] - frequency[0]))
+    frequency, step = np.linspace(-RATE, RATE, 16_001, retstep=True)
+    flat = np.full((1, len(frequency)), 2.5 * step)
     expected = matrix_power(scans.array, scans.response, correlation) * RATE / 2
     expected *= scans.window.sums(flat, frequency, scans.at_hz)
     np.testing.assert_allclose(found, expected, rtol=four_sigma(draws) + 0.02)
+
+
+def test_frames_of_observations_are_those_of_the_scans(scene_of):
+    """Motion against the layer and the array's places, turned so that the scan goes along x; back is half a turn on."""
+    setup = prepare(scene_of())
+    levels = _conditions(setup)
+    for number in range(4):
+        _, pointing = observation_path(setup, number)
+        weather = observation_weather(setup, number)
+        layer = np.array([sky_vector(angle, *weather.wind_rad_s) for angle in pointing.parallactic_rad]) @ [1, 1j]
+        relative = pointing.velocity_rad_s @ [1, 1j] - layer
+        along = pointing.velocity_rad_s[:2] @ [1, 1j] / setup.raster.speed_rad_s
+        np.testing.assert_allclose(levels.motion[number], relative[:2] / along, rtol=1e-9)
+        offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad[:1]), axis=-1) @ [1, 1j]
+        place = projected_array(setup.camera.focal_plane, levels.angle[number], setup.responsivity, "none").place
+        np.testing.assert_allclose(place, offsets[0] / along[0], atol=1e-12)
 
 
 # ---------------------------------------------------------------- whole surveys
@@ -214,9 +231,6 @@ def check_agreement(result, names, sigma=0.1, psd=0.15):
 def test_a_survey_is_as_forecast(wide):
     assert [name for name in wide.scores if name.startswith("masked")]
     check_agreement(wide, list(wide.scores))
-
-
-def test_error_of_the_agreement_is_small_enough_to_tell(wide):
     assert all(0 < item.sigma_error < 0.06 for item in forecast_agreement(wide).values())
 
 
@@ -246,7 +260,7 @@ def test_undersampled_scans_alias_alike(scene_of):
     check_agreement(result, ["actual", "uncorrelated", "white"], psd=0.2)
 
 
-@pytest.mark.parametrize("index", [0.5, 3.0, 6.0])
+@pytest.mark.parametrize("index", [0.5, 6.0])
 def test_excess_of_any_slope(scene_of, index):
     """Steep excess is all in the lowest line that is drawn."""
     text = without_sections(SMALL_SCENE, "atmosphere").replace(*BARE_EXCESS).replace('"average"', '"none"')
@@ -255,6 +269,20 @@ def test_excess_of_any_slope(scene_of, index):
     result = run(scene_of(text, **keys), workers=1)
     found = forecast_agreement(result)["uncorrelated"]
     assert abs(found.sigma) < 0.1 + 3 * found.sigma_error
+
+
+@pytest.mark.parametrize("coherence", ["field", "none"])
+def test_pixels_do_not_smooth_noise_of_single_streams(scene_of, coherence):
+    """Half a beam wide, they take a fifth of what is smooth at ell = 11 000; of tracks side by side they take nothing.
+
+    Of the mean of three bins, errors are 3 %; weights measured on the maps add another 5 % to the simulation's noise.
+    """
+    text = without_sections(SMALL_SCENE, "atmosphere", "photon", "detector").replace(*BARE_EXCESS)
+    keys = {key: value for key, value in WIDE.items() if not key.startswith("atmosphere")}
+    keys |= {"map.pixel": "30 arcsec", "score.ell_bin": 2000, "excess.coherence": coherence}
+    result = run(scene_of(text.replace('"average"', '"none"'), **keys), workers=1)
+    expected, found = (item.scores["uncorrelated"] for item in (result.expected, result))
+    assert np.mean((expected.noise_psd / found.noise_psd)[3:]) == pytest.approx(0.95, abs=0.09)
 
 
 @pytest.mark.slow

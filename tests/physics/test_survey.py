@@ -102,6 +102,27 @@ def test_the_measured_noise_scatters_as_the_band_says(tmp_path):
     assert np.var(noise) == pytest.approx(band.noise_scatter, rel=4 * np.sqrt(2 / n_maps))
 
 
+def test_what_weights_take_by_chance_is_known_in_every_bin(tmp_path):
+    """Co-adds of white maps with weights measured on themselves, corrected, have the noise of ideal weights."""
+    (tmp_path / "scene.toml").write_text(SMALL_SCENE)
+    band = prepare(load_scene(tmp_path / "scene.toml", {"score.size": "24 arcmin", "map.pixel": "30 arcsec"})).band
+    rng, n_obs, n_co = np.random.default_rng(8), 20, 300
+    hits, powers = np.full(band.taper.shape, 100.0), []
+    for _ in range(n_co):
+        maps = 10 * rng.standard_normal((n_obs, *hits.shape))
+        weights = 1 / np.array([band.noise(item, hits) for item in maps])
+        # As one map of n_obs times the hits whose noise would be 1 a sample.
+        total = np.tensordot(weights, maps, axes=1) * n_obs / weights.sum()
+        powers.append(band.ring_noise(total, n_obs * hits))
+    found = np.mean(powers, axis=0) * (1 + band.chance(band.rings))
+    error = np.std(powers, axis=0) / np.sqrt(n_co)
+    # The second order of the weights' scatter d^2 is left: a few d^4.
+    assert band.noise_scatter > 0.02
+    assert found == pytest.approx(np.ones(len(found)), abs=4 * error.max() + 4 * band.noise_scatter**2)
+    uncorrected = np.mean(powers, axis=0)
+    assert uncorrected[band.selected][0] < 1 < uncorrected[-1]
+
+
 def test_removing_scan_means_leaves_the_window_that_geometry_gives(tmp_path):
     setup, coadds = survey(
         tmp_path,
