@@ -54,7 +54,7 @@ def sweep_figure(result: SweepResult) -> PaperFigure:
     if result.simulated:
         caption += (
             " Bars are Monte Carlo errors; those of the ratios count that noise, weather and skies are common."
-            " Grey bars: independent runs. Lines: forecast."
+            " Grey bars: independent runs. Dashes or triangles: forecast."
         )
     return PaperFigure(0, f"{sweep.name}: sweep", caption, panels, 2)
 
@@ -65,7 +65,9 @@ def _levels(result: SweepResult, x: np.ndarray, rows: np.ndarray, name: str, col
     series = []
     if np.isfinite(forecast).any():
         label = "" if name and result.simulated else name or "forecast"
-        series.append(Series(label, "line", x[rows], forecast, f"{colour} --"))
+        # Values that are no numbers have nothing between them.
+        kind, look = ("points", f"{colour} :") if _ticks(result) else ("line", f"{colour} --")
+        series.append(Series(label, kind, x[rows], forecast, look))
     if result.simulated:
         sigma, error = comparison.sigma_ukcmb2[rows], comparison.error_ukcmb2[rows]
         series.append(Series(name or "simulated", "points", x[rows], sigma, colour, sigma - error, sigma + error))
