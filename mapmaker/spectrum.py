@@ -37,6 +37,7 @@ def tukey_taper(n_y: int, n_x: int, pixel_rad: float, size_rad: float, edge_frac
 
 
 def tukey(n: int, pixel_rad: float, size_rad: float, edge_fraction: float) -> np.ndarray:
+    """Cosine-edged taper (n,) at steps of `pixel_rad`, `size_rad` wide about their middle; see `tukey_taper`."""
     from_centre = np.abs(np.arange(n) - (n - 1) / 2) * pixel_rad / (size_rad / 2)
     inside = from_centre <= 1
     if edge_fraction == 0:
