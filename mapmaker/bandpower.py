@@ -206,14 +206,30 @@ def noise_error(noise_psds_ukcmb2: np.ndarray, weight: np.ndarray, observation_w
     The scatter s within the K misses the common part: `<s^2> = var(r) (1 - 1/n_eff)`.
     Raises ValueError for fewer than 2 observations or a weight that is not positive.
     """
-    _check_observations(observation_weights)
-    used = weight > 0
-    mean = noise_psds_ukcmb2[:, used].mean(axis=0)
-    response = (noise_psds_ukcmb2[:, used] / mean) @ weight[used]
-    correlation = np.sum(observation_weights**2) / np.sum(observation_weights) ** 2
-    variance = np.var(response, ddof=1) / (1 - correlation)
-    n_real = len(response)
+    variance, correlation = _response(noise_psds_ukcmb2, weight, observation_weights)
+    n_real = len(noise_psds_ukcmb2)
     return float(np.sqrt(variance * (1 / n_real + (1 - 1 / n_real) * correlation)))
+
+
+def sign_error(noise_psds_ukcmb2: np.ndarray, weight: np.ndarray, observation_weights: np.ndarray) -> float:
+    """The part of `noise_error` that more realizations of the same observations would take away, `s / sqrt(K)`.
+
+    The rest, in quadrature, is what the realizations have in common. Raises ValueError as `noise_error`.
+    """
+    variance, correlation = _response(noise_psds_ukcmb2, weight, observation_weights)
+    return float(np.sqrt(variance * (1 - correlation) / len(noise_psds_ukcmb2)))
+
+
+def ratio_error(information: np.ndarray, expected: np.ndarray) -> float:
+    """Relative error of `sum(information) / sum(expected)` over (n_obs,) observations that are independent draws.
+
+    To first order the ratio r changes by `(x_i - r y_i) / sum y` for each draw, so its relative variance is
+    `n / (n - 1) sum (x_i - r y_i)^2 / (sum x)^2`: none where the two are proportional.
+    Raises ValueError for fewer than 2 observations or an expectation that is not positive.
+    """
+    _check_observations(expected)
+    ratio = information.sum() / expected.sum()
+    return float(np.std(information - ratio * expected, ddof=1) * np.sqrt(expected.size) / information.sum())
 
 
 def weather_error(observation_weights: np.ndarray) -> float:
@@ -236,6 +252,18 @@ def window_error(signal_psd_relative_error: np.ndarray, weight: np.ndarray) -> f
     """
     used = weight > 0
     return float(np.linalg.norm(weight[used] * signal_psd_relative_error[used]))
+
+
+def _response(
+    noise_psds_ukcmb2: np.ndarray, weight: np.ndarray, observation_weights: np.ndarray
+) -> tuple[float, float]:
+    """Variance of one realization's response of ln sigma, and the correlation of two."""
+    _check_observations(observation_weights)
+    used = weight > 0
+    mean = noise_psds_ukcmb2[:, used].mean(axis=0)
+    response = (noise_psds_ukcmb2[:, used] / mean) @ weight[used]
+    correlation = np.sum(observation_weights**2) / np.sum(observation_weights) ** 2
+    return np.var(response, ddof=1) / (1 - correlation), correlation
 
 
 def _information(noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mapmaker.files import whole_file
-from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, same_geometry, wcs
+from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, same_geometry, wcs_cards
 from mapmaker.kernels.pixels import bin_samples
 
 
@@ -64,7 +64,7 @@ def write_fits(path: str | Path, item: BinnedMap, header: Mapping[str, object]) 
     """Write signal, weight and hits as image extensions with one WCS, atomically."""
     from astropy.io import fits
 
-    base = wcs(item.geometry).to_header()
+    base = fits.Header([(keyword, *card) for keyword, card in wcs_cards(item.geometry).items()])
     planes = [("SIGNAL", item.signal_mk, "mK"), ("WEIGHT", item.weight, "mK-2"), ("HITS", item.hits, "")]
     images = [fits.PrimaryHDU()]
     for key, value in header.items():

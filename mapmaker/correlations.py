@@ -14,6 +14,9 @@ from mapmaker.timestreams import FocalPlane
 # In units of the closest pair: pairs nearer than this are adjacent; the width of a bin of separation.
 ADJACENT = 1.2
 BIN_WIDTH = 1.0
+# Eigenvalues of counts of pairs below this share of the largest are zero but for rounding: a bin of one pair among
+# those of thousands of detectors is above.
+_ALIKE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -63,8 +66,8 @@ class Profile:
 def pair_bins(focal_plane: FocalPlane) -> PairBins:
     """Sort the pairs of a focal plane by separation.
 
-    Raises ValueError for fewer than three detectors, for arrays without a pair that is not adjacent, and for
-    those whose positions can't tell a profile from gains.
+    Raises ValueError for fewer than three detectors, for two in one place, for arrays without a pair that is not
+    adjacent, and for those whose positions can't tell a profile from gains.
     """
     n_det = len(focal_plane.x_rad)
     if n_det < 3:
@@ -72,6 +75,8 @@ def pair_bins(focal_plane: FocalPlane) -> PairBins:
     first, second = np.triu_indices(n_det, 1)
     apart = np.hypot(*(axis[first] - axis[second] for axis in (focal_plane.x_rad, focal_plane.y_rad)))
     pitch = apart.min()
+    if not pitch > 1e-6 * apart.max():
+        raise ValueError("found two detectors in one place; different places are expected")
     number = np.floor((apart / pitch - ADJACENT) / BIN_WIDTH + 1e-9).astype(int)
     distant = number >= 0
     if not distant.any():
@@ -87,16 +92,19 @@ def pair_bins(focal_plane: FocalPlane) -> PairBins:
 
 def _profile_solution(first: np.ndarray, second: np.ndarray, bins: np.ndarray, n_det: int) -> np.ndarray:
     """Matrix (n_bin, n_pair) that takes ln C to the profile with mean 0, whatever the gains."""
-    n_bin, row = bins.max() + 1, np.arange(len(bins))
-    design = np.zeros((len(bins), n_det + n_bin))
-    design[row, first] = 1.0
-    design[row, second] = 1.0
-    design[row, n_det + bins] = 1.0
+    n_bin = bins.max() + 1
+    n = n_det + n_bin
+    # Three ones a pair: the normal equations count pairs, which is exact, and thousands of detectors fit in memory.
+    columns = np.stack([first, second, n_det + bins])
+    counts = sum(np.bincount(a * n + b, minlength=n * n) for a in columns for b in columns).reshape(n, n)
+    values, vectors = np.linalg.eigh(counts.astype(float))
+    told_apart = values > _ALIKE * values[-1]
     # A level common to all bins is one of gains too; every other direction must be told apart.
     unused = n_det - len(np.union1d(first, second))
-    if np.linalg.matrix_rank(design) < n_det + n_bin - 1 - unused:
+    if told_apart.sum() < n - 1 - unused:
         raise ValueError(f"found {n_det} detectors whose places can't tell correlations from gains; more are expected")
-    solution = np.linalg.pinv(design)[n_det:]
+    inverse = (vectors[n_det:, told_apart] / values[told_apart]) @ vectors[:, told_apart].T
+    solution = sum(inverse[:, column] for column in columns)
     return solution - solution.mean(axis=0)
 
 

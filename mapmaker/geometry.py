@@ -1,5 +1,6 @@
 """Map geometry: the tangent plane of a field, its pixels, and where the detectors look."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,22 +85,50 @@ def boresight_pixels(
 
 def covering_geometry(ra0_rad: float, dec0_rad: float, pixel_rad: float, half_extent_rad: float) -> MapGeometry:
     """A square geometry that reaches `half_extent_rad` on each side, its size good for FFTs."""
-    from scipy.fft import next_fast_len
-
-    n = 2 * next_fast_len(int(np.ceil(half_extent_rad / pixel_rad)) + 1, real=True)
+    n = 2 * fast_length(int(np.ceil(half_extent_rad / pixel_rad)) + 1)
     return MapGeometry(ra0_rad, dec0_rad, pixel_rad, n, n)
+
+
+def fast_length(least: int) -> int:
+    """The smallest product of 2, 3 and 5 that is `least` (1 or more) or greater: FFTs of that length are fast."""
+    # scipy.fft.next_fast_len says the same, once it is imported, which takes as long as numpy.
+    best = 1 << (least - 1).bit_length()
+    fives = 1
+    while fives < best:
+        odd = fives
+        while odd < best:
+            best = min(best, odd << (-(-least // odd) - 1).bit_length())
+            odd *= 3
+        fives *= 5
+    return best
+
+
+def wcs_cards(geometry: MapGeometry) -> dict[str, tuple[str | int | float, str]]:
+    """Value and comment of every FITS keyword of the geometry's world coordinates (RA---TAN, DEC--TAN; degrees)."""
+    ra_deg, dec_deg, pixel_deg = (
+        math.degrees(angle) for angle in (geometry.ra0_rad, geometry.dec0_rad, geometry.pixel_rad)
+    )
+    return {
+        "WCSAXES": (2, "Number of coordinate axes"),
+        "CRPIX1": (geometry.n_x / 2 + 0.5, "Pixel coordinate of reference point"),
+        "CRPIX2": (geometry.n_y / 2 + 0.5, "Pixel coordinate of reference point"),
+        "CDELT1": (-pixel_deg, "[deg] Coordinate increment at reference point"),
+        "CDELT2": (pixel_deg, "[deg] Coordinate increment at reference point"),
+        "CUNIT1": ("deg", "Units of coordinate increment and value"),
+        "CUNIT2": ("deg", "Units of coordinate increment and value"),
+        "CTYPE1": ("RA---TAN", "Right ascension, gnomonic projection"),
+        "CTYPE2": ("DEC--TAN", "Declination, gnomonic projection"),
+        "CRVAL1": (ra_deg, "[deg] Coordinate value at reference point"),
+        "CRVAL2": (dec_deg, "[deg] Coordinate value at reference point"),
+        "LONPOLE": (180.0, "[deg] Native longitude of celestial pole"),
+        "LATPOLE": (dec_deg, "[deg] Native latitude of celestial pole"),
+        "MJDREF": (0.0, "[d] MJD of fiducial time"),
+        "RADESYS": ("ICRS", "Equatorial coordinate system"),
+    }
 
 
 def wcs(geometry: MapGeometry):
     """The astropy WCS (RA---TAN, DEC--TAN) of the geometry."""
     from astropy.wcs import WCS
 
-    result = WCS(naxis=2)
-    pixel_deg = np.degrees(geometry.pixel_rad)
-    result.wcs.ctype = ["RA---TAN", "DEC--TAN"]
-    result.wcs.cunit = ["deg", "deg"]
-    result.wcs.crval = [np.degrees(geometry.ra0_rad), np.degrees(geometry.dec0_rad)]
-    result.wcs.crpix = [geometry.n_x / 2 + 0.5, geometry.n_y / 2 + 0.5]
-    result.wcs.cdelt = [-pixel_deg, pixel_deg]
-    result.wcs.radesys = "ICRS"
-    return result
+    return WCS({keyword: value for keyword, (value, _) in wcs_cards(geometry).items()})

@@ -28,8 +28,9 @@ from mapmaker.binning import BinnedMap
 from mapmaker.geometry import MapGeometry
 from mapmaker.iterative import StreamBlock, subtract_sky
 
-# A detector with less than this share of the mean noise is dead and gets no weight.
-_DEAD = 1e-10
+# A detector with less than this share of the mean noise is dead, and one of which the modes leave no more than
+# rounding of float32 has no noise of its own: neither gets weight.
+_DEAD, _EXPLAINED = 1e-10, 2.0**-46
 
 
 @dataclass(frozen=True)
@@ -160,8 +161,9 @@ def _band_noise(amplitudes: np.ndarray, options: GlsOptions) -> tuple[np.ndarray
     values, vectors = values[::-1], vectors[:, ::-1]
     n_mode = _count_modes(values, int(alive.sum()), n, options)
     values, vectors = values[:n_mode], vectors[:, :n_mode]
-    white = power * (1 - vectors**2 @ values)
-    white[~alive | (white < _DEAD * power)] = 0.0
+    # Not the difference of powers, of which a strong atmosphere leaves no digits.
+    left = np.mean((scaled - vectors @ (vectors.T @ scaled)) ** 2, axis=1)
+    white = np.where(alive & (left > _EXPLAINED), power * left, 0.0)
     return white, scale[:, None] * vectors * np.sqrt(values)
 
 

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
 
 
 @dataclass(frozen=True)
@@ -48,8 +47,8 @@ def tukey(n: int, pixel_rad: float, size_rad: float, edge_fraction: float) -> np
 
 def mode_ell(n_y: int, n_x: int, pixel_rad: float) -> np.ndarray:
     """Multipole `ell = |k|` of each mode of `rfft2`, (n_y, n_x // 2 + 1)."""
-    k_y = 2 * np.pi * fft.fftfreq(n_y, pixel_rad)
-    k_x = 2 * np.pi * fft.rfftfreq(n_x, pixel_rad)
+    k_y = 2 * np.pi * np.fft.fftfreq(n_y, pixel_rad)
+    k_x = 2 * np.pi * np.fft.rfftfreq(n_x, pixel_rad)
     return np.hypot(k_y[:, None], k_x)
 
 
@@ -91,7 +90,7 @@ def split_azimuth(rings: Annuli, n_y: int, n_x: int, pixel_rad: float, n_sector:
     Raises ValueError for a sector without modes.
     """
     n_bin = rings.ell.size
-    k_y, k_x = fft.fftfreq(n_y, pixel_rad)[:, None], fft.rfftfreq(n_x, pixel_rad)[None, :]
+    k_y, k_x = np.fft.fftfreq(n_y, pixel_rad)[:, None], np.fft.rfftfreq(n_x, pixel_rad)[None, :]
     from_axis = np.abs((np.arctan2(k_y, k_x).ravel() + np.pi / 4) % (np.pi / 2) - np.pi / 4)
     sector = np.minimum((from_axis / (np.pi / 4) * n_sector).astype(np.int64), n_sector - 1)
     inside = rings.bin_of_mode < n_bin
@@ -125,7 +124,9 @@ def mode_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> np.ndar
     """
     if map_mk.shape[-2:] != taper.shape:
         raise ValueError(f"map and taper must have the same shape, got {map_mk.shape[-2:]} and {taper.shape}")
-    modes = fft.rfft2(map_mk * taper, workers=1)
+    from scipy.fft import rfft2
+
+    modes = rfft2(map_mk * taper, workers=1)
     return (modes.real**2 + modes.imag**2) * (pixel_rad**2 / np.sum(taper**2))
 
 

@@ -16,6 +16,7 @@ from surveysim.point_files import remove_points
 from surveysim.results import SurveyResult, survey_result
 from surveysim.scene import Scene
 from surveysim.setup import prepare
+from surveysim.stopping import Limits, check_limits, stopping_rule
 from surveysim.survey import run_observations
 from surveysim.sweep import Sweep, load_sweep
 from surveysim.trade import SweepResult, compare_forecasts, compare_runs, forecast_points, run_points
@@ -42,17 +43,25 @@ def run(
     save_timestreams: bool = False,
     figures: bool = True,
     progress: Callable[[CoAdds], None] = lambda coadds: None,
+    target_error: float | None = None,
+    time_budget_s: float | None = None,
 ) -> SurveyResult:
     """Run a scene and, with `out`, write its results there in place of an earlier run's.
 
     `workers` is one a core by default; results do not depend on it. Workers import the calling script, which
     therefore needs the usual ``if __name__ == "__main__":``. With `out`, finished work is kept in
-    `out/checkpoint.npz` until the results are written; `resume` goes on from there. Raises SceneError when
-    the scene can't be run and CheckpointError for a checkpoint that does not belong to it.
+    `out/checkpoint.npz` until the results are written; `resume` goes on from there.
+
+    The run stops early where the relative error of sigma(A) of the actual data, by the forecast as control variate
+    if there is one, is no more than `target_error`, or once `time_budget_s` is spent. What is scored is then the whole
+    survey, judged by a part of it, and the checkpoint is kept: a later run with `resume` and other limits or none goes
+    on and ends with the same bits as one that never stopped. Raises SceneError when the scene can't be run,
+    ValueError for limits that make no sense and CheckpointError for a checkpoint that does not belong to the scene.
     """
     workers = min(_workers(workers), scene.observations)
-    start = perf_counter()
+    start, limits = perf_counter(), Limits(target_error, time_budget_s)
     setup = prepare(scene)
+    check_limits(setup, limits)
     directory = None if out is None else Path(out)
     checkpoint = None if directory is None else directory / "checkpoint.npz"
     if save_timestreams and directory is None:
@@ -66,11 +75,15 @@ def run(
         resume=resume,
         timestream_dir=directory / "timestreams" if save_timestreams else None,
         progress=progress,
+        stops=stopping_rule(setup, limits, start),
     )
-    result = survey_result(setup, coadds, perf_counter() - start, workers)
+    result = survey_result(setup, coadds, perf_counter() - start, workers, limits)
     if directory is not None:
+        if resume:  # until here they were those of a run that was stopped early, if any
+            remove_outputs(directory, with_timestreams=not save_timestreams)
         write_outputs(directory, result, figures, save_timestreams)
-        checkpoint.unlink(missing_ok=True)
+        if coadds.done == scene.observations:
+            checkpoint.unlink(missing_ok=True)
     return result
 
 

@@ -4,10 +4,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import fft, fft2, fftfreq, ifft2, next_fast_len, rfft, rfft2
 
 from mapmaker.bandpower import flat_spectrum_psd
-from mapmaker.geometry import MapGeometry
+from mapmaker.geometry import MapGeometry, fast_length
 from mapmaker.spectrum import Annuli, annuli, mode_ell, split_azimuth, tukey_taper
 from mapmaker.window import beam_window
 from surveysim.scene import Scene, SceneError
@@ -60,6 +59,8 @@ class Band:
 
     def ring_noise(self, total: np.ndarray, hits: np.ndarray) -> np.ndarray:
         """Noise variance a sample in each bin of multipole (n_bin,) of a patch of sums and hits; inf without a hit."""
+        from scipy.fft import rfft2
+
         norm = float(np.sum(self.taper**2 * hits))
         if norm == 0:
             return np.full(len(self.rings.ell), np.inf)
@@ -71,6 +72,8 @@ class Band:
 
     def noise(self, total: np.ndarray, hits: np.ndarray) -> float:
         """Noise variance a sample of a patch of sums and hits, both (n, n); inf without a hit."""
+        from scipy.fft import fft, rfft
+
         norm = float(np.sum(self.taper**2 * hits))
         if norm == 0:
             return np.inf
@@ -89,7 +92,7 @@ def scored_band(scene: Scene, geometry: MapGeometry) -> Band | None:
     first = (geometry.n_x - n) // 2
     taper = tukey_taper(n, n, geometry.pixel_rad, score.size_rad, score.taper_fraction)
     # The padding resolves bins of multipole that are narrower than the patch's own modes.
-    n_pad = next_fast_len(2 * n, real=True)
+    n_pad = fast_length(2 * n)
     edges = np.arange(0, score.ell_max + score.ell_bin, score.ell_bin)
     edges = edges[edges <= max(score.ell_max, score.ell_min + score.ell_bin)].astype(float)
     padded = np.pad(taper, (0, n_pad - n))
@@ -142,8 +145,10 @@ def _mode_chance(scene: Scene, taper: np.ndarray, pixel_rad: float) -> np.ndarra
     modes that the taper ties together: with weights m, ``c_k = 2 sum_k' m_k' |r(k - k')|^2 / sum m``, r the transform
     of the squared taper over its sum, and d^2 is the mean of c weighted by m. White maps, to first order.
     """
+    from scipy.fft import fft2, ifft2
+
     n = len(taper)
-    frequency = 2 * np.pi * fftfreq(n, pixel_rad)
+    frequency = 2 * np.pi * np.fft.fftfreq(n, pixel_rad)
     weight = _squared_signal(scene, np.hypot(frequency[:, None], frequency))
     tied = np.abs(fft2(taper**2) / np.sum(taper**2)) ** 2
     covariance = 2 * fft2(ifft2(weight) * ifft2(tied)).real * weight.size / weight.sum()

@@ -27,6 +27,12 @@ def check_templates(scene: Scene, cam: Camera) -> None:
             found = repr(steps[0]) if len(steps) == 1 else list(steps)
             raise SceneError(f"cleaning.{key}: found {found} without [atmosphere]; 'none' is expected")
         _check_count(scene, steps, len(cam.focal_plane.x_rad), f"cleaning.{key}")
+        samples = math.floor(scene.scan.duration_s * scene.scan.sample_rate_hz + 1e-6)
+        if "pca" in steps and samples <= (needed := needed_detectors(section, "pca")):
+            raise SceneError(
+                f"cleaning.{key}: found 'pca' with scans of {samples} samples; {needed + 1} or more are expected, of"
+                " fewer no mode can stand out"
+            )
         cycles = scene.scan.duration_s * HIGHEST_HZ
         if "wind" in steps and (cycles < LEAST_CYCLES or scene.scan.sample_rate_hz <= 2 * HIGHEST_HZ):
             raise SceneError(

@@ -1,20 +1,26 @@
-"""The command line: run, forecast, plan, paper, check, new."""
+"""The command line: run, forecast, accuracy, plan, paper, check, new."""
 
 import re
-import signal
 import sys
-import tomllib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import wraps
 from itertools import count
 from pathlib import Path
-from threading import Event
 from time import process_time
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from surveysim import options
+from surveysim.interrupts import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_WRONG_SCENE,
+    cause,
+    going_on_later,
+    kept,
+    listen,
+    says_interrupted,
+    stopping,
+)
 from surveysim.scene import Scene, SceneError, load_scene
 
 if TYPE_CHECKING:
@@ -32,28 +38,9 @@ Workers = Annotated[int | None, typer.Option(help="worker processes; one a core 
 NoFigures = Annotated[bool, typer.Option("--no-figures", help="leave the figures out")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
 
-_asked_to_stop = Event()
-EXIT_FAILED = 1
-EXIT_WRONG_SCENE = 2
-EXIT_INTERRUPTED = 130
-
-
-def _says_interrupted(command: Callable[..., None]) -> Callable[..., None]:
-    """A command that ends with one line and exit code 130 on Ctrl-C."""
-
-    @wraps(command)
-    def wrapped(*arguments: Any, **options: Any) -> None:
-        try:
-            command(*arguments, **options)
-        except KeyboardInterrupt:
-            typer.echo("interrupted", err=True)
-            raise typer.Exit(EXIT_INTERRUPTED) from None
-
-    return wrapped
-
 
 @app.command()
-@_says_interrupted
+@says_interrupted
 def run(
     scene: SceneFile,
     out: Annotated[Path | None, typer.Option(help="where results go; outputs/<name> by default")] = None,
@@ -63,17 +50,25 @@ def run(
         bool, typer.Option("--save-timestreams", help="write every observation to HDF5")
     ] = False,
     no_figures: NoFigures = False,
+    target_error: Annotated[
+        str | None, typer.Option(metavar="ERROR", help='stop at this relative error of sigma(A), e.g. "3%"')
+    ] = None,
+    time_budget: Annotated[
+        str | None, typer.Option(metavar="TIME", help='stop simulating after this time, e.g. "60 s"')
+    ] = None,
     settings: Overrides = None,
     quiet: Quiet = False,
 ) -> None:
     """Simulate, clean, map and score a scene, or every point of its sweep."""
-    workers = _workers(workers)
+    workers = options.worker_count(workers)
     if sweep := _sweep(scene, settings):
-        if save_timestreams:
-            _fail(f"{scene}: --save-timestreams: found a sweep, which keeps none; a scene without [sweep] is expected")
+        _refuse_for_sweep(scene, save_timestreams, target_error, time_budget)
         _run_sweep(sweep, out, workers, resume, not no_figures, quiet)
         return
+    limits = options.run_limits(target_error, time_budget)
     checked = _ready(scene, settings)
+    if limits.target_error is not None and checked.score is None:
+        _fail(f"{scene}: --target-error: found no [score]; the error is one of sigma(A), which needs it")
     from surveysim.outputs import check_writable
 
     directory = out or Path("outputs") / checked.name
@@ -84,11 +79,23 @@ def run(
     from surveysim.progress import progress_display, score_so_far
     from surveysim.report.text import print_result
 
-    with _going_on_later(scene, directory), progress_display(checked.name, checked.observations, quiet) as show:
-        progress = _stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds)))
-        result = run_scene(checked, directory, workers, resume, save_timestreams, not no_figures, progress)
+    with going_on_later(scene, directory), progress_display(checked.name, checked.observations, quiet) as show:
+        progress = stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds)))
+        todo = (checked, directory, workers, resume, save_timestreams, not no_figures, progress)
+        result = run_scene(*todo, limits.target_error, limits.time_budget_s)
     if not quiet:
         print_result(result, directory)
+
+
+def _refuse_for_sweep(scene: Path, save_timestreams: bool, target_error: str | None, time_budget: str | None) -> None:
+    reasons = {
+        "--save-timestreams": save_timestreams and "which keeps none",
+        "--target-error": target_error is not None and "whose points are run whole",
+        "--time-budget": time_budget is not None and "whose points are run whole",
+    }
+    for option, reason in reasons.items():
+        if reason:
+            _fail(f"{scene}: {option}: found a sweep, {reason}; a scene without [sweep] is expected")
 
 
 def _run_sweep(sweep: "Sweep", out: Path | None, workers: int, resume: bool, figures: bool, quiet: bool) -> None:
@@ -96,21 +103,21 @@ def _run_sweep(sweep: "Sweep", out: Path | None, workers: int, resume: bool, fig
 
     directory = out or Path("outputs") / sweep.name
     check_writable(directory)
-    if resume and not quiet and not _kept(directory):
+    if resume and not quiet and not kept(directory):
         typer.echo(f"no points in {directory}: starting with the first", err=True)
     from surveysim.api import run_sweep
     from surveysim.progress import progress_display
     from surveysim.report.text import print_sweep
 
     total = len(sweep.points)
-    with _going_on_later(sweep.path, directory), progress_display(sweep.name, total, quiet, "points") as show:
-        result = run_sweep(sweep, directory, workers, resume, figures, _stopping(lambda done: show(done, lambda: "")))
+    with going_on_later(sweep.path, directory), progress_display(sweep.name, total, quiet, "points") as show:
+        result = run_sweep(sweep, directory, workers, resume, figures, stopping(lambda done: show(done, lambda: "")))
     if not quiet:
         print_sweep(result, directory)
 
 
 @app.command()
-@_says_interrupted
+@says_interrupted
 def forecast(
     scene: SceneFile,
     out: Annotated[Path | None, typer.Option(help="where results go; of a sweep outputs/<name>_forecast")] = None,
@@ -146,20 +153,83 @@ def _forecast_sweep(sweep: "Sweep", directory: Path, figures: bool, quiet: bool)
 
     check_writable(directory)
     with progress_display(sweep.name, len(sweep.points), quiet, "points") as show:
-        result = forecast_sweep(sweep, directory, figures, _stopping(lambda done: show(done, lambda: "")))
+        result = forecast_sweep(sweep, directory, figures, stopping(lambda done: show(done, lambda: "")))
     if not quiet:
         print_sweep(result, directory)
 
 
 @app.command()
-@_says_interrupted
+@says_interrupted
+def accuracy(
+    scene: Annotated[Path | None, typer.Argument(metavar="[SCENE]", help="a scene file (TOML)")] = None,
+    extremes: Annotated[bool, typer.Option("--extremes", help="run the suite of extreme cases instead")] = False,
+    out: Annotated[Path | None, typer.Option(help="where results go; outputs/<name>_accuracy by default")] = None,
+    workers: Workers = None,
+    reference_error: Annotated[
+        float, typer.Option(metavar="ERROR", min=1e-4, help="how well the reference should be known, relative")
+    ] = 0.01,
+    seeds: Annotated[int, typer.Option(min=1, help="at most so many whole surveys for the reference")] = 8,
+    observations: Annotated[int, typer.Option(min=2, help="of each survey that measures another knob")] = 60,
+    no_figures: NoFigures = False,
+    settings: Overrides = None,
+    quiet: Quiet = False,
+) -> None:
+    """Measure what each knob that trades accuracy for time gives and takes, or what comes out of extreme cases."""
+    workers = options.worker_count(workers)
+    if extremes == (scene is not None):
+        _fail("accuracy: found both SCENE and --extremes, or none; one of them is expected")
+    if extremes:
+        if not _run_extremes(out or Path("outputs/extremes"), quiet):
+            raise typer.Exit(EXIT_FAILED)
+        return
+    checked = _ready(scene, settings)
+    if checked.score is None:
+        _fail(f"{scene}: score: missing; accuracy is that of a score")
+    from surveysim.accuracy import ladders, measure_accuracy
+    from surveysim.outputs import check_writable
+    from surveysim.progress import progress_display
+    from surveysim.report.accuracy_text import print_accuracy, write_accuracy
+
+    directory = out or Path("outputs") / f"{checked.name}_accuracy"
+    check_writable(directory)
+    most = len(ladders(checked, observations)) + seeds  # equal scenes are run once
+    with going_on_later(scene, directory), progress_display(checked.name, most, quiet, "runs") as show:
+        progress = stopping(lambda done, total: show(done, lambda: ""))
+        given = options.settings(settings)
+        result = measure_accuracy(scene, given, workers, reference_error, seeds, observations, progress)
+    write_accuracy(result, directory, not no_figures)
+    if not quiet:
+        print_accuracy(result, directory)
+
+
+def _run_extremes(directory: Path, quiet: bool) -> bool:
+    """Run the extreme cases and say what came out; whether all had the outcome that is expected."""
+    from surveysim.extremes import CASES, run_case
+    from surveysim.outputs import check_writable
+    from surveysim.progress import progress_display
+    from surveysim.report.extremes_text import print_extremes, write_extremes
+
+    check_writable(directory)
+    outcomes = []
+    with progress_display("extremes", len(CASES), quiet, "cases") as show:
+        for case in CASES:
+            outcomes.append(run_case(case))
+            stopping(show)(len(outcomes), lambda: "")
+    write_extremes(directory / "extremes.ecsv", CASES, outcomes)
+    if not quiet:
+        print_extremes(CASES, outcomes, directory)
+    return all(outcome.ok for outcome in outcomes)
+
+
+@app.command()
+@says_interrupted
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
     """Say what would run, what is left out, and what time, memory and disk it would take."""
     from surveysim.plan import make_plan, make_sweep_plan
     from surveysim.report.text import print_plan, print_sweep_plan
     from surveysim.setup import prepare
 
-    workers = _workers(workers)
+    workers = options.worker_count(workers)
     if sweep := _sweep(scene, settings):
         print_sweep_plan(sweep, make_sweep_plan(sweep, workers, process_time()), workers)
         return
@@ -168,7 +238,7 @@ def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) 
 
 
 @app.command()
-@_says_interrupted
+@says_interrupted
 def paper(
     table: Annotated[list[int] | None, typer.Option(help="number of a table; may be given again")] = None,
     figure: Annotated[list[int] | None, typer.Option(help="number of a figure; may be given again")] = None,
@@ -185,19 +255,19 @@ def paper(
     from surveysim.progress import progress_display
     from surveysim.reproduce import FIGURES, TABLES, reproduce, wanted
 
-    workers = _workers(workers)
-    tables = _numbers("--table", table, TABLES, everything)
-    figures = _numbers("--figure", figure, FIGURES, everything)
+    workers = options.worker_count(workers)
+    tables = options.numbers("--table", table, TABLES, everything)
+    figures = options.numbers("--figure", figure, FIGURES, everything)
     if not tables and not figures:
         _fail("nothing asked for: --table, --figure or --all is expected")
     if observations is not None and observations < 1:
         _fail(f"--observations: found {observations}; 1 or more is expected")
-    asked = wanted(tables, figures, scenarios, observations, _settings(settings))
+    asked = wanted(tables, figures, scenarios, observations, options.settings(settings))
     out.mkdir(parents=True, exist_ok=True)
     done = count(1)
     try:
         with progress_display("paper", asked.observations, quiet) as show:
-            written, failed = reproduce(asked, out, workers, _stopping(lambda: show(next(done), lambda: "")))
+            written, failed = reproduce(asked, out, workers, stopping(lambda: show(next(done), lambda: "")))
     except WorkerLostError:
         typer.echo("a worker process is gone, perhaps killed for want of memory", err=True)
         raise typer.Exit(EXIT_FAILED) from None
@@ -216,16 +286,8 @@ def paper(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _numbers(option: str, given: list[int] | None, there: tuple[int, ...], everything: bool) -> list[int]:
-    """Numbers of tables or figures, in order; fails for one that can't be made."""
-    wrong = [number for number in given or () if number not in there]
-    if wrong:
-        _fail(f"{option}: found {wrong[0]}; {', '.join(map(str, there))} can be made")
-    return [number for number in there if everything or number in (given or ())]
-
-
 @app.command()
-@_says_interrupted
+@says_interrupted
 def check(scene: SceneFile, settings: Overrides = None) -> None:
     """Check a scene: errors only, each with file, key, what was found and what is allowed."""
     if sweep := _sweep(scene, settings):
@@ -260,17 +322,14 @@ def new(
 
 def main() -> None:
     """Entry point: errors of the user become one line each and exit code 2, never a traceback."""
-    _asked_to_stop.clear()
-    # A batch system's request to stop is treated like Ctrl-C: the checkpoint is kept.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _stop_once)
+    listen()
     try:
         app()
     except SceneError as error:
         typer.echo(str(error), err=True)
         sys.exit(EXIT_WRONG_SCENE)
     except OSError as error:
-        typer.echo(_cause(error), err=True)
+        typer.echo(cause(error), err=True)
         sys.exit(EXIT_FAILED)
     except MemoryError:
         typer.echo("not enough memory for this scene; 'surveysim plan' says how much one takes", err=True)
@@ -279,84 +338,11 @@ def main() -> None:
         sys.exit(EXIT_INTERRUPTED)
 
 
-def _stop_once(number: int, frame: object) -> None:
-    """Interrupt the run; a second Ctrl-C would only cut short the saving of its checkpoint."""
-    for each in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(each, signal.SIG_IGN)
-    _asked_to_stop.set()
-    # Python drops, with a traceback, what is raised inside a finalizer; `_stopping` raises it again.
-    sys.unraisablehook = _without_interrupts
-    raise KeyboardInterrupt
-
-
-def _without_interrupts(unraisable: Any) -> None:
-    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
-        sys.__unraisablehook__(unraisable)
-
-
-def _stopping(show: Callable[..., None]) -> Callable[..., None]:
-    """Progress that ends a run whose interrupt was lost in a finalizer."""
-
-    def progress(*state: Any) -> None:
-        if _asked_to_stop.is_set():
-            raise KeyboardInterrupt
-        show(*state)
-
-    return progress
-
-
-@contextmanager
-def _going_on_later(scene: Path, directory: Path) -> Iterator[None]:
-    """End with one line where a run stops: why, and how to go on if anything is kept in `directory`."""
-    from surveysim.checkpoint import CheckpointError
-    from surveysim.engines import WorkerLostError
-
-    try:
-        yield
-    except CheckpointError as error:
-        _fail(str(error))
-    except KeyboardInterrupt:
-        _stopped("interrupted", directory, EXIT_INTERRUPTED)
-    except WorkerLostError:
-        _stopped("a worker process is gone, perhaps killed for want of memory", directory, EXIT_FAILED)
-    except OSError as error:
-        _stopped(_cause(error), directory, EXIT_FAILED)
-    except (ValueError, ArithmeticError) as error:
-        _stopped(f"{scene}: an observation failed: {error}", directory, EXIT_FAILED)
-
-
-def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
-    """Say why a run stopped and how to go on; leave no half-written file."""
-    for pattern in ("timestreams/*.h5.part", "points/*.npz.part"):  # of workers that were killed
-        for partial in directory.glob(pattern):
-            partial.unlink(missing_ok=True)
-    hint = f"; go on with --resume --out {directory}" if _kept(directory) else ""
-    typer.echo(" ".join(reason.split()) + hint, err=True)
-    raise typer.Exit(code)
-
-
-def _kept(directory: Path) -> bool:
-    """Whether there is anything that a run could go on from."""
-    return (directory / "checkpoint.npz").exists() or any(directory.glob("points/*.npz"))
-
-
-def _cause(error: OSError) -> str:
-    return f"{error.filename or 'output'}: {error.strerror or error}"
-
-
-def _workers(workers: int | None) -> int:
-    from surveysim.api import default_workers
-
-    if workers is not None and workers < 1:
-        raise SceneError(f"--workers: found {workers}; 1 or more is expected")
-    return workers or default_workers()
-
-
 def _ready(path: Path, settings: list[str] | None) -> Scene:
     """A scene that is checked and prepared; raises SceneError whose lines name the file."""
     from surveysim.setup import prepare
 
-    scene = load_scene(path, _settings(settings))
+    scene = load_scene(path, options.settings(settings))
     try:
         prepare(scene)
     except SceneError as error:
@@ -368,23 +354,7 @@ def _sweep(path: Path, settings: list[str] | None) -> "Sweep | None":
     """The sweep of a scene file that has one, checked and prepared."""
     from surveysim.sweep import is_sweep, load_sweep
 
-    return load_sweep(path, _settings(settings)) if is_sweep(path) else None
-
-
-def _settings(given: list[str] | None) -> dict[str, Any]:
-    return dict(_setting(item) for item in given or ())
-
-
-def _setting(text: str) -> tuple[str, Any]:
-    key, separator, value = text.partition("=")
-    if not separator or not all(part.strip() for part in key.split(".")):
-        raise SceneError(f"--set: found {text!r}; KEY=VALUE is expected")
-    key, value = key.strip(), value.strip()
-    try:
-        parsed = tomllib.loads(f"value = {value}")
-    except ValueError:
-        return key, value  # text needs no quotes here
-    return key, parsed["value"] if len(parsed) == 1 else value
+    return load_sweep(path, options.settings(settings)) if is_sweep(path) else None
 
 
 def _fail(message: str) -> NoReturn:

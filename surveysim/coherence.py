@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import exprel, ive, j1, jv
 
 # Of the radius of a corrugated horn's aperture, the waist of the Gaussian beam it launches (Goldsmith 1998).
 _WAIST_PER_RADIUS = 0.6435
@@ -64,16 +63,6 @@ def stop_efficiency(edge_taper_db: float) -> float:
     return -math.expm1(-Illumination(edge_taper_db).exponent)
 
 
-def taper_efficiency(edge_taper_db: float) -> float:
-    """``(int E)^2 / (A int E^2)`` over the stop, E the field: 1 at 0 dB, and less the more the edge is tapered.
-
-    Its product with `stop_efficiency` is a horn's aperture efficiency for a point source, at best 0.815 at
-    10.9 dB (Goldsmith 1998). Raises ValueError for a taper that is negative or not finite.
-    """
-    exponent = Illumination(edge_taper_db).exponent
-    return float(exprel(-exponent / 2) ** 2 / exprel(-exponent))
-
-
 # ---------------------------------------------------------------- coherence
 
 
@@ -84,6 +73,8 @@ def mutual_coherence(separation_f_lambda: np.ndarray, illumination: Illumination
     received by adjacent bolometers is completely correlated" (section 5.1). A taper adds the Zernike modes of the
     Gaussian, each of which transforms to a Bessel function (Nijboer), good to 1e-13 at any separation.
     """
+    from scipy.special import j1, jv
+
     x = np.pi * np.asarray(separation_f_lambda, dtype=float)
     if illumination.exponent > _UNTRUNCATED:
         return np.exp(-(x**2) / (4 * illumination.exponent))
@@ -100,6 +91,8 @@ def _zernike_weights(half_exponent: float) -> list[tuple[int, float]]:
     ``exp(-y t) = sum (2m + 1) (-1)^m i_m(y) P_m(t)``, t = 2 u^2 - 1, and ``P_m(t)`` transforms to
     ``(-1)^m J_(2m+1)(x) / x``; i_m are modified spherical Bessel functions.
     """
+    from scipy.special import ive
+
     if half_exponent == 0:
         return []
     m = np.arange(1, 60)
@@ -206,6 +199,8 @@ def lattice_sum(pitch_f_lambda: float, coherence: str, illumination: Illuminatio
 
 def _stop_intensity(frequency: np.ndarray, exponent: float) -> np.ndarray:
     """Intensity on the stop, of unit integral, at `frequency` (n,) in stop diameters from its centre."""
+    from scipy.special import exprel
+
     inside = np.minimum(frequency, 0.5)
     intensity = np.exp(-4 * exponent * inside**2) / (math.pi / 4 * exprel(-exponent))
     return np.where(frequency < 0.5, intensity, 0.0)
@@ -217,6 +212,8 @@ def _stop_autocorrelation(frequency: np.ndarray, exponent: float) -> np.ndarray:
     The product of both Gaussians is one about the middle of the lens in which the stops overlap; over the lens's
     radius the integral is closed, over the angle it is Gauss-Legendre.
     """
+    from scipy.special import exprel
+
     node, weight = np.polynomial.legendre.leggauss(96)
     phi = math.pi / 4 * (node + 1)
     half = np.minimum(frequency, 1.0)[:, None] / 2

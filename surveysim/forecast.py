@@ -5,17 +5,16 @@ and co-added as in a run, with the weather that the scene's seed draws for them.
 same array responses.
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
-from mapmaker.geometry import boresight_pixels
-from mapmaker.timestreams import FocalPlane
 from mapmaker.window import beam_window, pixel_window
 from surveysim.coherence import correlation_matrix
-from surveysim.noise import excess_psd, excess_variance
-from surveysim.observation import observation_levels, observation_weather
+from surveysim.conditions import Conditions, conditions, mean_hits, survey_draws
+from surveysim.noise import excess_psd
 from surveysim.recipes import Recipe
 from surveysim.response import (
     PROJECTIONS,
@@ -36,7 +35,7 @@ from surveysim.response import (
 )
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene, SceneError
-from surveysim.setup import Setup, observation_path, prepare, screen
+from surveysim.setup import Setup, prepare, screen
 from surveysim.units import rj_to_cmb
 
 NEGLECTED = (
@@ -48,8 +47,6 @@ NEGLECTED = (
 _ANGLES = 3  # of the array against the scan that stand for all observations
 _SPEEDS, _DIRECTIONS = 5, 4  # of the layer against the scan
 _SLOWEST = 0.02  # relative speed that is told from none, in scan speeds
-_HIT_SAMPLES = 3e7  # of the observations that stand for the coverage
-_FEWEST_HITS, _MOST_HITS = 4, 48
 
 
 @dataclass(frozen=True)
@@ -76,34 +73,34 @@ class Forecast:
     neglected: tuple[str, ...] = NEGLECTED
 
 
-@dataclass(frozen=True)
-class _Conditions:
-    """Every observation's levels: (n_obs,) `white` and `shared` photon and detector noise [mK^2/Hz], `excess` [mK^2],
-    `layer` (B2 at its elevation); `angle` (n_obs,) the array's against the scan; `motion` (n_obs, 2) complex, against
-    the layer, there and back [rad/s].
-    """
-
-    white: np.ndarray
-    shared: np.ndarray
-    excess: np.ndarray
-    layer: np.ndarray
-    angle: np.ndarray
-    motion: np.ndarray
+LayerNoise = Callable[[np.ndarray], np.ndarray]  # (n_draw, n_motion) complex [rad/s] to (n_draw, n_bin)
 
 
 @dataclass(frozen=True)
 class _Parts:
-    """Noise variance a sample in each bin (n_bin,) of unit levels, and of the layer (n_obs, n_bin)."""
+    """Noise variance a sample in each bin (n_bin,) of unit levels; `layer` that of motions (n_draw, 2) against it."""
 
     white: np.ndarray
     shared: np.ndarray
     excess: np.ndarray
-    layer: np.ndarray
+    layer: LayerNoise
 
-    def noise(self, levels: _Conditions) -> np.ndarray:
-        """Noise variance a sample [mK^2] of every observation, (n_obs, n_bin)."""
-        parts = ((levels.white, self.white), (levels.shared, self.shared), (levels.excess, self.excess))
-        return sum(np.outer(*part) for part in parts) + levels.layer[:, None] * self.layer
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """The noise of one data set in any conditions, and the `transmission` (n_bin,) of its cleaning."""
+
+    name: str
+    recipe: Recipe
+    n_det: int
+    parts: _Parts
+    transmission: np.ndarray
+
+    def noise(self, levels: Conditions) -> np.ndarray:
+        """Noise variance a sample [mK^2] of every draw, (n_draw, n_bin)."""
+        parts = self.parts
+        flat = ((levels.white, parts.white), (levels.shared, parts.shared), (levels.excess, parts.excess))
+        return sum(np.outer(*part) for part in flat) + levels.layer[:, None] * parts.layer(levels.motion)
 
 
 @dataclass(frozen=True)
@@ -132,20 +129,32 @@ def forecast(scene: Scene) -> Forecast:
     if not can_forecast(setup):
         allowed = ", ".join(map(repr, PROJECTIONS))
         raise SceneError(f"cleaning.algorithm: found {setup.recipes[0].label!r}; one of {allowed} can be forecast")
-    levels, spectrum = _conditions(setup), _spectrum(setup)
+    levels = _conditions(setup)
     found: dict[str, DataSetForecast] = {}
+    for model in noise_models(setup, levels):
+        if model.name == model.recipe.data_set:  # the sets that follow share its detectors
+            hits = mean_hits(setup, model.recipe)
+        found[model.name] = _scored(setup, model, model.noise(levels), hits)
+    return Forecast(setup.band.rings.ell, {name: found[name] for name in setup.data_sets if name in found})
+
+
+def noise_models(setup: Setup, levels: Conditions) -> Iterator[NoiseModel]:
+    """What the noise of each data set depends on, good for conditions within the range of `levels`.
+
+    Raises SceneError where cleaning can't be forecast.
+    """
+    spectrum = _spectrum(setup)
     for recipe in filter(is_projection, setup.recipes):
         arrays = _arrays(setup, recipe, levels)
+        n_det = len(arrays[0].place)
         responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
         transmission = _transmission(setup, spectrum, arrays, responses)
-        hits = _mean_hits(setup, recipe)
-        noise = _map_parts(setup, levels, spectrum, arrays, responses).noise(levels)
-        found[recipe.data_set] = _scored(setup, recipe.data_set, len(arrays[0].place), noise, hits, transmission)
+        parts = _map_parts(setup, levels, spectrum, arrays, responses)
+        yield NoiseModel(recipe.data_set, recipe, n_det, parts, transmission)
         if recipe is setup.recipes[0]:
-            for name in scene.score.simulated:
-                noise = _simulated_parts(setup, levels, spectrum, arrays, name).noise(levels)
-                found[name] = _scored(setup, name, setup.n_det, noise, hits, transmission)
-    return Forecast(setup.band.rings.ell, {name: found[name] for name in setup.data_sets if name in found})
+            for name in setup.scene.score.simulated:
+                parts = _simulated_parts(setup, levels, spectrum, arrays, name)
+                yield NoiseModel(name, recipe, n_det, parts, transmission)
 
 
 def can_forecast(setup: Setup) -> bool:
@@ -158,32 +167,8 @@ def is_projection(recipe: Recipe) -> bool:
     return len(recipe.steps) == 1 and recipe.steps[0] in PROJECTIONS
 
 
-def _conditions(setup: Setup) -> _Conditions:
-    scene, observations = setup.scene, range(setup.scene.observations)
-    rows = []
-    for number in observations:
-        weather = observation_weather(setup, number)
-        _, pointing = observation_path(setup, number)
-        middle = len(pointing.elevation_rad) // 2
-        white = observation_levels(setup, number)
-        excess = excess_variance(scene.excess, weather and weather.b2) if scene.excess else 0.0
-        layer, wind = 0.0, 0.0
-        if weather is not None:
-            layer = weather.b2 * np.mean(np.sin(pointing.elevation_rad) ** (1 - scene.atmosphere.index))
-            # Azimuth and elevation on the sky, then in the frame of the scan.
-            wind = np.exp(-1j * pointing.parallactic_rad[middle]) * (
-                -weather.wind_rad_s[0] + 1j * weather.wind_rad_s[1]
-            )
-        turn = number % 2 * np.pi / 2  # scans along Dec
-        wind = wind * np.exp(-1j * turn)
-        speed = setup.raster.speed_rad_s
-        # A scan back is a scan there in a frame that is turned by half a turn.
-        shared = white.photon_mk2_hz * white.shared
-        unshared = white.photon_mk2_hz - shared + white.detector_mk2_hz
-        angle = pointing.array_angle_rad[middle] + turn
-        rows.append((unshared, shared, excess, layer, angle, speed - wind, speed + wind))
-    white, shared, excess, layer, angle, there, back = (np.array(column) for column in zip(*rows, strict=True))
-    return _Conditions(white, shared, excess, layer, angle, np.stack([there, back], axis=1))
+def _conditions(setup: Setup) -> Conditions:
+    return conditions(setup, survey_draws(setup, 0, setup.scene.observations))
 
 
 def _spectrum(setup: Setup) -> _Spectrum:
@@ -206,7 +191,7 @@ def _spectrum(setup: Setup) -> _Spectrum:
     return _Spectrum(modes, at_hz, window, nodes, weight, excess_hz, excess)
 
 
-def _arrays(setup: Setup, recipe: Recipe, levels: _Conditions) -> list[Array]:
+def _arrays(setup: Setup, recipe: Recipe, levels: Conditions) -> list[Array]:
     """The recipe's detectors at angles to the scan that stand for all observations."""
     plane = setup.camera.focal_plane.subset(recipe.rows)
     angles = np.sort(np.mod(levels.angle, 2 * np.pi))
@@ -232,7 +217,7 @@ def _correlations(setup: Setup, array: Array) -> tuple[np.ndarray | None, np.nda
 
 
 def _map_parts(
-    setup: Setup, levels: _Conditions, spectrum: _Spectrum, arrays: list[Array], responses: list[np.ndarray]
+    setup: Setup, levels: Conditions, spectrum: _Spectrum, arrays: list[Array], responses: list[np.ndarray]
 ) -> _Parts:
     rate, modes = setup.raster.sample_rate_hz, spectrum.modes
     window, nodes = spectrum.window, spectrum.nodes_hz
@@ -247,18 +232,19 @@ def _map_parts(
         own = matrix_power(array, response, np.diag(array.responsivity**2))
         parts.append([modes.mean(item) for item in (white * flat, shared * flat, own * red, low * red)])
     white, shared, own, low = np.mean(parts, axis=0) * rate / 2
-    layer = _layer_parts(setup, levels, spectrum, arrays, responses)
+    layer = _layer_noise(setup, levels, spectrum, arrays, responses)
     # Pixels smooth what streams share; of each stream's own noise, scattered over all modes, they take next to nothing.
     pixel = pixel_window(setup.band.rings.ell, setup.geometry.pixel_rad)
-    return _Parts(white, white + (shared - white) * pixel, own + (low - own) * pixel, layer * pixel)
+    smoothed = white + (shared - white) * pixel, own + (low - own) * pixel
+    return _Parts(white, *smoothed, lambda motion: layer(motion) * pixel)
 
 
-def _layer_parts(
-    setup: Setup, levels: _Conditions, spectrum: _Spectrum, arrays: list[Array], responses: list[np.ndarray]
-) -> np.ndarray:
-    """Noise variance a sample (n_obs, n_bin) of a layer of unit amplitude, between nodes of its motion."""
+def _layer_noise(
+    setup: Setup, levels: Conditions, spectrum: _Spectrum, arrays: list[Array], responses: list[np.ndarray]
+) -> LayerNoise:
+    """Noise variance a sample of a layer of unit amplitude, between nodes of its motion."""
     if setup.scene.atmosphere is None:
-        return np.zeros((1, len(spectrum.modes.wave)))
+        return _no_layer
     layer = _layer(setup, levels, spectrum)
     strengths = [layer_strength(array, response, layer) for array, response in zip(arrays, responses, strict=True)]
 
@@ -270,7 +256,11 @@ def _layer_parts(
     return _between_motions(levels.motion, setup.raster.speed_rad_s, noise)
 
 
-def _layer(setup: Setup, levels: _Conditions, spectrum: _Spectrum) -> Layer:
+def _no_layer(motion: np.ndarray) -> np.ndarray:
+    return np.zeros((len(motion), 1))
+
+
+def _layer(setup: Setup, levels: Conditions, spectrum: _Spectrum) -> Layer:
     return layer_waves(screen(setup.scene), np.abs(levels.motion).max() * spectrum.window.duration_s)
 
 
@@ -279,23 +269,31 @@ def _along(layer: Layer, motion: complex) -> np.ndarray:
     return (layer.alpha * np.conj(motion)).real
 
 
-def _between_motions(motion: np.ndarray, speed_rad_s: float, noise) -> np.ndarray:
-    """Means over columns of `noise` (n_bin,) of motions (n_obs, n_motion), between a few speeds and directions.
+def _between_motions(motion: np.ndarray, speed_rad_s: float, noise: Callable[[complex], np.ndarray]) -> LayerNoise:
+    """Means over columns of `noise` (n_bin,), between a few speeds and directions that hold those of `motion`.
 
-    Mirrored directions count as one: the array stands at many angles to them.
+    Mirrored directions count as one: the array stands at many angles to them. Faster motions, and slower ones, count
+    as the fastest and the slowest of `motion`.
     """
     from scipy.interpolate import RegularGridInterpolator
 
-    speed = np.log(np.maximum(np.abs(motion), _SLOWEST * speed_rad_s))
-    turn = np.abs(np.angle(motion))
+    def place(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.log(np.maximum(np.abs(motion), _SLOWEST * speed_rad_s)), np.abs(np.angle(motion))
+
+    speed, turn = place(motion)
     speeds = np.linspace(speed.min(), speed.max() + 1e-6, _SPEEDS if np.ptp(speed) > 1e-3 else 2)
     turns = np.linspace(turn.min(), turn.max() + 1e-6, _DIRECTIONS if np.ptp(turn) > 1e-3 else 2)
     table = np.array([[noise(np.exp(s + 1j * t)) for t in turns] for s in speeds])
     logs = RegularGridInterpolator((speeds, turns), np.log(np.maximum(table, 1e-300)))
-    return np.exp(logs(np.stack([speed, turn], axis=-1))).mean(axis=1)
+
+    def between(motion: np.ndarray) -> np.ndarray:
+        clipped = [np.clip(item, nodes[0], nodes[-1]) for item, nodes in zip(place(motion), logs.grid, strict=True)]
+        return np.exp(logs(np.stack(clipped, axis=-1))).mean(axis=1)
+
+    return between
 
 
-def _simulated_parts(setup: Setup, levels: _Conditions, spectrum: _Spectrum, arrays: list[Array], name: str) -> _Parts:
+def _simulated_parts(setup: Setup, levels: Conditions, spectrum: _Spectrum, arrays: list[Array], name: str) -> _Parts:
     """Noise of the sets that take the measured PSDs of the cleaned streams: "uncorrelated" or "white"."""
     rate = setup.raster.sample_rate_hz
     seconds = spectrum.window.duration_s
@@ -324,7 +322,7 @@ def _simulated_parts(setup: Setup, levels: _Conditions, spectrum: _Spectrum, arr
     white, shared, low = np.mean(powers, axis=0)
     flat = in_bins(hann.sums(spectrum.weight_hz[None] / 2, nodes, lines))
     red = in_bins(hann.sums(spectrum.excess[None] / 2, spectrum.excess_hz, lines))
-    layer = np.zeros((1, len(flat)))
+    layer = _no_layer
     if setup.scene.atmosphere is not None:
         waves = _layer(setup, levels, spectrum)
         strength = np.mean([layer_stream_strength(array, waves) for array in arrays], axis=0)
@@ -359,39 +357,35 @@ def _transmission(setup: Setup, spectrum: _Spectrum, arrays: list[Array], respon
     return modes.mean((both.real**2 + both.imag**2).ravel())
 
 
-def _mean_hits(setup: Setup, recipe: Recipe) -> np.ndarray:
-    """Mean hits of one observation on the scored patch (n, n), from some observations spread over the survey."""
-    n_obs, geometry = setup.scene.observations, setup.geometry
-    plane: FocalPlane = setup.camera.focal_plane.subset(recipe.rows)
-    samples = len(plane.x_rad) * setup.raster.n_scans * samples_per_scan(setup.raster)
-    wanted = min(n_obs, int(np.clip(_HIT_SAMPLES / samples, _FEWEST_HITS, _MOST_HITS)))
-    # In pairs of both directions.
-    numbers = np.unique(np.minimum(2 * (np.arange(wanted) * n_obs // wanted // 2) + np.arange(wanted) % 2, n_obs - 1))
-    hits = np.zeros(geometry.n_x * geometry.n_y)
-    for number in numbers:
-        _, pointing = observation_path(setup, int(number))
-        angle = pointing.array_angle_rad[pointing.scan]
-        index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, angle, plane).ravel()
-        hits += np.bincount(index[index >= 0], minlength=len(hits))
-    patch = setup.band.patch
-    return hits.reshape(geometry.n_y, geometry.n_x)[patch, patch] / len(numbers)
-
-
-def _scored(
-    setup: Setup, name: str, n_det: int, noise: np.ndarray, hits: np.ndarray, transmission: np.ndarray
-) -> DataSetForecast:
+def _scored(setup: Setup, model: NoiseModel, noise: np.ndarray, hits: np.ndarray) -> DataSetForecast:
     """Weight and co-add observations whose noise a sample is (n_obs, n_bin) [mK^2]; score the map."""
     scene, band, rings = setup.scene, setup.band, setup.band.rings
-    # The lowest bin of a small map may hold nothing but ell = 0.
-    sky = flat_spectrum_psd(np.maximum(rings.ell, 1)) * beam_window(rings.ell, scene.instrument.beam_fwhm_rad)
     taper, covered = band.taper**2, hits > 0
     if not (noise[:, band.selected].all() and taper[covered].any()):
         raise SceneError("score: found no noise in its multipoles or no scan across its patch; both are expected")
-    weight = rings.n_modes * (sky * band.selected / sky[band.selected].max()) ** 2
-    weight = 1 / (noise @ weight / weight.sum())
+    weight = expected_weights(setup, noise)
     variance = weight**2 @ noise / weight.sum() ** 2
     area = setup.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
     psd = variance * area * (1e3 * rj_to_cmb(scene.instrument.frequency_hz)) ** 2
-    signal = sky * pixel_window(rings.ell, scene.map.pixel_rad) * transmission
+    signal = expected_signal(setup, model)
     score = band_power(psd, signal, rings.n_modes, band.selected, rings.ell, rings.edges_ell, 0.0)
-    return DataSetForecast(name, n_det, score, psd, signal, transmission)
+    return DataSetForecast(model.name, model.n_det, score, psd, signal, model.transmission)
+
+
+def expected_weights(setup: Setup, noise: np.ndarray) -> np.ndarray:
+    """Weight (n_draw,) [1/mK^2] of observations whose noise a sample is (n_draw, n_bin): as a run measures it."""
+    band = setup.band
+    sky = _beamed_sky(setup)
+    weight = band.rings.n_modes * (sky * band.selected / sky[band.selected].max()) ** 2
+    return 1 / (noise @ weight / weight.sum())
+
+
+def expected_signal(setup: Setup, model: NoiseModel) -> np.ndarray:
+    """PSD (n_bin,) [sr] that a flat spectrum of unit band power leaves in the map."""
+    return _beamed_sky(setup) * pixel_window(setup.band.rings.ell, setup.scene.map.pixel_rad) * model.transmission
+
+
+def _beamed_sky(setup: Setup) -> np.ndarray:
+    ell = setup.band.rings.ell
+    # The lowest bin of a small map may hold nothing but ell = 0.
+    return flat_spectrum_psd(np.maximum(ell, 1)) * beam_window(ell, setup.scene.instrument.beam_fwhm_rad)

@@ -10,6 +10,7 @@ from surveysim.coherence import Illumination, horn_taper_db, stop_efficiency
 from surveysim.sections import Instrument as InstrumentSection
 
 MAX_RINGS = 60
+_OBLIQUE = np.array([np.cos(1.0), np.sin(1.0)])
 
 
 @dataclass(frozen=True)
@@ -37,10 +38,8 @@ class Camera:
     @property
     def closest_rad(self) -> float:
         """Separation of the closest pair of detectors; 0 for a single one."""
-        from scipy.spatial import cKDTree
-
         positions = np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad])
-        return float(cKDTree(positions).query(positions, k=2)[0][:, 1].min()) if len(positions) > 1 else 0.0
+        return closest_pair(positions)[0] if len(positions) > 1 else 0.0
 
 
 def camera(section: InstrumentSection) -> Camera:
@@ -80,18 +79,23 @@ def total_efficiency(section: InstrumentSection) -> float:
 
 
 def _layout_positions(section: InstrumentSection) -> np.ndarray:
-    """Positions (n, 2) [rad] of a layout, dead ones among them."""
+    """Positions (n, 2) [rad] of a layout, dead ones among them.
+
+    A round field of view holds as many pixels as its area does cells, those nearest to its centre: were they counted by
+    their centres, the area that they pack would jump with the pitch by a fifth.
+    """
     layout, pitch = section.layout, section.layout.pitch_f_lambda * section.f_lambda_rad
     if layout.rings is not None:
         return hexagon(layout.rings, pitch)
-    radius = layout.field_of_view_rad / 2 * (1 + 1e-9)
-    rings = int(radius / (np.sqrt(0.75) * pitch))
+    radius = layout.field_of_view_rad / 2
+    # Pixels of that area lie within its radius and a pitch; a ring of the hexagon is at least 0.87 pitches further out.
+    rings = int((radius + pitch) / (np.sqrt(0.75) * pitch)) + 1
     if rings > MAX_RINGS:
         raise ValueError(
             f"instrument.layout.field_of_view: found {rings} rings in it; {MAX_RINGS} or fewer are expected"
         )
-    positions = hexagon(rings, pitch)
-    return positions[np.hypot(*positions.T) <= radius]
+    count = max(1, round(np.pi * radius**2 / (np.sqrt(0.75) * pitch**2)))
+    return hexagon(rings, pitch)[:count]
 
 
 def hexagon(rings: int, pitch: float) -> np.ndarray:
@@ -121,17 +125,35 @@ def without(positions: np.ndarray, dead: tuple[int, ...]) -> np.ndarray:
 
 def check_distinct(positions: np.ndarray) -> None:
     """Raise ValueError when two detectors have one position (within 1e-6 of the extent)."""
-    from scipy.spatial import cKDTree
-
     if len(positions) < 2:
         return
-    tolerance = 1e-6 * float(np.ptp(positions, axis=0).max())
-    pairs = cKDTree(positions).query_pairs(tolerance)
-    if pairs:
-        first, second = min(pairs)
+    distance, first, second = closest_pair(positions)
+    if distance <= 1e-6 * float(np.ptp(positions, axis=0).max()):
         raise ValueError(
             f"instrument: detectors {first} and {second} have one position; different positions are expected"
         )
+
+
+def closest_pair(positions: np.ndarray) -> tuple[float, int, int]:
+    """Distance of the closest two of (n, 2) positions, n of 2 or more, and their numbers in order.
+
+    Sorted along a line that no regular layout is square to: of pairs k places apart none is closer than the line
+    says, so few k are enough.
+    """
+    # A tree finds it too, but its import takes longer than the start of a small run.
+    along = positions @ _OBLIQUE
+    order = np.argsort(along, kind="stable")
+    closest = (np.inf, 0, 0)
+    for places in range(1, len(order)):
+        first, second = order[:-places], order[places:]
+        if (along[second] - along[first]).min() >= closest[0]:
+            break
+        squared = ((positions[second] - positions[first]) ** 2).sum(axis=1)
+        nearest = int(np.argmin(squared))
+        distance = float(np.sqrt(squared[nearest]))
+        if distance < closest[0]:
+            closest = (distance, *sorted((int(first[nearest]), int(second[nearest]))))
+    return closest
 
 
 def read_positions(path: Path) -> np.ndarray:

@@ -4,8 +4,8 @@ One-sided PSDs throughout; streams are (n_det, n_samp) float32 with whole scans 
 """
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
+from mapmaker.geometry import fast_length
 from surveysim.sections import Excess
 
 
@@ -66,6 +66,8 @@ def draw_from_psd(
     `psd_mk2_hz` is (..., n // 2 + 1) and broadcasts against (*shape, n // 2 + 1). Each stream is
     periodic in n samples and has no mean.
     """
+    from scipy.fft import irfft
+
     n_freq = n // 2 + 1
     amplitude = np.sqrt(psd_mk2_hz * (sample_rate_hz * n / 4))
     amplitude[..., 0] = 0
@@ -91,7 +93,7 @@ def add_excess(
     """
     n_det, n_samp = data_mk.shape
     per_scan = n_samp // n_scans
-    n = next_fast_len(2 * per_scan, real=True)
+    n = fast_length(2 * per_scan)
     psd = excess_psd(section, variance_mk2, per_scan, n, sample_rate_hz)
     streams = draw_from_psd(psd, (n_det, n_scans), n, sample_rate_hz, rng)[..., :per_scan]
     data_mk += factor.astype(np.float32) @ np.ascontiguousarray(streams).reshape(n_det, n_samp)
@@ -102,6 +104,8 @@ def hann_psd(data_mk: np.ndarray, n_scans: int, kept: np.ndarray, sample_rate_hz
 
     The taper keeps the red noise of a short scan from leaking into the white level.
     """
+    from scipy.fft import rfft
+
     n_det, n_samp = data_mk.shape
     n = n_samp // n_scans
     taper = np.hanning(n + 1)[:n].astype(data_mk.dtype)
@@ -115,6 +119,8 @@ def low_frequency_variance(data_mk: np.ndarray, n_scans: int, sample_rate_hz: fl
 
     That is how Table 2 counts: the mean of a scan is removed, nothing else.
     """
+    from scipy.fft import rfft
+
     n_det, n_samp = data_mk.shape
     n = n_samp // n_scans
     spectrum = rfft(data_mk.reshape(n_det, n_scans, n), axis=-1)

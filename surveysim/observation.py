@@ -40,7 +40,7 @@ def draw_observation(setup: Setup, observation: int, watch: Stopwatch | None = N
     watch = watch or Stopwatch()
     path, pointing = observation_path(setup, observation)
     weather = observation_weather(setup, observation)
-    data = np.zeros((setup.n_det, len(path.time_s)), np.float32)
+    data = np.zeros((setup.n_det, len(path.time_s)), setup.stream_type)
     with watch("atmosphere"):
         if weather is not None:
             add_layer(setup, observation, pointing, weather, data)
@@ -51,7 +51,7 @@ def draw_observation(setup: Setup, observation: int, watch: Stopwatch | None = N
             add_sky_signal(setup, pointing, setup.sky_mk, data, np.ones(len(data)))
     # Atmosphere, excess and sky are seen with each detector's own responsivity; the levels of photon and detector
     # noise are those at its output.
-    data *= setup.responsivity[:, None].astype(np.float32)
+    data *= setup.responsivity[:, None].astype(data.dtype)
     levels = observation_levels(setup, observation)
     with watch("photon"):
         _add_photon(setup, observation, levels, data)
@@ -63,23 +63,23 @@ def draw_observation(setup: Setup, observation: int, watch: Stopwatch | None = N
 
 
 def draw_colours(setup: Setup, observation: int) -> np.ndarray:
-    """Streams of the other bands of the same detectors, (n_colour, n_det, n_samp) float32 [mK].
+    """Streams of the other bands of the same detectors, (n_colour, n_det, n_samp) [mK].
 
     The same layer as in the mapped band, times what each band makes of the water (section 3.3), and white noise of
     their own. Excess noise and sky are in the mapped band alone. None where no recipe subtracts other bands.
     """
     colours = setup.scene.instrument.colours if setup.subtracts_colours else ()
     path, pointing = observation_path(setup, observation)
-    streams = np.zeros((len(colours), setup.n_det, len(path.time_s)), np.float32)
+    streams = np.zeros((len(colours), setup.n_det, len(path.time_s)), setup.stream_type)
     if not colours:
         return streams
     weather = observation_weather(setup, observation)
-    layer = np.zeros(streams.shape[1:], np.float32)
+    layer = np.zeros(streams.shape[1:], streams.dtype)
     add_layer(setup, observation, pointing, weather, layer)
     mapped = setup.water.response(weather.pwv_mm)
     for number, (colour, data) in enumerate(zip(colours, streams, strict=True)):
         scale = np.sqrt(setup.colour_waters[number].response(weather.pwv_mm) / mapped)
-        data += layer * (scale * setup.colour_responsivity[number]).astype(np.float32)[:, None]
+        data += layer * (scale * setup.colour_responsivity[number]).astype(data.dtype)[:, None]
         rng = generator(setup.scene.seed, Stage.DETECTOR, observation, realization=number + 1)
         add_white(data, colour.psd_mk2_hz, setup.raster.sample_rate_hz, rng)
     return streams
@@ -109,7 +109,7 @@ def add_sky_signal(setup: Setup, pointing: Pointing, sky_mk: np.ndarray, data_mk
     column = grid.n_x / 2 - 0.5 - pointing.xi_rad * scale
     row = grid.n_y / 2 - 0.5 + pointing.eta_rad * scale
     cos, sin = np.cos(angle) * scale, np.sin(angle) * scale
-    add_sky(data_mk, sky_mk, column, row, cos, sin, plane.x_rad, plane.y_rad, gain.astype(np.float32))
+    add_sky(data_mk, sky_mk, column, row, cos, sin, plane.x_rad, plane.y_rad, gain.astype(data_mk.dtype))
 
 
 def add_layer(

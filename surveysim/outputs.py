@@ -3,6 +3,7 @@
 import json
 import platform
 from collections.abc import Iterable
+from dataclasses import dataclass, field
 from errno import EISDIR, ENOTDIR
 from importlib.metadata import version
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mapmaker.binning import BinnedMap, write_fits, write_healpix
-from mapmaker.files import whole_file
+from mapmaker.files import whole_file, write_ecsv
 from surveysim import __version__
 from surveysim.coadds import row_names
 from surveysim.results import PACKAGES, SurveyResult, score_rows, summary
@@ -21,13 +22,20 @@ from surveysim.sweep import numbers_of, value_text
 from surveysim.trade import SweepResult
 
 if TYPE_CHECKING:
-    from astropy.table import Table
-
     from surveysim.forecast import Forecast
 
 
 DIRECTORIES = ("tables", "maps", "figures", "timestreams", "points")
 FILES = ("summary.json", "scene.json", "checkpoint.npz", "sweep.ecsv", "forecast.ecsv")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of equal length by name, units of those that have one, and what is said of the whole."""
+
+    columns: dict[str, Any]
+    units: dict[str, str] = field(default_factory=dict)
+    meta: dict[str, Any] = field(default_factory=dict)
 
 
 def check_writable(directory: Path) -> None:
@@ -72,26 +80,26 @@ def write_sweep(directory: Path, result: SweepResult, figures: bool) -> None:
 
 def write_forecast(directory: Path, forecast: "Forecast") -> Path:
     """Write forecast.ecsv, noise and signal PSDs of the map of each data set; returns its path."""
-    from astropy.table import Table
-
-    table = Table({"ell": forecast.ell})
+    table = Table({"ell": forecast.ell}, meta={"temperature": "CMB"})
     for name, item in forecast.scores.items():
-        table[f"noise_{name}"], table[f"signal_{name}"] = item.noise_psd, item.signal_psd
-        table[f"noise_{name}"].unit, table[f"signal_{name}"].unit = "uK2 sr", "sr"
-    table.meta["temperature"] = "CMB"
+        table.columns.update({f"noise_{name}": item.noise_psd, f"signal_{name}": item.signal_psd})
+        table.units.update({f"noise_{name}": "uK2 sr", f"signal_{name}": "sr"})
     return _write_table(directory / "forecast.ecsv", table)
 
 
-def remove_outputs(directory: Path) -> None:
+def remove_outputs(directory: Path, with_timestreams: bool = True) -> None:
     """Remove the files that an earlier run listed in its summary, so that none stands beside this run's.
 
-    Nothing else in `directory` is touched, nor anything where there is no readable summary.
+    Time-streams may stay for a run that goes on with them. Nothing else in `directory` is touched, nor anything where
+    there is no readable summary.
     """
     summary_file = directory / "summary.json"
     try:
         files = [directory / name for name in json.loads(summary_file.read_text(encoding="utf-8"))["files"]]
     except (OSError, ValueError, KeyError, TypeError):
         return
+    if not with_timestreams:
+        files = [path for path in files if path.suffix != ".h5"]
     for path in (*files, summary_file):
         if path.resolve().is_relative_to(directory.resolve()):
             path.unlink(missing_ok=True)
@@ -132,143 +140,130 @@ def _write_tables(directory: Path, result: SurveyResult) -> list[Path]:
     return [_write_table(directory / f"{name}.ecsv", table) for name, table in tables.items()]
 
 
-def _write_table(path: Path, table: "Table") -> Path:
-    with whole_file(path) as partial:
-        table.write(partial, format="ascii.ecsv", overwrite=True)
+def _write_table(path: Path, table: Table) -> Path:
+    write_ecsv(path, table.columns, table.units, table.meta)
     return path
 
 
-def _score_table(result: SurveyResult) -> "Table":
-    from astropy.table import Table
-
+def _score_table(result: SurveyResult) -> Table:
     unknown = {"forecast_ukcmb2": np.nan, "reference_ukcmb2": np.nan}
-    table = Table(
-        rows=[vars(row) | {k: vars(row)[k] or nan for k, nan in unknown.items()} for row in score_rows(result)]
-    )
-    for name in ("sigma_ukcmb2", "error_ukcmb2", *unknown):
-        table[name].unit = "uK2"
+    rows = [vars(row) | {k: vars(row)[k] or nan for k, nan in unknown.items()} for row in score_rows(result)]
     reference = result.setup.scene.score.reference
-    table.meta["temperature"] = "CMB"
-    table.meta["reference"] = reference.source if reference else "none"
-    return table
+    return Table(
+        columns={name: [row[name] for row in rows] for name in rows[0]},
+        units=dict.fromkeys(("sigma_ukcmb2", "error_ukcmb2", *unknown), "uK2"),
+        meta={"temperature": "CMB", "reference": reference.source if reference else "none"} | _part(result),
+    )
 
 
-def _alternative_table(result: SurveyResult) -> "Table":
-    from astropy.table import Table
-
-    table = Table(rows=result.alternatives)
-    for name in table.colnames:
-        if name not in ("weights", "ell_min", "ell_eff", "fwhm_ell"):
-            table[name].unit = "uK2"
-    table.meta["comment"] = "sigma(A) in uK_CMB^2 of the same data, scored otherwise"
-    return table
+def _part(result: SurveyResult) -> dict[str, int]:
+    """What a table of the whole survey is judged by."""
+    return {
+        "observations_simulated": result.coadds.done,
+        "observations_of_survey": result.setup.scene.observations,
+    }
 
 
-def _spectrum_table(result: SurveyResult) -> "Table":
-    from astropy.table import Table
+def _alternative_table(result: SurveyResult) -> Table:
+    columns = {name: [row[name] for row in result.alternatives] for name in result.alternatives[0]}
+    sigmas = [name for name in columns if name not in ("weights", "ell_min", "ell_eff", "fwhm_ell")]
+    comment = "sigma(A) in uK_CMB^2 of the same data, scored otherwise"
+    return Table(columns, dict.fromkeys(sigmas, "uK2"), {"comment": comment})
 
+
+def _spectrum_table(result: SurveyResult) -> Table:
     rings = result.setup.band.rings
-    table = Table({"ell": rings.ell, "n_modes": rings.n_modes, "scored": result.setup.band.selected})
+    columns = {"ell": rings.ell, "n_modes": rings.n_modes, "scored": result.setup.band.selected}
+    units = {}
     for name, item in result.scores.items():
-        table[f"noise_{name}"] = item.noise_psd
-        table[f"noise_{name}"].unit = "uK2 sr"
-        table[f"noise_error_{name}"] = item.noise_psds.std(axis=0, ddof=1) / np.sqrt(len(item.noise_psds))
-        table[f"signal_{name}"] = item.signal_psd
-        table[f"window_{name}"] = item.window.transmission
-        table[f"window_error_{name}"] = item.window.error
-        table[f"cumulative_{name}"] = item.band.cumulative
+        columns |= {
+            f"noise_{name}": item.noise_psd,
+            f"noise_error_{name}": item.noise_psds.std(axis=0, ddof=1) / np.sqrt(len(item.noise_psds)),
+            f"signal_{name}": item.signal_psd,
+            f"window_{name}": item.window.transmission,
+            f"window_error_{name}": item.window.error,
+            f"cumulative_{name}": item.band.cumulative,
+        }
+        units |= dict.fromkeys((f"noise_{name}", f"noise_error_{name}"), "uK2 sr")
+        units |= {f"signal_{name}": "sr", f"cumulative_{name}": "uK2"}
         if result.expected and name in result.expected.scores:
-            table[f"noise_forecast_{name}"] = result.expected.scores[name].noise_psd
-            table[f"noise_forecast_{name}"].unit = "uK2 sr"
-            table[f"window_forecast_{name}"] = result.expected.scores[name].transmission
-        for column, unit in (
-            (f"noise_error_{name}", "uK2 sr"),
-            (f"signal_{name}", "sr"),
-            (f"cumulative_{name}", "uK2"),
-        ):
-            table[column].unit = unit
-    table.meta["temperature"] = "CMB"
-    return table
+            columns[f"noise_forecast_{name}"] = result.expected.scores[name].noise_psd
+            columns[f"window_forecast_{name}"] = result.expected.scores[name].transmission
+            units[f"noise_forecast_{name}"] = "uK2 sr"
+    return Table(columns, units, {"temperature": "CMB"} | _part(result))
 
 
-def _timestream_table(result: SurveyResult) -> "Table":
-    from astropy.table import Table
-
+def _timestream_table(result: SurveyResult) -> Table:
     coadds = result.coadds
     rate = result.setup.raster.sample_rate_hz
     n_freq = len(coadds.raw_psd[0])
-    table = Table({"frequency": np.arange(n_freq) * rate / samples_per_scan(result.setup.raster)})
-    table["frequency"].unit = "Hz"
+    frequency = np.arange(n_freq) * rate / samples_per_scan(result.setup.raster)
+    comment = "quantiles over observations of the mean PSD over detectors"
+    table = Table({"frequency": frequency}, {"frequency": "Hz"}, {"comment": comment})
     compared = np.array(coadds.compared_psd)
     recipes = enumerate(result.setup.whole_recipes[1:])
     psds_of = {"raw": coadds.raw_psd, "clean": coadds.clean_psd}
     psds_of |= {f"clean_{recipe.data_set}": compared[:, place] for place, recipe in recipes}
     for name, psds in psds_of.items():
         for label, level in (("q25", 25), ("median", 50), ("q75", 75)):
-            table[f"{name}_{label}"] = np.percentile(psds, level, axis=0)
-            table[f"{name}_{label}"].unit = "mK2 / Hz"
-    table.meta["comment"] = "quantiles over observations of the mean PSD over detectors"
+            table.columns[f"{name}_{label}"] = np.percentile(psds, level, axis=0)
+            table.units[f"{name}_{label}"] = "mK2 / Hz"
     return table
 
 
-def _observation_table(result: SurveyResult) -> "Table":
-    from astropy.table import Table
-
+def _observation_table(result: SurveyResult) -> Table:
     setup = result.setup
-    table = Table(np.array(result.coadds.rows), names=row_names(setup))
-    table["start_mjd"] = setup.angles.start_mjd[: result.coadds.done]
-    table["start_mjd"].unit = "d"
-    units = {"wind_speed_rad_s": "rad / s", "wind_angle_rad": "rad", "pwv_mm": "mm"}
+    columns = dict(zip(row_names(setup), np.array(result.coadds.rows).T, strict=True))
+    columns |= {
+        "observation": columns["observation"].astype(int),
+        "start_mjd": setup.angles.start_mjd[: result.coadds.done],
+    }
+    units = {"start_mjd": "d", "wind_speed_rad_s": "rad / s", "wind_angle_rad": "rad", "pwv_mm": "mm"}
     units |= {"elevation_rad": "rad", "white_mk2_hz": "mK2 / Hz"}
-    for name, unit in units.items() | {(f"noise_mk2_{name}", "mK2") for name in setup.data_sets}:
-        table[name].unit = unit
-    table["observation"] = table["observation"].astype(int)
-    if np.isnan(table["pwv_mm"]).all():  # the scene has its own distribution of B2
-        table.remove_column("pwv_mm")
-    return table
+    units |= {f"noise_mk2_{name}": "mK2" for name in setup.data_sets}
+    if np.isnan(columns["pwv_mm"]).all():  # the scene has its own distribution of B2
+        del columns["pwv_mm"], units["pwv_mm"]
+    return Table(columns, units)
 
 
 # ---------------------------------------------------------------- sweeps
 
 
-def sweep_table(result: SweepResult) -> "Table":
+def sweep_table(result: SweepResult) -> Table:
     """A row for each point: values of the keys, sigma(A) of each data set, and the actual one against the others.
 
     `sigma_`, `error_` and `forecast_<data set>` are in uK_CMB^2; `ratio` is sigma(A) over that of the reference
     point with its paired error; `best_probability` that of being the lowest. A forecast's have no errors.
     """
-    from astropy.table import Table
-
     sweep, comparison = result.sweep, result.comparison
-    table = Table({"point": np.arange(len(sweep.points))})
+    meta = {"temperature": "CMB", "reference": comparison.reference, "best": list(comparison.best)}
+    table = Table({"point": np.arange(len(sweep.points))}, meta=meta)
+    columns = table.columns
     for key in sweep.points[0].settings:
         _add_values(table, key, [point.settings[key] for point in sweep.points])
-    table["n_det"] = [point.n_det for point in result.points]
+    columns["n_det"] = [point.n_det for point in result.points]
     for name in _in_order(item.scores for item in result.points):
         bands = [item.scores[name].band if name in item.scores else None for item in result.points]
-        table[f"sigma_{name}"] = [np.nan if band is None else band.sigma_ukcmb2 for band in bands]
-        table[f"error_{name}"] = [np.nan if band is None else band.error_ukcmb2 for band in bands]
+        columns[f"sigma_{name}"] = [np.nan if band is None else band.sigma_ukcmb2 for band in bands]
+        columns[f"error_{name}"] = [np.nan if band is None else band.error_ukcmb2 for band in bands]
     for name in _in_order(item.forecast_ukcmb2 for item in result.points):
-        table[f"forecast_{name}"] = [item.forecast_ukcmb2.get(name, np.nan) for item in result.points]
-    for name in table.colnames:
-        if name.startswith(("sigma_", "error_", "forecast_")):
-            table[name].unit = "uK2"
-    table["ratio"] = comparison.ratio
+        columns[f"forecast_{name}"] = [item.forecast_ukcmb2.get(name, np.nan) for item in result.points]
+    table.units.update({name: "uK2" for name in columns if name.startswith(("sigma_", "error_", "forecast_"))})
+    columns["ratio"] = comparison.ratio
     if result.simulated:
-        table["ratio_error"] = comparison.paired_error
-        table["independent_error"] = comparison.independent_error
-        table["best_probability"] = comparison.best_probability
-    table["unscored"] = [item.unscored for item in result.points]
-    table.meta = {"temperature": "CMB", "reference": comparison.reference, "best": list(comparison.best)}
+        columns["ratio_error"] = comparison.paired_error
+        columns["independent_error"] = comparison.independent_error
+        columns["best_probability"] = comparison.best_probability
+    columns["unscored"] = [item.unscored for item in result.points]
     return table
 
 
-def _add_values(table: "Table", key: str, values: list[Any]) -> None:
+def _add_values(table: Table, key: str, values: list[Any]) -> None:
     """A column of a key's values: numbers with their unit, or else text."""
     found = numbers_of(values)
-    table[key] = [value_text(value) for value in values] if found is None else found[0]
+    table.columns[key] = [value_text(value) for value in values] if found is None else found[0]
     if found is not None and found[1]:
-        table[key].unit = found[1]
+        table.units[key] = found[1]
 
 
 def _in_order(of_points: Iterable[dict[str, Any]]) -> list[str]:

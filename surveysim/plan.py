@@ -1,66 +1,137 @@
-"""What a run of a scene would do, take and leave behind, predicted from one observation made here."""
+"""What a run of a scene would do, take and leave behind, predicted from a few observations made here."""
 
 import os
-from dataclasses import dataclass
-from time import perf_counter
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from time import process_time
+from typing import Any
 
-from surveysim.coadds import CoAdds, empty_coadds
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from surveysim.coadds import CoAdds, add_observation, empty_coadds
+from surveysim.forecast import can_forecast
+from surveysim.observation import observation_weather
 from surveysim.reduction import observe
-from surveysim.results import stages_left_out
+from surveysim.results import stages_left_out, survey_result
 from surveysim.scan import samples_per_scan
 from surveysim.setup import Setup, prepare, window_observations
 from surveysim.sweep import Sweep
 
-# What Python and the libraries hold before the first array, what drawing figures adds, and how many copies of
-# its streams one observation's work takes.
-BASE_BYTES = 230e6
+# Drawing figures takes about twice as long as it takes to start, half as long again with those of a score, and
+# matplotlib holds this much.
+FIGURE_STARTS, SCORE_FIGURE_STARTS = 2.0, 3.0
 FIGURE_BYTES = 80e6
-WORKING_COPIES = 8
-# The figures of a scored run take about three times as long as it takes to start.
-FIGURE_STARTS = 3
+# Where the system does not say what a process holds: Python and the libraries.
+BASE_BYTES = 230e6
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Stages that run with the reason for each left out, and the predicted cost."""
+    """Stages that run with the reason for each left out, and the predicted cost.
+
+    `wall_s` is that of a machine with nothing else to do, of which figures take `figures_s`; `memory_bytes` that of
+    the largest process.
+    """
 
     stages: dict[str, str]
     left_out: dict[str, str]
     detector_samples: int
     wall_s: float
+    figures_s: float
     memory_bytes: float
     output_bytes: float
     timestream_bytes: float
 
 
+@dataclass(frozen=True)
+class _Measured:
+    """Seconds of a process's first observation beyond another's, of one without and with window skies, of adding one
+    to the sums and of scoring them; and the most memory that this process has held."""
+
+    first_s: float
+    plain_s: float
+    window_s: float
+    adding_s: float
+    scoring_s: float
+    memory_bytes: float
+
+
 def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
-    """Predict by running one observation (twice: the first warms the caches) with and without window skies.
+    """Predict by running a few observations, with and without window skies, and scoring them.
 
     `start_s` is the time that it took to start and to prepare `setup`; worker processes take it once more.
     """
     scene = setup.scene
     n_window = int(window_observations(scene).sum())
-    seconds = {}
-    for with_window in (False, True) if n_window else (False,):
-        observe(setup, 0, with_window)
-        start = perf_counter()
-        observe(setup, 0, with_window)
-        seconds[with_window] = perf_counter() - start
-    total = (scene.observations - n_window) * seconds[False] + n_window * seconds.get(True, 0.0)
-    samples = setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)
     parallel = min(workers, scene.observations, os.cpu_count() or 1)
-    starts = 1 + (parallel > 1) + FIGURE_STARTS * (scene.score is not None)
+    measured = _measure(setup)
+    observing_s = (scene.observations - n_window) * measured.plain_s + n_window * measured.window_s
+    # Sums are made by the first process, which else waits for the workers.
+    summing_s = scene.observations * measured.adding_s
+    working_s = observing_s + summing_s if parallel == 1 else max(observing_s / parallel, summing_s)
+    figures_s = start_s * (SCORE_FIGURE_STARTS if scene.score else FIGURE_STARTS)
+    samples = setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)
     coadds = empty_coadds(setup)
     maps = coadds.sums.nbytes + coadds.weight.nbytes + coadds.hits.nbytes
     return Plan(
         stages=_stages(setup, n_window),
-        left_out={name: f"no section [{name}]" for name in stages_left_out(scene)},
+        left_out=_left_out(setup),
         detector_samples=samples * scene.observations,
-        wall_s=starts * start_s + total / parallel,
-        memory_bytes=BASE_BYTES + FIGURE_BYTES + _bytes(coadds) + 4 * samples * WORKING_COPIES,
+        wall_s=(1 + (parallel > 1)) * start_s + measured.first_s + working_s + measured.scoring_s + figures_s,
+        figures_s=figures_s,
+        memory_bytes=measured.memory_bytes + FIGURE_BYTES,
         output_bytes=0.6 * maps + 400 * scene.observations,
         timestream_bytes=4.0 * samples * scene.observations,
     )
+
+
+def _measure(setup: Setup) -> _Measured:
+    """What observations take here, once caches are warm and the longest strip of the layer is made."""
+    carries = window_observations(setup.scene)
+    plain = int(np.argmin(carries))
+    with threadpool_limits(1):  # as in a run
+        first_s = _timed(observe, setup, _windiest(setup), False)[0] + _timed(observe, setup, plain, False)[0]
+        plain_s, (result, _) = _timed(observe, setup, plain, False)
+        window_s = plain_s
+        if carries.any():
+            window_s, (result, _) = _timed(observe, setup, int(np.argmax(carries)), True)
+        coadds = empty_coadds(setup)
+        add_observation(setup, coadds, replace(result, observation=0))
+        adding_s, _ = _timed(add_observation, setup, coadds, replace(result, observation=1))
+        scoring_s = _scoring(setup, coadds)
+    return _Measured(max(0.0, first_s - 2 * plain_s), plain_s, window_s, adding_s, scoring_s, _peak_bytes())
+
+
+def _scoring(setup: Setup, coadds: CoAdds) -> float:
+    """Seconds that it takes to score sums; of two equal observations it takes as long as of many."""
+    return _timed(survey_result, setup, coadds, 0.0, 1)[0] if setup.scene.score else 0.0
+
+
+def _timed(work: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
+    # The processor's time, so that what else runs here is not predicted too.
+    start = process_time()
+    result = work(*arguments)
+    return process_time() - start, result
+
+
+def _windiest(setup: Setup) -> int:
+    """The observation whose layer moves fastest, and so takes the longest strip; the first without a layer."""
+    if setup.scene.atmosphere is None:
+        return 0
+    weathers = [observation_weather(setup, observation) for observation in range(setup.scene.observations)]
+    return int(np.argmax([weather.wind_speed_rad_s for weather in weathers]))
+
+
+def _peak_bytes() -> float:
+    """The most memory that this process has held."""
+    try:
+        import resource
+    except ImportError:  # not a Unix system
+        return BASE_BYTES
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return float(peak if sys.platform == "darwin" else peak * 1024)
 
 
 @dataclass(frozen=True)
@@ -92,11 +163,6 @@ def make_sweep_plan(sweep: Sweep, workers: int, start_s: float = 0.0) -> SweepPl
     )
 
 
-def _bytes(coadds: CoAdds) -> int:
-    arrays = (coadds.sums, coadds.weight, coadds.hits, coadds.flipped, coadds.window, coadds.window_weight)
-    return sum(array.nbytes for array in arrays)
-
-
 def _stages(setup: Setup, n_window: int) -> dict[str, str]:
     scene = setup.scene
     n_det = setup.n_det
@@ -111,4 +177,38 @@ def _stages(setup: Setup, n_window: int) -> dict[str, str]:
         stages["data sets"] = ", ".join(setup.data_sets)
         stages["window"] = f"{scene.score.window.skies} skies through {n_window} observations"
         stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
+        if can_forecast(setup):
+            stages["forecast"] = "of each data set, beside its score"
+    if scene.map.healpix_nside:
+        stages["HEALPix"] = f"maps at nside {scene.map.healpix_nside}"
     return stages
+
+
+SECTIONS_LEFT_OUT = {
+    "atmosphere": ": no layer, no weather",
+    "sky": ": noise alone",
+    "score": ": no map PSDs, no sign-flipped maps",
+}
+
+
+def _left_out(setup: Setup) -> dict[str, str]:
+    """Every stage that a run of the scene leaves out, and why."""
+    scene = setup.scene
+    reasons = {name: f"no section [{name}]{SECTIONS_LEFT_OUT.get(name, '')}" for name in stages_left_out(scene)}
+    if scene.fixed_pointing:
+        reasons["ephemerides"] = "a fixed elevation needs no astropy.coordinates"
+    if setup.water is None:
+        reasons["opacity"] = "no atmosphere.site to know it of"
+    if scene.photon is None and scene.excess is None:
+        reasons["overlap"] = "no noise that detectors share"
+    if scene.instrument.colours and not setup.subtracts_colours:
+        reasons["other bands"] = "no recipe subtracts them"
+    if scene.score is None:
+        reasons |= dict.fromkeys(("window", "forecast", "best recipe"), "no section [score] to need it")
+    elif not can_forecast(setup):
+        reasons["forecast"] = f"cleaning by {setup.recipes[0].label} is no projection"
+    if scene.score and not setup.chooses:
+        reasons["best recipe"] = "no cleaning.compare to choose from"
+    if not scene.map.healpix_nside:
+        reasons["HEALPix"] = "no map.healpix_nside"
+    return reasons

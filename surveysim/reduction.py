@@ -26,9 +26,9 @@ REFERENCE = (0, 1)  # observations that tell what recipes leave of a signal: one
 class ObservationResult:
     """What one observation leaves behind: maps and sums, never time-streams.
 
-    `sums` (n_set, n_y, n_x) float32 [mK] with `hits` (n_set, n_y, n_x) int32; `noise_mk2` (n_set,), the
+    `sums` (n_set, n_y, n_x) of the streams' type [mK] with `hits` (n_set, n_y, n_x) int32; `noise_mk2` (n_set,), the
     noise variance a sample in the scored band, by which observations are weighted; `window` (n_sky, n_window,
-    2, n_y, n_x) float32, signal of the window skies binned without [0] and with [1] cleaning for each of the
+    2, n_y, n_x) of that type, signal of the window skies binned without [0] and with [1] cleaning for each of the
     setup's windows, or None; `discarded`, `iterations` and `removed` (templates a scan) per recipe; `merits`
     (n_recipe, n_target) figures of merit of the recipes for all detectors, or None without a choice; `raw_psd` and
     `clean_psd` (n_freq,) [mK^2/Hz], means over detectors, `compared_psd` (n_compare, n_freq) that of the other
@@ -195,17 +195,17 @@ def _simulated_set(
     if name == "uncorrelated":
         rng = generator(seed, Stage.UNCORRELATED, observation)
         streams = draw_from_psd(psd[:, None, :], (n_det, n_scans), n_samp // n_scans, rate, rng)
-        return streams.reshape(n_det, n_samp)
+        return streams.reshape(n_det, n_samp).astype(setup.stream_type, copy=False)
     rng = generator(seed, Stage.WHITE, observation)
-    data = rng.standard_normal((n_det, n_samp), dtype=np.float32)
-    data *= np.sqrt(white * rate / 2).astype(np.float32)[:, None]
+    data = rng.standard_normal((n_det, n_samp), dtype=np.float32).astype(setup.stream_type, copy=False)
+    data *= np.sqrt(white * rate / 2).astype(data.dtype)[:, None]
     return _mean_removed(data, n_scans)
 
 
 def _bin(work: _Reduced, data_mk: np.ndarray, rows: np.ndarray | slice, kept: np.ndarray, watch: Stopwatch) -> Map:
     with watch("binning"):
         item = bin_map(work.setup.geometry, data_mk, work.index[rows], work.streams.scan_bounds, kept)
-    return item.weighted_sum.astype(np.float32), item.hits.astype(np.int32)
+    return item.weighted_sum.astype(work.setup.stream_type), item.hits.astype(np.int32)
 
 
 def _window_maps(work: _Reduced, best: int) -> np.ndarray:
@@ -213,7 +213,7 @@ def _window_maps(work: _Reduced, best: int) -> np.ndarray:
     setup, streams = work.setup, work.streams
     skies, bounds = setup.window_skies_mk, streams.scan_bounds
     shape = (setup.geometry.n_y, setup.geometry.n_x)
-    maps = np.zeros((len(skies), len(setup.windows), 2, *shape), np.float32)
+    maps = np.zeros((len(skies), len(setup.windows), 2, *shape), setup.stream_type)
     for s, sky in enumerate(skies):
         signal = np.zeros_like(streams.data_mk)
         add_sky_signal(setup, work.pointing, sky, signal, setup.responsivity)

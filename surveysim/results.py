@@ -11,12 +11,14 @@ from mapmaker.bandpower import BandPower, flat_band_power_fixed_weights, noise_e
 from surveysim import __version__
 from surveysim.choice import TARGETS, best_places
 from surveysim.coadds import CoAdds, row_names
+from surveysim.control import Controlled, controlled_scores
 from surveysim.forecast import DataSetForecast, Forecast, can_forecast, forecast
 from surveysim.recipes import ACTUAL, Recipe
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene, SceneError, scene_hash
 from surveysim.scores import DataSetScore, Gain, flux_removed, gain, rescore, score_survey, sector_sigma
 from surveysim.setup import Setup
+from surveysim.stopping import UNLIMITED, Cost, Estimate, Limits, answer_cost, best_estimate, stop_reason
 
 PACKAGES = ("numpy", "scipy", "numba", "astropy", "healpy", "h5py", "pydantic")
 PSD_AT_HZ = (0.01, 0.1, 1.0)
@@ -57,7 +59,9 @@ class SurveyResult:
 
     They are empty without a score or where `unscored` says why there is none. `flux_removed` is the share of a faint
     point source's flux that each recipe takes, known where recipes are compared; `expected` the forecast of the data
-    sets, None where cleaning has none. `wall_s` is the time since the run was started or, the last time, resumed.
+    sets, None where cleaning has none; `controlled` what the scores are with the forecast as control variate. A run
+    that `limits` ended early is scored for the whole survey. `wall_s` is the time since the run was started or, the
+    last time, resumed.
     """
 
     setup: Setup
@@ -69,10 +73,29 @@ class SurveyResult:
     expected: Forecast | None
     wall_s: float
     workers: int
-    unscored: str = ""
+    unscored: str
+    controlled: dict[str, Controlled]
+    limits: Limits
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """The best estimate of the actual data's sigma(A); None without a score."""
+        return best_estimate(self.scores, self.controlled)
+
+    @property
+    def stopped(self) -> str:
+        """What ended the run: "all" of its observations, or its "target" or "budget"."""
+        return stop_reason(self.setup, self.limits, self.coadds.done, self.estimate)
+
+    @property
+    def fine_cost(self) -> Cost | None:
+        """What an answer to 1 % would take; None without a score."""
+        return answer_cost(self.setup, self.coadds, self.workers, self.scores, self.controlled)
 
 
-def survey_result(setup: Setup, coadds: CoAdds, wall_s: float, workers: int) -> SurveyResult:
+def survey_result(
+    setup: Setup, coadds: CoAdds, wall_s: float, workers: int, limits: Limits = UNLIMITED
+) -> SurveyResult:
     """Score what was summed; a survey that can't be scored keeps its maps and says why."""
     scores, ratios, others, removed, unscored = {}, {}, [], {}, ""
     if setup.scene.score is not None:
@@ -83,7 +106,9 @@ def survey_result(setup: Setup, coadds: CoAdds, wall_s: float, workers: int) -> 
         except ValueError as error:  # too few observations, or too few scans kept in them
             scores, ratios, others, removed, unscored = {}, {}, [], {}, str(error)
     expected = _forecast(setup) if scores else None
-    return SurveyResult(setup, coadds, scores, ratios, others, removed, expected, wall_s, workers, unscored)
+    controlled = controlled_scores(setup, coadds, scores)
+    found = scores, ratios, others, removed, expected
+    return SurveyResult(setup, coadds, *found, wall_s, workers, unscored, controlled, limits)
 
 
 def _forecast(setup: Setup) -> Forecast | None:
@@ -241,6 +266,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "scans_discarded": int(columns[f"discarded_{ACTUAL}"].sum()),
         "mean_iterations": float(columns[f"iterations_{ACTUAL}"].mean()),
         "cleaning": {recipe.data_set: _cleaning_entry(recipe, result, columns) for recipe in setup.recipes},
+        "stopped": _stopped_entry(result),
         "scores": {},
     }
     if result.unscored:
@@ -248,9 +274,12 @@ def summary(result: SurveyResult) -> dict[str, Any]:
     if result.scores:
         content["scores"] = {row.name: _score_entry(row) for row in score_rows(result)}
         content["error_budget"] = {name: vars(item.budget) for name, item in result.scores.items()}
+        content["controlled"] = {name: _controlled_entry(item) for name, item in result.controlled.items()}
         content["forecast_over_simulated"] = {name: vars(item) for name, item in forecast_agreement(result).items()}
         content["gains"] = {name: vars(item) for name, item in result.gains.items()}
         content["alternatives"] = result.alternatives
+        if result.fine_cost:
+            content["fine_answer"] = vars(result.fine_cost)
     content["run"] = {
         "workers": result.workers,
         "wall_s": result.wall_s,
@@ -299,6 +328,24 @@ def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float]:
 def best_recipe(setup: Setup, columns: dict[str, np.ndarray], target: str) -> np.ndarray:
     """Place (n_obs,) among the recipes for all detectors of the best one for a target, -1 without data."""
     return best_places(np.array([columns[f"merit_{target}_{recipe.data_set}"] for recipe in setup.whole_recipes]))
+
+
+def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
+    """What ended the run, of how many observations, and how good its answer is."""
+    estimate, limits = result.estimate, {k: v for k, v in vars(result.limits).items() if v is not None}
+    entry: dict[str, Any] = {
+        "reason": result.stopped,
+        "observations_simulated": result.coadds.done,
+        "observations_of_survey": result.setup.scene.observations,
+        **limits,
+    }
+    if estimate:
+        entry |= {"estimate": estimate.kind, "relative_error": estimate.relative_error}
+    return entry
+
+
+def _controlled_entry(item: Controlled) -> dict[str, Any]:
+    return {key: value for key, value in vars(item).items() if key != "budget"} | {"error_budget": vars(item.budget)}
 
 
 def _score_entry(row: Row) -> dict[str, float]:

@@ -26,6 +26,7 @@ from surveysim.sections import (
     FixedPointing,
     Instrument,
     MapSection,
+    Numerics,
     Photon,
     Scan,
     Schedule,
@@ -64,6 +65,7 @@ class Scene(Section):
     cleaning: Cleaning
     map: MapSection
     score: Score | None = None
+    numerics: Numerics = Numerics()
     assumed: tuple[str, ...] = ()
 
     @model_validator(mode="after")

@@ -55,7 +55,7 @@ class Gain:
 
 
 def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = None) -> dict[str, DataSetScore]:
-    """Scores of the named data sets (all by default) from the observations so far.
+    """Scores of the whole survey's named data sets (all by default), judged by the observations so far.
 
     Raises ValueError with fewer than 2 observations with data, or before a window observation is in.
     """
@@ -180,11 +180,15 @@ def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> n
 
     Weights measured on the very maps that they weigh favour an observation whose noise fluctuates low, which lowers
     the co-added PSD where they are measured and raises it elsewhere (`Band.mode_chance`); that is given back.
+    The PSD of a survey goes as one over its observations: of a part it is scaled to the whole.
     """
     patch = setup.band.patch
     maps = weighted_mean(coadds.flipped[:, data_set], coadds.weight[data_set][patch, patch])
     to_ukcmb = 1e3 * rj_to_cmb(setup.scene.instrument.frequency_hz)
-    return _psd(setup, maps, rings) * (to_ukcmb**2 * (1 + setup.band.chance(rings)))
+    whole = coadds.done / setup.scene.observations
+    weights = _weights(coadds.noise_mk2()[:, data_set])
+    independent = 1 - np.sum(weights**2) / np.sum(weights) ** 2  # a single observation can't be favoured
+    return _psd(setup, maps, rings) * (to_ukcmb**2 * (1 + independent * setup.band.chance(rings)) * whole)
 
 
 def flux_removed(setup: Setup, coadds: CoAdds) -> dict[str, float]:

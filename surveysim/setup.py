@@ -73,6 +73,11 @@ class Setup:
         return len(self.responsivity)
 
     @property
+    def stream_type(self) -> np.dtype:
+        """Type of streams and maps."""
+        return np.dtype(self.scene.numerics.precision)
+
+    @property
     def data_sets(self) -> tuple[str, ...]:
         """Names of the data sets that are scored, in the order of their maps."""
         whole = [recipe.data_set for recipe in self.whole_recipes]
@@ -241,8 +246,9 @@ def _strips(scene: Scene, cam: Camera):
         return None
     from surveysim.atmosphere.screen import StripCache, strip_step
 
-    layer = screen(scene)
-    return StripCache(layer, cam.radius_rad, strip_step(layer, cam.closest_rad))
+    layer, numerics = screen(scene), scene.numerics
+    step_rad = numerics.screen_step * strip_step(layer, cam.closest_rad)
+    return StripCache(layer, cam.radius_rad, step_rad, numerics.interpolation, numerics.precision)
 
 
 def _water(scene: Scene, band: Instrument | Colour) -> Water | None:

@@ -43,20 +43,21 @@ def run_observations(
     resume: bool = False,
     timestream_dir: Path | None = None,
     progress: Callable[[CoAdds], None] = lambda coadds: None,
+    stops: Callable[[CoAdds], bool] = lambda coadds: False,
 ) -> CoAdds:
-    """Run all observations of a scene and add them up in order.
+    """Run all observations of a scene, or as many as it takes until `stops`, and add them up in order.
 
-    `progress` is called after each. With a `checkpoint` path, the sums are written there every few
-    seconds and when the run is interrupted or fails (KeyboardInterrupt and errors pass on); with `resume`,
-    they are taken up from there. Raises CheckpointError for one that does not belong to the scene, and
-    WorkerLostError when a worker process is gone.
+    `progress` is called after each; whether it `stops` is asked after each and before the first. With a `checkpoint`
+    path, the sums are written there every few seconds, at the end, and when the run is interrupted or fails
+    (KeyboardInterrupt and errors pass on); with `resume`, they are taken up from there. Raises CheckpointError for one
+    that does not belong to the scene, and WorkerLostError when a worker process is gone.
     """
     identity = scene_hash(setup.scene)
     coadds = empty_coadds(setup)
     if resume and checkpoint is not None and checkpoint.exists():
         coadds = load_checkpoint(checkpoint, identity)
-    job = ObservationJob(setup.scene, timestream_dir)
-    results = ordered_map(job, range(coadds.done, setup.scene.observations), workers)
+    left = () if stops(coadds) else range(coadds.done, setup.scene.observations)
+    results = ordered_map(ObservationJob(setup.scene, timestream_dir), left, workers)
     saved, saved_done = monotonic(), coadds.done
     try:
         for result in results:
@@ -67,6 +68,8 @@ def run_observations(
             if checkpoint is not None and monotonic() - saved > CHECKPOINT_SECONDS:
                 save_checkpoint(checkpoint, coadds, identity)
                 saved, saved_done = monotonic(), coadds.done
+            if stops(coadds):
+                break
         if checkpoint is not None and coadds.done > saved_done:
             save_checkpoint(checkpoint, coadds, identity)  # until the results are written
             saved_done = coadds.done
@@ -76,4 +79,14 @@ def run_observations(
         raise
     finally:
         results.close()
+    if timestream_dir is not None and coadds.done < setup.scene.observations:
+        _drop_streams(timestream_dir, coadds.done)
     return coadds
+
+
+def _drop_streams(directory: Path, done: int) -> None:
+    """Remove streams that workers wrote ahead of where a run was stopped."""
+    for path in (*directory.glob("*.h5"), *directory.glob("*.h5.part")):
+        number = path.name.partition(".")[0]
+        if number.isdigit() and int(number) >= done:
+            path.unlink(missing_ok=True)

@@ -10,6 +10,8 @@ import numpy as np
 from surveysim.atmosphere.opacity import BandOpacity
 from surveysim.sections import Atmosphere
 
+# Beyond any air, and well within what streams of 32 bits hold.
+B2_MAX, WIND_MAX_RAD_S = 1e24, 1e3
 _RANKS = 400  # of water and of fluctuations, for the quantiles of their product
 
 
@@ -71,7 +73,8 @@ def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: np.random.Gen
     Without a site B2 comes from its own quantiles. With one it is the fractional fluctuation of the water times
     what the band makes of it, (delta C / C)^2 (d eps / dC C)^2 B_atm^2, PWV and fluctuation drawn independently
     (section 3.3); quantiles of B2 beside a site replace those that follow, each draw keeping its rank. With
-    `wind_b2_exponent` the median wind goes as that power of B2 over its median.
+    `wind_b2_exponent` the median wind goes as that power of B2 over its median. Raises ValueError for a draw that is
+    no number for a stream: tails of quantiles that lie close together rise without limit.
     """
     level, speed = rng.standard_normal(2)
     angle = rng.uniform(0, 2 * math.pi)
@@ -84,7 +87,14 @@ def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: np.random.Gen
     b2 = float(b2_quantile(atmosphere, water, level))
     wind = atmosphere.wind_median_rad_s * math.exp(atmosphere.wind_log_scatter * speed)
     if atmosphere.wind_b2_exponent and b2 > 0:
-        wind *= (b2 / float(b2_quantile(atmosphere, water, 0.0))) ** atmosphere.wind_b2_exponent
+        if not (median := float(b2_quantile(atmosphere, water, 0.0))) > 0:
+            raise ValueError("atmosphere.wind_b2_exponent: found with a median B2 of 0; one above 0 is expected")
+        wind *= (b2 / median) ** atmosphere.wind_b2_exponent
+    if not (b2 < B2_MAX and wind < WIND_MAX_RAD_S):
+        raise ValueError(
+            f"atmosphere.b2: found distributions that give B2 = {b2:.3g} mK^2 and {wind:.3g} rad/s of wind; less than"
+            f" {B2_MAX:g} and {WIND_MAX_RAD_S:g} are expected"
+        )
     return Weather(b2, wind, angle, pwv)
 
 

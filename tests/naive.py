@@ -138,6 +138,32 @@ def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
             data[d, start + n] += amplitude * ((1 - t) * along_near + t * along_far)
 
 
+def add_screen_nearest(data, start, stop, strip, x0, y0, dx, amplitude):
+    """Look-up of the lattice point that is nearest along each axis, the higher one halfway."""
+    for d in range(data.shape[0]):
+        for n in range(stop - start):
+            i, j = (int(np.floor(p + 0.5)) for p in (x0[d] + n * dx, y0[d]))
+            data[d, start + n] += amplitude * strip[j, i]
+
+
+def add_screen_cubic(data, start, stop, strip, x0, y0, dx, amplitude):
+    """Look-up in the polynomial of degree 3 along each axis through the 4 x 4 nearest points on the strip."""
+    n_lane, n_x = strip.shape
+    for d in range(data.shape[0]):
+        for n in range(stop - start):
+            along, across = (x0[d] + n * dx, n_x), (y0[d], n_lane)
+            for i, u in cubic_weights(*along):
+                for j, v in cubic_weights(*across):
+                    data[d, start + n] += amplitude * u * v * strip[j, i]
+
+
+def cubic_weights(p, size):
+    """Four points (number, weight) of Lagrange's polynomial at p among the points 0 to size - 1."""
+    first = min(max(int(np.floor(p)) - 1, 0), size - 4)
+    nodes = range(first, first + 4)
+    return [(i, np.prod([(p - k) / (i - k) for k in nodes if k != i])) for i in nodes]
+
+
 def combine_columns(columns, start, normals):
     """Modes (n_lane, n_freq): for each frequency its factors times complex normal amplitudes."""
     n_freq, n_lane = len(start) - 1, columns.shape[1]

@@ -19,8 +19,12 @@ from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, has_dead
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
 
-# Eigenvalues below this fraction of the largest are zero but for rounding, of float32 streams too.
-_ZERO = 1e-12
+# Directions with less than this share of the strongest detector's power hold rounding alone: that of float32
+# streams, which earlier cleaning leaves where it took a template, is at most a quarter of it.
+_ZERO = 2.0**-46
+# The Gram matrix rounds its small eigenvalues by some 1e-16 of the largest. Where they come closer to that than
+# this, the stream's own singular values are taken, for twice the time.
+_BURIED = 1e-11
 # Logarithms of equal eigenvalues differ by rounding, which is not to stand out.
 _ROUNDING = 1e-9
 
@@ -50,8 +54,10 @@ def subtract_pca(data_mk, scan_bounds, focal_plane: FocalPlane, options: PcaOpti
     """Remove the mean and the outstanding modes; arguments, result and errors as for `clean`.
 
     `removed` is the number of modes; responsivities are 1 and no iterations are counted. A scan of few samples may
-    have too few eigenvalues for any to stand out, and then loses its mean alone. Raises ValueError for too few
-    detectors. Sayers et al. (2010), "Adaptive Principal Component Analysis (PCA)".
+    have too few eigenvalues for any to stand out, and then loses its mean alone; one of enough samples that has too
+    few above rounding, because the atmosphere buries the noise (at some 10^7 times it) or earlier cleaning took the
+    rest, is discarded. Raises ValueError for too few detectors. Sayers et al. (2010), "Adaptive Principal Component
+    Analysis (PCA)".
     """
     needed = least_eigenvalues(options.sigma_cut)
     if len(data_mk) < needed:
@@ -78,12 +84,26 @@ def _project(block: np.ndarray, sigma_cut: float) -> Fit:
     if has_dead(block):
         return Fit(None)
     n_det, n_samp = block.shape
-    # Detectors and samples have the same non-zero eigenvalues and modes: the smaller matrix is the faster.
     across = n_det <= n_samp
-    eigenvalues, vectors = np.linalg.eigh(block @ block.T if across else block.T @ block)
-    above = eigenvalues > _ZERO * eigenvalues[-1]
-    rank = min(int(above.sum()), n_samp - 1)
+    eigenvalues, vectors = _spectrum(block, across)
+    most = min(n_det, n_samp - 1)
+    rank = int(np.sum(eigenvalues[len(eigenvalues) - most :] > _ZERO * np.square(block).sum(axis=1).max()))
+    if rank < least_eigenvalues(sigma_cut) <= most:
+        return Fit(None)
     n_modes = outstanding(eigenvalues[len(eigenvalues) - rank :], sigma_cut)
     modes = vectors[:, len(eigenvalues) - n_modes :]
     block -= modes @ (modes.T @ block) if across else (block @ modes) @ modes.T
     return Fit(np.ones(n_det), 0, n_modes)
+
+
+def _spectrum(block: np.ndarray, across: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues in rising order, and modes (columns) of the detectors if `across`, of the samples if not.
+
+    Detectors and samples have the same non-zero eigenvalues: the smaller matrix is the faster.
+    """
+    eigenvalues, vectors = np.linalg.eigh(block @ block.T if across else block.T @ block)
+    # Of samples, the mean is a direction without power.
+    if eigenvalues[0 if across else 1] > _BURIED * eigenvalues[-1]:
+        return eigenvalues, vectors
+    left, singular, right = np.linalg.svd(block, full_matrices=False)
+    return singular[::-1] ** 2, (left if across else right.T)[:, ::-1]

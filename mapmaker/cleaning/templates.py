@@ -30,9 +30,9 @@ from mapmaker.kernels.cleaning import iterate_responsivity
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
 
-# Singular values of the scaled basis below this fraction of the largest: detectors on one line or conic to
-# within the rounding of their positions.
-RANK_TOLERANCE = 1e-10
+# What a term must hold, of the array's radius, beside the terms before it: with less, detectors are on one line or
+# conic as nearly as their positions are known, and six digits of the template would be lost.
+RANK_TOLERANCE = 1e-6
 
 # Exponents (of x, of y) of the terms of S.
 AVERAGE = ((0, 0),)
@@ -63,29 +63,47 @@ def check_convergence(tolerance: float, max_iterations: int) -> None:
 def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
     """Orthonormal rows (n_par, n_det) that span x^a y^b at the detectors, for (a, b) in exponents.
 
-    Row k spans with those before it the first k + 1 terms; the first is constant if the first exponents are
-    (0, 0). Positions are centred and scaled to the array first, then orthonormalised by QR: (S^T S)^-1 S^T
-    is then the transpose, and normal equations, which square the condition number, are never formed. Raises
-    ValueError if there are not more detectors than terms or if the positions cannot tell the terms apart.
+    Exponents hold whole degrees, rising from (0, 0); in each, x^a y^b comes after y times all that precede
+    x^a y^(b-1). Row k spans with those before it the first k + 1 terms; the first is constant. (S^T S)^-1 S^T is then
+    the transpose. Neither normal equations nor high powers are formed: each row is
+    an earlier one times x or y, less its part along all earlier ones (Arnoldi's process; Brubeck et al. 2021, SIAM
+    Review 63, 405), which keeps all digits at any order. Raises ValueError if there are not more detectors than terms
+    or if the positions, to a millionth of the array's radius, cannot tell the terms apart.
     """
-    shapes = _shapes(focal_plane, exponents, focal_plane.x_rad, focal_plane.y_rad)
-    n_det, n_par = shapes.shape
+    n_det, n_par = len(focal_plane.x_rad), len(exponents)
     if n_det <= n_par:
         raise ValueError(f"{n_par} templates need at least {n_par + 1} detectors, got {n_det}")
-    rank = np.linalg.matrix_rank(shapes, rtol=RANK_TOLERANCE)
-    if rank < n_par:
+    u, v = _scaled(focal_plane, focal_plane.x_rad, focal_plane.y_rad)
+    row_of = {(0, 0): np.full(n_det, n_det**-0.5)}
+    for a, b in exponents[1:]:
+        before = row_of.get((a, b - 1) if b else (a - 1, b))
+        if before is None:
+            continue
+        known = np.array(list(row_of.values()))
+        row = before * (v if b else u)
+        for _ in range(2):  # the second takes what rounding left of the first
+            row = row - known.T @ (known @ row)
+        norm = np.linalg.norm(row)
+        if norm > RANK_TOLERANCE:
+            row_of[a, b] = row / norm
+    if len(row_of) < n_par:
         raise ValueError(
-            f"the {n_det} detector positions support {rank} independent templates, need {n_par}: "
-            "they lie on one line or conic"
+            f"the {n_det} detector positions support {len(row_of)} independent templates, need {n_par}: "
+            "they lie on one line or conic, or too close to it"
         )
-    return np.ascontiguousarray(np.linalg.qr(shapes)[0].T)
+    return np.array(list(row_of.values()))
+
+
+def _scaled(focal_plane: FocalPlane, x_rad, y_rad) -> tuple[np.ndarray, np.ndarray]:
+    """Places from the array's centre, in units of its radius."""
+    x, y = np.asarray(focal_plane.x_rad, dtype=np.float64), np.asarray(focal_plane.y_rad, dtype=np.float64)
+    scale = np.hypot(x - x.mean(), y - y.mean()).max() or 1.0
+    return (np.asarray(x_rad) - x.mean()) / scale, (np.asarray(y_rad) - y.mean()) / scale
 
 
 def _shapes(focal_plane: FocalPlane, exponents, x_rad, y_rad) -> np.ndarray:
     """x^a y^b (n_place, n_par) at some places, from the array's centre in units of its radius."""
-    x, y = np.asarray(focal_plane.x_rad, dtype=np.float64), np.asarray(focal_plane.y_rad, dtype=np.float64)
-    scale = np.hypot(x - x.mean(), y - y.mean()).max() or 1.0
-    u, v = (np.asarray(x_rad) - x.mean()) / scale, (np.asarray(y_rad) - y.mean()) / scale
+    u, v = _scaled(focal_plane, x_rad, y_rad)
     return np.stack([u**a * v**b for a, b in exponents], axis=1)
 
 

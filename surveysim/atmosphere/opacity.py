@@ -4,7 +4,7 @@ Tables of the `am` atmospheric model lie in ``tables/`` with the script that bui
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import as_file, files
 
 import numpy as np
@@ -25,6 +25,13 @@ class BandOpacity:
     pwv_mm: np.ndarray
     optical_depth: np.ndarray
     temperature_k: float
+
+    @cached_property
+    def spline(self):
+        """Cubic spline through the optical depths, against water [mm]."""
+        from scipy.interpolate import CubicSpline
+
+        return CubicSpline(self.pwv_mm, self.optical_depth)
 
 
 @cache
@@ -68,12 +75,12 @@ def optical_depth(band: BandOpacity, pwv_mm) -> np.ndarray:
 
     Raises ValueError outside the table.
     """
-    return _spline(band)(_allowed(band, pwv_mm))
+    return band.spline(_allowed(band, pwv_mm))
 
 
 def optical_depth_slope(band: BandOpacity, pwv_mm) -> np.ndarray:
     """Derivative of the zenith optical depth with the water column [1/mm], any shape; errors as `optical_depth`."""
-    return _spline(band)(_allowed(band, pwv_mm), 1)
+    return band.spline(_allowed(band, pwv_mm), 1)
 
 
 def fluctuation_factor_mk2(band: BandOpacity, pwv_mm) -> np.ndarray:
@@ -83,14 +90,8 @@ def fluctuation_factor_mk2(band: BandOpacity, pwv_mm) -> np.ndarray:
     atmosphere is its temperature, Rayleigh-Jeans. B2 is proportional to it. Errors as `optical_depth`.
     """
     pwv_mm = _allowed(band, pwv_mm)
-    spline = _spline(band)
+    spline = band.spline
     return (pwv_mm * spline(pwv_mm, 1) * np.exp(-spline(pwv_mm)) * band.temperature_k * 1e3) ** 2
-
-
-def _spline(band):
-    from scipy.interpolate import CubicSpline
-
-    return CubicSpline(band.pwv_mm, band.optical_depth)
 
 
 def _allowed(band, pwv_mm):

@@ -28,7 +28,7 @@ import numpy as np
 import scipy.fft
 from threadpoolctl import threadpool_limits
 
-from surveysim.atmosphere.spectrum import Screen, structure_function, structure_slope
+from surveysim.atmosphere.spectrum import LAG_MAX, Screen, structure_function, structure_slope
 from surveysim.kernels import screen as kernels
 
 _STEP_MAX_RAD = radians(40.0 / 3600.0)
@@ -36,20 +36,28 @@ _STEPS_PER_BEAM, _FEWEST_STEPS_PER_BEAM, _STEPS_PER_PAIR = 14, 4, 8
 # Share of half a period that is bent to make the seam smooth, and the number of even powers fitted there.
 _SEAM = 0.25
 _SEAM_TERMS = 4
-# Modes that add less than this share to the differences between lattice neighbours are left out.
-_NEGLIGIBLE = 1e-9
+# Modes that add less than this share to the differences between lattice neighbours are left out; all that are left
+# out, of which long strips have very many, add no more than the second.
+_NEGLIGIBLE, _NEGLIGIBLE_SUM = 1e-9, 1e-3
 # Negative power looks like roughness: it hardly changes the structure function, but 2e-4 of it adds 7 % to
 # what a quadratic in the field of view leaves at 1000 m, and 7e-4 adds 40 % at 375 m. The spline of the
 # structure function must be as smooth for the same reason.
 _CLIPPED_MAX = 1e-5
 _N_X_MIN, _N_X_MAX = 32, 2**17
+# Lattice points, and elements of all frequencies' matrices, that a few gigabytes hold.
+_MOST_POINTS, _MOST_ELEMENTS = 2**24, 10**8
+LOOK_UPS = {
+    "nearest": kernels.add_screen_nearest,
+    "linear": kernels.add_screen,
+    "cubic": kernels.add_screen_cubic,
+}
 
 
 @dataclass(frozen=True)
 class Strip:
     """Factors of strips of one size, per unit amplitude; made once and drawn from many times.
 
-    columns (n_total, n_lane) float32: eigenvectors scaled to the standard deviation of each part of a mode
+    columns (n_total, n_lane) float32 or float64: eigenvectors scaled to the standard deviation of each part of a mode
     in an unnormalized DFT; those of frequency k are rows start[k]:start[k + 1], and no frequency above
     n_freq has any. ramp_std [1/rad] is the standard deviation of the slope along x. clipped_fraction is the
     share of the variance of neighbour differences in negative eigenvalues, which were set to zero.
@@ -76,18 +84,29 @@ class Strip:
 
 @dataclass(frozen=True)
 class StripCache:
-    """Strips of one screen and width, made when first asked for, in lengths of powers of two."""
+    """Strips of one screen and width, made when first asked for, in lengths of powers of two.
+
+    They are drawn with `precision`, "float32" or "float64", and looked up by `interpolation`, one of `LOOK_UPS`.
+    """
 
     screen: Screen
     half_width_rad: float
     step_rad: float
+    interpolation: str = "linear"
+    precision: str = "float32"
     strips: dict = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def _fewest_lanes(self):
+        return 4 if self.interpolation == "cubic" else 2
 
     def strip_for(self, length_rad):
         """The strip for tracks up to `length_rad` long; raises ValueError as `build_strip` does."""
         n_x = _points_along(length_rad, self.step_rad)
         if n_x not in self.strips:
-            self.strips[n_x] = build_strip(self.screen, length_rad, self.half_width_rad, self.step_rad)
+            self.strips[n_x] = build_strip(
+                self.screen, length_rad, self.half_width_rad, self.step_rad, self.precision, self._fewest_lanes
+            )
         return self.strips[n_x]
 
 
@@ -111,26 +130,37 @@ def strip_step(screen, closest_rad):
 
 
 @threadpool_limits.wrap(limits=1)  # eigenvectors differ in their last bits between numbers of BLAS threads
-def build_strip(screen, length_rad, half_width_rad, step_rad):
+def build_strip(screen, length_rad, half_width_rad, step_rad, precision="float32", fewest_lanes=2):
     """Factors of a strip for tracks up to `length_rad` long within +-`half_width_rad` of its middle.
 
     The period is the smallest power of two of steps that holds the length, doubled as long as more than 1e-5
     of the variance of neighbour differences has negative eigenvalues: that happens where the field is smooth
-    over the period, on tracks of a few beams or for b > 5. Raises ValueError when no period does.
+    over the period, on tracks of a few beams or for b > 5. Raises ValueError when no period does, and for strips
+    too long or too wide to hold.
     """
-    n_lane = max(2, ceil(2.0 * half_width_rad / step_rad) + 1)
+    n_lane = max(fewest_lanes, ceil(2.0 * half_width_rad / step_rad) + 1)
     n_x = _points_along(length_rad, step_rad)
-    strip = _factorize(screen, n_x, n_lane, step_rad)
+    if n_x * n_lane > _MOST_POINTS or n_x * step_rad > 2.0 * LAG_MAX * screen.beam_rad:
+        raise ValueError(_too_large(n_x, n_lane, step_rad))
+    strip = _factorize(screen, n_x, n_lane, step_rad, precision)
     while strip.clipped_fraction > _CLIPPED_MAX:
         n_x *= 2
         if n_x > _N_X_MAX:
             raise ValueError(
                 f"no strip of {n_lane} lanes {step_rad:g} rad apart for {screen}: negative eigenvalues with"
                 f" {strip.clipped_fraction:.2g} of the variance found; at most {_CLIPPED_MAX:g} is allowed,"
-                " use a smaller outer scale"
+                " use a smaller outer scale or shorter scans"
             )
-        strip = _factorize(screen, n_x, n_lane, step_rad)
+        strip = _factorize(screen, n_x, n_lane, step_rad, precision)
     return strip
+
+
+def _too_large(n_x, n_lane, step_rad):
+    return (
+        f"a strip of the layer of {n_x} by {n_lane} points {step_rad:.3g} rad apart found; {_MOST_POINTS:.3g} points,"
+        f" {LAG_MAX:g} beams and {_MOST_ELEMENTS:.3g} elements of covariance are allowed: shorter scans, a slower"
+        " wind, a lower layer or a smaller camera need less"
+    )
 
 
 def _points_along(length_rad, step_rad):
@@ -138,12 +168,13 @@ def _points_along(length_rad, step_rad):
     return max(_N_X_MIN, 2 ** ceil(log2(2.0 / (1.0 - _SEAM) * (length_rad / step_rad + 1.0))))
 
 
-def _factorize(screen, n_x, n_lane, step_rad):
+def _factorize(screen, n_x, n_lane, step_rad, precision):
     """Strip of a given size, whatever its clipped fraction."""
     ramp_variance, density = _lane_spectra(screen, n_x, n_lane, step_rad)
-    value, vector, share = _eigen_modes(density, n_x)
-    share /= 2.0 * float(structure_function(screen, step_rad))
-    kept = share > _NEGLIGIBLE
+    total = 2.0 * float(structure_function(screen, step_rad))
+    value, vector, share = _eigen_modes(density, n_x, step_rad, total)
+    share /= total
+    kept = share > min(_NEGLIGIBLE, 0.1 * _NEGLIGIBLE_SUM / share.size)
     # A real mode (k = 0 or Nyquist) has all its variance, n_x times the eigenvalue, in one part, the others
     # half of it.
     part = np.full(n_x // 2 + 1, 0.5 * n_x)
@@ -158,7 +189,7 @@ def _factorize(screen, n_x, n_lane, step_rad):
         n_x,
         n_lane,
         ramp_variance**0.5,
-        columns.astype(np.float32),
+        columns.astype(precision),
         start[: n_freq + 1].astype(np.int64),
         clipped,
     )
@@ -191,12 +222,12 @@ def _smooth_seam(covariance):
     return np.concatenate([covariance[: -n - 1], end + step[:, None] * (even @ coefficients - end)])
 
 
-def _eigen_modes(density, n_x):
+def _eigen_modes(density, n_x, step_rad, total):
     """Eigenvalues (n_freq, n_lane), eigenvectors (n_freq, n_lane, n_lane) and shares (n_freq, n_lane).
 
     A mode's share is what it adds to the variance of the difference of neighbours along x plus of that
-    across; without the ramp all shares add to 2 D(step). Frequencies above the last that could matter are
-    left out.
+    across; without the ramp all shares add to `total`, 2 D(step). Frequencies above the last that could matter are
+    left out. Raises ValueError where the matrices would be too large.
     """
     n_lane = density.shape[1]
     lane, k = np.arange(n_lane), np.arange(n_x // 2 + 1)
@@ -206,6 +237,12 @@ def _eigen_modes(density, n_x):
     # No eigenvalue exceeds its matrix' largest absolute row sum.
     bound = np.abs(density).sum(axis=1) * (along + weight)
     used = 1 + int(np.flatnonzero(bound[1:] > 1e-2 * _NEGLIGIBLE * bound[1:].sum()).max()) + 1
+    # The sum of bounds is far above the total where a strip is long and its field red.
+    share = along * density[:, 0] + 2.0 * weight * (density[:, 0] - density[:, 1])
+    above = np.flatnonzero(np.cumsum(share[::-1])[::-1] > _NEGLIGIBLE_SUM * total)
+    used = max(used, 1 + int(above.max(initial=0)))
+    if used * n_lane**2 > _MOST_ELEMENTS:
+        raise ValueError(_too_large(n_x, n_lane, step_rad))
     matrix = density[:used, np.abs(lane[:, None] - lane)]
     matrix[0] -= matrix[0].mean(axis=0)
     matrix[0] -= matrix[0].mean(axis=1)[:, None]
@@ -218,17 +255,18 @@ def _eigen_modes(density, n_x):
 
 
 def draw_strip(strip, rng):
-    """One realization (n_lane, n_x) float32 of unit amplitude, from one draw of 2 n_total + 1 normals.
+    """One realization (n_lane, n_x) of unit amplitude, from one draw of 2 n_total + 1 normals.
 
-    The structure function holds for points up to `strip.length_rad` apart; lattice points are
-    strip.step_rad apart.
+    It has the type of the strip's columns. The structure function holds for points up to `strip.length_rad` apart;
+    lattice points are strip.step_rad apart.
     """
     normals = rng.standard_normal(2 * len(strip.columns) + 1, dtype=np.float32)
-    modes = np.empty((strip.n_lane, len(strip.start) - 1), np.complex64)
+    real = strip.columns.dtype
+    modes = np.empty((strip.n_lane, len(strip.start) - 1), np.result_type(real, np.complex64))
     kernels.combine_columns(strip.columns, strip.start, normals, modes)
     # The inverse transform takes the modes above as zero, and only the real parts of the real modes.
     layer = scipy.fft.irfft(modes, n=strip.n_x, axis=1, overwrite_x=True)
-    layer += np.arange(strip.n_x, dtype=np.float32) * np.float32(normals[-1] * strip.ramp_std * strip.step_rad)
+    layer += np.arange(strip.n_x, dtype=real) * real.type(normals[-1] * strip.ramp_std * strip.step_rad)
     return layer
 
 
@@ -262,7 +300,7 @@ def add_atmosphere(
         strip, x0, y0 = _place(offset, direction, track, strips)
         layer = draw_strip(strip, rng)
         dx = speed / (sample_rate_hz * strip.step_rad)
-        kernels.add_screen(data_mk, start, stop, layer, x0, y0, dx, float(amplitude))
+        LOOK_UPS[strips.interpolation](data_mk, start, stop, layer, x0, y0, dx, float(amplitude))
 
 
 def _place(offset_rad, direction, track_rad, strips):

@@ -22,7 +22,7 @@ from scipy.special import j0, j1, kv
 from threadpoolctl import threadpool_limits
 
 # In units of the beam: limits of the tabulated structure function, and where its two methods meet.
-_LAG_MIN, _LAG_JOIN, _LAG_MAX = 1e-4, 1.5, 1e4
+_LAG_MIN, _LAG_JOIN, LAG_MAX = 1e-4, 1.5, 1e4
 # The disc's transfer is replaced by its average over an oscillation above this; the quarter makes the error
 # of the first order vanish.
 _ALPHA_AVERAGED = 200.25
@@ -80,8 +80,8 @@ def structure_function(screen, theta_rad):
     Raises ValueError beyond 1e4 beams.
     """
     lag = np.abs(np.asarray(theta_rad, dtype=float)) / screen.beam_rad
-    if np.any(lag > _LAG_MAX):
-        raise ValueError(f"angle of {lag.max():g} beams found; at most {_LAG_MAX:g} is allowed")
+    if np.any(lag > LAG_MAX):
+        raise ValueError(f"angle of {lag.max():g} beams found; at most {LAG_MAX:g} is allowed")
     spline, slope_min = _log_structure(*_in_beams(screen))
     x = np.log(np.maximum(lag, 1e-300))
     below = np.minimum(x - np.log(_LAG_MIN), 0.0)
@@ -129,7 +129,7 @@ def _log_structure(index, outer_scale):
     from scipy.interpolate import CubicSpline
 
     screen = Screen(index, 1.0, outer_scale)
-    lag = np.geomspace(_LAG_MIN, _LAG_MAX, 801)
+    lag = np.geomspace(_LAG_MIN, LAG_MAX, 801)
     near = np.append(lag[lag < _LAG_JOIN], _LAG_JOIN)
     value_near = _structure_near(screen, near)
     far = lag[lag >= _LAG_JOIN]

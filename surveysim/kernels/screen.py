@@ -28,6 +28,19 @@ def combine_columns(columns, start, normals, modes):
 
 
 @njit(cache=True, nogil=True)
+def _check_inside(data, start, stop, strip, x0, y0, dx):
+    """Raise IndexError for samples or detectors outside the data, ValueError when a track leaves the strip."""
+    n_lane, n_x = strip.shape
+    if not (0 <= start < stop <= data.shape[1] and x0.size == data.shape[0] and y0.size == data.shape[0]):
+        raise IndexError("samples or detectors outside the data")
+    for d in range(data.shape[0]):
+        last = x0[d] + (stop - start - 1) * dx
+        # Written so that NaN fails too.
+        if not (dx >= 0.0 and x0[d] >= 0.0 and last <= n_x - 1 and y0[d] >= 0.0 and y0[d] <= n_lane - 1):
+            raise ValueError("a detector's track leaves the strip")
+
+
+@njit(cache=True, nogil=True)
 def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
     """Add bilinear look-ups in a strip to the samples start:stop of every detector.
 
@@ -35,16 +48,12 @@ def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
     dx along the strip and at lane coordinate y0[d], in lattice steps, n counted from `start`; dx >= 0.
     Raises IndexError for samples or detectors outside the data, ValueError when a track leaves the strip.
     """
+    _check_inside(data, start, stop, strip, x0, y0, dx)
     n_lane, n_x = strip.shape
     n_samp = stop - start
-    if not (0 <= start < stop <= data.shape[1] and x0.size == data.shape[0] and y0.size == data.shape[0]):
-        raise IndexError("samples or detectors outside the data")
     row = np.empty(n_x + 1, strip.dtype)
     for d in range(data.shape[0]):
         last = x0[d] + (n_samp - 1) * dx
-        # Written so that NaN fails too.
-        if not (dx >= 0.0 and x0[d] >= 0.0 and last <= n_x - 1 and y0[d] >= 0.0 and y0[d] <= n_lane - 1):
-            raise ValueError("a detector's track leaves the strip")
         lane = min(int(y0[d]), n_lane - 2)
         upper = strip.dtype.type(amplitude * (y0[d] - lane))
         lower = strip.dtype.type(amplitude * (1.0 - (y0[d] - lane)))
@@ -64,3 +73,51 @@ def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
             m = np.uint64(np.int32(x))
             value = row[m]
             samples[n] += value + strip.dtype.type(x - m) * (row[m + np.uint64(1)] - value)
+
+
+@njit(cache=True, nogil=True)
+def add_screen_nearest(data, start, stop, strip, x0, y0, dx, amplitude):
+    """`add_screen` with the nearest lattice point, the higher one halfway."""
+    _check_inside(data, start, stop, strip, x0, y0, dx)
+    for d in range(data.shape[0]):
+        row = strip[int(y0[d] + 0.5)]
+        for n in range(stop - start):
+            data[d, start + n] += strip.dtype.type(amplitude) * row[int(x0[d] + n * dx + 0.5)]
+
+
+@njit(cache=True, nogil=True)
+def add_screen_cubic(data, start, stop, strip, x0, y0, dx, amplitude):
+    """`add_screen` with the cubic through the four nearest points, in both directions.
+
+    Near an edge they are the four outermost; strip (n_lane, n_x), both at least 4, or else raises IndexError.
+    """
+    _check_inside(data, start, stop, strip, x0, y0, dx)
+    n_lane, n_x = strip.shape
+    if n_lane < 4 or n_x < 4:
+        raise IndexError("a strip of four lanes and points or more is needed")
+    row = np.empty(n_x, strip.dtype)
+    weight = np.empty(4, strip.dtype)
+    for d in range(data.shape[0]):
+        lane = min(max(int(y0[d]) - 1, 0), n_lane - 4)
+        _cubic_weights(y0[d] - lane, weight)
+        first = min(max(int(x0[d]) - 1, 0), n_x - 4)
+        beyond = min(int(x0[d] + (stop - start - 1) * dx) + 3, n_x)
+        for m in range(first, max(beyond, first + 4)):
+            value = weight[0] * strip[lane, m] + weight[1] * strip[lane + 1, m]
+            row[m] = value + weight[2] * strip[lane + 2, m] + weight[3] * strip[lane + 3, m]
+        for n in range(stop - start):
+            x = x0[d] + n * dx
+            m = min(max(int(x) - 1, 0), n_x - 4)
+            _cubic_weights(x - m, weight)
+            value = weight[0] * row[m] + weight[1] * row[m + 1] + weight[2] * row[m + 2] + weight[3] * row[m + 3]
+            data[d, start + n] += strip.dtype.type(amplitude) * value
+
+
+@njit(cache=True, nogil=True)
+def _cubic_weights(x, weight):
+    """Write the weights (4,) that the values at 0, 1, 2 and 3 have at x: Lagrange's, exact for cubics."""
+    a, b, c, d = x, x - 1.0, x - 2.0, x - 3.0
+    weight[0] = -b * c * d / 6.0
+    weight[1] = a * c * d / 2.0
+    weight[2] = -a * b * d / 2.0
+    weight[3] = a * b * c / 6.0

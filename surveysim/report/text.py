@@ -12,6 +12,7 @@ from surveysim.plan import Plan, SweepPlan
 from surveysim.recipes import ACTUAL
 from surveysim.results import COMPARED_ELL, METHOD, Row, SurveyResult, forecast_agreement, score_rows, summary
 from surveysim.scene import Scene
+from surveysim.stopping import UNLIMITED
 from surveysim.sweep import Sweep
 from surveysim.trade import SweepResult
 
@@ -34,7 +35,7 @@ def print_result(result: SurveyResult, directory: Path) -> None:
         console.print(_cleaning_table(result))
     if result.scores:
         console.print(_score_table(result))
-        for line in (*gain_lines(result), *agreement_lines(result)):
+        for line in (*survey_lines(result), *gain_lines(result), *agreement_lines(result)):
             console.print(line, highlight=False)
         console.print()
         if result.alternatives:
@@ -48,6 +49,8 @@ def print_result(result: SurveyResult, directory: Path) -> None:
         console.print("\nAssumed or calibrated in the scene:", highlight=False)
         for line in result.setup.scene.assumed:
             console.print(f"  - {line}", highlight=False, markup=False)
+    for line in stop_lines(result):
+        console.print(f"\n{line}", highlight=False, markup=False)
     console.print(f"\n{closing_line(result)}\nResults in {directory}", highlight=False, markup=False)
 
 
@@ -87,6 +90,45 @@ def agreement_lines(result: SurveyResult) -> list[str]:
     if all(item.psd != item.psd for item in found.values()):  # no bin was compared
         return lines
     return lines + (worse or [f"  its noise PSDs: within {100 * FORECAST_PSD:.0f} % in all bins from {low} to {high}"])
+
+
+def survey_lines(result: SurveyResult) -> list[str]:
+    """What part of the survey was simulated, sigma(A) with the forecast as control variate, the cost of 1 %."""
+    lines, n_obs = [], result.setup.scene.observations
+    if result.coadds.done < n_obs:
+        lines.append(f"  of the whole survey of {n_obs} observations, judged by {result.coadds.done}")
+    if ACTUAL in result.controlled:
+        item, band = result.controlled[ACTUAL], result.scores[ACTUAL].band
+        plain = f"plain {band.sigma_ukcmb2:.1f} +- {band.error_ukcmb2:.1f}"
+        value = f"{item.sigma_ukcmb2:.1f} +- {item.error_ukcmb2:.1f}"
+        lines.append(f"  {ACTUAL}, with the forecast as control variate: {value} ({plain})")
+    return [*lines, *cost_lines(result)]
+
+
+def cost_lines(result: SurveyResult) -> list[str]:
+    """What an answer to 1 % would take, where this one is not as good."""
+    cost, score = result.fine_cost, result.setup.scene.score
+    if cost is None or result.estimate.relative_error <= cost.relative_error:
+        return []
+    needs = [f"{cost.observations} observations"]
+    needs += [f"{cost.jackknives} sign flips"] * (cost.jackknives > score.jackknives)
+    needs += [f"{cost.skies} window skies"] * (cost.skies > score.window.skies)
+    time = f"{cost.seconds / 60:.2g} min" if cost.seconds >= 60 else f"{cost.seconds:.0f} s"
+    percent = 100 * cost.relative_error
+    return [f"  a {percent:g} % answer would take about {time} with {result.workers} worker(s) ({', '.join(needs)})"]
+
+
+def stop_lines(result: SurveyResult) -> list[str]:
+    """What ended a run that had limits."""
+    limits, estimate = result.limits, result.estimate
+    if limits == UNLIMITED:
+        return []
+    reasons = {"target": "the target error was reached", "budget": "the time budget was spent"}
+    reason = reasons.get(result.stopped, "all observations were done")
+    line = f"Stopped: {reason}, {result.coadds.done} of {result.setup.scene.observations} observations simulated"
+    if estimate:
+        line += f"; sigma(A) is known to {100 * estimate.relative_error:.1f} % ({estimate.kind})"
+    return [line]
 
 
 def gain_lines(result: SurveyResult) -> list[str]:
@@ -170,13 +212,18 @@ def print_plan(scene: Scene, plan: Plan, workers: int) -> None:
         table.add_row(Text(name, style="dim"), Text(f"left out: {reason}", style="dim"))
     console.print(table)
     lines = (
-        f"about {plan.wall_s:.0f} s with {workers} worker(s), predicted from one observation made here",
+        f"about {_seconds(plan.wall_s)} s with {workers} worker(s), {_seconds(plan.figures_s)} s of it for figures, "
+        "predicted from a few observations made here",
         f"about {plan.memory_bytes / 1e6:.0f} MB a process",
         f"about {plan.output_bytes / 1e6:.1f} MB of results",
         f"about {plan.timestream_bytes / 1e6:.0f} MB of time-streams, if saved",
         f"{plan.detector_samples / 1e6:.4g} million detector-samples",
     )
     console.print("\n".join(lines), highlight=False)
+
+
+def _seconds(seconds: float) -> str:
+    return f"{seconds:.1f}" if seconds < 10 else f"{seconds:.0f}"
 
 
 def print_sweep_plan(sweep: Sweep, plan: SweepPlan, workers: int) -> None:

@@ -4,6 +4,7 @@ from surveysim.sections.air import Atmosphere
 from surveysim.sections.analysis import Cleaning, MapSection, Reference, Score, Window
 from surveysim.sections.base import Section
 from surveysim.sections.instrument import Colour, Instrument, Layout
+from surveysim.sections.numerics import Numerics
 from surveysim.sections.observing import FieldSection, FixedPointing, Scan, Schedule
 from surveysim.sections.streams import Detector, Excess, OpticalLoad, Photon, PointSource, Sky
 
@@ -18,6 +19,7 @@ __all__ = [
     "Instrument",
     "Layout",
     "MapSection",
+    "Numerics",
     "OpticalLoad",
     "Photon",
     "PointSource",

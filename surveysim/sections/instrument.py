@@ -18,7 +18,7 @@ from surveysim.sections.base import Section
 
 
 class Layout(Section):
-    """A hexagonal layout around a central position: rings, or all that a round field of view holds.
+    """A hexagonal layout around a central position: rings, or as many as a round field of view has room for.
 
     `pitch_f_lambda` is the distance of neighbours in (f/#)lambda; `dead` lists positions without a detector.
     """
@@ -58,9 +58,9 @@ class Instrument(Section):
     f_lambda_rad: PositiveAngle = Field(alias="f_lambda")
     responsivity_scatter: float = Field(ge=0, le=1)
     camera_rotation_rad: AngleExtent = Field(alias="camera_rotation")
-    horn_f_lambda: Positive | None = None
+    horn_f_lambda: float | None = Field(ge=0.1, le=20, default=None)
     edge_taper_db: Taper | None = Field(alias="edge_taper", default=None)
-    efficiency: float | None = Field(gt=0, le=1, default=None)
+    efficiency: float | None = Field(ge=1e-4, le=1, default=None)
     polarizations: int | None = Field(ge=1, le=2, default=None)
     layout: Layout | None = None
     positions: TableFile = None

@@ -16,7 +16,6 @@ from surveysim.coherence import (
     lattice_sum,
     mutual_coherence,
     stop_efficiency,
-    taper_efficiency,
 )
 from surveysim.instrument import hexagon
 
@@ -109,7 +108,7 @@ def test_weak_taper_is_uniform():
 
 @pytest.mark.parametrize("taper_db", [-0.1, np.inf, np.nan])
 def test_no_such_taper(taper_db):
-    for refuses in (Illumination, stop_efficiency, taper_efficiency):
+    for refuses in (Illumination, stop_efficiency):
         with pytest.raises(ValueError, match="edge_taper_db = .* found; a finite taper of 0 dB or more"):
             refuses(taper_db)
 
@@ -143,7 +142,7 @@ def test_waist_of_a_corrugated_horn():
 
 
 @pytest.mark.parametrize("taper_db", [0.1, 3.0, 10.9, 30.0])
-def test_efficiencies_of_a_tapered_stop(taper_db):
+def test_efficiency_of_a_tapered_stop(taper_db):
     """Against quadrature of the field E = 10^(-T/20 u^2) over the stop and to infinity."""
 
     def disc(power, radius):
@@ -151,17 +150,6 @@ def test_efficiencies_of_a_tapered_stop(taper_db):
 
     wide = np.sqrt(400 / taper_db)  # to 400 dB
     assert stop_efficiency(taper_db) == pytest.approx(disc(2, 1) / disc(2, wide), rel=1e-7)
-    assert taper_efficiency(taper_db) == pytest.approx(disc(1, 1) ** 2 / disc(2, 1), rel=1e-10)
-
-
-def test_best_aperture_efficiency():
-    """0.815 at an edge taper of 10.9 dB (Goldsmith 1998), for which a horn is some 2 (f/#)lambda wide."""
-    tapers = np.linspace(0.5, 30, 2951)
-    aperture = np.array([stop_efficiency(t) * taper_efficiency(t) for t in tapers])
-    assert aperture.max() == pytest.approx(0.815, abs=5e-4)
-    assert tapers[aperture.argmax()] == pytest.approx(10.9, abs=0.05)
-    assert horn_taper_db(2.2) < 10.9 < horn_taper_db(2.25)
-    assert (stop_efficiency(0.0), taper_efficiency(0.0)) == (0, 1)
 
 
 @DENSE

@@ -114,7 +114,7 @@ def test_what_weights_take_by_chance_is_known_in_every_bin(tmp_path):
         # As one map of n_obs times the hits whose noise would be 1 a sample.
         total = np.tensordot(weights, maps, axes=1) * n_obs / weights.sum()
         powers.append(band.ring_noise(total, n_obs * hits))
-    found = np.mean(powers, axis=0) * (1 + band.chance(band.rings))
+    found = np.mean(powers, axis=0) * (1 + (1 - 1 / n_obs) * band.chance(band.rings))
     error = np.std(powers, axis=0) / np.sqrt(n_co)
     # The second order of the weights' scatter d^2 is left: a few d^4.
     assert band.noise_scatter > 0.02

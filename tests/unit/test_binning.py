@@ -217,6 +217,26 @@ def test_fits_as_astropy_sees_it(written):
     assert value == pytest.approx(item.signal_mk[11, 3], rel=1e-6)
 
 
+@pytest.mark.parametrize("centre", [(132.3, 44.84), (0.0, -68.75), (359.99, 0.0), (70.0, 89.5)])
+def test_coordinates_of_the_header_are_as_astropy_writes_them(tmp_path, rng, centre):
+    """The same cards, to the 14 digits that astropy's have; ours keep all."""
+    from astropy.io import fits
+    from astropy.wcs import WCS
+
+    g = MapGeometry(*np.radians(centre), 9.69627e-05, 30, 24)
+    expected = WCS(naxis=2)
+    expected.wcs.ctype, expected.wcs.cunit, expected.wcs.radesys = ["RA---TAN", "DEC--TAN"], ["deg", "deg"], "ICRS"
+    expected.wcs.crval, expected.wcs.crpix = np.degrees([g.ra0_rad, g.dec0_rad]), [15.5, 12.5]
+    expected.wcs.cdelt = np.degrees([-g.pixel_rad, g.pixel_rad])
+    write_fits(tmp_path / "map.fits", random_map(rng, g), {})
+    header = fits.getheader(tmp_path / "map.fits", "SIGNAL")
+    for card in expected.to_header().cards:
+        value = pytest.approx(card.value, rel=1e-12, abs=1e-15) if isinstance(card.value, float) else card.value
+        assert (header[card.keyword], header.comments[card.keyword]) == (value, card.comment)
+    again = WCS(header)
+    assert again.wcs.compare(expected.wcs, tolerance=1e-12) and wcs(g).wcs.compare(expected.wcs, tolerance=1e-12)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.3, 0.5, 0.7, 0.8, 0.9])
 def test_truncated_fits_is_refused(written, share):
     path, _ = written

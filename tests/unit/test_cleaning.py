@@ -18,6 +18,7 @@ from mapmaker.cleaning import (
     clean,
     detectors_needed,
 )
+from mapmaker.cleaning.polynomial import exponents
 from mapmaker.cleaning.templates import PLANAR, QUADRATIC, template_basis
 from mapmaker.timestreams import FocalPlane
 from tests import naive
@@ -221,6 +222,29 @@ def test_basis_is_orthonormal_and_constant_first(exponents):
     basis = template_basis(_focal_plane(), exponents)
     np.testing.assert_allclose(basis @ basis.T, np.eye(len(exponents)), atol=1e-14)
     np.testing.assert_allclose(basis[0], basis[0, 0], rtol=1e-13)
+
+
+@pytest.mark.parametrize("order", [2, 6, 16])
+def test_basis_of_any_order_keeps_its_digits(order):
+    """The rows are orthonormal and span the products of Legendre polynomials of that order, to rounding."""
+    focal_plane = _focal_plane(1000)
+    x, y = (axis / np.abs(axis).max() for axis in (focal_plane.x_rad, focal_plane.y_rad))
+    basis = template_basis(focal_plane, exponents(order))
+    products = np.polynomial.legendre.legvander2d(x, y, (order, order)).reshape(1000, order + 1, order + 1)
+    wanted = np.array([products[:, a, b] for a, b in exponents(order)])
+    np.testing.assert_allclose(basis @ basis.T, np.eye(len(basis)), atol=1e-13)
+    np.testing.assert_allclose(wanted - (wanted @ basis.T) @ basis, 0, atol=1e-10)
+
+
+@pytest.mark.parametrize(("off", "supports"), [(1e-5, True), (1e-8, False)])
+def test_positions_count_to_a_millionth(off, supports):
+    rng, x = np.random.default_rng(3), np.linspace(-1e-3, 1e-3, 25)
+    nearly = FocalPlane(x_rad=x, y_rad=1e-3 * off * rng.standard_normal(25), fwhm_rad=1e-4)
+    if supports:
+        assert template_basis(nearly, PLANAR).shape == (3, 25)
+    else:
+        with pytest.raises(ValueError, match="too close to it"):
+            template_basis(nearly, PLANAR)
 
 
 @pytest.mark.parametrize("options", [(0.0, 10), (-1.0, 10), (np.nan, 10), (1e-8, 0)])

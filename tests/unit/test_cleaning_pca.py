@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapmaker.cleaning import PcaOptions, clean
+from mapmaker.cleaning import PcaOptions, TemplateOptions, clean
 from mapmaker.cleaning.pca import least_eigenvalues, outstanding
 from mapmaker.timestreams import FocalPlane
 from tests import naive
@@ -97,6 +97,35 @@ def test_too_few_samples_for_an_outlier_lose_their_mean_alone():
     cleaned = _clean(data)
     assert cleaned.kept.all() and cleaned.removed[0] == 0
     np.testing.assert_allclose(cleaned.data_mk, data - data.mean(axis=1, keepdims=True), atol=1e-12)
+
+
+def _under(common, dtype):
+    """White noise of 1 in 40 detectors under a common mode."""
+    rng = np.random.default_rng(4)
+    gain = 1 + 0.05 * rng.standard_normal((40, 1))
+    return (rng.standard_normal((40, 150)) + common * gain * rng.standard_normal(150)).astype(dtype)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_noise_far_below_the_atmosphere_is_noise(dtype):
+    """Of 1e12 in power a Gram matrix loses the smallest eigenvalues, and float32 streams a thousandth of the noise."""
+    weak, strong = _clean(_under(30.0, dtype)), _clean(_under(1e6, dtype))
+    assert strong.kept.all() and strong.removed[0] == weak.removed[0] == 1
+    assert strong.data_mk.std() == pytest.approx(weak.data_mk.std(), rel=3e-3)
+
+
+def test_scan_whose_noise_is_lost_to_rounding_is_discarded():
+    """Nothing would stand out of one eigenvalue, and the whole atmosphere stay."""
+    assert not _clean(_under(1e10, np.float64)).kept.any()
+
+
+def test_after_cleaning_in_float32_what_it_took_does_not_count():
+    """Quadratic templates leave 34 of 40 directions; rounding in the others is no small eigenvalue."""
+    plane, bounds = _focal_plane(40), np.array([[0, 150]])
+    once = clean("quadratic", _under(30.0, np.float32), bounds, plane, TemplateOptions(1e-8, 100))
+    assert once.kept.all()
+    again = clean("pca", once.data_mk, bounds, plane, OPTIONS)
+    assert again.kept.all() and again.removed[0] == 0
 
 
 def test_too_few_detectors():

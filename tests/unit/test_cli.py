@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from surveysim import cli, survey
+from surveysim import cli, options, survey
 from tests.scenes import SCHEDULE, SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
 from tests.unit.test_interruption import COMMAND, assert_same_results, none_left, start, wait_for
 
@@ -123,7 +123,7 @@ def test_set_syntax(call, scene, item):
 
 def test_set_values(tmp_path):
     """TOML where it is TOML, else text: quantities need no quotes; one value only."""
-    parse = cli._setting
+    parse = options.setting
     assert parse("a=3") == ("a", 3) and parse("a = [1, 2]") == ("a", [1, 2])
     assert parse("a=4 arcmin / s") == ("a", "4 arcmin / s") == parse('a="4 arcmin / s"')
     assert parse("a=1\nb=2") == ("a", "1\nb=2") and parse("a=") == ("a", "") and parse("a=x=y") == ("a", "x=y")

@@ -18,9 +18,9 @@ from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
 KEYS = {
     "scene", "title", "seed", "scene_sha256", "surveysim", "python", "packages", "observations", "detectors",
     "detector_samples", "stages_left_out", "scans", "scans_discarded", "mean_iterations", "scores", "run", "cleaning",
-    "files",
+    "files", "stopped",
 }  # fmt: skip
-SCORED_KEYS = {"forecast_over_simulated", "error_budget", "gains", "alternatives"}
+SCORED_KEYS = {"controlled", "fine_answer", "forecast_over_simulated", "error_budget", "gains", "alternatives"}
 SETS = ("actual", "uncorrelated", "white", "masked_7")
 
 

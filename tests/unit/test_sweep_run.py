@@ -396,4 +396,4 @@ def test_table_of_text_values(levels):
         replace(point, settings={"cleaning.algorithm": ["planar", "local"]}) for point in result.sweep.points
     )
     table = sweep_table(replace(result, sweep=replace(result.sweep, points=points)))
-    assert list(table["cleaning.algorithm"]) == ["planar+local"] * 3
+    assert table.columns["cleaning.algorithm"] == ["planar+local"] * 3

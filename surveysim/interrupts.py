@@ -1,0 +1,107 @@
+"""How a command ends early: requests to stop, workers that are gone, outputs that can't be written."""
+
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
+from threading import Event
+from typing import Any, NoReturn
+
+import typer
+
+from surveysim.scene import SceneError
+
+EXIT_FAILED = 1
+EXIT_WRONG_SCENE = 2
+EXIT_INTERRUPTED = 130
+
+_asked_to_stop = Event()
+
+
+def says_interrupted(command: Callable[..., None]) -> Callable[..., None]:
+    """A command that ends with one line and exit code 130 on Ctrl-C."""
+
+    @wraps(command)
+    def wrapped(*arguments: Any, **options: Any) -> None:
+        try:
+            command(*arguments, **options)
+        except KeyboardInterrupt:
+            typer.echo("interrupted", err=True)
+            raise typer.Exit(EXIT_INTERRUPTED) from None
+
+    return wrapped
+
+
+def listen() -> None:
+    """Take Ctrl-C and a batch system's request to stop alike: what is finished is kept."""
+    _asked_to_stop.clear()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _stop_once)
+
+
+def _stop_once(number: int, frame: object) -> None:
+    """Interrupt the run; a second Ctrl-C would only cut short the saving of its checkpoint."""
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, signal.SIG_IGN)
+    _asked_to_stop.set()
+    # Python drops, with a traceback, what is raised inside a finalizer; `stopping` raises it again.
+    sys.unraisablehook = _without_interrupts
+    raise KeyboardInterrupt
+
+
+def _without_interrupts(unraisable: Any) -> None:
+    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(unraisable)
+
+
+def stopping(show: Callable[..., None]) -> Callable[..., None]:
+    """Progress that ends a run whose interrupt was lost in a finalizer."""
+
+    def progress(*state: Any) -> None:
+        if _asked_to_stop.is_set():
+            raise KeyboardInterrupt
+        show(*state)
+
+    return progress
+
+
+@contextmanager
+def going_on_later(scene: Path, directory: Path) -> Iterator[None]:
+    """End with one line where a run stops: why, and how to go on if anything is kept in `directory`."""
+    from surveysim.checkpoint import CheckpointError
+    from surveysim.engines import WorkerLostError
+
+    try:
+        yield
+    except CheckpointError as error:
+        raise SceneError(str(error)) from None
+    except KeyboardInterrupt:
+        _stopped("interrupted", directory, EXIT_INTERRUPTED)
+    except WorkerLostError:
+        _stopped("a worker process is gone, perhaps killed for want of memory", directory, EXIT_FAILED)
+    except OSError as error:
+        _stopped(cause(error), directory, EXIT_FAILED)
+    except (ValueError, ArithmeticError) as error:
+        _stopped(f"{scene}: an observation failed: {error}", directory, EXIT_FAILED)
+
+
+def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
+    """Say why a run stopped and how to go on; leave no half-written file."""
+    for pattern in ("timestreams/*.h5.part", "points/*.npz.part"):  # of workers that were killed
+        for partial in directory.glob(pattern):
+            partial.unlink(missing_ok=True)
+    hint = f"; go on with --resume --out {directory}" if kept(directory) else ""
+    typer.echo(" ".join(reason.split()) + hint, err=True)
+    raise typer.Exit(code)
+
+
+def kept(directory: Path) -> bool:
+    """Whether there is anything that a run could go on from."""
+    return (directory / "checkpoint.npz").exists() or any(directory.glob("points/*.npz"))
+
+
+def cause(error: OSError) -> str:
+    """The file of an error of the machine, and what is wrong with it."""
+    return f"{error.filename or 'output'}: {error.strerror or error}"

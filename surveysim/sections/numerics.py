@@ -1,0 +1,20 @@
+"""The section of numerical choices: they trade accuracy for time and say nothing about telescope or sky."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from surveysim.sections.base import Section
+
+
+class Numerics(Section):
+    """How streams are computed: numerical choices, not physical ones; "surveysim accuracy" measures what they cost.
+
+    `precision` is that of streams, strips of the layer and maps (random numbers have 24 bits in both);
+    `interpolation` that of look-ups between the layer's lattice points; `screen_step` the lattice step over the one
+    that is chosen for the beam and the camera (`surveysim.atmosphere.screen.strip_step`).
+    """
+
+    precision: Literal["float32", "float64"] = "float32"
+    interpolation: Literal["nearest", "linear", "cubic"] = "linear"
+    screen_step: float = Field(ge=0.1, le=10, default=1.0)

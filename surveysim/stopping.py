@@ -1,0 +1,181 @@
+"""When a run has done enough, and what a better answer would cost.
+
+A run may stop early: its error is small enough, or its time is spent. The decision about the error looks at sums over
+whole boundaries of observations alone, never at workers or clocks.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from mapmaker.bandpower import sign_error
+from surveysim.coadds import CoAdds
+from surveysim.control import Controlled, controlled_scores
+from surveysim.recipes import ACTUAL
+from surveysim.scene import Scene, SceneError
+from surveysim.scores import DataSetScore, score_survey
+from surveysim.setup import Setup, window_observations
+from surveysim.units import to_float
+
+FEWEST = 32  # observations whose scatter tells their error to an eighth; rare ones that lose scans must be among them
+_WINDOWS = 8  # observations that tell what cleaning leaves of the sky: fewer leave seams in its maps
+_SPACING = 8  # of boundaries, up to 128 observations: four pairs of scan directions
+FINE_ERROR = 0.01  # of the answer whose cost is told
+_SHARE = 0.25  # of the variance that sign flips, or skies, may have in it
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What ends a run before its last observation: a relative error of sigma(A), a time since it was begun; or None."""
+
+    target_error: float | None = None
+    time_budget_s: float | None = None
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for an error that is not between 0 and 1 or a time that is not above 0."""
+        target, budget = self.target_error, self.time_budget_s
+        if target is not None and not 0 < target < 1:
+            raise ValueError(f"target error: found {target:g}; more than 0 and less than 100 % is expected")
+        if budget is not None and not 0 < budget < math.inf:
+            raise ValueError(f"time budget: found {budget:g} s; more than 0 s is expected")
+
+
+UNLIMITED = Limits()
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The actual data's sigma(A) [uK_CMB^2] of the whole survey with its error; `kind` is "controlled" or "plain"."""
+
+    kind: str
+    sigma_ukcmb2: float
+    error_ukcmb2: float
+
+    @property
+    def relative_error(self) -> float:
+        """Error over sigma."""
+        return self.error_ukcmb2 / self.sigma_ukcmb2
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What an answer of a relative error takes: `seconds` of simulation, and what the scene needs."""
+
+    relative_error: float
+    seconds: float
+    observations: int
+    jackknives: int
+    skies: int
+
+
+def parsed_limits(target_error: str | None, time_budget: str | None) -> Limits:
+    """Limits from texts such as "3%" or "0.03" and "60 s" or "2 min"; raises ValueError with found and expected."""
+    parsed = []
+    for name, text, unit in (("--target-error", target_error, ""), ("--time-budget", time_budget, "s")):
+        try:
+            parsed.append(None if text is None else to_float(text, unit))
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+    return Limits(*parsed)
+
+
+def check_limits(setup: Setup, limits: Limits) -> None:
+    """Raise SceneError for a target that the scene has no score for."""
+    if limits.target_error is not None and setup.scene.score is None:
+        raise SceneError("score: missing; a target error is one of sigma(A), which needs it")
+
+
+def stopping_rule(setup: Setup, limits: Limits, begun: float) -> Callable[[CoAdds], bool]:
+    """Whether a run that was `begun` (by `perf_counter`) is to stop at these sums.
+
+    The target is looked at where a run may end by it, the budget after every pair of directions.
+    """
+
+    def stops(coadds: CoAdds) -> bool:
+        if limits.target_error is not None and may_end(setup.scene, coadds.done):
+            found = estimate_so_far(setup, coadds)
+            if found is not None and found.relative_error <= limits.target_error:
+                return True
+        over = limits.time_budget_s is not None and perf_counter() - begun >= limits.time_budget_s
+        return over and coadds.done > 0 and coadds.done % 2 == 0
+
+    return stops
+
+
+def may_end(scene: Scene, done: int) -> bool:
+    """Whether a run may end by its target here: a boundary, with window observations enough or all there are."""
+    windows = window_observations(scene)
+    return is_boundary(done) and windows[:done].sum() >= min(_WINDOWS, windows.sum())
+
+
+def is_boundary(done: int) -> bool:
+    """Whether the error is looked at here: every 8 observations from 32 on, 16 from 128, 32 from 256 and so on."""
+    return done >= FEWEST and done % (_SPACING * 2 ** max(0, done.bit_length() - 7)) == 0
+
+
+def stop_reason(setup: Setup, limits: Limits, done: int, found: Estimate | None) -> str:
+    """Which came first of a run's end: "all" observations, its "target" or its time "budget"."""
+    if done == setup.scene.observations:
+        return "all"
+    reached = found is not None and limits.target_error is not None and found.relative_error <= limits.target_error
+    return "target" if reached and may_end(setup.scene, done) else "budget"
+
+
+def estimate_so_far(setup: Setup, coadds: CoAdds) -> Estimate | None:
+    """The best estimate from the observations so far, None where there is none."""
+    try:
+        scores = score_survey(setup, coadds, (ACTUAL,))
+    except ValueError:  # too few scans are kept so far
+        return None
+    return best_estimate(scores, controlled_scores(setup, coadds, scores))
+
+
+def best_estimate(scores: dict[str, DataSetScore], controlled: dict[str, Controlled]) -> Estimate | None:
+    """The actual data's estimate with the forecast as control variate if there is one, else the plain one."""
+    if ACTUAL not in scores:
+        return None
+    band = scores[ACTUAL].band
+    if ACTUAL not in controlled:
+        return Estimate("plain", band.sigma_ukcmb2, band.error_ukcmb2)
+    return Estimate("controlled", controlled[ACTUAL].sigma_ukcmb2, controlled[ACTUAL].error_ukcmb2)
+
+
+def answer_cost(
+    setup: Setup,
+    coadds: CoAdds,
+    workers: int,
+    scores: dict[str, DataSetScore],
+    controlled: dict[str, Controlled],
+    target: float = FINE_ERROR,
+) -> Cost | None:
+    """What an answer of this relative error would take, by this run's errors and time; None without a score.
+
+    Errors from sign flips and window skies do not fall with observations: where they have more than a quarter of
+    the variance, more flips and skies are counted on, whose errors go as one over the root of their numbers.
+    """
+    if ACTUAL not in scores:
+        return None
+    item, score = scores[ACTUAL], setup.scene.score
+    signs = sign_error(item.noise_psds, item.band.weight, item.weights[item.weights > 0])
+    jackknives = _enough(score.jackknives, signs / target)
+    skies = _enough(score.window.skies, item.budget.window / target)
+    fixed = signs**2 * score.jackknives / jackknives + item.budget.window**2 * score.window.skies / skies
+    of_observations = item.budget.noise**2 - signs**2
+    if ACTUAL in controlled:
+        budget = controlled[ACTUAL].budget
+        of_observations, fixed = of_observations + budget.forecast**2, fixed + budget.population**2
+    else:
+        of_observations += item.budget.weather**2
+    if fixed >= target**2:
+        return None
+    observations = 2 * math.ceil(coadds.done * of_observations / (target**2 - fixed) / 2)
+    each_s = sum(coadds.seconds.values()) / coadds.done / workers
+    return Cost(target, observations * each_s, observations, jackknives, skies)
+
+
+def _enough(number: int, error: float) -> int:
+    """How many are needed of what gives this error, in units of the target's, at present."""
+    return number * max(1, int(np.ceil(error**2 / _SHARE)))

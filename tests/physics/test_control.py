@@ -1,0 +1,106 @@
+"""The forecast as a control variate: what it takes from the error is gone, and nothing is moved."""
+
+import numpy as np
+import pytest
+
+from mapmaker.bandpower import noise_error, ratio_error, sign_error
+from surveysim.conditions import conditions, population_draws
+from surveysim.control import controlled_scores, expectations
+from surveysim.forecast import expected_weights, noise_models
+from surveysim.scores import score_survey
+from surveysim.setup import prepare
+from surveysim.streams import Stage, generator
+from surveysim.survey import run_observations
+from surveysim.weather import draw_weather
+from tests.stopped import weather_scene
+
+
+def test_the_error_of_a_ratio_is_its_scatter():
+    """Draws that are proportional but for noise: what they have in common is not in the error of their ratio."""
+    rng, n_obs, n_draw = np.random.default_rng(4), 40, 4000
+    expected = rng.lognormal(0.0, 0.8, (n_draw, n_obs))
+    found = 3 * expected * (1 + 0.2 * rng.standard_normal(expected.shape))
+    ratios = found.sum(axis=1) / expected.sum(axis=1)
+    errors = np.array([ratio_error(*pair) for pair in zip(found, expected, strict=True)])
+    # Variances of 4000 draws are known to 2.2 %, their root to 1.1 %; the next order is 1 / n_obs of the first.
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(np.std(ratios) / 3, rel=4 * 0.011 + 1 / n_obs)
+    assert ratio_error(3 * expected[0], expected[0]) == pytest.approx(0, abs=1e-12)
+    with pytest.raises(ValueError, match="positive"):
+        ratio_error(found[0], np.zeros(n_obs))
+
+
+def test_signs_and_observations_share_the_error_of_noise():
+    """Powers of sign-flipped sums of the same amplitudes: the part that all have in common, and the part that not."""
+    rng, n_obs, n_flip, n_mode, n_draw = np.random.default_rng(5), 12, 6, 4, 3000
+    weights = rng.uniform(0.5, 1.5, n_obs)
+    amplitudes = rng.standard_normal((n_draw, n_obs, n_mode)) * np.sqrt(weights)[:, None]
+    signs = rng.choice([-1.0, 1.0], (n_draw, n_flip, n_obs))
+    powers = ((signs @ amplitudes) ** 2).mean(axis=-1)[..., None]
+    # With signs averaged over all choices: the amplitudes' own powers.
+    forever = (amplitudes**2).sum(axis=1).mean(axis=-1)
+    found = np.array([[f(item, np.ones(1), weights) for f in (noise_error, sign_error)] for item in powers])
+    mean = powers.mean(axis=(1, 2))
+    relative = [mean / weights.sum(), (mean - forever) / weights.sum()]
+    # Squared errors, each relative to the draw's own mean: a ratio whose bias goes as the variance of that, 9 %.
+    for errors, deviation in zip(found.T, relative, strict=True):
+        assert np.mean((errors * mean / weights.sum()) ** 2) == pytest.approx(np.var(deviation), rel=0.15)
+
+
+def test_the_population_has_the_moments_of_independent_draws(tmp_path):
+    """Its expected weight, against 4000 ordinary draws of the weather, and far closer than they are."""
+    setup = prepare(weather_scene(tmp_path))
+    air = setup.scene.atmosphere
+    lists = population_draws(setup)
+    levels = conditions(setup, [draw for part in lists for draw in part])
+    model = next(noise_models(setup, levels))
+    even = expected_weights(setup, model.noise(levels)).reshape(len(lists), -1).mean(axis=1)
+    drawn = []
+    for number in range(4000):
+        rng = generator(1, Stage.WEATHER, number, realization=2)
+        drawn.append((number % setup.scene.observations, draw_weather(air, setup.water, rng)))
+    random = expected_weights(setup, model.noise(conditions(setup, drawn)))
+    error = random.std() / np.sqrt(len(random))
+    assert even.mean() == pytest.approx(random.mean(), abs=4 * error)
+    # As many independent draws as a list has would scatter so much; eight lists know their scatter to a quarter.
+    assert even.std(ddof=1) < 0.3 * random.std() / np.sqrt(len(lists[0]))
+    assert expectations(setup.scene)["actual"].error < 0.005
+
+
+def test_without_weather_nothing_is_moved(tmp_path):
+    """Fixed levels and elevation: every observation is expected to be the same."""
+    settings = {"observations": 8, "cleaning.algorithm": "none"}
+    setup = prepare(weather_scene(tmp_path, settings, leave_out=("atmosphere", "excess")))
+    coadds = run_observations(setup, None)
+    scores = score_survey(setup, coadds)
+    item = controlled_scores(setup, coadds, scores)["actual"]
+    assert item.factor == pytest.approx(1, abs=1e-9) and item.budget.population < 1e-9
+    assert item.sigma_ukcmb2 == pytest.approx(scores["actual"].band.sigma_ukcmb2)
+
+
+def test_what_cannot_be_forecast_has_no_control(tmp_path):
+    setup = prepare(weather_scene(tmp_path, {"observations": 8, "cleaning.algorithm": ["average", "quadratic"]}))
+    coadds = run_observations(setup, None)
+    assert controlled_scores(setup, coadds, score_survey(setup, coadds)) == {}
+
+
+@pytest.mark.slow
+def test_controlled_errors_are_right_and_smaller(tmp_path):
+    """24 surveys of 64 observations in all kinds of weather: mean, scatter and stated errors, beside the plain ones."""
+    plain, controlled = [], []
+    for seed in range(24):
+        setup = prepare(weather_scene(tmp_path, {"seed": 500 + seed, "observations": 64}))
+        coadds = run_observations(setup, None)
+        scores = score_survey(setup, coadds)
+        band, item = scores["actual"].band, controlled_scores(setup, coadds, scores)["actual"]
+        plain.append((band.sigma_ukcmb2, band.error_ukcmb2))
+        controlled.append((item.sigma_ukcmb2, item.error_ukcmb2))
+    plain, controlled = np.array(plain).T, np.array(controlled).T
+    # chi^2 per degree of freedom of 23 scatters by 0.29.
+    deviation = (controlled[0] - controlled[0].mean()) / controlled[1]
+    assert 1 - 2.5 * 0.29 < np.sum(deviation**2) / 23 < 1 + 2.5 * 0.29
+    # Paired, as both share their noise; a plain mean over random weather lies high by its squared error.
+    difference = (plain[0] - controlled[0]) / controlled[0].mean()
+    high = np.mean((plain[1] / plain[0]) ** 2)
+    assert difference.mean() == pytest.approx(high / 2, abs=high / 2 + 3 * difference.std(ddof=1) / np.sqrt(24))
+    assert np.median(controlled[1]) < 0.7 * np.median(plain[1])
+    assert controlled[0].std() < 0.8 * plain[0].std()

@@ -1,0 +1,48 @@
+"""Runs that end by their target: honest estimates of the whole survey, though errors decide where they end."""
+
+import numpy as np
+import pytest
+
+from surveysim import run
+from surveysim.setup import prepare
+from surveysim.stopping import FEWEST, best_estimate, estimate_so_far
+from surveysim.survey import run_observations
+from tests.stopped import WEATHER, weather_scene
+
+SEEDS = 50
+TARGET = 0.055
+LONG = 3000  # observations of the reference
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """sigma(A) of the scene's survey and its error, from a survey many times as long with more flips and skies."""
+    settings = {
+        "observations": LONG,
+        "score.jackknives": 384,
+        "score.window.skies": 24,
+        "score.window.observations": 300,
+    }
+    setup = prepare(weather_scene(tmp_path_factory.mktemp("long"), settings))
+    found = estimate_so_far(setup, run_observations(setup, None))
+    scale = LONG / WEATHER["observations"]
+    return scale * found.sigma_ukcmb2, scale * found.error_ukcmb2
+
+
+@pytest.mark.slow
+def test_stopped_runs_are_honest(tmp_path, reference):
+    """50 seeds: the mean is that of a long run, deviations are as large as is said, and the target is kept."""
+    found = []
+    for seed in range(SEEDS):
+        result = run(weather_scene(tmp_path, {"seed": 9000 + seed}), workers=1, target_error=TARGET)
+        assert result.stopped == "target" and FEWEST <= result.coadds.done < 200
+        assert result.estimate.relative_error <= TARGET and result.estimate.kind == "controlled"
+        assert result.estimate == best_estimate(result.scores, result.controlled)
+        found.append((result.estimate.sigma_ukcmb2, result.estimate.error_ukcmb2))
+    sigma, error = np.array(found).T
+    expected, expected_error = reference
+    # chi^2 per degree of freedom of 50 scatters by 0.2.
+    assert 0.7 < np.mean(((sigma - expected) / error) ** 2) < 1.4
+    mean_error = np.hypot(sigma.std(ddof=1) / np.sqrt(SEEDS), expected_error)
+    assert sigma.mean() == pytest.approx(expected, abs=3 * mean_error)
+    assert expected_error < 0.25 * np.median(error)

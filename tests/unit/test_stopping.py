@@ -1,0 +1,194 @@
+"""Runs that end early: by their target or their time, the same bits however they got there, and said so."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.table import Table
+
+from surveysim import load_scene, run
+from surveysim.report.text import cost_lines, stop_lines, survey_lines
+from surveysim.results import survey_result
+from surveysim.setup import prepare
+from surveysim.stopping import FEWEST, UNLIMITED, Estimate, Limits, is_boundary, parsed_limits, stop_reason
+from surveysim.survey import run_observations
+from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
+from tests.unit.test_cli import call, handlers, refused  # noqa: F401  (fixtures)
+
+TARGET = 0.5  # which 32 observations of the small scene reach
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL_SCENE.replace("observations = 4", "observations = 40", 1))
+    return path
+
+
+def same_sums(one, other):
+    np.testing.assert_array_equal(one.rows, other.rows)
+    for name in ("sums", "weight", "hits", "flipped", "window", "window_weight"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+@pytest.mark.parametrize(
+    "texts, found",
+    [
+        (("3%", "60s"), (0.03, 60.0)),
+        (("0.03", "2 min"), (0.03, 120.0)),
+        (("3 %", None), (0.03, None)),
+        ((None, "0.5 h"), (None, 1800.0)),
+        ((None, None), (None, None)),
+    ],
+)
+def test_limits_of_texts(texts, found):
+    limits = parsed_limits(*texts)
+    assert (limits.target_error, limits.time_budget_s) == pytest.approx(found)
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        (("--target-error", "3"), "target error: found 3; more than 0 and less than 100 % is expected"),
+        (("--target-error", "0"), "target error: found 0"),
+        (("--target-error=-3%",), "target error: found -0.03"),
+        (("--target-error", "nan"), "--target-error: found 'nan'; a finite number"),
+        (("--target-error", "3 mK"), "--target-error: found '3 mK'; a quantity in units like '1'"),
+        (("--time-budget", "60"), "--time-budget: found '60'; a quantity in units like 's'"),
+        (("--time-budget", "0 s"), "time budget: found 0 s; more than 0 s is expected"),
+        (("--time-budget", "soon"), "--time-budget: found 'soon'"),
+    ],
+)
+def test_limits_that_make_no_sense(call, scene, options, words):  # noqa: F811
+    assert words in refused(call, scene, *options)
+
+
+def test_a_target_needs_a_score(call, scene, tmp_path):  # noqa: F811
+    scene.write_text(WHITE_NOISE_SCENE)
+    assert "--target-error: found no [score]" in refused(call, scene, "--target-error", "3%")
+    with pytest.raises(ValueError, match="score: missing"):
+        run(load_scene(scene), target_error=0.03)
+    with pytest.raises(ValueError, match="target error: found 3"):
+        run(load_scene(scene), target_error=3.0)
+
+
+@pytest.mark.parametrize("option", [("--target-error", "3%"), ("--time-budget", "1 s")])
+def test_sweeps_have_no_limits(call, scene, option):  # noqa: F811
+    scene.write_text(scene.read_text() + '\n[sweep]\n"scan.speed" = ["4 arcmin / s", "6 arcmin / s"]\n')
+    assert f"{option[0]}: found a sweep, whose points are run whole" in refused(call, scene, *option)
+
+
+def test_boundaries_are_even_and_no_further_apart_than_an_eighth():
+    found = [number for number in range(20_000) if is_boundary(number)]
+    assert found[:3] == [FEWEST, FEWEST + 8, FEWEST + 16] and not any(number % 8 for number in found)
+    steps = np.diff(found)
+    assert (steps <= np.maximum(8, np.array(found[:-1]) / 8)).all() and (steps >= np.array(found[:-1]) / 32).all()
+
+
+def test_which_reason_came_first(scene):
+    setup, good, bad = prepare(load_scene(scene)), Estimate("plain", 100.0, 2.0), Estimate("plain", 100.0, 9.0)
+    both = Limits(0.03, 1.0)
+    assert stop_reason(setup, both, 32, good) == "target" and stop_reason(setup, both, 32, bad) == "budget"
+    assert stop_reason(setup, both, 34, good) == "budget" == stop_reason(setup, both, 2, None)
+    assert stop_reason(setup, both, 40, good) == "all" == stop_reason(setup, UNLIMITED, 40, None)
+
+
+def test_a_reached_target_ends_a_run_alike_whatever_the_workers(scene):
+    checked = load_scene(scene)
+    alone, crew = (run(checked, workers=workers, target_error=TARGET) for workers in (1, 2))
+    assert alone.stopped == crew.stopped == "target" and alone.coadds.done == FEWEST
+    assert alone.estimate.relative_error <= TARGET
+    same_sums(alone.coadds, crew.coadds)
+    assert alone.estimate == crew.estimate and alone.controlled == crew.controlled
+    assert run(checked, workers=1, target_error=1e-4).stopped == "all"
+
+
+def test_a_part_is_scored_for_the_whole_survey(scene):
+    """The first 32 of 40 observations: sigma of a survey of 32 times 32 / 40, errors alike."""
+    part = run(load_scene(scene), workers=1, target_error=TARGET)
+    alone = run(load_scene(scene, {"observations": 32}), workers=1)
+    # The window observations of the small scenes are the same, so all else is.
+    same_sums(part.coadds, alone.coadds)
+    for name, item in part.scores.items():
+        assert item.band.sigma_ukcmb2 == pytest.approx(alone.scores[name].band.sigma_ukcmb2 * 32 / 40, rel=1e-12)
+        assert vars(item.budget) == pytest.approx(vars(alone.scores[name].budget), rel=1e-9)
+    assert part.gains["actual / uncorrelated"].ratio == pytest.approx(alone.gains["actual / uncorrelated"].ratio)
+
+
+def test_a_run_goes_on_from_its_target(scene, tmp_path):
+    checked, out = load_scene(scene), tmp_path / "out"
+    options = {"workers": 1, "figures": False, "save_timestreams": True}
+    first = run(checked, out, target_error=TARGET, **options)
+    assert (out / "checkpoint.npz").exists()
+    assert run(checked, out, resume=True, target_error=TARGET, **options).coadds.done == first.coadds.done
+    assert len(list((out / "timestreams").iterdir())) == FEWEST
+    assert run(checked, out, resume=True, target_error=0.9 * TARGET, **options).coadds.done >= first.coadds.done
+    last = run(checked, out, resume=True, **options)
+    assert last.stopped == "all" and not (out / "checkpoint.npz").exists()
+    assert len(list((out / "timestreams").iterdir())) == 40
+    whole = run(checked, workers=1)
+    same_sums(last.coadds, whole.coadds)
+    assert last.estimate == whole.estimate
+
+
+def test_streams_that_workers_wrote_ahead_are_dropped(scene, tmp_path):
+    options = {"workers": 2, "figures": False, "save_timestreams": True}
+    run(load_scene(scene), tmp_path / "out", target_error=TARGET, **options)
+    names = sorted(path.name for path in (tmp_path / "out" / "timestreams").iterdir())
+    assert names == [f"{number:04d}.h5" for number in range(FEWEST)]
+
+
+def test_a_spent_budget_ends_a_run_after_a_pair(call, scene, tmp_path):  # noqa: F811
+    out = tmp_path / "out"
+    arguments = ("--out", out, "--workers", 1, "--no-figures")
+    code, text, _ = call("run", scene, *arguments, "--time-budget", "1 ms", "--target-error", "1e-3 %")
+    assert code == 0 and "the time budget was spent, 2 of 40 observations simulated" in text
+    assert "of the whole survey of 40 observations, judged by 2" in text
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["stopped"]["reason"] == "budget" and summary["observations"] == 2
+    assert summary["stopped"]["observations_of_survey"] == 40 and summary["stopped"]["time_budget_s"] == 1e-3
+    assert fits.getheader(out / "maps" / "actual.fits")["NOBS"] == 2
+    # It goes on without limits; tables say what they are of.
+    meta = Table.read(out / "tables" / "scores.ecsv").meta
+    assert (meta["observations_simulated"], meta["observations_of_survey"]) == (2, 40)
+    code, text, _ = call("run", scene, *arguments, "--resume")
+    assert code == 0 and "Stopped" not in text and not (out / "checkpoint.npz").exists()
+
+
+def test_a_budget_needs_no_score(scene):
+    scene.write_text(WHITE_NOISE_SCENE)
+    result = run(load_scene(scene), workers=1, time_budget_s=1e-3)
+    assert (result.stopped, result.coadds.done, result.estimate) == ("budget", 2, None)
+    assert stop_lines(result) == ["Stopped: the time budget was spent, 2 of 4 observations simulated"]
+
+
+def test_the_cost_of_a_fine_answer_is_what_its_errors_add_up_to(scene):
+    checked = load_scene(scene)
+    setup = prepare(checked)
+    result = survey_result(setup, run_observations(setup, None), 1.0, 1)
+    cost, budget, score = result.fine_cost, result.controlled["actual"].budget, checked.score
+    item = result.scores["actual"]
+    # Scatter of 4 flips, with what they have in common, is all of the noise's error.
+    used = item.band.weight > 0
+    response = (item.noise_psds[:, used] / item.noise_psd[used]) @ item.band.weight[used]
+    signs = np.var(response, ddof=1) / score.jackknives
+    of_observations = (budget.noise**2 - signs + budget.forecast**2) * 40 / cost.observations
+    fixed = signs * score.jackknives / cost.jackknives + budget.window**2 * score.window.skies / cost.skies
+    # Observations come in pairs.
+    assert fixed + of_observations + budget.population**2 == pytest.approx(1e-4, rel=4 / cost.observations)
+    assert cost.seconds == pytest.approx(cost.observations * sum(result.coadds.seconds.values()) / 40)
+    assert f"{cost.observations} observations, {cost.jackknives} sign flips" in cost_lines(result)[0]
+    twice = replace(result, workers=2)
+    assert twice.fine_cost.seconds == pytest.approx(cost.seconds / 2)
+
+
+def test_lines_of_a_part(scene):
+    result = run(load_scene(scene), workers=1, target_error=TARGET)
+    lines = survey_lines(result)
+    item, band = result.controlled["actual"], result.scores["actual"].band
+    assert lines[0] == "  of the whole survey of 40 observations, judged by 32"
+    assert f"control variate: {item.sigma_ukcmb2:.1f} +- {item.error_ukcmb2:.1f}" in lines[1]
+    assert f"(plain {band.sigma_ukcmb2:.1f} +- {band.error_ukcmb2:.1f})" in lines[1]
+    assert "the target error was reached, 32 of 40" in stop_lines(result)[0]
