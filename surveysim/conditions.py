@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import chain
 
 import numpy as np
 
@@ -12,7 +14,8 @@ from surveysim.noise import excess_variance
 from surveysim.observation import observation_weather
 from surveysim.recipes import Recipe
 from surveysim.scan import samples_per_scan
-from surveysim.setup import Setup, observation_path
+from surveysim.scene import Scene
+from surveysim.setup import Setup, observation_path, prepare
 from surveysim.streams import Stage, generator
 from surveysim.weather import Weather, draw_weather
 
@@ -99,6 +102,14 @@ class _Given:
 
     def random(self) -> float:
         return next(self._left)
+
+
+@lru_cache(maxsize=1)
+def population(scene: Scene) -> tuple[Conditions, int]:
+    """Conditions of all `population_draws` of a scene, one list after the other, and how many lists there are."""
+    setup = prepare(scene)
+    lists = population_draws(setup)
+    return conditions(setup, chain.from_iterable(lists)), len(lists)
 
 
 def conditions(setup: Setup, draws: Iterable[Draw]) -> Conditions:

@@ -7,14 +7,13 @@ were simulated, is therefore free of the weather that they happened to draw.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import chain
 
 import numpy as np
 
 from mapmaker.bandpower import flat_band_power, ratio_error, sign_error
 from surveysim.coadds import CoAdds, row_names
-from surveysim.conditions import conditions, population_draws, survey_draws
-from surveysim.forecast import NoiseModel, can_forecast, expected_signal, expected_weights, noise_models
+from surveysim.conditions import conditions, population, survey_draws
+from surveysim.forecast import NoiseModel, can_forecast, expected_signal, expected_weights, survey_models
 from surveysim.scene import Scene, SceneError
 from surveysim.scores import DataSetScore
 from surveysim.setup import Setup, prepare
@@ -78,14 +77,13 @@ def controlled_scores(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetSco
 def expectations(scene: Scene) -> dict[str, Expectation]:
     """Forecasts of a scene's data sets in expectation over weather; raises SceneError where there are none."""
     setup = prepare(scene)
-    lists = population_draws(setup)
-    levels = conditions(setup, chain.from_iterable(lists))
+    levels, n_lists = population(scene)
     found = {}
-    for model in noise_models(setup, levels):
+    for model in survey_models(scene):
         noise = model.noise(levels)
         if not noise[:, setup.band.selected].all():
             raise SceneError("score: found no noise in its multipoles; some is expected")
-        parts = [_sigma(setup, model, part) for part in np.split(noise, len(lists))]
+        parts = [_sigma(setup, model, part) for part in np.split(noise, n_lists)]
         error = np.std(parts, ddof=1) / np.sqrt(len(parts)) / np.mean(parts)
         found[model.name] = Expectation(model, _sigma(setup, model, noise), float(error))
     return found

@@ -7,13 +7,14 @@ same array responses.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
 from mapmaker.window import beam_window, pixel_window
 from surveysim.coherence import correlation_matrix
-from surveysim.conditions import Conditions, conditions, mean_hits, survey_draws
+from surveysim.conditions import Conditions, conditions, mean_hits, population, survey_draws
 from surveysim.noise import excess_psd
 from surveysim.recipes import Recipe
 from surveysim.response import (
@@ -129,13 +130,19 @@ def forecast(scene: Scene) -> Forecast:
     if not can_forecast(setup):
         allowed = ", ".join(map(repr, PROJECTIONS))
         raise SceneError(f"cleaning.algorithm: found {setup.recipes[0].label!r}; one of {allowed} can be forecast")
-    levels = _conditions(setup)
+    levels = conditions(setup, survey_draws(setup, 0, scene.observations))
     found: dict[str, DataSetForecast] = {}
-    for model in noise_models(setup, levels):
+    for model in survey_models(scene):
         if model.name == model.recipe.data_set:  # the sets that follow share its detectors
             hits = mean_hits(setup, model.recipe)
         found[model.name] = _scored(setup, model, model.noise(levels), hits)
     return Forecast(setup.band.rings.ell, {name: found[name] for name in setup.data_sets if name in found})
+
+
+@lru_cache(maxsize=1)
+def survey_models(scene: Scene) -> tuple[NoiseModel, ...]:
+    """Models of a scene's data sets, good for all weather that it may have; raises SceneError as `noise_models`."""
+    return tuple(noise_models(prepare(scene), population(scene)[0]))
 
 
 def noise_models(setup: Setup, levels: Conditions) -> Iterator[NoiseModel]:
@@ -165,10 +172,6 @@ def can_forecast(setup: Setup) -> bool:
 def is_projection(recipe: Recipe) -> bool:
     """Whether a recipe is, nearly at least, a projection that does not depend on the data."""
     return len(recipe.steps) == 1 and recipe.steps[0] in PROJECTIONS
-
-
-def _conditions(setup: Setup) -> Conditions:
-    return conditions(setup, survey_draws(setup, 0, setup.scene.observations))
 
 
 def _spectrum(setup: Setup) -> _Spectrum:

@@ -236,7 +236,15 @@ def sweep_table(result: SweepResult) -> Table:
     point with its paired error; `best_probability` that of being the lowest. A forecast's have no errors.
     """
     sweep, comparison = result.sweep, result.comparison
-    meta = {"temperature": "CMB", "reference": comparison.reference, "best": list(comparison.best)}
+    scenes = [point.scene for point in sweep.points]
+    meta = {
+        "temperature": "CMB",
+        "reference": comparison.reference,
+        "best": list(comparison.best),
+        "surveysim": __version__,
+        "seed": scenes[0].seed,
+        "scenes_sha256": [scene_hash(scene) for scene in scenes],
+    }
     table = Table({"point": np.arange(len(sweep.points))}, meta=meta)
     columns = table.columns
     for key in sweep.points[0].settings:

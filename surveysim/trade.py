@@ -150,9 +150,10 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
 
 
 def _skies(setup: Setup) -> str:
-    """Equal where the skies of the windows are: their grid, and how many go through how many observations."""
-    window = setup.scene.score.window
-    text = f"{setup.sky_geometry} {window.skies} {window.observations} {setup.scene.observations}"
+    """Equal where the windows' errors are: the same skies through the same detectors, scans and cleaning."""
+    scene, plane = setup.scene, setup.camera.focal_plane
+    passed = (scene.score.window, scene.observations, scene.scan, scene.cleaning, setup.sky_geometry)
+    text = f"{passed} {plane.x_rad.tobytes().hex()} {plane.y_rad.tobytes().hex()}"
     return sha256(text.encode()).hexdigest()
 
 

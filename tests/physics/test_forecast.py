@@ -14,7 +14,8 @@ from surveysim.api import run
 from surveysim.atmosphere.screen import StripCache, add_atmosphere, strip_step
 from surveysim.atmosphere.spectrum import Screen
 from surveysim.coherence import correlation_factor, correlation_matrix
-from surveysim.forecast import _conditions, forecast
+from surveysim.conditions import conditions, survey_draws
+from surveysim.forecast import forecast
 from surveysim.instrument import hexagon
 from surveysim.noise import add_correlated_white, add_excess, excess_psd
 from surveysim.observation import observation_weather
@@ -165,7 +166,7 @@ def test_photon_noise_in_a_mode_is_that_of_drawn_streams(coherence):
 def test_frames_of_observations_are_those_of_the_scans(scene_of):
     """Motion against the layer and the array's places, turned so that the scan goes along x; back is half a turn on."""
     setup = prepare(scene_of())
-    levels = _conditions(setup)
+    levels = conditions(setup, survey_draws(setup, 0, setup.scene.observations))
     for number in range(4):
         _, pointing = observation_path(setup, number)
         weather = observation_weather(setup, number)
