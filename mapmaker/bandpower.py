@@ -290,6 +290,8 @@ def _check(noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, m
 
 def _check_observations(observation_weights: np.ndarray) -> None:
     if observation_weights.ndim != 1 or observation_weights.size < 2:
-        raise ValueError(f"expected weights of 2 or more observations, got shape {observation_weights.shape}")
+        raise ValueError(
+            f"found {observation_weights.size} observations with data; 2 or more observations are expected"
+        )
     if not (observation_weights > 0).all():
         raise ValueError("observation weights must be positive")

@@ -4,7 +4,6 @@ import contextlib
 import errno
 import os
 import pty
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,9 +12,9 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from surveysim import cli, options, survey
+from surveysim import options, survey
 from tests.scenes import SCHEDULE, SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
-from tests.unit.test_interruption import COMMAND, assert_same_results, none_left, start, wait_for
+from tests.unit.test_interruption import COMMAND, assert_same_results
 
 ECSV = (
     "# %ECSV 1.0\n# ---\n# datatype:\n# - {name: x, unit: arcsec, datatype: float64}\n"
@@ -23,34 +22,9 @@ ECSV = (
 )
 
 
-@pytest.fixture(autouse=True)
-def handlers():
-    """The entry point sets signal handlers; a test run keeps its own."""
-    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in kept.items():
-        signal.signal(number, handler)
-
-
 @pytest.fixture
-def scene(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
-
-
-@pytest.fixture
-def call(monkeypatch, capsys):
-    """Run the command line here; returns exit code, standard output and error."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["surveysim", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        text = capsys.readouterr()
-        return end.value.code or 0, text.out, text.err
-
-    return call
+def scene(scene_file):
+    return scene_file
 
 
 def refused(call, scene, *arguments):
@@ -345,97 +319,23 @@ def test_plan(call, tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-SWEEP = '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n'
-
-
-@pytest.fixture
-def sweep(tmp_path):
-    path = tmp_path / "speeds.toml"
-    path.write_text(SMALL_SCENE + SWEEP)
-    return path
-
-
-def test_check_and_plan_of_a_sweep(call, sweep):
-    assert call("check", sweep) == (0, f"{sweep}: 'speeds' is a sweep of 2 points that can be run\n", "")
-    code, out, error = call("check", sweep, "--set", "scan.speed=1 arcmin / s")
-    assert (code, out) == (2, "") and error.startswith(f"{sweep}: scan.speed: set, and on an axis of the sweep")
-    code, out, error = call("plan", sweep, "--workers", 1, "--set", "observations=2")
-    assert (code, error) == (0, "")
-    assert "speeds: 2 points" in out and "3 arcmin / s, 4 arcmin / s" in out and "MB a process" in out
-    assert (
-        "0.01728 million detector-samples" in out
-    )  # 2 points of 2 observations of 4 scans of 60 samples, 18 detectors
-    code, _, error = call("plan", sweep, "--set", "score.ell_max=30000")
-    assert code == 2 and error.startswith(f"{sweep}: score.ell_max: found 30000") and len(error.splitlines()) == 1
-    assert list(sweep.parent.iterdir()) == [sweep]
-
-
-def test_sweeps_that_are_refused(call, sweep):
-    assert "--save-timestreams: found a sweep, which keeps none" in refused(call, sweep, "--save-timestreams")
-    assert "point (scan.speed = 4 arcmin" not in refused(call, sweep, "--set", "scan.scans=0")
-    sweep.write_text(SMALL_SCENE + '\n[sweep]\n"scan.scans" = [0, 4]\n')
-    assert f"{sweep}: point (scan.scans = 0): scan.scans: found 0" in refused(call, sweep)
-    sweep.write_text(without_sections(SMALL_SCENE, "score") + SWEEP)
-    assert f"{sweep}: score: missing; a sweep compares scores" in refused(call, sweep)
-
-
-def test_run_of_a_sweep(call, sweep):
-    out = sweep.parent / "out"
-    arguments = ("--out", out, "--workers", 1, "--set", "observations=3")
-    code, text, error = call("run", sweep, *arguments, "--resume", "--no-figures")
-    assert code == 0 and "best: scan.speed = " in text and " with confidence " in text
-    assert "Ratios are to scan.speed = 3 arcmin / s, their errors those of runs with one seed." in text
-    lines = error.splitlines()
-    assert lines[0] == f"no points in {out}: starting with the first"
-    assert [line.split(",")[0] for line in lines[1:]] == ["speeds: 1/2 points", "speeds: 2/2 points"]
-    assert sorted(path.name for path in out.iterdir()) == ["summary.json", "sweep.ecsv"]
-    assert call("run", sweep, *arguments, "--quiet") == (0, "", "")
-    assert (out / "figures" / "sweep.png").exists()
-    (out / "points").write_text("mine")
-    code, _, error = call("run", sweep, *arguments)
-    assert code == 1 and f"{out / 'points'}: a file where a folder is to be written" in error
-
-
-def test_interrupted_sweep(sweep):
-    """Ctrl-C in a terminal with workers: the hint, whole files of finished points, nobody left behind."""
-    values = ", ".join(f'"{speed} arcmin / s"' for speed in np.linspace(3, 5, 30))
-    sweep.write_text(f'{SMALL_SCENE}\n[sweep]\n"scan.speed" = [{values}]\n')
-    out = sweep.parent / "out"
-    process = start("run", sweep, "--out", out, "--workers", 2, "--no-figures", "-q")
-    wait_for(out / "points" / "001.npz", process)
-    os.killpg(process.pid, signal.SIGINT)
-    _, error = process.communicate(timeout=20)
-    assert (process.returncode, error) == (130, f"interrupted; go on with --resume --out {out}\n")
-    assert none_left(process.pid) and not list(out.rglob("*.part"))
-    assert not (out / "sweep.ecsv").exists() and len(list((out / "points").glob("???.npz"))) >= 1
-
-
-def test_forecast(call, scene):
-    code, out, error = call("forecast", scene)
-    assert (code, error) == (0, "") and "masked_7" in out and "Neglected:" in out
-    assert list(scene.parent.iterdir()) == [scene]
-    assert call("forecast", scene, "--out", scene.parent / "out", "--quiet") == (0, "", "")
-    table = Table.read(scene.parent / "out" / "forecast.ecsv", format="ascii.ecsv")
-    assert {"ell", "noise_actual", "signal_actual", "noise_white"} <= set(table.colnames) and len(table) == 6
-    code, out, error = call("forecast", scene, "--set", "score=x")
-    assert code == 2 and "score: found 'x'; a section is expected" in error
-
-
-def test_forecast_of_what_has_none(call, scene):
+def test_accuracy_that_is_refused(call, scene):
+    for arguments in ((), (scene, "--extremes")):
+        code, out, error = call("accuracy", *arguments)
+        assert (code, out) == (2, "") and "one of them is expected" in error
     scene.write_text(without_sections(SMALL_SCENE, "score"))
-    code, out, error = call("forecast", scene)
-    assert (code, out) == (2, "") and error.startswith(f"{scene}: score: missing") and len(error.splitlines()) == 1
+    code, out, error = call("accuracy", scene)
+    assert (code, out) == (2, "") and "score: missing; accuracy is that of a score" in error
 
 
-def test_forecast_of_a_sweep(call, sweep, monkeypatch):
-    monkeypatch.chdir(sweep.parent)
-    code, out, error = call("forecast", sweep, "--no-figures")
-    assert code == 0 and "best: scan.speed = 3 arcmin / s, sigma(A) = " in out and "by forecast" in out
-    assert "confidence" not in out and error.splitlines()[-1].startswith("speeds: 2/2 points")
-    directory = Path("outputs/speeds_forecast")
-    assert sorted(path.name for path in directory.iterdir()) == ["summary.json", "sweep.ecsv"]
-    assert call("forecast", sweep, "--out", "mine", "--quiet") == (0, "", "")
-    assert Path("mine/figures/sweep.png").exists()
+def test_extremes(call, tmp_path, monkeypatch):
+    from surveysim.extremes import CASES
+
+    monkeypatch.setattr("surveysim.extremes.CASES", tuple(case for case in CASES if "one detector" in case.name))
+    code, out, error = call("accuracy", "--extremes", "--out", tmp_path / "out")
+    assert code == 0 and "2 of 2 as expected" in out and error.splitlines()[-1].startswith("extremes: 2/2 cases")
+    table = Table.read(tmp_path / "out" / "extremes.ecsv", format="ascii.ecsv")
+    assert list(table["ok"]) == [True, True] and len(table["why"][0]) > 5
 
 
 def test_new(call, scene, monkeypatch):

@@ -1,0 +1,39 @@
+"""Fixtures of the command line's tests."""
+
+import signal
+import sys
+
+import pytest
+
+from surveysim import cli
+from tests.scenes import SMALL_SCENE
+
+
+@pytest.fixture
+def handlers():
+    """The entry point sets signal handlers; a test run keeps its own."""
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in kept.items():
+        signal.signal(number, handler)
+
+
+@pytest.fixture
+def scene_file(tmp_path):
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL_SCENE)
+    return path
+
+
+@pytest.fixture
+def call(monkeypatch, capsys, handlers):
+    """Run the command line here; returns exit code, standard output and error."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["surveysim", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        text = capsys.readouterr()
+        return end.value.code or 0, text.out, text.err
+
+    return call
