@@ -318,6 +318,8 @@ def new(
     typer.echo(f"{target}: a copy of {source}; edit it, then: surveysim check {target}")
     if "[score.reference]" in text:
         typer.echo("it compares with published numbers; delete [score.reference] and its gains for another survey")
+    if "[excess]" in text or "\nb2 = " in text:
+        typer.echo("excess noise and b2 are of its own band and site; delete [excess] and atmosphere.b2 for another")
 
 
 def main() -> None:

@@ -25,6 +25,10 @@ PSD_AT_HZ = (0.01, 0.1, 1.0)
 COMPARED_ELL = (2500, 15000)  # below, the ends of scans and the map's edge rule; beyond, its pixels
 ALTERNATIVE_ELL_MIN = (1000, 2000, 3000, 4000, 4500, 5000, 5500)
 
+OPTIMAL_METHOD = (
+    "The optimal set takes for each observation the recipe whose own map has the least noise for its signal, which "
+    "favours chance; what a recipe leaves of the signal is that of two observations."
+)
 METHOD = (
     "Noise is measured by co-adds with random signs; of a sky in the streams 1 / n_eff of its power stays.",
     "Each data set's observations are weighted by their own noise in the scored multipoles, and what that takes "
@@ -32,8 +36,7 @@ METHOD = (
     "sigma(A)^-2 = sum over bins of n/2 (M/N)^2: every data set weights its bins by its own noise.",
     "The window is that of the actual data's cleaning, also for the simulated sets; the masked array has its own.",
     "The simulated sets take each detector's Hann-tapered PSD of the cleaned streams and are not cleaned again.",
-    "The optimal set takes for each observation the recipe whose own map has the least noise for its signal, which "
-    "favours chance; what a recipe leaves of the signal is that of two observations.",
+    OPTIMAL_METHOD,
     "Rayleigh-Jeans becomes CMB temperature at the band's centre.",
     "The masked array is cleaned with its own detectors alone; scaled means times its share of the detectors.",
 )

@@ -8,9 +8,19 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from surveysim.forecast import NEGLECTED
 from surveysim.plan import Plan, SweepPlan
 from surveysim.recipes import ACTUAL
-from surveysim.results import COMPARED_ELL, METHOD, Row, SurveyResult, forecast_agreement, score_rows, summary
+from surveysim.results import (
+    COMPARED_ELL,
+    METHOD,
+    OPTIMAL_METHOD,
+    Row,
+    SurveyResult,
+    forecast_agreement,
+    score_rows,
+    summary,
+)
 from surveysim.scene import Scene
 from surveysim.stopping import UNLIMITED
 from surveysim.sweep import Sweep
@@ -31,6 +41,8 @@ FORECAST_SIGMA, FORECAST_PSD = 0.1, 0.15
 def print_result(result: SurveyResult, directory: Path) -> None:
     """Score table beside the reference, gains, what is assumed, time taken and where the files are."""
     console = _console()
+    for line in stop_lines(result):
+        console.print(f"{line}\n", highlight=False, markup=False)
     if len(result.setup.whole_recipes) > 1:
         console.print(_cleaning_table(result))
     if result.scores:
@@ -41,7 +53,7 @@ def print_result(result: SurveyResult, directory: Path) -> None:
         if result.alternatives:
             console.print(_alternative_table(result))
         console.print("\nMethod, where the reference leaves it open:", highlight=False)
-        for line in METHOD:
+        for line in METHOD if result.setup.chooses else (line for line in METHOD if line != OPTIMAL_METHOD):
             console.print(f"  - {line}", highlight=False, markup=False)
     if result.unscored:
         console.print(f"Not scored: {result.unscored}", highlight=False, markup=False)
@@ -49,8 +61,6 @@ def print_result(result: SurveyResult, directory: Path) -> None:
         console.print("\nAssumed or calibrated in the scene:", highlight=False)
         for line in result.setup.scene.assumed:
             console.print(f"  - {line}", highlight=False, markup=False)
-    for line in stop_lines(result):
-        console.print(f"\n{line}", highlight=False, markup=False)
     console.print(f"\n{closing_line(result)}\nResults in {directory}", highlight=False, markup=False)
 
 
@@ -255,8 +265,24 @@ def print_sweep(result: SweepResult, directory: Path) -> None:
         shared = ", their errors those of runs with one seed" if result.simulated else ""
         console.print(f"Ratios are to {reference}{shared}.", highlight=False, markup=False)
         console.print(best_line(result), highlight=False, markup=False)
+    for line in _forecast_lines(result):
+        console.print(line, highlight=False, markup=False)
     done = f"{len(result.points)} points in {result.wall_s:.1f} s with {result.workers} worker(s)"
     console.print(f"\n{done}\nResults in {directory}", highlight=False, markup=False)
+
+
+def _forecast_lines(result: SweepResult) -> list[str]:
+    """How far forecasts are from the simulation at worst, or what they neglect where they stand alone."""
+    if not result.simulated:
+        return ["The forecast neglects:", *(f"  - {line}" for line in NEGLECTED)]
+    comparison, worst = result.comparison, (0.0, "")
+    for number, (point, item) in enumerate(zip(result.sweep.points, result.points, strict=True)):
+        forecast, sigma = item.forecast_ukcmb2.get(ACTUAL), comparison.sigma_ukcmb2[number]
+        if forecast is not None and sigma > 0 and abs(forecast / sigma - 1) >= abs(worst[0]):
+            error = 100 * forecast / sigma * comparison.error_ukcmb2[number] / sigma
+            off = forecast / sigma - 1
+            worst = (off, f"forecast over simulated, less 1: at worst {100 * off:+.0f} +- {error:.0f} %, {point.label}")
+    return [worst[1]] if worst[1] else []
 
 
 def best_line(result: SweepResult) -> str:

@@ -15,7 +15,7 @@ from surveysim.setup import prepare
 from surveysim.stopping import FEWEST, UNLIMITED, Estimate, Limits, is_boundary, parsed_limits, stop_reason
 from surveysim.survey import run_observations
 from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
-from tests.unit.test_cli import call, handlers, refused  # noqa: F401  (fixtures)
+from tests.unit.test_cli import refused
 
 TARGET = 0.5  # which 32 observations of the small scene reach
 
