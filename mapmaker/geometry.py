@@ -85,22 +85,10 @@ def boresight_pixels(
 
 def covering_geometry(ra0_rad: float, dec0_rad: float, pixel_rad: float, half_extent_rad: float) -> MapGeometry:
     """A square geometry that reaches `half_extent_rad` on each side, its size good for FFTs."""
-    n = 2 * fast_length(int(np.ceil(half_extent_rad / pixel_rad)) + 1)
+    from scipy.fft import next_fast_len
+
+    n = 2 * next_fast_len(int(np.ceil(half_extent_rad / pixel_rad)) + 1, real=True)
     return MapGeometry(ra0_rad, dec0_rad, pixel_rad, n, n)
-
-
-def fast_length(least: int) -> int:
-    """The smallest product of 2, 3 and 5 that is `least` (1 or more) or greater: FFTs of that length are fast."""
-    # scipy.fft.next_fast_len says the same, once it is imported, which takes as long as numpy.
-    best = 1 << (least - 1).bit_length()
-    fives = 1
-    while fives < best:
-        odd = fives
-        while odd < best:
-            best = min(best, odd << (-(-least // odd) - 1).bit_length())
-            odd *= 3
-        fives *= 5
-    return best
 
 
 def wcs_cards(geometry: MapGeometry) -> dict[str, tuple[str | int | float, str]]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
-from mapmaker.geometry import MapGeometry, fast_length
+from mapmaker.geometry import MapGeometry
 from mapmaker.spectrum import Annuli, annuli, mode_ell, split_azimuth, tukey_taper
 from mapmaker.window import beam_window
 from surveysim.scene import Scene, SceneError
@@ -88,11 +88,13 @@ def scored_band(scene: Scene, geometry: MapGeometry) -> Band | None:
     score = scene.score
     if score is None:
         return None
+    from scipy.fft import next_fast_len
+
     n = min(geometry.n_x, 2 * math.ceil(score.size_rad / geometry.pixel_rad / 2))
     first = (geometry.n_x - n) // 2
     taper = tukey_taper(n, n, geometry.pixel_rad, score.size_rad, score.taper_fraction)
     # The padding resolves bins of multipole that are narrower than the patch's own modes.
-    n_pad = fast_length(2 * n)
+    n_pad = next_fast_len(2 * n, real=True)
     edges = np.arange(0, score.ell_max + score.ell_bin, score.ell_bin)
     edges = edges[edges <= max(score.ell_max, score.ell_min + score.ell_bin)].astype(float)
     padded = np.pad(taper, (0, n_pad - n))

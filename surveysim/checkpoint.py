@@ -1,6 +1,7 @@
 """Checkpoints: the running sums of a survey on disk, so that a stopped run goes on with the same bits."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -46,15 +47,20 @@ def load_checkpoint(path: Path, scene_hash: str) -> CoAdds:
     except Exception as error:  # zip, npy and JSON readers raise a wide range for damaged bytes
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         raise CheckpointError(f"{path}: damaged ({reason}); delete it and run without --resume") from None
-    for key, expected in (("version", __version__), ("scene", scene_hash)):
-        if found[key] != expected:
-            raise CheckpointError(
-                f"{path}: of another {key} (found {found[key][:12]}, expected {expected[:12]}); "
-                "run without --resume, or with --out elsewhere"
-            )
+    check_origin(path, found, scene_hash)
     rows = arrays.pop("rows")
     return CoAdds(
         **{name: list(array) if name in _LISTS else array for name, array in arrays.items()},
         rows=[tuple(float(value) for value in row) for row in rows],
         seconds=seconds,
     )
+
+
+def check_origin(path: Path, found: Mapping[str, str], scene_hash: str) -> None:
+    """Raise CheckpointError unless a file is of this version and scene; `found` has both."""
+    for key, expected in (("version", __version__), ("scene", scene_hash)):
+        if found[key] != expected:
+            raise CheckpointError(
+                f"{path}: of another {key} (found {found[key][:12]}, expected {expected[:12]}); "
+                "run without --resume, or with --out elsewhere"
+            )

@@ -64,16 +64,14 @@ class DataSetForecast:
 
 @dataclass(frozen=True)
 class Forecast:
-    """Forecasts by data set, in bins around `ell` (n_bin,).
-
-    Missing are the best recipe of each observation, and recipes that are no projection of the detectors.
-    """
+    """Forecasts by data set, in bins around `ell` (n_bin,); without the best of each observation and no projections."""
 
     ell: np.ndarray
     scores: dict[str, DataSetForecast]
     neglected: tuple[str, ...] = NEGLECTED
 
 
+_Correlations = tuple[np.ndarray | None, np.ndarray | None]
 LayerNoise = Callable[[np.ndarray], np.ndarray]  # (n_draw, n_motion) complex [rad/s] to (n_draw, n_bin)
 
 
@@ -156,11 +154,12 @@ def noise_models(setup: Setup, levels: Conditions) -> Iterator[NoiseModel]:
         n_det = len(arrays[0].place)
         responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
         transmission = _transmission(setup, spectrum, arrays, responses)
-        parts = _map_parts(setup, levels, spectrum, arrays, responses)
+        correlations = _correlations(setup, recipe)
+        parts = _map_parts(setup, levels, spectrum, arrays, responses, correlations)
         yield NoiseModel(recipe.data_set, recipe, n_det, parts, transmission)
         if recipe is setup.recipes[0]:
             for name in setup.scene.score.simulated:
-                parts = _simulated_parts(setup, levels, spectrum, arrays, name)
+                parts = _simulated_parts(setup, levels, spectrum, arrays, correlations, name)
                 yield NoiseModel(name, recipe, n_det, parts, transmission)
 
 
@@ -206,33 +205,36 @@ def _arrays(setup: Setup, recipe: Recipe, levels: Conditions) -> list[Array]:
         raise SceneError(f"cleaning: {error}") from None
 
 
-def _correlations(setup: Setup, array: Array) -> tuple[np.ndarray | None, np.ndarray | None]:
+def _correlations(setup: Setup, recipe: Recipe) -> _Correlations:
     """Correlation of the shared photon noise and of the excess noise, this with responsivities; None without."""
-    place = np.column_stack([array.place.real, array.place.imag]) / setup.camera.f_lambda_rad
-    scene = setup.scene
-    lit = setup.camera.illumination
+    place, gain = setup.camera.positions_f_lambda[recipe.rows], setup.responsivity[recipe.rows]
+    scene, lit = setup.scene, setup.camera.illumination
     photon = correlation_matrix(place, scene.photon.coherence, lit) if scene.photon else None
     excess = None
     if scene.excess:
         excess = correlation_matrix(place, scene.excess.coherence, lit)
-        excess *= array.responsivity[:, None] * array.responsivity
+        excess *= gain[:, None] * gain
     return photon, excess
 
 
 def _map_parts(
-    setup: Setup, levels: Conditions, spectrum: _Spectrum, arrays: list[Array], responses: list[np.ndarray]
+    setup: Setup,
+    levels: Conditions,
+    spectrum: _Spectrum,
+    arrays: list[Array],
+    responses: list[np.ndarray],
+    correlations: _Correlations,
 ) -> _Parts:
     rate, modes = setup.raster.sample_rate_hz, spectrum.modes
     window, nodes = spectrum.window, spectrum.nodes_hz
     flat = window.sums(spectrum.weight_hz[None], nodes, spectrum.at_hz)
     red = window.sums(spectrum.excess[None], spectrum.excess_hz, spectrum.at_hz)
-    parts = []
+    parts, (photon, excess) = [], correlations
     for array, response in zip(arrays, responses, strict=True):
-        photon, excess = _correlations(setup, array)
-        white = matrix_power(array, response, None)
-        shared = white if photon is None else matrix_power(array, response, photon)
-        low = white if excess is None else matrix_power(array, response, excess)
-        own = matrix_power(array, response, np.diag(array.responsivity**2))
+        white = matrix_power(response, None)
+        shared = white if photon is None else matrix_power(response, photon)
+        low = white if excess is None else matrix_power(response, excess)
+        own = matrix_power(response * array.responsivity[:, None], None)
         parts.append([modes.mean(item) for item in (white * flat, shared * flat, own * red, low * red)])
     white, shared, own, low = np.mean(parts, axis=0) * rate / 2
     layer = _layer_noise(setup, levels, spectrum, arrays, responses)
@@ -296,7 +298,14 @@ def _between_motions(motion: np.ndarray, speed_rad_s: float, noise: Callable[[co
     return between
 
 
-def _simulated_parts(setup: Setup, levels: Conditions, spectrum: _Spectrum, arrays: list[Array], name: str) -> _Parts:
+def _simulated_parts(
+    setup: Setup,
+    levels: Conditions,
+    spectrum: _Spectrum,
+    arrays: list[Array],
+    correlations: _Correlations,
+    name: str,
+) -> _Parts:
     """Noise of the sets that take the measured PSDs of the cleaned streams: "uncorrelated" or "white"."""
     rate = setup.raster.sample_rate_hz
     seconds = spectrum.window.duration_s
@@ -318,11 +327,8 @@ def _simulated_parts(setup: Setup, levels: Conditions, spectrum: _Spectrum, arra
         """Bins of a two-sided PSD (n_line,) of the streams."""
         return spectrum.modes.mean(to_modes @ psd)
 
-    powers = []
-    for array in arrays:
-        photon, excess = _correlations(setup, array)
-        powers.append([stream_power(array, item) for item in (None, photon, excess)])
-    white, shared, low = np.mean(powers, axis=0)
+    # The cleaned streams' own power does not depend on how the array is turned.
+    white, shared, low = (stream_power(arrays[0], item) for item in (None, *correlations))
     flat = in_bins(hann.sums(spectrum.weight_hz[None] / 2, nodes, lines))
     red = in_bins(hann.sums(spectrum.excess[None] / 2, spectrum.excess_hz, lines))
     layer = _no_layer

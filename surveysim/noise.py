@@ -5,7 +5,6 @@ One-sided PSDs throughout; streams are (n_det, n_samp) float32 with whole scans 
 
 import numpy as np
 
-from mapmaker.geometry import fast_length
 from surveysim.sections import Excess
 
 
@@ -91,9 +90,11 @@ def add_excess(
 
     Drawn over twice the length of a scan, so that its end does not know of its beginning.
     """
+    from scipy.fft import next_fast_len
+
     n_det, n_samp = data_mk.shape
     per_scan = n_samp // n_scans
-    n = fast_length(2 * per_scan)
+    n = next_fast_len(2 * per_scan, real=True)
     psd = excess_psd(section, variance_mk2, per_scan, n, sample_rate_hz)
     streams = draw_from_psd(psd, (n_det, n_scans), n, sample_rate_hz, rng)[..., :per_scan]
     data_mk += factor.astype(np.float32) @ np.ascontiguousarray(streams).reshape(n_det, n_samp)

@@ -52,7 +52,7 @@ def draw_observation(setup: Setup, observation: int, watch: Stopwatch | None = N
     # Atmosphere, excess and sky are seen with each detector's own responsivity; the levels of photon and detector
     # noise are those at its output.
     data *= setup.responsivity[:, None].astype(data.dtype)
-    levels = observation_levels(setup, observation)
+    levels = _levels(setup, observation, weather)
     with watch("photon"):
         _add_photon(setup, observation, levels, data)
     with watch("detector"):
@@ -95,7 +95,10 @@ def observation_weather(setup: Setup, observation: int) -> Weather | None:
 
 def observation_levels(setup: Setup, observation: int) -> WhiteLevels:
     """Photon and detector noise of one observation, in its weather and at its elevation."""
-    weather = observation_weather(setup, observation)
+    return _levels(setup, observation, observation_weather(setup, observation))
+
+
+def _levels(setup: Setup, observation: int, weather: Weather | None) -> WhiteLevels:
     opacity = setup.water.opacity if setup.water else None
     elevation = float(setup.angles.elevation_rad[observation].mean())
     return white_levels(setup.scene, opacity, weather.pwv_mm if weather else np.nan, elevation)

@@ -1,7 +1,7 @@
 """What a run of a scene would do, take and leave behind, predicted from a few observations made here."""
 
+import math
 import os
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from time import process_time
@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from surveysim.coadds import CoAdds, add_observation, empty_coadds
 from surveysim.forecast import can_forecast
+from surveysim.memory import peak_bytes
 from surveysim.observation import observation_weather
 from surveysim.reduction import observe
 from surveysim.results import stages_left_out, survey_result
@@ -101,7 +102,9 @@ def _measure(setup: Setup) -> _Measured:
         add_observation(setup, coadds, replace(result, observation=0))
         adding_s, _ = _timed(add_observation, setup, coadds, replace(result, observation=1))
         scoring_s = _scoring(setup, coadds)
-    return _Measured(max(0.0, first_s - 2 * plain_s), plain_s, window_s, adding_s, scoring_s, _peak_bytes())
+    held = peak_bytes()
+    held = BASE_BYTES if math.isnan(held) else held
+    return _Measured(max(0.0, first_s - 2 * plain_s), plain_s, window_s, adding_s, scoring_s, held)
 
 
 def _scoring(setup: Setup, coadds: CoAdds) -> float:
@@ -122,16 +125,6 @@ def _windiest(setup: Setup) -> int:
         return 0
     weathers = [observation_weather(setup, observation) for observation in range(setup.scene.observations)]
     return int(np.argmax([weather.wind_speed_rad_s for weather in weathers]))
-
-
-def _peak_bytes() -> float:
-    """The most memory that this process has held."""
-    try:
-        import resource
-    except ImportError:  # not a Unix system
-        return BASE_BYTES
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return float(peak if sys.platform == "darwin" else peak * 1024)
 
 
 @dataclass(frozen=True)

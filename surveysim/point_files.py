@@ -11,7 +11,7 @@ from mapmaker.bandpower import BandPower, ErrorBudget
 from mapmaker.files import whole_file
 from mapmaker.window import Window
 from surveysim import __version__
-from surveysim.checkpoint import CheckpointError
+from surveysim.checkpoint import CheckpointError, check_origin
 from surveysim.scores import DataSetScore
 
 _OF_BAND, _OF_WINDOW = ("weight", "ell", "cumulative"), ("ell", "transmission", "error")
@@ -81,12 +81,7 @@ def load_point(path: Path, scene_hash: str) -> PointResult:
     except Exception as error:  # zip, npy and JSON readers raise a wide range for damaged bytes
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         raise CheckpointError(f"{path}: damaged ({reason}); delete it and go on with --resume") from None
-    for key, expected in (("version", __version__), ("scene", scene_hash)):
-        if found[key] != expected:
-            raise CheckpointError(
-                f"{path}: of another {key} (found {found[key][:12]}, expected {expected[:12]}); "
-                "run without --resume, or with --out elsewhere"
-            )
+    check_origin(path, found, scene_hash)
     return result
 
 

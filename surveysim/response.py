@@ -166,8 +166,8 @@ def projected_array(plane: FocalPlane, angle_rad: float, responsivity: np.ndarra
     return Array(place, responsivity, basis)
 
 
-def matrix_power(array: Array, response: np.ndarray, correlation: np.ndarray | None) -> np.ndarray:
-    """Power a^H K a / n_det (n_mode,) of streams of unit PSD with the correlation K (None: uncorrelated)."""
+def matrix_power(response: np.ndarray, correlation: np.ndarray | None) -> np.ndarray:
+    """Power a^H K a / n_det (n_mode,) of streams of unit PSD with the correlation K (None: none), a (n_det, n_mode)."""
     spread = response if correlation is None else correlation @ response
     return np.einsum("ij,ij->j", response.conj(), spread).real / len(response)
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from mapmaker.bandpower import ErrorBudget
 from surveysim.accuracy.records import MUCH_FASTER, MUCH_WORSE, Measured, Recommendation, Setting, Slope
-from surveysim.accuracy.runs import Mark, Run, Tasks, clocks, first_line, peak_mb
+from surveysim.accuracy.runs import Mark, Run, Tasks, clocks, first_line
+from surveysim.memory import peak_bytes
 from surveysim.recipes import ACTUAL
 from surveysim.scene import Scene
 from surveysim.scores import DataSetScore, error_modes
@@ -97,7 +98,7 @@ def forecast_row(scene: Scene, setting: Setting, reference_ukcmb2: float, refere
     wall, cpu = clocks() - between
     ratio = sigma / reference_ukcmb2
     start_s = max(0.0, float((between - before)[0] - wall))
-    spent = float(wall), float(cpu), start_s, peak_mb(), np.nan
+    spent = float(wall), float(cpu), start_s, peak_bytes() / 1e6, np.nan
     return Measured(setting, scene.observations, sigma, 0.0, ratio - 1, ratio * reference_error, *spent)
 
 

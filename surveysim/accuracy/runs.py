@@ -1,6 +1,5 @@
 """Settings run, each in a process, with their times and memory."""
 
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
@@ -12,6 +11,7 @@ import numpy as np
 from surveysim.accuracy.records import OF_SCREEN, Setting
 from surveysim.coadds import CoAdds
 from surveysim.engines import ordered_map
+from surveysim.memory import peak_bytes
 from surveysim.recipes import ACTUAL
 from surveysim.reduction import observe
 from surveysim.scene import Scene, SceneError, scene_hash
@@ -55,7 +55,7 @@ class Run:
 
 def run_task(task: Task) -> Run:
     """Run a scene in this process; one that can't be run has a note in place of marks."""
-    before, start = peak_mb(), perf_counter()
+    before, start = peak_bytes() / 1e6, perf_counter()
     try:
         setup = prepare(task.scene)
         observe(setup, 0, with_window=True)  # compiles, and makes factors: no part of the time an observation takes
@@ -63,7 +63,7 @@ def run_task(task: Task) -> Run:
         marks = _marks(setup, task.counts)
     except (ValueError, ArithmeticError, MemoryError) as error:
         return Run(note=f"refused: {first_line(error)}")
-    peak = peak_mb()
+    peak = peak_bytes() / 1e6
     return Run(marks, start_s, peak, peak - before)
 
 
@@ -91,16 +91,6 @@ def _marks(setup: Setup, counts: Sequence[int]) -> dict[int, Mark]:
 def clocks() -> np.ndarray:
     """Wall and CPU seconds of this process."""
     return np.array([perf_counter(), process_time()])
-
-
-def peak_mb() -> float:
-    """The most memory that this process has held since it began; NaN where the system does not say."""
-    try:
-        import resource
-    except ImportError:
-        return np.nan
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
 
 
 def first_line(error: BaseException) -> str:

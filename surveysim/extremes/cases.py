@@ -187,7 +187,7 @@ def _geometry_cases() -> list[Case]:
     return cases
 
 
-def _other_cases() -> list[Case]:
+def _stream_cases() -> list[Case]:
     pitch, twice = hexagon(15, 2e-4), np.repeat(hexagon(2, 2e-4), 2, axis=0)
     cases = [
         Case(
@@ -221,6 +221,11 @@ def _other_cases() -> list[Case]:
             partial(streams.pairs, places=twice),
             refusal="in one place",
         ),
+    ]
+
+
+def _map_cases() -> list[Case]:
+    return [
         Case("map with unhit pixels", "0 where nothing was seen", streams.unhit),
         Case("likelihood map under 1e6", "a common mode weighs nothing, however strong", streams.likelihood_map),
         Case(
@@ -267,5 +272,6 @@ CASES: tuple[Case, ...] = (
     *_strength_cases(),
     *_size_cases(),
     *_geometry_cases(),
-    *_other_cases(),
+    *_stream_cases(),
+    *_map_cases(),
 )

@@ -143,7 +143,7 @@ def test_forecast_of_the_common_mode_is_the_lattice_s(scene_of):
     array = projected_array(cam.focal_plane, 0.3, np.ones(len(cam.focal_plane.x_rad)), "none")
     correlation = correlation_matrix(cam.positions_f_lambda, "intensity")
     response = array.response(np.array([1.0 + 0.5j]))
-    ratio = matrix_power(array, response, correlation) / matrix_power(array, response, None)
+    ratio = matrix_power(response, correlation) / matrix_power(response, None)
     assert ratio[0] == pytest.approx(correlation.sum() / len(correlation), rel=1e-4)
     assert ratio[0] == pytest.approx(1 + lattice_sum(0.7, "intensity"), rel=0.08)  # of 469 detectors, 72 at the edge
 

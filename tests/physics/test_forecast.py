@@ -141,7 +141,7 @@ def test_excess_in_a_mode_is_that_of_drawn_streams(algorithm):
     step = RATE / (2 * SAMPLES)
     line = step * np.arange(1, SAMPLES + 1)
     both, strength = np.concatenate([-line, line]), np.tile(psd * step, 2)[None]
-    power = matrix_power(scans.array, scans.response, correlation * np.outer(scans.gain, scans.gain))
+    power = matrix_power(scans.response, correlation * np.outer(scans.gain, scans.gain))
     expected = power * scans.window.sums(strength, both, scans.at_hz) * RATE / 2
     np.testing.assert_allclose(found, expected, rtol=four_sigma(draws) + 0.02)
 
@@ -158,7 +158,7 @@ def test_photon_noise_in_a_mode_is_that_of_drawn_streams(coherence):
     found = scans.power(data.astype(float).reshape(19, draws, SAMPLES))
     frequency, step = np.linspace(-RATE, RATE, 16_001, retstep=True)
     flat = np.full((1, len(frequency)), 2.5 * step)
-    expected = matrix_power(scans.array, scans.response, correlation) * RATE / 2
+    expected = matrix_power(scans.response, correlation) * RATE / 2
     expected *= scans.window.sums(flat, frequency, scans.at_hz)
     np.testing.assert_allclose(found, expected, rtol=four_sigma(draws) + 0.02)
 

@@ -209,7 +209,7 @@ def test_powers_are_those_of_dense_matrices():
     response = array.response(wave)
     for given, dense in ((None, np.eye(19)), (matrix, matrix)):
         expected = [(e.conj() @ left @ dense @ left.T @ e).real / 19 for e in array.seen(wave).T]
-        np.testing.assert_allclose(matrix_power(array, response, given), expected, rtol=1e-9)
+        np.testing.assert_allclose(matrix_power(response, given), expected, rtol=1e-9)
         assert stream_power(array, given) == pytest.approx(np.trace(left @ dense @ left.T) / 19, rel=1e-12)
 
 

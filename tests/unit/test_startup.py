@@ -6,11 +6,9 @@ import sys
 import numpy as np
 import pytest
 from astropy.table import Table
-from scipy.fft import next_fast_len
 from scipy.spatial.distance import pdist
 
 from mapmaker.files import write_ecsv
-from mapmaker.geometry import fast_length
 from surveysim.instrument import closest_pair, hexagon
 from tests.scenes import WHITE_NOISE_SCENE
 
@@ -52,10 +50,6 @@ def test_white_noise_is_run_and_written_without_what_it_does_not_need(tmp_path):
     assert (tmp_path / "out" / "summary.json").exists()
     assert (tmp_path / "out" / "maps" / "actual.fits").exists()
     assert Table.read(tmp_path / "out" / "tables" / "observations.ecsv")["observation"].tolist() == [0, 1, 2, 3]
-
-
-def test_fast_lengths_are_those_of_scipy():
-    assert [fast_length(n) for n in range(1, 5000)] == [next_fast_len(n, real=True) for n in range(1, 5000)]
 
 
 @pytest.mark.parametrize("n", [2, 3, 10, 300])
