@@ -10,6 +10,8 @@ _PUBLIC = {
     "SceneError": "surveysim.scene",
     "simulate_observation": "surveysim.api",
     "run": "surveysim.api",
+    "Engine": "surveysim.engines",
+    "EngineError": "surveysim.engines",
     "load_sweep": "surveysim.sweep",
     "run_sweep": "surveysim.api",
 }

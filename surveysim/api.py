@@ -1,6 +1,5 @@
 """The Python interface: the same that the command line does."""
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
@@ -9,7 +8,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mapmaker.timestreams import Timestreams
+from surveysim.checkpoint import NAME
 from surveysim.coadds import CoAdds
+from surveysim.engines import SERIAL, Engine
 from surveysim.observation import draw_observation
 from surveysim.outputs import remove_outputs, write_outputs, write_sweep
 from surveysim.point_files import remove_points
@@ -21,6 +22,7 @@ from surveysim.survey import run_observations
 from surveysim.sweep import Sweep, load_sweep
 from surveysim.trade import SweepResult, compare_forecasts, compare_runs, forecast_points, run_points
 
+PROCESSES = Engine()
 DRAWS_SEED = 0  # of the draws that say how sure the best point of a sweep is
 
 
@@ -38,7 +40,7 @@ def simulate_observation(scene: Scene, observation: int) -> Timestreams:
 def run(
     scene: Scene,
     out: str | Path | None = None,
-    workers: int | None = None,
+    engine: Engine = PROCESSES,
     resume: bool = False,
     save_timestreams: bool = False,
     figures: bool = True,
@@ -48,22 +50,23 @@ def run(
 ) -> SurveyResult:
     """Run a scene and, with `out`, write its results there in place of an earlier run's.
 
-    `workers` is one a core by default; results do not depend on it. Workers import the calling script, which
-    therefore needs the usual ``if __name__ == "__main__":``. With `out`, finished work is kept in
-    `out/checkpoint.npz` until the results are written; `resume` goes on from there.
+    The `engine` is one process a core by default; results do not depend on it. Processes of this machine import the
+    calling script, which therefore needs the usual ``if __name__ == "__main__":``. With `out`, finished work is kept in
+    `out/checkpoint.h5` until the results are written; `resume` goes on from there.
 
     The run stops early where the relative error of sigma(A) of the actual data, by the forecast as control variate
     if there is one, is no more than `target_error`, or once `time_budget_s` is spent. What is scored is then the whole
     survey, judged by a part of it, and the checkpoint is kept: a later run with `resume` and other limits or none goes
     on and ends with the same bits as one that never stopped. Raises SceneError when the scene can't be run,
-    ValueError for limits that make no sense and CheckpointError for a checkpoint that does not belong to the scene.
+    ValueError for limits that make no sense, CheckpointError for a checkpoint that does not belong to the scene and
+    EngineError when the engine can't go on.
     """
-    workers = min(_workers(workers), scene.observations)
     start, limits = perf_counter(), Limits(target_error, time_budget_s)
     setup = prepare(scene)
     check_limits(setup, limits)
+    workers = engine.workers_for(scene.observations)
     directory = None if out is None else Path(out)
-    checkpoint = None if directory is None else directory / "checkpoint.npz"
+    checkpoint = None if directory is None else directory / NAME
     if save_timestreams and directory is None:
         raise ValueError("save_timestreams: found no output directory; one is expected")
     if directory is not None and not resume:
@@ -71,13 +74,13 @@ def run(
     coadds = run_observations(
         setup,
         checkpoint,
-        workers=workers,
+        engine=engine,
         resume=resume,
         timestream_dir=directory / "timestreams" if save_timestreams else None,
         progress=progress,
         stops=stopping_rule(setup, limits, start),
     )
-    result = survey_result(setup, coadds, perf_counter() - start, workers, limits)
+    result = survey_result(setup, coadds, perf_counter() - start, workers, limits, engine.kind)
     if directory is not None:
         if resume:  # until here they were those of a run that was stopped early, if any
             remove_outputs(directory, with_timestreams=not save_timestreams)
@@ -90,30 +93,32 @@ def run(
 def run_sweep(
     sweep: Sweep | str | Path,
     out: str | Path | None = None,
-    workers: int | None = None,
+    engine: Engine = PROCESSES,
     resume: bool = False,
     figures: bool = True,
     progress: Callable[[int], None] = lambda done: None,
 ) -> SweepResult:
     """Run every point of a sweep (of a scene file with [sweep]) and compare them.
 
-    `workers`, one a core by default, take a point each; results do not depend on them, and the calling script needs
-    the usual ``if __name__ == "__main__":``. With `out`, results are written there in place of an earlier run's, and
-    what is done is kept in `out/points` until then; `resume` goes on from there. `progress` is told how many points
-    are done. Raises SceneError for a point that can't be run and CheckpointError for files of other scenes.
+    The workers of the `engine`, one process a core by default, take a point each; results do not depend on them, and
+    the calling script needs the usual ``if __name__ == "__main__":``. With `out`, results are written there in place
+    of an earlier run's, and what is done is kept in `out/points` until then; `resume` goes on from there. `progress`
+    is told how many points are done. Raises SceneError for a point that can't be run, CheckpointError for files of
+    other scenes and EngineError when the engine can't go on.
     """
-    workers, start = _workers(workers), perf_counter()
+    start = perf_counter()
     sweep = sweep if isinstance(sweep, Sweep) else load_sweep(sweep)
+    workers = engine.workers_for(len(sweep.points))
     directory = None if out is None else Path(out)
     kept = None if directory is None else directory / "points"
     if directory is not None and not resume:
         remove_outputs(directory)
         remove_points(kept)
-    points = run_points(sweep, kept, workers, resume, progress)
+    points = run_points(sweep, kept, engine, resume, progress)
     with threadpool_limits(1):  # the same bits on any machine
         comparison = compare_runs(points, np.random.default_rng(DRAWS_SEED))
     seconds = perf_counter() - start
-    result = SweepResult(sweep, points, comparison, True, seconds, min(workers, len(points)))
+    result = SweepResult(sweep, points, comparison, True, seconds, workers, engine.kind)
     if directory is not None:
         write_sweep(directory, result, figures)
         remove_points(kept)
@@ -130,19 +135,8 @@ def forecast_sweep(
     start = perf_counter()
     sweep = sweep if isinstance(sweep, Sweep) else load_sweep(sweep)
     points = forecast_points(sweep, progress)
-    result = SweepResult(sweep, points, compare_forecasts(points), False, perf_counter() - start, 1)
+    result = SweepResult(sweep, points, compare_forecasts(points), False, perf_counter() - start, 1, SERIAL.kind)
     if out is not None:
         remove_outputs(Path(out))
         write_sweep(Path(out), result, figures)
     return result
-
-
-def _workers(workers: int | None) -> int:
-    if workers is not None and workers < 1:
-        raise ValueError(f"workers: found {workers}; 1 or more is expected")
-    return workers or default_workers()
-
-
-def default_workers() -> int:
-    """One worker a core that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -24,6 +24,7 @@ from surveysim.interrupts import (
 from surveysim.scene import Scene, SceneError, load_scene
 
 if TYPE_CHECKING:
+    from surveysim.engines import Engine
     from surveysim.sweep import Sweep
 
 app = typer.Typer(
@@ -34,7 +35,11 @@ app = typer.Typer(
 )
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="a scene file (TOML)")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override one key")]
-Workers = Annotated[int | None, typer.Option(help="worker processes; one a core by default")]
+Workers = Annotated[int | None, typer.Option(help="worker processes on this machine; one a core by default")]
+Kind = Annotated[str, typer.Option("--engine", help="what runs observations: serial, processes or dask")]
+Scheduler = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="of a dask cluster: tcp://host:port, or its scheduler's file")
+]
 NoFigures = Annotated[bool, typer.Option("--no-figures", help="leave the figures out")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
 
@@ -45,6 +50,8 @@ def run(
     scene: SceneFile,
     out: Annotated[Path | None, typer.Option(help="where results go; outputs/<name> by default")] = None,
     workers: Workers = None,
+    engine: Kind = "processes",
+    scheduler: Scheduler = None,
     resume: Annotated[bool, typer.Option("--resume", help="go on from the checkpoint in the output")] = False,
     save_timestreams: Annotated[
         bool, typer.Option("--save-timestreams", help="write every observation to HDF5")
@@ -60,20 +67,21 @@ def run(
     quiet: Quiet = False,
 ) -> None:
     """Simulate, clean, map and score a scene, or every point of its sweep."""
-    workers = options.worker_count(workers)
+    with_engine = options.engine(engine, workers, scheduler)
     if sweep := _sweep(scene, settings):
         _refuse_for_sweep(scene, save_timestreams, target_error, time_budget)
-        _run_sweep(sweep, out, workers, resume, not no_figures, quiet)
+        _run_sweep(sweep, out, with_engine, resume, not no_figures, quiet)
         return
     limits = options.run_limits(target_error, time_budget)
     checked = _ready(scene, settings)
     if limits.target_error is not None and checked.score is None:
         _fail(f"{scene}: --target-error: found no [score]; the error is one of sigma(A), which needs it")
+    from surveysim.checkpoint import NAME as CHECKPOINT
     from surveysim.outputs import check_writable
 
     directory = out or Path("outputs") / checked.name
     check_writable(directory)
-    if resume and not quiet and not (directory / "checkpoint.npz").exists():
+    if resume and not quiet and not (directory / CHECKPOINT).exists():
         typer.echo(f"no checkpoint in {directory}: starting with the first observation", err=True)
     from surveysim.api import run as run_scene
     from surveysim.progress import progress_display, score_so_far
@@ -81,7 +89,7 @@ def run(
 
     with going_on_later(scene, directory), progress_display(checked.name, checked.observations, quiet) as show:
         progress = stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds)))
-        todo = (checked, directory, workers, resume, save_timestreams, not no_figures, progress)
+        todo = (checked, directory, with_engine, resume, save_timestreams, not no_figures, progress)
         result = run_scene(*todo, limits.target_error, limits.time_budget_s)
     if not quiet:
         print_result(result, directory)
@@ -98,7 +106,7 @@ def _refuse_for_sweep(scene: Path, save_timestreams: bool, target_error: str | N
             _fail(f"{scene}: {option}: found a sweep, {reason}; a scene without [sweep] is expected")
 
 
-def _run_sweep(sweep: "Sweep", out: Path | None, workers: int, resume: bool, figures: bool, quiet: bool) -> None:
+def _run_sweep(sweep: "Sweep", out: Path | None, engine: "Engine", resume: bool, figures: bool, quiet: bool) -> None:
     from surveysim.outputs import check_writable
 
     directory = out or Path("outputs") / sweep.name
@@ -111,7 +119,7 @@ def _run_sweep(sweep: "Sweep", out: Path | None, workers: int, resume: bool, fig
 
     total = len(sweep.points)
     with going_on_later(sweep.path, directory), progress_display(sweep.name, total, quiet, "points") as show:
-        result = run_sweep(sweep, directory, workers, resume, figures, stopping(lambda done: show(done, lambda: "")))
+        result = run_sweep(sweep, directory, engine, resume, figures, stopping(lambda done: show(done, lambda: "")))
     if not quiet:
         print_sweep(result, directory)
 
@@ -165,6 +173,8 @@ def accuracy(
     extremes: Annotated[bool, typer.Option("--extremes", help="run the suite of extreme cases instead")] = False,
     out: Annotated[Path | None, typer.Option(help="where results go; outputs/<name>_accuracy by default")] = None,
     workers: Workers = None,
+    engine: Kind = "processes",
+    scheduler: Scheduler = None,
     reference_error: Annotated[
         float, typer.Option(metavar="ERROR", min=1e-4, help="how well the reference should be known, relative")
     ] = 0.01,
@@ -175,7 +185,7 @@ def accuracy(
     quiet: Quiet = False,
 ) -> None:
     """Measure what each knob that trades accuracy for time gives and takes, or what comes out of extreme cases."""
-    workers = options.worker_count(workers)
+    with_engine = options.engine(engine, workers, scheduler)
     if extremes == (scene is not None):
         _fail("accuracy: found both SCENE and --extremes, or none; one of them is expected")
     if extremes:
@@ -196,7 +206,7 @@ def accuracy(
     with going_on_later(scene, directory), progress_display(checked.name, most, quiet, "runs") as show:
         progress = stopping(lambda done, total: show(done, lambda: ""))
         given = options.settings(settings)
-        result = measure_accuracy(scene, given, workers, reference_error, seeds, observations, progress)
+        result = measure_accuracy(scene, given, with_engine, reference_error, seeds, observations, progress)
     write_accuracy(result, directory, not no_figures)
     if not quiet:
         print_accuracy(result, directory)
@@ -225,11 +235,12 @@ def _run_extremes(directory: Path, quiet: bool) -> bool:
 @says_interrupted
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
     """Say what would run, what is left out, and what time, memory and disk it would take."""
+    from surveysim.engines import default_workers
     from surveysim.plan import make_plan, make_sweep_plan
     from surveysim.report.text import print_plan, print_sweep_plan
     from surveysim.setup import prepare
 
-    workers = options.worker_count(workers)
+    workers = options.engine("processes", workers, None).workers or default_workers()
     if sweep := _sweep(scene, settings):
         print_sweep_plan(sweep, make_sweep_plan(sweep, workers, process_time()), workers)
         return
@@ -247,15 +258,17 @@ def paper(
     scenarios: Annotated[Path, typer.Option(help="folder of the scenes")] = Path("scenarios"),
     observations: Annotated[int | None, typer.Option(help="at most so many a scene, for a quick look")] = None,
     workers: Workers = None,
+    engine: Kind = "processes",
+    scheduler: Scheduler = None,
     settings: Overrides = None,
     quiet: Quiet = False,
 ) -> None:
     """Make the paper's tables and figures from simulated observations, beside the paper's values."""
-    from surveysim.engines import WorkerLostError
+    from surveysim.engines import EngineError
     from surveysim.progress import progress_display
     from surveysim.reproduce import FIGURES, TABLES, reproduce, wanted
 
-    workers = options.worker_count(workers)
+    with_engine = options.engine(engine, workers, scheduler)
     tables = options.numbers("--table", table, TABLES, everything)
     figures = options.numbers("--figure", figure, FIGURES, everything)
     if not tables and not figures:
@@ -267,9 +280,9 @@ def paper(
     done = count(1)
     try:
         with progress_display("paper", asked.observations, quiet) as show:
-            written, failed = reproduce(asked, out, workers, stopping(lambda: show(next(done), lambda: "")))
-    except WorkerLostError:
-        typer.echo("a worker process is gone, perhaps killed for want of memory", err=True)
+            written, failed = reproduce(asked, out, with_engine, stopping(lambda: show(next(done), lambda: "")))
+    except EngineError as error:
+        typer.echo(str(error), err=True)
         raise typer.Exit(EXIT_FAILED) from None
     except (ValueError, ArithmeticError) as error:
         if isinstance(error, SceneError):

@@ -71,7 +71,7 @@ def stopping(show: Callable[..., None]) -> Callable[..., None]:
 def going_on_later(scene: Path, directory: Path) -> Iterator[None]:
     """End with one line where a run stops: why, and how to go on if anything is kept in `directory`."""
     from surveysim.checkpoint import CheckpointError
-    from surveysim.engines import WorkerLostError
+    from surveysim.engines import EngineError
 
     try:
         yield
@@ -79,8 +79,8 @@ def going_on_later(scene: Path, directory: Path) -> Iterator[None]:
         raise SceneError(str(error)) from None
     except KeyboardInterrupt:
         _stopped("interrupted", directory, EXIT_INTERRUPTED)
-    except WorkerLostError:
-        _stopped("a worker process is gone, perhaps killed for want of memory", directory, EXIT_FAILED)
+    except EngineError as error:
+        _stopped(str(error), directory, EXIT_FAILED)
     except OSError as error:
         _stopped(cause(error), directory, EXIT_FAILED)
     except (ValueError, ArithmeticError) as error:
@@ -89,7 +89,7 @@ def going_on_later(scene: Path, directory: Path) -> Iterator[None]:
 
 def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
     """Say why a run stopped and how to go on; leave no half-written file."""
-    for pattern in ("timestreams/*.h5.part", "points/*.npz.part"):  # of workers that were killed
+    for pattern in ("timestreams/*.h5.part", "points/*.part"):  # of workers that were killed
         for partial in directory.glob(pattern):
             partial.unlink(missing_ok=True)
     hint = f"; go on with --resume --out {directory}" if kept(directory) else ""
@@ -99,7 +99,9 @@ def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
 
 def kept(directory: Path) -> bool:
     """Whether there is anything that a run could go on from."""
-    return (directory / "checkpoint.npz").exists() or any(directory.glob("points/*.npz"))
+    from surveysim.checkpoint import NAME
+
+    return (directory / NAME).exists() or any(directory.glob("points/*.npz"))
 
 
 def cause(error: OSError) -> str:

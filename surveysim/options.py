@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 from surveysim.scene import SceneError
 
 if TYPE_CHECKING:
+    from surveysim.engines import Engine
     from surveysim.stopping import Limits
 
 
@@ -35,13 +36,14 @@ def numbers(option: str, given: list[int] | None, there: tuple[int, ...], everyt
     return [number for number in there if everything or number in (given or ())]
 
 
-def worker_count(workers: int | None) -> int:
-    """How many worker processes: one a core by default."""
-    from surveysim.api import default_workers
+def engine(kind: str, workers: int | None, scheduler: str | None) -> "Engine":
+    """What runs observations: by its kind, number of workers and scheduler."""
+    from surveysim.engines import Engine
 
-    if workers is not None and workers < 1:
-        raise SceneError(f"--workers: found {workers}; 1 or more is expected")
-    return workers or default_workers()
+    try:
+        return Engine(kind, workers, scheduler)
+    except ValueError as error:
+        raise SceneError(f"--{error}") from None
 
 
 def run_limits(target_error: str | None, time_budget: str | None) -> "Limits":

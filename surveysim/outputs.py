@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 DIRECTORIES = ("tables", "maps", "figures", "timestreams", "points")
-FILES = ("summary.json", "scene.json", "checkpoint.npz", "sweep.ecsv", "forecast.ecsv")
+FILES = ("summary.json", "scene.json", "checkpoint.h5", "sweep.ecsv", "forecast.ecsv")
 
 
 @dataclass(frozen=True)
@@ -297,6 +297,7 @@ def sweep_summary(result: SweepResult) -> dict[str, Any]:
         "best": list(comparison.best),
         "points": points,
         "run": {
+            "engine": result.engine,
             "workers": result.workers,
             "wall_s": result.wall_s,
             "point_s": [item.wall_s for item in result.points],

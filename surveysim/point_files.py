@@ -41,7 +41,7 @@ def point_file(directory: Path, number: int) -> Path:
 
 def point_checkpoint(directory: Path, number: int) -> Path:
     """Where a point under way is kept."""
-    return directory / f"{number:03d}.checkpoint.npz"
+    return directory / f"{number:03d}.checkpoint.h5"
 
 
 def finished_points(directory: Path) -> dict[int, Path]:
@@ -51,7 +51,7 @@ def finished_points(directory: Path) -> dict[int, Path]:
 
 def remove_points(directory: Path) -> None:
     """Remove the files of points, half-written ones too, and the folder if nothing else is in it."""
-    for path in directory.glob("[0-9][0-9][0-9]*.npz*"):
+    for path in (*directory.glob("[0-9][0-9][0-9].npz*"), *directory.glob("[0-9][0-9][0-9].checkpoint.h5*")):
         path.unlink(missing_ok=True)
     if directory.is_dir() and not any(directory.iterdir()):
         directory.rmdir()

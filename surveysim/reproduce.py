@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mapmaker.files import whole_file
 from surveysim.atmosphere.fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV
+from surveysim.engines import Engine
 from surveysim.paper.campaign import MeasuredSurvey, measure_survey
 from surveysim.scene import Scene, SceneError, load_scene
 from surveysim.setup import prepare
@@ -177,7 +178,7 @@ def _check(path: Path, scene: Scene, first: Scene) -> None:
 
 
 def reproduce(
-    asked: Wanted, out: Path, workers: int, progress: Callable[[], None] = lambda: None
+    asked: Wanted, out: Path, engine: Engine, progress: Callable[[], None] = lambda: None
 ) -> tuple[list[Path], list[str]]:
     """Make what is asked for below `out`, each as soon as its observations are measured.
 
@@ -189,25 +190,25 @@ def reproduce(
     for band in (None, *asked.scenes):
         makers = []
         if band is not None:
-            surveys[band] = measure_survey(asked.scenes[band], workers, progress)
+            surveys[band] = measure_survey(asked.scenes[band], engine, progress)
             makers.append((f"{band} GHz", partial(_write_measurements, out, band, surveys[band])))
         ready = [name for name in left if set(_NEEDS[name]) <= set(surveys)]
         left = [name for name in left if name not in ready]
         makers += [(name, partial(_write, name, out, surveys, asked.model)) for name in ready]
         _make(makers, written, failed)
     for need, scene in asked.runs.items():
-        makers = _run_makers([name for name in left if _NEEDS[name] == (need,)], out, scene, workers, progress)
+        makers = _run_makers([name for name in left if _NEEDS[name] == (need,)], out, scene, engine, progress)
         _make(makers, written, failed)
     return written, failed
 
 
 def _run_makers(
-    names: list[str], out: Path, scene: Scene, workers: int, progress: Callable[[], None]
+    names: list[str], out: Path, scene: Scene, engine: Engine, progress: Callable[[], None]
 ) -> list[tuple[str, Callable[[], list[Path]]]]:
     """What makes the items of one run, which the first of them starts."""
     from surveysim.api import run
 
-    result = cache(lambda: run(scene, workers=workers, progress=lambda coadds: progress()))
+    result = cache(lambda: run(scene, engine=engine, progress=lambda coadds: progress()))
     return [(name, partial(_write_scored, name, out, result)) for name in names]
 
 

@@ -12,6 +12,7 @@ from surveysim import __version__
 from surveysim.choice import TARGETS, best_places
 from surveysim.coadds import CoAdds, row_names
 from surveysim.control import Controlled, controlled_scores
+from surveysim.engines import SERIAL
 from surveysim.forecast import DataSetForecast, Forecast, can_forecast, forecast
 from surveysim.recipes import ACTUAL, Recipe
 from surveysim.scan import samples_per_scan
@@ -79,6 +80,7 @@ class SurveyResult:
     unscored: str
     controlled: dict[str, Controlled]
     limits: Limits
+    engine: str
 
     @property
     def estimate(self) -> Estimate | None:
@@ -97,7 +99,12 @@ class SurveyResult:
 
 
 def survey_result(
-    setup: Setup, coadds: CoAdds, wall_s: float, workers: int, limits: Limits = UNLIMITED
+    setup: Setup,
+    coadds: CoAdds,
+    wall_s: float,
+    workers: int,
+    limits: Limits = UNLIMITED,
+    engine: str = SERIAL.kind,
 ) -> SurveyResult:
     """Score what was summed; a survey that can't be scored keeps its maps and says why."""
     scores, ratios, others, removed, unscored = {}, {}, [], {}, ""
@@ -111,7 +118,7 @@ def survey_result(
     expected = _forecast(setup) if scores else None
     controlled = controlled_scores(setup, coadds, scores)
     found = scores, ratios, others, removed, expected
-    return SurveyResult(setup, coadds, *found, wall_s, workers, unscored, controlled, limits)
+    return SurveyResult(setup, coadds, *found, wall_s, workers, unscored, controlled, limits, engine)
 
 
 def _forecast(setup: Setup) -> Forecast | None:
@@ -284,6 +291,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         if result.fine_cost:
             content["fine_answer"] = vars(result.fine_cost)
     content["run"] = {
+        "engine": result.engine,
         "workers": result.workers,
         "wall_s": result.wall_s,
         "stage_s": coadds.seconds,

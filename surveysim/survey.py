@@ -8,12 +8,13 @@ from time import monotonic
 from mapmaker.timestreams import write_timestreams
 from surveysim.checkpoint import load_checkpoint, save_checkpoint
 from surveysim.coadds import CoAdds, add_observation, empty_coadds
-from surveysim.engines import held_back_signals, ordered_map
+from surveysim.engines import SERIAL, Engine, held_back_signals, ordered_map
 from surveysim.reduction import ObservationResult, observe
 from surveysim.scene import Scene, scene_hash
 from surveysim.setup import Setup, prepare, window_observations
 
-CHECKPOINT_SECONDS = 10.0
+CHECKPOINT_SECONDS = 10.0  # between checkpoints
+CHECKPOINT_SHARE = 0.05  # of the time at most goes into them
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class ObservationJob:
 def run_observations(
     setup: Setup,
     checkpoint: Path | None,
-    workers: int = 1,
+    engine: Engine = SERIAL,
     resume: bool = False,
     timestream_dir: Path | None = None,
     progress: Callable[[CoAdds], None] = lambda coadds: None,
@@ -48,40 +49,60 @@ def run_observations(
     """Run all observations of a scene, or as many as it takes until `stops`, and add them up in order.
 
     `progress` is called after each; whether it `stops` is asked after each and before the first. With a `checkpoint`
-    path, the sums are written there every few seconds, at the end, and when the run is interrupted or fails
+    path, the sums are written there every few seconds, and when the run is stopped, interrupted or fails
     (KeyboardInterrupt and errors pass on); with `resume`, they are taken up from there. Raises CheckpointError for one
-    that does not belong to the scene, and WorkerLostError when a worker process is gone.
+    that does not belong to the scene, and EngineError when the engine can't go on.
     """
     identity = scene_hash(setup.scene)
     coadds = empty_coadds(setup)
     if resume and checkpoint is not None and checkpoint.exists():
         coadds = load_checkpoint(checkpoint, identity)
+    keeper = _Keeper(checkpoint, identity, coadds.done)
     left = () if stops(coadds) else range(coadds.done, setup.scene.observations)
-    results = ordered_map(ObservationJob(setup.scene, timestream_dir), left, workers)
-    saved, saved_done = monotonic(), coadds.done
+    # Workers elsewhere may have another working directory.
+    streams = None if timestream_dir is None else timestream_dir.absolute()
+    results = ordered_map(ObservationJob(setup.scene, streams), left, engine)
     try:
         for result in results:
             # An observation is in the sums whole or not at all: a checkpoint may be made of them any time.
             with held_back_signals():
                 add_observation(setup, coadds, result)
             progress(coadds)
-            if checkpoint is not None and monotonic() - saved > CHECKPOINT_SECONDS:
-                save_checkpoint(checkpoint, coadds, identity)
-                saved, saved_done = monotonic(), coadds.done
+            keeper.save_if_due(coadds)
             if stops(coadds):
                 break
-        if checkpoint is not None and coadds.done > saved_done:
-            save_checkpoint(checkpoint, coadds, identity)  # until the results are written
-            saved_done = coadds.done
     except BaseException:
-        if checkpoint is not None and coadds.done > saved_done:
-            save_checkpoint(checkpoint, coadds, identity)
+        keeper.save(coadds)
         raise
     finally:
         results.close()
-    if timestream_dir is not None and coadds.done < setup.scene.observations:
-        _drop_streams(timestream_dir, coadds.done)
+    if coadds.done < setup.scene.observations:
+        keeper.save(coadds)
+        if timestream_dir is not None:
+            _drop_streams(timestream_dir, coadds.done)
     return coadds
+
+
+class _Keeper:
+    """Saves the sums of a run to its checkpoint, if it has one: often, but for a small share of the time."""
+
+    def __init__(self, path: Path | None, scene_hash: str, done: int):
+        self.path, self.scene_hash, self.done = path, scene_hash, done
+        self.due = monotonic() + CHECKPOINT_SECONDS
+
+    def save_if_due(self, coadds: CoAdds) -> None:
+        """Save after some seconds: so much work is done again at most when a run is killed."""
+        if monotonic() >= self.due:
+            self.save(coadds)
+
+    def save(self, coadds: CoAdds) -> None:
+        """Save unless what is done has been saved already."""
+        if self.path is None or coadds.done == self.done:
+            return
+        start = monotonic()
+        save_checkpoint(self.path, coadds, self.scene_hash)
+        self.done, end = coadds.done, monotonic()
+        self.due = end + max(CHECKPOINT_SECONDS, (end - start) / CHECKPOINT_SHARE)
 
 
 def _drop_streams(directory: Path, done: int) -> None:

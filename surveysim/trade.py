@@ -10,7 +10,7 @@ import numpy as np
 
 from surveysim.checkpoint import CheckpointError
 from surveysim.coadds import CoAdds
-from surveysim.engines import ordered_map
+from surveysim.engines import Engine, ordered_map
 from surveysim.point_files import PointResult, finished_points, load_point, point_checkpoint, point_file, save_point
 from surveysim.recipes import ACTUAL
 from surveysim.scene import scene_hash
@@ -53,6 +53,7 @@ class SweepResult:
     simulated: bool
     wall_s: float
     workers: int
+    engine: str
 
 
 @dataclass(frozen=True)
@@ -93,18 +94,20 @@ def _scored(setup: Setup, coadds: CoAdds) -> tuple[dict[str, DataSetScore], str]
 def run_points(
     sweep: Sweep,
     directory: Path | None,
-    workers: int,
+    engine: Engine,
     resume: bool,
     progress: Callable[[int], None],
 ) -> tuple[PointResult, ...]:
-    """Run all points, several at a time, each in one process; `progress` is told how many are done.
+    """Run all points, several at a time, each by one worker; `progress` is told how many are done.
 
     Points are kept in `directory`, finished or not, and taken up from there with `resume`. Raises CheckpointError
-    for files of other scenes, WorkerLostError when a worker process is gone, ValueError when a point fails.
+    for files of other scenes, EngineError when the engine can't go on, ValueError when a point fails.
     """
     found = _kept(sweep, directory) if resume and directory is not None else {}
     missing = [point for point in sweep.points if point.number not in found]
-    results = ordered_map(PointJob(directory, resume), missing, min(workers, max(1, len(missing))))
+    # Workers elsewhere may have another working directory.
+    kept = None if directory is None else directory.absolute()
+    results = ordered_map(PointJob(kept, resume), missing, engine)
     try:
         for point in missing:
             found[point.number] = next(results)

@@ -20,6 +20,7 @@ from surveysim.accuracy.comparison import (
 from surveysim.accuracy.ladders import ladders, sub_survey
 from surveysim.accuracy.records import MOST_SEEDS, REFERENCE_ERROR, SUB_SURVEY, TOLERATED, AccuracyResult
 from surveysim.accuracy.runs import Task, run_all, seeds_wanted, tasks
+from surveysim.engines import SERIAL, Engine
 from surveysim.scene import SceneError, load_scene
 from surveysim.setup import prepare
 
@@ -27,7 +28,7 @@ from surveysim.setup import prepare
 def measure_accuracy(
     path: Path,
     overrides: Mapping[str, Any] | None = None,
-    workers: int = 1,
+    engine: Engine = SERIAL,
     reference_error: float = REFERENCE_ERROR,
     seeds: int = MOST_SEEDS,
     observations: int = SUB_SURVEY,
@@ -37,7 +38,7 @@ def measure_accuracy(
 
     Whole surveys are run with up to `seeds` seeds, until their mean is known to the relative `reference_error`; the
     other ladders have at most so many `observations`. Raises SceneError for a scene that can't be run or has no
-    [score], ValueError where its own settings give no score, WorkerLostError when a worker process is gone.
+    [score], ValueError where its own settings give no score, EngineError when the engine can't go on.
     """
     if not 0 < reference_error < 1 or seeds < 1 or observations < 2:
         found = f"{reference_error}, {seeds} and {observations}"
@@ -53,10 +54,10 @@ def measure_accuracy(
     whole = Task(scene, tuple(int(item.label) for item in settings if item.kind == "survey"))
     asked = tasks(lambda own: load_scene(path, {**given, **base, **own}), settings)
     n_first = 1 + len(asked.tasks)
-    first = run_all([whole, *asked.tasks.values()], workers, lambda done: progress(done, n_first))
+    first = run_all([whole, *asked.tasks.values()], engine, lambda done: progress(done, n_first))
     wanted = seeds_wanted(scene, first[0], reference_error, seeds)
     others = [Task(load_scene(path, given | {"seed": scene.seed + k}), whole.counts) for k in range(1, wanted)]
-    more = run_all(others, workers, lambda done: progress(n_first + done, n_first + len(others)))
+    more = run_all(others, engine, lambda done: progress(n_first + done, n_first + len(others)))
     pooled = [run for run in (first[0], *more) if run.scored(scene.observations)]
     rows = survey_rows(settings, pooled)
     rows += ladder_rows(settings, asked, dict(zip(asked.tasks, first[1:], strict=True)))
@@ -76,5 +77,5 @@ def measure_accuracy(
         slopes=tuple(slopes(rows)),
         recommended=tuple(recommendations(rows, TOLERATED * float(errors[0]))),
         wall_s=perf_counter() - start,
-        workers=workers,
+        workers=engine.workers_for(max(n_first, len(others))),
     )

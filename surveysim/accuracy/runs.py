@@ -10,7 +10,7 @@ import numpy as np
 
 from surveysim.accuracy.records import OF_SCREEN, Setting
 from surveysim.coadds import CoAdds
-from surveysim.engines import ordered_map
+from surveysim.engines import Engine, ordered_map
 from surveysim.memory import peak_bytes
 from surveysim.recipes import ACTUAL
 from surveysim.reduction import observe
@@ -126,10 +126,10 @@ def tasks(scene_of: Callable[[Mapping[str, Any]], Scene], settings: Iterable[Set
     return found
 
 
-def run_all(tasks: Sequence[Task], workers: int, progress: Callable[[int], None]) -> list[Run]:
+def run_all(tasks: Sequence[Task], engine: Engine, progress: Callable[[int], None]) -> list[Run]:
     """Run tasks, several at a time, each in one process; `progress` is told how many are done."""
     found: list[Run] = []
-    results = ordered_map(run_task, tasks, max(1, min(workers, len(tasks))))
+    results = ordered_map(run_task, tasks, engine)
     try:
         for run in results:
             found.append(run)

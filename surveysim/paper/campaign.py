@@ -18,7 +18,7 @@ from surveysim.atmosphere.fit import (
     fit_turbulence,
 )
 from surveysim.coherence import mutual_coherence
-from surveysim.engines import ordered_map
+from surveysim.engines import Engine, ordered_map
 from surveysim.measurement import Measurement, MeasurementJob, camera_pairs
 from surveysim.scene import Scene
 from surveysim.setup import Setup, prepare
@@ -94,7 +94,7 @@ class MeasuredSurvey:
         return np.array([knows_wind(item) for item in self.measurements])
 
 
-def measure_survey(scenes: list[Scene], workers: int, progress: Callable[[], None] = lambda: None) -> MeasuredSurvey:
+def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], None] = lambda: None) -> MeasuredSurvey:
     """Simulate, measure and fit every observation of scenes that share a camera; `progress` is called after each.
 
     Raises SceneError for a scene that can't be run, ValueError for one without an atmosphere.
@@ -106,7 +106,7 @@ def measure_survey(scenes: list[Scene], workers: int, progress: Callable[[], Non
     for scene in scenes:
         if scene.atmosphere is None:
             raise ValueError(f"scene {scene.name!r} has no [atmosphere]; one is expected to measure it")
-        for item in ordered_map(MeasurementJob(scene), range(scene.observations), workers):
+        for item in ordered_map(MeasurementJob(scene), range(scene.observations), engine):
             measurements.append(item)
             names.append(scene.name)
             progress()

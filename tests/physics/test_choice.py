@@ -5,6 +5,7 @@ import pytest
 
 from surveysim.api import run
 from surveysim.choice import merits
+from surveysim.engines import SERIAL
 from surveysim.reduction import transmissions
 from surveysim.results import summary
 from surveysim.scene import load_scene
@@ -72,7 +73,7 @@ def test_without_templates_only_the_scan_s_mean_is_lost(tmp_path):
 @pytest.mark.slow
 def test_who_wins_in_the_lynx_survey():
     """Average and planar alike within their errors, quadratic worse; planar wins more often in poor weather."""
-    result = run(load_scene(LYNX, {"cleaning.compare": ["planar", "quadratic"], "observations": 120}), workers=1)
+    result = run(load_scene(LYNX, {"cleaning.compare": ["planar", "quadratic"], "observations": 120}), engine=SERIAL)
     sigma = {name: item.band.sigma_ukcmb2 for name, item in result.scores.items()}
     assert sigma["planar"] / sigma["actual"] == pytest.approx(1, abs=0.04)
     assert sigma["quadratic"] / sigma["actual"] > 1.04

@@ -9,6 +9,7 @@ import pytest
 
 from surveysim.api import run, simulate_observation
 from surveysim.coherence import correlation_matrix, lattice_sum
+from surveysim.engines import SERIAL
 from surveysim.forecast import forecast
 from surveysim.instrument import camera, hexagon
 from surveysim.observation import observation_levels
@@ -60,7 +61,7 @@ def scene_of(tmp_path):
 
 def check_survey(scene, names=("actual", "uncorrelated", "white")):
     """Finite, and as forecast: within three errors of 24 observations, and 10 % of them for their own weights."""
-    result = run(scene, workers=1)
+    result = run(scene, engine=SERIAL)
     found = forecast_agreement(result)
     for name in names:
         score = result.scores[name]

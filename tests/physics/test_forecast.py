@@ -15,6 +15,7 @@ from surveysim.atmosphere.screen import StripCache, add_atmosphere, strip_step
 from surveysim.atmosphere.spectrum import Screen
 from surveysim.coherence import correlation_factor, correlation_matrix
 from surveysim.conditions import conditions, survey_draws
+from surveysim.engines import SERIAL
 from surveysim.forecast import forecast
 from surveysim.instrument import hexagon
 from surveysim.noise import add_correlated_white, add_excess, excess_psd
@@ -211,7 +212,7 @@ def scene_of(tmp_path):
 @lru_cache(maxsize=1)
 def wide_survey(path: Path):
     path.write_text(SMALL_SCENE)
-    return run(load_scene(path, WIDE), workers=1)
+    return run(load_scene(path, WIDE), engine=SERIAL)
 
 
 @pytest.fixture(scope="module")
@@ -257,7 +258,7 @@ def test_undersampled_scans_alias_alike(scene_of):
     text = without_sections(SMALL_SCENE, "atmosphere").replace(*BARE_EXCESS).replace('"average"', '"none"')
     fast = {"scan.speed": "20 arcmin/s", "scan.duration": "3 s"}
     keys = {key: value for key, value in {**WIDE, **fast}.items() if not key.startswith("atmosphere")}
-    result = run(scene_of(text, **keys), workers=1)
+    result = run(scene_of(text, **keys), engine=SERIAL)
     check_agreement(result, ["actual", "uncorrelated", "white"], psd=0.2)
 
 
@@ -267,7 +268,7 @@ def test_excess_of_any_slope(scene_of, index):
     text = without_sections(SMALL_SCENE, "atmosphere").replace(*BARE_EXCESS).replace('"average"', '"none"')
     keys = {key: value for key, value in WIDE.items() if not key.startswith("atmosphere")}
     keys |= {"scan.scans": 13, "score.size": "24 arcmin", "excess.spectral_index": index}
-    result = run(scene_of(text, **keys), workers=1)
+    result = run(scene_of(text, **keys), engine=SERIAL)
     found = forecast_agreement(result)["uncorrelated"]
     assert abs(found.sigma) < 0.1 + 3 * found.sigma_error
 
@@ -281,7 +282,7 @@ def test_pixels_do_not_smooth_noise_of_single_streams(scene_of, coherence):
     text = without_sections(SMALL_SCENE, "atmosphere", "photon", "detector").replace(*BARE_EXCESS)
     keys = {key: value for key, value in WIDE.items() if not key.startswith("atmosphere")}
     keys |= {"map.pixel": "30 arcsec", "score.ell_bin": 2000, "excess.coherence": coherence}
-    result = run(scene_of(text.replace('"average"', '"none"'), **keys), workers=1)
+    result = run(scene_of(text.replace('"average"', '"none"'), **keys), engine=SERIAL)
     expected, found = (item.scores["uncorrelated"] for item in (result.expected, result))
     assert np.mean((expected.noise_psd / found.noise_psd)[3:]) == pytest.approx(0.95, abs=0.09)
 
@@ -291,7 +292,7 @@ def test_pixels_do_not_smooth_noise_of_single_streams(scene_of, coherence):
 def test_lynx_is_as_forecast(algorithm):
     """200 observations of the paper's survey: sigma(A) to 10 %, noise PSDs to 15 %, each with two errors beside."""
     scene = load_scene(LYNX, {"observations": 200, "cleaning.algorithm": algorithm, "score.window.observations": 40})
-    result = run(scene, workers=1)
+    result = run(scene, engine=SERIAL)
     for name, item in forecast_agreement(result).items():
         assert abs(item.sigma) < 0.1 + 2 * item.sigma_error, (name, item)
         assert abs(item.psd) < 0.15 + 2 * item.psd_error, (name, item)

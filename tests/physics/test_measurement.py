@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mapmaker.cleaning import TemplateOptions, clean
+from surveysim.engines import SERIAL
 from surveysim.measurement import map_variances, raw_variance
 from surveysim.noise import low_frequency_variance
 from surveysim.observation import draw_observation
@@ -61,7 +62,7 @@ def test_map_of_white_noise_is_white(tmp_path):
 
 @pytest.fixture(scope="module")
 def survey():
-    return measure_survey([load_scene(LYNX, {"observations": 240})], 1)
+    return measure_survey([load_scene(LYNX, {"observations": 240})], SERIAL)
 
 
 @pytest.mark.slow

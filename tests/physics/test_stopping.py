@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from surveysim import run
+from surveysim.engines import SERIAL
 from surveysim.setup import prepare
 from surveysim.stopping import FEWEST, best_estimate, estimate_so_far
 from surveysim.survey import run_observations
@@ -34,7 +35,7 @@ def test_stopped_runs_are_honest(tmp_path, reference):
     """50 seeds: the mean is that of a long run, deviations are as large as is said, and the target is kept."""
     found = []
     for seed in range(SEEDS):
-        result = run(weather_scene(tmp_path, {"seed": 9000 + seed}), workers=1, target_error=TARGET)
+        result = run(weather_scene(tmp_path, {"seed": 9000 + seed}), engine=SERIAL, target_error=TARGET)
         assert result.stopped == "target" and FEWEST <= result.coadds.done < 200
         assert result.estimate.relative_error <= TARGET and result.estimate.kind == "controlled"
         assert result.estimate == best_estimate(result.scores, result.controlled)

@@ -11,6 +11,7 @@ from mapmaker.cleaning.templates import QUADRATIC, template_basis
 from mapmaker.spectrum import map_psd
 from mapmaker.window import beam_window, pixel_window
 from surveysim.atmosphere.spectrum import temporal_psd
+from surveysim.engines import Engine
 from surveysim.noise import excess_psd, excess_variance
 from surveysim.observation import draw_observation
 from surveysim.scene import load_scene
@@ -251,7 +252,7 @@ def test_lynx_gains_of_table_3():
     """The survey's gains, paper section 5.2: 1.6 and 1.7, and none left when neighbours are masked."""
     scene = load_scene(LYNX, {"observations": 160, "score.window.observations": 40})
     setup = prepare(scene)
-    scores = score_survey(setup, run_observations(setup, None, workers=2))
+    scores = score_survey(setup, run_observations(setup, None, engine=Engine(workers=2)))
     sigma = {name: item.band.sigma_ukcmb2 for name, item in scores.items()}
     # Tolerances: the paper's rounding and the Monte Carlo error of 160 observations, 4 % a ratio.
     assert sigma["actual"] / sigma["uncorrelated"] == pytest.approx(1.6, abs=0.25)

@@ -9,6 +9,7 @@ import pytest
 from mapmaker.bandpower import flat_spectrum_psd, score
 from mapmaker.window import Window
 from surveysim import load_sweep, run_sweep
+from surveysim.engines import SERIAL
 from surveysim.point_files import PointResult
 from surveysim.scores import DataSetScore, error_modes
 from surveysim.trade import compare_runs
@@ -82,7 +83,7 @@ def seeds_of(tmp_path, scene, table, n):
     path.write_text(f"{scene}\n[sweep]\n{table}\n")
     rows = []
     for seed in range(n):
-        found = run_sweep(load_sweep(path, {"seed": seed}), workers=1).comparison
+        found = run_sweep(load_sweep(path, {"seed": seed}), engine=SERIAL).comparison
         ratio = found.ratio[1]
         rows.append((np.log(ratio), found.paired_error[1] / ratio, found.independent_error[1] / ratio))
     return np.array(rows).T

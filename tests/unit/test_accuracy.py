@@ -12,6 +12,7 @@ from surveysim.accuracy import Measured, Setting, ladders, measure_accuracy
 from surveysim.accuracy.comparison import recommendations, slopes
 from surveysim.accuracy.ladders import sub_survey
 from surveysim.accuracy.runs import Task, run_task
+from surveysim.engines import SERIAL
 from surveysim.observation import draw_observation
 from surveysim.reduction import observe
 from surveysim.report.accuracy_figure import accuracy_figure, pareto
@@ -29,7 +30,7 @@ def path(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(path):
-    return measure_accuracy(path, {"observations": 8}, workers=1, reference_error=0.2, seeds=2, observations=4)
+    return measure_accuracy(path, {"observations": 8}, engine=SERIAL, reference_error=0.2, seeds=2, observations=4)
 
 
 def of_knob(rows, knob):

@@ -8,6 +8,7 @@ import pytest
 
 from mapmaker.timestreams import read_timestreams
 from surveysim import SceneError, load_scene, run, simulate_observation
+from surveysim.engines import SERIAL, Engine
 from surveysim.setup import prepare
 from surveysim.survey import run_observations
 from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
@@ -78,7 +79,7 @@ def test_observations_that_are_not_there(path, observation):
 
 def test_two_workers_give_the_same_bits(path):
     setup = prepare(load_scene(path))
-    one, two = (run_observations(setup, None, workers) for workers in (1, 2))
+    one, two = (run_observations(setup, None, Engine(workers=workers)) for workers in (1, 2))
     arrays = ("sums", "weight", "hits", "flipped", "window", "window_weight", "rows", "raw_psd", "clean_psd")
     for name in arrays:
         np.testing.assert_array_equal(np.array(getattr(one, name)), np.array(getattr(two, name)))
@@ -86,7 +87,7 @@ def test_two_workers_give_the_same_bits(path):
 
 def test_saved_timestreams_are_what_is_simulated(path, tmp_path):
     scene = load_scene(path)
-    run(scene, tmp_path / "out", workers=1, save_timestreams=True, figures=False)
+    run(scene, tmp_path / "out", engine=SERIAL, save_timestreams=True, figures=False)
     files = sorted((tmp_path / "out" / "timestreams").iterdir())
     assert [file.name for file in files] == ["0000.h5", "0001.h5", "0002.h5", "0003.h5"]
     for number, file in enumerate(files):
@@ -116,7 +117,7 @@ def test_scenes_that_cannot_run(path):
 
 def test_progress_sees_every_observation(path):
     seen = []
-    result = run(load_scene(path), workers=1, progress=lambda coadds: seen.append(coadds.done))
+    result = run(load_scene(path), engine=SERIAL, progress=lambda coadds: seen.append(coadds.done))
     assert seen == [1, 2, 3, 4] and result.workers == 1 and result.wall_s > 0
 
 
@@ -132,8 +133,8 @@ def test_white_noise_imports_no_coordinates(tmp_path):
     path = tmp_path / "white.toml"
     path.write_text(WHITE_NOISE_SCENE)
     code = (
-        "import sys\nfrom surveysim import load_scene, run\n"
-        f"run(load_scene({str(path)!r}), workers=1)\nprint(' '.join(sys.modules))"
+        "import sys\nfrom surveysim import Engine, load_scene, run\n"
+        f"run(load_scene({str(path)!r}), engine=Engine('serial'))\nprint(' '.join(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     unwanted = {

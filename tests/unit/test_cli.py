@@ -8,7 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from astropy.table import Table
 
@@ -190,14 +189,13 @@ def test_full_disk(call, scene, monkeypatch):
     """One line that names the file; no half-written checkpoint, and an older one stays."""
     out = scene.parent / "out"
 
-    def full(file, **arrays):
-        file.write(b"half")
+    def full(file):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(survey, "CHECKPOINT_SECONDS", 0.0)
-    monkeypatch.setattr(np, "savez", full)
+    monkeypatch.setattr("surveysim.checkpoint.os.fsync", full)
     code, _, error = call("run", scene, "--out", out, "--workers", 1, "--quiet")
-    assert (code, error) == (1, "output: No space left on device\n")
+    assert (code, error) == (1, f"{out / 'checkpoint.h5'}: No space left on device\n")
     assert not list(out.iterdir())
 
 
@@ -214,7 +212,7 @@ def test_failure_in_an_observation(call, scene, monkeypatch):
 def test_wrong_checkpoints(call, scene, monkeypatch, damage):
     out = scene.parent / "out"
     interrupt_after(call, scene, out, 2, monkeypatch)
-    path = out / "checkpoint.npz"
+    path = out / "checkpoint.h5"
     raw = bytearray(path.read_bytes())
     if damage == "truncated":
         raw = raw[: len(raw) // 2]
@@ -227,7 +225,7 @@ def test_wrong_checkpoints(call, scene, monkeypatch, damage):
     code, _, error = call("run", scene, "--out", out, "--resume", "--workers", 1, *settings)
     assert code == 2 and error.startswith(f"{path}: ") and "without --resume" in error
     assert len(error.splitlines()) == 1
-    assert path.read_bytes() == raw and [item.name for item in out.iterdir()] == ["checkpoint.npz"]
+    assert path.read_bytes() == raw and [item.name for item in out.iterdir()] == ["checkpoint.h5"]
 
 
 def interrupt_after(call, scene, out, done, monkeypatch):
@@ -254,7 +252,7 @@ def test_resume_gives_the_same_bits(call, scene, monkeypatch):
         code, _, error = call("run", scene, "--out", directory, "--no-figures", "--workers", 1, "-q", *more)
         assert (code, error) == (0, "")
     assert_same_results(out, whole)
-    assert not (out / "checkpoint.npz").exists()
+    assert not (out / "checkpoint.h5").exists()
 
 
 def test_progress_lines(call, scene):

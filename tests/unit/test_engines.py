@@ -1,4 +1,4 @@
-"""Engines: order, bounded waiting, errors, and signals that never leave a thing half done."""
+"""Engines: order, bounded waiting, errors, workers that are lost, and signals that never leave a thing half done."""
 
 import multiprocessing
 import os
@@ -10,7 +10,13 @@ from itertools import islice
 import pytest
 from threadpoolctl import threadpool_info
 
-from surveysim.engines import WorkerLostError, held_back_signals, ordered_map
+from surveysim.engines import SERIAL, Engine, EngineError, held_back_signals, ordered_map
+from surveysim.engines.cluster import MOST_ITEMS, SCHEDULER_S, UNIT_S, on_cluster, run_unit, unit_size
+
+TWO = Engine(workers=2)
+DASK = Engine("dask", workers=2)
+ALL = pytest.mark.parametrize("engine", [SERIAL, TWO, DASK], ids=lambda engine: engine.kind)
+LOCAL = pytest.mark.parametrize("engine", [TWO, DASK], ids=lambda engine: engine.kind)
 
 
 def square(item):
@@ -28,6 +34,19 @@ def vanish(item):
     os._exit(9)
 
 
+class VanishOnce:
+    """A worker that has `item` is killed the first time; others stay."""
+
+    def __init__(self, item, folder):
+        self.item, self.mark = item, folder / "gone"
+
+    def __call__(self, item):
+        if item == self.item and not self.mark.exists():
+            self.mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return item**2
+
+
 def threads(item):
     return [(pool["user_api"], pool["num_threads"]) for pool in threadpool_info()]
 
@@ -38,56 +57,100 @@ def sleep_long(item):
     return item
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_order(workers):
-    results = list(ordered_map(square, range(20), workers))
+@ALL
+def test_order_errors_and_threads(engine):
+    """What every engine keeps to."""
+    results = list(ordered_map(square, range(20), engine))
     assert [item[:2] for item in results] == [(i, i**2) for i in range(20)]
-    assert (os.getpid() in {item[2] for item in results}) == (workers == 1)
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_no_items(workers):
-    assert list(ordered_map(square, [], workers)) == []
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_few_items_are_taken_ahead(workers):
-    taken = []
-    results = ordered_map(square, (taken.append(i) or i for i in range(1000)), workers)
-    assert [item[0] for item in islice(results, 4)] == [0, 1, 2, 3]
-    assert len(taken) <= 4 + 3 * workers + 1
-    results.close()
-    assert len(taken) < 20
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_errors_pass_on(workers):
-    results = ordered_map(fail_at_three, range(10), workers)
-    assert [next(results) for _ in range(3)] == [0, 1, 2]
+    assert (os.getpid() in {item[2] for item in results}) == (engine is SERIAL)
+    assert list(ordered_map(square, [], engine)) == []
+    failing = ordered_map(fail_at_three, range(10), engine)
+    assert [next(failing) for _ in range(3)] == [0, 1, 2]
     with pytest.raises(ValueError, match="found 3"):
-        next(results)
-    assert not multiprocessing.active_children()
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_one_blas_thread(workers):
-    (pools,) = ordered_map(threads, [0], workers)
+        next(failing)
+    (pools,) = ordered_map(threads, [0], engine)
     assert all(number == 1 for api, number in pools if api == "blas")
-
-
-def test_lost_worker():
-    with pytest.raises(WorkerLostError):
-        list(ordered_map(vanish, range(4), 2))
     assert not multiprocessing.active_children()
 
 
-def test_closing_does_not_wait_for_work():
-    results = ordered_map(sleep_long, range(8), 2)
+@pytest.mark.parametrize("engine", [SERIAL, TWO], ids=lambda engine: engine.kind)
+def test_few_items_are_taken_ahead(engine):
+    class Items(list):
+        def __getitem__(self, item):
+            taken.append(item)
+            return super().__getitem__(item)
+
+    taken, items = [], Items(range(1000))
+    results = ordered_map(square, items, engine)
+    assert [item[0] for item in islice(results, 4)] == [0, 1, 2, 3]
+    results.close()
+    assert len(taken) <= 4 + 3 * 2 + 1
+
+
+@LOCAL
+def test_work_of_a_lost_worker_is_done_again(engine, tmp_path, caplog):
+    results = list(ordered_map(VanishOnce(5, tmp_path), range(12), engine))
+    assert results == [i**2 for i in range(12)] and (tmp_path / "gone").exists()
+    assert ("its work is done again" in caplog.text) == (engine is TWO)  # dask does it by itself
+    assert not multiprocessing.active_children()
+
+
+@LOCAL
+def test_work_that_ends_every_worker(engine):
+    with pytest.raises(EngineError, match="gone . times with the same work, perhaps killed for want of memory"):
+        list(ordered_map(vanish, range(4), engine))
+    assert not multiprocessing.active_children()
+
+
+@LOCAL
+def test_closing_does_not_wait_for_work(engine):
+    results = ordered_map(sleep_long, range(8), engine)
     assert next(results) == 0
     begin = time.monotonic()
     results.close()
     assert time.monotonic() - begin < 10
     assert not multiprocessing.active_children()
+
+
+@pytest.mark.parametrize("each_s", [None, 1e-9, 1e-3, 0.05, 0.5, 20.0])
+@pytest.mark.parametrize("workers", [1, 2, 40, 1000])
+@pytest.mark.parametrize("left", [1, 10, 500, 100_000])
+def test_units(each_s, workers, left):
+    """Long enough for the scheduler, unless that would leave workers idle or results heavy."""
+    size = unit_size(each_s, workers, left)
+    assert 1 <= size <= min(left, MOST_ITEMS)
+    enough = each_s is not None and size * each_s > max(UNIT_S, workers * SCHEDULER_S) - each_s
+    assert enough or each_s is None or size == MOST_ITEMS or size == max(1, left // (2 * workers))
+
+
+def test_units_of_another_version_are_refused():
+    answers = run_unit(square, [1, 2], "0.0.0")
+    assert answers.results == [] and isinstance(answers.error, EngineError)
+    assert "a worker has surveysim" in str(answers.error) and "; 0.0.0 is expected" in str(answers.error)
+
+
+@pytest.mark.parametrize(
+    "choice, words",
+    [
+        (("threads",), "engine: found 'threads'; serial, processes, dask are there"),
+        (("processes", 0), "workers: found 0; 1 or more is expected"),
+        (("processes", 2, "tcp://host:8786"), "scheduler: found one for the engine 'processes'; only 'dask' has one"),
+        (("dask", 2, "tcp://host:8786"), "workers: found a number beside a scheduler"),
+    ],
+)
+def test_engines_that_make_no_sense(choice, words):
+    with pytest.raises(ValueError, match=words):
+        Engine(*choice)
+
+
+def test_schedulers_that_are_not_there(monkeypatch, tmp_path):
+    monkeypatch.setattr("surveysim.engines.cluster.CONNECT_S", 0.5)
+    (tmp_path / "text").write_text("no scheduler")
+    for path in ("nowhere.json", tmp_path / "text"):
+        with pytest.raises(EngineError, match="no address and no scheduler's file; tcp://host:port or such a file is"):
+            list(on_cluster(square, [1], Engine("dask", scheduler=str(path))))
+    with pytest.raises(EngineError, match="scheduler: none answers at tcp://127.0.0.1:9"):
+        list(on_cluster(square, [1], Engine("dask", scheduler="tcp://127.0.0.1:9")))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

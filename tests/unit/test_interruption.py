@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,11 +16,16 @@ from astropy.io import fits
 
 from surveysim import load_scene
 from surveysim import run as run_scene
+from surveysim.engines import SERIAL
 from tests.scenes import SMALL_SCENE
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes through /proc")
 
+KILLS = 4  # of each engine
 COMMAND = [sys.executable, "-c", "from surveysim.cli import main; main()"]
+
+
+FAST = [*COMMAND[:2], "import surveysim.survey as s; s.CHECKPOINT_SECONDS = 0.1; " + COMMAND[2]]
 
 
 @pytest.fixture
@@ -53,8 +59,8 @@ def test_interruption(tmp_path, workers, number, to_group):
     assert (process.returncode, error) == (130, f"interrupted; go on with --resume --out {out}\n")
     assert none_left(process.pid) and not list(out.rglob("*.part"))
     scene = load_scene(path)
-    run_scene(scene, out, workers=1, resume=True, figures=False)
-    run_scene(scene, tmp_path / "whole", workers=1, figures=False)
+    run_scene(scene, out, engine=SERIAL, resume=True, figures=False)
+    run_scene(scene, tmp_path / "whole", engine=SERIAL, figures=False)
     assert_same_results(out, tmp_path / "whole")
 
 
@@ -71,25 +77,101 @@ def test_interruption_of_the_start(tmp_path, scene, delay):
         assert error.startswith("interrupted") and len(error.splitlines()) == 1
 
 
-@pytest.mark.parametrize("victim", ["worker", "parent"])
-def test_killed_process(tmp_path, victim):
-    path, out = tmp_path / "long.toml", tmp_path / "out"
-    path.write_text(SMALL_SCENE.replace("observations = 4", "observations = 2000"))
-    process = start("run", path, "--out", out, "--workers", 2, "--save-timestreams", "-q")
+def long_scene(tmp_path, observations):
+    path = tmp_path / "long.toml"
+    path.write_text(SMALL_SCENE.replace("observations = 4", f"observations = {observations}"))
+    return path
+
+
+@pytest.mark.parametrize("engine", ["processes", "dask"])
+def test_killed_worker(tmp_path, engine):
+    """Its work is done again: the run ends as if nothing had been, with the same bits."""
+    path, out = long_scene(tmp_path, 100), tmp_path / "out"
+    process = start(
+        *("run", path, "--out", out, "--workers", 2, "--engine", engine, "--save-timestreams", "--no-figures", "-q")
+    )
     wait_for(out / "timestreams" / "0012.h5", process)
-    os.kill(worker_of(process.pid) if victim == "worker" else process.pid, signal.SIGKILL)
-    _, error = process.communicate(timeout=20)
+    os.kill(worker_of(process.pid), signal.SIGKILL)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 0 and none_left(process.pid) and not list(out.rglob("*.part"))
+    assert error == ("a worker process is gone; its work is done again\n" if engine == "processes" else "")
+    run_scene(load_scene(path), tmp_path / "whole", engine=SERIAL, figures=False)
+    assert_same_results(out, tmp_path / "whole")
+
+
+@pytest.mark.parametrize("engine", ["processes", "dask"])
+def test_killed_parent(tmp_path, engine):
+    """No worker stays behind."""
+    path, out = long_scene(tmp_path, 2000), tmp_path / "out"
+    process = start("run", path, "--out", out, "--workers", 2, "--engine", engine, "--save-timestreams", "-q")
+    wait_for(out / "timestreams" / "0012.h5", process)
+    process.kill()
+    process.communicate(timeout=20)
     assert none_left(process.pid)
-    if victim == "worker":
-        assert process.returncode == 1 and (out / "checkpoint.npz").exists()
-        assert error.startswith("a worker process is gone") and len(error.splitlines()) == 1
-        assert f"--resume --out {out}" in error and not list(out.rglob("*.part"))
 
 
-def start(*arguments):
+def test_lost_scheduler(tmp_path):
+    """The run ends with its checkpoint whole, and goes on from there."""
+    path, out, file = long_scene(tmp_path, 400), tmp_path / "out", tmp_path / "scheduler.json"
+    crew = [dask("scheduler", "--no-dashboard", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", file)]
+    wait_for(file, crew[0])
+    crew.append(dask("worker", "--scheduler-file", file, "--nthreads", "1", "--no-dashboard"))
+    process = start("run", path, "--out", out, "--engine", "dask", "--scheduler", file, "--no-figures", "-q", fast=True)
+    wait_for(out / "checkpoint.h5", process)
+    try:
+        crew[0].kill()
+        _, error = process.communicate(timeout=60)
+        assert process.returncode == 1
+        assert error == f"the scheduler of the cluster is gone; go on with --resume --out {out}\n"
+    finally:
+        for member in crew:
+            os.killpg(member.pid, signal.SIGKILL)
+            member.wait()
+    assert [item.name for item in out.iterdir()] == ["checkpoint.h5"]
+    run_scene(load_scene(path), out, engine=SERIAL, resume=True, figures=False)
+    run_scene(load_scene(path), tmp_path / "whole", engine=SERIAL, figures=False)
+    assert_same_results(out, tmp_path / "whole")
+
+
+def dask(*arguments):
+    command = [sys.executable, "-m", "distributed.cli.dask_" + arguments[0], *map(str, arguments[1:])]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["serial", "processes", "dask"])
+def test_killed_at_random_and_resumed(tmp_path, engine):
+    """Wherever a run is killed, whether anything is kept by then or not: the same bits and files as undisturbed."""
+    path, out, whole = long_scene(tmp_path, 60), tmp_path / "out", tmp_path / "whole"
+    how = ("--engine", engine, "--no-figures", "-q", "--save-timestreams")
+    begin = time.monotonic()
+    assert start("run", path, "--out", whole, *how, fast=True).wait(60) == 0
+    taken = time.monotonic() - begin
+    delays = np.random.default_rng(len(engine)).uniform(0.3 * taken, 1.1 * taken, KILLS)
+    for delay in delays:
+        process = start("run", path, "--out", out, *how, fast=True)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(delay)
+        process.kill()
+        process.communicate(timeout=20)
+        assert none_left(process.pid)
+        process = start("run", path, "--out", out, "--resume", *how, fast=True)
+        _, error = process.communicate(timeout=60)
+        assert process.returncode == 0 and not error.startswith("Traceback")
+        assert_same_results(out, whole)
+        assert files(out) == files(whole)
+        shutil.rmtree(out)
+
+
+def files(directory):
+    return sorted(path.relative_to(directory).as_posix() for path in directory.rglob("*"))
+
+
+def start(*arguments, fast=False):
+    """The command in a group of its own; a `fast` one saves a checkpoint ten times a second."""
     environment = os.environ | {"NUMBA_NUM_THREADS": "1"}
     return subprocess.Popen(
-        [*COMMAND, *map(str, arguments)],
+        [*(FAST if fast else COMMAND), *map(str, arguments)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,

@@ -5,6 +5,7 @@ import pytest
 from surveysim import observation, outputs, reduction, results, setup, sky
 from surveysim.api import run
 from surveysim.atmosphere import screen
+from surveysim.engines import SERIAL
 from surveysim.plan import make_plan
 from surveysim.scan import samples_per_scan
 from surveysim.scene import load_scene
@@ -133,7 +134,7 @@ def test_stages_run_or_are_left_out_as_the_plan_says(tmp_path, called, name):
     path = tmp_path / "scene.toml"
     path.write_text(text)
     scene = load_scene(path)
-    result = run(scene, out=tmp_path / "out", workers=1, figures=False)
+    result = run(scene, out=tmp_path / "out", engine=SERIAL, figures=False)
     assert result.unscored == ""
     done = set(called)
     plan = make_plan(prepare(scene), 1)

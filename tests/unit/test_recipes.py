@@ -7,6 +7,7 @@ from mapmaker.binning import read_fits
 from surveysim.api import run
 from surveysim.choice import best_places
 from surveysim.coadds import row_names
+from surveysim.engines import SERIAL
 from surveysim.recipes import needed_detectors
 from surveysim.results import best_recipe
 from surveysim.scene import SceneError, load_scene
@@ -26,7 +27,7 @@ def path(tmp_path_factory):
 @pytest.fixture(scope="module")
 def compared(path, tmp_path_factory):
     out = tmp_path_factory.mktemp("compared")
-    return run(load_scene(path, COMPARE), out, workers=1, figures=True), out
+    return run(load_scene(path, COMPARE), out, engine=SERIAL, figures=True), out
 
 
 def test_data_sets_and_windows(path):
@@ -71,7 +72,7 @@ def test_refused(path, changes, words):
 def test_a_recipe_that_discards_everything_never_wins(path):
     """Local templates leave nothing to calibrate on: the average after them keeps no scan, and no window."""
     scene = load_scene(path, {"cleaning.compare": [["local", "average"]], "cleaning.reach": 1.2})
-    result = run(scene, workers=1)
+    result = run(scene, engine=SERIAL)
     columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
     assert columns["discarded_local+average"].sum() == 16
     assert (best_recipe(result.setup, columns, "cmb") == 0).all()
@@ -90,7 +91,7 @@ def test_detectors_that_steps_need(path):
 
 
 def test_comparing_changes_nothing_of_the_actual_data(path, compared, tmp_path):
-    run(load_scene(path), tmp_path, workers=1, figures=False)
+    run(load_scene(path), tmp_path, engine=SERIAL, figures=False)
     for name in ("actual", "white"):
         alone, beside = (read_fits(folder / "maps" / f"{name}.fits") for folder in (tmp_path, compared[1]))
         np.testing.assert_array_equal(alone.weighted_sum, beside.weighted_sum)

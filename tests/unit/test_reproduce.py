@@ -5,6 +5,7 @@ import pytest
 from astropy.table import Table
 from PIL import Image
 
+from surveysim.engines import SERIAL, Engine
 from surveysim.reproduce import FIGURES, TABLES, reproduce, wanted
 from surveysim.scene import SceneError
 from tests.scenes import SMALL_SCENE, without_sections
@@ -34,7 +35,7 @@ def scenarios(tmp_path_factory):
 def made(scenarios, tmp_path_factory):
     out = tmp_path_factory.mktemp("paper")
     counted = []
-    written, failed = reproduce(wanted(TABLES, FIGURES, scenarios, None), out, 1, lambda: counted.append(1))
+    written, failed = reproduce(wanted(TABLES, FIGURES, scenarios, None), out, SERIAL, lambda: counted.append(1))
     assert failed == []
     return out, written, len(counted)
 
@@ -124,7 +125,7 @@ def test_measurements_stand_beside_the_truth(made):
 
 
 def test_same_bits_whatever_the_workers(scenarios, made, tmp_path):
-    written, _ = reproduce(wanted((2,), (), scenarios, None), tmp_path, 2)
+    written, _ = reproduce(wanted((2,), (), scenarios, None), tmp_path, Engine(workers=2))
     for path in written:
         assert path.read_bytes() == (made[0] / path.name).read_bytes()
 
@@ -146,14 +147,14 @@ def test_only_what_is_needed_is_made(scenarios, tmp_path):
 
 def test_what_can_t_be_made_is_said_and_the_rest_is_made(scenarios, tmp_path):
     asked = wanted((2,), (1, 6, 9, 14, 15), scenarios, 1, {"atmosphere.b2": "[0, 0, 0] mK2 rad(-5/3)"})
-    written, failed = reproduce(asked, tmp_path, 1)
+    written, failed = reproduce(asked, tmp_path, SERIAL)
     assert {path.name for path in written} >= {"figure01.png", "figure01.ecsv"}
     items = ["143 GHz", "table 2", "figure 6", "figure 9", "figure 14", "figure 15"]
     assert [line.partition(":")[0] for line in failed] == items
 
 
 def test_a_survey_without_a_score_is_said_for_each_item_of_its_run(scenarios, tmp_path):
-    written, failed = reproduce(wanted((3,), (16,), scenarios, 1), tmp_path, 1)
+    written, failed = reproduce(wanted((3,), (16,), scenarios, 1), tmp_path, SERIAL)
     assert written == [] and [line.partition(":")[0] for line in failed] == ["table 3", "figure 16"]
     assert "observations" in failed[0]
 

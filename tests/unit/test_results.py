@@ -10,6 +10,7 @@ from astropy.table import QTable, Table
 from astropy.wcs import WCS
 
 from surveysim import load_scene, run
+from surveysim.engines import SERIAL
 from surveysim.report.text import print_result
 from surveysim.results import score_rows, summary
 from surveysim.scene import scene_hash
@@ -29,7 +30,7 @@ def finished(tmp_path_factory):
     """(result, folder) of a small run."""
     folder = tmp_path_factory.mktemp("run")
     (folder / "small.toml").write_text(SMALL_SCENE)
-    result = run(load_scene(folder / "small.toml"), folder / "out", workers=1, figures=False)
+    result = run(load_scene(folder / "small.toml"), folder / "out", engine=SERIAL, figures=False)
     return result, folder / "out"
 
 
@@ -84,7 +85,7 @@ def test_references(finished, tmp_path):
     path = tmp_path / "small.toml"
     reference = '\n[score.reference]\nsource = "A paper"\nvalues = { actual = "100 uK2" }\n'
     path.write_text(SMALL_SCENE + reference)
-    rows = {row.name: row for row in score_rows(run(load_scene(path), workers=1))}
+    rows = {row.name: row for row in score_rows(run(load_scene(path), engine=SERIAL))}
     assert rows["actual"].reference_ukcmb2 == pytest.approx(100) and rows["white"].reference_ukcmb2 is None
     assert rows["actual"].sigma_ukcmb2 == score_rows(finished[0])[0].sigma_ukcmb2
 
@@ -162,7 +163,7 @@ def test_white_noise_run(tmp_path):
     """Without a score there are maps, and of the tables those that need none."""
     path = tmp_path / "white.toml"
     path.write_text(WHITE_NOISE_SCENE)
-    result = run(load_scene(path), tmp_path / "out", workers=1, figures=False)
+    result = run(load_scene(path), tmp_path / "out", engine=SERIAL, figures=False)
     content = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert set(content) == KEYS and content["scores"] == {} and result.scores == {}
     assert content["stages_left_out"] == ["atmosphere", "excess", "photon", "sky", "score"]
@@ -178,7 +179,7 @@ def test_runs_that_cannot_be_scored(tmp_path, capsys, setting):
     """One observation, or all scans discarded: the maps are written, and it is said why there is no score."""
     path = tmp_path / "small.toml"
     path.write_text(SMALL_SCENE)
-    result = run(load_scene(path, setting), tmp_path / "out", workers=1, figures=False)
+    result = run(load_scene(path, setting), tmp_path / "out", engine=SERIAL, figures=False)
     content = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert content["scores"] == {} and content["unscored"] == result.unscored != ""
     print_result(result, tmp_path)
@@ -189,10 +190,10 @@ def test_a_run_replaces_an_earlier_one(tmp_path):
     path = tmp_path / "small.toml"
     path.write_text(SMALL_SCENE)
     out = tmp_path / "out"
-    run(load_scene(path), out, workers=1, save_timestreams=True)
+    run(load_scene(path), out, engine=SERIAL, save_timestreams=True)
     for name in ("notes.txt", "figures/mine.png", "tables/mine.ecsv"):
         (out / name).write_text("mine")
-    run(load_scene(path, {"observations": 2}), out, workers=1, figures=False)
+    run(load_scene(path, {"observations": 2}), out, engine=SERIAL, figures=False)
     assert [path.name for path in (out / "figures").glob("*")] == ["mine.png"]
     assert not list((out / "timestreams").glob("*")) and (out / "tables" / "mine.ecsv").exists()
     assert json.loads((out / "summary.json").read_text())["observations"] == 2

@@ -9,6 +9,7 @@ from astropy.io import fits
 from astropy.table import Table
 
 from surveysim import load_scene, run
+from surveysim.engines import SERIAL, Engine
 from surveysim.report.text import cost_lines, stop_lines, survey_lines
 from surveysim.results import survey_result
 from surveysim.setup import prepare
@@ -97,18 +98,18 @@ def test_which_reason_came_first(scene):
 
 def test_a_reached_target_ends_a_run_alike_whatever_the_workers(scene):
     checked = load_scene(scene)
-    alone, crew = (run(checked, workers=workers, target_error=TARGET) for workers in (1, 2))
+    alone, crew = (run(checked, engine=Engine(workers=workers), target_error=TARGET) for workers in (1, 2))
     assert alone.stopped == crew.stopped == "target" and alone.coadds.done == FEWEST
     assert alone.estimate.relative_error <= TARGET
     same_sums(alone.coadds, crew.coadds)
     assert alone.estimate == crew.estimate and alone.controlled == crew.controlled
-    assert run(checked, workers=1, target_error=1e-4).stopped == "all"
+    assert run(checked, engine=SERIAL, target_error=1e-4).stopped == "all"
 
 
 def test_a_part_is_scored_for_the_whole_survey(scene):
     """The first 32 of 40 observations: sigma of a survey of 32 times 32 / 40, errors alike."""
-    part = run(load_scene(scene), workers=1, target_error=TARGET)
-    alone = run(load_scene(scene, {"observations": 32}), workers=1)
+    part = run(load_scene(scene), engine=SERIAL, target_error=TARGET)
+    alone = run(load_scene(scene, {"observations": 32}), engine=SERIAL)
     # The window observations of the small scenes are the same, so all else is.
     same_sums(part.coadds, alone.coadds)
     for name, item in part.scores.items():
@@ -119,22 +120,22 @@ def test_a_part_is_scored_for_the_whole_survey(scene):
 
 def test_a_run_goes_on_from_its_target(scene, tmp_path):
     checked, out = load_scene(scene), tmp_path / "out"
-    options = {"workers": 1, "figures": False, "save_timestreams": True}
+    options = {"engine": SERIAL, "figures": False, "save_timestreams": True}
     first = run(checked, out, target_error=TARGET, **options)
-    assert (out / "checkpoint.npz").exists()
+    assert (out / "checkpoint.h5").exists()
     assert run(checked, out, resume=True, target_error=TARGET, **options).coadds.done == first.coadds.done
     assert len(list((out / "timestreams").iterdir())) == FEWEST
     assert run(checked, out, resume=True, target_error=0.9 * TARGET, **options).coadds.done >= first.coadds.done
     last = run(checked, out, resume=True, **options)
-    assert last.stopped == "all" and not (out / "checkpoint.npz").exists()
+    assert last.stopped == "all" and not (out / "checkpoint.h5").exists()
     assert len(list((out / "timestreams").iterdir())) == 40
-    whole = run(checked, workers=1)
+    whole = run(checked, engine=SERIAL)
     same_sums(last.coadds, whole.coadds)
     assert last.estimate == whole.estimate
 
 
 def test_streams_that_workers_wrote_ahead_are_dropped(scene, tmp_path):
-    options = {"workers": 2, "figures": False, "save_timestreams": True}
+    options = {"engine": Engine(workers=2), "figures": False, "save_timestreams": True}
     run(load_scene(scene), tmp_path / "out", target_error=TARGET, **options)
     names = sorted(path.name for path in (tmp_path / "out" / "timestreams").iterdir())
     assert names == [f"{number:04d}.h5" for number in range(FEWEST)]
@@ -154,12 +155,12 @@ def test_a_spent_budget_ends_a_run_after_a_pair(call, scene, tmp_path):  # noqa:
     meta = Table.read(out / "tables" / "scores.ecsv").meta
     assert (meta["observations_simulated"], meta["observations_of_survey"]) == (2, 40)
     code, text, _ = call("run", scene, *arguments, "--resume")
-    assert code == 0 and "Stopped" not in text and not (out / "checkpoint.npz").exists()
+    assert code == 0 and "Stopped" not in text and not (out / "checkpoint.h5").exists()
 
 
 def test_a_budget_needs_no_score(scene):
     scene.write_text(WHITE_NOISE_SCENE)
-    result = run(load_scene(scene), workers=1, time_budget_s=1e-3)
+    result = run(load_scene(scene), engine=SERIAL, time_budget_s=1e-3)
     assert (result.stopped, result.coadds.done, result.estimate) == ("budget", 2, None)
     assert stop_lines(result) == ["Stopped: the time budget was spent, 2 of 4 observations simulated"]
 
@@ -185,7 +186,7 @@ def test_the_cost_of_a_fine_answer_is_what_its_errors_add_up_to(scene):
 
 
 def test_lines_of_a_part(scene):
-    result = run(load_scene(scene), workers=1, target_error=TARGET)
+    result = run(load_scene(scene), engine=SERIAL, target_error=TARGET)
     lines = survey_lines(result)
     item, band = result.controlled["actual"], result.scores["actual"].band
     assert lines[0] == "  of the whole survey of 40 observations, judged by 32"

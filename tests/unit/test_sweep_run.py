@@ -10,6 +10,7 @@ from astropy.table import Table
 from surveysim import SceneError, load_scene, load_sweep, run, run_sweep, survey
 from surveysim.api import forecast_sweep
 from surveysim.checkpoint import CheckpointError
+from surveysim.engines import SERIAL, Engine
 from surveysim.outputs import sweep_table
 from surveysim.point_files import PointResult, load_point, save_point
 from surveysim.report.sweep_figure import draw_sweep, sweep_figure
@@ -44,7 +45,7 @@ def write(tmp_path_factory):
 def levels(write, tmp_path_factory):
     """A finished sweep of the white level, and where its files are."""
     out = tmp_path_factory.mktemp("levels")
-    return run_sweep(write(WHITE + LEVELS), out, workers=1), out
+    return run_sweep(write(WHITE + LEVELS), out, engine=SERIAL), out
 
 
 # ---------------------------------------------------------------- common noise
@@ -77,7 +78,7 @@ def test_equal_points_share_being_the_best(levels):
 def test_points_are_plain_runs(levels, write):
     """A point's score is that of the scene run alone."""
     path = write(WHITE)
-    alone = run(load_scene(path, {"detector.psd": "10 mK2 / Hz"}), workers=1).scores["actual"]
+    alone = run(load_scene(path, {"detector.psd": "10 mK2 / Hz"}), engine=SERIAL).scores["actual"]
     point = levels[0].points[1].scores["actual"]
     assert point.band.sigma_ukcmb2 == alone.band.sigma_ukcmb2 and point.budget == alone.budget
     np.testing.assert_array_equal(point.noise_psds, alone.noise_psds)
@@ -179,13 +180,13 @@ def test_files_of_a_sweep(levels):
 
 def test_a_new_run_takes_the_place_of_an_old_one(write, levels, tmp_path):
     path = write(WHITE + SPEEDS)
-    run_sweep(path, tmp_path, workers=1)
+    run_sweep(path, tmp_path, engine=SERIAL)
     (tmp_path / "points").mkdir()
     (tmp_path / "points" / "007.npz").write_text("of an interrupted sweep")
     (tmp_path / "mine.txt").write_text("mine")
-    run(load_scene(path), tmp_path, workers=1, figures=False)
+    run(load_scene(path), tmp_path, engine=SERIAL, figures=False)
     assert not (tmp_path / "sweep.ecsv").exists() and not (tmp_path / "figures" / "sweep.png").exists()
-    run_sweep(path, tmp_path, workers=1, figures=False)
+    run_sweep(path, tmp_path, engine=SERIAL, figures=False)
     assert sorted(item.name for item in tmp_path.iterdir() if item.is_file()) == [
         "mine.txt",
         "summary.json",
@@ -196,7 +197,7 @@ def test_a_new_run_takes_the_place_of_an_old_one(write, levels, tmp_path):
 
 def test_points_without_a_score_are_listed(write, levels, tmp_path):
     """One observation has no sign-flipped noise."""
-    result = run_sweep(write(WHITE + "\n[sweep]\nobservations = [1, 4]\n"), tmp_path, workers=1)
+    result = run_sweep(write(WHITE + "\n[sweep]\nobservations = [1, 4]\n"), tmp_path, engine=SERIAL)
     assert result.comparison.reference == 1 and result.comparison.best == (1,)
     content = json.loads((tmp_path / "summary.json").read_text())
     assert "2 or more observations" in content["points"][0]["unscored"] and "ratio" not in content["points"][0]
@@ -206,7 +207,7 @@ def test_points_without_a_score_are_listed(write, levels, tmp_path):
 
 
 def test_nothing_scored_at_all(write, tmp_path):
-    result = run_sweep(write(WHITE + '\n[sweep]\nobservations = [1]\n"scan.scans" = [4]\n'), tmp_path, workers=1)
+    result = run_sweep(write(WHITE + '\n[sweep]\nobservations = [1]\n"scan.scans" = [4]\n'), tmp_path, engine=SERIAL)
     assert result.comparison.best == () and not (tmp_path / "figures").exists()
 
 
@@ -226,25 +227,25 @@ def interrupted(sweep, out, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(survey, "observe", stop)
         with pytest.raises(KeyboardInterrupt):
-            run_sweep(sweep, out, workers=1, figures=False)
+            run_sweep(sweep, out, engine=SERIAL, figures=False)
 
 
 def test_two_workers_and_an_interruption_give_the_same_table(write, tmp_path, monkeypatch):
     path = write(WHITE + SPEEDS)
     one, two, three = (tmp_path / name for name in ("one", "two", "three"))
-    run_sweep(path, one, workers=1, figures=False)
-    run_sweep(path, two, workers=2, figures=False)
+    run_sweep(path, one, engine=SERIAL, figures=False)
+    run_sweep(path, two, engine=Engine(workers=2), figures=False)
     interrupted(path, three, monkeypatch)
-    assert sorted(file.name for file in (three / "points").iterdir()) == ["000.npz", "001.checkpoint.npz"]
+    assert sorted(file.name for file in (three / "points").iterdir()) == ["000.npz", "001.checkpoint.h5"]
     observe, calls, seen = survey.observe, [], []
     monkeypatch.setattr(survey, "observe", lambda *arguments: calls.append(arguments[1]) or observe(*arguments))
-    run_sweep(path, three, workers=1, resume=True, figures=False, progress=seen.append)
+    run_sweep(path, three, engine=SERIAL, resume=True, figures=False, progress=seen.append)
     assert calls == [2, 3, 0, 1, 2, 3] and seen == [2, 3]
     assert (one / "sweep.ecsv").read_bytes() == (two / "sweep.ecsv").read_bytes() == (three / "sweep.ecsv").read_bytes()
     assert sorted(item.name for item in three.iterdir()) == ["summary.json", "sweep.ecsv"]
 
 
-@pytest.mark.parametrize("kind", ["000.npz", "001.checkpoint.npz"])
+@pytest.mark.parametrize("kind", ["000.npz", "001.checkpoint.h5"])
 @pytest.mark.parametrize("damage", ["damaged", "of another scene", "of another version"])
 def test_wrong_files_of_points(write, tmp_path, monkeypatch, kind, damage):
     path = write(WHITE + SPEEDS)
@@ -259,7 +260,7 @@ def test_wrong_files_of_points(write, tmp_path, monkeypatch, kind, damage):
             monkeypatch.setattr(f"surveysim.{module}.__version__", "0.0.1")
     sweep = load_sweep(path, {"scan.scans": 3} if damage == "of another scene" else {})
     with pytest.raises(CheckpointError, match=damage) as caught:
-        run_sweep(sweep, tmp_path, workers=1, resume=True)
+        run_sweep(sweep, tmp_path, engine=SERIAL, resume=True)
     assert str(caught.value).startswith(f"{file}: ") and "--resume" in str(caught.value)
 
 
@@ -295,19 +296,19 @@ def test_failures_name_their_point(write, monkeypatch):
 
     monkeypatch.setattr(survey, "observe", fail)
     with pytest.raises(ValueError, match=r"point \(scan.speed = 4 arcmin / s\): no strip is long enough"):
-        run_sweep(write(WHITE + SPEEDS), workers=1)
+        run_sweep(write(WHITE + SPEEDS), engine=SERIAL)
 
 
 def test_files_of_a_longer_sweep_are_refused(write, levels, tmp_path):
     (tmp_path / "points").mkdir()
     save_point(tmp_path / "points" / "003.npz", levels[0].points[0], "abc")
     with pytest.raises(CheckpointError, match=r"003.npz: of another sweep \(this one has 3 points\); run without"):
-        run_sweep(write(WHITE + SPEEDS), tmp_path, workers=1, resume=True)
+        run_sweep(write(WHITE + SPEEDS), tmp_path, engine=SERIAL, resume=True)
 
 
 def test_workers_are_checked(write):
     with pytest.raises(ValueError, match="workers: found 0"):
-        run_sweep(write(WHITE + SPEEDS), workers=0)
+        run_sweep(write(WHITE + SPEEDS), engine=Engine(workers=0))
 
 
 # ---------------------------------------------------------------- forecasts and figures
