@@ -82,7 +82,7 @@ def going_on_later(scene: Path, directory: Path) -> Iterator[None]:
     except EngineError as error:
         _stopped(str(error), directory, EXIT_FAILED)
     except OSError as error:
-        _stopped(cause(error), directory, EXIT_FAILED)
+        _stopped(cause(error, directory), directory, EXIT_FAILED)
     except (ValueError, ArithmeticError) as error:
         _stopped(f"{scene}: an observation failed: {error}", directory, EXIT_FAILED)
 
@@ -104,6 +104,6 @@ def kept(directory: Path) -> bool:
     return (directory / NAME).exists() or any(directory.glob("points/*.npz"))
 
 
-def cause(error: OSError) -> str:
-    """The file of an error of the machine, and what is wrong with it."""
-    return f"{error.filename or 'output'}: {error.strerror or error}"
+def cause(error: OSError, directory: Path = Path("output")) -> str:
+    """The file of an error of the machine, or else the folder, and what is wrong with it."""
+    return f"{error.filename or directory}: {error.strerror or str(error).partition('. ')[0]}"

@@ -40,11 +40,15 @@ class Engine:
             raise ValueError("workers: found a number beside a scheduler, which has workers of its own; one of the two")
 
     def workers_for(self, items: int) -> int:
-        """How many workers so many items are for; asks the scheduler if there is one, or raises EngineError."""
-        if self.scheduler is not None:
-            from surveysim.engines.cluster import workers_of
+        """How many workers so many items are for; asks the scheduler if there is one.
 
-            return min(workers_of(self.scheduler), max(1, items))
+        Raises EngineError for an engine that is not there.
+        """
+        if self.kind == "dask":
+            from surveysim.engines.cluster import workers_of  # distributed is an extra, and takes a second to load
+
+            if self.scheduler is not None:
+                return min(workers_of(self.scheduler), max(1, items))
         if self.kind == "serial":
             return 1
         return max(1, min(self.workers or default_workers(), items))
@@ -61,7 +65,7 @@ def ordered_map(job: Callable[[Any], Any], items: Sequence[Any], engine: Engine)
     the iterator early ends the work at once. Raises what a job raises, and EngineError when the engine can't go on.
     """
     if engine.kind == "dask":
-        from surveysim.engines.cluster import on_cluster  # distributed is an extra, and takes a second to load
+        from surveysim.engines.cluster import on_cluster
 
         yield from on_cluster(job, items, engine)
     elif (workers := engine.workers_for(len(items))) == 1:

@@ -110,34 +110,6 @@ def test_killed_parent(tmp_path, engine):
     assert none_left(process.pid)
 
 
-def test_lost_scheduler(tmp_path):
-    """The run ends with its checkpoint whole, and goes on from there."""
-    path, out, file = long_scene(tmp_path, 400), tmp_path / "out", tmp_path / "scheduler.json"
-    crew = [dask("scheduler", "--no-dashboard", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", file)]
-    wait_for(file, crew[0])
-    crew.append(dask("worker", "--scheduler-file", file, "--nthreads", "1", "--no-dashboard"))
-    process = start("run", path, "--out", out, "--engine", "dask", "--scheduler", file, "--no-figures", "-q", fast=True)
-    wait_for(out / "checkpoint.h5", process)
-    try:
-        crew[0].kill()
-        _, error = process.communicate(timeout=60)
-        assert process.returncode == 1
-        assert error == f"the scheduler of the cluster is gone; go on with --resume --out {out}\n"
-    finally:
-        for member in crew:
-            os.killpg(member.pid, signal.SIGKILL)
-            member.wait()
-    assert [item.name for item in out.iterdir()] == ["checkpoint.h5"]
-    run_scene(load_scene(path), out, engine=SERIAL, resume=True, figures=False)
-    run_scene(load_scene(path), tmp_path / "whole", engine=SERIAL, figures=False)
-    assert_same_results(out, tmp_path / "whole")
-
-
-def dask(*arguments):
-    command = [sys.executable, "-m", "distributed.cli.dask_" + arguments[0], *map(str, arguments[1:])]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["serial", "processes", "dask"])
 def test_killed_at_random_and_resumed(tmp_path, engine):
