@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 try:
     from distributed import Client, Future, KilledWorker, LocalCluster
-    from distributed.comm import CommClosedError
 except ImportError:
     raise EngineError("engine 'dask': distributed is not installed; pip install 'surveysim[cluster]'") from None
 
@@ -71,9 +70,18 @@ def on_cluster(job: Callable[[Any], Any], items: Sequence[Any], engine: "Engine"
 
     Raises what a job raises, and EngineError where the scheduler is gone or workers are lost again and again.
     """
+    with _client(engine, len(items)) as client:
+        for answers in _answers(client, job, items):
+            yield from answers.results
+            if answers.error is not None:
+                raise answers.error
+
+
+def _answers(client: Client, job: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Answers]:
+    """Answers of all units in order, a few units a worker being under way; raises EngineError."""
     name, position, each_s = uuid4().hex, 0, None
     units: deque[Future] = deque()
-    with _client(engine, len(items)) as client, _lost_scheduler():
+    with _lost_scheduler():
         try:
             while position < len(items) or units:
                 there = _workers(client)
@@ -83,10 +91,8 @@ def on_cluster(job: Callable[[Any], Any], items: Sequence[Any], engine: "Engine"
                     units.append(client.submit(run_unit, *unit, key=f"surveysim-{name}-{position}", pure=False))
                     position += size
                 answers = units.popleft().result()
-                yield from answers.results
-                if answers.error is not None:
-                    raise answers.error
-                each_s = answers.seconds / len(answers.results)
+                yield answers
+                each_s = answers.seconds / max(1, len(answers.results))
         finally:
             for unit in units:
                 unit.release()
@@ -145,7 +151,7 @@ def _client(engine: "Engine", items: int) -> Iterator[Client]:
             n_workers=engine.workers_for(items),
             threads_per_worker=1,
             memory_limit=None,
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
         )
     with cluster, Client(cluster, set_as_default=False, direct_to_workers=True) as client:
@@ -186,5 +192,5 @@ def _lost_scheduler() -> Iterator[None]:
         yield
     except KilledWorker:
         raise too_many_losses() from None
-    except (CancelledError, CommClosedError):
+    except (CancelledError, OSError, RuntimeError):  # closed connections, time-outs, a client that is no more
         raise EngineError("the scheduler of the cluster is gone") from None
