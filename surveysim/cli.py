@@ -1,4 +1,4 @@
-"""The command line: run, forecast, accuracy, plan, paper, check, new."""
+"""The command line: run, forecast, accuracy, plan, paper, report, check, new."""
 
 import re
 import sys
@@ -196,9 +196,9 @@ def accuracy(
     if checked.score is None:
         _fail(f"{scene}: score: missing; accuracy is that of a score")
     from surveysim.accuracy import ladders, measure_accuracy
-    from surveysim.outputs import check_writable
+    from surveysim.outputs import check_writable, remove_outputs, write_accuracy
     from surveysim.progress import progress_display
-    from surveysim.report.accuracy_text import print_accuracy, write_accuracy
+    from surveysim.report.accuracy_text import print_accuracy
 
     directory = out or Path("outputs") / f"{checked.name}_accuracy"
     check_writable(directory)
@@ -207,7 +207,8 @@ def accuracy(
         progress = stopping(lambda done, total: show(done, lambda: ""))
         given = options.settings(settings)
         result = measure_accuracy(scene, given, with_engine, reference_error, seeds, observations, progress)
-    write_accuracy(result, directory, not no_figures)
+    remove_outputs(directory)
+    write_accuracy(directory, result, not no_figures)
     if not quiet:
         print_accuracy(result, directory)
 
@@ -297,6 +298,20 @@ def paper(
         typer.echo(line, err=True)
     if failed:
         raise typer.Exit(EXIT_FAILED)
+
+
+@app.command()
+@says_interrupted
+def report(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="what run, accuracy or paper left there")],
+) -> None:
+    """Write report.html anew, one page of all that lies in an output directory."""
+    from surveysim.report.page import NoResultsError, write_report
+
+    try:
+        typer.echo(write_report(directory))
+    except NoResultsError as error:
+        _fail(str(error))
 
 
 @app.command()

@@ -1,11 +1,9 @@
 """Files of a finished run: summary, resolved scene, tables, maps and figures, each written atomically."""
 
 import json
-import platform
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from errno import EISDIR, ENOTDIR
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,18 +13,23 @@ from mapmaker.binning import BinnedMap, write_fits, write_healpix
 from mapmaker.files import whole_file, write_ecsv
 from surveysim import __version__
 from surveysim.coadds import row_names
-from surveysim.results import PACKAGES, SurveyResult, score_rows, summary
+from surveysim.provenance import made_by, now
+from surveysim.report.page import REPORT, write_report
+from surveysim.results import SurveyResult, score_rows, summary
 from surveysim.scan import samples_per_scan
 from surveysim.scene import resolved, scene_hash
+from surveysim.setup import prepare
+from surveysim.stages import left_out
 from surveysim.sweep import numbers_of, value_text
 from surveysim.trade import SweepResult
 
 if TYPE_CHECKING:
+    from surveysim.accuracy import AccuracyResult
     from surveysim.forecast import Forecast
 
 
 DIRECTORIES = ("tables", "maps", "figures", "timestreams", "points")
-FILES = ("summary.json", "scene.json", "checkpoint.h5", "sweep.ecsv", "forecast.ecsv")
+FILES = (REPORT, "summary.json", "scene.json", "checkpoint.h5", "sweep.ecsv", "forecast.ecsv", "accuracy.ecsv")
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ def check_writable(directory: Path) -> None:
 
 
 def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestreams: bool) -> None:
-    """Write all results of a run below `directory`; summary.json, the last, lists the files of the run."""
+    """Write all results of a run below `directory`; summary.json lists its files, report.html is made of them all."""
     written = [write_text(directory / "scene.json", resolved(result.setup.scene) + "\n")]
     written += _write_tables(directory / "tables", result)
     written += _write_maps(directory / "maps", result)
@@ -61,21 +64,65 @@ def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestre
         from surveysim.report.figures import draw_figures
 
         written += draw_figures(directory / "figures", result.setup, result.coadds, result.scores, result.expected)
+        if result.estimate is not None:
+            from surveysim.report.time_figure import draw_time
+
+            written.append(draw_time(directory / "figures" / "run_time.png", result))
     if timestreams:
         written += [directory / "timestreams" / f"{number:04d}.h5" for number in range(result.coadds.done)]
-    files = sorted(path.relative_to(directory).as_posix() for path in written)
-    write_text(directory / "summary.json", json.dumps(summary(result) | {"files": files}, indent=2) + "\n")
+    write_summary(directory, summary(result), written)
 
 
 def write_sweep(directory: Path, result: SweepResult, figures: bool) -> None:
-    """Write table, figure and summary of a sweep below `directory`; summary.json is the last and lists the others."""
+    """Write table, figure, summary and report of a sweep below `directory`, with the scene of its first point."""
     written = [_write_table(directory / "sweep.ecsv", sweep_table(result))]
+    written.append(write_text(directory / "scene.json", resolved(result.sweep.points[0].scene) + "\n"))
     if figures and result.comparison.best:
         from surveysim.report.sweep_figure import draw_sweep
 
         written.append(draw_sweep(directory / "figures" / "sweep.png", result))
-    files = sorted(path.relative_to(directory).as_posix() for path in written)
-    write_text(directory / "summary.json", json.dumps(sweep_summary(result) | {"files": files}, indent=2) + "\n")
+    write_summary(directory, sweep_summary(result), written)
+
+
+def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> None:
+    """Write table, figure, summary and report of a measurement of accuracy below `directory`, with its scene."""
+    from surveysim.accuracy.records import TOLERATED
+    from surveysim.report.accuracy_text import accuracy_table, reference_lines
+
+    written = [directory / "accuracy.ecsv", write_text(directory / "scene.json", resolved(result.scene) + "\n")]
+    with whole_file(written[0]) as partial:
+        accuracy_table(result).write(partial, format="ascii.ecsv", overwrite=True)
+    if figures:
+        from surveysim.report.accuracy_figure import draw_accuracy
+
+        written.append(draw_accuracy(directory / "figures" / "accuracy.png", result))
+    content = {
+        "scene": result.scene.name,
+        "title": result.scene.title,
+        "seed": result.scene.seed,
+        "scene_sha256": scene_hash(result.scene),
+        **made_by(),
+        "accuracy": {
+            "reference": reference_lines(result),
+            "reference_ukcmb2": result.reference_ukcmb2,
+            "reference_error": result.reference_error,
+            "reference_seeds": result.seeds,
+            "tolerated_bias": result.own_error * TOLERATED,
+            "slopes": [vars(item) | ({"error": None} if np.isnan(item.error) else {}) for item in result.slopes],
+            "recommended": [vars(item) for item in result.recommended],
+        },
+        "left_out": left_out(prepare(result.scene)),
+        "detectors": prepare(result.scene).n_det,
+        "run": {"date": now(), "workers": result.workers, "wall_s": result.wall_s},
+    }
+    write_summary(directory, content, written)
+
+
+def write_summary(directory: Path, content: dict[str, Any], written: Iterable[Path]) -> None:
+    """Write summary.json, which lists the files `written` below `directory`, and report.html, made of them all."""
+    files = sorted(path.relative_to(directory).as_posix() for path in (*written, directory / REPORT))
+    write_text(directory / "summary.json", json.dumps(content | {"files": files}, indent=2) + "\n")
+    write_report(directory)
 
 
 def write_forecast(directory: Path, forecast: "Forecast") -> Path:
@@ -288,15 +335,15 @@ def sweep_summary(result: SweepResult) -> dict[str, Any]:
         "scene": sweep.name,
         "title": scene.title,
         "seed": scene.seed,
-        "surveysim": __version__,
-        "python": platform.python_version(),
-        "packages": {name: version(name) for name in PACKAGES},
+        **made_by(),
         "axes": [{"name": axis.name, "keys": list(axis.keys), "values": axis.values} for axis in sweep.axes],
         "kind": "simulated" if result.simulated else "forecast",
+        "left_out": left_out(prepare(scene)),
         "reference": comparison.reference,
         "best": list(comparison.best),
         "points": points,
         "run": {
+            "date": now(),
             "engine": result.engine,
             "workers": result.workers,
             "wall_s": result.wall_s,

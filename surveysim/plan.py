@@ -11,13 +11,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from surveysim.coadds import CoAdds, add_observation, empty_coadds
-from surveysim.forecast import can_forecast
 from surveysim.memory import peak_bytes
 from surveysim.observation import observation_weather
 from surveysim.reduction import observe
-from surveysim.results import stages_left_out, survey_result
+from surveysim.results import survey_result
 from surveysim.scan import samples_per_scan
 from surveysim.setup import Setup, prepare, window_observations
+from surveysim.stages import left_out, stages_that_run
 from surveysim.sweep import Sweep
 
 # Drawing figures takes about twice as long as it takes to start, half as long again with those of a score, and
@@ -77,8 +77,8 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
     coadds = empty_coadds(setup)
     maps = coadds.sums.nbytes + coadds.weight.nbytes + coadds.hits.nbytes
     return Plan(
-        stages=_stages(setup, n_window),
-        left_out=_left_out(setup),
+        stages=stages_that_run(setup),
+        left_out=left_out(setup),
         detector_samples=samples * scene.observations,
         wall_s=(1 + (parallel > 1)) * start_s + measured.first_s + working_s + measured.scoring_s + figures_s,
         figures_s=figures_s,
@@ -154,54 +154,3 @@ def make_sweep_plan(sweep: Sweep, workers: int, start_s: float = 0.0) -> SweepPl
         wall_s=starts * start_s + max(max(work), sum(work) / parallel),
         memory_bytes=max(plan.memory_bytes for plan in plans),
     )
-
-
-def _stages(setup: Setup, n_window: int) -> dict[str, str]:
-    scene = setup.scene
-    n_det = setup.n_det
-    scans = f"{scene.observations} observations of {setup.raster.n_scans} scans"
-    stages = {"pointing": f"{scans}, {n_det} detectors, {scene.scan.sample_rate_hz:g} Hz"}
-    for name in ("atmosphere", "excess", "photon", "detector", "sky"):
-        if getattr(scene, name) is not None:
-            stages[name] = "streams"
-    stages["cleaning"] = ", ".join(recipe.label for recipe in setup.whole_recipes)
-    stages["maps"] = f"{setup.geometry.n_x} x {setup.geometry.n_y} pixels"
-    if scene.score:
-        stages["data sets"] = ", ".join(setup.data_sets)
-        stages["window"] = f"{scene.score.window.skies} skies through {n_window} observations"
-        stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
-        if can_forecast(setup):
-            stages["forecast"] = "of each data set, beside its score"
-    if scene.map.healpix_nside:
-        stages["HEALPix"] = f"maps at nside {scene.map.healpix_nside}"
-    return stages
-
-
-SECTIONS_LEFT_OUT = {
-    "atmosphere": ": no layer, no weather",
-    "sky": ": noise alone",
-    "score": ": no map PSDs, no sign-flipped maps",
-}
-
-
-def _left_out(setup: Setup) -> dict[str, str]:
-    """Every stage that a run of the scene leaves out, and why."""
-    scene = setup.scene
-    reasons = {name: f"no section [{name}]{SECTIONS_LEFT_OUT.get(name, '')}" for name in stages_left_out(scene)}
-    if scene.fixed_pointing:
-        reasons["ephemerides"] = "a fixed elevation needs no astropy.coordinates"
-    if setup.water is None:
-        reasons["opacity"] = "no atmosphere.site to know it of"
-    if scene.photon is None and scene.excess is None:
-        reasons["overlap"] = "no noise that detectors share"
-    if scene.instrument.colours and not setup.subtracts_colours:
-        reasons["other bands"] = "no recipe subtracts them"
-    if scene.score is None:
-        reasons |= dict.fromkeys(("window", "forecast", "best recipe"), "no section [score] to need it")
-    elif not can_forecast(setup):
-        reasons["forecast"] = f"cleaning by {setup.recipes[0].label} is no projection"
-    if scene.score and not setup.chooses:
-        reasons["best recipe"] = "no cleaning.compare to choose from"
-    if not scene.map.healpix_nside:
-        reasons["HEALPix"] = "no map.healpix_nside"
-    return reasons

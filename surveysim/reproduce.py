@@ -4,12 +4,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from mapmaker.files import whole_file
 from surveysim.atmosphere.fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV
 from surveysim.engines import Engine
 from surveysim.paper.campaign import MeasuredSurvey, measure_survey
+from surveysim.record import earlier_runs, write_record
 from surveysim.scene import Scene, SceneError, load_scene
 from surveysim.setup import prepare
 
@@ -183,23 +185,47 @@ def reproduce(
     """Make what is asked for below `out`, each as soon as its observations are measured.
 
     Returns the files, and for each item that can't be made of these observations a line that says why. `progress` is
-    called after each observation.
+    called after each observation. Beside the files stand summary.json, which says of which scenes they were made, and
+    report.html; items of an earlier call stay.
     """
     surveys: dict[str, MeasuredSurvey] = {}
-    left, written, failed = asked.items, [], []
+    made: dict[str, list[Path]] = {}
+    failed: dict[str, str] = {}
+    left, start = asked.items, perf_counter()
+    earlier = earlier_runs(out, [*asked.items, *map(_band_item, asked.scenes)])
     for band in (None, *asked.scenes):
         makers = []
         if band is not None:
             surveys[band] = measure_survey(asked.scenes[band], engine, progress)
-            makers.append((f"{band} GHz", partial(_write_measurements, out, band, surveys[band])))
+            makers.append((_band_item(band), partial(_write_measurements, out, band, surveys[band])))
         ready = [name for name in left if set(_NEEDS[name]) <= set(surveys)]
         left = [name for name in left if name not in ready]
         makers += [(name, partial(_write, name, out, surveys, asked.model)) for name in ready]
-        _make(makers, written, failed)
+        _make(makers, made, failed)
     for need, scene in asked.runs.items():
         makers = _run_makers([name for name in left if _NEEDS[name] == (need,)], out, scene, engine, progress)
-        _make(makers, written, failed)
-    return written, failed
+        _make(makers, made, failed)
+    if made or earlier:
+        write_record(out, earlier, made, failed, _scenes_used(asked), engine, perf_counter() - start)
+    written = [path for paths in made.values() for path in paths]
+    return written, [f"{name}: {reason}" for name, reason in failed.items()]
+
+
+def _band_item(band: str) -> str:
+    """The name of what is measured in a band, beside tables and figures."""
+    return f"{band} GHz"
+
+
+def _scenes_used(asked: Wanted) -> list[tuple[Scene, list[str]]]:
+    """Every scene of which something is made, with the items made of it."""
+    used = []
+    for band, scenes in asked.scenes.items():
+        items = [_band_item(band)] + [name for name in asked.items if band in _NEEDS[name]]
+        used += [(scene, items) for scene in scenes]
+    if asked.model:
+        used.append((asked.model, ["figure 2"]))
+    runs = asked.runs.items()
+    return used + [(scene, [name for name in asked.items if need in _NEEDS[name]]) for need, scene in runs]
 
 
 def _run_makers(
@@ -212,13 +238,15 @@ def _run_makers(
     return [(name, partial(_write_scored, name, out, result)) for name in names]
 
 
-def _make(makers: list[tuple[str, Callable[[], list[Path]]]], written: list[Path], failed: list[str]) -> None:
+def _make(
+    makers: list[tuple[str, Callable[[], list[Path]]]], made: dict[str, list[Path]], failed: dict[str, str]
+) -> None:
     """Make items by name; those that can't be made of so few observations go to `failed` with the reason."""
     for name, make in makers:
         try:
-            written += make()
+            made[name] = make()
         except ValueError as error:
-            failed.append(f"{name}: {' '.join(str(error).split())}")
+            failed[name] = " ".join(str(error).split())
 
 
 def _write_scored(name: str, out: Path, run: Callable[[], "SurveyResult"]) -> list[Path]:

@@ -1,27 +1,38 @@
 """What a finished run says: the score table, gains, alternatives, and the summary of everything."""
 
-import platform
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from mapmaker.bandpower import BandPower, flat_band_power_fixed_weights, noise_error
-from surveysim import __version__
 from surveysim.choice import TARGETS, best_places
 from surveysim.coadds import CoAdds, row_names
 from surveysim.control import Controlled, controlled_scores
 from surveysim.engines import SERIAL
 from surveysim.forecast import DataSetForecast, Forecast, can_forecast, forecast
+from surveysim.provenance import made_by, now
 from surveysim.recipes import ACTUAL, Recipe
 from surveysim.scan import samples_per_scan
-from surveysim.scene import Scene, SceneError, scene_hash
+from surveysim.scene import SceneError, scene_hash
 from surveysim.scores import DataSetScore, Gain, flux_removed, gain, rescore, score_survey, sector_sigma
 from surveysim.setup import Setup
-from surveysim.stopping import UNLIMITED, Cost, Estimate, Limits, answer_cost, best_estimate, stop_reason
+from surveysim.stages import absent_sections, left_out, stages_that_run
+from surveysim.stopping import (
+    FINE_ERROR,
+    TOLD_ERRORS,
+    UNLIMITED,
+    Cost,
+    ErrorParts,
+    Estimate,
+    Limits,
+    answer_cost,
+    best_estimate,
+    error_parts,
+    stop_reason,
+)
+from surveysim.truth import truth
 
-PACKAGES = ("numpy", "scipy", "numba", "astropy", "healpy", "h5py", "pydantic")
 PSD_AT_HZ = (0.01, 0.1, 1.0)
 COMPARED_ELL = (2500, 15000)  # below, the ends of scans and the map's edge rule; beyond, its pixels
 ALTERNATIVE_ELL_MIN = (1000, 2000, 3000, 4000, 4500, 5000, 5500)
@@ -93,9 +104,19 @@ class SurveyResult:
         return stop_reason(self.setup, self.limits, self.coadds.done, self.estimate)
 
     @property
+    def parts(self) -> ErrorParts | None:
+        """What the error of the estimate is made of; None without a score."""
+        return error_parts(self.coadds, self.scores, self.controlled) if ACTUAL in self.scores else None
+
+    def cost(self, target: float) -> Cost | None:
+        """What an answer to a relative error would take; None without a score, or where none is as good."""
+        parts = self.parts
+        return None if parts is None else answer_cost(self.setup, self.coadds.done, self.workers, parts, target)
+
+    @property
     def fine_cost(self) -> Cost | None:
-        """What an answer to 1 % would take; None without a score."""
-        return answer_cost(self.setup, self.coadds, self.workers, self.scores, self.controlled)
+        """What an answer to 1 % would take, as `cost`."""
+        return self.cost(FINE_ERROR)
 
 
 def survey_result(
@@ -249,12 +270,6 @@ def _alternative_row(
     return row
 
 
-def stages_left_out(scene: Scene) -> list[str]:
-    """Optional sections that the scene does not have."""
-    optional = ("atmosphere", "excess", "photon", "detector", "sky", "score")
-    return [name for name in optional if getattr(scene, name) is None]
-
-
 def summary(result: SurveyResult) -> dict[str, Any]:
     """The content of summary.json; its keys are stable (README, "What a run leaves behind")."""
     setup, coadds = result.setup, result.coadds
@@ -265,13 +280,13 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "title": setup.scene.title,
         "seed": setup.scene.seed,
         "scene_sha256": scene_hash(setup.scene),
-        "surveysim": __version__,
-        "python": platform.python_version(),
-        "packages": {name: version(name) for name in PACKAGES},
+        **made_by(),
         "observations": coadds.done,
         "detectors": setup.n_det,
         "detector_samples": samples,
-        "stages_left_out": stages_left_out(setup.scene),
+        "stages_left_out": absent_sections(setup.scene),
+        "stages": stages_that_run(setup),
+        "left_out": left_out(setup),
         "scans": coadds.done * setup.raster.n_scans,
         "scans_discarded": int(columns[f"discarded_{ACTUAL}"].sum()),
         "mean_iterations": float(columns[f"iterations_{ACTUAL}"].mean()),
@@ -290,7 +305,10 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         content["alternatives"] = result.alternatives
         if result.fine_cost:
             content["fine_answer"] = vars(result.fine_cost)
+        content["answers"] = [vars(cost) for cost in map(result.cost, TOLD_ERRORS) if cost]
+    content["truth"] = [vars(item) for item in truth(setup, coadds, result.scores, result.expected)]
     content["run"] = {
+        "date": now(),
         "engine": result.engine,
         "workers": result.workers,
         "wall_s": result.wall_s,

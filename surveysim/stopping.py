@@ -24,6 +24,7 @@ FEWEST = 32  # observations whose scatter tells their error to an eighth; rare o
 _WINDOWS = 8  # observations that tell what cleaning leaves of the sky: fewer leave seams in its maps
 _SPACING = 8  # of boundaries, up to 128 observations: four pairs of scan directions
 FINE_ERROR = 0.01  # of the answer whose cost is told
+TOLD_ERRORS = (0.03, FINE_ERROR)  # of all answers whose costs are kept with the results
 _SHARE = 0.25  # of the variance that sign flips, or skies, may have in it
 
 
@@ -143,37 +144,48 @@ def best_estimate(scores: dict[str, DataSetScore], controlled: dict[str, Control
     return Estimate("controlled", controlled[ACTUAL].sigma_ukcmb2, controlled[ACTUAL].error_ukcmb2)
 
 
-def answer_cost(
-    setup: Setup,
-    coadds: CoAdds,
-    workers: int,
-    scores: dict[str, DataSetScore],
-    controlled: dict[str, Controlled],
-    target: float = FINE_ERROR,
-) -> Cost | None:
-    """What an answer of this relative error would take, by this run's errors and time; None without a score.
-
-    Errors from sign flips and window skies do not fall with observations: where they have more than a quarter of
-    the variance, more flips and skies are counted on, whose errors go as one over the root of their numbers.
+@dataclass(frozen=True)
+class ErrorParts:
+    """Relative errors of the actual data's best estimate, by what makes them fall: more `observations`, sign `flips`
+    or window `skies`; the `rest` falls with none. `each_s` is the time that an observation takes of one worker.
     """
-    if ACTUAL not in scores:
-        return None
-    item, score = scores[ACTUAL], setup.scene.score
-    signs = sign_error(item.noise_psds, item.band.weight, item.weights[item.weights > 0])
-    jackknives = _enough(score.jackknives, signs / target)
-    skies = _enough(score.window.skies, item.budget.window / target)
-    fixed = signs**2 * score.jackknives / jackknives + item.budget.window**2 * score.window.skies / skies
-    of_observations = item.budget.noise**2 - signs**2
+
+    observations: float
+    flips: float
+    skies: float
+    rest: float
+    each_s: float
+
+
+def error_parts(coadds: CoAdds, scores: dict[str, DataSetScore], controlled: dict[str, Controlled]) -> ErrorParts:
+    """The parts of the error of a run whose actual data are scored."""
+    item = scores[ACTUAL]
+    flips = sign_error(item.noise_psds, item.band.weight, item.weights[item.weights > 0])
+    of_observations, rest = item.budget.noise**2 - flips**2, 0.0
     if ACTUAL in controlled:
         budget = controlled[ACTUAL].budget
-        of_observations, fixed = of_observations + budget.forecast**2, fixed + budget.population**2
+        of_observations, rest = of_observations + budget.forecast**2, budget.population
     else:
         of_observations += item.budget.weather**2
+    each_s = sum(coadds.seconds.values()) / coadds.done
+    return ErrorParts(math.sqrt(max(0.0, of_observations)), flips, item.budget.window, rest, each_s)
+
+
+def answer_cost(setup: Setup, done: int, workers: int, parts: ErrorParts, target: float = FINE_ERROR) -> Cost | None:
+    """What an answer of this relative error would take, by the parts of the error of `done` observations.
+
+    Errors from sign flips and window skies do not fall with observations: where they have more than a quarter of
+    the variance, more flips and skies are counted on, whose errors go as one over the root of their numbers. None
+    where the rest of the error alone is larger.
+    """
+    score = setup.scene.score
+    jackknives = _enough(score.jackknives, parts.flips / target)
+    skies = _enough(score.window.skies, parts.skies / target)
+    fixed = parts.flips**2 * score.jackknives / jackknives + parts.skies**2 * score.window.skies / skies + parts.rest**2
     if fixed >= target**2:
         return None
-    observations = 2 * math.ceil(coadds.done * of_observations / (target**2 - fixed) / 2)
-    each_s = sum(coadds.seconds.values()) / coadds.done / workers
-    return Cost(target, observations * each_s, observations, jackknives, skies)
+    observations = 2 * max(1, math.ceil(done * parts.observations**2 / (target**2 - fixed) / 2))
+    return Cost(target, observations * parts.each_s / workers, observations, jackknives, skies)
 
 
 def _enough(number: int, error: float) -> int:

@@ -21,6 +21,7 @@ from surveysim.sweep import Point, Sweep
 
 DRAWS = 20_000  # of the best point: a probability of 0.5 is known to 0.004
 _DRAWS_AT_ONCE = 1000
+SURE = 0.995  # from here on a probability rounds to 100 %, which it is not
 _EQUAL = 1e-9  # relative difference below which two points are equal
 
 

@@ -1,4 +1,4 @@
-"""What accuracy costs as text: the table of all settings, slopes, recommendations, and the files of a measurement."""
+"""What accuracy costs as text: the table of all settings, slopes and recommendations."""
 
 import sys
 from pathlib import Path
@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mapmaker.files import whole_file
 from surveysim.accuracy import AccuracyResult, Measured
+from surveysim.report.text import where_line
 
 if TYPE_CHECKING:
     from astropy.table import Table as AstropyTable
@@ -19,16 +19,6 @@ COLUMNS = ("sigma_ukcmb2", "error_ukcmb2", "bias", "bias_error", "wall_s", "cpu_
 PARTS = ("noise", "weather", "window")
 UNITS = {"ukcmb2": "uK2", "s": "s", "mb": "MB"}
 MEMORY = "peak_mb is the most that a process held since it began, other settings before included; raised_mb its rise"
-
-
-def write_accuracy(result: AccuracyResult, directory: Path, figures: bool = True) -> None:
-    """Write accuracy.ecsv and, unless left out, figures/accuracy.png."""
-    with whole_file(directory / "accuracy.ecsv") as partial:
-        accuracy_table(result).write(partial, format="ascii.ecsv", overwrite=True)
-    if figures:
-        from surveysim.report.accuracy_figure import draw_accuracy
-
-        draw_accuracy(directory / "figures" / "accuracy.png", result)
 
 
 def accuracy_table(result: AccuracyResult) -> "AstropyTable":
@@ -71,7 +61,7 @@ def print_accuracy(result: AccuracyResult, directory: Path) -> None:
     for line in (*_refused(result), *reference_lines(result), *slope_lines(result), *recommended_lines(result)):
         console.print(line, highlight=False, markup=False)
     done = f"{len(result.rows)} settings in {result.wall_s:.1f} s with {result.workers} worker(s)"
-    console.print(f"\n{done}; {MEMORY}\nResults in {directory}", highlight=False, markup=False)
+    console.print(f"\n{done}; {MEMORY}\n{where_line(directory)}", highlight=False, markup=False)
 
 
 def _table(result: AccuracyResult) -> Table:

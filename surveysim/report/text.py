@@ -11,6 +11,7 @@ from rich.text import Text
 from surveysim.forecast import NEGLECTED
 from surveysim.plan import Plan, SweepPlan
 from surveysim.recipes import ACTUAL
+from surveysim.report.page import REPORT
 from surveysim.results import (
     COMPARED_ELL,
     METHOD,
@@ -24,15 +25,12 @@ from surveysim.results import (
 from surveysim.scene import Scene
 from surveysim.stopping import UNLIMITED
 from surveysim.sweep import Sweep
-from surveysim.trade import SweepResult
+from surveysim.trade import SURE, SweepResult
 
 if TYPE_CHECKING:
     from astropy.table import Table as AstropyTable
 
     from surveysim.forecast import Forecast
-
-SURE = 0.995  # from here on a probability rounds to 100 %, which it is not
-
 
 # What a forecast is good to; a report says where one is worse.
 FORECAST_SIGMA, FORECAST_PSD = 0.1, 0.15
@@ -61,7 +59,7 @@ def print_result(result: SurveyResult, directory: Path) -> None:
         console.print("\nAssumed or calibrated in the scene:", highlight=False)
         for line in result.setup.scene.assumed:
             console.print(f"  - {line}", highlight=False, markup=False)
-    console.print(f"\n{closing_line(result)}\nResults in {directory}", highlight=False, markup=False)
+    console.print(f"\n{closing_line(result)}\n{where_line(directory)}", highlight=False, markup=False)
 
 
 def _console() -> Console:
@@ -77,6 +75,11 @@ def closing_line(result: SurveyResult) -> str:
         f"{content['observations']} observations, {content['detector_samples'] / 1e6:.4g} million "
         f"detector-samples, {scans}, {result.wall_s:.1f} s with {result.workers} worker(s)"
     )
+
+
+def where_line(directory: Path) -> str:
+    """Where the results are, and the page that has them all."""
+    return f"Results in {directory}, all on one page in {directory / REPORT}"
 
 
 def agreement_lines(result: SurveyResult) -> list[str]:
@@ -268,7 +271,7 @@ def print_sweep(result: SweepResult, directory: Path) -> None:
     for line in _forecast_lines(result):
         console.print(line, highlight=False, markup=False)
     done = f"{len(result.points)} points in {result.wall_s:.1f} s with {result.workers} worker(s)"
-    console.print(f"\n{done}\nResults in {directory}", highlight=False, markup=False)
+    console.print(f"\n{done}\n{where_line(directory)}", highlight=False, markup=False)
 
 
 def _forecast_lines(result: SweepResult) -> list[str]:
@@ -359,7 +362,7 @@ def print_paper(written: list[Path]) -> None:
             else:
                 console.print(_plain_table(made))
     if written:
-        console.print(f"\n{len(written)} files in {written[0].parent}", highlight=False, markup=False)
+        console.print(f"\n{len(written)} files. {where_line(written[0].parent)}", highlight=False, markup=False)
 
 
 def _plain_table(made: "AstropyTable") -> Table:

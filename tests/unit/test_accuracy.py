@@ -1,5 +1,6 @@
 """Ladders of settings, their measurement end to end on a tiny scene, and what follows from it."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -14,10 +15,12 @@ from surveysim.accuracy.ladders import sub_survey
 from surveysim.accuracy.runs import Task, run_task
 from surveysim.engines import SERIAL
 from surveysim.observation import draw_observation
+from surveysim.outputs import write_accuracy
 from surveysim.reduction import observe
 from surveysim.report.accuracy_figure import accuracy_figure, pareto
-from surveysim.report.accuracy_text import print_accuracy, write_accuracy
+from surveysim.report.accuracy_text import print_accuracy
 from surveysim.setup import prepare
+from tests.pages import read_page, rows_of, value_of
 from tests.scenes import SMALL_SCENE, without_sections
 
 
@@ -136,12 +139,21 @@ def test_other_draws_share_no_noise(result):
 
 
 def test_files_hold_all_rows(result, tmp_path, capsys):
-    write_accuracy(result, tmp_path)
+    write_accuracy(tmp_path, result, figures=True)
     table = Table.read(tmp_path / "accuracy.ecsv", format="ascii.ecsv")
     assert len(table) == len(result.rows)
     np.testing.assert_allclose(np.ma.filled(table["bias"], np.nan), [row.bias for row in result.rows])
     assert table.meta["reference_seeds"] == 2 and "process" in table.meta["memory"]
     assert (tmp_path / "figures" / "accuracy.png").read_bytes()[:4] == b"\x89PNG"
+    summary = json.loads((tmp_path / "summary.json").read_text(), parse_constant=pytest.fail)
+    assert summary["files"] == ["accuracy.ecsv", "figures/accuracy.png", "report.html", "scene.json"]
+    page = read_page(tmp_path / "report.html")
+    shown = {row[0].text: value_of(row[2]) for row in rows_of(page, "setting-table")}
+    scored = [row for row in result.rows if np.isfinite(row.sigma_ukcmb2)]
+    assert shown == {f"{row.setting.knob}: {row.setting.label}": row.sigma_ukcmb2 for row in scored}
+    assert len(page.all("img")) == 1 and "sample rate 5 Hz: refused: " in page.text
+    write_accuracy(tmp_path, result, figures=False)
+    assert read_page(tmp_path / "report.html").all("img") == []  # the figure is not this call's
     print_accuracy(result, tmp_path)
     text = capsys.readouterr().out
     for line in ("sample rate 5 Hz: refused: ", "slope of error against time", "Recommended, with a bias below"):

@@ -12,6 +12,7 @@ from tests.scenes import SMALL_SCENE, without_sections
 from tests.unit.test_cli import refused
 from tests.unit.test_interruption import none_left, start, wait_for
 
+FILES = ["report.html", "scene.json", "summary.json", "sweep.ecsv"]
 SWEEP = '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n'
 
 
@@ -60,7 +61,7 @@ def test_run_of_a_sweep(call, sweep):
     lines = error.splitlines()
     assert lines[0] == f"no points in {out}: starting with the first"
     assert [line.split(",")[0] for line in lines[1:]] == ["speeds: 1/2 points", "speeds: 2/2 points"]
-    assert sorted(path.name for path in out.iterdir()) == ["summary.json", "sweep.ecsv"]
+    assert sorted(path.name for path in out.iterdir()) == FILES
     assert call("run", sweep, *arguments, "--quiet") == (0, "", "")
     assert (out / "figures" / "sweep.png").exists()
     (out / "points").write_text("mine")
@@ -105,6 +106,6 @@ def test_forecast_of_a_sweep(call, sweep, monkeypatch):
     assert code == 0 and "best: scan.speed = 3 arcmin / s, sigma(A) = " in out and "by forecast" in out
     assert "confidence" not in out and error.splitlines()[-1].startswith("speeds: 2/2 points")
     directory = Path("outputs/speeds_forecast")
-    assert sorted(path.name for path in directory.iterdir()) == ["summary.json", "sweep.ecsv"]
+    assert sorted(path.name for path in directory.iterdir()) == FILES
     assert call("forecast", sweep, "--out", "mine", "--quiet") == (0, "", "")
     assert Path("mine/figures/sweep.png").exists()

@@ -1,13 +1,21 @@
 """The paper command on small scenes: which observations are made, which files come out, what they hold."""
 
+import json
+import math
+from base64 import b64decode
+
 import numpy as np
 import pytest
 from astropy.table import Table
 from PIL import Image
 
+from surveysim import load_scene
+from surveysim import run as run_scene
 from surveysim.engines import SERIAL, Engine
+from surveysim.report.page_paper import Compared
 from surveysim.reproduce import FIGURES, TABLES, reproduce, wanted
 from surveysim.scene import SceneError
+from tests.pages import read_page, rows_of, value_of
 from tests.scenes import SMALL_SCENE, without_sections
 
 # Streams that are nearly all atmosphere, so that four short scans tell its wind.
@@ -57,7 +65,82 @@ def test_everything_is_there_and_nothing_else(made):
         "table3_gains.ecsv",
     }
     names |= {f"figure{number:02d}.{kind}" for number in FIGURES for kind in ("png", "ecsv")}
-    assert {path.name for path in written} == names == {path.name for path in out.iterdir()}
+    assert {path.name for path in written} == names
+    assert {path.name for path in out.iterdir()} == names | {"summary.json", "report.html"}
+
+
+def test_the_report_has_all_of_it(made):
+    out, page = made[0], read_page(made[0] / "report.html")
+    shown = [b64decode(image.attributes["src"].partition("base64,")[2]) for image in page.all("img")]
+    assert shown == [(out / f"figure{number:02d}.png").read_bytes() for number in FIGURES]
+    for number, figure in zip(FIGURES, page.all("figure"), strict=True):
+        meta = read(out / f"figure{number:02d}.ecsv").meta
+        caption = figure.one("figcaption")
+        assert caption.one("h3").text == f"Figure {number}: {meta['title']}" and figure.one("img").attributes["alt"]
+        drawn = caption.one("p", class_="drawn").text
+        assert drawn[:60] == meta["caption"].replace("/ s", "/s")[:60] and "Look for" in caption.text
+    for name in ("table1", "table1_sites", "table2", "table2_photons", "table3", "table3_gains"):
+        assert len(rows_of(page, f"grid-{name}")) == len(read(out / f"{name}.ecsv"))
+    table = read(out / "table3.ecsv")
+    for row, cells in zip(table, rows_of(page, "grid-table3"), strict=True):
+        assert (value_of(cells[1]), value_of(cells[2])) == (row["sigma_ukcmb2"], row["paper"])
+    recovered = {row[0].text: row for row in rows_of(page, "grid-recovered")}
+    assert value_of(recovered["share of winds trusted"][1]) == read(out / "recovered_143.ecsv")["ours"][3]
+
+
+def test_the_overview_counts_what_the_tables_say(made):
+    page = read_page(made[0] / "report.html")
+    counts = {row[0].text: [value_of(cell) for cell in row[1:5]] for row in rows_of(page, "grid-overview")}
+    assert all(values[0] == sum(values[1:]) for values in counts.values())
+    for title, values in counts.items():
+        section = [item for item in page.all("section", class_="grid") if item.one("h3").text == title]
+        if section:
+            verdicts = [row.all("td")[3].text for row in section[0].one("tbody").all("tr")]
+            assert values[1:] == [verdicts.count(word) for word in ("yes", "nearly", "no")]
+    total = [int(sum(values[k] for values in counts.values())) for k in range(4)]
+    assert f"{total[0]} values here are in the paper too: {total[1]} agree within errors, {total[2]} more" in page.text
+
+
+@pytest.mark.parametrize(
+    "numbers, verdict",
+    [
+        ((100, 5, 109, math.nan), "yes"),
+        ((100, 5, 111, math.nan), "nearly"),
+        ((100, 5, 126, math.nan), "no"),
+        ((100, 5, 126, 12), "yes"),
+        ((100, math.nan, 119, math.nan), "nearly"),
+        ((0.0, 0.0, 1.1, math.nan), "no"),
+    ],
+)
+def test_what_agrees(numbers, verdict):
+    assert Compared("it", *numbers).agrees == verdict
+
+
+def test_the_summary_says_what_each_item_is_made_of(made):
+    content = json.loads((made[0] / "summary.json").read_text())
+    assert set(content["files"]) == {path.name for path in made[0].iterdir()} - {"summary.json"}
+    (run,) = content["runs"]
+    assert sorted(name for names in run["items"].values() for name in names) == sorted(path.name for path in made[1])
+    assert run["failed"] == {} and run["surveysim"] and run["date"]
+    used = [(scene["scene"], scene["seed"], scene["observations"]) for scene in run["scenes"]]
+    assert used[:3] == [("lynx", 11, 8), ("sds1", 12, 8), ("cosmos", 13, 8)]
+    assert {name for scene in run["scenes"] for name in scene["items"]} == set(run["items"]) - {"figure 1"}
+    assert all(len(scene["scene_sha256"]) == 64 for scene in run["scenes"])
+
+
+def test_items_of_an_earlier_call_stay_with_what_made_them(scenarios, tmp_path):
+    reproduce(wanted((), (1, 2), scenarios, None), tmp_path, SERIAL)
+    reproduce(wanted((), (2,), scenarios, None, {"seed": 5}), tmp_path, SERIAL)
+    content = json.loads((tmp_path / "summary.json").read_text())
+    assert [list(run["items"]) for run in content["runs"]] == [["figure 1"], ["figure 2"]]
+    assert [[scene["seed"] for scene in run["scenes"]] for run in content["runs"]] == [[], [5]]
+    assert len(read_page(tmp_path / "report.html").all("img")) == 2
+    reproduce(wanted((), (6,), scenarios, 1, {"atmosphere.b2": "[0, 0, 0] mK2 rad(-5/3)"}), tmp_path, SERIAL)
+    page = read_page(tmp_path / "report.html")
+    assert len(page.all("img")) == 2 and "Not made: figure 6" in page.text and "Not made: 143 GHz" in page.text
+    before = list(tmp_path.glob("figure*"))
+    run_scene(load_scene(scenarios / "lynx.toml", {"score": None}), tmp_path, engine=SERIAL, figures=False)
+    assert before and not list(tmp_path.glob("figure*"))  # a directory is of one command
 
 
 def test_each_observation_is_made_once(made):

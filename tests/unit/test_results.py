@@ -19,9 +19,11 @@ from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
 KEYS = {
     "scene", "title", "seed", "scene_sha256", "surveysim", "python", "packages", "observations", "detectors",
     "detector_samples", "stages_left_out", "scans", "scans_discarded", "mean_iterations", "scores", "run", "cleaning",
-    "files", "stopped",
+    "files", "stopped", "stages", "left_out", "truth",
 }  # fmt: skip
-SCORED_KEYS = {"controlled", "fine_answer", "forecast_over_simulated", "error_budget", "gains", "alternatives"}
+SCORED_KEYS = {
+    "controlled", "fine_answer", "answers", "forecast_over_simulated", "error_budget", "gains", "alternatives",
+}  # fmt: skip
 SETS = ("actual", "uncorrelated", "white", "masked_7")
 
 
@@ -43,6 +45,7 @@ def test_files(finished):
     names = sorted(str(path.relative_to(finished[1])) for path in finished[1].rglob("*.*"))
     assert names == [
         *(f"maps/{name}.fits" for name in sorted(SETS)),
+        "report.html",
         "scene.json",
         "summary.json",
         *(f"tables/{name}.ecsv" for name in ("alternatives", "map_psd", "observations", "scores", "timestream_psd")),
@@ -193,8 +196,10 @@ def test_a_run_replaces_an_earlier_one(tmp_path):
     run(load_scene(path), out, engine=SERIAL, save_timestreams=True)
     for name in ("notes.txt", "figures/mine.png", "tables/mine.ecsv"):
         (out / name).write_text("mine")
+    assert "report.html" in json.loads((out / "summary.json").read_text())["files"]
     run(load_scene(path, {"observations": 2}), out, engine=SERIAL, figures=False)
     assert [path.name for path in (out / "figures").glob("*")] == ["mine.png"]
+    assert "<img" not in (out / "report.html").read_text()
     assert not list((out / "timestreams").glob("*")) and (out / "tables" / "mine.ecsv").exists()
     assert json.loads((out / "summary.json").read_text())["observations"] == 2
     assert (out / "notes.txt").read_text() == "mine"

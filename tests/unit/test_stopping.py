@@ -11,6 +11,7 @@ from astropy.table import Table
 from surveysim import load_scene, run
 from surveysim.engines import SERIAL, Engine
 from surveysim.report.text import cost_lines, stop_lines, survey_lines
+from surveysim.report.time_figure import time_figure
 from surveysim.results import survey_result
 from surveysim.setup import prepare
 from surveysim.stopping import FEWEST, UNLIMITED, Estimate, Limits, is_boundary, parsed_limits, stop_reason
@@ -183,6 +184,21 @@ def test_the_cost_of_a_fine_answer_is_what_its_errors_add_up_to(scene):
     assert f"{cost.observations} observations, {cost.jackknives} sign flips" in cost_lines(result)[0]
     twice = replace(result, workers=2)
     assert twice.fine_cost.seconds == pytest.approx(cost.seconds / 2)
+
+
+def test_the_figure_of_error_against_time_goes_through_the_run_and_its_costs(scene):
+    setup = prepare(load_scene(scene))
+    result = survey_result(setup, run_observations(setup, None), 1.0, 2)
+    alone, more, own = time_figure(result).panels[0].series
+    seconds, error = own.x[0], own.y[0]
+    assert seconds == pytest.approx(sum(result.coadds.seconds.values()) / 2)
+    assert error == result.estimate.relative_error
+    at = np.exp(np.interp(np.log(seconds), np.log(alone.x), np.log(alone.y)))
+    assert at == pytest.approx(error, rel=0.01)
+    # Without more flips the error stays above theirs; with them it falls on.
+    assert alone.y[-1] > np.hypot(result.parts.flips, result.parts.skies) and more.y.min() < 0.5 * alone.y.min()
+    for time, target in zip(more.x, more.y, strict=True):
+        assert result.cost(target).seconds == time
 
 
 def test_lines_of_a_part(scene):

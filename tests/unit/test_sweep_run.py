@@ -28,6 +28,7 @@ WHITE = (
 )
 LEVELS = '\n[sweep]\n"detector.psd" = ["2.5 mK2 / Hz", "10 mK2 / Hz", "2500000 uK2 / Hz"]\n'
 SPEEDS = '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s", "5 arcmin / s"]\n'
+FILES = ["report.html", "scene.json", "summary.json", "sweep.ecsv"]
 ROWS = ("ratio", "paired_error", "independent_error", "best_probability")
 
 
@@ -163,8 +164,8 @@ def test_comparisons_are_repeatable(levels):
 def test_files_of_a_sweep(levels):
     result, out = levels
     content = json.loads((out / "summary.json").read_text())
-    assert content["files"] == ["figures/sweep.png", "sweep.ecsv"]
-    assert sorted(path.name for path in out.iterdir()) == ["figures", "summary.json", "sweep.ecsv"]
+    assert content["files"] == ["figures/sweep.png", "report.html", "scene.json", "sweep.ecsv"]
+    assert sorted(path.name for path in out.iterdir()) == ["figures", *FILES]
     assert content["seed"] == 11 and content["best"] == [0, 2] and content["kind"] == "simulated"
     assert content["axes"][0]["values"] == [["2.5 mK2 / Hz"], ["10 mK2 / Hz"], ["2500000 uK2 / Hz"]]
     assert len({point["scene_sha256"] for point in content["points"]}) == 2  # two points are one scene
@@ -187,11 +188,7 @@ def test_a_new_run_takes_the_place_of_an_old_one(write, levels, tmp_path):
     run(load_scene(path), tmp_path, engine=SERIAL, figures=False)
     assert not (tmp_path / "sweep.ecsv").exists() and not (tmp_path / "figures" / "sweep.png").exists()
     run_sweep(path, tmp_path, engine=SERIAL, figures=False)
-    assert sorted(item.name for item in tmp_path.iterdir() if item.is_file()) == [
-        "mine.txt",
-        "summary.json",
-        "sweep.ecsv",
-    ]
+    assert sorted(item.name for item in tmp_path.iterdir() if item.is_file()) == ["mine.txt", *FILES]
     assert not (tmp_path / "points").exists()
 
 
@@ -242,7 +239,7 @@ def test_two_workers_and_an_interruption_give_the_same_table(write, tmp_path, mo
     run_sweep(path, three, engine=SERIAL, resume=True, figures=False, progress=seen.append)
     assert calls == [2, 3, 0, 1, 2, 3] and seen == [2, 3]
     assert (one / "sweep.ecsv").read_bytes() == (two / "sweep.ecsv").read_bytes() == (three / "sweep.ecsv").read_bytes()
-    assert sorted(item.name for item in three.iterdir()) == ["summary.json", "sweep.ecsv"]
+    assert sorted(item.name for item in three.iterdir()) == FILES
 
 
 @pytest.mark.parametrize("kind", ["000.npz", "001.checkpoint.h5"])

@@ -1,0 +1,79 @@
+"""What the paper's tables and figures were made of: the runs that summary.json of their directory keeps."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from surveysim.engines import Engine
+from surveysim.outputs import remove_outputs, write_summary, write_text
+from surveysim.provenance import made_by, now
+from surveysim.scene import Scene, scene_hash
+
+PAPER = "Sayers et al. 2010"
+
+
+def earlier_runs(out: Path, items: Sequence[str]) -> list[dict[str, Any]]:
+    """Runs that made what stands in `out`, less the `items` that are to be made anew: their files are removed.
+
+    What another command left in `out` is removed altogether, as everywhere: a directory is of one command.
+    """
+    path = out / "summary.json"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        runs = content["runs"]
+        old = [out / name for run in runs for item in items for name in run["items"].get(item, ())]
+        left = [run for run in (_without(run, items) for run in runs) if run["items"]]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        remove_outputs(out)
+        return []
+    write_text(path, json.dumps(content | {"runs": left}, indent=2) + "\n")
+    for file in old:
+        file.unlink(missing_ok=True)
+    return left
+
+
+def _without(run: dict[str, Any], items: Sequence[str]) -> dict[str, Any]:
+    """A run less some of its items, and less the scenes that only these were made of."""
+    kept = {name: files for name, files in run["items"].items() if name not in items}
+    failed = {name: reason for name, reason in run["failed"].items() if name not in items}
+    scenes = [scene | {"items": [name for name in scene["items"] if name not in items]} for scene in run["scenes"]]
+    return run | {"items": kept, "failed": failed, "scenes": [scene for scene in scenes if scene["items"]]}
+
+
+def write_record(
+    out: Path,
+    earlier: list[dict[str, Any]],
+    made: Mapping[str, list[Path]],
+    failed: Mapping[str, str],
+    scenes: Sequence[tuple[Scene, list[str]]],
+    engine: Engine,
+    wall_s: float,
+) -> None:
+    """Write summary.json with this run after those `earlier`, and report.html.
+
+    `made` are the files of every item, `failed` the reasons of those that could not be made, `scenes` those that were
+    simulated, each with the items made of it.
+    """
+    run = {
+        **made_by(),
+        "date": now(),
+        "engine": engine.kind,
+        "workers": engine.workers_for(max((scene.observations for scene, _ in scenes), default=1)),
+        "wall_s": wall_s,
+        "items": {name: [path.name for path in paths] for name, paths in made.items()},
+        "failed": dict(failed),
+        "scenes": [
+            {
+                "scene": scene.name,
+                "seed": scene.seed,
+                "scene_sha256": scene_hash(scene),
+                "observations": scene.observations,
+                "items": items,
+            }
+            for scene, items in scenes
+        ],
+    }
+    runs = [*earlier, run]
+    files = [out / name for each in runs for names in each["items"].values() for name in names]
+    write_summary(out, {"paper": PAPER, "runs": runs}, files)

@@ -1,0 +1,124 @@
+"""One page for what lies in an output directory: of a run, a sweep, the paper's items or a measurement of accuracy."""
+
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mapmaker.files import whole_file
+from surveysim import __version__
+from surveysim.report.page_parts import Page
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+REPORT = "report.html"
+EXPECTED = "the directory of a run, a sweep, 'surveysim accuracy' or 'surveysim paper' is expected"
+# Units and symbols as the results write them, once they are escaped for HTML.
+_WRITTEN = [
+    (re.compile(pattern), written)
+    for pattern, written in (
+        (r"\b([uµm])K_CMB\^?2\b", r"\1K²<sub>CMB</sub>"),
+        (r"\b([uµ]K²|[uµm]K)_CMB\b", r"\1<sub>CMB</sub>"),
+        (r"\b([uµm])K\^?2\b", r"\1K²"),
+        (r"\buK", "µK"),
+        (r"\b(rad|Hz)\((-?[\d/]+)\)", r"\1<sup>\2</sup>"),
+        (r"\^\(([^()]*)\)", r"<sup>\1</sup>"),
+        (r"\^(-?\d+)", r"<sup>\1</sup>"),
+        (r"<sup>-", "<sup>−"),
+        (r"\bB2\b", "B<sup>2</sup>"),
+        (r"\bell_eff\b", "ℓ<sub>eff</sub>"),
+        (r"\bell\b", "ℓ"),
+        (r"\(f/#\)lambda\b", "(f/#)λ"),
+        (r"\bsigma\(A\)", "σ(A)"),
+        (r" / (s|Hz)\b", r"/\1"),
+        (r"\+-", "±"),
+        (r"(?<=[a-z])([._])(?=[a-z])", r"\1<wbr>"),  # where a key of a scene may go on in the next line
+    )
+]
+
+
+class NoResultsError(ValueError):
+    """A directory that no page can be made of; the text has one line: what was found and what is expected."""
+
+
+def write_report(directory: str | Path) -> Path:
+    """Write `report.html`, whole or not at all, from the files in `directory` alone; returns its path.
+
+    Raises NoResultsError for a directory without results, or with damaged ones.
+    """
+    directory = Path(directory)
+    text = _html(_page(directory))
+    with whole_file(directory / REPORT) as partial:
+        partial.write_text(text, encoding="utf-8")
+    return directory / REPORT
+
+
+def _page(directory: Path) -> Page:
+    """What the directory is of is told from its files."""
+    if not directory.is_dir():
+        raise NoResultsError(f"{directory}: no such directory; {EXPECTED}")
+    summary = _read(directory / "summary.json") if (directory / "summary.json").exists() else {}
+    try:
+        return _page_of(directory, summary)
+    except NoResultsError:
+        raise
+    except (LookupError, TypeError, ValueError) as error:  # of files that others wrote, or that are damaged
+        reason = " ".join(f"{type(error).__name__} {error}".split())
+        raise NoResultsError(f"{directory}: results that can't be read ({reason}); {EXPECTED}") from None
+
+
+def _page_of(directory: Path, summary: dict[str, Any]) -> Page:
+    if "points" in summary:
+        from surveysim.report.page_sweep import sweep_page
+
+        return sweep_page(directory, summary, _read(directory / "scene.json"))
+    if "scores" in summary:
+        from surveysim.report.page_run import run_page
+
+        return run_page(directory, summary, _read(directory / "scene.json"))
+    if "accuracy" in summary:
+        from surveysim.report.page_accuracy import accuracy_page
+
+        return accuracy_page(directory, summary, _read(directory / "scene.json"))
+    from surveysim.report.page_paper import has_items, paper_page
+
+    if has_items(directory):
+        return paper_page(directory, summary)
+    raise NoResultsError(f"{directory}: found no results; {EXPECTED}")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise NoResultsError(f"{path}: can't be read ({reason}); {EXPECTED}") from None
+    if not isinstance(content, dict):
+        raise NoResultsError(f"{path}: found {type(content).__name__}; a JSON object is expected")
+    return content
+
+
+def _html(page: Page) -> str:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("surveysim.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters["units"] = units
+    return environment.get_template("page.html.j2").render(page=page, version=__version__)
+
+
+def units(text: str) -> "Markup":
+    """Text for HTML, its units and symbols as they are printed: ``uK_CMB^2``, ``mK2 rad(-5/3)``, ``ell_eff``."""
+    from markupsafe import Markup, escape
+
+    written = str(escape(text))
+    for pattern, replacement in _WRITTEN:
+        written = pattern.sub(replacement, written)
+    return Markup(written)
