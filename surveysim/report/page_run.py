@@ -50,7 +50,8 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
     sections = [Section("scene", "What was simulated", what_was_simulated(scene, summary, summary["detectors"]))]
     if summary["scores"]:
         sections.append(Section("scores", "Scores", tuple(_scores(summary, scene))))
-    sections.append(Section("time", "Error against run time", (*_time(summary, scene), *timing)))
+    title = "Error against run time" if summary["scores"] else "Run time"
+    sections.append(Section("time", title, (*_time(summary, scene), *timing)))
     if others:
         sections.append(Section("figures", "Figures", others, nested=True))
     if blocks := tuple(_truth(summary)):

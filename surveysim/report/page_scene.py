@@ -43,7 +43,7 @@ def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
         "Sky": lambda: _sky(scene["sky"]),
         "Cleaning": lambda: _cleaning(scene["cleaning"]),
         "Map": lambda: _map(scene),
-        "Score": lambda: _score(scene["score"]),
+        "Score": lambda: _score(scene["score"], scene["observations"]),
         "Numerics": lambda: _numerics(scene["numerics"]),
     }
     optional = {
@@ -153,8 +153,10 @@ def _photon(photon: Values) -> Iterator[str]:
         yield f"From the load of {sky} and {short(load['optics_k'])} K of warm optics."
         yield f"Neighbours share what comes through the beam {COHERENCES[photon['coherence']]}."
     else:
-        yield f"{short(photon['psd_mk2_hz'])} mK2 / Hz, of which {_percent(photon['coherent_fraction'])} is coherent."
-        yield f"Neighbours share that part {COHERENCES[photon['coherence']]}."
+        share, how = photon["coherent_fraction"], photon["coherence"]
+        shared = f"of which neighbours share {_percent(share)} {COHERENCES[how]}"
+        yield f"White, {short(photon['psd_mk2_hz'])} mK2 / Hz,"
+        yield f"{shared if share > 0 and how != 'none' else 'shared by none'}."
 
 
 def _detector(detector: Values) -> Iterator[str]:
@@ -191,18 +193,19 @@ def _map(scene: Values) -> Iterator[str]:
 
 
 def _numerics(numerics: Values) -> Iterator[str]:
-    yield f"Streams are {numerics['precision']}; look-ups in the layer are {numerics['interpolation']},"
-    yield f"with {short(numerics['screen_step'])} times the usual step of its lattice."
+    step = numerics["screen_step"]
+    lattice = "the usual step" if step == 1 else f"{short(step)} times the usual step"
+    yield f"Streams are {numerics['precision']}; look-ups in the layer are {numerics['interpolation']}, at {lattice}."
 
 
-def _score(score: Values) -> Iterator[str]:
+def _score(score: Values, observations: int) -> Iterator[str]:
     yield "σ(A), the uncertainty of the amplitude A of a flat CMB band power,"
     yield f"from multipoles {score['ell_min']} to {score['ell_max']} in bins of {score['ell_bin']},"
     edges = _percent(score["taper_fraction"])
     yield f"over {_arcmin(score['size_rad'])} square, with cosine edges on {edges} of each side."
     yield f"The noise is measured by {score['jackknives']} co-adds with random signs, the signal that is left by"
-    window = score["window"]
-    yield f"{window['skies']} skies through {plural(window['observations'], 'observation')}."
+    through = min(score["window"]["observations"], observations)
+    yield f"{score['window']['skies']} skies through {plural(through, 'observation')}."
     beside = [SIMULATED[name] for name in score["simulated"]]
     if score["mask_separation_f_lambda"]:
         beside.append(f"an array masked to {short(score['mask_separation_f_lambda'])} (f/#)λ")
