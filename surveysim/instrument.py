@@ -18,17 +18,24 @@ class Camera:
     """A focal plane in the array frame and what couples its detectors.
 
     `focal_plane` holds n_det detectors; `f_lambda_rad` is one (f/#)lambda on the sky; `illumination` is how each
-    pixel lights the stop.
+    pixel lights the stop; `pitch_rad` that of the hexagonal lattice that detectors are on, None for a table.
     """
 
     focal_plane: FocalPlane
     f_lambda_rad: float
     illumination: Illumination = Illumination()
+    pitch_rad: float | None = None
 
     @property
     def positions_f_lambda(self) -> np.ndarray:
         """Positions (n_det, 2) in (f/#)lambda."""
         return np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad]) / self.f_lambda_rad
+
+    @property
+    def cells(self) -> np.ndarray:
+        """Places (n_det, 2) of detectors of a layout on its lattice, along axes 60 degrees apart."""
+        row = np.rint(self.focal_plane.y_rad / (np.sqrt(0.75) * self.pitch_rad))
+        return np.column_stack([np.rint(self.focal_plane.x_rad / self.pitch_rad - row / 2), row]).astype(int)
 
     @property
     def radius_rad(self) -> float:
@@ -48,13 +55,15 @@ def camera(section: InstrumentSection) -> Camera:
     Raises ValueError for a dead position that is not in the layout, no live detector, two
     detectors at one position, horns that do not fit between their neighbours, or an unreadable table.
     """
+    pitch = None
     if section.positions is not None:
         positions = read_positions(section.positions)
     else:
         positions = without(_layout_positions(section), section.layout.dead)
+        pitch = section.layout.pitch_f_lambda * section.f_lambda_rad
     check_distinct(positions)
     plane = FocalPlane(positions[:, 0].copy(), positions[:, 1].copy(), section.beam_fwhm_rad)
-    cam = Camera(plane, section.f_lambda_rad, illumination(section))
+    cam = Camera(plane, section.f_lambda_rad, illumination(section), pitch)
     closest = cam.closest_rad / section.f_lambda_rad
     if section.horn_f_lambda is not None and 0 < closest < section.horn_f_lambda * (1 - 1e-9):
         raise ValueError(
