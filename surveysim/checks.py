@@ -14,8 +14,10 @@ from surveysim.scene import Scene, SceneError
 
 MAX_REACH_RAD = math.radians(15)
 MAX_SIDE_PIXELS = 16_384
-MAX_DETECTOR_SAMPLES = 2e9
+MAX_DETECTOR_SAMPLES = 1e11  # an hour of 100,000 detectors at 200 Hz and more: hours of computing
+MAX_SAMPLES = 1e8  # of the boresight, whose path is held whole
 MAX_SURVEY_SCANS = 1e8
+MAX_MODES = 4000  # of which the eigenvectors take half a minute a scan
 
 
 def check_templates(scene: Scene, cam: Camera) -> None:
@@ -32,6 +34,11 @@ def check_templates(scene: Scene, cam: Camera) -> None:
             raise SceneError(
                 f"cleaning.{key}: found 'pca' with scans of {samples} samples; {needed + 1} or more are expected, of"
                 " fewer no mode can stand out"
+            )
+        if "pca" in steps and min(samples, len(cam.focal_plane.x_rad)) > MAX_MODES:
+            raise SceneError(
+                f"cleaning.{key}: found 'pca' with {len(cam.focal_plane.x_rad)} detectors and scans of {samples} samples;"
+                f" {MAX_MODES} or fewer of one of them are expected, as it takes all eigenvectors of the smaller number"
             )
         cycles = scene.scan.duration_s * HIGHEST_HZ
         if "wind" in steps and (cycles < LEAST_CYCLES or scene.scan.sample_rate_hz <= 2 * HIGHEST_HZ):
@@ -59,6 +66,11 @@ def check_size(scene: Scene, cam: Camera) -> None:
         raise SceneError(
             f"scan.sample_rate: found {samples:.3g} detector-samples an observation; "
             f"{MAX_DETECTOR_SAMPLES:g} or less are expected"
+        )
+    samples = scan.scans * scan.duration_s * scan.sample_rate_hz
+    if samples > MAX_SAMPLES:
+        raise SceneError(
+            f"scan.sample_rate: found {samples:.3g} samples an observation; {MAX_SAMPLES:g} or less are expected"
         )
     if scene.observations * scan.scans > MAX_SURVEY_SCANS:
         raise SceneError(

@@ -8,12 +8,13 @@ from itertools import chain
 
 import numpy as np
 
+from mapmaker.chunks import row_chunks
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import FocalPlane
 from surveysim.coherence import MOST_DENSE, correlation_matrix
 from surveysim.lattice import SharedNoise
 from surveysim.levels import white_levels
-from surveysim.noise import excess_variance, row_chunks
+from surveysim.noise import excess_variance
 from surveysim.observation import observation_weather
 from surveysim.recipes import Recipe
 from surveysim.scan import samples_per_scan
@@ -28,7 +29,7 @@ _SHIFTS = 8  # of the lattice of draws: their scatter is the error of a mean ove
 _DRAWS_A_SHIFT = 256
 _HIT_SAMPLES = 3e7  # of the observations that stand for the coverage
 _FEWEST_HITS, _MOST_HITS = 4, 48
-_MOST_HIT_SAMPLES = 1e8  # of one of them, of which larger ones have every so many in time
+_MOST_HIT_SAMPLES = 3e7  # of one of them, of which larger ones have every so many in time
 
 NoiseCorrelations = tuple[np.ndarray | SharedNoise | None, np.ndarray | SharedNoise | None]
 Draw = tuple[int, Weather | None]  # an observation's number, and a weather that it might have

@@ -1,5 +1,6 @@
 """Focal planes: hexagonal layouts, tables of positions, dead and masked detectors."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -200,9 +201,14 @@ def mask_by_separation(positions: np.ndarray, separation: float) -> np.ndarray:
     """
     x, y = positions.T
     order = np.lexsort((np.round(np.arctan2(y, x), 9), np.round(np.hypot(x, y) / separation, 9)))
-    kept: list[int] = []
-    for index in order:
-        apart = np.hypot(*(positions[kept] - positions[index]).T) if kept else np.array([np.inf])
-        if apart.min() >= separation * (1 - 1e-9):
-            kept.append(int(index))
-    return np.array(sorted(kept))
+    # Of those kept only the ones in squares of that side around it can be too near: others need not be looked at.
+    squares = np.floor(positions / separation).astype(int).tolist()
+    kept: dict[tuple[int, int], list[list[float]]] = {}
+    found = []
+    for index, place in zip(order.tolist(), positions[order].tolist(), strict=True):
+        column, row = squares[index]
+        near = (kept.get((column + i, row + j), ()) for i in (-1, 0, 1) for j in (-1, 0, 1))
+        if all(math.dist(place, other) >= separation * (1 - 1e-9) for square in near for other in square):
+            kept.setdefault((column, row), []).append(place)
+            found.append(index)
+    return np.array(sorted(found))

@@ -3,22 +3,11 @@
 One-sided PSDs throughout; streams are (n_det, n_samp) float32 with whole scans side by side.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 
+from mapmaker.chunks import row_chunks
 from surveysim.lattice import TorusRoot
 from surveysim.sections import Excess
-
-# Samples that are worked on at once where detectors do not depend on each other: with what is made of them they stay
-# in a processor's cache, and take no more memory the more detectors there are.
-CHUNK_SAMPLES = 2**18
-
-
-def row_chunks(n_row: int, row_samples: int) -> Iterator[slice]:
-    """Rows of `row_samples` samples, `CHUNK_SAMPLES` or a row at a time."""
-    step = max(1, CHUNK_SAMPLES // row_samples)
-    return (slice(first, min(first + step, n_row)) for first in range(0, n_row, step))
 
 
 def add_white(data_mk: np.ndarray, psd_mk2_hz: float, sample_rate_hz: float, rng: np.random.Generator) -> None:

@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
+from mapmaker.chunks import row_chunks
 from mapmaker.cleaning import Cleaned
 from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.timestreams import Timestreams, scan_bounds, timestream_file
 from surveysim.blocks import Block
 from surveysim.choice import TARGETS, best_places, merits
-from surveysim.noise import draw_from_psd, hann_power, hann_scale, row_chunks, white_level
+from surveysim.noise import draw_from_psd, hann_power, hann_scale, white_level
 from surveysim.observation import Stopwatch, add_sky_signal, draw_block, draw_colours, observation_weather
 from surveysim.pointing import Pointing
 from surveysim.recipes import OPTIMAL, Beside, Recipe, apply_recipe, what_is_beside
@@ -35,10 +36,10 @@ REFERENCE = (0, 1)  # observations that tell what recipes leave of a signal: one
 class ObservationResult:
     """What one observation leaves behind: maps and sums, never time-streams.
 
-    `sums` (n_set, n_y, n_x) of the streams' type [mK] with `hits` (n_set, n_y, n_x) int32; `noise_mk2` (n_set,), the
-    noise variance a sample in the scored band, by which observations are weighted; `window` (n_sky, n_window,
-    2, n_y, n_x) of that type, signal of the window skies binned without [0] and with [1] cleaning for each of the
-    setup's windows, or None; `discarded`, `iterations` and `removed` (templates a scan) per recipe; `merits`
+    `sums` (n_set, n_y, n_x) of the streams' type [mK] with `hits` (n_set, n_y, n_x) int32 or int64; `noise_mk2`
+    (n_set,), the noise variance a sample in the scored band, by which observations are weighted; `window` (n_sky,
+    n_window, 2, n_y, n_x) of that type, signal of the window skies binned without [0] and with [1] cleaning for each
+    of the setup's windows, or None; `discarded`, `iterations` and `removed` (templates a scan) per recipe; `merits`
     (n_recipe, n_target) figures of merit of the recipes for all detectors, or None without a choice; `raw_psd` and
     `clean_psd` (n_freq,) [mK^2/Hz], means over detectors, `compared_psd` (n_compare, n_freq) that of the other
     recipes; `seconds` spent per stage.
@@ -315,7 +316,8 @@ def _bin(
 
 def _plane(setup: Setup, total: np.ndarray, hits: np.ndarray) -> Map:
     shape = (setup.geometry.n_y, setup.geometry.n_x)
-    return total.reshape(shape).astype(setup.stream_type), hits.reshape(shape).astype(np.int32)
+    kind = np.int32 if hits.max() < 2**31 else np.int64
+    return total.reshape(shape).astype(setup.stream_type), hits.reshape(shape).astype(kind)
 
 
 def _empty_window(setup: Setup) -> np.ndarray:
@@ -325,9 +327,9 @@ def _empty_window(setup: Setup) -> np.ndarray:
 def _add_window(window: np.ndarray, part: _Part) -> None:
     """Add the signal of each window sky without and with cleaning, the difference that it makes to the cleaned data."""
     setup, streams = part.setup, part.streams
-    hits = np.zeros(window.shape[-1], np.int64)
+    hits, signal = np.zeros(window.shape[-1], np.int64), np.empty_like(streams.data_mk)
     for s, sky in enumerate(setup.window_skies_mk):
-        signal = np.zeros_like(streams.data_mk)
+        signal[:] = 0
         add_sky_signal(setup, part.pointing, sky, signal, setup.responsivity)
         for recipe, base in zip(setup.recipes, part.cleaned, strict=True):
             rows, place = recipe.rows, setup.windows.index(recipe.data_set)

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mapmaker.chunks import row_chunks
 from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, has_dead
 from mapmaker.kernels.cleaning import correlate, hold, iterate_responsivity
 
@@ -182,7 +183,9 @@ def fit_templates(block: np.ndarray, basis: np.ndarray, options) -> Fit:
     converged, iterations = fit_responsivity(block, basis, held, options, responsivity)
     if not converged:
         return Fit(None, iterations)
-    block -= (basis * responsivity).T @ ((basis / responsivity) @ block)
+    templates, shapes = (basis / responsivity) @ block, (basis * responsivity).T
+    for rows in row_chunks(*block.shape):
+        block[rows] -= shapes[rows] @ templates
     return Fit(responsivity, iterations, len(basis))
 
 
