@@ -188,9 +188,7 @@ def _stages(setup: Setup, n_window: int) -> dict[str, str]:
     if len(setup.blocks) > 1:
         most = max(block.n_scans for block in setup.blocks)
         megabytes = most * samples_per_scan(setup.raster) * n_det * setup.stream_type.itemsize / 1e6
-        stages["blocks"] = (
-            f"{len(setup.blocks)} an observation, of {most} scans or fewer: {megabytes:.0f} MB of streams"
-        )
+        stages["blocks"] = f"{len(setup.blocks)} an observation, {most} scans or fewer in {megabytes:.3g} MB of streams"
     for name in ("atmosphere", "excess", "photon", "detector", "sky"):
         if getattr(scene, name) is not None:
             stages[name] = "streams"

@@ -188,16 +188,17 @@ def _raster(scene: Scene) -> Raster:
 
 def _blocks(scene: Scene, cam: Camera, lines: Raster, ways: tuple[Recipe, ...]) -> tuple[Block, ...]:
     """Blocks of an observation; raises SceneError for a scan too long, or recipes that need an observation whole."""
-    n_det, n_samp, numerics = len(cam.focal_plane.x_rad), samples_per_scan(lines), scene.numerics
+    n_det, n_samp, most = len(cam.focal_plane.x_rad), samples_per_scan(lines), scene.numerics.stream_bytes
     colours = len(scene.instrument.colours) * any(recipe.uses("spectral") for recipe in ways)
-    scan_bytes = n_det * n_samp * (1 + colours) * np.dtype(numerics.precision).itemsize
-    key = f"numerics.stream_memory: found {numerics.stream_bytes / 1e6:.4g} MB"
-    if scan_bytes > numerics.stream_bytes:
+    # In single precision whatever the streams have: it is not to change what is drawn.
+    scan_bytes = n_det * n_samp * (1 + colours) * np.dtype(np.float32).itemsize
+    key = f"numerics.stream_memory: found {most / 1e6:.4g} MB"
+    if scan_bytes > most:
         raise SceneError(
             f"{key}; the {scan_bytes / 1e6:.4g} MB of one scan of {n_samp} samples of {n_det} detectors or more are "
             "expected: more memory, or a shorter scan.duration"
         )
-    found = scan_blocks(lines.n_scans, scan_bytes, numerics.stream_bytes)
+    found = scan_blocks(lines.n_scans, scan_bytes, most)
     if len(found) > 1 and any(recipe.uses("wind") for recipe in ways):
         raise SceneError(
             f"{key}, which cuts an observation into {len(found)} blocks; 'wind' cleaning measures the wind of a whole "

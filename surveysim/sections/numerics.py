@@ -15,9 +15,9 @@ class Numerics(Section):
     `interpolation` that of look-ups between the layer's lattice points; `screen_step` the lattice step over the one
     that is chosen for the beam and the camera (`surveysim.atmosphere.screen.strip_step`).
 
-    Observations whose streams take more than `stream_memory` are made in blocks of whole scans (`surveysim.blocks`),
-    each with random numbers of its own. A process holds some seven times as much at its peak: with the default it fits
-    the 2 GB a core that most computers have.
+    Observations whose streams take more than `stream_memory`, counted in single precision, are made in blocks of whole
+    scans (`surveysim.blocks`), each with random numbers of its own. A process holds up to ten times as much at its
+    peak. Larger blocks are no faster; the default has room for scans of 6000 samples of 10,000 detectors.
     """
 
     precision: Literal["float32", "float64"] = "float32"
