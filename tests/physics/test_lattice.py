@@ -161,6 +161,19 @@ def test_powers_of_a_forecast_are_those_of_the_matrix(algorithm):
 # ---------------------------------------------------------------- scenes of many detectors, with few told to be many
 
 
+def test_coverage_of_many_samples_is_that_of_some_of_them(path, monkeypatch):
+    """One of four samples in time, counted four times: within the chance of where they fall."""
+    ready = prepare(load_scene(path, {"scan.sample_rate": "40 Hz", "map.pixel": "60 arcsec", "score.ell_max": 10000}))
+    whole = conditions.mean_hits(ready, ready.recipes[0])
+    samples = ready.n_det * ready.raster.n_scans * 240
+    monkeypatch.setattr(conditions, "_MOST_HIT_SAMPLES", samples / 4)
+    some = conditions.mean_hits(ready, ready.recipes[0])
+    assert some.sum() == pytest.approx(whole.sum(), rel=0.02) and (some % 1 == 0).all()
+    covered = whole > 20
+    assert covered.sum() > 20
+    assert np.abs(some - whole)[covered].mean() < 0.15 * whole[covered].mean()
+
+
 @pytest.fixture
 def few_are_many(monkeypatch):
     """Arrays of more than ten detectors count as too large for a matrix."""
