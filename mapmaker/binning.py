@@ -70,12 +70,17 @@ def write_fits(path: str | Path, item: BinnedMap, header: Mapping[str, object]) 
     for key, value in header.items():
         images[0].header[key] = value
     for name, data, unit in planes:
-        kind = np.int32 if name == "HITS" else np.float32
+        kind = _integers(data) if name == "HITS" else np.float32
         image = fits.ImageHDU(data.astype(kind), header=base, name=name)
         image.header["BUNIT"] = unit
         images.append(image)
     with whole_file(path) as partial:
         fits.HDUList(images).writeto(partial, overwrite=True)
+
+
+def _integers(hits: np.ndarray) -> type:
+    """The smaller type of the integers of FITS that holds all hits."""
+    return np.int32 if hits.max(initial=0) < 2**31 else np.int64
 
 
 def read_fits(path: str | Path) -> BinnedMap:
@@ -113,7 +118,7 @@ def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
         fits.Column("PIXEL", "K", array=pixel),
         fits.Column("SIGNAL", "E", "mK", array=total / weight),
         fits.Column("WEIGHT", "E", "mK-2", array=weight),
-        fits.Column("HITS", "J", array=hits),
+        fits.Column("HITS", "J" if _integers(hits) is np.int32 else "K", array=hits),
     ]
     table = fits.BinTableHDU.from_columns(columns)
     keywords = {"PIXTYPE": "HEALPIX", "ORDERING": "NESTED", "NSIDE": nside, "COORDSYS": "C"}

@@ -1,6 +1,7 @@
 """Time-streams of one observation and the focal plane that recorded them; HDF5 in and out."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -66,20 +67,53 @@ def scan_bounds(scan: np.ndarray) -> np.ndarray:
 
 def write_timestreams(path: str | Path, streams: Timestreams) -> None:
     """Write one observation to HDF5, atomically (a partial file never has the final name)."""
+    with timestream_file(path, streams.data_mk.shape[1]) as add:
+        add(streams)
+
+
+@contextmanager
+def timestream_file(path: str | Path, n_samp: int) -> Iterator[Callable[[Timestreams], None]]:
+    """An HDF5 file of one observation of `n_samp` samples, which it is given in parts, in order of time.
+
+    It has its name, as from `write_timestreams`, once it is whole: raises ValueError where the parts have another
+    number of samples in all.
+    """
     import h5py
 
     with whole_file(path) as partial, h5py.File(partial, "w") as file:
-        data = file.create_dataset("data", data=streams.data_mk.astype(np.float32, copy=False))
-        data.attrs["unit"] = "mK (Rayleigh-Jeans)"
-        file["time_s"] = streams.time_s
-        file["ra_deg"] = np.degrees(streams.ra_rad)
-        file["dec_deg"] = np.degrees(streams.dec_rad)
-        file["array_angle_deg"] = np.degrees(streams.array_angle_rad)
-        file["scan"] = streams.scan
-        file["x_arcmin"] = np.degrees(streams.focal_plane.x_rad) * 60
-        file["y_arcmin"] = np.degrees(streams.focal_plane.y_rad) * 60
-        file.attrs["fwhm_arcsec"] = np.degrees(streams.focal_plane.fwhm_rad) * 3600
-        file.attrs.update(dict(streams.attributes))
+        done = 0
+
+        def add(part: Timestreams) -> None:
+            nonlocal done
+            if not done:
+                _begin(file, part, n_samp)
+            until = done + part.data_mk.shape[1]
+            file["data"][:, done:until] = part.data_mk.astype(np.float32, copy=False)
+            for name, values in _sample_columns(part).items():
+                file[name][done:until] = values
+            done = until
+
+        yield add
+        if done != n_samp:
+            raise ValueError(f"{path}: found {done} samples; {n_samp} are expected")
+
+
+def _begin(file, part: Timestreams, n_samp: int) -> None:
+    """Write what does not depend on time, and make room for the rest."""
+    data = file.create_dataset("data", (len(part.data_mk), n_samp), np.float32)
+    data.attrs["unit"] = "mK (Rayleigh-Jeans)"
+    for name, values in _sample_columns(part).items():
+        file.create_dataset(name, (n_samp,), values.dtype)
+    file["x_arcmin"] = np.degrees(part.focal_plane.x_rad) * 60
+    file["y_arcmin"] = np.degrees(part.focal_plane.y_rad) * 60
+    file.attrs["fwhm_arcsec"] = np.degrees(part.focal_plane.fwhm_rad) * 3600
+    file.attrs.update(dict(part.attributes))
+
+
+def _sample_columns(streams: Timestreams) -> dict[str, np.ndarray]:
+    """`_PER_SAMPLE` as a file has them."""
+    angles = (np.degrees(angle) for angle in (streams.ra_rad, streams.dec_rad, streams.array_angle_rad))
+    return dict(zip(_PER_SAMPLE, (streams.time_s, *angles, streams.scan), strict=True))
 
 
 def read_timestreams(path: str | Path) -> Timestreams:

@@ -14,24 +14,32 @@ from surveysim.scene import Scene, SceneError
 
 MAX_REACH_RAD = math.radians(15)
 MAX_SIDE_PIXELS = 16_384
-MAX_DETECTOR_SAMPLES = 2e9
+MAX_DETECTOR_SAMPLES = 1e11  # an hour of 100,000 detectors at 200 Hz and more: hours of computing
+MAX_SAMPLES = 1e8  # of the boresight, whose path is held whole
 MAX_SURVEY_SCANS = 1e8
+MAX_MODES = 4000  # of which the eigenvectors take half a minute a scan
 
 
 def check_templates(scene: Scene, cam: Camera) -> None:
     """Raise SceneError when the templates have no atmosphere to follow, or too few detectors."""
     section = scene.cleaning
+    n_det = len(cam.focal_plane.x_rad)
     for key, steps in (("algorithm", section.algorithm), *(("compare", steps) for steps in section.compare)):
         if scene.atmosphere is None and steps != ("none",):
             # The iteration calibrates detectors on their common signal; without one it discards every scan.
             found = repr(steps[0]) if len(steps) == 1 else list(steps)
             raise SceneError(f"cleaning.{key}: found {found} without [atmosphere]; 'none' is expected")
-        _check_count(scene, steps, len(cam.focal_plane.x_rad), f"cleaning.{key}")
+        _check_count(scene, steps, n_det, f"cleaning.{key}")
         samples = math.floor(scene.scan.duration_s * scene.scan.sample_rate_hz + 1e-6)
         if "pca" in steps and samples <= (needed := needed_detectors(section, "pca")):
             raise SceneError(
                 f"cleaning.{key}: found 'pca' with scans of {samples} samples; {needed + 1} or more are expected, of"
                 " fewer no mode can stand out"
+            )
+        if "pca" in steps and min(samples, n_det) > MAX_MODES:
+            raise SceneError(
+                f"cleaning.{key}: found 'pca' with {n_det} detectors and scans of {samples} samples; "
+                f"{MAX_MODES} or fewer of one are expected, as it takes all eigenvectors of the smaller number"
             )
         cycles = scene.scan.duration_s * HIGHEST_HZ
         if "wind" in steps and (cycles < LEAST_CYCLES or scene.scan.sample_rate_hz <= 2 * HIGHEST_HZ):
@@ -59,6 +67,11 @@ def check_size(scene: Scene, cam: Camera) -> None:
         raise SceneError(
             f"scan.sample_rate: found {samples:.3g} detector-samples an observation; "
             f"{MAX_DETECTOR_SAMPLES:g} or less are expected"
+        )
+    boresight = scan.scans * scan.duration_s * scan.sample_rate_hz
+    if boresight > MAX_SAMPLES:
+        raise SceneError(
+            f"scan.sample_rate: found {boresight:.3g} samples an observation; {MAX_SAMPLES:g} or less are expected"
         )
     if scene.observations * scan.scans > MAX_SURVEY_SCANS:
         raise SceneError(

@@ -15,6 +15,9 @@ import numpy as np
 _WAIST_PER_RADIUS = 0.6435
 # Beyond this exponent (174 dB) the stop's edge cuts off less than rounding.
 _UNTRUNCATED = 40.0
+# Detectors up to which a correlation is a matrix of all pairs: a product with it takes some 45 ns a sample then, fields
+# on a torus (`surveysim.lattice`) 18 (coherence "intensity", pixels 1.3 apart) to 54 ("field", 0.7).
+MOST_DENSE = 1500
 # Separations closer than half of 10^-13 (f/#)lambda count as the same.
 _SEPARATION_DECIMALS = 13
 
@@ -115,11 +118,18 @@ def correlation_matrix(
     positions = np.asarray(positions_f_lambda, dtype=float)
     if coherence == "none":
         return np.eye(len(positions))
-    separation, which = np.unique(np.round(pdist(positions), _SEPARATION_DECIMALS), return_inverse=True)
-    gamma = _interpolated_coherence(separation, illumination)
-    matrix = squareform((gamma if coherence == "field" else gamma**2)[which])
+    matrix = squareform(coherence_at(pdist(positions), coherence, illumination))
     np.fill_diagonal(matrix, 1.0)
     return matrix
+
+
+def coherence_at(separation_f_lambda: np.ndarray, coherence: str, illumination: Illumination) -> np.ndarray:
+    """Correlation at separations of any shape, to 1e-11; arguments as for `correlation_matrix`."""
+    separation, which = np.unique(np.round(separation_f_lambda, _SEPARATION_DECIMALS), return_inverse=True)
+    if coherence == "none":
+        return (separation == 0).astype(float)[which].reshape(separation_f_lambda.shape)
+    gamma = _interpolated_coherence(separation, illumination)
+    return (gamma if coherence == "field" else gamma**2)[which].reshape(separation_f_lambda.shape)
 
 
 def _interpolated_coherence(separation: np.ndarray, illumination: Illumination) -> np.ndarray:

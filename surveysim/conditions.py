@@ -1,21 +1,26 @@
-"""What forecasts take from observations: levels of noise, the array's angle, its motion against the layer, coverage."""
+"""What forecasts take from observations: levels of noise and what detectors share of it, the array's angle, its motion
+against the layer, coverage."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import chain
 
 import numpy as np
 
+from mapmaker.chunks import row_chunks
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import FocalPlane
+from surveysim.coherence import MOST_DENSE, correlation_matrix
+from surveysim.lattice import SharedNoise
 from surveysim.levels import white_levels
 from surveysim.noise import excess_variance
 from surveysim.observation import observation_weather
 from surveysim.recipes import Recipe
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene
-from surveysim.setup import Setup, observation_path, prepare
+from surveysim.sections import Excess, Photon
+from surveysim.setup import Setup, observation_path, prepare, shared_noise
 from surveysim.streams import Stage, generator
 from surveysim.weather import Weather, draw_weather
 
@@ -24,7 +29,9 @@ _SHIFTS = 8  # of the lattice of draws: their scatter is the error of a mean ove
 _DRAWS_A_SHIFT = 256
 _HIT_SAMPLES = 3e7  # of the observations that stand for the coverage
 _FEWEST_HITS, _MOST_HITS = 4, 48
+_MOST_HIT_SAMPLES = 3e7  # of one of them, of which larger ones have every so many in time
 
+NoiseCorrelations = tuple[np.ndarray | SharedNoise | None, np.ndarray | SharedNoise | None]
 Draw = tuple[int, Weather | None]  # an observation's number, and a weather that it might have
 
 
@@ -150,19 +157,43 @@ def _row(setup: Setup, view: _View, weather: Weather | None) -> tuple[float | co
     return unshared, shared, excess, layer, view.array_angle_rad + view.turn_rad, speed - wind, speed + wind
 
 
+def noise_correlations(setup: Setup, recipe: Recipe) -> NoiseCorrelations:
+    """Correlation of the shared photon noise and of the excess noise, this with responsivities; None without."""
+    gain, scene = setup.responsivity[recipe.rows], setup.scene
+    photon = _correlation(setup, recipe, scene.photon, "photon", np.ones(len(gain)))
+    return photon, _correlation(setup, recipe, scene.excess, "excess", gain)
+
+
+def _correlation(
+    setup: Setup, recipe: Recipe, section: Photon | Excess | None, name: str, gain: np.ndarray
+) -> np.ndarray | SharedNoise | None:
+    if section is None:
+        return None
+    if setup.n_det > MOST_DENSE:
+        torus = shared_noise(setup.camera, section, name)
+        return SharedNoise(torus and replace(torus, cells=torus.cells[recipe.rows]), gain)
+    place = setup.camera.positions_f_lambda[recipe.rows]
+    matrix = correlation_matrix(place, section.coherence, setup.camera.illumination)
+    matrix *= gain[:, None] * gain
+    return matrix
+
+
 def mean_hits(setup: Setup, recipe: Recipe) -> np.ndarray:
     """Mean hits of one observation on the scored patch (n, n), from some observations spread over the survey."""
     n_obs, geometry = setup.scene.observations, setup.geometry
     plane: FocalPlane = setup.camera.focal_plane.subset(recipe.rows)
     samples = len(plane.x_rad) * setup.raster.n_scans * samples_per_scan(setup.raster)
+    every = max(1, int(samples // _MOST_HIT_SAMPLES))
     wanted = min(n_obs, int(np.clip(_HIT_SAMPLES / samples, _FEWEST_HITS, _MOST_HITS)))
     # In pairs of both directions.
     numbers = np.unique(np.minimum(2 * (np.arange(wanted) * n_obs // wanted // 2) + np.arange(wanted) % 2, n_obs - 1))
     hits = np.zeros(geometry.n_x * geometry.n_y)
     for number in numbers:
         _, pointing = observation_path(setup, int(number))
-        angle = pointing.array_angle_rad[pointing.scan]
-        index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, angle, plane).ravel()
-        hits += np.bincount(index[index >= 0], minlength=len(hits))
+        angle = pointing.array_angle_rad[pointing.scan[::every]]
+        boresight = pointing.xi_rad[::every], pointing.eta_rad[::every], angle
+        for rows in row_chunks(len(plane.x_rad), len(angle)):
+            index = boresight_pixels(geometry, *boresight, plane.subset(rows)).ravel()
+            hits += np.bincount(index[index >= 0], minlength=len(hits))
     patch = setup.band.patch
-    return hits.reshape(geometry.n_y, geometry.n_x)[patch, patch] / len(numbers)
+    return hits.reshape(geometry.n_y, geometry.n_x)[patch, patch] * every / len(numbers)

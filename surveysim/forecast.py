@@ -13,8 +13,15 @@ import numpy as np
 
 from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
 from mapmaker.window import beam_window, pixel_window
-from surveysim.coherence import correlation_matrix
-from surveysim.conditions import Conditions, conditions, mean_hits, population, survey_draws
+from surveysim.conditions import (
+    Conditions,
+    NoiseCorrelations,
+    conditions,
+    mean_hits,
+    noise_correlations,
+    population,
+    survey_draws,
+)
 from surveysim.noise import excess_psd
 from surveysim.recipes import Recipe
 from surveysim.response import (
@@ -71,7 +78,6 @@ class Forecast:
     neglected: tuple[str, ...] = NEGLECTED
 
 
-_Correlations = tuple[np.ndarray | None, np.ndarray | None]
 LayerNoise = Callable[[np.ndarray], np.ndarray]  # (n_draw, n_motion) complex [rad/s] to (n_draw, n_bin)
 
 
@@ -154,7 +160,7 @@ def noise_models(setup: Setup, levels: Conditions) -> Iterator[NoiseModel]:
         n_det = len(arrays[0].place)
         responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
         transmission = _transmission(setup, spectrum, arrays, responses)
-        correlations = _correlations(setup, recipe)
+        correlations = noise_correlations(setup, recipe)
         parts = _map_parts(setup, levels, spectrum, arrays, responses, correlations)
         yield NoiseModel(recipe.data_set, recipe, n_det, parts, transmission)
         if recipe is setup.recipes[0]:
@@ -205,25 +211,13 @@ def _arrays(setup: Setup, recipe: Recipe, levels: Conditions) -> list[Array]:
         raise SceneError(f"cleaning: {error}") from None
 
 
-def _correlations(setup: Setup, recipe: Recipe) -> _Correlations:
-    """Correlation of the shared photon noise and of the excess noise, this with responsivities; None without."""
-    place, gain = setup.camera.positions_f_lambda[recipe.rows], setup.responsivity[recipe.rows]
-    scene, lit = setup.scene, setup.camera.illumination
-    photon = correlation_matrix(place, scene.photon.coherence, lit) if scene.photon else None
-    excess = None
-    if scene.excess:
-        excess = correlation_matrix(place, scene.excess.coherence, lit)
-        excess *= gain[:, None] * gain
-    return photon, excess
-
-
 def _map_parts(
     setup: Setup,
     levels: Conditions,
     spectrum: _Spectrum,
     arrays: list[Array],
     responses: list[np.ndarray],
-    correlations: _Correlations,
+    correlations: NoiseCorrelations,
 ) -> _Parts:
     rate, modes = setup.raster.sample_rate_hz, spectrum.modes
     window, nodes = spectrum.window, spectrum.nodes_hz
@@ -303,7 +297,7 @@ def _simulated_parts(
     levels: Conditions,
     spectrum: _Spectrum,
     arrays: list[Array],
-    correlations: _Correlations,
+    correlations: NoiseCorrelations,
     name: str,
 ) -> _Parts:
     """Noise of the sets that take the measured PSDs of the cleaned streams: "uncorrelated" or "white"."""

@@ -1,5 +1,6 @@
 """Focal planes: hexagonal layouts, tables of positions, dead and masked detectors."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,17 +19,24 @@ class Camera:
     """A focal plane in the array frame and what couples its detectors.
 
     `focal_plane` holds n_det detectors; `f_lambda_rad` is one (f/#)lambda on the sky; `illumination` is how each
-    pixel lights the stop.
+    pixel lights the stop; `pitch_rad` that of the hexagonal lattice that detectors are on, None for a table.
     """
 
     focal_plane: FocalPlane
     f_lambda_rad: float
     illumination: Illumination = Illumination()
+    pitch_rad: float | None = None
 
     @property
     def positions_f_lambda(self) -> np.ndarray:
         """Positions (n_det, 2) in (f/#)lambda."""
         return np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad]) / self.f_lambda_rad
+
+    @property
+    def cells(self) -> np.ndarray:
+        """Places (n_det, 2) of detectors of a layout on its lattice, along axes 60 degrees apart."""
+        row = np.rint(self.focal_plane.y_rad / (np.sqrt(0.75) * self.pitch_rad))
+        return np.column_stack([np.rint(self.focal_plane.x_rad / self.pitch_rad - row / 2), row]).astype(int)
 
     @property
     def radius_rad(self) -> float:
@@ -48,13 +56,15 @@ def camera(section: InstrumentSection) -> Camera:
     Raises ValueError for a dead position that is not in the layout, no live detector, two
     detectors at one position, horns that do not fit between their neighbours, or an unreadable table.
     """
+    pitch = None
     if section.positions is not None:
         positions = read_positions(section.positions)
     else:
         positions = without(_layout_positions(section), section.layout.dead)
+        pitch = section.layout.pitch_f_lambda * section.f_lambda_rad
     check_distinct(positions)
     plane = FocalPlane(positions[:, 0].copy(), positions[:, 1].copy(), section.beam_fwhm_rad)
-    cam = Camera(plane, section.f_lambda_rad, illumination(section))
+    cam = Camera(plane, section.f_lambda_rad, illumination(section), pitch)
     closest = cam.closest_rad / section.f_lambda_rad
     if section.horn_f_lambda is not None and 0 < closest < section.horn_f_lambda * (1 - 1e-9):
         raise ValueError(
@@ -191,9 +201,14 @@ def mask_by_separation(positions: np.ndarray, separation: float) -> np.ndarray:
     """
     x, y = positions.T
     order = np.lexsort((np.round(np.arctan2(y, x), 9), np.round(np.hypot(x, y) / separation, 9)))
-    kept: list[int] = []
-    for index in order:
-        apart = np.hypot(*(positions[kept] - positions[index]).T) if kept else np.array([np.inf])
-        if apart.min() >= separation * (1 - 1e-9):
-            kept.append(int(index))
-    return np.array(sorted(kept))
+    # Of those kept only the ones in squares of that side around it can be too near: others need not be looked at.
+    squares = np.floor(positions / separation).astype(int).tolist()
+    kept: dict[tuple[int, int], list[list[float]]] = {}
+    found = []
+    for index, place in zip(order.tolist(), positions[order].tolist(), strict=True):
+        column, row = squares[index]
+        near = (kept.get((column + i, row + j), ()) for i in (-1, 0, 1) for j in (-1, 0, 1))
+        if all(math.dist(place, other) >= separation * (1 - 1e-9) for square in near for other in square):
+            kept.setdefault((column, row), []).append(place)
+            found.append(index)
+    return np.array(sorted(found))

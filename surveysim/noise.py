@@ -5,26 +5,36 @@ One-sided PSDs throughout; streams are (n_det, n_samp) float32 with whole scans 
 
 import numpy as np
 
+from mapmaker.chunks import row_chunks
+from surveysim.lattice import TorusRoot
 from surveysim.sections import Excess
 
 
 def add_white(data_mk: np.ndarray, psd_mk2_hz: float, sample_rate_hz: float, rng: np.random.Generator) -> None:
     """Add white noise of one-sided PSD `psd_mk2_hz`, independent in each detector, in place."""
-    deviates = rng.standard_normal(data_mk.shape, dtype=np.float32)
-    deviates *= np.float32(np.sqrt(psd_mk2_hz * sample_rate_hz / 2))
-    data_mk += deviates
+    for rows in row_chunks(*data_mk.shape):
+        deviates = rng.standard_normal(data_mk[rows].shape, dtype=np.float32)
+        deviates *= np.float32(np.sqrt(psd_mk2_hz * sample_rate_hz / 2))
+        data_mk[rows] += deviates
 
 
 def add_correlated_white(
     data_mk: np.ndarray,
     psd_mk2_hz: float,
     sample_rate_hz: float,
-    factor: np.ndarray,
+    factor: np.ndarray | TorusRoot,
     rng: np.random.Generator,
 ) -> None:
     """Add white noise of one-sided PSD `psd_mk2_hz` with correlation ``factor factor^T``, in place."""
-    scaled = (factor * np.sqrt(psd_mk2_hz * sample_rate_hz / 2)).astype(np.float32)
-    data_mk += scaled @ rng.standard_normal(data_mk.shape, dtype=np.float32)
+    deviation = np.sqrt(psd_mk2_hz * sample_rate_hz / 2)
+    if isinstance(factor, TorusRoot):
+        n_samp = data_mk.shape[1]
+        for places, fields in factor.fields((n_samp + 1) // 2, rng):
+            fields *= np.float32(deviation)
+            first, end = 2 * places.start, min(2 * places.stop, n_samp)
+            data_mk[:, first:end] += fields.view(np.float32)[:, : end - first]
+        return
+    data_mk += (factor * deviation).astype(np.float32) @ rng.standard_normal(data_mk.shape, dtype=np.float32)
 
 
 def photon_correlation(correlation: np.ndarray, coherent_fraction: float) -> np.ndarray:
@@ -67,14 +77,18 @@ def draw_from_psd(
     """
     from scipy.fft import irfft
 
-    n_freq = n // 2 + 1
+    deviates = rng.standard_normal((*shape, n // 2 + 1, 2), dtype=np.float32).view(np.complex64)[..., 0]
+    deviates *= _mode_amplitude(psd_mk2_hz, n, sample_rate_hz)
+    return irfft(deviates, n, axis=-1, overwrite_x=True)
+
+
+def _mode_amplitude(psd_mk2_hz: np.ndarray, n: int, sample_rate_hz: float) -> np.ndarray:
+    """Standard deviation float32 of both parts of the modes of n samples with this one-sided PSD, without a mean."""
     amplitude = np.sqrt(psd_mk2_hz * (sample_rate_hz * n / 4))
     amplitude[..., 0] = 0
     if n % 2 == 0:  # the Nyquist mode is real: all its power is in one deviate
         amplitude[..., -1] *= np.sqrt(2)
-    deviates = rng.standard_normal((*shape, n_freq, 2), dtype=np.float32).view(np.complex64)[..., 0]
-    deviates *= amplitude.astype(np.float32)
-    return irfft(deviates, n, axis=-1, overwrite_x=True)
+    return amplitude.astype(np.float32)
 
 
 def add_excess(
@@ -83,10 +97,10 @@ def add_excess(
     variance_mk2: float,
     n_scans: int,
     sample_rate_hz: float,
-    factor: np.ndarray,
+    factor: np.ndarray | TorusRoot | None,
     rng: np.random.Generator,
 ) -> None:
-    """Add the excess low-frequency noise of one observation, correlated as ``factor factor^T``, in place.
+    """Add the excess low-frequency noise of some scans, correlated as ``factor factor^T`` (None: not), in place.
 
     Drawn over twice the length of a scan, so that its end does not know of its beginning.
     """
@@ -96,8 +110,35 @@ def add_excess(
     per_scan = n_samp // n_scans
     n = next_fast_len(2 * per_scan, real=True)
     psd = excess_psd(section, variance_mk2, per_scan, n, sample_rate_hz)
-    streams = draw_from_psd(psd, (n_det, n_scans), n, sample_rate_hz, rng)[..., :per_scan]
-    data_mk += factor.astype(np.float32) @ np.ascontiguousarray(streams).reshape(n_det, n_samp)
+    if isinstance(factor, TorusRoot):
+        for first in range(0, n_samp, per_scan):
+            _add_lattice_scan(data_mk[:, first : first + per_scan], psd, n, sample_rate_hz, factor, rng)
+        return
+    streams = np.empty((n_det, n_scans, per_scan), np.float32)
+    for rows in row_chunks(n_det, 2 * n_samp):
+        streams[rows] = draw_from_psd(psd, streams[rows].shape[:2], n, sample_rate_hz, rng)[..., :per_scan]
+    streams = streams.reshape(n_det, n_samp)
+    data_mk += streams if factor is None else factor.astype(np.float32) @ streams
+
+
+def _add_lattice_scan(
+    data_mk: np.ndarray,
+    psd_mk2_hz: np.ndarray,
+    n: int,
+    sample_rate_hz: float,
+    root: TorusRoot,
+    rng: np.random.Generator,
+) -> None:
+    """Add the first samples of streams of n samples, each of whose frequencies is a field on the torus, in place."""
+    from scipy.fft import irfft
+
+    n_det, per_scan = data_mk.shape
+    amplitude = _mode_amplitude(psd_mk2_hz, n, sample_rate_hz)
+    modes = np.empty((n_det, len(amplitude)), np.complex64)
+    for places, fields in root.fields(len(amplitude), rng):
+        np.multiply(fields, amplitude[places], out=modes[:, places])
+    for rows in row_chunks(n_det, n):
+        data_mk[rows] += irfft(modes[rows], n, axis=-1, overwrite_x=True)[:, :per_scan]
 
 
 def hann_psd(data_mk: np.ndarray, n_scans: int, kept: np.ndarray, sample_rate_hz: float) -> np.ndarray:
@@ -105,14 +146,31 @@ def hann_psd(data_mk: np.ndarray, n_scans: int, kept: np.ndarray, sample_rate_hz
 
     The taper keeps the red noise of a short scan from leaking into the white level.
     """
+    power = hann_power(data_mk, n_scans, kept) / kept.sum()
+    return power * hann_scale(data_mk.shape[1] // n_scans, sample_rate_hz, data_mk.dtype)
+
+
+def hann_power(data_mk: np.ndarray, n_scans: int, kept: np.ndarray) -> np.ndarray:
+    """Squared Hann-tapered transforms (n_det, n_samp // n_scans // 2 + 1) float64, summed over kept scans."""
     from scipy.fft import rfft
 
     n_det, n_samp = data_mk.shape
     n = n_samp // n_scans
-    taper = np.hanning(n + 1)[:n].astype(data_mk.dtype)
-    spectrum = rfft(data_mk.reshape(n_det, n_scans, n)[:, kept] * taper, axis=-1)
-    power = (spectrum.real**2 + spectrum.imag**2).mean(axis=1, dtype=np.float64)
-    return power * (2 / (sample_rate_hz * float((taper.astype(float) ** 2).sum())))
+    taper, total = _hann(n, data_mk.dtype), np.zeros((n_det, n // 2 + 1))
+    if kept.any():
+        for rows in row_chunks(n_det, n_samp):
+            spectrum = rfft(data_mk[rows].reshape(-1, n_scans, n)[:, kept] * taper, axis=-1)
+            total[rows] = (spectrum.real**2 + spectrum.imag**2).sum(axis=1, dtype=np.float64)
+    return total
+
+
+def hann_scale(n: int, sample_rate_hz: float, dtype: np.dtype) -> float:
+    """What makes one-sided PSDs of means of `hann_power` of scans of n samples."""
+    return 2 / (sample_rate_hz * float((_hann(n, dtype).astype(float) ** 2).sum()))
+
+
+def _hann(n: int, dtype: np.dtype) -> np.ndarray:
+    return np.hanning(n + 1)[:n].astype(dtype)
 
 
 def low_frequency_variance(data_mk: np.ndarray, n_scans: int, sample_rate_hz: float, up_to_hz: float) -> np.ndarray:

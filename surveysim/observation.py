@@ -10,7 +10,9 @@ import numpy as np
 from mapmaker.geometry import plane_directions, sky_offsets
 from mapmaker.kernels.pixels import add_sky
 from mapmaker.timestreams import Timestreams, scan_bounds
+from surveysim.blocks import Block
 from surveysim.coherence import Overlap
+from surveysim.lattice import Torus, TorusRoot
 from surveysim.levels import WhiteLevels, white_levels
 from surveysim.noise import add_correlated_white, add_excess, add_white, excess_variance
 from surveysim.pointing import Pointing, sky_vector
@@ -35,17 +37,27 @@ class Stopwatch:
             self.seconds[stage] = self.seconds.get(stage, 0.0) + perf_counter() - start
 
 
-def draw_observation(setup: Setup, observation: int, watch: Stopwatch | None = None) -> Timestreams:
+def draw_observation(setup: Setup, observation: int) -> Timestreams:
     """The time-streams of one observation, with the weather drawn for it in the attributes."""
-    watch = watch or Stopwatch()
-    path, pointing = observation_path(setup, observation)
+    (_, pointing), watch = observation_path(setup, observation), Stopwatch()
+    if len(setup.blocks) == 1:
+        return draw_block(setup, observation, pointing, setup.blocks[0], watch)
+    data = np.empty((setup.n_det, len(pointing.time_s)), setup.stream_type)
+    for block in setup.blocks:
+        data[:, setup.samples(block)] = draw_block(setup, observation, pointing, block, watch).data_mk
+    return _timestreams(setup, observation, pointing, pointing, 0, data)
+
+
+def draw_block(setup: Setup, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> Timestreams:
+    """The time-streams of one block of an observation; `whole` points the observation."""
+    pointing = whole.scans(block.first, block.end)
     weather = observation_weather(setup, observation)
-    data = np.zeros((setup.n_det, len(path.time_s)), setup.stream_type)
+    data = np.zeros((setup.n_det, len(pointing.time_s)), setup.stream_type)
     with watch("atmosphere"):
         if weather is not None:
-            add_layer(setup, observation, pointing, weather, data)
+            add_layer(setup, observation, pointing, weather, data, block=block.number)
     with watch("excess"):
-        _add_excess(setup, observation, weather, data)
+        _add_excess(setup, observation, block, weather, data)
     with watch("sky"):
         if setup.sky_mk is not None:
             add_sky_signal(setup, pointing, setup.sky_mk, data, np.ones(len(data)))
@@ -54,33 +66,32 @@ def draw_observation(setup: Setup, observation: int, watch: Stopwatch | None = N
     data *= setup.responsivity[:, None].astype(data.dtype)
     levels = _levels(setup, observation, weather)
     with watch("photon"):
-        _add_photon(setup, observation, levels, data)
+        _add_photon(setup, observation, block, levels, data)
     with watch("detector"):
         if setup.scene.detector:
-            rng = generator(setup.scene.seed, Stage.DETECTOR, observation)
+            rng = generator(setup.scene.seed, Stage.DETECTOR, observation, block=block.number)
             add_white(data, levels.detector_mk2_hz, setup.raster.sample_rate_hz, rng)
-    return _timestreams(setup, observation, pointing, weather, data)
+    return _timestreams(setup, observation, whole, pointing, block.first, data)
 
 
-def draw_colours(setup: Setup, observation: int) -> np.ndarray:
-    """Streams of the other bands of the same detectors, (n_colour, n_det, n_samp) [mK].
+def draw_colours(setup: Setup, observation: int, pointing: Pointing, block: Block) -> np.ndarray:
+    """Streams of the other bands of the same detectors in one block, (n_colour, n_det, n_samp) [mK].
 
     The same layer as in the mapped band, times what each band makes of the water (section 3.3), and white noise of
     their own. Excess noise and sky are in the mapped band alone. None where no recipe subtracts other bands.
     """
     colours = setup.scene.instrument.colours if setup.subtracts_colours else ()
-    path, pointing = observation_path(setup, observation)
-    streams = np.zeros((len(colours), setup.n_det, len(path.time_s)), setup.stream_type)
+    streams = np.zeros((len(colours), setup.n_det, len(pointing.time_s)), setup.stream_type)
     if not colours:
         return streams
     weather = observation_weather(setup, observation)
     layer = np.zeros(streams.shape[1:], streams.dtype)
-    add_layer(setup, observation, pointing, weather, layer)
+    add_layer(setup, observation, pointing, weather, layer, block=block.number)
     mapped = setup.water.response(weather.pwv_mm)
     for number, (colour, data) in enumerate(zip(colours, streams, strict=True)):
         scale = np.sqrt(setup.colour_waters[number].response(weather.pwv_mm) / mapped)
         data += layer * (scale * setup.colour_responsivity[number]).astype(data.dtype)[:, None]
-        rng = generator(setup.scene.seed, Stage.DETECTOR, observation, realization=number + 1)
+        rng = generator(setup.scene.seed, Stage.DETECTOR, observation, realization=number + 1, block=block.number)
         add_white(data, colour.psd_mk2_hz, setup.raster.sample_rate_hz, rng)
     return streams
 
@@ -116,7 +127,13 @@ def add_sky_signal(setup: Setup, pointing: Pointing, sky_mk: np.ndarray, data_mk
 
 
 def add_layer(
-    setup: Setup, observation: int, pointing: Pointing, weather: Weather, data: np.ndarray, realization: int = 0
+    setup: Setup,
+    observation: int,
+    pointing: Pointing,
+    weather: Weather,
+    data: np.ndarray,
+    realization: int = 0,
+    block: int = 0,
 ) -> None:
     """Add one realization of the moving layer in this weather to the streams (n_det, n_samp) [mK], in place."""
     from surveysim.atmosphere.screen import add_atmosphere
@@ -126,7 +143,7 @@ def add_layer(
     layer = np.stack(sky_vector(pointing.parallactic_rad, *weather.wind_rad_s), axis=-1)
     # Equation 2 of the paper: P = B2 sin(el)^(1 - b) alpha^-b.
     amplitude = np.sqrt(weather.b2 * np.sin(pointing.elevation_rad) ** (1 - air.index))
-    rng = generator(setup.scene.seed, Stage.ATMOSPHERE, observation, realization)
+    rng = generator(setup.scene.seed, Stage.ATMOSPHERE, observation, realization, block)
     add_atmosphere(
         data,
         scan_bounds(pointing.scan),
@@ -140,32 +157,36 @@ def add_layer(
     )
 
 
-def _add_excess(setup: Setup, observation: int, weather: Weather | None, data: np.ndarray) -> None:
+def _add_excess(setup: Setup, observation: int, block: Block, weather: Weather | None, data: np.ndarray) -> None:
     section = setup.scene.excess
     if section is None:
         return
     variance = excess_variance(section, None if weather is None else weather.b2)
-    rng = generator(setup.scene.seed, Stage.EXCESS, observation)
-    rate, n_scans = setup.raster.sample_rate_hz, setup.raster.n_scans
-    add_excess(data, section, variance, n_scans, rate, setup.excess_factor, rng)
+    rng = generator(setup.scene.seed, Stage.EXCESS, observation, block=block.number)
+    add_excess(data, section, variance, block.n_scans, setup.raster.sample_rate_hz, setup.excess_factor, rng)
 
 
-def _add_photon(setup: Setup, observation: int, levels: WhiteLevels, data: np.ndarray) -> None:
-    if setup.photon_overlap is None:
+def _add_photon(setup: Setup, observation: int, block: Block, levels: WhiteLevels, data: np.ndarray) -> None:
+    if setup.scene.photon is None:
         return
-    rng = generator(setup.scene.seed, Stage.PHOTON, observation)
-    factor = _shared_factor(setup.photon_overlap, levels.shared)
-    add_correlated_white(data, levels.photon_mk2_hz, setup.raster.sample_rate_hz, factor, rng)
+    rng = generator(setup.scene.seed, Stage.PHOTON, observation, block=block.number)
+    noise = (data, levels.photon_mk2_hz, setup.raster.sample_rate_hz)
+    if setup.photon_overlap is None:
+        add_white(*noise, rng)
+    else:
+        add_correlated_white(*noise, _shared_factor(setup.photon_overlap, levels.shared), rng)
 
 
 @lru_cache(maxsize=1)  # most scenes have one share for all observations
-def _shared_factor(pixels: Overlap, share: float) -> np.ndarray:
+def _shared_factor(pixels: Overlap | Torus, share: float) -> np.ndarray | TorusRoot:
     return pixels.factor(share)
 
 
 def _timestreams(
-    setup: Setup, observation: int, pointing: Pointing, weather: Weather | None, data: np.ndarray
+    setup: Setup, observation: int, whole: Pointing, pointing: Pointing, first: int, data: np.ndarray
 ) -> Timestreams:
+    """Streams that begin with the scan `first` of an observation, whose truth goes with all of them."""
+    weather = observation_weather(setup, observation)
     ra, dec = plane_directions(setup.geometry, pointing.xi_rad, pointing.eta_rad)
     truth = {}
     if weather is not None:
@@ -181,12 +202,12 @@ def _timestreams(
         "scene": setup.scene.name,
         "seed": setup.scene.seed,
         "observation": observation,
-        "start_mjd_utc": pointing.start_mjd,
+        "start_mjd_utc": whole.start_mjd,
         "sample_rate_hz": setup.raster.sample_rate_hz,
-        "elevation_deg": float(np.degrees(pointing.elevation_rad.mean())),
-        "camera_angle_deg": float(np.degrees(pointing.array_angle_rad[0] - pointing.parallactic_rad[0])),
+        "elevation_deg": float(np.degrees(whole.elevation_rad.mean())),
+        "camera_angle_deg": float(np.degrees(whole.array_angle_rad[0] - whole.parallactic_rad[0])),
         **truth,
     }
     angle = pointing.array_angle_rad[pointing.scan]
     plane = setup.camera.focal_plane
-    return Timestreams(data, pointing.time_s, ra, dec, angle, pointing.scan, plane, attributes)
+    return Timestreams(data, pointing.time_s, ra, dec, angle, first + pointing.scan, plane, attributes)

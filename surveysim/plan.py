@@ -1,4 +1,4 @@
-"""What a run of a scene would do, take and leave behind, predicted from a few observations made here."""
+"""What a run of a scene would do, take and leave behind, predicted from a few observations or a block made here."""
 
 import math
 import os
@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from surveysim.blocks import Block
 from surveysim.coadds import CoAdds, add_observation, empty_coadds
 from surveysim.memory import peak_bytes
 from surveysim.observation import observation_weather
-from surveysim.reduction import observe
+from surveysim.reduction import ObservationResult, observe
 from surveysim.results import survey_result
 from surveysim.scan import samples_per_scan
 from surveysim.setup import Setup, prepare, window_observations
@@ -26,6 +27,8 @@ FIGURE_STARTS, SCORE_FIGURE_STARTS = 2.0, 3.0
 FIGURE_BYTES = 80e6
 # Where the system does not say what a process holds: Python and the libraries.
 BASE_BYTES = 230e6
+# Stages of an observation that do not take longer the more scans it has, and those of window skies.
+ONCE, SKIES = ("choice", "weights"), ("window",)
 
 
 @dataclass(frozen=True)
@@ -62,12 +65,14 @@ class _Measured:
 def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
     """Predict by running a few observations, with and without window skies, and scoring them.
 
-    `start_s` is the time that it took to start and to prepare `setup`; worker processes take it once more.
+    Of observations in several blocks one block is made, and one scan more. `start_s` is the time that it took to start
+    and to prepare `setup`; worker processes take it once more.
     """
     scene = setup.scene
     n_window = int(window_observations(scene).sum())
     parallel = min(workers, scene.observations, os.cpu_count() or 1)
-    measured = _measure(setup)
+    with threadpool_limits(1):  # as in a run
+        measured = _measure(setup) if len(setup.blocks) == 1 else _measure_block(setup)
     observing_s = (scene.observations - n_window) * measured.plain_s + n_window * measured.window_s
     # Sums are made by the first process, which else waits for the workers.
     summing_s = scene.observations * measured.adding_s
@@ -92,19 +97,38 @@ def _measure(setup: Setup) -> _Measured:
     """What observations take here, once caches are warm and the longest strip of the layer is made."""
     carries = window_observations(setup.scene)
     plain = int(np.argmin(carries))
-    with threadpool_limits(1):  # as in a run
-        first_s = _timed(observe, setup, _windiest(setup), False)[0] + _timed(observe, setup, plain, False)[0]
-        plain_s, (result, _) = _timed(observe, setup, plain, False)
-        window_s = plain_s
-        if carries.any():
-            window_s, (result, _) = _timed(observe, setup, int(np.argmax(carries)), True)
-        coadds = empty_coadds(setup)
-        add_observation(setup, coadds, replace(result, observation=0))
-        adding_s, _ = _timed(add_observation, setup, coadds, replace(result, observation=1))
-        scoring_s = _scoring(setup, coadds)
+    first_s = _timed(observe, setup, _windiest(setup), False)[0] + _timed(observe, setup, plain, False)[0]
+    plain_s, result = _timed(observe, setup, plain, False)
+    window_s = plain_s
+    if carries.any():
+        window_s, result = _timed(observe, setup, int(np.argmax(carries)), True)
+    return _with_sums(setup, result, max(0.0, first_s - 2 * plain_s), plain_s, window_s)
+
+
+def _measure_block(setup: Setup) -> _Measured:
+    """The same from one block, which holds as much as any, and from one more of a single scan, once caches are warm."""
+    carries = window_observations(setup.scene)
+    most = max(block.n_scans for block in setup.blocks)
+    block, scan = (replace(setup, blocks=(Block(0, 0, n),)) for n in (most, 1))
+    which = _windiest(setup), bool(carries.any())
+    block_s, result = _timed(observe, block, *which)
+    scan_s, timed = _timed(observe, scan, *which)
+    total = sum(timed.seconds.values())
+    once_s, skies_s = (scan_s * sum(timed.seconds.get(name, 0.0) for name in names) / total for names in (ONCE, SKIES))
+    window_s = once_s + (scan_s - once_s) * setup.raster.n_scans
+    first_s = max(0.0, block_s - once_s - (scan_s - once_s) * most)
+    return _with_sums(setup, result, first_s, window_s - skies_s * setup.raster.n_scans, window_s)
+
+
+def _with_sums(setup: Setup, result: ObservationResult, first_s: float, plain_s: float, window_s: float) -> _Measured:
+    """What was measured of observations, with the time that it takes to add one to the sums and to score these."""
+    coadds = empty_coadds(setup)
+    add_observation(setup, coadds, replace(result, observation=0))
+    adding_s, _ = _timed(add_observation, setup, coadds, replace(result, observation=1))
+    scoring_s = _scoring(setup, coadds)
     held = peak_bytes()
     held = BASE_BYTES if math.isnan(held) else held
-    return _Measured(max(0.0, first_s - 2 * plain_s), plain_s, window_s, adding_s, scoring_s, held)
+    return _Measured(first_s, plain_s, window_s, adding_s, scoring_s, held)
 
 
 def _scoring(setup: Setup, coadds: CoAdds) -> float:

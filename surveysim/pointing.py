@@ -9,7 +9,7 @@ past ones, and the numbers do not depend on which table is installed.
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 
 import numpy as np
@@ -66,6 +66,18 @@ class Pointing:
     elevation_rad: np.ndarray
     parallactic_rad: np.ndarray
     array_angle_rad: np.ndarray
+
+    def scans(self, first: int, end: int) -> "Pointing":
+        """Scans `first` to `end - 1` alone, counted from 0 again."""
+        inside = (self.scan >= first) & (self.scan < end)
+        of_samples = {name: getattr(self, name)[inside] for name in ("time_s", "xi_rad", "eta_rad")}
+        of_scans = ("velocity_rad_s", "elevation_rad", "parallactic_rad", "array_angle_rad")
+        return replace(
+            self,
+            scan=self.scan[inside] - first,
+            **of_samples,
+            **{name: getattr(self, name)[first:end] for name in of_scans},
+        )
 
 
 @contextmanager

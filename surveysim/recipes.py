@@ -38,6 +38,10 @@ class Recipe:
         """Its steps as one name."""
         return "+".join(self.steps)
 
+    def uses(self, name: str) -> bool:
+        """Whether one of its steps is the named algorithm."""
+        return name in self.steps
+
     @property
     def rows(self) -> np.ndarray | slice:
         """Index of its detectors into the streams."""
@@ -129,7 +133,7 @@ def measured_delays(recipes: tuple[Recipe, ...], streams: Timestreams, sample_ra
     Measured only if a recipe shifts by it: elsewhere 0 too.
     """
     none = np.zeros((len(streams.scan_bounds), 2))
-    if not any("wind" in recipe.steps for recipe in recipes):
+    if not any(recipe.uses("wind") for recipe in recipes):
         return none
     velocity = scan_velocities(streams)
     wind = measure_wind(streams.data_mk, streams.scan_bounds, streams.focal_plane, sample_rate_hz, velocity)

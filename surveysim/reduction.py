@@ -1,19 +1,29 @@
-"""One observation reduced: cleaning by every recipe, maps of every data set, noise levels, the best recipe."""
+"""One observation reduced: cleaning by every recipe, maps of every data set, noise levels, the best recipe.
 
+It goes over the blocks of the observation and adds up what they leave; the simulated sets, which need the PSDs that
+were measured in all of them, go over the blocks once more.
+"""
+
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
-from mapmaker.binning import bin_map
+from mapmaker.chunks import row_chunks
 from mapmaker.cleaning import Cleaned
 from mapmaker.geometry import boresight_pixels
-from mapmaker.timestreams import Timestreams
+from mapmaker.kernels.pixels import bin_samples
+from mapmaker.timestreams import Timestreams, scan_bounds, timestream_file
+from surveysim.blocks import Block
 from surveysim.choice import TARGETS, best_places, merits
-from surveysim.noise import draw_from_psd, hann_psd, white_level
-from surveysim.observation import Stopwatch, add_sky_signal, draw_colours, draw_observation, observation_weather
+from surveysim.noise import draw_from_psd, hann_power, hann_scale, white_level
+from surveysim.observation import Stopwatch, add_sky_signal, draw_block, draw_colours, observation_weather
 from surveysim.pointing import Pointing
 from surveysim.recipes import OPTIMAL, Beside, Recipe, apply_recipe, what_is_beside
+from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene
 from surveysim.setup import Setup, observation_path, prepare
 from surveysim.streams import Stage, generator
@@ -26,10 +36,10 @@ REFERENCE = (0, 1)  # observations that tell what recipes leave of a signal: one
 class ObservationResult:
     """What one observation leaves behind: maps and sums, never time-streams.
 
-    `sums` (n_set, n_y, n_x) of the streams' type [mK] with `hits` (n_set, n_y, n_x) int32; `noise_mk2` (n_set,), the
-    noise variance a sample in the scored band, by which observations are weighted; `window` (n_sky, n_window,
-    2, n_y, n_x) of that type, signal of the window skies binned without [0] and with [1] cleaning for each of the
-    setup's windows, or None; `discarded`, `iterations` and `removed` (templates a scan) per recipe; `merits`
+    `sums` (n_set, n_y, n_x) of the streams' type [mK] with `hits` (n_set, n_y, n_x) int32 or int64; `noise_mk2`
+    (n_set,), the noise variance a sample in the scored band, by which observations are weighted; `window` (n_sky,
+    n_window, 2, n_y, n_x) of that type, signal of the window skies binned without [0] and with [1] cleaning for each
+    of the setup's windows, or None; `discarded`, `iterations` and `removed` (templates a scan) per recipe; `merits`
     (n_recipe, n_target) figures of merit of the recipes for all detectors, or None without a choice; `raw_psd` and
     `clean_psd` (n_freq,) [mK^2/Hz], means over detectors, `compared_psd` (n_compare, n_freq) that of the other
     recipes; `seconds` spent per stage.
@@ -53,12 +63,16 @@ class ObservationResult:
     seconds: dict[str, float] = field(default_factory=dict)
 
 
+Map = tuple[np.ndarray, np.ndarray]  # sums and hits, (n_y, n_x) each
+
+
 @dataclass(frozen=True)
-class _Reduced:
-    """Streams on their way to maps: `index` (n_det, n_samp) of pixels, `cleaned` per recipe, what they know beside."""
+class _Part:
+    """One block on its way to maps: `index` (n_det, n_samp) of pixels, `cleaned` per recipe, what they know beside."""
 
     setup: Setup
     observation: int
+    block: Block
     pointing: Pointing
     streams: Timestreams
     index: np.ndarray
@@ -66,22 +80,44 @@ class _Reduced:
     cleaned: tuple[Cleaned, ...]
 
 
-def observe(setup: Setup, observation: int, with_window: bool) -> tuple[ObservationResult, Timestreams]:
-    """Simulate, clean and bin one observation: every data set, and the window skies where asked."""
-    watch = Stopwatch()
-    work = _reduce(setup, observation, watch)
-    streams, cleaned = work.streams, work.cleaned
-    with watch("spectra"):
-        rate, n_scans = setup.raster.sample_rate_hz, len(streams.scan_bounds)
-        psd = hann_psd(cleaned[0].data_mk, n_scans, _some(cleaned[0].kept), rate)
-        raw = hann_psd(_mean_removed(streams.data_mk, n_scans), n_scans, np.ones(n_scans, bool), rate)
-        others = cleaned[1 : len(setup.whole_recipes)]
-        psds = [hann_psd(item.data_mk, n_scans, _some(item.kept), rate).mean(axis=0) for item in others]
-        compared = np.array(psds).reshape(len(psds), psd.shape[1])
+@dataclass
+class _Sums:
+    """What the blocks of one observation add up to; it grows by one block at a time.
+
+    `maps` by data set, float64 sums [mK] and int64 hits (n_y n_x,) each; `window` (n_sky, n_window, 2, n_y n_x) float64
+    or None; `power` (n_det, n_freq) of the actual data's kept scans (`hann_power`). Of each block: `kept`,
+    `iterations` and `removed` (n_recipe, n_scan), and PSDs (n_freq,) [mK^2/Hz], means over its detectors and kept
+    scans, with the number of these scans: `raw`, and `compared` of the other recipes.
+    """
+
+    maps: dict[str, Map]
+    window: np.ndarray | None
+    power: np.ndarray
+    kept: list[np.ndarray] = field(default_factory=list)
+    iterations: list[np.ndarray] = field(default_factory=list)
+    removed: list[np.ndarray] = field(default_factory=list)
+    raw: list[tuple[int, np.ndarray]] = field(default_factory=list)
+    compared: list[list[tuple[int, np.ndarray]]] = field(default_factory=list)
+
+
+def observe(setup: Setup, observation: int, with_window: bool, path: Path | None = None) -> ObservationResult:
+    """Simulate, clean and bin one observation: every data set, and the window skies where asked.
+
+    With a `path`, its time-streams before cleaning are written there.
+    """
+    watch, (_, pointing) = Stopwatch(), observation_path(setup, observation)
+    sums = _empty_sums(setup, with_window)
+    with nullcontext(_let_go) if path is None else timestream_file(path, len(pointing.time_s)) as save:
+        for block in setup.blocks:
+            _add_block(sums, setup, observation, pointing, block, save, watch)
+    kept = np.concatenate(sums.kept, axis=1)
+    psd = sums.power / max(1, kept[0].sum()) * _psd_scale(setup)
     white = np.full(1, np.nan)
     if setup.scene.score:
-        white = white_level(psd, streams.data_mk.shape[1] // n_scans, rate, setup.scene.score.white_above_hz)
-    maps = _maps(work, psd, white, watch)
+        n, rate = samples_per_scan(setup.raster), setup.raster.sample_rate_hz
+        white = white_level(psd, n, rate, setup.scene.score.white_above_hz)
+        _add_simulated(sums, setup, observation, pointing, psd, white, watch)
+    maps = {name: _plane(setup, *item) for name, item in sums.maps.items()}
     worth, best = None, 0
     if setup.chooses:
         with watch("choice"):
@@ -89,48 +125,82 @@ def observe(setup: Setup, observation: int, with_window: bool) -> tuple[Observat
             worth = merits(setup, transmissions(setup.scene), of_recipes)
         best = max(0, int(best_places(worth[:, 0])))
         maps[OPTIMAL] = maps[setup.whole_recipes[best].data_set]
-    window = None
-    if with_window:
-        with watch("window"):
-            window = _window_maps(work, best)
     ordered = [maps[name] for name in setup.data_sets]
-    sums, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
+    total, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
     with watch("weights"):
         noise = np.array([map_noise(setup, *item) for item in ordered])
-    result = ObservationResult(
+    removed = np.concatenate(sums.removed, axis=1)
+    compared = [_mean_psd(list(of_recipe)) for of_recipe in zip(*sums.compared, strict=True)]
+    return ObservationResult(
         observation=observation,
-        sums=sums,
+        sums=total,
         hits=hits,
         noise_mk2=noise,
-        window=window,
-        discarded=tuple(int((~item.kept).sum()) for item in cleaned),
-        iterations=tuple(float(item.iterations.mean()) for item in cleaned),
-        removed=tuple(float(item.removed[_some(item.kept)].mean()) for item in cleaned),
+        window=_window_maps(setup, sums.window, best),
+        discarded=tuple((~kept).sum(axis=1).tolist()),
+        iterations=tuple(np.concatenate(sums.iterations, axis=1).mean(axis=1).tolist()),
+        removed=tuple(float(row[_some(of)].mean()) for row, of in zip(removed, kept, strict=True)),
         merits=worth,
         weather=observation_weather(setup, observation),
-        elevation_rad=float(work.pointing.elevation_rad.mean()),
-        raw_psd=raw.mean(axis=0),
+        elevation_rad=float(pointing.elevation_rad.mean()),
+        raw_psd=_mean_psd(sums.raw),
         clean_psd=psd.mean(axis=0),
-        compared_psd=compared,
+        compared_psd=np.array(compared).reshape(-1, psd.shape[1]),
         white_mk2_hz=float(white.mean()),
         seconds=watch.seconds,
     )
-    return result, streams
 
 
-def _reduce(setup: Setup, observation: int, watch: Stopwatch) -> _Reduced:
-    streams = draw_observation(setup, observation, watch)
-    _, pointing = observation_path(setup, observation)
-    plane = streams.focal_plane
+def _let_go(streams: Timestreams) -> None:
+    """What becomes of streams that are not saved."""
+
+
+def _empty_sums(setup: Setup, with_window: bool) -> _Sums:
+    n_pixel = setup.geometry.n_y * setup.geometry.n_x
+    names = [name for name in setup.data_sets if name != OPTIMAL]
+    maps = {name: (np.zeros(n_pixel), np.zeros(n_pixel, np.int64)) for name in names}
+    power = np.zeros((setup.n_det, samples_per_scan(setup.raster) // 2 + 1))
+    return _Sums(maps, _empty_window(setup) if with_window else None, power)
+
+
+def _add_block(
+    sums: _Sums,
+    setup: Setup,
+    observation: int,
+    pointing: Pointing,
+    block: Block,
+    save: Callable[[Timestreams], None],
+    watch: Stopwatch,
+) -> None:
+    """Make one block and add what it leaves; its streams are gone when this returns."""
+    part = _reduce(setup, observation, pointing, block, watch)
+    save(part.streams)
+    with watch("spectra"):
+        _add_spectra(sums, part)
+    for recipe, item in zip(setup.recipes, part.cleaned, strict=True):
+        with watch("binning"):
+            _bin(part, item.data_mk, recipe, item.kept, *sums.maps[recipe.data_set])
+    for name in ("kept", "iterations", "removed"):
+        getattr(sums, name).append(np.array([getattr(item, name) for item in part.cleaned]))
+    if sums.window is not None:
+        with watch("window"):
+            _add_window(sums.window, part)
+
+
+def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> _Part:
+    """Draw and clean one block of an observation that is pointed as a `whole`."""
+    streams = draw_block(setup, observation, whole, block, watch)
+    pointing, plane = whole.scans(block.first, block.end), streams.focal_plane
     with watch("pixels"):
         index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad, plane)
     with watch("wind"):
-        beside = what_is_beside(setup.recipes, streams, draw_colours(setup, observation), setup.raster.sample_rate_hz)
+        colours = draw_colours(setup, observation, pointing, block)
+        beside = what_is_beside(setup.recipes, streams, colours, setup.raster.sample_rate_hz)
     cleaned = []
     for recipe in setup.recipes:
         with watch("cleaning" if recipe.steps == setup.scene.cleaning.algorithm else f"cleaning {recipe.label}"):
             cleaned.append(_clean(setup, recipe, streams, streams.data_mk[recipe.rows], beside))
-    return _Reduced(setup, observation, pointing, streams, index, beside, tuple(cleaned))
+    return _Part(setup, observation, block, pointing, streams, index, beside, tuple(cleaned))
 
 
 def _clean(setup: Setup, recipe: Recipe, streams: Timestreams, data_mk: np.ndarray, beside: Beside) -> Cleaned:
@@ -139,21 +209,25 @@ def _clean(setup: Setup, recipe: Recipe, streams: Timestreams, data_mk: np.ndarr
     return apply_recipe(setup.scene.cleaning, recipe, data_mk, streams.scan_bounds, plane, beside, rate)
 
 
-Map = tuple[np.ndarray, np.ndarray]  # sums and hits, (n_y, n_x) each
+def _add_spectra(sums: _Sums, part: _Part) -> None:
+    data, n_scans, scale = part.streams.data_mk, part.block.n_scans, _psd_scale(part.setup)
+    actual, *others = part.cleaned[: len(part.setup.whole_recipes)]
+    sums.power += hann_power(actual.data_mk, n_scans, actual.kept)
+    everyone = np.ones(n_scans, bool)
+    raw = [hann_power(_mean_removed(data[rows], n_scans), n_scans, everyone) for rows in row_chunks(*data.shape)]
+    sums.raw.append((n_scans, (np.concatenate(raw) / n_scans * scale).mean(axis=0)))
+    powers = [(int(item.kept.sum()), hann_power(item.data_mk, n_scans, item.kept)) for item in others]
+    sums.compared.append([(n, (power / max(1, n) * scale).mean(axis=0)) for n, power in powers])
 
 
-def _maps(work: _Reduced, psd: np.ndarray, white: np.ndarray, watch: Stopwatch) -> dict[str, Map]:
-    """Sums and hits by data set, but for the optimal one."""
-    setup, kept = work.setup, work.cleaned[0].kept
-    maps = {
-        recipe.data_set: _bin(work, item.data_mk, recipe.rows, item.kept, watch)
-        for recipe, item in zip(setup.recipes, work.cleaned, strict=True)
-    }
-    for name in setup.scene.score.simulated if setup.scene.score else ():
-        with watch("simulated sets"):
-            data = _simulated_set(setup, work.observation, name, psd, white, work.streams.data_mk.shape[1])
-        maps[name] = _bin(work, data, slice(None), kept, watch)
-    return maps
+def _psd_scale(setup: Setup) -> float:
+    return hann_scale(samples_per_scan(setup.raster), setup.raster.sample_rate_hz, setup.stream_type)
+
+
+def _mean_psd(blocks: list[tuple[int, np.ndarray]]) -> np.ndarray:
+    """Mean PSD (n_freq,) over all scans, from means over the scans of each block; 0 without a scan."""
+    n_scans = max(1, sum(n for n, _ in blocks))
+    return sum(psd * (n / n_scans) for n, psd in blocks)
 
 
 def map_noise(setup: Setup, total: np.ndarray, hits: np.ndarray) -> float:
@@ -183,48 +257,94 @@ def _mean_removed(data: np.ndarray, n_scans: int) -> np.ndarray:
     return (scans - scans.mean(axis=-1, keepdims=True)).reshape(data.shape)
 
 
-def _simulated_set(
-    setup: Setup, observation: int, name: str, psd: np.ndarray, white: np.ndarray, n_samp: int
+def _add_simulated(
+    sums: _Sums,
+    setup: Setup,
+    observation: int,
+    whole: Pointing,
+    psd: np.ndarray,
+    white: np.ndarray,
+    watch: Stopwatch,
+) -> None:
+    """Add the maps of section 5.2's simulated sets, in the scans that the actual data keep.
+
+    They need no more of the streams than each detector's measured PSD and white level: detectors are taken some at a
+    time.
+    """
+    plane = setup.camera.focal_plane
+    for block, kept in zip(setup.blocks, sums.kept, strict=True):
+        pointing = whole.scans(block.first, block.end)
+        angle, bounds = pointing.array_angle_rad[pointing.scan], scan_bounds(pointing.scan)
+        names = setup.scene.score.simulated
+        rngs = [generator(setup.scene.seed, SIMULATED[name], observation, block=block.number) for name in names]
+        for rows in row_chunks(setup.n_det, len(pointing.time_s)):
+            with watch("pixels"):
+                some = plane.subset(rows)
+                index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, some)
+            for name, rng in zip(names, rngs, strict=True):
+                with watch("simulated sets"):
+                    data = simulated_streams(setup, name, psd[rows], white[rows], block.n_scans, rng)
+                with watch("binning"):
+                    bin_samples(data, index, bounds, kept[0], *sums.maps[name])
+
+
+SIMULATED = {"uncorrelated": Stage.UNCORRELATED, "white": Stage.WHITE}
+
+
+def simulated_streams(
+    setup: Setup, name: str, psd: np.ndarray, white: np.ndarray, n_scans: int, rng: np.random.Generator
 ) -> np.ndarray:
-    """Streams of section 5.2's simulated sets: each detector's measured PSD, or its measured white level.
+    """Streams (n_det, n_samp) of section 5.2's simulated sets: each detector's measured PSD, or its white level.
 
     Uncorrelated between detectors; the mean of each scan is removed, as cleaning does.
     """
-    rate, seed, n_scans = setup.raster.sample_rate_hz, setup.scene.seed, setup.raster.n_scans
-    n_det = len(psd)
+    rate, n = setup.raster.sample_rate_hz, samples_per_scan(setup.raster)
     if name == "uncorrelated":
-        rng = generator(seed, Stage.UNCORRELATED, observation)
-        streams = draw_from_psd(psd[:, None, :], (n_det, n_scans), n_samp // n_scans, rate, rng)
-        return streams.reshape(n_det, n_samp).astype(setup.stream_type, copy=False)
-    rng = generator(seed, Stage.WHITE, observation)
-    data = rng.standard_normal((n_det, n_samp), dtype=np.float32).astype(setup.stream_type, copy=False)
+        streams = draw_from_psd(psd[:, None, :], (len(psd), n_scans), n, rate, rng)
+        return streams.reshape(len(psd), -1).astype(setup.stream_type, copy=False)
+    data = rng.standard_normal((len(psd), n_scans * n), dtype=np.float32).astype(setup.stream_type, copy=False)
     data *= np.sqrt(white * rate / 2).astype(data.dtype)[:, None]
     return _mean_removed(data, n_scans)
 
 
-def _bin(work: _Reduced, data_mk: np.ndarray, rows: np.ndarray | slice, kept: np.ndarray, watch: Stopwatch) -> Map:
-    with watch("binning"):
-        item = bin_map(work.setup.geometry, data_mk, work.index[rows], work.streams.scan_bounds, kept)
-    return item.weighted_sum.astype(work.setup.stream_type), item.hits.astype(np.int32)
+def _bin(
+    part: _Part, data_mk: np.ndarray, recipe: Recipe, kept: np.ndarray, total: np.ndarray, hits: np.ndarray
+) -> None:
+    """Add the kept scans of a recipe's detectors to a map's sums and hits, in place."""
+    bin_samples(data_mk, part.index[recipe.rows], part.streams.scan_bounds, kept, total, hits)
 
 
-def _window_maps(work: _Reduced, best: int) -> np.ndarray:
-    """Signal of each window sky without and with cleaning, the difference that it makes to the cleaned data."""
-    setup, streams = work.setup, work.streams
-    skies, bounds = setup.window_skies_mk, streams.scan_bounds
+def _plane(setup: Setup, total: np.ndarray, hits: np.ndarray) -> Map:
     shape = (setup.geometry.n_y, setup.geometry.n_x)
-    maps = np.zeros((len(skies), len(setup.windows), 2, *shape), setup.stream_type)
-    for s, sky in enumerate(skies):
-        signal = np.zeros_like(streams.data_mk)
-        add_sky_signal(setup, work.pointing, sky, signal, setup.responsivity)
-        for recipe, base in zip(setup.recipes, work.cleaned, strict=True):
-            rows = recipe.rows
-            both = _clean(setup, recipe, streams, streams.data_mk[rows] + signal[rows], work.beside)
-            kept = both.kept & base.kept
-            place = setup.windows.index(recipe.data_set)
-            for state, data in enumerate((signal[rows], both.data_mk - base.data_mk)):
-                item = bin_map(setup.geometry, data, work.index[rows], bounds, kept)
-                maps[s, place, state] = item.weighted_sum
+    kind = np.int32 if hits.max() < 2**31 else np.int64
+    return total.reshape(shape).astype(setup.stream_type), hits.reshape(shape).astype(kind)
+
+
+def _empty_window(setup: Setup) -> np.ndarray:
+    return np.zeros((len(setup.window_skies_mk), len(setup.windows), 2, setup.geometry.n_y * setup.geometry.n_x))
+
+
+def _add_window(window: np.ndarray, part: _Part) -> None:
+    """Add the signal of each window sky without and with cleaning, the difference that it makes to the cleaned data."""
+    setup, streams = part.setup, part.streams
+    hits, signal = np.zeros(window.shape[-1], np.int64), np.empty_like(streams.data_mk)
+    for s, sky in enumerate(setup.window_skies_mk):
+        signal[:] = 0
+        add_sky_signal(setup, part.pointing, sky, signal, setup.responsivity)
+        for recipe, base in zip(setup.recipes, part.cleaned, strict=True):
+            rows, place = recipe.rows, setup.windows.index(recipe.data_set)
+            both = _clean(setup, recipe, streams, streams.data_mk[rows] + signal[rows], part.beside)
+            difference, kept = both.data_mk, both.kept & base.kept
+            difference -= base.data_mk
+            for state, data in enumerate((signal[rows], difference)):
+                _bin(part, data, recipe, kept, window[s, place, state], hits)
+
+
+def _window_maps(setup: Setup, window: np.ndarray | None, best: int) -> np.ndarray | None:
+    """Window skies as maps, those of the optimal set taken from the recipe that is best."""
+    if window is None:
+        return None
+    maps = window.reshape(*window.shape[:3], setup.geometry.n_y, setup.geometry.n_x).astype(setup.stream_type)
     if setup.chooses:
         chosen = setup.windows.index(setup.whole_recipes[best].data_set)
         maps[:, setup.windows.index(OPTIMAL)] = maps[:, chosen]
@@ -242,9 +362,17 @@ def transmissions(scene: Scene) -> np.ndarray:
     rows, everywhere = setup.band.patch, np.ones_like(setup.band.taper)
     powers = np.zeros((len(setup.whole_recipes), len(TARGETS), 2, len(setup.band.rings.ell)))
     for observation in REFERENCE:
-        maps = _window_maps(_reduce(setup, observation % scene.observations, Stopwatch()), 0)[..., rows, rows]
+        maps = _window_maps(setup, _window_alone(setup, observation % scene.observations), 0)[..., rows, rows]
         for r, recipe in enumerate(setup.whole_recipes):
             place = setup.windows.index(recipe.data_set)
             for s, state in np.ndindex(powers.shape[1:3]):
                 powers[r, s, state] += setup.band.ring_noise(maps[s, place, state], everywhere)
     return np.divide(powers[:, :, 1], powers[:, :, 0], out=np.zeros_like(powers[:, :, 0]), where=powers[:, :, 0] > 0)
+
+
+def _window_alone(setup: Setup, observation: int) -> np.ndarray:
+    """The window skies of one observation, and nothing else of it."""
+    window, (_, pointing) = _empty_window(setup), observation_path(setup, observation)
+    for block in setup.blocks:
+        _add_window(window, _reduce(setup, observation, pointing, block, Stopwatch()))
+    return window

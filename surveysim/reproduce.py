@@ -165,9 +165,15 @@ def _scene(path: Path, changes: dict[str, Any], observations: int | None) -> Sce
 
 def _check(path: Path, scene: Scene, first: Scene) -> None:
     """Raise SceneError unless a scene can be run and measured together with the first one of its band."""
-    _prepared(path, scene.model_copy(update={"score": None}))
+    unscored = _prepared(path, scene.model_copy(update={"score": None}))
     if scene.atmosphere is None:
         raise SceneError(f"{path}: atmosphere: missing; it is what is measured")
+    if (found := len(prepare(unscored).blocks)) > 1:
+        memory = f"{scene.numerics.stream_bytes / 1e6:.4g} MB"
+        raise SceneError(
+            f"{path}: numerics.stream_memory: found {memory}, which cuts observations into {found} blocks; whole ones "
+            f"are measured, and {found} times as much is enough for them"
+        )
     index, height = scene.atmosphere.index, scene.atmosphere.layer_height_m
     if abs(index - INDEX_GRID[KOLMOGOROV]) > 1e-9 or height not in HEIGHT_GRID_M:
         raise SceneError(

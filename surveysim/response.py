@@ -22,7 +22,9 @@ from mapmaker.cleaning.templates import AVERAGE, PLANAR, QUADRATIC, template_bas
 from mapmaker.spectrum import tukey
 from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.spectrum import Screen, beam_transfer, power
+from surveysim.coherence import MOST_DENSE
 from surveysim.kernels.forecast import windowed_sums
+from surveysim.lattice import SharedNoise
 
 # The templates of cleaning that is, once the responsivities are known, a fixed projection; and of cleaning that comes
 # close to one: the wind's shifts move templates by a sample or so, and PCA takes about one mode, nearly the average's.
@@ -166,18 +168,30 @@ def projected_array(plane: FocalPlane, angle_rad: float, responsivity: np.ndarra
     return Array(place, responsivity, basis)
 
 
-def matrix_power(response: np.ndarray, correlation: np.ndarray | None) -> np.ndarray:
+def matrix_power(response: np.ndarray, correlation: np.ndarray | SharedNoise | None) -> np.ndarray:
     """Power a^H K a / n_det (n_mode,) of streams of unit PSD with the correlation K (None: none), a (n_det, n_mode)."""
     spread = response if correlation is None else correlation @ response
     return np.einsum("ij,ij->j", response.conj(), spread).real / len(response)
 
 
-def stream_power(array: Array, correlation: np.ndarray | None) -> float:
+def stream_power(array: Array, correlation: np.ndarray | SharedNoise | None) -> float:
     """Mean PSD of the cleaned streams of detectors that have unit PSD and a correlation (None: none)."""
     n_det = len(array.place)
+    if correlation is None and n_det > MOST_DENSE:
+        correlation = SharedNoise(None, np.ones(n_det))
+    if isinstance(correlation, SharedNoise):
+        return float(np.mean(correlation.gain**2)) - _projected_power(array, correlation) / n_det
     matrix = np.eye(n_det) if correlation is None else correlation
     once = array.cleaned(matrix)
     return float(np.trace(array.cleaned(once.T)) / n_det)
+
+
+def _projected_power(array: Array, correlation: SharedNoise) -> float:
+    """What cleaning takes of the trace of K: with ``P = U V^T``, that of ``P K + K P^T - P K P^T``."""
+    gain = array.responsivity[:, None]
+    u, v = gain * array.basis.T, array.basis.T / gain
+    ku, kv = correlation @ u, correlation @ v
+    return float(2 * np.sum(v * ku) - np.sum((v.T @ kv) * (u.T @ u)))
 
 
 @dataclass(frozen=True)

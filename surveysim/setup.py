@@ -9,9 +9,11 @@ from threadpoolctl import threadpool_limits
 
 from mapmaker.geometry import MapGeometry, covering_geometry
 from surveysim.band import Band, scored_band
+from surveysim.blocks import Block, scan_blocks
 from surveysim.checks import check_excess, check_masked, check_score, check_size, check_templates, reach
-from surveysim.coherence import Overlap, correlation_factor, correlation_matrix, overlap
+from surveysim.coherence import MOST_DENSE, Overlap, correlation_matrix, overlap
 from surveysim.instrument import Camera, camera, mask_by_separation
+from surveysim.lattice import Torus, TorusRoot, embed
 from surveysim.pointing import (
     FieldCentre,
     Pointing,
@@ -21,9 +23,9 @@ from surveysim.pointing import (
     survey_angles,
 )
 from surveysim.recipes import ACTUAL, OPTIMAL, Recipe, recipes
-from surveysim.scan import Raster, RasterPath, duration_s, raster
+from surveysim.scan import Raster, RasterPath, duration_s, raster, samples_per_scan
 from surveysim.scene import Scene, SceneError
-from surveysim.sections import Colour, Instrument
+from surveysim.sections import Colour, Excess, Instrument, Photon
 from surveysim.streams import Stage, generator
 from surveysim.weather import Water, site_water
 
@@ -41,24 +43,26 @@ class Angles:
 class Setup:
     """A scene made ready: nothing here depends on the observation but the angles' rows.
 
-    `photon_overlap` and `excess_factor` (n_det, n_det), or None; `responsivity` (n_det,); `recipes` all ways of
-    cleaning, those of the masked array last; `masked` indices of the detectors that it keeps, or None; `sky_mk` on
-    `sky_geometry` or None; `window_skies_mk` (n_sky, n_y, n_x) or None, the last of a point source where recipes are
-    compared; `strips` the atmosphere's strips or None; `water` what the band makes of the site's water, None
-    without a site, and `colour_waters` what the other bands make of it; `colour_responsivity` (n_colour, n_det).
+    `photon_overlap` and `excess_factor`, what detectors share of these noises, None where they share nothing;
+    `responsivity` (n_det,); `recipes` all ways of cleaning, those of the masked array last; `masked` indices of the
+    detectors that it keeps, or None; `sky_mk` on `sky_geometry` or None; `window_skies_mk` (n_sky, n_y, n_x) or None,
+    the last of a point source where recipes are compared; `strips` the atmosphere's strips or None; `water` what the
+    band makes of the site's water, None without a site, and `colour_waters` what the other bands make of it;
+    `colour_responsivity` (n_colour, n_det); `blocks` that an observation is made in.
     """
 
     scene: Scene
     camera: Camera
     raster: Raster
+    blocks: tuple[Block, ...]
     angles: Angles
     geometry: MapGeometry
     sky_geometry: MapGeometry
     band: Band | None
     recipes: tuple[Recipe, ...]
     responsivity: np.ndarray
-    photon_overlap: Overlap | None
-    excess_factor: np.ndarray | None
+    photon_overlap: Overlap | Torus | None
+    excess_factor: np.ndarray | TorusRoot | None
     strips: object | None
     water: Water | None
     colour_waters: tuple[Water, ...]
@@ -71,6 +75,11 @@ class Setup:
     def n_det(self) -> int:
         """How many live detectors the camera has."""
         return len(self.responsivity)
+
+    def samples(self, block: Block) -> slice:
+        """Samples of one block among those of an observation."""
+        per_scan = samples_per_scan(self.raster)
+        return slice(block.first * per_scan, block.end * per_scan)
 
     @property
     def stream_type(self) -> np.dtype:
@@ -98,7 +107,7 @@ class Setup:
     @property
     def subtracts_colours(self) -> bool:
         """Whether a recipe needs the other bands of the pixels."""
-        return any("spectral" in recipe.steps for recipe in self.recipes)
+        return any(recipe.uses("spectral") for recipe in self.recipes)
 
     @property
     def windows(self) -> tuple[str, ...]:
@@ -139,18 +148,21 @@ def _prepare(scene: Scene) -> Setup:
         check_masked(scene, masked)
     check_score(scene, geometry, lines)
     check_excess(scene)
+    ways = recipes(scene.cleaning, masked)
+    excess = shared_noise(cam, scene.excess, "excess")
     return Setup(
         scene=scene,
         band=scored_band(scene, geometry),
         camera=cam,
         raster=lines,
+        blocks=_blocks(scene, cam, lines, ways),
         angles=_angles(scene, lines),
         geometry=geometry,
         sky_geometry=sky_geometry,
-        recipes=recipes(scene.cleaning, masked),
+        recipes=ways,
         responsivity=_responsivity(scene, len(cam.focal_plane.x_rad)),
-        photon_overlap=_photon_overlap(scene, cam),
-        excess_factor=_excess_factor(scene, cam),
+        photon_overlap=shared_noise(cam, scene.photon, "photon"),
+        excess_factor=None if excess is None else excess.factor(),
         strips=_strips(scene, cam),
         water=_water(scene, scene.instrument),
         colour_waters=tuple(_water(scene, colour) for colour in scene.instrument.colours),
@@ -172,6 +184,27 @@ def _raster(scene: Scene) -> Raster:
         scan.dither_rad,
         scan.sample_rate_hz,
     )
+
+
+def _blocks(scene: Scene, cam: Camera, lines: Raster, ways: tuple[Recipe, ...]) -> tuple[Block, ...]:
+    """Blocks of an observation; raises SceneError for a scan too long, or recipes that need an observation whole."""
+    n_det, n_samp, most = len(cam.focal_plane.x_rad), samples_per_scan(lines), scene.numerics.stream_bytes
+    colours = len(scene.instrument.colours) * any(recipe.uses("spectral") for recipe in ways)
+    # In single precision whatever the streams have: it is not to change what is drawn.
+    scan_bytes = n_det * n_samp * (1 + colours) * np.dtype(np.float32).itemsize
+    key = f"numerics.stream_memory: found {most / 1e6:.4g} MB"
+    if scan_bytes > most:
+        raise SceneError(
+            f"{key}; the {scan_bytes / 1e6:.4g} MB of one scan of {n_samp} samples of {n_det} detectors or more are "
+            "expected: more memory, or a shorter scan.duration"
+        )
+    found = scan_blocks(lines.n_scans, scan_bytes, most)
+    if len(found) > 1 and any(recipe.uses("wind") for recipe in ways):
+        raise SceneError(
+            f"{key}, which cuts an observation into {len(found)} blocks; 'wind' cleaning measures the wind of a whole "
+            f"one, whose {scan_bytes * lines.n_scans / 1e6:.4g} MB or more are expected, or another cleaning.algorithm"
+        )
+    return found
 
 
 def _geometry(scene: Scene, cam: Camera, pixel_rad: float) -> MapGeometry:
@@ -217,16 +250,23 @@ def _responsivity(scene: Scene, n_det: int, realization: int = 0) -> np.ndarray:
     return responsivity / responsivity.mean()
 
 
-def _photon_overlap(scene: Scene, cam: Camera) -> Overlap | None:
-    if scene.photon is None:
+def shared_noise(cam: Camera, section: Photon | Excess | None, name: str) -> Overlap | Torus | None:
+    """What detectors share of a noise by overlap, None where they share nothing."""
+    if section is None or section.coherence == "none":
         return None
-    return overlap(correlation_matrix(cam.positions_f_lambda, scene.photon.coherence, cam.illumination))
-
-
-def _excess_factor(scene: Scene, cam: Camera) -> np.ndarray | None:
-    if scene.excess is None:
-        return None
-    return correlation_factor(correlation_matrix(cam.positions_f_lambda, scene.excess.coherence, cam.illumination))
+    n_det = len(cam.focal_plane.x_rad)
+    if n_det <= MOST_DENSE:
+        return overlap(correlation_matrix(cam.positions_f_lambda, section.coherence, cam.illumination))
+    if cam.pitch_rad is None:
+        raise SceneError(
+            f"{name}.coherence: found {section.coherence!r} for the {n_det} detectors of a table of positions; "
+            f"{MOST_DENSE} or fewer are expected, or an instrument.layout, whose lattice makes noise that more share, "
+            "or coherence 'none'"
+        )
+    try:
+        return embed(cam.cells, cam.pitch_rad / cam.f_lambda_rad, section.coherence, cam.illumination)
+    except ValueError as error:
+        raise SceneError(f"{name}.coherence: {error}") from None
 
 
 def screen(scene: Scene):

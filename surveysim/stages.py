@@ -1,6 +1,7 @@
 """What a run of a scene does: the stages that run, and those left out with the reason for each."""
 
 from surveysim.forecast import can_forecast
+from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene
 from surveysim.setup import Setup, window_observations
 
@@ -22,6 +23,10 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
     scene = setup.scene
     scans = f"{scene.observations} observations of {setup.raster.n_scans} scans"
     stages = {"pointing": f"{scans}, {setup.n_det} detectors, {scene.scan.sample_rate_hz:g} Hz"}
+    if len(setup.blocks) > 1:
+        most = max(block.n_scans for block in setup.blocks)
+        megabytes = most * samples_per_scan(setup.raster) * setup.n_det * setup.stream_type.itemsize / 1e6
+        stages["blocks"] = f"{len(setup.blocks)} an observation, {most} scans or fewer in {megabytes:.3g} MB of streams"
     stages |= {name: "streams" for name in STREAMS if getattr(scene, name) is not None}
     stages["cleaning"] = ", ".join(recipe.label for recipe in setup.whole_recipes)
     stages["maps"] = f"{setup.geometry.n_x} x {setup.geometry.n_y} pixels"
@@ -45,7 +50,7 @@ def left_out(setup: Setup) -> dict[str, str]:
         reasons["ephemerides"] = "a fixed elevation needs no astropy.coordinates"
     if setup.water is None:
         reasons["opacity"] = "no atmosphere.site to know it of"
-    if scene.photon is None and scene.excess is None:
+    if setup.photon_overlap is None and setup.excess_factor is None:
         reasons["overlap"] = "no noise that detectors share"
     if scene.instrument.colours and not setup.subtracts_colours:
         reasons["other bands"] = "no recipe subtracts them"

@@ -1,4 +1,4 @@
-"""Random generators keyed by what they are for: (seed, realization, observation, stage).
+"""Random generators keyed by what they are for: (seed, realization, observation, stage), and by the block of it.
 
 Leaving a stage out, changing the number of workers, resuming or re-ordering moves no other draw.
 """
@@ -25,7 +25,12 @@ class Stage(IntEnum):
     JACKKNIFE = 11
 
 
-def generator(seed: int, stage: Stage, observation: int = 0, realization: int = 0) -> np.random.Generator:
-    """The generator of one stage of one observation of one realization."""
-    sequence = np.random.SeedSequence(seed, spawn_key=(realization, observation, int(stage)))
-    return np.random.Generator(np.random.SFC64(sequence))
+def generator(
+    seed: int, stage: Stage, observation: int = 0, realization: int = 0, block: int = 0
+) -> np.random.Generator:
+    """The generator of one stage of one observation of one realization.
+
+    Blocks of an observation beyond the first have keys that are longer, and so no other's.
+    """
+    key = (realization, observation, int(stage), *((block,) if block else ()))
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=key)))

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 
-from mapmaker.timestreams import write_timestreams
 from surveysim.checkpoint import load_checkpoint, save_checkpoint
 from surveysim.coadds import CoAdds, add_observation, empty_coadds
 from surveysim.engines import SERIAL, Engine, held_back_signals, ordered_map
@@ -31,10 +30,8 @@ class ObservationJob:
     def __call__(self, observation: int) -> ObservationResult:
         """Simulate, clean and bin; write the streams if asked."""
         with_window = bool(window_observations(self.scene)[observation])
-        result, streams = observe(prepare(self.scene), observation, with_window)
-        if self.timestream_dir is not None:
-            write_timestreams(self.timestream_dir / f"{observation:04d}.h5", streams)
-        return result
+        path = None if self.timestream_dir is None else self.timestream_dir / f"{observation:04d}.h5"
+        return observe(prepare(self.scene), observation, with_window, path)
 
 
 def run_observations(

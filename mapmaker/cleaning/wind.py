@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans
-from mapmaker.cleaning.templates import AVERAGE, check_convergence, template_basis
-from mapmaker.kernels.cleaning import iterate_responsivity
+from mapmaker.cleaning.templates import AVERAGE, check_convergence, fit_responsivity, template_basis
 
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
@@ -98,9 +97,7 @@ def _subtract(block: np.ndarray, delay: np.ndarray, basis: np.ndarray, options: 
     mean = common.mean(axis=1, keepdims=True)
     common = common - mean
     responsivity = np.ones(n_det)
-    converged, iterations = iterate_responsivity(
-        common @ common.T, basis, basis[1:], options.tolerance, options.max_iterations, responsivity
-    )
+    converged, iterations = fit_responsivity(common, basis, basis[1:], options, responsivity)
     if not converged:
         return Fit(None, iterations)
     rest -= mean

@@ -35,7 +35,7 @@ def _apply_gram(weighted, gram, product):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _correlate(basis, weighted, product, power, responsivity):
+def correlate(basis, weighted, product, power, responsivity):
     """Write c_i = sum_n T_in d_in / sum_n T_in^2; power is (n_par, n_par) workspace for sum_n p_n p_n^T."""
     n_par, n_det = basis.shape
     for k in range(n_par):
@@ -55,7 +55,7 @@ def _correlate(basis, weighted, product, power, responsivity):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def _hold(held, responsivity):
+def hold(held, responsivity):
     """Remove the components along the rows of held from c, then scale c to mean 1."""
     n_held, n_det = held.shape
     for k in range(n_held):
@@ -94,10 +94,10 @@ def iterate_responsivity(gram, basis, held, tolerance, max_iterations, responsiv
             for i in range(n_det):
                 weighted[k, i] = basis[k, i] / responsivity[i]
         _apply_gram(weighted, gram, product)
-        _correlate(basis, weighted, product, power, responsivity)
+        correlate(basis, weighted, product, power, responsivity)
         if not np.all(np.isfinite(responsivity)) or np.any(responsivity == 0.0):
             return False, iteration
-        _hold(held, responsivity)
+        hold(held, responsivity)
         change = 0.0
         for i in range(n_det):
             change += abs(responsivity[i] / previous[i] - 1.0)

@@ -4,6 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from surveysim.quantities import Memory
 from surveysim.sections.base import Section
 
 
@@ -13,8 +14,13 @@ class Numerics(Section):
     `precision` is that of streams, strips of the layer and maps (random numbers have 24 bits in both);
     `interpolation` that of look-ups between the layer's lattice points; `screen_step` the lattice step over the one
     that is chosen for the beam and the camera (`surveysim.atmosphere.screen.strip_step`).
+
+    Observations whose streams take more than `stream_memory`, counted in single precision, are made in blocks of whole
+    scans (`surveysim.blocks`), each with random numbers of its own. A process holds up to ten times as much at its
+    peak. Larger blocks are no faster; the default has room for scans of 6000 samples of 10,000 detectors.
     """
 
     precision: Literal["float32", "float64"] = "float32"
     interpolation: Literal["nearest", "linear", "cubic"] = "linear"
     screen_step: float = Field(ge=0.1, le=10, default=1.0)
+    stream_bytes: Memory = Field(alias="stream_memory", default=250e6)

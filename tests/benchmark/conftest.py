@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import Timestreams
+from surveysim.blocks import Block
 from surveysim.observation import draw_observation
 from surveysim.pointing import Pointing
 from surveysim.reduction import ObservationResult, observe
@@ -34,6 +35,10 @@ class Prepared:
     result: ObservationResult
 
     @property
+    def block(self) -> Block:
+        return self.setup.blocks[0]
+
+    @property
     def data_mk(self) -> np.ndarray:
         return self.streams.data_mk
 
@@ -54,7 +59,7 @@ def lynx(pytestconfig) -> Prepared:
     index = boresight_pixels(
         setup.geometry, pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad, streams.focal_plane
     )
-    result, _ = observe(setup, OBSERVATION, with_window=True)
+    result = observe(setup, OBSERVATION, with_window=True)
     return Prepared(setup, pointing, streams, index, result)
 
 

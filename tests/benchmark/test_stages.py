@@ -45,13 +45,13 @@ def test_atmosphere(per_sample, lynx):
 def test_excess(per_sample, lynx):
     weather = stages.observation_weather(lynx.setup, OBSERVATION)
     data = np.zeros_like(lynx.data_mk)
-    per_sample("excess", lambda: stages._add_excess(lynx.setup, OBSERVATION, weather, data))
+    per_sample("excess", lambda: stages._add_excess(lynx.setup, OBSERVATION, lynx.block, weather, data))
 
 
 def test_photon(per_sample, lynx):
     data = np.zeros_like(lynx.data_mk)
     levels = stages.observation_levels(lynx.setup, OBSERVATION)
-    per_sample("photon", lambda: stages._add_photon(lynx.setup, OBSERVATION, levels, data))
+    per_sample("photon", lambda: stages._add_photon(lynx.setup, OBSERVATION, lynx.block, levels, data))
 
 
 def test_detector(per_sample, lynx):
@@ -101,20 +101,20 @@ def test_binning(per_sample, lynx):
 
 @pytest.mark.parametrize("name", ["uncorrelated", "white"])
 def test_simulated_set(per_sample, lynx, name):
-    setup, (n_det, n_samp) = lynx.setup, lynx.data_mk.shape
+    setup, n_det = lynx.setup, len(lynx.data_mk)
     psd = np.tile(lynx.result.clean_psd, (n_det, 1))
     white = white_level(psd, 150, setup.raster.sample_rate_hz, setup.scene.score.white_above_hz)
-    per_sample(
-        f"simulated set, {name}",
-        lambda: reduction._simulated_set(setup, OBSERVATION, name, psd, white, n_samp),
-    )
+    rng = generator(setup.scene.seed, reduction.SIMULATED[name], OBSERVATION)
+    n_scans = setup.raster.n_scans
+    per_sample(f"simulated set, {name}", lambda: reduction.simulated_streams(setup, name, psd, white, n_scans, rng))
 
 
 def test_window_of_one_sky(per_sample, lynx):
     """A sky through the streams of the whole and the masked array, with cleaning and without."""
     setup = replace(lynx.setup, window_skies_mk=lynx.setup.window_skies_mk[:1])
-    work = reduction._reduce(setup, OBSERVATION, stages.Stopwatch())
-    per_sample("window, one sky", lambda: reduction._window_maps(work, 0))
+    part = reduction._reduce(setup, OBSERVATION, lynx.pointing, lynx.block, stages.Stopwatch())
+    window = reduction._empty_window(setup)
+    per_sample("window, one sky", lambda: reduction._add_window(window, part))
 
 
 def test_weights(per_sample, lynx):

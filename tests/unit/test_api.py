@@ -77,8 +77,10 @@ def test_observations_that_are_not_there(path, observation):
         simulate_observation(load_scene(path), observation)
 
 
-def test_two_workers_give_the_same_bits(path):
-    setup = prepare(load_scene(path))
+@pytest.mark.parametrize("memory, blocks", [("1 MB", 1), ("9 kB", 2)])
+def test_two_workers_give_the_same_bits(path, memory, blocks):
+    setup = prepare(load_scene(path, {"numerics.stream_memory": memory}))
+    assert len(setup.blocks) == blocks
     one, two = (run_observations(setup, None, Engine(workers=workers)) for workers in (1, 2))
     arrays = ("sums", "weight", "hits", "flipped", "window", "window_weight", "rows", "raw_psd", "clean_psd")
     for name in arrays:

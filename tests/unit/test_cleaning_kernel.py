@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mapmaker.cleaning import TemplateOptions, templates
 from mapmaker.kernels.cleaning import iterate_responsivity
 from tests import naive
 
@@ -77,3 +78,38 @@ def test_vanishing_responsivity_ends_unconverged():
     basis = np.full((1, 3), 3**-0.5)
     converged, steps = iterate_responsivity(gram, basis, basis[1:], 1e-8, 100, np.ones(3))
     assert not converged and steps == 1
+
+
+# ---------------------------------------------------------------- passes over the stream
+
+
+@pytest.mark.parametrize("n_par", [1, 3, 6])
+def test_passes_over_the_stream_do_what_the_gram_matrix_does(n_par, monkeypatch):
+    shapes, data = _scan(5, n_par)
+    basis = np.ascontiguousarray(np.linalg.qr(shapes)[0].T)
+    found = []
+    for most in (N_DET, N_DET - 1):
+        monkeypatch.setattr(templates, "MOST_GRAM", most)
+        left = data.copy()
+        found.append((templates.fit_templates(left, basis, TemplateOptions(1e-8, 100)), left))
+    (by_gram, one), (by_passes, other) = found
+    assert by_gram.iterations == by_passes.iterations > 2 and by_gram.removed == by_passes.removed == n_par
+    np.testing.assert_allclose(by_passes.responsivity, by_gram.responsivity, rtol=1e-11)
+    np.testing.assert_allclose(other, one, atol=1e-11)
+
+
+@pytest.mark.parametrize("spoiled", ["dead", "few iterations", "vanishing"])
+def test_passes_end_where_the_gram_matrix_does(spoiled, monkeypatch):
+    _, data = _scan(6, 1)
+    if spoiled == "dead":
+        data[3] = 0
+    if spoiled == "vanishing":  # three detectors, the third's correlation with the template exactly zero
+        data = np.array([[1.0, -1, 1, -1], [1, -1, 1, -1], [-1, 1, 0, 0]])
+        data[2] = [-1.0, 1, -1, 1]
+        data[2] /= 0.5
+    basis = np.full((1, len(data)), len(data) ** -0.5)
+    options, found = TemplateOptions(1e-8, 2 if spoiled == "few iterations" else 100), []
+    for most in (len(data), 0):
+        monkeypatch.setattr(templates, "MOST_GRAM", most)
+        found.append(templates.fit_templates(data.copy(), basis, options))
+    assert found[0] == found[1] and found[0].responsivity is None

@@ -46,12 +46,12 @@ DOES = {
     "atmosphere": [(screen, "add_atmosphere"), (observation, "draw_weather")],
     "excess": [(observation, "add_excess")],
     "photon": [(observation, "add_correlated_white")],
-    "overlap": [(setup, "overlap"), (setup, "correlation_factor")],
+    "overlap": [(setup, "overlap")],
     "sky": [(sky, "draw_sky")],
     "ephemerides": [(setup, "schedule")],
     "opacity": [(setup, "site_water")],
     "score": [(results, "score_survey")],
-    "window": [(sky, "flat_cmb_sky"), (reduction, "_window_maps")],
+    "window": [(sky, "flat_cmb_sky"), (reduction, "_add_window")],
     "forecast": [(results, "forecast")],
     "best recipe": [(reduction, "merits")],
     "HEALPix": [(outputs, "write_healpix")],
@@ -153,6 +153,24 @@ def test_other_bands_are_drawn_only_where_subtracted(monkeypatch, algorithm, sub
     plan = make_plan(ready, 1)
     assert (plan.left_out.get("other bands") is None) == subtracted
     assert drawn and all((len(streams) > 0) == subtracted for streams in drawn)
+
+
+def test_observations_of_several_blocks_are_measured_on_one(tmp_path, monkeypatch):
+    """A block of two scans and one scan more are made, and stand for four observations of four scans."""
+    path = tmp_path / "scene.toml"
+    path.write_text(SMALL_SCENE)
+    whole = make_plan(prepare(load_scene(path)), 1)
+    ready = prepare(load_scene(path, {"numerics.stream_memory": "9 kB"}))
+    drawn, draw = [], reduction.draw_block
+    monkeypatch.setattr(reduction, "draw_block", lambda *args: drawn.append(args[3].n_scans) or draw(*args))
+    found = make_plan(ready, 1)
+    assert drawn == [2, 1]
+    assert (
+        found.stages["blocks"] == "2 an observation, 2 scans or fewer in 0.00864 MB of streams"
+        and "blocks" not in whole.stages
+    )
+    assert found.detector_samples == whole.detector_samples and found.output_bytes == whole.output_bytes
+    assert found.left_out == whole.left_out
 
 
 def test_cost(tmp_path):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mapmaker.binning import read_fits
+from surveysim import checks
 from surveysim.api import run
 from surveysim.choice import best_places
 from surveysim.coadds import row_names
@@ -82,6 +83,16 @@ def test_a_recipe_that_discards_everything_never_wins(path):
 def test_wind_needs_scans_that_tell_it(path):
     with pytest.raises(SceneError, match="cleaning.compare: found 'wind' with scans of 2 s at 10 Hz; 4 s or more"):
         prepare(load_scene(path, {"cleaning.compare": ["wind"], "scan.duration": "2 s"}))
+
+
+def test_pca_of_too_many_is_refused(path, monkeypatch):
+    pca = {"cleaning.algorithm": "pca", "cleaning.sigma_cut": 3.0, "score.mask_separation_f_lambda": None}
+    pca |= {"instrument.layout.rings": 4}
+    monkeypatch.setattr(checks, "MAX_MODES", 59)
+    with pytest.raises(SceneError, match="found 'pca' with 60 detectors and scans of 60 samples; 59 or fewer of one"):
+        prepare(load_scene(path, pca))
+    # Few samples of many detectors are few eigenvectors too.
+    prepare(load_scene(path, pca | {"scan.duration": "5.9 s"}))
 
 
 def test_detectors_that_steps_need(path):

@@ -268,6 +268,7 @@ def test_scenes_without_the_four_data_sets(tmp_path, asked, old, new, words):
         ("sds1", 'wind_median = "31', 'wind_median = "20', "sds1.toml: atmosphere: not that of 'lynx'"),
         ("lynx", "143 GHz", "600 GHz", "lynx.toml: atmosphere.site: found a band"),
         ("lynx", '"1000 m"', '"1234 m"', "lynx.toml: atmosphere: found index 3.667 and layer_height 1234 m"),
+        ("lynx", "[map]", '[numerics]\nstream_memory = "30 kB"\n\n[map]', "stream_memory: found 0.03 MB, which cuts"),
     ],
 )
 def test_scenes_that_can_t_be_measured_together(scenarios, tmp_path, name, old, new, words):

@@ -39,8 +39,17 @@ def test_different_keys_give_independent_sequences():
     """
     keys = list(product((0, 1), (Stage.POINTING, Stage.EXCESS), (0, 1), (0, 1)))
     keys += [(0, Stage.RESPONSIVITY, 1, 0), (0, Stage.POINTING, 2, 0), (0, Stage.POINTING, 0, 2)]
+    # Blocks of an observation, of others, and numbers of other things in their place.
+    keys += [(0, Stage.EXCESS, 1, 0, block) for block in (1, 2, int(Stage.EXCESS))] + [(0, Stage.EXCESS, 0, 1, 1)]
     draws = np.array([generator(*key).standard_normal(N_DRAWS) for key in keys])
     correlation = np.corrcoef(draws)
     for i, j in combinations(range(len(keys)), 2):
         assert abs(correlation[i, j]) < 5 / np.sqrt(N_DRAWS), (keys[i], keys[j])
         assert not np.isin(draws[i], draws[j]).any(), (keys[i], keys[j])
+
+
+def test_the_first_block_has_the_key_of_the_observation():
+    """What keeps observations of one block as they are; the sequence is numpy's for this key."""
+    found = generator(5, Stage.PHOTON, 3, 2, block=0).random(5)
+    expected = np.random.Generator(np.random.SFC64(np.random.SeedSequence(5, spawn_key=(2, 3, 5)))).random(5)
+    np.testing.assert_array_equal(found, expected)

@@ -286,10 +286,10 @@ def test_a_full_disk_leaves_no_half_of_a_point(levels, tmp_path, monkeypatch):
 def test_failures_name_their_point(write, monkeypatch):
     observe = survey.observe
 
-    def fail(setup, observation, with_window):
+    def fail(setup, *rest):
         if setup.scene.scan.speed_rad_s > 0.001:
             raise ValueError("no strip is long enough")
-        return observe(setup, observation, with_window)
+        return observe(setup, *rest)
 
     monkeypatch.setattr(survey, "observe", fail)
     with pytest.raises(ValueError, match=r"point \(scan.speed = 4 arcmin / s\): no strip is long enough"):

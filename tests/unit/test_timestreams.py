@@ -4,7 +4,14 @@ import h5py
 import numpy as np
 import pytest
 
-from mapmaker.timestreams import FocalPlane, Timestreams, read_timestreams, scan_bounds, write_timestreams
+from mapmaker.timestreams import (
+    FocalPlane,
+    Timestreams,
+    read_timestreams,
+    scan_bounds,
+    timestream_file,
+    write_timestreams,
+)
 
 N_DET, N_SAMP = 5, 60
 NAMES = ("data", "time_s", "ra_deg", "dec_deg", "array_angle_deg", "scan", "x_arcmin", "y_arcmin")
@@ -50,6 +57,33 @@ def test_round_trip(path, streams):
         np.testing.assert_allclose(getattr(again.focal_plane, name), expected, rtol=ROUNDING)
     assert dict(again.attributes) == dict(streams.attributes)
     np.testing.assert_array_equal(again.scan_bounds, streams.scan_bounds)
+
+
+def part(streams, samples):
+    """Some samples of all detectors."""
+    names = ("time_s", "ra_rad", "dec_rad", "array_angle_rad", "scan")
+    return replace(
+        streams, data_mk=streams.data_mk[:, samples], **{name: getattr(streams, name)[samples] for name in names}
+    )
+
+
+def test_parts_make_the_same_file(path, streams, tmp_path):
+    with timestream_file(tmp_path / "parts.h5", N_SAMP) as add:
+        for samples in (slice(0, 7), slice(7, 30), slice(30, N_SAMP)):
+            add(part(streams, samples))
+    with h5py.File(path) as whole, h5py.File(tmp_path / "parts.h5") as parts:
+        for name in NAMES:
+            np.testing.assert_array_equal(whole[name][()], parts[name][()])
+            assert whole[name].dtype == parts[name].dtype
+        assert dict(whole.attrs) == dict(parts.attrs)
+
+
+def test_a_file_that_lacks_a_part_is_none(streams, tmp_path):
+    file = tmp_path / "half.h5"
+    said = "half.h5: found 30 samples; 60 are expected"
+    with pytest.raises(ValueError, match=said), timestream_file(file, N_SAMP) as add:
+        add(part(streams, slice(0, 30)))
+    assert not list(tmp_path.iterdir())
 
 
 def test_file_says_its_units(path, streams):

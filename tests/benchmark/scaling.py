@@ -1,0 +1,92 @@
+"""How the cost of one observation goes with its detectors and samples: `python tests/benchmark/scaling.py`.
+
+Every point is made in a process of its own, whose peak memory is its own. Processor time, not that of the clock; the
+time to start, to compile and to make strips of the layer is beside it, as a survey has it once a process.
+"""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+SCENE = Path(__file__).parents[2] / "scenarios" / "large_camera.toml"
+# Rings (91, 1027 and 10267 detectors), sample rate [Hz] and scans of 10 s.
+POINTS = [(5, 200, 60), (18, 200, 60), (58, 200, 6), (58, 100, 6), (58, 50, 6), (58, 200, 3), (58, 200, 12)]
+HEADINGS = (
+    "detectors",
+    "rate [Hz]",
+    "scans",
+    "blocks",
+    "10^6 samples",
+    "CPU [s]",
+    "ns",
+    "window [ns]",
+    "start [s]",
+    "MB",
+)
+OBSERVATIONS, OBSERVATION_S, WINDOW_SHARE = 10_000, 3600.0, 0.2
+
+
+def measure(rings: int, rate_hz: float, scans: int) -> dict[str, float]:
+    """One observation with window skies in this process, once one scan of it has been made."""
+    from dataclasses import replace
+    from time import process_time
+
+    from threadpoolctl import threadpool_limits
+
+    from surveysim.blocks import Block
+    from surveysim.memory import peak_bytes
+    from surveysim.reduction import observe
+    from surveysim.scan import samples_per_scan
+    from surveysim.scene import load_scene
+    from surveysim.setup import prepare
+
+    settings = {"instrument.layout.rings": rings, "scan.sample_rate": f"{rate_hz} Hz", "scan.scans": scans}
+    # The map and its patch stay as large as those of the whole raster.
+    settings |= {"scan.step": f"{300 / scans} arcmin", "observations": 1}
+    with threadpool_limits(1):
+        setup = prepare(load_scene(SCENE, settings))
+        observe(replace(setup, blocks=(Block(0, 0, 1),)), 0, True)
+        start_s = process_time()
+        result = observe(setup, 0, True)
+        cpu_s = process_time() - start_s
+    samples = setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)
+    skies = result.seconds["window"] / sum(result.seconds.values())
+    return {
+        "detectors": setup.n_det,
+        "rate [Hz]": rate_hz,
+        "scans": scans,
+        "blocks": len(setup.blocks),
+        "10^6 samples": samples / 1e6,
+        "CPU [s]": cpu_s,
+        "ns": 1e9 * cpu_s * (1 - skies) / samples,
+        "window [ns]": 1e9 * cpu_s * skies / samples,
+        "start [s]": start_s,
+        "MB": peak_bytes() / 1e6,
+    }
+
+
+def main() -> None:
+    """Print the table, a row as soon as it is measured, and what a large survey would take by its longest row."""
+    if len(sys.argv) > 1:
+        print(json.dumps(measure(*map(int, sys.argv[1:]))))
+        return
+    print("| " + " | ".join(HEADINGS) + " |")
+    print("|" + "---:|" * len(HEADINGS))
+    rows = []
+    for point in POINTS:
+        done = subprocess.run([sys.executable, __file__, *map(str, point)], capture_output=True, text=True, check=True)
+        rows.append(json.loads(done.stdout))
+        print("| " + " | ".join(f"{rows[-1][name]:.4g}" for name in HEADINGS) + " |", flush=True)
+    largest = max(rows, key=lambda row: row["10^6 samples"] * (row["detectors"] > 1e4))
+    each = largest["ns"] + WINDOW_SHARE * largest["window [ns]"]
+    samples = largest["detectors"] * 200 * OBSERVATION_S
+    hours = 1e-9 * each * samples / 3600
+    print(
+        f"\n{OBSERVATIONS} observations of an hour at 200 Hz with {largest['detectors']} detectors, window skies in a "
+        f"fifth: {samples:.3g} samples and {hours:.3g} core-hours each, {OBSERVATIONS * hours:.3g} core-hours in all"
+    )
+
+
+if __name__ == "__main__":
+    main()

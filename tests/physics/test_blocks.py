@@ -1,0 +1,63 @@
+"""A survey in many blocks against the same in one: other noise, the same statistics."""
+
+import numpy as np
+import pytest
+
+from surveysim.scene import load_scene
+from surveysim.scores import score_survey
+from surveysim.setup import prepare
+from surveysim.survey import run_observations
+from tests.scenes import SMALL_SCENE
+
+N_OBS = 48
+
+
+@pytest.fixture(scope="module")
+def surveys(tmp_path_factory):
+    """Setup and sums in one block and in four."""
+    path = tmp_path_factory.mktemp("blocks") / "small.toml"
+    path.write_text(SMALL_SCENE)
+    found = []
+    for memory, blocks in (("1 MB", 1), ("5 kB", 4)):
+        # Enough atmosphere for detectors to be calibrated on: hardly a scan is discarded.
+        settings = {"atmosphere.b2": "[2000, 5000, 10000] mK2 rad(-5/3)", "score.jackknives": 32}
+        settings |= {"observations": N_OBS, "numerics.stream_memory": memory}
+        setup = prepare(load_scene(path, settings))
+        assert len(setup.blocks) == blocks
+        found.append((setup, run_observations(setup, None)))
+    return found
+
+
+def test_weather_and_coverage_are_the_same(surveys):
+    (_, one), (_, many) = surveys
+    for name in ("b2_mk2", "wind_speed_rad_s", "elevation_rad"):
+        np.testing.assert_array_equal(one.column(name), many.column(name))
+    # Which of the few scans that do not calibrate are discarded is a matter of noise.
+    assert many.hits.sum() == pytest.approx(one.hits.sum(), rel=0.05)
+
+
+def test_noise_of_observations_is_the_same(surveys):
+    """Observations have the same weather: their noise differs by chance alone, which its own scatter tells."""
+    (_, one), (_, many) = surveys
+    ratio = np.log(one.noise_mk2() / many.noise_mk2())
+    error = ratio.std(axis=0, ddof=1) / np.sqrt(N_OBS)
+    assert (np.abs(ratio.mean(axis=0)) < 4 * error).all() and (error < 0.2).all()
+
+
+@pytest.mark.parametrize("kind", ["raw_psd", "clean_psd"])
+def test_spectra_are_the_same(surveys, kind):
+    (_, one), (_, many) = surveys
+    ratio = np.log(np.array(getattr(one, kind)) / np.array(getattr(many, kind)))[:, 1:-1]
+    error = ratio.std(axis=0, ddof=1) / np.sqrt(N_OBS)
+    # 29 frequencies: one in 15000 lies beyond 4 standard errors, all together have a mean square of 1 +- 0.3.
+    assert np.abs(ratio.mean(axis=0) / error).max() < 4.5
+    assert np.mean((ratio.mean(axis=0) / error) ** 2) < 2
+
+
+def test_scores_are_the_same(surveys):
+    scores = [score_survey(setup, coadds) for setup, coadds in surveys]
+    for name, one in scores[0].items():
+        many = scores[1][name]
+        both = np.hypot(one.band.error_ukcmb2, many.band.error_ukcmb2)
+        assert abs(one.band.sigma_ukcmb2 - many.band.sigma_ukcmb2) < 4 * both, name
+        assert one.band.ell_eff == pytest.approx(many.band.ell_eff, rel=0.1)
