@@ -8,13 +8,11 @@ from surveysim.sections.base import Section
 
 
 class Numerics(Section):
-    """How streams are computed: numerical choices, not physical ones; "surveysim accuracy" measures what they cost.
-
-    `precision` is that of streams, strips of the layer and maps (random numbers have 24 bits in both);
-    `interpolation` that of look-ups between the layer's lattice points; `screen_step` the lattice step over the one
-    that is chosen for the beam and the camera (`surveysim.atmosphere.screen.strip_step`).
-    """
+    """How streams are computed: numerical choices, not physical ones; "surveysim accuracy" measures what they cost."""
 
     precision: Literal["float32", "float64"] = "float32"
+    """Of streams, strips of the layer and maps; random numbers have 24 bits in both."""
     interpolation: Literal["nearest", "linear", "cubic"] = "linear"
+    """Of look-ups between the layer's lattice points."""
     screen_step: float = Field(ge=0.1, le=10, default=1.0)
+    """Lattice step of the layer, over the one that is chosen for the beam and the camera."""
