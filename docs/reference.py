@@ -40,7 +40,16 @@ def scene_sections() -> list[SceneSection]:
     return list(_walk(schema, SceneSection("", False, True, "", schema)))
 
 
-def section_keys(section: SceneSection, schema: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def all_keys() -> dict[str, dict[str, Any]]:
+    """All keys of a scene by their dotted names, with what the schema says of each."""
+    return {
+        f"{section.name}.{name}".lstrip("."): item
+        for section in scene_sections()
+        for name, item in section_keys(section).items()
+    }
+
+
+def section_keys(section: SceneSection) -> dict[str, dict[str, Any]]:
     """The keys of a section that are no sections themselves, each with what the schema says of it."""
     keys = {name: _flat(item) for name, item in section.schema["properties"].items()}
     return {name: item for name, item in keys.items() if not _reference(item)}
@@ -48,12 +57,10 @@ def section_keys(section: SceneSection, schema: Mapping[str, Any]) -> dict[str, 
 
 def scene_reference() -> str:
     """Markdown: for each section of a scene a heading, what it is, and a table of its keys."""
-    schema, examples = Scene.model_json_schema(), _examples()
-    parts = []
+    parts, examples = [], _examples()
     for section in scene_sections():
         parts += [f"### {section.heading}", *_introduction(section)]
-        keys = section_keys(section, schema)
-        rows = [_row(name, item, section, examples) for name, item in keys.items()]
+        rows = [_row(name, item, section, examples) for name, item in section_keys(section).items()]
         head = "| key | what it is | type and unit | allowed | default |\n|---|---|---|---|---|"
         parts.append("\n".join([head, *rows]))
     return "\n\n".join(parts)
