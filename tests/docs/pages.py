@@ -58,7 +58,7 @@ def follow(page: list[Block], folder: Path) -> None:
             for line in filter(None, map(str.strip, block.text.splitlines())):
                 assert line in said, f"{block.page}:{block.line}: not printed: {line}\n{said}"
         elif block.language == "diff":
-            _run(block, ["patch", "-p1", "--no-backup-if-mismatch", "--fuzz=0"], folder, False, block.text)
+            _run(block, ["git", "apply", "-"], folder, False, block.text)
         elif block.language == "python":
             assert block.file, f"{block.page}:{block.line}: a script without a name"
             (folder / block.file).write_text(block.text, encoding="utf-8")
