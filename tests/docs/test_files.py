@@ -10,6 +10,8 @@ from astropy.table import Table
 
 import surveysim
 from surveysim.accuracy import measure_accuracy
+from surveysim.checkpoint import NAME as CHECKPOINT
+from surveysim.engines import SERIAL
 from surveysim.extremes import CASES, run_case
 from surveysim.forecast import forecast
 from surveysim.outputs import write_forecast
@@ -90,7 +92,7 @@ def _paper(folder):
     for number, name in enumerate(("lynx", "sds1", "cosmos", "acbar_south_pole")):
         text = PAPER_SCENE.replace("seed = 11", f"seed = {11 + number}")
         _scene(folder / "scenarios", name, text.replace("143 GHz", "268 GHz") if name == "cosmos" else text)
-    _, failed = reproduce(wanted(TABLES, (5,), folder / "scenarios", None), folder / "paper", 1)
+    _, failed = reproduce(wanted(TABLES, (5,), folder / "scenarios", None), folder / "paper", SERIAL)
     assert not failed
     return folder / "paper"
 
@@ -184,7 +186,7 @@ def test_the_list_of_files_in_the_summary_is_whole(made):
     for command in ("A run", "A sweep"):
         for folder in made[command]:
             listed = set(json.loads((folder / "summary.json").read_text())["files"])
-            assert listed == files(folder).keys() - {"summary.json", "checkpoint.npz"}
+            assert listed == files(folder).keys() - {"summary.json", CHECKPOINT}
 
 
 # ---------------------------------------------------------------- the comparison itself
