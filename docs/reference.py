@@ -70,7 +70,7 @@ def command_reference() -> str:
     """Markdown: for each command what it does, its arguments and options, as typer documents them."""
     command = [sys.executable, "-m", "typer", "surveysim.cli", "utils", "docs", "--name", "surveysim"]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    return text[text.index("## `surveysim ") :]
+    return text[text.index("## `surveysim ") :].replace("```console\n$ ", "```text\n")
 
 
 # ---------------------------------------------------------------- the schema
