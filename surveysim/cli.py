@@ -344,6 +344,8 @@ def new(
     target.parent.mkdir(exist_ok=True)
     target.write_text(text, encoding="utf-8")
     typer.echo(f"{target}: a copy of {source}; edit it, then: surveysim check {target}")
+    if "[sweep" in text:
+        typer.echo("it sweeps keys of its own; give [sweep] yours, or delete it")
     if "[score.reference]" in text:
         typer.echo("it compares with published numbers; delete [score.reference] and its gains for another survey")
     if "[excess]" in text or "\nb2 = " in text:

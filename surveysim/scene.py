@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from pydantic import Field, ValidationError, model_validator
+from pydantic.json_schema import SkipJsonSchema
 
 from surveysim.quantities import shown
 from surveysim.scan import MIN_SAMPLES
@@ -48,25 +49,36 @@ class Scene(Section):
     assumed or calibrated.
     """
 
-    name: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$", max_length=100)
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$", max_length=100, json_schema_extra={"otherwise": "that of the file"}
+    )
+    """Name of the run and, unless said otherwise, of its folder: letters, digits, `_`, `.` and `-`."""
     title: str
+    """What it is, in a line that heads tables and figures."""
     seed: int = Field(ge=0, lt=2**63)
+    """Seed of all random numbers: one seed, one result."""
     observations: int = Field(ge=1, le=1_000_000)
+    """Observations of the survey."""
     field: FieldSection
     schedule: Schedule | None = None
+    """Or `fixed_pointing`."""
     fixed_pointing: FixedPointing | None = None
+    """Or `schedule`."""
     instrument: Instrument
     scan: Scan
     atmosphere: Atmosphere | None = None
+    """Left out: no layer, no weather."""
     excess: Excess | None = None
     photon: Photon | None = None
     detector: Detector | None = None
     sky: Sky | None = None
+    """Left out: noise alone."""
     cleaning: Cleaning
     map: MapSection
     score: Score | None = None
+    """Left out: maps, but no score."""
     numerics: Numerics = Numerics()
-    assumed: tuple[str, ...] = ()
+    assumed: SkipJsonSchema[tuple[str, ...]] = ()
 
     @model_validator(mode="after")
     def _sections_fit(self) -> Self:

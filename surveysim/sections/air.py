@@ -5,34 +5,50 @@ from typing import Any, Self
 
 from pydantic import Field, model_validator
 
-from surveysim.quantities import Index, Length, SiteName, SpeedExtent, Waters
+from surveysim.quantities import B2s, Fluctuations, Index, Length, SiteName, SpeedExtent, Waters
 from surveysim.sections.base import Section, check_knots, check_quantiles
 from surveysim.sites import with_site
 from surveysim.units import to_floats
+
+_OF_SITE = {"otherwise": "the site's"}
 
 
 class Atmosphere(Section):
     """The Kolmogorov-Taylor thin screen and the distributions that each observation draws from.
 
-    A `site` gives the keys that the scene leaves out: layer height, wind, the precipitable water (`pwv`) and its
-    fractional fluctuations (`fluctuation`, (delta C / C)^2 as an amplitude like B2), from which B2 follows. With
-    `b2` beside a site the B2 that follows keeps its rank and takes these quantiles; without a site there is no water.
+    A `site` gives the keys that the scene leaves out: layer height, wind, water and its fluctuations, from which B2
+    follows. With `b2` beside a site the B2 that follows keeps its rank and takes these quantiles; without a site there
+    is no water.
     """
 
     index: Index
+    """b of the power spectrum B2 sin(el)^(1 - b) alpha^-b of the layer; 11/3 is Kolmogorov's."""
     illuminated_aperture_m: Length = Field(alias="illuminated_aperture")
+    """Diameter of the aperture that is lit: a pixel sees the layer through a top hat of it."""
     outer_scale_m: Length | None = Field(alias="outer_scale", default=None)
+    """Scale beyond which fluctuations no longer grow (von Karman). Needed for an index of 4 or more."""
     site: SiteName = None
-    layer_height_m: Length = Field(alias="layer_height")
+    """Where the weather is from: its water and opacity, and the keys that are left out below."""
+    layer_height_m: Length = Field(alias="layer_height", json_schema_extra=_OF_SITE)
+    """Height of the layer above the telescope, at the zenith."""
     b2_probabilities: tuple[float, ...] = ()
-    b2: tuple[float, ...] = ()
-    pwv_probabilities: tuple[float, ...] = ()
-    pwv_mm: Waters = Field(alias="pwv", default=())
-    fluctuation_probabilities: tuple[float, ...] = ()
-    fluctuation: tuple[float, ...] = ()
-    wind_median_rad_s: SpeedExtent = Field(alias="wind_median")
-    wind_log_scatter: float = Field(ge=0, le=2)
+    """Probabilities, between 0 and 1, of the quantiles `b2`."""
+    b2: B2s = Field(default=(), json_schema_extra={"otherwise": "follows from the site"})
+    """Quantiles of B2, the amplitude of the layer's power spectrum at the zenith, over the survey."""
+    pwv_probabilities: tuple[float, ...] = Field(default=(), json_schema_extra=_OF_SITE)
+    """Probabilities, from 0 to 1, of the quantiles `pwv`."""
+    pwv_mm: Waters = Field(alias="pwv", default=(), json_schema_extra=_OF_SITE)
+    """Quantiles of the precipitable water over the site at the zenith."""
+    fluctuation_probabilities: tuple[float, ...] = Field(default=(), json_schema_extra=_OF_SITE)
+    """Probabilities, between 0 and 1, of the quantiles `fluctuation`."""
+    fluctuation: Fluctuations = Field(default=(), json_schema_extra=_OF_SITE)
+    """Quantiles of (delta C / C)^2, the water's fractional fluctuations as an amplitude like B2."""
+    wind_median_rad_s: SpeedExtent = Field(alias="wind_median", json_schema_extra=_OF_SITE)
+    """Median angular speed of the layer, which blows from anywhere."""
+    wind_log_scatter: float = Field(ge=0, le=2, json_schema_extra=_OF_SITE)
+    """Scatter of the logarithm of that speed."""
     wind_b2_exponent: float = Field(ge=-2, le=2, default=0.0)
+    """The median wind goes as this power of B2 over its median."""
 
     @model_validator(mode="before")
     @classmethod

@@ -2,27 +2,40 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from surveysim.quantities import Frequency, Nside, Positive, PositiveAngle, PositiveBandPower, Steps, pairs
+from surveysim.quantities import (
+    BandPowers,
+    Frequency,
+    Nside,
+    Positive,
+    PositiveAngle,
+    PositiveBandPower,
+    Ratios,
+    Steps,
+)
 from surveysim.sections.base import Section
 
 
 class Cleaning(Section):
-    """The subtraction algorithm, or several in order, others to compare it with, and what they need to know.
-
-    `tolerance` and `max_iterations` are of all templates, `sigma_cut` of "pca", `reach` (in closest separations)
-    of "local", `order` and `regions` of "polynomial".
-    """
+    """The subtraction algorithm, or several in order, others to compare it with, and what they need to know."""
 
     algorithm: Steps
+    """What the scene cleans with: an algorithm, or several that are applied in order."""
     compare: tuple[Steps, ...] = ()
+    """Other ways of cleaning the same streams, scored as data sets beside it and as "optimal", the best of each."""
     tolerance: float = Field(gt=0, lt=1)
+    """Mean fractional change of the responsivities at which the iteration of templates ends."""
     max_iterations: int = Field(ge=1, le=1_000_000)
+    """A scan whose templates take more is discarded."""
     sigma_cut: Positive | None = None
+    """Needed by "pca": removes modes whose log eigenvalue is more than so many standard deviations above the mean."""
     reach: Positive | None = None
-    order: Annotated[int | None, Field(ge=0, le=20)] = None
-    regions: Annotated[int | None, Field(ge=1, le=1000)] = None
+    """Needed by "local": detectors within so many closest separations are neighbours."""
+    order: Annotated[int, Field(ge=0, le=20)] | None = None
+    """Needed by "polynomial": order of the templates over the focal plane."""
+    regions: Annotated[int, Field(ge=1, le=1000)] | None = None
+    """Needed by "polynomial": regions of the focal plane, each with templates of its own."""
 
     @model_validator(mode="after")
     def _each_algorithm_has_its_keys(self) -> Self:
@@ -45,37 +58,54 @@ class MapSection(Section):
     """Pixels of the map."""
 
     pixel_rad: PositiveAngle = Field(alias="pixel")
+    """Side of a pixel in the tangent plane; a third of the beam is fine."""
     healpix_nside: Nside = None
+    """Write the maps in HEALPix of this nside too."""
 
 
 class Window(Section):
     """Flat-CMB skies that measure what cleaning takes from the signal."""
 
     skies: int = Field(ge=2, le=1000)
+    """How many skies."""
     observations: int = Field(ge=1)
+    """How many observations carry them, spread over the survey."""
     band_power_ukcmb2: PositiveBandPower = Field(alias="band_power")
+    """Their band power; the window does not depend on it."""
 
 
 class Reference(Section):
     """Published uncertainties to print beside the run's, by data set."""
 
     source: str
-    values_ukcmb2: Annotated[tuple[tuple[str, PositiveBandPower], ...], BeforeValidator(pairs)] = Field(alias="values")
-    gains: Annotated[tuple[tuple[str, Positive], ...], BeforeValidator(pairs)] = ()
+    """Where they are from."""
+    values_ukcmb2: BandPowers = Field(alias="values")
+    """sigma(A) by name of the data set."""
+    gains: Ratios = ()
+    """Ratios by name, as "actual / uncorrelated"."""
 
 
 class Score(Section):
     """The flat band-power uncertainty: which sky area, which multipoles, which data sets."""
 
     size_rad: PositiveAngle = Field(alias="size")
+    """Side of the square of the map that is scored."""
     taper_fraction: float = Field(ge=0, le=1)
+    """Share of that side that its two cosine edges take."""
     ell_bin: int = Field(ge=1)
+    """Width of the bins of multipole."""
     ell_min: int = Field(ge=1)
+    """Lowest multipole that is scored."""
     ell_max: int = Field(ge=2)
+    """Highest multipole that is scored, a bin above `ell_min` or more."""
     jackknives: int = Field(ge=2, le=1000)
+    """Co-adds with random signs that measure the noise."""
     white_above_hz: Frequency = Field(alias="white_above")
+    """The streams' level above this frequency is their white level."""
     mask_separation_f_lambda: Positive | None = None
+    """Score also the array masked to detectors at least so many (f/#)lambda apart."""
     simulated: tuple[Literal["uncorrelated", "white"], ...]
+    """Data sets made of each detector's measured spectrum without correlations, and of its white level."""
     window: Window
     reference: Reference | None = None
 

@@ -6,9 +6,14 @@ from pydantic import BaseModel, ConfigDict, field_validator
 
 
 class Section(BaseModel):
-    """A part of a scene: frozen, no unknown keys, keys named without units in the file."""
+    """A part of a scene: frozen, no unknown keys, keys named without units in the file.
 
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=False, strict=False)
+    What stands under a field is its description in the schema, from which the reference of all keys is made.
+    """
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", populate_by_name=False, strict=False, use_attribute_docstrings=True
+    )
 
     @field_validator("*", mode="before")
     @classmethod

@@ -6,8 +6,8 @@ from pydantic import Field, model_validator
 
 from surveysim.quantities import (
     AngleExtent,
+    BandFrequency,
     BeamWidth,
-    Frequency,
     NoisePsd,
     Positive,
     PositiveAngle,
@@ -18,15 +18,16 @@ from surveysim.sections.base import Section
 
 
 class Layout(Section):
-    """A hexagonal layout around a central position: rings, or as many as a round field of view has room for.
-
-    `pitch_f_lambda` is the distance of neighbours in (f/#)lambda; `dead` lists positions without a detector.
-    """
+    """A hexagonal layout around a central position: `rings`, or as many as a round `field_of_view` has room for."""
 
     rings: int | None = Field(ge=0, le=60, default=None)
+    """Rings around the central position: n rings have 3 n (n + 1) + 1 positions. Or `field_of_view`."""
     field_of_view_rad: PositiveAngle | None = Field(alias="field_of_view", default=None)
+    """Diameter of a round area, filled with as many positions as have room in it. Or `rings`."""
     pitch_f_lambda: Positive
+    """Distance of neighbouring positions, in (f/#)lambda."""
     dead: tuple[int, ...] = ()
+    """Positions without a detector: numbers from 0 at the centre outwards, those equally far by angle."""
 
     @model_validator(mode="after")
     def _one_extent(self) -> Self:
@@ -38,33 +39,48 @@ class Layout(Section):
 class Colour(Section):
     """Another band of every pixel: its place in the spectrum and its noise, all of it white."""
 
-    frequency_hz: Frequency = Field(alias="frequency", le=1e13)
+    frequency_hz: BandFrequency = Field(alias="frequency")
+    """Centre of the band."""
     bandwidth: float = Field(gt=0, lt=1)
+    """Width of the band, as a share of its frequency."""
     psd_mk2_hz: NoisePsd = Field(alias="psd")
+    """White noise of a detector, one-sided, in Rayleigh-Jeans temperature."""
 
 
 class Instrument(Section):
     """Band, beam, optics and focal plane; detectors from `layout` or from the table `positions`.
 
     Pixels light the stop uniformly, or as horns of the diameter `horn_f_lambda` or with an `edge_taper` do.
-    `efficiency`, from window to detector and with horns without what they spill on the stop, and `polarizations` turn
-    optical power into temperature, where noise is given by power. `colours` are further bands of the same pixels,
-    which "spectral" cleaning subtracts from the one that is mapped.
+    `efficiency` and `polarizations` turn optical power into temperature: they are needed where noise is given by power,
+    in `photon.load` and `detector.nep`.
     """
 
-    frequency_hz: Frequency = Field(alias="frequency", le=1e13)
+    frequency_hz: BandFrequency = Field(alias="frequency")
+    """Centre of the band, which has straight sides."""
     bandwidth: float | None = Field(gt=0, lt=1, default=None)
+    """Width of the band, as a share of its frequency. Needed with `atmosphere.site` and where noise is by power."""
     beam_fwhm_rad: BeamWidth = Field(alias="beam_fwhm")
+    """Full width at half maximum of the Gaussian beam on the sky."""
     f_lambda_rad: PositiveAngle = Field(alias="f_lambda")
+    """One (f/#)lambda on the sky: the wavelength over the diameter of the aperture that is lit."""
     responsivity_scatter: float = Field(ge=0, le=1)
+    """Scatter of the detectors' responsivities, relative and log-normal, fixed for the survey."""
     camera_rotation_rad: AngleExtent = Field(alias="camera_rotation")
+    """Full range of the angle by which the camera is turned from one observation to the next."""
     horn_f_lambda: float | None = Field(ge=0.1, le=20, default=None)
+    """Diameter of the pixels' horns in (f/#)lambda, no more than the pitch: sets taper and spill on the stop."""
     edge_taper_db: Taper | None = Field(alias="edge_taper", default=None)
+    """Gaussian taper with which pixels light the stop, at its edge; 0 dB lights it uniformly. Not beside horns."""
     efficiency: float | None = Field(ge=1e-4, le=1, default=None)
+    """Optical efficiency from window to detector, without what horns spill on the stop."""
     polarizations: int | None = Field(ge=1, le=2, default=None)
+    """Polarizations that a detector takes in."""
     layout: Layout | None = None
+    """Or `positions`."""
     positions: TableFile = None
+    """Detectors in a table beside the scene, columns `x` and `y` with angular units. Or a `layout`."""
     colours: tuple[Colour, ...] = ()
+    """Any number of them, for "spectral" cleaning, which subtracts them from the band that is mapped."""
 
     @model_validator(mode="after")
     def _one_focal_plane(self) -> Self:

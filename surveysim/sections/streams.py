@@ -25,10 +25,15 @@ class Excess(Section):
     """Excess low-frequency noise: variance below a band limit against B2, spectrum f^-index."""
 
     spectral_index: float = Field(ge=0, le=10)
+    """The spectrum goes as f to minus this."""
     band_limit_hz: Frequency = Field(alias="band_limit")
+    """The variance is that below this frequency."""
     b2: tuple[float, ...]
+    """Values of B2 [mK^2 rad^(2 - index)] for which the variance is given; one value: it is the same in any weather."""
     variance_mk2: Variances = Field(alias="variance")
+    """Variance of a mean-removed scan at each: between them interpolated in logarithms, beyond them constant."""
     coherence: Coherence
+    """What pixels share by overlap: gamma of the field, its square, or nothing."""
 
     @model_validator(mode="after")
     def _knots_fit(self) -> Self:
@@ -43,12 +48,14 @@ class Excess(Section):
 class OpticalLoad(Section):
     """The load of a pixel at the cryostat's window, Rayleigh-Jeans.
 
-    `sky` comes through the beam, and neighbours share it; left out, it follows from the site's water in each
-    observation. `optics` is scattered in from warm surfaces, of which no two pixels see the same.
+    Noise is in temperature above the atmosphere. Where the sky's load follows from the site, so does the transmission
+    that this takes; with a load that is stated it is taken as 1.
     """
 
-    sky_k: Load | None = Field(alias="sky", default=None)
+    sky_k: Load | None = Field(alias="sky", default=None, json_schema_extra={"otherwise": "that of the site's water"})
+    """Load through the beam, which neighbours share; without it a site is needed."""
     optics_k: Load = Field(alias="optics")
+    """Load scattered in from warm surfaces, of which no two pixels see the same."""
 
 
 class Photon(Section):
@@ -58,9 +65,13 @@ class Photon(Section):
     """
 
     psd_mk2_hz: NoisePsd | None = Field(alias="psd", default=None)
+    """Photon noise of a detector, white, one-sided, in Rayleigh-Jeans temperature. Or `load`."""
     coherent_fraction: float | None = Field(ge=0, le=1, default=None)
+    """Share of the photon noise that comes through the beam and is shared by overlap; with `psd` only."""
     load: OpticalLoad | None = None
+    """The load from which the noise follows. Or `psd`."""
     coherence: Coherence
+    """What pixels share by overlap: gamma of the field, its square, or nothing."""
 
     @model_validator(mode="after")
     def _psd_or_load(self) -> Self:
@@ -76,7 +87,9 @@ class Detector(Section):
     """White noise of detectors and electronics, uncorrelated: a PSD, or a noise-equivalent power."""
 
     psd_mk2_hz: NoisePsd | None = Field(alias="psd", default=None)
+    """White noise of a detector, one-sided, in Rayleigh-Jeans temperature. Or `nep`."""
     nep_w_rthz: Nep | None = Field(alias="nep", default=None)
+    """Noise-equivalent power. Or `psd`."""
 
     @model_validator(mode="after")
     def _psd_or_nep(self) -> Self:
@@ -89,13 +102,19 @@ class PointSource(Section):
     """A point source: peak Rayleigh-Jeans temperature in the beam."""
 
     ra_rad: Longitude = Field(alias="ra")
+    """Right ascension (J2000)."""
     dec_rad: Latitude = Field(alias="dec")
+    """Declination (J2000)."""
     peak_mk: Temperature = Field(alias="peak")
+    """Peak in the beam, Rayleigh-Jeans."""
 
 
 class Sky(Section):
     """Astronomical signal in the streams: a flat CMB band power and point sources."""
 
     cmb_band_power_ukcmb2: BandPowerExtent = Field(alias="cmb_band_power")
+    """Flat CMB band power l (l + 1) C_l / 2 pi, in thermodynamic temperature; 0 for none."""
     point_sources: tuple[PointSource, ...] = ()
+    """Any number of them."""
     curved_nside: Nside = None
+    """Make the CMB on the sphere, in HEALPix pixels of this nside, for fields too large for a plane."""

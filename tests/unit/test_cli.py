@@ -343,9 +343,12 @@ def test_new(call, scene, monkeypatch):
     code, out, _ = call("new", "mine", "--like", "small.toml")
     assert code == 0 and Path("scenarios/mine.toml").read_text() == SMALL_SCENE and "surveysim check" in out
     assert call("new", "yours", "--like", "mine")[0] == 0
+    with Path("scenarios/yours.toml").open("a") as file:
+        file.write('[sweep]\n"scan.scans" = [4, 5]\n')
+    assert "give [sweep] yours" in call("new", "ours", "--like", "yours")[1] and "[sweep]" not in out
     for arguments, words in (
         (("mine", "--like", "yours"), "exists"),
-        (("other", "--like", "nowhere"), "mine, yours"),
+        (("other", "--like", "nowhere"), "mine, ours, yours"),
         (("../other", "--like", "mine"), "letters, digits"),
     ):
         code, _, error = call("new", *arguments)

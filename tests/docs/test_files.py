@@ -1,0 +1,202 @@
+"""Every file, column and key that commands leave behind is in the guide, and nothing else is."""
+
+import json
+from pathlib import Path
+
+import h5py
+import pytest
+from astropy.io import fits
+from astropy.table import Table
+
+import surveysim
+from surveysim.accuracy import measure_accuracy
+from surveysim.checkpoint import NAME as CHECKPOINT
+from surveysim.engines import SERIAL
+from surveysim.extremes import CASES, run_case
+from surveysim.forecast import forecast
+from surveysim.outputs import write_forecast
+from surveysim.report.accuracy_text import write_accuracy
+from surveysim.report.extremes_text import write_extremes
+from surveysim.reproduce import TABLES, reproduce, wanted
+from tests.docs.pages import ROOT
+from tests.docs.tables import differences, documented
+from tests.scenes import SMALL_SCENE
+from tests.unit.test_reproduce import SCENE as PAPER_SCENE
+
+pytestmark = pytest.mark.docs
+PAGE = documented(ROOT / "docs" / "files.md")
+# Every optional thing at once.
+RICH_SCENE = (
+    SMALL_SCENE.replace("observations = 4\n", "observations = 34\n", 1)
+    .replace('beam_fwhm = "60 arcsec"', 'beam_fwhm = "60 arcsec"\nbandwidth = 0.15')
+    .replace("[atmosphere]", '[atmosphere]\nsite = "mauna_kea"')
+    .replace('algorithm = "average"', 'algorithm = "average"\ncompare = ["planar", ["average", "local"]]\nreach = 1.2')
+    .replace('pixel = "30 arcsec"', 'pixel = "30 arcsec"\nhealpix_nside = 1024')
+    + '\n[score.reference]\nsource = "nowhere"\nvalues = { actual = "270 uK2" }\n'
+)
+SWEEP = '\n[sweep]\n"instrument.layout.pitch_f_lambda" = [0.7, 1.3]\nobservations = [4, 1]\n'
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Folders with what each command writes, by the headings of the page."""
+    folder = tmp_path_factory.mktemp("files")
+    return {
+        "A run": [_rich_run(folder), _unscored_run(folder)],
+        "A sweep": [_sweep(folder)],
+        "A forecast": [_forecast(folder)],
+        "Accuracy": [_accuracy(folder)],
+        "The paper": [_paper(folder)],
+    }
+
+
+def _scene(folder: Path, name: str, text: str) -> Path:
+    path = folder / f"{name}.toml"
+    path.write_text(text)
+    return path
+
+
+def _rich_run(folder):
+    scene = surveysim.load_scene(_scene(folder, "rich", RICH_SCENE))
+    # Stopped before its last observation, so that the checkpoint stays.
+    surveysim.run(scene, folder / "rich", save_timestreams=True, target_error=0.9, time_budget_s=100)
+    return folder / "rich"
+
+
+def _unscored_run(folder):
+    scene = surveysim.load_scene(_scene(folder, "single", SMALL_SCENE), {"observations": 1})
+    assert surveysim.run(scene, folder / "single").unscored
+    return folder / "single"
+
+
+def _sweep(folder):
+    surveysim.run_sweep(_scene(folder, "sweep", SMALL_SCENE + SWEEP), folder / "sweep")
+    return folder / "sweep"
+
+
+def _forecast(folder):
+    write_forecast(folder / "forecast", forecast(surveysim.load_scene(_scene(folder, "small", SMALL_SCENE))))
+    return folder / "forecast"
+
+
+def _accuracy(folder):
+    path = _scene(folder, "small", SMALL_SCENE)
+    result = measure_accuracy(path, {"observations": 8}, reference_error=0.5, seeds=1, observations=4)
+    write_accuracy(result, folder / "accuracy", figures=False)
+    write_extremes(folder / "accuracy" / "extremes.ecsv", CASES[:1], [run_case(CASES[0])])
+    return folder / "accuracy"
+
+
+def _paper(folder):
+    (folder / "scenarios").mkdir()
+    for number, name in enumerate(("lynx", "sds1", "cosmos", "acbar_south_pole")):
+        text = PAPER_SCENE.replace("seed = 11", f"seed = {11 + number}")
+        _scene(folder / "scenarios", name, text.replace("143 GHz", "268 GHz") if name == "cosmos" else text)
+    _, failed = reproduce(wanted(TABLES, (5,), folder / "scenarios", None), folder / "paper", SERIAL)
+    assert not failed
+    return folder / "paper"
+
+
+# ---------------------------------------------------------------- what there is
+
+
+def files(folder: Path) -> dict[str, str]:
+    return {path.relative_to(folder).as_posix(): "" for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def columns(path: Path) -> dict[str, str]:
+    table = Table.read(path)
+    return {name: str(table[name].unit or "") for name in table.colnames}
+
+
+def keys(path: Path) -> dict[str, str]:
+    """Keys of all levels, joined by dots; those of a list's items are marked by brackets."""
+    return {".".join(levels): "" for levels in _keys(json.loads(path.read_text()), ())}
+
+
+def _keys(value, above):
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _keys(item, (*above, key))
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        for item in value:
+            yield from _keys(item, (*above[:-1], f"{above[-1]}[]"))
+    else:
+        yield above
+
+
+def images(path: Path) -> dict[str, str]:
+    with fits.open(path) as file:
+        return {item.name: item.header["BUNIT"] for item in file[1:]}
+
+
+def sparse_map(path: Path) -> dict[str, str]:
+    with fits.open(path) as file:
+        return {item.name: item.unit or "" for item in file[1].columns}
+
+
+def streams(path: Path) -> dict[str, str]:
+    with h5py.File(path) as file:
+        return dict.fromkeys([*file, *file.attrs], "")
+
+
+def contents(name: str):
+    """How the names in a file are read; None for pictures and the like."""
+    kinds = {"_healpix.fits": sparse_map, ".fits": images, ".h5": streams, ".ecsv": columns, "summary.json": keys}
+    return next((read for ending, read in kinds.items() if name.endswith(ending)), None)
+
+
+# ---------------------------------------------------------------- compared
+
+
+@pytest.mark.parametrize("command", ["A run", "A sweep", "The paper"])
+def test_every_file(made, command):
+    there = {name: "" for folder in made[command] for name in files(folder)}
+    if command == "The paper":  # one figure stands for all
+        assert {"figure05.png", "figure05.ecsv"} <= there.keys()
+    assert differences(PAGE[command], there) == []
+
+
+@pytest.mark.parametrize("heading", [heading for heading in PAGE if heading.startswith("`")])
+def test_every_name_in_a_file(made, heading):
+    """Over all files that a heading stands for."""
+    there = {}
+    for folder in _folders(made, heading):
+        for name in files(folder):
+            if contents(name) and _is_of(heading, name):
+                there |= contents(name)(folder / name)
+    assert there, f"no such file was made: {heading}"
+    assert differences(PAGE[heading], there) == []
+
+
+def _folders(made, heading):
+    if heading.startswith("`summary.json`"):
+        return made[heading.replace("`summary.json` of a", "A")]
+    return [folder for folders in made.values() for folder in folders]
+
+
+def _is_of(heading, name):
+    from tests.docs.tables import pattern
+
+    documented_name = heading.split("`")[1]
+    return bool(pattern(documented_name).fullmatch(name))
+
+
+def test_the_list_of_files_in_the_summary_is_whole(made):
+    for command in ("A run", "A sweep"):
+        for folder in made[command]:
+            listed = set(json.loads((folder / "summary.json").read_text())["files"])
+            assert listed == files(folder).keys() - {"summary.json", CHECKPOINT}
+
+
+# ---------------------------------------------------------------- the comparison itself
+
+
+def test_differences_are_found():
+    said = {"ell": "", "noise_<data set>": "uK2", "gone": ""}
+    there = {"ell": "", "noise_actual": "mK2", "noise_error_actual": "uK2"}
+    assert differences(said, there) == [
+        "not documented: noise_error_actual",
+        "documented, but not there: gone",
+        "noise_actual: unit 'mK2', documented as 'uK2'",
+    ]

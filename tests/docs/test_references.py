@@ -1,0 +1,128 @@
+"""The guide against the program: keys of scenes, commands, and what is made when it is built."""
+
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import pytest
+import typer.main
+
+from docs.reference import all_keys, command_reference, scene_keys, scene_reference, scene_sections
+from surveysim.cli import app
+from surveysim.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
+from tests.docs.pages import PAGES, ROOT, Block, blocks
+from tests.docs.tables import documented
+
+pytestmark = pytest.mark.docs
+SCENARIOS = sorted((ROOT / "scenarios").glob("*.toml"))
+README = ROOT / "README.md"
+
+
+def keys_of(text: str) -> set[str]:
+    """Dotted keys of a scene and of its sweep."""
+    content = tomllib.loads(text)
+    varied = (item if isinstance(item, dict) else {name: item} for name, item in content.get("sweep", {}).items())
+    return {key for key, _ in scene_keys(content)} | {key for keys in varied for key in keys}
+
+
+# ---------------------------------------------------------------- scenes
+
+
+def test_every_key_says_what_it_is():
+    keys = all_keys()
+    assert len(keys) > 90
+    assert [name for name, item in keys.items() if not item.get("description", "").endswith(".")] == []
+    assert [item.name for item in scene_sections() if not item.schema.get("description")] == []
+
+
+def test_every_key_is_in_the_reference():
+    text = scene_reference()
+    for section in scene_sections():
+        part = text.split(f"### {section.heading}\n")[1].partition("\n### ")[0]
+        listed = re.findall(r"^\| `(\w+)` \|", part, re.MULTILINE)
+        above = f"{section.name}." if section.name else ""
+        assert listed == [name.removeprefix(above) for name in all_keys() if name.rpartition(".")[0] == section.name]
+
+
+def test_rows_have_type_unit_range_and_default():
+    text = scene_reference()
+    rows = {line.split("|")[1].strip(): line for line in text.splitlines() if line.startswith("| `")}
+    assert rows["`speed`"].endswith('| quantity in `rad / s`, as `"4 arcmin / s"` | above 0 | **required** |')
+    assert rows["`screen_step`"].endswith("| number | 0.1 to 10 | `1.0` |")
+    assert rows["`interpolation`"].endswith('| text | `"nearest"`, `"linear"`, `"cubic"` | `"linear"` |')
+    assert rows["`min_elevation`"].endswith('as `"40 deg"` | 0 to 90 deg | **required** |')
+    assert rows["`layer_height`"].endswith("| above 0 | the site's |")
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def test_keys_of_the_scenes_are_documented(path):
+    keys = keys_of(path.read_text())
+    assert len(keys) > 30 and keys <= all_keys().keys()
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
+def test_keys_of_examples_are_documented(path):
+    for block in blocks(path):
+        if block.language == "toml":
+            assert keys_of(block.text) <= all_keys().keys(), f"{block.page}:{block.line}"
+
+
+def test_unknown_keys_are_noticed():
+    text = '[scan]\nspead = 1\n[sweep]\n"scan.spead" = [1]\n[sweep.both]\n"scan.speeed" = [1]\n[nothing]\nx = 1\n'
+    assert keys_of(text) - all_keys().keys() == {"scan.spead", "scan.speeed", "nothing"}
+
+
+# ---------------------------------------------------------------- commands
+
+
+def commands_in(path: Path) -> list[tuple[Block, list[str]]]:
+    """Words of every call of surveysim in the blocks of a page."""
+    found = []
+    for block in blocks(path):
+        if block.language in ("bash", "console", ""):
+            lines = block.text.replace("\\\n", " ").splitlines()
+            found += [(block, shlex.split(line, comments=True)) for line in lines if line.startswith("surveysim ")]
+    return found
+
+
+@pytest.mark.parametrize("path", [*PAGES, README], ids=lambda path: path.stem)
+def test_options_of_commands_exist(path):
+    """Also of commands that are too long to be run."""
+    program = typer.main.get_command(app)
+    for block, (_, name, *words) in commands_in(path):
+        try:
+            program.commands[name].make_context(name, list(words))
+        except Exception as error:
+            raise AssertionError(f"{block.page}:{block.line}: surveysim {name} {' '.join(words)}: {error}") from None
+
+
+def test_every_command_and_option_is_in_the_reference():
+    text = command_reference()
+    for name, command in typer.main.get_command(app).commands.items():
+        part = text.split(f"## `surveysim {name}`\n")[1].partition("\n## ")[0]
+        for parameter in command.params:
+            assert parameter.opts[-1] in part or parameter.opts[-1].upper() in part
+
+
+def test_exit_codes():
+    codes = re.findall(r"^\| (\d+) \|", (ROOT / "docs" / "commands.md").read_text(), re.MULTILINE)
+    assert list(map(int, codes)) == [0, EXIT_FAILED, EXIT_WRONG_SCENE, EXIT_INTERRUPTED]
+
+
+# ---------------------------------------------------------------- the build
+
+
+def test_what_is_made_has_its_place():
+    lines = re.findall(r'^    "(<!-- .* -->)"', (ROOT / "docs" / "conf.py").read_text(), re.MULTILINE)
+    assert len(lines) == 2
+    for line in lines:
+        assert sum(line in path.read_text() for path in PAGES) == 1
+
+
+def test_tables_are_read():
+    found = documented(ROOT / "docs" / "files.md")
+    assert found["`tables/map_psd.ecsv`"]["noise_<data set>"] == "uK2 sr"
+    assert found["`tables/observations.ecsv`"]["wind_speed_rad_s"] == "rad / s"
+    assert found["`tables/observations.ecsv`"]["wind_angle_rad"] == "rad"
+    assert found["`timestreams/<NNNN>.h5`"].keys() >= {"data", "fwhm_arcsec"}
