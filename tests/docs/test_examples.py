@@ -1,18 +1,28 @@
 """The guide's examples, run as they stand."""
 
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from tests.docs.pages import PAGES, Block, blocks, follow, with_sections
 
 pytestmark = pytest.mark.docs
+AT_ONCE = 2  # pages: much of each runs on one core
 WITH_EXAMPLES = [path for path in PAGES if any(block.language == "bash" for block in blocks(path))]
 
 
+@pytest.fixture(scope="module")
+def followed(request, tmp_path_factory):
+    """What becomes of each page that is asked for."""
+    asked = [item.callspec.params["path"] for item in request.session.items if "followed" in item.fixturenames]
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        yield {path: pool.submit(follow, blocks(path), tmp_path_factory.mktemp(path.stem)) for path in asked}
+
+
 @pytest.mark.parametrize("path", WITH_EXAMPLES, ids=lambda path: path.stem)
-def test_page(path, tmp_path):
-    follow(blocks(path), tmp_path)
+def test_page(path, followed):
+    followed[path].result()
 
 
 # ---------------------------------------------------------------- what follows a page
