@@ -22,6 +22,7 @@ PLACEHOLDERS = {
     "<package>": r"\w+",
     "<stage>": r"[\w +]+",
     "<frequency>": r"[\d.]+ Hz",
+    "<item>": r"(?:(?:table|figure) \d+|\d{3} GHz)",
     "<band>": r"\d{3}",
     "<NNNN>": r"\d{4}",
     "<NN>": r"\d{2}",

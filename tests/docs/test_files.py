@@ -14,8 +14,7 @@ from surveysim.checkpoint import NAME as CHECKPOINT
 from surveysim.engines import SERIAL
 from surveysim.extremes import CASES, run_case
 from surveysim.forecast import forecast
-from surveysim.outputs import write_forecast
-from surveysim.report.accuracy_text import write_accuracy
+from surveysim.outputs import write_accuracy, write_forecast
 from surveysim.report.extremes_text import write_extremes
 from surveysim.reproduce import TABLES, reproduce, wanted
 from tests.docs.pages import ROOT
@@ -82,7 +81,7 @@ def _forecast(folder):
 def _accuracy(folder):
     path = _scene(folder, "small", SMALL_SCENE)
     result = measure_accuracy(path, {"observations": 8}, reference_error=0.5, seeds=1, observations=4)
-    write_accuracy(result, folder / "accuracy", figures=False)
+    write_accuracy(folder / "accuracy", result, figures=False)
     write_extremes(folder / "accuracy" / "extremes.ecsv", CASES[:1], [run_case(CASES[0])])
     return folder / "accuracy"
 
@@ -171,7 +170,7 @@ def test_every_name_in_a_file(made, heading):
 
 def _folders(made, heading):
     if heading.startswith("`summary.json`"):
-        return made[heading.replace("`summary.json` of a", "A")]
+        return made[heading.removeprefix("`summary.json` of ").capitalize()]
     return [folder for folders in made.values() for folder in folders]
 
 
