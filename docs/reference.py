@@ -114,7 +114,8 @@ def _row(name: str, item: Mapping[str, Any], section: SceneSection, examples: Ma
         example = json.dumps(item["examples"][0])
     kind = _type(item) + (f", as `{example}`" if example else "")
     default = _default(item, name in section.schema.get("required", ()))
-    return f"| `{name}` | {item.get('description', '')} | {kind} | {_allowed(item)} | {default} |"
+    what = " ".join(item.get("description", "").split())  # a row is a line
+    return f"| `{name}` | {what} | {kind} | {_allowed(item)} | {default} |"
 
 
 def _type(item: Mapping[str, Any]) -> str:
@@ -155,7 +156,9 @@ def _default(item: Mapping[str, Any], required: bool) -> str:
         return item["otherwise"]
     if required:
         return "**required**"
-    return "none" if item["default"] in (None, []) else f"`{json.dumps(item['default'])}`"
+    if item["default"] in (None, []):
+        return "none"
+    return f"`{item['default']:g} {item['unit']}`" if "unit" in item else f"`{json.dumps(item['default'])}`"
 
 
 # ---------------------------------------------------------------- examples

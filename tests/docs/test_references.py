@@ -53,6 +53,8 @@ def test_rows_have_type_unit_range_and_default():
     assert rows["`interpolation`"].endswith('| text | `"nearest"`, `"linear"`, `"cubic"` | `"linear"` |')
     assert rows["`min_elevation`"].endswith('as `"40 deg"` | 0 to 90 deg | **required** |')
     assert rows["`layer_height`"].endswith("| above 0 | the site's |")
+    assert rows["`stream_memory`"].endswith("| quantity in `byte` | above 0 | `2.5e+08 byte` |")
+    assert {line.count("|") for line in rows.values()} == {6}
 
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
