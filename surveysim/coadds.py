@@ -124,7 +124,7 @@ def _add_window(setup: Setup, coadds: CoAdds, result: ObservationResult, weights
     patch = setup.band.patch
     for place, name in enumerate(setup.windows):
         data_set = setup.data_sets.index(name)
-        coadds.window[:, place] += weights[data_set] * result.window[:, place, :, patch, patch]
+        coadds.window[:, place] += weights[data_set] * result.window[:, place]
         coadds.window_weight[place] += weights[data_set] * result.hits[data_set][patch, patch]
 
 

@@ -38,11 +38,11 @@ class ObservationResult:
 
     `sums` (n_set, n_y, n_x) of the streams' type [mK] with `hits` (n_set, n_y, n_x) int32 or int64; `noise_mk2`
     (n_set,), the noise variance a sample in the scored band, by which observations are weighted; `window` (n_sky,
-    n_window, 2, n_y, n_x) of that type, signal of the window skies binned without [0] and with [1] cleaning for each
-    of the setup's windows, or None; `discarded`, `iterations` and `removed` (templates a scan) per recipe; `merits`
-    (n_recipe, n_target) figures of merit of the recipes for all detectors, or None without a choice; `raw_psd` and
-    `clean_psd` (n_freq,) [mK^2/Hz], means over detectors, `compared_psd` (n_compare, n_freq) that of the other
-    recipes; `seconds` spent per stage.
+    n_window, 2, n, n) of that type on the scored patch, signal of the window skies binned without [0] and with [1]
+    cleaning for each of the setup's windows, or None; `discarded`, `iterations` and `removed` (templates a scan) per
+    recipe; `merits` (n_recipe, n_target) figures of merit of the recipes for all detectors, or None without a choice;
+    `raw_psd` and `clean_psd` (n_freq,) [mK^2/Hz], means over detectors, `compared_psd` (n_compare, n_freq) that of the
+    other recipes; `seconds` spent per stage.
     """
 
     observation: int
@@ -341,10 +341,11 @@ def _add_window(window: np.ndarray, part: _Part) -> None:
 
 
 def _window_maps(setup: Setup, window: np.ndarray | None, best: int) -> np.ndarray | None:
-    """Window skies as maps, those of the optimal set taken from the recipe that is best."""
+    """Window skies as maps of the scored patch, those of the optimal set taken from the recipe that is best."""
     if window is None:
         return None
-    maps = window.reshape(*window.shape[:3], setup.geometry.n_y, setup.geometry.n_x).astype(setup.stream_type)
+    maps, patch = window.reshape(*window.shape[:3], setup.geometry.n_y, setup.geometry.n_x), setup.band.patch
+    maps = maps[..., patch, patch].astype(setup.stream_type)
     if setup.chooses:
         chosen = setup.windows.index(setup.whole_recipes[best].data_set)
         maps[:, setup.windows.index(OPTIMAL)] = maps[:, chosen]
@@ -359,10 +360,10 @@ def transmissions(scene: Scene) -> np.ndarray:
     """
     setup = prepare(scene)
     setup = replace(setup, window_skies_mk=setup.window_skies_mk[[0, -1]])
-    rows, everywhere = setup.band.patch, np.ones_like(setup.band.taper)
+    everywhere = np.ones_like(setup.band.taper)
     powers = np.zeros((len(setup.whole_recipes), len(TARGETS), 2, len(setup.band.rings.ell)))
     for observation in REFERENCE:
-        maps = _window_maps(setup, _window_alone(setup, observation % scene.observations), 0)[..., rows, rows]
+        maps = _window_maps(setup, _window_alone(setup, observation % scene.observations), 0)
         for r, recipe in enumerate(setup.whole_recipes):
             place = setup.windows.index(recipe.data_set)
             for s, state in np.ndindex(powers.shape[1:3]):
