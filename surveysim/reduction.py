@@ -196,17 +196,20 @@ def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch
     with watch("wind"):
         colours = draw_colours(setup, observation, pointing, block)
         beside = what_is_beside(setup.recipes, streams, colours, setup.raster.sample_rate_hz)
-    cleaned = []
+    cleaned, everyone = [], np.ones(block.n_scans, bool)
     for recipe in setup.recipes:
         with watch("cleaning" if recipe.steps == setup.scene.cleaning.algorithm else f"cleaning {recipe.label}"):
-            cleaned.append(_clean(setup, recipe, streams, streams.data_mk[recipe.rows], beside))
+            cleaned.append(_clean(setup, recipe, streams, streams.data_mk[recipe.rows], beside, everyone))
     return _Part(setup, observation, block, pointing, streams, index, beside, tuple(cleaned))
 
 
-def _clean(setup: Setup, recipe: Recipe, streams: Timestreams, data_mk: np.ndarray, beside: Beside) -> Cleaned:
-    """Clean the streams of a recipe's detectors."""
+def _clean(
+    setup: Setup, recipe: Recipe, streams: Timestreams, data_mk: np.ndarray, beside: Beside, scans: np.ndarray
+) -> Cleaned:
+    """Clean some scans (n_scan,) bool of the streams of a recipe's detectors; the result knows of no others."""
     plane, rate = streams.focal_plane.subset(recipe.rows), setup.raster.sample_rate_hz
-    return apply_recipe(setup.scene.cleaning, recipe, data_mk, streams.scan_bounds, plane, beside, rate)
+    beside = replace(beside, delays_s_rad=beside.delays_s_rad[scans])
+    return apply_recipe(setup.scene.cleaning, recipe, data_mk, streams.scan_bounds[scans], plane, beside, rate)
 
 
 def _add_spectra(sums: _Sums, part: _Part) -> None:
@@ -333,8 +336,11 @@ def _add_window(window: np.ndarray, part: _Part) -> None:
         add_sky_signal(setup, part.pointing, sky, signal, setup.responsivity)
         for recipe, base in zip(setup.recipes, part.cleaned, strict=True):
             rows, place = recipe.rows, setup.windows.index(recipe.data_set)
-            both = _clean(setup, recipe, streams, streams.data_mk[rows] + signal[rows], part.beside)
-            difference, kept = both.data_mk, both.kept & base.kept
+            # Scans that are discarded without the signal take all iterations in vain: not once more.
+            both = _clean(setup, recipe, streams, streams.data_mk[rows] + signal[rows], part.beside, base.kept)
+            kept = base.kept.copy()
+            kept[base.kept] = both.kept
+            difference = both.data_mk
             difference -= base.data_mk
             for state, data in enumerate((signal[rows], difference)):
                 _bin(part, data, recipe, kept, window[s, place, state], hits)
@@ -356,14 +362,16 @@ def _window_maps(setup: Setup, window: np.ndarray | None, best: int) -> np.ndarr
 def transmissions(scene: Scene) -> np.ndarray:
     """What each recipe leaves of the power of a flat CMB sky and of a point source, (n_recipe, 2, n_bin).
 
-    From the observations of `REFERENCE`, 0 for a recipe that discards all their scans.
+    From the observations of `REFERENCE`, of several blocks that in the middle of the map; 0 for a recipe that discards
+    all their scans.
     """
     setup = prepare(scene)
+    middle = setup.blocks[len(setup.blocks) // 2]
     setup = replace(setup, window_skies_mk=setup.window_skies_mk[[0, -1]])
     everywhere = np.ones_like(setup.band.taper)
     powers = np.zeros((len(setup.whole_recipes), len(TARGETS), 2, len(setup.band.rings.ell)))
     for observation in REFERENCE:
-        maps = _window_maps(setup, _window_alone(setup, observation % scene.observations), 0)
+        maps = _window_maps(setup, _window_alone(setup, observation % scene.observations, middle), 0)
         for r, recipe in enumerate(setup.whole_recipes):
             place = setup.windows.index(recipe.data_set)
             for s, state in np.ndindex(powers.shape[1:3]):
@@ -371,9 +379,8 @@ def transmissions(scene: Scene) -> np.ndarray:
     return np.divide(powers[:, :, 1], powers[:, :, 0], out=np.zeros_like(powers[:, :, 0]), where=powers[:, :, 0] > 0)
 
 
-def _window_alone(setup: Setup, observation: int) -> np.ndarray:
-    """The window skies of one observation, and nothing else of it."""
+def _window_alone(setup: Setup, observation: int, block: Block) -> np.ndarray:
+    """The window skies of one block of an observation, and nothing else of it."""
     window, (_, pointing) = _empty_window(setup), observation_path(setup, observation)
-    for block in setup.blocks:
-        _add_window(window, _reduce(setup, observation, pointing, block, Stopwatch()))
+    _add_window(window, _reduce(setup, observation, pointing, block, Stopwatch()))
     return window

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from surveysim.reduction import transmissions
 from surveysim.scene import load_scene
 from surveysim.scores import score_survey
 from surveysim.setup import prepare
@@ -61,3 +62,15 @@ def test_scores_are_the_same(surveys):
         both = np.hypot(one.band.error_ukcmb2, many.band.error_ukcmb2)
         assert abs(one.band.sigma_ukcmb2 - many.band.sigma_ukcmb2) < 4 * both, name
         assert one.band.ell_eff == pytest.approx(many.band.ell_eff, rel=0.1)
+
+
+def test_one_block_tells_what_recipes_leave_of_a_source(tmp_path):
+    """The block in the middle of the map stands for the observation: within a few per cent of a source's power."""
+    path, found = tmp_path / "small.toml", []
+    path.write_text(SMALL_SCENE)
+    for memory, blocks in (("1 MB", 1), ("18 kB", 2)):
+        settings = {"cleaning.compare": ["planar"], "scan.scans": 8, "numerics.stream_memory": memory}
+        scene = load_scene(path, settings | {"atmosphere.b2": "[2000, 5000, 10000] mK2 rad(-5/3)"})
+        assert len(prepare(scene).blocks) == blocks
+        found.append(transmissions(scene)[0, 1, 2:])
+    np.testing.assert_allclose(found[1], found[0], rtol=0.15)

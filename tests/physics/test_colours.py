@@ -15,7 +15,8 @@ from surveysim.setup import observation_path, prepare
 SUZIE = "scenarios/suzie_ii.toml"
 
 
-def drawn_colours(setup, observation):
+def other_bands(setup, observation):
+    """Streams of the other bands of an observation of one block."""
     return draw_colours(setup, observation, observation_path(setup, observation)[1], setup.blocks[0])
 
 
@@ -26,7 +27,7 @@ def test_bands_see_one_layer_as_opacity_scales_it():
     colours = tuple(colour.model_copy(update={"psd_mk2_hz": 0.0}) for colour in scene.instrument.colours)
     scene = scene.model_copy(update={"instrument": scene.instrument.model_copy(update={"colours": colours})})
     setup = prepare(scene)
-    mapped, others = draw_observation(setup, 1), drawn_colours(setup, 1)
+    mapped, others = draw_observation(setup, 1), other_bands(setup, 1)
     pwv = mapped.attributes["pwv_mm"]
     response = [
         fluctuation_factor_mk2(band_opacity("mauna_kea", frequency, width), pwv)
@@ -52,7 +53,7 @@ def test_residual_at_10_mhz_is_near_the_instrument_s_noise():
 def test_a_scan_discarded_in_one_band_is_in_all():
     scene = load_scene(SUZIE, {"observations": 1})
     setup = prepare(scene)
-    streams, colours = draw_observation(setup, 0), drawn_colours(setup, 0)
+    streams, colours = draw_observation(setup, 0), other_bands(setup, 0)
     colours[1, 2, 10] = np.nan  # in the first scan
     beside = Beside(np.zeros((4, 2)), colours)
     arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane, beside, 5.0)
@@ -73,3 +74,14 @@ def test_refused(changes, words):
     with pytest.raises(SceneError) as caught:
         prepare(load_scene(SUZIE, changes))
     assert words in str(caught.value)
+
+
+def test_blocks_of_all_bands_see_the_same_layer():
+    """In each of several blocks too, subtracting the other bands takes the layer away."""
+    settings = {"observations": 2, "numerics.stream_memory": "200 kB"}
+    setup = prepare(load_scene(SUZIE, settings))
+    assert len(setup.blocks) == 2  # two scans of 2000 samples of four pixels in three bands each
+    left = run(load_scene(SUZIE, settings), workers=1)
+    whole = run(load_scene(SUZIE, {"observations": 2}), workers=1)
+    ratio = [np.mean(item.coadds.clean_psd) / np.mean(item.coadds.raw_psd) for item in (left, whole)]
+    assert ratio[0] < 0.01 and ratio[0] == pytest.approx(ratio[1], rel=1)
