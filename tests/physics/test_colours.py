@@ -81,7 +81,7 @@ def test_blocks_of_all_bands_see_the_same_layer():
     settings = {"observations": 2, "numerics.stream_memory": "200 kB"}
     setup = prepare(load_scene(SUZIE, settings))
     assert len(setup.blocks) == 2  # two scans of 2000 samples of four pixels in three bands each
-    left = run(load_scene(SUZIE, settings), workers=1)
-    whole = run(load_scene(SUZIE, {"observations": 2}), workers=1)
+    left = run(load_scene(SUZIE, settings), engine=SERIAL)
+    whole = run(load_scene(SUZIE, {"observations": 2}), engine=SERIAL)
     ratio = [np.mean(item.coadds.clean_psd) / np.mean(item.coadds.raw_psd) for item in (left, whole)]
     assert ratio[0] < 0.01 and ratio[0] == pytest.approx(ratio[1], rel=1)
