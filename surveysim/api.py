@@ -12,7 +12,7 @@ from surveysim.checkpoint import NAME
 from surveysim.coadds import CoAdds
 from surveysim.engines import SERIAL, Engine
 from surveysim.observation import draw_observation
-from surveysim.outputs import remove_outputs, write_outputs, write_sweep
+from surveysim.outputs import remove_outputs, remove_partial_files, write_outputs, write_sweep
 from surveysim.point_files import remove_points
 from surveysim.results import SurveyResult, survey_result
 from surveysim.scene import Scene
@@ -69,8 +69,10 @@ def run(
     checkpoint = None if directory is None else directory / NAME
     if save_timestreams and directory is None:
         raise ValueError("save_timestreams: found no output directory; one is expected")
-    if directory is not None and not resume:
-        remove_outputs(directory)
+    if directory is not None:
+        remove_partial_files(directory)
+        if not resume:
+            remove_outputs(directory)
     coadds = run_observations(
         setup,
         checkpoint,
@@ -82,6 +84,7 @@ def run(
     )
     result = survey_result(setup, coadds, perf_counter() - start, workers, limits, engine.kind)
     if directory is not None:
+        remove_partial_files(directory)  # of workers that were lost
         if resume:  # until here they were those of a run that was stopped early, if any
             remove_outputs(directory, with_timestreams=not save_timestreams)
         write_outputs(directory, result, figures, save_timestreams)
@@ -111,9 +114,11 @@ def run_sweep(
     workers = engine.workers_for(len(sweep.points))
     directory = None if out is None else Path(out)
     kept = None if directory is None else directory / "points"
-    if directory is not None and not resume:
-        remove_outputs(directory)
-        remove_points(kept)
+    if directory is not None:
+        remove_partial_files(directory)
+        if not resume:
+            remove_outputs(directory)
+            remove_points(kept)
     points = run_points(sweep, kept, engine, resume, progress)
     with threadpool_limits(1):  # the same bits on any machine
         comparison = compare_runs(points, np.random.default_rng(DRAWS_SEED))

@@ -69,7 +69,7 @@ def load_checkpoint(path: Path, scene_hash: str) -> CoAdds:
     raw = Path(path).read_bytes()
     digest = raw[len(_MARK) : len(_MARK) + 64]
     if not raw.startswith(_MARK) or sha256(memoryview(raw)[_USER_BLOCK:]).hexdigest().encode() != digest:
-        raise CheckpointError(f"{path}: damaged, or no checkpoint at all; delete it and run without --resume")
+        raise CheckpointError(f"{path}: damaged, or no checkpoint at all; delete it and go on with --resume")
     with h5py.File(BytesIO(raw), "r") as file:
         meta = json.loads(file.attrs["meta"])
         check_origin(path, meta, scene_hash)

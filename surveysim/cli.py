@@ -266,6 +266,7 @@ def paper(
 ) -> None:
     """Make the paper's tables and figures from simulated observations, beside the paper's values."""
     from surveysim.engines import EngineError
+    from surveysim.outputs import check_writable
     from surveysim.progress import progress_display
     from surveysim.reproduce import FIGURES, TABLES, reproduce, wanted
 
@@ -277,7 +278,7 @@ def paper(
     if observations is not None and observations < 1:
         _fail(f"--observations: found {observations}; 1 or more is expected")
     asked = wanted(tables, figures, scenarios, observations, options.settings(settings))
-    out.mkdir(parents=True, exist_ok=True)
+    check_writable(out)
     done = count(1)
     try:
         with progress_display("paper", asked.observations, quiet) as show:

@@ -89,7 +89,7 @@ def going_on_later(scene: Path, directory: Path) -> Iterator[None]:
 
 def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
     """Say why a run stopped and how to go on; leave no half-written file."""
-    for pattern in ("timestreams/*.h5.part", "points/*.part"):  # of workers that were killed
+    for pattern in ("timestreams/*.part", "points/*.part"):  # of workers that were killed
         for partial in directory.glob(pattern):
             partial.unlink(missing_ok=True)
     hint = f"; go on with --resume --out {directory}" if kept(directory) else ""

@@ -55,6 +55,14 @@ def check_writable(directory: Path) -> None:
     probe.unlink()
 
 
+def remove_partial_files(directory: Path) -> None:
+    """Remove what a killed run had half written among the files and folders of a run."""
+    patterns = [f"{name}.*.part" for name in FILES] + [f"{name}/*.part" for name in DIRECTORIES]
+    for pattern in patterns:
+        for path in directory.glob(pattern):
+            path.unlink(missing_ok=True)
+
+
 def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestreams: bool) -> None:
     """Write all results of a run below `directory`; summary.json lists its files, report.html is made of them all."""
     written = [write_text(directory / "scene.json", resolved(result.setup.scene) + "\n")]
@@ -69,7 +77,8 @@ def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestre
 
             written.append(draw_time(directory / "figures" / "run_time.png", result))
     if timestreams:
-        written += [directory / "timestreams" / f"{number:04d}.h5" for number in range(result.coadds.done)]
+        streams = (directory / "timestreams" / f"{number:04d}.h5" for number in range(result.coadds.done))
+        written += [path for path in streams if path.is_file()]  # none of before a resumption that asked for them
     write_summary(directory, summary(result), written)
 
 

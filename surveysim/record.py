@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surveysim.engines import Engine
 from surveysim.outputs import remove_outputs, write_summary, write_text
 from surveysim.provenance import made_by, now
 from surveysim.scene import Scene, scene_hash
@@ -29,7 +28,8 @@ def earlier_runs(out: Path, items: Sequence[str]) -> list[dict[str, Any]]:
         return []
     write_text(path, json.dumps(content | {"runs": left}, indent=2) + "\n")
     for file in old:
-        file.unlink(missing_ok=True)
+        if file.resolve().is_relative_to(out.resolve()):
+            file.unlink(missing_ok=True)
     return left
 
 
@@ -47,7 +47,8 @@ def write_record(
     made: Mapping[str, list[Path]],
     failed: Mapping[str, str],
     scenes: Sequence[tuple[Scene, list[str]]],
-    engine: Engine,
+    engine: str,
+    workers: int,
     wall_s: float,
 ) -> None:
     """Write summary.json with this run after those `earlier`, and report.html.
@@ -58,8 +59,8 @@ def write_record(
     run = {
         **made_by(),
         "date": now(),
-        "engine": engine.kind,
-        "workers": engine.workers_for(max((scene.observations for scene, _ in scenes), default=1)),
+        "engine": engine,
+        "workers": workers,
         "wall_s": wall_s,
         "items": {name: [path.name for path in paths] for name, paths in made.items()},
         "failed": dict(failed),

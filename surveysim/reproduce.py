@@ -198,21 +198,25 @@ def reproduce(
     made: dict[str, list[Path]] = {}
     failed: dict[str, str] = {}
     left, start = asked.items, perf_counter()
+    workers = engine.workers_for(asked.observations) if asked.observations else 1  # before anything is removed
     earlier = earlier_runs(out, [*asked.items, *map(_band_item, asked.scenes)])
-    for band in (None, *asked.scenes):
-        makers = []
-        if band is not None:
-            surveys[band] = measure_survey(asked.scenes[band], engine, progress)
-            makers.append((_band_item(band), partial(_write_measurements, out, band, surveys[band])))
-        ready = [name for name in left if set(_NEEDS[name]) <= set(surveys)]
-        left = [name for name in left if name not in ready]
-        makers += [(name, partial(_write, name, out, surveys, asked.model)) for name in ready]
-        _make(makers, made, failed)
-    for need, scene in asked.runs.items():
-        makers = _run_makers([name for name in left if _NEEDS[name] == (need,)], out, scene, engine, progress)
-        _make(makers, made, failed)
-    if made or earlier:
-        write_record(out, earlier, made, failed, _scenes_used(asked), engine, perf_counter() - start)
+    try:
+        for band in (None, *asked.scenes):
+            makers = []
+            if band is not None:
+                surveys[band] = measure_survey(asked.scenes[band], engine, progress)
+                makers.append((_band_item(band), partial(_write_measurements, out, band, surveys[band])))
+            ready = [name for name in left if set(_NEEDS[name]) <= set(surveys)]
+            left = [name for name in left if name not in ready]
+            makers += [(name, partial(_write, name, out, surveys, asked.model)) for name in ready]
+            _make(makers, made, failed)
+        for need, scene in asked.runs.items():
+            makers = _run_makers([name for name in left if _NEEDS[name] == (need,)], out, scene, engine, progress)
+            _make(makers, made, failed)
+    finally:  # what is made by then is kept, whatever ends the rest
+        if made or earlier:
+            used = _scenes_used(asked)
+            write_record(out, earlier, made, failed, used, engine.kind, workers, perf_counter() - start)
     written = [path for paths in made.values() for path in paths]
     return written, [f"{name}: {reason}" for name, reason in failed.items()]
 

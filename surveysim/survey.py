@@ -104,7 +104,7 @@ class _Keeper:
 
 def _drop_streams(directory: Path, done: int) -> None:
     """Remove streams that workers wrote ahead of where a run was stopped."""
-    for path in (*directory.glob("*.h5"), *directory.glob("*.h5.part")):
+    for path in (*directory.glob("*.h5"), *directory.glob("*.h5.*.part")):
         number = path.name.partition(".")[0]
         if number.isdigit() and int(number) >= done:
             path.unlink(missing_ok=True)

@@ -54,6 +54,7 @@ def measure_accuracy(
     whole = Task(scene, tuple(int(item.label) for item in settings if item.kind == "survey"))
     asked = tasks(lambda own: load_scene(path, {**given, **base, **own}), settings)
     n_first = 1 + len(asked.tasks)
+    workers = engine.workers_for(n_first)
     first = run_all([whole, *asked.tasks.values()], engine, lambda done: progress(done, n_first))
     wanted = seeds_wanted(scene, first[0], reference_error, seeds)
     others = [Task(load_scene(path, given | {"seed": scene.seed + k}), whole.counts) for k in range(1, wanted)]
@@ -77,5 +78,5 @@ def measure_accuracy(
         slopes=tuple(slopes(rows)),
         recommended=tuple(recommendations(rows, TOLERATED * float(errors[0]))),
         wall_s=perf_counter() - start,
-        workers=engine.workers_for(max(n_first, len(others))),
+        workers=workers,
     )

@@ -61,8 +61,9 @@ def ordered_map(job: Callable[[Any], Any], items: Sequence[Any], engine: Engine)
     """`job(item)` for each item, in order.
 
     One BLAS thread a worker, so that sums do not depend on the machine's cores. At most a few items a worker are
-    under way at a time: results wait in bounded memory. What a lost worker had is done again by others. Closing
-    the iterator early ends the work at once. Raises what a job raises, and EngineError when the engine can't go on.
+    under way at a time: results wait in bounded memory. What a lost worker had is done again by others. Closing the
+    iterator early ends workers of this machine at once, those of a cluster after what they are at. Raises what a job
+    raises, and EngineError when the engine can't go on.
     """
     if engine.kind == "dask":
         from surveysim.engines.cluster import on_cluster

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from threading import Lock
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
@@ -35,6 +36,7 @@ SCHEDULER_S = 5e-3  # of work in a unit for each worker: at most 200 units a sec
 MOST_ITEMS = 32  # in a unit, whose results travel together
 TAKEN_AHEAD = 2  # units a worker, so that it does not wait for the parent
 CONNECT_S = 20.0
+_ONE_AT_A_TIME = Lock()
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of malloc.h
 
 _ADDRESS = re.compile(r"[a-z]+://.+|[^/\\]+:\d+")
@@ -57,7 +59,8 @@ def run_unit(job: Callable[[Any], Any], items: Sequence[Any], version: str) -> A
     _keep_freed_memory()
     start, results = perf_counter(), []
     try:
-        with threadpool_limits(1):
+        # A limit on threads is the process's: units of a worker of several threads would undo each other's.
+        with _ONE_AT_A_TIME, threadpool_limits(1):
             for item in items:
                 results.append(job(item))
     except Exception as error:  # whatever it is, the parent decides
@@ -192,5 +195,9 @@ def _lost_scheduler() -> Iterator[None]:
         yield
     except KilledWorker:
         raise too_many_losses() from None
-    except (CancelledError, OSError, RuntimeError):  # closed connections, time-outs, a client that is no more
+    except (ImportError, AttributeError) as error:
+        raise EngineError(f"a worker can't load surveysim {__version__}: {error}") from None
+    except (CancelledError, OSError):  # closed connections, time-outs
         raise EngineError("the scheduler of the cluster is gone") from None
+    except RuntimeError as error:  # of a client that is no more, or a scheduler that can't read what it gets
+        raise EngineError(f"the scheduler of the cluster can't go on: {str(error).partition('. ')[0]}") from None

@@ -157,8 +157,8 @@ def as_known(value: float, error: float) -> str:
 
 def number(value: float, digits: int = 3) -> str:
     """A number of so many digits, without exponent from 0.001 to a million."""
-    if value == 0:
-        return "0"
+    if value == 0 or not math.isfinite(value):
+        return "0" if value == 0 else "none"
     rounded = float(f"{value:.{digits - 1}e}")
     if not 1e-3 <= abs(rounded) < 1e6:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
@@ -168,7 +168,7 @@ def number(value: float, digits: int = 3) -> str:
 
 def short(value: float) -> str:
     """A number as it was given, up to six digits, without trailing zeros."""
-    if value != 0 and not 1e-3 <= abs(value) < 1e6:
+    if value != 0 and not 1e-3 <= abs(value) < 1e6:  # NaN too
         return number(value)
     return _signed(_grouped(f"{value:,.6g}", value))
 

@@ -61,7 +61,7 @@ def test_round_trip_of_nothing(tmp_path, scene):
     assert same(load_checkpoint(tmp_path / "new" / "checkpoint.h5", "abc"), empty)
 
 
-def refused(path, words="damaged, or no checkpoint at all; delete it and run without --resume"):
+def refused(path, words="damaged, or no checkpoint at all; delete it and go on with --resume"):
     with pytest.raises(CheckpointError, match=words) as caught:
         load_checkpoint(path, "abc")
     assert str(caught.value).startswith(f"{path}: ") and len(str(caught.value).splitlines()) == 1

@@ -21,7 +21,7 @@ from tests.scenes import SMALL_SCENE
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes through /proc")
 
-KILLS = 4  # of each engine
+KILLS = 2  # of each engine
 COMMAND = [sys.executable, "-c", "from surveysim.cli import main; main()"]
 
 

@@ -210,3 +210,15 @@ def test_units_of_tables(finished):
     table = QTable.read(out / "tables" / "map_psd.ecsv")
     assert (table["noise_actual"] + table["noise_error_actual"]).unit == "uK2 sr"
     assert QTable.read(out / "tables" / "observations.ecsv")["noise_mk2_actual"].unit == "mK2"
+
+
+def test_half_written_files_of_a_killed_run_go(tmp_path):
+    """Those of a run's own files and folders; nothing of the user's."""
+    path, out = tmp_path / "small.toml", tmp_path / "out"
+    path.write_text(SMALL_SCENE)
+    names = ("checkpoint.h5.123.part", "timestreams/0003.h5.123.part", "maps/actual.fits.9.part", "mine.part")
+    for name in names:
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_text("half")
+    run(load_scene(path), out, engine=SERIAL, resume=True, figures=False)
+    assert [name for name in names if (out / name).exists()] == ["mine.part"]
