@@ -29,7 +29,8 @@ DRAWS_SEED = 0  # of the draws that say how sure the best point of a sweep is
 def simulate_observation(scene: Scene, observation: int) -> Timestreams:
     """The time-streams of one observation of a scene, the weather drawn for it in their attributes.
 
-    Raises SceneError when the scene can't be run, ValueError for an observation that it does not have.
+    They are whole, whatever `numerics.stream_memory` allows a run. Raises SceneError when the scene can't be run,
+    ValueError for an observation that it does not have.
     """
     if not 0 <= observation < scene.observations:
         raise ValueError(f"observation: found {observation}; 0 to {scene.observations - 1} is expected")

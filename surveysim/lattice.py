@@ -109,8 +109,8 @@ def embed(cells: np.ndarray, pitch_f_lambda: float, coherence: str, illumination
     """The smallest torus that holds detectors at lattice places `cells` (n_det, 2), within `LARGEST_ERROR`.
 
     The axes of the lattice are 60 degrees apart; `coherence` and `illumination` are those of a correlation matrix.
-    Raises ValueError where a torus of 64 times the lattice's area is still too small: for dense pixels with a sharp
-    coherence.
+    Where optics change so much that the torus does, so do all draws. Raises ValueError where a torus of 64 times the
+    lattice's area is still too small: for dense pixels with a sharp coherence.
     """
     places = cells - cells.min(axis=0)
     span = places.max(axis=0) + 1

@@ -38,7 +38,7 @@ class Stopwatch:
 
 
 def draw_observation(setup: Setup, observation: int) -> Timestreams:
-    """The time-streams of one observation, with the weather drawn for it in the attributes."""
+    """The time-streams of one observation, its blocks side by side, with the weather drawn for it in the attributes."""
     (_, pointing), watch = observation_path(setup, observation), Stopwatch()
     if len(setup.blocks) == 1:
         return draw_block(setup, observation, pointing, setup.blocks[0], watch)
