@@ -84,4 +84,5 @@ def test_blocks_of_all_bands_see_the_same_layer():
     left = run(load_scene(SUZIE, settings), engine=SERIAL)
     whole = run(load_scene(SUZIE, {"observations": 2}), engine=SERIAL)
     ratio = [np.mean(item.coadds.clean_psd) / np.mean(item.coadds.raw_psd) for item in (left, whole)]
-    assert ratio[0] < 0.01 and ratio[0] == pytest.approx(ratio[1], rel=1)
+    # Half of the draws are others. A layer of its own in a block would leave as much as there was, and not 1e-4.
+    assert ratio[0] < 1e-3 and ratio[0] == pytest.approx(ratio[1], rel=0.5)
