@@ -23,6 +23,7 @@ from surveysim.conditions import (
     survey_draws,
 )
 from surveysim.noise import excess_psd
+from surveysim.pilot import Kept, predicted_kept
 from surveysim.recipes import Recipe
 from surveysim.response import (
     PROJECTIONS,
@@ -45,13 +46,8 @@ from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene, SceneError
 from surveysim.setup import Setup, prepare, screen
 from surveysim.units import rj_to_cmb
+from surveysim.validity import Effect, Grounds, effects
 
-NEGLECTED = (
-    "the edge of the map, gaps in it and what scans share with each other",
-    "scans that are discarded, and noise in the responsivities that cleaning fits",
-    "that an observation's weight is measured on its own map",
-    "what wind and pca do beyond average subtraction, as which they are taken",
-)
 _ANGLES = 3  # of the array against the scan that stand for all observations
 _SPEEDS, _DIRECTIONS = 5, 4  # of the layer against the scan
 _SLOWEST = 0.02  # relative speed that is told from none, in scan speeds
@@ -59,7 +55,11 @@ _SLOWEST = 0.02  # relative speed that is told from none, in scan speeds
 
 @dataclass(frozen=True)
 class DataSetForecast:
-    """One data set's forecast: `noise_psd` [uK_CMB^2 sr], `signal_psd` [sr] and `transmission`, (n_bin,)."""
+    """One data set's forecast: `noise_psd` [uK_CMB^2 sr], `signal_psd` [sr] and `transmission`, (n_bin,).
+
+    `weights` (n_obs,) [1/mK^2 a sample] of its observations and the scans that are `kept` of them; `effects` are those
+    that it neglects, and where it is out of its range.
+    """
 
     name: str
     n_det: int
@@ -67,6 +67,9 @@ class DataSetForecast:
     noise_psd: np.ndarray
     signal_psd: np.ndarray
     transmission: np.ndarray
+    weights: np.ndarray
+    kept: Kept
+    effects: tuple[Effect, ...]
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,6 @@ class Forecast:
 
     ell: np.ndarray
     scores: dict[str, DataSetForecast]
-    neglected: tuple[str, ...] = NEGLECTED
 
 
 LayerNoise = Callable[[np.ndarray], np.ndarray]  # (n_draw, n_motion) complex [rad/s] to (n_draw, n_bin)
@@ -105,7 +107,11 @@ class NoiseModel:
         """Noise variance a sample [mK^2] of every draw, (n_draw, n_bin)."""
         parts = self.parts
         flat = ((levels.white, parts.white), (levels.shared, parts.shared), (levels.excess, parts.excess))
-        return sum(np.outer(*part) for part in flat) + levels.layer[:, None] * parts.layer(levels.motion)
+        return sum(np.outer(*part) for part in flat) + self.layer_noise(levels)
+
+    def layer_noise(self, levels: Conditions) -> np.ndarray:
+        """The layer's part of `noise`, (n_draw, n_bin)."""
+        return levels.layer[:, None] * self.parts.layer(levels.motion)
 
 
 @dataclass(frozen=True)
@@ -123,8 +129,12 @@ class _Spectrum:
     excess: np.ndarray
 
 
-def forecast(scene: Scene) -> Forecast:
+def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecast:
     """Forecast the data sets of a scene.
+
+    `kept` holds, by the data set of each recipe, the share of scans (n_obs,) that a run kept of each of the survey's
+    first observations: the forecast is then that of the survey as judged by them. By default it is predicted
+    (`surveysim.pilot`).
 
     Raises SceneError for a scene that can't be run, has no [score], or a first cleaning that is none of `PROJECTIONS`.
     """
@@ -134,12 +144,19 @@ def forecast(scene: Scene) -> Forecast:
     if not can_forecast(setup):
         allowed = ", ".join(map(repr, PROJECTIONS))
         raise SceneError(f"cleaning.algorithm: found {setup.recipes[0].label!r}; one of {allowed} can be forecast")
-    levels = conditions(setup, survey_draws(setup, 0, scene.observations))
+    models = survey_models(scene)
+    if kept is None:
+        levels = conditions(setup, survey_draws(setup, 0, scene.observations))
+        weight = expected_weights(setup, models[0].noise(levels))
+        scans = predicted_kept(setup, tuple(filter(is_projection, setup.recipes)), levels, weight)
+    else:
+        levels = conditions(setup, survey_draws(setup, 0, len(next(iter(kept.values())))))
+        scans = {name: Kept(share) for name, share in kept.items()}
     found: dict[str, DataSetForecast] = {}
-    for model in survey_models(scene):
+    for model in models:
         if model.name == model.recipe.data_set:  # the sets that follow share its detectors
             hits = mean_hits(setup, model.recipe)
-        found[model.name] = _scored(setup, model, model.noise(levels), hits)
+        found[model.name] = _scored(setup, model, levels, scans[model.recipe.data_set], hits)
     return Forecast(setup.band.rings.ell, {name: found[name] for name in setup.data_sets if name in found})
 
 
@@ -360,19 +377,24 @@ def _transmission(setup: Setup, spectrum: _Spectrum, arrays: list[Array], respon
     return modes.mean((both.real**2 + both.imag**2).ravel())
 
 
-def _scored(setup: Setup, model: NoiseModel, noise: np.ndarray, hits: np.ndarray) -> DataSetForecast:
-    """Weight and co-add observations whose noise a sample is (n_obs, n_bin) [mK^2]; score the map."""
+def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hits: np.ndarray) -> DataSetForecast:
+    """Weight and co-add observations in the conditions `levels`; score the map."""
     scene, band, rings = setup.scene, setup.band, setup.band.rings
-    taper, covered = band.taper**2, hits > 0
+    noise, taper, covered = model.noise(levels), band.taper**2, hits > 0
     if not (noise[:, band.selected].all() and taper[covered].any()):
         raise SceneError("score: found no noise in its multipoles or no scan across its patch; both are expected")
+    if not kept.share.any():
+        raise SceneError("cleaning: found no scan that would be kept; one or more is expected")
     weight = expected_weights(setup, noise)
-    variance = weight**2 @ noise / weight.sum() ** 2
+    # Hits go as the scans that are kept; the PSD of a survey as one over its observations.
+    variance = (weight**2 * kept.share) @ noise / (weight @ kept.share) ** 2 * (len(noise) / scene.observations)
     area = setup.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
     psd = variance * area * (1e3 * rj_to_cmb(scene.instrument.frequency_hz)) ** 2
     signal = expected_signal(setup, model)
     score = band_power(psd, signal, rings.n_modes, band.selected, rings.ell, rings.edges_ell, 0.0)
-    return DataSetForecast(model.name, model.n_det, score, psd, signal, model.transmission)
+    grounds = Grounds(model.recipe, levels, kept, weight, noise, model.layer_noise(levels), score.weight)
+    found = effects(setup, grounds)
+    return DataSetForecast(model.name, model.n_det, score, psd, signal, model.transmission, weight, kept, found)
 
 
 def expected_weights(setup: Setup, noise: np.ndarray) -> np.ndarray:

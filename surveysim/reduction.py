@@ -151,6 +151,13 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
     )
 
 
+def kept_scans(setup: Setup, observation: int) -> np.ndarray:
+    """Which scans each recipe keeps of an observation, (n_recipe, n_scan) bool of the setup's blocks."""
+    _, pointing = observation_path(setup, observation)
+    parts = (_reduce(setup, observation, pointing, block, Stopwatch()) for block in setup.blocks)
+    return np.concatenate([[item.kept for item in part.cleaned] for part in parts], axis=1)
+
+
 def _let_go(streams: Timestreams) -> None:
     """What becomes of streams that are not saved."""
 

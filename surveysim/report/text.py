@@ -8,12 +8,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from surveysim.forecast import NEGLECTED
 from surveysim.plan import Plan, SweepPlan
 from surveysim.recipes import ACTUAL
 from surveysim.report.page import REPORT
 from surveysim.results import (
-    COMPARED_ELL,
     METHOD,
     OPTIMAL_METHOD,
     Row,
