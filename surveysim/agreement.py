@@ -24,16 +24,16 @@ class Agreement:
     Noise PSDs are compared in the bins from `low_ell` to `high_ell`: `psd` is that of the bin around `worst_ell`, which
     is furthest off for certain (by two standard errors). Of `bins` bins, `within` are off by no more than `GOOD_PSD`
     and have an error of no more than `KNOWN`; `unknown` have a larger error. Without such bins these numbers are 0
-    and the others NaN.
+    and the others None.
     """
 
     sigma: float
     sigma_error: float
-    psd: float
-    psd_error: float
-    worst_ell: float
-    low_ell: float
-    high_ell: float
+    psd: float | None
+    psd_error: float | None
+    worst_ell: float | None
+    low_ell: float | None
+    high_ell: float | None
     bins: int
     within: int
     unknown: int
@@ -67,7 +67,7 @@ def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) 
     edges = setup.band.rings.edges_ell
     bins = np.flatnonzero((edges[:-1] >= low) & (edges[1:] <= high))
     if not len(bins):
-        return Agreement(ratio - 1, error, *(float("nan"),) * 5, 0, 0, 0)
+        return Agreement(ratio - 1, error, *(None,) * 5, 0, 0, 0)
     off, errors = _bin_ratios(simulated, expected, bins, scatter)
     worst = int(np.argmax(np.abs(off) - 2 * errors))
     known = errors <= KNOWN

@@ -373,7 +373,10 @@ def _point_entry(result: SweepResult, number: int) -> dict[str, Any]:
             name: {"sigma_ukcmb2": band.sigma_ukcmb2, "error_ukcmb2": band.error_ukcmb2} for name, band in bands.items()
         },
         "forecast_ukcmb2": item.forecast_ukcmb2,
+        "forecast_flags": item.flags,
     }
+    if item.off:
+        entry["forecast_over_simulated"] = dict(zip(("sigma", "sigma_error"), item.off, strict=True))
     if item.unscored:
         entry["unscored"] = item.unscored
     if np.isfinite(comparison.ratio[number]):

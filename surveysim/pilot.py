@@ -12,7 +12,7 @@ from surveysim.scan import samples_per_scan
 from surveysim.setup import Setup
 
 MOST_OBSERVATIONS = 32  # of a pilot
-MOST_SCANS = 3  # of each of them
+MOST_SCANS = 6  # of each of them
 _SAMPLES = 3e6  # detector-samples of a pilot: about a quarter of a second
 _FEWEST_OBSERVATIONS = 8  # a larger pilot than `_SAMPLES` rather than fewer, up to
 _MOST_SAMPLES = 5e7  # a few seconds

@@ -22,6 +22,9 @@ _OF_SET = ("noise_psds", "signal_psd", "weights")
 class PointResult:
     """Scores by data set, or why there are none; forecasts of sigma(A) [uK_CMB^2] by data set.
 
+    `off` is the actual data's forecast over the simulation, less 1, with the standard error of that, empty where there
+    is only one of them; `flags` say why the forecast may be off.
+
     `skies` is equal for points whose windows are measured with the same skies. `wall_s` is the time that the point
     took since it was started or, the last time, resumed.
     """
@@ -29,6 +32,8 @@ class PointResult:
     n_det: int
     scores: dict[str, DataSetScore]
     forecast_ukcmb2: dict[str, float]
+    off: list[float]
+    flags: list[str]
     skies: str
     unscored: str
     wall_s: float

@@ -267,10 +267,12 @@ def summary(result: SurveyResult) -> dict[str, Any]:
     if result.unscored:
         content["unscored"] = result.unscored
     if result.scores:
+        expected = result.expected.scores if result.expected else {}
         content["scores"] = {row.name: _score_entry(row) for row in score_rows(result)}
         content["error_budget"] = {name: vars(item.budget) for name, item in result.scores.items()}
         content["controlled"] = {name: _controlled_entry(item) for name, item in result.controlled.items()}
         content["forecast_over_simulated"] = {name: vars(item) for name, item in forecast_agreement(result).items()}
+        content["forecast"] = {name: _forecast_entry(item) for name, item in expected.items()}
         content["gains"] = {name: vars(item) for name, item in result.gains.items()}
         content["alternatives"] = result.alternatives
         if result.fine_cost:
@@ -345,6 +347,10 @@ def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
 
 def _controlled_entry(item: Controlled) -> dict[str, Any]:
     return {key: value for key, value in vars(item).items() if key != "budget"} | {"error_budget": vars(item.budget)}
+
+
+def _forecast_entry(item: DataSetForecast) -> dict[str, Any]:
+    return {"discarded": item.kept.discarded, "effects": [vars(effect) for effect in item.effects]}
 
 
 def _score_entry(row: Row) -> dict[str, float]:

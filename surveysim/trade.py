@@ -8,9 +8,11 @@ from time import perf_counter
 
 import numpy as np
 
+from surveysim.agreement import agreement, run_forecast
 from surveysim.checkpoint import CheckpointError
 from surveysim.coadds import CoAdds
 from surveysim.engines import Engine, ordered_map
+from surveysim.forecast import Forecast, forecast
 from surveysim.point_files import PointResult, finished_points, load_point, point_checkpoint, point_file, save_point
 from surveysim.recipes import ACTUAL
 from surveysim.scene import scene_hash
@@ -76,8 +78,12 @@ class PointJob:
         except (ValueError, ArithmeticError) as error:
             raise ValueError(f"point ({point.label}): {error}") from None
         scores, unscored = _scored(setup, coadds)
-        forecast, _ = forecast_sigma(point)
-        result = PointResult(setup.n_det, scores, forecast, _skies(setup), unscored, perf_counter() - start)
+        expected, off = run_forecast(setup, coadds) if scores else None, []
+        if expected is not None:
+            found = agreement(setup, scores[ACTUAL], expected.scores[ACTUAL])
+            off = [found.sigma, found.sigma_error]
+        told = _sigma(expected), off, _flags(expected)
+        result = PointResult(setup.n_det, scores, *told, _skies(setup), unscored, perf_counter() - start)
         if self.directory is not None:
             save_point(point_file(self.directory, point.number), result, scene_hash(point.scene))
             checkpoint.unlink(missing_ok=True)
@@ -131,24 +137,27 @@ def _kept(sweep: Sweep, directory: Path) -> dict[int, PointResult]:
     return found
 
 
-def forecast_sigma(point: Point) -> tuple[dict[str, float], str]:
-    """Forecasts of sigma(A) [uK_CMB^2] by data set, or none and why."""
-    from surveysim.forecast import forecast
+def _sigma(found: Forecast | None) -> dict[str, float]:
+    """sigma(A) [uK_CMB^2] by data set."""
+    return {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}
 
-    try:
-        scores = forecast(point.scene).scores
-    except ValueError as error:  # of a scene that can't be forecast
-        return {}, str(error)
-    return {name: float(item.band.sigma_ukcmb2) for name, item in scores.items()}, ""
+
+def _flags(found: Forecast | None) -> list[str]:
+    """Why the actual data's forecast may be off."""
+    return [effect.sentence for effect in found.scores[ACTUAL].effects if effect.flagged] if found else []
 
 
 def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[PointResult, ...]:
-    """Forecasts of all points, one after the other."""
+    """Forecasts of all points, one after the other, or why there is none."""
     results = []
     for point in sweep.points:
-        start = perf_counter()
-        sigma, reason = forecast_sigma(point)
-        results.append(PointResult(point.n_det, {}, sigma, "", reason, perf_counter() - start))
+        start, found, reason = perf_counter(), None, ""
+        try:
+            found = forecast(point.scene)
+        except ValueError as error:  # of a scene that can't be forecast
+            reason = str(error)
+        told = _sigma(found), [], _flags(found)
+        results.append(PointResult(point.n_det, {}, *told, "", reason, perf_counter() - start))
         progress(len(results))
     return tuple(results)
 

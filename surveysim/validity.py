@@ -14,6 +14,7 @@ LARGE = 0.1  # relative size from which on an effect is flagged
 MOST_DISCARDED = 0.05  # share of scans from which on a loss is flagged
 _RESOLUTIONS = 3.5  # of multipole, from which on a forecast is compared
 _BEAM_LEFT = 0.03  # of the power, up to where it is
+_PIXEL_REACH = 0.75  # of the map pixel's Nyquist multipole
 _APPROXIMATE = {"wind": "shifted along the wind", "pca": "by principal components"}  # taken as average subtraction
 
 
@@ -71,14 +72,14 @@ def compared_ell(setup: Setup) -> tuple[float, float]:
     """Multipoles in which a forecast of noise PSDs is compared with a run's.
 
     From `_RESOLUTIONS` times `resolution_ell` on, below which the ends of scans and the map's edge rule, to where the
-    beam leaves `_BEAM_LEFT` of the power, or half the map pixel's Nyquist multipole or the whole of the samples' if
-    these are lower.
+    beam leaves `_BEAM_LEFT` of the power, or `_PIXEL_REACH` of the map pixel's Nyquist multipole or that of the samples
+    if these are lower.
     """
     scene = setup.scene
     width = scene.instrument.beam_fwhm_rad / np.sqrt(8 * np.log(2))
     beam = np.sqrt(-np.log(_BEAM_LEFT)) / width
     samples = np.pi * scene.scan.sample_rate_hz / scene.scan.speed_rad_s
-    return _RESOLUTIONS * resolution_ell(setup), float(min(beam, np.pi / scene.map.pixel_rad / 2, samples))
+    return _RESOLUTIONS * resolution_ell(setup), float(min(beam, _PIXEL_REACH * np.pi / scene.map.pixel_rad, samples))
 
 
 def effects(setup: Setup, grounds: Grounds) -> tuple[Effect, ...]:

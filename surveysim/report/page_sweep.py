@@ -123,6 +123,11 @@ def _grids(summary: Content) -> Iterator[Block]:
     named = f"The point's name has the values of {joined(keys)}. "
     notes = [named + _ratio_note(summary)]
     notes += [f"{label(summary, point)}: {point['unscored']}." for point in summary["points"] if point.get("unscored")]
+    notes += [
+        f"The forecast of {label(summary, point)} may be off: {sentence}"
+        for point in summary["points"]
+        for sentence in point["forecast_flags"]
+    ]
     caption = "Uncertainty of a flat CMB band power, actual data"
     yield Grid("point-table", caption, tuple(columns), rows, tuple(notes), tuple(summary["best"]))
     others = list(dict.fromkeys(name for point in summary["points"] for name in point["scores"] if name != ACTUAL))
@@ -183,13 +188,14 @@ def _agreement(summary: Content) -> Grid | None:
     """Forecast over simulated, less 1, of every point that has both."""
     rows = []
     for point in summary["points"]:
-        score, forecast = point["scores"].get(ACTUAL), point["forecast_ukcmb2"].get(ACTUAL)
-        if score and forecast is not None:
-            ratio = forecast / score["sigma_ukcmb2"]
-            error = ratio * score["error_ukcmb2"] / score["sigma_ukcmb2"]
-            rows.append((cell(_values(point, _keys(summary))), measured(100 * (ratio - 1), 100 * error)))
+        if off := point.get("forecast_over_simulated"):
+            ratio = measured(100 * off["sigma"], 100 * off["sigma_error"])
+            rows.append((cell(_values(point, _keys(summary))), ratio))
     columns = ("point", "forecast over simulated, less 1 [%]")
-    note = "Errors are those of the simulation; the points have one seed, so they are not independent of each other."
+    note = (
+        "Both are of the same observations and of the scans that were kept. Errors are those of the ratio; the points"
+        " have one seed, so they are not independent of each other."
+    )
     return Grid("agreement-table", "σ(A) of the actual data", columns, tuple(rows), (note,)) if rows else None
 
 

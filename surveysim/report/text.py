@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from surveysim.agreement import GOOD_PSD, GOOD_SIGMA, KNOWN, Agreement
 from surveysim.plan import Plan, SweepPlan
 from surveysim.recipes import ACTUAL
 from surveysim.report.page import REPORT
@@ -28,10 +29,7 @@ from surveysim.trade import SURE, SweepResult
 if TYPE_CHECKING:
     from astropy.table import Table as AstropyTable
 
-    from surveysim.forecast import Forecast
-
-# What a forecast is good to; a report says where one is worse.
-FORECAST_SIGMA, FORECAST_PSD = 0.1, 0.15
+    from surveysim.forecast import DataSetForecast, Forecast
 
 
 def print_result(result: SurveyResult, directory: Path) -> None:
@@ -81,26 +79,49 @@ def where_line(directory: Path) -> str:
 
 
 def agreement_lines(result: SurveyResult) -> list[str]:
-    """How far the forecast is from the simulation, and where that is more than it should be and than chance."""
-    found, (low, high) = forecast_agreement(result), COMPARED_ELL
+    """How far the forecast is from the simulation, where that is more than it should be, and its flags."""
+    found = forecast_agreement(result)
     if not found:
         return []
     off = ", ".join(f"{name} {100 * item.sigma:+.0f} +- {100 * item.sigma_error:.0f} %" for name, item in found.items())
     lines = [f"  forecast of sigma(A) over simulated, less 1: {off}"]
     lines += [
-        f"  forecast of {name}: sigma(A) is worse than {100 * FORECAST_SIGMA:.0f} %"
+        f"  forecast of {name}: sigma(A) is worse than {100 * GOOD_SIGMA:.0f} %"
         for name, item in found.items()
-        if abs(item.sigma) > FORECAST_SIGMA + 2 * item.sigma_error
+        if abs(item.sigma) > GOOD_SIGMA + 2 * item.sigma_error
     ]
-    worse = [
-        f"  forecast of {name}: noise PSD is {100 * item.psd:+.0f} +- {100 * item.psd_error:.0f} % off at"
-        f" ell = {item.worst_ell:.0f}"
-        for name, item in found.items()
-        if abs(item.psd) > FORECAST_PSD + 2 * item.psd_error
-    ]
-    if all(item.psd != item.psd for item in found.values()):  # no bin was compared
-        return lines
-    return lines + (worse or [f"  its noise PSDs: within {100 * FORECAST_PSD:.0f} % in all bins from {low} to {high}"])
+    flags = [f"  ! forecast of {line}" for line in effect_lines(result.expected.scores, flagged=True)]
+    return [*lines, *_psd_lines(found), *flags]
+
+
+def _psd_lines(found: dict[str, Agreement]) -> list[str]:
+    """How many bins of the noise PSDs are forecast as well as they should be, and the one that is furthest off."""
+    bins, within = (sum(getattr(item, key) for item in found.values()) for key in ("bins", "within"))
+    if bins == 0:
+        return []
+    some, unknown = next(iter(found.values())), sum(item.unknown for item in found.values())
+    good, known = f"{100 * GOOD_PSD:.0f} %", f"{100 * KNOWN:g} %"
+    where = f"from ell = {some.low_ell:.0f} to {some.high_ell:.0f}"
+    if within == bins:
+        return [f"  its noise PSDs: within {good} in all {bins} bins {where}, each known to {known} or better"]
+    name, worst = max(found.items(), key=lambda entry: abs(entry[1].psd) - 2 * entry[1].psd_error)
+    off = f"{name} by {100 * worst.psd:+.0f} +- {100 * worst.psd_error:.0f} % at ell = {worst.worst_ell:.0f}"
+    line = f"  its noise PSDs: within {good} in {within} of {bins} bins {where}"
+    line += f", {unknown} are not known to {known}" if unknown else ""
+    return [f"{line}; furthest off for certain: {off}"]
+
+
+def effect_lines(scores: "dict[str, DataSetForecast]", flagged: bool = False) -> list[str]:
+    """Effects on forecasts, a line each with the data sets that have it: all of the first set, flagged ones of others.
+
+    With `flagged`, flagged ones alone.
+    """
+    lines: dict[str, list[str]] = {}
+    for place, (name, item) in enumerate(scores.items()):
+        for effect in item.effects:
+            if effect.flagged or (place == 0 and not flagged):
+                lines.setdefault(effect.sentence, []).append(name)
+    return [f"{', '.join(names)}: {sentence}" for sentence, names in lines.items()]
 
 
 def survey_lines(result: SurveyResult) -> list[str]:
@@ -274,17 +295,14 @@ def print_sweep(result: SweepResult, directory: Path) -> None:
 
 
 def _forecast_lines(result: SweepResult) -> list[str]:
-    """How far forecasts are from the simulation at worst, or what they neglect where they stand alone."""
-    if not result.simulated:
-        return ["The forecast neglects:", *(f"  - {line}" for line in NEGLECTED)]
-    comparison, worst = result.comparison, (0.0, "")
-    for number, (point, item) in enumerate(zip(result.sweep.points, result.points, strict=True)):
-        forecast, sigma = item.forecast_ukcmb2.get(ACTUAL), comparison.sigma_ukcmb2[number]
-        if forecast is not None and sigma > 0 and abs(forecast / sigma - 1) >= abs(worst[0]):
-            error = 100 * forecast / sigma * comparison.error_ukcmb2[number] / sigma
-            off = forecast / sigma - 1
-            worst = (off, f"forecast over simulated, less 1: at worst {100 * off:+.0f} +- {error:.0f} %, {point.label}")
-    return [worst[1]] if worst[1] else []
+    """How far forecasts are from the simulation at worst, and which points' forecasts may be off and why."""
+    lines, both = [], list(zip(result.sweep.points, result.points, strict=True))
+    compared = [(point, *item.off) for point, item in both if item.off]
+    if compared:
+        point, off, error = max(compared, key=lambda entry: abs(entry[1]))
+        far = f"{100 * off:+.0f} +- {100 * error:.0f} %"
+        lines.append(f"forecast over simulated, less 1: at worst {far}, {point.label}")
+    return lines + [f"! forecast of {point.label}: {sentence}" for point, item in both for sentence in item.flags]
 
 
 def best_line(result: SweepResult) -> str:
@@ -318,7 +336,8 @@ def _sweep_table(result: SweepResult) -> Table:
             ratio += f" +- {comparison.paired_error[number]:.3f}"
         scored = comparison.ratio[number] > 0  # NaN is not
         cells += [str(item.n_det)] + [level if scored else "not scored"] * result.simulated
-        cells += ["" if forecast is None else f"{forecast:.1f}", ratio if scored else ""]
+        shown = "" if forecast is None else f"{forecast:.1f}{' !' if item.flags else ''}"
+        cells += [shown, ratio if scored else ""]
         if result.simulated:
             cells.append(f"{100 * comparison.best_probability[number]:.0f} %" if scored else "")
         table.add_row(*cells)
@@ -326,7 +345,7 @@ def _sweep_table(result: SweepResult) -> Table:
 
 
 def print_forecast(scene: Scene, forecast: "Forecast") -> None:
-    """The forecast of each data set, beside the reference if there is one, and what it neglects."""
+    """The forecast of each data set, beside the reference if there is one, and effects on it with their sizes."""
     console = _console()
     reference = scene.score.reference
     published = dict(reference.values_ukcmb2) if reference else {}
@@ -343,9 +362,10 @@ def print_forecast(scene: Scene, forecast: "Forecast") -> None:
             cells += [f"{published[name]:g}", f"{band.sigma_ukcmb2 / published[name]:.2f}"]
         table.add_row(*cells)
     console.print(table)
-    console.print("Neglected:", highlight=False)
-    for line in forecast.neglected:
-        console.print(f"  - {line}", highlight=False, markup=False)
+    console.print("Effects on the forecast, with their sizes; those marked ! may put it off:", highlight=False)
+    flagged = effect_lines(forecast.scores, flagged=True)
+    for line in effect_lines(forecast.scores):
+        console.print(f"  {'!' if line in flagged else '-'} {line}", highlight=False, markup=False)
 
 
 def print_paper(written: list[Path]) -> None:

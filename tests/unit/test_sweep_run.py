@@ -327,7 +327,7 @@ def test_points_that_cannot_be_forecast_say_why(write, levels, monkeypatch):
     def refuse(scene):
         raise SceneError("cleaning.algorithm: found 'pca'")
 
-    monkeypatch.setattr("surveysim.forecast.forecast", refuse)
+    monkeypatch.setattr("surveysim.trade.forecast", refuse)
     points = forecast_points(levels[0].sweep, lambda done: None)
     assert [(point.unscored, point.forecast_ukcmb2) for point in points] == [
         ("cleaning.algorithm: found 'pca'", {})
