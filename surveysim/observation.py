@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +17,14 @@ from surveysim.lattice import Torus, TorusRoot
 from surveysim.levels import WhiteLevels, white_levels
 from surveysim.noise import add_correlated_white, add_excess, add_white, excess_variance
 from surveysim.pointing import Pointing, sky_vector
+from surveysim.scan import samples_per_scan
 from surveysim.setup import Setup, observation_path
 from surveysim.streams import Stage, generator
 from surveysim.weather import Weather, draw_weather
+
+if TYPE_CHECKING:
+    from surveysim.atmosphere.screen import StripCache
+    from surveysim.atmosphere.trends import Trends
 
 
 class Stopwatch:
@@ -55,7 +61,7 @@ def draw_block(setup: Setup, observation: int, whole: Pointing, block: Block, wa
     data = np.zeros((setup.n_det, len(pointing.time_s)), setup.stream_type)
     with watch("atmosphere"):
         if weather is not None:
-            add_layer(setup, observation, pointing, weather, data, block=block.number)
+            add_layer(setup, observation, whole, weather, data, block=block)
     with watch("excess"):
         _add_excess(setup, observation, block, weather, data)
     with watch("sky"):
@@ -74,19 +80,21 @@ def draw_block(setup: Setup, observation: int, whole: Pointing, block: Block, wa
     return _timestreams(setup, observation, whole, pointing, block.first, data)
 
 
-def draw_colours(setup: Setup, observation: int, pointing: Pointing, block: Block) -> np.ndarray:
+def draw_colours(setup: Setup, observation: int, whole: Pointing, block: Block) -> np.ndarray:
     """Streams of the other bands of the same detectors in one block, (n_colour, n_det, n_samp) [mK].
 
+    `whole` points the observation.
     The same layer as in the mapped band, times what each band makes of the water (section 3.3), and white noise of
     their own. Excess noise and sky are in the mapped band alone. None where no recipe subtracts other bands.
     """
     colours = setup.scene.instrument.colours if setup.subtracts_colours else ()
-    streams = np.zeros((len(colours), setup.n_det, len(pointing.time_s)), setup.stream_type)
+    n_samp = block.n_scans * samples_per_scan(setup.raster)
+    streams = np.zeros((len(colours), setup.n_det, n_samp), setup.stream_type)
     if not colours:
         return streams
     weather = observation_weather(setup, observation)
     layer = np.zeros(streams.shape[1:], streams.dtype)
-    add_layer(setup, observation, pointing, weather, layer, block=block.number)
+    add_layer(setup, observation, whole, weather, layer, block=block)
     mapped = setup.water.response(weather.pwv_mm)
     for number, (colour, data) in enumerate(zip(colours, streams, strict=True)):
         scale = np.sqrt(setup.colour_waters[number].response(weather.pwv_mm) / mapped)
@@ -133,28 +141,71 @@ def add_layer(
     weather: Weather,
     data: np.ndarray,
     realization: int = 0,
-    block: int = 0,
+    block: Block | None = None,
 ) -> None:
-    """Add one realization of the moving layer in this weather to the streams (n_det, n_samp) [mK], in place."""
+    """Add one realization of the moving layer in this weather to streams (n_det, n_samp) [mK], in place.
+
+    `pointing` is that of the whole observation: its scans share the layer's trends. Streams are those of one block, or
+    of all scans.
+    """
     from surveysim.atmosphere.screen import add_atmosphere
 
-    air = setup.scene.atmosphere
-    offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad), axis=-1)
-    layer = np.stack(sky_vector(pointing.parallactic_rad, *weather.wind_rad_s), axis=-1)
-    # Equation 2 of the paper: P = B2 sin(el)^(1 - b) alpha^-b.
-    amplitude = np.sqrt(weather.b2 * np.sin(pointing.elevation_rad) ** (1 - air.index))
-    rng = generator(setup.scene.seed, Stage.ATMOSPHERE, observation, realization, block)
+    block = block or Block(0, 0, len(pointing.elevation_rad))
+    sine = np.sin(pointing.elevation_rad)
+    strips = setup.strips.at(float(sine.min()))
+    motion = _layer_motion(setup, pointing, weather)
+    trends = _trends(setup, observation, pointing, motion, strips, realization)
+    rng = generator(setup.scene.seed, Stage.ATMOSPHERE, observation, realization, block.number)
+    scans = slice(block.first, block.end)
     add_atmosphere(
         data,
-        scan_bounds(pointing.scan),
+        scan_bounds(pointing.scans(block.first, block.end).scan),
         setup.raster.sample_rate_hz,
-        offsets,
-        pointing.velocity_rad_s,
-        layer,
-        amplitude,
-        setup.strips,
+        *(item[scans] for item in motion),
+        # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
+        np.sqrt(weather.b2 / sine[scans]),
+        strips,
         rng,
+        trends.scans(block.first, block.end),
     )
+
+
+def _layer_motion(setup: Setup, pointing: Pointing, weather: Weather) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Offsets of the detectors (n_scan, n_det, 2), velocities of boresight and layer (n_scan, 2), over sin(el)."""
+    slant = 1 / np.sin(pointing.elevation_rad)[:, None]
+    offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad), axis=-1)
+    layer = np.stack(sky_vector(pointing.parallactic_rad, *weather.wind_rad_s), axis=-1)
+    return offsets * slant[:, None], pointing.velocity_rad_s * slant, layer * slant
+
+
+def _trends(
+    setup: Setup,
+    observation: int,
+    pointing: Pointing,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    strips: "StripCache",
+    realization: int,
+) -> "Trends":
+    """Trends of the layer in all scans of an observation."""
+    from surveysim.atmosphere.screen import scan_tracks
+    from surveysim.atmosphere.trends import draw_trends, swaths
+
+    bounds = scan_bounds(pointing.scan)
+    tracks = scan_tracks(bounds, setup.raster.sample_rate_hz, *motion, strips)
+    first, last = bounds[:, 0], bounds[:, 1] - 1
+    begin, middle = pointing.time_s[first], (pointing.time_s[first] + pointing.time_s[last]) / 2
+    slant = 1 / np.sin(pointing.elevation_rad)[:, None]
+    boresight = np.stack([pointing.xi_rad[first], pointing.eta_rad[first]], axis=-1) * slant
+    corner = boresight - _moved(motion[2], middle, begin) + tracks.corner_rad
+    rng = generator(setup.scene.seed, Stage.TREND, observation, realization)
+    return draw_trends(swaths(strips, corner, tracks.direction, tracks.length_rad), rng)
+
+
+def _moved(velocity_rad_s: np.ndarray, middle_s: np.ndarray, begin_s: np.ndarray) -> np.ndarray:
+    """Way (n_scan, 2) of the layer until each scan begins, from its velocities (n_scan, 2) in the middle of scans."""
+    between = (velocity_rad_s[1:] + velocity_rad_s[:-1]) / 2 * np.diff(middle_s)[:, None]
+    until_middle = np.concatenate([np.zeros((1, 2)), np.cumsum(between, axis=0)])
+    return until_middle - velocity_rad_s * (middle_s - begin_s)[:, None]
 
 
 def _add_excess(setup: Setup, observation: int, block: Block, weather: Weather | None, data: np.ndarray) -> None:

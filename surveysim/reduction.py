@@ -201,7 +201,7 @@ def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch
     with watch("pixels"):
         index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad, plane)
     with watch("wind"):
-        colours = draw_colours(setup, observation, pointing, block)
+        colours = draw_colours(setup, observation, whole, block)
         beside = what_is_beside(setup.recipes, streams, colours, setup.raster.sample_rate_hz)
     cleaned, everyone = [], np.ones(block.n_scans, bool)
     for recipe in setup.recipes:

@@ -270,7 +270,7 @@ def shared_noise(cam: Camera, section: Photon | Excess | None, name: str) -> Ove
 
 
 def screen(scene: Scene):
-    """The layer as the telescope sees it; raises SceneError where there is none of these numbers."""
+    """The layer as the telescope sees it at the zenith; raises SceneError where there is none of these numbers."""
     from surveysim.atmosphere.spectrum import Screen
 
     air = scene.atmosphere
@@ -284,11 +284,11 @@ def screen(scene: Scene):
 def _strips(scene: Scene, cam: Camera):
     if scene.atmosphere is None:
         return None
-    from surveysim.atmosphere.screen import StripCache, strip_step
+    from surveysim.atmosphere.screen import SlantStrips
 
-    layer, numerics = screen(scene), scene.numerics
-    step_rad = numerics.screen_step * strip_step(layer, cam.closest_rad)
-    return StripCache(layer, cam.radius_rad, step_rad, numerics.interpolation, numerics.precision)
+    numerics = scene.numerics
+    numbers = numerics.screen_step, numerics.interpolation, numerics.precision
+    return SlantStrips(screen(scene), cam.radius_rad, cam.closest_rad, *numbers)
 
 
 def _water(scene: Scene, band: Instrument | Colour) -> Water | None:

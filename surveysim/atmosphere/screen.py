@@ -44,6 +44,8 @@ _NEGLIGIBLE, _NEGLIGIBLE_SUM = 1e-9, 1e-3
 # structure function must be as smooth for the same reason.
 _CLIPPED_MAX = 1e-5
 _N_X_MIN, _N_X_MAX = 32, 2**17
+# Classes of elevations in each factor of two of 1 / sin(el).
+_SLANTS = 4
 # Lattice points, and elements of all frequencies' matrices, that a few gigabytes hold.
 _MOST_POINTS, _MOST_ELEMENTS = 2**24, 10**8
 LOOK_UPS = {
@@ -97,6 +99,16 @@ class StripCache:
     strips: dict = field(default_factory=dict, repr=False, compare=False)
 
     @property
+    def n_lane(self):
+        """How many lanes the strips have."""
+        return lanes(self.half_width_rad, self.step_rad, self._fewest_lanes)
+
+    @property
+    def strip_half_width_rad(self):
+        """Largest distance [rad] of a track from the strips' middle."""
+        return 0.5 * (self.n_lane - 1) * self.step_rad
+
+    @property
     def _fewest_lanes(self):
         return 4 if self.interpolation == "cubic" else 2
 
@@ -108,6 +120,38 @@ class StripCache:
                 self.screen, length_rad, self.half_width_rad, self.step_rad, self.precision, self._fewest_lanes
             )
         return self.strips[n_x]
+
+
+@dataclass(frozen=True)
+class SlantStrips:
+    """Strips of one screen for a layer that is seen at any elevation.
+
+    A layer at the height h is h / sin(el) away, so that on the sky it is a smaller copy of itself at the zenith, beam
+    and outer scale too: with angles over sin(el), strips of the screen at the zenith serve all elevations. They need
+    to be 1 / sin(el) wider, and have lattices as much coarser; elevations come in classes of 19 % in 1 / sin(el), each
+    with the strips of its lowest. `half_width_rad` and `closest_rad` between detectors are on the sky; `scale` is the
+    factor of `strip_step`.
+    """
+
+    screen: Screen
+    half_width_rad: float
+    closest_rad: float
+    scale: float = 1.0
+    interpolation: str = "linear"
+    precision: str = "float32"
+    caches: dict = field(default_factory=dict, repr=False, compare=False)
+
+    def at(self, sine):
+        """`StripCache` for an elevation of this sine, the least of an observation."""
+        number = ceil(-_SLANTS * log2(sine) - 1e-9)
+        if number not in self.caches:
+            slant = 2.0 ** (number / _SLANTS)
+            seen = Screen(self.screen.index, self.screen.beam_rad / slant, self.screen.outer_scale_rad / slant)
+            step = self.scale * strip_step(seen, self.closest_rad) * slant
+            self.caches[number] = StripCache(
+                self.screen, self.half_width_rad * slant, step, self.interpolation, self.precision
+            )
+        return self.caches[number]
 
 
 def strip_step(screen, closest_rad):
@@ -138,7 +182,7 @@ def build_strip(screen, length_rad, half_width_rad, step_rad, precision="float32
     over the period, on tracks of a few beams or for b > 5. Raises ValueError when no period does, and for strips
     too long or too wide to hold.
     """
-    n_lane = max(fewest_lanes, ceil(2.0 * half_width_rad / step_rad) + 1)
+    n_lane = lanes(half_width_rad, step_rad, fewest_lanes)
     n_x = _points_along(length_rad, step_rad)
     if n_x * n_lane > _MOST_POINTS or n_x * step_rad > 2.0 * LAG_MAX * screen.beam_rad:
         raise ValueError(_too_large(n_x, n_lane, step_rad))
@@ -153,6 +197,11 @@ def build_strip(screen, length_rad, half_width_rad, step_rad, precision="float32
             )
         strip = _factorize(screen, n_x, n_lane, step_rad, precision)
     return strip
+
+
+def lanes(half_width_rad, step_rad, fewest):
+    """How many lanes a strip of a half width has, `fewest` or more."""
+    return max(fewest, ceil(2.0 * half_width_rad / step_rad) + 1)
 
 
 def _too_large(n_x, n_lane, step_rad):
@@ -270,6 +319,41 @@ def draw_strip(strip, rng):
     return layer
 
 
+@dataclass(frozen=True)
+class Tracks:
+    """Tracks of n_scan scans over their strips, in the frame of the layer.
+
+    `motion_rad_s` (n_scan, 2) of the boresight against the layer, `direction` (n_scan, 2) of the strips, the unit vector
+    along it; `length_rad` (n_scan,) that detectors see of them; `x_rad` and `y_rad` (n_scan, n_det), where detectors
+    begin on the strip; `corner_rad` (n_scan, 2) the strip's first point against where the boresight begins.
+    """
+
+    motion_rad_s: np.ndarray
+    direction: np.ndarray
+    length_rad: np.ndarray
+    x_rad: np.ndarray
+    y_rad: np.ndarray
+    corner_rad: np.ndarray
+
+
+def scan_tracks(scan_bounds, sample_rate_hz, offsets_rad, velocity_rad_s, layer_velocity_rad_s, strips):
+    """Tracks of scans, given as to `add_atmosphere`, which raises the same errors."""
+    motion = np.asarray(velocity_rad_s, dtype=float) - np.asarray(layer_velocity_rad_s, dtype=float)
+    speed = np.hypot(*motion.T)
+    direction = np.where(speed[:, None] > 0.0, motion, [1.0, 0.0]) / np.where(speed > 0.0, speed, 1.0)[:, None]
+    normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    along, across = (np.einsum("sdi,si->sd", offsets_rad, axis) for axis in (direction, normal))
+    widest, half = float(np.abs(across).max(initial=0.0)), strips.strip_half_width_rad
+    if widest > half + 1e-6 * strips.step_rad:
+        raise ValueError(
+            f"detector {widest:g} rad from the middle of the strip found; half_width_rad allows {half:g}"
+        )
+    first = along.min(axis=1, keepdims=True)
+    track = speed * (np.diff(scan_bounds, axis=1)[:, 0] - 1) / sample_rate_hz
+    y = np.clip(across + half, 0.0, 2.0 * half)
+    return Tracks(motion, direction, np.ptp(along, axis=1) + track, along - first, y, first * direction - half * normal)
+
+
 def add_atmosphere(
     data_mk,
     scan_bounds,
@@ -280,39 +364,30 @@ def add_atmosphere(
     amplitude_mk,
     strips,
     rng,
+    trends=None,
 ):
     """Add the emission of the moving layer to time streams, in place.
 
     data_mk (n_det, n_samp) float32 or float64 [mK]; scan_bounds (n_scan, 2) first sample and end of each
     scan; offsets_rad (n_scan, n_det, 2) detectors' offsets (xi, eta) from the boresight; velocity_rad_s and
     layer_velocity_rad_s (n_scan, 2) velocities of boresight and layer (xi, eta); amplitude_mk (n_scan,)
-    sqrt(B2 sin(el)^(1 - b)); strips a `StripCache`.
+    sqrt(B2); strips a `StripCache`. Angles and speeds are those of a layer at the zenith: at an elevation el
+    all are 1 / sin(el) larger than on the sky, and the amplitude is sqrt(B2 / sin(el)).
 
-    Every scan is an independent strip: correlations across turnarounds are neglected, as the mean of each
-    scan is removed, and the common offset of a scan's streams is arbitrary. Without relative motion the
-    streams are constant. Raises ValueError when a detector lies outside the strip's width.
+    Every scan has a strip of its own, with the trends that `trends`, `Trends` of these scans, gives it; without them
+    the scans are independent of each other, like scans of different nights. The common offset of a scan's streams is
+    arbitrary, as the mean of each scan is removed. Without relative motion the streams are constant. Raises ValueError
+    when a detector lies outside the strip's width.
     """
-    relative = np.asarray(velocity_rad_s, dtype=float) - np.asarray(layer_velocity_rad_s, dtype=float)
-    for (start, stop), offset, motion, amplitude in zip(scan_bounds, offsets_rad, relative, amplitude_mk, strict=True):
-        speed = float(np.hypot(*motion))
-        direction = motion / speed if speed > 0.0 else np.array([1.0, 0.0])
-        track = speed * (stop - start - 1) / sample_rate_hz
-        strip, x0, y0 = _place(offset, direction, track, strips)
-        layer = draw_strip(strip, rng)
-        dx = speed / (sample_rate_hz * strip.step_rad)
-        LOOK_UPS[strips.interpolation](data_mk, start, stop, layer, x0, y0, dx, float(amplitude))
-
-
-def _place(offset_rad, direction, track_rad, strips):
-    """Strip for one scan, and where each detector's track begins (n_det,), (n_det,) in lattice steps."""
-    along = offset_rad @ direction
-    across = offset_rad @ np.array([-direction[1], direction[0]])
-    strip = strips.strip_for(float(np.ptp(along)) + track_rad)
-    widest = float(np.abs(across).max())
-    if widest > strip.half_width_rad + 1e-6 * strip.step_rad:
-        raise ValueError(
-            f"detector {widest:g} rad from the middle of the strip found;"
-            f" half_width_rad allows {strip.half_width_rad:g}"
+    tracks = scan_tracks(scan_bounds, sample_rate_hz, offsets_rad, velocity_rad_s, layer_velocity_rad_s, strips)
+    step = strips.step_rad
+    rows = zip(scan_bounds, amplitude_mk, tracks.motion_rad_s, tracks.length_rad, strict=True)
+    for scan, ((start, stop), amplitude, motion, length) in enumerate(rows):
+        layer = draw_strip(strips.strip_for(float(length)), rng)
+        if trends is not None:
+            trends.impose(scan, layer)
+        dx = float(np.hypot(*motion)) / (sample_rate_hz * step)
+        y0 = np.minimum(tracks.y_rad[scan] / step, len(layer) - 1.0)
+        LOOK_UPS[strips.interpolation](
+            data_mk, start, stop, layer, tracks.x_rad[scan] / step, y0, dx, float(amplitude)
         )
-    y0 = np.clip((across + strip.half_width_rad) / strip.step_rad, 0.0, strip.n_lane - 1.0)
-    return strip, (along - along.min()) / strip.step_rad, y0

@@ -98,6 +98,19 @@ def structure_slope(screen, theta_rad):
     return screen.beam_rad ** (screen.index - 2.0) * spline(x, 1) * np.exp(spline(x)) / theta_rad
 
 
+def structure_table(screen):
+    """The structure function as loops evaluate it: coefficients (n, 4) of cubics, and scale (6,).
+
+    As `surveysim.kernels.trend.structure` takes them. Beyond 1e4 beams it goes on as a power law.
+    """
+    spline, slope_min = _log_structure(*_in_beams(screen))
+    first, last = spline.x[0], spline.x[-1]
+    step = (last - first) / (len(spline.x) - 1)
+    factor = screen.beam_rad ** (screen.index - 2.0)
+    scale = [screen.beam_rad, factor, first, step, slope_min, float(spline(last, 1))]
+    return np.ascontiguousarray(spline.c.T), np.array(scale)
+
+
 def _in_beams(screen):
     """Index and outer scale in units of the beam, on which the shape of the structure function depends."""
     # Rounded, so that one aperture at many heights is one shape.

@@ -1,0 +1,107 @@
+"""Low-order trends of the layer, drawn jointly for all scans of an observation.
+
+Where the spectrum is steep, a scan is hardly more than a straight line, and its slope is much that of the scan before:
+the air is another, but most of the slope comes from scales far above a scan's. Strips (`surveysim.atmosphere.screen`)
+are drawn scan by scan and know nothing of each other. So for every scan five trends are defined, contrasts between the
+field's values at 5 x 3 lattice points of its strip: slope along, gradient across, and the three terms of second order.
+Their covariance over all scans follows from the structure function between the points, in one frame of the layer, and
+one draw gives all scans' trends t. A strip T is then conditioned on its own (kriging),
+
+    T + K C^-1 (t - w T),
+
+with w T the trends that it was drawn with, C their covariance and K that of the field with them. Since w T and t have
+one distribution, the strip's own stays exactly as it was, and the trends' joint distribution is that of the layer. The
+smaller scales of different scans are independent. The mean of a scan is left as it is: every cleaning removes it.
+
+Covariances are exact within a group of 12 scans and between neighbouring groups; of longer observations, a group is
+drawn given the one before, so that the time it takes goes with the number of scans.
+"""
+
+from dataclasses import dataclass, replace
+from math import ceil
+
+import numpy as np
+
+from surveysim.atmosphere.spectrum import Screen, structure_table
+from surveysim.kernels import trend as kernels
+
+# Of the points along a strip, over its length from -1 to 1 (Gauss and Legendre); across it they are at both edges and
+# in the middle. Slopes of scans of 4 to 17 beams correlate as those of all their samples within 0.001 at b = 11/3.
+_NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(5)
+_GROUP = 12
+# Steps of the grid on which a strip's change is evaluated, in beams; cubics between are good to 1e-4 of its range.
+_COARSE = 1.0 / 3.0
+
+
+@dataclass(frozen=True)
+class Swaths:
+    """Points of the strips of n_scan scans, of n_lane lanes `step_rad` apart, and what their trends are made of.
+
+    `lane` and `column` (n_scan, 15) of the points; `place_rad` (n_scan, 15, 2) theirs in the layer; `weight` (n_scan, 5,
+    15) of the field's values there in each trend; `used` (n_scan,) how many columns detectors see.
+    """
+
+    screen: Screen
+    step_rad: float
+    lane: np.ndarray
+    column: np.ndarray
+    place_rad: np.ndarray
+    weight: np.ndarray
+    used: np.ndarray
+
+    def scans(self, first: int, end: int) -> "Swaths":
+        """Those of scans `first` to `end - 1`, counted from 0 again."""
+        names = ("lane", "column", "place_rad", "weight", "used")
+        return replace(self, **{name: getattr(self, name)[first:end] for name in names})
+
+
+def swaths(strips, corner_rad: np.ndarray, direction: np.ndarray, length_rad: np.ndarray) -> Swaths:
+    """Points of the strips of a `StripCache` that lie in the layer from a corner (n_scan, 2) on.
+
+    `direction` (n_scan, 2), unit vectors along the strips, of which detectors see `length_rad` (n_scan,).
+    """
+    end = length_rad / strips.step_rad
+    column = np.repeat(np.rint(np.outer(end, 0.5 * (_NODES + 1.0))).astype(np.int64), 3, axis=1)
+    last = strips.n_lane - 1
+    lane = np.tile([0, last // 2, last], (len(end), 5))
+    x, y = 2.0 * column / np.maximum(end, 1.0)[:, None] - 1.0, 2.0 * lane / last - 1.0
+    share = np.repeat(_NODE_WEIGHTS, 3) / (3.0 * _NODE_WEIGHTS.sum())
+    weight = np.stack([x, y, 1.5 * x**2 - 0.5, x * y, y**2], axis=1) * share
+    weight -= weight.sum(axis=-1, keepdims=True) * share
+    weight[np.abs(weight).max(axis=-1) < 1e-9] = 0.0  # points that are one, but for rounding
+    across = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
+    place = corner_rad[:, None] + strips.step_rad * (
+        column[..., None] * direction[:, None] + lane[..., None] * across[:, None]
+    )
+    return Swaths(strips.screen, strips.step_rad, lane, column, place, weight, np.ceil(end).astype(np.int64) + 4)
+
+
+@dataclass(frozen=True)
+class Trends:
+    """Trends (n_scan, 5) that the strips of some scans are to have, per unit amplitude."""
+
+    swaths: Swaths
+    value: np.ndarray
+
+    def scans(self, first: int, end: int) -> "Trends":
+        """Those of scans `first` to `end - 1`, counted from 0 again."""
+        return replace(self, value=self.value[first:end], swaths=self.swaths.scans(first, end))
+
+    def impose(self, scan: int, strip: np.ndarray) -> None:
+        """Give a strip (n_lane, n_x) of unit amplitude the trends of a scan, in place."""
+        table, item = structure_table(self.swaths.screen), self.swaths
+        lane, column, step = item.lane[scan], item.column[scan], item.step_rad
+        weight = kernels.point_weights(
+            strip, lane, column, item.place_rad[scan], item.weight[scan], self.value[scan], *table
+        )
+        coarse = _COARSE * item.screen.beam_rad / step
+        stride, cells = max(1, int(coarse)), max(1, ceil((len(strip) - 1) / coarse))
+        used = min(int(item.used[scan]), strip.shape[1])
+        kernels.add_covariances(strip, used, lane, column, weight, step, stride, cells, *table)
+
+
+def draw_trends(item: Swaths, rng: np.random.Generator) -> Trends:
+    """Trends of consecutive scans, from one draw of five normals a scan."""
+    normals = rng.standard_normal(item.weight.shape[:2])
+    value = kernels.draw_trends(item.place_rad, item.weight, normals, _GROUP, *structure_table(item.screen))
+    return Trends(item, value)
