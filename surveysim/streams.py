@@ -23,6 +23,7 @@ class Stage(IntEnum):
     WHITE = 9
     WINDOW_SKY = 10
     JACKKNIFE = 11
+    CALIBRATION = 13
 
 
 def generator(
