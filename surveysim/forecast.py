@@ -22,6 +22,7 @@ from surveysim.conditions import (
     population,
     survey_draws,
 )
+from surveysim.courses import NO_COURSES, Courses, template_courses
 from surveysim.noise import excess_psd
 from surveysim.pilot import Kept, predicted_kept
 from surveysim.recipes import Recipe
@@ -171,9 +172,9 @@ def noise_models(setup: Setup, levels: Conditions) -> Iterator[NoiseModel]:
 
     Raises SceneError where cleaning can't be forecast.
     """
-    spectrum = _spectrum(setup)
     for recipe in filter(is_projection, setup.recipes):
         arrays = _arrays(setup, recipe, levels)
+        spectrum = _spectrum(setup, fitted_courses(setup, recipe, arrays[0], levels))
         n_det = len(arrays[0].place)
         responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
         transmission = _transmission(setup, spectrum, arrays, responses)
@@ -196,14 +197,29 @@ def is_projection(recipe: Recipe) -> bool:
     return len(recipe.steps) == 1 and recipe.steps[0] in PROJECTIONS
 
 
-def _spectrum(setup: Setup) -> _Spectrum:
+def fitted_courses(setup: Setup, recipe: Recipe, array: Array, levels: Conditions) -> Courses:
+    """Courses that scans lose to what a recipe fits to them, in a layer that passes as fast as in half of `levels`."""
+    fits = {"scan": 1.0, "observation": 1 / setup.raster.n_scans}
+    # PCA fits a mode to each scan, whatever is known of responsivities.
+    share = fits["scan"] if recipe.uses("pca") else fits.get(setup.scene.cleaning.responsivities, 0.0)
+    if setup.scene.atmosphere is None or not len(array.basis) or not share:
+        return NO_COURSES
+    seconds = samples_per_scan(setup.raster) / setup.raster.sample_rate_hz
+    motion = np.median(np.abs(levels.motion))
+    layer = layer_waves(screen(setup.scene), motion * seconds)
+    common = array.seen(2 * np.pi * layer.alpha).mean(axis=0)
+    power = layer.power * (common.real**2 + common.imag**2)
+    return template_courses(_along(layer, motion), power, seconds).less(share)
+
+
+def _spectrum(setup: Setup, courses: Courses) -> _Spectrum:
     scene, lines = setup.scene, setup.raster
     seconds = samples_per_scan(lines) / lines.sample_rate_hz
     modes = ring_modes(setup.band.rings.ell)
     rate = lines.sample_rate_hz
     at_hz = modes.wave.real.ravel() * lines.speed_rad_s / (2 * np.pi)
     at_hz -= rate * np.round(at_hz / rate)  # what samples can't tell apart
-    window = scan_window(seconds, lines.speed_rad_s, scene.score.size_rad, scene.score.taper_fraction)
+    window = scan_window(seconds, lines.speed_rad_s, scene.score.size_rad, scene.score.taper_fraction, courses)
     nodes, weight = frequency_nodes(window, max(1.1 * np.abs(at_hz).max(), 0.5 * rate))
     excess_hz, excess = np.zeros(0), np.zeros(0)
     if scene.excess:
@@ -221,9 +237,11 @@ def _arrays(setup: Setup, recipe: Recipe, levels: Conditions) -> list[Array]:
     plane = setup.camera.focal_plane.subset(recipe.rows)
     angles = np.sort(np.mod(levels.angle, 2 * np.pi))
     chosen = angles[((np.arange(_ANGLES) + 0.5) * len(angles) / _ANGLES).astype(int)] if len(angles) > 1 else angles
-    responsivity = setup.responsivity[recipe.rows]
+    responsivity, assumed = setup.responsivity[recipe.rows], None
+    if setup.calibration is not None and recipe.takes_responsivities:
+        assumed = setup.calibration[0, recipe.rows]
     try:
-        return [projected_array(plane, angle, responsivity, recipe.steps[0]) for angle in np.unique(chosen)]
+        return [projected_array(plane, angle, responsivity, recipe.steps[0], assumed) for angle in np.unique(chosen)]
     except ValueError as error:
         raise SceneError(f"cleaning: {error}") from None
 
@@ -322,7 +340,7 @@ def _simulated_parts(
     seconds = spectrum.window.duration_s
     n_samp = samples_per_scan(setup.raster)
     lines = np.arange(1, (n_samp - 1) // 2 + 1) / seconds
-    hann, nodes = hann_window(seconds), spectrum.nodes_hz
+    hann, nodes = hann_window(seconds, spectrum.window.courses), spectrum.nodes_hz
     window = spectrum.window
     if name == "uncorrelated":
         # Streams of a whole number of periods a scan: lines, without a mean.
