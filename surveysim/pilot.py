@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mapmaker.cleaning.responsivity import OBSERVATION
 from surveysim.blocks import Block
 from surveysim.conditions import Conditions
 from surveysim.recipes import Recipe
@@ -47,8 +48,8 @@ def predicted_kept(
     not known. The draws are those of the scene's seed.
     """
     whole = Kept(np.ones(len(weight)))
-    fitted = tuple(recipe for recipe in recipes if recipe.steps != ("none",))
-    if setup.scene.atmosphere is None or not fitted:
+    fitted = tuple(recipe for recipe in recipes if recipe.takes_responsivities)
+    if setup.scene.atmosphere is None or setup.calibration is not None or not fitted:
         return {recipe.data_set: whole for recipe in recipes}
     n_scans, n_pilot = _pilot_size(setup, len(weight))
     if n_scans * n_pilot * _scan_samples(setup) > _MOST_SAMPLES:
@@ -68,9 +69,11 @@ def _scan_samples(setup: Setup) -> int:
 
 
 def _pilot_size(setup: Setup, n_obs: int) -> tuple[int, int]:
-    """Scans of an observation and observations of a pilot."""
+    """Scans of an observation and observations of a pilot: all scans that are fitted together."""
     scans = _SAMPLES / _scan_samples(setup)
     n_scans = int(np.clip(scans / MOST_OBSERVATIONS, 1, MOST_SCANS))
+    if setup.scene.cleaning.responsivities == OBSERVATION:
+        n_scans = setup.raster.n_scans
     n_pilot = int(np.clip(scans / n_scans, _FEWEST_OBSERVATIONS, MOST_OBSERVATIONS))
     return min(n_scans, setup.raster.n_scans), min(n_pilot, n_obs)
 

@@ -24,9 +24,9 @@ class PointResult:
 
     `off` is the actual data's forecast over the simulation, less 1, with the standard error of that, empty where there
     is only one of them; `flags` say why the forecast may be off.
-
-    `skies` is equal for points whose windows are measured with the same skies. `wall_s` is the time that the point
-    took since it was started or, the last time, resumed.
+    `discarded` is the share of discarded scans by data set, empty where it is not known, and `discarded_by_weather`
+    that of quarters of the observations (`surveysim.discards`). `skies` is equal for points whose windows are measured
+    with the same skies. `wall_s` is the time that the point took since it was started or, the last time, resumed.
     """
 
     n_det: int
@@ -34,6 +34,8 @@ class PointResult:
     forecast_ukcmb2: dict[str, float]
     off: list[float]
     flags: list[str]
+    discarded: dict[str, float]
+    discarded_by_weather: list[dict[str, Any]]
     skies: str
     unscored: str
     wall_s: float

@@ -10,6 +10,7 @@ from surveysim.agreement import Agreement, agreement, run_forecast
 from surveysim.choice import TARGETS, best_places
 from surveysim.coadds import CoAdds, row_names
 from surveysim.control import Controlled, controlled_scores
+from surveysim.discards import Discards, discards
 from surveysim.engines import SERIAL
 from surveysim.forecast import DataSetForecast, Forecast
 from surveysim.provenance import made_by, now
@@ -93,6 +94,11 @@ class SurveyResult:
     controlled: dict[str, Controlled]
     limits: Limits
     engine: str
+
+    @property
+    def discards(self) -> Discards:
+        """Shares of discarded scans."""
+        return discards(self.setup, self.coadds)
 
     @property
     def estimate(self) -> Estimate | None:
@@ -259,6 +265,9 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "left_out": left_out(setup),
         "scans": coadds.done * setup.raster.n_scans,
         "scans_discarded": int(columns[f"discarded_{ACTUAL}"].sum()),
+        "discarded": result.discards.shares,
+        "discarded_by_weather": result.discards.by_weather,
+        "warnings": result.discards.warnings,
         "mean_iterations": float(columns[f"iterations_{ACTUAL}"].mean()),
         "cleaning": {recipe.data_set: _cleaning_entry(recipe, result, columns) for recipe in setup.recipes},
         "stopped": _stopped_entry(result),

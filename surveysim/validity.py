@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from surveysim.conditions import Conditions
+from surveysim.discards import MOST_DISCARDED
 from surveysim.pilot import Kept
 from surveysim.recipes import Recipe
 from surveysim.setup import Setup
 
 LARGE = 0.1  # relative size from which on an effect is flagged
-MOST_DISCARDED = 0.05  # share of scans from which on a loss is flagged
 _RESOLUTIONS = 3.5  # of multipole, from which on a forecast is compared
 _BEAM_LEFT = 0.03  # of the power, up to where it is
 _PIXEL_REACH = 0.75  # of the map pixel's Nyquist multipole
@@ -88,7 +88,7 @@ def effects(setup: Setup, grounds: Grounds) -> tuple[Effect, ...]:
 
 
 def _effects(setup: Setup, grounds: Grounds) -> Iterator[Effect]:
-    if grounds.recipe.steps != ("none",):
+    if grounds.recipe.takes_responsivities:
         yield _discarded(grounds.kept)
     if setup.scene.atmosphere is not None:
         yield _repeated_layer(setup, grounds)

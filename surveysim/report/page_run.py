@@ -7,6 +7,7 @@ from typing import Any
 from surveysim.agreement import GOOD_PSD, KNOWN
 from surveysim.recipes import ACTUAL, OPTIMAL
 from surveysim.report.captions import RUN
+from surveysim.report.page_discards import discarded_section, warned
 from surveysim.report.page_parts import (
     UK2,
     Block,
@@ -51,6 +52,7 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
     sections = [Section("scene", "What was simulated", what_was_simulated(scene, summary, summary["detectors"]))]
     if summary["scores"]:
         sections.append(Section("scores", "Scores", tuple(_scores(summary, scene))))
+    sections.append(discarded_section(summary))
     title = "Error against run time" if summary["scores"] else "Run time"
     sections.append(Section("time", title, (*_time(summary, scene), *timing)))
     if others:
@@ -61,7 +63,8 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
         Section("sources", "Where the values come from", sources(scene)),
         Section("provenance", "Provenance", (provenance(summary), stage_times(summary["run"]))),
     ]
-    return Page("surveysim run", summary["title"], tuple(_lead(summary, scene)), _key_figures(summary), tuple(sections))
+    lead = (*_lead(summary, scene), *warned(summary))
+    return Page("surveysim run", summary["title"], lead, _key_figures(summary), tuple(sections))
 
 
 def run_pictures(directory: Path, summary: Content, scene: Content) -> list[Picture]:
