@@ -152,7 +152,7 @@ def _prepare(scene: Scene) -> Setup:
     excess = shared_noise(cam, scene.excess, "excess")
     return Setup(
         scene=scene,
-        band=scored_band(scene, geometry),
+        band=scored_band(scene, geometry, sky_geometry),
         camera=cam,
         raster=lines,
         blocks=_blocks(scene, cam, lines, ways),
