@@ -38,9 +38,12 @@ class ErrorBudget:
 
 
 def flat_spectrum_psd(ell: np.ndarray) -> np.ndarray:
-    """PSD on the sky of a flat spectrum of unit band power, `2 pi / (ell (ell + 1))`, in uK^2 sr per uK^2."""
+    """PSD on the sky of a flat spectrum of unit band power, `2 pi / (ell (ell + 1))`, in uK^2 sr per uK^2.
+
+    0 at ell = 0: the sky has no mean.
+    """
     ell = np.asarray(ell, dtype=np.float64)
-    return 2 * np.pi / (ell * (ell + 1))
+    return 2 * np.pi / np.where(ell > 0, ell * (ell + 1), np.inf)
 
 
 def flat_band_power(

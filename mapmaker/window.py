@@ -30,6 +30,13 @@ def pixel_window(ell: np.ndarray, pixel_rad: float) -> np.ndarray:
     return np.mean((np.sinc(cycles * np.cos(azimuth)) * np.sinc(cycles * np.sin(azimuth))) ** 2, axis=-1)
 
 
+def mode_pixel_window(n_y: int, n_x: int, cell_rad: float, pixel_rad: float) -> np.ndarray:
+    """Power transmission of square pixels on the half plane of `rfft2`, (n_y, n_x // 2 + 1), cells `cell_rad` wide."""
+    along_y = np.sinc(np.fft.fftfreq(n_y, cell_rad) * pixel_rad) ** 2
+    along_x = np.sinc(np.fft.rfftfreq(n_x, cell_rad) * pixel_rad) ** 2
+    return np.outer(along_y, along_x)
+
+
 def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.ndarray) -> Window:
     """Power transmission from the PSDs of the same skies with and without the losses, both (n_sky, n_bin).
 

@@ -13,7 +13,7 @@ import numpy as np
 from mapmaker.bandpower import flat_band_power, ratio_error, sign_error
 from surveysim.coadds import CoAdds, row_names
 from surveysim.conditions import conditions, population, survey_draws
-from surveysim.forecast import NoiseModel, can_forecast, expected_signal, expected_weights, survey_models
+from surveysim.forecast import NoiseModel, can_forecast, expected_weights, survey_models
 from surveysim.scene import Scene, SceneError
 from surveysim.scores import DataSetScore
 from surveysim.setup import Setup, prepare
@@ -93,7 +93,7 @@ def _sigma(setup: Setup, model: NoiseModel, noise: np.ndarray) -> float:
     """sigma(A), up to a factor, of a survey of one length that consists of these (n_draw, n_bin) observations."""
     weight = expected_weights(setup, noise)
     psd = weight**2 @ noise * len(noise) / weight.sum() ** 2
-    return flat_band_power(psd, expected_signal(setup, model), setup.band.rings.n_modes, setup.band.selected)
+    return flat_band_power(psd, model.signal_psd, setup.band.rings.n_modes, setup.band.selected)
 
 
 def _controlled(

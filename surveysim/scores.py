@@ -9,12 +9,11 @@ from mapmaker.bandpower import (
     BandPower,
     ErrorBudget,
     flat_band_power,
-    flat_spectrum_psd,
     score,
 )
 from mapmaker.binning import weighted_mean
 from mapmaker.spectrum import Annuli, map_psd
-from mapmaker.window import Window, beam_window, pixel_window, signal_window
+from mapmaker.window import Window, signal_window
 from surveysim.coadds import CoAdds
 from surveysim.setup import Setup
 from surveysim.units import rj_to_cmb
@@ -27,8 +26,8 @@ class DataSetScore:
     """One data set's result.
 
     `noise_psd` (n_bin,) [uK_CMB^2 sr] with `noise_psds` (K, n_bin) of the sign-flipped co-adds;
-    `signal_psd` (n_bin,) [sr]; `window` of its array; `weights` (n_obs,) [1/mK^2 a sample], 0 for an
-    observation without data.
+    `signal_psd` (n_bin,) [sr], what the map holds of a flat spectrum of unit band power; `window` of its array;
+    `weights` (n_obs,) [1/mK^2 a sample], 0 for an observation without data.
     """
 
     name: str
@@ -83,7 +82,7 @@ def sector_sigma(setup: Setup, coadds: CoAdds, item: DataSetScore) -> float:
     sectors = setup.band.sectors
     noise = _noise_psds(setup, coadds, setup.data_sets.index(item.name), sectors).mean(axis=0)
     window = _window(setup, coadds, setup.window_of(item.name), sectors)
-    signal = _signal_psd(setup, window)
+    signal = setup.band.sector_psd * window.transmission
     return flat_band_power(noise, signal, sectors.n_modes, np.ones(len(noise), bool))
 
 
@@ -152,7 +151,7 @@ def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _score(setup, name, n_det, psds, window, weights, selected=None) -> DataSetScore:
-    rings, signal = setup.band.rings, _signal_psd(setup, window)
+    rings, signal = setup.band.rings, setup.band.signal_psd * window.transmission
     relative = np.divide(
         window.error, window.transmission, out=np.zeros_like(window.error), where=window.transmission > 0
     )
@@ -166,13 +165,6 @@ def _score(setup, name, n_det, psds, window, weights, selected=None) -> DataSetS
 def _weights(noise_mk2: np.ndarray) -> np.ndarray:
     good = np.isfinite(noise_mk2) & (noise_mk2 > 0)
     return np.divide(1, noise_mk2, out=np.zeros_like(noise_mk2), where=good)
-
-
-def _signal_psd(setup: Setup, window: Window) -> np.ndarray:
-    """PSD (n_bin,) [sr] that a flat spectrum of unit band power leaves in the map."""
-    beam = beam_window(window.ell, setup.scene.instrument.beam_fwhm_rad)
-    pixel = pixel_window(window.ell, setup.scene.map.pixel_rad)
-    return flat_spectrum_psd(window.ell) * beam * pixel * window.transmission
 
 
 def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> np.ndarray:

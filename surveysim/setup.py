@@ -163,7 +163,7 @@ def _prepare(scene: Scene) -> Setup:
     responsivity, of_colours = _responsivity(scene, n_det), _colour_responsivity(scene, n_det)
     return Setup(
         scene=scene,
-        band=scored_band(scene, geometry),
+        band=scored_band(scene, geometry, sky_geometry),
         camera=cam,
         raster=lines,
         blocks=_blocks(scene, cam, lines, ways),
