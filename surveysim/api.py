@@ -122,7 +122,7 @@ def run_sweep(
             remove_points(kept)
     points = run_points(sweep, kept, engine, resume, progress)
     with threadpool_limits(1):  # the same bits on any machine
-        comparison = compare_runs(points, np.random.default_rng(DRAWS_SEED))
+        comparison = compare_runs(points, np.random.default_rng(DRAWS_SEED), sweep.reference)
     seconds = perf_counter() - start
     result = SweepResult(sweep, points, comparison, True, seconds, workers, engine.kind)
     if directory is not None:
@@ -141,7 +141,8 @@ def forecast_sweep(
     start = perf_counter()
     sweep = sweep if isinstance(sweep, Sweep) else load_sweep(sweep)
     points = forecast_points(sweep, progress)
-    result = SweepResult(sweep, points, compare_forecasts(points), False, perf_counter() - start, 1, SERIAL.kind)
+    comparison = compare_forecasts(points, sweep.reference)
+    result = SweepResult(sweep, points, comparison, False, perf_counter() - start, 1, SERIAL.kind)
     if out is not None:
         remove_outputs(Path(out))
         write_sweep(Path(out), result, figures)

@@ -41,6 +41,10 @@ Scheduler = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="of a dask cluster: tcp://host:port, or its scheduler's file")
 ]
 NoFigures = Annotated[bool, typer.Option("--no-figures", help="leave the figures out")]
+Reference = Annotated[
+    str | None,
+    typer.Option(metavar="POINT", help="of a sweep: the point that ratios are to, by its number or as 'KEY = VALUE'"),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
 
 
@@ -63,12 +67,13 @@ def run(
     time_budget: Annotated[
         str | None, typer.Option(metavar="TIME", help='stop simulating after this time, e.g. "60 s"')
     ] = None,
+    reference: Reference = None,
     settings: Overrides = None,
     quiet: Quiet = False,
 ) -> None:
     """Simulate, clean, map and score a scene, or every point of its sweep."""
     with_engine = options.engine(engine, workers, scheduler)
-    if sweep := _sweep(scene, settings):
+    if sweep := _sweep(scene, settings, reference):
         _refuse_for_sweep(scene, save_timestreams, target_error, time_budget)
         _run_sweep(sweep, out, with_engine, resume, not no_figures, quiet)
         return
@@ -84,10 +89,14 @@ def run(
     if resume and not quiet and not (directory / CHECKPOINT).exists():
         typer.echo(f"no checkpoint in {directory}: starting with the first observation", err=True)
     from surveysim.api import run as run_scene
-    from surveysim.progress import progress_display, score_so_far
+    from surveysim.progress import equal_work, progress_display, score_so_far
     from surveysim.report.text import print_result
 
-    with going_on_later(scene, directory), progress_display(checked.name, checked.observations, quiet) as show:
+    work = equal_work(checked.observations)
+    with (
+        going_on_later(scene, directory),
+        progress_display(checked.name, work, quiet, workers=with_engine.workers_for(len(work))) as show,
+    ):
         progress = stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds)))
         todo = (checked, directory, with_engine, resume, save_timestreams, not no_figures, progress)
         result = run_scene(*todo, limits.target_error, limits.time_budget_s)
@@ -115,10 +124,13 @@ def _run_sweep(sweep: "Sweep", out: Path | None, engine: "Engine", resume: bool,
         typer.echo(f"no points in {directory}: starting with the first", err=True)
     from surveysim.api import run_sweep
     from surveysim.progress import progress_display
-    from surveysim.report.text import print_sweep
+    from surveysim.report.sweep_text import print_sweep
 
-    total = len(sweep.points)
-    with going_on_later(sweep.path, directory), progress_display(sweep.name, total, quiet, "points") as show:
+    work = [point.detector_samples for point in sweep.points]
+    with (
+        going_on_later(sweep.path, directory),
+        progress_display(sweep.name, work, quiet, "points", engine.workers_for(len(work))) as show,
+    ):
         result = run_sweep(sweep, directory, engine, resume, figures, stopping(lambda done: show(done, lambda: "")))
     if not quiet:
         print_sweep(result, directory)
@@ -130,6 +142,7 @@ def forecast(
     scene: SceneFile,
     out: Annotated[Path | None, typer.Option(help="where results go; of a sweep outputs/<name>_forecast")] = None,
     no_figures: NoFigures = False,
+    reference: Reference = None,
     settings: Overrides = None,
     quiet: Quiet = False,
 ) -> None:
@@ -138,7 +151,7 @@ def forecast(
     from surveysim.outputs import check_writable, write_forecast
     from surveysim.report.text import print_forecast
 
-    if sweep := _sweep(scene, settings):
+    if sweep := _sweep(scene, settings, reference):
         _forecast_sweep(sweep, out or Path("outputs") / f"{sweep.name}_forecast", not no_figures, quiet)
         return
     checked = _ready(scene, settings)
@@ -156,11 +169,11 @@ def forecast(
 def _forecast_sweep(sweep: "Sweep", directory: Path, figures: bool, quiet: bool) -> None:
     from surveysim.api import forecast_sweep
     from surveysim.outputs import check_writable
-    from surveysim.progress import progress_display
-    from surveysim.report.text import print_sweep
+    from surveysim.progress import equal_work, progress_display
+    from surveysim.report.sweep_text import print_sweep
 
     check_writable(directory)
-    with progress_display(sweep.name, len(sweep.points), quiet, "points") as show:
+    with progress_display(sweep.name, equal_work(len(sweep.points)), quiet, "points") as show:
         result = forecast_sweep(sweep, directory, figures, stopping(lambda done: show(done, lambda: "")))
     if not quiet:
         print_sweep(result, directory)
@@ -197,13 +210,13 @@ def accuracy(
         _fail(f"{scene}: score: missing; accuracy is that of a score")
     from surveysim.accuracy import ladders, measure_accuracy
     from surveysim.outputs import check_writable, remove_outputs, write_accuracy
-    from surveysim.progress import progress_display
+    from surveysim.progress import equal_work, progress_display
     from surveysim.report.accuracy_text import print_accuracy
 
     directory = out or Path("outputs") / f"{checked.name}_accuracy"
     check_writable(directory)
     most = len(ladders(checked, observations)) + seeds  # equal scenes are run once
-    with going_on_later(scene, directory), progress_display(checked.name, most, quiet, "runs") as show:
+    with going_on_later(scene, directory), progress_display(checked.name, equal_work(most), quiet, "runs") as show:
         progress = stopping(lambda done, total: show(done, lambda: ""))
         given = options.settings(settings)
         result = measure_accuracy(scene, given, with_engine, reference_error, seeds, observations, progress)
@@ -217,12 +230,12 @@ def _run_extremes(directory: Path, quiet: bool) -> bool:
     """Run the extreme cases and say what came out; whether all had the outcome that is expected."""
     from surveysim.extremes import CASES, run_case
     from surveysim.outputs import check_writable
-    from surveysim.progress import progress_display
+    from surveysim.progress import equal_work, progress_display
     from surveysim.report.extremes_text import print_extremes, write_extremes
 
     check_writable(directory)
     outcomes = []
-    with progress_display("extremes", len(CASES), quiet, "cases") as show:
+    with progress_display("extremes", equal_work(len(CASES)), quiet, "cases") as show:
         for case in CASES:
             outcomes.append(run_case(case))
             stopping(show)(len(outcomes), lambda: "")
@@ -238,7 +251,8 @@ def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) 
     """Say what would run, what is left out, and what time, memory and disk it would take."""
     from surveysim.engines import default_workers
     from surveysim.plan import make_plan, make_sweep_plan
-    from surveysim.report.text import print_plan, print_sweep_plan
+    from surveysim.report.sweep_text import print_sweep_plan
+    from surveysim.report.text import print_plan
     from surveysim.setup import prepare
 
     workers = options.engine("processes", workers, None).workers or default_workers()
@@ -267,7 +281,7 @@ def paper(
     """Make the paper's tables and figures from simulated observations, beside the paper's values."""
     from surveysim.engines import EngineError
     from surveysim.outputs import check_writable
-    from surveysim.progress import progress_display
+    from surveysim.progress import equal_work, progress_display
     from surveysim.reproduce import FIGURES, TABLES, reproduce, wanted
 
     with_engine = options.engine(engine, workers, scheduler)
@@ -281,7 +295,8 @@ def paper(
     check_writable(out)
     done = count(1)
     try:
-        with progress_display("paper", asked.observations, quiet) as show:
+        work = equal_work(asked.observations)
+        with progress_display("paper", work, quiet, workers=with_engine.workers_for(len(work))) as show:
             written, failed = reproduce(asked, out, with_engine, stopping(lambda: show(next(done), lambda: "")))
     except EngineError as error:
         typer.echo(str(error), err=True)
@@ -383,11 +398,15 @@ def _ready(path: Path, settings: list[str] | None) -> Scene:
     return scene
 
 
-def _sweep(path: Path, settings: list[str] | None) -> "Sweep | None":
-    """The sweep of a scene file that has one, checked and prepared."""
+def _sweep(path: Path, settings: list[str] | None, reference: str | None = None) -> "Sweep | None":
+    """The sweep of a scene file that has one, checked and prepared; raises SceneError for a reference without one."""
     from surveysim.sweep import is_sweep, load_sweep
 
-    return load_sweep(path, options.settings(settings)) if is_sweep(path) else None
+    if is_sweep(path):
+        return load_sweep(path, options.settings(settings), options.point(reference))
+    if reference is not None:
+        _fail(f"{path}: --reference: found a scene without [sweep]; points of a sweep are expected")
+    return None
 
 
 def _fail(message: str) -> NoReturn:

@@ -22,7 +22,9 @@ from surveysim.conditions import (
     population,
     survey_draws,
 )
+from surveysim.courses import NO_COURSES, Courses, template_courses
 from surveysim.noise import excess_psd
+from surveysim.pilot import Kept, predicted_kept
 from surveysim.recipes import Recipe
 from surveysim.response import (
     PROJECTIONS,
@@ -45,13 +47,8 @@ from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene, SceneError
 from surveysim.setup import Setup, prepare, screen
 from surveysim.units import rj_to_cmb
+from surveysim.validity import Effect, Grounds, effects
 
-NEGLECTED = (
-    "the edge of the map, gaps in it and what scans share with each other",
-    "scans that are discarded, and noise in the responsivities that cleaning fits",
-    "that an observation's weight is measured on its own map",
-    "what wind and pca do beyond average subtraction, as which they are taken",
-)
 _ANGLES = 3  # of the array against the scan that stand for all observations
 _SPEEDS, _DIRECTIONS = 5, 4  # of the layer against the scan
 _SLOWEST = 0.02  # relative speed that is told from none, in scan speeds
@@ -59,7 +56,11 @@ _SLOWEST = 0.02  # relative speed that is told from none, in scan speeds
 
 @dataclass(frozen=True)
 class DataSetForecast:
-    """One data set's forecast: `noise_psd` [uK_CMB^2 sr], `signal_psd` [sr] and `transmission`, (n_bin,)."""
+    """One data set's forecast: `noise_psd` [uK_CMB^2 sr], `signal_psd` [sr] and `transmission`, (n_bin,).
+
+    `weights` (n_obs,) [1/mK^2 a sample] of its observations and the scans that are `kept` of them; `effects` are those
+    that it neglects, and where it is out of its range.
+    """
 
     name: str
     n_det: int
@@ -67,6 +68,9 @@ class DataSetForecast:
     noise_psd: np.ndarray
     signal_psd: np.ndarray
     transmission: np.ndarray
+    weights: np.ndarray
+    kept: Kept
+    effects: tuple[Effect, ...]
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,6 @@ class Forecast:
 
     ell: np.ndarray
     scores: dict[str, DataSetForecast]
-    neglected: tuple[str, ...] = NEGLECTED
 
 
 LayerNoise = Callable[[np.ndarray], np.ndarray]  # (n_draw, n_motion) complex [rad/s] to (n_draw, n_bin)
@@ -105,7 +108,11 @@ class NoiseModel:
         """Noise variance a sample [mK^2] of every draw, (n_draw, n_bin)."""
         parts = self.parts
         flat = ((levels.white, parts.white), (levels.shared, parts.shared), (levels.excess, parts.excess))
-        return sum(np.outer(*part) for part in flat) + levels.layer[:, None] * parts.layer(levels.motion)
+        return sum(np.outer(*part) for part in flat) + self.layer_noise(levels)
+
+    def layer_noise(self, levels: Conditions) -> np.ndarray:
+        """The layer's part of `noise`, (n_draw, n_bin)."""
+        return levels.layer[:, None] * self.parts.layer(levels.motion)
 
 
 @dataclass(frozen=True)
@@ -123,8 +130,12 @@ class _Spectrum:
     excess: np.ndarray
 
 
-def forecast(scene: Scene) -> Forecast:
+def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecast:
     """Forecast the data sets of a scene.
+
+    `kept` holds, by the data set of each recipe, the share of scans (n_obs,) that a run kept of each of the survey's
+    first observations: the forecast is then that of the survey as judged by them. By default it is predicted
+    (`surveysim.pilot`).
 
     Raises SceneError for a scene that can't be run, has no [score], or a first cleaning that is none of `PROJECTIONS`.
     """
@@ -134,12 +145,19 @@ def forecast(scene: Scene) -> Forecast:
     if not can_forecast(setup):
         allowed = ", ".join(map(repr, PROJECTIONS))
         raise SceneError(f"cleaning.algorithm: found {setup.recipes[0].label!r}; one of {allowed} can be forecast")
-    levels = conditions(setup, survey_draws(setup, 0, scene.observations))
+    models = survey_models(scene)
+    if kept is None:
+        levels = conditions(setup, survey_draws(setup, 0, scene.observations))
+        weight = expected_weights(setup, models[0].noise(levels))
+        scans = predicted_kept(setup, tuple(filter(is_projection, setup.recipes)), levels, weight)
+    else:
+        levels = conditions(setup, survey_draws(setup, 0, len(next(iter(kept.values())))))
+        scans = {name: Kept(share) for name, share in kept.items()}
     found: dict[str, DataSetForecast] = {}
-    for model in survey_models(scene):
+    for model in models:
         if model.name == model.recipe.data_set:  # the sets that follow share its detectors
             hits = mean_hits(setup, model.recipe)
-        found[model.name] = _scored(setup, model, model.noise(levels), hits)
+        found[model.name] = _scored(setup, model, levels, scans[model.recipe.data_set], hits)
     return Forecast(setup.band.rings.ell, {name: found[name] for name in setup.data_sets if name in found})
 
 
@@ -154,9 +172,9 @@ def noise_models(setup: Setup, levels: Conditions) -> Iterator[NoiseModel]:
 
     Raises SceneError where cleaning can't be forecast.
     """
-    spectrum = _spectrum(setup)
     for recipe in filter(is_projection, setup.recipes):
         arrays = _arrays(setup, recipe, levels)
+        spectrum = _spectrum(setup, fitted_courses(setup, recipe, arrays[0], levels))
         n_det = len(arrays[0].place)
         responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
         transmission = _transmission(setup, spectrum, arrays, responses)
@@ -179,14 +197,29 @@ def is_projection(recipe: Recipe) -> bool:
     return len(recipe.steps) == 1 and recipe.steps[0] in PROJECTIONS
 
 
-def _spectrum(setup: Setup) -> _Spectrum:
+def fitted_courses(setup: Setup, recipe: Recipe, array: Array, levels: Conditions) -> Courses:
+    """Courses that scans lose to what a recipe fits to them, in a layer that passes as fast as in half of `levels`."""
+    fits = {"scan": 1.0, "observation": 1 / setup.raster.n_scans}
+    # PCA fits a mode to each scan, whatever is known of responsivities.
+    share = fits["scan"] if recipe.uses("pca") else fits.get(setup.scene.cleaning.responsivities, 0.0)
+    if setup.scene.atmosphere is None or not len(array.basis) or not share:
+        return NO_COURSES
+    seconds = samples_per_scan(setup.raster) / setup.raster.sample_rate_hz
+    motion = np.median(np.abs(levels.motion))
+    layer = layer_waves(screen(setup.scene), motion * seconds)
+    common = array.seen(2 * np.pi * layer.alpha).mean(axis=0)
+    power = layer.power * (common.real**2 + common.imag**2)
+    return template_courses(_along(layer, motion), power, seconds).less(share)
+
+
+def _spectrum(setup: Setup, courses: Courses) -> _Spectrum:
     scene, lines = setup.scene, setup.raster
     seconds = samples_per_scan(lines) / lines.sample_rate_hz
     modes = ring_modes(setup.band.rings.ell)
     rate = lines.sample_rate_hz
     at_hz = modes.wave.real.ravel() * lines.speed_rad_s / (2 * np.pi)
     at_hz -= rate * np.round(at_hz / rate)  # what samples can't tell apart
-    window = scan_window(seconds, lines.speed_rad_s, scene.score.size_rad, scene.score.taper_fraction)
+    window = scan_window(seconds, lines.speed_rad_s, scene.score.size_rad, scene.score.taper_fraction, courses)
     nodes, weight = frequency_nodes(window, max(1.1 * np.abs(at_hz).max(), 0.5 * rate))
     excess_hz, excess = np.zeros(0), np.zeros(0)
     if scene.excess:
@@ -204,9 +237,11 @@ def _arrays(setup: Setup, recipe: Recipe, levels: Conditions) -> list[Array]:
     plane = setup.camera.focal_plane.subset(recipe.rows)
     angles = np.sort(np.mod(levels.angle, 2 * np.pi))
     chosen = angles[((np.arange(_ANGLES) + 0.5) * len(angles) / _ANGLES).astype(int)] if len(angles) > 1 else angles
-    responsivity = setup.responsivity[recipe.rows]
+    responsivity, assumed = setup.responsivity[recipe.rows], None
+    if setup.calibration is not None and recipe.takes_responsivities:
+        assumed = setup.calibration[0, recipe.rows]
     try:
-        return [projected_array(plane, angle, responsivity, recipe.steps[0]) for angle in np.unique(chosen)]
+        return [projected_array(plane, angle, responsivity, recipe.steps[0], assumed) for angle in np.unique(chosen)]
     except ValueError as error:
         raise SceneError(f"cleaning: {error}") from None
 
@@ -305,7 +340,7 @@ def _simulated_parts(
     seconds = spectrum.window.duration_s
     n_samp = samples_per_scan(setup.raster)
     lines = np.arange(1, (n_samp - 1) // 2 + 1) / seconds
-    hann, nodes = hann_window(seconds), spectrum.nodes_hz
+    hann, nodes = hann_window(seconds, spectrum.window.courses), spectrum.nodes_hz
     window = spectrum.window
     if name == "uncorrelated":
         # Streams of a whole number of periods a scan: lines, without a mean.
@@ -360,19 +395,24 @@ def _transmission(setup: Setup, spectrum: _Spectrum, arrays: list[Array], respon
     return modes.mean((both.real**2 + both.imag**2).ravel())
 
 
-def _scored(setup: Setup, model: NoiseModel, noise: np.ndarray, hits: np.ndarray) -> DataSetForecast:
-    """Weight and co-add observations whose noise a sample is (n_obs, n_bin) [mK^2]; score the map."""
+def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hits: np.ndarray) -> DataSetForecast:
+    """Weight and co-add observations in the conditions `levels`; score the map."""
     scene, band, rings = setup.scene, setup.band, setup.band.rings
-    taper, covered = band.taper**2, hits > 0
+    noise, taper, covered = model.noise(levels), band.taper**2, hits > 0
     if not (noise[:, band.selected].all() and taper[covered].any()):
         raise SceneError("score: found no noise in its multipoles or no scan across its patch; both are expected")
+    if not kept.share.any():
+        raise SceneError("cleaning: found no scan that would be kept; one or more is expected")
     weight = expected_weights(setup, noise)
-    variance = weight**2 @ noise / weight.sum() ** 2
+    # Hits go as the scans that are kept; the PSD of a survey as one over its observations.
+    variance = (weight**2 * kept.share) @ noise / (weight @ kept.share) ** 2 * (len(noise) / scene.observations)
     area = setup.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
     psd = variance * area * (1e3 * rj_to_cmb(scene.instrument.frequency_hz)) ** 2
     signal = expected_signal(setup, model)
     score = band_power(psd, signal, rings.n_modes, band.selected, rings.ell, rings.edges_ell, 0.0)
-    return DataSetForecast(model.name, model.n_det, score, psd, signal, model.transmission)
+    grounds = Grounds(model.recipe, levels, kept, weight, noise, model.layer_noise(levels), score.weight)
+    found = effects(setup, grounds)
+    return DataSetForecast(model.name, model.n_det, score, psd, signal, model.transmission, weight, kept, found)
 
 
 def expected_weights(setup: Setup, noise: np.ndarray) -> np.ndarray:

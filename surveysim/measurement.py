@@ -122,7 +122,7 @@ def measure(setup: Setup, streams: Timestreams, observation: int) -> Measurement
 
 def _clean(setup: Setup, streams: Timestreams, name: str) -> Cleaned:
     section = setup.scene.cleaning
-    options = TemplateOptions(section.tolerance, section.max_iterations)
+    options = TemplateOptions(section.tolerance, section.max_iterations, setup.responsivities)
     return clean(name, streams.data_mk, streams.scan_bounds, streams.focal_plane, options)
 
 

@@ -28,6 +28,11 @@ def setting(text: str) -> tuple[str, Any]:
     return key, parsed["value"] if len(parsed) == 1 else value
 
 
+def point(given: str | None) -> int | str | None:
+    """A point of a sweep by its number or, as text, by its values."""
+    return int(given) if given is not None and given.strip().isdecimal() else given
+
+
 def numbers(option: str, given: list[int] | None, there: tuple[int, ...], everything: bool) -> list[int]:
     """Numbers of tables or figures, in order; fails for one that can't be made."""
     wrong = [number for number in given or () if number not in there]

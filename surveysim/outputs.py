@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from errno import EISDIR, ENOTDIR
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,6 @@ import numpy as np
 
 from mapmaker.binning import BinnedMap, write_fits, write_healpix
 from mapmaker.files import whole_file, write_ecsv
-from surveysim import __version__
 from surveysim.coadds import row_names
 from surveysim.provenance import made_by, now
 from surveysim.report.page import REPORT, write_report
@@ -20,8 +18,9 @@ from surveysim.scan import samples_per_scan
 from surveysim.scene import resolved, scene_hash
 from surveysim.setup import prepare
 from surveysim.stages import left_out
-from surveysim.sweep import numbers_of, value_text
-from surveysim.trade import SweepResult
+from surveysim.sweep_outputs import pair_table, sweep_summary, sweep_table
+from surveysim.tables import Table
+from surveysim.trade import SweepResult, pairs
 
 if TYPE_CHECKING:
     from surveysim.accuracy import AccuracyResult
@@ -29,16 +28,8 @@ if TYPE_CHECKING:
 
 
 DIRECTORIES = ("tables", "maps", "figures", "timestreams", "points")
-FILES = (REPORT, "summary.json", "scene.json", "checkpoint.h5", "sweep.ecsv", "forecast.ecsv", "accuracy.ecsv")
-
-
-@dataclass(frozen=True)
-class Table:
-    """Columns of equal length by name, units of those that have one, and what is said of the whole."""
-
-    columns: dict[str, Any]
-    units: dict[str, str] = field(default_factory=dict)
-    meta: dict[str, Any] = field(default_factory=dict)
+TABLES = ("sweep.ecsv", "sweep_pairs.ecsv", "forecast.ecsv", "accuracy.ecsv")
+FILES = (REPORT, "summary.json", "scene.json", "checkpoint.h5", *TABLES)
 
 
 def check_writable(directory: Path) -> None:
@@ -83,14 +74,16 @@ def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestre
 
 
 def write_sweep(directory: Path, result: SweepResult, figures: bool) -> None:
-    """Write table, figure, summary and report of a sweep below `directory`, with the scene of its first point."""
+    """Write tables, figure, summary and report of a sweep below `directory`, with the scene of its first point."""
     written = [_write_table(directory / "sweep.ecsv", sweep_table(result))]
+    if of_pairs := pairs(result):
+        written.append(_write_table(directory / "sweep_pairs.ecsv", pair_table(of_pairs)))
     written.append(write_text(directory / "scene.json", resolved(result.sweep.points[0].scene) + "\n"))
     if figures and result.comparison.best:
         from surveysim.report.sweep_figure import draw_sweep
 
         written.append(draw_sweep(directory / "figures" / "sweep.png", result))
-    write_summary(directory, sweep_summary(result), written)
+    write_summary(directory, sweep_summary(result, of_pairs), written)
 
 
 def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> None:
@@ -280,106 +273,3 @@ def _observation_table(result: SurveyResult) -> Table:
     if np.isnan(columns["pwv_mm"]).all():  # the scene has its own distribution of B2
         del columns["pwv_mm"], units["pwv_mm"]
     return Table(columns, units)
-
-
-# ---------------------------------------------------------------- sweeps
-
-
-def sweep_table(result: SweepResult) -> Table:
-    """A row for each point: values of the keys, sigma(A) of each data set, and the actual one against the others.
-
-    `sigma_`, `error_` and `forecast_<data set>` are in uK_CMB^2; `ratio` is sigma(A) over that of the reference
-    point with its paired error; `best_probability` that of being the lowest. A forecast's have no errors.
-    """
-    sweep, comparison = result.sweep, result.comparison
-    scenes = [point.scene for point in sweep.points]
-    meta = {
-        "temperature": "CMB",
-        "reference": comparison.reference,
-        "best": list(comparison.best),
-        "surveysim": __version__,
-        "seed": scenes[0].seed,
-        "scenes_sha256": [scene_hash(scene) for scene in scenes],
-    }
-    table = Table({"point": np.arange(len(sweep.points))}, meta=meta)
-    columns = table.columns
-    for key in sweep.points[0].settings:
-        _add_values(table, key, [point.settings[key] for point in sweep.points])
-    columns["n_det"] = [point.n_det for point in result.points]
-    for name in _in_order(item.scores for item in result.points):
-        bands = [item.scores[name].band if name in item.scores else None for item in result.points]
-        columns[f"sigma_{name}"] = [np.nan if band is None else band.sigma_ukcmb2 for band in bands]
-        columns[f"error_{name}"] = [np.nan if band is None else band.error_ukcmb2 for band in bands]
-    for name in _in_order(item.forecast_ukcmb2 for item in result.points):
-        columns[f"forecast_{name}"] = [item.forecast_ukcmb2.get(name, np.nan) for item in result.points]
-    table.units.update({name: "uK2" for name in columns if name.startswith(("sigma_", "error_", "forecast_"))})
-    columns["ratio"] = comparison.ratio
-    if result.simulated:
-        columns["ratio_error"] = comparison.paired_error
-        columns["independent_error"] = comparison.independent_error
-        columns["best_probability"] = comparison.best_probability
-    columns["unscored"] = [item.unscored for item in result.points]
-    return table
-
-
-def _add_values(table: Table, key: str, values: list[Any]) -> None:
-    """A column of a key's values: numbers with their unit, or else text."""
-    found = numbers_of(values)
-    table.columns[key] = [value_text(value) for value in values] if found is None else found[0]
-    if found is not None and found[1]:
-        table.units[key] = found[1]
-
-
-def _in_order(of_points: Iterable[dict[str, Any]]) -> list[str]:
-    """All data sets of all points, in the order in which they first come."""
-    return list(dict.fromkeys(name for names in of_points for name in names))
-
-
-def sweep_summary(result: SweepResult) -> dict[str, Any]:
-    """The content of a sweep's summary.json."""
-    sweep, comparison = result.sweep, result.comparison
-    scene = sweep.points[0].scene
-    points = [_point_entry(result, number) for number in range(len(sweep.points))]
-    return {
-        "scene": sweep.name,
-        "title": scene.title,
-        "seed": scene.seed,
-        **made_by(),
-        "axes": [{"name": axis.name, "keys": list(axis.keys), "values": axis.values} for axis in sweep.axes],
-        "kind": "simulated" if result.simulated else "forecast",
-        "left_out": left_out(prepare(scene)),
-        "reference": comparison.reference,
-        "best": list(comparison.best),
-        "points": points,
-        "run": {
-            "date": now(),
-            "engine": result.engine,
-            "workers": result.workers,
-            "wall_s": result.wall_s,
-            "point_s": [item.wall_s for item in result.points],
-        },
-    }
-
-
-def _point_entry(result: SweepResult, number: int) -> dict[str, Any]:
-    point, item, comparison = result.sweep.points[number], result.points[number], result.comparison
-    bands = {name: score.band for name, score in item.scores.items()}
-    entry = {
-        "point": number,
-        "settings": point.settings,
-        "scene_sha256": scene_hash(point.scene),
-        "n_det": item.n_det,
-        "scores": {
-            name: {"sigma_ukcmb2": band.sigma_ukcmb2, "error_ukcmb2": band.error_ukcmb2} for name, band in bands.items()
-        },
-        "forecast_ukcmb2": item.forecast_ukcmb2,
-    }
-    if item.unscored:
-        entry["unscored"] = item.unscored
-    if np.isfinite(comparison.ratio[number]):
-        entry["ratio"] = float(comparison.ratio[number])
-        if result.simulated:
-            entry["ratio_error"] = float(comparison.paired_error[number])
-            entry["independent_error"] = float(comparison.independent_error[number])
-            entry["best_probability"] = float(comparison.best_probability[number])
-    return entry

@@ -22,13 +22,20 @@ _OF_SET = ("noise_psds", "signal_psd", "weights")
 class PointResult:
     """Scores by data set, or why there are none; forecasts of sigma(A) [uK_CMB^2] by data set.
 
-    `skies` is equal for points whose windows are measured with the same skies. `wall_s` is the time that the point
-    took since it was started or, the last time, resumed.
+    `off` is the actual data's forecast over the simulation, less 1, with the standard error of that, empty where there
+    is only one of them; `flags` say why the forecast may be off.
+    `discarded` is the share of discarded scans by data set, empty where it is not known, and `discarded_by_weather`
+    that of quarters of the observations (`surveysim.discards`). `skies` is equal for points whose windows are measured
+    with the same skies. `wall_s` is the time that the point took since it was started or, the last time, resumed.
     """
 
     n_det: int
     scores: dict[str, DataSetScore]
     forecast_ukcmb2: dict[str, float]
+    off: list[float]
+    flags: list[str]
+    discarded: dict[str, float]
+    discarded_by_weather: list[dict[str, Any]]
     skies: str
     unscored: str
     wall_s: float

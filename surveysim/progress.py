@@ -1,9 +1,12 @@
 """Progress of a run: a bar on a terminal, plain lines elsewhere, with what can be said so far."""
 
+import heapq
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from time import monotonic
+
+import numpy as np
 
 from surveysim.coadds import CoAdds
 from surveysim.scene import Scene
@@ -14,31 +17,100 @@ STATUS_EVERY_S = 4.0
 LINES = 10
 
 
+START_S = 10.0  # at most, that a process takes to start and to compile
+ENOUGH = 0.5  # of the first item's work: less, done since the first was in, does not tell how long the rest takes
+
 Show = Callable[[int, Callable[[], str]], None]  # how many are done; what else there is to say
 
 
+def equal_work(n: int) -> np.ndarray:
+    """Work of so many items that take alike."""
+    return np.ones(n)
+
+
+class TimeLeft:
+    """Estimates of the time left, from when items came in and how much work (n,) each of them is.
+
+    `workers` take the items in turn, and results come in order. The time per work is measured since the first item was
+    in: before it lie start-up and compilation. Until enough work has been done since, it is measured since the start,
+    unless start-up could be most of that.
+    """
+
+    def __init__(self, work: Sequence[float], workers: int, clock: Callable[[], float] = monotonic):
+        self.work, self.workers, self.clock = np.asarray(work, float), workers, clock
+        self.start = clock()
+        self.first: tuple[float, int] | None = None
+        self.times = np.zeros(0)
+        self.end: float | None = None
+
+    def add(self, done: int) -> float | None:
+        """Seconds left now that so many are `done`; None while that can't be said."""
+        now = self.clock()
+        if self.first is None:  # those before it were kept from an earlier run
+            self.first = now, done
+            self.times = finish_times(self.work[max(0, done - 1) :], self.workers)
+        (since, first), times = self.first, self.times
+        whole, so_far = times[-1], times[min(done - first, len(times) - 1)]
+        if so_far >= (1 + ENOUGH) * times[0]:
+            left = (now - since) * (whole - so_far) / (so_far - times[0])
+        elif now - self.start > START_S:
+            left = (now - self.start) * (whole - so_far) / so_far
+        else:
+            self.end = None
+            return None
+        self.end = now + left
+        return left
+
+    def now(self) -> float | None:
+        """Seconds left of the last estimate; None without one, or when it turned out too short."""
+        left = None if self.end is None else self.end - self.clock()
+        return left if left is not None and left > 0 else None
+
+
+def finish_times(work: np.ndarray, workers: int) -> np.ndarray:
+    """When each item (n,) and all before it are done, in units of work: a free worker takes the next."""
+    free, times = [0.0] * workers, []
+    for item in work:
+        times.append(heapq.heapreplace(free, free[0] + float(item)) + float(item))
+    return np.maximum.accumulate(times)
+
+
 @contextmanager
-def progress_display(name: str, total: int, quiet: bool, what: str = "observations") -> Iterator[Show]:
-    """A callable that shows how many of `total` observations (or `what` else) are done, for the time of the block."""
+def progress_display(
+    name: str, work: Sequence[float], quiet: bool, what: str = "observations", workers: int = 1
+) -> Iterator[Show]:
+    """A callable that shows how many observations (or `what` else) are done, for the time of the block.
+
+    `work` has how much each of them is, by which the time left is told.
+    """
+    left = TimeLeft(work, workers)
     if quiet:
         yield lambda done, status: None
     elif sys.stderr.isatty():
-        with _bar(name, total) as show:
+        with _bar(name, len(work), left) as show:
             yield show
     else:
-        yield _lines(name, total, what)
+        yield _lines(name, len(work), what, left)
 
 
 @contextmanager
-def _bar(name: str, total: int) -> Iterator[Show]:
+def _bar(name: str, total: int, left: TimeLeft) -> Iterator[Show]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn
+    from rich.text import Text
+
+    class Remaining(ProgressColumn):
+        """The estimate, counted down until the next item is in."""
+
+        def render(self, task: object) -> Text:
+            seconds = left.now()
+            return Text("" if seconds is None else time_text(seconds))
 
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TimeRemainingColumn(),
+        Remaining(),
         TextColumn("{task.fields[status]}"),
     )
     with Progress(*columns, console=Console(stderr=True)) as bar:
@@ -47,6 +119,7 @@ def _bar(name: str, total: int) -> Iterator[Show]:
 
         def show(done: int, status: Callable[[], str]) -> None:
             nonlocal said
+            left.add(done)
             bar.update(task, completed=done)
             if monotonic() - said > STATUS_EVERY_S:
                 bar.update(task, status=status())
@@ -55,19 +128,24 @@ def _bar(name: str, total: int) -> Iterator[Show]:
         yield show
 
 
-def _lines(name: str, total: int, what: str) -> Show:
+def _lines(name: str, total: int, what: str, left: TimeLeft) -> Show:
     every = max(1, total // LINES)
-    first: list[tuple[float, int]] = []  # when the first was in; before it lie start-up and compilation
 
     def show(done: int, status: Callable[[], str]) -> None:
-        if not first:
-            first.append((monotonic(), done))
+        seconds = left.add(done)
         if done % every == 0 or done == total:
-            since, begun = monotonic() - first[0][0], done - first[0][1]
-            left = f", {since / begun * (total - done):.0f} s left" if begun else ""
-            print(f"{name}: {done}/{total} {what}{left}  {status()}".rstrip(), file=sys.stderr, flush=True)
+            time = "" if seconds is None or done == total else f", {time_text(seconds)}"
+            print(f"{name}: {done}/{total} {what}{time}  {status()}".rstrip(), file=sys.stderr, flush=True)
 
     return show
+
+
+def time_text(seconds: float) -> str:
+    """``90 s left``, in minutes or hours where it is long."""
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit} left"
+    return f"{seconds:.0f} s left"
 
 
 def score_so_far(scene: Scene, coadds: CoAdds) -> str:

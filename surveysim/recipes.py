@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from mapmaker.cleaning import (
+    TEMPLATE_CLEANINGS,
     Cleaned,
     LocalOptions,
     PcaOptions,
@@ -17,6 +18,7 @@ from mapmaker.cleaning import (
     detectors_needed,
     slowness,
 )
+from mapmaker.cleaning.responsivity import SCAN, Responsivities
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.wind import measure_wind, scan_velocities
 from surveysim.sections import Cleaning
@@ -43,6 +45,11 @@ class Recipe:
         return name in self.steps
 
     @property
+    def takes_responsivities(self) -> bool:
+        """Whether one of its steps subtracts templates times responsivities."""
+        return not set(self.steps).isdisjoint(TEMPLATE_CLEANINGS)
+
+    @property
     def rows(self) -> np.ndarray | slice:
         """Index of its detectors into the streams."""
         return slice(None) if self.detectors is None else self.detectors
@@ -60,16 +67,20 @@ def recipes(section: Cleaning, masked: np.ndarray | None) -> tuple[Recipe, ...]:
 @dataclass(frozen=True)
 class Beside:
     """What recipes know beside the streams: `delays_s_rad` (n_scan, 2), the slowness that a wind model shifts by,
-    and `colours_mk` (n_colour, n_det, n_samp) of all detectors.
+    `colours_mk` (n_colour, n_det, n_samp) of all detectors, and their `calibration` (1 + n_colour, n_det),
+    responsivities in the mapped band and the others, or None where they are fitted.
     """
 
     delays_s_rad: np.ndarray
     colours_mk: np.ndarray
+    calibration: np.ndarray | None = None
 
 
-def step_options(section: Cleaning, name: str, beside: Beside, sample_rate_hz: float) -> Any:
+def step_options(
+    section: Cleaning, name: str, beside: Beside, sample_rate_hz: float, responsivities: Responsivities
+) -> Any:
     """The record that one step takes."""
-    template = (section.tolerance, section.max_iterations)
+    template = (section.tolerance, section.max_iterations, responsivities)
     if name == "wind":
         return WindOptions(beside.delays_s_rad, sample_rate_hz, *template)
     if name == "spectral":
@@ -85,7 +96,8 @@ def step_options(section: Cleaning, name: str, beside: Beside, sample_rate_hz: f
 
 def needed_detectors(section: Cleaning, name: str) -> int:
     """How many detectors one step needs."""
-    return detectors_needed(name, step_options(section, name, Beside(np.zeros((1, 2)), np.zeros((1, 1, 1))), 1.0))
+    nothing = Beside(np.zeros((1, 2)), np.zeros((1, 1, 1)))
+    return detectors_needed(name, step_options(section, name, nothing, 1.0, SCAN))
 
 
 def apply_recipe(
@@ -102,12 +114,19 @@ def apply_recipe(
     Before their spectral common mode is subtracted, the other bands are cleaned by the same steps as the mapped one.
     """
     colours = beside.colours_mk[:, recipe.rows]
-    steps: list[tuple[str, Any]] = []
+    known = [section.responsivities] * (1 + len(colours))
+    if beside.calibration is not None:
+        known = list(beside.calibration[:, recipe.rows])
+    # Steps of the mapped band and of the others, which differ in the responsivities.
+    bands: list[list[tuple[str, Any]]] = [[] for _ in known]
     for name in recipe.steps:
-        if name == "spectral" and steps:
-            colours = np.array([_cleaned_alike(steps, colour, scan_bounds, focal_plane) for colour in colours])
-        steps.append((name, step_options(section, name, replace(beside, colours_mk=colours), sample_rate_hz)))
-    return clean_in_order(steps, data_mk, scan_bounds, focal_plane)
+        if name == "spectral" and bands[0]:
+            alike = zip(bands[1:], colours, strict=True)
+            colours = np.array([_cleaned_alike(steps, colour, scan_bounds, focal_plane) for steps, colour in alike])
+        of_rows = replace(beside, colours_mk=colours)
+        for steps, responsivities in zip(bands, known, strict=True):
+            steps.append((name, step_options(section, name, of_rows, sample_rate_hz, responsivities)))
+    return clean_in_order(bands[0], data_mk, scan_bounds, focal_plane)
 
 
 def _cleaned_alike(
@@ -121,10 +140,14 @@ def _cleaned_alike(
 
 
 def what_is_beside(
-    recipes: tuple[Recipe, ...], streams: Timestreams, colours_mk: np.ndarray, sample_rate_hz: float
+    recipes: tuple[Recipe, ...],
+    streams: Timestreams,
+    colours_mk: np.ndarray,
+    calibration: np.ndarray | None,
+    sample_rate_hz: float,
 ) -> Beside:
     """What the recipes need to know of one observation beside its streams."""
-    return Beside(measured_delays(recipes, streams, sample_rate_hz), colours_mk)
+    return Beside(measured_delays(recipes, streams, sample_rate_hz), colours_mk, calibration)
 
 
 def measured_delays(recipes: tuple[Recipe, ...], streams: Timestreams, sample_rate_hz: float) -> np.ndarray:

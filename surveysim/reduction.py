@@ -14,6 +14,7 @@ import numpy as np
 
 from mapmaker.chunks import row_chunks
 from mapmaker.cleaning import Cleaned
+from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.timestreams import Timestreams, scan_bounds, timestream_file
@@ -151,6 +152,13 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
     )
 
 
+def kept_scans(setup: Setup, observation: int) -> np.ndarray:
+    """Which scans each recipe keeps of an observation, (n_recipe, n_scan) bool of the setup's blocks."""
+    _, pointing = observation_path(setup, observation)
+    parts = (_reduce(setup, observation, pointing, block, Stopwatch()) for block in setup.blocks)
+    return np.concatenate([[item.kept for item in part.cleaned] for part in parts], axis=1)
+
+
 def _let_go(streams: Timestreams) -> None:
     """What becomes of streams that are not saved."""
 
@@ -195,7 +203,8 @@ def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch
         index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad, plane)
     with watch("wind"):
         colours = draw_colours(setup, observation, whole, block)
-        beside = what_is_beside(setup.recipes, streams, colours, setup.raster.sample_rate_hz)
+        rate = setup.raster.sample_rate_hz
+        beside = what_is_beside(setup.recipes, streams, colours, setup.calibration, rate)
     cleaned, everyone = [], np.ones(block.n_scans, bool)
     for recipe in setup.recipes:
         with watch("cleaning" if recipe.steps == setup.scene.cleaning.algorithm else f"cleaning {recipe.label}"):
@@ -336,14 +345,26 @@ def _add_window(window: np.ndarray, part: _Part) -> None:
         add_sky_signal(setup, part.pointing, sky, signal, setup.responsivity)
         for recipe, base in zip(setup.recipes, part.cleaned, strict=True):
             rows, place = recipe.rows, setup.windows.index(recipe.data_set)
-            # Scans that are discarded without the signal take all iterations in vain: not once more.
-            both = _clean(setup, recipe, streams, streams.data_mk[rows] + signal[rows], part.beside, base.kept)
+            scans = _cleaned_again(setup, recipe, base.kept)
+            both = _clean(setup, recipe, streams, streams.data_mk[rows] + signal[rows], part.beside, scans)
             kept = base.kept.copy()
-            kept[base.kept] = both.kept
+            kept[scans] &= both.kept
+            if scans is not base.kept and not np.array_equal(kept, base.kept):
+                kept[:] = False  # another fit: the difference is not the signal's alone
             difference = both.data_mk
             difference -= base.data_mk
             for state, data in enumerate((signal[rows], difference)):
                 _bin(part, data, recipe, kept, window[s, place, state], hits)
+
+
+def _cleaned_again(setup: Setup, recipe: Recipe, kept: np.ndarray) -> np.ndarray:
+    """Scans (n_scan,) bool that are cleaned once more, with a signal: those that are kept without it.
+
+    Discarded ones take all iterations in vain. Where all scans share one fit, all have their part in it again, unless
+    it failed.
+    """
+    together = setup.scene.cleaning.responsivities == OBSERVATION and recipe.takes_responsivities
+    return np.ones_like(kept) if together and kept.any() else kept
 
 
 def _window_maps(setup: Setup, window: np.ndarray | None, best: int) -> np.ndarray | None:

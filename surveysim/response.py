@@ -5,12 +5,14 @@ with the phase k.r. Cleaning that projects templates out of the detectors, P, le
 
     a = (1 - P)^H exp(i k.r),
 
-so streams with the cross-spectral matrix C(f) put the power a^H C(f) a into it. A scan is short and its mean is
-removed: with w the transform of the map's taper along the scan, a stream's power at f' enters the mode at f by
+so streams with the cross-spectral matrix C(f) put the power a^H C(f) a into it. P holds the responsivities that
+cleaning assumes; where these are not the true ones, a part of what all detectors see stays. A scan is short and its
+mean is removed: with w the transform of the map's taper along the scan, a stream's power at f' enters the mode at f by
 
     H(f, f') = (w(f - f') - sinc(f' T) w(f))^2,
 
-normalised so that H adds up to 1 over f' if no mean is removed. All is in the scan's frame, whose x axis is the
+normalised so that H adds up to 1 over f' if no mean is removed. Fitted responsivities take a course in time too
+(`surveysim.courses`), which goes from H as the mean does. All is in the scan's frame, whose x axis is the
 direction of the scan; places in it are complex numbers x + i y.
 """
 
@@ -23,6 +25,7 @@ from mapmaker.spectrum import tukey
 from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.spectrum import Screen, beam_transfer, power
 from surveysim.coherence import MOST_DENSE
+from surveysim.courses import NO_COURSES, Courses
 from surveysim.kernels.forecast import windowed_sums
 from surveysim.lattice import SharedNoise
 
@@ -44,11 +47,16 @@ _RADII, _AZIMUTHS = 32, 16  # of the layer's wavevectors
 
 @dataclass(frozen=True)
 class TimeWindow:
-    """A scan of `duration_s` seen through a taper: `transfer` is w at steps of 1 / `per_step` Hz from 0."""
+    """A scan of `duration_s` seen through a taper: `transfer` is w at steps of 1 / `per_step` Hz from 0.
+
+    `of_courses` (n, n_f) is the same of the taper times each of the `courses` that scans lose beside their mean.
+    """
 
     duration_s: float
     transfer: np.ndarray
     per_step: float
+    courses: Courses
+    of_courses: np.ndarray
 
     def at(self, frequency_hz: np.ndarray) -> np.ndarray:
         """w at frequencies of any shape and sign, 0 beyond the table."""
@@ -58,34 +66,51 @@ class TimeWindow:
     def sums(self, strength: np.ndarray, frequency_hz: np.ndarray, at_hz: np.ndarray) -> np.ndarray:
         """Sum of H(f_k, f_a) strength_ka over a, (n_k,); strength (n_k, n_a) or (1, n_a)."""
         mean = np.sinc(frequency_hz * self.duration_s)
+        lost = self.courses.of_waves(frequency_hz, self.duration_s)
         arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (strength, frequency_hz, at_hz))
-        return windowed_sums(*arrays, self.transfer, self.per_step, mean)
+        losses = self.courses.share, self.own(at_hz), lost
+        return windowed_sums(*arrays, self.transfer, self.per_step, mean, *losses)
+
+    def own(self, at_hz: np.ndarray) -> np.ndarray:
+        """What a mode at frequencies (n_f,) holds of each course, (n_f, n)."""
+        step, place = np.arange(len(self.transfer)), np.abs(at_hz) * self.per_step
+        sign = np.where(self.courses.odd[:, None], np.sign(at_hz), 1.0)
+        rows = [np.interp(place, step, row, right=0.0) for row in self.of_courses]
+        return np.ascontiguousarray((sign * np.reshape(rows, sign.shape)).T)
 
     def passed(self, at_hz: np.ndarray) -> np.ndarray:
-        """Share of a signal's amplitude that is left of its own mode once the scan's mean is removed."""
-        return 1 - np.sinc(np.asarray(at_hz) * self.duration_s) * self.at(at_hz) / self.transfer[0]
+        """Mean share of a signal's amplitude that is left of its own mode without the scan's mean and courses."""
+        at_hz = np.atleast_1d(at_hz)
+        mean = np.sinc(at_hz * self.duration_s) * self.at(at_hz)
+        fitted = (self.courses.of_waves(at_hz, self.duration_s) * self.own(at_hz)) @ self.courses.share
+        return 1 - (mean + fitted) / self.transfer[0]
 
 
-def time_window(duration_s: float, taper: np.ndarray, step_s: float) -> TimeWindow:
-    """The window of a taper (n,) at steps of `step_s` about the middle of a scan."""
+def time_window(duration_s: float, taper: np.ndarray, step_s: float, courses: Courses = NO_COURSES) -> TimeWindow:
+    """The window of a taper (n,) at steps of `step_s` about the middle of a scan, which loses the courses too."""
     time = (np.arange(len(taper)) - (len(taper) - 1) / 2) * step_s
     length = len(taper) * step_s
     per_step = _STEPS_PER_CYCLE * length
     frequency = np.arange(_CYCLES * _STEPS_PER_CYCLE + 1) / per_step
-    transfer = np.cos(2 * np.pi * np.outer(frequency, time)) @ taper
-    return TimeWindow(duration_s, transfer * np.sqrt(step_s / np.sum(taper**2)), per_step)
+    phase, scale = 2 * np.pi * np.outer(frequency, time), np.sqrt(step_s / np.sum(taper**2))
+    tapered = taper * courses.at(time, duration_s)
+    of_courses = [(np.sin if odd else np.cos)(phase) @ row for odd, row in zip(courses.odd, tapered, strict=True)]
+    of_courses = scale * np.reshape(of_courses, (len(tapered), len(frequency)))
+    return TimeWindow(duration_s, scale * (np.cos(phase) @ taper), per_step, courses, of_courses)
 
 
-def scan_window(duration_s: float, speed_rad_s: float, size_rad: float, taper_fraction: float) -> TimeWindow:
+def scan_window(
+    duration_s: float, speed_rad_s: float, size_rad: float, taper_fraction: float, courses: Courses = NO_COURSES
+) -> TimeWindow:
     """The window of a map's taper, `size_rad` wide with cosine edges, along a scan through its middle."""
     length = min(duration_s, size_rad / speed_rad_s)
     step = length / _TAPER_STEPS
-    return time_window(duration_s, tukey(_TAPER_STEPS, step * speed_rad_s, size_rad, taper_fraction), step)
+    return time_window(duration_s, tukey(_TAPER_STEPS, step * speed_rad_s, size_rad, taper_fraction), step, courses)
 
 
-def hann_window(duration_s: float) -> TimeWindow:
+def hann_window(duration_s: float, courses: Courses = NO_COURSES) -> TimeWindow:
     """The window of the tapered periodograms that measure the PSD of streams."""
-    return time_window(duration_s, np.hanning(_TAPER_STEPS + 1)[:-1], duration_s / _TAPER_STEPS)
+    return time_window(duration_s, np.hanning(_TAPER_STEPS + 1)[:-1], duration_s / _TAPER_STEPS, courses)
 
 
 def frequency_nodes(window: TimeWindow, highest_hz: float) -> tuple[np.ndarray, np.ndarray]:
@@ -134,38 +159,48 @@ def ring_modes(ell: np.ndarray) -> Modes:
 class Array:
     """Some detectors as a scan sees them, cleaned by one projection.
 
-    `place` (n_det,) complex [rad]; `responsivity` (n_det,); `basis` (n_par, n_det), orthonormal templates.
+    `place` (n_det,) complex [rad]; `responsivity` (n_det,) by which they see, `assumed` (n_det,) those that cleaning
+    takes for it; `basis` (n_par, n_det), orthonormal templates.
     """
 
     place: np.ndarray
     responsivity: np.ndarray
+    assumed: np.ndarray
     basis: np.ndarray
 
     def cleaned(self, streams: np.ndarray) -> np.ndarray:
         """(1 - P) of values (n_det, ...), as cleaning with these responsivities leaves them."""
-        gain = self.responsivity[:, None]
+        gain = self.assumed[:, None]
         return streams - gain * (self.basis.T @ (self.basis @ (streams / gain)))
 
     def response(self, wave: np.ndarray) -> np.ndarray:
         """The array response a (n_det, n_mode) to modes (n_mode,)."""
         phase = self.seen(wave)
-        return phase - (self.basis.T @ (self.basis @ (phase * self.responsivity[:, None]))) / self.responsivity[:, None]
+        gain = self.assumed[:, None]
+        return phase - (self.basis.T @ (self.basis @ (phase * gain))) / gain
 
     def seen(self, wave: np.ndarray) -> np.ndarray:
         """exp(i k.r), (n_det, n_mode)."""
         return np.exp(1j * (np.outer(self.place.real, wave.real) + np.outer(self.place.imag, wave.imag)))
 
 
-def projected_array(plane: FocalPlane, angle_rad: float, responsivity: np.ndarray, algorithm: str) -> Array:
+def projected_array(
+    plane: FocalPlane,
+    angle_rad: float,
+    responsivity: np.ndarray,
+    algorithm: str,
+    assumed: np.ndarray | None = None,
+) -> Array:
     """Detectors whose y axis has the position angle `angle_rad` from the scan's direction, cleaned by an algorithm.
 
-    `algorithm` is one of `PROJECTIONS`; raises ValueError as `mapmaker.clean` for arrays that do not support it.
+    `assumed` are the responsivities that it takes, None for the true ones. `algorithm` is one of `PROJECTIONS`; raises
+    ValueError as `mapmaker.clean` for arrays that do not support it.
     """
     # sky_vector of surveysim.pointing as complex numbers.
     place = np.exp(-1j * angle_rad) * (-plane.x_rad + 1j * plane.y_rad)
     exponents = PROJECTIONS[algorithm]
     basis = template_basis(plane, exponents) if exponents else np.zeros((0, len(place)))
-    return Array(place, responsivity, basis)
+    return Array(place, responsivity, responsivity if assumed is None else assumed, basis)
 
 
 def matrix_power(response: np.ndarray, correlation: np.ndarray | SharedNoise | None) -> np.ndarray:
@@ -188,7 +223,7 @@ def stream_power(array: Array, correlation: np.ndarray | SharedNoise | None) -> 
 
 def _projected_power(array: Array, correlation: SharedNoise) -> float:
     """What cleaning takes of the trace of K: with ``P = U V^T``, that of ``P K + K P^T - P K P^T``."""
-    gain = array.responsivity[:, None]
+    gain = array.assumed[:, None]
     u, v = gain * array.basis.T, array.basis.T / gain
     ku, kv = correlation @ u, correlation @ v
     return float(2 * np.sum(v * ku) - np.sum((v.T @ kv) * (u.T @ u)))

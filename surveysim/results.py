@@ -5,16 +5,18 @@ from typing import Any
 
 import numpy as np
 
-from mapmaker.bandpower import BandPower, flat_band_power_fixed_weights, noise_error
+from mapmaker.bandpower import BandPower, flat_band_power_fixed_weights
+from surveysim.agreement import Agreement, agreement, run_forecast
 from surveysim.choice import TARGETS, best_places
 from surveysim.coadds import CoAdds, row_names
 from surveysim.control import Controlled, controlled_scores
+from surveysim.discards import Discards, discards
 from surveysim.engines import SERIAL
-from surveysim.forecast import DataSetForecast, Forecast, can_forecast, forecast
+from surveysim.forecast import DataSetForecast, Forecast
 from surveysim.provenance import made_by, now
 from surveysim.recipes import ACTUAL, Recipe
 from surveysim.scan import samples_per_scan
-from surveysim.scene import SceneError, scene_hash
+from surveysim.scene import scene_hash
 from surveysim.scores import DataSetScore, Gain, flux_removed, gain, rescore, score_survey, sector_sigma
 from surveysim.setup import Setup
 from surveysim.stages import absent_sections, left_out, stages_that_run
@@ -32,10 +34,10 @@ from surveysim.stopping import (
     stop_reason,
 )
 from surveysim.truth import truth
+from surveysim.validity import resolution_ell
 
 PSD_AT_HZ = (0.01, 0.1, 1.0)
-COMPARED_ELL = (2500, 15000)  # below, the ends of scans and the map's edge rule; beyond, its pixels
-ALTERNATIVE_ELL_MIN = (1000, 2000, 3000, 4000, 4500, 5000, 5500)
+ALTERNATIVE_NINTHS = (2, 4, 6, 8, 9, 10, 11)  # of the scene's lowest scored multipole
 
 OPTIMAL_METHOD = (
     "The optimal set takes for each observation the recipe whose own map has the least noise for its signal, which "
@@ -94,6 +96,11 @@ class SurveyResult:
     engine: str
 
     @property
+    def discards(self) -> Discards:
+        """Shares of discarded scans."""
+        return discards(self.setup, self.coadds)
+
+    @property
     def estimate(self) -> Estimate | None:
         """The best estimate of the actual data's sigma(A); None without a score."""
         return best_estimate(self.scores, self.controlled)
@@ -136,18 +143,10 @@ def survey_result(
             removed = flux_removed(setup, coadds)
         except ValueError as error:  # too few observations, or too few scans kept in them
             scores, ratios, others, removed, unscored = {}, {}, [], {}, str(error)
-    expected = _forecast(setup) if scores else None
+    expected = run_forecast(setup, coadds) if scores else None
     controlled = controlled_scores(setup, coadds, scores)
     found = scores, ratios, others, removed, expected
     return SurveyResult(setup, coadds, *found, wall_s, workers, unscored, controlled, limits, engine)
-
-
-def _forecast(setup: Setup) -> Forecast | None:
-    """The forecast beside a run, None where the scene has none: a finished run never fails for want of it."""
-    try:
-        return forecast(setup.scene) if can_forecast(setup) else None
-    except SceneError:
-        return None
 
 
 def score_rows(result: SurveyResult) -> list[Row]:
@@ -173,42 +172,10 @@ def _row(item: DataSetScore, expected: DataSetForecast | None) -> Row:
     return Row(item.name, item.n_det, band.sigma_ukcmb2, band.error_ukcmb2, band.ell_eff, band.fwhm_ell, sigma, None)
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """Forecast over simulation of one data set, less 1, each with the simulation's own error.
-
-    `sigma` of sigma(A); `psd` of the noise PSD in the bin around `worst_ell`, of those from 2500 to 15000 the one that
-    is furthest off for certain (by two standard errors); NaN without such bins.
-    """
-
-    sigma: float
-    sigma_error: float
-    psd: float
-    psd_error: float
-    worst_ell: float
-
-
 def forecast_agreement(result: SurveyResult) -> dict[str, Agreement]:
     """How far the forecast of each data set is from what was simulated; empty without a forecast."""
-    if result.expected is None:
-        return {}
-    return {name: _agreement(result, result.scores[name], item) for name, item in result.expected.scores.items()}
-
-
-def _agreement(result: SurveyResult, simulated: DataSetScore, expected: DataSetForecast) -> Agreement:
-    band, (low, high) = simulated.band, COMPARED_ELL
-    edges = result.setup.band.rings.edges_ell
-    bins = np.flatnonzero((edges[:-1] >= low) & (edges[1:] <= high))
-    psd, error, ell = np.nan, np.nan, np.nan
-    if len(bins):
-        weights = simulated.weights[simulated.weights > 0]
-        off = expected.noise_psd[bins] / simulated.noise_psd[bins] - 1
-        errors = np.array([noise_error(simulated.noise_psds[:, [k]], np.ones(1), weights) for k in bins])
-        errors *= 1 + off
-        worst = int(np.argmax(np.abs(off) - 2 * errors))
-        psd, error, ell = float(off[worst]), float(errors[worst]), float(band.ell[bins[worst]])
-    ratio = expected.band.sigma_ukcmb2 / band.sigma_ukcmb2
-    return Agreement(ratio - 1, ratio * band.error_ukcmb2 / band.sigma_ukcmb2, psd, error, ell)
+    expected = result.expected.scores if result.expected else {}
+    return {name: agreement(result.setup, result.scores[name], item) for name, item in expected.items()}
 
 
 def _gains(setup: Setup, scores: dict[str, DataSetScore]) -> dict[str, Gain]:
@@ -232,13 +199,22 @@ def _alternatives(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore])
     data's noise) or "own, 2-D" (modes also by their direction, which the scans set; the scene's range).
     Masked sets are scaled by their share of the detectors.
     """
-    score, edges = setup.scene.score, setup.band.rings.edges_ell
-    lowest = [ell for ell in ALTERNATIVE_ELL_MIN if ell in edges and ell + score.ell_bin <= score.ell_max]
+    lowest = _lowest_multipoles(setup)
     rows = [_alternative(setup, scores, weights, ell) for weights in ("own", "actual") for ell in lowest]
     if setup.band.sectors is not None:
         sigma = {name: sector_sigma(setup, coadds, item) for name, item in scores.items()}
-        rows.append(_alternative_row(setup, scores, "own, 2-D", scores["actual"].band, score.ell_min, sigma))
+        ell_min = setup.scene.score.ell_min
+        rows.append(_alternative_row(setup, scores, "own, 2-D", scores["actual"].band, ell_min, sigma))
     return rows
+
+
+def _lowest_multipoles(setup: Setup) -> list[int]:
+    """Edges of bins about the scene's own lowest multipole, none below what scans and taper resolve."""
+    score = setup.scene.score
+    ninths = np.array(ALTERNATIVE_NINTHS) * score.ell_min / 9
+    edges = np.unique(np.round(ninths / score.ell_bin).astype(int) * score.ell_bin)
+    used = (edges >= resolution_ell(setup)) & (edges + score.ell_bin <= score.ell_max)
+    return edges[used].tolist()
 
 
 def _alternative(setup: Setup, scores: dict[str, DataSetScore], weights: str, ell_min: int) -> dict[str, float | str]:
@@ -289,6 +265,9 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "left_out": left_out(setup),
         "scans": coadds.done * setup.raster.n_scans,
         "scans_discarded": int(columns[f"discarded_{ACTUAL}"].sum()),
+        "discarded": result.discards.shares,
+        "discarded_by_weather": result.discards.by_weather,
+        "warnings": result.discards.warnings,
         "mean_iterations": float(columns[f"iterations_{ACTUAL}"].mean()),
         "cleaning": {recipe.data_set: _cleaning_entry(recipe, result, columns) for recipe in setup.recipes},
         "stopped": _stopped_entry(result),
@@ -297,10 +276,12 @@ def summary(result: SurveyResult) -> dict[str, Any]:
     if result.unscored:
         content["unscored"] = result.unscored
     if result.scores:
+        expected = result.expected.scores if result.expected else {}
         content["scores"] = {row.name: _score_entry(row) for row in score_rows(result)}
         content["error_budget"] = {name: vars(item.budget) for name, item in result.scores.items()}
         content["controlled"] = {name: _controlled_entry(item) for name, item in result.controlled.items()}
         content["forecast_over_simulated"] = {name: vars(item) for name, item in forecast_agreement(result).items()}
+        content["forecast"] = {name: _forecast_entry(item) for name, item in expected.items()}
         content["gains"] = {name: vars(item) for name, item in result.gains.items()}
         content["alternatives"] = result.alternatives
         if result.fine_cost:
@@ -375,6 +356,10 @@ def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
 
 def _controlled_entry(item: Controlled) -> dict[str, Any]:
     return {key: value for key, value in vars(item).items() if key != "budget"} | {"error_budget": vars(item.budget)}
+
+
+def _forecast_entry(item: DataSetForecast) -> dict[str, Any]:
+    return {"discarded": item.kept.discarded, "effects": [vars(effect) for effect in item.effects]}
 
 
 def _score_entry(row: Row) -> dict[str, float]:

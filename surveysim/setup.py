@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from mapmaker.cleaning.responsivity import OBSERVATION, Responsivities
 from mapmaker.geometry import MapGeometry, covering_geometry
 from surveysim.band import Band, scored_band
 from surveysim.blocks import Block, scan_blocks
@@ -44,11 +45,13 @@ class Setup:
     """A scene made ready: nothing here depends on the observation but the angles' rows.
 
     `photon_overlap` and `excess_factor`, what detectors share of these noises, None where they share nothing;
-    `responsivity` (n_det,); `recipes` all ways of cleaning, those of the masked array last; `masked` indices of the
-    detectors that it keeps, or None; `sky_mk` on `sky_geometry` or None; `window_skies_mk` (n_sky, n_y, n_x) or None,
-    the last of a point source where recipes are compared; `strips` the atmosphere's strips or None; `water` what the
-    band makes of the site's water, None without a site, and `colour_waters` what the other bands make of it;
-    `colour_responsivity` (n_colour, n_det); `blocks` that an observation is made in.
+    `responsivity` (n_det,), the true one; `calibration` (1 + n_colour, n_det), responsivities that cleaning takes as
+    known in the mapped band and the others, or None where it fits them; `recipes` all ways of cleaning, those of the
+    masked array last; `masked` indices of the detectors that it keeps, or None; `sky_mk` on `sky_geometry` or None;
+    `window_skies_mk` (n_sky, n_y, n_x) or None, the last of a point source where recipes are compared; `strips` the
+    atmosphere's strips or None; `water` what the band makes of the site's water, None without a site, and
+    `colour_waters` what the other bands make of it; `colour_responsivity` (n_colour, n_det); `blocks` that an
+    observation is made in.
     """
 
     scene: Scene
@@ -61,6 +64,7 @@ class Setup:
     band: Band | None
     recipes: tuple[Recipe, ...]
     responsivity: np.ndarray
+    calibration: np.ndarray | None
     photon_overlap: Overlap | Torus | None
     excess_factor: np.ndarray | TorusRoot | None
     strips: object | None
@@ -80,6 +84,11 @@ class Setup:
         """Samples of one block among those of an observation."""
         per_scan = samples_per_scan(self.raster)
         return slice(block.first * per_scan, block.end * per_scan)
+
+    @property
+    def responsivities(self) -> Responsivities:
+        """What template cleaning of all detectors takes: a way to fit them, or known ones (n_det,)."""
+        return self.scene.cleaning.responsivities if self.calibration is None else self.calibration[0]
 
     @property
     def stream_type(self) -> np.dtype:
@@ -150,6 +159,8 @@ def _prepare(scene: Scene) -> Setup:
     check_excess(scene)
     ways = recipes(scene.cleaning, masked)
     excess = shared_noise(cam, scene.excess, "excess")
+    n_det = len(cam.focal_plane.x_rad)
+    responsivity, of_colours = _responsivity(scene, n_det), _colour_responsivity(scene, n_det)
     return Setup(
         scene=scene,
         band=scored_band(scene, geometry),
@@ -160,13 +171,14 @@ def _prepare(scene: Scene) -> Setup:
         geometry=geometry,
         sky_geometry=sky_geometry,
         recipes=ways,
-        responsivity=_responsivity(scene, len(cam.focal_plane.x_rad)),
+        responsivity=responsivity,
+        calibration=_calibration(scene, np.vstack([responsivity[None], of_colours])),
         photon_overlap=shared_noise(cam, scene.photon, "photon"),
         excess_factor=None if excess is None else excess.factor(),
         strips=_strips(scene, cam),
         water=_water(scene, scene.instrument),
         colour_waters=tuple(_water(scene, colour) for colour in scene.instrument.colours),
-        colour_responsivity=_colour_responsivity(scene, len(cam.focal_plane.x_rad)),
+        colour_responsivity=of_colours,
         sky_mk=_sky(scene, sky_geometry),
         window_skies_mk=_window_skies(scene, sky_geometry),
         masked=masked,
@@ -203,6 +215,12 @@ def _blocks(scene: Scene, cam: Camera, lines: Raster, ways: tuple[Recipe, ...]) 
         raise SceneError(
             f"{key}, which cuts an observation into {len(found)} blocks; 'wind' cleaning measures the wind of a whole "
             f"one, whose {scan_bytes * lines.n_scans / 1e6:.4g} MB or more are expected, or another cleaning.algorithm"
+        )
+    together = scene.cleaning.responsivities == OBSERVATION and any(recipe.takes_responsivities for recipe in ways)
+    if len(found) > 1 and together:
+        raise SceneError(
+            f"{key}, which cuts an observation into {len(found)} blocks; cleaning.responsivities 'observation' needs a "
+            f"whole one, whose {scan_bytes * lines.n_scans / 1e6:.4g} MB or more are expected, or 'survey' in its place"
         )
     return found
 
@@ -248,6 +266,19 @@ def _responsivity(scene: Scene, n_det: int, realization: int = 0) -> np.ndarray:
     # Log-normal, so that a large scatter never turns a detector's sign; relative, so that their mean is 1.
     responsivity = np.exp(scene.instrument.responsivity_scatter * scatter)
     return responsivity / responsivity.mean()
+
+
+def _calibration(scene: Scene, true: np.ndarray) -> np.ndarray | None:
+    """Responsivities (n_band, n_det) that cleaning takes as known, from the true ones; None where it fits them."""
+    section = scene.cleaning
+    if section.responsivities == "known":
+        return true
+    if section.responsivities != "survey":
+        return None
+    rngs = (generator(scene.seed, Stage.CALIBRATION, realization=band) for band in range(len(true)))
+    error = np.array([rng.standard_normal(true.shape[1]) for rng in rngs])
+    assumed = true * np.exp(section.calibration_error * error)  # log-normal, as the responsivities are
+    return assumed / assumed.mean(axis=1, keepdims=True)
 
 
 def shared_noise(cam: Camera, section: Photon | Excess | None, name: str) -> Overlap | Torus | None:

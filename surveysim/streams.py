@@ -24,6 +24,7 @@ class Stage(IntEnum):
     WINDOW_SKY = 10
     JACKKNIFE = 11
     TREND = 12
+    CALIBRATION = 13
 
 
 def generator(

@@ -4,6 +4,7 @@ Every point is the scene of the file with some keys replaced. All have one seed,
 depend on these keys are common to all points, and differences between points are known better than the points.
 """
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -22,6 +23,7 @@ from surveysim.setup import prepare
 MAX_POINTS = 1000
 LABEL_LENGTH = 40
 COMMON = ("seed", "name", "title", "sweep")  # to all points
+REFERENCE = "reference"  # of [sweep]: no axis, if its value is a number or a text, which an axis never is
 
 T = TypeVar("T")
 
@@ -35,14 +37,36 @@ class Axis:
     values: tuple[tuple[Any, ...], ...]
 
     @property
+    def telling_keys(self) -> tuple[str, ...]:
+        """Keys that tell the steps apart: the first one if its values do, or else all whose values differ."""
+        texts = [[value_text(value) for value in column] for column in zip(*self.values, strict=True)]
+        if len(set(texts[0])) == len(self.values):
+            return self.keys[:1]
+        varying = tuple(key for key, column in zip(self.keys, texts, strict=True) if len(set(column)) > 1)
+        return varying or self.keys[:1]
+
+    @property
     def labels(self) -> list[str]:
-        """Values of the first key, by which the axis goes, as short text."""
-        texts = [value_text(values[0]) for values in self.values]
-        return [text if len(text) <= LABEL_LENGTH else f"{text[: LABEL_LENGTH - 3]}..." for text in texts]
+        """Each step's value of the first key, or ``key = value`` of all `telling_keys`, as short text.
+
+        Steps that look alike all the same have their number behind.
+        """
+        telling = self.telling_keys
+        columns = [[_short(values[self.keys.index(key)]) for values in self.values] for key in telling]
+        if telling == self.keys[:1]:
+            texts = columns[0]
+        else:
+            names = _short_names(telling)
+            texts = [
+                ", ".join(f"{name} = {text}" for name, text in zip(names, row, strict=True))
+                for row in zip(*columns, strict=True)
+            ]
+        return [f"{text} #{step}" if texts.count(text) > 1 else text for step, text in enumerate(texts)]
 
     def at(self, step: int) -> str:
-        """``name = value`` of one step."""
-        return f"{self.name} = {self.labels[step]}"
+        """``name = value`` of one step, or ``name (key = value, ...)``."""
+        text = self.labels[step]
+        return f"{self.name} = {text}" if self.telling_keys == self.keys[:1] else f"{self.name} ({text})"
 
 
 @dataclass(frozen=True)
@@ -63,11 +87,15 @@ class Point:
 
 @dataclass(frozen=True)
 class Sweep:
-    """A scene file with [sweep]: its axes, and the points of all combinations, those of the last axis in a row."""
+    """A scene file with [sweep]: its axes, and the points of all combinations, those of the last axis in a row.
+
+    `reference` is the number of the point that the others are compared with.
+    """
 
     path: Path
     axes: tuple[Axis, ...]
     points: tuple[Point, ...]
+    reference: int = 0
 
     @property
     def name(self) -> str:
@@ -80,11 +108,14 @@ def is_sweep(path: str | Path) -> bool:
     return "sweep" in read_scene(Path(path))[1]
 
 
-def load_sweep(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Sweep:
+def load_sweep(
+    path: str | Path, overrides: Mapping[str, Any] | None = None, reference: int | str | None = None
+) -> Sweep:
     """Read a scene file with [sweep], and check and prepare the scene of every point.
 
-    `overrides` maps dotted keys, which the sweep leaves alone, to values. Raises SceneError with one line for each
-    error: file, key, found, allowed, and the point unless all have the error.
+    `overrides` maps dotted keys, which the sweep leaves alone, to values. `reference` takes the place of the file's
+    `sweep.reference`: the number of a point or its values, as ``key = value, ...``. Raises SceneError with one line
+    for each error: file, key, found, allowed, and the point unless all have the error.
     """
     path, overrides = Path(path), dict(overrides or {})
     text, content = read_scene(path)
@@ -101,7 +132,13 @@ def load_sweep(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
         samples = setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster) * scene.observations
         return Point(number, places[number], labels[number], settings[number], scene, setup.n_det, samples)
 
-    return Sweep(path, axes, tuple(_of_all(path, labels, point)))
+    points = tuple(_of_all(path, labels, point))
+    name = "sweep.reference" if reference is None else "--reference"
+    try:
+        chosen = _reference(name, _given_reference(content) if reference is None else reference, axes, points)
+    except ValueError as error:
+        raise SceneError(f"{path}: {error}") from None
+    return Sweep(path, axes, points, chosen)
 
 
 def value_text(value: Any) -> str:
@@ -149,13 +186,18 @@ def _axes(path: Path, content: Mapping[str, Any], overrides: Mapping[str, Any]) 
         found = "missing" if table is None else f"found {shown(table)}"
         raise SceneError(f"{path}: sweep: {found}; a table of keys with lists of values is expected")
     axes, wrong = [], []
+    given = {REFERENCE} if _given_reference(content) is not None else set()
     for name, value in table.items():
+        if name in given:
+            continue
         try:
             axes.append(_axis(name, value))
         except ValueError as error:
             wrong.append(str(error))
     if wrong:
         raise SceneError("\n".join(f"{path}: {line}" for line in wrong))
+    if not axes:
+        raise SceneError(f"{path}: sweep: found {REFERENCE!r} alone; a key with a list of values is expected")
     try:
         _check_together(axes, overrides)
     except ValueError as error:
@@ -212,6 +254,48 @@ def _check_together(axes: Sequence[Axis], overrides: Mapping[str, Any]) -> None:
 def _overlap(key: str, other: str) -> bool:
     """Whether two dotted keys are one, or one is a section that holds the other."""
     return f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}.")
+
+
+def _given_reference(content: Mapping[str, Any]) -> int | str | None:
+    """The reference point that the table [sweep] names, if any."""
+    value = content["sweep"].get(REFERENCE)
+    return value if isinstance(value, int | str) else None
+
+
+def _reference(name: str, given: int | str | None, axes: Sequence[Axis], points: Sequence[Point]) -> int:
+    """Number of the reference point, by default the first; raises ValueError unless the text names one."""
+    if isinstance(given, bool):
+        raise ValueError(f"{name}: found {shown(given)}; the number of a point, or its values, is expected")
+    if given is None or isinstance(given, int):
+        if not 0 <= (given or 0) < len(points):
+            raise ValueError(f"{name}: found {given}; the number of a point, 0 to {len(points) - 1}, is expected")
+        return given or 0
+    found = [point.number for point in points if _is_named(given, point, axes)]
+    if len(found) != 1:
+        others = f"that names {len(found)} points" if found else "that names no point"
+        raise ValueError(f"{name}: found {given!r}, {others}; as in {points[0].label!r}, one is expected")
+    return found[0]
+
+
+def _is_named(text: str, point: Point, axes: Sequence[Axis]) -> bool:
+    """Whether a text is nothing but ``key = value`` of some keys or axes of a point."""
+    own = [axis.at(step) for axis, step in zip(axes, point.place, strict=True)]
+    own += [f"{key} = {value_text(value)}" for key, value in point.settings.items()]
+    left = re.sub(r"\s*=\s*", " = ", text)
+    for part in sorted(own, key=len, reverse=True):
+        left = left.replace(part, "", 1)
+    return bool(text.strip()) and not left.strip(" ,")
+
+
+def _short(value: Any) -> str:
+    text = value_text(value)
+    return text if len(text) <= LABEL_LENGTH else f"{text[: LABEL_LENGTH - 3]}..."
+
+
+def _short_names(keys: Sequence[str]) -> list[str]:
+    """The last parts of dotted keys, or the whole keys where these are not unique."""
+    last = [key.rpartition(".")[2] for key in keys]
+    return last if len(set(last)) == len(last) else list(keys)
 
 
 def _settings(axes: Iterable[Axis], place: tuple[int, ...]) -> dict[str, Any]:

@@ -8,9 +8,12 @@ from time import perf_counter
 
 import numpy as np
 
+from surveysim.agreement import agreement, run_forecast
 from surveysim.checkpoint import CheckpointError
 from surveysim.coadds import CoAdds
+from surveysim.discards import competing, discards, sweep_warnings, why_withheld
 from surveysim.engines import Engine, ordered_map
+from surveysim.forecast import Forecast, forecast
 from surveysim.point_files import PointResult, finished_points, load_point, point_checkpoint, point_file, save_point
 from surveysim.recipes import ACTUAL
 from surveysim.scene import scene_hash
@@ -22,6 +25,7 @@ from surveysim.sweep import Point, Sweep
 DRAWS = 20_000  # of the best point: a probability of 0.5 is known to 0.004
 _DRAWS_AT_ONCE = 1000
 SURE = 0.995  # from here on a probability rounds to 100 %, which it is not
+MOST_PAIRED = 100  # points with a score, of which every pair is told
 _EQUAL = 1e-9  # relative difference below which two points are equal
 
 
@@ -30,18 +34,37 @@ class Comparison:
     """Points against each other, (n_point,) each and NaN for a point without a score.
 
     `ratio` is sigma(A) over that of the point `reference`, `paired_error` its error and `independent_error` what it
-    would be if the two shared nothing; `best_probability` that of being the lowest. `best` are the lowest points:
-    several if they are equal, none where nothing is scored.
+    would be if the two shared nothing. `best` are the lowest points: several if they are equal, none where nothing is
+    scored. `best_probability` is that of being the lowest of the points that are `competing`, NaN for the others: some
+    points lose too many scans to compete (`surveysim.discards`). `modes` (n_point, n_mode) are the responses of
+    ln sigma to unit deviates that they may have in common.
     """
 
     reference: int | None
     best: tuple[int, ...]
+    competing: np.ndarray
+    modes: np.ndarray
     sigma_ukcmb2: np.ndarray
     error_ukcmb2: np.ndarray
     ratio: np.ndarray
     paired_error: np.ndarray
     independent_error: np.ndarray
     best_probability: np.ndarray
+
+
+@dataclass(frozen=True)
+class Pair:
+    """sigma(A) of `point` over that of `other`, with its paired error and that of independent runs.
+
+    They are `comparable` if both lose few scans, and like shares of them.
+    """
+
+    point: int
+    other: int
+    ratio: float
+    paired_error: float
+    independent_error: float
+    comparable: bool
 
 
 @dataclass(frozen=True)
@@ -55,6 +78,29 @@ class SweepResult:
     wall_s: float
     workers: int
     engine: str
+
+    @property
+    def warnings(self) -> list[str]:
+        """Lines on scans that are discarded, and on a reference point without a score.
+
+        Shares that are predicted are not known well enough to be compared: a forecast's flags tell of them.
+        """
+        labels = [point.label for point in self.sweep.points]
+        found = sweep_warnings(labels, [point.discarded for point in self.points]) if self.simulated else []
+        reference = self.comparison.reference
+        if self.sweep.reference not in (0, reference):
+            other = "" if reference is None else f"; ratios are to {labels[reference]}"
+            found.append(f"the reference point that was chosen, {labels[self.sweep.reference]}, has no score{other}")
+        return found
+
+    def withheld(self, number: int) -> str:
+        """Why a point with a score has no probability of being the best; empty for one that has, or has no score."""
+        comparison = self.comparison
+        scored = np.isfinite(comparison.ratio)
+        if not self.simulated or comparison.competing[number] or not scored[number]:
+            return ""
+        shares = _actual_shares(self.points)
+        return why_withheld(float(shares[number]), float(shares[scored].min()))
 
 
 @dataclass(frozen=True)
@@ -76,8 +122,15 @@ class PointJob:
         except (ValueError, ArithmeticError) as error:
             raise ValueError(f"point ({point.label}): {error}") from None
         scores, unscored = _scored(setup, coadds)
-        forecast, _ = forecast_sigma(point)
-        result = PointResult(setup.n_det, scores, forecast, _skies(setup), unscored, perf_counter() - start)
+        lost = discards(setup, coadds)
+        expected, off = run_forecast(setup, coadds) if scores else None, []
+        if expected is not None:
+            found = agreement(setup, scores[ACTUAL], expected.scores[ACTUAL])
+            off = [found.sigma, found.sigma_error]
+        told = _sigma(expected), off, _flags(expected)
+        result = PointResult(
+            setup.n_det, scores, *told, lost.shares, lost.by_weather, _skies(setup), unscored, perf_counter() - start
+        )
         if self.directory is not None:
             save_point(point_file(self.directory, point.number), result, scene_hash(point.scene))
             checkpoint.unlink(missing_ok=True)
@@ -131,24 +184,33 @@ def _kept(sweep: Sweep, directory: Path) -> dict[int, PointResult]:
     return found
 
 
-def forecast_sigma(point: Point) -> tuple[dict[str, float], str]:
-    """Forecasts of sigma(A) [uK_CMB^2] by data set, or none and why."""
-    from surveysim.forecast import forecast
+def _sigma(found: Forecast | None) -> dict[str, float]:
+    """sigma(A) [uK_CMB^2] by data set."""
+    return {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}
 
-    try:
-        scores = forecast(point.scene).scores
-    except ValueError as error:  # of a scene that can't be forecast
-        return {}, str(error)
-    return {name: float(item.band.sigma_ukcmb2) for name, item in scores.items()}, ""
+
+def _flags(found: Forecast | None) -> list[str]:
+    """Why the actual data's forecast may be off."""
+    return [effect.sentence for effect in found.scores[ACTUAL].effects if effect.flagged] if found else []
+
+
+def _discarded(found: Forecast | None) -> dict[str, float]:
+    """Shares of scans that are predicted to be discarded, by data set; those that are not known are left out."""
+    kept = {name: item.kept for name, item in found.scores.items()} if found else {}
+    return {name: item.discarded for name, item in kept.items() if np.isfinite(item.error)}
 
 
 def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[PointResult, ...]:
-    """Forecasts of all points, one after the other."""
+    """Forecasts of all points, one after the other, or why there is none."""
     results = []
     for point in sweep.points:
-        start = perf_counter()
-        sigma, reason = forecast_sigma(point)
-        results.append(PointResult(point.n_det, {}, sigma, "", reason, perf_counter() - start))
+        start, found, reason = perf_counter(), None, ""
+        try:
+            found = forecast(point.scene)
+        except ValueError as error:  # of a scene that can't be forecast
+            reason = str(error)
+        told = _sigma(found), [], _flags(found), _discarded(found), []
+        results.append(PointResult(point.n_det, {}, *told, "", reason, perf_counter() - start))
         progress(len(results))
     return tuple(results)
 
@@ -165,7 +227,7 @@ def _skies(setup: Setup) -> str:
 # ---------------------------------------------------------------- comparison
 
 
-def compare_runs(points: tuple[PointResult, ...], rng: np.random.Generator) -> Comparison:
+def compare_runs(points: tuple[PointResult, ...], rng: np.random.Generator, reference: int = 0) -> Comparison:
     """Runs of the actual data set against each other, with what their errors share."""
     scored = {number: point.scores[ACTUAL] for number, point in enumerate(points) if point.scores}
     sigma = np.full(len(points), np.nan)
@@ -176,35 +238,51 @@ def compare_runs(points: tuple[PointResult, ...], rng: np.random.Generator) -> C
         found = error_modes(list(scored.values()), [points[number].skies for number in numbers])
         modes = np.zeros((len(points), found.shape[1]))
         modes[numbers] = found
-    return compare(sigma, modes, rng)
+    return compare(sigma, modes, rng, reference, _actual_shares(points))
 
 
-def compare_forecasts(points: tuple[PointResult, ...]) -> Comparison:
+def _actual_shares(points: tuple[PointResult, ...]) -> np.ndarray:
+    """Shares (n_point,) of discarded scans of the actual data, 0 where none is known."""
+    return np.array([point.discarded.get(ACTUAL, 0.0) for point in points])
+
+
+def compare_forecasts(points: tuple[PointResult, ...], reference: int = 0) -> Comparison:
     """Forecasts of the actual data set against each other, which have no Monte Carlo errors."""
     sigma = np.array([point.forecast_ukcmb2.get(ACTUAL, np.nan) for point in points])
-    return compare(sigma, np.zeros((len(points), 1)), np.random.default_rng(0))
+    return compare(sigma, np.zeros((len(points), 1)), np.random.default_rng(0), reference)
 
 
-def compare(sigma_ukcmb2: np.ndarray, modes: np.ndarray, rng: np.random.Generator) -> Comparison:
+def compare(
+    sigma_ukcmb2: np.ndarray,
+    modes: np.ndarray,
+    rng: np.random.Generator,
+    reference: int = 0,
+    discarded: np.ndarray | None = None,
+) -> Comparison:
     """Compare points (n_point,), NaN for none, whose ln sigma respond to unit deviates as `modes` (n_point, n_mode).
 
-    The first point with a score is the reference.
+    Where the `reference` has no score, the first point that has one takes its place. `discarded` (n_point,) are the
+    shares of scans that points lose, none by default.
     """
     scored = np.flatnonzero(np.isfinite(sigma_ukcmb2))
-    nothing = np.full(len(sigma_ukcmb2), np.nan)
+    nothing, competes = np.full(len(sigma_ukcmb2), np.nan), np.zeros(len(sigma_ukcmb2), bool)
     if len(scored) == 0:
-        return Comparison(None, (), *(nothing.copy() for _ in range(6)))
-    reference = int(scored[0])
+        return Comparison(None, (), competes, modes, *(nothing.copy() for _ in range(6)))
+    reference = reference if reference in scored else int(scored[0])
+    competes[scored] = True if discarded is None else competing(discarded[scored])
     relative = np.linalg.norm(modes, axis=1)
     ratio = sigma_ukcmb2 / sigma_ukcmb2[reference]
     apart = np.hypot(relative, relative[reference])
     apart[reference] = 0.0
     probability = nothing.copy()
-    probability[scored] = probability_of_lowest(np.log(sigma_ukcmb2[scored]), modes[scored], rng)
+    if competes.any():
+        probability[competes] = probability_of_lowest(np.log(sigma_ukcmb2[competes]), modes[competes], rng)
     lowest = np.nanmin(sigma_ukcmb2)
     return Comparison(
         reference=reference,
         best=tuple(int(number) for number in scored[sigma_ukcmb2[scored] <= lowest * (1 + _EQUAL)]),
+        competing=competes,
+        modes=modes,
         sigma_ukcmb2=sigma_ukcmb2,
         error_ukcmb2=sigma_ukcmb2 * relative,
         ratio=ratio,
@@ -212,6 +290,23 @@ def compare(sigma_ukcmb2: np.ndarray, modes: np.ndarray, rng: np.random.Generato
         independent_error=ratio * apart,
         best_probability=probability,
     )
+
+
+def pairs(result: SweepResult) -> list[Pair]:
+    """Every point with a score over every one before it; none of more than `MOST_PAIRED` such points."""
+    found, comparison, shares = [], result.comparison, _actual_shares(result.points)
+    sigma, modes = comparison.sigma_ukcmb2, comparison.modes
+    scored = np.flatnonzero(np.isfinite(sigma))
+    if not result.simulated or len(scored) > MOST_PAIRED:
+        return []
+    relative = np.linalg.norm(modes, axis=1)
+    for place, point in enumerate(scored):
+        for other in scored[:place]:
+            ratio = sigma[point] / sigma[other]
+            paired, apart = np.linalg.norm(modes[point] - modes[other]), np.hypot(relative[point], relative[other])
+            like = bool(competing(shares[[point, other]]).all())
+            found.append(Pair(int(point), int(other), float(ratio), float(ratio * paired), float(ratio * apart), like))
+    return found
 
 
 def probability_of_lowest(log_sigma: np.ndarray, modes: np.ndarray, rng: np.random.Generator) -> np.ndarray:

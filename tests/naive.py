@@ -248,7 +248,7 @@ def gls_map(scans, n_pixel):
     return np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right
 
 
-def windowed_sums(strength, frequency, at, transfer, per_step, mean):
+def windowed_sums(strength, frequency, at, transfer, per_step, mean, share, own, lost):
     """Sum over the streams' frequencies of what a time window lets through, w looked up between its steps."""
 
     def w(frequency_hz):
@@ -258,7 +258,10 @@ def windowed_sums(strength, frequency, at, transfer, per_step, mean):
     for k in range(len(at)):
         row = strength[k] if len(strength) > 1 else strength[0]
         for a in range(len(frequency)):
-            total[k] += (w(at[k] - frequency[a]) - mean[a] * w(at[k])) ** 2 * row[a]
+            value = w(at[k] - frequency[a]) - mean[a] * w(at[k])
+            total[k] += (1 - sum(share)) * value**2 * row[a]
+            for j in range(len(share)):
+                total[k] += share[j] * (value - lost[a, j] * own[k, j]) ** 2 * row[a]
     return total
 
 

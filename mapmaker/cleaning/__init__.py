@@ -31,6 +31,7 @@ __all__ = [
     "CLEANERS",
     "N_TEMPLATES",
     "OPTIONS",
+    "TEMPLATE_CLEANINGS",
     "Cleaned",
     "Cleaner",
     "LocalOptions",
@@ -77,6 +78,8 @@ OPTIONS: dict[str, type] = {
     "local": LocalOptions,
     "spectral": SpectralOptions,
 }
+# Those that subtract templates times responsivities: their options say where these are from.
+TEMPLATE_CLEANINGS = ("average", "planar", "quadratic", "polynomial", "wind")
 # How many templates each takes from the detectors, whatever its options: more detectors than these are needed.
 N_TEMPLATES = {
     "none": 0,
@@ -108,8 +111,10 @@ def clean(name: str, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: 
     algorithm's record in `OPTIONS`, for average, planar and quadratic `TemplateOptions`. For a subset of the
     detectors, slice data and focal plane alike. A scan with a value that is not finite, or whose iteration does not
     converge or that has a dead detector, is discarded: `kept` is False and its samples are 0. (With "none" a dead
-    detector is no different from others.) Raises ValueError for an unknown name, for options of another algorithm,
-    for shapes, types or bounds that do not fit, and for focal planes that do not support the templates.
+    detector is no different from others.) Scans that share one fit of responsivities, made without those that are not
+    finite or have a dead detector, are all discarded if it does not converge. Raises ValueError for an unknown name,
+    for options of another algorithm, for shapes, types or bounds that do not fit, and for focal planes that do not
+    support the templates.
     Sayers et al. (2010), section on atmospheric noise removal.
     """
     _check(name, options)
@@ -123,8 +128,8 @@ def clean_in_order(
     """Clean with several algorithms, (name, options) each, one after the other.
 
     A scan is kept that every step keeps: once discarded it is 0, and stays so. `responsivity` is that of the first
-    step that fits one, 1 if none does; `iterations` and `removed` are sums. Other arguments and errors as for `clean`;
-    raises ValueError for no steps.
+    step with templates, 1 if none has them; `iterations` and `removed` are sums. Other arguments and errors as for
+    `clean`; raises ValueError for no steps.
     """
     if not steps:
         raise ValueError("no cleaning steps found; one or more are expected")
@@ -134,7 +139,7 @@ def clean_in_order(
     for name, options in steps:
         done.append(clean(name, done[-1].data_mk if done else data_mk, scan_bounds, focal_plane, options))
     kept = np.all([item.kept for item in done], axis=0)
-    fitted = [item for item in done if item.iterations.any()]
+    fitted = [item for (name, _), item in zip(steps, done, strict=True) if name in TEMPLATE_CLEANINGS]
     return Cleaned(
         data_mk=done[-1].data_mk,
         kept=kept,

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans
-from mapmaker.cleaning.templates import check_convergence, fit_templates, template_basis
+from mapmaker.cleaning.responsivity import SCAN, Region, Responsivities, check_fit, clean_templates
+from mapmaker.cleaning.scans import Cleaned
+from mapmaker.cleaning.templates import polynomial_model, template_basis
 
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
@@ -27,12 +28,13 @@ _EQUAL = 1e-6
 
 @dataclass(frozen=True)
 class PolynomialOptions:
-    """Highest power of the terms, number of regions, and when the responsivities have converged."""
+    """Highest power of the terms, number of regions, and the rest as in `TemplateOptions`."""
 
     order: int
     regions: int
     tolerance: float  # mean fractional change of c_i in a region
     max_iterations: int
+    responsivities: Responsivities = SCAN
 
     def __post_init__(self):
         """Raise ValueError for values out of range."""
@@ -40,7 +42,7 @@ class PolynomialOptions:
             raise ValueError(f"order must be at least 0, got {self.order}")
         if self.regions < 1:
             raise ValueError(f"regions must be at least 1, got {self.regions}")
-        check_convergence(self.tolerance, self.max_iterations)
+        check_fit(self.tolerance, self.max_iterations, self.responsivities)
 
 
 def exponents(order: int) -> tuple[tuple[int, int], ...]:
@@ -74,21 +76,12 @@ def subtract_polynomial(data_mk, scan_bounds, focal_plane: FocalPlane, options: 
 
     Arguments, result and errors as for `clean`. Above order 0 responsivities have the mean 1 in each region: they
     compare detectors of one region only. `iterations` is that of the region that took longest, `removed` counts the
-    templates of all regions; a scan is discarded if one of its regions does not converge. With one region, orders
+    templates of all regions; a fit fails if that of one region does. With one region, orders
     0, 1 and 2 are average, planar and quadratic subtraction. Raises ValueError if a region does not support the
     templates.
     """
-    regions = focal_plane_regions(focal_plane, options.regions)
-    bases = [template_basis(focal_plane.subset(region), exponents(options.order)) for region in regions]
-
-    def subtract(block: np.ndarray, scan: int) -> Fit:
-        responsivity, fits = np.empty(len(block)), []
-        for region, basis in zip(regions, bases, strict=True):
-            part = block[region]
-            fits.append(fit_templates(part, basis, options))
-            if fits[-1].responsivity is None:
-                return Fit(None, fits[-1].iterations)
-            block[region], responsivity[region] = part, fits[-1].responsivity
-        return Fit(responsivity, max(fit.iterations for fit in fits), sum(fit.removed for fit in fits))
-
-    return clean_scans(data_mk, scan_bounds, subtract)
+    regions = tuple(
+        Region(rows, template_basis(focal_plane.subset(rows), exponents(options.order)))
+        for rows in focal_plane_regions(focal_plane, options.regions)
+    )
+    return clean_templates(data_mk, scan_bounds, polynomial_model(regions), options)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,8 +20,8 @@ class Cleaned:
 
     data_mk: np.ndarray  # (n_det, n_samp), type of the input; 0 in discarded scans and outside scans
     kept: np.ndarray  # (n_scan,) bool; False: not converged, not finite, or a dead detector
-    responsivity: np.ndarray  # (n_scan, n_det) c_i, 1 where none is fitted; nan where discarded
-    iterations: np.ndarray  # (n_scan,) int64; 0 where none was made
+    responsivity: np.ndarray  # (n_scan, n_det) c_i, fitted or given, 1 where none is used; nan where discarded
+    iterations: np.ndarray  # (n_scan,) int64; 0 where none was made, all alike where all scans share one fit
     removed: np.ndarray  # (n_scan,) int64, templates or modes taken from each stream; 0 where discarded
 
 
@@ -40,23 +40,34 @@ def clean_scans(data_mk: np.ndarray, scan_bounds: np.ndarray, subtract: Callable
     """
     n_det, n_scan = len(data_mk), len(scan_bounds)
     cleaned_mk = np.zeros_like(data_mk, order="C")
-    # One scan's room for all: large arrays are slow to come by.
-    room = np.empty(n_det * int(np.diff(scan_bounds, axis=1).max(initial=0)))
     responsivity = np.full((n_scan, n_det), np.nan)
     iterations, removed = np.zeros((2, n_scan), dtype=np.int64)
+    for s, block in finite_scans(data_mk, scan_bounds):
+        fit = subtract(block, s)
+        iterations[s] = fit.iterations
+        if fit.responsivity is not None:
+            responsivity[s], removed[s] = fit.responsivity, fit.removed
+            start, stop = scan_bounds[s]
+            cleaned_mk[:, start:stop] = block
+    kept = np.isfinite(responsivity).all(axis=1)
+    return Cleaned(cleaned_mk, kept, responsivity, iterations, removed)
+
+
+def finite_scans(data_mk: np.ndarray, scan_bounds: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    """Number and block (n_det, n) of each scan whose values are finite, in float64 and with means removed.
+
+    All blocks share their memory: a block is good until the next one is asked for.
+    """
+    n_det = len(data_mk)
+    # One scan's room for all: large arrays are slow to come by.
+    room = np.empty(n_det * int(np.diff(scan_bounds, axis=1).max(initial=0)))
     for s, (start, stop) in enumerate(scan_bounds):
         block = room[: n_det * (stop - start)].reshape(n_det, stop - start)
         block[:] = data_mk[:, start:stop]
         if not np.isfinite((block.min(), block.max())).all():
             continue
         block -= block.mean(axis=1, keepdims=True)
-        fit = subtract(block, s)
-        iterations[s] = fit.iterations
-        if fit.responsivity is not None:
-            responsivity[s], removed[s] = fit.responsivity, fit.removed
-            cleaned_mk[:, start:stop] = block
-    kept = np.isfinite(responsivity).all(axis=1)
-    return Cleaned(cleaned_mk, kept, responsivity, iterations, removed)
+        yield s, block
 
 
 def has_dead(block: np.ndarray) -> bool:

@@ -5,11 +5,6 @@ modelled as d_n = C S p_n: S holds the polynomial terms at the detector position
 responsivities. c and the templates T_n = S p_n are found in turn until c stands still, and c_i T_in is
 subtracted.
 
-The iteration needs the stream only through its Gram matrix G_ij = sum_n d_in d_jn, so it runs on G alone.
-The Gram matrix is formed in float64 whatever the stream's type: in float32 it would limit c to about 1e-7,
-short of the tolerance of 1e-8. Of many detectors, whose G takes longer to form than the iteration passes over the
-stream, G is never formed: what it does to a template is two products with the stream.
-
 With more than the constant term, a gradient of c over the array and a share of the common signal in the
 gradient template are the same data to first order: (1 + a x) p_0 = p_0 + (a p_0) x. The iteration as the
 paper states it drifts along these directions for 10^2 to 10^5 steps, and hardly a scan would pass 1e-8 in
@@ -26,8 +21,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.chunks import row_chunks
-from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, has_dead
-from mapmaker.kernels.cleaning import correlate, hold, iterate_responsivity
+from mapmaker.cleaning.responsivity import (
+    SCAN,
+    Region,
+    Responsivities,
+    TemplateModel,
+    check_fit,
+    clean_templates,
+)
+from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans
 
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
@@ -35,10 +37,6 @@ if TYPE_CHECKING:
 # What a term must hold, of the array's radius, beside the terms before it: with less, detectors are on one line or
 # conic as nearly as their positions are known, and six digits of the template would be lost.
 RANK_TOLERANCE = 1e-6
-
-# Detectors up to which the Gram matrix is formed. At 300 it takes as long as the passes of ten iterations, 5 to 15 ns a
-# sample; at 600 it takes 15, at 1000 21, at 4000 86.
-MOST_GRAM = 600
 
 # Exponents (of x, of y) of the terms of S.
 AVERAGE = ((0, 0),)
@@ -48,22 +46,19 @@ QUADRATIC = (*PLANAR, (1, 1), (2, 0), (0, 2))
 
 @dataclass(frozen=True)
 class TemplateOptions:
-    """When the responsivities have converged; the paper takes 1e-8 within 100 iterations."""
+    """When the responsivities have converged, and what they are fitted to.
+
+    The paper takes 1e-8 within 100 iterations. responsivities: "scan", as the paper, one fit a scan; "observation", one
+    fit to all scans of the streams together; or known ones (n_det,), of which a common factor does not matter.
+    """
 
     tolerance: float  # mean fractional change of c_i
     max_iterations: int
+    responsivities: Responsivities = SCAN
 
     def __post_init__(self):
         """Raise ValueError for values out of range."""
-        check_convergence(self.tolerance, self.max_iterations)
-
-
-def check_convergence(tolerance: float, max_iterations: int) -> None:
-    """Raise ValueError for values out of range."""
-    if not tolerance > 0:
-        raise ValueError(f"tolerance must be positive, got {tolerance}")
-    if max_iterations < 1:
-        raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
+        check_fit(self.tolerance, self.max_iterations, self.responsivities)
 
 
 def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
@@ -169,43 +164,20 @@ def subtract_quadratic(data_mk, scan_bounds, focal_plane: FocalPlane, options: T
 
 
 def _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents) -> Cleaned:
-    basis = template_basis(focal_plane, exponents)
-    return clean_scans(data_mk, scan_bounds, lambda block, scan: fit_templates(block, basis, options))
+    regions = (Region(slice(None), template_basis(focal_plane, exponents)),)
+    return clean_templates(data_mk, scan_bounds, polynomial_model(regions), options)
 
 
-def fit_templates(block: np.ndarray, basis: np.ndarray, options) -> Fit:
-    """Subtract the templates of `template_basis` from one mean-removed scan (n_det, n_samp), in place.
-
-    options: a record with tolerance and max_iterations. An unconverged scan is left as it is, without c.
-    """
-    responsivity = np.ones(len(block))
-    held = basis[1:]  # the first row is the constant
-    converged, iterations = fit_responsivity(block, basis, held, options, responsivity)
-    if not converged:
-        return Fit(None, iterations)
-    templates, shapes = (basis / responsivity) @ block, (basis * responsivity).T
-    for rows in row_chunks(*block.shape):
-        block[rows] -= shapes[rows] @ templates
-    return Fit(responsivity, iterations, len(basis))
+def polynomial_model(regions: tuple[Region, ...]) -> TemplateModel:
+    """Templates that all detectors of a region see at the same time."""
+    return TemplateModel(regions, lambda block, scan: (block, lambda c: _subtract_regions(block, c, regions)))
 
 
-def fit_responsivity(
-    block: np.ndarray, basis: np.ndarray, held: np.ndarray, options, responsivity: np.ndarray
-) -> tuple[bool, int]:
-    """`iterate_responsivity` of one mean-removed scan (n_det, n_samp), by its Gram matrix or by passes over it."""
-    limits = options.tolerance, options.max_iterations
-    if len(block) <= MOST_GRAM:
-        return iterate_responsivity(block @ block.T, basis, held, *limits, responsivity)
-    if has_dead(block):
-        return False, 0
-    power = np.empty((len(basis), len(basis)))
-    for iteration in range(1, options.max_iterations + 1):
-        previous = responsivity.copy()
-        weighted = basis / responsivity
-        correlate(basis, weighted, (weighted @ block) @ block.T, power, responsivity)
-        if not np.isfinite(responsivity).all() or not responsivity.all():
-            return False, iteration
-        hold(held, responsivity)
-        if np.abs(responsivity / previous - 1).mean() < options.tolerance:
-            return True, iteration
-    return False, options.max_iterations
+def _subtract_regions(block: np.ndarray, c: np.ndarray, regions: tuple[Region, ...]) -> None:
+    for region in regions:
+        part, own = block[region.rows], c[region.rows]
+        templates, shapes = (region.basis / own) @ part, (region.basis * own).T
+        for rows in row_chunks(*part.shape):
+            part[rows] -= shapes[rows] @ templates
+        if not isinstance(region.rows, slice):  # a copy of some detectors
+            block[region.rows] = part

@@ -14,14 +14,16 @@ instant the mean of those detectors that then have data.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans
-from mapmaker.cleaning.templates import AVERAGE, check_convergence, fit_responsivity, template_basis
+from mapmaker.cleaning.responsivity import SCAN, Region, Responsivities, TemplateModel, check_fit, clean_templates
+from mapmaker.cleaning.scans import Cleaned
+from mapmaker.cleaning.templates import AVERAGE, template_basis
 
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
@@ -34,12 +36,13 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class WindOptions:
-    """How long the layer takes over the array, and when the responsivities have converged."""
+    """How long the layer takes over the array, and the rest as in `TemplateOptions`."""
 
     slowness_s_rad: np.ndarray  # (n_scan, 2) along the array's x and y [s/rad]
     sample_rate_hz: float
     tolerance: float  # mean fractional change of c_i
     max_iterations: int
+    responsivities: Responsivities = SCAN
 
     def __post_init__(self):
         """Raise ValueError for values out of range."""
@@ -50,7 +53,7 @@ class WindOptions:
             raise ValueError("slowness_s_rad must be finite, got values that are not")
         if not 0 < self.sample_rate_hz < np.inf:
             raise ValueError(f"sample_rate_hz must be positive and finite, got {self.sample_rate_hz}")
-        check_convergence(self.tolerance, self.max_iterations)
+        check_fit(self.tolerance, self.max_iterations, self.responsivities)
 
 
 def slowness(wind_rad_s: np.ndarray, scan_velocity_rad_s: np.ndarray) -> np.ndarray:
@@ -76,15 +79,16 @@ def subtract_wind(data_mk, scan_bounds, focal_plane: FocalPlane, options: WindOp
     """
     if len(options.slowness_s_rad) != len(scan_bounds):
         raise ValueError(f"{len(options.slowness_s_rad)} slownesses found for {len(scan_bounds)} scans; one a scan")
-    basis = template_basis(focal_plane, AVERAGE)
+    regions = (Region(slice(None), template_basis(focal_plane, AVERAGE)),)
     r_rad = np.stack([focal_plane.x_rad - np.mean(focal_plane.x_rad), focal_plane.y_rad - np.mean(focal_plane.y_rad)])
     delays = options.sample_rate_hz * (np.asarray(options.slowness_s_rad, dtype=np.float64) @ r_rad)
-    return clean_scans(data_mk, scan_bounds, lambda block, scan: _subtract(block, delays[scan], basis, options))
+    model = TemplateModel(regions, lambda block, scan: _view(block, delays[scan]))
+    return clean_templates(data_mk, scan_bounds, model, options)
 
 
-def _subtract(block: np.ndarray, delay: np.ndarray, basis: np.ndarray, options: WindOptions) -> Fit:
-    """Subtract the delayed template from one mean-removed scan, in place."""
-    n_det, n_samp = block.shape
+def _view(block: np.ndarray, delay: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], None]]:
+    """The view of `TemplateModel` of one mean-removed scan: its streams at rest where all are within the scan."""
+    n_samp = block.shape[1]
     longest = np.abs(delay).max()
     if longest > _LONGEST * n_samp:
         raise ValueError(f"delays of up to {longest:.4g} samples found in a scan of {n_samp}; a quarter is allowed")
@@ -95,16 +99,14 @@ def _subtract(block: np.ndarray, delay: np.ndarray, basis: np.ndarray, options: 
     within = (instant >= -_ROUNDING) & (instant <= n_samp - 1 + _ROUNDING)
     common = rest[:, within.all(axis=0)]
     mean = common.mean(axis=1, keepdims=True)
-    common = common - mean
-    responsivity = np.ones(n_det)
-    converged, iterations = fit_responsivity(common, basis, basis[1:], options, responsivity)
-    if not converged:
-        return Fit(None, iterations)
     rest -= mean
-    template = turned(_mean_within(rest / responsivity[:, None], within)[None], turn.conj())
-    block -= responsivity[:, None] * template[:, pad : pad + n_samp]
-    block -= block.mean(axis=1, keepdims=True)
-    return Fit(responsivity, iterations, 1)
+
+    def subtract(responsivity: np.ndarray) -> None:
+        template = turned(_mean_within(rest / responsivity[:, None], within)[None], turn.conj())
+        np.subtract(block, responsivity[:, None] * template[:, pad : pad + n_samp], out=block)
+        np.subtract(block, block.mean(axis=1, keepdims=True), out=block)
+
+    return common - mean, subtract
 
 
 def phases(delay: np.ndarray, n_samp: int) -> np.ndarray:

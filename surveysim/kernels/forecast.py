@@ -5,26 +5,32 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True)
-def windowed_sums(strength, frequency, at, transfer, per_step, mean):
-    """Sum (w(f_k - f_a) - m_a w(f_k))^2 strength_ka over a, (n_k,).
+def windowed_sums(strength, frequency, at, transfer, per_step, mean, share, own, lost):
+    """Sum E[(w(f_k - f_a) - m_a w(f_k) - l_aj o_kj)^2] strength_ka over a, (n_k,).
 
-    strength (n_k, n_a), or (1, n_a) for all k alike; frequency (n_a,) and at (n_k,) [Hz]; transfer (n,) is w at steps
-    of 1 / per_step [Hz] from 0, even and taken as 0 beyond its end; mean (n_a,).
+    The expectation takes j with the probability share_j, or none. strength (n_k, n_a), or (1, n_a) for all k alike;
+    frequency (n_a,) and at (n_k,) [Hz]; transfer (n,) is w at steps of 1 / per_step [Hz] from 0, even and taken as 0
+    beyond its end; mean (n_a,); share (n,), own (n_k, n), lost (n_a, n).
     """
     n_a, last = frequency.size, transfer.size - 1
     total = np.zeros(at.size)
     for k in range(at.size):
-        own = 0.0
+        middle = 0.0
         x = abs(at[k]) * per_step
         if x < last:
             i = int(x)
-            own = transfer[i] + (x - i) * (transfer[i + 1] - transfer[i])
+            middle = transfer[i] + (x - i) * (transfer[i + 1] - transfer[i])
         row = k if strength.shape[0] > 1 else 0
         for a in range(n_a):
-            value = -mean[a] * own
+            value = -mean[a] * middle
             x = abs(at[k] - frequency[a]) * per_step
             if x < last:
                 i = int(x)
                 value += transfer[i] + (x - i) * (transfer[i + 1] - transfer[i])
-            total[k] += value * value * strength[row, a]
+            once, twice = 0.0, 0.0
+            for j in range(share.size):
+                product = lost[a, j] * own[k, j]
+                once += share[j] * product
+                twice += share[j] * product * product
+            total[k] += (value * value - 2 * value * once + twice) * strength[row, a]
     return total

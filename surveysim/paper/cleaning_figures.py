@@ -74,12 +74,13 @@ class Example:
 
     def _options(self, name: str) -> Any:
         section = self.setup.scene.cleaning
+        template = (section.tolerance, section.max_iterations, self.setup.responsivities)
         if name == "pca":
             return PcaOptions(PCA_SIGMA_CUT)
         if name == "wind":
             delays = slowness(self.item.wind.velocity_rad_s, scan_velocities(self.streams))
-            return WindOptions(delays, self.setup.raster.sample_rate_hz, section.tolerance, section.max_iterations)
-        return TemplateOptions(section.tolerance, section.max_iterations)
+            return WindOptions(delays, self.setup.raster.sample_rate_hz, *template)
+        return TemplateOptions(*template)
 
 
 def frequencies(setup: Setup) -> np.ndarray:

@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from surveysim.agreement import GOOD_PSD, KNOWN
 from surveysim.recipes import ACTUAL, OPTIMAL
 from surveysim.report.captions import RUN
+from surveysim.report.page_discards import discarded_section, warned
 from surveysim.report.page_parts import (
     UK2,
     Block,
@@ -31,7 +33,7 @@ from surveysim.report.page_parts import (
 )
 from surveysim.report.page_provenance import provenance, sources, stage_times
 from surveysim.report.page_scene import cleaning_words, scene_terms
-from surveysim.results import COMPARED_ELL, METHOD, OPTIMAL_METHOD
+from surveysim.results import METHOD, OPTIMAL_METHOD
 
 Content = Mapping[str, Any]  # of summary.json and scene.json
 DATA_SETS = {
@@ -50,6 +52,7 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
     sections = [Section("scene", "What was simulated", what_was_simulated(scene, summary, summary["detectors"]))]
     if summary["scores"]:
         sections.append(Section("scores", "Scores", tuple(_scores(summary, scene))))
+    sections.append(discarded_section(summary))
     title = "Error against run time" if summary["scores"] else "Run time"
     sections.append(Section("time", title, (*_time(summary, scene), *timing)))
     if others:
@@ -60,7 +63,8 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
         Section("sources", "Where the values come from", sources(scene)),
         Section("provenance", "Provenance", (provenance(summary), stage_times(summary["run"]))),
     ]
-    return Page("surveysim run", summary["title"], tuple(_lead(summary, scene)), _key_figures(summary), tuple(sections))
+    lead = (*_lead(summary, scene), *warned(summary))
+    return Page("surveysim run", summary["title"], lead, _key_figures(summary), tuple(sections))
 
 
 def run_pictures(directory: Path, summary: Content, scene: Content) -> list[Picture]:
@@ -322,6 +326,7 @@ def _truth(summary: Content):
         yield Grid("truth-table", "Measured from streams and maps", columns, _truth_rows(found), (note,))
     if summary.get("forecast_over_simulated"):
         yield _forecast_grid(summary)
+        yield _effect_grid(summary)
     if found := [item for item in truth if item["kind"] == "drawn"]:
         note = "Put in: the scene's distribution. Came out: the draws of this run, with the error of so many draws."
         yield Grid("weather-table", "Weather drawn", columns, _truth_rows(found), (note,))
@@ -342,14 +347,37 @@ def _forecast_grid(summary: Content) -> Grid:
     rows = []
     for name, item in summary["forecast_over_simulated"].items():
         cells = [cell(name), measured(100 * item["sigma"], 100 * item["sigma_error"])]
-        worst = item["worst_ell"]
-        known = worst is not None and worst == worst
-        cells.append(measured(100 * item["psd"], 100 * item["psd_error"]) if known else Cell(""))
-        rows.append((*cells, Cell(count(round(worst)), worst) if known else Cell("")))
-    low, high = (count(ell) for ell in COMPARED_ELL)
-    columns = ("data set", "σ(A) [%]", "noise PSD [%]", "at ℓ")
+        if item["bins"]:
+            cells.append(measured(100 * item["psd"], 100 * item["psd_error"]))
+            cells.append(Cell(count(round(item["worst_ell"])), item["worst_ell"]))
+        else:
+            cells += [Cell("")] * 2
+        rows.append((*cells, cell(item["within"]), cell(item["bins"])))
+    some = next(iter(summary["forecast_over_simulated"].values()))
+    columns = ("data set", "σ(A) [%]", "noise PSD [%]", "at ℓ", "good bins", "bins")
     note = (
-        "Forecast over simulated, less 1, with the simulation's errors. The noise PSD is that of the bin where it is"
-        f" furthest off for certain, from ℓ = {low} to {high}."
+        "Forecast over simulated, less 1, with the errors of these ratios. Both are of the same observations and of the"
+        " scans that were kept."
     )
+    if some["bins"]:
+        low, high = (count(round(some[key])) for key in ("low_ell", "high_ell"))
+        note += (
+            f" The noise PSD is that of the bin where it is furthest off for certain, from ℓ = {low} to {high}; good"
+            f" bins are within {percent(GOOD_PSD)} and known to {percent(KNOWN)} or better."
+        )
     return Grid("forecast-table", "Forecast against simulation", columns, tuple(rows), (note,))
+
+
+def _effect_grid(summary: Content) -> Grid:
+    """Effects on the forecasts: of simulated data sets, only those that are not the actual data's too."""
+    rows, seen = [], set()
+    for name, item in summary["forecast"].items():
+        for effect in item["effects"]:
+            if effect["sentence"] not in seen:
+                seen.add(effect["sentence"])
+                size = Cell("not known") if effect["size"] is None else measured(100 * effect["size"])
+                told = cell(effect["sentence"]), cell("yes" if effect["flagged"] else "")
+                rows.append((cell(name), cell(effect["name"]), size, *told))
+    note = "Sizes are relative to the noise PSD of the scored multipoles. Where one is flagged the forecast may be off."
+    columns = ("data set", "effect", "size [%]", "in this scene", "flagged")
+    return Grid("effect-table", "Effects on the forecast", columns, tuple(rows), (note,))

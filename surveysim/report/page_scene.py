@@ -174,11 +174,24 @@ def _sky(sky: Values) -> Iterator[str]:
     yield f"and {plural(len(sources), 'point source')} of {peaks} mK (Rayleigh-Jeans)." if sources else "alone."
 
 
+_RESPONSIVITIES = {
+    "scan": "Responsivities are fitted to each scan.",
+    "observation": "Responsivities are fitted to all scans of an observation together.",
+    "survey": "Responsivities are known with an error of {error:.3g} rms that lasts the survey.",
+    "known": "Responsivities are known.",
+}
+
+
 def _cleaning(cleaning: Values) -> Iterator[str]:
     words = cleaning_words(cleaning["algorithm"])
     yield f"{words[0].upper()}{words[1:]}."
     if cleaning["compare"]:
         yield f"Compared with {joined([cleaning_words(steps) for steps in cleaning['compare']])}."
+    from mapmaker.cleaning import TEMPLATE_CLEANINGS
+
+    named = {name for steps in (cleaning["algorithm"], *cleaning["compare"]) for name in steps}
+    if not named.isdisjoint(TEMPLATE_CLEANINGS):
+        yield _RESPONSIVITIES[cleaning["responsivities"]].format(error=cleaning["calibration_error"])
     yield f"Templates are iterated to {number(cleaning['tolerance'], 1)}, at most {cleaning['max_iterations']} times."
     details = {"sigma_cut": "sigma", "reach": "closest separations", "order": "", "regions": ""}
     for key, unit in details.items():

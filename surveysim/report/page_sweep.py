@@ -1,11 +1,14 @@
 """The page of a sweep: which point is best, the axes, all points, the figure, the scene, provenance."""
 
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from surveysim.discards import MOST_APART, MOST_DISCARDED, telling
 from surveysim.recipes import ACTUAL
 from surveysim.report.captions import FORECAST_SWEEP, SWEEP
+from surveysim.report.page_discards import DISCARD_RULE, QUARTERS, quarter_names, share_cell, warned
 from surveysim.report.page_parts import (
     UK2,
     Block,
@@ -33,6 +36,7 @@ from surveysim.trade import SURE
 
 Content = Mapping[str, Any]  # of summary.json and scene.json, or of a point in the former
 PICTURE = "figures/sweep.png"
+WITHHELD = "best_probability_withheld"
 
 
 def sweep_page(directory: Path, summary: Content, scene: Content) -> Page:
@@ -45,6 +49,10 @@ def sweep_page(directory: Path, summary: Content, scene: Content) -> Page:
         caption = SWEEP if summary["kind"] == "simulated" else FORECAST_SWEEP
         drawn = picture(directory / PICTURE, caption.title, caption.alt, (caption.shows, caption.look_for))
         sections.append(Section("figure", "Figure", (drawn,)))
+    if found := tuple(_pair_grids(summary)):
+        sections.append(Section("pairs", "Every point against every other", found))
+    if found := tuple(_discarded(summary)):
+        sections.append(Section("discarded", "Discarded scans", found))
     if found := _agreement(summary):
         sections.append(Section("truth", "Forecast against simulation", (found,)))
     first = Text(("The scene of the first point; the others differ in the keys that are varied, and in what follows.",))
@@ -58,38 +66,42 @@ def sweep_page(directory: Path, summary: Content, scene: Content) -> Page:
     return Page(kind, summary["title"], tuple(_lead(summary, scene)), _key_figures(summary), tuple(sections))
 
 
-def label(summary: Content, point: Content) -> str:
-    """A point by the first key of each axis: ``key = value, ...``."""
-    keys = [(axis["name"], axis["keys"][0]) for axis in summary["axes"]]
-    return ", ".join(f"{name} = {value_text(point['settings'][key])}" for name, key in keys)
-
-
 def _lead(summary: Content, scene: Content) -> Iterator[str]:
     points, best = summary["points"], [summary["points"][number] for number in summary["best"]]
     names = joined([axis["name"] for axis in summary["axes"]])
     made = f"{plural(len(points), 'point')} along {names}"
     if not best:
         yield f"{made}; none has a score."
+        yield from warned(summary)
         return
-    labels = " or ".join(label(summary, point) for point in best)
-    if summary["kind"] == "simulated":
-        row, sure = best[0]["scores"][ACTUAL], best[0]["best_probability"]
-        confidence = f"more than {100 * SURE:g} %" if sure > SURE else f"{100 * sure:.0f} %"
-        each = "each " if len(best) > 1 else ""
-        sigma = with_error(row["sigma_ukcmb2"], row["error_ukcmb2"])
-        yield f"Of {made}, the best is {labels}: σ(A) = {sigma} {UK2}, {each}with a confidence of {confidence}."
-    else:
-        sigma = number(best[0]["forecast_ukcmb2"][ACTUAL])
-        yield f"Of {made}, the best by forecast is {labels}: σ(A) = {sigma} {UK2}."
+    yield _best_sentence(summary, made, best)
     reference = points[summary["reference"]]
     if reference not in best:
         ratio = with_error(best[0]["ratio"], best[0].get("ratio_error"))
-        yield f"That is {ratio} times the σ(A) of the reference point, {label(summary, reference)}."
+        yield f"That is {ratio} times the σ(A) of the reference point, {reference['label']}."
     if summary["kind"] == "simulated":
         yield (
             f"Every point has up to {plural(scene['observations'], 'observation')} with the same seed, hence the same"
             " weather, noise and skies wherever the keys allow it. Ratios are therefore known better than the points."
         )
+    yield from warned(summary)
+
+
+def _best_sentence(summary: Content, made: str, best: list[Content]) -> str:
+    labels = " or ".join(point["label"] for point in best)
+    if summary["kind"] != "simulated":
+        sigma = number(best[0]["forecast_ukcmb2"][ACTUAL])
+        return f"Of {made}, the best by forecast is {labels}: σ(A) = {sigma} {UK2}."
+    row = best[0]["scores"][ACTUAL]
+    sigma = f"σ(A) = {with_error(row['sigma_ukcmb2'], row['error_ukcmb2'])} {UK2}"
+    if WITHHELD in best[0]:
+        why = best[0][WITHHELD]
+        return f"Of {made}, the lowest is {labels}: {sigma}. The probability that it is the best is withheld: {why}."
+    sure, each = best[0]["best_probability"], "each " if len(best) > 1 else ""
+    confidence = f"more than {100 * SURE:g} %" if sure > SURE else f"{100 * sure:.0f} %"
+    out = sum(WITHHELD in point for point in summary["points"])
+    others = f" {plural(out, 'point')} that lose too many scans are not counted." if out else ""
+    return f"Of {made}, the best is {labels}: {sigma}, {each}with a confidence of {confidence}.{others}"
 
 
 def _key_figures(summary: Content) -> tuple[tuple[str, str], ...]:
@@ -118,11 +130,17 @@ def _grids(summary: Content) -> Iterator[Block]:
     keys = _keys(summary)
     simulated = summary["kind"] == "simulated"
     columns = ["point", *(f"σ(A) [{UK2}]",) * simulated, "forecast", "ratio"]
-    columns += ["ratio, if independent", "best [%]"] * simulated + ["detectors"]
+    columns += ["ratio, if independent", "best [%]", "discarded [%]"] * simulated + ["detectors"]
     rows = tuple((cell(_values(point, keys)), *_numbers(summary, point)) for point in summary["points"])
     named = f"The point's name has the values of {joined(keys)}. "
     notes = [named + _ratio_note(summary)]
-    notes += [f"{label(summary, point)}: {point['unscored']}." for point in summary["points"] if point.get("unscored")]
+    notes += [f"{point['label']}: {point['unscored']}." for point in summary["points"] if point.get("unscored")]
+    notes += [f"{point['label']}: withheld, as {point[WITHHELD]}." for point in summary["points"] if WITHHELD in point]
+    notes += [
+        f"The forecast of {point['label']} may be off: {sentence}"
+        for point in summary["points"]
+        for sentence in point["forecast_flags"]
+    ]
     caption = "Uncertainty of a flat CMB band power, actual data"
     yield Grid("point-table", caption, tuple(columns), rows, tuple(notes), tuple(summary["best"]))
     others = list(dict.fromkeys(name for point in summary["points"] for name in point["scores"] if name != ACTUAL))
@@ -150,7 +168,12 @@ def _numbers(summary: Content, point: Content) -> Iterator[Cell]:
     yield Cell("1", point["ratio"]) if own else measured(point.get("ratio"), point.get("ratio_error"))
     if summary["kind"] == "simulated":
         yield Cell("1", point["ratio"]) if own else measured(point.get("ratio"), point.get("independent_error"))
-        yield Cell(_probability(point["best_probability"]), point["best_probability"]) if scored else Cell("")
+        probability = point.get("best_probability")
+        if probability is None:
+            yield Cell("withheld" if scored else "")
+        else:
+            yield Cell(_probability(probability), probability)
+        yield share_cell(point["discarded"][ACTUAL])
     yield cell(point["n_det"])
 
 
@@ -170,26 +193,79 @@ def _others(point: Content, names: list[str]) -> Iterator[Cell]:
 def _ratio_note(summary: Content) -> str:
     if summary["reference"] is None:
         return "No point has a score, so there are no ratios."
-    note = f"Ratios are to {label(summary, summary['points'][summary['reference']])}."
+    note = f"Ratios are to {summary['points'][summary['reference']]['label']}."
     if summary["kind"] != "simulated":
         return f"{note} A forecast has no Monte Carlo error."
     return (
         f"{note} Their errors count what the points have in common; beside stand those that independent runs would"
-        " have. Best: the probability that the point has the lowest σ(A) of all."
+        " have. Best: the probability that the point has the lowest σ(A) of all that lose few scans."
     )
+
+
+def _pair_grids(summary: Content) -> Iterator[Grid]:
+    """Ratios of all pairs: rows over columns."""
+    pairs = {(pair["point"], pair["other"]): pair for pair in summary["pairs"]}
+    numbers = sorted({number for pair in pairs for number in pair})
+    if len(numbers) < 3:  # the table of points has the only pair
+        return
+    names = {number: f"{number}: {_values(summary['points'][number], _keys(summary))}" for number in numbers}
+    rows = tuple((cell(names[row]), *(_pair_cell(pairs, row, column) for column in numbers)) for row in numbers)
+    notes = [
+        "σ(A) of the row's point over that of the column's, with the error of the pair: it counts what both share."
+    ]
+    if not all(pair["comparable"] for pair in pairs.values()):
+        notes.append(
+            f"*: not to be compared, as one loses more than {100 * MOST_DISCARDED:g} % of its scans or the two differ"
+            f" by more than {100 * MOST_APART:g} %."
+        )
+    columns = ("point", *(str(number) for number in numbers))
+    yield Grid("pair-table", "Ratios of σ(A)", columns, rows, tuple(notes))
+
+
+def _pair_cell(pairs: Mapping[tuple[int, int], Content], row: int, column: int) -> Cell:
+    if row == column:
+        return Cell("1", 1.0)
+    pair = pairs.get((row, column)) or pairs[column, row]
+    ratio, error = pair["ratio"], pair["paired_error"]
+    if (row, column) not in pairs:
+        ratio, error = 1 / ratio, error / ratio**2
+    return Cell(with_error(ratio, error) + ("" if pair["comparable"] else " *"), ratio)
+
+
+def _discarded(summary: Content) -> Iterator[Block]:
+    """Shares of discarded scans of each point: of each data set, and of the actual one against the weather."""
+    points = [point for point in summary["points"] if "discarded" in point]
+    if not points:
+        return
+    keys, names = _keys(summary), telling([point["discarded"] for point in points])
+    if not any(value for point in points for value in point["discarded"].values()):
+        yield Text(("No scan was discarded.",))
+        return
+    quarters = max(len(point["discarded_by_weather"]) for point in points)
+    rows = []
+    for point in points:
+        by_weather = [part["discarded"][ACTUAL] for part in point["discarded_by_weather"]]
+        by_weather += [math.nan] * (quarters - len(by_weather))
+        shares = [point["discarded"].get(name, math.nan) for name in names]
+        rows.append((cell(_values(point, keys)), *map(share_cell, (*shares, *by_weather))))
+    columns = ["point", *(f"{name} [%]" for name in names)]
+    columns += [f"{ACTUAL}, {name} [%]" for name in quarter_names(quarters)]
+    notes = (DISCARD_RULE, QUARTERS) if quarters else (DISCARD_RULE,)
+    yield Grid("discarded-table", "Share of the scans that cleaning discards", tuple(columns), tuple(rows), notes)
 
 
 def _agreement(summary: Content) -> Grid | None:
     """Forecast over simulated, less 1, of every point that has both."""
     rows = []
     for point in summary["points"]:
-        score, forecast = point["scores"].get(ACTUAL), point["forecast_ukcmb2"].get(ACTUAL)
-        if score and forecast is not None:
-            ratio = forecast / score["sigma_ukcmb2"]
-            error = ratio * score["error_ukcmb2"] / score["sigma_ukcmb2"]
-            rows.append((cell(_values(point, _keys(summary))), measured(100 * (ratio - 1), 100 * error)))
+        if off := point.get("forecast_over_simulated"):
+            ratio = measured(100 * off["sigma"], 100 * off["sigma_error"])
+            rows.append((cell(_values(point, _keys(summary))), ratio))
     columns = ("point", "forecast over simulated, less 1 [%]")
-    note = "Errors are those of the simulation; the points have one seed, so they are not independent of each other."
+    note = (
+        "Both are of the same observations and of the scans that were kept. Errors are those of the ratio; the points"
+        " have one seed, so they are not independent of each other."
+    )
     return Grid("agreement-table", "σ(A) of the actual data", columns, tuple(rows), (note,)) if rows else None
 
 

@@ -1,5 +1,6 @@
 """The figure of a sweep: sigma(A) along the first axis, and its ratio to the reference point with paired errors."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ from surveysim.paper.figure import Panel, PaperFigure, Series
 from surveysim.recipes import ACTUAL
 from surveysim.report.drawing import save
 from surveysim.report.panels import lay_out
-from surveysim.sweep import numbers_of
+from surveysim.sweep import Axis, numbers_of
 from surveysim.trade import SweepResult
 
 COLOURS = ("black", "vermilion", "blue", "green", "purple", "orange", "sky")
@@ -24,7 +25,7 @@ def draw_sweep(path: Path, result: SweepResult) -> Path:
     ticks = _ticks(result)
     if ticks:
         for axes in figure.axes:
-            turned = sum(map(len, ticks)) > LEVEL_TICKS
+            turned = sum(max(map(len, tick.split("\n"))) for tick in ticks) > LEVEL_TICKS
             axes.set_xticks(range(len(ticks)), ticks, rotation=30 if turned else 0)
     save(figure, path)
     return path
@@ -43,6 +44,9 @@ def sweep_figure(result: SweepResult) -> PaperFigure:
         rows = rows[np.argsort(x[rows], kind="stable")]
         levels += _levels(result, x, rows, name, colour)
         ratios += _ratios(result, x, rows, name, colour)
+    lost = np.array([bool(result.withheld(number)) for number in range(len(x))])
+    if lost.any():
+        ratios.append(Series("loses too many scans to compare", "points", x[lost], comparison.ratio[lost], "orange -."))
     shown = comparison.sigma_ukcmb2[np.isfinite(comparison.sigma_ukcmb2)]
     look = {"x_log": logarithmic, "y_log": _wide(shown)}
     panels = (
@@ -65,7 +69,7 @@ def _levels(result: SweepResult, x: np.ndarray, rows: np.ndarray, name: str, col
     series = []
     if np.isfinite(forecast).any():
         label = "" if name and result.simulated else name or "forecast"
-        # Values that are no numbers have nothing between them.
+        # Steps without a number have nothing between them.
         kind, look = ("points", f"{colour} :") if _ticks(result) else ("line", f"{colour} --")
         series.append(Series(label, kind, x[rows], forecast, look))
     if result.simulated:
@@ -111,11 +115,17 @@ def _positions(result: SweepResult) -> tuple[np.ndarray, str, bool]:
         return np.arange(len(sweep.points)), "point", False
     first = sweep.axes[0]
     place = np.array([point.place[0] for point in sweep.points])
-    found = numbers_of([values[0] for values in first.values])
+    found = _numbers(first)
     if found is None:
         return place, first.name, False
     values, unit = found[0].astype(float), found[1]
     return values[place], f"{first.name} [{unit}]" if unit else first.name, _wide(values)
+
+
+def _numbers(axis: Axis) -> tuple[np.ndarray, str] | None:
+    """Values of the axis' first key and their unit; None unless they are numbers that keep its steps apart."""
+    found = numbers_of([values[0] for values in axis.values])
+    return found if found is not None and len(np.unique(found[0])) == len(axis.values) else None
 
 
 def _wide(values: np.ndarray) -> bool:
@@ -124,7 +134,8 @@ def _wide(values: np.ndarray) -> bool:
 
 
 def _ticks(result: SweepResult) -> list[str]:
-    """Labels of values that are no numbers; none where they are."""
+    """Labels of the steps, each key in a line of its own, where their place is not their value; none elsewhere."""
     first = result.sweep.axes[0]
-    text = not _in_a_row(result) and numbers_of([values[0] for values in first.values]) is None
-    return first.labels if text else []
+    if _in_a_row(result) or _numbers(first) is not None:
+        return []
+    return [re.sub(r", (?=[\w.]+ = )", "\n", label) for label in first.labels]

@@ -1,6 +1,7 @@
 """Results and plans as text: tables on the terminal."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,12 +9,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from surveysim.forecast import NEGLECTED
-from surveysim.plan import Plan, SweepPlan
+from surveysim.agreement import GOOD_PSD, GOOD_SIGMA, KNOWN, Agreement
+from surveysim.discards import percent, telling
+from surveysim.plan import Plan
 from surveysim.recipes import ACTUAL
 from surveysim.report.page import REPORT
 from surveysim.results import (
-    COMPARED_ELL,
     METHOD,
     OPTIMAL_METHOD,
     Row,
@@ -24,21 +25,16 @@ from surveysim.results import (
 )
 from surveysim.scene import Scene
 from surveysim.stopping import UNLIMITED
-from surveysim.sweep import Sweep
-from surveysim.trade import SURE, SweepResult
 
 if TYPE_CHECKING:
     from astropy.table import Table as AstropyTable
 
-    from surveysim.forecast import Forecast
-
-# What a forecast is good to; a report says where one is worse.
-FORECAST_SIGMA, FORECAST_PSD = 0.1, 0.15
+    from surveysim.forecast import DataSetForecast, Forecast
 
 
 def print_result(result: SurveyResult, directory: Path) -> None:
     """Score table beside the reference, gains, what is assumed, time taken and where the files are."""
-    console = _console()
+    console = table_console()
     for line in stop_lines(result):
         console.print(f"{line}\n", highlight=False, markup=False)
     if len(result.setup.whole_recipes) > 1:
@@ -59,10 +55,18 @@ def print_result(result: SurveyResult, directory: Path) -> None:
         console.print("\nAssumed or calibrated in the scene:", highlight=False)
         for line in result.setup.scene.assumed:
             console.print(f"  - {line}", highlight=False, markup=False)
+    print_warnings(console, result.discards.warnings)
     console.print(f"\n{closing_line(result)}\n{where_line(directory)}", highlight=False, markup=False)
 
 
-def _console() -> Console:
+def print_warnings(console: Console, warnings: Sequence[str]) -> None:
+    """A paragraph for each warning."""
+    for line in warnings:
+        console.print(f"\nWarning: {line}", highlight=False, markup=False)
+
+
+def table_console() -> Console:
+    """What tables are printed on."""
     # Off a terminal rich takes 80 columns, in which the tables would break.
     return Console(soft_wrap=True, width=None if sys.stdout.isatty() else 120)
 
@@ -70,11 +74,17 @@ def _console() -> Console:
 def closing_line(result: SurveyResult) -> str:
     """What was done and how long it took."""
     content = summary(result)
-    scans = f"{content['scans_discarded']} of {content['scans']} scans discarded"
+    scans = f"{content['scans_discarded']} of {content['scans']} scans discarded{_shares(result.discards.shares)}"
     return (
         f"{content['observations']} observations, {content['detector_samples'] / 1e6:.4g} million "
         f"detector-samples, {scans}, {result.wall_s:.1f} s with {result.workers} worker(s)"
     )
+
+
+def _shares(discarded: dict[str, float]) -> str:
+    """`` (18.4 %; masked_36: 2.0 %)``: the actual data's share, and those that differ; nothing if all are 0."""
+    shown = [f"{name}: {percent(discarded[name])}" for name in telling([discarded])]
+    return f" ({'; '.join(shown).removeprefix(f'{ACTUAL}: ')})" if any(discarded.values()) else ""
 
 
 def where_line(directory: Path) -> str:
@@ -83,26 +93,49 @@ def where_line(directory: Path) -> str:
 
 
 def agreement_lines(result: SurveyResult) -> list[str]:
-    """How far the forecast is from the simulation, and where that is more than it should be and than chance."""
-    found, (low, high) = forecast_agreement(result), COMPARED_ELL
+    """How far the forecast is from the simulation, where that is more than it should be, and its flags."""
+    found = forecast_agreement(result)
     if not found:
         return []
     off = ", ".join(f"{name} {100 * item.sigma:+.0f} +- {100 * item.sigma_error:.0f} %" for name, item in found.items())
     lines = [f"  forecast of sigma(A) over simulated, less 1: {off}"]
     lines += [
-        f"  forecast of {name}: sigma(A) is worse than {100 * FORECAST_SIGMA:.0f} %"
+        f"  forecast of {name}: sigma(A) is worse than {100 * GOOD_SIGMA:.0f} %"
         for name, item in found.items()
-        if abs(item.sigma) > FORECAST_SIGMA + 2 * item.sigma_error
+        if abs(item.sigma) > GOOD_SIGMA + 2 * item.sigma_error
     ]
-    worse = [
-        f"  forecast of {name}: noise PSD is {100 * item.psd:+.0f} +- {100 * item.psd_error:.0f} % off at"
-        f" ell = {item.worst_ell:.0f}"
-        for name, item in found.items()
-        if abs(item.psd) > FORECAST_PSD + 2 * item.psd_error
-    ]
-    if all(item.psd != item.psd for item in found.values()):  # no bin was compared
-        return lines
-    return lines + (worse or [f"  its noise PSDs: within {100 * FORECAST_PSD:.0f} % in all bins from {low} to {high}"])
+    flags = [f"  ! forecast of {line}" for line in effect_lines(result.expected.scores, flagged=True)]
+    return [*lines, *_psd_lines(found), *flags]
+
+
+def _psd_lines(found: dict[str, Agreement]) -> list[str]:
+    """How many bins of the noise PSDs are forecast as well as they should be, and the one that is furthest off."""
+    bins, within = (sum(getattr(item, key) for item in found.values()) for key in ("bins", "within"))
+    if bins == 0:
+        return []
+    some, unknown = next(iter(found.values())), sum(item.unknown for item in found.values())
+    good, known = f"{100 * GOOD_PSD:.0f} %", f"{100 * KNOWN:g} %"
+    where = f"from ell = {some.low_ell:.0f} to {some.high_ell:.0f}"
+    if within == bins:
+        return [f"  its noise PSDs: within {good} in all {bins} bins {where}, each known to {known} or better"]
+    name, worst = max(found.items(), key=lambda entry: abs(entry[1].psd) - 2 * entry[1].psd_error)
+    off = f"{name} by {100 * worst.psd:+.0f} +- {100 * worst.psd_error:.0f} % at ell = {worst.worst_ell:.0f}"
+    line = f"  its noise PSDs: within {good} in {within} of {bins} bins {where}"
+    line += f", {unknown} are not known to {known}" if unknown else ""
+    return [f"{line}; furthest off for certain: {off}"]
+
+
+def effect_lines(scores: "dict[str, DataSetForecast]", flagged: bool = False) -> list[str]:
+    """Effects on forecasts, a line each with the data sets that have it: all of the first set, flagged ones of others.
+
+    With `flagged`, flagged ones alone.
+    """
+    lines: dict[str, list[str]] = {}
+    for place, (name, item) in enumerate(scores.items()):
+        for effect in item.effects:
+            if effect.flagged or (place == 0 and not flagged):
+                lines.setdefault(effect.sentence, []).append(name)
+    return [f"{', '.join(names)}: {sentence}" for sentence, names in lines.items()]
 
 
 def survey_lines(result: SurveyResult) -> list[str]:
@@ -215,7 +248,7 @@ def _alternative_table(result: SurveyResult) -> Table:
 
 def print_plan(scene: Scene, plan: Plan, workers: int) -> None:
     """Stages, what is left out and why, and the predicted cost."""
-    console = _console()
+    console = table_console()
     table = Table(title=Text(f"{scene.name}: {scene.title}"))
     for heading in ("stage", "what"):
         table.add_column(heading)
@@ -240,96 +273,9 @@ def _seconds(seconds: float) -> str:
     return f"{seconds:.1f}" if seconds < 10 else f"{seconds:.0f}"
 
 
-def print_sweep_plan(sweep: Sweep, plan: SweepPlan, workers: int) -> None:
-    """Axes of a sweep and the predicted cost of its points."""
-    console = _console()
-    table = Table(title=Text(f"{sweep.name}: {plan.n_points} points"))
-    table.add_column("axis")
-    table.add_column("values")
-    for axis in sweep.axes:
-        table.add_row(Text(axis.name), Text(", ".join(axis.labels)))
-    console.print(table)
-    lines = (
-        f"about {plan.wall_s:.0f} s with {workers} worker(s), predicted from the first and the last point",
-        f"about {plan.memory_bytes / 1e6:.0f} MB a process",
-        f"{plan.detector_samples / 1e6:.4g} million detector-samples",
-    )
-    console.print("\n".join(lines), highlight=False)
-
-
-def print_sweep(result: SweepResult, directory: Path) -> None:
-    """A row for each point, why points have no score, the reference point, the best one, and where the files are."""
-    console = _console()
-    console.print(_sweep_table(result))
-    for point, item in zip(result.sweep.points, result.points, strict=True):
-        if item.unscored:
-            console.print(f"Not scored: {point.label}: {item.unscored}", highlight=False, markup=False)
-    if result.comparison.reference is not None:
-        reference = result.sweep.points[result.comparison.reference].label
-        shared = ", their errors those of runs with one seed" if result.simulated else ""
-        console.print(f"Ratios are to {reference}{shared}.", highlight=False, markup=False)
-        console.print(best_line(result), highlight=False, markup=False)
-    for line in _forecast_lines(result):
-        console.print(line, highlight=False, markup=False)
-    done = f"{len(result.points)} points in {result.wall_s:.1f} s with {result.workers} worker(s)"
-    console.print(f"\n{done}\n{where_line(directory)}", highlight=False, markup=False)
-
-
-def _forecast_lines(result: SweepResult) -> list[str]:
-    """How far forecasts are from the simulation at worst, or what they neglect where they stand alone."""
-    if not result.simulated:
-        return ["The forecast neglects:", *(f"  - {line}" for line in NEGLECTED)]
-    comparison, worst = result.comparison, (0.0, "")
-    for number, (point, item) in enumerate(zip(result.sweep.points, result.points, strict=True)):
-        forecast, sigma = item.forecast_ukcmb2.get(ACTUAL), comparison.sigma_ukcmb2[number]
-        if forecast is not None and sigma > 0 and abs(forecast / sigma - 1) >= abs(worst[0]):
-            error = 100 * forecast / sigma * comparison.error_ukcmb2[number] / sigma
-            off = forecast / sigma - 1
-            worst = (off, f"forecast over simulated, less 1: at worst {100 * off:+.0f} +- {error:.0f} %, {point.label}")
-    return [worst[1]] if worst[1] else []
-
-
-def best_line(result: SweepResult) -> str:
-    """``best: key = value, ... with confidence 93 %``, or all points that are equally good."""
-    comparison = result.comparison
-    labels = " or ".join(result.sweep.points[number].label for number in comparison.best)
-    first = comparison.best[0]
-    sigma = f"sigma(A) = {comparison.sigma_ukcmb2[first]:.1f}"
-    if not result.simulated:
-        return f"best: {labels}, {sigma} uK_CMB^2 by forecast"
-    probability = comparison.best_probability[first]
-    confidence = f"more than {100 * SURE:g} %" if probability > SURE else f"{100 * probability:.0f} %"
-    error = f"+- {comparison.error_ukcmb2[first]:.1f} uK_CMB^2"
-    return f"best: {labels}, {sigma} {error}, {'each ' if len(comparison.best) > 1 else ''}with confidence {confidence}"
-
-
-def _sweep_table(result: SweepResult) -> Table:
-    sweep, comparison = result.sweep, result.comparison
-    table = Table(title=Text(f"{sweep.points[0].scene.title}: uncertainty on a flat CMB band power"))
-    for axis in sweep.axes:
-        table.add_column(Text(axis.name))
-    headings = ["detectors"] + ["sigma(A) [uK_CMB^2]"] * result.simulated + ["forecast", "ratio"]
-    for heading in headings + ["best"] * result.simulated:
-        table.add_column(Text(heading), justify="right", no_wrap=True)
-    for number, (point, item) in enumerate(zip(sweep.points, result.points, strict=True)):
-        cells = [Text(axis.labels[step]) for axis, step in zip(sweep.axes, point.place, strict=True)]
-        forecast = item.forecast_ukcmb2.get(ACTUAL)
-        level = f"{comparison.sigma_ukcmb2[number]:.1f} +- {comparison.error_ukcmb2[number]:.1f}"
-        ratio = f"{comparison.ratio[number]:.3f}"
-        if result.simulated and number != comparison.reference:
-            ratio += f" +- {comparison.paired_error[number]:.3f}"
-        scored = comparison.ratio[number] > 0  # NaN is not
-        cells += [str(item.n_det)] + [level if scored else "not scored"] * result.simulated
-        cells += ["" if forecast is None else f"{forecast:.1f}", ratio if scored else ""]
-        if result.simulated:
-            cells.append(f"{100 * comparison.best_probability[number]:.0f} %" if scored else "")
-        table.add_row(*cells)
-    return table
-
-
 def print_forecast(scene: Scene, forecast: "Forecast") -> None:
-    """The forecast of each data set, beside the reference if there is one, and what it neglects."""
-    console = _console()
+    """The forecast of each data set, beside the reference if there is one, and effects on it with their sizes."""
+    console = table_console()
     reference = scene.score.reference
     published = dict(reference.values_ukcmb2) if reference else {}
     table = Table(title=Text(f"{scene.title}: forecast of the uncertainty on a flat CMB band power"))
@@ -345,16 +291,17 @@ def print_forecast(scene: Scene, forecast: "Forecast") -> None:
             cells += [f"{published[name]:g}", f"{band.sigma_ukcmb2 / published[name]:.2f}"]
         table.add_row(*cells)
     console.print(table)
-    console.print("Neglected:", highlight=False)
-    for line in forecast.neglected:
-        console.print(f"  - {line}", highlight=False, markup=False)
+    console.print("Effects on the forecast, with their sizes; those marked ! may put it off:", highlight=False)
+    flagged = effect_lines(forecast.scores, flagged=True)
+    for line in effect_lines(forecast.scores):
+        console.print(f"  {'!' if line in flagged else '-'} {line}", highlight=False, markup=False)
 
 
 def print_paper(written: list[Path]) -> None:
     """The tables that were made, figures as their captions, and where the files are."""
     from astropy.table import Table as AstropyTable
 
-    console = _console()
+    console = table_console()
     for path in written:
         if path.suffix == ".ecsv" and not path.stem.startswith("measurements"):
             made = AstropyTable.read(path, format="ascii.ecsv")

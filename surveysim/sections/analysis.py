@@ -30,6 +30,11 @@ class Cleaning(Section):
     """A scan whose templates take more is discarded."""
     sigma_cut: Positive | None = None
     """Needed by "pca": removes modes whose log eigenvalue is more than so many standard deviations above the mean."""
+    responsivities: Literal["scan", "observation", "survey", "known"] = "scan"
+    """Whose responsivities templates are subtracted with: fitted to each scan, as in the paper, or to all scans of an
+    observation together; the true ones with an error that lasts the survey, or without."""
+    calibration_error: Annotated[float, Field(gt=0, le=1)] | None = None
+    """Needed by responsivities "survey": rms error of these, relative and log-normal."""
     reach: Positive | None = None
     """Needed by "local": detectors within so many closest separations are neighbours."""
     order: Annotated[int, Field(ge=0, le=20)] | None = None
@@ -48,10 +53,29 @@ class Cleaning(Section):
         ):
             if algorithm in named and getattr(self, key) is None:
                 raise ValueError(f"{key}: missing; {algorithm!r} needs it")
+        self._check_responsivities(named)
         sets = ["+".join(steps) for steps in (self.algorithm, *self.compare)]
         if repeated := [name for name in sets if sets.count(name) > 1]:
             raise ValueError(f"compare: found {repeated[0]!r} more than once; different algorithms are expected")
         return self
+
+    def _check_responsivities(self, named: set[str]) -> None:
+        """Raise ValueError where a key about responsivities is missing, or would do nothing."""
+        from mapmaker.cleaning import TEMPLATE_CLEANINGS
+
+        survey = self.responsivities == "survey"
+        if survey and self.calibration_error is None:
+            raise ValueError("calibration_error: missing; responsivities 'survey' needs it")
+        if not survey and self.calibration_error is not None:
+            raise ValueError(
+                f"calibration_error: found {self.calibration_error:g} with responsivities {self.responsivities!r}; "
+                "none is expected, or responsivities 'survey'"
+            )
+        if self.responsivities != "scan" and named.isdisjoint(TEMPLATE_CLEANINGS):
+            raise ValueError(
+                f"responsivities: found {self.responsivities!r} with {', '.join(map(repr, sorted(named)))} alone, which"
+                f" needs none; 'scan' is expected, or an algorithm of {', '.join(map(repr, TEMPLATE_CLEANINGS))}"
+            )
 
 
 class MapSection(Section):

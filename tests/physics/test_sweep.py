@@ -99,7 +99,7 @@ def assert_right(log_ratio, paired):
 
 def test_paired_error_of_a_small_change(tmp_path, monkeypatch):
     """Half more detector noise beside the same photon noise: far better known than from independent runs."""
-    monkeypatch.setattr("surveysim.trade.forecast_sigma", lambda point: ({}, ""))
+    monkeypatch.setattr("surveysim.trade.run_forecast", lambda setup, coadds: None)
     table = '"detector.psd" = ["2.5 mK2 / Hz", "3.75 mK2 / Hz"]'
     log_ratio, paired, independent = seeds_of(tmp_path, NO_AIR, table, 24)
     assert_right(log_ratio, paired)
@@ -111,7 +111,7 @@ def test_paired_error_of_a_small_change(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_paired_error_where_little_is_common(tmp_path, monkeypatch):
     """Another scan speed: other maps of the same streams."""
-    monkeypatch.setattr("surveysim.trade.forecast_sigma", lambda point: ({}, ""))
+    monkeypatch.setattr("surveysim.trade.run_forecast", lambda setup, coadds: None)
     table = '"scan.speed" = ["4 arcmin / s", "4.5 arcmin / s"]'
     log_ratio, paired, independent = seeds_of(tmp_path, NO_AIR, table, 60)
     assert_right(log_ratio, paired)
@@ -133,7 +133,7 @@ def test_paired_error_in_varying_weather(tmp_path, monkeypatch, table, gained):
     Weights with long tails scatter more from seed to seed than normal ones: the variance from n seeds is known to
     sqrt(5 / n) for the kurtosis of 6 that is found.
     """
-    monkeypatch.setattr("surveysim.trade.forecast_sigma", lambda point: ({}, ""))
+    monkeypatch.setattr("surveysim.trade.run_forecast", lambda setup, coadds: None)
     n = 40
     log_ratio, paired, independent = seeds_of(tmp_path, AIR, table, n)
     assert np.log(np.var(log_ratio, ddof=1) / np.mean(paired**2)) == pytest.approx(0, abs=3 * np.sqrt(5 / n))
@@ -156,4 +156,4 @@ def test_best_of_equal_toy_surveys_is_drawn_by_lot():
 
 
 def _point(item):
-    return PointResult(100, {"actual": item}, {}, "same", "", 0.0)
+    return PointResult(100, {"actual": item}, {}, [], [], "same", "", 0.0)

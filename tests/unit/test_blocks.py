@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mapmaker.cleaning.templates import MOST_GRAM
+from mapmaker.cleaning.responsivity import MOST_GRAM
 from mapmaker.timestreams import read_timestreams
 from surveysim.blocks import Block, scan_blocks
 from surveysim.coherence import MOST_DENSE

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapmaker.cleaning import TemplateOptions, templates
+from mapmaker.cleaning import TemplateOptions, responsivity
 from mapmaker.kernels.cleaning import iterate_responsivity
 from tests import naive
 
@@ -89,13 +89,25 @@ def test_passes_over_the_stream_do_what_the_gram_matrix_does(n_par, monkeypatch)
     basis = np.ascontiguousarray(np.linalg.qr(shapes)[0].T)
     found = []
     for most in (N_DET, N_DET - 1):
-        monkeypatch.setattr(templates, "MOST_GRAM", most)
-        left = data.copy()
-        found.append((templates.fit_templates(left, basis, TemplateOptions(1e-8, 100)), left))
-    (by_gram, one), (by_passes, other) = found
-    assert by_gram.iterations == by_passes.iterations > 2 and by_gram.removed == by_passes.removed == n_par
-    np.testing.assert_allclose(by_passes.responsivity, by_gram.responsivity, rtol=1e-11)
-    np.testing.assert_allclose(other, one, atol=1e-11)
+        monkeypatch.setattr(responsivity, "MOST_GRAM", most)
+        found.append(responsivity.fit_responsivity(lambda: (data,), basis, TemplateOptions(1e-8, 100)))
+    (by_gram, steps), (by_passes, as_many) = found
+    assert steps == as_many > 2
+    np.testing.assert_allclose(by_passes, by_gram, rtol=1e-11)
+
+
+@pytest.mark.parametrize("most", [N_DET, N_DET - 1])
+def test_blocks_are_fitted_as_one(most, monkeypatch):
+    """Two halves, each less its means, have together the responsivities of both side by side."""
+    _, data = _scan(7, 3)
+    basis = np.ascontiguousarray(np.linalg.qr(_scan(7, 3)[0])[0].T)
+    halves = [part - part.mean(axis=1, keepdims=True) for part in (data[:, :25], data[:, 25:])]
+    monkeypatch.setattr(responsivity, "MOST_GRAM", most)
+    options = TemplateOptions(1e-10, 100)
+    found, steps = responsivity.fit_responsivity(lambda: iter(halves), basis, options)
+    expected, as_many = responsivity.fit_responsivity(lambda: (np.hstack(halves),), basis, options)
+    assert steps == as_many
+    np.testing.assert_allclose(found, expected, rtol=1e-11)
 
 
 @pytest.mark.parametrize("spoiled", ["dead", "few iterations", "vanishing"])
@@ -110,6 +122,7 @@ def test_passes_end_where_the_gram_matrix_does(spoiled, monkeypatch):
     basis = np.full((1, len(data)), len(data) ** -0.5)
     options, found = TemplateOptions(1e-8, 2 if spoiled == "few iterations" else 100), []
     for most in (len(data), 0):
-        monkeypatch.setattr(templates, "MOST_GRAM", most)
-        found.append(templates.fit_templates(data.copy(), basis, options))
-    assert found[0] == found[1] and found[0].responsivity is None
+        monkeypatch.setattr(responsivity, "MOST_GRAM", most)
+        found.append(responsivity.fit_responsivity(lambda: (data,), basis, options))
+    (by_gram, steps), (by_passes, as_many) = found
+    assert steps == as_many and np.isnan(by_gram).all() and np.isnan(by_passes).all()

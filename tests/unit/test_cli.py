@@ -234,7 +234,7 @@ def interrupt_after(call, scene, out, done, monkeypatch):
     """A run that is interrupted once `done` observations are in."""
 
     @contextlib.contextmanager
-    def display(name, total, quiet):
+    def display(name, work, quiet, workers):
         def show(finished, status):
             if finished == done:
                 raise KeyboardInterrupt
@@ -263,7 +263,7 @@ def test_progress_lines(call, scene):
     lines = error.splitlines()
     assert [line.split()[1] for line in lines] == ["1/4", "2/4", "3/4", "4/4"]
     # The first says nothing of the time left: what came before it was start-up.
-    assert [" s left" in line for line in lines] == [False, True, True, True] and "\x1b" not in error
+    assert [" s left" in line for line in lines] == [False, True, True, False] and "\x1b" not in error
     assert "sigma(A) = " in lines[-1] and " uK_CMB^2" in lines[-1]
 
 

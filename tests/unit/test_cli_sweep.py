@@ -85,7 +85,7 @@ def test_interrupted_sweep(sweep):
 
 def test_forecast(call, scene):
     code, out, error = call("forecast", scene)
-    assert (code, error) == (0, "") and "masked_7" in out and "Neglected:" in out
+    assert (code, error) == (0, "") and "masked_7" in out and "Effects on the forecast" in out
     assert list(scene.parent.iterdir()) == [scene]
     assert call("forecast", scene, "--out", scene.parent / "out", "--quiet") == (0, "", "")
     table = Table.read(scene.parent / "out" / "forecast.ecsv", format="ascii.ecsv")

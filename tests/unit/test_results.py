@@ -22,7 +22,8 @@ KEYS = {
     "files", "stopped", "stages", "left_out", "truth",
 }  # fmt: skip
 SCORED_KEYS = {
-    "controlled", "fine_answer", "answers", "forecast_over_simulated", "error_budget", "gains", "alternatives",
+    "controlled", "fine_answer", "answers", "forecast_over_simulated", "forecast", "error_budget", "gains",
+    "alternatives",
 }  # fmt: skip
 SETS = ("actual", "uncorrelated", "white", "masked_7")
 

@@ -11,7 +11,7 @@ from surveysim import SceneError, load_scene, load_sweep, run, run_sweep, survey
 from surveysim.api import forecast_sweep
 from surveysim.checkpoint import CheckpointError
 from surveysim.engines import SERIAL, Engine
-from surveysim.outputs import sweep_table
+from surveysim.sweep_outputs import sweep_table
 from surveysim.point_files import PointResult, load_point, save_point
 from surveysim.report.sweep_figure import draw_sweep, sweep_figure
 from surveysim.report.text import best_line
@@ -327,7 +327,7 @@ def test_points_that_cannot_be_forecast_say_why(write, levels, monkeypatch):
     def refuse(scene):
         raise SceneError("cleaning.algorithm: found 'pca'")
 
-    monkeypatch.setattr("surveysim.forecast.forecast", refuse)
+    monkeypatch.setattr("surveysim.trade.forecast", refuse)
     points = forecast_points(levels[0].sweep, lambda done: None)
     assert [(point.unscored, point.forecast_ukcmb2) for point in points] == [
         ("cleaning.algorithm: found 'pca'", {})

@@ -1,0 +1,107 @@
+"""The forecast against a run: how far it is off, with the errors of that."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmaker.bandpower import noise_error, ratio_error, sign_error
+from surveysim.coadds import CoAdds, row_names
+from surveysim.forecast import DataSetForecast, Forecast, can_forecast, forecast, is_projection
+from surveysim.scene import SceneError
+from surveysim.scores import DataSetScore
+from surveysim.setup import Setup
+from surveysim.validity import compared_ell
+
+GOOD_SIGMA, GOOD_PSD = 0.1, 0.15  # relative: what a forecast is good to
+KNOWN = GOOD_PSD / 2  # a bin whose ratio has a larger standard error can't be called good
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Forecast over simulation of one data set, less 1, each with the standard error of the ratio.
+
+    Both are of the same observations in the same weather, and of the scans that were kept. `sigma` is that of sigma(A).
+    Noise PSDs are compared in the bins from `low_ell` to `high_ell`: `psd` is that of the bin around `worst_ell`, which
+    is furthest off for certain (by two standard errors). Of `bins` bins, `within` are off by no more than `GOOD_PSD`
+    and have an error of no more than `KNOWN`; `unknown` have a larger error. Without such bins these numbers are 0
+    and the others None.
+    """
+
+    sigma: float
+    sigma_error: float
+    psd: float | None
+    psd_error: float | None
+    worst_ell: float | None
+    low_ell: float | None
+    high_ell: float | None
+    bins: int
+    within: int
+    unknown: int
+
+
+def run_forecast(setup: Setup, coadds: CoAdds) -> Forecast | None:
+    """The forecast of a run's own observations and of the scans that it kept, None where the scene has none."""
+    try:
+        return forecast(setup.scene, kept_shares(setup, coadds)) if can_forecast(setup) else None
+    except SceneError:  # a finished run never fails for want of a forecast
+        return None
+
+
+def kept_shares(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
+    """Share of scans (n_obs,) that was kept of each observation, by recipes' data sets."""
+    columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
+    names = [recipe.data_set for recipe in setup.recipes if is_projection(recipe)]
+    return {name: 1 - columns[f"discarded_{name}"] / setup.raster.n_scans for name in names}
+
+
+def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -> Agreement:
+    """Compare one data set.
+
+    The weather is common to both and cancels in their ratio. Left are the noise of the realizations, the scatter of
+    observations' noise about its forecast, and for sigma(A) the error of the window.
+    """
+    scatter = _scatter(simulated, expected)
+    ratio = expected.band.sigma_ukcmb2 / simulated.band.sigma_ukcmb2
+    error = ratio * float(np.linalg.norm([simulated.budget.noise, simulated.budget.window, scatter]))
+    low, high = compared_ell(setup)
+    edges = setup.band.rings.edges_ell
+    bins = np.flatnonzero((edges[:-1] >= low) & (edges[1:] <= high))
+    if not len(bins):
+        return Agreement(ratio - 1, error, *(None,) * 5, 0, 0, 0)
+    off, errors = _bin_ratios(simulated, expected, bins, scatter)
+    worst = int(np.argmax(np.abs(off) - 2 * errors))
+    known = errors <= KNOWN
+    return Agreement(
+        ratio - 1,
+        error,
+        float(off[worst]),
+        float(errors[worst]),
+        float(simulated.band.ell[bins[worst]]),
+        float(edges[bins[0]]),
+        float(edges[bins[-1] + 1]),
+        len(bins),
+        int(np.sum(known & (np.abs(off) <= GOOD_PSD))),
+        int(np.sum(~known)),
+    )
+
+
+def _scatter(simulated: DataSetScore, expected: DataSetForecast) -> float:
+    """Relative error of the co-added noise for observations that differ from their forecasts, beyond their own noise.
+
+    That noise is the part of the realizations' error which all have in common.
+    """
+    kept = expected.kept.share
+    total = ratio_error(simulated.weights * kept, expected.weights * kept)
+    used = simulated.weights[simulated.weights > 0]
+    common = simulated.budget.noise**2 - sign_error(simulated.noise_psds, simulated.band.weight, used) ** 2
+    return float(np.sqrt(max(total**2 - common, 0.0)))
+
+
+def _bin_ratios(
+    simulated: DataSetScore, expected: DataSetForecast, bins: np.ndarray, scatter: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Forecast over simulated noise PSD, less 1, in some bins, and the errors of that, (n,) each."""
+    weights = simulated.weights[simulated.weights > 0]
+    ratio = expected.noise_psd[bins] / simulated.noise_psd[bins]
+    noise = np.array([noise_error(simulated.noise_psds[:, [k]], np.ones(1), weights) for k in bins])
+    return ratio - 1, ratio * np.hypot(noise, scatter)

@@ -1,0 +1,151 @@
+"""Shares of discarded scans, by data set and by weather, and the warnings that they call for.
+
+Cleaning discards a scan whose templates it can't fit. Where the atmosphere is all that responsivities are fitted on,
+these are the calmest scans, hence the best data: a share of discarded scans costs more than its square root, and two
+points of a sweep that lose different shares differ by that too.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from surveysim.choice import TARGETS, best_places
+from surveysim.coadds import CoAdds, row_names
+from surveysim.recipes import ACTUAL, OPTIMAL
+from surveysim.setup import Setup
+
+MOST_DISCARDED = 0.05  # share of the scans from which a score is not to be trusted
+MOST_APART = 0.02  # difference of these shares from which two points are not to be compared
+WEATHER_GROUPS = 4  # quarters of the observations by their B2
+REMEDY = 'Remedy: cleaning.responsivities = "observation" or "survey", longer scans, or cleaning by "pca"'
+_ROUNDING = 1e-9  # of a difference of shares
+
+Shares = Mapping[str, float]  # by data set
+
+
+@dataclass(frozen=True)
+class Discards:
+    """Share of discarded scans by data set, of all observations and of quarters of them.
+
+    The simulated sets lose the scans of the actual data. `by_weather` has the calmest quarter first, and is empty
+    without an atmosphere: each has its lowest and highest B2 (`b2_min_mk2`, `b2_max_mk2` [mK^2 rad^(2-b)]), how many
+    `observations` it has, and the share `discarded` by data set.
+    """
+
+    shares: dict[str, float]
+    by_weather: list[dict[str, Any]]
+
+    @property
+    def warnings(self) -> list[str]:
+        """A line for each data set that loses too many scans."""
+        names = [name for name in telling([self.shares]) if self.shares[name] > MOST_DISCARDED + _ROUNDING]
+        return [f"{self._of(name)}; such a survey is not the one that was asked for. {REMEDY}." for name in names]
+
+    def _of(self, name: str) -> str:
+        text = f"{name}: {percent(self.shares[name])} of the scans are discarded"
+        if len(self.by_weather) < WEATHER_GROUPS:
+            return text
+        return f"{text}, {percent(self.by_weather[0]['discarded'][name])} in the calmest quarter of the observations"
+
+
+def discards(setup: Setup, coadds: CoAdds) -> Discards:
+    """Shares of discarded scans in the observations so far, of which there is at least one."""
+    shares, b2 = _of_observations(setup, coadds), coadds.column("b2_mk2")
+    order = [] if np.isnan(b2).any() else np.argsort(b2, kind="stable")
+    parts = np.array_split(order, min(WEATHER_GROUPS, len(order))) if len(order) else []
+    by_weather = [
+        {
+            "b2_min_mk2": float(b2[part].min()),
+            "b2_max_mk2": float(b2[part].max()),
+            "observations": len(part),
+            "discarded": _mean(setup, shares[part]),
+        }
+        for part in parts
+    ]
+    return Discards(_mean(setup, shares), by_weather)
+
+
+def _of_observations(setup: Setup, coadds: CoAdds) -> np.ndarray:
+    """Shares (n_obs, n_set) of the scans of each observation."""
+    columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
+    counts = {recipe.data_set: columns[f"discarded_{recipe.data_set}"] for recipe in setup.recipes}
+    if setup.chooses:
+        whole = [recipe.data_set for recipe in setup.whole_recipes]
+        best = best_places(np.array([columns[f"merit_{TARGETS[0]}_{name}"] for name in whole]))
+        # Without any merit the first recipe is taken.
+        counts[OPTIMAL] = np.choose(np.maximum(best, 0), [counts[name] for name in whole])
+    found = [counts.get(name, counts[ACTUAL]) for name in setup.data_sets]
+    return np.stack(found, axis=1) / setup.raster.n_scans
+
+
+def _mean(setup: Setup, shares: np.ndarray) -> dict[str, float]:
+    return dict(zip(setup.data_sets, shares.mean(axis=0).tolist(), strict=True))
+
+
+def telling(shares: Sequence[Shares]) -> list[str]:
+    """Data sets whose shares are worth a column: the actual one, and those that differ from it anywhere."""
+    names = dict.fromkeys(name for item in shares for name in item)
+    return [name for name in names if name == ACTUAL or any(item.get(name) != item.get(ACTUAL) for item in shares)]
+
+
+def percent(share: float) -> str:
+    """``18.4 %``."""
+    return f"{100 * share:.1f} %"
+
+
+# ---------------------------------------------------------------- points of a sweep
+
+
+def competing(shares: np.ndarray) -> np.ndarray:
+    """Which of some points (n,) may be called the best with a probability, by their shares of discarded scans.
+
+    Those that lose no more than `MOST_DISCARDED`, and no more than `MOST_APART` above the one that loses least; none
+    if only one of several does.
+    """
+    if not len(shares):
+        return np.zeros(0, bool)
+    few = shares <= MOST_DISCARDED + _ROUNDING
+    few &= shares <= shares.min() + MOST_APART + _ROUNDING
+    return few if few.sum() > 1 or len(few) == 1 else np.zeros_like(few)
+
+
+def why_withheld(share: float, least: float) -> str:
+    """Why a point of a sweep that loses a share of its scans has no probability of being the best."""
+    if share > MOST_DISCARDED + _ROUNDING:
+        return f"{percent(share)} of its scans are discarded, more than {100 * MOST_DISCARDED:g} %"
+    if share > least + MOST_APART + _ROUNDING:
+        return f"{percent(share)} of its scans are discarded, at another point {percent(least)}"
+    return f"other points lose too many scans to be compared with its {percent(share)}"
+
+
+def sweep_warnings(labels: Sequence[str], shares: Sequence[Shares]) -> list[str]:
+    """A line for each data set that loses too many scans at some points, or shares that differ too much between points.
+
+    `labels` and `shares` are those of the points.
+    """
+    found = []
+    for name in telling(shares):
+        known = [(item[name], label) for label, item in zip(labels, shares, strict=True) if name in item]
+        found += [f"{name}: {line}. {REMEDY}." for line in (_too_many(known), _too_different(known)) if line]
+    return found
+
+
+def _too_many(known: list[tuple[float, str]]) -> str:
+    wrong = [item for item in known if item[0] > MOST_DISCARDED + _ROUNDING]
+    if not wrong:
+        return ""
+    worst, label = max(wrong, key=lambda item: item[0])
+    of = "at the point" if len(known) == 1 else f"at {len(wrong)} of {len(known)} points"
+    return f"more than {100 * MOST_DISCARDED:g} % of the scans are discarded {of}, at most {percent(worst)} ({label})"
+
+
+def _too_different(known: list[tuple[float, str]]) -> str:
+    (least, few), (most, many) = (choose(known, key=lambda item: item[0]) for choose in (min, max))
+    if most <= least + MOST_APART + _ROUNDING:
+        return ""
+    return (
+        f"points differ by more than {100 * MOST_APART:g} % in the share of discarded scans, from {percent(least)} "
+        f"({few}) to {percent(most)} ({many}); so do their ratios for that reason alone"
+    )
