@@ -28,7 +28,7 @@ import numpy as np
 import scipy.fft
 from threadpoolctl import threadpool_limits
 
-from surveysim.atmosphere.spectrum import LAG_MAX, Screen, structure_function, structure_slope
+from surveysim.atmosphere.spectrum import LAG_MAX, Screen, at_elevation, structure_function, structure_slope
 from surveysim.kernels import screen as kernels
 
 _STEP_MAX_RAD = radians(40.0 / 3600.0)
@@ -146,8 +146,7 @@ class SlantStrips:
         number = ceil(-_SLANTS * log2(sine) - 1e-9)
         if number not in self.caches:
             slant = 2.0 ** (number / _SLANTS)
-            seen = Screen(self.screen.index, self.screen.beam_rad / slant, self.screen.outer_scale_rad / slant)
-            step = self.scale * strip_step(seen, self.closest_rad) * slant
+            step = self.scale * strip_step(at_elevation(self.screen, 1.0 / slant), self.closest_rad) * slant
             self.caches[number] = StripCache(
                 self.screen, self.half_width_rad * slant, step, self.interpolation, self.precision
             )
