@@ -38,14 +38,15 @@ Draw = tuple[int, Weather | None]  # an observation's number, and a weather that
 @dataclass(frozen=True)
 class Conditions:
     """Levels of draws: (n_draw,) `white` and `shared` photon and detector noise [mK^2/Hz], `excess` [mK^2],
-    `layer` (B2 at its elevation); `angle` (n_draw,) the array's against the scan; `motion` (n_draw, 2) complex, against
-    the layer, there and back [rad/s].
+    `layer` (B2 at its elevation), `sine` of that elevation; `angle` (n_draw,) the array's against the scan; `motion`
+    (n_draw, 2) complex, against the layer, there and back [rad/s].
     """
 
     white: np.ndarray
     shared: np.ndarray
     excess: np.ndarray
     layer: np.ndarray
+    sine: np.ndarray
     angle: np.ndarray
     motion: np.ndarray
 
@@ -124,8 +125,8 @@ def conditions(setup: Setup, draws: Iterable[Draw]) -> Conditions:
     draws = list(draws)
     views = {number: _view(setup, number) for number in {number for number, _ in draws}}
     rows = [_row(setup, views[number], weather) for number, weather in draws]
-    white, shared, excess, layer, angle, there, back = (np.array(column) for column in zip(*rows, strict=True))
-    return Conditions(white, shared, excess, layer, angle, np.stack([there, back], axis=1))
+    *levels, there, back = (np.array(column) for column in zip(*rows, strict=True))
+    return Conditions(*levels, np.stack([there, back], axis=1))
 
 
 def _view(setup: Setup, number: int) -> _View:
@@ -154,7 +155,8 @@ def _row(setup: Setup, view: _View, weather: Weather | None) -> tuple[float | co
     # A scan back is a scan there in a frame that is turned by half a turn.
     shared = white.photon_mk2_hz * white.shared
     unshared = white.photon_mk2_hz - shared + white.detector_mk2_hz
-    return unshared, shared, excess, layer, view.array_angle_rad + view.turn_rad, speed - wind, speed + wind
+    angle = view.array_angle_rad + view.turn_rad
+    return unshared, shared, excess, layer, np.sin(view.elevation_rad), angle, speed - wind, speed + wind
 
 
 def noise_correlations(setup: Setup, recipe: Recipe) -> NoiseCorrelations:

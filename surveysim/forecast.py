@@ -36,8 +36,8 @@ from surveysim.response import (
     TimeWindow,
     frequency_nodes,
     hann_window,
-    layer_stream_strength,
-    layer_strength,
+    layer_gain,
+    layer_stream_gain,
     layer_waves,
     matrix_power,
     projected_array,
@@ -54,6 +54,7 @@ from surveysim.validity import Effect, Grounds, effects
 _ANGLES = 3  # of the array against the scan that stand for all observations
 _SPEEDS, _DIRECTIONS = 5, 4  # of the layer against the scan
 _NOTHING, _BELOW = 1e-100, 3.0  # least transmission, and e-folds of ell that it is continued below the bins
+_SINES = 3  # of the elevation
 _SLOWEST = 0.02  # relative speed that is told from none, in scan speeds
 
 
@@ -84,12 +85,14 @@ class Forecast:
     scores: dict[str, DataSetForecast]
 
 
-LayerNoise = Callable[[np.ndarray], np.ndarray]  # (n_draw, n_motion) complex [rad/s] to (n_draw, n_bin)
+# Of (n_draw, n_motion) complex [rad/s] and sines of elevations (n_draw,), to (n_draw, n_bin).
+LayerNoise = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
 class _Parts:
-    """Noise variance a sample in each bin (n_bin,) of unit levels; `layer` that of motions (n_draw, 2) against it."""
+    """Noise variance a sample in each bin (n_bin,) of unit levels; `layer` that of motions (n_draw, 2)
+    against it at elevations with sines (n_draw,)."""
 
     white: np.ndarray
     shared: np.ndarray
@@ -117,7 +120,7 @@ class NoiseModel:
 
     def layer_noise(self, levels: Conditions) -> np.ndarray:
         """The layer's part of `noise`, (n_draw, n_bin)."""
-        return levels.layer[:, None] * self.parts.layer(levels.motion)
+        return levels.layer[:, None] * self.parts.layer(levels.motion, levels.sine)
 
 
 @dataclass(frozen=True)
@@ -211,9 +214,9 @@ def fitted_courses(setup: Setup, recipe: Recipe, array: Array, levels: Condition
         return NO_COURSES
     seconds = samples_per_scan(setup.raster) / setup.raster.sample_rate_hz
     motion = np.median(np.abs(levels.motion))
-    layer = layer_waves(screen(setup.scene), motion * seconds)
+    layer = layer_waves(screen(setup.scene), motion * seconds, [np.median(levels.sine)])
     common = array.seen(2 * np.pi * layer.alpha).mean(axis=0)
-    power = layer.power * (common.real**2 + common.imag**2)
+    power = layer.power[0] * (common.real**2 + common.imag**2)
     return template_courses(_along(layer, motion), power, seconds).less(share)
 
 
@@ -275,7 +278,7 @@ def _map_parts(
     # Pixels smooth what streams share; of each stream's own noise, scattered over all modes, they take next to nothing.
     pixel = pixel_window(setup.band.rings.ell, setup.geometry.pixel_rad)
     smoothed = white + (shared - white) * pixel, own + (low - own) * pixel
-    return _Parts(white, *smoothed, lambda motion: layer(motion) * pixel)
+    return _Parts(white, *smoothed, lambda motion, sine: layer(motion, sine) * pixel)
 
 
 def _layer_noise(
@@ -285,22 +288,29 @@ def _layer_noise(
     if setup.scene.atmosphere is None:
         return _no_layer
     layer = _layer(setup, levels, spectrum)
-    strengths = [layer_strength(array, response, layer) for array, response in zip(arrays, responses, strict=True)]
+    gains = [layer_gain(array, response, layer) for array, response in zip(arrays, responses, strict=True)]
 
-    def noise(motion: complex) -> np.ndarray:
+    def noise(motion: complex) -> list[np.ndarray]:
         along = _along(layer, motion)
-        sums = [spectrum.window.sums(strength, along, spectrum.at_hz) for strength in strengths]
-        return spectrum.modes.mean(np.mean(sums, axis=0)) * setup.raster.sample_rate_hz
+        sums = np.mean([spectrum.window.power_sums(gain, layer.power, along, spectrum.at_hz) for gain in gains], axis=0)
+        return [spectrum.modes.mean(item) * setup.raster.sample_rate_hz for item in sums]
 
-    return _between_motions(levels.motion, setup.raster.speed_rad_s, noise)
+    return _between_motions(setup, levels, noise)
 
 
-def _no_layer(motion: np.ndarray) -> np.ndarray:
+def _no_layer(motion: np.ndarray, sine: np.ndarray) -> np.ndarray:
     return np.zeros((len(motion), 1))
 
 
 def _layer(setup: Setup, levels: Conditions, spectrum: _Spectrum) -> Layer:
-    return layer_waves(screen(setup.scene), np.abs(levels.motion).max() * spectrum.window.duration_s)
+    longest = np.abs(levels.motion).max() * spectrum.window.duration_s
+    return layer_waves(screen(setup.scene), longest, _sine_nodes(levels))
+
+
+def _sine_nodes(levels: Conditions) -> np.ndarray:
+    """Sines of elevations that hold those of all observations."""
+    first, last = levels.sine.min(), levels.sine.max()
+    return np.linspace(first, last * (1 + 1e-6), _SINES if last > 1.01 * first else 2)
 
 
 def _along(layer: Layer, motion: complex) -> np.ndarray:
@@ -308,26 +318,30 @@ def _along(layer: Layer, motion: complex) -> np.ndarray:
     return (layer.alpha * np.conj(motion)).real
 
 
-def _between_motions(motion: np.ndarray, speed_rad_s: float, noise: Callable[[complex], np.ndarray]) -> LayerNoise:
-    """Means over columns of `noise` (n_bin,), between a few speeds and directions that hold those of `motion`.
+def _between_motions(setup: Setup, levels: Conditions, noise: Callable[[complex], list[np.ndarray]]) -> LayerNoise:
+    """Means over motions of `noise`, between a few speeds, directions and elevations that hold those of `levels`.
 
-    Mirrored directions count as one: the array stands at many angles to them. Faster motions, and slower ones, count
-    as the fastest and the slowest of `motion`.
+    `noise` of a motion is (n_bin,) at each elevation of `_sine_nodes`. Mirrored directions count as one: the array
+    stands at many angles to them. Whatever lies outside counts as the nearest inside.
     """
     from scipy.interpolate import RegularGridInterpolator
 
-    def place(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.log(np.maximum(np.abs(motion), _SLOWEST * speed_rad_s)), np.abs(np.angle(motion))
+    slowest = _SLOWEST * setup.raster.speed_rad_s
 
-    speed, turn = place(motion)
+    def place(motion: np.ndarray, sine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        logs = np.broadcast_to(np.log(sine)[:, None], motion.shape)
+        return np.log(np.maximum(np.abs(motion), slowest)), np.abs(np.angle(motion)), logs
+
+    speed, turn, _ = place(levels.motion, levels.sine)
     speeds = np.linspace(speed.min(), speed.max() + 1e-6, _SPEEDS if np.ptp(speed) > 1e-3 else 2)
     turns = np.linspace(turn.min(), turn.max() + 1e-6, _DIRECTIONS if np.ptp(turn) > 1e-3 else 2)
     table = np.array([[noise(np.exp(s + 1j * t)) for t in turns] for s in speeds])
-    logs = RegularGridInterpolator((speeds, turns), np.log(np.maximum(table, 1e-300)))
+    nodes = speeds, turns, np.log(_sine_nodes(levels))
+    logs = RegularGridInterpolator(nodes, np.log(np.maximum(table, 1e-300)))
 
-    def between(motion: np.ndarray) -> np.ndarray:
-        clipped = [np.clip(item, nodes[0], nodes[-1]) for item, nodes in zip(place(motion), logs.grid, strict=True)]
-        return np.exp(logs(np.stack(clipped, axis=-1))).mean(axis=1)
+    def between(motion: np.ndarray, sine: np.ndarray) -> np.ndarray:
+        places = zip(place(motion, sine), nodes, strict=True)
+        return np.exp(logs(np.stack([np.clip(item, node[0], node[-1]) for item, node in places], axis=-1))).mean(axis=1)
 
     return between
 
@@ -368,12 +382,12 @@ def _simulated_parts(
     layer = _no_layer
     if setup.scene.atmosphere is not None:
         waves = _layer(setup, levels, spectrum)
-        strength = np.mean([layer_stream_strength(array, waves) for array in arrays], axis=0)
-        layer = _between_motions(
-            levels.motion,
-            setup.raster.speed_rad_s,
-            lambda motion: in_bins(hann.sums(strength, _along(waves, motion), lines)),
-        )
+        gain = np.mean([layer_stream_gain(array, waves) for array in arrays], axis=0)
+
+        def noise(motion: complex) -> list[np.ndarray]:
+            return [in_bins(psd) for psd in hann.power_sums(gain[None], waves.power, _along(waves, motion), lines)]
+
+        layer = _between_motions(setup, levels, noise)
     return _Parts(white * flat, shared * flat, low * red, layer)
 
 

@@ -16,6 +16,7 @@ normalised so that H adds up to 1 over f' if no mean is removed. Fitted responsi
 direction of the scan; places in it are complex numbers x + i y.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ import numpy as np
 from mapmaker.cleaning.templates import AVERAGE, PLANAR, QUADRATIC, template_basis
 from mapmaker.spectrum import tukey
 from mapmaker.timestreams import FocalPlane
-from surveysim.atmosphere.spectrum import Screen, beam_transfer, power
+from surveysim.atmosphere.spectrum import Screen, at_elevation, beam_transfer, power
 from surveysim.coherence import MOST_DENSE
 from surveysim.courses import NO_COURSES, Courses
 from surveysim.kernels.forecast import windowed_sums
@@ -65,9 +66,15 @@ class TimeWindow:
 
     def sums(self, strength: np.ndarray, frequency_hz: np.ndarray, at_hz: np.ndarray) -> np.ndarray:
         """Sum of H(f_k, f_a) strength_ka over a, (n_k,); strength (n_k, n_a) or (1, n_a)."""
+        return self.power_sums(strength, np.ones((1, len(frequency_hz))), frequency_hz, at_hz)[0]
+
+    def power_sums(
+        self, gain: np.ndarray, power: np.ndarray, frequency_hz: np.ndarray, at_hz: np.ndarray
+    ) -> np.ndarray:
+        """`sums` of gain_ka power_pa, (n_p, n_k); power (n_p, n_a)."""
         mean = np.sinc(frequency_hz * self.duration_s)
         lost = self.courses.of_waves(frequency_hz, self.duration_s)
-        arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (strength, frequency_hz, at_hz))
+        arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (gain, power, frequency_hz, at_hz))
         losses = self.courses.share, self.own(at_hz), lost
         return windowed_sums(*arrays, self.transfer, self.per_step, mean, *losses)
 
@@ -231,26 +238,32 @@ def _projected_power(array: Array, correlation: SharedNoise) -> float:
 
 @dataclass(frozen=True)
 class Layer:
-    """Wavevectors of the layer: `alpha` (n_a,) complex [cycles/rad]; `power` (n_a,) what each adds to a variance."""
+    """Wavevectors of the layer: `alpha` (n_a,) complex [cycles/rad]; `power` (n_sine, n_a), the variance of each."""
 
     alpha: np.ndarray
     power: np.ndarray
 
 
-def layer_waves(screen: Screen, longest_rad: float) -> Layer:
+def layer_waves(screen: Screen, longest_rad: float, sines: Sequence[float] = (1.0,)) -> Layer:
     """Wavevectors for unit amplitude, from well below one over the longest track to where the beam ends.
 
-    What is longer still is a slope along any track, and added to the longest waves as such: of a steep spectrum without
-    an outer scale, a third of what sets points apart.
+    `screen` is the layer at the zenith; it is seen at elevations with these sines. What is longer still is a slope
+    along any track, and added to the longest waves as such: of a steep spectrum without an outer scale, a third of what
+    sets points apart.
     """
-    edge = np.geomspace(0.02 / longest_rad, 12 / screen.beam_rad, _RADII)
-    step = np.log(edge[1] / edge[0])
-    turn = 2 * np.pi / _AZIMUTHS
+    edge = np.geomspace(0.02 / longest_rad, 12 / (screen.beam_rad * min(sines)), _RADII)
     # Every other radius starts between the azimuths of its neighbours.
-    angle = turn * (np.arange(_AZIMUTHS) + 0.5 * (np.arange(_RADII) % 2)[:, None])
+    angle = 2 * np.pi / _AZIMUTHS * (np.arange(_AZIMUTHS) + 0.5 * (np.arange(_RADII) % 2)[:, None])
+    power = np.array([_ring_power(at_elevation(screen, sine), edge) for sine in sines])
+    return Layer((edge[:, None] * np.exp(1j * angle)).ravel(), np.repeat(power, _AZIMUTHS, axis=1))
+
+
+def _ring_power(screen: Screen, edge: np.ndarray) -> np.ndarray:
+    """Variance (n,) of one of the `_AZIMUTHS` wavevectors with each length (n,)."""
+    step, turn = np.log(edge[1] / edge[0]), 2 * np.pi / _AZIMUTHS
     strength = power(screen, edge) * beam_transfer(edge * screen.beam_rad) ** 2 * edge**2 * step * turn
     strength[0] += _slope(screen, edge[0] * np.exp(-step / 2)) / edge[0] ** 2 * turn
-    return Layer((edge[:, None] * np.exp(1j * angle)).ravel(), np.repeat(strength, _AZIMUTHS))
+    return strength
 
 
 def _slope(screen: Screen, alpha: float) -> float:
@@ -261,14 +274,14 @@ def _slope(screen: Screen, alpha: float) -> float:
     return np.trapezoid(power(screen, below) * below**4, np.log(below))
 
 
-def layer_strength(array: Array, response: np.ndarray, layer: Layer) -> np.ndarray:
-    """What each wavevector of the layer puts into each mode before the time window, (n_mode, n_a)."""
+def layer_gain(array: Array, response: np.ndarray, layer: Layer) -> np.ndarray:
+    """Share of each wavevector's power that goes into each mode before the time window, (n_mode, n_a)."""
     seen = array.seen(2 * np.pi * layer.alpha) * array.responsivity[:, None]
     amplitude = response.conj().T @ seen
-    return (amplitude.real**2 + amplitude.imag**2) * (layer.power / len(array.place))
+    return (amplitude.real**2 + amplitude.imag**2) / len(array.place)
 
 
-def layer_stream_strength(array: Array, layer: Layer) -> np.ndarray:
-    """What each wavevector leaves in the mean PSD of the cleaned streams, (1, n_a)."""
+def layer_stream_gain(array: Array, layer: Layer) -> np.ndarray:
+    """Share of each wavevector's power that is left in the mean PSD of the cleaned streams, (n_a,)."""
     left = array.cleaned(array.seen(2 * np.pi * layer.alpha) * array.responsivity[:, None])
-    return (np.mean(left.real**2 + left.imag**2, axis=0) * layer.power)[None]
+    return np.mean(left.real**2 + left.imag**2, axis=0)

@@ -248,20 +248,20 @@ def gls_map(scans, n_pixel):
     return np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right
 
 
-def windowed_sums(strength, frequency, at, transfer, per_step, mean, share, own, lost):
+def windowed_sums(strength, power, frequency, at, transfer, per_step, mean, share, own, lost):
     """Sum over the streams' frequencies of what a time window lets through, w looked up between its steps."""
 
     def w(frequency_hz):
         return np.interp(abs(frequency_hz) * per_step, range(len(transfer)), transfer, right=0.0)
 
-    total = np.zeros(len(at))
+    total = np.zeros((len(power), len(at)))
     for k in range(len(at)):
         row = strength[k] if len(strength) > 1 else strength[0]
         for a in range(len(frequency)):
             value = w(at[k] - frequency[a]) - mean[a] * w(at[k])
-            total[k] += (1 - sum(share)) * value**2 * row[a]
+            total[:, k] += (1 - sum(share)) * value**2 * row[a] * power[:, a]
             for j in range(len(share)):
-                total[k] += share[j] * (value - lost[a, j] * own[k, j]) ** 2 * row[a]
+                total[:, k] += share[j] * (value - lost[a, j] * own[k, j]) ** 2 * row[a] * power[:, a]
     return total
 
 
@@ -276,12 +276,12 @@ def cleaning_matrix(x_rad, y_rad, responsivity, order):
     return np.eye(n_det) - np.diag(responsivity) @ fit @ np.diag(1 / responsivity)
 
 
-def layer_strength(place, responsivity, left, wave, alpha, power):
-    """What each wavevector (cycles/rad) of a layer puts into each mode (n_mode, n_a), detector by detector.
+def layer_gain(place, responsivity, left, wave, alpha):
+    """Share of the power of each wavevector (cycles/rad) that goes into each mode (n_mode, n_a), detector by detector.
 
     `left` is the matrix of the cleaning.
     """
-    strength = np.zeros((len(wave), len(alpha)))
+    gain = np.zeros((len(wave), len(alpha)))
     for m, k in enumerate(wave):
         for a, q in enumerate(alpha):
             streams = [g * np.exp(2j * np.pi * (q * np.conj(r)).real) for g, r in zip(responsivity, place, strict=True)]
@@ -289,5 +289,5 @@ def layer_strength(place, responsivity, left, wave, alpha, power):
             amplitude = sum(
                 np.exp(-1j * (k * np.conj(r)).real) * value for r, value in zip(place, cleaned, strict=True)
             )
-            strength[m, a] = abs(amplitude) ** 2 * power[a] / len(place)
-    return strength
+            gain[m, a] = abs(amplitude) ** 2 / len(place)
+    return gain

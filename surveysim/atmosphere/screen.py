@@ -28,7 +28,7 @@ import numpy as np
 import scipy.fft
 from threadpoolctl import threadpool_limits
 
-from surveysim.atmosphere.spectrum import LAG_MAX, Screen, structure_function, structure_slope
+from surveysim.atmosphere.spectrum import LAG_MAX, Screen, at_elevation, structure_function, structure_slope
 from surveysim.kernels import screen as kernels
 
 _STEP_MAX_RAD = radians(40.0 / 3600.0)
@@ -146,8 +146,7 @@ class SlantStrips:
         number = ceil(-_SLANTS * log2(sine) - 1e-9)
         if number not in self.caches:
             slant = 2.0 ** (number / _SLANTS)
-            seen = Screen(self.screen.index, self.screen.beam_rad / slant, self.screen.outer_scale_rad / slant)
-            step = self.scale * strip_step(seen, self.closest_rad) * slant
+            step = self.scale * strip_step(at_elevation(self.screen, 1.0 / slant), self.closest_rad) * slant
             self.caches[number] = StripCache(
                 self.screen, self.half_width_rad * slant, step, self.interpolation, self.precision
             )
@@ -323,9 +322,10 @@ def draw_strip(strip, rng):
 class Tracks:
     """Tracks of n_scan scans over their strips, in the frame of the layer.
 
-    `motion_rad_s` (n_scan, 2) of the boresight against the layer, `direction` (n_scan, 2) of the strips, the unit vector
-    along it; `length_rad` (n_scan,) that detectors see of them; `x_rad` and `y_rad` (n_scan, n_det), where detectors
-    begin on the strip; `corner_rad` (n_scan, 2) the strip's first point against where the boresight begins.
+    `motion_rad_s` (n_scan, 2): velocity of the boresight against the layer; `direction` (n_scan, 2): unit vector along
+    it and along the strip; `length_rad` (n_scan,): part of the strip that detectors see; `x_rad`, `y_rad` (n_scan,
+    n_det): first place of each detector on the strip; `corner_rad` (n_scan, 2): the strip's first point, relative to
+    the first place of the boresight.
     """
 
     motion_rad_s: np.ndarray
@@ -345,9 +345,7 @@ def scan_tracks(scan_bounds, sample_rate_hz, offsets_rad, velocity_rad_s, layer_
     along, across = (np.einsum("sdi,si->sd", offsets_rad, axis) for axis in (direction, normal))
     widest, half = float(np.abs(across).max(initial=0.0)), strips.strip_half_width_rad
     if widest > half + 1e-6 * strips.step_rad:
-        raise ValueError(
-            f"detector {widest:g} rad from the middle of the strip found; half_width_rad allows {half:g}"
-        )
+        raise ValueError(f"detector {widest:g} rad from the middle of the strip found; half_width_rad allows {half:g}")
     first = along.min(axis=1, keepdims=True)
     track = speed * (np.diff(scan_bounds, axis=1)[:, 0] - 1) / sample_rate_hz
     y = np.clip(across + half, 0.0, 2.0 * half)
@@ -388,6 +386,4 @@ def add_atmosphere(
             trends.impose(scan, layer)
         dx = float(np.hypot(*motion)) / (sample_rate_hz * step)
         y0 = np.minimum(tracks.y_rad[scan] / step, len(layer) - 1.0)
-        LOOK_UPS[strips.interpolation](
-            data_mk, start, stop, layer, tracks.x_rad[scan] / step, y0, dx, float(amplitude)
-        )
+        LOOK_UPS[strips.interpolation](data_mk, start, stop, layer, tracks.x_rad[scan] / step, y0, dx, float(amplitude))

@@ -9,11 +9,14 @@ spectrum is the pure power law alpha^-b. Mind the convention: alpha_0 is one ove
 factor 2 pi. The telescope sees the layer in its near field, through a uniform disc of angular diameter D/h.
 Every function here is per unit amplitude, B2 sin(el)^(1 - b) = 1, so results scale with that amplitude.
 
+At the elevation el the layer is h / sin(el) away: the disc is D sin(el) / h wide, and the outer scale shrinks as much.
+In angles over sin(el) it is the layer at the zenith, with the amplitude B2 / sin(el).
+
 Angles are small compared with a radian in the paper; a large outer scale may exceed one, and the layer
 stays flat.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import gamma, inf, isfinite, pi, sin, sqrt
 
@@ -56,6 +59,11 @@ class Screen:
             raise ValueError(
                 f"outer_scale_rad = {self.outer_scale_rad:g} found; at least the beam, {self.beam_rad:g}, is allowed"
             )
+
+
+def at_elevation(screen, sine):
+    """The screen at the zenith as it is seen, in angles on the sky, at an elevation of this sine."""
+    return replace(screen, beam_rad=screen.beam_rad * sine, outer_scale_rad=screen.outer_scale_rad * sine)
 
 
 def power(screen, alpha):

@@ -35,10 +35,10 @@ _COARSE = 1.0 / 3.0
 
 @dataclass(frozen=True)
 class Swaths:
-    """Points of the strips of n_scan scans, of n_lane lanes `step_rad` apart, and what their trends are made of.
+    """Points of the strips of n_scan scans, lattices of `step_rad`, and the trends that the field has there.
 
-    `lane` and `column` (n_scan, 15) of the points; `place_rad` (n_scan, 15, 2) theirs in the layer; `weight` (n_scan, 5,
-    15) of the field's values there in each trend; `used` (n_scan,) how many columns detectors see.
+    `lane`, `column` (n_scan, 15): lattice points; `place_rad` (n_scan, 15, 2): their places in the layer; `weight`
+    (n_scan, 5, 15): weights of the field's values in each trend; `used` (n_scan,): columns that detectors see.
     """
 
     screen: Screen

@@ -5,15 +5,15 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True)
-def windowed_sums(strength, frequency, at, transfer, per_step, mean, share, own, lost):
-    """Sum E[(w(f_k - f_a) - m_a w(f_k) - l_aj o_kj)^2] strength_ka over a, (n_k,).
+def windowed_sums(strength, power, frequency, at, transfer, per_step, mean, share, own, lost):
+    """Sum E[(w(f_k - f_a) - m_a w(f_k) - l_aj o_kj)^2] strength_ka power_pa over a, (n_p, n_k).
 
     The expectation takes j with the probability share_j, or none. strength (n_k, n_a), or (1, n_a) for all k alike;
-    frequency (n_a,) and at (n_k,) [Hz]; transfer (n,) is w at steps of 1 / per_step [Hz] from 0, even and taken as 0
-    beyond its end; mean (n_a,); share (n,), own (n_k, n), lost (n_a, n).
+    power (n_p, n_a); frequency (n_a,) and at (n_k,) [Hz]; transfer (n,) is w at steps of 1 / per_step [Hz] from 0, even
+    and taken as 0 beyond its end; mean (n_a,); share (n,), own (n_k, n), lost (n_a, n).
     """
     n_a, last = frequency.size, transfer.size - 1
-    total = np.zeros(at.size)
+    total = np.zeros((power.shape[0], at.size))
     for k in range(at.size):
         middle = 0.0
         x = abs(at[k]) * per_step
@@ -32,5 +32,7 @@ def windowed_sums(strength, frequency, at, transfer, per_step, mean, share, own,
                 product = lost[a, j] * own[k, j]
                 once += share[j] * product
                 twice += share[j] * product * product
-            total[k] += (value * value - 2 * value * once + twice) * strength[row, a]
+            let_through = (value * value - 2 * value * once + twice) * strength[row, a]
+            for p in range(power.shape[0]):
+                total[p, k] += let_through * power[p, a]
     return total

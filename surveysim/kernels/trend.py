@@ -86,9 +86,7 @@ def draw_trends(place, weight, normals, group, coefficients, scale):
         for a in range(first, end):
             for b in range(first, a + 1):
                 row, column = (a - first) * n_trend, (b - first) * n_trend
-                _add_covariance(
-                    covariance, row, column, place[a], weight[a], place[b], weight[b], coefficients, scale
-                )
+                _add_covariance(covariance, row, column, place[a], weight[a], place[b], weight[b], coefficients, scale)
         size, known = (end - first) * n_trend, (start - first) * n_trend
         _factorize(covariance, size)
         for i in range(size):

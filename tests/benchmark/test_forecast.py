@@ -21,6 +21,8 @@ def test_lynx(benchmark, pytestconfig, algorithm):
 def test_windowed_sums(benchmark):
     """The layer's wavevectors through the window of the modes of 25 bins."""
     rng = np.random.default_rng(1)
-    strength, transfer = rng.random((1000, 512)), rng.random(641)
+    strength, power, transfer = rng.random((1000, 512)), rng.random((3, 512)), rng.random(641)
     frequency, at, mean = rng.uniform(-4, 4, 512), rng.uniform(-3, 3, 1000), rng.random(512)
-    benchmark.pedantic(windowed_sums, args=(strength, frequency, at, transfer, 160.0, mean), rounds=10, warmup_rounds=1)
+    losses = np.zeros(0), np.zeros((1000, 0)), np.zeros((512, 0))
+    sums = (strength, power, frequency, at, transfer, 160.0, mean, *losses)
+    benchmark.pedantic(windowed_sums, args=sums, rounds=10, warmup_rounds=1)

@@ -21,7 +21,7 @@ from surveysim.instrument import hexagon
 from surveysim.noise import add_correlated_white, add_excess, excess_psd
 from surveysim.observation import observation_weather
 from surveysim.pointing import sky_vector
-from surveysim.response import layer_strength, layer_waves, matrix_power, projected_array, scan_window
+from surveysim.response import layer_gain, layer_waves, matrix_power, projected_array, scan_window
 from surveysim.results import forecast_agreement
 from surveysim.scene import SceneError, load_scene
 from surveysim.sections import Excess
@@ -110,7 +110,7 @@ def test_layer_in_a_mode_is_that_of_drawn_screens(monkeypatch, algorithm, back):
     found = scans.power(streams[..., ::sign])  # in reversed time a scan back is one there
     motion = SPEED - sign * complex(*wind)
     layer = layer_waves(screen, abs(motion) * SAMPLES / RATE)
-    strength = layer_strength(scans.array, scans.response, layer)
+    strength = layer_gain(scans.array, scans.response, layer) * layer.power
     expected = scans.window.sums(strength, (layer.alpha * np.conj(motion)).real, scans.at_hz) * RATE
     np.testing.assert_allclose(found, expected, rtol=four_sigma(draws) + 0.05)
 

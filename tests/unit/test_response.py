@@ -16,8 +16,8 @@ from surveysim.response import (
     Layer,
     frequency_nodes,
     hann_window,
-    layer_stream_strength,
-    layer_strength,
+    layer_gain,
+    layer_stream_gain,
     layer_waves,
     matrix_power,
     projected_array,
@@ -55,10 +55,10 @@ def test_windowed_sums_are_the_double_loop(rows):
     rng = np.random.default_rng(1)
     transfer = rng.standard_normal(9)
     frequency, at = rng.uniform(-4, 4, 30), rng.uniform(-3, 3, 5)  # up to 7, beyond the table's 4
-    strength, mean = rng.random((rows, 30)), rng.random(30)
+    strength, power, mean = rng.random((rows, 30)), rng.random((3, 30)), rng.random(30)
     losses = rng.dirichlet(np.ones(4))[:3], rng.standard_normal((5, 3)), rng.standard_normal((30, 3))
-    found = windowed_sums(strength, frequency, at, transfer, 2.0, mean, *losses)
-    expected = naive.windowed_sums(strength, frequency, at, transfer, 2.0, mean, *losses)
+    found = windowed_sums(strength, power, frequency, at, transfer, 2.0, mean, *losses)
+    expected = naive.windowed_sums(strength, power, frequency, at, transfer, 2.0, mean, *losses)
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
@@ -216,29 +216,28 @@ def test_powers_are_those_of_dense_matrices():
 
 
 @pytest.mark.parametrize("algorithm", ORDERS)
-def test_layer_strength_is_the_double_sum(algorithm):
+def test_layer_gain_is_the_double_sum(algorithm):
     plane, wave = camera(1), waves(3)
     gain = responsivities(7)
     algorithm = "average" if algorithm == "quadratic" else algorithm  # of seven, six templates leave next to nothing
     array = projected_array(plane, 0.4, gain, algorithm)
     left = naive.cleaning_matrix(plane.x_rad, plane.y_rad, gain, ORDERS[algorithm])
-    layer = Layer(waves(4) / 10, np.array([1.0, 0.3, 2.0, 0.1]))
-    expected = naive.layer_strength(array.place, gain, left, wave, layer.alpha, layer.power)
-    found = layer_strength(array, array.response(wave), layer)
+    layer = Layer(waves(4) / 10, np.ones((1, 4)))
+    expected = naive.layer_gain(array.place, gain, left, wave, layer.alpha)
+    found = layer_gain(array, array.response(wave), layer)
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * expected.max())
     streams = left @ (gain[:, None] * array.seen(2 * np.pi * layer.alpha))
-    np.testing.assert_allclose(
-        layer_stream_strength(array, layer)[0], np.mean(np.abs(streams) ** 2, axis=0) * layer.power, atol=1e-12
-    )
+    np.testing.assert_allclose(layer_stream_gain(array, layer), np.mean(np.abs(streams) ** 2, axis=0), atol=1e-12)
 
 
 @pytest.mark.parametrize("outer_rad", [np.inf, 0.2])
 def test_layer_waves_hold_the_structure_function(outer_rad):
     """Summed over the wavevectors, 2 (1 - cos) is the structure function, to a few hundredths of the quadrature."""
-    screen = Screen(11 / 3, 8e-3, outer_rad)
-    layer = layer_waves(screen, 0.05)
-    for lag in (2e-4, 1e-3, 4e-3, 1.5e-2):
-        for direction in (0.0, 0.3, 1.2):
+    screen, sines = Screen(11 / 3, 8e-3, outer_rad), (1.0, 0.5)
+    layer = layer_waves(screen, 0.05, sines)
+    for sine, power in zip(sines, layer.power, strict=True):
+        seen = Screen(11 / 3, 8e-3 * sine, outer_rad * sine)
+        for lag, direction in product((2e-4, 1e-3, 4e-3, 1.5e-2), (0.0, 0.3, 1.2)):
             phase = 2 * np.pi * (layer.alpha * np.exp(-1j * direction)).real * lag
-            found = np.sum(layer.power * 4 * np.sin(phase / 2) ** 2)
-            assert found == pytest.approx(float(structure_function(screen, lag)), rel=0.03)
+            found = np.sum(power * 4 * np.sin(phase / 2) ** 2)
+            assert found == pytest.approx(float(structure_function(seen, lag)), rel=0.03)
