@@ -91,7 +91,8 @@ def _scatter(simulated: DataSetScore, expected: DataSetForecast) -> float:
     That noise is the part of the realizations' error which all have in common.
     """
     kept = expected.kept.share
-    total = ratio_error(simulated.weights * kept, expected.weights * kept)
+    some = kept > 0
+    total = ratio_error((simulated.weights * kept)[some], (expected.weights * kept)[some])
     used = simulated.weights[simulated.weights > 0]
     common = simulated.budget.noise**2 - sign_error(simulated.noise_psds, simulated.band.weight, used) ** 2
     return float(np.sqrt(max(total**2 - common, 0.0)))

@@ -275,10 +275,14 @@ def _map_parts(
         parts.append([modes.mean(item) for item in (white * flat, shared * flat, own * red, low * red)])
     white, shared, own, low = np.mean(parts, axis=0) * rate / 2
     layer = _layer_noise(setup, levels, spectrum, arrays, responses)
-    # Pixels smooth what streams share; of each stream's own noise, scattered over all modes, they take next to nothing.
+    # Pixels smooth modes, and scatter over all modes the noise of streams that they take: a stream's whole white noise,
+    # of which templates of few detectors leave little in modes that are longer than the array.
     pixel = pixel_window(setup.band.rings.ell, setup.geometry.pixel_rad)
-    smoothed = white + (shared - white) * pixel, own + (low - own) * pixel
-    return _Parts(white, *smoothed, lambda motion, sine: layer(motion, sine) * pixel)
+    scattered = modes.mean(flat) * rate / 2 * (1 - pixel)
+    white = white * pixel + stream_power(arrays[0], None) * scattered
+    shared = shared * pixel + stream_power(arrays[0], photon) * scattered
+    low = own + (low - own) * pixel
+    return _Parts(white, shared, low, lambda motion, sine: layer(motion, sine) * pixel)
 
 
 def _layer_noise(
@@ -429,7 +433,8 @@ def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hit
     psd = variance * area * (1e3 * rj_to_cmb(scene.instrument.frequency_hz)) ** 2
     signal = model.signal_psd
     score = band_power(psd, signal, rings.n_modes, band.selected, rings.ell, rings.edges_ell, 0.0)
-    grounds = Grounds(model.recipe, levels, kept, weight, noise, model.layer_noise(levels), score.weight)
+    layer = model.layer_noise(levels)
+    grounds = Grounds(model.recipe, model.n_det, levels, kept, weight, noise, layer, score.weight, hits)
     passed = signal / band.signal_psd
     found = effects(setup, grounds)
     return DataSetForecast(model.name, model.n_det, score, psd, signal, passed, weight, kept, found)
