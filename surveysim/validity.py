@@ -40,7 +40,7 @@ class Grounds:
     """What a data set's forecast stands on.
 
     Of observations in the conditions `levels`: `kept` scans, `weight` (n_obs,), noise variance a sample `noise` and the
-    `layer`'s part of it (n_obs, n_bin). `share` (n_bin,) of bins in sigma(A)^-2; mean `hits` (n, n) of the scored patch.
+    `layer`'s part of it (n_obs, n_bin). `share` (n_bin,) of bins in sigma(A)^-2; mean `hits` (n, n) on the patch.
     """
 
     recipe: Recipe
@@ -130,8 +130,7 @@ def _repeated_layer(setup: Setup, grounds: Grounds) -> Effect:
     if grounds.recipe.steps == ("none",):
         size, where = float(parts.sum()), "Scans share trends of the layer in any wind"
     else:
-        scan = np.array([path.speed_rad_s, -path.speed_rad_s])
-        wind = np.abs(grounds.levels.motion - scan).mean(axis=1)
+        wind = np.abs(grounds.levels.motion - path.speed_rad_s).mean(axis=1)
         travel = wind * (path.duration_s + path.turnaround_s)
         slow = travel < 2 * setup.camera.radius_rad
         size = float(parts[slow].sum())
