@@ -40,7 +40,7 @@ class Weather:
 class Water:
     """What a band makes of a site's water, by its `opacity`.
 
-    `response`: (d eps / dC C)^2 B_atm^2 [mK^2] against PWV [mm] (section 3.3). `log_b2` (n,): quantiles of ln B2 that
+    `response`: (C d tau / dC)^2 B_atm^2 [mK^2] against PWV [mm] (section 3.3). `log_b2` (n,): quantiles of ln B2 that
     follow from it and the distributions of water and fluctuations, at the normal levels `level` (n,).
     """
 
@@ -71,7 +71,7 @@ def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: np.random.Gen
     """One observation's weather. Wind speeds are log-normal about their median, directions uniform.
 
     Without a site B2 comes from its own quantiles. With one it is the fractional fluctuation of the water times
-    what the band makes of it, (delta C / C)^2 (d eps / dC C)^2 B_atm^2, PWV and fluctuation drawn independently
+    what the band makes of it, (delta C / C)^2 (C d tau / dC)^2 B_atm^2, PWV and fluctuation drawn independently
     (section 3.3); quantiles of B2 beside a site replace those that follow, each draw keeping its rank. With
     `wind_b2_exponent` the median wind goes as that power of B2 over its median. Raises ValueError for a draw that is
     no number for a stream: tails of quantiles that lie close together rise without limit.

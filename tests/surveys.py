@@ -59,17 +59,17 @@ def measured(setup, number=0, b2=280.0, pwv=1.0, left=1.0, found=None, profile=N
 
 
 def falls(index: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """How fast the theory of these tests falls with the square of separation, (n_b, n_h) [1/arcmin^2]."""
+    """How fast the theory of these tests falls with the square of separation at the zenith, (n_b, n_h) [1/arcmin^2]."""
     return 1e-5 * np.outer(8.0 - index, height_m / 1000.0)
 
 
 def grid(bins) -> CorrelationGrid:
     index, height = np.array(INDEX_GRID), np.array(HEIGHT_GRID_M)
-    theta = bins.theta_rad / ARCMIN
-    values = np.zeros((len(index), len(height), len(theta) + 1))
-    values[..., 1:] = np.exp(-falls(index, height)[..., None] * theta**2)
+    node = np.linspace(0.0, 1.5 * bins.theta_rad.max(), 33)
+    values = np.zeros((len(index), len(height), len(node) + 1))
+    values[..., 1:] = np.exp(-falls(index, height)[..., None] * (node / ARCMIN) ** 2)
     return CorrelationGrid(
-        index, height, bins.theta_rad, lambda log_track: np.repeat(values[:, :, None], len(log_track), 2)
+        index, height, bins.theta_rad, node, lambda log_track: np.repeat(values[:, :, None], len(log_track), 2)
     )
 
 

@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from math import inf, pi
+from math import inf, pi, sin
 
 import numpy as np
 
 from surveysim.atmosphere.spectrum import Screen, structure_function
 
 _ORIENTATIONS, _NODES = 8, 32
+_SEPARATIONS = 13  # of a grid, from none on
 OUTER_SCALE_M = 10_000.0
 
 
@@ -33,19 +34,31 @@ def scan_correlation(screen: Screen, theta_rad: np.ndarray, track_rad: float) ->
 class CorrelationGrid:
     """C(theta) on a grid of indices (n_b,), heights (n_h,) [m] and tracks, per unit amplitude.
 
-    `theta_rad` (n_bin,); `spline` is cubic in ln track, its values (n_b, n_h, n_bin + 1): ln C(0), then the ratios
-    C(theta) / C(0).
+    `theta_rad` (n_bin,). Of a layer at the zenith, `node_rad` (n_node,) apart, `spline` is cubic in ln track, its values
+    (n_b, n_h, n_track, n_node + 1): ln C(0), then the ratios C(theta) / C(0). At another elevation it is the same layer
+    in angles over sin(el).
     """
 
     index: np.ndarray
     height_m: np.ndarray
     theta_rad: np.ndarray
+    node_rad: np.ndarray
     spline: object
 
-    def correlation(self, track_rad: np.ndarray) -> np.ndarray:
-        """C (n_b, n_h, n_bin), the mean over scans with tracks `track_rad` (n_scan,); NaN for those off the grid."""
-        values = self.spline(np.log(track_rad))
-        return (np.exp(values[..., :1]) * values[..., 1:]).mean(axis=2)
+    def correlation(self, track_rad: np.ndarray, elevation_rad: np.ndarray) -> np.ndarray:
+        """C (n_b, n_h, n_bin) per unit B2, the mean over scans with tracks (n_scan,) at elevations (n_scan,).
+
+        NaN for tracks and separations off the grid.
+        """
+        from scipy.interpolate import CubicSpline
+
+        sine = np.sin(elevation_rad)
+        values = self.spline(np.log(track_rad / sine))
+        at_nodes = (np.exp(values[..., :1]) / sine[:, None] * values[..., 1:]).mean(axis=2)
+        if not np.isfinite(at_nodes).all():
+            return np.full((*at_nodes.shape[:2], len(self.theta_rad)), np.nan)
+        # An observation's elevations are nearly one.
+        return CubicSpline(self.node_rad, at_nodes, axis=-1, extrapolate=False)(self.theta_rad / sine.mean())
 
 
 def correlation_grid(
@@ -55,24 +68,26 @@ def correlation_grid(
     aperture_m: float,
     outer_scale_m: float | None,
     track_rad: np.ndarray,
+    lowest_rad: float = pi / 2,
 ) -> CorrelationGrid:
     """Tabulate C(theta) for every index and height; `track_rad` (n,) are the knots of its spline, increasing.
 
-    Without an outer scale, indices of 4 and more have one of `OUTER_SCALE_M`: they need one.
+    Elevations from `lowest_rad` on are allowed. Without an outer scale, indices of 4 and more have one of
+    `OUTER_SCALE_M`: they need one.
     """
     from scipy.interpolate import CubicSpline
 
-    theta = np.concatenate([[0.0], theta_rad])
+    node = np.linspace(0.0, 1.01 * theta_rad.max() / sin(lowest_rad), _SEPARATIONS)
     values = np.array(
         [
-            [scan_correlation(_screen(b, h, aperture_m, outer_scale_m), theta, track) for track in track_rad]
+            [scan_correlation(_screen(b, h, aperture_m, outer_scale_m), node, track) for track in track_rad]
             for b, h in product(index, height_m)
         ]
-    ).reshape(len(index), len(height_m), len(track_rad), len(theta))
-    values[..., 1:] /= values[..., :1]
-    values[..., 0] = np.log(values[..., 0])
+    ).reshape(len(index), len(height_m), len(track_rad), len(node))
+    level = values[..., :1]
+    values = np.concatenate([np.log(level), values / level], axis=-1)
     spline = CubicSpline(np.log(track_rad), values, axis=2, extrapolate=False)
-    return CorrelationGrid(np.array(index), np.array(height_m), np.asarray(theta_rad), spline)
+    return CorrelationGrid(np.array(index), np.array(height_m), np.asarray(theta_rad), node, spline)
 
 
 def _screen(index: float, height_m: float, aperture_m: float, outer_scale_m: float | None) -> Screen:

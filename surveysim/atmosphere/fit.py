@@ -42,16 +42,15 @@ def fit_turbulence(
     (n_bin,) is the coherence of pixels of each separation: low-frequency noise that they share through it has an
     amplitude of its own in the fit, for it does not end with the adjacent pairs.
     """
-    theory = grid.correlation(track_rad)
+    theory = grid.correlation(track_rad, elevation_rad)
     if not (np.isfinite(profile.log_level) and (theory > 0.0).all()):
         return None
     shape = np.log(theory)
     level = shape @ (bins.count / bins.count.sum())
-    zenith = np.mean(np.sin(elevation_rad) ** (1.0 - grid.index[:, None]), axis=1)
     fitted, error = fitted_profile(profile, shape, overlap)
     chi2 = (((profile.log_profile - fitted) / error) ** 2).sum(axis=-1)
     best = np.unravel_index(int(chi2.argmin()), chi2.shape)
-    return TurbulenceFit(np.exp(profile.log_level - level) / zenith[:, None], chi2, (int(best[0]), int(best[1])))
+    return TurbulenceFit(np.exp(profile.log_level - level), chi2, (int(best[0]), int(best[1])))
 
 
 def fitted_profile(

@@ -84,14 +84,15 @@ def optical_depth_slope(band: BandOpacity, pwv_mm) -> np.ndarray:
 
 
 def fluctuation_factor_mk2(band: BandOpacity, pwv_mm) -> np.ndarray:
-    """What constant fractional fluctuations of the water column are in the band, squared [mK^2], any shape.
+    """Amplitude of constant fractional fluctuations of the water column in the band, squared [mK^2], any shape.
 
-    ``(C d eps / dC)^2 B_atm^2`` of section 3.3 with the emissivity eps = 1 - exp(-tau); the brightness of the
-    atmosphere is its temperature, Rayleigh-Jeans. B2 is proportional to it. Errors as `optical_depth`.
+    ``(C d tau / dC)^2 B_atm^2``, in temperature above the atmosphere as noise and sky are: the emission changes by
+    B_atm d(1 - exp(-tau)), and what is measured is over the transmission exp(-tau), at any elevation. The brightness of
+    the atmosphere is its temperature, Rayleigh-Jeans. B2 is proportional to it. It stands for ``(C d eps / dC)^2
+    B_atm^2`` of section 3.3, where the paper's eps is 1 - exp(tau). Errors as `optical_depth`.
     """
     pwv_mm = _allowed(band, pwv_mm)
-    spline = band.spline
-    return (pwv_mm * spline(pwv_mm, 1) * np.exp(-spline(pwv_mm)) * band.temperature_k * 1e3) ** 2
+    return (pwv_mm * band.spline(pwv_mm, 1) * band.temperature_k * 1e3) ** 2
 
 
 def _allowed(band, pwv_mm):

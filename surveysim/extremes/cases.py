@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
@@ -82,17 +83,21 @@ def _layer_refusals() -> list[Case]:
 
 
 def _weather_cases() -> list[Case]:
-    elevation = "P goes as sin(el)^(1 - b): streams are those of 30 deg times the root, to rounding of float32"
+    elevation = "sin(el)^(1 - b) and a beam of D sin(el) / h: streams are those of a layer at h / sin(el) overhead"
     amplitude = "streams of one draw go as sqrt(B2), to rounding of float32"
     none = {"atmosphere.b2": "[0] mK2 rad(-5/3)", "instrument.responsivity_scatter": 0}
     tails = {"atmosphere.b2_probabilities": [0.49, 0.51], "atmosphere.b2": "[1e-6, 1e8] mK2 rad(-5/3)"}
     calm = {"atmosphere.b2_probabilities": [0.5, 0.6], "atmosphere.b2": "[0, 1000] mK2 rad(-5/3)"}
     return [
         *(
+            # Powers of two scale a lattice bit for bit.
             Case(
-                f"elevation of {degrees} deg", elevation, air.elevation, {"fixed_pointing.elevation": f"{degrees} deg"}
+                f"elevation of {degrees:.3g} deg",
+                elevation,
+                air.elevation,
+                {"fixed_pointing.elevation": f"{degrees!r} deg"},
             )
-            for degrees in (5, 90)
+            for degrees in (math.degrees(math.asin(1 / 16)), 30.0)
         ),
         *(
             Case(f"B2 of {b2}", amplitude, air.amplitude, {"atmosphere.b2": f"[{b2}] mK2 rad(-5/3)"})

@@ -18,6 +18,7 @@ from mapmaker.cleaning import (
 )
 from mapmaker.cleaning.local import neighbourhoods
 from mapmaker.timestreams import FocalPlane
+from surveysim.atmosphere.screen import StripCache
 from surveysim.extremes.air import one_layer
 from surveysim.extremes.case import N_SAMP, QUANTUM, RATE_HZ, STIFF, TEMPLATES, Outcome, agrees
 from surveysim.noise import add_white
@@ -47,8 +48,8 @@ def stiff(scene: Scene, algorithm: str) -> Outcome:
     weather = observation_weather(setup, 0)
     scale = STIFF / np.std(_mean_removed(one_layer(scene, 1.0), setup.raster.n_scans))
     strong = replace(weather, b2=scale**2)
-    strips = {n: replace(s, columns=s.columns.astype(float)) for n, s in setup.strips.strips.items()}
-    fine = replace(setup, strips=replace(setup.strips, strips=strips))
+    caches = {number: _in_float64(cache) for number, cache in setup.strips.caches.items()}
+    fine = replace(setup, strips=replace(setup.strips, caches=caches))
     left = []
     for one, dtype in ((setup, np.float32), (fine, np.float64)):
         data = np.zeros((setup.n_det, len(pointing.scan)), dtype)
@@ -59,6 +60,11 @@ def stiff(scene: Scene, algorithm: str) -> Outcome:
     lost = float(np.std(left[0] - left[1]))
     note = f"of {STIFF:g} before and {np.std(left[1]):.3g} after cleaning; {-math.log10(lost / STIFF):.1f} digits"
     return agrees(lost, 0.0, 4 * QUANTUM * STIFF, note)
+
+
+def _in_float64(cache: StripCache) -> StripCache:
+    strips = {n: replace(strip, columns=strip.columns.astype(float)) for n, strip in cache.strips.items()}
+    return replace(cache, strips=strips)
 
 
 def _mean_removed(data: np.ndarray, n_scans: int) -> np.ndarray:

@@ -54,6 +54,10 @@ class MeasuredSurvey:
         height = self.setup.scene.atmosphere.layer_height_m
         return KOLMOGOROV, int(np.argmin(np.abs(self.grid.height_m - height)))
 
+    def theory(self, k: int) -> np.ndarray:
+        """C(theta) of an observation at every grid point, with its measured wind, (n_b, n_h, n_bin)."""
+        return self.grid.correlation(self.measurements[k].track_rad, self.measurements[k].elevation_rad)
+
     @cached_property
     def b2_drawn(self) -> np.ndarray:
         """B2 that the weather had, (n_obs,)."""
@@ -118,6 +122,7 @@ def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], N
         air.illuminated_aperture_m,
         air.outer_scale_m,
         TRACKS_RAD,
+        min(float(item.elevation_rad.min()) for item in measurements),
     )
     overlap = shared_overlap(setup, bins)
     wind, seconds = air.wind_median_rad_s, scenes[0].scan.duration_s

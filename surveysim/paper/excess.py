@@ -1,5 +1,6 @@
 """Excess low-frequency noise of detectors and of adjacent pairs: what is left without atmosphere and white noise."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -8,6 +9,7 @@ import numpy as np
 from mapmaker.cleaning.templates import template_basis
 from surveysim.atmosphere.correlation import scan_correlation
 from surveysim.atmosphere.fit import TRACKS_RAD
+from surveysim.atmosphere.spectrum import at_elevation
 from surveysim.measurement import PAIR_CLEANINGS, PairNoise, camera_pairs
 from surveysim.paper.campaign import MeasuredSurvey, known_track
 from surveysim.setup import Setup
@@ -15,6 +17,7 @@ from surveysim.setup import Setup
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
+_ELEVATIONS = 5  # between which it is cubic
 _SEPARATIONS = 48  # at which the thin screen's correlation is computed; it is smooth over the array
 
 
@@ -72,23 +75,33 @@ def residual_atmosphere(survey: MeasuredSurvey, cleaning: str) -> np.ndarray:
     if cleaning not in PAIR_CLEANINGS:
         raise ValueError(f"cleaning: found {cleaning!r}; {', '.join(PAIR_CLEANINGS)} are expected")
     air, setup = survey.setup.scene.atmosphere, survey.setup
-    left = residual_by_track(setup, cleaning)
+    left = _residual_spline(survey, cleaning)
     found = np.full((2, len(survey.measurements)), np.nan)
     for k, (item, b2) in enumerate(zip(survey.measurements, survey.b2_fitted, strict=True)):
         track = known_track(item, air.wind_median_rad_s, setup.scene.scan.duration_s)
-        zenith = np.sin(item.elevation_rad) ** (1 - air.index)
-        found[:, k] = b2 * np.mean(zenith[:, None] * left(np.log(track)), axis=0)
+        found[:, k] = b2 * np.mean(left(np.sin(item.elevation_rad).mean(), np.log(track)), axis=0)
     return found
 
 
-def residual_by_track(setup: Setup, cleaning: str) -> "CubicSpline":
-    """Spline of ln track [rad]: what cleaning leaves of a unit amplitude, (..., 2) in adjacent pairs and detectors.
+def _residual_spline(survey: MeasuredSurvey, cleaning: str) -> Callable[[float, np.ndarray], np.ndarray]:
+    """`residual_by_track` at any elevation of a survey's observations, given by its sine."""
+    from scipy.interpolate import CubicSpline
 
-    ``P C P`` with P the projection that removes the templates. Raises ValueError for cameras that don't support them.
+    sines = [np.sin(item.elevation_rad).mean() for item in survey.measurements]
+    node = np.linspace(min(sines) - 1e-3, max(sines) + 1e-3, _ELEVATIONS)
+    rows = [residual_by_track(survey.setup, cleaning, sine) for sine in node]
+    return lambda sine, log_track: CubicSpline(node, [row(log_track) for row in rows])(sine)
+
+
+def residual_by_track(setup: Setup, cleaning: str, sine: float) -> "CubicSpline":
+    """Spline of ln track [rad]: what cleaning leaves of a unit B2, (..., 2) in adjacent pairs and detectors.
+
+    At an elevation of this sine: ``P C P`` with P the projection that removes the templates. Raises ValueError for
+    cameras that don't support them.
     """
     from scipy.interpolate import CubicSpline
 
-    screen, plane, bins = setup.strips.screen, setup.camera.focal_plane, camera_pairs(setup)
+    screen, plane, bins = at_elevation(setup.strips.screen, sine), setup.camera.focal_plane, camera_pairs(setup)
     basis = template_basis(plane, PAIR_CLEANINGS[cleaning])
     project = np.eye(setup.n_det) - basis.T @ basis
     apart = np.hypot(*(np.subtract.outer(axis, axis) for axis in (plane.x_rad, plane.y_rad)))
@@ -98,4 +111,4 @@ def residual_by_track(setup: Setup, cleaning: str) -> "CubicSpline":
     for track in TRACKS_RAD:
         kept = project @ CubicSpline(node, scan_correlation(screen, node, track))(apart) @ project
         left.append((kept[pairs].mean(), np.diag(kept).mean()))
-    return CubicSpline(np.log(TRACKS_RAD), np.array(left))
+    return CubicSpline(np.log(TRACKS_RAD), np.array(left) * sine ** (1 - screen.index))

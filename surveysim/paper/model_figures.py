@@ -180,8 +180,9 @@ def edge_streams(setup: Setup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     offsets = np.stack([plane.x_rad[pair], plane.y_rad[pair]], axis=-1)[None]
     data = np.zeros((2, n), np.float32)
     wind, rng = np.array([[air.wind_median_rad_s, 0.0]]), generator(setup.scene.seed, Stage.ATMOSPHERE, DRAW)
-    bounds, rest = np.array([[0, n]]), np.zeros((1, 2))
-    add_atmosphere(data, bounds, rate, offsets, rest, wind, np.array([_amplitude_mk(setup)]), setup.strips, rng)
+    bounds, rest, sine = np.array([[0, n]]), np.zeros((1, 2)), sin(_elevation_rad(setup))
+    amplitude, strips = np.array([sqrt(_median_b2(setup) / sine)]), setup.strips.at(sine)
+    add_atmosphere(data, bounds, rate, offsets / sine, rest, wind / sine, amplitude, strips, rng)
     return np.arange(n) / rate, *(data - data.mean())
 
 
@@ -204,15 +205,12 @@ def _median_b2(setup: Setup) -> float:
     return float(b2_quantile(setup.scene.atmosphere, setup.water, np.zeros(1))[0])
 
 
-def _amplitude_mk(setup: Setup) -> float:
-    """Root of the power spectrum's amplitude, equation 2 of the paper."""
-    return sqrt(_median_b2(setup) * sin(_elevation_rad(setup)) ** (1 - setup.scene.atmosphere.index))
-
-
 def _expected_mk(setup: Setup) -> float:
     """Rms [mK] of a scan about its mean in many realizations."""
     speed, duration = setup.scene.atmosphere.wind_median_rad_s, setup.scene.scan.duration_s
-    return _amplitude_mk(setup) * sqrt(mean_removed_variance(setup.strips.screen, speed, duration))
+    sine = sin(_elevation_rad(setup))
+    variance = mean_removed_variance(setup.strips.screen, speed / sine, duration)
+    return sqrt(_median_b2(setup) / sine * variance)
 
 
 def _arcmin(angle_rad: float) -> float:

@@ -91,7 +91,7 @@ def b2_water_figure(surveys: Sequence[MeasuredSurvey]) -> PaperFigure:
             f" is {factor:.2e} rad^(-5/3) times the prediction"
         )
     caption = (
-        f"{'; '.join(texts)} (d eps / dC C)^2 B_atm^2 of the site's opacity, by least squares in the logarithms of"
+        f"{'; '.join(texts)} (C d tau / dC)^2 B_atm^2 of the site's opacity, by least squares in the logarithms of"
         f" the medians. B2 is measured from the time-streams; the water is the zenith column that was"
         f" drawn.{_ranked(surveys)} Error bars are those of the medians, shaded the ranges of 10 to 90 and of 25 to"
         f" 75 % of the observations."

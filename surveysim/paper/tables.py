@@ -60,7 +60,8 @@ def amplitude_table(surveys: dict[str, MeasuredSurvey]) -> "Table":
 def site_table() -> "Table":
     """What the opacities of the sites predict for B2 in median weather, beside the paper's prediction (section 3.4).
 
-    Ratios of (d eps / dC C)^2 B_atm^2; computed, not drawn, so without a Monte Carlo error.
+    Ratios of (C d tau / dC)^2 B_atm^2, in temperature above the atmosphere, where the paper has (d eps / dC C)^2 B_atm^2
+    with eps = 1 - exp(tau) as printed. Computed, not drawn, so without a Monte Carlo error.
     """
     from astropy.table import Table
 
@@ -77,7 +78,7 @@ def site_table() -> "Table":
     }
     table = Table(rows=[(name, paper[name], value, 0.0) for name, value in ratios.items()])
     table.rename_columns(table.colnames, ("ratio", "paper", "ours", "error"))
-    table.meta["title"] = "(d eps / dC C)^2 B_atm^2 of sites and bands in median weather, predicted from opacities"
+    table.meta["title"] = "(C d tau / dC)^2 B_atm^2 of sites and bands in median weather, predicted from opacities"
     return table
 
 

@@ -85,7 +85,7 @@ def without_overlap(survey: MeasuredSurvey, k: int) -> Profile:
     if survey.overlap is None:
         return survey.measurements[k].profile
     profile, best = survey.measurements[k].profile, survey.fits[k].best
-    theory = np.log(survey.grid.correlation(survey.measurements[k].track_rad)[best])
+    theory = np.log(survey.theory(k)[best])
     shared = fitted_profile(profile, theory, survey.overlap)[0] - theory
     amplitude = np.polyfit(survey.overlap, shared, 1)[0]
     return replace(profile, log_profile=profile.log_profile - amplitude * survey.overlap)
@@ -95,7 +95,7 @@ def _profile_panel(
     survey: MeasuredSurvey, k: int, title: str, points: list[tuple[int, int]], name: str, beside: tuple[Series, ...]
 ) -> Panel:
     profile, best = without_overlap(survey, k), survey.fits[k].best
-    theory = np.log(survey.grid.correlation(survey.measurements[k].track_rad))
+    theory = np.log(survey.theory(k))
     curves, error = fitted_profile(profile, theory, None)
     level, arcmin = np.exp(profile.log_level), np.degrees(survey.bins.theta_rad) * 60
     looks = iter(FAMILY_LOOKS)

@@ -15,6 +15,7 @@ from surveysim.coherence import correlation_factor, correlation_matrix
 from surveysim.measurement import PAIR_CLEANINGS, PairNoise, camera_pairs, measure, pair_noise, supported_cleanings
 from surveysim.noise import draw_from_psd, excess_psd, excess_variance
 from surveysim.observation import draw_observation, observation_weather
+from surveysim.paper.campaign import known_track
 from surveysim.paper.excess import excess_noise, residual_atmosphere, residual_by_track
 from surveysim.paper.pair_figures import correlation_histogram_figure, folded, separation_figure
 from surveysim.paper.tables import correlated_noise_table
@@ -170,21 +171,20 @@ def test_the_thin_screen_says_what_average_subtraction_leaves():
     changes = {"observations": 24, "instrument.responsivity_scatter": 0.0}
     scene = load_scene(LYNX, changes).model_copy(update=dict.fromkeys(("score", "excess", "photon", "detector")))
     setup = prepare(scene)
-    bins, model = camera_pairs(setup), residual_by_track(setup, "average")
-    ratio = []
+    bins, ratio = camera_pairs(setup), []
     for number in range(24):
         weather, (_, pointing) = observation_weather(setup, number), observation_path(setup, number)
         data = draw_observation(setup, number).data_mk
         scans = (data - data.mean(axis=0)).reshape(setup.n_det, -1, N)
         found = pair_noise(as_cleaned(scans), bins, RATE_HZ)
-        level = weather.b2 * np.mean(np.sin(pointing.elevation_rad) ** (-8 / 3))
-        predicted = level * model(np.log(weather.wind_speed_rad_s * 15.0))
+        model = residual_by_track(setup, "average", np.sin(pointing.elevation_rad).mean())
+        predicted = weather.b2 * model(np.log(weather.wind_speed_rad_s * 15.0))
         ratio.append(np.array([found.adjacent_mk2, found.variance_mk2]) / predicted)
     error = np.std(ratio, axis=0) / np.sqrt(len(ratio))
     assert (error < 0.03).all()
     np.testing.assert_array_less(np.abs(np.mean(ratio, axis=0) - 1), 0.03 + 3 * error)
     # What is left of a layer so smooth after quadratic subtraction is thousands of times less.
-    assert (residual_by_track(setup, "quadratic")(np.log(0.13)) < 1e-3 * model(np.log(0.13))).all()
+    assert (residual_by_track(setup, "quadratic", 1.0)(np.log(0.13)) < 1e-3 * model(np.log(0.13))).all()
 
 
 def test_the_scene_s_excess_comes_back_but_for_what_cleaning_and_white_levels_take(lynx):
@@ -253,8 +253,12 @@ def test_excess_is_what_white_noise_and_atmosphere_leave(setup, paired):
     np.testing.assert_allclose(excess_noise(brighter, "average").covariance_mk2[0], 2.0 - average[0, 0])
     np.testing.assert_allclose(residual_atmosphere(paired, "average")[:, 1], 2e-13 * average[:, 1])
     low = tuple(replace(item, elevation_rad=np.full(len(item.elevation_rad), 0.7)) for item in paired.measurements)
-    airmass = (np.sin(0.7) / np.sin(1.0)) ** (-8 / 3)
-    np.testing.assert_allclose(residual_atmosphere(replace(brighter, measurements=low), "average"), airmass * average)
+    track = np.log(known_track(paired.measurements[0], 1.0, 1.0))
+    there, here = (residual_by_track(setup, "average", np.sin(el))(track).mean(axis=0) for el in (0.7, 1.0))
+    lower = residual_atmosphere(replace(brighter, measurements=low), "average")
+    np.testing.assert_allclose(lower, (there / here)[:, None] * average, rtol=1e-6)
+    # More than by the amplitude, sin(el)^(-8/3): the beam in the layer is smaller.
+    assert (lower > (np.sin(0.7) / np.sin(1.0)) ** (-8 / 3) * 1.05 * average)[0, :8].all()
     with pytest.raises(ValueError, match="cleaning: found 'pca'; average, quadratic are expected"):
         residual_atmosphere(paired, "pca")
     # Without an excess there is no share of it.

@@ -1,6 +1,7 @@
 """Correlation between detectors: theory against its definition and against realizations, and the fits of both."""
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.correlation import OUTER_SCALE_M, correlation_grid, scan_correlation
 from surveysim.atmosphere.fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV, TRACKS_RAD, fit_turbulence
 from surveysim.atmosphere.screen import StripCache, add_atmosphere, strip_step
-from surveysim.atmosphere.spectrum import Screen, beam_transfer, mean_removed_variance, structure_function
+from surveysim.atmosphere.spectrum import Screen, at_elevation, beam_transfer, mean_removed_variance, structure_function
 from surveysim.coherence import mutual_coherence
 from surveysim.instrument import hexagon
 
@@ -18,6 +19,7 @@ ARCMIN = math.radians(1 / 60)
 WIND, SECONDS, N_SAMP = 31 * ARCMIN, 15.0, 150
 TRACK = WIND * SECONDS
 N_SCAN = 20_000
+LOWEST, ZENITH = math.radians(40), math.pi / 2
 
 
 def screen(index, height):
@@ -33,7 +35,7 @@ def focal_plane():
 @pytest.fixture(scope="module")
 def grid():
     bins = pair_bins(focal_plane())
-    return bins, correlation_grid(bins.theta_rad, INDEX_GRID, HEIGHT_GRID_M, 8.0, None, TRACKS_RAD)
+    return bins, correlation_grid(bins.theta_rad, INDEX_GRID, HEIGHT_GRID_M, 8.0, None, TRACKS_RAD, LOWEST)
 
 
 @pytest.mark.parametrize("index", [2 / 3, 2.0, 11 / 3, 14 / 3])
@@ -57,12 +59,13 @@ def test_is_the_double_sum_over_two_scans(index, height):
 
 
 def test_spline_in_the_track_is_the_quadrature(grid):
+    """At any elevation: the beam is D sin(el) / h wide, and the amplitude B2 sin(el)^(1 - b)."""
     bins, table = grid
-    for track in (0.02, TRACK, 0.4):
-        found = table.correlation(np.array([track]))
+    for track, elevation in product((0.02, TRACK, 0.4), (ZENITH, math.pi / 4)):
+        found, sine = table.correlation(np.array([track]), np.array([elevation])), math.sin(elevation)
         for i_b, i_h in ((2, 0), (KOLMOGOROV, 3), (KOLMOGOROV, 8), (10, 5)):
-            layer = screen(INDEX_GRID[i_b], HEIGHT_GRID_M[i_h])
-            expected = scan_correlation(layer, bins.theta_rad, track)
+            layer = at_elevation(screen(INDEX_GRID[i_b], HEIGHT_GRID_M[i_h]), sine)
+            expected = scan_correlation(layer, bins.theta_rad, track) * sine ** (1 - INDEX_GRID[i_b])
             np.testing.assert_allclose(found[i_b, i_h], expected, rtol=1e-3)
             shape = np.log(expected) - np.log(expected).mean()
             np.testing.assert_allclose(
@@ -162,7 +165,7 @@ def test_an_exact_profile_gives_back_its_grid_point(grid, i_b, i_h):
     bins, table = grid
     elevation = np.full(18, math.radians(50))
     track = np.full(18, TRACK)
-    theory = 280 * math.sin(elevation[0]) ** (1 - INDEX_GRID[i_b]) * table.correlation(track)[i_b, i_h]
+    theory = 280 * table.correlation(track, elevation)[i_b, i_h]
     fit = fit_turbulence(exact_profile(bins, theory), bins, table, track, elevation, None)
     assert fit.best == (i_b, i_h) and fit.chi2[fit.best] == pytest.approx(0, abs=1e-9)
     assert fit.b2[i_b, i_h] == pytest.approx(280, rel=1e-9)
@@ -170,8 +173,8 @@ def test_an_exact_profile_gives_back_its_grid_point(grid, i_b, i_h):
 
 def test_noise_shared_by_overlap_does_not_pass_for_turbulence(grid):
     bins, table = grid
-    track, zenith = np.full(18, TRACK), np.full(18, math.pi / 2)
-    theory = 280 * table.correlation(track)[KOLMOGOROV, 3]
+    track, zenith = np.full(18, TRACK), np.full(18, ZENITH)
+    theory = 280 * table.correlation(track, zenith)[KOLMOGOROV, 3]
     overlap = bins.mean(mutual_coherence(bins.separation_rad / (57.14 / 60 * ARCMIN)))
     profile = exact_profile(bins, theory + 4.0 * overlap)
     plain = fit_turbulence(profile, bins, table, track, zenith, None)
@@ -187,7 +190,7 @@ def test_what_can_not_be_fitted(grid):
     nothing = np.full(len(bins.count), np.nan)
     blank = Profile(nothing, np.nan, nothing, np.tile(nothing, (3, 1)), np.nan)
     assert fit_turbulence(blank, bins, table, np.full(3, TRACK), zenith, None) is None
-    profile = exact_profile(bins, table.correlation(np.full(3, TRACK))[KOLMOGOROV, 3], 3)
+    profile = exact_profile(bins, table.correlation(np.full(3, TRACK), zenith)[KOLMOGOROV, 3], 3)
     for track in (np.nan, 0.0, 1e-5, 10.0):
         with np.errstate(divide="ignore"):
             assert fit_turbulence(profile, bins, table, np.full(3, track), zenith, None) is None

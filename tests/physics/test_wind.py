@@ -112,15 +112,16 @@ def layers(winds, n, b2, noise=True):
         _, pointing = observation_path(still, i)
         data = streams.data_mk if noise else np.zeros_like(streams.data_mk)
         rng = generator(full.seed, Stage.ATMOSPHERE, i)
-        offsets = np.stack(sky_offsets(still.camera.focal_plane, pointing.array_angle_rad), axis=-1)
+        sine = np.sin(pointing.elevation_rad)[:, None]
+        offsets = np.stack(sky_offsets(still.camera.focal_plane, pointing.array_angle_rad), axis=-1) / sine[:, None]
         for speed, angle in winds:
             # Turned from one observation to the next, so that scans lie at all angles to the winds.
             turned = math.radians(angle + 37 * i)
             moving = speed * ARCMIN * math.cos(turned), speed * ARCMIN * math.sin(turned)
-            layer = np.stack(sky_vector(pointing.parallactic_rad, *moving), axis=-1)
-            amplitude = np.sqrt(b2 * np.sin(pointing.elevation_rad) ** (1 - 11 / 3))
-            bounds, scan = streams.scan_bounds, pointing.velocity_rad_s
-            add_atmosphere(data, bounds, RATE, offsets, scan, layer, amplitude, strips, rng)
+            layer = np.stack(sky_vector(pointing.parallactic_rad, *moving), axis=-1) / sine
+            amplitude = np.sqrt(b2 / sine[:, 0])
+            bounds, scan = streams.scan_bounds, pointing.velocity_rad_s / sine
+            add_atmosphere(data, bounds, RATE, offsets, scan, layer, amplitude, strips.at(sine.min()), rng)
         velocity = scan_velocities(streams)
         fits.append(measure_wind(data, streams.scan_bounds, streams.focal_plane, RATE, velocity))
     return fits

@@ -86,26 +86,29 @@ def test_slope_is_the_derivative():
     np.testing.assert_allclose(optical_depth_slope(band, pwv_mm), difference / 2e-4, rtol=1e-7)
 
 
-def test_factor_is_the_emissivity_s_change():
+def test_factor_is_the_emission_s_change_above_the_atmosphere():
+    """The emission changes as the emissivity does, and the calibration is above the atmosphere: over exp(-tau)."""
     band = band_opacity("mauna_kea", 268e9, 0.15)
     pwv_mm = np.array([[0.06, 0.5], [1.68, 5.9]])
     emissivity = [1 - np.exp(-optical_depth(band, pwv_mm + step)) for step in (-1e-4, 1e-4)]
     expected = (pwv_mm * (emissivity[1] - emissivity[0]) / 2e-4 * band.temperature_k * 1e3) ** 2
-    np.testing.assert_allclose(fluctuation_factor_mk2(band, pwv_mm), expected, rtol=1e-6)
+    transmission = np.exp(-optical_depth(band, pwv_mm))
+    np.testing.assert_allclose(fluctuation_factor_mk2(band, pwv_mm), expected / transmission**2, rtol=1e-6)
 
 
 @pytest.mark.parametrize("frequency_ghz", [100, 143])
 def test_thin_limit_goes_as_the_column_squared(frequency_ghz):
-    """From 0.03 to 0.06 mm exp(-2 tau) changes by 0.1 %, and the slope by 0.6 % for water broadens itself."""
+    """From 0.03 to 0.06 mm the slope changes by 0.6 % for water broadens itself."""
     band = band_opacity("south_pole", frequency_ghz * 1e9, 0.15)
     low, high = fluctuation_factor_mk2(band, np.array([0.03, 0.06]))
     assert high / low == pytest.approx(4.0, rel=0.015)
 
 
-def test_thick_limit_has_no_fluctuations():
-    """At the centre of the 183 GHz line the atmosphere is black: its emission cannot change."""
+def test_thick_limit_has_no_fluctuations_on_the_ground():
+    """At the centre of the 183 GHz line the atmosphere is black: its emission, seen below it, cannot change."""
     band = band_opacity("mauna_kea", 183.5e9, 1 / 183.5)
-    assert fluctuation_factor_mk2(band, 6.0) < 1e-4 * fluctuation_factor_mk2(band, 0.5)
+    wet, dry = (fluctuation_factor_mk2(band, pwv) * np.exp(-2 * optical_depth(band, pwv)) for pwv in (6.0, 0.5))
+    assert wet < 1e-4 * dry
 
 
 def test_bands_are_kept_and_cannot_be_written_to():

@@ -1,5 +1,7 @@
 """The array response, time windows and ring modes of a forecast against dense algebra and plain loops."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
