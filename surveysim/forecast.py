@@ -46,7 +46,6 @@ from surveysim.response import (
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene, SceneError
 from surveysim.setup import Setup, prepare, screen
-from surveysim.units import rj_to_cmb
 
 NEGLECTED = (
     "the edge of the map, gaps in it and what scans share with each other",
@@ -374,7 +373,7 @@ def _scored(setup: Setup, model: NoiseModel, noise: np.ndarray, hits: np.ndarray
     weight = expected_weights(setup, noise)
     variance = weight**2 @ noise / weight.sum() ** 2
     area = setup.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
-    psd = variance * area * (1e3 * rj_to_cmb(scene.instrument.frequency_hz)) ** 2
+    psd = variance * area * (1e3 * scene.instrument.cmb_per_rj) ** 2
     signal = model.signal_psd
     score = band_power(psd, signal, rings.n_modes, band.selected, rings.ell, rings.edges_ell, 0.0)
     return DataSetForecast(model.name, model.n_det, score, psd, signal, signal / band.signal_psd)
