@@ -48,7 +48,6 @@ from surveysim.response import (
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene, SceneError
 from surveysim.setup import Setup, prepare, screen
-from surveysim.units import rj_to_cmb
 from surveysim.validity import Effect, Grounds, effects
 
 _ANGLES = 3  # of the array against the scan that stand for all observations
@@ -430,7 +429,7 @@ def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hit
     # Hits go as the scans that are kept; the PSD of a survey as one over its observations.
     variance = (weight**2 * kept.share) @ noise / (weight @ kept.share) ** 2 * (len(noise) / scene.observations)
     area = setup.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
-    psd = variance * area * (1e3 * rj_to_cmb(scene.instrument.frequency_hz)) ** 2
+    psd = variance * area * (1e3 * scene.instrument.cmb_per_rj) ** 2
     signal = model.signal_psd
     score = band_power(psd, signal, rings.n_modes, band.selected, rings.ell, rings.edges_ell, 0.0)
     layer = model.layer_noise(levels)

@@ -16,7 +16,6 @@ from mapmaker.spectrum import Annuli, map_psd
 from mapmaker.window import Window, signal_window
 from surveysim.coadds import CoAdds
 from surveysim.setup import Setup
-from surveysim.units import rj_to_cmb
 
 PEAK = 0.8  # of the brightest pixel: what counts as a point source's peak
 
@@ -176,7 +175,7 @@ def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> n
     """
     patch = setup.band.patch
     maps = weighted_mean(coadds.flipped[:, data_set], coadds.weight[data_set][patch, patch])
-    to_ukcmb = 1e3 * rj_to_cmb(setup.scene.instrument.frequency_hz)
+    to_ukcmb = 1e3 * setup.scene.instrument.cmb_per_rj
     whole = coadds.done / setup.scene.observations
     weights = _weights(coadds.noise_mk2()[:, data_set])
     independent = 1 - np.sum(weights**2) / np.sum(weights) ** 2  # a single observation can't be favoured

@@ -329,7 +329,7 @@ def test_white_noise_by_hand(scene_of):
     seconds = 48 * 19 * 12 * result.n_det
     # Scans of 48 arcmin, 19 of them 2 arcmin apart, are evenly covered but for their ends.
     area = (48 / 60 * np.pi / 180) * (38 / 60 * np.pi / 180)
-    expected = 2.5 / 2 * area / seconds * (1e3 * rj_to_cmb(143e9)) ** 2
+    expected = 2.5 / 2 * area / seconds * (1e3 * rj_to_cmb(143e9, 0.0)) ** 2
     assert result.noise_psd[-1] == pytest.approx(expected, rel=0.05)
 
 
