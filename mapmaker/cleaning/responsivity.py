@@ -8,7 +8,7 @@ templates of its own. A camera that is calibrated elsewhere needs no fit.
 Near its end, a step of the paper's iteration turns an error e of ln c into -M e, where the eigenvalues of M are between
 0 and 1, and the nearer to 1 the more of the template is noise: in calm weather it goes on for hundreds of steps, forth
 and back. The fit to an observation takes 2/3 of each step. It leaves e (1 - 2/3) - 2/3 M e, a third of e or less
-whatever the weather, and ends at the same c within some twenty steps.
+whatever the weather, and ends at the same c within some thirty steps.
 
 The iteration needs the streams only through their Gram matrix G_ij = sum_n d_in d_jn, so it runs on G alone. The Gram
 matrix is formed in float64 whatever the streams' type: in float32 it would limit c to about 1e-7, short of the
