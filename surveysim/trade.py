@@ -10,11 +10,12 @@ import numpy as np
 
 from surveysim.checkpoint import CheckpointError
 from surveysim.coadds import CoAdds
+from surveysim.control import quoted_scores
 from surveysim.engines import Engine, ordered_map
 from surveysim.point_files import PointResult, finished_points, load_point, point_checkpoint, point_file, save_point
 from surveysim.recipes import ACTUAL
 from surveysim.scene import scene_hash
-from surveysim.scores import DataSetScore, error_modes, score_survey
+from surveysim.scores import DataSetScore, error_modes
 from surveysim.setup import Setup, prepare
 from surveysim.survey import run_observations
 from surveysim.sweep import Point, Sweep
@@ -87,7 +88,7 @@ class PointJob:
 def _scored(setup: Setup, coadds: CoAdds) -> tuple[dict[str, DataSetScore], str]:
     """Scores by data set, or none and why."""
     try:
-        return score_survey(setup, coadds), ""
+        return quoted_scores(setup, coadds), ""
     except ValueError as error:  # too few observations, or too few scans kept in them
         return {}, str(error)
 
