@@ -8,16 +8,17 @@ from time import perf_counter
 
 import numpy as np
 
-from surveysim.agreement import agreement, run_forecast
+from surveysim.agreement import agreement, quoted_forecast, run_forecast
 from surveysim.checkpoint import CheckpointError
 from surveysim.coadds import CoAdds
+from surveysim.control import quoted_scores
 from surveysim.discards import competing, discards, sweep_warnings, why_withheld
 from surveysim.engines import Engine, ordered_map
 from surveysim.forecast import Forecast, forecast
 from surveysim.point_files import PointResult, finished_points, load_point, point_checkpoint, point_file, save_point
 from surveysim.recipes import ACTUAL
 from surveysim.scene import scene_hash
-from surveysim.scores import DataSetScore, error_modes, score_survey
+from surveysim.scores import DataSetScore, error_modes
 from surveysim.setup import Setup, prepare
 from surveysim.survey import run_observations
 from surveysim.sweep import Point, Sweep
@@ -123,11 +124,12 @@ class PointJob:
             raise ValueError(f"point ({point.label}): {error}") from None
         scores, unscored = _scored(setup, coadds)
         lost = discards(setup, coadds)
-        expected, off = run_forecast(setup, coadds) if scores else None, []
+        expected, sigma, off = run_forecast(setup, coadds) if scores else None, {}, []
         if expected is not None:
+            sigma = {name: quoted_forecast(scores[name], item) for name, item in expected.scores.items()}
             found = agreement(setup, scores[ACTUAL], expected.scores[ACTUAL])
             off = [found.sigma, found.sigma_error]
-        told = _sigma(expected), off, _flags(expected)
+        told = sigma, off, _flags(expected)
         result = PointResult(
             setup.n_det, scores, *told, lost.shares, lost.by_weather, _skies(setup), unscored, perf_counter() - start
         )
@@ -140,7 +142,7 @@ class PointJob:
 def _scored(setup: Setup, coadds: CoAdds) -> tuple[dict[str, DataSetScore], str]:
     """Scores by data set, or none and why."""
     try:
-        return score_survey(setup, coadds), ""
+        return quoted_scores(setup, coadds), ""
     except ValueError as error:  # too few observations, or too few scans kept in them
         return {}, str(error)
 
@@ -184,11 +186,6 @@ def _kept(sweep: Sweep, directory: Path) -> dict[int, PointResult]:
     return found
 
 
-def _sigma(found: Forecast | None) -> dict[str, float]:
-    """sigma(A) [uK_CMB^2] by data set."""
-    return {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}
-
-
 def _flags(found: Forecast | None) -> list[str]:
     """Why the actual data's forecast may be off."""
     return [effect.sentence for effect in found.scores[ACTUAL].effects if effect.flagged] if found else []
@@ -209,7 +206,8 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
             found = forecast(point.scene)
         except ValueError as error:  # of a scene that can't be forecast
             reason = str(error)
-        told = _sigma(found), [], _flags(found), _discarded(found), []
+        sigma = {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}
+        told = sigma, [], _flags(found), _discarded(found), []
         results.append(PointResult(point.n_det, {}, *told, "", reason, perf_counter() - start))
         progress(len(results))
     return tuple(results)
