@@ -206,7 +206,7 @@ def _pair_grids(summary: Content) -> Iterator[Grid]:
     names = {number: f"{number}: {_values(summary['points'][number], _keys(summary))}" for number in numbers}
     rows = tuple((cell(names[row]), *(_pair_cell(pairs, row, column) for column in numbers)) for row in numbers)
     notes = [
-        "σ(A) of the row's point over that of the column's, with the error of the pair: it counts what both share."
+        "σ(A) of the row's point over that of the column's, with the error of the pair, which counts what both share."
     ]
     if not all(pair["comparable"] for pair in pairs.values()):
         notes.append(
