@@ -34,8 +34,8 @@ class Comparison:
     `ratio` is sigma(A) over that of the point `reference`, `paired_error` its error and `independent_error` what it
     would be if the two shared nothing. `best` are the lowest points: several if they are equal, none where nothing is
     scored. `best_probability` is that of being the lowest of the points that are `competing`, NaN for the others: some
-    points lose too many scans to compete (`surveysim.discards`). `modes` (n_point, n_mode) are the responses of
-    ln sigma to unit deviates that they may have in common.
+    points lose too many scans to compete (`surveysim.discards`), and if one of these is the lowest, none competes.
+    `modes` (n_point, n_mode) are the responses of ln sigma to unit deviates that points may have in common.
     """
 
     reference: int | None
@@ -54,7 +54,7 @@ class Comparison:
 class Pair:
     """sigma(A) of `point` over that of `other`, with its paired error and that of independent runs.
 
-    They are `comparable` if both lose few scans, and like shares of them.
+    They are `comparable` if both lose few scans, and like shares of them (`SweepResult.comparable`).
     """
 
     point: int
@@ -87,6 +87,10 @@ class SweepResult:
             other = "" if reference is None else f"; ratios are to {labels[reference]}"
             found.append(f"the reference point that was chosen, {labels[self.sweep.reference]}, has no score{other}")
         return found
+
+    def comparable(self, point: int, other: int) -> bool:
+        """Whether two points both lose few scans, and like shares of them."""
+        return bool(competing(_actual_shares(self.points)[[point, other]]).all())
 
     def withheld(self, number: int) -> str:
         """Why a point with a score has no probability of being the best; empty for one that has, or has no score."""
@@ -252,7 +256,11 @@ def compare(
     if len(scored) == 0:
         return Comparison(None, (), competes, modes, *(nothing.copy() for _ in range(6)))
     reference = reference if reference in scored else int(scored[0])
+    lowest = np.nanmin(sigma_ukcmb2)
+    best = tuple(int(number) for number in scored[sigma_ukcmb2[scored] <= lowest * (1 + _EQUAL)])
     competes[scored] = True if discarded is None else competing(discarded[scored])
+    if not competes[list(best)].any():  # which of the others is the best says nothing
+        competes[:] = False
     relative = np.linalg.norm(modes, axis=1)
     ratio = sigma_ukcmb2 / sigma_ukcmb2[reference]
     apart = np.hypot(relative, relative[reference])
@@ -260,10 +268,9 @@ def compare(
     probability = nothing.copy()
     if competes.any():
         probability[competes] = probability_of_lowest(np.log(sigma_ukcmb2[competes]), modes[competes], rng)
-    lowest = np.nanmin(sigma_ukcmb2)
     return Comparison(
         reference=reference,
-        best=tuple(int(number) for number in scored[sigma_ukcmb2[scored] <= lowest * (1 + _EQUAL)]),
+        best=best,
         competing=competes,
         modes=modes,
         sigma_ukcmb2=sigma_ukcmb2,
@@ -277,19 +284,19 @@ def compare(
 
 def pairs(result: SweepResult) -> list[Pair]:
     """Every point with a score over every one before it; none of more than `MOST_PAIRED` such points."""
-    found, comparison, shares = [], result.comparison, _actual_shares(result.points)
-    sigma, modes = comparison.sigma_ukcmb2, comparison.modes
-    scored = np.flatnonzero(np.isfinite(sigma))
+    sigma = result.comparison.sigma_ukcmb2
+    scored = [int(number) for number in np.flatnonzero(np.isfinite(sigma))]
     if not result.simulated or len(scored) > MOST_PAIRED:
         return []
-    relative = np.linalg.norm(modes, axis=1)
-    for place, point in enumerate(scored):
-        for other in scored[:place]:
-            ratio = sigma[point] / sigma[other]
-            paired, apart = np.linalg.norm(modes[point] - modes[other]), np.hypot(relative[point], relative[other])
-            like = bool(competing(shares[[point, other]]).all())
-            found.append(Pair(int(point), int(other), float(ratio), float(ratio * paired), float(ratio * apart), like))
-    return found
+    return [_pair(result, point, other) for place, point in enumerate(scored) for other in scored[:place]]
+
+
+def _pair(result: SweepResult, point: int, other: int) -> Pair:
+    sigma, modes = result.comparison.sigma_ukcmb2, result.comparison.modes
+    ratio = float(sigma[point] / sigma[other])
+    paired = ratio * float(np.linalg.norm(modes[point] - modes[other]))
+    apart = ratio * float(np.hypot(*np.linalg.norm(modes[[point, other]], axis=1)))
+    return Pair(point, other, ratio, paired, apart, result.comparable(point, other))
 
 
 def probability_of_lowest(log_sigma: np.ndarray, modes: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -12,7 +12,8 @@ from surveysim.api import forecast_sweep
 from surveysim.discards import Discards, competing, discards, sweep_warnings, telling, why_withheld
 from surveysim.engines import SERIAL
 from surveysim.recipes import OPTIMAL
-from surveysim.report.sweep_text import best_line, discard_lines
+from surveysim.report.sweep_figure import sweep_figure
+from surveysim.report.sweep_text import best_line, discard_lines, print_sweep
 from surveysim.report.text import closing_line, print_result
 from surveysim.results import best_recipe
 from surveysim.setup import prepare
@@ -161,13 +162,17 @@ def test_warnings_of_a_sweep(shares, many, apart):
 
 
 def test_only_points_that_lose_few_scans_compete():
-    """Of three equal points the one that loses more has no probability; the others share it."""
-    sigma, modes = np.array([2.0, 2.0, 1.0, np.nan]), np.zeros((4, 1))
+    """Of three points the one that loses more has no probability; the others share it."""
+    sigma, modes = np.array([2.0, 2.0, 3.0, np.nan]), np.zeros((4, 1))
     found = compare(sigma, modes, np.random.default_rng(1), discarded=np.array([0.0, 0.01, 0.04, 0.0]))
     np.testing.assert_array_equal(found.best_probability, [0.5, 0.5, np.nan, np.nan])
-    assert found.competing.tolist() == [True, True, False, False] and found.best == (2,)
+    assert found.competing.tolist() == [True, True, False, False] and found.best == (0, 1)
     none = compare(sigma, modes, np.random.default_rng(1), discarded=np.array([0.1, 0.2, 0.3, 0.0]))
     assert np.isnan(none.best_probability).all() and not none.competing.any()
+    # If the one that loses more is the lowest all the same, nobody is known to be the best.
+    sigma[2] = 1.0
+    lowest = compare(sigma, modes, np.random.default_rng(1), discarded=np.array([0.0, 0.01, 0.04, 0.0]))
+    assert lowest.best == (2,) and not lowest.competing.any() and np.isnan(lowest.best_probability).all()
     # A point without a score says nothing of those that have one.
     alone = compare(sigma, modes, np.random.default_rng(1), discarded=np.array([0.04, 0.04, 0.04, 0.0]))
     assert alone.competing.tolist() == [True, True, True, False]
@@ -201,13 +206,13 @@ def test_files_of_a_sweep_that_loses_scans(lossy):
     (line,) = content["warnings"]
     assert "at 2 of 4 points, 25.0 % at detector.psd = 2.8 mK2 / Hz" in line
     of_pairs = Table.read(out / "sweep_pairs.ecsv", format="ascii.ecsv")
+    *_, marked = sweep_figure(result).panels[1].series
+    np.testing.assert_allclose(marked.x, [2.7, 2.8])
     comparable = {(row["point"], row["other"]) for row in of_pairs if row["comparable"]}
     assert comparable == {(1, 0)} and [pair.comparable for pair in pairs(result)] == list(of_pairs["comparable"])
 
 
 def test_screen_and_page_of_a_sweep_that_loses_scans(lossy, capsys):
-    from surveysim.report.sweep_text import print_sweep
-
     result, out = lossy
     print_sweep(result, out)
     screen, page = capsys.readouterr().out, read_page(out / "report.html")
