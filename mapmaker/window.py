@@ -52,3 +52,17 @@ def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.nd
     left_out = (cleaned - psd_cleaned) / (reference - psd_reference)
     variance = (n_sky - 1) * np.var(left_out, axis=0)
     return Window(ell, cleaned / reference, np.sqrt(variance))
+
+
+def neighbour_factor(taper: np.ndarray, pixel_rad: float, width_ell: float) -> float:
+    """Error of a smooth sum over bins of multipole, over that of bins that are independent of each other; 1 or more.
+
+    A taper (n,) along one axis ties modes a distance x apart by `K(x) = |FT(taper^2)|^2`. A bin of width d has the
+    variance `int K(x) (d - |x|) dx` over |x| < d, its share of a wide sum `d int K(x) dx`: the rest is the covariance
+    with its neighbours. For bins that are straight on the scale of K, and modes that are equally strong.
+    """
+    steps = 64
+    kernel = np.abs(np.fft.rfft(taper**2, steps * len(taper))) ** 2
+    kernel[1:] *= 2  # both signs
+    apart = 2 * np.pi * np.fft.rfftfreq(steps * len(taper), pixel_rad)
+    return float(np.sqrt(kernel.sum() / (kernel @ np.clip(1 - apart / width_ell, 0, None))))

@@ -101,14 +101,9 @@ def percent(share: float) -> str:
 def competing(shares: np.ndarray) -> np.ndarray:
     """Which of some points (n,) may be called the best with a probability, by their shares of discarded scans.
 
-    Those that lose no more than `MOST_DISCARDED`, and no more than `MOST_APART` above the one that loses least; none
-    if only one of several does.
+    Those that lose no more than `MOST_DISCARDED`, and no more than `MOST_APART` above the one that loses least.
     """
-    if not len(shares):
-        return np.zeros(0, bool)
-    few = shares <= MOST_DISCARDED + _ROUNDING
-    few &= shares <= shares.min() + MOST_APART + _ROUNDING
-    return few if few.sum() > 1 or len(few) == 1 else np.zeros_like(few)
+    return (shares <= MOST_DISCARDED + _ROUNDING) & (shares <= min(shares, default=0.0) + MOST_APART + _ROUNDING)
 
 
 def why_withheld(share: float, least: float) -> str:
@@ -117,7 +112,7 @@ def why_withheld(share: float, least: float) -> str:
         return f"{percent(share)} of its scans are discarded, more than {100 * MOST_DISCARDED:g} %"
     if share > least + MOST_APART + _ROUNDING:
         return f"{percent(share)} of its scans are discarded, at another point {percent(least)}"
-    return f"other points lose too many scans to be compared with its {percent(share)}"
+    return f"other points can't be compared with it (it loses {percent(share)} of its scans)"
 
 
 def sweep_warnings(labels: Sequence[str], shares: Sequence[Shares]) -> list[str]:

@@ -55,7 +55,7 @@ def test_sweeps_that_are_refused(call, sweep):
 
 def test_run_of_a_sweep(call, sweep):
     out = sweep.parent / "out"
-    arguments = ("--out", out, "--workers", 1, "--set", "observations=3")
+    arguments = ("--out", out, "--workers", 1, "--set", "observations=5")
     code, text, error = call("run", sweep, *arguments, "--resume", "--no-figures")
     assert code == 0 and "best: scan.speed = " in text and " with confidence " in text
     assert "Ratios are to scan.speed = 3 arcmin / s, their errors those of runs with one seed." in text

@@ -131,8 +131,7 @@ def test_data_sets_that_are_told():
         ([0.051, 0.051], [False, False]),
         ([0.0, 0.02, 0.021], [True, True, False]),
         ([0.03, 0.05, 0.01], [True, False, True]),  # 0.03 - 0.01 is 0.02 but for its rounding
-        ([0.0, 0.03], [False, False]),  # one alone is not the best of anything
-        ([0.01, 0.2, 0.3], [False, False, False]),
+        ([0.01, 0.2, 0.3], [True, False, False]),
         ([0.04], [True]),
         ([0.06], [False]),
         ([], []),
@@ -145,7 +144,7 @@ def test_points_that_compete(shares, expected):
 def test_why_a_probability_is_withheld():
     assert why_withheld(0.184, 0.0) == "18.4 % of its scans are discarded, more than 5 %"
     assert why_withheld(0.04, 0.01) == "4.0 % of its scans are discarded, at another point 1.0 %"
-    assert why_withheld(0.01, 0.01) == "other points lose too many scans to be compared with its 1.0 %"
+    assert why_withheld(0.01, 0.01) == "other points can't be compared with it (it loses 1.0 % of its scans)"
 
 
 @pytest.mark.parametrize(
@@ -173,6 +172,9 @@ def test_only_points_that_lose_few_scans_compete():
     sigma[2] = 1.0
     lowest = compare(sigma, modes, np.random.default_rng(1), discarded=np.array([0.0, 0.01, 0.04, 0.0]))
     assert lowest.best == (2,) and not lowest.competing.any() and np.isnan(lowest.best_probability).all()
+    # One alone is not the best of anything.
+    one = compare(sigma, modes, np.random.default_rng(1), discarded=np.array([0.0, 0.03, 0.03, 0.0]))
+    assert not one.competing.any()
     # A point without a score says nothing of those that have one.
     alone = compare(sigma, modes, np.random.default_rng(1), discarded=np.array([0.04, 0.04, 0.04, 0.0]))
     assert alone.competing.tolist() == [True, True, True, False]
