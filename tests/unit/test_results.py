@@ -19,7 +19,7 @@ from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
 KEYS = {
     "scene", "title", "seed", "scene_sha256", "surveysim", "python", "packages", "observations", "detectors",
     "detector_samples", "stages_left_out", "scans", "scans_discarded", "mean_iterations", "scores", "run", "cleaning",
-    "files", "stopped", "stages", "left_out", "truth",
+    "files", "stopped", "stages", "left_out", "truth", "discarded", "discarded_by_weather", "warnings",
 }  # fmt: skip
 SCORED_KEYS = {
     "best", "fine_answer", "answers", "forecast_over_simulated", "forecast", "error_budget", "gains",
