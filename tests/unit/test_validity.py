@@ -193,7 +193,7 @@ def test_only_bins_that_are_known_can_be_good(calm):
     assert worse.within == found.bins - 1 and worse.psd == pytest.approx(GOOD_PSD + 0.02)
     assert worse.worst_ell == item.band.ell[place]
     noisy = psds.copy()
-    noisy[:, place] = 1 + 8 * KNOWN * np.sqrt(2) * np.cos(2 * np.pi * np.arange(64) / 64)
+    noisy[:, place] = 1 + 12 * KNOWN * np.sqrt(2) * np.cos(2 * np.pi * np.arange(64) / 64)
     unknown = agreement(setup, replace(sure, noise_psds=noisy), expected)
     assert unknown.unknown == 1 and unknown.within == found.bins - 1
 
