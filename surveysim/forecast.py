@@ -50,6 +50,7 @@ from surveysim.scene import Scene, SceneError
 from surveysim.setup import Setup, prepare, screen
 from surveysim.validity import Effect, Grounds, effects
 
+NOTHING_FOUND = "score: found no noise in its multipoles or no scan across its patch; both are expected"
 _ANGLES = 3  # of the array against the scan that stand for all observations
 _SPEEDS, _DIRECTIONS = 5, 4  # of the layer against the scan
 _NOTHING, _BELOW = 1e-100, 3.0  # least transmission, and e-folds of ell that it is continued below the bins
@@ -155,7 +156,7 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
     models = survey_models(scene)
     if kept is None:
         levels = conditions(setup, survey_draws(setup, 0, scene.observations))
-        weight = expected_weights(setup, models[0].noise(levels))
+        weight = expected_weights(setup, _some_noise(setup, models[0], levels))
         scans = predicted_kept(setup, tuple(filter(is_projection, setup.recipes)), levels, weight)
     else:
         levels = conditions(setup, survey_draws(setup, 0, len(next(iter(kept.values())))))
@@ -420,9 +421,9 @@ def _transmission(setup: Setup, spectrum: _Spectrum, arrays: list[Array], respon
 def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hits: np.ndarray) -> DataSetForecast:
     """Weight and co-add observations in the conditions `levels`; score the map."""
     scene, band, rings = setup.scene, setup.band, setup.band.rings
-    noise, taper, covered = model.noise(levels), band.taper**2, hits > 0
-    if not (noise[:, band.selected].all() and taper[covered].any()):
-        raise SceneError("score: found no noise in its multipoles or no scan across its patch; both are expected")
+    noise, taper, covered = _some_noise(setup, model, levels), band.taper**2, hits > 0
+    if not taper[covered].any():
+        raise SceneError(NOTHING_FOUND)
     if not kept.share.any():
         raise SceneError("cleaning: found no scan that would be kept; one or more is expected")
     weight = expected_weights(setup, noise)
@@ -437,6 +438,14 @@ def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hit
     passed = signal / band.signal_psd
     found = effects(setup, grounds)
     return DataSetForecast(model.name, model.n_det, score, psd, signal, passed, weight, kept, found)
+
+
+def _some_noise(setup: Setup, model: NoiseModel, levels: Conditions) -> np.ndarray:
+    """Noise variance a sample (n_draw, n_bin); raises SceneError where there is none in a scored multipole."""
+    noise = model.noise(levels)
+    if not noise[:, setup.band.selected].all():
+        raise SceneError(NOTHING_FOUND)
+    return noise
 
 
 def expected_weights(setup: Setup, noise: np.ndarray) -> np.ndarray:

@@ -110,7 +110,7 @@ def _effects(setup: Setup, grounds: Grounds) -> Iterator[Effect]:
 def _discarded(kept: Kept) -> Effect:
     share, error = kept.discarded, kept.error
     if np.isinf(error):
-        sentence = "The share of scans that cleaning discards is not known: too many detectors to try it on a few."
+        sentence = "The share of scans that cleaning discards is not known: a trial of a few would be too large."
         return Effect("discarded scans", None, sentence, True)
     if error == 0:
         sentence = f"Cleaning discarded {_percent(share)} of the scans; the noise counts on those that were kept."
