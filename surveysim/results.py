@@ -288,7 +288,8 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         content["best"] = _known(vars(result.estimate))
         content["scores"] = {row.name: _score_entry(row) for row in score_rows(result)}
         content["error_budget"] = {name: _known(vars(item.budget)) for name, item in result.scores.items()}
-        content["forecast_over_simulated"] = {name: vars(item) for name, item in forecast_agreement(result).items()}
+        agreements = forecast_agreement(result)
+        content["forecast_over_simulated"] = {name: _known(vars(item)) for name, item in agreements.items()}
         content["forecast"] = {name: _forecast_entry(item) for name, item in expected.items()}
         content["gains"] = {name: _known(vars(item)) for name, item in result.gains.items()}
         content["alternatives"] = result.alternatives
