@@ -35,7 +35,7 @@ class CorrelationGrid:
     """C(theta) on a grid of indices (n_b,), heights (n_h,) [m] and tracks, per unit amplitude.
 
     `theta_rad` (n_bin,). `spline` is that of a layer at the zenith, cubic in ln track, with values (n_b, n_h, n_track,
-    n_node + 1): ln C(0), then the ratios C(theta) / C(0) at separations `node_rad` (n_node,). At another elevation it is
+    n_node + 1): ln C(0), then the ratios C(theta) / C(0) at separations `node_rad` (n_node,). At other elevations it is
     the same layer in angles over sin(el).
     """
 

@@ -142,7 +142,8 @@ def add_covariances(strip, used, lane, column, weight, step, stride, cells, coef
     """Add the field's covariance with weighted points, -1/2 sum_i weight_i D, to the first `used` columns of a strip.
 
     strip (n_lane, n_x), changed in place, `step` apart; points at lane (n_point,) and column (n_point,). The sum is
-    evaluated every `stride` columns and at `cells` + 1 lines across, one more beyond each end, and is cubic between.
+    evaluated every `stride` columns and at `cells` + 1 lines across, one more beyond each end, and is cubic between. It
+    has the constant that leaves the strip's level near 0, where single precision is finest.
     """
     n_lane = strip.shape[0]
     across = (n_lane - 1) / cells
@@ -155,6 +156,10 @@ def add_covariances(strip, used, lane, column, weight, step, stride, cells, coef
                 dx, dy = (q - 1) * stride - column[i], (p - 1) * across - lane[i]
                 total += weight[i] * structure(step * step * (dx * dx + dy * dy), coefficients, scale)
             coarse[p, q] = -0.5 * total
+    level = coarse.mean()
+    for i in range(weight.size):
+        level += strip[lane[i], column[i]] / weight.size
+    coarse -= level
     along = np.empty((stride, 4))
     for r in range(stride):
         _centred_weights(r / stride, along[r])
