@@ -9,13 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+FEWEST = 16  # observations whose own scatter tells how well they sample the weather
+_MODE_COUNT_DOF = 16  # realizations that a count of modes is worth as a measure of their scatter
+
 
 @dataclass(frozen=True)
 class BandPower:
     """Uncertainty of a flat band power from noise alone, and which multipoles it comes from."""
 
     sigma_ukcmb2: float
-    error_ukcmb2: float  # standard error of sigma
+    error_ukcmb2: float  # standard error of sigma; NaN where it is unknown
     ell_eff: float
     fwhm_ell: float
     weight: np.ndarray  # (n_bin,) share of a bin in sigma^-2; sums to 1
@@ -25,22 +28,30 @@ class BandPower:
 
 @dataclass(frozen=True)
 class ErrorBudget:
-    """Relative standard errors of sigma: noise realizations, sampling of the weather, signal window."""
+    """Relative standard errors of sigma; NaN for a part that the data do not tell.
+
+    `noise` of the noise realizations, `weather` of the sample of observations (the weather that they had and the scans
+    that they lost), `window` of the signal window, `population` of an expectation over weather that sigma is scaled to.
+    """
 
     noise: float
     weather: float
     window: float
+    population: float = 0.0
 
     @property
     def total(self) -> float:
-        """The three parts, being independent, in quadrature."""
-        return float(np.hypot(np.hypot(self.noise, self.weather), self.window))
+        """The parts, being independent, in quadrature."""
+        return float(np.linalg.norm([self.noise, self.weather, self.window, self.population]))
 
 
 def flat_spectrum_psd(ell: np.ndarray) -> np.ndarray:
-    """PSD on the sky of a flat spectrum of unit band power, `2 pi / (ell (ell + 1))`, in uK^2 sr per uK^2."""
+    """PSD on the sky of a flat spectrum of unit band power, `2 pi / (ell (ell + 1))`, in uK^2 sr per uK^2.
+
+    0 at ell = 0: the sky has no mean.
+    """
     ell = np.asarray(ell, dtype=np.float64)
-    return 2 * np.pi / (ell * (ell + 1))
+    return 2 * np.pi / np.where(ell > 0, ell * (ell + 1), np.inf)
 
 
 def flat_band_power(
@@ -165,14 +176,17 @@ def score(
     observation_weights: np.ndarray,
     ell: np.ndarray,
     edges_ell: np.ndarray,
+    information: np.ndarray | None = None,
 ) -> tuple[BandPower, ErrorBudget]:
-    """Band power of a simulated survey and its Monte Carlo error from K sign-flip realizations of the noise.
+    """Band power of a survey and its error from K sign-flip realizations of the noise.
 
     `noise_psds_ukcmb2` (K, n_bin) are PSDs of `sum_i s_ki w_i m_i / sum_i w_i`: the same observations m_i,
     weights w_i (n_obs,) that are their inverse variances up to a factor, and independent random signs s_ki.
-    sigma follows from the mean over K; the parts of its error are those of `noise_error`, `weather_error` and
-    `window_error`. The division by a noisy N leaves sigma low by a relative `sum_b (3/2 g_b - g_b^2) e_b^2`,
-    where e_b is the relative error of N_b and g the normalised weight: far below the error of sigma itself.
+    `information` is that of all observations made, 0 for one whose data were all rejected: their weights times their
+    share of data (by default the weights, for equal shares). sigma follows from the mean over K; the parts of its
+    error are those of `noise_error`, `weather_error` and `window_error`. The division by a noisy N leaves sigma low by
+    a relative `sum_b (3/2 g_b - g_b^2) e_b^2`, where e_b is the relative error of N_b and g the normalised weight:
+    below the error of sigma itself.
     Raises ValueError as `flat_band_power`, and for fewer than 2 realizations or observations or a bad weight.
     """
     if noise_psds_ukcmb2.ndim != 2 or len(noise_psds_ukcmb2) < 2:
@@ -180,18 +194,37 @@ def score(
     if signal_psd_relative_error.shape != mask.shape:
         raise ValueError(f"expected {mask.size} signal PSD errors, got {signal_psd_relative_error.shape}")
     noise_psd = noise_psds_ukcmb2.mean(axis=0)
-    information = _information(noise_psd, signal_psd, n_modes, mask)
-    weight = information / information.sum()
+    of_bins = _information(noise_psd, signal_psd, n_modes, mask)
+    weight = of_bins / of_bins.sum()
+    signs, common = noise_error_parts(noise_psds_ukcmb2, weight, observation_weights, n_modes)
     budget = ErrorBudget(
-        noise=noise_error(noise_psds_ukcmb2, weight, observation_weights),
-        weather=weather_error(observation_weights),
+        noise=float(np.hypot(signs, common)),
+        weather=weather_error(observation_weights if information is None else information, common),
         window=window_error(signal_psd_relative_error, weight),
     )
     return band_power(noise_psd, signal_psd, n_modes, mask, ell, edges_ell, budget.total), budget
 
 
-def noise_error(noise_psds_ukcmb2: np.ndarray, weight: np.ndarray, observation_weights: np.ndarray) -> float:
+def noise_error(
+    noise_psds_ukcmb2: np.ndarray,
+    weight: np.ndarray,
+    observation_weights: np.ndarray,
+    n_modes: np.ndarray | None = None,
+) -> float:
     """Relative error of sigma from the finite number of noise realizations (K, n_bin) and of observations.
+
+    The two `noise_error_parts` in quadrature; raises ValueError as they do.
+    """
+    return float(np.hypot(*noise_error_parts(noise_psds_ukcmb2, weight, observation_weights, n_modes)))
+
+
+def noise_error_parts(
+    noise_psds_ukcmb2: np.ndarray,
+    weight: np.ndarray,
+    observation_weights: np.ndarray,
+    n_modes: np.ndarray | None = None,
+) -> tuple[float, float]:
+    """Relative errors of sigma from its noise: the part that more realizations take away, and the part they share.
 
     Response of sigma: `sigma^-2 = sum n/2 (M/N)^2` gives `d ln sigma = sum_b g_b dN_b / N_b`, g the
     normalised `weight`. So each realization has a response `r_k`, and the error of sigma is that of the mean
@@ -201,23 +234,24 @@ def noise_error(noise_psds_ukcmb2: np.ndarray, weight: np.ndarray, observation_w
     a_i of variance v_i, and `z_k = sum_i s_ki a_i`. Then `<|z_k|^2> = V = sum v_i` and, by Wick's theorem,
     the powers have `cov(|z_k|^2, |z_l|^2) = |<z_k z_l*>|^2 = (sum_i s_ki s_li v_i)^2`: V^2 for k = l and on
     average over signs `sum v_i^2` for k != l. With inverse-variance weights `v_i ~ w_i^2 / w_i = w_i`, so two
-    realizations correlate by `1 / n_eff`, `n_eff = (sum w)^2 / sum w^2`, and
-    `var(mean r) = var(r) (1/K + (1 - 1/K) / n_eff)`: more signs cannot replace more observations.
-    The scatter s within the K misses the common part: `<s^2> = var(r) (1 - 1/n_eff)`.
+    realizations correlate by `c = 1 / n_eff`, `n_eff = (sum w)^2 / sum w^2`, and
+    `var(mean r) = var(r) (1 - c) / K + var(r) c`: more signs cannot replace more observations.
+
+    A few realizations know var(r) badly, to `sqrt(2 / (K - 1))`. Modes of noise that is alike in all directions have
+    `var(r) = sum_b g_b^2 2 / n_b`. With `n_modes` (n_bin,) this closed form and the scatter of the realizations are
+    averaged, as if the closed form were the scatter of 16 more; without, the scatter is all there is. Within the K the
+    common part does not show: `<s^2> = var(r) (1 - c)`.
     Raises ValueError for fewer than 2 observations or a weight that is not positive.
     """
-    variance, correlation = _response(noise_psds_ukcmb2, weight, observation_weights)
-    n_real = len(noise_psds_ukcmb2)
-    return float(np.sqrt(variance * (1 / n_real + (1 - 1 / n_real) * correlation)))
-
-
-def sign_error(noise_psds_ukcmb2: np.ndarray, weight: np.ndarray, observation_weights: np.ndarray) -> float:
-    """The part of `noise_error` that more realizations of the same observations would take away, `s / sqrt(K)`.
-
-    The rest, in quadrature, is what the realizations have in common. Raises ValueError as `noise_error`.
-    """
-    variance, correlation = _response(noise_psds_ukcmb2, weight, observation_weights)
-    return float(np.sqrt(variance * (1 - correlation) / len(noise_psds_ukcmb2)))
+    _check_observations(observation_weights)
+    used = weight > 0
+    response = (noise_psds_ukcmb2[:, used] / noise_psds_ukcmb2[:, used].mean(axis=0)) @ weight[used]
+    common = np.sum(observation_weights**2) / np.sum(observation_weights) ** 2
+    variance, n_real = np.var(response, ddof=1) / (1 - common), len(response)
+    if n_modes is not None:
+        counted = np.sum(weight[used] ** 2 * 2 / n_modes[used])
+        variance = (_MODE_COUNT_DOF * counted + (n_real - 1) * variance) / (_MODE_COUNT_DOF + n_real - 1)
+    return float(np.sqrt(variance * (1 - common) / n_real)), float(np.sqrt(variance * common))
 
 
 def ratio_error(information: np.ndarray, expected: np.ndarray) -> float:
@@ -232,38 +266,37 @@ def ratio_error(information: np.ndarray, expected: np.ndarray) -> float:
     return float(np.std(information - ratio * expected, ddof=1) * np.sqrt(expected.size) / information.sum())
 
 
-def weather_error(observation_weights: np.ndarray) -> float:
-    """Relative error of sigma from sampling the weather of (n_obs,) observations: `CV(w) / sqrt(n_obs)`.
+def weather_error(information: np.ndarray, common_noise: float = 0.0) -> float:
+    """Relative error of sigma from the weather of (n_obs,) observations, judged by their own scatter; NaN below 16.
 
-    With inverse-variance weights the co-added noise is `N = 1 / sum w`; if it changes alike in all bins,
-    `d ln sigma = d ln N = -d ln sum w`, and a sum of n independent draws has the relative variance
-    `CV(w)^2 / n`. Weights with a long tail make it too small: a sample rarely holds its best nights.
-    Raises ValueError for fewer than 2 observations or a weight that is not positive.
+    `information` is the weight of an observation times its share of data. With inverse-variance weights the co-added
+    noise is `N = 1 / sum w`; if it changes alike in all bins, `d ln sigma = d ln N = -d ln sum w`, and a sum of n
+    independent draws has the relative variance `CV(w)^2 / n`. Weights are measured with noise, which is in the error of
+    sigma already: its variance `common_noise` squared (`noise_error_parts`) is taken off. The deviation of a mean over
+    its estimated error is Student's t, of variance `(n - 1) / (n - 3)`, which is multiplied in. Few observations rarely
+    hold the best nights, so below `FEWEST` the error is unknown; a long tail of weights makes it too small above, too.
+    Raises ValueError for fewer than 2 observations.
     """
-    _check_observations(observation_weights)
-    variation = np.std(observation_weights, ddof=1) / np.mean(observation_weights)
-    return float(variation / np.sqrt(observation_weights.size))
+    n_obs = information.size
+    scatter = ratio_error(information, np.ones(n_obs))
+    if n_obs < FEWEST:
+        return float("nan")
+    return without_noise(scatter, common_noise) * float(np.sqrt((n_obs - 1) / (n_obs - 3)))
+
+
+def without_noise(scatter: float, noise: float) -> float:
+    """What is left of a scatter once that of noise is taken off, in quadrature; 0 where it is less."""
+    return float(np.sqrt(max(scatter**2 - noise**2, 0.0)))
 
 
 def window_error(signal_psd_relative_error: np.ndarray, weight: np.ndarray) -> float:
     """Relative error of sigma from errors of the signal PSD that are independent between bins.
 
-    `d ln sigma = -sum_b g_b dM_b / M_b`, g the normalised `weight`: `sqrt(sum (g e)^2)`.
+    `d ln sigma = -sum_b g_b dM_b / M_b`, g the normalised `weight`: `sqrt(sum (g e)^2)`. Bins that the map's taper ties
+    to their neighbours have larger errors together: `mapmaker.window.neighbour_factor`.
     """
     used = weight > 0
     return float(np.linalg.norm(weight[used] * signal_psd_relative_error[used]))
-
-
-def _response(
-    noise_psds_ukcmb2: np.ndarray, weight: np.ndarray, observation_weights: np.ndarray
-) -> tuple[float, float]:
-    """Variance of one realization's response of ln sigma, and the correlation of two."""
-    _check_observations(observation_weights)
-    used = weight > 0
-    mean = noise_psds_ukcmb2[:, used].mean(axis=0)
-    response = (noise_psds_ukcmb2[:, used] / mean) @ weight[used]
-    correlation = np.sum(observation_weights**2) / np.sum(observation_weights) ** 2
-    return np.var(response, ddof=1) / (1 - correlation), correlation
 
 
 def _information(noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray) -> np.ndarray:

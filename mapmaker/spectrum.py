@@ -1,4 +1,4 @@
-"""Power spectral density of maps: taper, 2-D and azimuthally binned, and how many modes a bin holds."""
+"""Power spectral density of maps: taper, 2-D and azimuthally binned, its expectation, and how many modes a bin holds."""
 
 from dataclasses import dataclass
 
@@ -139,9 +139,94 @@ def map_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float, rings: Annu
     n_half = map_mk.shape[-2] * (map_mk.shape[-1] // 2 + 1)
     if rings.bin_of_mode.size != n_half:
         raise ValueError(f"annuli are for {rings.bin_of_mode.size} half-plane modes, the map has {n_half}")
-    cells = np.bincount(rings.bin_of_mode, rings.multiplicity, n_bin + 1)[:n_bin]
     psd = np.empty(map_mk.shape[:-2] + (n_bin,))
     for index in np.ndindex(map_mk.shape[:-2]):
-        power = mode_psd(map_mk[index], taper, pixel_rad).ravel() * rings.multiplicity
-        psd[index] = np.bincount(rings.bin_of_mode, power, n_bin + 1)[:n_bin] / cells
+        psd[index] = ring_mean(mode_psd(map_mk[index], taper, pixel_rad), rings)
     return psd
+
+
+def ring_mean(values: np.ndarray, rings: Annuli) -> np.ndarray:
+    """Mean over the modes of each bin (n_bin,) of values on the half plane of `rfft2`, flattened or not."""
+    n_bin = rings.ell.size
+    total = np.bincount(rings.bin_of_mode, values.ravel() * rings.multiplicity, n_bin + 1)[:n_bin]
+    return total / np.bincount(rings.bin_of_mode, rings.multiplicity, n_bin + 1)[:n_bin]
+
+
+def coupled_psd(
+    sky_psd: np.ndarray, sky_shape: tuple[int, int], taper: np.ndarray, pixel_rad: float, cells_per_pixel: int = 1
+) -> np.ndarray:
+    """Expectation of `mode_psd` over Gaussian skies: their PSD convolved with the taper's power spectrum.
+
+    A taper couples neighbouring modes, which lifts a steep spectrum: ``<P(k)> = sum_k' S(k') |T(k - k')|^2 / (L^2 sum
+    T^2)`` over the modes k' of a sky of area L^2. The sum is taken in real space, where it is exact: the taper's
+    autocorrelation times the correlation function of the sky.
+
+    Parameters
+    ----------
+    sky_psd : (N_y, N_x // 2 + 1) PSD S of the sky in the map, on the half plane of `rfft2` of a periodic grid: beam and
+        pixel window included, 0 for the mean. The grid is best several times as large as the taper: modes longer than
+        its period are left out.
+    sky_shape : (N_y, N_x) cells of that grid.
+    taper : (n_y, n_x), on the map's pixels.
+    pixel_rad : side of a map's pixel.
+    cells_per_pixel : cells of the sky's grid along the side of a pixel.
+
+    Returns
+    -------
+    (n_y, n_x // 2 + 1), in the unit of `sky_psd`; `ring_mean` gives bins of multipole.
+
+    Raises
+    ------
+    ValueError
+        If `sky_psd` is not on the half plane of `sky_shape`, or cells per pixel are not a positive integer.
+    """
+    if sky_psd.shape != (sky_shape[0], sky_shape[1] // 2 + 1):
+        raise ValueError(f"sky_psd must be on the half plane of {sky_shape}, got {sky_psd.shape}")
+    if cells_per_pixel != int(cells_per_pixel) or cells_per_pixel < 1:
+        raise ValueError(f"cells_per_pixel must be a positive integer, got {cells_per_pixel}")
+    from scipy.fft import irfft2, rfft2
+
+    correlation = irfft2(sky_psd, sky_shape, workers=1) * (cells_per_pixel / pixel_rad) ** 2
+    # Lags of both signs must not meet at the rim of the grid: zeros over half of each side keep them apart.
+    grow = tuple(1 + (2 * _extent(taper, axis) > n) for axis, n in enumerate(taper.shape))
+    shape = tuple(n * factor for n, factor in zip(taper.shape, grow, strict=True))
+    lags = [np.rint(np.fft.fftfreq(n, 1 / n)).astype(int) * cells_per_pixel for n in shape]
+    at_lags = correlation[np.ix_(*(lag % n for lag, n in zip(lags, sky_shape, strict=True)))]
+    spread = rfft2(taper, shape, workers=1)
+    at_lags *= irfft2(spread.real**2 + spread.imag**2, shape, workers=1)
+    power = rfft2(at_lags, workers=1).real[:: grow[0], :: grow[1]]
+    return power * (pixel_rad**2 / np.sum(taper**2))
+
+
+def _extent(taper: np.ndarray, axis: int) -> int:
+    """Rows (or columns) from the first to the last that the taper does not hide."""
+    seen = np.flatnonzero(taper.any(axis=1 - axis))
+    return int(seen[-1] - seen[0] + 1)
+
+
+def neighbour_correlation(taper: np.ndarray, rings: Annuli) -> np.ndarray:
+    """Correlation of the PSD's noise between each bin and the next, (n_bin - 1,).
+
+    The taper T correlates modes by r, the transform of T^2 over its sum, so the PSDs of white noise in the bins a and b
+    have the covariance ``2 sum_ka sum_kb |r(ka - kb)|^2`` over the numbers of their modes, here summed in real space.
+    Noise whose PSD changes little over the taper's resolution has the same. `taper` is (n_y, n_x), as of the map that
+    `rings` are for.
+    Raises ValueError if the annuli are for another map.
+    """
+    n_y, n_x = taper.shape
+    if rings.bin_of_mode.size != n_y * (n_x // 2 + 1):
+        raise ValueError(f"annuli are for {rings.bin_of_mode.size} half-plane modes, the taper has {taper.shape}")
+    from scipy.fft import fft2, ifft2, irfft2
+
+    tied = np.abs(fft2(taper**2)) ** 2
+    kernel = ifft2(tied).real
+    n_bin = len(rings.ell)
+    variance, covariance = np.empty(n_bin), np.empty(n_bin - 1)
+    before = None
+    for place in range(n_bin):
+        own = irfft2((rings.bin_of_mode == place).reshape(n_y, -1).astype(float), (n_y, n_x))
+        variance[place] = np.sum(kernel * own**2)
+        if before is not None:
+            covariance[place - 1] = np.sum(kernel * own * before)
+        before = own
+    return covariance / np.sqrt(variance[1:] * variance[:-1])

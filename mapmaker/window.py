@@ -30,6 +30,13 @@ def pixel_window(ell: np.ndarray, pixel_rad: float) -> np.ndarray:
     return np.mean((np.sinc(cycles * np.cos(azimuth)) * np.sinc(cycles * np.sin(azimuth))) ** 2, axis=-1)
 
 
+def mode_pixel_window(n_y: int, n_x: int, cell_rad: float, pixel_rad: float) -> np.ndarray:
+    """Power transmission of square pixels on the half plane of `rfft2`, (n_y, n_x // 2 + 1), cells `cell_rad` wide."""
+    along_y = np.sinc(np.fft.fftfreq(n_y, cell_rad) * pixel_rad) ** 2
+    along_x = np.sinc(np.fft.rfftfreq(n_x, cell_rad) * pixel_rad) ** 2
+    return np.outer(along_y, along_x)
+
+
 def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.ndarray) -> Window:
     """Power transmission from the PSDs of the same skies with and without the losses, both (n_sky, n_bin).
 
@@ -52,3 +59,17 @@ def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.nd
     left_out = (cleaned - psd_cleaned) / (reference - psd_reference)
     variance = (n_sky - 1) * np.var(left_out, axis=0)
     return Window(ell, cleaned / reference, np.sqrt(variance))
+
+
+def neighbour_factor(taper: np.ndarray, pixel_rad: float, width_ell: float) -> float:
+    """Error of a smooth sum over bins of multipole, over that of bins that are independent of each other; 1 or more.
+
+    A taper (n,) along one axis ties modes a distance x apart by `K(x) = |FT(taper^2)|^2`. A bin of width d has the
+    variance `int K(x) (d - |x|) dx` over |x| < d, its share of a wide sum `d int K(x) dx`: the rest is the covariance
+    with its neighbours. For bins that are straight on the scale of K, and modes that are equally strong.
+    """
+    steps = 64
+    kernel = np.abs(np.fft.rfft(taper**2, steps * len(taper))) ** 2
+    kernel[1:] *= 2  # both signs
+    apart = 2 * np.pi * np.fft.rfftfreq(steps * len(taper), pixel_rad)
+    return float(np.sqrt(kernel.sum() / (kernel @ np.clip(1 - apart / width_ell, 0, None))))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmaker.bandpower import noise_error, ratio_error, sign_error
+from mapmaker.bandpower import noise_error, noise_error_parts, ratio_error, without_noise
 from surveysim.coadds import CoAdds, row_names
 from surveysim.forecast import DataSetForecast, Forecast, can_forecast, forecast, is_projection
 from surveysim.scene import SceneError
@@ -60,15 +60,15 @@ def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) 
     The weather is common to both and cancels in their ratio. Left are the noise of the realizations, the scatter of
     observations' noise about its forecast, and for sigma(A) the error of the window.
     """
-    scatter = _scatter(simulated, expected)
-    ratio = expected.band.sigma_ukcmb2 / simulated.band.sigma_ukcmb2
+    scatter = _scatter(setup, simulated, expected)
+    ratio = expected.band.sigma_ukcmb2 / simulated.plain_band.sigma_ukcmb2
     error = ratio * float(np.linalg.norm([simulated.budget.noise, simulated.budget.window, scatter]))
     low, high = compared_ell(setup)
     edges = setup.band.rings.edges_ell
     bins = np.flatnonzero((edges[:-1] >= low) & (edges[1:] <= high))
     if not len(bins):
         return Agreement(ratio - 1, error, *(None,) * 5, 0, 0, 0)
-    off, errors = _bin_ratios(simulated, expected, bins, scatter)
+    off, errors = _bin_ratios(setup, simulated, expected, bins, scatter)
     worst = int(np.argmax(np.abs(off) - 2 * errors))
     known = errors <= KNOWN
     return Agreement(
@@ -85,23 +85,34 @@ def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) 
     )
 
 
-def _scatter(simulated: DataSetScore, expected: DataSetForecast) -> float:
+def _scatter(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -> float:
     """Relative error of the co-added noise for observations that differ from their forecasts, beyond their own noise.
 
     That noise is the part of the realizations' error which all have in common.
     """
     kept = expected.kept.share
-    total = ratio_error(simulated.weights * kept, expected.weights * kept)
+    some = kept > 0
+    total = ratio_error((simulated.weights * kept)[some], (expected.weights * kept)[some])
     used = simulated.weights[simulated.weights > 0]
-    common = simulated.budget.noise**2 - sign_error(simulated.noise_psds, simulated.band.weight, used) ** 2
-    return float(np.sqrt(max(total**2 - common, 0.0)))
+    psds, n_modes = simulated.noise_psds, setup.band.rings.n_modes
+    _, common = noise_error_parts(psds, simulated.plain_band.weight, used, n_modes)
+    return without_noise(total, common)
+
+
+def quoted_forecast(simulated: DataSetScore, expected: DataSetForecast) -> float:
+    """sigma(A) [uK_CMB^2] by forecast that stands beside the quoted one: as far from it as the plain ones are apart.
+
+    A quoted score that has the forecast as control variate is that of all weather, and so is this.
+    """
+    return expected.band.sigma_ukcmb2 * simulated.band.sigma_ukcmb2 / simulated.plain_band.sigma_ukcmb2
 
 
 def _bin_ratios(
-    simulated: DataSetScore, expected: DataSetForecast, bins: np.ndarray, scatter: float
+    setup: Setup, simulated: DataSetScore, expected: DataSetForecast, bins: np.ndarray, scatter: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Forecast over simulated noise PSD, less 1, in some bins, and the errors of that, (n,) each."""
     weights = simulated.weights[simulated.weights > 0]
     ratio = expected.noise_psd[bins] / simulated.noise_psd[bins]
-    noise = np.array([noise_error(simulated.noise_psds[:, [k]], np.ones(1), weights) for k in bins])
+    psds, n_modes = simulated.noise_psds, setup.band.rings.n_modes
+    noise = np.array([noise_error(psds[:, [k]], np.ones(1), weights, n_modes[[k]]) for k in bins])
     return ratio - 1, ratio * np.hypot(noise, scatter)

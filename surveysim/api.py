@@ -20,7 +20,14 @@ from surveysim.setup import prepare
 from surveysim.stopping import Limits, check_limits, stopping_rule
 from surveysim.survey import run_observations
 from surveysim.sweep import Sweep, load_sweep
-from surveysim.trade import SweepResult, compare_forecasts, compare_runs, forecast_points, run_points
+from surveysim.trade import (
+    SweepResult,
+    compare_forecasts,
+    compare_runs,
+    forecast_points,
+    of_one_kind,
+    run_points,
+)
 
 PROCESSES = Engine()
 DRAWS_SEED = 0  # of the draws that say how sure the best point of a sweep is
@@ -120,7 +127,7 @@ def run_sweep(
         if not resume:
             remove_outputs(directory)
             remove_points(kept)
-    points = run_points(sweep, kept, engine, resume, progress)
+    points = of_one_kind(run_points(sweep, kept, engine, resume, progress))
     with threadpool_limits(1):  # the same bits on any machine
         comparison = compare_runs(points, np.random.default_rng(DRAWS_SEED), sweep.reference)
     seconds = perf_counter() - start

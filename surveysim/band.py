@@ -1,14 +1,15 @@
 """The scored area of the map and its multipoles."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry
-from mapmaker.spectrum import Annuli, annuli, mode_ell, split_azimuth, tukey_taper
-from mapmaker.window import beam_window
+from mapmaker.spectrum import Annuli, annuli, coupled_psd, mode_ell, ring_mean, split_azimuth, tukey_taper
+from mapmaker.window import beam_window, mode_pixel_window
 from surveysim.scene import Scene, SceneError
 
 N_SECTORS = 3
@@ -24,6 +25,8 @@ class Band:
     (n_pad, n_column): squared signal PSD times multiplicity, up to the last column of the half plane in
     the scored range; `sectors` the scored bins cut by direction, None where a sector would be empty; `mode_chance`
     (n_mode,), for the modes of `rings`, the share of its noise that each loses by chance where `noise` weighs maps.
+    `signal_psd` (n_bin,) [sr]: PSD of a flat spectrum of unit band power in the map before scans and cleaning, of the
+    rings, and `sector_psd` that of the sectors.
     """
 
     patch: slice
@@ -33,6 +36,8 @@ class Band:
     mode_weight: np.ndarray
     sectors: Annuli | None
     mode_chance: np.ndarray
+    signal_psd: np.ndarray
+    sector_psd: np.ndarray | None
 
     @property
     def padded_taper(self) -> np.ndarray:
@@ -53,9 +58,7 @@ class Band:
 
     def chance(self, rings: Annuli) -> np.ndarray:
         """Mean of `mode_chance` over the modes of each of some bins, (n_bin,)."""
-        n_bin = len(rings.n_modes)
-        total = np.bincount(rings.bin_of_mode, self.mode_chance * rings.multiplicity, n_bin + 1)[:n_bin]
-        return total / np.bincount(rings.bin_of_mode, rings.multiplicity, n_bin + 1)[:n_bin]
+        return ring_mean(self.mode_chance, rings)
 
     def ring_noise(self, total: np.ndarray, hits: np.ndarray) -> np.ndarray:
         """Noise variance a sample in each bin of multipole (n_bin,) of a patch of sums and hits; inf without a hit."""
@@ -64,11 +67,8 @@ class Band:
         norm = float(np.sum(self.taper**2 * hits))
         if norm == 0:
             return np.full(len(self.rings.ell), np.inf)
-        modes = rfft2(self.pad(self.taper * total)).ravel()
-        power = (modes.real**2 + modes.imag**2) * self.rings.multiplicity
-        n_bin = len(self.rings.ell)
-        cells = np.bincount(self.rings.bin_of_mode, self.rings.multiplicity, n_bin + 1)[:n_bin]
-        return np.bincount(self.rings.bin_of_mode, power, n_bin + 1)[:n_bin] / cells / norm
+        modes = rfft2(self.pad(self.taper * total))
+        return ring_mean(modes.real**2 + modes.imag**2, self.rings) / norm
 
     def noise(self, total: np.ndarray, hits: np.ndarray) -> float:
         """Noise variance a sample of a patch of sums and hits, both (n, n); inf without a hit."""
@@ -83,8 +83,11 @@ class Band:
         return float(np.sum(self.mode_weight * power) / (self.mode_weight.sum() * norm))
 
 
-def scored_band(scene: Scene, geometry: MapGeometry) -> Band | None:
-    """The band of a scene, None without a score; raises SceneError when no bin or no mode is left."""
+def scored_band(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry) -> Band | None:
+    """The band of a scene, None without a score; `sky_geometry` is the grid of the skies that it is scored by.
+
+    Raises SceneError when no bin or no mode is left.
+    """
     score = scene.score
     if score is None:
         return None
@@ -111,6 +114,7 @@ def scored_band(scene: Scene, geometry: MapGeometry) -> Band | None:
         sectors = split_azimuth(scored, n_pad, n_pad, geometry.pixel_rad, N_SECTORS)
     except ValueError:
         sectors = None
+    signal = flat_signal(scene, geometry, sky_geometry, padded)
     return Band(
         patch=slice(first, first + n),
         taper=taper,
@@ -119,7 +123,29 @@ def scored_band(scene: Scene, geometry: MapGeometry) -> Band | None:
         mode_weight=weight,
         sectors=sectors,
         mode_chance=_mode_chance(scene, padded, geometry.pixel_rad),
+        signal_psd=ring_mean(signal, rings),
+        sector_psd=None if sectors is None else ring_mean(signal, sectors),
     )
+
+
+def flat_signal(
+    scene: Scene,
+    geometry: MapGeometry,
+    sky_geometry: MapGeometry,
+    padded_taper: np.ndarray,
+    transmission: Callable[[np.ndarray], np.ndarray] = np.ones_like,
+) -> np.ndarray:
+    """Expected PSD [sr] of a flat spectrum of unit band power in the tapered map, on the half plane of `rfft2`.
+
+    Behind beam and pixels, and the `transmission` of multipoles. The sky has the modes of the grid on which skies are
+    drawn, and so no longer ones: with what these skies lose to scans and cleaning, measured as a ratio of tapered
+    PSDs, the product is what they leave. Scans, which that grid just holds, lose longer modes anyway.
+    """
+    shape = sky_geometry.n_y, sky_geometry.n_x
+    ell = mode_ell(*shape, sky_geometry.pixel_rad)
+    sky = flat_spectrum_psd(ell) * beam_window(ell, scene.instrument.beam_fwhm_rad) * transmission(ell)
+    sky *= mode_pixel_window(*shape, sky_geometry.pixel_rad, geometry.pixel_rad)
+    return coupled_psd(sky, shape, padded_taper, geometry.pixel_rad, round(geometry.pixel_rad / sky_geometry.pixel_rad))
 
 
 def _mode_weight(scene: Scene, ell: np.ndarray, rings: Annuli) -> np.ndarray:

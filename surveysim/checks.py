@@ -17,6 +17,7 @@ MAX_SIDE_PIXELS = 16_384
 MAX_DETECTOR_SAMPLES = 1e11  # an hour of 100,000 detectors at 200 Hz and more: hours of computing
 MAX_SAMPLES = 1e8  # of the boresight, whose path is held whole
 MAX_SURVEY_SCANS = 1e8
+MAX_COEFFICIENTS = 3e7  # of a sky on the sphere: 2 GB of memory, minutes of computing
 MAX_MODES = 4000  # of which the eigenvectors take half a minute a scan
 
 
@@ -119,6 +120,32 @@ def check_score(scene: Scene, geometry: MapGeometry, lines: Raster) -> None:
         raise SceneError(
             f"score.white_above: found {scene.score.white_above_hz:g} Hz; "
             f"less than {highest:.4g} Hz, the highest frequency of a scan, is expected"
+        )
+
+
+def check_sky(scene: Scene, geometry: MapGeometry) -> None:
+    """Raise SceneError for a sky on the sphere that ends within the scored multipoles, or that is too large to make.
+
+    A taper mixes what lies within twice its resolution: above the last bin a sky without that would lack more than
+    1 % there.
+    """
+    if scene.sky is None or scene.sky.curved_lmax is None:
+        return
+    from surveysim.sky import highest_order
+
+    lmax, score = scene.sky.curved_lmax, scene.score
+    if score is not None:
+        needed = math.ceil(score.ell_max + 4 * math.pi / score.size_rad)
+        if lmax < needed:
+            raise SceneError(
+                f"sky.curved_lmax: found {lmax}; {needed} or more is expected, which holds what the score's multipoles "
+                f"up to {score.ell_max} take in through its taper"
+            )
+    coefficients = (lmax + 1) * (highest_order(geometry, lmax) + 1)
+    if coefficients > MAX_COEFFICIENTS:
+        raise SceneError(
+            f"sky.curved_lmax: found {lmax}, which takes {coefficients:.2g} coefficients for a field of this size; "
+            f"{MAX_COEFFICIENTS:.0e} or fewer are expected"
         )
 
 

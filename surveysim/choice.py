@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.window import beam_window
 from surveysim.setup import Setup
 
@@ -26,7 +25,7 @@ def merits(setup: Setup, transmission: np.ndarray, maps: Sequence[tuple[np.ndarr
     rows = band.patch
     noise = np.array([band.ring_noise(total[rows, rows], hits[rows, rows]) for total, hits in maps])
     beam = beam_window(rings.ell, setup.scene.instrument.beam_fwhm_rad)
-    flat = flat_spectrum_psd(rings.ell) * beam * transmission[:, 0] / noise
+    flat = band.signal_psd * transmission[:, 0] / noise
     point = beam * transmission[:, 1] / noise
     return np.stack(
         [(rings.n_modes / 2 * flat**2)[:, band.selected].sum(axis=1), (rings.n_modes * point).sum(axis=1)], 1

@@ -10,65 +10,52 @@ from functools import lru_cache
 
 import numpy as np
 
-from mapmaker.bandpower import flat_band_power, ratio_error, sign_error
-from surveysim.coadds import CoAdds, row_names
+from mapmaker.bandpower import flat_band_power
+from surveysim.coadds import CoAdds
 from surveysim.conditions import conditions, population, survey_draws
-from surveysim.forecast import NoiseModel, can_forecast, expected_signal, expected_weights, survey_models
+from surveysim.forecast import NoiseModel, can_forecast, expected_weights, survey_models
+from surveysim.recipes import ACTUAL
 from surveysim.scene import Scene, SceneError
-from surveysim.scores import DataSetScore
+from surveysim.scores import Control, DataSetScore, controlled_score, score_survey
 from surveysim.setup import Setup, prepare
 
 
 @dataclass(frozen=True)
-class ControlBudget:
-    """Relative standard errors of a controlled sigma.
+class Expectation:
+    """A data set's noise model, and its forecast over all weather.
 
-    `noise` of the realizations, `forecast` of observations that are not to each other as the forecast says (beyond
-    their noise), `window` of the signal, and `population` of the sample that the forecast's expectation is taken from.
+    `psd` (n_bin,) of a survey, up to a factor, `error` the relative one of its sigma(A); `variation` the standard
+    deviation of the observations' weights over their mean.
     """
 
-    noise: float
-    forecast: float
-    window: float
-    population: float
-
-    @property
-    def total(self) -> float:
-        """The parts, being independent, in quadrature."""
-        return float(np.linalg.norm([self.noise, self.forecast, self.window, self.population]))
-
-
-@dataclass(frozen=True)
-class Controlled:
-    """sigma(A) [uK_CMB^2] of a data set with the forecast as control variate, `factor` times the plain one."""
-
-    sigma_ukcmb2: float
-    error_ukcmb2: float
-    factor: float
-    budget: ControlBudget
-
-
-@dataclass(frozen=True)
-class Expectation:
-    """A data set's noise model, its forecast of a survey in all weather and the relative error of that."""
-
     model: NoiseModel
-    sigma: float
+    psd: np.ndarray
     error: float
+    variation: float
 
 
-def controlled_scores(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -> dict[str, Controlled]:
-    """Controlled estimates of the scores that can be forecast, from the observations that gave the scores."""
+def quoted_scores(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = None) -> dict[str, DataSetScore]:
+    """Scores as they are quoted everywhere, of the named data sets (all by default): controlled where it can be.
+
+    Sets that have no forecast of their own are controlled by that of the actual data: any expectation of an
+    observation's information will do, and what it does not explain is in the error. Raises ValueError as
+    `surveysim.scores.score_survey`.
+    """
+    scores = score_survey(setup, coadds, names)
+    found = controls(setup, coadds)
+    if not found:
+        return scores
+    return {name: controlled_score(setup, item, found.get(name, found[ACTUAL])) for name, item in scores.items()}
+
+
+def controls(setup: Setup, coadds: CoAdds) -> dict[str, Control]:
+    """Control variates by data set, those of the observations in `coadds`; empty where there is no forecast."""
     if not can_forecast(setup):
         return {}
     try:
         expected = expectations(setup.scene)
         levels = conditions(setup, survey_draws(setup, 0, coadds.done))
-        return {
-            name: _controlled(setup, coadds, item, expected[name], expected[name].model.noise(levels))
-            for name, item in scores.items()
-            if name in expected
-        }
+        return {name: _control(setup, item, item.model.noise(levels)) for name, item in expected.items()}
     except ValueError:  # extremes that can't be forecast: a run never fails for want of one
         return {}
 
@@ -83,30 +70,25 @@ def expectations(scene: Scene) -> dict[str, Expectation]:
         noise = model.noise(levels)
         if not noise[:, setup.band.selected].all():
             raise SceneError("score: found no noise in its multipoles; some is expected")
-        parts = [_sigma(setup, model, part) for part in np.split(noise, n_lists)]
+        parts = [_sigma(setup, model, _psd(setup, part)) for part in np.split(noise, n_lists)]
         error = np.std(parts, ddof=1) / np.sqrt(len(parts)) / np.mean(parts)
-        found[model.name] = Expectation(model, _sigma(setup, model, noise), float(error))
+        weight = expected_weights(setup, noise)
+        found[model.name] = Expectation(model, _psd(setup, noise), float(error), float(weight.std() / weight.mean()))
     return found
 
 
-def _sigma(setup: Setup, model: NoiseModel, noise: np.ndarray) -> float:
-    """sigma(A), up to a factor, of a survey of one length that consists of these (n_draw, n_bin) observations."""
+def _psd(setup: Setup, noise: np.ndarray) -> np.ndarray:
+    """Noise PSD (n_bin,), up to a factor, of a survey of one length of these (n_draw, n_bin) observations."""
     weight = expected_weights(setup, noise)
-    psd = weight**2 @ noise * len(noise) / weight.sum() ** 2
-    return flat_band_power(psd, expected_signal(setup, model), setup.band.rings.n_modes, setup.band.selected)
+    return weight**2 @ noise * len(noise) / weight.sum() ** 2
 
 
-def _controlled(
-    setup: Setup, coadds: CoAdds, item: DataSetScore, expected: Expectation, noise: np.ndarray
-) -> Controlled:
-    factor = expected.sigma / _sigma(setup, expected.model, noise)
-    place = row_names(setup).index(f"discarded_{expected.model.recipe.data_set}")
-    kept = 1 - np.array([row[place] for row in coadds.rows]) / setup.raster.n_scans
-    # An observation's information is known as well as its noise; that part of its scatter is in the noise's error.
-    scatter = ratio_error(item.weights * kept, expected_weights(setup, noise))
-    used = item.weights[item.weights > 0]
-    common = item.budget.noise**2 - sign_error(item.noise_psds, item.band.weight, used) ** 2
-    off = float(np.sqrt(max(scatter**2 - common, 0.0)))
-    budget = ControlBudget(item.budget.noise, off, item.budget.window, expected.error)
-    sigma = item.band.sigma_ukcmb2 * factor
-    return Controlled(sigma, sigma * budget.total, factor, budget)
+def _sigma(setup: Setup, model: NoiseModel, psd: np.ndarray) -> float:
+    return flat_band_power(psd, model.signal_psd, setup.band.rings.n_modes, setup.band.selected)
+
+
+def _control(setup: Setup, expected: Expectation, noise: np.ndarray) -> Control:
+    of_sample = _psd(setup, noise)
+    factor = np.divide(expected.psd, of_sample, out=np.ones_like(of_sample), where=of_sample > 0)
+    sampling = expected.variation / np.sqrt(len(noise))
+    return Control(factor, expected_weights(setup, noise), float(sampling), expected.error)

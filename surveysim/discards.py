@@ -1,8 +1,8 @@
 """Shares of discarded scans, by data set and by weather, and the warnings that they call for.
 
-Cleaning discards a scan whose templates it can't fit. Where the atmosphere is all that responsivities are fitted on,
-these are the calmest scans, hence the best data: a share of discarded scans costs more than its square root, and two
-points of a sweep that lose different shares differ by that too.
+Cleaning discards a scan whose templates it can't fit. Where responsivities are fitted on the atmosphere of the scan,
+these are the calmest scans, hence the best data. A survey that loses a share of them loses more than that share of its
+information, and two points of a sweep that lose different shares differ for that reason alone.
 """
 
 from collections.abc import Mapping, Sequence
@@ -75,7 +75,7 @@ def _of_observations(setup: Setup, coadds: CoAdds) -> np.ndarray:
         whole = [recipe.data_set for recipe in setup.whole_recipes]
         best = best_places(np.array([columns[f"merit_{TARGETS[0]}_{name}"] for name in whole]))
         # Without any merit the first recipe is taken.
-        counts[OPTIMAL] = np.choose(np.maximum(best, 0), [counts[name] for name in whole])
+        counts[OPTIMAL] = np.array([counts[name] for name in whole])[np.maximum(best, 0), np.arange(len(best))]
     found = [counts.get(name, counts[ACTUAL]) for name in setup.data_sets]
     return np.stack(found, axis=1) / setup.raster.n_scans
 
@@ -101,14 +101,9 @@ def percent(share: float) -> str:
 def competing(shares: np.ndarray) -> np.ndarray:
     """Which of some points (n,) may be called the best with a probability, by their shares of discarded scans.
 
-    Those that lose no more than `MOST_DISCARDED`, and no more than `MOST_APART` above the one that loses least; none
-    if only one of several does.
+    Those that lose no more than `MOST_DISCARDED`, and no more than `MOST_APART` above the one that loses least.
     """
-    if not len(shares):
-        return np.zeros(0, bool)
-    few = shares <= MOST_DISCARDED + _ROUNDING
-    few &= shares <= shares.min() + MOST_APART + _ROUNDING
-    return few if few.sum() > 1 or len(few) == 1 else np.zeros_like(few)
+    return (shares <= MOST_DISCARDED + _ROUNDING) & (shares <= min(shares, default=0.0) + MOST_APART + _ROUNDING)
 
 
 def why_withheld(share: float, least: float) -> str:
@@ -117,7 +112,7 @@ def why_withheld(share: float, least: float) -> str:
         return f"{percent(share)} of its scans are discarded, more than {100 * MOST_DISCARDED:g} %"
     if share > least + MOST_APART + _ROUNDING:
         return f"{percent(share)} of its scans are discarded, at another point {percent(least)}"
-    return f"other points lose too many scans to be compared with its {percent(share)}"
+    return f"other points can't be compared with it (it loses {percent(share)} of its scans)"
 
 
 def sweep_warnings(labels: Sequence[str], shares: Sequence[Shares]) -> list[str]:
@@ -128,24 +123,29 @@ def sweep_warnings(labels: Sequence[str], shares: Sequence[Shares]) -> list[str]
     found = []
     for name in telling(shares):
         known = [(item[name], label) for label, item in zip(labels, shares, strict=True) if name in item]
-        found += [f"{name}: {line}. {REMEDY}." for line in (_too_many(known), _too_different(known)) if line]
+        if lines := [line for line in (_too_many(known), _too_different(known)) if line]:
+            found.append(f"{name}: {'; '.join(lines)}. {REMEDY}.")
     return found
 
 
 def _too_many(known: list[tuple[float, str]]) -> str:
-    wrong = [item for item in known if item[0] > MOST_DISCARDED + _ROUNDING]
+    wrong = [share for share, _ in known if share > MOST_DISCARDED + _ROUNDING]
     if not wrong:
         return ""
-    worst, label = max(wrong, key=lambda item: item[0])
-    of = "at the point" if len(known) == 1 else f"at {len(wrong)} of {len(known)} points"
-    return f"more than {100 * MOST_DISCARDED:g} % of the scans are discarded {of}, at most {percent(worst)} ({label})"
+    points = f"{len(wrong)} of {len(known)} points"
+    worst, label = max(known, key=_share)
+    return f"more than {100 * MOST_DISCARDED:g} % of the scans are discarded at {points}, {percent(worst)} at {label}"
 
 
 def _too_different(known: list[tuple[float, str]]) -> str:
-    (least, few), (most, many) = (choose(known, key=lambda item: item[0]) for choose in (min, max))
+    (least, few), (most, many) = min(known, key=_share), max(known, key=_share)
     if most <= least + MOST_APART + _ROUNDING:
         return ""
     return (
-        f"points differ by more than {100 * MOST_APART:g} % in the share of discarded scans, from {percent(least)} "
-        f"({few}) to {percent(most)} ({many}); so do their ratios for that reason alone"
+        f"the share of discarded scans differs by more than {100 * MOST_APART:g} % between points, from "
+        f"{percent(least)} at {few} to {percent(most)} at {many}, so that ratios of such points mislead"
     )
+
+
+def _share(known: tuple[float, str]) -> float:
+    return known[0]

@@ -12,7 +12,9 @@ from functools import lru_cache
 import numpy as np
 
 from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
+from mapmaker.spectrum import ring_mean
 from mapmaker.window import beam_window, pixel_window
+from surveysim.band import flat_signal
 from surveysim.conditions import (
     Conditions,
     NoiseCorrelations,
@@ -46,11 +48,11 @@ from surveysim.response import (
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene, SceneError
 from surveysim.setup import Setup, prepare, screen
-from surveysim.units import rj_to_cmb
 from surveysim.validity import Effect, Grounds, effects
 
 _ANGLES = 3  # of the array against the scan that stand for all observations
 _SPEEDS, _DIRECTIONS = 5, 4  # of the layer against the scan
+_NOTHING, _BELOW = 1e-100, 3.0  # least transmission, and e-folds of ell that it is continued below the bins
 _SINES = 3  # of the elevation
 _SLOWEST = 0.02  # relative speed that is told from none, in scan speeds
 
@@ -99,13 +101,15 @@ class _Parts:
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """The noise of one data set in any conditions, and the `transmission` (n_bin,) of its cleaning."""
+    """The noise of one data set in any conditions, and the `signal_psd` (n_bin,) [sr] that its scans and cleaning leave
+    of a flat spectrum of unit band power.
+    """
 
     name: str
     recipe: Recipe
     n_det: int
     parts: _Parts
-    transmission: np.ndarray
+    signal_psd: np.ndarray
 
     def noise(self, levels: Conditions) -> np.ndarray:
         """Noise variance a sample [mK^2] of every draw, (n_draw, n_bin)."""
@@ -180,14 +184,14 @@ def noise_models(setup: Setup, levels: Conditions) -> Iterator[NoiseModel]:
         spectrum = _spectrum(setup, fitted_courses(setup, recipe, arrays[0], levels))
         n_det = len(arrays[0].place)
         responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
-        transmission = _transmission(setup, spectrum, arrays, responses)
+        signal = _signal_psd(setup, _transmission(setup, spectrum, arrays, responses))
         correlations = noise_correlations(setup, recipe)
         parts = _map_parts(setup, levels, spectrum, arrays, responses, correlations)
-        yield NoiseModel(recipe.data_set, recipe, n_det, parts, transmission)
+        yield NoiseModel(recipe.data_set, recipe, n_det, parts, signal)
         if recipe is setup.recipes[0]:
             for name in setup.scene.score.simulated:
                 parts = _simulated_parts(setup, levels, spectrum, arrays, correlations, name)
-                yield NoiseModel(name, recipe, n_det, parts, transmission)
+                yield NoiseModel(name, recipe, n_det, parts, signal)
 
 
 def can_forecast(setup: Setup) -> bool:
@@ -270,10 +274,14 @@ def _map_parts(
         parts.append([modes.mean(item) for item in (white * flat, shared * flat, own * red, low * red)])
     white, shared, own, low = np.mean(parts, axis=0) * rate / 2
     layer = _layer_noise(setup, levels, spectrum, arrays, responses)
-    # Pixels smooth what streams share; of each stream's own noise, scattered over all modes, they take next to nothing.
+    # Pixels smooth modes, and scatter over all modes the noise of streams that they take: a stream's whole white noise,
+    # of which templates of few detectors leave little in modes that are longer than the array.
     pixel = pixel_window(setup.band.rings.ell, setup.geometry.pixel_rad)
-    smoothed = white + (shared - white) * pixel, own + (low - own) * pixel
-    return _Parts(white, *smoothed, lambda motion, sine: layer(motion, sine) * pixel)
+    scattered = modes.mean(flat) * rate / 2 * (1 - pixel)
+    white = white * pixel + stream_power(arrays[0], None) * scattered
+    shared = shared * pixel + stream_power(arrays[0], photon) * scattered
+    low = own + (low - own) * pixel
+    return _Parts(white, shared, low, lambda motion, sine: layer(motion, sine) * pixel)
 
 
 def _layer_noise(
@@ -387,7 +395,7 @@ def _simulated_parts(
 
 
 def _transmission(setup: Setup, spectrum: _Spectrum, arrays: list[Array], responses: list[np.ndarray]) -> np.ndarray:
-    """Share (n_bin,) of a flat sky's power that scans and cleaning leave in the co-added map.
+    """Share (n_bin,) of a mode's power that scans and cleaning leave in the co-added map.
 
     Amplitudes of all observations are averaged before they are squared: what scans along one direction lose, those
     along the other keep.
@@ -421,12 +429,14 @@ def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hit
     # Hits go as the scans that are kept; the PSD of a survey as one over its observations.
     variance = (weight**2 * kept.share) @ noise / (weight @ kept.share) ** 2 * (len(noise) / scene.observations)
     area = setup.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
-    psd = variance * area * (1e3 * rj_to_cmb(scene.instrument.frequency_hz)) ** 2
-    signal = expected_signal(setup, model)
+    psd = variance * area * (1e3 * scene.instrument.cmb_per_rj) ** 2
+    signal = model.signal_psd
     score = band_power(psd, signal, rings.n_modes, band.selected, rings.ell, rings.edges_ell, 0.0)
-    grounds = Grounds(model.recipe, levels, kept, weight, noise, model.layer_noise(levels), score.weight)
+    layer = model.layer_noise(levels)
+    grounds = Grounds(model.recipe, model.n_det, levels, kept, weight, noise, layer, score.weight, hits)
+    passed = signal / band.signal_psd
     found = effects(setup, grounds)
-    return DataSetForecast(model.name, model.n_det, score, psd, signal, model.transmission, weight, kept, found)
+    return DataSetForecast(model.name, model.n_det, score, psd, signal, passed, weight, kept, found)
 
 
 def expected_weights(setup: Setup, noise: np.ndarray) -> np.ndarray:
@@ -437,9 +447,27 @@ def expected_weights(setup: Setup, noise: np.ndarray) -> np.ndarray:
     return 1 / (noise @ weight / weight.sum())
 
 
-def expected_signal(setup: Setup, model: NoiseModel) -> np.ndarray:
-    """PSD (n_bin,) [sr] that a flat spectrum of unit band power leaves in the map."""
-    return _beamed_sky(setup) * pixel_window(setup.band.rings.ell, setup.scene.map.pixel_rad) * model.transmission
+def _signal_psd(setup: Setup, transmission: np.ndarray) -> np.ndarray:
+    """PSD (n_bin,) [sr] that a flat spectrum of unit band power leaves in the tapered map.
+
+    The transmission (n_bin,) of modes goes between bins, and below them, as smooth powers of ell.
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    band = setup.band
+    known = band.rings.ell > 0
+    log_ell = np.log(band.rings.ell[known])
+    log_share = np.log(np.maximum(transmission[known], _NOTHING))
+    # Of the longest modes scans lose at least two powers of ell with their means.
+    slope = max([2.0, *np.diff(log_share[:2]) / np.diff(log_ell[:2])])
+    log_ell = np.append(log_ell[0] - _BELOW, log_ell)
+    between = PchipInterpolator(log_ell, np.append(log_share[0] - _BELOW * slope, log_share))
+
+    def share(ell: np.ndarray) -> np.ndarray:
+        return np.exp(between(np.clip(np.log(np.maximum(ell, 1e-9)), log_ell[0], log_ell[-1])))
+
+    signal = flat_signal(setup.scene, setup.geometry, setup.sky_geometry, band.padded_taper, share)
+    return ring_mean(signal, band.rings)
 
 
 def _beamed_sky(setup: Setup) -> np.ndarray:

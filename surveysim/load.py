@@ -19,6 +19,7 @@ class PhotonNoise:
     """
 
     frequency_hz: float
+    bandwidth: float
     power_w: float
     nep_w_rthz: float
     shot_psd_mk2_hz: float
@@ -36,8 +37,8 @@ class PhotonNoise:
 
     @property
     def net_mkcmb_rthz(self) -> float:
-        """Its root, in CMB temperature in the middle of the band."""
-        return self.net_mk_rthz * rj_to_cmb(self.frequency_hz)
+        """Its root, in CMB temperature."""
+        return self.net_mk_rthz * rj_to_cmb(self.frequency_hz, self.bandwidth)
 
 
 def power_per_k(bandwidth_hz: float, efficiency: float, polarizations: int) -> float:
@@ -81,7 +82,7 @@ def photon_noise(
     load_w = power_w(load_k, bandwidth_hz, efficiency, polarizations)
     shot, bose = shot_nep2(load_w, frequency_hz), bose_nep2(load_w, bandwidth_hz, polarizations)
     mk2_per_w2 = (1e3 / (power_per_k(bandwidth_hz, efficiency, polarizations) * transmission)) ** 2
-    return PhotonNoise(frequency_hz, load_w, math.sqrt(shot + bose), shot * mk2_per_w2, bose * mk2_per_w2)
+    return PhotonNoise(frequency_hz, bandwidth, load_w, math.sqrt(shot + bose), shot * mk2_per_w2, bose * mk2_per_w2)
 
 
 def _check(load_k, frequency_hz, bandwidth, efficiency, polarizations, transmission) -> None:

@@ -63,7 +63,7 @@ def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestre
         from surveysim.report.figures import draw_figures
 
         written += draw_figures(directory / "figures", result.setup, result.coadds, result.scores, result.expected)
-        if result.estimate is not None:
+        if result.estimate is not None and np.isfinite(result.estimate.relative_error):
             from surveysim.report.time_figure import draw_time
 
             written.append(draw_time(directory / "figures" / "run_time.png", result))
@@ -200,7 +200,7 @@ def _score_table(result: SurveyResult) -> Table:
     reference = result.setup.scene.score.reference
     return Table(
         columns={name: [row[name] for row in rows] for name in rows[0]},
-        units=dict.fromkeys(("sigma_ukcmb2", "error_ukcmb2", *unknown), "uK2"),
+        units=dict.fromkeys(("sigma_ukcmb2", "error_ukcmb2", "plain_sigma_ukcmb2", *unknown), "uK2"),
         meta={"temperature": "CMB", "reference": reference.source if reference else "none"} | _part(result),
     )
 

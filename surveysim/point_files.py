@@ -12,10 +12,11 @@ from mapmaker.files import whole_file
 from mapmaker.window import Window
 from surveysim import __version__
 from surveysim.checkpoint import CheckpointError, check_origin
-from surveysim.scores import DataSetScore
+from surveysim.scores import Control, DataSetScore
 
 _OF_BAND, _OF_WINDOW = ("weight", "ell", "cumulative"), ("ell", "transmission", "error")
-_OF_SET = ("noise_psds", "signal_psd", "weights")
+_OF_CONTROL = ("factor", "expected")
+_OF_SET = ("noise_psds", "signal_psd", "weights", "kept")
 
 
 @dataclass(frozen=True)
@@ -93,24 +94,41 @@ def load_point(path: Path, scene_hash: str) -> PointResult:
 
 
 def _numbers(item: DataSetScore) -> dict[str, Any]:
-    band = {key: value for key, value in vars(item.band).items() if key not in _OF_BAND}
-    return {"n_det": item.n_det, "band": band, "budget": vars(item.budget)}
+    found = {"n_det": item.n_det, "band": _of(item.band, _OF_BAND), "budget": vars(item.budget)}
+    if item.control is not None:
+        found |= {"control": _of(item.control, _OF_CONTROL), "plain": _of(item.plain, _OF_BAND)}
+    return found
+
+
+def _of(record: Any, arrays: tuple[str, ...]) -> dict[str, float]:
+    """The numbers of a record, less its arrays."""
+    return {key: value for key, value in vars(record).items() if key not in arrays}
+
+
+def _parts(item: DataSetScore) -> dict[str, tuple[Any, tuple[str, ...]]]:
+    """Records of a score that have arrays, and their names."""
+    parts = {"": (item, _OF_SET), "band.": (item.band, _OF_BAND), "window.": (item.window, _OF_WINDOW)}
+    if item.control is not None:
+        parts |= {"control.": (item.control, _OF_CONTROL), "plain.": (item.plain, _OF_BAND)}
+    return parts
 
 
 def _arrays(item: DataSetScore) -> dict[str, np.ndarray]:
-    return (
-        {key: getattr(item, key) for key in _OF_SET}
-        | {f"band.{key}": getattr(item.band, key) for key in _OF_BAND}
-        | {f"window.{key}": getattr(item.window, key) for key in _OF_WINDOW}
-    )
+    return {f"{part}{key}": getattr(of, key) for part, (of, keys) in _parts(item).items() for key in keys}
 
 
 def _score(file: Any, name: str, numbers: dict[str, Any]) -> DataSetScore:
+    def arrays(part: str, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
+        return {key: file[f"{name}/{part}{key}"] for key in keys}
+
+    controlled = "control" in numbers
     return DataSetScore(
         name=name,
         n_det=numbers["n_det"],
-        band=BandPower(**numbers["band"], **{key: file[f"{name}/band.{key}"] for key in _OF_BAND}),
+        band=BandPower(**numbers["band"], **arrays("band.", _OF_BAND)),
         budget=ErrorBudget(**numbers["budget"]),
-        window=Window(**{key: file[f"{name}/window.{key}"] for key in _OF_WINDOW}),
-        **{key: file[f"{name}/{key}"] for key in _OF_SET},
+        window=Window(**arrays("window.", _OF_WINDOW)),
+        control=Control(**numbers["control"], **arrays("control.", _OF_CONTROL)) if controlled else None,
+        plain=BandPower(**numbers["plain"], **arrays("plain.", _OF_BAND)) if controlled else None,
+        **arrays("", _OF_SET),
     )

@@ -18,6 +18,7 @@ LINES = 10
 
 
 START_S = 10.0  # at most, that a process takes to start and to compile
+LEAST = 0.01  # of the time so far: less is not known, as items that are under way may take longer than others
 ENOUGH = 0.5  # of the first item's work: less, done since the first was in, does not tell how long the rest takes
 
 Show = Callable[[int, Callable[[], str]], None]  # how many are done; what else there is to say
@@ -56,10 +57,10 @@ class TimeLeft:
         elif now - self.start > START_S:
             left = (now - self.start) * (whole - so_far) / so_far
         else:
-            self.end = None
-            return None
-        self.end = now + left
-        return left
+            left = 0.0
+        known = left > LEAST * (now - self.start)
+        self.end = now + left if known else None
+        return left if known else None
 
     def now(self) -> float | None:
         """Seconds left of the last estimate; None without one, or when it turned out too short."""
@@ -134,7 +135,7 @@ def _lines(name: str, total: int, what: str, left: TimeLeft) -> Show:
     def show(done: int, status: Callable[[], str]) -> None:
         seconds = left.add(done)
         if done % every == 0 or done == total:
-            time = "" if seconds is None or done == total else f", {time_text(seconds)}"
+            time = "" if seconds is None else f", {time_text(seconds)}"
             print(f"{name}: {done}/{total} {what}{time}  {status()}".rstrip(), file=sys.stderr, flush=True)
 
     return show

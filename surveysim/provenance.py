@@ -7,7 +7,7 @@ from typing import Any
 
 from surveysim import __version__
 
-PACKAGES = ("numpy", "scipy", "numba", "astropy", "healpy", "h5py", "pydantic")
+PACKAGES = ("numpy", "scipy", "numba", "astropy", "healpy", "ducc0", "h5py", "pydantic")
 
 
 def made_by() -> dict[str, Any]:

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from mapmaker.bandpower import BandPower, flat_band_power_fixed_weights
-from surveysim.agreement import Agreement, agreement, run_forecast
+from surveysim.agreement import Agreement, agreement, quoted_forecast, run_forecast
 from surveysim.choice import TARGETS, best_places
 from surveysim.coadds import CoAdds, row_names
-from surveysim.control import Controlled, controlled_scores
+from surveysim.control import quoted_scores
 from surveysim.discards import Discards, discards
 from surveysim.engines import SERIAL
 from surveysim.forecast import DataSetForecast, Forecast
@@ -17,7 +17,7 @@ from surveysim.provenance import made_by, now
 from surveysim.recipes import ACTUAL, Recipe
 from surveysim.scan import samples_per_scan
 from surveysim.scene import scene_hash
-from surveysim.scores import DataSetScore, Gain, flux_removed, gain, rescore, score_survey, sector_sigma
+from surveysim.scores import DataSetScore, Gain, flux_removed, gain, rescore, sector_sigma
 from surveysim.setup import Setup
 from surveysim.stages import absent_sections, left_out, stages_that_run
 from surveysim.stopping import (
@@ -39,6 +39,12 @@ from surveysim.validity import resolution_ell
 PSD_AT_HZ = (0.01, 0.1, 1.0)
 ALTERNATIVE_NINTHS = (2, 4, 6, 8, 9, 10, 11)  # of the scene's lowest scored multipole
 
+# Which estimate of sigma(A) is quoted, in one sentence.
+CONTROLLED = (
+    "sigma(A) is controlled: the simulated value times the forecast for all weather over that for the weather drawn, "
+    "which takes out the luck of the weather"
+)
+PLAIN = "sigma(A) is plain: of the weather drawn, since cleaning has no forecast that could take out its luck"
 OPTIMAL_METHOD = (
     "The optimal set takes for each observation the recipe whose own map has the least noise for its signal, which "
     "favours chance; what a recipe leaves of the signal is that of two observations."
@@ -58,12 +64,15 @@ METHOD = (
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the score table: `sigma_ukcmb2` with its Monte Carlo error; forecast and reference or None."""
+    """A row of the score table: `sigma_ukcmb2` as quoted, with its error (NaN: unknown); forecast and reference or
+    None; `plain_sigma_ukcmb2` without control variate.
+    """
 
     name: str
     n_det: int
     sigma_ukcmb2: float
     error_ukcmb2: float
+    plain_sigma_ukcmb2: float
     ell_eff: float
     fwhm_ell: float
     forecast_ukcmb2: float | None
@@ -74,10 +83,10 @@ class Row:
 class SurveyResult:
     """A finished run: setup, sums, scores, gains between data sets and the same data scored otherwise.
 
-    They are empty without a score or where `unscored` says why there is none. `flux_removed` is the share of a faint
-    point source's flux that each recipe takes, known where recipes are compared; `expected` the forecast of the data
-    sets, None where cleaning has none; `controlled` what the scores are with the forecast as control variate. A run
-    that `limits` ended early is scored for the whole survey. `wall_s` is the time since the run was started or, the
+    They are empty without a score or where `unscored` says why there is none, and are those quoted
+    (`surveysim.control.quoted_scores`). `flux_removed` is the share of a faint point source's flux that each recipe
+    takes, known where recipes are compared; `expected` the forecast of the data sets, None where cleaning has none. A
+    run that `limits` ended early is scored for the whole survey. `wall_s` is the time since the run was started or, the
     last time, resumed.
     """
 
@@ -91,7 +100,6 @@ class SurveyResult:
     wall_s: float
     workers: int
     unscored: str
-    controlled: dict[str, Controlled]
     limits: Limits
     engine: str
 
@@ -103,7 +111,7 @@ class SurveyResult:
     @property
     def estimate(self) -> Estimate | None:
         """The best estimate of the actual data's sigma(A); None without a score."""
-        return best_estimate(self.scores, self.controlled)
+        return best_estimate(self.scores)
 
     @property
     def stopped(self) -> str:
@@ -113,7 +121,7 @@ class SurveyResult:
     @property
     def parts(self) -> ErrorParts | None:
         """What the error of the estimate is made of; None without a score."""
-        return error_parts(self.coadds, self.scores, self.controlled) if ACTUAL in self.scores else None
+        return error_parts(self.setup, self.coadds, self.scores) if ACTUAL in self.scores else None
 
     def cost(self, target: float) -> Cost | None:
         """What an answer to a relative error would take; None without a score, or where none is as good."""
@@ -138,15 +146,14 @@ def survey_result(
     scores, ratios, others, removed, unscored = {}, {}, [], {}, ""
     if setup.scene.score is not None:
         try:
-            scores = score_survey(setup, coadds)
+            scores = quoted_scores(setup, coadds)
             ratios, others = _gains(setup, scores), _alternatives(setup, coadds, scores)
             removed = flux_removed(setup, coadds)
         except ValueError as error:  # too few observations, or too few scans kept in them
             scores, ratios, others, removed, unscored = {}, {}, [], {}, str(error)
     expected = run_forecast(setup, coadds) if scores else None
-    controlled = controlled_scores(setup, coadds, scores)
     found = scores, ratios, others, removed, expected
-    return SurveyResult(setup, coadds, *found, wall_s, workers, unscored, controlled, limits, engine)
+    return SurveyResult(setup, coadds, *found, wall_s, workers, unscored, limits, engine)
 
 
 def score_rows(result: SurveyResult) -> list[Row]:
@@ -159,7 +166,7 @@ def score_rows(result: SurveyResult) -> list[Row]:
             scaled = {
                 name: None if value is None else share * value
                 for name, value in vars(row).items()
-                if name in ("sigma_ukcmb2", "error_ukcmb2", "forecast_ukcmb2")
+                if name in ("sigma_ukcmb2", "error_ukcmb2", "plain_sigma_ukcmb2", "forecast_ukcmb2")
             }
             rows.append(replace(row, name=f"{row.name}_scaled", **scaled))
     reference = result.setup.scene.score.reference if rows else None
@@ -168,8 +175,9 @@ def score_rows(result: SurveyResult) -> list[Row]:
 
 
 def _row(item: DataSetScore, expected: DataSetForecast | None) -> Row:
-    band, sigma = item.band, expected.band.sigma_ukcmb2 if expected else None
-    return Row(item.name, item.n_det, band.sigma_ukcmb2, band.error_ukcmb2, band.ell_eff, band.fwhm_ell, sigma, None)
+    band, sigma = item.band, quoted_forecast(item, expected) if expected else None
+    levels = band.sigma_ukcmb2, band.error_ukcmb2, item.plain_band.sigma_ukcmb2
+    return Row(item.name, item.n_det, *levels, band.ell_eff, band.fwhm_ell, sigma, None)
 
 
 def forecast_agreement(result: SurveyResult) -> dict[str, Agreement]:
@@ -226,7 +234,7 @@ def _alternative(setup: Setup, scores: dict[str, DataSetScore], weights: str, el
         if weights == "own":
             sigma[name] = rescore(setup, item, ell_min).band.sigma_ukcmb2
         else:
-            psds = (item.noise_psd, item.signal_psd, modes, used, reference.noise_psd)
+            psds = (item.quoted_psd, item.signal_psd, modes, used, reference.quoted_psd)
             sigma[name] = flat_band_power_fixed_weights(*psds)
     return _alternative_row(setup, scores, weights, band, ell_min, sigma)
 
@@ -277,12 +285,12 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         content["unscored"] = result.unscored
     if result.scores:
         expected = result.expected.scores if result.expected else {}
+        content["best"] = _known(vars(result.estimate))
         content["scores"] = {row.name: _score_entry(row) for row in score_rows(result)}
-        content["error_budget"] = {name: vars(item.budget) for name, item in result.scores.items()}
-        content["controlled"] = {name: _controlled_entry(item) for name, item in result.controlled.items()}
+        content["error_budget"] = {name: _known(vars(item.budget)) for name, item in result.scores.items()}
         content["forecast_over_simulated"] = {name: vars(item) for name, item in forecast_agreement(result).items()}
         content["forecast"] = {name: _forecast_entry(item) for name, item in expected.items()}
-        content["gains"] = {name: vars(item) for name, item in result.gains.items()}
+        content["gains"] = {name: _known(vars(item)) for name, item in result.gains.items()}
         content["alternatives"] = result.alternatives
         if result.fine_cost:
             content["fine_answer"] = vars(result.fine_cost)
@@ -350,20 +358,21 @@ def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
         **limits,
     }
     if estimate:
-        entry |= {"estimate": estimate.kind, "relative_error": estimate.relative_error}
+        entry |= _known({"estimate": estimate.kind, "relative_error": estimate.relative_error})
     return entry
 
 
-def _controlled_entry(item: Controlled) -> dict[str, Any]:
-    return {key: value for key, value in vars(item).items() if key != "budget"} | {"error_budget": vars(item.budget)}
+def _known(entry: dict[str, Any]) -> dict[str, Any]:
+    """The entry with None for what is unknown: JSON has no NaN."""
+    return {key: None if value != value else value for key, value in entry.items()}
 
 
 def _forecast_entry(item: DataSetForecast) -> dict[str, Any]:
     return {"discarded": item.kept.discarded, "effects": [vars(effect) for effect in item.effects]}
 
 
-def _score_entry(row: Row) -> dict[str, float]:
-    entry = {key: value for key, value in vars(row).items() if key != "name" and value is not None}
+def _score_entry(row: Row) -> dict[str, float | None]:
+    entry = _known({key: value for key, value in vars(row).items() if key != "name" and value is not None})
     if row.reference_ukcmb2 is not None:
         entry["ratio_to_reference"] = row.sigma_ukcmb2 / row.reference_ukcmb2
     return entry

@@ -1,34 +1,54 @@
 """From co-added maps to the uncertainty on a flat CMB band power, for every data set."""
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mapmaker.bandpower import (
     BandPower,
     ErrorBudget,
+    band_power,
     flat_band_power,
-    flat_spectrum_psd,
+    noise_error_parts,
+    ratio_error,
     score,
+    without_noise,
 )
 from mapmaker.binning import weighted_mean
 from mapmaker.spectrum import Annuli, map_psd
-from mapmaker.window import Window, beam_window, pixel_window, signal_window
-from surveysim.coadds import CoAdds
+from mapmaker.window import Window, neighbour_factor, signal_window
+from surveysim.band import N_SECTORS
+from surveysim.coadds import CoAdds, row_names
 from surveysim.setup import Setup
-from surveysim.units import rj_to_cmb
 
 PEAK = 0.8  # of the brightest pixel: what counts as a point source's peak
+FEWEST_CONTROLLED = 4  # observations whose scatter about the forecast tells anything of it
+
+
+@dataclass(frozen=True)
+class Control:
+    """The forecast of a data set, as a control variate of its score (`surveysim.control`).
+
+    `factor` (n_bin,): noise PSD expected over all weather, over the one expected of the observations simulated.
+    `expected` (n_obs,): information expected of each, up to a factor. `sampling`: relative error of sigma from as many
+    observations in random weather; `population`: that of the expectation over all weather.
+    """
+
+    factor: np.ndarray
+    expected: np.ndarray
+    sampling: float
+    population: float
 
 
 @dataclass(frozen=True)
 class DataSetScore:
-    """One data set's result.
+    """One data set's result: `band` is the one quoted, with the forecast as `control` variate where there is one.
 
-    `noise_psd` (n_bin,) [uK_CMB^2 sr] with `noise_psds` (K, n_bin) of the sign-flipped co-adds;
-    `signal_psd` (n_bin,) [sr]; `window` of its array; `weights` (n_obs,) [1/mK^2 a sample], 0 for an
-    observation without data.
+    `noise_psd` (n_bin,) [uK_CMB^2 sr] of the co-added map, with `noise_psds` (K, n_bin) of the sign-flipped co-adds;
+    `signal_psd` (n_bin,) [sr], what the map holds of a flat spectrum of unit band power; `window` of its array;
+    `weights` (n_obs,) [1/mK^2 a sample], 0 for an observation without data; `kept` (n_obs,) share of its scans that is
+    not discarded; `plain` the result without control variate where there is one.
     """
 
     name: str
@@ -39,11 +59,29 @@ class DataSetScore:
     signal_psd: np.ndarray
     window: Window
     weights: np.ndarray
+    kept: np.ndarray | float = 1.0
+    control: Control | None = None
+    plain: BandPower | None = None
 
     @property
     def noise_psd(self) -> np.ndarray:
         """Mean over the sign-flipped co-adds."""
         return self.noise_psds.mean(axis=0)
+
+    @property
+    def quoted_psd(self) -> np.ndarray:
+        """The noise PSD that `band` is of: expected over all weather where there is a control variate."""
+        return self.noise_psd if self.control is None else self.noise_psd * self.control.factor
+
+    @property
+    def information(self) -> np.ndarray:
+        """Weight of each observation's data, (n_obs,)."""
+        return self.weights * self.kept
+
+    @property
+    def plain_band(self) -> BandPower:
+        """The result of the very observations that were simulated, without a control variate."""
+        return self.band if self.plain is None else self.plain
 
 
 @dataclass(frozen=True)
@@ -55,7 +93,7 @@ class Gain:
 
 
 def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = None) -> dict[str, DataSetScore]:
-    """Scores of the whole survey's named data sets (all by default), judged by the observations so far.
+    """Plain scores of the whole survey's named data sets (all by default), judged by the observations so far.
 
     Raises ValueError with fewer than 2 observations with data, or before a window observation is in.
     """
@@ -67,23 +105,55 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
             n_det = len(setup.masked) if name.startswith("masked") else setup.n_det
             psds = _noise_psds(setup, coadds, s, setup.band.rings)
             window = windows[setup.window_of(name)]
-            scores[name] = _score(setup, name, n_det, psds, window, _weights(noise[:, s]))
+            kept = _kept(setup, coadds, name)
+            scores[name] = _score(setup, name, n_det, psds, window, _weights(noise[:, s]), kept)
     return scores
+
+
+def _kept(setup: Setup, coadds: CoAdds, name: str) -> np.ndarray:
+    """Share of each observation's scans that is kept (n_obs,); other sets follow the first recipe."""
+    recipes = [recipe.data_set for recipe in setup.recipes]
+    place = row_names(setup).index(f"discarded_{name if name in recipes else recipes[0]}")
+    return 1 - np.array([row[place] for row in coadds.rows]) / setup.raster.n_scans
+
+
+def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> DataSetScore:
+    """A plain score with the forecast as control variate; `plain` keeps it, with its error by the forecast.
+
+    The scatter of each observation's information about the forecast's, without that of noise, is the error of either;
+    it is unknown with fewer than 4 observations. The plain one has besides the weather that happened to be drawn.
+    """
+    rings, selected = setup.band.rings, item.band.weight > 0
+    used = item.weights > 0
+    _, common = noise_error_parts(item.noise_psds, item.band.weight, item.weights[used], rings.n_modes)
+    off = without_noise(ratio_error(item.information, control.expected), common)
+    if len(item.weights) < FEWEST_CONTROLLED:
+        off = np.nan
+    budget = replace(item.budget, weather=off, population=control.population)
+    plain = replace(item.budget, weather=float(np.hypot(off, control.sampling))).total
+    quoted = replace(item, budget=budget, control=control)
+    band = band_power(
+        quoted.quoted_psd, item.signal_psd, rings.n_modes, selected, rings.ell, rings.edges_ell, budget.total
+    )
+    return replace(quoted, band=band, plain=replace(item.band, error_ukcmb2=item.band.sigma_ukcmb2 * plain))
 
 
 def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
     """The same data set scored from another lowest multipole."""
     low, high = setup.band.rings.edges_ell[:-1], setup.band.rings.edges_ell[1:]
     selected = (low >= ell_min) & (high <= setup.scene.score.ell_max)
-    return _score(setup, item.name, item.n_det, item.noise_psds, item.window, item.weights, selected)
+    plain = _score(setup, item.name, item.n_det, item.noise_psds, item.window, item.weights, item.kept, selected)
+    return plain if item.control is None else controlled_score(setup, plain, item.control)
 
 
 def sector_sigma(setup: Setup, coadds: CoAdds, item: DataSetScore) -> float:
     """sigma(A) [uK_CMB^2] of the scored range with modes weighted by their direction too (`split_azimuth`)."""
     sectors = setup.band.sectors
     noise = _noise_psds(setup, coadds, setup.data_sets.index(item.name), sectors).mean(axis=0)
+    if item.control is not None:
+        noise = noise * np.repeat(item.control.factor[setup.band.selected], N_SECTORS)
     window = _window(setup, coadds, setup.window_of(item.name), sectors)
-    signal = _signal_psd(setup, window)
+    signal = setup.band.sector_psd * window.transmission
     return flat_band_power(noise, signal, sectors.n_modes, np.ones(len(noise), bool))
 
 
@@ -104,13 +174,15 @@ def error_modes(items: Sequence[DataSetScore], skies: Sequence[Hashable]) -> np.
     The items are data sets of one survey or of surveys with one seed. A row's norm is the relative error of its
     item, and the norm of the difference of two rows that of their ratio; what both respond to alike cancels.
     Responses are those of `mapmaker.bandpower`: to the noise, one mode for each of the sign-flipped co-adds, whose
-    signs are common; to the weather, one for each observation, common too; to the window, one for each bin, common to
-    items whose `skies` and bins are equal. How far noise is common shows in the scatter of K co-adds: its
-    correlation between two items is known to 1 / sqrt(K - 1).
+    signs are common; to the weather, one for each observation, common too (of controlled scores how its information
+    differs from the forecast's); to the window, one for each bin, common to items whose `skies` and bins are equal; to
+    the sample of weather that expectations are taken from, common to all. An unknown error makes its row NaN. How far
+    noise is common shows in the scatter of K co-adds: its correlation between two items is known to 1 / sqrt(K - 1).
     """
     groups = [(key, item.band.ell.tobytes()) for item, key in zip(items, skies, strict=True)]
     window = [_window_row(item) for item in items]
-    columns = [_stacked([_noise_row(item) for item in items]), _stacked([_weather_row(item) for item in items])]
+    rows_of = (_noise_row, _weather_row, lambda item: np.array([item.budget.population]))
+    columns = [_stacked([row(item) for item in items]) for row in rows_of]
     for group in dict.fromkeys(groups):
         rows = [row if own == group else row[:0] for row, own in zip(window, groups, strict=True)]
         if groups.count(group) == 1:  # shared with nobody: one mode has it all
@@ -126,8 +198,8 @@ def _noise_row(item: DataSetScore) -> np.ndarray:
 
 
 def _weather_row(item: DataSetScore) -> np.ndarray:
-    used = item.weights > 0
-    change = np.where(used, item.weights / item.weights[used].mean() - 1, 0.0)
+    expected = np.ones(len(item.weights)) if item.control is None else item.control.expected
+    change = item.information / item.information.sum() - expected / expected.sum()
     return _of_norm(item.budget.weather, change)
 
 
@@ -135,7 +207,7 @@ def _window_row(item: DataSetScore) -> np.ndarray:
     used, window = item.band.weight > 0, item.window
     row = np.zeros(len(used))
     row[used] = item.band.weight[used] * window.error[used] / window.transmission[used]
-    return row
+    return _of_norm(item.budget.window, row)
 
 
 def _of_norm(norm: float, row: np.ndarray) -> np.ndarray:
@@ -151,28 +223,25 @@ def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
     return stacked
 
 
-def _score(setup, name, n_det, psds, window, weights, selected=None) -> DataSetScore:
-    rings, signal = setup.band.rings, _signal_psd(setup, window)
-    relative = np.divide(
-        window.error, window.transmission, out=np.zeros_like(window.error), where=window.transmission > 0
-    )
+def _score(setup, name, n_det, psds, window, weights, kept, selected=None) -> DataSetScore:
+    rings, signal = setup.band.rings, setup.band.signal_psd * window.transmission
     selected = setup.band.selected if selected is None else selected
-    band, budget = score(
-        psds, signal, relative, rings.n_modes, selected, weights[weights > 0], rings.ell, rings.edges_ell
-    )
-    return DataSetScore(name, n_det, band, budget, psds, signal, window, weights)
+    of_bins = rings.n_modes, selected, weights[weights > 0], rings.ell, rings.edges_ell
+    band, budget = score(psds, signal, _window_errors(setup, window), *of_bins, weights * kept)
+    return DataSetScore(name, n_det, band, budget, psds, signal, window, weights, kept)
+
+
+def _window_errors(setup: Setup, window: Window) -> np.ndarray:
+    """Relative errors (n_bin,) of the window, larger by what bins have in common with their neighbours."""
+    none = np.zeros_like(window.error)
+    relative = np.divide(window.error, window.transmission, out=none, where=window.transmission > 0)
+    across = setup.band.taper[len(setup.band.taper) // 2]
+    return relative * neighbour_factor(across, setup.geometry.pixel_rad, setup.scene.score.ell_bin)
 
 
 def _weights(noise_mk2: np.ndarray) -> np.ndarray:
     good = np.isfinite(noise_mk2) & (noise_mk2 > 0)
     return np.divide(1, noise_mk2, out=np.zeros_like(noise_mk2), where=good)
-
-
-def _signal_psd(setup: Setup, window: Window) -> np.ndarray:
-    """PSD (n_bin,) [sr] that a flat spectrum of unit band power leaves in the map."""
-    beam = beam_window(window.ell, setup.scene.instrument.beam_fwhm_rad)
-    pixel = pixel_window(window.ell, setup.scene.map.pixel_rad)
-    return flat_spectrum_psd(window.ell) * beam * pixel * window.transmission
 
 
 def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> np.ndarray:
@@ -184,7 +253,7 @@ def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> n
     """
     patch = setup.band.patch
     maps = weighted_mean(coadds.flipped[:, data_set], coadds.weight[data_set][patch, patch])
-    to_ukcmb = 1e3 * rj_to_cmb(setup.scene.instrument.frequency_hz)
+    to_ukcmb = 1e3 * setup.scene.instrument.cmb_per_rj
     whole = coadds.done / setup.scene.observations
     weights = _weights(coadds.noise_mk2()[:, data_set])
     independent = 1 - np.sum(weights**2) / np.sum(weights) ** 2  # a single observation can't be favoured

@@ -11,7 +11,7 @@ from mapmaker.cleaning.responsivity import OBSERVATION, Responsivities
 from mapmaker.geometry import MapGeometry, covering_geometry
 from surveysim.band import Band, scored_band
 from surveysim.blocks import Block, scan_blocks
-from surveysim.checks import check_excess, check_masked, check_score, check_size, check_templates, reach
+from surveysim.checks import check_excess, check_masked, check_score, check_size, check_sky, check_templates, reach
 from surveysim.coherence import MOST_DENSE, Overlap, correlation_matrix, overlap
 from surveysim.instrument import Camera, camera, mask_by_separation
 from surveysim.lattice import Torus, TorusRoot, embed
@@ -157,13 +157,14 @@ def _prepare(scene: Scene) -> Setup:
         check_masked(scene, masked)
     check_score(scene, geometry, lines)
     check_excess(scene)
+    check_sky(scene, sky_geometry)
     ways = recipes(scene.cleaning, masked)
     excess = shared_noise(cam, scene.excess, "excess")
     n_det = len(cam.focal_plane.x_rad)
     responsivity, of_colours = _responsivity(scene, n_det), _colour_responsivity(scene, n_det)
     return Setup(
         scene=scene,
-        band=scored_band(scene, geometry),
+        band=scored_band(scene, geometry, sky_geometry),
         camera=cam,
         raster=lines,
         blocks=_blocks(scene, cam, lines, ways),
@@ -339,7 +340,7 @@ def _sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
 
     instrument = scene.instrument
     rng = generator(scene.seed, Stage.SKY)
-    return draw_sky(scene.sky, geometry, instrument.frequency_hz, instrument.beam_fwhm_rad, rng)
+    return draw_sky(scene.sky, geometry, instrument.cmb_per_rj, instrument.beam_fwhm_rad, rng)
 
 
 def _window_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
@@ -352,7 +353,7 @@ def _window_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
         flat_cmb_sky(
             geometry,
             window.band_power_ukcmb2,
-            instrument.frequency_hz,
+            instrument.cmb_per_rj,
             instrument.beam_fwhm_rad,
             generator(scene.seed, Stage.WINDOW_SKY, realization=sky),
         )

@@ -2,29 +2,31 @@
 
 import numpy as np
 
-from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, plane_offsets
+from mapmaker.bandpower import flat_spectrum_psd
+from mapmaker.geometry import MapGeometry, pixel_centres, plane_offsets
 from mapmaker.spectrum import mode_ell
 from mapmaker.window import beam_window
 from surveysim.sections import PointSource, Sky
-from surveysim.units import rj_to_cmb
 
 
 def flat_cmb_sky(
     geometry: MapGeometry,
     band_power_ukcmb2: float,
-    frequency_hz: float,
+    cmb_per_rj: float,
     fwhm_rad: float,
     rng: np.random.Generator,
 ) -> np.ndarray:
     """A Gaussian sky (n_y, n_x) float32 [mK RJ] of flat ``l(l+1) C_l / 2 pi``, seen by a Gaussian beam.
 
-    Flat-sky synthesis, periodic in the grid, without a mean.
+    Flat-sky synthesis, periodic in the grid, without a mean: modes longer than the grid are left out. Their leakage
+    through a taper is missing from an uncleaned map, by up to half of the power at the patch's longest modes; scans
+    that the grid just holds lose them anyway (`surveysim.band.flat_signal`). `cmb_per_rj` is that of the band.
     """
     from scipy.fft import irfft2, rfft2
 
     n_y, n_x, pixel = geometry.n_y, geometry.n_x, geometry.pixel_rad
     ell = mode_ell(n_y, n_x, pixel)
-    amplitude = np.sqrt(flat_spectrum_mk2(ell, band_power_ukcmb2, frequency_hz) * beam_window(ell, fwhm_rad))
+    amplitude = np.sqrt(flat_spectrum_mk2(ell, band_power_ukcmb2, cmb_per_rj) * beam_window(ell, fwhm_rad))
     modes = rfft2(rng.standard_normal((n_y, n_x))) * (amplitude / pixel)
     return irfft2(modes, (n_y, n_x)).astype(np.float32)
 
@@ -32,34 +34,52 @@ def flat_cmb_sky(
 def curved_cmb_sky(
     geometry: MapGeometry,
     band_power_ukcmb2: float,
-    frequency_hz: float,
+    cmb_per_rj: float,
     fwhm_rad: float,
-    nside: int,
+    lmax: int,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """The same sky on the sphere by healpy, up to l = 2 nside, read off at the grid's pixel centres.
+    """The same sky on the sphere up to l = `lmax`, synthesised at the grid's own pixel centres.
 
-    For fields too large for a plane. healpy interpolates between pixels of `nside`.
+    For fields too large for a plane. The spherical harmonics have the field's centre as their pole: the sky is
+    statistically the same from every side, and near a pole harmonics of high order vanish (`highest_order`), so a
+    small field takes few of them. ducc0's non-uniform synthesis is right to 1e-6 of the rms.
     """
-    import healpy
+    from ducc0.sht import synthesis_general
 
-    lmax = 2 * nside
-    degree, order = healpy.Alm.getlm(lmax)
-    # healpy's own synthesis draws from numpy's global generator; these draws are keyed.
-    deviates = rng.standard_normal((2, len(degree)))
-    alm = np.where(order == 0, deviates[0], (deviates[0] + 1j * deviates[1]) / np.sqrt(2))
-    ell = np.arange(lmax + 1.0)
-    spectrum = np.sqrt(flat_spectrum_mk2(ell, band_power_ukcmb2, frequency_hz) * beam_window(ell, fwhm_rad))
-    sphere = healpy.alm2map(healpy.almxfl(alm, spectrum), nside)
-    ra, dec = plane_directions(geometry, *pixel_centres(geometry))
-    return healpy.get_interp_val(sphere, np.pi / 2 - dec, ra).astype(np.float32)
+    mmax = highest_order(geometry, lmax)
+    ell = np.arange(lmax + 1)
+    spectrum = np.sqrt(flat_spectrum_mk2(ell, band_power_ukcmb2, cmb_per_rj) * beam_window(ell, fwhm_rad))
+    alm = np.concatenate([_coefficients(spectrum[m:], m, rng) for m in range(mmax + 1)])
+    start = np.cumsum([0, *lmax + 1 - np.arange(mmax)]) - np.arange(mmax + 1)  # place of l = 0 of each order
+    xi, eta = pixel_centres(geometry)
+    place = np.stack([np.arctan(np.hypot(xi, eta)), np.arctan2(eta, xi) % (2 * np.pi)], axis=-1).reshape(-1, 2)
+    order = {"spin": 0, "lmax": lmax, "mmax": mmax, "mstart": start.astype(np.uint64)}
+    # One thread, so that no bit depends on the machine.
+    sky = synthesis_general(alm=alm[None], loc=place, epsilon=1e-6, nthreads=1, **order)
+    return sky.reshape(geometry.n_y, geometry.n_x).astype(np.float32)
 
 
-def flat_spectrum_mk2(ell: np.ndarray, band_power_ukcmb2: float, frequency_hz: float) -> np.ndarray:
+def highest_order(geometry: MapGeometry, lmax: int) -> int:
+    """Order above which no harmonic up to l = `lmax` reaches the field from its centre, to a millionth.
+
+    At the distance r an order m fades as a Bessel function of ``l sin(r)`` does, beyond its turning point m.
+    """
+    across = np.hypot(geometry.n_x, geometry.n_y) * geometry.pixel_rad / 2
+    turning = lmax * np.sin(np.arctan(across))
+    return min(lmax, int(np.ceil(turning + 6 * np.cbrt(turning) + 12)))
+
+
+def _coefficients(spectrum: np.ndarray, order: int, rng: np.random.Generator) -> np.ndarray:
+    """Harmonic coefficients of a real sky, of one order m and all l from m up, whose root of C_l is given."""
+    if order == 0:
+        return spectrum * (1 + 0j) * rng.standard_normal(len(spectrum))
+    return spectrum * (rng.standard_normal(2 * len(spectrum)).view(complex) / np.sqrt(2))
+
+
+def flat_spectrum_mk2(ell: np.ndarray, band_power_ukcmb2: float, cmb_per_rj: float) -> np.ndarray:
     """C_l [mK^2 sr, Rayleigh-Jeans] of a flat band power in uK_CMB^2; 0 at l = 0."""
-    scale = 2 * np.pi * band_power_ukcmb2 * (1e-3 / rj_to_cmb(frequency_hz)) ** 2
-    safe = np.where(ell > 0, ell * (ell + 1), np.inf)
-    return scale / safe
+    return flat_spectrum_psd(ell) * (band_power_ukcmb2 * (1e-3 / cmb_per_rj) ** 2)
 
 
 def add_point_sources(
@@ -82,11 +102,11 @@ def central_source(geometry: MapGeometry, fwhm_rad: float) -> np.ndarray:
     return np.exp(-(xi**2 + eta**2) / (2 * sigma**2)).astype(np.float32)
 
 
-def draw_sky(section: Sky, geometry: MapGeometry, frequency_hz: float, fwhm_rad: float, rng) -> np.ndarray:
+def draw_sky(section: Sky, geometry: MapGeometry, cmb_per_rj: float, fwhm_rad: float, rng) -> np.ndarray:
     """The sky of a scene (n_y, n_x) float32 [mK RJ], with the beam applied."""
-    arguments = (geometry, section.cmb_band_power_ukcmb2, frequency_hz, fwhm_rad)
-    if section.curved_nside is None:
+    arguments = (geometry, section.cmb_band_power_ukcmb2, cmb_per_rj, fwhm_rad)
+    if section.curved_lmax is None:
         cmb = flat_cmb_sky(*arguments, rng)
     else:
-        cmb = curved_cmb_sky(*arguments, section.curved_nside, rng)
+        cmb = curved_cmb_sky(*arguments, section.curved_lmax, rng)
     return add_point_sources(cmb, geometry, section.point_sources, fwhm_rad)

@@ -11,12 +11,12 @@ from time import perf_counter
 
 import numpy as np
 
-from mapmaker.bandpower import sign_error
+from mapmaker.bandpower import noise_error_parts
 from surveysim.coadds import CoAdds
-from surveysim.control import Controlled, controlled_scores
+from surveysim.control import quoted_scores
 from surveysim.recipes import ACTUAL
 from surveysim.scene import Scene, SceneError
-from surveysim.scores import DataSetScore, score_survey
+from surveysim.scores import DataSetScore
 from surveysim.setup import Setup, window_observations
 from surveysim.units import to_float
 
@@ -49,11 +49,17 @@ UNLIMITED = Limits()
 
 @dataclass(frozen=True)
 class Estimate:
-    """The actual data's sigma(A) [uK_CMB^2] of the whole survey with its error; `kind` is "controlled" or "plain"."""
+    """The actual data's sigma(A) [uK_CMB^2] of the whole survey with its error, as it is quoted everywhere.
+
+    `kind` is "controlled", with the forecast as control variate, or "plain"; `plain_sigma_ukcmb2` and
+    `plain_error_ukcmb2` are those of the very observations simulated. Errors are NaN where they are unknown.
+    """
 
     kind: str
     sigma_ukcmb2: float
     error_ukcmb2: float
+    plain_sigma_ukcmb2: float
+    plain_error_ukcmb2: float
 
     @property
     def relative_error(self) -> float:
@@ -128,20 +134,19 @@ def stop_reason(setup: Setup, limits: Limits, done: int, found: Estimate | None)
 def estimate_so_far(setup: Setup, coadds: CoAdds) -> Estimate | None:
     """The best estimate from the observations so far, None where there is none."""
     try:
-        scores = score_survey(setup, coadds, (ACTUAL,))
+        return best_estimate(quoted_scores(setup, coadds, (ACTUAL,)))
     except ValueError:  # too few scans are kept so far
         return None
-    return best_estimate(scores, controlled_scores(setup, coadds, scores))
 
 
-def best_estimate(scores: dict[str, DataSetScore], controlled: dict[str, Controlled]) -> Estimate | None:
-    """The actual data's estimate with the forecast as control variate if there is one, else the plain one."""
+def best_estimate(scores: dict[str, DataSetScore]) -> Estimate | None:
+    """The quoted estimate of the actual data; None without a score."""
     if ACTUAL not in scores:
         return None
-    band = scores[ACTUAL].band
-    if ACTUAL not in controlled:
-        return Estimate("plain", band.sigma_ukcmb2, band.error_ukcmb2)
-    return Estimate("controlled", controlled[ACTUAL].sigma_ukcmb2, controlled[ACTUAL].error_ukcmb2)
+    item = scores[ACTUAL]
+    kind = "plain" if item.control is None else "controlled"
+    bands = item.band, item.plain_band
+    return Estimate(kind, *(value for band in bands for value in (band.sigma_ukcmb2, band.error_ukcmb2)))
 
 
 @dataclass(frozen=True)
@@ -157,18 +162,14 @@ class ErrorParts:
     each_s: float
 
 
-def error_parts(coadds: CoAdds, scores: dict[str, DataSetScore], controlled: dict[str, Controlled]) -> ErrorParts:
+def error_parts(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -> ErrorParts:
     """The parts of the error of a run whose actual data are scored."""
     item = scores[ACTUAL]
-    flips = sign_error(item.noise_psds, item.band.weight, item.weights[item.weights > 0])
-    of_observations, rest = item.budget.noise**2 - flips**2, 0.0
-    if ACTUAL in controlled:
-        budget = controlled[ACTUAL].budget
-        of_observations, rest = of_observations + budget.forecast**2, budget.population
-    else:
-        of_observations += item.budget.weather**2
+    psds, used = item.noise_psds, item.weights[item.weights > 0]
+    flips, common = noise_error_parts(psds, item.band.weight, used, setup.band.rings.n_modes)
     each_s = sum(coadds.seconds.values()) / coadds.done
-    return ErrorParts(math.sqrt(max(0.0, of_observations)), flips, item.budget.window, rest, each_s)
+    budget = item.budget
+    return ErrorParts(math.hypot(common, budget.weather), flips, budget.window, budget.population, each_s)
 
 
 def answer_cost(setup: Setup, done: int, workers: int, parts: ErrorParts, target: float = FINE_ERROR) -> Cost | None:
@@ -176,9 +177,11 @@ def answer_cost(setup: Setup, done: int, workers: int, parts: ErrorParts, target
 
     Errors from sign flips and window skies do not fall with observations: where they have more than a quarter of
     the variance, more flips and skies are counted on, whose errors go as one over the root of their numbers. None
-    where the rest of the error alone is larger.
+    where the rest of the error alone is larger, or the error is unknown.
     """
     score = setup.scene.score
+    if math.isnan(parts.observations):
+        return None
     jackknives = _enough(score.jackknives, parts.flips / target)
     skies = _enough(score.window.skies, parts.skies / target)
     fixed = parts.flips**2 * score.jackknives / jackknives + parts.skies**2 * score.window.skies / skies + parts.rest**2

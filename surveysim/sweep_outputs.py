@@ -22,10 +22,10 @@ MATRIX_POINTS = 12  # as many columns fit on a page
 def sweep_table(result: SweepResult) -> Table:
     """A row for each point: values of the keys, sigma(A) of each data set, and the actual one against the others.
 
-    `sigma_`, `error_` and `forecast_<data set>` are in uK_CMB^2; `ratio` is sigma(A) over that of the reference
-    point with its paired error; `best_probability` that of being the lowest, NaN where it is withheld. `discarded` is
-    the share of discarded scans of the actual data, with a column for each data set that differs from it. Forecasts
-    have no errors.
+    `sigma_`, `error_`, `plain_sigma_` and `forecast_<data set>` are in uK_CMB^2; `ratio` is sigma(A) over that of the
+    reference point with its paired error; `best_probability` that of being the lowest, NaN where it is withheld.
+    `discarded` is the share of discarded scans of the actual data, with a column for each data set that differs from
+    it. Forecasts have no errors.
     """
     sweep, comparison = result.sweep, result.comparison
     scenes = [point.scene for point in sweep.points]
@@ -46,9 +46,13 @@ def sweep_table(result: SweepResult) -> Table:
         bands = [item.scores[name].band if name in item.scores else None for item in result.points]
         columns[f"sigma_{name}"] = [np.nan if band is None else band.sigma_ukcmb2 for band in bands]
         columns[f"error_{name}"] = [np.nan if band is None else band.error_ukcmb2 for band in bands]
+        plain = [item.scores[name].plain_band if name in item.scores else None for item in result.points]
+        columns[f"plain_sigma_{name}"] = [np.nan if band is None else band.sigma_ukcmb2 for band in plain]
     for name in _in_order(item.forecast_ukcmb2 for item in result.points):
         columns[f"forecast_{name}"] = [item.forecast_ukcmb2.get(name, np.nan) for item in result.points]
-    table.units.update({name: "uK2" for name in columns if name.startswith(("sigma_", "error_", "forecast_"))})
+    table.units.update(
+        {name: "uK2" for name in columns if name.startswith(("sigma_", "error_", "plain_", "forecast_"))}
+    )
     _add_discarded(table, result)
     columns["ratio"] = comparison.ratio
     if result.simulated:
@@ -98,11 +102,12 @@ def sweep_summary(result: SweepResult, pairs: Sequence[Pair]) -> dict[str, Any]:
         **made_by(),
         "axes": [{"name": axis.name, "keys": list(axis.keys), "values": axis.values} for axis in sweep.axes],
         "kind": "simulated" if result.simulated else "forecast",
+        "estimate": result.estimate,
         "left_out": left_out(prepare(scene)),
         "reference": comparison.reference,
         "best": list(comparison.best),
         "points": points,
-        "pairs": [vars(pair) for pair in pairs] if len(points) <= MATRIX_POINTS else [],
+        "pairs": [_entry_of(pair) for pair in pairs] if len(points) <= MATRIX_POINTS else [],
         "warnings": result.warnings,
         "run": {
             "date": now(),
@@ -114,9 +119,17 @@ def sweep_summary(result: SweepResult, pairs: Sequence[Pair]) -> dict[str, Any]:
     }
 
 
+def _known(value: float) -> float | None:
+    """None for what is unknown: JSON has no NaN."""
+    return value if value == value else None
+
+
+def _entry_of(pair: Pair) -> dict[str, Any]:
+    return {name: _known(value) for name, value in vars(pair).items()}
+
+
 def _point_entry(result: SweepResult, number: int) -> dict[str, Any]:
     point, item, comparison = result.sweep.points[number], result.points[number], result.comparison
-    bands = {name: score.band for name, score in item.scores.items()}
     entry = {
         "point": number,
         "label": point.label,
@@ -124,7 +137,12 @@ def _point_entry(result: SweepResult, number: int) -> dict[str, Any]:
         "scene_sha256": scene_hash(point.scene),
         "n_det": item.n_det,
         "scores": {
-            name: {"sigma_ukcmb2": band.sigma_ukcmb2, "error_ukcmb2": band.error_ukcmb2} for name, band in bands.items()
+            name: {
+                "sigma_ukcmb2": score.band.sigma_ukcmb2,
+                "error_ukcmb2": _known(score.band.error_ukcmb2),
+                "plain_sigma_ukcmb2": score.plain_band.sigma_ukcmb2,
+            }
+            for name, score in item.scores.items()
         },
         "forecast_ukcmb2": item.forecast_ukcmb2,
         "forecast_flags": item.flags,
@@ -138,8 +156,8 @@ def _point_entry(result: SweepResult, number: int) -> dict[str, Any]:
     if np.isfinite(comparison.ratio[number]):
         entry["ratio"] = float(comparison.ratio[number])
         if result.simulated:
-            entry["ratio_error"] = float(comparison.paired_error[number])
-            entry["independent_error"] = float(comparison.independent_error[number])
+            entry["ratio_error"] = _known(float(comparison.paired_error[number]))
+            entry["independent_error"] = _known(float(comparison.independent_error[number]))
             if reason := result.withheld(number):
                 entry["best_probability_withheld"] = reason
             else:

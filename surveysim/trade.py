@@ -1,23 +1,25 @@
 """The points of a sweep run, and set against each other: ratios with paired errors, and which point is the best."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 
-from surveysim.agreement import agreement, run_forecast
+from mapmaker.bandpower import ratio_error
+from surveysim.agreement import agreement, quoted_forecast, run_forecast
 from surveysim.checkpoint import CheckpointError
 from surveysim.coadds import CoAdds
+from surveysim.control import quoted_scores
 from surveysim.discards import competing, discards, sweep_warnings, why_withheld
 from surveysim.engines import Engine, ordered_map
 from surveysim.forecast import Forecast, forecast
 from surveysim.point_files import PointResult, finished_points, load_point, point_checkpoint, point_file, save_point
 from surveysim.recipes import ACTUAL
 from surveysim.scene import scene_hash
-from surveysim.scores import DataSetScore, error_modes, score_survey
+from surveysim.scores import FEWEST_CONTROLLED, DataSetScore, error_modes
 from surveysim.setup import Setup, prepare
 from surveysim.survey import run_observations
 from surveysim.sweep import Point, Sweep
@@ -36,8 +38,8 @@ class Comparison:
     `ratio` is sigma(A) over that of the point `reference`, `paired_error` its error and `independent_error` what it
     would be if the two shared nothing. `best` are the lowest points: several if they are equal, none where nothing is
     scored. `best_probability` is that of being the lowest of the points that are `competing`, NaN for the others: some
-    points lose too many scans to compete (`surveysim.discards`). `modes` (n_point, n_mode) are the responses of
-    ln sigma to unit deviates that they may have in common.
+    points lose too many scans to compete (`surveysim.discards`), and if one of these is the lowest, none competes.
+    `modes` (n_point, n_mode) are the responses of ln sigma to unit deviates that points may have in common.
     """
 
     reference: int | None
@@ -56,7 +58,7 @@ class Comparison:
 class Pair:
     """sigma(A) of `point` over that of `other`, with its paired error and that of independent runs.
 
-    They are `comparable` if both lose few scans, and like shares of them.
+    They are `comparable` if both lose few scans, and like shares of them (`SweepResult.comparable`).
     """
 
     point: int
@@ -80,6 +82,12 @@ class SweepResult:
     engine: str
 
     @property
+    def estimate(self) -> str:
+        """Kind of the estimates of all points: "controlled" or "plain"; empty without a score."""
+        scored = [item for point in self.points for item in point.scores.values()]
+        return "" if not scored else "plain" if scored[0].control is None else "controlled"
+
+    @property
     def warnings(self) -> list[str]:
         """Lines on scans that are discarded, and on a reference point without a score.
 
@@ -93,12 +101,18 @@ class SweepResult:
             found.append(f"the reference point that was chosen, {labels[self.sweep.reference]}, has no score{other}")
         return found
 
+    def comparable(self, point: int, other: int) -> bool:
+        """Whether two points both lose few scans, and like shares of them."""
+        return bool(competing(_actual_shares(self.points)[[point, other]]).all())
+
     def withheld(self, number: int) -> str:
         """Why a point with a score has no probability of being the best; empty for one that has, or has no score."""
         comparison = self.comparison
         scored = np.isfinite(comparison.ratio)
         if not self.simulated or comparison.competing[number] or not scored[number]:
             return ""
+        if not np.isfinite(comparison.modes[number]).all():
+            return "its error is unknown, of too few observations"
         shares = _actual_shares(self.points)
         return why_withheld(float(shares[number]), float(shares[scored].min()))
 
@@ -123,11 +137,12 @@ class PointJob:
             raise ValueError(f"point ({point.label}): {error}") from None
         scores, unscored = _scored(setup, coadds)
         lost = discards(setup, coadds)
-        expected, off = run_forecast(setup, coadds) if scores else None, []
+        expected, sigma, off = run_forecast(setup, coadds) if scores else None, {}, []
         if expected is not None:
+            sigma = {name: quoted_forecast(scores[name], item) for name, item in expected.scores.items()}
             found = agreement(setup, scores[ACTUAL], expected.scores[ACTUAL])
             off = [found.sigma, found.sigma_error]
-        told = _sigma(expected), off, _flags(expected)
+        told = sigma, off, _flags(expected)
         result = PointResult(
             setup.n_det, scores, *told, lost.shares, lost.by_weather, _skies(setup), unscored, perf_counter() - start
         )
@@ -140,7 +155,7 @@ class PointJob:
 def _scored(setup: Setup, coadds: CoAdds) -> tuple[dict[str, DataSetScore], str]:
     """Scores by data set, or none and why."""
     try:
-        return score_survey(setup, coadds), ""
+        return quoted_scores(setup, coadds), ""
     except ValueError as error:  # too few observations, or too few scans kept in them
         return {}, str(error)
 
@@ -184,11 +199,6 @@ def _kept(sweep: Sweep, directory: Path) -> dict[int, PointResult]:
     return found
 
 
-def _sigma(found: Forecast | None) -> dict[str, float]:
-    """sigma(A) [uK_CMB^2] by data set."""
-    return {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}
-
-
 def _flags(found: Forecast | None) -> list[str]:
     """Why the actual data's forecast may be off."""
     return [effect.sentence for effect in found.scores[ACTUAL].effects if effect.flagged] if found else []
@@ -209,7 +219,8 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
             found = forecast(point.scene)
         except ValueError as error:  # of a scene that can't be forecast
             reason = str(error)
-        told = _sigma(found), [], _flags(found), _discarded(found), []
+        sigma = {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}
+        told = sigma, [], _flags(found), _discarded(found), []
         results.append(PointResult(point.n_det, {}, *told, "", reason, perf_counter() - start))
         progress(len(results))
     return tuple(results)
@@ -227,18 +238,56 @@ def _skies(setup: Setup) -> str:
 # ---------------------------------------------------------------- comparison
 
 
+def of_one_kind(points: tuple[PointResult, ...]) -> tuple[PointResult, ...]:
+    """The points, their scores without control variate where a point has none: estimates of one kind compare.
+
+    What a control variate takes out, the luck of the weather, is common to all points of a sweep.
+    """
+    scored = [item for point in points for item in point.scores.values()]
+    if len({item.control is None for item in scored}) < 2:
+        return points
+    return tuple(
+        replace(point, scores={name: _uncontrolled(item) for name, item in point.scores.items()}) for point in points
+    )
+
+
+def _uncontrolled(item: DataSetScore) -> DataSetScore:
+    if item.control is None:
+        return item
+    weather = float(np.hypot(item.budget.weather, item.control.sampling))
+    budget = replace(item.budget, weather=weather, population=0.0)
+    return replace(item, band=item.plain_band, budget=budget, control=None, plain=None)
+
+
 def compare_runs(points: tuple[PointResult, ...], rng: np.random.Generator, reference: int = 0) -> Comparison:
     """Runs of the actual data set against each other, with what their errors share."""
     scored = {number: point.scores[ACTUAL] for number, point in enumerate(points) if point.scores}
-    sigma = np.full(len(points), np.nan)
+    sigma, relative = np.full((2, len(points)), np.nan)
     modes = np.zeros((len(points), 1))
     if scored:
-        numbers = list(scored)
-        sigma[numbers] = [item.band.sigma_ukcmb2 for item in scored.values()]
-        found = error_modes(list(scored.values()), [points[number].skies for number in numbers])
+        numbers, items = list(scored), list(scored.values())
+        sigma[numbers] = [item.band.sigma_ukcmb2 for item in items]
+        relative[numbers] = [item.band.error_ukcmb2 / item.band.sigma_ukcmb2 for item in items]
+        found = error_modes(_of_one_weather(items), [points[number].skies for number in numbers])
         modes = np.zeros((len(points), found.shape[1]))
         modes[numbers] = found
-    return compare(sigma, modes, rng, reference, _actual_shares(points))
+    return compare(sigma, modes, rng, reference, _actual_shares(points), relative)
+
+
+def _of_one_weather(items: list[DataSetScore]) -> list[DataSetScore]:
+    """The scores for comparisons with each other: of equally many observations, the weather is common to all.
+
+    How well few observations sample the weather is unknown, but ratios need not know it: what is left of it in them
+    shows in the scatter of one point's observations against another's.
+    """
+    lengths = {len(item.weights) for item in items}
+    if len(lengths) > 1 or min(lengths) < FEWEST_CONTROLLED or any(item.control is not None for item in items):
+        return items
+    return [replace(item, budget=replace(item.budget, weather=_scatter(item.information))) for item in items]
+
+
+def _scatter(information: np.ndarray) -> float:
+    return ratio_error(information, np.ones(len(information)))
 
 
 def _actual_shares(points: tuple[PointResult, ...]) -> np.ndarray:
@@ -258,35 +307,43 @@ def compare(
     rng: np.random.Generator,
     reference: int = 0,
     discarded: np.ndarray | None = None,
+    relative: np.ndarray | None = None,
 ) -> Comparison:
     """Compare points (n_point,), NaN for none, whose ln sigma respond to unit deviates as `modes` (n_point, n_mode).
 
     Where the `reference` has no score, the first point that has one takes its place. `discarded` (n_point,) are the
-    shares of scans that points lose, none by default.
+    shares of scans that points lose, none by default; `relative` (n_point,) are relative errors, NaN where unknown, by
+    default those of the modes. Points whose modes are NaN do not compete.
     """
     scored = np.flatnonzero(np.isfinite(sigma_ukcmb2))
     nothing, competes = np.full(len(sigma_ukcmb2), np.nan), np.zeros(len(sigma_ukcmb2), bool)
     if len(scored) == 0:
         return Comparison(None, (), competes, modes, *(nothing.copy() for _ in range(6)))
     reference = reference if reference in scored else int(scored[0])
-    competes[scored] = True if discarded is None else competing(discarded[scored])
-    relative = np.linalg.norm(modes, axis=1)
+    lowest = np.nanmin(sigma_ukcmb2)
+    best = tuple(int(number) for number in scored[sigma_ukcmb2[scored] <= lowest * (1 + _EQUAL)])
+    shares = np.zeros(len(nothing)) if discarded is None else discarded
+    competes[scored] = competing(shares[scored]) & np.isfinite(modes[scored]).all(axis=1)
+    # Against nobody, or while one that does not compete is lower, none is known to be the best.
+    if competes.sum() < min(2, len(scored)) or not competes[list(best)].any():
+        competes[:] = False
+    relative = np.linalg.norm(modes, axis=1) if relative is None else relative
     ratio = sigma_ukcmb2 / sigma_ukcmb2[reference]
     apart = np.hypot(relative, relative[reference])
-    apart[reference] = 0.0
+    paired = np.linalg.norm(modes - modes[reference], axis=1)
+    apart[reference] = paired[reference] = 0.0
     probability = nothing.copy()
     if competes.any():
         probability[competes] = probability_of_lowest(np.log(sigma_ukcmb2[competes]), modes[competes], rng)
-    lowest = np.nanmin(sigma_ukcmb2)
     return Comparison(
         reference=reference,
-        best=tuple(int(number) for number in scored[sigma_ukcmb2[scored] <= lowest * (1 + _EQUAL)]),
+        best=best,
         competing=competes,
         modes=modes,
         sigma_ukcmb2=sigma_ukcmb2,
         error_ukcmb2=sigma_ukcmb2 * relative,
         ratio=ratio,
-        paired_error=ratio * np.linalg.norm(modes - modes[reference], axis=1),
+        paired_error=ratio * paired,
         independent_error=ratio * apart,
         best_probability=probability,
     )
@@ -294,19 +351,20 @@ def compare(
 
 def pairs(result: SweepResult) -> list[Pair]:
     """Every point with a score over every one before it; none of more than `MOST_PAIRED` such points."""
-    found, comparison, shares = [], result.comparison, _actual_shares(result.points)
-    sigma, modes = comparison.sigma_ukcmb2, comparison.modes
-    scored = np.flatnonzero(np.isfinite(sigma))
+    sigma = result.comparison.sigma_ukcmb2
+    scored = [int(number) for number in np.flatnonzero(np.isfinite(sigma))]
     if not result.simulated or len(scored) > MOST_PAIRED:
         return []
-    relative = np.linalg.norm(modes, axis=1)
-    for place, point in enumerate(scored):
-        for other in scored[:place]:
-            ratio = sigma[point] / sigma[other]
-            paired, apart = np.linalg.norm(modes[point] - modes[other]), np.hypot(relative[point], relative[other])
-            like = bool(competing(shares[[point, other]]).all())
-            found.append(Pair(int(point), int(other), float(ratio), float(ratio * paired), float(ratio * apart), like))
-    return found
+    return [_pair(result, point, other) for place, point in enumerate(scored) for other in scored[:place]]
+
+
+def _pair(result: SweepResult, point: int, other: int) -> Pair:
+    comparison = result.comparison
+    sigma, error, modes = comparison.sigma_ukcmb2, comparison.error_ukcmb2, comparison.modes
+    ratio = float(sigma[point] / sigma[other])
+    paired = ratio * float(np.linalg.norm(modes[point] - modes[other]))
+    apart = ratio * float(np.hypot(error[point] / sigma[point], error[other] / sigma[other]))
+    return Pair(point, other, ratio, paired, apart, result.comparable(point, other))
 
 
 def probability_of_lowest(log_sigma: np.ndarray, modes: np.ndarray, rng: np.random.Generator) -> np.ndarray:

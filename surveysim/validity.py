@@ -9,10 +9,13 @@ from surveysim.conditions import Conditions
 from surveysim.discards import MOST_DISCARDED
 from surveysim.pilot import Kept
 from surveysim.recipes import Recipe
+from surveysim.response import PROJECTIONS
 from surveysim.setup import Setup
 
 LARGE = 0.1  # relative size from which on an effect is flagged
-_RESOLUTIONS = 3.5  # of multipole, from which on a forecast is compared
+MOST_TEMPLATES = 0.25  # for each detector from which on they are flagged
+MOST_UNEVEN = 0.25  # more noise, from which on coverage is flagged
+_RESOLUTIONS = 3.0  # of multipole, from which on a forecast is compared
 _BEAM_LEFT = 0.03  # of the power, up to where it is
 _PIXEL_REACH = 0.75  # of the map pixel's Nyquist multipole
 _APPROXIMATE = {"wind": "shifted along the wind", "pca": "by principal components"}  # taken as average subtraction
@@ -37,16 +40,18 @@ class Grounds:
     """What a data set's forecast stands on.
 
     Of observations in the conditions `levels`: `kept` scans, `weight` (n_obs,), noise variance a sample `noise` and the
-    `layer`'s part of it (n_obs, n_bin). `share` (n_bin,) of bins in sigma(A)^-2.
+    `layer`'s part of it (n_obs, n_bin). `share` (n_bin,) of bins in sigma(A)^-2; mean `hits` (n, n) on the patch.
     """
 
     recipe: Recipe
+    n_det: int
     levels: Conditions
     kept: Kept
     weight: np.ndarray
     noise: np.ndarray
     layer: np.ndarray
     share: np.ndarray
+    hits: np.ndarray
 
     @property
     def layer_share(self) -> np.ndarray:
@@ -95,6 +100,9 @@ def _effects(setup: Setup, grounds: Grounds) -> Iterator[Effect]:
         if (name := grounds.recipe.label) in _APPROXIMATE:
             sentence = f"Cleaning {_APPROXIMATE[name]} is taken as average subtraction: the difference is not known."
             yield Effect("cleaning", None, sentence, True)
+    if templates := len(PROJECTIONS[grounds.recipe.label]):
+        yield _few_detectors(templates, grounds.n_det)
+    yield _uneven_coverage(setup, grounds.hits)
     yield _weights(setup, grounds)
     yield _low_multipoles(setup, grounds.share)
 
@@ -122,14 +130,38 @@ def _repeated_layer(setup: Setup, grounds: Grounds) -> Effect:
     if grounds.recipe.steps == ("none",):
         size, where = float(parts.sum()), "Scans share trends of the layer in any wind"
     else:
-        scan = np.array([path.speed_rad_s, -path.speed_rad_s])
-        wind = np.abs(grounds.levels.motion - scan).mean(axis=1)
+        wind = np.abs(grounds.levels.motion - path.speed_rad_s).mean(axis=1)
         travel = wind * (path.duration_s + path.turnaround_s)
         slow = travel < 2 * setup.camera.radius_rad
         size = float(parts[slow].sum())
         where = f"In {_percent(slow.mean())} of the observations consecutive scans see the same part of the layer"
     sentence = f"{where}, which is taken as independent: {_percent(size)} of the noise."
     return Effect("scans that share air", size, sentence, size > LARGE)
+
+
+def _few_detectors(templates: int, n_det: int) -> Effect:
+    """Share of a stream that templates take of itself: what is left of a signal differs by so much between detectors.
+
+    Where the detectors that pass over a place differ from those that pass over another, that scatters the signal of
+    low multipoles over all others.
+    """
+    size = templates / n_det
+    sentence = (
+        f"Templates ({templates} for {n_det} detectors) take {_percent(size)} of each stream's own noise, and what they"
+        " leave of the signal differs by as much between detectors: the mean is taken."
+    )
+    return Effect("few detectors", size, sentence, size > MOST_TEMPLATES)
+
+
+def _uneven_coverage(setup: Setup, hits: np.ndarray) -> Effect:
+    """Excess of the noise that the mean of 1 / hits makes over one with even hits: what ties multipoles together."""
+    weight, covered = setup.band.taper**2, hits > 0
+    mean = np.average(hits[covered], weights=weight[covered])
+    size = float(np.average(mean / hits[covered], weights=weight[covered]) - 1)
+    missed = float(1 - weight[covered].sum() / weight.sum())
+    sentence = f"Hits differ over the map: {_percent(size)} more noise than with even hits, taken as alike at all ell"
+    sentence += f"; {_percent(missed)} of the map has none." if missed > 0 else "."
+    return Effect("uneven coverage", size, sentence, size > MOST_UNEVEN or missed > LARGE)
 
 
 def _weights(setup: Setup, grounds: Grounds) -> Effect:

@@ -103,6 +103,9 @@ def without_sections(text: str, *names: str) -> str:
     return "".join(kept)
 
 
+# Weather in which no scan is too calm to fit responsivities on.
+TURBULENT_SCENE = SMALL_SCENE.replace("[100, 280, 980] mK2", "[1000, 2800, 9800] mK2")
+
 # In place of [fixed_pointing].
 SCHEDULE = """
 [schedule]

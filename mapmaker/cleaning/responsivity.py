@@ -5,6 +5,11 @@ holds too little atmosphere for that: the iteration does not converge, and the s
 observation, each less its means, the Gram matrices add up: one c_i follows from more atmosphere, while each scan keeps
 templates of its own. A camera that is calibrated elsewhere needs no fit.
 
+Near its end, a step of the paper's iteration turns an error e of ln c into -M e, where the eigenvalues of M are between
+0 and 1, and the nearer to 1 the more of the template is noise: in calm weather it goes on for hundreds of steps, forth
+and back. The fit to an observation takes 2/3 of each step. It leaves e (1 - 2/3) - 2/3 M e, a third of e or less
+whatever the weather, and ends at the same c within some thirty steps.
+
 The iteration needs the streams only through their Gram matrix G_ij = sum_n d_in d_jn, so it runs on G alone. The Gram
 matrix is formed in float64 whatever the streams' type: in float32 it would limit c to about 1e-7, short of the
 tolerance of 1e-8. Of many detectors, whose G takes longer to form than the iteration passes over the streams, G is
@@ -19,13 +24,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, finite_scans, has_dead
-from mapmaker.kernels.cleaning import correlate, hold, iterate_responsivity
+from mapmaker.kernels.cleaning import correlate, hold, iterate_responsivity, relax
 
 SCAN, OBSERVATION = "scan", "observation"
 
 # Detectors up to which the Gram matrix is formed. At 300 it takes as long as the passes of ten iterations, 5 to 15 ns a
 # sample; at 600 it takes 15, at 1000 21, at 4000 86.
 MOST_GRAM = 600
+
+# Shares of the iteration's steps that fits take: to a scan as in the paper, to an observation as said above.
+_STEPS = {SCAN: 1.0, OBSERVATION: 2 / 3}
 
 Responsivities = str | np.ndarray
 Blocks = Callable[[], Iterable[np.ndarray]]  # mean-removed streams (n_det, n) to fit to, made anew by each call
@@ -144,7 +152,7 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.nda
     streams.
     """
     n_det, c = basis.shape[1], np.ones(basis.shape[1])
-    held, limits = basis[1:], (options.tolerance, options.max_iterations)
+    held, limits = basis[1:], (options.tolerance, options.max_iterations, _STEPS[options.responsivities])
     if n_det <= MOST_GRAM:
         products = (block @ block.T for block in blocks())
         gram = next(products, np.zeros((n_det, n_det)))
@@ -157,7 +165,13 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.nda
 
 
 def _iterate_by_passes(
-    blocks: Blocks, basis: np.ndarray, held: np.ndarray, tolerance: float, max_iterations: int, c: np.ndarray
+    blocks: Blocks,
+    basis: np.ndarray,
+    held: np.ndarray,
+    tolerance: float,
+    max_iterations: int,
+    step: float,
+    c: np.ndarray,
 ) -> tuple[bool, int]:
     """`iterate_responsivity` without the Gram matrix."""
     if all(map(has_dead, blocks())):
@@ -170,6 +184,7 @@ def _iterate_by_passes(
         if not np.isfinite(c).all() or not c.all():
             return False, iteration
         hold(held, c)
+        relax(step, previous, c)
         if np.abs(c / previous - 1).mean() < tolerance:
             return True, iteration
     return False, max_iterations

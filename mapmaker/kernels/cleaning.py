@@ -69,17 +69,25 @@ def hold(held, responsivity):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def iterate_responsivity(gram, basis, held, tolerance, max_iterations, responsivity):
+def relax(step, previous, responsivity):
+    """Take only a share `step` of the way from the previous c."""
+    if step != 1.0:
+        for i in range(responsivity.size):
+            responsivity[i] = previous[i] + step * (responsivity[i] - previous[i])
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def iterate_responsivity(gram, basis, held, tolerance, max_iterations, step, responsivity):
     """Iterate templates and responsivities of one scan on its Gram matrix, never on the stream.
 
-    gram: (n_det, n_det) float64, sum_n d_in d_jn of the mean-removed scan [mK^2]. basis: (n_par, n_det)
-    float64, orthonormal rows that span the template shapes. held: (n_held, n_det) float64, orthonormal
-    rows, each of zero sum, along which c is kept zero (0 rows: the paper's iteration as it stands).
-    responsivity: (n_det,) float64, in: first guess, out: c_i. Returns (converged, iterations): converged
-    when the mean fractional change of c falls below tolerance within max_iterations. A dead detector (0
-    iterations) or a vanishing or non-finite c_i end it unconverged. Sayers et al. (2010), sections "Average
-    Template Subtraction" and "Higher-Order Template Subtraction": with B = basis / c, sum_n T_in d_in =
-    sum_k basis_ki (B G)_ki and sum_n T_in^2 = basis_i^T (B G B^T) basis_i.
+    gram: (n_det, n_det) float64, sum_n d_in d_jn of the mean-removed scan [mK^2]. basis: (n_par, n_det) float64,
+    orthonormal rows that span the template shapes. held: (n_held, n_det) float64, orthonormal rows, each of zero sum,
+    along which c is kept zero (0 rows: the paper's iteration as it stands). step: share of each update that is taken,
+    1 in the paper. responsivity: (n_det,) float64, in: first guess, out: c_i. Returns (converged, iterations):
+    converged when the mean fractional change of c falls below tolerance within max_iterations. A dead detector (0
+    iterations) or a vanishing or non-finite c_i end it unconverged. Sayers et al. (2010), sections "Average Template
+    Subtraction" and "Higher-Order Template Subtraction": with B = basis / c, sum_n T_in d_in = sum_k basis_ki (B G)_ki
+    and sum_n T_in^2 = basis_i^T (B G B^T) basis_i.
     """
     n_par, n_det = basis.shape
     if _has_dead(gram):
@@ -98,6 +106,7 @@ def iterate_responsivity(gram, basis, held, tolerance, max_iterations, responsiv
         if not np.all(np.isfinite(responsivity)) or np.any(responsivity == 0.0):
             return False, iteration
         hold(held, responsivity)
+        relax(step, previous, responsivity)
         change = 0.0
         for i in range(n_det):
             change += abs(responsivity[i] / previous[i] - 1.0)

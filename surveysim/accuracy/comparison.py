@@ -34,7 +34,7 @@ def _survey_row(setting: Setting, count: int, marks: Sequence[Mark], pooled: Seq
     whole = [run.marks[max(run.marks)].score for run in pooled]
     (sigma, errors), (reference, _) = levels(mark.score for mark in marks), levels(whole)
     paired = [_bias(mark.score, one, True)[1] for mark, one in zip(marks, whole, strict=True)]
-    parts = {key: rms([vars(mark.score.budget)[key] for mark in marks]) for key in ("noise", "weather", "window")}
+    parts = {key: rms([vars(mark.score.budget)[key] for mark in marks]) for key in vars(marks[0].score.budget)}
     seen = f"scatter of {len(marks)} seeds: {100 * scatter(sigma):.1f} %"
     return Measured(
         setting,
@@ -176,7 +176,7 @@ def recommendations(rows: Iterable[Measured], tolerated: float) -> list[Recommen
         own = next((row for row in steps if row.setting.own), steps[-1])
         samples = own.setting.kind == "sampling"
         if samples:
-            good = [row for row in steps if row.relative_error <= MUCH_WORSE * own.relative_error]
+            good = [row for row in steps if not row.relative_error > MUCH_WORSE * own.relative_error]  # or unknown
         else:
             good = [row for row in steps if abs(row.bias) <= max(tolerated, row.bias_error)]
         best = min(good, key=lambda row: row.cpu_s)

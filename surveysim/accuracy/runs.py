@@ -10,12 +10,13 @@ import numpy as np
 
 from surveysim.accuracy.records import OF_SCREEN, Setting
 from surveysim.coadds import CoAdds
+from surveysim.control import quoted_scores
 from surveysim.engines import Engine, ordered_map
 from surveysim.memory import peak_bytes
 from surveysim.recipes import ACTUAL
 from surveysim.reduction import observe
 from surveysim.scene import Scene, SceneError, scene_hash
-from surveysim.scores import DataSetScore, score_survey
+from surveysim.scores import DataSetScore
 from surveysim.setup import Setup, prepare
 from surveysim.survey import run_observations
 
@@ -76,7 +77,7 @@ def _marks(setup: Setup, counts: Sequence[int]) -> dict[int, Mark]:
             return
         before, found, note = clocks(), None, ""
         try:
-            found = score_survey(setup, coadds, (ACTUAL,))[ACTUAL]
+            found = quoted_scores(setup, coadds, (ACTUAL,))[ACTUAL]
         except ValueError as error:  # too few observations, or none with window skies
             note = f"not scored: {first_line(error)}"
         after = clocks()
@@ -140,7 +141,16 @@ def run_all(tasks: Sequence[Task], engine: Engine, progress: Callable[[int], Non
 
 
 def seeds_wanted(scene: Scene, own: Run, reference_error: float, most: int) -> int:
-    """How many whole surveys bring the error of their mean below the wanted one, or the most that are allowed."""
+    """How many whole surveys bring the error of their mean below the wanted one, or the most that are allowed.
+
+    Raises ValueError without a score, and for fewer observations than tell its error.
+    """
     if not own.scored(scene.observations):
         raise ValueError(f"{scene.name}: {own.note or own.marks[scene.observations].note}")
-    return min(most, ceil((own.marks[scene.observations].score.budget.total / reference_error) ** 2))
+    error = own.marks[scene.observations].score.budget.total
+    if np.isnan(error):
+        n_obs = scene.observations
+        raise ValueError(
+            f"{scene.name}: found {n_obs} observations; as many as tell the error of sigma(A) are expected"
+        )
+    return min(most, ceil((error / reference_error) ** 2))

@@ -307,7 +307,7 @@ def cleaning_cost(one: Example, name: str) -> Cost:
     sky = flat_cmb_sky(
         setup.sky_geometry,
         SIGNAL_BAND_POWER_UKCMB2,
-        instrument.frequency_hz,
+        instrument.cmb_per_rj,
         instrument.beam_fwhm_rad,
         generator(setup.scene.seed, Stage.WINDOW_SKY),
     )

@@ -8,7 +8,6 @@ from surveysim.paper.campaign import MeasuredSurvey
 from surveysim.paper.figure import Panel, PaperFigure, Series
 from surveysim.paper.published import published
 from surveysim.paper.statistics import QUARTILES, Binned, binned, cumulative, described, scale_to, without_fit
-from surveysim.units import rj_to_cmb
 
 BAND_LOOKS = ("blue", "vermilion", "green", "purple")  # of the surveys, in their order
 B2_LABEL = r"$B_\nu^2$ [mK$^2$ rad$^{-5/3}$]"
@@ -121,7 +120,7 @@ def _medians(points: Binned) -> Series:
 
 def map_variance_figure(survey: MeasuredSurvey) -> PaperFigure:
     """Figure 9: residual variance of single maps against B2, and its cumulative distribution."""
-    to_cmb = rj_to_cmb(survey.setup.scene.instrument.frequency_hz) ** 2
+    to_cmb = survey.setup.scene.instrument.cmb_per_rj**2
     whole = [item for item in survey.measurements if np.isfinite(item.map_mk2)]
     if not whole:
         raise ValueError("found no map without gaps; one or more is expected")
@@ -137,7 +136,7 @@ def map_variance_figure(survey: MeasuredSurvey) -> PaperFigure:
     shares = (Series("simulated observations", "line", *cumulative(left), "blue"),)
     caption = (
         f"{described(survey)}: variance of each observation's map after average subtraction, less the white level of"
-        f" its highest multipoles, at the thermodynamic temperature of the band's centre;"
+        f" its highest multipoles, in thermodynamic temperature over the band;"
         f" {len(survey.measurements) - len(whole)} maps have gaps and are left out. The median white level is"
         f" {white:.2g} mK_CMB^2 (paper about {published()['map_white_variance_mkcmb2']:g}), the median residual"
         f" {np.median(left):.2g} mK_CMB^2, {np.percentile(left, 10):.2g} and {np.percentile(left, 90):.2g} at the"

@@ -1,5 +1,6 @@
 """What accuracy costs as text: the table of all settings, slopes and recommendations."""
 
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,13 +11,13 @@ from rich.table import Table
 from rich.text import Text
 
 from surveysim.accuracy import AccuracyResult, Measured
-from surveysim.report.text import where_line
+from surveysim.report.text import where_line, with_unknown
 
 if TYPE_CHECKING:
     from astropy.table import Table as AstropyTable
 
 COLUMNS = ("sigma_ukcmb2", "error_ukcmb2", "bias", "bias_error", "wall_s", "cpu_s", "start_s", "peak_mb", "raised_mb")
-PARTS = ("noise", "weather", "window")
+PARTS = ("noise", "weather", "window", "population")
 UNITS = {"ukcmb2": "uK2", "s": "s", "mb": "MB"}
 MEMORY = "peak_mb is the most that a process held since it began, other settings before included; raised_mb its rise"
 
@@ -83,9 +84,10 @@ def _table(result: AccuracyResult) -> Table:
 def _cells(row: Measured) -> list[str]:
     setting = row.setting
     # No error: it is the reference, or a survey equal to the last bit.
-    bias = f"{100 * row.bias:.2g} +- {100 * row.bias_error:.1g}" if row.bias_error > 0 else "0"
+    error = "unknown" if math.isnan(row.bias_error) else f"{100 * row.bias_error:.1g}"
+    bias = "0" if row.bias_error == 0 else f"{100 * row.bias:.2g} +- {error}"
     spent = [f"{value:.3g}" for value in (row.wall_s, row.cpu_s, row.start_s, row.peak_mb)]
-    level = f"{row.sigma_ukcmb2:.1f} +- {row.error_ukcmb2:.1f}"
+    level = with_unknown(row.sigma_ukcmb2, row.error_ukcmb2)
     return [setting.knob, setting.label + " *" * setting.own, str(row.observations), level, bias, *spent]
 
 

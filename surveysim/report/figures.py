@@ -38,7 +38,6 @@ from surveysim.report.drawing import (
 from surveysim.scan import samples_per_scan
 from surveysim.scores import DataSetScore, rescore
 from surveysim.setup import Setup
-from surveysim.units import rj_to_cmb
 
 TITLES = {
     "timestream_psd": "time-streams before and after cleaning",
@@ -161,7 +160,7 @@ def _map_planes(setup: Setup, coadds: CoAdds) -> tuple[np.ndarray, np.ndarray]:
     from scipy.ndimage import gaussian_filter
 
     instrument, weight = setup.scene.instrument, coadds.weight[0]
-    to_ukcmb = 1e3 * rj_to_cmb(instrument.frequency_hz)
+    to_ukcmb = 1e3 * instrument.cmb_per_rj
     sigma = instrument.beam_fwhm_rad / np.sqrt(8 * np.log(2)) / setup.geometry.pixel_rad
     # Sums and weights smoothed apart: noisy pixels count for less in their neighbours.
     total, spread = gaussian_filter(coadds.sums[0], sigma), gaussian_filter(weight, sigma)

@@ -150,8 +150,15 @@ def with_error(value: float, error: float | None) -> str:
     return f"({with_error(value / scale, error / scale)}) {TIMES} 10^({_signed(str(exponent))})"
 
 
-def as_known(value: float, error: float) -> str:
-    """A number rounded to two digits of an error."""
+def quoted(value: float, error: float | None) -> str:
+    """As `with_error`, but an error of None is said to be unknown."""
+    return f"{number(value)} ± unknown" if error is None else with_error(value, error)
+
+
+def as_known(value: float, error: float | None) -> str:
+    """A number rounded to two digits of an error, or to three of its own where that is unknown."""
+    if error is None:
+        return number(value)
     return _fixed(value, 1 - int(f"{error:.1e}".partition("e")[2]))  # of the rounded error: 0.0996 is 0.10
 
 

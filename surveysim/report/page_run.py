@@ -28,14 +28,15 @@ from surveysim.report.page_parts import (
     percent,
     picture,
     plural,
+    quoted,
     short,
-    with_error,
 )
 from surveysim.report.page_provenance import provenance, sources, stage_times
 from surveysim.report.page_scene import cleaning_words, scene_terms
-from surveysim.results import METHOD, OPTIMAL_METHOD
+from surveysim.results import CONTROLLED, METHOD, OPTIMAL_METHOD, PLAIN
 
 Content = Mapping[str, Any]  # of summary.json and scene.json
+UNKNOWN = "Its error is unknown: so few observations do not tell how far theirs is typical."
 DATA_SETS = {
     "actual": "the survey itself",
     "uncorrelated": "streams with each detector's measured spectrum in each observation, without correlations",
@@ -101,12 +102,12 @@ def _lead(summary: Content, scene: Content):
         why = summary.get("unscored") or "the scene has no section [score]"
         yield f"{plural(made, 'observation')} with {camera}, simulated, cleaned and mapped. There is no score: {why}."
         return
-    row = summary["scores"][ACTUAL]
-    sigma = f"σ(A) = {with_error(row['sigma_ukcmb2'], row['error_ukcmb2'])} {UK2}"
+    row, best = summary["scores"][ACTUAL], summary["best"]
+    sigma = f"σ(A) = {quoted(best['sigma_ukcmb2'], best['error_ukcmb2'])} {UK2}"
     text = f"{survey} with {camera}, cleaned by {cleaning_words(scene['cleaning']['algorithm'])}, measure the amplitude"
     text += f" of a flat CMB band power with an uncertainty of {sigma}."
     if "reference_ukcmb2" in row:
-        ratio = with_error(row["ratio_to_reference"], row["error_ukcmb2"] / row["reference_ukcmb2"])
+        ratio = _over_reference(row)
         source = scene["score"]["reference"]["source"]
         text += f" {source} has {short(row['reference_ukcmb2'])} {UK2}; this run has {ratio} times that."
     if "forecast_ukcmb2" in row:
@@ -114,23 +115,31 @@ def _lead(summary: Content, scene: Content):
     yield text
     if made < stopped["observations_of_survey"]:
         yield f"Of the survey's observations {count(made)} were simulated; all numbers are for the whole survey."
-    if ACTUAL in summary.get("controlled", {}):
-        item = summary["controlled"][ACTUAL]
-        yield (
-            f"With the forecast as control variate, which takes out the luck of the weather, σ(A) is"
-            f" {with_error(item['sigma_ukcmb2'], item['error_ukcmb2'])} {UK2}."
-        )
+    plain = quoted(best["plain_sigma_ukcmb2"], best["plain_error_ukcmb2"])
+    beside = f" Plain, it is {plain} {UK2}." if best["kind"] == "controlled" else ""
+    yield f"{_kind_sentence(best)}{beside}{' ' + UNKNOWN if best['error_ukcmb2'] is None else ''}"
+
+
+def _kind_sentence(best: Content) -> str:
+    text = CONTROLLED if best["kind"] == "controlled" else PLAIN
+    return f"{text.replace('sigma', 'σ')}."
+
+
+def _over_reference(row: Content) -> str:
+    error = row["error_ukcmb2"]
+    return quoted(row["ratio_to_reference"], None if error is None else error / row["reference_ukcmb2"])
 
 
 def _key_figures(summary: Content) -> tuple[tuple[str, str], ...]:
     found = []
     if row := summary["scores"].get(ACTUAL):
-        found.append((f"σ(A) [{UK2}]", with_error(row["sigma_ukcmb2"], row["error_ukcmb2"])))
+        found.append((f"σ(A) [{UK2}]", quoted(row["sigma_ukcmb2"], row["error_ukcmb2"])))
         if "reference_ukcmb2" in row:
-            ratio = with_error(row["ratio_to_reference"], row["error_ukcmb2"] / row["reference_ukcmb2"])
+            ratio = _over_reference(row)
             found += [(f"published [{UK2}]", short(row["reference_ukcmb2"])), ("over published", ratio)]
     if "relative_error" in summary["stopped"]:
-        found.append(("error of the best estimate", percent(summary["stopped"]["relative_error"])))
+        error = summary["stopped"]["relative_error"]
+        found.append(("error of σ(A)", "unknown" if error is None else percent(error)))
     found.append(("observations", count(summary["observations"])))
     return (*found, ("run time", duration(summary["run"]["wall_s"])))
 
@@ -159,13 +168,13 @@ def _score_grid(summary: Content, scene: Content) -> Grid:
     columns += [reference["source"], "ratio"] if reference else []
     rows = []
     for name, row in summary["scores"].items():
-        cells = [cell(name), measured(row["sigma_ukcmb2"], row["error_ukcmb2"])]
+        cells = [cell(name), Cell(quoted(row["sigma_ukcmb2"], row["error_ukcmb2"]), row["sigma_ukcmb2"])]
         forecast = row.get("forecast_ukcmb2")
         cells.append(Cell("") if forecast is None else Cell(as_known(forecast, row["error_ukcmb2"]), forecast))
         if reference and "reference_ukcmb2" in row:
             published = row["reference_ukcmb2"]
-            error = row["error_ukcmb2"] / published
-            cells += [Cell(short(published), published), measured(row["ratio_to_reference"], error)]
+            ratio = Cell(_over_reference(row), row["ratio_to_reference"])
+            cells += [Cell(short(published), published), ratio]
         elif reference:
             cells += [Cell(""), Cell("")]
         numbers = [Cell(count(row["n_det"]), row["n_det"])]
@@ -184,9 +193,8 @@ def _score_notes(summary: Content) -> tuple[str, ...]:
         known.append(f"{masked[0]}: the actual streams of an array masked by separation (scaled: times its share)")
     cleanings = [name for name in summary["scores"] if name not in DATA_SETS and name not in masked]
     known += [f"{name}: {cleaning_words(name.split('+'))} in place of the scene's own" for name in cleanings]
-    return (
-        f"Errors are Monte Carlo errors: noise, the weather that was drawn, and the signal window. {'; '.join(known)}.",
-    )
+    errors = "Errors are Monte Carlo errors: noise, the sample of observations, and the signal window."
+    return (f"{_kind_sentence(summary['best'])} {errors} {'; '.join(known)}.",)
 
 
 def _gain_grid(summary: Content, scene: Content) -> Grid:
@@ -194,7 +202,7 @@ def _gain_grid(summary: Content, scene: Content) -> Grid:
     published = dict(reference["gains"]) if reference else {}
     rows = []
     for name, item in summary["gains"].items():
-        row = [cell(name), measured(item["ratio"], item["error"])]
+        row = [cell(name), Cell(quoted(item["ratio"], item["error"]), item["ratio"])]
         if published:
             row.append(Cell(short(published[name]), published[name]) if name in published else Cell(""))
         rows.append(tuple(row))
@@ -255,9 +263,8 @@ def _time(summary: Content, scene: Content):
         f" each of {number(summary['detector_samples'] / 1e6)} million detector-samples."
         f" The run ended when {reasons[stopped['reason']]}."
     )
-    if "relative_error" in stopped:
-        kind = ", with the forecast as control variate," if stopped["estimate"] == "controlled" else ""
-        text += f" Its best estimate{kind} is known to {percent(stopped['relative_error'])}."
+    if stopped.get("relative_error") is not None:
+        text += f" σ(A) is known to {percent(stopped['relative_error'])}."
     yield Text((text,))
     if summary.get("error_budget"):
         yield _budget_grid(summary)
@@ -266,24 +273,25 @@ def _time(summary: Content, scene: Content):
 
 
 def _budget_grid(summary: Content) -> Grid:
-    """Relative errors by what they come from, plain and with the forecast as control variate."""
-    kinds = ("noise", "weather", "forecast", "window", "population")
-    sets = {f"{name}": entry for name, entry in summary["error_budget"].items()}
-    sets |= {f"{name}, controlled": entry["error_budget"] for name, entry in summary.get("controlled", {}).items()}
-    there = [kind for kind in kinds if any(kind in entry for entry in sets.values())]
+    """Relative errors of sigma(A) as quoted, by what they come from."""
+    kinds = ("noise", "weather", "window", "population")
     rows = []
-    for name, entry in sets.items():
-        total = sum(value**2 for value in entry.values()) ** 0.5
-        parts = [Cell(number(100 * entry[kind], 2), 100 * entry[kind]) if kind in entry else Cell("") for kind in there]
-        rows.append((cell(name), *parts, Cell(number(100 * total, 2), 100 * total)))
-    columns = ("estimate", *(f"{kind} [%]" for kind in there), "in all [%]")
-    note = "Noise: its realizations; window: skies that measure the signal. Parts add up in quadrature."
-    if summary.get("controlled"):
-        note += (
-            " Controlled: with the forecast as control variate, which takes out the weather but for what the forecast"
-            " does not know of it; population: the sample of all weather that the forecast takes."
-        )
+    for name, entry in summary["error_budget"].items():
+        parts = [_share(entry[kind]) for kind in kinds]
+        total = None if None in entry.values() else sum(value**2 for value in entry.values()) ** 0.5
+        rows.append((cell(name), *parts, _share(total)))
+    columns = ("estimate", *(f"{kind} [%]" for kind in kinds), "in all [%]")
+    left = " that the forecast does not explain" if summary["best"]["kind"] == "controlled" else ""
+    note = (
+        f"Noise: its realizations; weather: the sample of observations, their weather and discarded scans{left};"
+        " window: skies that measure the signal; population: the sample of all weather that the forecast takes. Parts"
+        " add up in quadrature."
+    )
     return Grid("budget-table", "Relative error of σ(A), by what it comes from", columns, tuple(rows), (note,))
+
+
+def _share(value: float | None) -> Cell:
+    return Cell("unknown") if value is None else Cell(number(100 * value, 2), 100 * value)
 
 
 def _answer_grid(summary: Content, scene: Content) -> Grid:

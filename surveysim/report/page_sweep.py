@@ -27,7 +27,7 @@ from surveysim.report.page_parts import (
     number,
     picture,
     plural,
-    with_error,
+    quoted,
 )
 from surveysim.report.page_provenance import provenance, sources
 from surveysim.report.page_run import what_was_simulated
@@ -36,6 +36,7 @@ from surveysim.trade import SURE
 
 Content = Mapping[str, Any]  # of summary.json and scene.json, or of a point in the former
 PICTURE = "figures/sweep.png"
+MOST_NAMED = 4  # points in a note
 WITHHELD = "best_probability_withheld"
 
 
@@ -77,7 +78,7 @@ def _lead(summary: Content, scene: Content) -> Iterator[str]:
     yield _best_sentence(summary, made, best)
     reference = points[summary["reference"]]
     if reference not in best:
-        ratio = with_error(best[0]["ratio"], best[0].get("ratio_error"))
+        ratio = _ratio_cell(best[0], False, "ratio_error").text
         yield f"That is {ratio} times the σ(A) of the reference point, {reference['label']}."
     if summary["kind"] == "simulated":
         yield (
@@ -93,7 +94,7 @@ def _best_sentence(summary: Content, made: str, best: list[Content]) -> str:
         sigma = number(best[0]["forecast_ukcmb2"][ACTUAL])
         return f"Of {made}, the best by forecast is {labels}: σ(A) = {sigma} {UK2}."
     row = best[0]["scores"][ACTUAL]
-    sigma = f"σ(A) = {with_error(row['sigma_ukcmb2'], row['error_ukcmb2'])} {UK2}"
+    sigma = f"σ(A) = {quoted(row['sigma_ukcmb2'], row['error_ukcmb2'])} {UK2}"
     if WITHHELD in best[0]:
         why = best[0][WITHHELD]
         return f"Of {made}, the lowest is {labels}: {sigma}. The probability that it is the best is withheld: {why}."
@@ -109,9 +110,10 @@ def _key_figures(summary: Content) -> tuple[tuple[str, str], ...]:
     if summary["best"]:
         best = summary["points"][summary["best"][0]]
         row = best["scores"].get(ACTUAL)
-        sigma = with_error(row["sigma_ukcmb2"], row["error_ukcmb2"]) if row else number(best["forecast_ukcmb2"][ACTUAL])
-        ratio = "1" if best["point"] == summary["reference"] else with_error(best["ratio"], best.get("ratio_error"))
-        found += [(f"best σ(A) [{UK2}]", sigma), ("over the reference", ratio)]
+        sigma = quoted(row["sigma_ukcmb2"], row["error_ukcmb2"]) if row else number(best["forecast_ukcmb2"][ACTUAL])
+        ratio = _ratio_cell(best, best["point"] == summary["reference"], "ratio_error").text
+        name = "lowest" if WITHHELD in best else "best"
+        found += [(f"{name} σ(A) [{UK2}]", sigma), ("over the reference", ratio)]
     found += [("points", count(len(summary["points"]))), ("axes", count(len(summary["axes"])))]
     return (*found, ("run time", duration(run["wall_s"])), ("workers", count(run["workers"])))
 
@@ -135,7 +137,11 @@ def _grids(summary: Content) -> Iterator[Block]:
     named = f"The point's name has the values of {joined(keys)}. "
     notes = [named + _ratio_note(summary)]
     notes += [f"{point['label']}: {point['unscored']}." for point in summary["points"] if point.get("unscored")]
-    notes += [f"{point['label']}: withheld, as {point[WITHHELD]}." for point in summary["points"] if WITHHELD in point]
+    reasons = dict.fromkeys(point[WITHHELD] for point in summary["points"] if WITHHELD in point)
+    for reason in reasons:
+        labels = [point["label"] for point in summary["points"] if point.get(WITHHELD) == reason]
+        of = joined(labels) if len(labels) <= MOST_NAMED else plural(len(labels), "point")
+        notes.append(f"Withheld for {of}: {reason}.")
     notes += [
         f"The forecast of {point['label']} may be off: {sentence}"
         for point in summary["points"]
@@ -150,7 +156,13 @@ def _grids(summary: Content) -> Iterator[Block]:
 
 
 def _keys(summary: Content) -> list[str]:
-    return [key for axis in summary["axes"] for key in axis["keys"]]
+    """Keys that name a point: those of each axis whose values differ, or its first."""
+    found = []
+    for axis in summary["axes"]:
+        texts = [[value_text(value) for value in column] for column in zip(*axis["values"], strict=True)]
+        differ = [key for key, column in zip(axis["keys"], texts, strict=True) if len(set(column)) > 1]
+        found += differ or axis["keys"][:1]
+    return found
 
 
 def _values(point: Content, keys: list[str]) -> str:
@@ -161,13 +173,13 @@ def _numbers(summary: Content, point: Content) -> Iterator[Cell]:
     score, scored = point["scores"].get(ACTUAL), "ratio" in point
     forecast, own = point["forecast_ukcmb2"].get(ACTUAL), point["point"] == summary["reference"]
     if summary["kind"] == "simulated":
-        yield measured(score["sigma_ukcmb2"], score["error_ukcmb2"]) if score else Cell("not scored")
-    known = score and score["error_ukcmb2"] > 0
+        yield quoted_cell(score["sigma_ukcmb2"], score["error_ukcmb2"]) if score else Cell("not scored")
+    known = score and score["error_ukcmb2"]
     shown = "" if forecast is None else as_known(forecast, score["error_ukcmb2"]) if known else number(forecast)
     yield Cell(shown, forecast)
-    yield Cell("1", point["ratio"]) if own else measured(point.get("ratio"), point.get("ratio_error"))
+    yield _ratio_cell(point, own, "ratio_error")
     if summary["kind"] == "simulated":
-        yield Cell("1", point["ratio"]) if own else measured(point.get("ratio"), point.get("independent_error"))
+        yield _ratio_cell(point, own, "independent_error")
         probability = point.get("best_probability")
         if probability is None:
             yield Cell("withheld" if scored else "")
@@ -175,6 +187,18 @@ def _numbers(summary: Content, point: Content) -> Iterator[Cell]:
             yield Cell(_probability(probability), probability)
         yield share_cell(point["discarded"][ACTUAL])
     yield cell(point["n_det"])
+
+
+def quoted_cell(value: float, error: float | None) -> Cell:
+    """A number with an error that may be unknown."""
+    return Cell(quoted(value, error), value)
+
+
+def _ratio_cell(point: Content, own: bool, error: str) -> Cell:
+    """The ratio of a point to the reference, with an error if the sweep has any."""
+    if own or "ratio" not in point:
+        return Cell("1", point["ratio"]) if own else Cell("")
+    return quoted_cell(point["ratio"], point[error]) if error in point else measured(point["ratio"])
 
 
 def _probability(share: float) -> str:
@@ -187,13 +211,16 @@ def _probability(share: float) -> str:
 def _others(point: Content, names: list[str]) -> Iterator[Cell]:
     for name in names:
         score = point["scores"].get(name)
-        yield measured(score["sigma_ukcmb2"], score["error_ukcmb2"]) if score else Cell("")
+        yield quoted_cell(score["sigma_ukcmb2"], score["error_ukcmb2"]) if score else Cell("")
 
 
 def _ratio_note(summary: Content) -> str:
     if summary["reference"] is None:
         return "No point has a score, so there are no ratios."
-    note = f"Ratios are to {summary['points'][summary['reference']]['label']}."
+    kind = ""
+    if summary["estimate"] == "controlled":
+        kind = "σ(A) has the forecast as control variate, which takes out the luck of the weather. "
+    note = f"{kind}Ratios are to {summary['points'][summary['reference']]['label']}."
     if summary["kind"] != "simulated":
         return f"{note} A forecast has no Monte Carlo error."
     return (
@@ -211,7 +238,7 @@ def _pair_grids(summary: Content) -> Iterator[Grid]:
     names = {number: f"{number}: {_values(summary['points'][number], _keys(summary))}" for number in numbers}
     rows = tuple((cell(names[row]), *(_pair_cell(pairs, row, column) for column in numbers)) for row in numbers)
     notes = [
-        "σ(A) of the row's point over that of the column's, with the error of the pair: it counts what both share."
+        "σ(A) of the row's point over that of the column's, with the error of the pair, which counts what both share."
     ]
     if not all(pair["comparable"] for pair in pairs.values()):
         notes.append(
@@ -228,8 +255,8 @@ def _pair_cell(pairs: Mapping[tuple[int, int], Content], row: int, column: int) 
     pair = pairs.get((row, column)) or pairs[column, row]
     ratio, error = pair["ratio"], pair["paired_error"]
     if (row, column) not in pairs:
-        ratio, error = 1 / ratio, error / ratio**2
-    return Cell(with_error(ratio, error) + ("" if pair["comparable"] else " *"), ratio)
+        ratio, error = 1 / ratio, None if error is None else error / ratio**2
+    return Cell(quoted(ratio, error) + ("" if pair["comparable"] else " *"), ratio)
 
 
 def _discarded(summary: Content) -> Iterator[Block]:

@@ -26,7 +26,8 @@ def draw_sweep(path: Path, result: SweepResult) -> Path:
     if ticks:
         for axes in figure.axes:
             turned = sum(max(map(len, tick.split("\n"))) for tick in ticks) > LEVEL_TICKS
-            axes.set_xticks(range(len(ticks)), ticks, rotation=30 if turned else 0)
+            look = {"rotation": 30, "rotation_mode": "anchor", "ha": "right", "fontsize": 8} if turned else {}
+            axes.set_xticks(range(len(ticks)), ticks, **look)
     save(figure, path)
     return path
 
@@ -44,9 +45,9 @@ def sweep_figure(result: SweepResult) -> PaperFigure:
         rows = rows[np.argsort(x[rows], kind="stable")]
         levels += _levels(result, x, rows, name, colour)
         ratios += _ratios(result, x, rows, name, colour)
-    lost = np.array([bool(result.withheld(number)) for number in range(len(x))])
+    lost = np.array([not result.comparable(number, comparison.reference) for number in range(len(x))])
     if lost.any():
-        ratios.append(Series("loses too many scans to compare", "points", x[lost], comparison.ratio[lost], "orange -."))
+        ratios.append(Series("not comparable: scans lost", "points", x[lost], comparison.ratio[lost], "orange -."))
     shown = comparison.sigma_ukcmb2[np.isfinite(comparison.sigma_ukcmb2)]
     look = {"x_log": logarithmic, "y_log": _wide(shown)}
     panels = (

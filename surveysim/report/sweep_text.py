@@ -2,13 +2,14 @@
 
 from pathlib import Path
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
 
 from surveysim.discards import percent, telling
 from surveysim.plan import SweepPlan
 from surveysim.recipes import ACTUAL
-from surveysim.report.text import print_warnings, table_console, where_line
+from surveysim.report.text import print_warnings, table_console, where_line, with_unknown
 from surveysim.sweep import Sweep
 from surveysim.trade import SURE, SweepResult
 
@@ -41,6 +42,8 @@ def print_sweep(result: SweepResult, directory: Path) -> None:
         reference = result.sweep.points[result.comparison.reference].label
         shared = ", their errors those of runs with one seed" if result.simulated else ""
         console.print(f"Ratios are to {reference}{shared}.", highlight=False, markup=False)
+        if result.estimate == "controlled":
+            console.print("sigma(A) has the forecast as control variate at every point.", highlight=False)
         console.print(best_line(result), highlight=False, markup=False)
     for line in (*discard_lines(result), *_forecast_lines(result)):
         console.print(line, highlight=False, markup=False)
@@ -81,7 +84,7 @@ def best_line(result: SweepResult) -> str:
     sigma = f"sigma(A) = {comparison.sigma_ukcmb2[first]:.1f}"
     if not result.simulated:
         return f"best: {labels}, {sigma} uK_CMB^2 by forecast"
-    sigma += f" +- {comparison.error_ukcmb2[first]:.1f} uK_CMB^2"
+    sigma = f"sigma(A) = {with_unknown(comparison.sigma_ukcmb2[first], comparison.error_ukcmb2[first])} uK_CMB^2"
     if reason := result.withheld(first):
         return f"lowest: {labels}, {sigma}; the probability that it is the best is withheld: {reason}"
     each = "each " if len(comparison.best) > 1 else ""
@@ -114,10 +117,11 @@ def _sweep_table(result: SweepResult) -> Table:
     for number, (point, item) in enumerate(zip(sweep.points, result.points, strict=True)):
         cells = [Text(axis.labels[step]) for axis, step in zip(sweep.axes, point.place, strict=True)]
         forecast = item.forecast_ukcmb2.get(ACTUAL)
-        level = f"{comparison.sigma_ukcmb2[number]:.1f} +- {comparison.error_ukcmb2[number]:.1f}"
+        level = with_unknown(comparison.sigma_ukcmb2[number], comparison.error_ukcmb2[number])
         ratio = f"{comparison.ratio[number]:.3f}"
         if result.simulated and number != comparison.reference:
-            ratio += f" +- {comparison.paired_error[number]:.3f}"
+            error = comparison.paired_error[number]
+            ratio += f" +- {error:.3f}" if np.isfinite(error) else " +- unknown"
         scored = comparison.ratio[number] > 0  # NaN is not
         cells += [str(item.n_det)] + [level if scored else "not scored"] * result.simulated
         shown = "" if forecast is None else f"{forecast:.1f}{' !' if item.flags else ''}"

@@ -1,5 +1,6 @@
 """Results and plans as text: tables on the terminal."""
 
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,14 +10,17 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from mapmaker.bandpower import FEWEST
 from surveysim.agreement import GOOD_PSD, GOOD_SIGMA, KNOWN, Agreement
 from surveysim.discards import percent, telling
 from surveysim.plan import Plan
 from surveysim.recipes import ACTUAL
 from surveysim.report.page import REPORT
 from surveysim.results import (
+    CONTROLLED,
     METHOD,
     OPTIMAL_METHOD,
+    PLAIN,
     Row,
     SurveyResult,
     forecast_agreement,
@@ -24,7 +28,8 @@ from surveysim.results import (
     summary,
 )
 from surveysim.scene import Scene
-from surveysim.stopping import UNLIMITED
+from surveysim.scores import FEWEST_CONTROLLED
+from surveysim.stopping import UNLIMITED, Estimate
 
 if TYPE_CHECKING:
     from astropy.table import Table as AstropyTable
@@ -139,22 +144,37 @@ def effect_lines(scores: "dict[str, DataSetForecast]", flagged: bool = False) ->
 
 
 def survey_lines(result: SurveyResult) -> list[str]:
-    """What part of the survey was simulated, sigma(A) with the forecast as control variate, the cost of 1 %."""
+    """Share of the survey that was simulated, the kind of estimate that is quoted, the cost of 1 %."""
     lines, n_obs = [], result.setup.scene.observations
     if result.coadds.done < n_obs:
         lines.append(f"  of the whole survey of {n_obs} observations, judged by {result.coadds.done}")
-    if ACTUAL in result.controlled:
-        item, band = result.controlled[ACTUAL], result.scores[ACTUAL].band
-        plain = f"plain {band.sigma_ukcmb2:.1f} +- {band.error_ukcmb2:.1f}"
-        value = f"{item.sigma_ukcmb2:.1f} +- {item.error_ukcmb2:.1f}"
-        lines.append(f"  {ACTUAL}, with the forecast as control variate: {value} ({plain})")
+    if result.estimate is not None:
+        lines += [f"  {line}" for line in estimate_lines(result.estimate, result.coadds.done)]
     return [*lines, *cost_lines(result)]
+
+
+def estimate_lines(estimate: Estimate, done: int) -> list[str]:
+    """Which estimate is quoted, with the plain one beside a controlled one, and why an error is unknown."""
+    if estimate.kind == "controlled":
+        plain = with_unknown(estimate.plain_sigma_ukcmb2, estimate.plain_error_ukcmb2)
+        lines = [f"{CONTROLLED}. Plain ({ACTUAL}): {plain}"]
+    else:
+        lines = [PLAIN]
+    if math.isnan(estimate.error_ukcmb2):
+        fewest = FEWEST_CONTROLLED if estimate.kind == "controlled" else FEWEST
+        lines.append(f"errors are unknown: found {done} observations; {fewest} or more tell how far theirs is typical")
+    return lines
+
+
+def with_unknown(sigma: float, error: float) -> str:
+    """``221.1 +- 5.2``, or ``221.1 +- unknown`` for an error that is NaN."""
+    return f"{sigma:.1f} +- {'unknown' if math.isnan(error) else format(error, '.1f')}"
 
 
 def cost_lines(result: SurveyResult) -> list[str]:
     """What an answer to 1 % would take, where this one is not as good."""
     cost, score = result.fine_cost, result.setup.scene.score
-    if cost is None or result.estimate.relative_error <= cost.relative_error:
+    if cost is None or not result.estimate.relative_error > cost.relative_error:
         return []
     needs = [f"{cost.observations} observations"]
     needs += [f"{cost.jackknives} sign flips"] * (cost.jackknives > score.jackknives)
@@ -173,7 +193,8 @@ def stop_lines(result: SurveyResult) -> list[str]:
     reason = reasons.get(result.stopped, "all observations were done")
     line = f"Stopped: {reason}, {result.coadds.done} of {result.setup.scene.observations} observations simulated"
     if estimate:
-        line += f"; sigma(A) is known to {100 * estimate.relative_error:.1f} % ({estimate.kind})"
+        known = math.isfinite(estimate.relative_error)
+        line += f"; sigma(A) is known to {100 * estimate.relative_error:.1f} %" if known else "; its error is unknown"
     return [line]
 
 
@@ -184,7 +205,8 @@ def gain_lines(result: SurveyResult) -> list[str]:
     lines = []
     for name, item in result.gains.items():
         beside = f"   (reference {published[name]:g})" if name in published else ""
-        lines.append(f"  {name} = {item.ratio:.2f} +- {item.error:.2f}{beside}")
+        error = "unknown" if math.isnan(item.error) else f"{item.error:.2f}"
+        lines.append(f"  {name} = {item.ratio:.2f} +- {error}{beside}")
     return lines
 
 
@@ -207,7 +229,7 @@ def _cells(row: Row, with_forecast: bool, with_reference: bool) -> list[str]:
     cells = [
         row.name,
         str(row.n_det),
-        f"{row.sigma_ukcmb2:.1f} +- {row.error_ukcmb2:.1f}",
+        with_unknown(row.sigma_ukcmb2, row.error_ukcmb2),
         f"{row.ell_eff:.0f}",
         f"{row.fwhm_ell:.0f}",
     ]

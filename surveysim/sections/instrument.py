@@ -15,6 +15,7 @@ from surveysim.quantities import (
     Taper,
 )
 from surveysim.sections.base import Section
+from surveysim.units import rj_to_cmb
 
 
 class Layout(Section):
@@ -58,7 +59,8 @@ class Instrument(Section):
     frequency_hz: BandFrequency = Field(alias="frequency")
     """Centre of the band, which has straight sides."""
     bandwidth: float | None = Field(gt=0, lt=1, default=None)
-    """Width of the band, as a share of its frequency. Needed with `atmosphere.site` and where noise is by power."""
+    """Width of the band, as a share of its frequency; without it, CMB temperature is that of the band's centre. Needed
+    with `atmosphere.site` and where noise is by power."""
     beam_fwhm_rad: BeamWidth = Field(alias="beam_fwhm")
     """Full width at half maximum of the Gaussian beam on the sky."""
     f_lambda_rad: PositiveAngle = Field(alias="f_lambda")
@@ -81,6 +83,11 @@ class Instrument(Section):
     """Detectors in a table beside the scene, columns `x` and `y` with angular units. Or a `layout`."""
     colours: tuple[Colour, ...] = ()
     """Any number of them, for "spectral" cleaning, which subtracts them from the band that is mapped."""
+
+    @property
+    def cmb_per_rj(self) -> float:
+        """Thermodynamic CMB temperature per Rayleigh-Jeans temperature over the band."""
+        return rj_to_cmb(self.frequency_hz, self.bandwidth or 0.0)
 
     @model_validator(mode="after")
     def _one_focal_plane(self) -> Self:

@@ -1,7 +1,7 @@
 """Sections of what else is in the time-streams: excess, photon and detector noise, sky."""
 
 import math
-from typing import Self
+from typing import Any, Self
 
 from pydantic import Field, model_validator
 
@@ -14,7 +14,6 @@ from surveysim.quantities import (
     Longitude,
     Nep,
     NoisePsd,
-    Nside,
     Temperature,
     Variances,
 )
@@ -116,5 +115,13 @@ class Sky(Section):
     """Flat CMB band power l (l + 1) C_l / 2 pi, in thermodynamic temperature; 0 for none."""
     point_sources: tuple[PointSource, ...] = ()
     """Any number of them."""
-    curved_nside: Nside = None
-    """Make the CMB on the sphere, in HEALPix pixels of this nside, for fields too large for a plane."""
+    curved_lmax: int | None = Field(ge=2, le=30_000, default=None)
+    """Make the CMB on the sphere, up to this multipole, for fields too large for a plane; with a score, above its
+    `ell_max`. Time grows as its square times the field's size, or as its cube."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_nside(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "curved_nside" in data:
+            raise ValueError("curved_nside: found; the key is 'curved_lmax' now, the highest multipole of the sky")
+        return data

@@ -162,7 +162,7 @@ def test_why_responsivities_are_held():
     data -= data.mean(axis=1, keepdims=True)
     basis = template_basis(focal_plane, PLANAR)
     c = np.ones(N_DET)
-    converged, _ = iterate_responsivity(data @ data.T, basis, basis[:0], 1e-8, 100, c)
+    converged, _ = iterate_responsivity(data @ data.T, basis, basis[:0], 1e-8, 100, 1.0, c)
     literal = data - (basis * c).T @ ((basis / c) @ data)
     held = clean("planar", data, ONE_SCAN, focal_plane, OPTIONS)
     assert not converged and held.kept.all() and held.iterations[0] <= 10

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from mapmaker.bandpower import noise_error, ratio_error, sign_error
+from mapmaker.bandpower import noise_error_parts, ratio_error
 from surveysim.conditions import conditions, population_draws
-from surveysim.control import controlled_scores, expectations
+from surveysim.control import expectations, quoted_scores
 from surveysim.forecast import expected_weights, noise_models
-from surveysim.scores import score_survey
 from surveysim.setup import prepare
 from surveysim.streams import Stage, generator
 from surveysim.survey import run_observations
@@ -38,7 +37,8 @@ def test_signs_and_observations_share_the_error_of_noise():
     powers = ((signs @ amplitudes) ** 2).mean(axis=-1)[..., None]
     # With signs averaged over all choices: the amplitudes' own powers.
     forever = (amplitudes**2).sum(axis=1).mean(axis=-1)
-    found = np.array([[f(item, np.ones(1), weights) for f in (noise_error, sign_error)] for item in powers])
+    signs_only, common = np.array([noise_error_parts(item, np.ones(1), weights) for item in powers]).T
+    found = np.stack([np.hypot(signs_only, common), signs_only], axis=1)
     mean = powers.mean(axis=(1, 2))
     relative = [mean / weights.sum(), (mean - forever) / weights.sum()]
     # Squared errors, each relative to the draw's own mean: a ratio whose bias goes as the variance of that, 9 %.
@@ -71,16 +71,17 @@ def test_without_weather_nothing_is_moved(tmp_path):
     settings = {"observations": 8, "cleaning.algorithm": "none"}
     setup = prepare(weather_scene(tmp_path, settings, leave_out=("atmosphere", "excess")))
     coadds = run_observations(setup, None)
-    scores = score_survey(setup, coadds)
-    item = controlled_scores(setup, coadds, scores)["actual"]
-    assert item.factor == pytest.approx(1, abs=1e-9) and item.budget.population < 1e-9
-    assert item.sigma_ukcmb2 == pytest.approx(scores["actual"].band.sigma_ukcmb2)
+    item = quoted_scores(setup, coadds)["actual"]
+    np.testing.assert_allclose(item.control.factor, 1, atol=1e-9)
+    assert item.budget.population < 1e-9 and item.control.sampling < 1e-9
+    assert item.band.sigma_ukcmb2 == pytest.approx(item.plain_band.sigma_ukcmb2)
 
 
 def test_what_cannot_be_forecast_has_no_control(tmp_path):
     setup = prepare(weather_scene(tmp_path, {"observations": 8, "cleaning.algorithm": ["average", "quadratic"]}))
     coadds = run_observations(setup, None)
-    assert controlled_scores(setup, coadds, score_survey(setup, coadds)) == {}
+    item = quoted_scores(setup, coadds)["actual"]
+    assert item.control is None and item.plain_band is item.band
 
 
 @pytest.mark.slow
@@ -90,10 +91,9 @@ def test_controlled_errors_are_right_and_smaller(tmp_path):
     for seed in range(24):
         setup = prepare(weather_scene(tmp_path, {"seed": 500 + seed, "observations": 64}))
         coadds = run_observations(setup, None)
-        scores = score_survey(setup, coadds)
-        band, item = scores["actual"].band, controlled_scores(setup, coadds, scores)["actual"]
-        plain.append((band.sigma_ukcmb2, band.error_ukcmb2))
-        controlled.append((item.sigma_ukcmb2, item.error_ukcmb2))
+        item = quoted_scores(setup, coadds)["actual"]
+        for found, band in ((plain, item.plain_band), (controlled, item.band)):
+            found.append((band.sigma_ukcmb2, band.error_ukcmb2))
     plain, controlled = np.array(plain).T, np.array(controlled).T
     # chi^2 per degree of freedom of 23 scatters by 0.29.
     deviation = (controlled[0] - controlled[0].mean()) / controlled[1]

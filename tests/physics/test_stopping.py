@@ -38,7 +38,7 @@ def test_stopped_runs_are_honest(tmp_path, reference):
         result = run(weather_scene(tmp_path, {"seed": 9000 + seed}), engine=SERIAL, target_error=TARGET)
         assert result.stopped == "target" and FEWEST <= result.coadds.done < 200
         assert result.estimate.relative_error <= TARGET and result.estimate.kind == "controlled"
-        assert result.estimate == best_estimate(result.scores, result.controlled)
+        assert result.estimate == best_estimate(result.scores)
         found.append((result.estimate.sigma_ukcmb2, result.estimate.error_ukcmb2))
     sigma, error = np.array(found).T
     expected, expected_error = reference

@@ -77,7 +77,7 @@ def test_white_streams_give_the_map_noise_of_their_hits(tmp_path):
 def test_band_power_of_white_noise_against_its_closed_form(tmp_path):
     setup, coadds = survey(tmp_path, ("detector",), **{"cleaning.algorithm": "none", "score.jackknives": 24})
     score = score_survey(setup, coadds, ("actual",))["actual"]
-    band, scale = setup.band, (1e3 * rj_to_cmb(143e9)) ** 2
+    band, scale = setup.band, (1e3 * rj_to_cmb(143e9, 0.0)) ** 2
     variance = setup.scene.detector.psd_mk2_hz * setup.raster.sample_rate_hz / 2 * (1 - 1 / 75)
     hits = coadds.hits[0][band.patch, band.patch]
     taper2 = band.taper**2
@@ -164,7 +164,7 @@ def test_a_flat_cmb_comes_back_with_its_band_power(tmp_path):
         band = setup.band
         patch = weighted_mean(coadds.sums[0], coadds.weight[0])[band.patch, band.patch]
         psd = map_psd(band.pad(patch), band.padded_taper, setup.geometry.pixel_rad, band.rings)
-        psd *= (1e3 * rj_to_cmb(143e9)) ** 2
+        psd *= (1e3 * rj_to_cmb(143e9, 0.0)) ** 2
         # The sky dominates: weight its bins by its own variance.
         total = power * score.signal_psd + score.noise_psd
         modes = band.rings.n_modes

@@ -156,4 +156,4 @@ def test_best_of_equal_toy_surveys_is_drawn_by_lot():
 
 
 def _point(item):
-    return PointResult(100, {"actual": item}, {}, [], [], "same", "", 0.0)
+    return PointResult(100, {"actual": item}, {}, [], [], {}, [], "same", "", 0.0)

@@ -10,6 +10,7 @@ from mapmaker.bandpower import (
     flat_band_power_fixed_weights,
     flat_spectrum_psd,
     noise_error,
+    noise_error_parts,
     score,
     weather_error,
     weight_fwhm,
@@ -123,7 +124,10 @@ def test_error_parts_by_hand():
     """Two equal observations correlate by 1/2: s^2 of the PSDs (1, 3) is 2 / 4 of the mean squared."""
     psds, one = np.array([[1.0, np.nan], [3.0, np.nan]]), np.array([1.0, 0.0])
     np.testing.assert_allclose(noise_error(psds, one, np.ones(2)), np.sqrt(0.5 / 0.5 * (1 / 2 + 1 / 2 * 1 / 2)))
-    np.testing.assert_allclose(weather_error(np.array([1.0, 3.0])), np.sqrt(2) / 2 / np.sqrt(2))
+    # 10 of 1 and 10 of 3: variance 20/19 of 1, mean 2; Student's t of 20 has the variance 19/17.
+    weather = weather_error(np.repeat([1.0, 3.0], 10))
+    np.testing.assert_allclose(weather, np.sqrt(20 / 19 / 20 / 4 * 19 / 17))
+    assert np.isnan(weather_error(np.arange(1.0, 16.0)))
     np.testing.assert_allclose(window_error(np.array([0.3, 0.4]), np.array([0.5, 0.5])), 0.25)
 
 
@@ -133,8 +137,9 @@ def test_score_joins_its_parts():
     weights, errors = rng.uniform(1, 2, 30), np.full(NOISE.size, 0.1)
     result, budget = score(psds, SIGNAL, errors, N_MODES, MASK, weights, ELL, EDGES)
     assert result.sigma_ukcmb2 == flat_band_power(psds.mean(axis=0), SIGNAL, N_MODES, MASK)
-    assert budget.noise == noise_error(psds, result.weight, weights)
-    assert budget.weather == weather_error(weights)
+    signs, common = noise_error_parts(psds, result.weight, weights, N_MODES)
+    assert budget.noise == pytest.approx(np.hypot(signs, common))
+    assert budget.weather == weather_error(weights, common)
     np.testing.assert_allclose(budget.window, 0.1 * np.sqrt(np.sum(result.weight**2)))
     parts = budget.noise**2 + budget.weather**2 + budget.window**2
     np.testing.assert_allclose(result.error_ukcmb2, result.sigma_ukcmb2 * np.sqrt(parts))

@@ -25,7 +25,7 @@ def _iterate(data, shapes, n_held, tolerance, max_iterations):
     basis = np.ascontiguousarray(np.linalg.qr(shapes)[0].T)
     c = np.ones(N_DET)
     held = basis[len(basis) - n_held :]
-    converged, steps = iterate_responsivity(data @ data.T, basis, held, tolerance, max_iterations, c)
+    converged, steps = iterate_responsivity(data @ data.T, basis, held, tolerance, max_iterations, 1.0, c)
     cleaned = data - (basis * c).T @ ((basis / c) @ data)
     return cleaned, c, converged, steps
 
@@ -68,7 +68,7 @@ def test_gives_up_after_max_iterations():
 def test_singular_gram_matrix_ends_unconverged(fill, expected_steps):
     basis = np.full((1, N_DET), N_DET**-0.5)
     c = np.ones(N_DET)
-    converged, steps = iterate_responsivity(np.full((N_DET, N_DET), fill), basis, basis[1:], 1e-8, 100, c)
+    converged, steps = iterate_responsivity(np.full((N_DET, N_DET), fill), basis, basis[1:], 1e-8, 100, 1.0, c)
     assert not converged and steps == expected_steps
 
 
@@ -76,7 +76,7 @@ def test_vanishing_responsivity_ends_unconverged():
     """The third detector's correlation with the template is exactly zero."""
     gram = np.array([[2.0, 2.0, -1.0], [2.0, 2.0, -1.0], [-1.0, -1.0, 2.0]])
     basis = np.full((1, 3), 3**-0.5)
-    converged, steps = iterate_responsivity(gram, basis, basis[1:], 1e-8, 100, np.ones(3))
+    converged, steps = iterate_responsivity(gram, basis, basis[1:], 1e-8, 100, 1.0, np.ones(3))
     assert not converged and steps == 1
 
 

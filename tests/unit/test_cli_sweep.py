@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from tests.scenes import SMALL_SCENE, without_sections
+from tests.scenes import SMALL_SCENE, TURBULENT_SCENE, without_sections
 from tests.unit.test_cli import refused
 from tests.unit.test_interruption import none_left, start, wait_for
 
-FILES = ["report.html", "scene.json", "summary.json", "sweep.ecsv"]
+FORECAST_FILES = ["report.html", "scene.json", "summary.json", "sweep.ecsv"]
+FILES = [*FORECAST_FILES, "sweep_pairs.ecsv"]
 SWEEP = '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n'
 
 
@@ -24,7 +25,7 @@ def scene(scene_file):
 @pytest.fixture
 def sweep(tmp_path):
     path = tmp_path / "speeds.toml"
-    path.write_text(SMALL_SCENE + SWEEP)
+    path.write_text(TURBULENT_SCENE + SWEEP)
     return path
 
 
@@ -54,7 +55,7 @@ def test_sweeps_that_are_refused(call, sweep):
 
 def test_run_of_a_sweep(call, sweep):
     out = sweep.parent / "out"
-    arguments = ("--out", out, "--workers", 1, "--set", "observations=3")
+    arguments = ("--out", out, "--workers", 1, "--set", "observations=5")
     code, text, error = call("run", sweep, *arguments, "--resume", "--no-figures")
     assert code == 0 and "best: scan.speed = " in text and " with confidence " in text
     assert "Ratios are to scan.speed = 3 arcmin / s, their errors those of runs with one seed." in text
@@ -67,6 +68,25 @@ def test_run_of_a_sweep(call, sweep):
     (out / "points").write_text("mine")
     code, _, error = call("run", sweep, *arguments)
     assert code == 1 and f"{out / 'points'}: a file where a folder is to be written" in error
+
+
+def test_reference_point_of_the_command_line(call, sweep):
+    """By number, by its values; errors say what names a point."""
+    out = sweep.parent / "out"
+    for given in ("1", "scan.speed=4 arcmin / s"):
+        code, text, _ = call("forecast", sweep, "--out", out, "--reference", given, "--no-figures")
+        assert code == 0 and "Ratios are to scan.speed = 4 arcmin / s." in text
+        assert Table.read(out / "sweep.ecsv", format="ascii.ecsv").meta["reference"] == 1
+    for given, words in (("2", "found 2; the number of a point, 0 to 1, is expected"), ("x", "names no point; as in")):
+        code, text, error = call("run", sweep, "--reference", given)
+        assert (code, text) == (2, "") and f"{sweep}: --reference: " in error and words in error
+    sweep.write_text(SMALL_SCENE)
+    for command in ("run", "forecast"):
+        code, _, error = call(command, sweep, "--reference", "0")
+        assert (
+            code == 2
+            and error == f"{sweep}: --reference: found a scene without [sweep]; points of a sweep are expected\n"
+        )
 
 
 def test_interrupted_sweep(sweep):
@@ -106,6 +126,6 @@ def test_forecast_of_a_sweep(call, sweep, monkeypatch):
     assert code == 0 and "best: scan.speed = 3 arcmin / s, sigma(A) = " in out and "by forecast" in out
     assert "confidence" not in out and error.splitlines()[-1].startswith("speeds: 2/2 points")
     directory = Path("outputs/speeds_forecast")
-    assert sorted(path.name for path in directory.iterdir()) == FILES
+    assert sorted(path.name for path in directory.iterdir()) == FORECAST_FILES
     assert call("forecast", sweep, "--out", "mine", "--quiet") == (0, "", "")
     assert Path("mine/figures/sweep.png").exists()

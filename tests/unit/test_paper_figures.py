@@ -339,7 +339,7 @@ def test_residual_variance_of_maps_in_cmb_temperature(setup):
     whole = of_b2(setup, b2, left=0.3 * b2)
     figure = map_variance_figure(whole)
     top, bottom = figure.panels
-    scale = rj_to_cmb(143e9) ** 2
+    scale = rj_to_cmb(143e9, 0.0) ** 2
     median, line, inner = (named(top, what) for what in ("median", "proportional", "25th"))
     np.testing.assert_allclose(median.x, 8.0 + 15.0 * np.arange(8))
     np.testing.assert_allclose(median.y, 0.3 * scale * median.x)

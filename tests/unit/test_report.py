@@ -15,7 +15,7 @@ from surveysim.report.figures import TITLES
 from surveysim.report.page import NoResultsError, units, write_report
 from surveysim.report.page_parts import as_known, count, duration, number, short, with_error
 from tests.pages import read_page, rows_of, value_of
-from tests.scenes import SCHEDULE, SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
+from tests.scenes import SCHEDULE, SMALL_SCENE, TURBULENT_SCENE, WHITE_NOISE_SCENE, without_sections
 
 REFERENCE = """
 [score.reference]
@@ -255,7 +255,7 @@ def test_a_scene_of_a_site_in_words(tmp_path):
 @pytest.fixture(scope="module")
 def sweep_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("sweep") / "small.toml"
-    path.write_text(without_sections(SMALL_SCENE, "sky") + SPEEDS)
+    path.write_text(without_sections(TURBULENT_SCENE, "sky") + SPEEDS)
     return path
 
 
@@ -267,10 +267,16 @@ def test_page_of_a_sweep(sweep_file, tmp_path):
         f"{speed}, {cleaning}" for speed in ("3 arcmin/s", "4 arcmin/s") for cleaning in ("average", "planar")
     ]
     for row, point in zip(rows, summary["points"], strict=True):
-        sigma, forecast, ratio, independent, best, detectors = row[1:]
+        sigma, forecast, ratio, independent, best, discarded, detectors = row[1:]
         assert value_of(sigma) == point["scores"]["actual"]["sigma_ukcmb2"] and value_of(detectors) == 18
         assert value_of(forecast) == point["forecast_ukcmb2"]["actual"] and value_of(best) == point["best_probability"]
+        assert value_of(discarded) == 100 * point["discarded"]["actual"]
         assert value_of(ratio) == value_of(independent) == point["ratio"]
+    pairs = rows_of(page, "pair-table")
+    for i, row in enumerate(pairs):
+        for j, item in enumerate(row[1:]):
+            ratio = summary["points"][i]["ratio"] / summary["points"][j]["ratio"]
+            assert value_of(item) == pytest.approx(ratio, rel=1e-12) and ("±" in item.text) == (i != j)
     marked = [row.one("th").text for row in page.one("section", id="point-table").all("tr", class_="best")]
     assert marked == [rows[number][0].text for number in result.comparison.best]
     (image,) = page.all("img")

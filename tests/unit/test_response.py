@@ -232,6 +232,25 @@ def test_layer_gain_is_the_double_sum(algorithm):
     np.testing.assert_allclose(layer_stream_gain(array, layer), np.mean(np.abs(streams) ** 2, axis=0), atol=1e-12)
 
 
+@pytest.mark.parametrize("algorithm", ["average", "planar"])
+def test_wrong_responsivities_are_those_of_the_projection_alone(algorithm):
+    """Detectors see with the true ones; 1 - P, and so the response, holds those that cleaning assumes."""
+    plane, wave, gain = camera(1), waves(3), responsivities(7)
+    assumed = gain * np.exp(0.2 * np.random.default_rng(12).standard_normal(7))
+    array = projected_array(plane, 0.4, gain, algorithm, assumed)
+    left = naive.cleaning_matrix(plane.x_rad, plane.y_rad, assumed, ORDERS[algorithm])
+    np.testing.assert_allclose(array.response(wave), left.conj().T @ array.seen(wave), atol=1e-9)
+    layer = Layer(waves(4) / 10, np.array([1.0, 0.3, 2.0, 0.1]))
+    expected = naive.layer_strength(array.place, gain, left, wave, layer.alpha, layer.power)
+    found = layer_strength(array, array.response(wave), layer)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * expected.max())
+    # Of a layer that all detectors see alike, the error times the layer is left.
+    flat = Layer(np.array([1e-9 + 0j]), np.array([1.0]))
+    rms = np.sqrt(np.mean((left @ gain) ** 2))
+    assert np.sqrt(layer_stream_strength(array, flat)[0, 0]) == pytest.approx(rms, rel=1e-6)
+    assert stream_power(array, None) == pytest.approx(np.trace(left @ left.T) / 7, rel=1e-12)
+
+
 @pytest.mark.parametrize("outer_rad", [np.inf, 0.2])
 def test_layer_waves_hold_the_structure_function(outer_rad):
     """Summed over the wavevectors, 2 (1 - cos) is the structure function, to a few hundredths of the quadrature."""

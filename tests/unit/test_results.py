@@ -19,10 +19,10 @@ from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
 KEYS = {
     "scene", "title", "seed", "scene_sha256", "surveysim", "python", "packages", "observations", "detectors",
     "detector_samples", "stages_left_out", "scans", "scans_discarded", "mean_iterations", "scores", "run", "cleaning",
-    "files", "stopped", "stages", "left_out", "truth",
+    "files", "stopped", "stages", "left_out", "truth", "discarded", "discarded_by_weather", "warnings",
 }  # fmt: skip
 SCORED_KEYS = {
-    "controlled", "fine_answer", "answers", "forecast_over_simulated", "forecast", "error_budget", "gains",
+    "best", "fine_answer", "answers", "forecast_over_simulated", "forecast", "error_budget", "gains",
     "alternatives",
 }  # fmt: skip
 SETS = ("actual", "uncorrelated", "white", "masked_7")
@@ -67,7 +67,9 @@ def test_summary(finished, content):
     assert content["stages_left_out"] == [] and 0 <= content["scans_discarded"] < 16
     assert set(content["scores"]) == {*SETS, "masked_7_scaled"}
     for entry in content["scores"].values():
-        assert set(entry) == {"n_det", "sigma_ukcmb2", "error_ukcmb2", "ell_eff", "fwhm_ell", "forecast_ukcmb2"}
+        assert set(entry) == {
+            "n_det", "sigma_ukcmb2", "error_ukcmb2", "plain_sigma_ukcmb2", "ell_eff", "fwhm_ell", "forecast_ukcmb2",
+        }  # fmt: skip
         assert all(0 < value < math.inf for value in entry.values())
         assert 4000 < entry["ell_eff"] < 12000
     assert set(content["run"]["stage_s"]) >= {"atmosphere", "cleaning", "binning", "window"}

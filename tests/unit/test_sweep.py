@@ -1,5 +1,6 @@
 """Sweeps as they are read: axes, points, numbers of quantities, and every error of the table [sweep]."""
 
+import json
 import math
 
 import numpy as np
@@ -218,3 +219,100 @@ def test_values_as_text():
     assert value_text([1, 2]) == "[1, 2]"
     axis = Axis("dead", ("instrument.layout.dead",), ((list(range(100)),), ([],)))
     assert axis.at(0) == "dead = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11..." and axis.labels[1] == "[]"
+
+
+# ---------------------------------------------------------------- labels
+
+
+def camera_axis(*values):
+    return Axis("camera", ("instrument.layout.extent", "instrument.layout.pitch_f_lambda", "scan.scans"), values)
+
+
+def test_the_first_key_names_steps_that_it_tells_apart():
+    axis = camera_axis(("12 arcmin", 0.8, 4), ("8 arcmin", 1.2, 4))
+    assert axis.labels == ["12 arcmin", "8 arcmin"] and axis.at(1) == "camera = 8 arcmin"
+
+
+def test_all_keys_that_differ_name_steps_that_the_first_does_not_tell_apart():
+    """Three points, of which the first and the third have the same first key; the key that all share is left out."""
+    axis = camera_axis(("12 arcmin", 0.8, 4), ("8 arcmin", 0.8, 4), ("12 arcmin", 1.2, 4))
+    assert axis.labels == [
+        "extent = 12 arcmin, pitch_f_lambda = 0.8",
+        "extent = 8 arcmin, pitch_f_lambda = 0.8",
+        "extent = 12 arcmin, pitch_f_lambda = 1.2",
+    ]
+    assert axis.at(2) == "camera (extent = 12 arcmin, pitch_f_lambda = 1.2)"
+    axis = camera_axis(("12 arcmin", 0.8, 4), ("12 arcmin", 1.2, 4))
+    assert axis.labels == ["pitch_f_lambda = 0.8", "pitch_f_lambda = 1.2"]
+
+
+def test_keys_whose_last_parts_are_alike_are_whole():
+    axis = Axis("noise", ("photon.psd", "detector.psd"), ((1, 2), (1, 3), (2, 2)))
+    assert axis.labels[0] == "photon.psd = 1, detector.psd = 2"
+
+
+def test_steps_that_look_alike_have_their_number():
+    axis = Axis("scans", ("scan.scans",), ((4,), (5,), (4,)))
+    assert axis.labels == ["4 #0", "5", "4 #2"]
+    dead = Axis("dead", ("instrument.layout.dead",), ((list(range(30)),), (list(range(31)),)))
+    assert [label.rpartition(" ")[2] for label in dead.labels] == ["#0", "#1"]
+
+
+def test_labels_of_points_are_unique(write):
+    table = '[sweep.a]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s", "3 arcmin / s"]\n"scan.scans" = [4, 4, 5]\n'
+    labels = [point.label for point in load_sweep(write("observations = [2, 3]\n" + table)).points]
+    assert len(set(labels)) == 6
+    assert labels[2] == "observations = 2, a (speed = 3 arcmin / s, scans = 5)"
+
+
+# ---------------------------------------------------------------- the reference point
+
+
+@pytest.mark.parametrize(
+    "given, expected",
+    [
+        (None, 0),
+        (4, 4),
+        ("scan.speed = 4 arcmin / s, pitch = 1.0", 3),
+        ("pitch=1.0 ,scan.speed=4 arcmin / s", 3),
+        ('scan.speed = 0.1 deg / s, "" ', None),
+        ("scan.speed = 4 arcmin / s, instrument.layout.dead = [3, 5]", 3),
+        ("scan.speed = 0.1 deg / s", None),
+        ("speed = 4 arcmin / s", None),
+        ("scan.speed = 4 arcmin / s, pitch = 1", None),
+        ("", None),
+        (6, None),
+        (-1, None),
+        (True, None),
+    ],
+)
+def test_reference_points(write, given, expected):
+    """By number or by values that one point alone has; in the file or, before it, in the call."""
+    path = write(SPEEDS + PITCH)
+    values = {None: "", True: "reference = true\n"}
+    in_file = write(values.get(given, f"reference = {json.dumps(given)}\n") + SPEEDS + PITCH)
+    if expected is not None:
+        assert load_sweep(in_file).reference == expected
+        write(SPEEDS + PITCH)
+        assert load_sweep(path, reference=given).reference == expected
+        return
+    with pytest.raises(SceneError, match=r"small.toml: sweep.reference: found .* expected$"):
+        load_sweep(in_file)
+    write("reference = 2\n" + SPEEDS + PITCH)
+    with pytest.raises(SceneError, match=r"small.toml: --reference: found .* expected$"):
+        load_sweep(path, reference=given)
+
+
+def test_an_axis_may_be_called_reference(write):
+    sweep = load_sweep(write('[sweep.reference]\n"scan.scans" = [4, 5]\n'))
+    assert sweep.reference == 0 and sweep.points[1].label == "reference = 5"
+
+
+def test_a_reference_alone_is_no_sweep(refused):
+    assert refused("reference = 1\n") == ["sweep: found 'reference' alone; a key with a list of values is expected"]
+
+
+def test_a_reference_leaves_the_scenes_alone(write):
+    one = load_sweep(write(SPEEDS))
+    other = load_sweep(write("reference = 2\n" + SPEEDS))
+    assert [scene_hash(point.scene) for point in one.points] == [scene_hash(point.scene) for point in other.points]

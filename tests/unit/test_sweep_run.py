@@ -11,13 +11,13 @@ from surveysim import SceneError, load_scene, load_sweep, run, run_sweep, survey
 from surveysim.api import forecast_sweep
 from surveysim.checkpoint import CheckpointError
 from surveysim.engines import SERIAL, Engine
-from surveysim.sweep_outputs import sweep_table
 from surveysim.point_files import PointResult, load_point, save_point
-from surveysim.report.sweep_figure import draw_sweep, sweep_figure
-from surveysim.report.text import best_line
+from surveysim.report.sweep_figure import _ticks, draw_sweep, sweep_figure
+from surveysim.report.sweep_text import best_line
 from surveysim.scores import error_modes, gain
 from surveysim.sweep import Axis
-from surveysim.trade import compare, compare_runs, forecast_points, probability_of_lowest
+from surveysim.sweep_outputs import sweep_table
+from surveysim.trade import compare, compare_runs, forecast_points, pairs, probability_of_lowest
 from tests.scenes import SMALL_SCENE, without_sections
 
 WHITE = (
@@ -28,7 +28,7 @@ WHITE = (
 )
 LEVELS = '\n[sweep]\n"detector.psd" = ["2.5 mK2 / Hz", "10 mK2 / Hz", "2500000 uK2 / Hz"]\n'
 SPEEDS = '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s", "5 arcmin / s"]\n'
-FILES = ["report.html", "scene.json", "summary.json", "sweep.ecsv"]
+FILES = ["report.html", "scene.json", "summary.json", "sweep.ecsv", "sweep_pairs.ecsv"]
 ROWS = ("ratio", "paired_error", "independent_error", "best_probability")
 
 
@@ -103,14 +103,14 @@ def test_modes_hold_each_error_and_that_of_pairs(levels):
 
 def test_modes_of_surveys_of_different_lengths(levels):
     """n and 4 n observations of like weather: what they share leaves sqrt(1/n - 1/(4 n)) of the scatter."""
-    item = levels[0].points[0].scores["actual"]
+    item = replace(levels[0].points[0].scores["actual"], kept=1.0, control=None, plain=None)
     rng = np.random.default_rng(3)
     weights = rng.lognormal(0, 0.5, 4000)
     window = replace(item.window, error=np.zeros_like(item.window.error))
     rows = []
     for n in (1000, 4000):
         variation = weights[:n].std(ddof=1) / weights[:n].mean() / np.sqrt(n)
-        budget = replace(item.budget, noise=0.0, window=0.0, weather=variation)
+        budget = replace(item.budget, noise=0.0, window=0.0, weather=variation, population=0.0)
         rows.append(replace(item, weights=weights[:n], budget=budget, window=window))
     one, other = error_modes(rows, "aa")
     variation = weights.std() / weights.mean()
@@ -158,13 +158,79 @@ def test_comparisons_are_repeatable(levels):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
+# ---------------------------------------------------------------- any two points
+
+
+@pytest.fixture(scope="module")
+def speeds(write, tmp_path_factory):
+    """A finished sweep of the scan speed, whose points share a part of their errors, and where its files are."""
+    out = tmp_path_factory.mktemp("speeds")
+    return run_sweep(write(WHITE + SPEEDS), out, engine=SERIAL, figures=False), out
+
+
+def test_pairs_are_differences_of_responses(speeds):
+    """Every pair by hand from `error_modes`, and no pair twice."""
+    result, out = speeds
+    items = [point.scores["actual"] for point in result.points]
+    rows = error_modes(items, [point.skies for point in result.points])
+    found = Table.read(out / "sweep_pairs.ecsv", format="ascii.ecsv")
+    assert [(row["point"], row["other"]) for row in found] == [(1, 0), (2, 0), (2, 1)] and all(found["comparable"])
+    for row in found:
+        i, j = row["point"], row["other"]
+        ratio = items[i].band.sigma_ukcmb2 / items[j].band.sigma_ukcmb2
+        assert row["ratio"] == pytest.approx(ratio, rel=1e-12)
+        assert row["ratio_error"] == pytest.approx(ratio * np.linalg.norm(rows[i] - rows[j]), rel=1e-9)
+        apart = np.hypot(*(item.budget.total for item in (items[i], items[j])))
+        assert row["independent_error"] == pytest.approx(ratio * apart, rel=1e-9)
+        assert row["ratio_error"] > 0
+    content = json.loads((out / "summary.json").read_text())
+    assert [pair["ratio"] for pair in content["pairs"]] == list(found["ratio"])
+
+
+def test_equal_scenes_have_the_ratio_one_without_an_error(levels):
+    """Points 0 and 2 are one scene."""
+    pair = next(pair for pair in pairs(levels[0]) if (pair.point, pair.other) == (2, 0))
+    assert (pair.ratio, pair.paired_error) == (1.0, 0.0) and pair.independent_error > 0.05
+    assert levels[0].comparison.ratio[2] == 1 and levels[0].comparison.paired_error[2] == 0
+
+
+def test_any_point_may_be_the_reference(speeds, tmp_path):
+    """The same points with another reference: its column of the pairs, and no other probability."""
+    result, _ = speeds
+    other = run_sweep(replace(result.sweep, reference=2), tmp_path, engine=SERIAL, figures=False)
+    assert other.comparison.reference == 2 and other.comparison.best == result.comparison.best
+    np.testing.assert_array_equal(other.comparison.best_probability, result.comparison.best_probability)
+    sigma, found = result.comparison.sigma_ukcmb2, other.comparison
+    np.testing.assert_array_equal(found.ratio, sigma / sigma[2])
+    of_pairs = {(pair.point, pair.other): pair for pair in pairs(result)}
+    assert found.paired_error[2] == found.independent_error[2] == 0
+    for number in (0, 1):
+        pair = of_pairs[2, number]
+        assert found.paired_error[number] == pytest.approx(pair.paired_error / pair.ratio**2, rel=1e-9)
+    assert json.loads((tmp_path / "summary.json").read_text())["reference"] == 2
+
+
+def test_a_reference_without_a_score_is_replaced_and_told(write, tmp_path):
+    path = write(WHITE + "\n[sweep]\nreference = 1\nobservations = [4, 1, 5]\n")
+    result = run_sweep(path, tmp_path, engine=SERIAL, figures=False)
+    assert result.comparison.reference == 0
+    assert result.warnings == [
+        "the reference point that was chosen, observations = 1, has no score; ratios are to observations = 4"
+    ]
+
+
+def test_many_points_have_no_pairs(levels, monkeypatch):
+    monkeypatch.setattr("surveysim.trade.MOST_PAIRED", 2)
+    assert pairs(levels[0]) == []
+
+
 # ---------------------------------------------------------------- files
 
 
 def test_files_of_a_sweep(levels):
     result, out = levels
     content = json.loads((out / "summary.json").read_text())
-    assert content["files"] == ["figures/sweep.png", "report.html", "scene.json", "sweep.ecsv"]
+    assert content["files"] == ["figures/sweep.png", *FILES[:2], *FILES[3:]]
     assert sorted(path.name for path in out.iterdir()) == ["figures", *FILES]
     assert content["seed"] == 11 and content["best"] == [0, 2] and content["kind"] == "simulated"
     assert content["axes"][0]["values"] == [["2.5 mK2 / Hz"], ["10 mK2 / Hz"], ["2500000 uK2 / Hz"]]
@@ -317,7 +383,7 @@ def test_forecasts_take_the_same_points(write, levels, tmp_path):
     assert seen == [1, 2, 3] and not result.simulated
     np.testing.assert_allclose(result.comparison.ratio, [1, 4, 1])
     for one, other in zip(result.points, levels[0].points, strict=True):
-        assert one.forecast_ukcmb2 == other.forecast_ukcmb2
+        assert one.forecast_ukcmb2 == pytest.approx(other.forecast_ukcmb2, rel=1e-12)
     table = Table.read(tmp_path / "sweep.ecsv", format="ascii.ecsv")
     assert "ratio" in table.colnames and not any("error" in name or "sigma" in name for name in table.colnames)
     assert (tmp_path / "figures" / "sweep.png").exists() and best_line(result).endswith("uK_CMB^2 by forecast")
@@ -345,18 +411,40 @@ def _spread(result, axes):
     return replace(result, sweep=replace(result.sweep, axes=axes, points=points), points=results, comparison=comparison)
 
 
+def _at(result, *values):
+    """The same points as if their first key had these values."""
+    axis = replace(result.sweep.axes[0], values=tuple((value,) for value in values))
+    return replace(result, sweep=replace(result.sweep, axes=(axis,)))
+
+
 def test_figure_of_one_axis(levels):
-    figure = sweep_figure(levels[0])
+    result = _at(levels[0], "2.5 mK2 / Hz", "10 mK2 / Hz", "2600000 uK2 / Hz")
+    figure = sweep_figure(result)
     level, ratio = figure.panels
     assert level.x_label == "detector.psd [mK2 / Hz]" and "2.5 mK2 / Hz" in figure.caption
     forecast, simulated = level.series
     assert (forecast.kind, simulated.kind) == ("line", "points")
-    np.testing.assert_allclose(simulated.x, [2.5, 2.5, 10])  # by value, not by number
+    np.testing.assert_allclose(simulated.x, [2.5, 2.6, 10])  # by value, not by number
     sigma, error = (getattr(levels[0].comparison, name)[[0, 2, 1]] for name in ("sigma_ukcmb2", "error_ukcmb2"))
     np.testing.assert_array_equal(simulated.y, sigma)
     np.testing.assert_array_equal(simulated.high, sigma + error)
     apart, paired = ratio.series
     assert apart.look == "grey" and (paired.high - paired.low <= apart.high - apart.low + 1e-9).all()
+
+
+def test_figure_keeps_points_of_one_value_apart(levels, tmp_path):
+    """2.5 mK^2 / Hz and 2500000 uK^2 / Hz are one number: the steps stand in a row, each with its own tick."""
+    level, ratio = sweep_figure(levels[0]).panels
+    forecast, simulated = level.series
+    assert level.x_label == "detector.psd" and not level.x_log and forecast.kind == "points"
+    for series in (*level.series, *ratio.series):
+        np.testing.assert_array_equal(series.x, [0, 1, 2])
+    np.testing.assert_array_equal(simulated.y, levels[0].comparison.sigma_ukcmb2)
+    keys = Axis("camera", ("a.extent", "a.pitch"), (("12 arcmin", 0.8), ("8 arcmin", 0.8), ("12 arcmin", 1.2)))
+    result = replace(levels[0], sweep=replace(levels[0].sweep, axes=(keys,)))
+    assert _ticks(result) == [f"extent = {a} arcmin\npitch = {b}" for a, b in ((12, 0.8), (8, 0.8), (12, 1.2))]
+    np.testing.assert_array_equal(sweep_figure(result).panels[0].series[-1].x, [0, 1, 2])
+    assert draw_sweep(tmp_path / "sweep.png", result).exists()
 
 
 def test_figure_of_two_axes_has_a_line_for_each_value_of_the_second(levels, tmp_path):
@@ -372,7 +460,8 @@ def test_lines_with_one_label_stay_apart(levels):
     dead = [list(range(n)) for n in (30, 31)]
     axes = (Axis("a", ("a",), ((1,), (2,))), Axis("dead", ("b",), tuple((item,) for item in dead)))
     series = sweep_figure(_spread(levels[0], axes)).panels[0].series
-    assert [len(item.x) for item in series] == [2, 2, 2, 2] and series[1].label == series[3].label
+    assert [len(item.x) for item in series] == [2, 2, 2, 2]
+    assert [item.label.rpartition(" ")[2] for item in series[1::2]] == ["#0", "#1"]
 
 
 def test_figure_of_many_lines_has_points_in_a_row(levels):

@@ -98,9 +98,10 @@ def test_broken_sky_angles_are_refused(found):
 
 def test_rayleigh_jeans_to_cmb():
     # The limit of low frequency is 1 + x^2 / 12; 1.65 at 143 GHz (x = 2.518) worked out by hand.
-    assert rj_to_cmb(143e9) == pytest.approx(1.65, abs=0.005)
+    assert rj_to_cmb(143e9, 0.0) == pytest.approx(1.65, abs=0.005)
     x = 6.62607015e-34 * 1e9 / (1.380649e-23 * 2.7255)
-    assert rj_to_cmb(1e9) - 1 == pytest.approx(x**2 / 12, rel=1e-3)
+    assert rj_to_cmb(1e9, 0.0) - 1 == pytest.approx(x**2 / 12, rel=1e-3)
+    assert rj_to_cmb(1.0, 0.5) == pytest.approx(1, rel=1e-12)
 
 
 def test_rayleigh_jeans_to_cmb_is_the_ratio_of_brightness_derivatives():
@@ -109,4 +110,31 @@ def test_rayleigh_jeans_to_cmb_is_the_ratio_of_brightness_derivatives():
     for frequency in (90e9, 143e9, 275e9):
         jansky = (1 * u.K).to(u.Jy / u.sr, u.brightness_temperature(frequency * u.Hz))
         thermodynamic = jansky.to(u.K, u.thermodynamic_temperature(frequency * u.Hz, 2.7255 * u.K))
-        assert rj_to_cmb(frequency) == pytest.approx(thermodynamic.to_value(u.K), rel=1e-6)
+        assert rj_to_cmb(frequency, 0.0) == pytest.approx(thermodynamic.to_value(u.K), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("frequency_hz", "bandwidth", "too_high", "digit"),
+    [(268e9, 0.15, 0.012, 1e-3), (350e9, 0.25, 0.08, 1e-2), (410e9, 0.40, 0.38, 1e-2), (10e12, 0.99, math.nan, 0)],
+)
+def test_rayleigh_jeans_to_cmb_over_a_band(frequency_hz, bandwidth, too_high, digit):
+    """Power of a single mode per temperature, by quadrature: d(h nu / (exp(h nu / k T) - 1)) / dT over k a hertz.
+
+    `too_high` is by how much the band's centre alone overstates an amplitude, which is the square of the conversion.
+    """
+    from astropy import constants
+    from scipy.integrate import quad
+
+    h, k, t = (float(item) for item in (constants.h.si.value, constants.k_B.si.value, 2.7255))
+    low, high = frequency_hz * (1 - bandwidth / 2), frequency_hz * (1 + bandwidth / 2)
+
+    def slope(nu):
+        x = h * nu / (k * t)
+        return h * nu * x / t / (4 * math.sinh(x / 2) ** 2) / k
+
+    scale = slope(low)
+    mean = quad(lambda nu: slope(nu) / scale, low, high, epsrel=1e-12, epsabs=0, limit=200)[0] / (high - low)
+    found = rj_to_cmb(frequency_hz, bandwidth)
+    assert found == pytest.approx(1 / (mean * scale), rel=1e-8)
+    if digit:
+        assert (rj_to_cmb(frequency_hz, 0.0) / found) ** 2 - 1 == pytest.approx(too_high, abs=digit / 2)
