@@ -277,7 +277,7 @@ def cleaning_matrix(x_rad, y_rad, responsivity, order):
 
 
 def layer_gain(place, responsivity, left, wave, alpha):
-    """Share of the power of each wavevector (cycles/rad) that goes into each mode (n_mode, n_a), detector by detector.
+    """Share of each wavevector's power (cycles/rad) that goes into each mode (n_mode, n_a), detector by detector.
 
     `left` is the matrix of the cleaning.
     """
@@ -291,3 +291,26 @@ def layer_gain(place, responsivity, left, wave, alpha):
             )
             gain[m, a] = abs(amplitude) ** 2 / len(place)
     return gain
+
+
+def draw_trends(covariance, normals, group):
+    """Trends (n_scan, n_trend) of scans, each group given the last, by dense conditional means and covariances.
+
+    `covariance` (n_scan, n_scan, n_trend, n_trend).
+    """
+    n_scan, n_trend = normals.shape
+
+    def block(rows, columns):
+        return np.block([[covariance[a, b] for b in columns] for a in rows])
+
+    trends = np.zeros((n_scan, n_trend))
+    for start in range(0, n_scan, group):
+        new, old = range(start, min(n_scan, start + group)), range(max(0, start - group), start)
+        mean, left = 0.0, block(new, new)
+        if old:
+            regression = block(new, old) @ np.linalg.inv(block(old, old))
+            mean = regression @ trends[old.start : old.stop].ravel()
+            left = left - regression @ block(old, new)
+        drawn = mean + np.linalg.cholesky(left) @ normals[new.start : new.stop].ravel()
+        trends[new.start : new.stop] = drawn.reshape(len(new), n_trend)
+    return trends

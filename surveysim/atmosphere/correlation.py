@@ -34,9 +34,9 @@ def scan_correlation(screen: Screen, theta_rad: np.ndarray, track_rad: float) ->
 class CorrelationGrid:
     """C(theta) on a grid of indices (n_b,), heights (n_h,) [m] and tracks, per unit amplitude.
 
-    `theta_rad` (n_bin,). Of a layer at the zenith, `node_rad` (n_node,) apart, `spline` is cubic in ln track, its values
-    (n_b, n_h, n_track, n_node + 1): ln C(0), then the ratios C(theta) / C(0). At another elevation it is the same layer
-    in angles over sin(el).
+    `theta_rad` (n_bin,). `spline` is that of a layer at the zenith, cubic in ln track, with values (n_b, n_h, n_track,
+    n_node + 1): ln C(0), then the ratios C(theta) / C(0) at separations `node_rad` (n_node,). At other elevations it is
+    the same layer in angles over sin(el).
     """
 
     index: np.ndarray

@@ -8,25 +8,29 @@ _DETERMINED = 1e-9
 
 
 @njit(cache=True, nogil=True)
-def structure(distance, coefficients, scale):
-    """Structure function at one distance, from the table of `surveysim.atmosphere.spectrum.structure_table`.
+def structure(squared, coefficients, scale):
+    """Structure function at one squared distance, by the table of `surveysim.atmosphere.spectrum.structure_table`.
 
-    coefficients (n, 4) of cubics in the logarithm of the distance in beams; scale (6,): beam, factor, logarithm at
-    which the table begins and its step, power at its lower and its upper end, with which the function goes on.
+    coefficients (n, 4) of cubics in the logarithm of the distance in beams; scale (5,): beam, logarithm at which the
+    table begins and its step, powers at its lower and its upper end, with which the function goes on.
     """
-    if distance <= 0.0:
+    if squared <= 0.0:
         return 0.0
-    x = np.log(distance / scale[0]) - scale[2]
+    x = 0.5 * np.log(squared / (scale[0] * scale[0])) - scale[1]
     last = coefficients.shape[0]
-    end = last * scale[3]
-    beyond = 0.0
+    end = last * scale[2]
     if x < 0.0:
-        beyond, x = x * scale[4], 0.0
-    elif x > end:
-        beyond, x = (x - end) * scale[5], end
-    cell = min(int(x / scale[3]), last - 1)
-    c, x = coefficients[cell], x - cell * scale[3]
-    return scale[1] * np.exp(((c[0] * x + c[1]) * x + c[2]) * x + c[3] + beyond)
+        return coefficients[0, 3] * np.exp(scale[3] * x)
+    if x >= end:
+        return _in_cell(scale[2], coefficients[last - 1]) * np.exp(scale[4] * (x - end))
+    cell = min(int(x / scale[2]), last - 1)
+    return _in_cell(x - cell * scale[2], coefficients[cell])
+
+
+@njit(cache=True, nogil=True)
+def _in_cell(x, c):
+    """Cubic (4,) at x from the beginning of its cell."""
+    return ((c[0] * x + c[1]) * x + c[2]) * x + c[3]
 
 
 @njit(cache=True, nogil=True)
@@ -37,7 +41,7 @@ def _add_covariance(out, row, column, place_a, weight_a, place_b, weight_b, coef
     for i in range(n_point):
         for j in range(n_point):
             dx, dy = place_a[i, 0] - place_b[j, 0], place_a[i, 1] - place_b[j, 1]
-            apart[i, j] = -0.5 * structure(np.sqrt(dx * dx + dy * dy), coefficients, scale)
+            apart[i, j] = -0.5 * structure(dx * dx + dy * dy, coefficients, scale)
     for m in range(n_trend):
         half = np.zeros(n_point)
         for i in range(n_point):
@@ -81,13 +85,16 @@ def draw_trends(place, weight, normals, group, coefficients, scale):
     trends = np.empty((n_scan, n_trend))
     covariance = np.empty((2 * group * n_trend, 2 * group * n_trend))
     whitened = np.empty(2 * group * n_trend)
+    own = np.empty((group * n_trend, group * n_trend))
     for start in range(0, n_scan, group):
         first, end = max(0, start - group), min(n_scan, start + group)
-        for a in range(first, end):
+        size, known = (end - first) * n_trend, (start - first) * n_trend
+        covariance[:known, :known] = own[:known, :known]
+        for a in range(start, end):
             for b in range(first, a + 1):
                 row, column = (a - first) * n_trend, (b - first) * n_trend
                 _add_covariance(covariance, row, column, place[a], weight[a], place[b], weight[b], coefficients, scale)
-        size, known = (end - first) * n_trend, (start - first) * n_trend
+        own[: size - known, : size - known] = covariance[known:size, known:size]
         _factorize(covariance, size)
         for i in range(size):
             scan, trend = first + i // n_trend, i % n_trend
@@ -95,8 +102,8 @@ def draw_trends(place, weight, normals, group, coefficients, scale):
             for k in range(i):
                 total += covariance[i, k] * whitened[k]
             if i < known:
-                own = covariance[i, i]
-                whitened[i] = (trends[scan, trend] - total) / own if own > 0.0 else 0.0
+                pivot = covariance[i, i]
+                whitened[i] = (trends[scan, trend] - total) / pivot if pivot > 0.0 else 0.0
             else:
                 whitened[i] = normals[scan, trend]
                 trends[scan, trend] = total + covariance[i, i] * whitened[i]
@@ -135,7 +142,8 @@ def add_covariances(strip, used, lane, column, weight, step, stride, cells, coef
     """Add the field's covariance with weighted points, -1/2 sum_i weight_i D, to the first `used` columns of a strip.
 
     strip (n_lane, n_x), changed in place, `step` apart; points at lane (n_point,) and column (n_point,). The sum is
-    evaluated every `stride` columns and at `cells` + 1 lines across, one more beyond each end, and is cubic between.
+    evaluated every `stride` columns and at `cells` + 1 lines across, one more beyond each end, and is cubic between. It
+    has the constant that leaves the strip's level near 0, where single precision is finest.
     """
     n_lane = strip.shape[0]
     across = (n_lane - 1) / cells
@@ -146,8 +154,12 @@ def add_covariances(strip, used, lane, column, weight, step, stride, cells, coef
             total = 0.0
             for i in range(weight.size):
                 dx, dy = (q - 1) * stride - column[i], (p - 1) * across - lane[i]
-                total += weight[i] * structure(step * np.sqrt(dx * dx + dy * dy), coefficients, scale)
+                total += weight[i] * structure(step * step * (dx * dx + dy * dy), coefficients, scale)
             coarse[p, q] = -0.5 * total
+    level = coarse.mean()
+    for i in range(weight.size):
+        level += strip[lane[i], column[i]] / weight.size
+    coarse -= level
     along = np.empty((stride, 4))
     for r in range(stride):
         _centred_weights(r / stride, along[r])

@@ -60,8 +60,8 @@ def amplitude_table(surveys: dict[str, MeasuredSurvey]) -> "Table":
 def site_table() -> "Table":
     """What the opacities of the sites predict for B2 in median weather, beside the paper's prediction (section 3.4).
 
-    Ratios of (C d tau / dC)^2 B_atm^2, in temperature above the atmosphere, where the paper has (d eps / dC C)^2 B_atm^2
-    with eps = 1 - exp(tau) as printed. Computed, not drawn, so without a Monte Carlo error.
+    Ratios of (C d tau / dC)^2 B_atm^2, in temperature above the atmosphere; the paper has (d eps / dC C)^2 B_atm^2 and
+    prints eps = 1 - exp(tau). Computed, not drawn, so without a Monte Carlo error.
     """
     from astropy.table import Table
 

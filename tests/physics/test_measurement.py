@@ -78,7 +78,8 @@ def test_weather_comes_back(survey):
     assert rows["wind speed, relative scatter (68 %)"][0] < 0.10
     within("wind direction, 68 % within", 0, 5)
     within("median wind, measured where trusted", 31, 0.05 * 31)
-    within("B2 over the drawn one, median", 1, 0.05)
+    # 18 scans share trends: the median of so skew a distribution lies 10 % below its mean.
+    within("B2 over the drawn one, median", 0.90, 0.03)
     within("index b, median", 11 / 3, 0.01)
     assert 0.4 < rows["share of winds trusted"][0] < 0.8
     # Heights are not told: none of nine has a quarter of the observations.
@@ -87,7 +88,7 @@ def test_weather_comes_back(survey):
 
 @pytest.mark.slow
 def test_quartiles_of_b2_come_back(survey):
-    """The error of the difference comes from resampling pairs of fitted and drawn."""
+    """But for the median of a fit, 10 % low; the error comes from resampling pairs of fitted and drawn."""
     used = np.isfinite(survey.b2_fitted)
     logs = np.log(np.stack([survey.b2_fitted[used], survey.b2_drawn[used]]))
 
@@ -98,21 +99,32 @@ def test_quartiles_of_b2_come_back(survey):
     rng = np.random.default_rng(1)
     n = used.sum()
     error = np.std([difference(logs[:, rng.integers(n, size=n)]) for _ in range(200)], axis=0)
-    np.testing.assert_array_less(np.abs(difference(logs)), 0.05 + 2 * error)
-    assert (error < 0.15).all() and used.mean() > 0.98
+    np.testing.assert_array_less(np.abs(difference(logs) - math.log(0.90)), 0.05 + 2 * error)
+    # A fit scatters by 0.44 about B2, which spreads by a factor of ten between its quartiles.
+    assert (error < 0.17).all() and used.mean() > 0.98
+
+
+@pytest.mark.slow
+def test_fitted_b2_scatters_as_18_scans_that_share_trends(survey):
+    """Relative scatter 0.44 in the closed form for one detector; errors of the wind add a little."""
+    ratio = survey.b2_fitted / survey.b2_drawn
+    known = np.isfinite(ratio) & survey.wind_known & (survey.b2_drawn > 100)
+    inner = np.percentile(ratio[known], [5, 95])
+    assert np.log(inner[1] / inner[0]) == pytest.approx(2 * 1.645 * 0.44, rel=0.2)
 
 
 @pytest.mark.slow
 def test_raw_variance_is_the_model_s(survey):
     """B2 sin(el)^-8/3 of the closed form for each wind; the ratio's median to the scatter of 18 scans."""
-    from surveysim.atmosphere.spectrum import Screen, mean_removed_variance
+    from surveysim.atmosphere.spectrum import Screen, at_elevation, mean_removed_variance
 
     layer = Screen(11 / 3, 8e-3)
     ratio = []
     for item in survey.measurements:
-        model = item.truth.b2 * np.mean(np.sin(item.elevation_rad) ** (-8 / 3))
-        model *= mean_removed_variance(layer, item.truth.wind_speed_rad_s, 15.0)
+        sine = np.sin(item.elevation_rad)
+        model = item.truth.b2 * np.mean(sine ** (-8 / 3))
+        model *= mean_removed_variance(at_elevation(layer, sine.mean()), item.truth.wind_speed_rad_s, 15.0)
         if item.truth.b2 > 200:  # where nothing but the atmosphere counts
             ratio.append(item.raw_mk2 / model)
-    # The median of a variance from some 15 degrees of freedom lies 2 to 5 % below its mean.
-    assert np.median(ratio) == pytest.approx(0.97, abs=0.03 + 2 * 1.25 * np.std(ratio) / math.sqrt(len(ratio)))
+    # The median of 18 scans that share trends lies 10 % below the mean.
+    assert np.median(ratio) == pytest.approx(0.90, abs=0.03 + 2 * 1.25 * np.std(ratio) / math.sqrt(len(ratio)))

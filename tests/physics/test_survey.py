@@ -10,7 +10,7 @@ from mapmaker.binning import weighted_mean
 from mapmaker.cleaning.templates import QUADRATIC, template_basis
 from mapmaker.spectrum import map_psd
 from mapmaker.window import beam_window, pixel_window
-from surveysim.atmosphere.spectrum import temporal_psd
+from surveysim.atmosphere.spectrum import at_elevation, temporal_psd
 from surveysim.engines import Engine
 from surveysim.noise import excess_psd, excess_variance
 from surveysim.observation import draw_observation
@@ -195,13 +195,13 @@ def test_stream_psds_add_up(tmp_path):
     scene, air = setup.scene, setup.scene.atmosphere
     frequency = np.arange(76) / 15
     elevation = scene.fixed_pointing.elevation_rad
-    amplitude = 280 * np.sin(elevation) ** (1 - air.index)
+    amplitude, seen = 280 * np.sin(elevation) ** (1 - air.index), at_elevation(setup.strips.screen, np.sin(elevation))
     wind, scan = air.wind_median_rad_s, setup.raster.speed_rad_s
     # The layer passes at the vector difference of wind and scan, at all angles alike.
     angles = (np.arange(24) + 0.5) * (2 * np.pi / 24)
     speeds = np.hypot(wind - scan * np.cos(angles), scan * np.sin(angles))
     used = (frequency >= 0.3) & (frequency < 4.9)
-    atmosphere = np.mean([temporal_psd(setup.strips.screen, frequency[used], w) for w in speeds], axis=0)
+    atmosphere = np.mean([temporal_psd(seen, frequency[used], w) for w in speeds], axis=0)
     variance = 2.05 * (280 / 46) ** (np.log(4.52 / 2.05) / np.log(580 / 46))
     excess = excess_psd(scene.excess, variance, 150, 300, 10.0)[::2]
     expected = amplitude * atmosphere + excess[used] + scene.detector.psd_mk2_hz
