@@ -3,12 +3,22 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry
-from mapmaker.spectrum import Annuli, annuli, coupled_psd, mode_ell, ring_mean, split_azimuth, tukey_taper
+from mapmaker.spectrum import (
+    Annuli,
+    annuli,
+    coupled_psd,
+    mode_ell,
+    neighbour_correlation,
+    ring_mean,
+    split_azimuth,
+    tukey_taper,
+)
 from mapmaker.window import beam_window, mode_pixel_window
 from surveysim.scene import Scene, SceneError
 
@@ -48,6 +58,17 @@ class Band:
         """A patch (..., n, n) with zeros up to the grid of the rings."""
         extra = len(self.mode_weight) - self.taper.shape[0]
         return np.pad(patch, [(0, 0)] * (patch.ndim - 2) + [(0, extra)] * 2)
+
+    @cached_property
+    def correlation(self) -> np.ndarray:
+        """Correlation (n_bin - 1,) of the measured noise PSDs of neighbouring bins, through the taper."""
+        return neighbour_correlation(self.padded_taper, self.rings)
+
+    @property
+    def scored_correlation(self) -> float:
+        """Its mean over neighbours that are both scored; NaN where a single bin is."""
+        both = self.selected[:-1] & self.selected[1:]
+        return float(self.correlation[both].mean()) if both.any() else math.nan
 
     @property
     def noise_scatter(self) -> float:

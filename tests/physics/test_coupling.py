@@ -1,4 +1,4 @@
-"""What a taper makes of a steep spectrum: the expected signal PSD against brute force, and what it does to amplitudes."""
+"""Expected signal PSD of tapered maps against brute force, and the amplitudes that follow from it."""
 
 from pathlib import Path
 

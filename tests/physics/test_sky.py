@@ -13,7 +13,9 @@ from scipy.special import eval_legendre
 from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, wcs
 from mapmaker.spectrum import annuli, coupled_psd, map_psd, mode_ell, mode_psd, ring_mean, tukey_taper
 from mapmaker.window import beam_window
+from surveysim.scene import SceneError, load_scene
 from surveysim.sections import PointSource, Sky
+from surveysim.setup import prepare
 from surveysim.sky import (
     add_point_sources,
     curved_cmb_sky,
@@ -23,6 +25,7 @@ from surveysim.sky import (
     highest_order,
 )
 from surveysim.units import rj_to_cmb
+from tests.scenes import SMALL_SCENE, without_sections
 
 ARCMIN = math.radians(1 / 60)
 CMB_PER_RJ, FWHM, BAND_POWER = rj_to_cmb(143e9, 0.15), ARCMIN, 1000.0
@@ -254,6 +257,14 @@ def test_single_harmonics_of_the_curved_sky(m):
         slope = ell * (eval_legendre(ell - 1, x) - x * legendre) / np.sqrt(1 - x**2).clip(1e-9)
         expected *= -np.sqrt(2 / (ell * (ell + 1))) * slope / legendre * np.cos(np.arctan2(eta, xi))
     np.testing.assert_allclose(sky, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_a_sky_that_is_too_large_is_refused(tmp_path):
+    """With key, found and allowed, before anything is drawn."""
+    (tmp_path / "wide.toml").write_text(without_sections(SMALL_SCENE, "score"))
+    keys = {"scan.speed": "90 arcmin / s", "map.pixel": "2 arcmin", "sky.curved_lmax": 30_000}
+    with pytest.raises(SceneError, match=r"sky.curved_lmax: found 30000, which takes .* 3e\+07 or fewer are expected"):
+        prepare(load_scene(tmp_path / "wide.toml", keys))
 
 
 @pytest.mark.slow

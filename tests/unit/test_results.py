@@ -23,6 +23,7 @@ KEYS = {
 }  # fmt: skip
 SCORED_KEYS = {
     "controlled", "fine_answer", "answers", "forecast_over_simulated", "error_budget", "gains", "alternatives",
+    "bin_correlation",
 }  # fmt: skip
 SETS = ("actual", "uncorrelated", "white", "masked_7")
 
