@@ -117,7 +117,7 @@ def sharpened(sky_mk: np.ndarray) -> np.ndarray:
 
     Along each axis a look-up between cells has the transfer ``sinc^2(x / 2 pi)``, with x the phase from cell to cell.
     This is its inverse ``1 + c / 6 + 2 c^2 / 45``, c = 1 - cos x, up to x^4: of half a map's pixel, right in power to
-    0.1 % at a quarter of the map's Nyquist multipole and to 4 % at all of it, where the look-up has lost a third.
+    0.1 % at half of the map's Nyquist multipole and to 4 % at all of it, where the look-up loses a third.
     """
     from scipy.ndimage import correlate1d
 

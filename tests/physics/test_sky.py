@@ -189,8 +189,8 @@ def test_sky_of_a_scene():
 def test_looked_up_waves_keep_their_power(phase, allowed):
     """Waves with a phase from cell to cell, along one axis and oblique, read at random places through `add_sky`.
 
-    Their power is the square of the projection of what is read on the wave itself; without sharpening, a wave at a map's
-    Nyquist multipole (half pi) loses a third of it. Per axis, so the oblique wave loses twice as much.
+    Their power is the square of the projection of what is read on the wave itself; without sharpening, a wave at the
+    map's Nyquist multipole (half pi) loses a third of it. Per axis, so the oblique wave loses twice as much.
     """
     n, n_samp = 128, 200_000
     row, column = np.indices((n, n))
