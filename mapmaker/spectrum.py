@@ -1,4 +1,4 @@
-"""Power spectral density of maps: taper, 2-D and azimuthally binned, its expectation, and how many modes a bin holds."""
+"""Power spectral density of maps: taper, 2-D and azimuthally binned, its expectation, and the modes of a bin."""
 
 from dataclasses import dataclass
 

@@ -3,17 +3,28 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry
-from mapmaker.spectrum import Annuli, annuli, coupled_psd, mode_ell, ring_mean, split_azimuth, tukey_taper
+from mapmaker.spectrum import (
+    Annuli,
+    annuli,
+    coupled_psd,
+    mode_ell,
+    neighbour_correlation,
+    ring_mean,
+    split_azimuth,
+    tukey_taper,
+)
 from mapmaker.window import beam_window, mode_pixel_window
 from surveysim.scene import Scene, SceneError
 
 N_SECTORS = 3
 FAINTEST = 1e-100  # signal behind the beam whose square is still a number
+_NOTHING, _BELOW = 1e-100, 3.0  # least transmission, and e-folds of ell that it is continued below the bins
 
 
 @dataclass(frozen=True)
@@ -48,6 +59,17 @@ class Band:
         """A patch (..., n, n) with zeros up to the grid of the rings."""
         extra = len(self.mode_weight) - self.taper.shape[0]
         return np.pad(patch, [(0, 0)] * (patch.ndim - 2) + [(0, extra)] * 2)
+
+    @cached_property
+    def correlation(self) -> np.ndarray:
+        """Correlation (n_bin - 1,) of the measured noise PSDs of neighbouring bins, through the taper."""
+        return neighbour_correlation(self.padded_taper, self.rings)
+
+    @property
+    def scored_correlation(self) -> float:
+        """Its mean over neighbours that are both scored; NaN where a single bin is."""
+        both = self.selected[:-1] & self.selected[1:]
+        return float(self.correlation[both].mean()) if both.any() else math.nan
 
     @property
     def noise_scatter(self) -> float:
@@ -146,6 +168,30 @@ def flat_signal(
     sky = flat_spectrum_psd(ell) * beam_window(ell, scene.instrument.beam_fwhm_rad) * transmission(ell)
     sky *= mode_pixel_window(*shape, sky_geometry.pixel_rad, geometry.pixel_rad)
     return coupled_psd(sky, shape, padded_taper, geometry.pixel_rad, round(geometry.pixel_rad / sky_geometry.pixel_rad))
+
+
+def left_signal(
+    scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry, band: Band, transmission: np.ndarray
+) -> np.ndarray:
+    """PSD (n_bin,) [sr] that a flat spectrum of unit band power leaves in the tapered map.
+
+    `transmission` (n_bin,) is that of modes at the bins' mean multipoles; between bins, and below them, it goes as
+    smooth powers of ell.
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    known = band.rings.ell > 0
+    log_ell = np.log(band.rings.ell[known])
+    log_share = np.log(np.maximum(transmission[known], _NOTHING))
+    # Of the longest modes scans lose at least two powers of ell with their means.
+    slope = max([2.0, *np.diff(log_share[:2]) / np.diff(log_ell[:2])])
+    log_ell = np.append(log_ell[0] - _BELOW, log_ell)
+    between = PchipInterpolator(log_ell, np.append(log_share[0] - _BELOW * slope, log_share))
+
+    def share(ell: np.ndarray) -> np.ndarray:
+        return np.exp(between(np.clip(np.log(np.maximum(ell, 1e-9)), log_ell[0], log_ell[-1])))
+
+    return ring_mean(flat_signal(scene, geometry, sky_geometry, band.padded_taper, share), band.rings)
 
 
 def _mode_weight(scene: Scene, ell: np.ndarray, rings: Annuli) -> np.ndarray:

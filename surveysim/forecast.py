@@ -12,9 +12,8 @@ from functools import lru_cache
 import numpy as np
 
 from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
-from mapmaker.spectrum import ring_mean
 from mapmaker.window import beam_window, pixel_window
-from surveysim.band import flat_signal
+from surveysim.band import left_signal
 from surveysim.conditions import (
     Conditions,
     NoiseCorrelations,
@@ -53,7 +52,6 @@ from surveysim.validity import Effect, Grounds, effects
 NOTHING_FOUND = "score: found no noise in its multipoles or no scan across its patch; both are expected"
 _ANGLES = 3  # of the array against the scan that stand for all observations
 _SPEEDS, _DIRECTIONS = 5, 4  # of the layer against the scan
-_NOTHING, _BELOW = 1e-100, 3.0  # least transmission, and e-folds of ell that it is continued below the bins
 _SINES = 3  # of the elevation
 _SLOWEST = 0.02  # relative speed that is told from none, in scan speeds
 
@@ -185,7 +183,8 @@ def noise_models(setup: Setup, levels: Conditions) -> Iterator[NoiseModel]:
         spectrum = _spectrum(setup, fitted_courses(setup, recipe, arrays[0], levels))
         n_det = len(arrays[0].place)
         responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
-        signal = _signal_psd(setup, _transmission(setup, spectrum, arrays, responses))
+        transmission = _transmission(setup, spectrum, arrays, responses)
+        signal = left_signal(setup.scene, setup.geometry, setup.sky_geometry, setup.band, transmission)
         correlations = noise_correlations(setup, recipe)
         parts = _map_parts(setup, levels, spectrum, arrays, responses, correlations)
         yield NoiseModel(recipe.data_set, recipe, n_det, parts, signal)
@@ -454,29 +453,6 @@ def expected_weights(setup: Setup, noise: np.ndarray) -> np.ndarray:
     sky = _beamed_sky(setup)
     weight = band.rings.n_modes * (sky * band.selected / sky[band.selected].max()) ** 2
     return 1 / (noise @ weight / weight.sum())
-
-
-def _signal_psd(setup: Setup, transmission: np.ndarray) -> np.ndarray:
-    """PSD (n_bin,) [sr] that a flat spectrum of unit band power leaves in the tapered map.
-
-    The transmission (n_bin,) of modes goes between bins, and below them, as smooth powers of ell.
-    """
-    from scipy.interpolate import PchipInterpolator
-
-    band = setup.band
-    known = band.rings.ell > 0
-    log_ell = np.log(band.rings.ell[known])
-    log_share = np.log(np.maximum(transmission[known], _NOTHING))
-    # Of the longest modes scans lose at least two powers of ell with their means.
-    slope = max([2.0, *np.diff(log_share[:2]) / np.diff(log_ell[:2])])
-    log_ell = np.append(log_ell[0] - _BELOW, log_ell)
-    between = PchipInterpolator(log_ell, np.append(log_share[0] - _BELOW * slope, log_share))
-
-    def share(ell: np.ndarray) -> np.ndarray:
-        return np.exp(between(np.clip(np.log(np.maximum(ell, 1e-9)), log_ell[0], log_ell[-1])))
-
-    signal = flat_signal(setup.scene, setup.geometry, setup.sky_geometry, band.padded_taper, share)
-    return ring_mean(signal, band.rings)
 
 
 def _beamed_sky(setup: Setup) -> np.ndarray:

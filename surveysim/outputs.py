@@ -221,8 +221,9 @@ def _alternative_table(result: SurveyResult) -> Table:
 
 
 def _spectrum_table(result: SurveyResult) -> Table:
-    rings = result.setup.band.rings
-    columns = {"ell": rings.ell, "n_modes": rings.n_modes, "scored": result.setup.band.selected}
+    band, rings = result.setup.band, result.setup.band.rings
+    columns = {"ell": rings.ell, "n_modes": rings.n_modes, "scored": band.selected}
+    columns["correlation_with_next"] = np.append(band.correlation, np.nan)
     units = {}
     for name, item in result.scores.items():
         columns |= {

@@ -54,12 +54,29 @@ METHOD = (
     "Each data set's observations are weighted by their own noise in the scored multipoles, and what that takes "
     "from the co-added noise by chance is given back.",
     "sigma(A)^-2 = sum over bins of n/2 (M/N)^2: every data set weights its bins by its own noise.",
+    "M is what the taper's coupling of modes makes of a flat spectrum behind beam and pixels, times the window.",
     "The window is that of the actual data's cleaning, also for the simulated sets; the masked array has its own.",
     "The simulated sets take each detector's Hann-tapered PSD of the cleaned streams and are not cleaned again.",
     OPTIMAL_METHOD,
-    "Rayleigh-Jeans becomes CMB temperature at the band's centre.",
     "The masked array is cleaned with its own detectors alone; scaled means times its share of the detectors.",
 )
+
+
+def method(compared: bool, bandwidth: float | None, correlation: float) -> tuple[str, ...]:
+    """Lines on how a scene is scored.
+
+    `compared` says whether recipes are compared, `bandwidth` is the instrument's, `correlation` that of neighbouring
+    bins' noise, NaN for a single bin.
+    """
+    lines = [line for line in METHOD if compared or line != OPTIMAL_METHOD]
+    band = "over the band" if bandwidth else "at the band's centre, as the scene gives no instrument.bandwidth"
+    lines.append(f"Rayleigh-Jeans becomes CMB temperature {band}.")
+    if not np.isnan(correlation):
+        lines.append(
+            f"The taper correlates the measured noise of neighbouring bins by {correlation:.2f}; n allows for it in "
+            "sums over bins."
+        )
+    return tuple(lines)
 
 
 @dataclass(frozen=True)
@@ -293,6 +310,8 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         content["forecast"] = {name: _forecast_entry(item) for name, item in expected.items()}
         content["gains"] = {name: _known(vars(item)) for name, item in result.gains.items()}
         content["alternatives"] = result.alternatives
+        if not np.isnan(setup.band.scored_correlation):
+            content["bin_correlation"] = setup.band.scored_correlation
         if result.fine_cost:
             content["fine_answer"] = vars(result.fine_cost)
         content["answers"] = [vars(cost) for cost in map(result.cost, TOLD_ERRORS) if cost]

@@ -103,10 +103,24 @@ def central_source(geometry: MapGeometry, fwhm_rad: float) -> np.ndarray:
 
 
 def draw_sky(section: Sky, geometry: MapGeometry, cmb_per_rj: float, fwhm_rad: float, rng) -> np.ndarray:
-    """The sky of a scene (n_y, n_x) float32 [mK RJ], with the beam applied."""
+    """The sky of a scene (n_y, n_x) float32 [mK RJ] behind the beam, made ready to be looked up by streams."""
     arguments = (geometry, section.cmb_band_power_ukcmb2, cmb_per_rj, fwhm_rad)
     if section.curved_lmax is None:
         cmb = flat_cmb_sky(*arguments, rng)
     else:
         cmb = curved_cmb_sky(*arguments, section.curved_lmax, rng)
-    return add_point_sources(cmb, geometry, section.point_sources, fwhm_rad)
+    return sharpened(add_point_sources(cmb, geometry, section.point_sources, fwhm_rad))
+
+
+def sharpened(sky_mk: np.ndarray) -> np.ndarray:
+    """A sky (n_y, n_x) whose bilinear look-up between cells has the power of the given one, in its type.
+
+    Along each axis a look-up between cells has the transfer ``sinc^2(x / 2 pi)``, with x the phase from cell to cell.
+    This is its inverse ``1 + c / 6 + 2 c^2 / 45``, c = 1 - cos x, up to x^4: of half a map's pixel, right in power to
+    0.1 % at half of the map's Nyquist multipole and to 4 % at all of it, where the look-up loses a third.
+    """
+    from scipy.ndimage import correlate1d
+
+    once, twice = np.array([0, -0.5, 1, -0.5, 0]), np.array([0.25, -1, 1.5, -1, 0.25])
+    taps = np.array([0, 0, 1, 0, 0]) + once / 6 + twice * (2 / 45)
+    return correlate1d(correlate1d(sky_mk, taps, axis=0, mode="nearest"), taps, axis=1, mode="nearest")

@@ -1,5 +1,6 @@
 """The page of a run: its result, what was simulated, scores, error against run time, figures, truth, provenance."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ from surveysim.report.page_parts import (
 )
 from surveysim.report.page_provenance import provenance, sources, stage_times
 from surveysim.report.page_scene import cleaning_words, scene_terms
-from surveysim.results import CONTROLLED, METHOD, OPTIMAL_METHOD, PLAIN
+from surveysim.results import CONTROLLED, PLAIN, method
 
 Content = Mapping[str, Any]  # of summary.json and scene.json
 UNKNOWN = "Its error is unknown: so few observations do not tell how far theirs is typical."
@@ -155,9 +156,9 @@ def _scores(summary: Content, scene: Content):
         yield _cleaning_grid(summary)
     if summary.get("alternatives"):
         yield _alternative_grid(summary["alternatives"])
-    chooses = bool(scene["cleaning"]["compare"])
+    compared = bool(scene["cleaning"]["compare"])
     yield Listing(
-        tuple(line for line in METHOD if chooses or line != OPTIMAL_METHOD),
+        method(compared, scene["instrument"]["bandwidth"], summary.get("bin_correlation", math.nan)),
         "How it is scored, where the reference leaves it open:",
     )
 

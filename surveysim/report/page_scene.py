@@ -168,7 +168,7 @@ def _detector(detector: Values) -> Iterator[str]:
 
 def _sky(sky: Values) -> Iterator[str]:
     yield f"A CMB of flat band power, {short(sky['cmb_band_power_ukcmb2'])} {UK2}"
-    yield f"{'on the sphere' if sky['curved_lmax'] else 'on the plane'}"
+    yield f"on the sphere up to l = {sky['curved_lmax']}" if sky["curved_lmax"] else "on the plane"
     sources = sky["point_sources"]
     peaks = _list([source["peak_mk"] for source in sources])
     yield f"and {plural(len(sources), 'point source')} of {peaks} mK (Rayleigh-Jeans)." if sources else "alone."

@@ -18,12 +18,11 @@ from surveysim.recipes import ACTUAL
 from surveysim.report.page import REPORT
 from surveysim.results import (
     CONTROLLED,
-    METHOD,
-    OPTIMAL_METHOD,
     PLAIN,
     Row,
     SurveyResult,
     forecast_agreement,
+    method,
     score_rows,
     summary,
 )
@@ -52,7 +51,8 @@ def print_result(result: SurveyResult, directory: Path) -> None:
         if result.alternatives:
             console.print(_alternative_table(result))
         console.print("\nMethod, where the reference leaves it open:", highlight=False)
-        for line in METHOD if result.setup.chooses else (line for line in METHOD if line != OPTIMAL_METHOD):
+        setup = result.setup
+        for line in method(setup.chooses, setup.scene.instrument.bandwidth, setup.band.scored_correlation):
             console.print(f"  - {line}", highlight=False, markup=False)
     if result.unscored:
         console.print(f"Not scored: {result.unscored}", highlight=False, markup=False)

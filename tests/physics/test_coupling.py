@@ -1,4 +1,4 @@
-"""What a taper makes of a steep spectrum: the expected signal PSD against brute force, and what it does to amplitudes."""
+"""Expected signal PSD of tapered maps against brute force, and the amplitudes that follow from it."""
 
 from pathlib import Path
 
@@ -76,7 +76,7 @@ def test_coupled_psd_is_the_mean_over_skies():
         expected = ring_mean(coupled_psd(psd, (4 * n, 4 * n), taper, 1.0), rings)
         error = found.std(axis=0) / np.sqrt(n_sky)
         assert (np.abs(found.mean(axis=0) - expected) < 4 * error).all()
-        assert (error < 0.06 * expected)[1:].all()
+        assert (error < 0.1 * expected)[1:].all()
         if taper.min() == 1:  # without a taper far sidelobes lift the highest bin
             assert expected[-1] > 1.05 * closed_form(rings.ell[-1], FWHM / 3)
 
@@ -160,10 +160,10 @@ def test_what_cleaning_leaves_does_not_depend_on_the_skies_size(algorithm):
     assert signal(large, np.ones_like)[2] > 1.1 * signal(small, np.ones_like)[2]
 
 
-@pytest.mark.parametrize("algorithm", ["none", "average", "planar"])
+@pytest.mark.parametrize("algorithm", ["none", "planar"])
 def test_the_forecast_interpolates_its_transmission(algorithm):
     """Bins of 500 against bins of 250, which know it at twice as many multipoles: within 1 % from ell = 1000."""
-    keys = {"observations": 20, "cleaning.algorithm": algorithm}
+    keys = {"observations": 4, "cleaning.algorithm": algorithm, "score.simulated": []}
     coarse, fine = (load_scene(LYNX, {**keys, "score.ell_bin": width}) for width in (500, 250))
     rings = prepare(fine).band.rings
     known, cells = survey_models(fine)[0].signal_psd, rings.n_modes

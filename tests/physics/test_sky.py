@@ -11,9 +11,12 @@ import pytest
 from scipy.special import eval_legendre
 
 from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, wcs
+from mapmaker.kernels.pixels import add_sky
 from mapmaker.spectrum import annuli, coupled_psd, map_psd, mode_ell, mode_psd, ring_mean, tukey_taper
 from mapmaker.window import beam_window
+from surveysim.scene import SceneError, load_scene
 from surveysim.sections import PointSource, Sky
+from surveysim.setup import prepare
 from surveysim.sky import (
     add_point_sources,
     curved_cmb_sky,
@@ -21,8 +24,10 @@ from surveysim.sky import (
     flat_cmb_sky,
     flat_spectrum_mk2,
     highest_order,
+    sharpened,
 )
 from surveysim.units import rj_to_cmb
+from tests.scenes import SMALL_SCENE, without_sections
 
 ARCMIN = math.radians(1 / 60)
 CMB_PER_RJ, FWHM, BAND_POWER = rj_to_cmb(143e9, 0.15), ARCMIN, 1000.0
@@ -168,16 +173,39 @@ def test_sky_of_a_scene():
     section = Sky.model_validate({"cmb_band_power": "1000 uK2", "point_sources": sources})
     drawn = draw_sky(section, GEOMETRY, CMB_PER_RJ, FWHM, np.random.default_rng(1))
     expected = add_point_sources(flat_skies(1)[0], GEOMETRY, section.point_sources, FWHM)
-    np.testing.assert_array_equal(drawn, expected)
+    np.testing.assert_array_equal(drawn, sharpened(expected))
     dark = Sky.model_validate({"cmb_band_power": "0 uK2", "point_sources": sources})
     alone = draw_sky(dark, GEOMETRY, CMB_PER_RJ, FWHM, np.random.default_rng(1))
     np.testing.assert_allclose(
-        alone, add_point_sources(np.zeros_like(drawn), GEOMETRY, section.point_sources, FWHM), atol=1e-7
+        alone, sharpened(add_point_sources(np.zeros_like(drawn), GEOMETRY, section.point_sources, FWHM)), atol=1e-7
     )
     curved = Sky.model_validate({"cmb_band_power": "1000 uK2", "curved_lmax": 128})
     sphere = draw_sky(curved, GEOMETRY, CMB_PER_RJ, DEGREE, np.random.default_rng(1))
     again = curved_cmb_sky(GEOMETRY, BAND_POWER, CMB_PER_RJ, DEGREE, 128, np.random.default_rng(1))
-    np.testing.assert_array_equal(sphere, again)
+    np.testing.assert_array_equal(sphere, sharpened(again))
+
+
+@pytest.mark.parametrize(("phase", "allowed"), [(0.3, 1e-4), (0.6, 2e-4), (np.pi / 4, 1e-3), (np.pi / 2, 0.04)])
+def test_looked_up_waves_keep_their_power(phase, allowed):
+    """Waves with a phase from cell to cell, along one axis and oblique, read at random places through `add_sky`.
+
+    Their power is the square of the projection of what is read on the wave itself; without sharpening, a wave at the
+    map's Nyquist multipole (half pi) loses a third of it. Per axis, so the oblique wave loses twice as much.
+    """
+    n, n_samp = 128, 200_000
+    row, column = np.indices((n, n))
+    rng = np.random.default_rng(6)
+    at_column, at_row = rng.uniform(8, n - 9, (2, n_samp))
+    for across in (0.0, phase):
+        sky = np.exp(1j * (phase * column + across * row))
+        read = np.zeros((2, 1, n_samp))
+        for part, of_sky in enumerate((sky.real, sky.imag)):
+            zero, one = np.zeros(1), np.ones(n_samp)
+            add_sky(read[part], sharpened(of_sky), at_column, at_row, one, 0 * one, zero, zero, np.ones(1))
+        wave = np.exp(-1j * (phase * at_column + across * at_row))
+        power = np.abs(np.mean((read[0, 0] + 1j * read[1, 0]) * wave)) ** 2
+        # Random places add the images of the grid, of a few percent of the amplitude each.
+        assert power == pytest.approx(1, abs=2 * allowed + 6 * 0.2 * phase**2 / np.sqrt(n_samp))
 
 
 # ---------------------------------------------------------------- on the sphere
@@ -254,6 +282,14 @@ def test_single_harmonics_of_the_curved_sky(m):
         slope = ell * (eval_legendre(ell - 1, x) - x * legendre) / np.sqrt(1 - x**2).clip(1e-9)
         expected *= -np.sqrt(2 / (ell * (ell + 1))) * slope / legendre * np.cos(np.arctan2(eta, xi))
     np.testing.assert_allclose(sky, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_a_sky_that_is_too_large_is_refused(tmp_path):
+    """With key, found and allowed, before anything is drawn."""
+    (tmp_path / "wide.toml").write_text(without_sections(SMALL_SCENE, "score"))
+    keys = {"scan.speed": "90 arcmin / s", "map.pixel": "2 arcmin", "sky.curved_lmax": 30_000}
+    with pytest.raises(SceneError, match=r"sky.curved_lmax: found 30000, which takes .* 3e\+07 or fewer are expected"):
+        prepare(load_scene(tmp_path / "wide.toml", keys))
 
 
 @pytest.mark.slow

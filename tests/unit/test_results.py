@@ -23,7 +23,7 @@ KEYS = {
 }  # fmt: skip
 SCORED_KEYS = {
     "best", "fine_answer", "answers", "forecast_over_simulated", "forecast", "error_budget", "gains",
-    "alternatives",
+    "alternatives", "bin_correlation",
 }  # fmt: skip
 SETS = ("actual", "uncorrelated", "white", "masked_7")
 

@@ -20,6 +20,7 @@ UNWANTED = (
     "astropy.wcs",
     "dask",
     "distributed",
+    "ducc0",
     "h5py",
     "healpy",
     "matplotlib",
