@@ -27,10 +27,9 @@ def windowed_sums(strength, frequency, at, transfer, per_step, mean, share, own,
             if x < last:
                 i = int(x)
                 value += transfer[i] + (x - i) * (transfer[i + 1] - transfer[i])
-            once, twice = 0.0, 0.0
+            square = value * value
             for j in range(share.size):
                 product = lost[a, j] * own[k, j]
-                once += share[j] * product
-                twice += share[j] * product * product
-            total[k] += (value * value - 2 * value * once + twice) * strength[row, a]
+                square += share[j] * product * (product - 2 * value)
+            total[k] += square * strength[row, a]
     return total

@@ -194,7 +194,7 @@ def _courses(setup):
 
 def test_what_a_forecast_takes_for_fitted(setup_of):
     scan, observation = (_courses(setup_of(**WAYS[way])) for way in ("scan", "observation"))
-    assert scan.share.sum() == pytest.approx(1)
+    assert 0.9 < scan.share.sum() < 1
     np.testing.assert_allclose(observation.share, scan.share / 4)  # of four scans
     assert _courses(setup_of(**WAYS["survey"])) is _courses(setup_of(**WAYS["known"])) is NO_COURSES
     assert _courses(setup_of(cleaning__algorithm="none")) is NO_COURSES
