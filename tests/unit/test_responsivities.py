@@ -8,10 +8,10 @@ import pytest
 from mapmaker.cleaning import TEMPLATE_CLEANINGS
 from surveysim import reduction
 from surveysim.api import run
-from surveysim.conditions import conditions, survey_draws
+from surveysim.conditions import conditions, fitted_courses, survey_draws
 from surveysim.courses import NO_COURSES
 from surveysim.engines import SERIAL, Engine
-from surveysim.forecast import fitted_courses, noise_models
+from surveysim.forecast import noise_models
 from surveysim.recipes import Beside, apply_recipe
 from surveysim.reduction import observe
 from surveysim.response import projected_array
