@@ -1,5 +1,5 @@
 """What forecasts take from observations: levels of noise and what detectors share of it, the array's angle, its motion
-against the layer, coverage."""
+against the layer, what fits take from scans, coverage."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -12,15 +12,17 @@ from mapmaker.chunks import row_chunks
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import FocalPlane
 from surveysim.coherence import MOST_DENSE, correlation_matrix
+from surveysim.courses import NO_COURSES, Courses, template_courses
 from surveysim.lattice import SharedNoise
 from surveysim.levels import white_levels
 from surveysim.noise import excess_variance
 from surveysim.observation import observation_weather
 from surveysim.recipes import Recipe
+from surveysim.response import Array, layer_waves
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene
 from surveysim.sections import Excess, Photon
-from surveysim.setup import Setup, observation_path, prepare, shared_noise
+from surveysim.setup import Setup, observation_path, prepare, screen, shared_noise
 from surveysim.streams import Stage, generator
 from surveysim.weather import Weather, draw_weather
 
@@ -178,6 +180,21 @@ def _correlation(
     matrix = correlation_matrix(place, section.coherence, setup.camera.illumination)
     matrix *= gain[:, None] * gain
     return matrix
+
+
+def fitted_courses(setup: Setup, recipe: Recipe, array: Array, levels: Conditions) -> Courses:
+    """Courses that scans lose to what a recipe fits to them, in a layer that passes as fast as in half of `levels`."""
+    fits = {"scan": 1.0, "observation": 1 / setup.raster.n_scans}
+    # PCA fits a mode to each scan, whatever is known of responsivities.
+    share = fits["scan"] if recipe.uses("pca") else fits.get(setup.scene.cleaning.responsivities, 0.0)
+    if setup.scene.atmosphere is None or not len(array.basis) or not share:
+        return NO_COURSES
+    seconds = samples_per_scan(setup.raster) / setup.raster.sample_rate_hz
+    motion = np.median(np.abs(levels.motion))
+    layer = layer_waves(screen(setup.scene), motion * seconds, [np.median(levels.sine)])
+    common = array.seen(2 * np.pi * layer.alpha).mean(axis=0)
+    power = layer.power[0] * (common.real**2 + common.imag**2)
+    return template_courses((layer.alpha * motion).real, power, seconds).less(share)
 
 
 def mean_hits(setup: Setup, recipe: Recipe) -> np.ndarray:

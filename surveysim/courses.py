@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 _DEGREES = 8  # of 1 and more: a Kolmogorov layer has 1e-3 of its power beyond
-_LEAST_SHARE = 0.02  # of scans: courses that fewer lose are left out, and their share goes to the others
+_LEAST_SHARE = 0.03  # of scans: courses that fewer lose are left out, some 5 % in all
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def template_courses(frequency_hz: np.ndarray, power: np.ndarray, duration_s: fl
         courses.append(whole)
     share = expected_shares(np.maximum(values, 0.0))
     kept = share > _LEAST_SHARE
-    return Courses(share[kept] / share[kept].sum(), np.vstack(courses)[kept])
+    return Courses(share[kept], np.vstack(courses)[kept])
 
 
 def expected_shares(variance: np.ndarray) -> np.ndarray:

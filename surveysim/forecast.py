@@ -18,12 +18,13 @@ from surveysim.conditions import (
     Conditions,
     NoiseCorrelations,
     conditions,
+    fitted_courses,
     mean_hits,
     noise_correlations,
     population,
     survey_draws,
 )
-from surveysim.courses import NO_COURSES, Courses, template_courses
+from surveysim.courses import Courses
 from surveysim.noise import excess_psd
 from surveysim.pilot import Kept, predicted_kept
 from surveysim.recipes import Recipe
@@ -202,21 +203,6 @@ def can_forecast(setup: Setup) -> bool:
 def is_projection(recipe: Recipe) -> bool:
     """Whether a recipe is, nearly at least, a projection that does not depend on the data."""
     return len(recipe.steps) == 1 and recipe.steps[0] in PROJECTIONS
-
-
-def fitted_courses(setup: Setup, recipe: Recipe, array: Array, levels: Conditions) -> Courses:
-    """Courses that scans lose to what a recipe fits to them, in a layer that passes as fast as in half of `levels`."""
-    fits = {"scan": 1.0, "observation": 1 / setup.raster.n_scans}
-    # PCA fits a mode to each scan, whatever is known of responsivities.
-    share = fits["scan"] if recipe.uses("pca") else fits.get(setup.scene.cleaning.responsivities, 0.0)
-    if setup.scene.atmosphere is None or not len(array.basis) or not share:
-        return NO_COURSES
-    seconds = samples_per_scan(setup.raster) / setup.raster.sample_rate_hz
-    motion = np.median(np.abs(levels.motion))
-    layer = layer_waves(screen(setup.scene), motion * seconds, [np.median(levels.sine)])
-    common = array.seen(2 * np.pi * layer.alpha).mean(axis=0)
-    power = layer.power[0] * (common.real**2 + common.imag**2)
-    return template_courses(_along(layer, motion), power, seconds).less(share)
 
 
 def _spectrum(setup: Setup, courses: Courses) -> _Spectrum:

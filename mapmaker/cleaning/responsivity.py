@@ -155,9 +155,11 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.nda
     held, limits = basis[1:], (options.tolerance, options.max_iterations, _STEPS[options.responsivities])
     if n_det <= MOST_GRAM:
         products = (block @ block.T for block in blocks())
-        gram = next(products, np.zeros((n_det, n_det)))
+        gram = next(products, None)
         for product in products:
             gram += product
+        if gram is None:
+            return np.full(n_det, np.nan), 0
         converged, iterations = iterate_responsivity(gram, basis, held, *limits, c)
     else:
         converged, iterations = _iterate_by_passes(blocks, basis, held, *limits, c)

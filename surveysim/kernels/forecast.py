@@ -27,12 +27,11 @@ def windowed_sums(strength, power, frequency, at, transfer, per_step, mean, shar
             if x < last:
                 i = int(x)
                 value += transfer[i] + (x - i) * (transfer[i + 1] - transfer[i])
-            once, twice = 0.0, 0.0
+            square = value * value
             for j in range(share.size):
                 product = lost[a, j] * own[k, j]
-                once += share[j] * product
-                twice += share[j] * product * product
-            let_through = (value * value - 2 * value * once + twice) * strength[row, a]
+                square += share[j] * product * (product - 2 * value)
+            let_through = square * strength[row, a]
             for p in range(power.shape[0]):
                 total[p, k] += let_through * power[p, a]
     return total

@@ -27,7 +27,7 @@ class Cleaning(Section):
     tolerance: float = Field(gt=0, lt=1)
     """Mean fractional change of the responsivities at which the iteration of templates ends."""
     max_iterations: int = Field(ge=1, le=1_000_000)
-    """A scan whose templates take more is discarded."""
+    """A scan, or an observation that is fitted as one, whose fit takes more is discarded."""
     sigma_cut: Positive | None = None
     """Needed by "pca": removes modes whose log eigenvalue is more than so many standard deviations above the mean."""
     responsivities: Literal["scan", "observation", "survey", "known"] = "scan"

@@ -54,7 +54,7 @@ def test_components_of_waves_are_integrals():
 def test_courses_of_a_layer_are_those_of_drawn_templates():
     """The expected projector onto the template, 3000 draws: a share by a share of at most a half to 4 sigma and 2 %."""
     courses = template_courses(*_layer(), SECONDS)
-    assert courses.share.sum() == pytest.approx(1) and 0.6 < courses.share.max() < 0.8
+    assert 0.93 < courses.share.sum() < 1 and 0.6 < courses.share.max() < 0.8
     shapes = courses.at(TIME, SECONDS) * np.sqrt(SECONDS / SAMPLES)
     found = np.mean((_templates(3000) @ shapes.T) ** 2, axis=0)
     np.testing.assert_allclose(found, courses.share, atol=0.02 + 4 * 0.5 / np.sqrt(3000))
