@@ -191,8 +191,8 @@ def score(
     if signal_psd_relative_error.shape != mask.shape:
         raise ValueError(f"expected {mask.size} signal PSD errors, got {signal_psd_relative_error.shape}")
     noise_psd = noise_psds_ukcmb2.mean(axis=0)
-    information = _information(noise_psd, signal_psd, n_modes, mask)
-    weight = information / information.sum()
+    of_bins = _information(noise_psd, signal_psd, n_modes, mask)
+    weight = of_bins / of_bins.sum()
     signs, common = noise_error_parts(noise_psds_ukcmb2, weight, observation_weights, n_modes)
     budget = ErrorBudget(
         noise=float(np.hypot(signs, common)),
