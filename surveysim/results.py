@@ -310,7 +310,8 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         content["best"] = _known(vars(result.estimate))
         content["scores"] = {row.name: _score_entry(row) for row in score_rows(result)}
         content["error_budget"] = {name: _known(vars(item.budget)) for name, item in result.scores.items()}
-        content["forecast_over_simulated"] = {name: vars(item) for name, item in forecast_agreement(result).items()}
+        agreement = forecast_agreement(result)
+        content["forecast_over_simulated"] = {name: _known(vars(item)) for name, item in agreement.items()}
         content["gains"] = {name: _known(vars(item)) for name, item in result.gains.items()}
         content["alternatives"] = result.alternatives
         if result.fine_cost:
