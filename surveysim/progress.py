@@ -4,6 +4,7 @@ import heapq
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from math import isnan
 from time import monotonic
 
 import numpy as np
@@ -150,7 +151,7 @@ def time_text(seconds: float) -> str:
 
 
 def score_so_far(scene: Scene, coadds: CoAdds) -> str:
-    """``sigma(A) = 270 +- 8 uK_CMB^2`` of the actual data so far; empty while it can't be said."""
+    """``sigma(A) = 270 +- 8 uK_CMB^2`` of the actual data so far, plain: quick; empty while it can't be said."""
     windows = window_observations(scene)[: coadds.done].sum()
     if scene.score is None or coadds.done < 2 or windows < 2:
         return ""
@@ -158,4 +159,5 @@ def score_so_far(scene: Scene, coadds: CoAdds) -> str:
         band = score_survey(prepare(scene), coadds, ("actual",))["actual"].band
     except ValueError:  # too few scans are kept so far
         return ""
-    return f"sigma(A) = {band.sigma_ukcmb2:.3g} +- {band.error_ukcmb2:.2g} uK_CMB^2"
+    error = "" if isnan(band.error_ukcmb2) else f" +- {band.error_ukcmb2:.2g}"
+    return f"plain sigma(A) = {band.sigma_ukcmb2:.3g}{error} uK_CMB^2"

@@ -82,7 +82,7 @@ def method(compared: bool, bandwidth: float | None, correlation: float) -> tuple
 @dataclass(frozen=True)
 class Row:
     """A row of the score table: `sigma_ukcmb2` as quoted, with its error (NaN: unknown); forecast and reference or
-    None; `plain_sigma_ukcmb2` without control variate.
+    None; `plain_sigma_ukcmb2` without control variate. The forecast is for the weather that `sigma_ukcmb2` is for.
     """
 
     name: str

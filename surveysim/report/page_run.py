@@ -355,7 +355,9 @@ def _truth_rows(items: list[Content]) -> tuple[tuple[Cell, ...], ...]:
 def _forecast_grid(summary: Content) -> Grid:
     rows = []
     for name, item in summary["forecast_over_simulated"].items():
-        cells = [cell(name), measured(100 * item["sigma"], 100 * item["sigma_error"])]
+        error = item["sigma_error"]
+        off = quoted(100 * item["sigma"], None if error is None else 100 * error)
+        cells = [cell(name), Cell(off, 100 * item["sigma"])]
         if item["bins"]:
             cells.append(measured(100 * item["psd"], 100 * item["psd_error"]))
             cells.append(Cell(count(round(item["worst_ell"])), item["worst_ell"]))

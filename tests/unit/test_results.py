@@ -11,6 +11,7 @@ from astropy.wcs import WCS
 
 from surveysim import load_scene, run
 from surveysim.engines import SERIAL
+from surveysim.report.page_parts import quoted
 from surveysim.report.text import print_result
 from surveysim.results import score_rows, summary
 from surveysim.scene import scene_hash
@@ -74,6 +75,39 @@ def test_summary(finished, content):
         assert 4000 < entry["ell_eff"] < 12000
     assert set(content["run"]["stage_s"]) >= {"atmosphere", "cleaning", "binning", "window"}
     assert json.dumps(summary(result)["scores"]) == json.dumps(content["scores"])
+
+
+def test_one_estimate_is_quoted_everywhere(finished, content, capsys):
+    """Summary, tables, screen and the report's headline; the plain value stands beside it."""
+    result, folder = finished
+    best, row, item = content["best"], content["scores"]["actual"], result.scores["actual"]
+    assert best["kind"] == "controlled" == content["stopped"]["estimate"]
+    assert best["sigma_ukcmb2"] == row["sigma_ukcmb2"] == item.band.sigma_ukcmb2
+    assert best["error_ukcmb2"] == row["error_ukcmb2"] == item.band.sigma_ukcmb2 * item.budget.total
+    assert best["plain_sigma_ukcmb2"] == row["plain_sigma_ukcmb2"] != best["sigma_ukcmb2"]
+    assert row["forecast_ukcmb2"] / best["sigma_ukcmb2"] == pytest.approx(
+        result.expected.scores["actual"].band.sigma_ukcmb2 / best["plain_sigma_ukcmb2"]
+    )
+    print_result(result, folder)
+    shown = f"{best['sigma_ukcmb2']:.1f} +- {best['error_ukcmb2']:.1f}"
+    assert shown in capsys.readouterr().out
+    page = (folder / "report.html").read_text()
+    assert page.count(quoted(best["sigma_ukcmb2"], best["error_ukcmb2"])) >= 3  # lead, key figures, table
+
+
+def test_an_unknown_error_is_said_to_be_unknown(tmp_path, capsys):
+    """Two observations: None in JSON, NaN in tables, "unknown" on screen and in the report."""
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL_SCENE)
+    result = run(load_scene(path, {"observations": 2}), tmp_path / "out", engine=SERIAL, figures=False)
+    content = json.loads((tmp_path / "out" / "summary.json").read_text(), parse_constant=pytest.fail)
+    assert content["best"]["error_ukcmb2"] is content["stopped"]["relative_error"] is None
+    assert content["scores"]["white"]["error_ukcmb2"] is content["gains"]["uncorrelated / white"]["error"] is None
+    assert np.isnan(Table.read(tmp_path / "out" / "tables" / "scores.ecsv")["error_ukcmb2"]).all()
+    print_result(result, tmp_path)
+    out = capsys.readouterr().out
+    assert f"{content['best']['sigma_ukcmb2']:.1f} +- unknown" in out and "found 2 observations" in out
+    assert "± unknown" in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_scaled_rows_and_gains(finished, content):
