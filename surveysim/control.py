@@ -50,13 +50,19 @@ def quoted_scores(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = 
 
 def controls(setup: Setup, coadds: CoAdds) -> dict[str, Control]:
     """Control variates by data set, those of the observations in `coadds`; empty where there is no forecast."""
-    if not can_forecast(setup):
-        return {}
+    expected = known_expectations(setup)
     try:
-        expected = expectations(setup.scene)
-        levels = conditions(setup, survey_draws(setup, 0, coadds.done))
+        levels = conditions(setup, survey_draws(setup, 0, coadds.done)) if expected else None
         return {name: _control(setup, item, item.model.noise(levels)) for name, item in expected.items()}
     except ValueError:  # extremes that can't be forecast: a run never fails for want of one
+        return {}
+
+
+def known_expectations(setup: Setup) -> dict[str, Expectation]:
+    """The `expectations` of a scene, empty where it has none."""
+    try:
+        return expectations(setup.scene) if can_forecast(setup) else {}
+    except ValueError:
         return {}
 
 

@@ -166,7 +166,7 @@ def error_parts(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -
     """The parts of the error of a run whose actual data are scored."""
     item = scores[ACTUAL]
     psds, used = item.noise_psds, item.weights[item.weights > 0]
-    flips, common = noise_error_parts(psds, item.band.weight, used, setup.band.rings.n_modes)
+    flips, common = noise_error_parts(psds, item.plain_band.weight, used, setup.band.rings.n_modes)
     each_s = sum(coadds.seconds.values()) / coadds.done
     budget = item.budget
     return ErrorParts(math.hypot(common, budget.weather), flips, budget.window, budget.population, each_s)

@@ -10,7 +10,7 @@ import numpy as np
 
 from surveysim.accuracy.records import OF_SCREEN, Setting
 from surveysim.coadds import CoAdds
-from surveysim.control import quoted_scores
+from surveysim.control import known_expectations, quoted_scores
 from surveysim.engines import Engine, ordered_map
 from surveysim.memory import peak_bytes
 from surveysim.recipes import ACTUAL
@@ -59,7 +59,9 @@ def run_task(task: Task) -> Run:
     before, start = peak_bytes() / 1e6, perf_counter()
     try:
         setup = prepare(task.scene)
-        observe(setup, 0, with_window=True)  # compiles, and makes factors: no part of the time an observation takes
+        # Compiles, and makes factors and expectations over weather: no part of the time that an observation takes.
+        observe(setup, 0, with_window=True)
+        known_expectations(setup)
         start_s = perf_counter() - start
         marks = _marks(setup, task.counts)
     except (ValueError, ArithmeticError, MemoryError) as error:

@@ -56,7 +56,7 @@ def _survey_panel(rows: Sequence[Measured], forecast: Sequence[Measured]) -> Pan
     panel = _panel("number of observations", "relative error of sigma(A)", rows, _error)
     if panel is None:
         return None
-    time, error = _points(rows, _error)
+    time, error = _points([row for row in rows if _error(row) > 0], _error)  # not unknown
     ends = np.array([time.min(), time.max()])
     guide = np.exp(np.mean(np.log(error) + 0.5 * np.log(time))) * ends**-0.5
     series = [*panel.series, Series("time$^{-1/2}$", "line", ends, guide, "sky --")]

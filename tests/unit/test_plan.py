@@ -50,7 +50,7 @@ DOES = {
     "sky": [(sky, "draw_sky")],
     "ephemerides": [(setup, "schedule")],
     "opacity": [(setup, "site_water")],
-    "score": [(results, "score_survey")],
+    "score": [(results, "quoted_scores")],
     "window": [(sky, "flat_cmb_sky"), (reduction, "_add_window")],
     "forecast": [(results, "forecast")],
     "best recipe": [(reduction, "merits")],
