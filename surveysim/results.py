@@ -64,7 +64,7 @@ METHOD = (
 @dataclass(frozen=True)
 class Row:
     """A row of the score table: `sigma_ukcmb2` as quoted, with its error (NaN: unknown); forecast and reference or
-    None; `plain_sigma_ukcmb2` without control variate.
+    None; `plain_sigma_ukcmb2` without control variate. The forecast is for the weather that `sigma_ukcmb2` is for.
     """
 
     name: str
@@ -182,8 +182,10 @@ def score_rows(result: SurveyResult) -> list[Row]:
 
 
 def _row(item: DataSetScore, expected: DataSetForecast | None) -> Row:
-    band, sigma = item.band, expected.band.sigma_ukcmb2 if expected else None
-    levels = band.sigma_ukcmb2, band.error_ukcmb2, item.plain_band.sigma_ukcmb2
+    band, plain = item.band, item.plain_band.sigma_ukcmb2
+    # The forecast is of the weather drawn, as the plain estimate: in all weather both change alike.
+    sigma = expected.band.sigma_ukcmb2 * band.sigma_ukcmb2 / plain if expected else None
+    levels = band.sigma_ukcmb2, band.error_ukcmb2, plain
     return Row(item.name, item.n_det, *levels, band.ell_eff, band.fwhm_ell, sigma, None)
 
 

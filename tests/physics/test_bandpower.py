@@ -10,6 +10,7 @@ from scipy import fft
 
 from mapmaker.bandpower import estimate_amplitude, flat_band_power, flat_spectrum_psd, score
 from mapmaker.spectrum import annuli, map_psd, mode_ell, tukey_taper
+from mapmaker.window import neighbour_factor
 
 PIXEL_RAD = np.radians(20 / 3600)
 N_PIX = 96
@@ -53,6 +54,22 @@ def test_unhit_pixels_around_the_taper_change_nothing():
     maps[1] = np.where(taper > 0, maps[0], 0)
     psd = map_psd(maps, taper, PIXEL_RAD, rings)
     np.testing.assert_allclose(psd[0], psd[1])
+
+
+def test_errors_of_a_sum_over_bins_that_share_modes():
+    """Variance of a sum over 24 bins of white maps, over the sum of their variances: the square of the factor.
+
+    800 maps know the variance of the sum to 5 %; bins at the ends have one neighbour, which takes 1/24 off the excess.
+    """
+    n_maps, width = 800, 500.0
+    taper = tukey_taper(N_PIX, N_PIX, PIXEL_RAD, SIDE_RAD, 1.0)
+    rings = annuli(N_PIX, N_PIX, PIXEL_RAD, np.arange(4000.0, 16001.0, width), taper)
+    psd = map_psd(np.random.default_rng(9).normal(size=(n_maps, N_PIX, N_PIX)), taper, PIXEL_RAD, rings)
+    shares = psd * rings.n_modes
+    found = shares.sum(axis=1).var(ddof=1) / shares.var(axis=0, ddof=1).sum()
+    factor = neighbour_factor(taper[N_PIX // 2], PIXEL_RAD, width)
+    assert found == pytest.approx(factor**2, rel=3 * np.sqrt(2 / n_maps) + 1 / 24)
+    assert factor > 1.1 and neighbour_factor(taper[N_PIX // 2], PIXEL_RAD, 100 * width) == pytest.approx(1, abs=0.01)
 
 
 def test_narrow_bins_share_their_information():

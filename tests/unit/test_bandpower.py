@@ -131,6 +131,30 @@ def test_error_parts_by_hand():
     np.testing.assert_allclose(window_error(np.array([0.3, 0.4]), np.array([0.5, 0.5])), 0.25)
 
 
+def test_counted_modes_stand_in_for_a_scatter_of_few_realizations():
+    """The closed form weighs as 16 degrees of freedom beside the K - 1 of the scatter, whatever the weights."""
+    weight, weights = np.array([0.25, 0.75]), np.array([1.0, 1.0, 2.0])
+    n_modes, common = np.array([10.0, 30.0]), 6 / 16
+    counted = (0.25**2 * 2 / 10 + 0.75**2 * 2 / 30) * 16 / 17
+    psds = np.ones((2, 2))  # no scatter at all
+    signs, shared = noise_error_parts(psds, weight, weights, n_modes)
+    np.testing.assert_allclose([signs**2, shared**2], [counted * (1 - common) / 2, counted * common])
+    assert noise_error(psds, weight, weights) == 0
+
+
+def test_the_noise_of_weights_is_not_counted_as_weather():
+    weights = np.repeat([1.0, 3.0], 10)
+    scatter = weather_error(weights) * np.sqrt(17 / 19)
+    np.testing.assert_allclose(weather_error(weights, 0.6 * scatter), 0.8 * weather_error(weights))
+    assert weather_error(weights, 2 * scatter) == 0
+
+
+def test_an_observation_without_data_is_part_of_the_sample():
+    """19 equal observations and one that lost all: the relative variance of their mean is 1 / (19 * 19)."""
+    information = np.append(np.ones(19), 0.0)
+    np.testing.assert_allclose(weather_error(information), np.sqrt(19 / 17) / 19)
+
+
 def test_score_joins_its_parts():
     rng = np.random.default_rng(2)
     psds = NOISE * rng.chisquare(N_MODES, size=(8, NOISE.size)) / N_MODES

@@ -119,9 +119,10 @@ def test_a_part_is_scored_for_the_whole_survey(scene):
         assert item.plain_band.sigma_ukcmb2 == pytest.approx(other.plain_band.sigma_ukcmb2 * 32 / 40, rel=1e-12)
         # Expectations over weather are those of 40 or of 32 observations, each known to 0.1 %.
         assert item.band.sigma_ukcmb2 == pytest.approx(other.band.sigma_ukcmb2 * 32 / 40, rel=4e-3)
-        for part, rel in (("noise", 1e-9), ("window", 1e-9), ("weather", 4e-3)):
-            assert vars(item.budget)[part] == pytest.approx(vars(other.budget)[part], rel=rel)
-    assert part.gains["actual / uncorrelated"].ratio == pytest.approx(alone.gains["actual / uncorrelated"].ratio)
+        for key, rel in (("noise", 1e-9), ("window", 1e-9), ("weather", 4e-3)):
+            assert vars(item.budget)[key] == pytest.approx(vars(other.budget)[key], rel=rel)
+    ratio, other = (result.gains["actual / uncorrelated"].ratio for result in (part, alone))
+    assert ratio == pytest.approx(other, rel=4e-3)
 
 
 def test_a_run_goes_on_from_its_target(scene, tmp_path):
