@@ -52,7 +52,7 @@ class Discards:
 
 def discards(setup: Setup, coadds: CoAdds) -> Discards:
     """Shares of discarded scans in the observations so far, of which there is at least one."""
-    shares, b2 = _of_observations(setup, coadds), coadds.column("b2_mk2")
+    lost, b2 = _lost_scans(setup, coadds), coadds.column("b2_mk2")
     order = [] if np.isnan(b2).any() else np.argsort(b2, kind="stable")
     parts = np.array_split(order, min(WEATHER_GROUPS, len(order))) if len(order) else []
     by_weather = [
@@ -60,15 +60,15 @@ def discards(setup: Setup, coadds: CoAdds) -> Discards:
             "b2_min_mk2": float(b2[part].min()),
             "b2_max_mk2": float(b2[part].max()),
             "observations": len(part),
-            "discarded": _mean(setup, shares[part]),
+            "discarded": _shares(setup, lost[part]),
         }
         for part in parts
     ]
-    return Discards(_mean(setup, shares), by_weather)
+    return Discards(_shares(setup, lost), by_weather)
 
 
-def _of_observations(setup: Setup, coadds: CoAdds) -> np.ndarray:
-    """Shares (n_obs, n_set) of the scans of each observation."""
+def _lost_scans(setup: Setup, coadds: CoAdds) -> np.ndarray:
+    """Discarded scans (n_obs, n_set) of each observation."""
     columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
     counts = {recipe.data_set: columns[f"discarded_{recipe.data_set}"] for recipe in setup.recipes}
     if setup.chooses:
@@ -76,12 +76,12 @@ def _of_observations(setup: Setup, coadds: CoAdds) -> np.ndarray:
         best = best_places(np.array([columns[f"merit_{TARGETS[0]}_{name}"] for name in whole]))
         # Without any merit the first recipe is taken.
         counts[OPTIMAL] = np.array([counts[name] for name in whole])[np.maximum(best, 0), np.arange(len(best))]
-    found = [counts.get(name, counts[ACTUAL]) for name in setup.data_sets]
-    return np.stack(found, axis=1) / setup.raster.n_scans
+    return np.stack([counts.get(name, counts[ACTUAL]) for name in setup.data_sets], axis=1)
 
 
-def _mean(setup: Setup, shares: np.ndarray) -> dict[str, float]:
-    return dict(zip(setup.data_sets, shares.mean(axis=0).tolist(), strict=True))
+def _shares(setup: Setup, lost: np.ndarray) -> dict[str, float]:
+    scans = len(lost) * setup.raster.n_scans
+    return dict(zip(setup.data_sets, (lost.sum(axis=0) / scans).tolist(), strict=True))
 
 
 def telling(shares: Sequence[Shares]) -> list[str]:

@@ -4,14 +4,14 @@ import heapq
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from math import isnan
 from time import monotonic
 
 import numpy as np
 
 from surveysim.coadds import CoAdds
+from surveysim.control import quoted_scores
+from surveysim.recipes import ACTUAL
 from surveysim.scene import Scene
-from surveysim.scores import score_survey
 from surveysim.setup import prepare, window_observations
 
 STATUS_EVERY_S = 4.0
@@ -131,13 +131,17 @@ def _bar(name: str, total: int, left: TimeLeft) -> Iterator[Show]:
 
 
 def _lines(name: str, total: int, what: str, left: TimeLeft) -> Show:
-    every = max(1, total // LINES)
+    every, said = max(1, total // LINES), monotonic()
 
     def show(done: int, status: Callable[[], str]) -> None:
+        nonlocal said
         seconds = left.add(done)
         if done % every == 0 or done == total:
             time = "" if seconds is None else f", {time_text(seconds)}"
-            print(f"{name}: {done}/{total} {what}{time}  {status()}".rstrip(), file=sys.stderr, flush=True)
+            text = ""
+            if done == total or monotonic() - said > STATUS_EVERY_S:  # it takes a while to say
+                text, said = status(), monotonic()
+            print(f"{name}: {done}/{total} {what}{time}  {text}".rstrip(), file=sys.stderr, flush=True)
 
     return show
 
@@ -156,8 +160,8 @@ def score_so_far(scene: Scene, coadds: CoAdds) -> str:
     if scene.score is None or coadds.done < 2 or windows < 2:
         return ""
     try:
-        band = score_survey(prepare(scene), coadds, ("actual",))["actual"].band
+        band = quoted_scores(prepare(scene), coadds, (ACTUAL,))[ACTUAL].band
     except ValueError:  # too few scans are kept so far
         return ""
-    error = "" if isnan(band.error_ukcmb2) else f" +- {band.error_ukcmb2:.2g}"
-    return f"plain sigma(A) = {band.sigma_ukcmb2:.3g}{error} uK_CMB^2"
+    error = "unknown" if np.isnan(band.error_ukcmb2) else f"{band.error_ukcmb2:.2g}"
+    return f"sigma(A) = {band.sigma_ukcmb2:.3g} +- {error} uK_CMB^2"

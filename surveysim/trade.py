@@ -30,6 +30,11 @@ SURE = 0.995  # from here on a probability rounds to 100 %, which it is not
 MOST_PAIRED = 100  # points with a score, of which every pair is told
 _EQUAL = 1e-9  # relative difference below which two points are equal
 
+ESTIMATES = {  # kinds of sigma(A)
+    "controlled": "has the forecast as control variate, which takes out the luck of the weather",
+    "plain": "is of the weather that was drawn, which is common to all points",
+}
+
 
 @dataclass(frozen=True)
 class Comparison:

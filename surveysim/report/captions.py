@@ -91,7 +91,8 @@ SWEEP = Caption(
     "Across: the values of the first axis; a colour for each combination of the others. Left: σ(A) of the actual data "
     "set [µK²_CMB] with Monte Carlo errors; dashes or triangles are the forecast. Right: its ratio to the reference "
     "point. Coloured bars are errors that count what all points have in common; grey bars are those that independent "
-    "runs would have.",
+    "runs would have. Orange diamonds: points that can't be compared with the reference, as one of the two loses too "
+    "many scans.",
     "Look for points further than two coloured bars from 1, which differ from the reference point, and for the lowest.",
 )
 FORECAST_SWEEP = Caption(

@@ -32,7 +32,7 @@ from surveysim.report.page_parts import (
 from surveysim.report.page_provenance import provenance, sources
 from surveysim.report.page_run import what_was_simulated
 from surveysim.sweep import value_text
-from surveysim.trade import SURE
+from surveysim.trade import ESTIMATES, SURE
 
 Content = Mapping[str, Any]  # of summary.json and scene.json, or of a point in the former
 PICTURE = "figures/sweep.png"
@@ -217,10 +217,9 @@ def _others(point: Content, names: list[str]) -> Iterator[Cell]:
 def _ratio_note(summary: Content) -> str:
     if summary["reference"] is None:
         return "No point has a score, so there are no ratios."
-    kind = ""
-    if summary["estimate"] == "controlled":
-        kind = "σ(A) has the forecast as control variate, which takes out the luck of the weather. "
-    note = f"{kind}Ratios are to {summary['points'][summary['reference']]['label']}."
+    said = ESTIMATES.get(summary["estimate"])
+    note = f"σ(A) {said}. " if said else ""
+    note += f"Ratios are to {summary['points'][summary['reference']]['label']}."
     if summary["kind"] != "simulated":
         return f"{note} A forecast has no Monte Carlo error."
     return (

@@ -11,7 +11,7 @@ from surveysim.plan import SweepPlan
 from surveysim.recipes import ACTUAL
 from surveysim.report.text import print_warnings, table_console, where_line, with_unknown
 from surveysim.sweep import Sweep
-from surveysim.trade import SURE, SweepResult
+from surveysim.trade import ESTIMATES, SURE, SweepResult
 
 
 def print_sweep_plan(sweep: Sweep, plan: SweepPlan, workers: int) -> None:
@@ -42,8 +42,8 @@ def print_sweep(result: SweepResult, directory: Path) -> None:
         reference = result.sweep.points[result.comparison.reference].label
         shared = ", their errors those of runs with one seed" if result.simulated else ""
         console.print(f"Ratios are to {reference}{shared}.", highlight=False, markup=False)
-        if result.estimate == "controlled":
-            console.print("sigma(A) has the forecast as control variate at every point.", highlight=False)
+        if said := ESTIMATES.get(result.estimate):
+            console.print(f"sigma(A) {said}.", highlight=False)
         console.print(best_line(result), highlight=False, markup=False)
     for line in (*discard_lines(result), *_forecast_lines(result)):
         console.print(line, highlight=False, markup=False)

@@ -33,7 +33,16 @@ RICH_SCENE = (
     .replace('pixel = "30 arcsec"', 'pixel = "30 arcsec"\nhealpix_nside = 1024')
     + '\n[score.reference]\nsource = "nowhere"\nvalues = { actual = "270 uK2" }\n'
 )
-SWEEP = '\n[sweep]\n"instrument.layout.pitch_f_lambda" = [0.7, 1.3]\nobservations = [4, 1]\n'
+TURBULENT, CALM = ("[1000, 2800, 9800] mK2 rad(-5/3)", "[10, 30, 980] mK2 rad(-5/3)")
+# Points without a score, and one of few scans that loses some.
+SWEEP = f"""
+[sweep]
+observations = [4, 1]
+
+[sweep.weather]
+"atmosphere.b2" = ["{TURBULENT}", "{TURBULENT}", "{CALM}"]
+"scan.scans" = [4, 5, 2]
+"""
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import typer.main
 from docs.reference import all_keys, command_reference, scene_keys, scene_reference, scene_sections
 from surveysim.cli import app
 from surveysim.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
+from surveysim.sweep import REFERENCE
 from tests.docs.pages import PAGES, ROOT, Block, blocks
 from tests.docs.tables import documented
 
@@ -22,7 +23,8 @@ README = ROOT / "README.md"
 def keys_of(text: str) -> set[str]:
     """Dotted keys of a scene and of its sweep."""
     content = tomllib.loads(text)
-    varied = (item if isinstance(item, dict) else {name: item} for name, item in content.get("sweep", {}).items())
+    axes = {name: item for name, item in content.get("sweep", {}).items() if name != REFERENCE}
+    varied = (item if isinstance(item, dict) else {name: item} for name, item in axes.items())
     return {key for key, _ in scene_keys(content)} | {key for keys in varied for key in keys}
 
 

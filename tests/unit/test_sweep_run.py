@@ -17,7 +17,7 @@ from surveysim.report.sweep_text import best_line
 from surveysim.scores import error_modes, gain
 from surveysim.sweep import Axis
 from surveysim.sweep_outputs import sweep_table
-from surveysim.trade import compare, compare_runs, forecast_points, pairs, probability_of_lowest
+from surveysim.trade import compare, compare_runs, forecast_points, probability_of_lowest
 from tests.scenes import SMALL_SCENE, without_sections
 
 WHITE = (
@@ -156,72 +156,6 @@ def test_comparisons_are_repeatable(levels):
     one, two = (compare_runs(levels[0].points, np.random.default_rng(5)) for _ in range(2))
     for name in ROWS:
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
-
-
-# ---------------------------------------------------------------- any two points
-
-
-@pytest.fixture(scope="module")
-def speeds(write, tmp_path_factory):
-    """A finished sweep of the scan speed, whose points share a part of their errors, and where its files are."""
-    out = tmp_path_factory.mktemp("speeds")
-    return run_sweep(write(WHITE + SPEEDS), out, engine=SERIAL, figures=False), out
-
-
-def test_pairs_are_differences_of_responses(speeds):
-    """Every pair by hand from `error_modes`, and no pair twice."""
-    result, out = speeds
-    items = [point.scores["actual"] for point in result.points]
-    rows = error_modes(items, [point.skies for point in result.points])
-    found = Table.read(out / "sweep_pairs.ecsv", format="ascii.ecsv")
-    assert [(row["point"], row["other"]) for row in found] == [(1, 0), (2, 0), (2, 1)] and all(found["comparable"])
-    for row in found:
-        i, j = row["point"], row["other"]
-        ratio = items[i].band.sigma_ukcmb2 / items[j].band.sigma_ukcmb2
-        assert row["ratio"] == pytest.approx(ratio, rel=1e-12)
-        assert row["ratio_error"] == pytest.approx(ratio * np.linalg.norm(rows[i] - rows[j]), rel=1e-9)
-        apart = np.hypot(*(item.budget.total for item in (items[i], items[j])))
-        assert row["independent_error"] == pytest.approx(ratio * apart, rel=1e-9)
-        assert row["ratio_error"] > 0
-    content = json.loads((out / "summary.json").read_text())
-    assert [pair["ratio"] for pair in content["pairs"]] == list(found["ratio"])
-
-
-def test_equal_scenes_have_the_ratio_one_without_an_error(levels):
-    """Points 0 and 2 are one scene."""
-    pair = next(pair for pair in pairs(levels[0]) if (pair.point, pair.other) == (2, 0))
-    assert (pair.ratio, pair.paired_error) == (1.0, 0.0) and pair.independent_error > 0.05
-    assert levels[0].comparison.ratio[2] == 1 and levels[0].comparison.paired_error[2] == 0
-
-
-def test_any_point_may_be_the_reference(speeds, tmp_path):
-    """The same points with another reference: its column of the pairs, and no other probability."""
-    result, _ = speeds
-    other = run_sweep(replace(result.sweep, reference=2), tmp_path, engine=SERIAL, figures=False)
-    assert other.comparison.reference == 2 and other.comparison.best == result.comparison.best
-    np.testing.assert_array_equal(other.comparison.best_probability, result.comparison.best_probability)
-    sigma, found = result.comparison.sigma_ukcmb2, other.comparison
-    np.testing.assert_array_equal(found.ratio, sigma / sigma[2])
-    of_pairs = {(pair.point, pair.other): pair for pair in pairs(result)}
-    assert found.paired_error[2] == found.independent_error[2] == 0
-    for number in (0, 1):
-        pair = of_pairs[2, number]
-        assert found.paired_error[number] == pytest.approx(pair.paired_error / pair.ratio**2, rel=1e-9)
-    assert json.loads((tmp_path / "summary.json").read_text())["reference"] == 2
-
-
-def test_a_reference_without_a_score_is_replaced_and_told(write, tmp_path):
-    path = write(WHITE + "\n[sweep]\nreference = 1\nobservations = [4, 1, 5]\n")
-    result = run_sweep(path, tmp_path, engine=SERIAL, figures=False)
-    assert result.comparison.reference == 0
-    assert result.warnings == [
-        "the reference point that was chosen, observations = 1, has no score; ratios are to observations = 4"
-    ]
-
-
-def test_many_points_have_no_pairs(levels, monkeypatch):
-    monkeypatch.setattr("surveysim.trade.MOST_PAIRED", 2)
-    assert pairs(levels[0]) == []
 
 
 # ---------------------------------------------------------------- files
