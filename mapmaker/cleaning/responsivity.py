@@ -138,15 +138,15 @@ def fit_regions(blocks: Blocks, regions: tuple[Region, ...], options) -> tuple[n
     c, most = np.empty(sum(region.basis.shape[1] for region in regions)), 0
     for region in regions:
         rows = region.rows
-        c[rows], iterations = fit_responsivity(lambda rows=rows: (b[rows] for b in blocks()), region.basis, options)
-        if np.isnan(c[rows]).any():
+        found, iterations = fit_responsivity(lambda rows=rows: (b[rows] for b in blocks()), region.basis, options)
+        if found is None:
             return None, iterations
-        most = max(most, iterations)
+        c[rows], most = found, max(most, iterations)
     return c, most
 
 
-def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.ndarray, int]:
-    """c (n_det,) of streams whose templates are those of `basis`, NaN if not converged, and iterations.
+def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.ndarray | None, int]:
+    """c (n_det,) of streams whose templates are those of `basis`, None if not converged, and iterations.
 
     c is held free of all rows of the basis but the first, the constant. By the Gram matrix, or by passes over the
     streams.
@@ -159,11 +159,11 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.nda
         for product in products:
             gram += product
         if gram is None:
-            return np.full(n_det, np.nan), 0
+            return None, 0
         converged, iterations = iterate_responsivity(gram, basis, held, *limits, c)
     else:
         converged, iterations = _iterate_by_passes(blocks, basis, held, *limits, c)
-    return (c if converged else np.full(n_det, np.nan)), iterations
+    return (c if converged else None), iterations
 
 
 def _iterate_by_passes(

@@ -125,4 +125,4 @@ def test_passes_end_where_the_gram_matrix_does(spoiled, monkeypatch):
         monkeypatch.setattr(responsivity, "MOST_GRAM", most)
         found.append(responsivity.fit_responsivity(lambda: (data,), basis, options))
     (by_gram, steps), (by_passes, as_many) = found
-    assert steps == as_many and np.isnan(by_gram).all() and np.isnan(by_passes).all()
+    assert steps == as_many and by_gram is by_passes is None
