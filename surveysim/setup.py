@@ -10,7 +10,16 @@ from threadpoolctl import threadpool_limits
 from mapmaker.geometry import MapGeometry, covering_geometry
 from surveysim.band import Band, scored_band
 from surveysim.blocks import Block, scan_blocks
-from surveysim.checks import check_excess, check_masked, check_score, check_size, check_templates, reach
+from surveysim.checks import (
+    check_excess,
+    check_masked,
+    check_motion,
+    check_score,
+    check_size,
+    check_sources,
+    check_templates,
+    reach,
+)
 from surveysim.coherence import MOST_DENSE, Overlap, correlation_matrix, overlap
 from surveysim.instrument import Camera, camera, mask_by_separation
 from surveysim.lattice import Torus, TorusRoot, embed
@@ -142,6 +151,7 @@ def _prepare(scene: Scene) -> Setup:
     geometry = _geometry(scene, cam, scene.map.pixel_rad)
     # Half a map pixel holds the beam's multipoles with room to spare.
     sky_geometry = _geometry(scene, cam, scene.map.pixel_rad / 2)
+    check_sources(scene, sky_geometry)
     masked = None
     if scene.score and scene.score.mask_separation_f_lambda:
         masked = mask_by_separation(cam.positions_f_lambda, scene.score.mask_separation_f_lambda)
@@ -156,7 +166,7 @@ def _prepare(scene: Scene) -> Setup:
         camera=cam,
         raster=lines,
         blocks=_blocks(scene, cam, lines, ways),
-        angles=_angles(scene, lines),
+        angles=_angles(scene, cam, lines),
         geometry=geometry,
         sky_geometry=sky_geometry,
         recipes=ways,
@@ -211,7 +221,7 @@ def _geometry(scene: Scene, cam: Camera, pixel_rad: float) -> MapGeometry:
     return covering_geometry(scene.field.ra_rad, scene.field.dec_rad, pixel_rad, reach(scene, cam))
 
 
-def _angles(scene: Scene, lines: Raster) -> Angles:
+def _angles(scene: Scene, cam: Camera, lines: Raster) -> Angles:
     shape = (scene.observations, scene.scan.scans)
     if scene.fixed_pointing:
         fixed = scene.fixed_pointing
@@ -234,7 +244,9 @@ def _angles(scene: Scene, lines: Raster) -> Angles:
     except ValueError as error:
         raise SceneError(f"schedule: {error}") from None
     mid_time = raster(lines, "ra", np.zeros(2)).mid_time_s
-    return Angles(times.start_mjd, *survey_angles(field, site, times, mid_time))
+    angles = Angles(times.start_mjd, *survey_angles(field, site, times, mid_time))
+    check_motion(scene, cam, field, site, times, mid_time, angles.elevation_rad, angles.parallactic_rad)
+    return angles
 
 
 def _colour_responsivity(scene: Scene, n_det: int) -> np.ndarray:
