@@ -7,6 +7,7 @@ import numpy as np
 from surveysim.atmosphere.opacity import BandOpacity, optical_depth
 from surveysim.instrument import total_efficiency
 from surveysim.load import PhotonNoise, photon_noise, power_per_k
+from surveysim.quantities import PSD_MAX_MK2_HZ
 from surveysim.scene import Scene
 from surveysim.sections import Photon
 
@@ -38,7 +39,18 @@ def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, eleva
     if detector is None:
         per_k = power_per_k(_bandwidth_hz(scene), total_efficiency(scene.instrument), scene.instrument.polarizations)
         detector = (1e3 * scene.detector.nep_w_rthz / (per_k * passed)) ** 2
+    _check_level("photon.load", photon)
+    _check_level("detector.nep", detector)
     return WhiteLevels(photon, shared, detector)
+
+
+def _check_level(key: str, psd_mk2_hz: float) -> None:
+    """Raise ValueError for noise by power that is no level of a stream, as under an opaque sky."""
+    if not psd_mk2_hz <= PSD_MAX_MK2_HZ:
+        raise ValueError(
+            f"{key}: found power that is a noise of {psd_mk2_hz:.3g} mK2 / Hz above the atmosphere in this band;"
+            f" {PSD_MAX_MK2_HZ:g} mK2 / Hz or less is expected"
+        )
 
 
 def sky_transmission(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevation_rad: float) -> float:

@@ -307,10 +307,7 @@ def _water(scene: Scene, band: Instrument | Colour) -> Water | None:
     air = scene.atmosphere
     if air is None or air.site is None:
         return None
-    try:
-        return site_water(air, band.frequency_hz, band.bandwidth)
-    except ValueError as error:
-        raise SceneError(f"atmosphere.site: {error}") from None
+    return site_water(air, band.frequency_hz, band.bandwidth)
 
 
 def _sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:

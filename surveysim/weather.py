@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 
 from surveysim.atmosphere.opacity import BandOpacity
+from surveysim.quantities import B2_MAX
 from surveysim.sections import Atmosphere
 
-# Beyond any air, and well within what streams of 32 bits hold.
-B2_MAX, WIND_MAX_RAD_S = 1e24, 1e3
+WIND_MAX_RAD_S = 1e3
 _RANKS = 400  # of water and of fluctuations, for the quantiles of their product
 
 
@@ -51,14 +51,20 @@ class Water:
 
 
 def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) -> Water:
-    """The water of a scene's site in a band; raises ValueError where the site's opacities do not reach."""
+    """The water of a scene's site in a band; raises ValueError, with the key, where its opacities do not reach."""
     from scipy.special import ndtri
 
     from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
 
-    opacity = band_opacity(atmosphere.site, frequency_hz, bandwidth)
+    try:
+        opacity = band_opacity(atmosphere.site, frequency_hz, bandwidth)
+    except ValueError as error:
+        raise ValueError(f"atmosphere.site: {error}") from None
     response = partial(fluctuation_factor_mk2, opacity)
-    response(np.array(atmosphere.pwv_mm))
+    try:
+        response(np.array(atmosphere.pwv_mm))
+    except ValueError as error:
+        raise ValueError(f"atmosphere.pwv: {error}") from None
     share = (np.arange(_RANKS) + 0.5) / _RANKS
     seen = np.log(response(pwv_quantile(atmosphere, share)))
     drawn = np.log(log_quantile(atmosphere.fluctuation_probabilities, atmosphere.fluctuation, ndtri(share)))
@@ -106,7 +112,10 @@ def b2_quantile(atmosphere: Atmosphere, water: Water | None, normal_level: np.nd
 
 
 def pwv_quantile(atmosphere: Atmosphere, probability: np.ndarray) -> np.ndarray:
-    """PWV [mm] with this probability below it: ln PWV is linear in it between the knots, and constant beyond."""
+    """PWV [mm] with this probability below it: ln PWV is linear in it between the knots, from 0 to 1.
+
+    Unlike B2 it has no tails: tables of opacity end, and the outermost quantiles are the driest and the wettest water.
+    """
     return np.exp(np.interp(probability, atmosphere.pwv_probabilities, np.log(atmosphere.pwv_mm)))
 
 

@@ -1,11 +1,11 @@
 """Sections of what else is in the time-streams: excess, photon and detector noise, sky."""
 
-import math
 from typing import Self
 
 from pydantic import Field, model_validator
 
 from surveysim.quantities import (
+    B2_MAX,
     BandPowerExtent,
     Coherence,
     Frequency,
@@ -39,9 +39,11 @@ class Excess(Section):
     @model_validator(mode="after")
     def _knots_fit(self) -> Self:
         check_knots("b2", self.b2, "variance", self.variance_mk2)
+        if not max(self.b2) <= B2_MAX:
+            raise ValueError(f"b2: found {self.b2}; finite values of {B2_MAX:g} or less are expected")
         # Excess is interpolated in the logarithms of both.
         for name, values in (("b2", self.b2), ("variance", self.variance_mk2)):
-            if len(self.b2) > 1 and not all(0 < value < math.inf for value in values):
+            if len(self.b2) > 1 and not min(values) > 0:
                 raise ValueError(f"{name}: found {values}; finite values above 0 are expected")
         return self
 

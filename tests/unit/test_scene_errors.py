@@ -138,7 +138,7 @@ def test_bare_lists(path, found):
         ("instrument.responsivity_scatter", -0.1, "greater than or equal to 0"),
         ("photon.psd", "-1 mK2 / Hz", "0 or more"),
         ("photon.coherent_fraction", 1.1, "less than or equal to 1"),
-        ("atmosphere.outer_scale", "0 m", "above 0"),
+        ("atmosphere.outer_scale", "0 m", "1 mm or more"),
         ("atmosphere.wind_median", "-1 arcmin / s", "0 or more"),
         ("excess.band_limit", "0 Hz", "above 0"),
         ("seed", -1, "greater than or equal to 0"),
