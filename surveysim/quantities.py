@@ -150,9 +150,9 @@ def _pairs(value: object) -> object:
 
 # Bounds lie beyond any use, and keep all that follows well within streams of 32 bits (1e38 mK).
 Angle = Annotated[float, *quantity("rad", at_least="-360 deg", at_most="360 deg")]
-PositiveAngle = Annotated[float, *quantity("rad", above=0, at_most="180 deg")]
+PositiveAngle = Annotated[float, *quantity("rad", at_least="0.001 arcsec", at_most="180 deg")]
 AngleExtent = Annotated[float, *quantity("rad", at_least=0, at_most="360 deg")]
-BeamWidth = Annotated[float, *quantity("rad", above=0, at_most="30 deg")]
+BeamWidth = Annotated[float, *quantity("rad", at_least="0.001 arcsec", at_most="30 deg")]
 # Airmass is 1 / sin(elevation): 11.5 at 5 degrees, where the curved atmosphere's is 10 % less.
 Elevation = Annotated[float, *quantity("rad", at_least="5 deg", at_most="90 deg")]
 HourAngle = Annotated[float, *quantity("rad", above=0, at_most="180 deg")]
@@ -170,7 +170,7 @@ IsoDate = Annotated[str, BeforeValidator(_date), of_file("string", format="date"
 Nside = Annotated[int | None, BeforeValidator(_nside), of_file("integer", enum=[2**k for k in range(14)])]
 SiteName = Annotated[str | None, BeforeValidator(_site), of_file("string", enum=SITES)]
 TableFile = Annotated[Path | None, BeforeValidator(_file), of_file("string", examples=["camera.ecsv"])]
-Speed = Annotated[float, *quantity("rad / s", above=0, at_most="360 deg / s")]
+Speed = Annotated[float, *quantity("rad / s", at_least="0.001 arcsec / s", at_most="360 deg / s")]
 SpeedExtent = Annotated[float, *quantity("rad / s", at_least=0, at_most="360 deg / s")]
 Duration = Annotated[float, *quantity("s", above=0, at_most="10 day")]
 DurationExtent = Annotated[float, *quantity("s", at_least=0, at_most="10 day")]
@@ -186,7 +186,7 @@ Memory = Annotated[float, *quantity("byte", above=0, at_most="1e15 byte")]
 Taper = Annotated[float, *quantity("dB", at_least=0, at_most="1000 dB")]
 BandPowerExtent = Annotated[float, *quantity("uK2", at_least=0, at_most="1e15 uK2")]
 PositiveBandPower = Annotated[float, *quantity("uK2", at_least="1e-6 uK2", at_most="1e15 uK2")]
-Positive = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
+Positive = Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False)]
 Index = Annotated[
     float,
     BeforeValidator(_fraction),

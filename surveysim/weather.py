@@ -12,6 +12,7 @@ from surveysim.quantities import B2_MAX
 from surveysim.sections import Atmosphere
 
 WIND_MAX_RAD_S = 1e3
+LARGEST_LOG = 700.0  # whose exponential is a number
 _RANKS = 400  # of water and of fluctuations, for the quantiles of their product
 
 
@@ -89,13 +90,13 @@ def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: np.random.Gen
     if water is not None:
         pwv = float(pwv_quantile(atmosphere, share))
         fluctuation = log_quantile(atmosphere.fluctuation_probabilities, atmosphere.fluctuation, level)
-        level = np.interp(math.log(water.response(pwv) * fluctuation), water.log_b2, water.level)
+        level = np.interp(math.log(water.response(pwv)) + math.log(fluctuation), water.log_b2, water.level)
     b2 = float(b2_quantile(atmosphere, water, level))
     wind = atmosphere.wind_median_rad_s * math.exp(atmosphere.wind_log_scatter * speed)
     if atmosphere.wind_b2_exponent and b2 > 0:
         if not (median := float(b2_quantile(atmosphere, water, 0.0))) > 0:
             raise ValueError("atmosphere.wind_b2_exponent: found with a median B2 of 0; one above 0 is expected")
-        wind *= (b2 / median) ** atmosphere.wind_b2_exponent
+        wind *= math.exp(min(atmosphere.wind_b2_exponent * (math.log(b2) - math.log(median)), LARGEST_LOG))
     if not (b2 < B2_MAX and wind < WIND_MAX_RAD_S):
         raise ValueError(
             f"atmosphere.b2: found distributions that give B2 = {b2:.3g} mK^2 and {wind:.3g} rad/s of wind; less than"
@@ -108,7 +109,7 @@ def b2_quantile(atmosphere: Atmosphere, water: Water | None, normal_level: np.nd
     """B2 of a scene at a level of the standard normal distribution: its own quantiles, else those of its site."""
     if atmosphere.b2:
         return log_quantile(atmosphere.b2_probabilities, atmosphere.b2, normal_level)
-    return np.exp(np.interp(normal_level, water.level, water.log_b2))
+    return np.exp(np.minimum(np.interp(normal_level, water.level, water.log_b2), LARGEST_LOG))
 
 
 def pwv_quantile(atmosphere: Atmosphere, probability: np.ndarray) -> np.ndarray:
@@ -132,4 +133,5 @@ def log_quantile(probabilities: tuple[float, ...], values: tuple[float, ...], no
     levels, logs = ndtri(probabilities), np.log(values)
     slope = (logs[-1] - logs[0]) / (levels[-1] - levels[0])
     beyond = np.minimum(normal_level - levels[0], 0) + np.maximum(normal_level - levels[-1], 0)
-    return np.exp(np.interp(normal_level, levels, logs) + slope * beyond)
+    # Draws beyond `B2_MAX` are refused; until then they stay numbers.
+    return np.exp(np.clip(np.interp(normal_level, levels, logs) + slope * beyond, -LARGEST_LOG, LARGEST_LOG))

@@ -105,6 +105,11 @@ class Atmosphere(Section):
                 )
             if not min(self.pwv_mm + self.fluctuation) > 0:
                 raise ValueError(f"pwv: found {self.pwv_mm} and {self.fluctuation}; values above 0 are expected")
+        if self.layer_height_m < self.illuminated_aperture_m:
+            raise ValueError(
+                f"layer_height: found {self.layer_height_m:g} m with an aperture of {self.illuminated_aperture_m:g} m; "
+                "no less than the aperture is expected, as the layer is seen through D / h radian"
+            )
         if self.index >= 4 and self.outer_scale_m is None:
             raise ValueError(f"outer_scale: missing; an index of {self.index:g} (4 or more) needs an outer scale")
         return self
