@@ -7,11 +7,13 @@ import numpy as np
 from mapmaker.geometry import MapGeometry, plane_offsets
 from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES
 from surveysim.instrument import Camera
+from surveysim.levels import white_levels
 from surveysim.noise import highest_frequency
 from surveysim.pointing import SIDEREAL_RAD_S, FieldCentre, Schedule, Site, survey_angles
 from surveysim.recipes import needed_detectors
 from surveysim.scan import Raster, samples_per_scan
 from surveysim.scene import Scene, SceneError
+from surveysim.weather import Water
 
 MAX_REACH_RAD = math.radians(15)
 MAX_SIDE_PIXELS = 16_384
@@ -133,6 +135,12 @@ def _check_airmass(number: int, up_rad: np.ndarray, change: np.ndarray) -> None:
             f" in half of which the airmass changes by {change[worst]:.2g} of itself; {MAX_AIRMASS_CHANGE:g} or less is"
             " expected: shorter scans, or a higher schedule.min_elevation"
         )
+
+
+def check_levels(scene: Scene, water: Water | None, lowest_rad: float) -> None:
+    """Raise ValueError where noise by power is no level of a stream in the wettest weather at the lowest elevation."""
+    wettest_mm = max(scene.atmosphere.pwv_mm) if water else math.nan
+    white_levels(scene, water.opacity if water else None, wettest_mm, lowest_rad)
 
 
 def check_sources(scene: Scene, grid: MapGeometry) -> None:

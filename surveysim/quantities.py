@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 from surveysim.sites import SITES
 from surveysim.units import to_float, to_floats, to_sky_angle
 
-B2_MAX = 1e24  # mK^2 rad^(index - 2): beyond any air, and well within what streams of 32 bits hold
+B2_MIN, B2_MAX = 1e-24, 1e24  # mK^2 rad^(2 - index): beyond any air, and well within what streams of 32 bits hold
 PSD_MAX_MK2_HZ = 1e12  # of any white noise, one-sided, Rayleigh-Jeans
 
 
@@ -39,11 +39,15 @@ def _several(unit: str, example: str) -> WithJsonSchema:
 
 
 def quantity(
-    unit: str, above: float | None = None, at_least: float | str | None = None, at_most: str | None = None
+    unit: str,
+    above: float | None = None,
+    at_least: float | str | None = None,
+    at_most: str | None = None,
+    zero_or: str | None = None,
 ) -> tuple[BeforeValidator, WithJsonSchema]:
     """A string with a unit to a float in `unit`, within bounds in it, or as quantities ("30 deg").
 
-    With what the schema says of it, to be unpacked into an `Annotated` type.
+    `zero_or` is the smallest value but 0. With what the schema says of it, to be unpacked into an `Annotated` type.
     """
     least = to_float(at_least, unit) if isinstance(at_least, str) else at_least
     most = None if at_most is None else to_float(at_most, unit)
@@ -59,6 +63,8 @@ def quantity(
             raise ValueError(f"found {value!r}; {shown_least} or more is expected")
         if most is not None and not number <= most * (1 + 1e-12):
             raise ValueError(f"found {value!r}; {at_most} or less is expected")
+        if zero_or is not None and 0 < number < to_float(zero_or, unit) * (1 - 1e-12):
+            raise ValueError(f"found {value!r}; 0, or {zero_or} or more, is expected")
         return number
 
     lower = "at_least" if isinstance(at_least, str) else "minimum"
@@ -66,14 +72,16 @@ def quantity(
     return BeforeValidator(check), of_file("string", unit=unit, **bounds)
 
 
-def quantities(unit: str, example: str, at_most: str) -> tuple[BeforeValidator, WithJsonSchema]:
-    """A list of quantities to floats in `unit`, none above `at_most`; as `quantity`."""
-    most = to_float(at_most, unit)
+def quantities(unit: str, example: str, zero_or: str, at_most: str) -> tuple[BeforeValidator, WithJsonSchema]:
+    """A list of quantities to floats in `unit`, each 0 or from `zero_or` to `at_most`; as `quantity`."""
+    least, most = to_float(zero_or, unit), to_float(at_most, unit)
 
     def check(value: object) -> tuple[float, ...]:
         numbers = to_floats(value, unit)
         if any(not number <= most * (1 + 1e-12) for number in numbers):
             raise ValueError(f"found {shown(value)}; {at_most} or less is expected of each")
+        if any(0 < number < least * (1 - 1e-12) for number in numbers):
+            raise ValueError(f"found {shown(value)}; 0, or {zero_or} or more, is expected of each")
         return numbers
 
     return BeforeValidator(check), of_file(["string", "array"], unit=unit, examples=[example], at_most=at_most)
@@ -178,10 +186,12 @@ Height = Annotated[float, *quantity("m", at_least="-1 km", at_most="100 km")]
 Length = Annotated[float, *quantity("m", at_least="1 mm", at_most="100000 km")]
 Frequency = Annotated[float, *quantity("Hz", above=0, at_most="1 MHz")]
 BandFrequency = Annotated[float, *quantity("Hz", at_least="1 GHz", at_most="10 THz")]
-NoisePsd = Annotated[float, *quantity("mK2 / Hz", at_least=0, at_most=f"{PSD_MAX_MK2_HZ:g} mK2 / Hz")]
+NoisePsd = Annotated[
+    float, *quantity("mK2 / Hz", at_least=0, at_most=f"{PSD_MAX_MK2_HZ:g} mK2 / Hz", zero_or="1e-12 mK2 / Hz")
+]
 Temperature = Annotated[float, *quantity("mK", at_least="-1e6 K", at_most="1e6 K")]
-Load = Annotated[float, *quantity("K", at_least=0, at_most="10000 K")]
-Nep = Annotated[float, *quantity("W / Hz(1/2)", at_least=0, at_most="1e-6 W / Hz(1/2)")]
+Load = Annotated[float, *quantity("K", at_least=0, at_most="10000 K", zero_or="1e-9 K")]
+Nep = Annotated[float, *quantity("W / Hz(1/2)", at_least=0, at_most="1e-6 W / Hz(1/2)", zero_or="1e-30 W / Hz(1/2)")]
 Memory = Annotated[float, *quantity("byte", above=0, at_most="1e15 byte")]
 Taper = Annotated[float, *quantity("dB", at_least=0, at_most="1000 dB")]
 BandPowerExtent = Annotated[float, *quantity("uK2", at_least=0, at_most="1e15 uK2")]
@@ -193,8 +203,8 @@ Index = Annotated[
     Field(gt=0, le=20, allow_inf_nan=False),
     of_file(["number", "string"], exclusiveMinimum=0, maximum=20, examples=["11/3"]),
 ]
-Variances = Annotated[tuple[float, ...], *quantities("mK2", "[1, 2, 5] mK2", at_most="1e12 mK2")]
-Waters = Annotated[tuple[float, ...], *quantities("mm", "[0.5, 1, 2] mm", at_most="1000 mm")]
+Variances = Annotated[tuple[float, ...], *quantities("mK2", "[1, 2, 5] mK2", "1e-12 mK2", "1e12 mK2")]
+Waters = Annotated[tuple[float, ...], *quantities("mm", "[0.5, 1, 2] mm", "1e-6 mm", "1000 mm")]
 # Amplitudes of a power spectrum, whose unit goes with the screen's index: `Atmosphere` makes floats of them.
 B2s = Annotated[tuple[float, ...], _several("mK2 rad(2 - index)", "[100, 280, 980] mK2 rad(-5/3)")]
 Fluctuations = Annotated[tuple[float, ...], _several("rad(2 - index)", "[3e-6, 9e-6, 2e-5] rad(-5/3)")]

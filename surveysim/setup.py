@@ -12,6 +12,7 @@ from surveysim.band import Band, scored_band
 from surveysim.blocks import Block, scan_blocks
 from surveysim.checks import (
     check_excess,
+    check_levels,
     check_masked,
     check_motion,
     check_score,
@@ -160,13 +161,15 @@ def _prepare(scene: Scene) -> Setup:
     check_excess(scene)
     ways = recipes(scene.cleaning, masked)
     excess = shared_noise(cam, scene.excess, "excess")
+    angles, water = _angles(scene, cam, lines), _water(scene, scene.instrument)
+    check_levels(scene, water, float(angles.elevation_rad.min()))
     return Setup(
         scene=scene,
         band=scored_band(scene, geometry),
         camera=cam,
         raster=lines,
         blocks=_blocks(scene, cam, lines, ways),
-        angles=_angles(scene, cam, lines),
+        angles=angles,
         geometry=geometry,
         sky_geometry=sky_geometry,
         recipes=ways,
@@ -174,7 +177,7 @@ def _prepare(scene: Scene) -> Setup:
         photon_overlap=shared_noise(cam, scene.photon, "photon"),
         excess_factor=None if excess is None else excess.factor(),
         strips=_strips(scene, cam),
-        water=_water(scene, scene.instrument),
+        water=water,
         colour_waters=tuple(_water(scene, colour) for colour in scene.instrument.colours),
         colour_responsivity=_colour_responsivity(scene, len(cam.focal_plane.x_rad)),
         sky_mk=_sky(scene, sky_geometry),

@@ -5,7 +5,7 @@ from typing import Any, Self
 
 from pydantic import Field, model_validator
 
-from surveysim.quantities import B2_MAX, B2s, Fluctuations, Index, Length, SiteName, SpeedExtent, Waters
+from surveysim.quantities import B2_MAX, B2_MIN, B2s, Fluctuations, Index, Length, SiteName, SpeedExtent, Waters
 from surveysim.sections.base import Section, check_knots, check_quantiles
 from surveysim.sites import with_site
 from surveysim.units import to_floats
@@ -89,8 +89,8 @@ class Atmosphere(Section):
             raise ValueError("site: missing; 'pwv' needs the opacity of a site")
         if self.b2 or self.b2_probabilities:
             check_quantiles("b2", self.b2_probabilities, self.b2)
-            if not max(self.b2) <= B2_MAX:
-                raise ValueError(f"b2: found {self.b2}; finite values of {B2_MAX:g} or less are expected")
+            if not all(value == 0 or B2_MIN <= value <= B2_MAX for value in self.b2):
+                raise ValueError(f"b2: found {self.b2}; 0 or values from {B2_MIN:g} to {B2_MAX:g} are expected")
         elif self.site is None:
             raise ValueError("b2: missing; a distribution of B2, or a site that it follows from, is expected")
         if self.site is not None:

@@ -181,6 +181,8 @@ def test_values_out_of_range(path, key, found, allowed):
         ("excess.variance", "[1, 1e13] mK2", "1e12 mK2 or less"),
         ("excess.b2", [1, 1e25], "values of 1e+24 or less"),
         ("photon.psd", "1e80 mK2 / Hz", "1e+12 mK2 / Hz or less"),
+        ("photon.psd", "1e-300 mK2 / Hz", "0, or 1e-12 mK2 / Hz or more,"),
+        ("excess.variance", "[1e-300, 1] mK2", "0, or 1e-12 mK2 or more, is expected of each"),
         ("detector.psd", "1e80 mK2 / Hz", "1e+12 mK2 / Hz or less"),
         ("sky.cmb_band_power", "1e80 uK2", "1e15 uK2 or less"),
         ("score.window.band_power", "1e-30 uK2", "1e-6 uK2 or more"),
@@ -198,6 +200,8 @@ def test_values_beyond_any_use(path, key, found, allowed):
     [
         ("photon.load.sky", "1e5 K", "10000 K or less"),
         ("photon.load.optics", "1e80 K", "10000 K or less"),
+        ("photon.load.sky", "1e-30 K", "0, or 1e-9 K or more,"),
+        ("detector.nep", "1e-50 W / Hz(1/2)", "0, or 1e-30 W / Hz(1/2) or more,"),
         ("detector.nep", "1 W / Hz(1/2)", "1e-6 W / Hz(1/2) or less"),
     ],
 )
@@ -207,7 +211,8 @@ def test_powers_beyond_any_use(path, key, found, allowed):
 
 def test_layers_beyond_any_use(path):
     for keys, key, found, allowed in (
-        ({"b2": "[1, 2, 1e25] mK2 rad(-5/3)"}, "b2", "found (1.0, 2.0, 1e+25)", "values of 1e+24 or less"),
+        ({"b2": "[1, 2, 1e25] mK2 rad(-5/3)"}, "b2", "found (1.0, 2.0, 1e+25)", "0 or values from 1e-24 to 1e+24"),
+        ({"b2": "[1e-300, 2, 3] mK2 rad(-5/3)"}, "b2", "found (1e-300, 2.0, 3.0)", "0 or values from 1e-24"),
         ({"index": 21, "b2": "[1, 2, 3] mK2 rad(-19)"}, "index", "found 21", "less than or equal to 20"),
         ({"layer_height": "5 m"}, "layer_height", "found 5 m with an aperture of 8 m", "no less than the aperture"),
     ):

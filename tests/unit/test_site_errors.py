@@ -46,6 +46,15 @@ def test_refused(path, changes, words):
     assert words in str(caught.value) and "\n" not in str(caught.value)
 
 
+def test_noise_by_power_under_an_opaque_sky(path):
+    """In the middle of a water line nothing is seen, and noise above the atmosphere is without limit."""
+    line = {"instrument.frequency": "183.31 GHz", "instrument.bandwidth": 1e-3, "instrument.efficiency": 0.4}
+    load = {"photon.psd": None, "photon.coherent_fraction": None, "photon.load.optics": "1 K"}
+    low = {"fixed_pointing.elevation": "5 deg", "instrument.polarizations": 2}
+    with pytest.raises(SceneError, match=r"^photon.load: found power that is a noise of .* mK2 / Hz above"):
+        prepare(load_scene(path, SITE | line | load | low))
+
+
 def test_another_index_needs_fluctuations_or_b2_of_its_own(path):
     """Amplitudes of a site are those of 11/3; one line says which keys it takes, whoever wrote none."""
     path.write_text(SMALL_SCENE.replace("b2_probabilities = [0.25, 0.5, 0.75]\n", "").replace(B2_LINE, ""))
