@@ -97,7 +97,8 @@ def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: np.random.Gen
         if not (median := float(b2_quantile(atmosphere, water, 0.0))) > 0:
             raise ValueError("atmosphere.wind_b2_exponent: found with a median B2 of 0; one above 0 is expected")
         wind *= math.exp(min(atmosphere.wind_b2_exponent * (math.log(b2) - math.log(median)), LARGEST_LOG))
-    if not (b2 < B2_MAX and wind < WIND_MAX_RAD_S):
+    # But for rounding of a quantile that is the bound itself.
+    if not (b2 < B2_MAX * (1 + 1e-9) and wind < WIND_MAX_RAD_S):
         raise ValueError(
             f"atmosphere.b2: found distributions that give B2 = {b2:.3g} mK^2 and {wind:.3g} rad/s of wind; less than"
             f" {B2_MAX:g} and {WIND_MAX_RAD_S:g} are expected"
