@@ -184,7 +184,7 @@ Duration = Annotated[float, *quantity("s", above=0, at_most="10 day")]
 DurationExtent = Annotated[float, *quantity("s", at_least=0, at_most="10 day")]
 Height = Annotated[float, *quantity("m", at_least="-1 km", at_most="100 km")]
 Length = Annotated[float, *quantity("m", at_least="1 mm", at_most="100000 km")]
-Frequency = Annotated[float, *quantity("Hz", above=0, at_most="1 MHz")]
+Frequency = Annotated[float, *quantity("Hz", above=0, at_most="1 GHz")]
 BandFrequency = Annotated[float, *quantity("Hz", at_least="1 GHz", at_most="10 THz")]
 NoisePsd = Annotated[
     float, *quantity("mK2 / Hz", at_least=0, at_most=f"{PSD_MAX_MK2_HZ:g} mK2 / Hz", zero_or="1e-12 mK2 / Hz")

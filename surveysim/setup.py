@@ -152,7 +152,6 @@ def _prepare(scene: Scene) -> Setup:
     geometry = _geometry(scene, cam, scene.map.pixel_rad)
     # Half a map pixel holds the beam's multipoles with room to spare.
     sky_geometry = _geometry(scene, cam, scene.map.pixel_rad / 2)
-    check_sources(scene, sky_geometry)
     masked = None
     if scene.score and scene.score.mask_separation_f_lambda:
         masked = mask_by_separation(cam.positions_f_lambda, scene.score.mask_separation_f_lambda)
@@ -163,6 +162,7 @@ def _prepare(scene: Scene) -> Setup:
     excess = shared_noise(cam, scene.excess, "excess")
     angles, water = _angles(scene, cam, lines), _water(scene, scene.instrument)
     check_levels(scene, water, float(angles.elevation_rad.min()))
+    check_sources(scene, sky_geometry)
     return Setup(
         scene=scene,
         band=scored_band(scene, geometry),

@@ -173,7 +173,7 @@ def test_values_out_of_range(path, key, found, allowed):
         ("scan.duration", "11 day", "10 day or less"),
         ("scan.turnaround", "1e300 s", "10 day or less"),
         ("scan.step", "361 deg", "360 deg or less"),
-        ("scan.sample_rate", "2 MHz", "1 MHz or less"),
+        ("scan.sample_rate", "2 GHz", "1 GHz or less"),
         ("atmosphere.wind_median", "361 deg / s", "360 deg / s or less"),
         ("atmosphere.layer_height", "0.1 mm", "1 mm or more"),
         ("atmosphere.layer_height", "1e300 m", "100000 km or less"),
