@@ -32,6 +32,7 @@ _PUBLIC = {
     "gls_map": "gls",
     "MapGeometry": "geometry",
     "covering_geometry": "geometry",
+    "mean_direction": "geometry",
     "pixel_indices": "geometry",
     "BinnedMap": "binning",
     "bin_map": "binning",

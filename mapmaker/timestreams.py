@@ -35,8 +35,8 @@ class Timestreams:
     """Time-streams of one observation.
 
     `data_mk` (n_det, n_samp) mK Rayleigh-Jeans, float32 or float64; `time_s`, `ra_rad`, `dec_rad`
-    (boresight), `array_angle_rad` (position angle of the array's y axis, counted from north at the map's
-    centre) and `scan` (n_samp,), `scan` -1 outside scans and the samples of one scan contiguous;
+    (boresight), `array_angle_rad` (position angle of the array's y axis at the boresight, from north through
+    east) and `scan` (n_samp,), `scan` -1 outside scans and the samples of one scan contiguous;
     `attributes` hold units, seed and truth.
     """
 

@@ -118,16 +118,16 @@ class _Delays:
 
 def scan_velocities(streams: Timestreams) -> np.ndarray:
     """Mean velocity of the boresight in each scan along the array's x and y, (n_scan, 2) [rad/s]."""
-    from mapmaker.geometry import MapGeometry, plane_offsets
+    from mapmaker.geometry import MapGeometry, mean_direction, north_angle, plane_offsets
 
-    ra0 = streams.ra_rad[0] + np.mean((streams.ra_rad - streams.ra_rad[0] + pi) % (2 * pi) - pi)
-    tangent = MapGeometry(ra0, streams.dec_rad.mean(), 1.0, 1, 1)
+    tangent = MapGeometry(*mean_direction(streams.ra_rad, streams.dec_rad), 1.0, 1, 1)
     sky = np.stack(plane_offsets(tangent, streams.ra_rad, streams.dec_rad))
+    angles = streams.array_angle_rad + north_angle(tangent, *sky)
     velocity = []
     for start, stop in streams.scan_bounds:
         t = streams.time_s[start:stop] - streams.time_s[start:stop].mean()
         xi, eta = sky[:, start:stop] @ t / (t @ t)
-        angle = streams.array_angle_rad[(start + stop) // 2]
+        angle = angles[(start + stop) // 2]
         cos, sin = np.cos(angle), np.sin(angle)
         velocity.append((-xi * cos + eta * sin, xi * sin + eta * cos))
     return np.array(velocity).reshape(-1, 2)

@@ -4,13 +4,16 @@ import math
 
 import numpy as np
 
-from mapmaker.geometry import MapGeometry
+from mapmaker.geometry import MapGeometry, plane_offsets
 from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES
 from surveysim.instrument import Camera
+from surveysim.levels import white_levels
 from surveysim.noise import highest_frequency
+from surveysim.pointing import SIDEREAL_RAD_S, FieldCentre, Schedule, Site, survey_angles
 from surveysim.recipes import needed_detectors
 from surveysim.scan import Raster, samples_per_scan
 from surveysim.scene import Scene, SceneError
+from surveysim.weather import Water
 
 MAX_REACH_RAD = math.radians(15)
 MAX_SIDE_PIXELS = 16_384
@@ -18,6 +21,8 @@ MAX_DETECTOR_SAMPLES = 1e11  # an hour of 100,000 detectors at 200 Hz and more: 
 MAX_SAMPLES = 1e8  # of the boresight, whose path is held whole
 MAX_SURVEY_SCANS = 1e8
 MAX_COEFFICIENTS = 3e7  # of a sky on the sphere: 2 GB of memory, minutes of computing
+MAX_TURN_BEAMS = 0.1  # by which the array's edge may move as the sky turns, within half a scan
+MAX_AIRMASS_CHANGE = 0.02  # of itself, within half a scan: 2.7 % of the layer's amplitude at an index of 11/3
 MAX_MODES = 4000  # of which the eigenvectors take half a minute a scan
 
 
@@ -79,6 +84,85 @@ def check_size(scene: Scene, cam: Camera) -> None:
             f"observations: found {scene.observations * scan.scans:.3g} scans in all; "
             f"{MAX_SURVEY_SCANS:g} or less are expected"
         )
+
+
+def check_motion(
+    scene: Scene,
+    cam: Camera,
+    field: FieldCentre,
+    site: Site,
+    starts: Schedule,
+    mid_time_s: np.ndarray,
+    elevation_rad: np.ndarray,
+    parallactic_rad: np.ndarray,
+) -> None:
+    """Raise SceneError for scans within which the sky turns, or its airmass changes, by more than may be neglected.
+
+    Each scan has the angles (n_obs, n_scan) of its middle. Only scans that might move too far, by the largest rates
+    that there are at their elevation, have the angles of their ends computed.
+    """
+    half_s = scene.scan.duration_s / 2
+    most_up_rad = half_s * SIDEREAL_RAD_S * math.cos(site.latitude_rad)
+    most_turn_rad = most_up_rad / np.cos(np.minimum(elevation_rad + most_up_rad, math.pi / 2))
+    most_airmass = np.sin(elevation_rad) / np.sin(np.maximum(elevation_rad - most_up_rad, 1e-3)) - 1
+    allowed_rad = MAX_TURN_BEAMS * scene.instrument.beam_fwhm_rad
+    doubtful = (most_turn_rad * cam.radius_rad > allowed_rad) | (most_airmass > MAX_AIRMASS_CHANGE)
+    for number in np.flatnonzero(doubtful.any(axis=1)):
+        one, up, angle = Schedule(starts.start_mjd[number : number + 1]), elevation_rad[number], parallactic_rad[number]
+        for side in (-half_s, half_s):
+            end_up, end_angle = (found[0] for found in survey_angles(field, site, one, mid_time_s + side))
+            turn = np.abs((end_angle - angle + math.pi) % (2 * math.pi) - math.pi)
+            _check_turn(number, up, turn, cam.radius_rad, allowed_rad)
+            _check_airmass(number, up, np.abs(np.sin(up) / np.sin(np.maximum(end_up, 1e-3)) - 1))
+
+
+def _check_turn(number: int, up_rad: np.ndarray, turn_rad: np.ndarray, radius_rad: float, allowed_rad: float) -> None:
+    worst = int(np.argmax(turn_rad))
+    if turn_rad[worst] * radius_rad > allowed_rad:
+        raise SceneError(
+            f"scan.duration: found scans of observation {number}, at {math.degrees(up_rad[worst]):.1f} deg elevation,"
+            f" in half of which the sky turns by {math.degrees(turn_rad[worst]):.2g} deg and the array's edge moves by"
+            f" {math.degrees(turn_rad[worst] * radius_rad) * 3600:.3g} arcsec on it; {MAX_TURN_BEAMS:g} of a beam,"
+            f" {math.degrees(allowed_rad) * 3600:.3g} arcsec, or less is expected: shorter scans, or a field that stays"
+            " away from the zenith"
+        )
+
+
+def _check_airmass(number: int, up_rad: np.ndarray, change: np.ndarray) -> None:
+    worst = int(np.argmax(change))
+    if change[worst] > MAX_AIRMASS_CHANGE:
+        raise SceneError(
+            f"scan.duration: found scans of observation {number}, at {math.degrees(up_rad[worst]):.1f} deg elevation,"
+            f" in half of which the airmass changes by {change[worst]:.2g} of itself; {MAX_AIRMASS_CHANGE:g} or less is"
+            " expected: shorter scans, or a higher schedule.min_elevation"
+        )
+
+
+def check_levels(scene: Scene, water: Water | None, lowest_rad: float) -> None:
+    """Raise ValueError where noise by power is no level of a stream in the wettest weather at the lowest elevation."""
+    wettest_mm = max(scene.atmosphere.pwv_mm) if water else math.nan
+    white_levels(scene, water.opacity if water else None, wettest_mm, lowest_rad)
+
+
+def check_sources(scene: Scene, grid: MapGeometry) -> None:
+    """Raise SceneError for a point source that no detector can see: three beams or more beyond the sky `grid`."""
+    for number, source in enumerate(scene.sky.point_sources if scene.sky else ()):
+        offsets = plane_offsets(grid, source.ra_rad, source.dec_rad)
+        allowed_rad = grid.n_x * grid.pixel_rad / 2 + 3 * scene.instrument.beam_fwhm_rad
+        # Written so that NaN, of a direction behind the plane, is refused.
+        if not np.max(np.abs(offsets)) <= allowed_rad:
+            distance = _separation(grid, source.ra_rad, source.dec_rad)
+            raise SceneError(
+                f"sky.point_sources.{number}: found a source {math.degrees(distance):.4g} deg from the field's centre,"
+                f" outside the map; one within {math.degrees(allowed_rad):.4g} deg in right ascension and declination"
+                " is expected"
+            )
+
+
+def _separation(grid: MapGeometry, ra_rad: float, dec_rad: float) -> float:
+    """Angle [rad] of a direction from the centre of a map (haversine)."""
+    across = math.cos(dec_rad) * math.cos(grid.dec0_rad) * math.sin((ra_rad - grid.ra0_rad) / 2) ** 2
+    return 2 * math.asin(min(1.0, math.sqrt(math.sin((dec_rad - grid.dec0_rad) / 2) ** 2 + across)))
 
 
 def check_excess(scene: Scene) -> None:

@@ -98,7 +98,8 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
     """Add one observation, weighted by its own noise, in place."""
     if result.observation != coadds.done:
         raise ValueError(f"found observation {result.observation}; {coadds.done} is the next in order")
-    weights = np.where(np.isfinite(result.noise_mk2) & (result.noise_mk2 > 0), 1 / result.noise_mk2, 0.0)
+    weighs = np.isfinite(result.noise_mk2) & (result.noise_mk2 > 0)
+    weights = np.divide(1.0, result.noise_mk2, out=np.zeros(len(weighs)), where=weighs)
     sign = signs(setup, result.observation)
     patch = setup.band.patch if setup.band else slice(0, 0)
     # All that could fail for want of memory comes before the first sum: none is left half done.

@@ -7,7 +7,9 @@ import numpy as np
 from surveysim.atmosphere.opacity import BandOpacity, optical_depth
 from surveysim.instrument import total_efficiency
 from surveysim.load import PhotonNoise, photon_noise, power_per_k
+from surveysim.quantities import PSD_MAX_MK2_HZ
 from surveysim.scene import Scene
+from surveysim.sections import Photon
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, eleva
     passed = sky_transmission(scene, opacity, pwv_mm, elevation_rad)
     photon, shared = 0.0, 0.0
     if scene.photon and scene.photon.load is None:
-        photon, shared = scene.photon.psd_mk2_hz, scene.photon.coherent_fraction
+        photon, shared = scene.photon.psd_mk2_hz, _stated_part(scene.photon)
     elif scene.photon:
         sky = scene.photon.load.sky_k
         sky = opacity.temperature_k * (1 - passed) if sky is None else sky
@@ -37,7 +39,18 @@ def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, eleva
     if detector is None:
         per_k = power_per_k(_bandwidth_hz(scene), total_efficiency(scene.instrument), scene.instrument.polarizations)
         detector = (1e3 * scene.detector.nep_w_rthz / (per_k * passed)) ** 2
+    _check_level("photon.load", photon)
+    _check_level("detector.nep", detector)
     return WhiteLevels(photon, shared, detector)
+
+
+def _check_level(key: str, psd_mk2_hz: float) -> None:
+    """Raise ValueError for noise by power that is no level of a stream, as under an opaque sky."""
+    if not psd_mk2_hz <= PSD_MAX_MK2_HZ:
+        raise ValueError(
+            f"{key}: found power that is a noise of {psd_mk2_hz:.3g} mK2 / Hz above the atmosphere in this band;"
+            f" {PSD_MAX_MK2_HZ:g} mK2 / Hz or less is expected"
+        )
 
 
 def sky_transmission(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevation_rad: float) -> float:
@@ -74,9 +87,18 @@ def shared_part(scene: Scene, sky_k: float, noise: PhotonNoise) -> float:
     """
     load = sky_k + scene.photon.load.optics_k
     part = sky_k / load if load else 0.0
-    if scene.photon.coherence == "intensity":
-        return part**2 * (noise.bose_psd_mk2_hz / noise.psd_mk2_hz if noise.psd_mk2_hz else 0.0)
-    return part
+    bose = noise.bose_psd_mk2_hz / noise.psd_mk2_hz if noise.psd_mk2_hz else 0.0
+    return _shared(scene.photon.coherence, part, bose)
+
+
+def _stated_part(photon: Photon) -> float:
+    """The same of photon noise that is stated as a PSD, with the parts that the scene states."""
+    return _shared(photon.coherence, photon.coherent_fraction, photon.bose_fraction)
+
+
+def _shared(coherence: str, part: float, bose: float | None) -> float:
+    """Shared part of photon noise from a load, of which `part` comes through the beam; `bose` of the noise bunches."""
+    return part**2 * bose if coherence == "intensity" else part
 
 
 def _bandwidth_hz(scene: Scene) -> float:

@@ -206,7 +206,8 @@ def map_variances(setup: Setup, streams: Timestreams, pointing: Pointing, cleane
     NaN for a map with gaps.
     """
     geometry, plane = setup.geometry, streams.focal_plane
-    index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad, plane)
+    angle = pointing.array_angle_rad[pointing.scan]
+    index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, angle, plane)
     item = bin_map(geometry, cleaned.data_mk, index, streams.scan_bounds, cleaned.kept)
     signal = np.divide(item.weighted_sum, item.hits, out=np.zeros(item.hits.shape), where=item.hits > 0)
     taper, high, share = _map_modes(geometry, setup.scene.scan.step_rad * (setup.raster.n_scans - 1))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mapmaker.geometry import plane_directions, sky_offsets
+from mapmaker.geometry import north_angle, plane_directions, sky_offsets
 from mapmaker.kernels.pixels import add_sky
 from mapmaker.timestreams import Timestreams, scan_bounds
 from surveysim.blocks import Block
@@ -259,6 +259,8 @@ def _timestreams(
         "camera_angle_deg": float(np.degrees(whole.array_angle_rad[0] - whole.parallactic_rad[0])),
         **truth,
     }
-    angle = pointing.array_angle_rad[pointing.scan]
+    # In the plane within a scan; a file has the position angle at the boresight, which meridians' convergence changes.
+    north = north_angle(setup.geometry, pointing.xi_rad, pointing.eta_rad)
+    angle = pointing.array_angle_rad[pointing.scan] - north
     plane = setup.camera.focal_plane
     return Timestreams(data, pointing.time_s, ra, dec, angle, first + pointing.scan, plane, attributes)

@@ -6,6 +6,7 @@ return no table of the Earth's rotation is read (a second at every start) or fet
 past ones, and the numbers do not depend on which table is installed.
 """
 
+import math
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -54,7 +55,9 @@ class Pointing:
 
     (n_samp,): `time_s` since `start_mjd` (UTC), `xi_rad` and `eta_rad` in the field's tangent plane, `scan`
     int64. (n_scan, 2): `velocity_rad_s` of the boresight (xi, eta). (n_scan,), at mid-scan: `elevation_rad`,
-    `parallactic_rad` (position angle of the zenith), `array_angle_rad` (that of the array's y axis).
+    `parallactic_rad` (position angle of the zenith at the field's centre), `array_angle_rad` (angle of the array's y
+    axis in the tangent plane, from its north, which is true north at the centre: `mapmaker.geometry.north_angle` leads
+    from it to the position angle at the boresight).
     """
 
     start_mjd: float
@@ -195,7 +198,8 @@ def schedule(
     ValueError when the field never reaches the elevation, or more observations are asked for than fit.
     """
     evening_mjd = date.fromisoformat(first_night).toordinal() - MJD_ZERO_ORDINAL
-    midnight_mjd = evening_mjd + 1 + np.arange(nights) - site.longitude_rad / (2 * np.pi)
+    east_rad = math.remainder(site.longitude_rad, 2 * math.pi)  # 204.5 degrees east are 155.5 degrees west
+    midnight_mjd = evening_mjd + 1 + np.arange(nights) - east_rad / (2 * np.pi)
     hour_angle, dec = _hour_angle_dec(field, site, midnight_mjd)
     half_s = _half_window_s(dec, site, max_hour_angle_rad, min_elevation_rad)
     _check_room(n_observations, nights, half_s, duration_s)

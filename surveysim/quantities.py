@@ -15,6 +15,9 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 from surveysim.sites import SITES
 from surveysim.units import to_float, to_floats, to_sky_angle
 
+B2_MIN, B2_MAX = 1e-24, 1e24  # mK^2 rad^(2 - index): beyond any air, and well within what streams of 32 bits hold
+PSD_MAX_MK2_HZ = 1e12  # of any white noise, one-sided, Rayleigh-Jeans
+
 
 def shown(value: object) -> str:
     """A value of a scene file as an error quotes it, cut to a line's length."""
@@ -36,12 +39,18 @@ def _several(unit: str, example: str) -> WithJsonSchema:
 
 
 def quantity(
-    unit: str, above: float | None = None, at_least: float | None = None, at_most: str | None = None
+    unit: str,
+    above: float | None = None,
+    at_least: float | str | None = None,
+    at_most: str | None = None,
+    zero_or: str | None = None,
 ) -> tuple[BeforeValidator, WithJsonSchema]:
-    """A string with a unit to a float in `unit`, within bounds given in it (`at_most` as a quantity, "30 deg").
+    """A string with a unit to a float in `unit`, within bounds in it, or as quantities ("30 deg").
 
-    With what the schema says of it, to be unpacked into an `Annotated` type.
+    `zero_or` is the smallest value but 0. With what the schema says of it, to be unpacked into an `Annotated` type.
     """
+    least = to_float(at_least, unit) if isinstance(at_least, str) else at_least
+    most = None if at_most is None else to_float(at_most, unit)
 
     def check(value: object) -> float | None:
         if value is None:
@@ -49,14 +58,33 @@ def quantity(
         number = to_float(value, unit)
         if above is not None and not number > above:
             raise ValueError(f"found {value!r}; a value above {above:g} is expected")
-        if at_least is not None and not number >= at_least:
-            raise ValueError(f"found {value!r}; a value of {at_least:g} or more is expected")
-        if at_most is not None and not number <= to_float(at_most, unit) * (1 + 1e-12):
+        if least is not None and not number >= least - 1e-12 * abs(least):
+            shown_least = at_least if isinstance(at_least, str) else f"a value of {at_least:g}"
+            raise ValueError(f"found {value!r}; {shown_least} or more is expected")
+        if most is not None and not number <= most * (1 + 1e-12):
             raise ValueError(f"found {value!r}; {at_most} or less is expected")
+        if zero_or is not None and 0 < number < to_float(zero_or, unit) * (1 - 1e-12):
+            raise ValueError(f"found {value!r}; 0, or {zero_or} or more, is expected")
         return number
 
-    bounds = {"exclusiveMinimum": above, "minimum": at_least, "at_most": at_most}
+    lower = "at_least" if isinstance(at_least, str) else "minimum"
+    bounds = {"exclusiveMinimum": above, lower: at_least, "at_most": at_most}
     return BeforeValidator(check), of_file("string", unit=unit, **bounds)
+
+
+def quantities(unit: str, example: str, zero_or: str, at_most: str) -> tuple[BeforeValidator, WithJsonSchema]:
+    """A list of quantities to floats in `unit`, each 0 or from `zero_or` to `at_most`; as `quantity`."""
+    least, most = to_float(zero_or, unit), to_float(at_most, unit)
+
+    def check(value: object) -> tuple[float, ...]:
+        numbers = to_floats(value, unit)
+        if any(not number <= most * (1 + 1e-12) for number in numbers):
+            raise ValueError(f"found {shown(value)}; {at_most} or less is expected of each")
+        if any(0 < number < least * (1 - 1e-12) for number in numbers):
+            raise ValueError(f"found {shown(value)}; 0, or {zero_or} or more, is expected of each")
+        return numbers
+
+    return BeforeValidator(check), of_file(["string", "array"], unit=unit, examples=[example], at_most=at_most)
 
 
 def _fraction(value: object) -> object:
@@ -128,12 +156,13 @@ def _pairs(value: object) -> object:
     return tuple(value.items()) if isinstance(value, dict) else value  # a scene is hashable, a dict is not
 
 
-Angle = Annotated[float, *quantity("rad")]
-PositiveAngle = Annotated[float, *quantity("rad", above=0)]
-AngleExtent = Annotated[float, *quantity("rad", at_least=0)]
-BeamWidth = Annotated[float, *quantity("rad", above=0, at_most="30 deg")]
-Elevation = Annotated[float, *quantity("rad", above=0, at_most="90 deg")]
-ElevationLimit = Annotated[float, *quantity("rad", at_least=0, at_most="90 deg")]
+# Bounds lie beyond any use, and keep all that follows well within streams of 32 bits (1e38 mK).
+Angle = Annotated[float, *quantity("rad", at_least="-360 deg", at_most="360 deg")]
+PositiveAngle = Annotated[float, *quantity("rad", at_least="0.001 arcsec", at_most="180 deg")]
+AngleExtent = Annotated[float, *quantity("rad", at_least=0, at_most="360 deg")]
+BeamWidth = Annotated[float, *quantity("rad", at_least="0.001 arcsec", at_most="30 deg")]
+# Airmass is 1 / sin(elevation): 11.5 at 5 degrees, where the curved atmosphere's is 10 % less.
+Elevation = Annotated[float, *quantity("rad", at_least="5 deg", at_most="90 deg")]
 HourAngle = Annotated[float, *quantity("rad", above=0, at_most="180 deg")]
 Longitude = Annotated[
     float,
@@ -149,35 +178,33 @@ IsoDate = Annotated[str, BeforeValidator(_date), of_file("string", format="date"
 Nside = Annotated[int | None, BeforeValidator(_nside), of_file("integer", enum=[2**k for k in range(14)])]
 SiteName = Annotated[str | None, BeforeValidator(_site), of_file("string", enum=SITES)]
 TableFile = Annotated[Path | None, BeforeValidator(_file), of_file("string", examples=["camera.ecsv"])]
-Speed = Annotated[float, *quantity("rad / s", above=0)]
-SpeedExtent = Annotated[float, *quantity("rad / s", at_least=0)]
-Duration = Annotated[float, *quantity("s", above=0)]
-DurationExtent = Annotated[float, *quantity("s", at_least=0)]
-Height = Annotated[float, *quantity("m")]
-Length = Annotated[float, *quantity("m", above=0)]
-Frequency = Annotated[float, *quantity("Hz", above=0)]
-BandFrequency = Annotated[float, *quantity("Hz", above=0, at_most="10 THz")]
-NoisePsd = Annotated[float, *quantity("mK2 / Hz", at_least=0)]
-Temperature = Annotated[float, *quantity("mK")]
-Load = Annotated[float, *quantity("K", at_least=0)]
-Nep = Annotated[float, *quantity("W / Hz(1/2)", at_least=0)]
-Memory = Annotated[float, *quantity("byte", above=0)]
-Taper = Annotated[float, *quantity("dB", at_least=0)]
-BandPowerExtent = Annotated[float, *quantity("uK2", at_least=0)]
-PositiveBandPower = Annotated[float, *quantity("uK2", above=0)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Speed = Annotated[float, *quantity("rad / s", at_least="0.001 arcsec / s", at_most="360 deg / s")]
+SpeedExtent = Annotated[float, *quantity("rad / s", at_least=0, at_most="360 deg / s")]
+Duration = Annotated[float, *quantity("s", above=0, at_most="10 day")]
+DurationExtent = Annotated[float, *quantity("s", at_least=0, at_most="10 day")]
+Height = Annotated[float, *quantity("m", at_least="-1 km", at_most="100 km")]
+Length = Annotated[float, *quantity("m", at_least="1 mm", at_most="100000 km")]
+Frequency = Annotated[float, *quantity("Hz", above=0, at_most="1 GHz")]
+BandFrequency = Annotated[float, *quantity("Hz", at_least="1 GHz", at_most="10 THz")]
+NoisePsd = Annotated[
+    float, *quantity("mK2 / Hz", at_least=0, at_most=f"{PSD_MAX_MK2_HZ:g} mK2 / Hz", zero_or="1e-12 mK2 / Hz")
+]
+Temperature = Annotated[float, *quantity("mK", at_least="-1e6 K", at_most="1e6 K")]
+Load = Annotated[float, *quantity("K", at_least=0, at_most="10000 K", zero_or="1e-9 K")]
+Nep = Annotated[float, *quantity("W / Hz(1/2)", at_least=0, at_most="1e-6 W / Hz(1/2)", zero_or="1e-30 W / Hz(1/2)")]
+Memory = Annotated[float, *quantity("byte", above=0, at_most="1e15 byte")]
+Taper = Annotated[float, *quantity("dB", at_least=0, at_most="1000 dB")]
+BandPowerExtent = Annotated[float, *quantity("uK2", at_least=0, at_most="1e15 uK2")]
+PositiveBandPower = Annotated[float, *quantity("uK2", at_least="1e-6 uK2", at_most="1e15 uK2")]
+Positive = Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False)]
 Index = Annotated[
     float,
     BeforeValidator(_fraction),
-    Field(gt=0, allow_inf_nan=False),
-    of_file(["number", "string"], exclusiveMinimum=0, examples=["11/3"]),
+    Field(gt=0, le=20, allow_inf_nan=False),
+    of_file(["number", "string"], exclusiveMinimum=0, maximum=20, examples=["11/3"]),
 ]
-Variances = Annotated[
-    tuple[float, ...], BeforeValidator(lambda value: to_floats(value, "mK2")), _several("mK2", "[1, 2, 5] mK2")
-]
-Waters = Annotated[
-    tuple[float, ...], BeforeValidator(lambda value: to_floats(value, "mm")), _several("mm", "[0.5, 1, 2] mm")
-]
+Variances = Annotated[tuple[float, ...], *quantities("mK2", "[1, 2, 5] mK2", "1e-12 mK2", "1e12 mK2")]
+Waters = Annotated[tuple[float, ...], *quantities("mm", "[0.5, 1, 2] mm", "1e-6 mm", "1000 mm")]
 # Amplitudes of a power spectrum, whose unit goes with the screen's index: `Atmosphere` makes floats of them.
 B2s = Annotated[tuple[float, ...], _several("mK2 rad(2 - index)", "[100, 280, 980] mK2 rad(-5/3)")]
 Fluctuations = Annotated[tuple[float, ...], _several("rad(2 - index)", "[3e-6, 9e-6, 2e-5] rad(-5/3)")]

@@ -200,7 +200,8 @@ def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch
     streams = draw_block(setup, observation, whole, block, watch)
     pointing, plane = whole.scans(block.first, block.end), streams.focal_plane
     with watch("pixels"):
-        index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad, plane)
+        angle = pointing.array_angle_rad[pointing.scan]
+        index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane)
     with watch("wind"):
         colours = draw_colours(setup, observation, whole, block)
         rate = setup.raster.sample_rate_hz

@@ -11,7 +11,18 @@ from mapmaker.cleaning.responsivity import OBSERVATION, Responsivities
 from mapmaker.geometry import MapGeometry, covering_geometry
 from surveysim.band import Band, scored_band
 from surveysim.blocks import Block, scan_blocks
-from surveysim.checks import check_excess, check_masked, check_score, check_size, check_sky, check_templates, reach
+from surveysim.checks import (
+    check_excess,
+    check_levels,
+    check_masked,
+    check_motion,
+    check_score,
+    check_size,
+    check_sky,
+    check_sources,
+    check_templates,
+    reach,
+)
 from surveysim.coherence import MOST_DENSE, Overlap, correlation_matrix, overlap
 from surveysim.instrument import Camera, camera, mask_by_separation
 from surveysim.lattice import Torus, TorusRoot, embed
@@ -162,13 +173,16 @@ def _prepare(scene: Scene) -> Setup:
     excess = shared_noise(cam, scene.excess, "excess")
     n_det = len(cam.focal_plane.x_rad)
     responsivity, of_colours = _responsivity(scene, n_det), _colour_responsivity(scene, n_det)
+    angles, water = _angles(scene, cam, lines), _water(scene, scene.instrument)
+    check_levels(scene, water, float(angles.elevation_rad.min()))
+    check_sources(scene, sky_geometry)
     return Setup(
         scene=scene,
         band=scored_band(scene, geometry, sky_geometry),
         camera=cam,
         raster=lines,
         blocks=_blocks(scene, cam, lines, ways),
-        angles=_angles(scene, lines),
+        angles=angles,
         geometry=geometry,
         sky_geometry=sky_geometry,
         recipes=ways,
@@ -177,7 +191,7 @@ def _prepare(scene: Scene) -> Setup:
         photon_overlap=shared_noise(cam, scene.photon, "photon"),
         excess_factor=None if excess is None else excess.factor(),
         strips=_strips(scene, cam),
-        water=_water(scene, scene.instrument),
+        water=water,
         colour_waters=tuple(_water(scene, colour) for colour in scene.instrument.colours),
         colour_responsivity=of_colours,
         sky_mk=_sky(scene, sky_geometry),
@@ -230,7 +244,7 @@ def _geometry(scene: Scene, cam: Camera, pixel_rad: float) -> MapGeometry:
     return covering_geometry(scene.field.ra_rad, scene.field.dec_rad, pixel_rad, reach(scene, cam))
 
 
-def _angles(scene: Scene, lines: Raster) -> Angles:
+def _angles(scene: Scene, cam: Camera, lines: Raster) -> Angles:
     shape = (scene.observations, scene.scan.scans)
     if scene.fixed_pointing:
         fixed = scene.fixed_pointing
@@ -253,7 +267,9 @@ def _angles(scene: Scene, lines: Raster) -> Angles:
     except ValueError as error:
         raise SceneError(f"schedule: {error}") from None
     mid_time = raster(lines, "ra", np.zeros(2)).mid_time_s
-    return Angles(times.start_mjd, *survey_angles(field, site, times, mid_time))
+    angles = Angles(times.start_mjd, *survey_angles(field, site, times, mid_time))
+    check_motion(scene, cam, field, site, times, mid_time, angles.elevation_rad, angles.parallactic_rad)
+    return angles
 
 
 def _colour_responsivity(scene: Scene, n_det: int) -> np.ndarray:
@@ -327,10 +343,7 @@ def _water(scene: Scene, band: Instrument | Colour) -> Water | None:
     air = scene.atmosphere
     if air is None or air.site is None:
         return None
-    try:
-        return site_water(air, band.frequency_hz, band.bandwidth)
-    except ValueError as error:
-        raise SceneError(f"atmosphere.site: {error}") from None
+    return site_water(air, band.frequency_hz, band.bandwidth)
 
 
 def _sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:

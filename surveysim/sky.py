@@ -85,12 +85,17 @@ def flat_spectrum_mk2(ell: np.ndarray, band_power_ukcmb2: float, cmb_per_rj: flo
 def add_point_sources(
     sky_mk: np.ndarray, geometry: MapGeometry, sources: tuple[PointSource, ...], fwhm_rad: float
 ) -> np.ndarray:
-    """The sky with Gaussian beams at the sources, (n_y, n_x) float32."""
+    """The sky with Gaussian beams at the sources, (n_y, n_x) float32.
+
+    Raises ValueError for a source that the tangent plane has no place for, 90 degrees or more from its centre.
+    """
     xi, eta = pixel_centres(geometry)
     sigma = fwhm_rad / np.sqrt(8 * np.log(2))
     total = sky_mk.astype(float)
     for source in sources:
         x, y = plane_offsets(geometry, source.ra_rad, source.dec_rad)
+        if not np.isfinite(x):
+            raise ValueError(f"{source} is 90 degrees or more from the map's centre; nearer ones are expected")
         total += source.peak_mk * np.exp(-((xi - x) ** 2 + (eta - y) ** 2) / (2 * sigma**2))
     return total.astype(np.float32)
 

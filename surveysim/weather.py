@@ -8,10 +8,11 @@ from functools import partial
 import numpy as np
 
 from surveysim.atmosphere.opacity import BandOpacity
+from surveysim.quantities import B2_MAX
 from surveysim.sections import Atmosphere
 
-# Beyond any air, and well within what streams of 32 bits hold.
-B2_MAX, WIND_MAX_RAD_S = 1e24, 1e3
+WIND_MAX_RAD_S = 1e3
+LARGEST_LOG = 700.0  # whose exponential is a number
 _RANKS = 400  # of water and of fluctuations, for the quantiles of their product
 
 
@@ -51,14 +52,20 @@ class Water:
 
 
 def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) -> Water:
-    """The water of a scene's site in a band; raises ValueError where the site's opacities do not reach."""
+    """The water of a scene's site in a band; raises ValueError, with the key, where its opacities do not reach."""
     from scipy.special import ndtri
 
     from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
 
-    opacity = band_opacity(atmosphere.site, frequency_hz, bandwidth)
+    try:
+        opacity = band_opacity(atmosphere.site, frequency_hz, bandwidth)
+    except ValueError as error:
+        raise ValueError(f"atmosphere.site: {error}") from None
     response = partial(fluctuation_factor_mk2, opacity)
-    response(np.array(atmosphere.pwv_mm))
+    try:
+        response(np.array(atmosphere.pwv_mm))
+    except ValueError as error:
+        raise ValueError(f"atmosphere.pwv: {error}") from None
     share = (np.arange(_RANKS) + 0.5) / _RANKS
     seen = np.log(response(pwv_quantile(atmosphere, share)))
     drawn = np.log(log_quantile(atmosphere.fluctuation_probabilities, atmosphere.fluctuation, ndtri(share)))
@@ -83,14 +90,15 @@ def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: np.random.Gen
     if water is not None:
         pwv = float(pwv_quantile(atmosphere, share))
         fluctuation = log_quantile(atmosphere.fluctuation_probabilities, atmosphere.fluctuation, level)
-        level = np.interp(math.log(water.response(pwv) * fluctuation), water.log_b2, water.level)
+        level = np.interp(math.log(water.response(pwv)) + math.log(fluctuation), water.log_b2, water.level)
     b2 = float(b2_quantile(atmosphere, water, level))
     wind = atmosphere.wind_median_rad_s * math.exp(atmosphere.wind_log_scatter * speed)
     if atmosphere.wind_b2_exponent and b2 > 0:
         if not (median := float(b2_quantile(atmosphere, water, 0.0))) > 0:
             raise ValueError("atmosphere.wind_b2_exponent: found with a median B2 of 0; one above 0 is expected")
-        wind *= (b2 / median) ** atmosphere.wind_b2_exponent
-    if not (b2 < B2_MAX and wind < WIND_MAX_RAD_S):
+        wind *= math.exp(min(atmosphere.wind_b2_exponent * (math.log(b2) - math.log(median)), LARGEST_LOG))
+    # But for rounding of a quantile that is the bound itself.
+    if not (b2 < B2_MAX * (1 + 1e-9) and wind < WIND_MAX_RAD_S):
         raise ValueError(
             f"atmosphere.b2: found distributions that give B2 = {b2:.3g} mK^2 and {wind:.3g} rad/s of wind; less than"
             f" {B2_MAX:g} and {WIND_MAX_RAD_S:g} are expected"
@@ -102,11 +110,14 @@ def b2_quantile(atmosphere: Atmosphere, water: Water | None, normal_level: np.nd
     """B2 of a scene at a level of the standard normal distribution: its own quantiles, else those of its site."""
     if atmosphere.b2:
         return log_quantile(atmosphere.b2_probabilities, atmosphere.b2, normal_level)
-    return np.exp(np.interp(normal_level, water.level, water.log_b2))
+    return np.exp(np.minimum(np.interp(normal_level, water.level, water.log_b2), LARGEST_LOG))
 
 
 def pwv_quantile(atmosphere: Atmosphere, probability: np.ndarray) -> np.ndarray:
-    """PWV [mm] with this probability below it: ln PWV is linear in it between the knots, and constant beyond."""
+    """PWV [mm] with this probability below it: ln PWV is linear in it between the knots, from 0 to 1.
+
+    Unlike B2 it has no tails: tables of opacity end, and the outermost quantiles are the driest and the wettest water.
+    """
     return np.exp(np.interp(probability, atmosphere.pwv_probabilities, np.log(atmosphere.pwv_mm)))
 
 
@@ -123,4 +134,5 @@ def log_quantile(probabilities: tuple[float, ...], values: tuple[float, ...], no
     levels, logs = ndtri(probabilities), np.log(values)
     slope = (logs[-1] - logs[0]) / (levels[-1] - levels[0])
     beyond = np.minimum(normal_level - levels[0], 0) + np.maximum(normal_level - levels[-1], 0)
-    return np.exp(np.interp(normal_level, levels, logs) + slope * beyond)
+    # Draws beyond `B2_MAX` are refused; until then they stay numbers.
+    return np.exp(np.clip(np.interp(normal_level, levels, logs) + slope * beyond, -LARGEST_LOG, LARGEST_LOG))

@@ -256,6 +256,54 @@ def _map_cases() -> list[Case]:
     ]
 
 
+def _bound_cases() -> list[Case]:
+    finite = "each key at its bound: streams are numbers of 32 bits, without a warning on the way"
+    beyond = "beyond any telescope or air: refused with the key"
+    most = {
+        "atmosphere.b2": "[1e24] mK2 rad(-5/3)",
+        "fixed_pointing.elevation": "5 deg",
+        "excess.variance": "[1e12] mK2",
+        "detector.psd": "1e12 mK2 / Hz",
+        "sky": {"cmb_band_power": "1e15 uK2", "point_sources": [_SOURCE | {"peak": "1e6 K"}]},
+    }
+    least = {
+        "atmosphere.b2": "[1e-24] mK2 rad(-5/3)",
+        "excess.variance": "[1e-12] mK2",
+        "detector.psd": "1e-12 mK2 / Hz",
+        "sky": {"cmb_band_power": "1e-30 uK2"},
+    }
+    zenith = {"fixed_pointing": None, "schedule": _MAUNA_KEA, "field.dec": "19.8 deg", "observations": 1}
+    behind = {"sky": {"cmb_band_power": "0 uK2", "point_sources": [_SOURCE | {"ra": "20h49m12s", "dec": "-44d50m24s"}]}}
+    refused = [
+        ("elevation of 0.0015 deg", {"fixed_pointing.elevation": "0.0015 deg"}, "5 deg or more"),
+        ("white noise of 1e80", {"detector.psd": "1e80 mK2 / Hz"}, "detector.psd"),
+        ("excess of 1e80", {"excess.variance": "[1e80] mK2"}, "excess.variance"),
+        ("B2 of 1e30", {"atmosphere.b2": "[1e30] mK2 rad(-5/3)"}, "atmosphere.b2"),
+        ("layer below the telescope's width", {"atmosphere.layer_height": "5 m"}, "no less than the aperture"),
+        ("beam of 1e-300 rad", {"instrument.beam_fwhm": "1e-300 rad"}, "instrument.beam_fwhm"),
+        ("map of 50,000 pixels a side", {"map.pixel": "0.08 arcsec"}, "map.pixel"),
+        ("scans through the zenith", zenith, "the sky turns by"),
+        ("source behind the tangent plane", behind, "180 deg from the field's centre"),
+    ]
+    return [
+        Case("every level at its largest", finite, air.drawn, most),
+        Case("every level at its smallest", finite, air.drawn, least),
+        *(Case(name, beyond, air.drawn, keys, refusal=words) for name, keys, words in refused),
+    ]
+
+
+_SOURCE = {"ra": "08h49m12s", "dec": "+44d50m24s", "peak": "1 K"}
+_MAUNA_KEA = {
+    "latitude": "19.8 deg",
+    "longitude": "-155.5 deg",
+    "height": "4070 m",
+    "first_night": "2003-10-28",
+    "nights": 1,
+    "max_hour_angle": "3 hourangle",
+    "min_elevation": "40 deg",
+}
+
+
 def _score(**keys: Any) -> dict[str, Any]:
     score = {"size": "12 arcmin", "taper_fraction": 0.5, "ell_bin": 2000, "ell_min": 4000, "ell_max": 12_000}
     score |= {"jackknives": 4, "white_above": "2.5 Hz", "simulated": []}
@@ -271,4 +319,5 @@ CASES: tuple[Case, ...] = (
     *_geometry_cases(),
     *_stream_cases(),
     *_map_cases(),
+    *_bound_cases(),
 )

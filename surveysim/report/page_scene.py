@@ -20,8 +20,8 @@ CLEANINGS = {
     "spectral": "subtraction of what the bands share",
 }
 COHERENCES = {
-    "field": "as far as the fields of overlapping beams are coherent",
-    "intensity": "as far as the intensities of overlapping beams are",
+    "field": "as far as the fields of overlapping beams are coherent (the hypothesis of Sayers et al. 2010)",
+    "intensity": "as far as the intensities of overlapping beams are (as light that bunches does)",
     "none": "not at all",
 }
 SIMULATED = {"uncorrelated": "the same noise without correlations", "white": "white noise"}
@@ -151,10 +151,16 @@ def _photon(photon: Values) -> Iterator[str]:
     if load := photon["load"]:
         sky = "the site's water" if load["sky_k"] is None else f"a sky of {short(load['sky_k'])} K"
         yield f"From the load of {sky} and {short(load['optics_k'])} K of warm optics."
-        yield f"Neighbours share what comes through the beam {COHERENCES[photon['coherence']]}."
+        of = "the bunching of what" if photon["coherence"] == "intensity" else "what"
+        yield f"Neighbours share {of} comes through the beam {COHERENCES[photon['coherence']]}."
     else:
         share, how = photon["coherent_fraction"], photon["coherence"]
         shared = f"of which neighbours share {_percent(share)} {COHERENCES[how]}"
+        if how == "intensity":
+            bose = photon["bose_fraction"]
+            shared = f"{_percent(bose)} of it bunching, of a load of which {_percent(share)} comes through the beam;"
+            shared += f" neighbours share the bunching of that part {COHERENCES[how]}"
+            share *= bose
         yield f"White, {short(photon['psd_mk2_hz'])} mK2 / Hz,"
         yield f"{shared if share > 0 and how != 'none' else 'shared by none'}."
 

@@ -72,6 +72,7 @@ def _draw_panel(axes: Axes, panel: Panel, width: float) -> None:
     axes.set(xscale="log" if panel.x_log else "linear", yscale="log" if panel.y_log else "linear")
     for series in panel.series:
         _DRAWN_AS[series.kind](axes, series)
+    _open_limits(axes, panel)
     if panel.x_range:
         axes.set_xlim(panel.x_range)
     if panel.y_range:
@@ -87,6 +88,16 @@ def _draw_panel(axes: Axes, panel: Panel, width: float) -> None:
     for x, y, note in panel.notes:
         behind = {"fc": "white", "ec": "none", "alpha": 0.7, "pad": 1.0}
         axes.text(x, y, note, fontsize=_LEGEND_PT, ha="center", va="center", bbox=behind)
+
+
+def _open_limits(axes: Axes, panel: Panel) -> None:
+    """Room about data of one value but for rounding, which matplotlib leaves without any on a logarithmic axis."""
+    for is_log, (low, high), setter in (
+        (panel.x_log, axes.get_xlim(), axes.set_xlim),
+        (panel.y_log, axes.get_ylim(), axes.set_ylim),
+    ):
+        if is_log and abs(high / low - 1) < 1e-9:
+            setter(low / 2, high * 2)
 
 
 # ---------------------------------------------------------------- series

@@ -5,11 +5,12 @@ from typing import Any, Self
 
 from pydantic import Field, model_validator
 
-from surveysim.quantities import B2s, Fluctuations, Index, Length, SiteName, SpeedExtent, Waters
+from surveysim.quantities import B2_MAX, B2_MIN, B2s, Fluctuations, Index, Length, SiteName, SpeedExtent, Waters
 from surveysim.sections.base import Section, check_knots, check_quantiles
 from surveysim.sites import with_site
 from surveysim.units import to_floats
 
+KOLMOGOROV = Fraction(11, 3)  # the index that amplitudes of fluctuations in `sites.toml` belong to
 _OF_SITE = {"otherwise": "the site's"}
 
 
@@ -36,13 +37,15 @@ class Atmosphere(Section):
     b2: B2s = Field(default=(), json_schema_extra={"otherwise": "follows from the site"})
     """Quantiles of B2, the amplitude of the layer's power spectrum at the zenith, over the survey."""
     pwv_probabilities: tuple[float, ...] = Field(default=(), json_schema_extra=_OF_SITE)
-    """Probabilities, from 0 to 1, of the quantiles `pwv`."""
+    """Probabilities of the quantiles `pwv`: the first is 0 and the last 1, or there is one value alone."""
     pwv_mm: Waters = Field(alias="pwv", default=(), json_schema_extra=_OF_SITE)
-    """Quantiles of the precipitable water over the site at the zenith."""
+    """Quantiles of the precipitable water over the site at the zenith, from the driest to the wettest; ln PWV is linear
+    in the probability between them. One value: the same water in all observations."""
     fluctuation_probabilities: tuple[float, ...] = Field(default=(), json_schema_extra=_OF_SITE)
     """Probabilities, between 0 and 1, of the quantiles `fluctuation`."""
     fluctuation: Fluctuations = Field(default=(), json_schema_extra=_OF_SITE)
-    """Quantiles of (delta C / C)^2, the water's fractional fluctuations as an amplitude like B2."""
+    """Quantiles of (delta C / C)^2, the water's fractional fluctuations as an amplitude like B2. A site's are those of
+    an index of 11/3: with another index this key is needed, or `b2`, beside which its ranks alone count."""
     wind_median_rad_s: SpeedExtent = Field(alias="wind_median", json_schema_extra=_OF_SITE)
     """Median angular speed of the layer, which blows from anywhere."""
     wind_log_scatter: float = Field(ge=0, le=2, json_schema_extra=_OF_SITE)
@@ -55,15 +58,25 @@ class Atmosphere(Section):
     def _site_and_units_of_the_index(cls, data: Any) -> Any:
         if not isinstance(data, dict):
             return data
-        data = with_site(data)
+        data, own = with_site(data), data
         if "index" not in data:
             return data
         try:
-            power = f"rad({2 - Fraction(str(data['index'])).limit_denominator(1000)})"
-        except (ValueError, ZeroDivisionError):
-            power = None  # one error is enough: the index is refused by its own check
+            index = Fraction(str(data["index"])).limit_denominator(1000)
+            power = f"rad({2 - index})"
+        except (ValueError, ZeroDivisionError, OverflowError):
+            index = power = None  # one error is enough: the index is refused by its own check
+        of_water = power
+        if power and index > 0 and index != KOLMOGOROV and "fluctuation" in data and "fluctuation" not in own:
+            if "b2" not in own:
+                raise ValueError(
+                    f"fluctuation: missing; those of site {data['site']!r} are amplitudes at an index of {KOLMOGOROV}: "
+                    f"with {index}, 'fluctuation' in {power} or 'b2' in mK2 {power} is expected"
+                )
+            # B2 has quantiles of its own, of which each draw takes that of its rank: an amplitude's unit drops out.
+            of_water = f"rad({2 - KOLMOGOROV})"
         found = {}
-        for name, unit in (("b2", f"mK2 {power}"), ("fluctuation", power)):
+        for name, unit in (("b2", f"mK2 {power}"), ("fluctuation", of_water)):
             try:
                 found |= {name: to_floats(data[name], unit) if power else ()} if name in data else {}
             except ValueError as error:
@@ -76,6 +89,8 @@ class Atmosphere(Section):
             raise ValueError("site: missing; 'pwv' needs the opacity of a site")
         if self.b2 or self.b2_probabilities:
             check_quantiles("b2", self.b2_probabilities, self.b2)
+            if not all(value == 0 or B2_MIN <= value <= B2_MAX for value in self.b2):
+                raise ValueError(f"b2: found {self.b2}; 0 or values from {B2_MIN:g} to {B2_MAX:g} are expected")
         elif self.site is None:
             raise ValueError("b2: missing; a distribution of B2, or a site that it follows from, is expected")
         if self.site is not None:
@@ -83,8 +98,18 @@ class Atmosphere(Section):
             check_knots("pwv_probabilities", self.pwv_probabilities, "pwv", self.pwv_mm)
             if min(self.pwv_probabilities) < 0 or max(self.pwv_probabilities) > 1:
                 raise ValueError(f"pwv_probabilities: found {self.pwv_probabilities}; values from 0 to 1 are expected")
+            if len(self.pwv_mm) > 1 and (self.pwv_probabilities[0], self.pwv_probabilities[-1]) != (0, 1):
+                raise ValueError(
+                    f"pwv_probabilities: found {self.pwv_probabilities}; 0 first and 1 last are expected, the driest "
+                    "and the wettest water, or one value alone"
+                )
             if not min(self.pwv_mm + self.fluctuation) > 0:
                 raise ValueError(f"pwv: found {self.pwv_mm} and {self.fluctuation}; values above 0 are expected")
+        if self.layer_height_m < self.illuminated_aperture_m:
+            raise ValueError(
+                f"layer_height: found {self.layer_height_m:g} m with an aperture of {self.illuminated_aperture_m:g} m; "
+                "no less than the aperture is expected, as the layer is seen through D / h radian"
+            )
         if self.index >= 4 and self.outer_scale_m is None:
             raise ValueError(f"outer_scale: missing; an index of {self.index:g} (4 or more) needs an outer scale")
         return self

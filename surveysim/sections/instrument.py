@@ -42,7 +42,7 @@ class Colour(Section):
 
     frequency_hz: BandFrequency = Field(alias="frequency")
     """Centre of the band."""
-    bandwidth: float = Field(gt=0, lt=1)
+    bandwidth: float = Field(ge=1e-6, lt=1)
     """Width of the band, as a share of its frequency."""
     psd_mk2_hz: NoisePsd = Field(alias="psd")
     """White noise of a detector, one-sided, in Rayleigh-Jeans temperature."""
@@ -58,7 +58,7 @@ class Instrument(Section):
 
     frequency_hz: BandFrequency = Field(alias="frequency")
     """Centre of the band, which has straight sides."""
-    bandwidth: float | None = Field(gt=0, lt=1, default=None)
+    bandwidth: float | None = Field(ge=1e-6, lt=1, default=None)
     """Width of the band, as a share of its frequency; without it, CMB temperature is that of the band's centre. Needed
     with `atmosphere.site` and where noise is by power."""
     beam_fwhm_rad: BeamWidth = Field(alias="beam_fwhm")

@@ -8,7 +8,6 @@ from surveysim.quantities import (
     Duration,
     DurationExtent,
     Elevation,
-    ElevationLimit,
     Frequency,
     Height,
     HourAngle,
@@ -47,7 +46,7 @@ class Schedule(Section):
     """How many nights in a row."""
     max_hour_angle_rad: HourAngle = Field(alias="max_hour_angle")
     """Largest distance from the meridian."""
-    min_elevation_rad: ElevationLimit = Field(alias="min_elevation")
+    min_elevation_rad: Elevation = Field(alias="min_elevation")
     """Lowest elevation of the field's centre."""
 
 

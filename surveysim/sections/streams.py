@@ -1,11 +1,11 @@
 """Sections of what else is in the time-streams: excess, photon and detector noise, sky."""
 
-import math
 from typing import Any, Self
 
 from pydantic import Field, model_validator
 
 from surveysim.quantities import (
+    B2_MAX,
     BandPowerExtent,
     Coherence,
     Frequency,
@@ -32,14 +32,17 @@ class Excess(Section):
     variance_mk2: Variances = Field(alias="variance")
     """Variance of a mean-removed scan at each: between them interpolated in logarithms, beyond them constant."""
     coherence: Coherence
-    """What pixels share by overlap: gamma of the field, its square, or nothing."""
+    """What pixels share by overlap: gamma of the field, the hypothesis of Sayers et al. (2010); gamma squared, as were
+    all of it bunching of light through the beam; or nothing. All three are assumptions: its origin is not known."""
 
     @model_validator(mode="after")
     def _knots_fit(self) -> Self:
         check_knots("b2", self.b2, "variance", self.variance_mk2)
+        if not max(self.b2) <= B2_MAX:
+            raise ValueError(f"b2: found {self.b2}; finite values of {B2_MAX:g} or less are expected")
         # Excess is interpolated in the logarithms of both.
         for name, values in (("b2", self.b2), ("variance", self.variance_mk2)):
-            if len(self.b2) > 1 and not all(0 < value < math.inf for value in values):
+            if len(self.b2) > 1 and not min(values) > 0:
                 raise ValueError(f"{name}: found {values}; finite values above 0 are expected")
         return self
 
@@ -66,11 +69,15 @@ class Photon(Section):
     psd_mk2_hz: NoisePsd | None = Field(alias="psd", default=None)
     """Photon noise of a detector, white, one-sided, in Rayleigh-Jeans temperature. Or `load`."""
     coherent_fraction: float | None = Field(ge=0, le=1, default=None)
-    """Share of the photon noise that comes through the beam and is shared by overlap; with `psd` only."""
+    """Share of the load that comes through the beam, where pixels overlap; with `psd` only."""
+    bose_fraction: float | None = Field(ge=0, le=1, default=None)
+    """Share of the noise `psd` that is bunching (Bose), not shot noise. Needed with `psd` and coherence "intensity"."""
     load: OpticalLoad | None = None
     """The load from which the noise follows. Or `psd`."""
     coherence: Coherence
-    """What pixels share by overlap: gamma of the field, its square, or nothing."""
+    """What pixels share by overlap: of all noise of the load through the beam gamma of the field, the hypothesis of
+    Sayers et al. (2010); of the bunching alone, which goes as the square of that load, gamma squared (Hanbury Brown and
+    Twiss); or nothing."""
 
     @model_validator(mode="after")
     def _psd_or_load(self) -> Self:
@@ -79,6 +86,13 @@ class Photon(Section):
         if (self.psd_mk2_hz is None) != (self.coherent_fraction is None):
             found = "missing; 'psd' needs it" if self.load is None else "found beside 'load', which sets it"
             raise ValueError(f"coherent_fraction: {found}")
+        if self.load is not None and self.bose_fraction is not None:
+            raise ValueError("bose_fraction: found beside 'load', which sets it")
+        if self.load is None and self.coherence == "intensity" and self.bose_fraction is None:
+            raise ValueError(
+                "bose_fraction: missing; 'psd' with coherence 'intensity' needs it, as the bunching alone is shared: "
+                "0 for shot noise alone to 1, or give a 'load', from which it follows"
+            )
         return self
 
 

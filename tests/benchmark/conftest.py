@@ -56,9 +56,8 @@ def lynx(pytestconfig) -> Prepared:
     setup = prepare(load_scene(pytestconfig.rootpath / "scenarios" / "lynx.toml", {}))
     _, pointing = observation_path(setup, OBSERVATION)
     streams = draw_observation(setup, OBSERVATION)
-    index = boresight_pixels(
-        setup.geometry, pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad, streams.focal_plane
-    )
+    angle = pointing.array_angle_rad[pointing.scan]
+    index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, streams.focal_plane)
     result = observe(setup, OBSERVATION, with_window=True)
     return Prepared(setup, pointing, streams, index, result)
 

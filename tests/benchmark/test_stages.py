@@ -63,7 +63,7 @@ def test_detector(per_sample, lynx):
 
 def test_pixels(per_sample, lynx):
     pointing, streams = lynx.pointing, lynx.streams
-    boresight = (pointing.xi_rad, pointing.eta_rad, streams.array_angle_rad)
+    boresight = (pointing.xi_rad, pointing.eta_rad, pointing.array_angle_rad[pointing.scan])
     per_sample("pixels", lambda: boresight_pixels(lynx.setup.geometry, *boresight, streams.focal_plane))
 
 

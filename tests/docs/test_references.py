@@ -50,12 +50,14 @@ def test_every_key_is_in_the_reference():
 def test_rows_have_type_unit_range_and_default():
     text = scene_reference()
     rows = {line.split("|")[1].strip(): line for line in text.splitlines() if line.startswith("| `")}
-    assert rows["`speed`"].endswith('| quantity in `rad / s`, as `"4 arcmin / s"` | above 0 | **required** |')
+    assert rows["`speed`"].endswith(
+        '| quantity in `rad / s`, as `"4 arcmin / s"` | 0.001 arcsec / s to 360 deg / s | **required** |'
+    )
     assert rows["`screen_step`"].endswith("| number | 0.1 to 10 | `1.0` |")
     assert rows["`interpolation`"].endswith('| text | `"nearest"`, `"linear"`, `"cubic"` | `"linear"` |')
-    assert rows["`min_elevation`"].endswith('as `"40 deg"` | 0 to 90 deg | **required** |')
-    assert rows["`layer_height`"].endswith("| above 0 | the site's |")
-    assert rows["`stream_memory`"].endswith("| quantity in `byte` | above 0 | `2.5e+08 byte` |")
+    assert rows["`min_elevation`"].endswith('as `"40 deg"` | 5 deg to 90 deg | **required** |')
+    assert rows["`layer_height`"].endswith("| 1 mm to 100000 km | the site's |")
+    assert rows["`stream_memory`"].endswith("| quantity in `byte` | above 0, up to 1e15 byte | `2.5e+08 byte` |")
     assert {line.count("|") for line in rows.values()} == {6}
 
 

@@ -8,6 +8,8 @@ import pytest
 from surveysim.extremes import CASES, Case, Outcome, base_scene, run_case
 from surveysim.scene import SceneError
 
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")  # of numpy: none may reach a user
+
 
 @pytest.mark.parametrize(
     "case", [pytest.param(case, id=case.name, marks=[pytest.mark.slow] if case.slow else []) for case in CASES]

@@ -73,7 +73,7 @@ def check_survey(scene, names=("actual", "uncorrelated", "white")):
 @pytest.mark.parametrize("pitch", [0.1, 10.0])
 @pytest.mark.parametrize("coherence", ["field", "intensity"])
 def test_pitch(scene_of, pitch, coherence):
-    keys = WIDE | {"instrument.layout.pitch_f_lambda": pitch, "instrument.layout.rings": 1}
+    keys = WIDE | {"instrument.layout.pitch_f_lambda": pitch, "instrument.layout.rings": 1, "photon.bose_fraction": 0.7}
     check_survey(scene_of(NO_AIR.replace('"field"', f'"{coherence}"'), keys))
 
 
@@ -102,6 +102,7 @@ def test_one_detector_has_no_average(scene_of):
 @pytest.mark.parametrize("coherence", ["field", "intensity"])
 def test_all_or_nothing_coherent(scene_of, fraction, coherence):
     keys = WIDE | {"photon.coherent_fraction": fraction, "photon.coherence": coherence, "photon.psd": "9 mK2/Hz"}
+    keys |= {"photon.bose_fraction": 1.0}
     check_survey(scene_of(without_sections(NO_AIR, "excess"), keys))
 
 

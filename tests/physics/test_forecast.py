@@ -423,7 +423,7 @@ def test_white_noise_by_hand(scene_of):
         {"atmosphere__outer_scale": "50 m"},
         {"atmosphere__index": "2/3", "atmosphere__b2": "[100, 280, 980] mK2 rad(4/3)"},
         {"photon__psd": "0 mK2/Hz", "detector__psd": "0 mK2/Hz"},
-        {"photon__coherence": "intensity", "photon__coherent_fraction": 1.0},
+        {"photon__coherence": "intensity", "photon__coherent_fraction": 1.0, "photon__bose_fraction": 1.0},
         {"cleaning__algorithm": "quadratic", "score__mask_separation_f_lambda": 0.8},
     ],
 )

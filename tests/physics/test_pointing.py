@@ -253,6 +253,14 @@ def test_circumpolar_field_from_the_pole():
     assert np.abs(angle_difference(parallactic, np.pi)).max() < (APPARENT + 4 * PRECESSION) / np.cos(45 * DEG)
 
 
+def test_longitudes_wrap():
+    """204.5239 degrees east are 155.4761 west: the same nights, transits and window."""
+    east = Site(CSO.latitude_rad, CSO.longitude_rad + 2 * np.pi, CSO.height_m)
+    plans = [schedule(LYNX, site, "2003-11-20", 2, 5, **LIMITS).start_mjd for site in (CSO, east)]
+    # Of longitudes and times rounded to 1e-11 days.
+    np.testing.assert_allclose(plans[1], plans[0], rtol=0, atol=1e-10)
+
+
 def test_survey_angles_and_observation_pointing():
     scans = Raster(4 * ARCMIN, 18, 15.0, 10.0, 2 * ARCMIN, 0.0, 10.0)
     path = raster(scans, "ra", np.zeros(2))

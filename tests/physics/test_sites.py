@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy.special import ndtri
-from scipy.stats import spearmanr
+from scipy.stats import kstest, spearmanr
 
 from surveysim.sections import Atmosphere
 from surveysim.sites import SITES
@@ -38,6 +38,14 @@ def test_quartiles_of_the_water_above_mauna_kea():
     for share, quartile in zip((0.25, 0.5, 0.75), (1.00, 1.68, 2.92), strict=True):
         assert np.mean(pwv < quartile) == pytest.approx(share, abs=5 * math.sqrt(share * (1 - share) / N_DRAWS))
     assert pwv.min() >= 0.5 and pwv.max() <= 3.5
+
+
+def test_drawn_water_between_its_quantiles():
+    """Of three quantiles, ln PWV is uniform between each two: the largest departure of n draws (Kolmogorov-Smirnov)."""
+    air = atmosphere("mauna_kea", pwv="[1, 2, 3] mm", pwv_probabilities=[0, 0.4, 1])
+    pwv = [item.pwv_mm for item in draws(air, site_water(air, 143e9, 0.15))]
+    assert kstest(np.interp(np.log(pwv), np.log([1, 2, 3]), [0, 0.4, 1]), "uniform").pvalue > 1e-3
+    assert len(set(pwv)) == N_DRAWS  # with quantiles that ended at 0.25, a quarter of all had the lowest
 
 
 @pytest.mark.parametrize("frequency, quartiles", [(143e9, (100, 280, 980)), (268e9, (1100, 4000, 14000))])

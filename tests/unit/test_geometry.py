@@ -1,5 +1,7 @@
 """The tangent plane against astropy's WCS, and where detectors look."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,9 +9,12 @@ from mapmaker.geometry import (
     MapGeometry,
     boresight_pixels,
     covering_geometry,
+    mean_direction,
+    north_angle,
     pixel_indices,
     plane_directions,
     plane_offsets,
+    same_geometry,
     sky_offsets,
     wcs,
 )
@@ -94,33 +99,89 @@ def test_pixels_off_the_map_are_minus_one(centre):
     np.testing.assert_array_equal(index[0], [-1, -1, -1, -1, 0, g.n_x * g.n_y - 1])
 
 
-def test_detectors_on_the_sky_against_spherical_offsets(rng):
-    """Detectors some arcmin from a boresight off the map's centre.
+@pytest.mark.parametrize("dec_deg", [0, 45, -45, 85, 89])
+def test_the_array_angle_is_the_position_angle_at_the_boresight(dec_deg, rng):
+    """Detectors up to 4 arcmin from boresights 25 arcmin off the centre, within 0.1 arcsec of astropy's offsets.
 
-    Offsets are added in the plane, whose north differs from the boresight's by xi tan(dec): 0.2 degrees at
-    12 arcmin, 1.2 arcsec for a detector 5.6 arcmin away. The plane's stretch, (xi^2 + eta^2), is 0.01 arcsec.
+    A pixel is known to 0.04 arcsec; the plane stretches offsets by the square of the boresight's angle, 0.013 arcsec.
     """
     from astropy import units as u
     from astropy.coordinates import SkyCoord
 
-    g = geometry(LYNX, 2400, 2400, ARCSEC)
-    plane = FocalPlane(*rng.uniform(-4, 4, (2, 20)) * 60 * ARCSEC, 1e-4)
-    xi, eta = rng.uniform(-12, 12, (2, 30)) * 60 * ARCSEC
+    g = MapGeometry(*np.radians([359.99, dec_deg]), 0.08 * ARCSEC, 46_000, 46_000)
+    plane = FocalPlane(*rng.uniform(-4, 4, (2, 20)) / np.sqrt(2) * 60 * ARCSEC, 1e-4)
+    centre = SkyCoord(359.99 * u.deg, dec_deg * u.deg)
+    boresight = centre.directional_offset_by(np.arange(30) * 12 * u.deg, 25 * u.arcmin)
     angle = rng.uniform(0, 2 * np.pi, 30)
-    ra, dec = plane_directions(g, xi, eta)
-    index = pixel_indices(g, streams_at(ra, dec, angle, plane))
-    boresight = SkyCoord(ra * u.rad, dec * u.rad)
+    row, column = np.divmod(pixel_indices(g, streams_at(boresight.ra.rad, boresight.dec.rad, angle, plane)), g.n_x)
+    assert (row >= 0).all()
     for d in range(20):
         # The x axis lies 90 degrees clockwise of the y axis on the sky, so at angle - 90 degrees.
         toward = angle - np.arctan2(plane.x_rad[d], plane.y_rad[d])
-        distance = np.hypot(plane.x_rad[d], plane.y_rad[d])
-        seen = boresight.directional_offset_by(toward * u.rad, distance * u.rad)
-        column, row = wcs(g).wcs_world2pix(seen.ra.deg, seen.dec.deg, 0)
-        found_row, found_column = np.divmod(index[d], g.n_x)
-        allowed = 0.5 + 0.02 + 1.02 * distance / ARCSEC * np.abs(xi) * np.tan(LYNX[1])
-        assert (index[d] >= 0).all()
-        assert (np.abs(found_column - column) < allowed).all()
-        assert (np.abs(found_row - row) < allowed).all()
+        seen = boresight.directional_offset_by(toward * u.rad, np.hypot(plane.x_rad[d], plane.y_rad[d]) * u.rad)
+        xi, eta = plane_offsets(g, seen.ra.rad, seen.dec.rad)
+        np.testing.assert_allclose((g.n_x / 2 - 0.5 - column[d]) * g.pixel_rad, xi, atol=0.1 * ARCSEC)
+        np.testing.assert_allclose((row[d] - g.n_y / 2 + 0.5) * g.pixel_rad, eta, atol=0.1 * ARCSEC)
+
+
+@ON_SKY
+def test_north_angle_against_a_step_to_the_north(centre, rng):
+    g = geometry(centre)
+    xi, eta, _, _ = plane_points(g, rng)
+    ra, dec = plane_directions(g, xi, eta)
+    there = plane_offsets(g, ra, dec + 1e-6)
+    # A step of 1e-6 is rounded to 1e-10 of itself and more: declinations near 1.57 have 2e-16 each.
+    found = np.arctan2(there[0] - xi, there[1] - eta)
+    np.testing.assert_allclose(np.mod(north_angle(g, xi, eta) - found + np.pi, 2 * np.pi), np.pi, atol=1e-8)
+
+
+@ON_SKY
+def test_behind_the_tangent_plane_is_nowhere(centre):
+    """The antipode has the centre's gnomonic offsets, and must not be taken for it; nor is the horizon in the plane."""
+    g = geometry(centre)
+    ra, dec = centre
+    behind = np.array([ra + np.pi, ra + np.pi, ra + np.pi / 2]), np.array([-dec, -dec + 1e-4, 0.0])
+    assert np.isnan(plane_offsets(g, *behind)).all()
+    np.testing.assert_array_equal(pixel_indices(g, streams_at(*behind)), -1)
+    assert np.isfinite(plane_offsets(g, ra, dec - np.radians(89.9))).all()
+
+
+@pytest.mark.parametrize("dec_deg", [-89.9, 0.0, 44.84, 89.9])
+@pytest.mark.parametrize("ra_deg", [0.0, 0.05, 180.0, 359.95])
+def test_mean_direction_is_the_centre_of_a_symmetric_pattern(ra_deg, dec_deg, rng):
+    """Across RA 0 and around a pole; the mean of points opposite to each other is in the middle, to rounding."""
+    g = MapGeometry(*np.radians([ra_deg, dec_deg]), 1e-4, 1, 1)
+    xi, eta = rng.uniform(-0.01, 0.01, (2, 50))
+    ra, dec = plane_directions(g, np.append(xi, -xi), np.append(eta, -eta))
+    found = mean_direction(ra, dec)
+    assert 0 <= found[0] < 2 * np.pi
+    np.testing.assert_allclose(plane_offsets(g, *found), 0, atol=1e-15)
+
+
+@pytest.mark.parametrize("ra, dec", [([], []), ([0.0, np.pi], [0.0, 0.0]), ([np.nan, 1.0], [0.0, 0.0])])
+def test_no_mean_direction(ra, dec):
+    with pytest.raises(ValueError, match="mean vector"):
+        mean_direction(np.array(ra), np.array(dec))
+
+
+def test_numbers_of_a_large_map(rng):
+    """The last pixels of the largest map have the right numbers; those of a larger one would wrap."""
+    g = MapGeometry(*LYNX, ARCSEC / 100, 46_340, 46_340)
+    column, row = np.array([0, 46_339, 46_339, 5]), np.array([0, 46_339, 0, 46_338])
+    xi, eta = (g.n_x / 2 - 0.5 - column) * g.pixel_rad, (row + 0.5 - g.n_y / 2) * g.pixel_rad
+    index = boresight_pixels(g, xi, eta, np.zeros(4), FocalPlane(np.zeros(1), np.zeros(1), 1e-4))
+    np.testing.assert_array_equal(index[0], row * 46_340 + column)
+    for n_x, n_y in ((50_000, 50_000), (2**16, 2**15), (0, 10), (10, -1)):
+        with pytest.raises(ValueError, match=f"found a map of {n_x} x {n_y} pixels; 1 to 2147483647"):
+            MapGeometry(*LYNX, ARCSEC, n_x, n_y)
+    with pytest.raises(ValueError, match="pixels in all are expected"):
+        covering_geometry(*LYNX, ARCSEC, 25_000 * ARCSEC)
+
+
+def test_one_geometry_by_turns_of_right_ascension():
+    g = geometry(LYNX)
+    assert same_geometry(g, replace(g, ra0_rad=g.ra0_rad - 2 * np.pi))
+    assert not same_geometry(g, replace(g, ra0_rad=g.ra0_rad + 1e-9))
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import j1
 
 from surveysim.atmosphere.opacity import band_opacity, optical_depth
 from surveysim.coherence import horn_taper_db, stop_efficiency
@@ -10,6 +11,7 @@ from surveysim.levels import WhiteLevels, shared_part, white_levels
 from surveysim.load import PhotonNoise, photon_noise, power_per_k
 from surveysim.noise import hann_psd
 from surveysim.observation import draw_observation, observation_levels, observation_weather
+from surveysim.paper.published import published
 from surveysim.scene import SceneError, load_scene
 from surveysim.setup import prepare
 from tests.scenes import SMALL_SCENE, without_sections
@@ -55,6 +57,48 @@ def test_stated_levels_are_taken(scene_of):
     stated = '[photon]\npsd = "2.5 mK2/Hz"\ncoherent_fraction = 0.1\ncoherence = "field"\n'
     scene = scene_of(QUIET + stated + '[detector]\npsd = "1.5 mK2/Hz"\n')
     assert white_levels(scene, None, np.nan, HEIGHT) == WhiteLevels(2.5, 0.1, 1.5)
+
+
+BOLOCAM = '[photon]\npsd = "2.5 mK2/Hz"\ncoherent_fraction = 0.1\nbose_fraction = 0.69\ncoherence = "field"\n'
+
+
+def bose_share(psd_mk2_hz, frequency_hz, bandwidth, efficiency, polarizations):
+    """Bunching's share of a PSD: it goes as the load squared, shot noise as the load, so that one load fits."""
+    one = photon_noise(1.0, frequency_hz, bandwidth, efficiency, polarizations)
+    shot, bose = one.shot_psd_mk2_hz, one.bose_psd_mk2_hz
+    load_k = (np.sqrt(shot**2 + 4 * bose * psd_mk2_hz) - shot) / (2 * bose)
+    assert photon_noise(load_k, frequency_hz, bandwidth, efficiency, polarizations).psd_mk2_hz == pytest.approx(2.5)
+    return bose * load_k**2 / psd_mk2_hz
+
+
+@pytest.mark.parametrize("coherence, expected", [("field", 0.0506), ("intensity", 0.0018)])
+def test_neighbours_of_bolocam(scene_of, coherence, expected):
+    """At 0.7 (f/#)lambda: 0.1 gamma by the paper's hypothesis, (0.1^2 of the Bose share) gamma^2 by bunching."""
+    scene = scene_of(QUIET + BOLOCAM.replace('"field"', f'"{coherence}"'))
+    levels = white_levels(scene, None, np.nan, HEIGHT)
+    x = 0.7 * np.pi
+    gamma = 2 * j1(x) / x
+    found = levels.shared * (gamma if coherence == "field" else gamma**2)
+    assert found == pytest.approx(expected, abs=5e-5)  # 5.1 % and 0.18 %
+    # The share in 2.5 mK^2/Hz, 15 % at 143 GHz, by the efficiency of section 1.1 and two polarizations.
+    paper = published()["blip"]["143"]
+    share = bose_share(2.5, 143e9, 0.15, paper["efficiency"], 2)
+    assert scene.photon.bose_fraction == pytest.approx(share, abs=0.005)
+    assert levels.shared == (0.1 if coherence == "field" else pytest.approx(0.01 * 0.69, rel=1e-12))
+
+
+def test_streams_of_neighbours_share_bunching_alone(scene_of):
+    """Correlation of neighbours in streams of a load that is all beam: the Bose share times gamma^2, to 4 sigma."""
+    text = QUIET + BOLOCAM.replace('"field"', '"intensity"').replace("0.1\n", "1.0\n")
+    setup = prepare(scene_of(text, {"scan.duration": "600 s", "scan.speed": "1 arcsec / s"}))
+    data = draw_observation(setup, 0).data_mk.astype(float)
+    positions = setup.camera.positions_f_lambda
+    distance = np.hypot(*(positions[:, None] - positions).T)
+    near = np.triu(distance < 0.8, 1)
+    gamma = 2 * j1(np.pi * 0.7) / (np.pi * 0.7)
+    found = np.corrcoef(data)[near]
+    # Pairs share detectors: at most all of them scatter together.
+    assert found.mean() == pytest.approx(0.69 * gamma**2, abs=4 / np.sqrt(data.shape[1]))
 
 
 def test_levels_of_stages_left_out_are_zero(scene_of):
@@ -206,6 +250,11 @@ def test_power_needs_an_instrument(tmp_path, text, missing):
         (LOAD.replace("[photon.load]", 'psd = "1 mK2/Hz"\n[photon.load]'), "exactly one of 'psd' and 'load'"),
         (LOAD.replace("[photon.load]", "coherent_fraction = 0.1\n[photon.load]"), "found beside 'load'"),
         ('[photon]\npsd = "1 mK2/Hz"\ncoherence = "none"\n', "coherent_fraction: missing; 'psd' needs it"),
+        (
+            BOLOCAM.replace("bose_fraction = 0.69\n", "").replace("field", "intensity"),
+            "photon.bose_fraction: missing; 'psd'",
+        ),
+        (LOAD.replace("[photon.load]", "bose_fraction = 0.1\n[photon.load]"), "bose_fraction: found beside 'load'"),
         ('[detector]\npsd = "1 mK2/Hz"\nnep = "1e-17 W / Hz(1/2)"\n', "exactly one of 'psd' and 'nep'"),
         ("[detector]\n", "exactly one of 'psd' and 'nep'"),
     ],

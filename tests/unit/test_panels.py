@@ -91,6 +91,16 @@ def test_each_kind_of_series_is_drawn(tmp_path):
         assert min(np.abs(np.subtract(wanted, colour)).max() for colour in seen) < 12
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_points_of_one_value_are_drawn_without_warnings(tmp_path):
+    """Of one observation's fit, all but for rounding; matplotlib leaves no room about them on a logarithmic axis."""
+    x = 52141.01227743425 * np.array([1.0, 1.0 + 1e-15])
+    panel = _panel(Series("a", "line", x, np.array([3.0, 12.0]), "black"), x_log=True, y_log=True)
+    draw_figure(_figure(panel), tmp_path / "one.png")
+    low, high = lay_out(_figure(panel)).axes[0].get_xlim()
+    assert low < x[0] / 1.5 and high > 1.5 * x[0]
+
+
 def test_nothing_is_left_of_a_figure_that_fails(tmp_path):
     with pytest.raises(ValueError, match="found look 'puce'"):
         draw_figure(_figure(_panel(Series("a", "line", RISING, RISING, "puce"))), tmp_path / "five.png")

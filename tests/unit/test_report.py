@@ -218,6 +218,16 @@ def test_cleanings_beside_each_other(tmp_path):
     assert "The optimal set takes for each observation the recipe" in page.text
 
 
+def test_a_page_names_the_assumption_on_shared_photon_noise(tmp_path):
+    text = without_sections(SMALL_SCENE, "score")
+    field = page_of(tmp_path, text, {"observations": 1})
+    assert "share 10 % as far as the fields of overlapping beams are coherent (the hypothesis of Sayers" in field.text
+    keys = {"observations": 1, "photon.coherence": "intensity", "photon.bose_fraction": 0.69}
+    shutil.rmtree(tmp_path / "out")
+    bunching = page_of(tmp_path, text, keys)
+    assert "69 % of it bunching, of a load of which 10 % comes through the beam; neighbours share" in bunching.text
+
+
 def test_a_scene_of_a_site_in_words(tmp_path):
     text = without_sections(SMALL_SCENE, "score", "photon", "detector", "fixed_pointing", "excess") + SCHEDULE
     text += '\n[photon]\ncoherence = "intensity"\n[photon.load]\noptics = "10 K"\n'
@@ -239,6 +249,7 @@ def test_a_scene_of_a_site_in_words(tmp_path):
     for words in (
         "Water and its fluctuations are those of ALMA.",
         "From the load of the site's water and 10 K of warm optics.",
+        "Neighbours share the bunching of what comes through the beam as far as the intensities of overlapping beams",
         "a noise-equivalent power of 3.0 × 10−17 W/Hz1/2",
         "Observed from latitude 19.8°, longitude −155.5°, 4070 m high, in 1 night from 2003-10-28",
         "Horns are 0.6 (f/#)λ wide. The efficiency from window to detector is 30 %. Detectors take 2 polarizations.",

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from surveysim.scene import SceneError, load_scene
-from tests.scenes import SCHEDULE, SMALL_SCENE
+from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections
 
 
 @pytest.fixture
@@ -129,16 +129,16 @@ def test_bare_lists(path, found):
 @pytest.mark.parametrize(
     "key, found, allowed",
     [
-        ("scan.speed", "-4 arcmin / s", "above 0"),
-        ("scan.speed", "0 arcmin / s", "above 0"),
+        ("scan.speed", "-4 arcmin / s", "0.001 arcsec / s or more"),
+        ("scan.speed", "0 arcmin / s", "0.001 arcsec / s or more"),
         ("scan.turnaround", "-1 s", "0 or more"),
-        ("instrument.beam_fwhm", "-60 arcsec", "above 0"),
+        ("instrument.beam_fwhm", "-60 arcsec", "0.001 arcsec or more"),
         ("instrument.layout.rings", -1, "greater than or equal to 0"),
-        ("instrument.layout.pitch_f_lambda", -0.7, "greater than 0"),
+        ("instrument.layout.pitch_f_lambda", -0.7, "greater than or equal to 0.000001"),
         ("instrument.responsivity_scatter", -0.1, "greater than or equal to 0"),
         ("photon.psd", "-1 mK2 / Hz", "0 or more"),
         ("photon.coherent_fraction", 1.1, "less than or equal to 1"),
-        ("atmosphere.outer_scale", "0 m", "above 0"),
+        ("atmosphere.outer_scale", "0 m", "1 mm or more"),
         ("atmosphere.wind_median", "-1 arcmin / s", "0 or more"),
         ("excess.band_limit", "0 Hz", "above 0"),
         ("seed", -1, "greater than or equal to 0"),
@@ -157,6 +157,79 @@ def test_values_out_of_range(path, key, found, allowed):
     text = refusal(path, {key: found})
     assert f"{key}" in text and allowed in text
     assert str(found[0] if isinstance(found, list) else found) in text
+
+
+@pytest.mark.parametrize(
+    "key, found, allowed",
+    [
+        ("fixed_pointing.elevation", "0.0015 deg", "5 deg or more"),
+        ("fixed_pointing.parallactic_angle", "400 deg", "360 deg or less"),
+        ("instrument.beam_fwhm", "31 deg", "30 deg or less"),
+        ("instrument.beam_fwhm", "1e-300 rad", "0.001 arcsec or more"),
+        ("instrument.f_lambda", "200 deg", "180 deg or less"),
+        ("instrument.frequency", "1 Hz", "1 GHz or more"),
+        ("instrument.bandwidth", 1e-300, "greater than or equal to 0.000001"),
+        ("scan.speed", "361 deg / s", "360 deg / s or less"),
+        ("scan.duration", "11 day", "10 day or less"),
+        ("scan.turnaround", "1e300 s", "10 day or less"),
+        ("scan.step", "361 deg", "360 deg or less"),
+        ("scan.sample_rate", "2 GHz", "1 GHz or less"),
+        ("atmosphere.wind_median", "361 deg / s", "360 deg / s or less"),
+        ("atmosphere.layer_height", "0.1 mm", "1 mm or more"),
+        ("atmosphere.layer_height", "1e300 m", "100000 km or less"),
+        ("atmosphere.outer_scale", "1e300 m", "100000 km or less"),
+        ("excess.variance", "[1, 1e13] mK2", "1e12 mK2 or less"),
+        ("excess.b2", [1, 1e25], "values of 1e+24 or less"),
+        ("photon.psd", "1e80 mK2 / Hz", "1e+12 mK2 / Hz or less"),
+        ("photon.psd", "1e-300 mK2 / Hz", "0, or 1e-12 mK2 / Hz or more,"),
+        ("excess.variance", "[1e-300, 1] mK2", "0, or 1e-12 mK2 or more, is expected of each"),
+        ("detector.psd", "1e80 mK2 / Hz", "1e+12 mK2 / Hz or less"),
+        ("sky.cmb_band_power", "1e80 uK2", "1e15 uK2 or less"),
+        ("score.window.band_power", "1e-30 uK2", "1e-6 uK2 or more"),
+        ("score.mask_separation_f_lambda", 1e-30, "greater than or equal to 0.000001"),
+        ("map.pixel", "181 deg", "180 deg or less"),
+    ],
+)
+def test_values_beyond_any_use(path, key, found, allowed):
+    """Beyond any telescope, and what streams of 32 bits hold; 12,900 K of layer and noise of 1e80 ran before."""
+    check(path, {key: found}, key, f"found {found!r}" if isinstance(found, str) else "found", allowed)
+
+
+@pytest.mark.parametrize(
+    "key, found, allowed",
+    [
+        ("photon.load.sky", "1e5 K", "10000 K or less"),
+        ("photon.load.optics", "1e80 K", "10000 K or less"),
+        ("photon.load.sky", "1e-30 K", "0, or 1e-9 K or more,"),
+        ("detector.nep", "1e-50 W / Hz(1/2)", "0, or 1e-30 W / Hz(1/2) or more,"),
+        ("detector.nep", "1 W / Hz(1/2)", "1e-6 W / Hz(1/2) or less"),
+    ],
+)
+def test_powers_beyond_any_use(path, key, found, allowed):
+    check(path, {"photon.load.optics": "1 K", key: found}, key, f"found {found!r}", allowed)
+
+
+def test_layers_beyond_any_use(path):
+    for keys, key, found, allowed in (
+        ({"b2": "[1, 2, 1e25] mK2 rad(-5/3)"}, "b2", "found (1.0, 2.0, 1e+25)", "0 or values from 1e-24 to 1e+24"),
+        ({"b2": "[1e-300, 2, 3] mK2 rad(-5/3)"}, "b2", "found (1e-300, 2.0, 3.0)", "0 or values from 1e-24"),
+        ({"index": 21, "b2": "[1, 2, 3] mK2 rad(-19)"}, "index", "found 21", "less than or equal to 20"),
+        ({"layer_height": "5 m"}, "layer_height", "found 5 m with an aperture of 8 m", "no less than the aperture"),
+    ):
+        overrides = {f"atmosphere.{name}": value for name, value in keys.items()}
+        check(path, overrides, f"atmosphere.{key}", found, allowed)
+
+
+def test_peaks_beyond_any_use(path):
+    for peak, allowed in (("1e80 K", "1e6 K or less"), ("-1e80 K", "-1e6 K or more")):
+        source = {"ra": "08h49m20s", "dec": "+44d51m00s", "peak": peak}
+        check(path, {"sky.point_sources": [source]}, "sky.point_sources.0.peak", f"found {peak!r}", allowed)
+
+
+def test_lowest_elevation_of_a_schedule(path):
+    path.write_text(without_sections(SMALL_SCENE, "fixed_pointing") + SCHEDULE)
+    check(path, {"schedule.min_elevation": "4.99 deg"}, "schedule.min_elevation", "found '4.99 deg'", "5 deg or more")
+    assert load_scene(path, {"schedule.min_elevation": "5 deg"}).schedule.min_elevation_rad == math.radians(5)
 
 
 @pytest.mark.parametrize("word", ["nan", "inf", "-inf"])
