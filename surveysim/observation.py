@@ -83,9 +83,9 @@ def draw_block(setup: Setup, observation: int, whole: Pointing, block: Block, wa
 def draw_colours(setup: Setup, observation: int, whole: Pointing, block: Block) -> np.ndarray:
     """Streams of the other bands of the same detectors in one block, (n_colour, n_det, n_samp) [mK].
 
-    `whole` points the observation.
     The same layer as in the mapped band, times what each band makes of the water (section 3.3), and white noise of
-    their own. Excess noise and sky are in the mapped band alone. None where no recipe subtracts other bands.
+    their own. Excess noise and sky are in the mapped band alone. None where no recipe subtracts other bands. `whole`
+    points the observation.
     """
     colours = setup.scene.instrument.colours if setup.subtracts_colours else ()
     n_samp = block.n_scans * samples_per_scan(setup.raster)

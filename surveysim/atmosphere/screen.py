@@ -1,5 +1,7 @@
 """Realizations of the thin screen: one random strip of the layer for every scan.
 
+Strips know nothing of each other; the trends that scans share are given to them by `surveysim.atmosphere.trends`.
+
 In the frame of the moving layer all detectors of a scan at constant velocity follow straight parallel
 lines. A scan therefore needs a strip of the layer that is long along the relative velocity (x) and as wide
 as the focal plane (y): `n_lane` lanes of `n_x` lattice points.
