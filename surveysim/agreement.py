@@ -6,7 +6,8 @@ import numpy as np
 
 from mapmaker.bandpower import noise_error, noise_error_parts, ratio_error, without_noise
 from surveysim.coadds import CoAdds, row_names
-from surveysim.forecast import DataSetForecast, Forecast, can_forecast, forecast, is_projection
+from surveysim.forecast import DataSetForecast, Forecast, can_forecast, forecast
+from surveysim.noise_model import is_projection
 from surveysim.scene import SceneError
 from surveysim.scores import DataSetScore
 from surveysim.setup import Setup

@@ -13,7 +13,8 @@ import numpy as np
 from mapmaker.bandpower import flat_band_power
 from surveysim.coadds import CoAdds
 from surveysim.conditions import conditions, population, survey_draws
-from surveysim.forecast import NoiseModel, can_forecast, expected_weights, survey_models
+from surveysim.forecast import can_forecast, expected_weights
+from surveysim.noise_model import NoiseModel, survey_models
 from surveysim.recipes import ACTUAL
 from surveysim.scene import Scene, SceneError
 from surveysim.scores import Control, DataSetScore, controlled_score, score_survey

@@ -7,7 +7,8 @@ from mapmaker.bandpower import noise_error_parts, ratio_error
 from surveysim import load_scene
 from surveysim.conditions import conditions, population_draws
 from surveysim.control import expectations, quoted_scores
-from surveysim.forecast import expected_weights, noise_models
+from surveysim.forecast import expected_weights
+from surveysim.noise_model import noise_models
 from surveysim.setup import prepare
 from surveysim.stopping import estimate_so_far
 from surveysim.streams import Stage, generator

@@ -11,7 +11,8 @@ from mapmaker.geometry import MapGeometry
 from mapmaker.spectrum import annuli, coupled_psd, map_psd, mode_ell, neighbour_correlation, ring_mean, tukey_taper
 from mapmaker.window import beam_window, mode_pixel_window, pixel_window
 from surveysim.band import flat_signal
-from surveysim.forecast import forecast, survey_models
+from surveysim.forecast import forecast
+from surveysim.noise_model import survey_models
 from surveysim.scene import load_scene
 from surveysim.setup import prepare
 

@@ -17,9 +17,10 @@ from surveysim.atmosphere.spectrum import Screen
 from surveysim.coherence import correlation_factor, correlation_matrix
 from surveysim.conditions import conditions, survey_draws
 from surveysim.engines import SERIAL
-from surveysim.forecast import forecast, noise_models
+from surveysim.forecast import forecast
 from surveysim.instrument import hexagon
 from surveysim.noise import add_correlated_white, add_excess, excess_psd
+from surveysim.noise_model import noise_models
 from surveysim.observation import observation_weather
 from surveysim.pointing import sky_vector
 from surveysim.response import layer_gain, layer_waves, matrix_power, projected_array, scan_window

@@ -8,10 +8,11 @@ import pytest
 from mapmaker.timestreams import FocalPlane
 from surveysim import conditions, lattice, response, setup
 from surveysim.coherence import Illumination, correlation_matrix
-from surveysim.forecast import forecast, survey_models
+from surveysim.forecast import forecast
 from surveysim.instrument import Camera, hexagon
 from surveysim.lattice import LARGEST_ERROR, SharedNoise, TorusRoot, embed
 from surveysim.noise import add_correlated_white, add_excess, excess_psd, hann_psd
+from surveysim.noise_model import survey_models
 from surveysim.observation import draw_observation
 from surveysim.response import matrix_power, projected_array, stream_power
 from surveysim.scene import SceneError, load_scene

@@ -11,7 +11,7 @@ from surveysim.api import run
 from surveysim.conditions import conditions, fitted_courses, survey_draws
 from surveysim.courses import NO_COURSES
 from surveysim.engines import SERIAL, Engine
-from surveysim.forecast import noise_models
+from surveysim.noise_model import noise_models
 from surveysim.recipes import Beside, apply_recipe
 from surveysim.reduction import observe
 from surveysim.response import projected_array

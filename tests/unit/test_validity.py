@@ -10,7 +10,8 @@ from surveysim import load_scene, run
 from surveysim.agreement import GOOD_PSD, KNOWN, agreement
 from surveysim.conditions import conditions, survey_draws
 from surveysim.engines import SERIAL
-from surveysim.forecast import expected_weights, forecast, survey_models
+from surveysim.forecast import expected_weights, forecast
+from surveysim.noise_model import survey_models
 from surveysim.pilot import Kept, predicted_kept
 from surveysim.report.text import agreement_lines, effect_lines
 from surveysim.results import forecast_agreement, summary
