@@ -21,6 +21,7 @@ from surveysim.interrupts import (
     says_interrupted,
     stopping,
 )
+from surveysim.options import Kind, NoFigures, Overrides, Quiet, Reference, SceneFile, Scheduler, Workers
 from surveysim.scene import Scene, SceneError, load_scene
 
 if TYPE_CHECKING:
@@ -33,19 +34,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Monte Carlo surveys of millimetre-wave cameras through a turbulent atmosphere.",
 )
-SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="a scene file (TOML)")]
-Overrides = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override one key")]
-Workers = Annotated[int | None, typer.Option(help="worker processes on this machine; one a core by default")]
-Kind = Annotated[str, typer.Option("--engine", help="what runs observations: serial, processes or dask")]
-Scheduler = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="of a dask cluster: tcp://host:port, or its scheduler's file")
-]
-NoFigures = Annotated[bool, typer.Option("--no-figures", help="leave the figures out")]
-Reference = Annotated[
-    str | None,
-    typer.Option(metavar="POINT", help="of a sweep: the point that ratios are to, by its number or as 'KEY = VALUE'"),
-]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
 
 
 @app.command()

@@ -1,13 +1,30 @@
 """Options of the command line, from texts to values; SceneError with one line for what can't be understood."""
 
 import tomllib
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from surveysim.scene import SceneError
 
 if TYPE_CHECKING:
     from surveysim.engines import Engine
     from surveysim.stopping import Limits
+
+SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="a scene file (TOML)")]
+Overrides = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override one key")]
+Workers = Annotated[int | None, typer.Option(help="worker processes on this machine; one a core by default")]
+Kind = Annotated[str, typer.Option("--engine", help="what runs observations: serial, processes or dask")]
+Scheduler = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="of a dask cluster: tcp://host:port, or its scheduler's file")
+]
+NoFigures = Annotated[bool, typer.Option("--no-figures", help="leave the figures out")]
+Reference = Annotated[
+    str | None,
+    typer.Option(metavar="POINT", help="of a sweep: the point that ratios are to, by its number or as 'KEY = VALUE'"),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
 
 
 def settings(given: list[str] | None) -> dict[str, Any]:

@@ -17,17 +17,17 @@ from mapmaker.cleaning import Cleaned
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
-from mapmaker.timestreams import Timestreams, scan_bounds, timestream_file
+from mapmaker.timestreams import Timestreams, timestream_file
 from surveysim.blocks import Block
 from surveysim.choice import TARGETS, best_places, merits
-from surveysim.noise import draw_from_psd, hann_power, hann_scale, white_level
+from surveysim.noise import hann_power, hann_scale, white_level
 from surveysim.observation import Stopwatch, add_sky_signal, draw_block, draw_colours, observation_weather
 from surveysim.pointing import Pointing
 from surveysim.recipes import OPTIMAL, Beside, Recipe, apply_recipe, what_is_beside
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene
 from surveysim.setup import Setup, observation_path, prepare
-from surveysim.streams import Stage, generator
+from surveysim.simulated_sets import add_simulated, mean_removed
 from surveysim.weather import Weather
 
 REFERENCE = (0, 1)  # observations that tell what recipes leave of a signal: one along each direction
@@ -117,7 +117,7 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
     if setup.scene.score:
         n, rate = samples_per_scan(setup.raster), setup.raster.sample_rate_hz
         white = white_level(psd, n, rate, setup.scene.score.white_above_hz)
-        _add_simulated(sums, setup, observation, pointing, psd, white, watch)
+        add_simulated(sums.maps, sums.kept, setup, observation, pointing, psd, white, watch)
     maps = {name: _plane(setup, *item) for name, item in sums.maps.items()}
     worth, best = None, 0
     if setup.chooses:
@@ -227,7 +227,7 @@ def _add_spectra(sums: _Sums, part: _Part) -> None:
     actual, *others = part.cleaned[: len(part.setup.whole_recipes)]
     sums.power += hann_power(actual.data_mk, n_scans, actual.kept)
     everyone = np.ones(n_scans, bool)
-    raw = [hann_power(_mean_removed(data[rows], n_scans), n_scans, everyone) for rows in row_chunks(*data.shape)]
+    raw = [hann_power(mean_removed(data[rows], n_scans), n_scans, everyone) for rows in row_chunks(*data.shape)]
     sums.raw.append((n_scans, (np.concatenate(raw) / n_scans * scale).mean(axis=0)))
     powers = [(int(item.kept.sum()), hann_power(item.data_mk, n_scans, item.kept)) for item in others]
     sums.compared.append([(n, (power / max(1, n) * scale).mean(axis=0)) for n, power in powers])
@@ -263,61 +263,6 @@ def map_noise(setup: Setup, total: np.ndarray, hits: np.ndarray) -> float:
 def _some(kept: np.ndarray) -> np.ndarray:
     """The kept scans, or all (of zeros) where none is kept, so that a mean is defined."""
     return kept if kept.any() else np.ones_like(kept)
-
-
-def _mean_removed(data: np.ndarray, n_scans: int) -> np.ndarray:
-    scans = data.reshape(len(data), n_scans, -1)
-    return (scans - scans.mean(axis=-1, keepdims=True)).reshape(data.shape)
-
-
-def _add_simulated(
-    sums: _Sums,
-    setup: Setup,
-    observation: int,
-    whole: Pointing,
-    psd: np.ndarray,
-    white: np.ndarray,
-    watch: Stopwatch,
-) -> None:
-    """Add the maps of section 5.2's simulated sets, in the scans that the actual data keep.
-
-    They need no more of the streams than each detector's measured PSD and white level: detectors are taken some at a
-    time.
-    """
-    plane = setup.camera.focal_plane
-    for block, kept in zip(setup.blocks, sums.kept, strict=True):
-        pointing = whole.scans(block.first, block.end)
-        angle, bounds = pointing.array_angle_rad[pointing.scan], scan_bounds(pointing.scan)
-        names = setup.scene.score.simulated
-        rngs = [generator(setup.scene.seed, SIMULATED[name], observation, block=block.number) for name in names]
-        for rows in row_chunks(setup.n_det, len(pointing.time_s)):
-            with watch("pixels"):
-                some = plane.subset(rows)
-                index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, some)
-            for name, rng in zip(names, rngs, strict=True):
-                with watch("simulated sets"):
-                    data = simulated_streams(setup, name, psd[rows], white[rows], block.n_scans, rng)
-                with watch("binning"):
-                    bin_samples(data, index, bounds, kept[0], *sums.maps[name])
-
-
-SIMULATED = {"uncorrelated": Stage.UNCORRELATED, "white": Stage.WHITE}
-
-
-def simulated_streams(
-    setup: Setup, name: str, psd: np.ndarray, white: np.ndarray, n_scans: int, rng: np.random.Generator
-) -> np.ndarray:
-    """Streams (n_det, n_samp) of section 5.2's simulated sets: each detector's measured PSD, or its white level.
-
-    Uncorrelated between detectors; the mean of each scan is removed, as cleaning does.
-    """
-    rate, n = setup.raster.sample_rate_hz, samples_per_scan(setup.raster)
-    if name == "uncorrelated":
-        streams = draw_from_psd(psd[:, None, :], (len(psd), n_scans), n, rate, rng)
-        return streams.reshape(len(psd), -1).astype(setup.stream_type, copy=False)
-    data = rng.standard_normal((len(psd), n_scans * n), dtype=np.float32).astype(setup.stream_type, copy=False)
-    data *= np.sqrt(white * rate / 2).astype(data.dtype)[:, None]
-    return _mean_removed(data, n_scans)
 
 
 def _bin(

@@ -35,6 +35,7 @@ from surveysim.pointing import (
     survey_angles,
 )
 from surveysim.recipes import ACTUAL, OPTIMAL, Recipe, recipes
+from surveysim.responsivity import assumed_responsivity, colour_responsivity, true_responsivity
 from surveysim.scan import Raster, RasterPath, duration_s, raster, samples_per_scan
 from surveysim.scene import Scene, SceneError
 from surveysim.sections import Colour, Excess, Instrument, Photon
@@ -172,7 +173,7 @@ def _prepare(scene: Scene) -> Setup:
     ways = recipes(scene.cleaning, masked)
     excess = shared_noise(cam, scene.excess, "excess")
     n_det = len(cam.focal_plane.x_rad)
-    responsivity, of_colours = _responsivity(scene, n_det), _colour_responsivity(scene, n_det)
+    responsivity, of_colours = true_responsivity(scene, n_det), colour_responsivity(scene, n_det)
     angles, water = _angles(scene, cam, lines), _water(scene, scene.instrument)
     check_levels(scene, water, float(angles.elevation_rad.min()))
     check_sources(scene, sky_geometry)
@@ -187,7 +188,7 @@ def _prepare(scene: Scene) -> Setup:
         sky_geometry=sky_geometry,
         recipes=ways,
         responsivity=responsivity,
-        calibration=_calibration(scene, np.vstack([responsivity[None], of_colours])),
+        calibration=assumed_responsivity(scene, np.vstack([responsivity[None], of_colours])),
         photon_overlap=shared_noise(cam, scene.photon, "photon"),
         excess_factor=None if excess is None else excess.factor(),
         strips=_strips(scene, cam),
@@ -270,32 +271,6 @@ def _angles(scene: Scene, cam: Camera, lines: Raster) -> Angles:
     angles = Angles(times.start_mjd, *survey_angles(field, site, times, mid_time))
     check_motion(scene, cam, field, site, times, mid_time, angles.elevation_rad, angles.parallactic_rad)
     return angles
-
-
-def _colour_responsivity(scene: Scene, n_det: int) -> np.ndarray:
-    """Responsivity (n_colour, n_det) of the other bands' detectors, each with its own scatter."""
-    colours = range(1, len(scene.instrument.colours) + 1)
-    return np.array([_responsivity(scene, n_det, colour) for colour in colours]).reshape(len(colours), n_det)
-
-
-def _responsivity(scene: Scene, n_det: int, realization: int = 0) -> np.ndarray:
-    scatter = generator(scene.seed, Stage.RESPONSIVITY, realization=realization).standard_normal(n_det)
-    # Log-normal, so that a large scatter never turns a detector's sign; relative, so that their mean is 1.
-    responsivity = np.exp(scene.instrument.responsivity_scatter * scatter)
-    return responsivity / responsivity.mean()
-
-
-def _calibration(scene: Scene, true: np.ndarray) -> np.ndarray | None:
-    """Responsivities (n_band, n_det) that cleaning takes as known, from the true ones; None where it fits them."""
-    section = scene.cleaning
-    if section.responsivities == "known":
-        return true
-    if section.responsivities != "survey":
-        return None
-    rngs = (generator(scene.seed, Stage.CALIBRATION, realization=band) for band in range(len(true)))
-    error = np.array([rng.standard_normal(true.shape[1]) for rng in rngs])
-    assumed = true * np.exp(section.calibration_error * error)  # log-normal, as the responsivities are
-    return assumed / assumed.mean(axis=1, keepdims=True)
 
 
 def shared_noise(cam: Camera, section: Photon | Excess | None, name: str) -> Overlap | Torus | None:

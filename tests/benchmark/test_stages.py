@@ -11,6 +11,7 @@ from mapmaker.kernels.pixels import bin_samples
 from mapmaker.wind import measure_wind, scan_velocities
 from surveysim import observation as stages
 from surveysim import reduction
+from surveysim import simulated_sets as sets
 from surveysim.coadds import add_observation, empty_coadds
 from surveysim.noise import add_white, hann_psd, white_level
 from surveysim.recipes import Beside, Recipe, apply_recipe, measured_delays
@@ -104,9 +105,9 @@ def test_simulated_set(per_sample, lynx, name):
     setup, n_det = lynx.setup, len(lynx.data_mk)
     psd = np.tile(lynx.result.clean_psd, (n_det, 1))
     white = white_level(psd, 150, setup.raster.sample_rate_hz, setup.scene.score.white_above_hz)
-    rng = generator(setup.scene.seed, reduction.SIMULATED[name], OBSERVATION)
+    rng = generator(setup.scene.seed, sets.SIMULATED[name], OBSERVATION)
     n_scans = setup.raster.n_scans
-    per_sample(f"simulated set, {name}", lambda: reduction.simulated_streams(setup, name, psd, white, n_scans, rng))
+    per_sample(f"simulated set, {name}", lambda: sets.simulated_streams(setup, name, psd, white, n_scans, rng))
 
 
 def test_window_of_one_sky(per_sample, lynx):
