@@ -348,19 +348,21 @@ def _cleaning_entry(recipe: Recipe, result: SurveyResult, columns: dict[str, np.
     return entry
 
 
-def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float]:
+def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float | None]:
     """Median PSD of the cleaned streams over its own level in the upper half of the band, at some frequencies.
 
-    That level is the instrument's noise as the recipe leaves it: templates of few detectors take some of it too.
+    That level is the instrument's noise as the recipe leaves it: templates of few detectors take some of it too. None
+    where nothing is left of the streams, or no scan.
     """
     setup, coadds = result.setup, result.coadds
     psds = coadds.clean_psd if place == 0 else [psd[place - 1] for psd in coadds.compared_psd]
-    median = np.median([psd for psd in psds if psd.any()] or [np.full(len(psds[0]), np.nan)], axis=0)
+    median = np.median([psd for psd in psds if psd.any()] or [np.zeros(len(psds[0]))], axis=0)
     white = median[len(median) // 2 : -1].mean()
     step = setup.raster.sample_rate_hz / samples_per_scan(setup.raster)
     bins = {f"{hz:g} Hz": round(hz / step) for hz in PSD_AT_HZ}
     # The first bin holds what the scan's removed mean leaves, the last Nyquist's single mode.
-    return {name: float(median[k] / white) for name, k in bins.items() if 2 <= k < len(median) - 1}
+    there = {name: k for name, k in bins.items() if 2 <= k < len(median) - 1}
+    return {name: float(median[k] / white) if white > 0 else None for name, k in there.items()}
 
 
 def best_recipe(setup: Setup, columns: dict[str, np.ndarray], target: str) -> np.ndarray:

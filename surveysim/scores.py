@@ -20,6 +20,7 @@ from mapmaker.spectrum import Annuli, map_psd
 from mapmaker.window import Window, neighbour_factor, signal_window
 from surveysim.band import N_SECTORS
 from surveysim.coadds import CoAdds, row_names
+from surveysim.recipes import ACTUAL
 from surveysim.setup import Setup
 
 PEAK = 0.8  # of the brightest pixel: what counts as a point source's peak
@@ -95,8 +96,11 @@ class Gain:
 def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = None) -> dict[str, DataSetScore]:
     """Plain scores of the whole survey's named data sets (all by default), judged by the observations so far.
 
-    Raises ValueError with fewer than 2 observations with data, or before a window observation is in.
+    Raises ValueError with fewer than 2 observations with data, or before a window observation is in; says so where
+    cleaning discarded all scans.
     """
+    if not _kept(setup, coadds, ACTUAL).any():
+        raise ValueError("cleaning discarded all scans; some scans of 2 or more observations are expected")
     windows = [_window(setup, coadds, place, setup.band.rings) for place in range(len(setup.windows))]
     noise = coadds.noise_mk2()
     scores = {}

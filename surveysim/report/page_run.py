@@ -225,7 +225,7 @@ def _cleaning_grid(summary: Content) -> Grid:
     for entry in entries.values():
         cells = [cell("+".join(entry["steps"])), cell(entry["scans_discarded"])]
         cells += [Cell(number(entry[key]), entry[key]) for key in ("mean_iterations", "mean_removed")]
-        cells += [Cell(number(ratio), ratio) for ratio in entry["psd_over_white"].values()]
+        cells += [Cell("" if ratio is None else number(ratio), ratio) for ratio in entry["psd_over_white"].values()]
         rows.append((*cells, *(Cell(number(100 * entry[name]), 100 * entry[name]) for name in there)))
     columns = ["cleaning", "scans discarded", "iterations", "templates"]
     columns += [f"PSD at {hz} over white" for hz in first["psd_over_white"]] + [shares[name] for name in there]

@@ -253,7 +253,7 @@ def _cleaning_table(result: SurveyResult) -> Table:
         table.add_column(heading, justify="left" if heading == "cleaning" else "right")
     for label, entry in entries.items():
         cells = [str(entry["scans_discarded"]), f"{entry['mean_iterations']:.1f}", f"{entry['mean_removed']:.2f}"]
-        cells += [f"{ratio:.3g}" for ratio in entry["psd_over_white"].values()]
+        cells += ["" if ratio is None else f"{ratio:.3g}" for ratio in entry["psd_over_white"].values()]
         table.add_row(label, *cells, *(f"{100 * entry[name]:.1f} %" for name in shares if name in entry))
     return table
 

@@ -23,6 +23,8 @@ LYNX = Path(__file__).parents[2] / "scenarios" / "lynx.toml"
 ARCMIN = np.radians(1 / 60)
 # Weather so calm that the layer hardly stands out of the noise: many scans are discarded.
 CALM = {"atmosphere.b2": "[2, 10, 400] mK2 rad(-5/3)", "observations": 12, "score.jackknives": 16}
+# Noise so faint that the layer is most of what cleaning leaves.
+FAINT = {f"{name}.psd": "1e-4 mK2 / Hz" for name in ("photon", "detector")} | {"excess.variance": "[1e-5, 2e-5] mK2"}
 LARGER = {"scan.scans": 9, "scan.duration": "8 s", "score.size": "24 arcmin", "score.ell_bin": 1000}
 
 
@@ -132,6 +134,7 @@ def test_shares_are_interpolated_over_weather(scene_of):
     "name, keys",
     [
         ("scans that share air", {"cleaning.algorithm": "none"}),
+        ("stripes", FAINT),
         ("low multipoles", {}),
         ("discarded scans", CALM),
         ("few detectors", {"cleaning.algorithm": "quadratic"}),
