@@ -176,6 +176,7 @@ def score(
     observation_weights: np.ndarray,
     ell: np.ndarray,
     edges_ell: np.ndarray,
+    *,
     information: np.ndarray | None = None,
 ) -> tuple[BandPower, ErrorBudget]:
     """Band power of a survey and its error from K sign-flip realizations of the noise.
