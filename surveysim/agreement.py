@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.bandpower import noise_error, noise_error_parts, ratio_error, without_noise
-from surveysim.coadds import CoAdds, row_names
+from surveysim.coadds import CoAdds, kept_shares
 from surveysim.forecast import DataSetForecast, Forecast, can_forecast, forecast
-from surveysim.noise_model import is_projection
 from surveysim.scene import SceneError
 from surveysim.scores import DataSetScore
 from surveysim.setup import Setup
@@ -46,13 +45,6 @@ def run_forecast(setup: Setup, coadds: CoAdds) -> Forecast | None:
         return forecast(setup.scene, kept_shares(setup, coadds)) if can_forecast(setup) else None
     except SceneError:  # a finished run never fails for want of a forecast
         return None
-
-
-def kept_shares(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
-    """Share of scans (n_obs,) that was kept of each observation, by recipes' data sets."""
-    columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
-    names = [recipe.data_set for recipe in setup.recipes if is_projection(recipe)]
-    return {name: 1 - columns[f"discarded_{name}"] / setup.raster.n_scans for name in names}
 
 
 def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -> Agreement:

@@ -302,13 +302,13 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         content["unscored"] = result.unscored
     if result.scores:
         expected = result.expected.scores if result.expected else {}
-        content["best"] = _known(vars(result.estimate))
+        content["best"] = known(vars(result.estimate))
         content["scores"] = {row.name: _score_entry(row) for row in score_rows(result)}
-        content["error_budget"] = {name: _known(vars(item.budget)) for name, item in result.scores.items()}
+        content["error_budget"] = {name: known(vars(item.budget)) for name, item in result.scores.items()}
         agreements = forecast_agreement(result)
-        content["forecast_over_simulated"] = {name: _known(vars(item)) for name, item in agreements.items()}
+        content["forecast_over_simulated"] = {name: known(vars(item)) for name, item in agreements.items()}
         content["forecast"] = {name: _forecast_entry(item) for name, item in expected.items()}
-        content["gains"] = {name: _known(vars(item)) for name, item in result.gains.items()}
+        content["gains"] = {name: known(vars(item)) for name, item in result.gains.items()}
         content["alternatives"] = result.alternatives
         if not np.isnan(setup.band.scored_correlation):
             content["bin_correlation"] = setup.band.scored_correlation
@@ -380,11 +380,11 @@ def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
         **limits,
     }
     if estimate:
-        entry |= _known({"estimate": estimate.kind, "relative_error": estimate.relative_error})
+        entry |= known({"estimate": estimate.kind, "relative_error": estimate.relative_error})
     return entry
 
 
-def _known(entry: dict[str, Any]) -> dict[str, Any]:
+def known(entry: dict[str, Any]) -> dict[str, Any]:
     """The entry with None for what is unknown: JSON has no NaN."""
     return {key: None if value != value else value for key, value in entry.items()}
 
@@ -394,7 +394,7 @@ def _forecast_entry(item: DataSetForecast) -> dict[str, Any]:
 
 
 def _score_entry(row: Row) -> dict[str, float | None]:
-    entry = _known({key: value for key, value in vars(row).items() if key != "name" and value is not None})
+    entry = known({key: value for key, value in vars(row).items() if key != "name" and value is not None})
     if row.reference_ukcmb2 is not None:
         entry["ratio_to_reference"] = row.sigma_ukcmb2 / row.reference_ukcmb2
     return entry

@@ -40,10 +40,11 @@ class Effect:
 
 @dataclass(frozen=True)
 class Grounds:
-    """What a data set's forecast stands on.
+    """Inputs of one data set's effects: its cleaning, and its forecast of each observation.
 
-    Of observations in the conditions `levels`: `kept` scans, `weight` (n_obs,), noise variance a sample `noise` and the
-    `layer`'s part of it (n_obs, n_bin). `share` (n_bin,) of bins in sigma(A)^-2; mean `hits` (n, n) on the patch.
+    Of observations in the conditions `levels`: `kept` scans, `weight` (n_obs,) [1/mK^2], noise variance a sample
+    `noise` and the `layer`'s part of it (n_obs, n_bin) [mK^2]. `share` (n_bin,) of bins in sigma(A)^-2; mean `hits`
+    (n, n) of an observation on the scored patch.
     """
 
     recipe: Recipe

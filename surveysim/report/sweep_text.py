@@ -53,7 +53,7 @@ def print_sweep(result: SweepResult, directory: Path) -> None:
 
 
 def _forecast_lines(result: SweepResult) -> list[str]:
-    """How far forecasts are from the simulation at worst, and which points' forecasts may be off and why."""
+    """Largest difference of a forecast from its simulation, and a line for each flag of a point's forecast."""
     lines, both = [], list(zip(result.sweep.points, result.points, strict=True))
     compared = [(point, *item.off) for point, item in both if item.off]
     if compared:

@@ -71,7 +71,7 @@ def print_warnings(console: Console, warnings: Sequence[str]) -> None:
 
 
 def table_console() -> Console:
-    """What tables are printed on."""
+    """Console that is wide enough for tables."""
     # Off a terminal rich takes 80 columns, in which the tables would break.
     return Console(soft_wrap=True, width=None if sys.stdout.isatty() else 120)
 
@@ -98,7 +98,7 @@ def where_line(directory: Path) -> str:
 
 
 def agreement_lines(result: SurveyResult) -> list[str]:
-    """How far the forecast is from the simulation, where that is more than it should be, and its flags."""
+    """Differences of the forecast from the simulation, with warnings of large ones, and its flags."""
     found = forecast_agreement(result)
     if not found:
         return []
@@ -114,7 +114,7 @@ def agreement_lines(result: SurveyResult) -> list[str]:
 
 
 def _psd_lines(found: dict[str, Agreement]) -> list[str]:
-    """How many bins of the noise PSDs are forecast as well as they should be, and the one that is furthest off."""
+    """Number of bins whose noise PSD is forecast well enough, and the bin that is furthest off."""
     bins, within = (sum(getattr(item, key) for item in found.values()) for key in ("bins", "within"))
     if bins == 0:
         return []
@@ -154,7 +154,7 @@ def survey_lines(result: SurveyResult) -> list[str]:
 
 
 def estimate_lines(estimate: Estimate, done: int) -> list[str]:
-    """Which estimate is quoted, with the plain one beside a controlled one, and why an error is unknown."""
+    """Kind of the estimate that is quoted, the plain one beside a controlled one, and why an error is unknown."""
     if estimate.kind == "controlled":
         plain = with_unknown(estimate.plain_sigma_ukcmb2, estimate.plain_error_ukcmb2)
         lines = [f"{CONTROLLED}. Plain ({ACTUAL}): {plain}"]
