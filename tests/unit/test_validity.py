@@ -12,9 +12,10 @@ from surveysim.conditions import conditions, survey_draws
 from surveysim.engines import SERIAL
 from surveysim.forecast import expected_weights, forecast
 from surveysim.noise_model import survey_models
-from surveysim.pilot import Kept, predicted_kept
+from surveysim.pilot import Kept, _pilot_size, predicted_kept
 from surveysim.report.text import agreement_lines, effect_lines
 from surveysim.results import forecast_agreement, summary
+from surveysim.scene import SceneError
 from surveysim.setup import prepare
 from surveysim.validity import compared_ell, resolution_ell
 from tests.scenes import SMALL_SCENE
@@ -108,6 +109,19 @@ def test_a_pilot_predicts_the_share(calm):
     order = np.argsort(calm.coadds.column("b2_mk2"))
     assert predicted.share[order][:4].mean() < predicted.share[order][-4:].mean()
     assert np.array_equal(forecast(calm.setup.scene).scores["actual"].kept.share, predicted.share)
+
+
+def test_a_pilot_of_few_observations_takes_more_of_their_scans(scene_of):
+    """Thirty-two times 6 scans in all, or as many as 3e6 detector-samples are; never more than there are."""
+    keys = {"scan.scans": 60, "scan.step": "0.2 arcmin"}
+    sizes = [_pilot_size(prepare(scene_of(**keys)), n_obs) for n_obs in (1, 4, 16, 1000)]
+    assert sizes == [(60, 1), (48, 4), (12, 16), (6, 32)]
+
+
+def test_a_forecast_without_a_kept_scan_says_how_it_knows(scene_of):
+    lost = scene_of(cleaning__max_iterations=1)
+    with pytest.raises(SceneError, match="no scan that is kept, by a trial of a few; .*Remedy: cleaning.responsiv"):
+        forecast(lost)
 
 
 def test_known_responsivities_discard_nothing(scene_of, monkeypatch):
