@@ -22,9 +22,9 @@ class Agreement:
 
     Both are of the same observations in the same weather, and of the scans that were kept. `sigma` is that of sigma(A).
     Noise PSDs are compared in the bins from `low_ell` to `high_ell`: `psd` is that of the bin around `worst_ell`, which
-    is furthest off for certain (by two standard errors). Of `bins` bins, `within` are off by no more than `GOOD_PSD`
-    and have an error of no more than `KNOWN`; `unknown` have a larger error. Without such bins these numbers are 0
-    and the others None.
+    is furthest off beyond two standard errors, or comes closest to them. Of `bins` bins, `within` are off by no more
+    than `GOOD_PSD` and have an error of no more than `KNOWN`; `unknown` have a larger error. Without such bins these
+    numbers are 0 and the others None.
     """
 
     sigma: float

@@ -73,7 +73,7 @@ def _scan_samples(setup: Setup) -> int:
 
 
 def _pilot_size(setup: Setup, n_obs: int) -> tuple[int, int]:
-    """Scans of an observation and observations of a pilot: all scans that are fitted together, more of few observations."""
+    """Scans of an observation and observations of a pilot: those that are fitted together are all in."""
     scans, most = _SAMPLES / _scan_samples(setup), min(MOST_OBSERVATIONS, n_obs)
     n_scans = int(np.clip(scans / most, 1, MOST_SCANS * MOST_OBSERVATIONS / most))
     if setup.scene.cleaning.responsivities == OBSERVATION:

@@ -373,8 +373,9 @@ def _forecast_grid(summary: Content) -> Grid:
     if some["bins"]:
         low, high = (count(round(some[key])) for key in ("low_ell", "high_ell"))
         note += (
-            f" The noise PSD is that of the bin where it is furthest off for certain, from ℓ = {low} to {high}; good"
-            f" bins are within {percent(GOOD_PSD)} and known to {percent(KNOWN)} or better."
+            f" The noise PSD is that of the bin, from ℓ = {low} to {high}, where it is furthest beyond two standard"
+            f" errors, as one bin in twenty is by chance; good bins are within {percent(GOOD_PSD)} and known to"
+            f" {percent(KNOWN)} or better."
         )
     return Grid("forecast-table", "Forecast against simulation", columns, tuple(rows), (note,))
 

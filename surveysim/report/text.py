@@ -114,7 +114,7 @@ def agreement_lines(result: SurveyResult) -> list[str]:
 
 
 def _psd_lines(found: dict[str, Agreement]) -> list[str]:
-    """Number of bins whose noise PSD is forecast well enough, and the bin that is furthest off."""
+    """Number of bins whose noise PSD is forecast well enough, and the bin that is furthest beyond its error."""
     bins, within = (sum(getattr(item, key) for item in found.values()) for key in ("bins", "within"))
     if bins == 0:
         return []
@@ -127,7 +127,9 @@ def _psd_lines(found: dict[str, Agreement]) -> list[str]:
     off = f"{name} by {100 * worst.psd:+.0f} +- {100 * worst.psd_error:.0f} % at ell = {worst.worst_ell:.0f}"
     line = f"  its noise PSDs: within {good} in {within} of {bins} bins {where}"
     line += f", {unknown} are not known to {known}" if unknown else ""
-    return [f"{line}; furthest off for certain: {off}"]
+    if abs(worst.psd) <= 2 * worst.psd_error:
+        return [f"{line}; none is off by more than two standard errors"]
+    return [f"{line}; furthest beyond two standard errors, as one in twenty is by chance: {off}"]
 
 
 def effect_lines(scores: "dict[str, DataSetForecast]", flagged: bool = False) -> list[str]:

@@ -13,7 +13,7 @@ from surveysim.engines import SERIAL
 from surveysim.forecast import expected_weights, forecast
 from surveysim.noise_model import survey_models
 from surveysim.pilot import Kept, _pilot_size, predicted_kept
-from surveysim.report.text import agreement_lines, effect_lines
+from surveysim.report.text import _psd_lines, agreement_lines, effect_lines
 from surveysim.results import forecast_agreement, summary
 from surveysim.scene import SceneError
 from surveysim.setup import prepare
@@ -237,3 +237,11 @@ def test_lines_say_what_is_known(calm):
     assert within < bins and f"within 15 % in {within} of {bins} bins from ell = " in text
     assert "in all" not in text and "! forecast of actual" in text and "Cleaning discarded" in text
     assert "2500" not in text and "15000" not in text
+
+
+@pytest.mark.parametrize(
+    "off, said", [(0.27, "none is off by more than two"), (0.4, "by chance: actual by +40 +- 15 %")]
+)
+def test_no_bin_within_two_errors_is_said_to_be_off(calm, off, said):
+    item = replace(forecast_agreement(calm)["actual"], psd=off, psd_error=0.15)
+    assert said in _psd_lines({"actual": item})[0]
