@@ -196,7 +196,9 @@ def path(tmp_path):
 
 def test_forecasts_are_those_of_matrices(path, few_are_many):
     scene = load_scene(path)
-    kept = dict.fromkeys(("actual", "masked_7"), np.ones(scene.observations))  # how many are discarded is tried on draws, which differ
+    kept = dict.fromkeys(
+        ("actual", "masked_7"), np.ones(scene.observations)
+    )  # how many are discarded is tried on draws, which differ
     many = forecast(scene, kept)
     assert isinstance(prepare(scene).excess_factor, TorusRoot)
     with pytest.MonkeyPatch.context() as patch:

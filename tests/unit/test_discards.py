@@ -224,7 +224,9 @@ def test_screen_and_page_of_a_sweep_that_loses_scans(lossy, capsys):
     assert screen.count("withheld │") == 2 and "25.0 %" in screen and "Warning: actual: more than 5 %" in screen
     assert discard_lines(result) == ["scans discarded, actual: 0.0 % to 25.0 %"]
     assert result.comparison.best == (0,)
-    assert best_line(result).startswith("best of the 2 points that lose few scans (of 4): detector.psd = 2.5 mK2 / Hz")
+    assert best_line(result).startswith(
+        "best of the 2 points that have a known error and lose few scans (of 4): detector.psd = 2.5 mK2 / Hz"
+    )
     rows = rows_of(page, "point-table")
     assert [row[5].text for row in rows][2:] == ["withheld"] * 2
     assert [row[6].text for row in rows] == ["0.0", "0.0", "6.2", "25.0"]
