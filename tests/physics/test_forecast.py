@@ -360,8 +360,8 @@ def test_fits_take_from_lynx_what_is_forecast():
 def test_short_scans_are_as_forecast_whoever_knows_the_responsivities():
     """Planar cleaning of scans of 2 s: fits to each lose most, one fit to all loses none and is as good as knowing.
 
-    20 observations know the ratio of forecast and simulation, which share their weather, to 3 %; all ways share weather,
-    noise and skies.
+    20 observations know the ratio of forecast and simulation, which share their weather, to 3 %. All ways share
+    weather, noise and skies.
     """
     keys = {"observations": 20, "score.window.observations": 4, "cleaning.algorithm": "planar"}
     ways = {"observation": {}, "survey": {"cleaning.calibration_error": 0.01}, "known": {}}
