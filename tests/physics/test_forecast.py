@@ -30,7 +30,7 @@ from surveysim.sections import Excess
 from surveysim.setup import observation_path, prepare
 from surveysim.units import rj_to_cmb
 from tests import naive
-from tests.scenes import SMALL_SCENE, without_sections
+from tests.scenes import SMALL_SCENE, WIDE_PATCH, without_sections
 
 ARCSEC = np.pi / 648_000
 F_LAMBDA = 57.142857 * ARCSEC
@@ -200,20 +200,8 @@ def test_frames_of_observations_are_those_of_the_scans(scene_of):
 
 # ---------------------------------------------------------------- whole surveys
 
-# A patch of 36 arcmin in bright weather: scans are hardly ever lost, and an observation's weight is known to 12 %.
-WIDE = {
-    "observations": 48,
-    "scan.scans": 19,
-    "scan.step": "2 arcmin",
-    "scan.duration": "12 s",
-    "instrument.layout.rings": 3,
-    "map.pixel": "20 arcsec",
-    "atmosphere.b2": "[400, 900, 2000] mK2 rad(-5/3)",
-    "score.size": "36 arcmin",
-    "score.ell_bin": 1000,
-    "score.jackknives": 32,
-    "score.window.observations": 20,
-}
+# An observation's weight is known to 12 %.
+WIDE = WIDE_PATCH | {"observations": 48, "score.window.observations": 20}
 BARE_EXCESS = ('b2 = [46, 580]\nvariance = "[2.05, 4.52] mK2"', 'b2 = [100]\nvariance = "[3] mK2"')
 
 
