@@ -29,14 +29,14 @@ class Agreement:
 
     sigma: float
     sigma_error: float
-    psd: float | None
-    psd_error: float | None
-    worst_ell: float | None
-    low_ell: float | None
-    high_ell: float | None
-    bins: int
-    within: int
-    unknown: int
+    psd: float | None = None
+    psd_error: float | None = None
+    worst_ell: float | None = None
+    low_ell: float | None = None
+    high_ell: float | None = None
+    bins: int = 0
+    within: int = 0
+    unknown: int = 0
 
 
 def run_forecast(setup: Setup, coadds: CoAdds) -> Forecast | None:
@@ -60,21 +60,21 @@ def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) 
     edges = setup.band.rings.edges_ell
     bins = np.flatnonzero((edges[:-1] >= low) & (edges[1:] <= high))
     if not len(bins):
-        return Agreement(ratio - 1, error, *(None,) * 5, 0, 0, 0)
+        return Agreement(sigma=ratio - 1, sigma_error=error)
     off, errors = _bin_ratios(setup, simulated, expected, bins, scatter)
     worst = int(np.argmax(np.abs(off) - 2 * errors))
     known = errors <= KNOWN
     return Agreement(
-        ratio - 1,
-        error,
-        float(off[worst]),
-        float(errors[worst]),
-        float(simulated.band.ell[bins[worst]]),
-        float(edges[bins[0]]),
-        float(edges[bins[-1] + 1]),
-        len(bins),
-        int(np.sum(known & (np.abs(off) <= GOOD_PSD))),
-        int(np.sum(~known)),
+        sigma=ratio - 1,
+        sigma_error=error,
+        psd=float(off[worst]),
+        psd_error=float(errors[worst]),
+        worst_ell=float(simulated.band.ell[bins[worst]]),
+        low_ell=float(edges[bins[0]]),
+        high_ell=float(edges[bins[-1] + 1]),
+        bins=len(bins),
+        within=int(np.sum(known & (np.abs(off) <= GOOD_PSD))),
+        unknown=int(np.sum(~known)),
     )
 
 

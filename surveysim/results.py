@@ -51,10 +51,10 @@ OPTIMAL_METHOD = (
 )
 METHOD = (
     "Noise is measured by co-adds with random signs; of a sky in the streams 1 / n_eff of its power stays.",
-    "Each data set's observations are weighted by their own noise in the scored multipoles, and what that takes "
-    "from the co-added noise by chance is given back.",
+    "Each data set's observations are weighted by their own measured noise in the scored multipoles. That lowers the "
+    "co-added noise by chance; this bias is corrected.",
     "sigma(A)^-2 = sum over bins of n/2 (M/N)^2: every data set weights its bins by its own noise.",
-    "M is what the taper's coupling of modes makes of a flat spectrum behind beam and pixels, times the window.",
+    "M is a flat spectrum behind beam and pixels, convolved with the taper's power spectrum, times the window.",
     "The window is that of the actual data's cleaning, also for the simulated sets; the masked array has its own.",
     "The simulated sets take each detector's Hann-tapered PSD of the cleaned streams and are not cleaned again.",
     OPTIMAL_METHOD,

@@ -241,7 +241,7 @@ def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> n
     """PSDs (K, n_bin) [uK_CMB^2 sr] of the sign-flipped co-adds.
 
     Weights measured on the very maps that they weigh favour an observation whose noise fluctuates low, which lowers
-    the co-added PSD where they are measured and raises it elsewhere (`Band.mode_chance`); that is given back.
+    the co-added PSD where they are measured and raises it elsewhere (`Band.mode_chance`); this bias is corrected.
     The PSD of a survey goes as one over its observations: of a part it is scaled to the whole.
     """
     patch = setup.band.patch

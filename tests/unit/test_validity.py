@@ -12,7 +12,7 @@ from surveysim.conditions import conditions, survey_draws
 from surveysim.engines import SERIAL
 from surveysim.forecast import expected_weights, forecast
 from surveysim.noise_model import survey_models
-from surveysim.pilot import Kept, _pilot_size, predicted_kept
+from surveysim.pilot import Kept, _pilot_size, _spread, predicted_kept
 from surveysim.report.text import _psd_lines, agreement_lines, effect_lines
 from surveysim.results import forecast_agreement, summary
 from surveysim.scene import SceneError
@@ -133,11 +133,23 @@ def test_known_responsivities_discard_nothing(scene_of, monkeypatch):
     assert effect.size is None and effect.flagged and "not known" in effect.sentence
 
 
-def test_shares_are_interpolated_over_weather(scene_of):
+def test_shares_are_interpolated_between_observations_of_a_pilot():
+    """Observations 2, 0, 1, 3, 4 by their layer, of which the first, the fourth and the last are in the pilot."""
+    kept = _spread(np.array([2, 0, 1, 3, 4]), np.array([0, 3, 4]), np.array([0.25, 1.0, 1.0]), 4)
+    np.testing.assert_allclose(kept.share, [0.5, 0.75, 0.25, 1, 1])
+    # They stand for 2, 2 and 1 of five; their scatter is that of neighbours.
+    assert kept.error == pytest.approx(np.sqrt(0.75**2 / 4) * np.sqrt(2**2 + 2**2 + 1) / 5)
+    # As if one scan of the pilot more or less were lost, where all of them are kept.
+    assert _spread(np.arange(5), np.array([0, 3, 4]), np.ones(3), 4).error == pytest.approx(1 / 12)
+
+
+def test_shares_of_many_observations_follow_the_weather(scene_of):
     setup = prepare(scene_of(observations=100, atmosphere__b2="[2, 10, 400] mK2 rad(-5/3)"))
     levels = conditions(setup, survey_draws(setup, 0, 100))
     kept = predicted_kept(setup, setup.recipes, levels, np.ones(100))["actual"]
     assert kept.share.shape == (100,) and kept.share.min() >= 0 and kept.share.max() <= 1
+    order = np.argsort(levels.layer)
+    assert kept.share[order][:25].mean() < kept.share[order][-25:].mean() - 0.5
     assert Kept(np.array([1.0, 0.5])).discarded == 0.25
 
 
