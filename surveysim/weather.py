@@ -70,6 +70,11 @@ def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) ->
     seen = np.log(response(pwv_quantile(atmosphere, share)))
     drawn = np.log(log_quantile(atmosphere.fluctuation_probabilities, atmosphere.fluctuation, ndtri(share)))
     log_b2 = np.sort((seen[:, None] + drawn).ravel())
+    if not atmosphere.b2 and not log_b2[-1] < math.log(B2_MAX):
+        raise ValueError(
+            f"atmosphere.fluctuation: found {atmosphere.fluctuation}, which make more than {B2_MAX:g} mK^2 of B2 of the"
+            " site's water; less is expected"
+        )
     rank = (np.arange(log_b2.size) + 0.5) / log_b2.size
     return Water(opacity, response, log_b2, ndtri(rank))
 
@@ -99,9 +104,10 @@ def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: np.random.Gen
         wind *= math.exp(min(atmosphere.wind_b2_exponent * (math.log(b2) - math.log(median)), LARGEST_LOG))
     # But for rounding of a quantile that is the bound itself.
     if not (b2 < B2_MAX * (1 + 1e-9) and wind < WIND_MAX_RAD_S):
+        key = "b2" if atmosphere.b2 else "fluctuation"
         raise ValueError(
-            f"atmosphere.b2: found distributions that give B2 = {b2:.3g} mK^2 and {wind:.3g} rad/s of wind; less than"
-            f" {B2_MAX:g} and {WIND_MAX_RAD_S:g} are expected"
+            f"atmosphere.{key}: found distributions that give B2 = {b2:.3g} mK^2 and {wind:.3g} rad/s of wind; less"
+            f" than {B2_MAX:g} and {WIND_MAX_RAD_S:g} are expected"
         )
     return Weather(b2, wind, angle, pwv)
 

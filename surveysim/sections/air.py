@@ -103,8 +103,9 @@ class Atmosphere(Section):
                     f"pwv_probabilities: found {self.pwv_probabilities}; 0 first and 1 last are expected, the driest "
                     "and the wettest water, or one value alone"
                 )
-            if not min(self.pwv_mm + self.fluctuation) > 0:
-                raise ValueError(f"pwv: found {self.pwv_mm} and {self.fluctuation}; values above 0 are expected")
+            for key, values in (("pwv", self.pwv_mm), ("fluctuation", self.fluctuation)):
+                if not min(values) > 0:
+                    raise ValueError(f"{key}: found {values}; values above 0 are expected")
         if self.layer_height_m < self.illuminated_aperture_m:
             raise ValueError(
                 f"layer_height: found {self.layer_height_m:g} m with an aperture of {self.illuminated_aperture_m:g} m; "

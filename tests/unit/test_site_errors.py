@@ -28,7 +28,14 @@ def path(tmp_path):
         (SITE | {"atmosphere.pwv": "[1, 2] mm"}, "atmosphere.pwv: found 2 values for 5 pwv_probabilities"),
         (SITE | {"atmosphere.pwv": "[1, 2, 3, 4, 5] K"}, "atmosphere.pwv: found '1 K'"),
         (SITE | {"atmosphere.fluctuation": "[1, 2, 3] mK2"}, "atmosphere.fluctuation: found '1 mK2'"),
-        (SITE | {"atmosphere.fluctuation": "[0, 1, 2] rad(-5/3)"}, "atmosphere.pwv: found"),
+        (
+            SITE | {"atmosphere.fluctuation": "[0, 1, 2] rad(-5/3)"},
+            "fluctuation: found (0.0, 1.0, 2.0); values above 0",
+        ),
+        (
+            SITE | {"atmosphere.pwv": "[0, 1, 2, 3, 4] mm"},
+            "pwv: found (0.0, 1.0, 2.0, 3.0, 4.0); values above 0",
+        ),
         (SITE | {"atmosphere.pwv_probabilities": [0, 0.25, 0.5, 0.75, 1.5]}, "values from 0 to 1 are expected"),
         (SITE | {"atmosphere.pwv": "[1, 2, 3, 4, 50] mm"}, "atmosphere.pwv: found 50 mm of water vapour; 0.05 to 6 mm"),
         (SITE | {"atmosphere.pwv": "[1, 2, 3, 4, 2000] mm"}, "1000 mm or less is expected of each"),
@@ -53,6 +60,15 @@ def test_noise_by_power_under_an_opaque_sky(path):
     low = {"fixed_pointing.elevation": "5 deg", "instrument.polarizations": 2}
     with pytest.raises(SceneError, match=r"^photon.load: found power that is a noise of .* mK2 / Hz above"):
         prepare(load_scene(path, SITE | line | load | low))
+
+
+def test_fluctuations_beyond_any_air(path):
+    """Their key is named, as nobody wrote B2; beside a B2 that is given their order alone counts."""
+    changes = SITE | {"atmosphere.fluctuation": "[1e60, 1e61, 1e62] rad(-5/3)"}
+    prepare(load_scene(path, changes))
+    path.write_text(SMALL_SCENE.replace("b2_probabilities = [0.25, 0.5, 0.75]\n", "").replace(B2_LINE, ""))
+    with pytest.raises(SceneError, match=r"^atmosphere.fluctuation: found \(1e\+60, .* more than 1e\+24 mK\^2 of B2"):
+        prepare(load_scene(path, changes))
 
 
 def test_another_index_needs_fluctuations_or_b2_of_its_own(path):
