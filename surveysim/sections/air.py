@@ -27,7 +27,8 @@ class Atmosphere(Section):
     illuminated_aperture_m: Length = Field(alias="illuminated_aperture")
     """Diameter of the aperture that is lit: a pixel sees the layer through a top hat of it."""
     outer_scale_m: Length | None = Field(alias="outer_scale", default=None)
-    """Scale beyond which fluctuations no longer grow (von Karman). Needed for an index of 4 or more."""
+    """Scale beyond which fluctuations no longer grow (von Karman), no less than the aperture. Needed for an index of 4
+    or more."""
     site: SiteName = None
     """Where the weather is from: its water and opacity, and the keys that are left out below."""
     layer_height_m: Length = Field(alias="layer_height", json_schema_extra=_OF_SITE)
@@ -110,6 +111,11 @@ class Atmosphere(Section):
             raise ValueError(
                 f"layer_height: found {self.layer_height_m:g} m with an aperture of {self.illuminated_aperture_m:g} m; "
                 "no less than the aperture is expected, as the layer is seen through D / h radian"
+            )
+        if self.outer_scale_m is not None and self.outer_scale_m < self.illuminated_aperture_m:
+            raise ValueError(
+                f"outer_scale: found {self.outer_scale_m:g} m with an aperture of {self.illuminated_aperture_m:g} m; "
+                "no less than the aperture is expected"
             )
         if self.index >= 4 and self.outer_scale_m is None:
             raise ValueError(f"outer_scale: missing; an index of {self.index:g} (4 or more) needs an outer scale")

@@ -215,6 +215,7 @@ def test_layers_beyond_any_use(path):
         ({"b2": "[1e-300, 2, 3] mK2 rad(-5/3)"}, "b2", "found (1e-300, 2.0, 3.0)", "0 or values from 1e-24"),
         ({"index": 21, "b2": "[1, 2, 3] mK2 rad(-19)"}, "index", "found 21", "less than or equal to 20"),
         ({"layer_height": "5 m"}, "layer_height", "found 5 m with an aperture of 8 m", "no less than the aperture"),
+        ({"outer_scale": "5 m"}, "outer_scale", "found 5 m with an aperture of 8 m", "no less than the aperture"),
     ):
         overrides = {f"atmosphere.{name}": value for name, value in keys.items()}
         check(path, overrides, f"atmosphere.{key}", found, allowed)
