@@ -1,4 +1,4 @@
-"""How well a map's noise lets a flat CMB band power be measured: the score of a survey.
+"""Uncertainty that a map's noise puts on a flat CMB band power: the score of a survey.
 
 Symbols: a bin b of multipole holds `n_b` real degrees of freedom; the noise map has the PSD `N_b` and a sky
 of flat band power `ell (ell + 1) C_ell / 2 pi = A` adds `A M_b`. `A` is in uK_CMB^2, PSDs in uK_CMB^2 sr, `M`
@@ -176,6 +176,7 @@ def score(
     observation_weights: np.ndarray,
     ell: np.ndarray,
     edges_ell: np.ndarray,
+    *,
     information: np.ndarray | None = None,
 ) -> tuple[BandPower, ErrorBudget]:
     """Band power of a survey and its error from K sign-flip realizations of the noise.
@@ -285,7 +286,7 @@ def weather_error(information: np.ndarray, common_noise: float = 0.0) -> float:
 
 
 def without_noise(scatter: float, noise: float) -> float:
-    """What is left of a scatter once that of noise is taken off, in quadrature; 0 where it is less."""
+    """A scatter less the part that noise has in it, in quadrature; 0 where noise alone is larger."""
     return float(np.sqrt(max(scatter**2 - noise**2, 0.0)))
 
 

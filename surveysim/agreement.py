@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.bandpower import noise_error, noise_error_parts, ratio_error, without_noise
-from surveysim.coadds import CoAdds, row_names
+from surveysim.coadds import CoAdds, kept_shares
 from surveysim.forecast import DataSetForecast, Forecast, can_forecast, forecast
-from surveysim.noise_model import is_projection
 from surveysim.scene import SceneError
 from surveysim.scores import DataSetScore
 from surveysim.setup import Setup
@@ -23,21 +22,21 @@ class Agreement:
 
     Both are of the same observations in the same weather, and of the scans that were kept. `sigma` is that of sigma(A).
     Noise PSDs are compared in the bins from `low_ell` to `high_ell`: `psd` is that of the bin around `worst_ell`, which
-    is furthest off for certain (by two standard errors). Of `bins` bins, `within` are off by no more than `GOOD_PSD`
-    and have an error of no more than `KNOWN`; `unknown` have a larger error. Without such bins these numbers are 0
-    and the others None.
+    is furthest off beyond two standard errors, or comes closest to them. Of `bins` bins, `within` are off by no more
+    than `GOOD_PSD` and have an error of no more than `KNOWN`; `unknown` have a larger error. Without such bins these
+    numbers are 0 and the others None.
     """
 
     sigma: float
     sigma_error: float
-    psd: float | None
-    psd_error: float | None
-    worst_ell: float | None
-    low_ell: float | None
-    high_ell: float | None
-    bins: int
-    within: int
-    unknown: int
+    psd: float | None = None
+    psd_error: float | None = None
+    worst_ell: float | None = None
+    low_ell: float | None = None
+    high_ell: float | None = None
+    bins: int = 0
+    within: int = 0
+    unknown: int = 0
 
 
 def run_forecast(setup: Setup, coadds: CoAdds) -> Forecast | None:
@@ -46,13 +45,6 @@ def run_forecast(setup: Setup, coadds: CoAdds) -> Forecast | None:
         return forecast(setup.scene, kept_shares(setup, coadds)) if can_forecast(setup) else None
     except SceneError:  # a finished run never fails for want of a forecast
         return None
-
-
-def kept_shares(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
-    """Share of scans (n_obs,) that was kept of each observation, by recipes' data sets."""
-    columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
-    names = [recipe.data_set for recipe in setup.recipes if is_projection(recipe)]
-    return {name: 1 - columns[f"discarded_{name}"] / setup.raster.n_scans for name in names}
 
 
 def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -> Agreement:
@@ -68,21 +60,21 @@ def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) 
     edges = setup.band.rings.edges_ell
     bins = np.flatnonzero((edges[:-1] >= low) & (edges[1:] <= high))
     if not len(bins):
-        return Agreement(ratio - 1, error, *(None,) * 5, 0, 0, 0)
+        return Agreement(sigma=ratio - 1, sigma_error=error)
     off, errors = _bin_ratios(setup, simulated, expected, bins, scatter)
     worst = int(np.argmax(np.abs(off) - 2 * errors))
     known = errors <= KNOWN
     return Agreement(
-        ratio - 1,
-        error,
-        float(off[worst]),
-        float(errors[worst]),
-        float(simulated.band.ell[bins[worst]]),
-        float(edges[bins[0]]),
-        float(edges[bins[-1] + 1]),
-        len(bins),
-        int(np.sum(known & (np.abs(off) <= GOOD_PSD))),
-        int(np.sum(~known)),
+        sigma=ratio - 1,
+        sigma_error=error,
+        psd=float(off[worst]),
+        psd_error=float(errors[worst]),
+        worst_ell=float(simulated.band.ell[bins[worst]]),
+        low_ell=float(edges[bins[0]]),
+        high_ell=float(edges[bins[-1] + 1]),
+        bins=len(bins),
+        within=int(np.sum(known & (np.abs(off) <= GOOD_PSD))),
+        unknown=int(np.sum(~known)),
     )
 
 

@@ -92,6 +92,7 @@ def check_motion(
     field: FieldCentre,
     site: Site,
     starts: Schedule,
+    *,
     mid_time_s: np.ndarray,
     elevation_rad: np.ndarray,
     parallactic_rad: np.ndarray,

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from surveysim.choice import TARGETS
+from surveysim.choice import TARGETS, best_places
 from surveysim.kernels.sums import add_signed
+from surveysim.recipes import ACTUAL, OPTIMAL
 from surveysim.reduction import ObservationResult
 from surveysim.setup import Setup
 from surveysim.streams import Stage, generator
@@ -98,8 +99,7 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
     """Add one observation, weighted by its own noise, in place."""
     if result.observation != coadds.done:
         raise ValueError(f"found observation {result.observation}; {coadds.done} is the next in order")
-    weighs = np.isfinite(result.noise_mk2) & (result.noise_mk2 > 0)
-    weights = np.divide(1.0, result.noise_mk2, out=np.zeros(len(weighs)), where=weighs)
+    weights = noise_weights(result.noise_mk2)
     sign = signs(setup, result.observation)
     patch = setup.band.patch if setup.band else slice(0, 0)
     # All that could fail for want of memory comes before the first sum: none is left half done.
@@ -119,6 +119,33 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
     coadds.compared_psd.append(result.compared_psd)
     for stage, seconds in result.seconds.items():
         coadds.seconds[stage] = coadds.seconds.get(stage, 0.0) + seconds
+
+
+def noise_weights(noise_mk2: np.ndarray) -> np.ndarray:
+    """Weights [1/mK^2] of noise variances a sample, any shape; 0 where there are no data."""
+    known = np.isfinite(noise_mk2) & (noise_mk2 > 0)
+    return np.divide(1.0, noise_mk2, out=np.zeros_like(noise_mk2), where=known)
+
+
+def lost_scans(setup: Setup, coadds: CoAdds) -> np.ndarray:
+    """Discarded scans (n_obs, n_set) of each observation so far, by data set.
+
+    The simulated sets lose the scans of the actual data, the optimal set those of the recipe that it takes.
+    """
+    columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
+    counts = {recipe.data_set: columns[f"discarded_{recipe.data_set}"] for recipe in setup.recipes}
+    if setup.chooses:
+        whole = [recipe.data_set for recipe in setup.whole_recipes]
+        best = best_places(np.array([columns[f"merit_{TARGETS[0]}_{name}"] for name in whole]))
+        # Without any merit the first recipe is taken.
+        counts[OPTIMAL] = np.array([counts[name] for name in whole])[np.maximum(best, 0), np.arange(len(best))]
+    return np.stack([counts.get(name, counts[ACTUAL]) for name in setup.data_sets], axis=1)
+
+
+def kept_shares(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
+    """Share (n_obs,) of its scans that is kept of each observation so far, by data set."""
+    kept = 1 - lost_scans(setup, coadds) / setup.raster.n_scans
+    return dict(zip(setup.data_sets, kept.T, strict=True))
 
 
 def _add_window(setup: Setup, coadds: CoAdds, result: ObservationResult, weights: np.ndarray) -> None:

@@ -32,7 +32,7 @@ class Courses:
 
     @property
     def odd(self) -> np.ndarray:
-        """Which courses (n,) are odd about the middle of a scan; the others are even."""
+        """Whether each course (n,) is odd about the middle of a scan; the others are even."""
         return self.degrees[:, ::2].any(axis=1)
 
     def at(self, time_s: np.ndarray, duration_s: float) -> np.ndarray:

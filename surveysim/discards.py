@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from surveysim.choice import TARGETS, best_places
-from surveysim.coadds import CoAdds, row_names
-from surveysim.recipes import ACTUAL, OPTIMAL
+from surveysim.coadds import CoAdds, lost_scans
+from surveysim.recipes import ACTUAL
 from surveysim.setup import Setup
 
 MOST_DISCARDED = 0.05  # share of the scans from which a score is not to be trusted
@@ -53,7 +52,7 @@ class Discards:
 
 def discards(setup: Setup, coadds: CoAdds) -> Discards:
     """Shares of discarded scans in the observations so far, of which there is at least one."""
-    lost, b2 = _lost_scans(setup, coadds), coadds.column("b2_mk2")
+    lost, b2 = lost_scans(setup, coadds), coadds.column("b2_mk2")
     order = [] if np.isnan(b2).any() else np.argsort(b2, kind="stable")
     parts = np.array_split(order, min(WEATHER_GROUPS, len(order))) if len(order) else []
     by_weather = [
@@ -66,18 +65,6 @@ def discards(setup: Setup, coadds: CoAdds) -> Discards:
         for part in parts
     ]
     return Discards(_shares(setup, lost), by_weather)
-
-
-def _lost_scans(setup: Setup, coadds: CoAdds) -> np.ndarray:
-    """Discarded scans (n_obs, n_set) of each observation."""
-    columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
-    counts = {recipe.data_set: columns[f"discarded_{recipe.data_set}"] for recipe in setup.recipes}
-    if setup.chooses:
-        whole = [recipe.data_set for recipe in setup.whole_recipes]
-        best = best_places(np.array([columns[f"merit_{TARGETS[0]}_{name}"] for name in whole]))
-        # Without any merit the first recipe is taken.
-        counts[OPTIMAL] = np.array([counts[name] for name in whole])[np.maximum(best, 0), np.arange(len(best))]
-    return np.stack([counts.get(name, counts[ACTUAL]) for name in setup.data_sets], axis=1)
 
 
 def _shares(setup: Setup, lost: np.ndarray) -> dict[str, float]:
@@ -100,7 +87,7 @@ def percent(share: float) -> str:
 
 
 def competing(shares: np.ndarray) -> np.ndarray:
-    """Which of some points (n,) may be called the best with a probability, by their shares of discarded scans.
+    """Whether each point (n,) may be called the best with a probability, by its share of discarded scans.
 
     Those that lose no more than `MOST_DISCARDED`, and no more than `MOST_APART` above the one that loses least.
     """

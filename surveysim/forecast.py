@@ -11,6 +11,7 @@ import numpy as np
 from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
 from mapmaker.window import beam_window
 from surveysim.conditions import Conditions, conditions, mean_hits, survey_draws
+from surveysim.discards import REMEDY
 from surveysim.noise_model import NoiseModel, is_projection, survey_models
 from surveysim.pilot import Kept, predicted_kept
 from surveysim.response import PROJECTIONS
@@ -91,7 +92,10 @@ def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hit
     if not taper[covered].any():
         raise SceneError(NOTHING_FOUND)
     if not kept.share.any():
-        raise SceneError("cleaning: found no scan that would be kept; one or more is expected")
+        raise SceneError(
+            f"cleaning: found no scan that is kept, {'by a trial of a few' if kept.error else 'in this run'}; some are "
+            f"expected. {REMEDY}"
+        )
     weight = expected_weights(setup, noise)
     # Hits go as the scans that are kept; the PSD of a survey as one over its observations.
     variance = (weight**2 * kept.share) @ noise / (weight @ kept.share) ** 2 * (len(noise) / scene.observations)

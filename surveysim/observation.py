@@ -166,7 +166,7 @@ def add_layer(
         np.sqrt(weather.b2 / sine[scans]),
         strips,
         rng,
-        trends.scans(block.first, block.end),
+        trends=trends.scans(block.first, block.end),
     )
 
 

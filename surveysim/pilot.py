@@ -13,7 +13,7 @@ from surveysim.scan import samples_per_scan
 from surveysim.setup import Setup
 
 MOST_OBSERVATIONS = 32  # of a pilot
-MOST_SCANS = 6  # of each of them
+MOST_SCANS = 6  # of each of so many
 _SAMPLES = 3e6  # detector-samples of a pilot: about a quarter of a second
 _FEWEST_OBSERVATIONS = 8  # a larger pilot than `_SAMPLES` rather than fewer, up to
 _MOST_SAMPLES = 5e7  # a few seconds
@@ -73,9 +73,9 @@ def _scan_samples(setup: Setup) -> int:
 
 
 def _pilot_size(setup: Setup, n_obs: int) -> tuple[int, int]:
-    """Scans of an observation and observations of a pilot: all scans that are fitted together."""
-    scans = _SAMPLES / _scan_samples(setup)
-    n_scans = int(np.clip(scans / MOST_OBSERVATIONS, 1, MOST_SCANS))
+    """Scans of an observation and observations of a pilot: those that are fitted together are all in."""
+    scans, most = _SAMPLES / _scan_samples(setup), min(MOST_OBSERVATIONS, n_obs)
+    n_scans = int(np.clip(scans / most, 1, MOST_SCANS * MOST_OBSERVATIONS / most))
     if setup.scene.cleaning.responsivities == OBSERVATION:
         n_scans = setup.raster.n_scans
     n_pilot = int(np.clip(scans / n_scans, _FEWEST_OBSERVATIONS, MOST_OBSERVATIONS))

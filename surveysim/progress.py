@@ -9,10 +9,9 @@ from time import monotonic
 import numpy as np
 
 from surveysim.coadds import CoAdds
-from surveysim.control import quoted_scores
-from surveysim.recipes import ACTUAL
 from surveysim.scene import Scene
 from surveysim.setup import prepare, window_observations
+from surveysim.stopping import estimate_so_far
 
 STATUS_EVERY_S = 4.0
 LINES = 10
@@ -155,13 +154,12 @@ def time_text(seconds: float) -> str:
 
 
 def score_so_far(scene: Scene, coadds: CoAdds) -> str:
-    """``sigma(A) = 270 +- 8 uK_CMB^2`` of the actual data so far, plain: quick; empty while it can't be said."""
+    """``sigma(A) = 270 +- 8 uK_CMB^2`` of the actual data so far, as it is quoted; empty while it can't be said."""
     windows = window_observations(scene)[: coadds.done].sum()
     if scene.score is None or coadds.done < 2 or windows < 2:
         return ""
-    try:
-        band = quoted_scores(prepare(scene), coadds, (ACTUAL,))[ACTUAL].band
-    except ValueError:  # too few scans are kept so far
+    found = estimate_so_far(prepare(scene), coadds)
+    if found is None:
         return ""
-    error = "unknown" if np.isnan(band.error_ukcmb2) else f"{band.error_ukcmb2:.2g}"
-    return f"sigma(A) = {band.sigma_ukcmb2:.3g} +- {error} uK_CMB^2"
+    error = "unknown" if np.isnan(found.error_ukcmb2) else f"{found.error_ukcmb2:.2g}"
+    return f"sigma(A) = {found.sigma_ukcmb2:.3g} +- {error} uK_CMB^2"

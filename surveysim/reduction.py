@@ -117,7 +117,7 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
     if setup.scene.score:
         n, rate = samples_per_scan(setup.raster), setup.raster.sample_rate_hz
         white = white_level(psd, n, rate, setup.scene.score.white_above_hz)
-        add_simulated(sums.maps, sums.kept, setup, observation, pointing, psd, white, watch)
+        add_simulated(sums.maps, sums.kept, setup, observation, pointing, psd=psd, white=white, watch=watch)
     maps = {name: _plane(setup, *item) for name, item in sums.maps.items()}
     worth, best = None, 0
     if setup.chooses:
@@ -153,7 +153,7 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
 
 
 def kept_scans(setup: Setup, observation: int) -> np.ndarray:
-    """Which scans each recipe keeps of an observation, (n_recipe, n_scan) bool of the setup's blocks."""
+    """Scans that each recipe keeps of an observation, (n_recipe, n_scan) bool of the setup's blocks."""
     _, pointing = observation_path(setup, observation)
     parts = (_reduce(setup, observation, pointing, block, Stopwatch()) for block in setup.blocks)
     return np.concatenate([[item.kept for item in part.cleaned] for part in parts], axis=1)

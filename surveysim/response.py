@@ -79,7 +79,7 @@ class TimeWindow:
         return windowed_sums(*arrays, self.transfer, self.per_step, mean, *losses)
 
     def own(self, at_hz: np.ndarray) -> np.ndarray:
-        """What a mode at frequencies (n_f,) holds of each course, (n_f, n)."""
+        """Components of modes at frequencies (n_f,) along each course, seen through the taper, (n_f, n)."""
         step, place = np.arange(len(self.transfer)), np.abs(at_hz) * self.per_step
         sign = np.where(self.courses.odd[:, None], np.sign(at_hz), 1.0)
         rows = [np.interp(place, step, row, right=0.0) for row in self.of_courses]

@@ -51,10 +51,10 @@ OPTIMAL_METHOD = (
 )
 METHOD = (
     "Noise is measured by co-adds with random signs; of a sky in the streams 1 / n_eff of its power stays.",
-    "Each data set's observations are weighted by their own noise in the scored multipoles, and what that takes "
-    "from the co-added noise by chance is given back.",
+    "Each data set's observations are weighted by their own measured noise in the scored multipoles. That lowers the "
+    "co-added noise by chance; this bias is corrected.",
     "sigma(A)^-2 = sum over bins of n/2 (M/N)^2: every data set weights its bins by its own noise.",
-    "M is what the taper's coupling of modes makes of a flat spectrum behind beam and pixels, times the window.",
+    "M is a flat spectrum behind beam and pixels, convolved with the taper's power spectrum, times the window.",
     "The window is that of the actual data's cleaning, also for the simulated sets; the masked array has its own.",
     "The simulated sets take each detector's Hann-tapered PSD of the cleaned streams and are not cleaned again.",
     OPTIMAL_METHOD,
@@ -302,13 +302,13 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         content["unscored"] = result.unscored
     if result.scores:
         expected = result.expected.scores if result.expected else {}
-        content["best"] = _known(vars(result.estimate))
+        content["best"] = known(vars(result.estimate))
         content["scores"] = {row.name: _score_entry(row) for row in score_rows(result)}
-        content["error_budget"] = {name: _known(vars(item.budget)) for name, item in result.scores.items()}
+        content["error_budget"] = {name: known(vars(item.budget)) for name, item in result.scores.items()}
         agreements = forecast_agreement(result)
-        content["forecast_over_simulated"] = {name: _known(vars(item)) for name, item in agreements.items()}
+        content["forecast_over_simulated"] = {name: known(vars(item)) for name, item in agreements.items()}
         content["forecast"] = {name: _forecast_entry(item) for name, item in expected.items()}
-        content["gains"] = {name: _known(vars(item)) for name, item in result.gains.items()}
+        content["gains"] = {name: known(vars(item)) for name, item in result.gains.items()}
         content["alternatives"] = result.alternatives
         if not np.isnan(setup.band.scored_correlation):
             content["bin_correlation"] = setup.band.scored_correlation
@@ -348,19 +348,21 @@ def _cleaning_entry(recipe: Recipe, result: SurveyResult, columns: dict[str, np.
     return entry
 
 
-def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float]:
+def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float | None]:
     """Median PSD of the cleaned streams over its own level in the upper half of the band, at some frequencies.
 
-    That level is the instrument's noise as the recipe leaves it: templates of few detectors take some of it too.
+    That level is the instrument's noise as the recipe leaves it: templates of few detectors take some of it too. None
+    where nothing is left of the streams, or no scan.
     """
     setup, coadds = result.setup, result.coadds
     psds = coadds.clean_psd if place == 0 else [psd[place - 1] for psd in coadds.compared_psd]
-    median = np.median([psd for psd in psds if psd.any()] or [np.full(len(psds[0]), np.nan)], axis=0)
+    median = np.median([psd for psd in psds if psd.any()] or [np.zeros(len(psds[0]))], axis=0)
     white = median[len(median) // 2 : -1].mean()
     step = setup.raster.sample_rate_hz / samples_per_scan(setup.raster)
     bins = {f"{hz:g} Hz": round(hz / step) for hz in PSD_AT_HZ}
     # The first bin holds what the scan's removed mean leaves, the last Nyquist's single mode.
-    return {name: float(median[k] / white) for name, k in bins.items() if 2 <= k < len(median) - 1}
+    there = {name: k for name, k in bins.items() if 2 <= k < len(median) - 1}
+    return {name: float(median[k] / white) if white > 0 else None for name, k in there.items()}
 
 
 def best_recipe(setup: Setup, columns: dict[str, np.ndarray], target: str) -> np.ndarray:
@@ -378,11 +380,11 @@ def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
         **limits,
     }
     if estimate:
-        entry |= _known({"estimate": estimate.kind, "relative_error": estimate.relative_error})
+        entry |= known({"estimate": estimate.kind, "relative_error": estimate.relative_error})
     return entry
 
 
-def _known(entry: dict[str, Any]) -> dict[str, Any]:
+def known(entry: dict[str, Any]) -> dict[str, Any]:
     """The entry with None for what is unknown: JSON has no NaN."""
     return {key: None if value != value else value for key, value in entry.items()}
 
@@ -392,7 +394,7 @@ def _forecast_entry(item: DataSetForecast) -> dict[str, Any]:
 
 
 def _score_entry(row: Row) -> dict[str, float | None]:
-    entry = _known({key: value for key, value in vars(row).items() if key != "name" and value is not None})
+    entry = known({key: value for key, value in vars(row).items() if key != "name" and value is not None})
     if row.reference_ukcmb2 is not None:
         entry["ratio_to_reference"] = row.sigma_ukcmb2 / row.reference_ukcmb2
     return entry

@@ -19,7 +19,8 @@ from mapmaker.binning import weighted_mean
 from mapmaker.spectrum import Annuli, map_psd
 from mapmaker.window import Window, neighbour_factor, signal_window
 from surveysim.band import N_SECTORS
-from surveysim.coadds import CoAdds, row_names
+from surveysim.coadds import CoAdds, kept_shares, noise_weights
+from surveysim.recipes import ACTUAL
 from surveysim.setup import Setup
 
 PEAK = 0.8  # of the brightest pixel: what counts as a point source's peak
@@ -95,26 +96,22 @@ class Gain:
 def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = None) -> dict[str, DataSetScore]:
     """Plain scores of the whole survey's named data sets (all by default), judged by the observations so far.
 
-    Raises ValueError with fewer than 2 observations with data, or before a window observation is in.
+    Raises ValueError with fewer than 2 observations with data, or before a window observation is in; says so where
+    cleaning discarded all scans.
     """
+    kept = kept_shares(setup, coadds)
+    if not kept[ACTUAL].any():
+        raise ValueError("cleaning discarded all scans; some scans of 2 or more observations are expected")
     windows = [_window(setup, coadds, place, setup.band.rings) for place in range(len(setup.windows))]
-    noise = coadds.noise_mk2()
+    weights = noise_weights(coadds.noise_mk2())
     scores = {}
     for s, name in enumerate(setup.data_sets):
         if names is None or name in names:
             n_det = len(setup.masked) if name.startswith("masked") else setup.n_det
             psds = _noise_psds(setup, coadds, s, setup.band.rings)
             window = windows[setup.window_of(name)]
-            kept = _kept(setup, coadds, name)
-            scores[name] = _score(setup, name, n_det, psds, window, _weights(noise[:, s]), kept)
+            scores[name] = _score(setup, name, n_det, psds, window, weights[:, s], kept[name])
     return scores
-
-
-def _kept(setup: Setup, coadds: CoAdds, name: str) -> np.ndarray:
-    """Share of each observation's scans that is kept (n_obs,); other sets follow the first recipe."""
-    recipes = [recipe.data_set for recipe in setup.recipes]
-    place = row_names(setup).index(f"discarded_{name if name in recipes else recipes[0]}")
-    return 1 - np.array([row[place] for row in coadds.rows]) / setup.raster.n_scans
 
 
 def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> DataSetScore:
@@ -142,7 +139,8 @@ def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
     """The same data set scored from another lowest multipole."""
     low, high = setup.band.rings.edges_ell[:-1], setup.band.rings.edges_ell[1:]
     selected = (low >= ell_min) & (high <= setup.scene.score.ell_max)
-    plain = _score(setup, item.name, item.n_det, item.noise_psds, item.window, item.weights, item.kept, selected)
+    of_set = item.name, item.n_det, item.noise_psds, item.window, item.weights, item.kept
+    plain = _score(setup, *of_set, selected=selected)
     return plain if item.control is None else controlled_score(setup, plain, item.control)
 
 
@@ -223,11 +221,11 @@ def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
     return stacked
 
 
-def _score(setup, name, n_det, psds, window, weights, kept, selected=None) -> DataSetScore:
+def _score(setup, name, n_det, psds, window, weights, kept, *, selected=None) -> DataSetScore:
     rings, signal = setup.band.rings, setup.band.signal_psd * window.transmission
     selected = setup.band.selected if selected is None else selected
     of_bins = rings.n_modes, selected, weights[weights > 0], rings.ell, rings.edges_ell
-    band, budget = score(psds, signal, _window_errors(setup, window), *of_bins, weights * kept)
+    band, budget = score(psds, signal, _window_errors(setup, window), *of_bins, information=weights * kept)
     return DataSetScore(name, n_det, band, budget, psds, signal, window, weights, kept)
 
 
@@ -239,23 +237,18 @@ def _window_errors(setup: Setup, window: Window) -> np.ndarray:
     return relative * neighbour_factor(across, setup.geometry.pixel_rad, setup.scene.score.ell_bin)
 
 
-def _weights(noise_mk2: np.ndarray) -> np.ndarray:
-    good = np.isfinite(noise_mk2) & (noise_mk2 > 0)
-    return np.divide(1, noise_mk2, out=np.zeros_like(noise_mk2), where=good)
-
-
 def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> np.ndarray:
     """PSDs (K, n_bin) [uK_CMB^2 sr] of the sign-flipped co-adds.
 
     Weights measured on the very maps that they weigh favour an observation whose noise fluctuates low, which lowers
-    the co-added PSD where they are measured and raises it elsewhere (`Band.mode_chance`); that is given back.
+    the co-added PSD where they are measured and raises it elsewhere (`Band.mode_chance`); this bias is corrected.
     The PSD of a survey goes as one over its observations: of a part it is scaled to the whole.
     """
     patch = setup.band.patch
     maps = weighted_mean(coadds.flipped[:, data_set], coadds.weight[data_set][patch, patch])
     to_ukcmb = 1e3 * setup.scene.instrument.cmb_per_rj
     whole = coadds.done / setup.scene.observations
-    weights = _weights(coadds.noise_mk2()[:, data_set])
+    weights = noise_weights(coadds.noise_mk2()[:, data_set])
     independent = 1 - np.sum(weights**2) / np.sum(weights) ** 2  # a single observation can't be favoured
     return _psd(setup, maps, rings) * (to_ukcmb**2 * (1 + independent * setup.band.chance(rings)) * whole)
 

@@ -99,7 +99,7 @@ class Setup:
 
     @property
     def responsivities(self) -> Responsivities:
-        """What template cleaning of all detectors takes: a way to fit them, or known ones (n_det,)."""
+        """Responsivities for template cleaning of all detectors: a way to fit them, or known ones (n_det,)."""
         return self.scene.cleaning.responsivities if self.calibration is None else self.calibration[0]
 
     @property
@@ -269,7 +269,8 @@ def _angles(scene: Scene, cam: Camera, lines: Raster) -> Angles:
         raise SceneError(f"schedule: {error}") from None
     mid_time = raster(lines, "ra", np.zeros(2)).mid_time_s
     angles = Angles(times.start_mjd, *survey_angles(field, site, times, mid_time))
-    check_motion(scene, cam, field, site, times, mid_time, angles.elevation_rad, angles.parallactic_rad)
+    middle = {"elevation_rad": angles.elevation_rad, "parallactic_rad": angles.parallactic_rad}
+    check_motion(scene, cam, field, site, times, mid_time_s=mid_time, **middle)
     return angles
 
 

@@ -30,15 +30,16 @@ def add_simulated(
     setup: Setup,
     observation: int,
     whole: Pointing,
+    *,
     psd: np.ndarray,
     white: np.ndarray,
     watch: Stopwatch,
 ) -> None:
     """Add the maps of section 5.2's simulated sets, in the scans that the actual data keep.
 
-    `maps` holds sums and hits by data set, which grow in place; `kept_scans` of each block (n_recipe, n_scan).
-    They need no more of the streams than each detector's measured PSD and white level: detectors are taken some at a
-    time.
+    `maps` holds sums and hits by data set, which grow in place; `kept_scans` of each block (n_recipe, n_scan). `psd`
+    (n_det, n_freq) and `white` (n_det,), measured on the cleaned streams [mK^2/Hz], are all that the sets need of them:
+    detectors are taken some at a time.
     """
     plane = setup.camera.focal_plane
     for block, kept in zip(setup.blocks, kept_scans, strict=True):

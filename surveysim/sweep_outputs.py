@@ -9,6 +9,7 @@ from surveysim import __version__
 from surveysim.discards import telling
 from surveysim.provenance import made_by, now
 from surveysim.recipes import ACTUAL
+from surveysim.results import known
 from surveysim.scene import scene_hash
 from surveysim.setup import prepare
 from surveysim.stages import left_out
@@ -107,7 +108,7 @@ def sweep_summary(result: SweepResult, pairs: Sequence[Pair]) -> dict[str, Any]:
         "reference": comparison.reference,
         "best": list(comparison.best),
         "points": points,
-        "pairs": [_entry_of(pair) for pair in pairs] if len(points) <= MATRIX_POINTS else [],
+        "pairs": [known(vars(pair)) for pair in pairs] if len(points) <= MATRIX_POINTS else [],
         "warnings": result.warnings,
         "run": {
             "date": now(),
@@ -119,15 +120,6 @@ def sweep_summary(result: SweepResult, pairs: Sequence[Pair]) -> dict[str, Any]:
     }
 
 
-def _known(value: float) -> float | None:
-    """None for what is unknown: JSON has no NaN."""
-    return value if value == value else None
-
-
-def _entry_of(pair: Pair) -> dict[str, Any]:
-    return {name: _known(value) for name, value in vars(pair).items()}
-
-
 def _point_entry(result: SweepResult, number: int) -> dict[str, Any]:
     point, item, comparison = result.sweep.points[number], result.points[number], result.comparison
     entry = {
@@ -137,11 +129,13 @@ def _point_entry(result: SweepResult, number: int) -> dict[str, Any]:
         "scene_sha256": scene_hash(point.scene),
         "n_det": item.n_det,
         "scores": {
-            name: {
-                "sigma_ukcmb2": score.band.sigma_ukcmb2,
-                "error_ukcmb2": _known(score.band.error_ukcmb2),
-                "plain_sigma_ukcmb2": score.plain_band.sigma_ukcmb2,
-            }
+            name: known(
+                {
+                    "sigma_ukcmb2": score.band.sigma_ukcmb2,
+                    "error_ukcmb2": score.band.error_ukcmb2,
+                    "plain_sigma_ukcmb2": score.plain_band.sigma_ukcmb2,
+                }
+            )
             for name, score in item.scores.items()
         },
         "forecast_ukcmb2": item.forecast_ukcmb2,
@@ -156,8 +150,8 @@ def _point_entry(result: SweepResult, number: int) -> dict[str, Any]:
     if np.isfinite(comparison.ratio[number]):
         entry["ratio"] = float(comparison.ratio[number])
         if result.simulated:
-            entry["ratio_error"] = _known(float(comparison.paired_error[number]))
-            entry["independent_error"] = _known(float(comparison.independent_error[number]))
+            errors = {"ratio_error": comparison.paired_error, "independent_error": comparison.independent_error}
+            entry |= known({name: float(values[number]) for name, values in errors.items()})
             if reason := result.withheld(number):
                 entry["best_probability_withheld"] = reason
             else:

@@ -118,6 +118,8 @@ class SweepResult:
             return ""
         if not np.isfinite(comparison.modes[number]).all():
             return "its error is unknown, of too few observations"
+        if scored.sum() == 1:
+            return "no other point has a score"
         shares = _actual_shares(self.points)
         return why_withheld(float(shares[number]), float(shares[scored].min()))
 
@@ -330,7 +332,7 @@ def compare(
     shares = np.zeros(len(nothing)) if discarded is None else discarded
     competes[scored] = competing(shares[scored]) & np.isfinite(modes[scored]).all(axis=1)
     # Against nobody, or while one that does not compete is lower, none is known to be the best.
-    if competes.sum() < min(2, len(scored)) or not competes[list(best)].any():
+    if competes.sum() < 2 or not competes[list(best)].any():
         competes[:] = False
     relative = np.linalg.norm(modes, axis=1) if relative is None else relative
     ratio = sigma_ukcmb2 / sigma_ukcmb2[reference]

@@ -103,6 +103,19 @@ def without_sections(text: str, *names: str) -> str:
     return "".join(kept)
 
 
+# Keys of the small scene for a patch of 36 arcmin in bright weather, in which scans are hardly ever lost.
+WIDE_PATCH = {
+    "scan.scans": 19,
+    "scan.step": "2 arcmin",
+    "scan.duration": "12 s",
+    "instrument.layout.rings": 3,
+    "map.pixel": "20 arcsec",
+    "atmosphere.b2": "[400, 900, 2000] mK2 rad(-5/3)",
+    "score.size": "36 arcmin",
+    "score.ell_bin": 1000,
+    "score.jackknives": 32,
+}
+
 # Weather in which no scan is too calm to fit responsivities on.
 TURBULENT_SCENE = SMALL_SCENE.replace("[100, 280, 980] mK2", "[1000, 2800, 9800] mK2")
 

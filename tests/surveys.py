@@ -59,7 +59,7 @@ def measured(setup, number=0, b2=280.0, pwv=1.0, left=1.0, found=None, profile=N
 
 
 def falls(index: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """How fast the theory of these tests falls with the square of separation at the zenith, (n_b, n_h) [1/arcmin^2]."""
+    """Fall of the theory of these tests with the square of separation at the zenith, (n_b, n_h) [1/arcmin^2]."""
     return 1e-5 * np.outer(8.0 - index, height_m / 1000.0)
 
 

@@ -152,7 +152,7 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.nda
     streams.
     """
     n_det, c = basis.shape[1], np.ones(basis.shape[1])
-    held, limits = basis[1:], (options.tolerance, options.max_iterations, _STEPS[options.responsivities])
+    limits = (options.tolerance, options.max_iterations, _STEPS[options.responsivities])
     if n_det <= MOST_GRAM:
         products = (block @ block.T for block in blocks())
         gram = next(products, None)
@@ -160,22 +160,21 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.nda
             gram += product
         if gram is None:
             return None, 0
-        converged, iterations = iterate_responsivity(gram, basis, held, *limits, c)
+        converged, iterations = iterate_responsivity(gram, basis, basis[1:], *limits, c)
     else:
-        converged, iterations = _iterate_by_passes(blocks, basis, held, *limits, c)
+        converged, iterations = _iterate_by_passes(blocks, basis, *limits, c)
     return (c if converged else None), iterations
 
 
 def _iterate_by_passes(
     blocks: Blocks,
     basis: np.ndarray,
-    held: np.ndarray,
     tolerance: float,
     max_iterations: int,
     step: float,
     c: np.ndarray,
 ) -> tuple[bool, int]:
-    """`iterate_responsivity` without the Gram matrix."""
+    """`iterate_responsivity` without the Gram matrix, with c held free of all rows of the basis but the first."""
     if all(map(has_dead, blocks())):
         return False, 0
     power = np.empty((len(basis), len(basis)))
@@ -185,7 +184,7 @@ def _iterate_by_passes(
         correlate(basis, weighted, sum((weighted @ block) @ block.T for block in blocks()), power, c)
         if not np.isfinite(c).all() or not c.all():
             return False, iteration
-        hold(held, c)
+        hold(basis[1:], c)
         relax(step, previous, c)
         if np.abs(c / previous - 1).mean() < tolerance:
             return True, iteration

@@ -36,7 +36,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class WindOptions:
-    """How long the layer takes over the array, and the rest as in `TemplateOptions`."""
+    """Time that the layer takes over the array, and the rest as in `TemplateOptions`."""
 
     slowness_s_rad: np.ndarray  # (n_scan, 2) along the array's x and y [s/rad]
     sample_rate_hz: float

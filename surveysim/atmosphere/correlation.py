@@ -68,6 +68,7 @@ def correlation_grid(
     aperture_m: float,
     outer_scale_m: float | None,
     track_rad: np.ndarray,
+    *,
     lowest_rad: float = pi / 2,
 ) -> CorrelationGrid:
     """Tabulate C(theta) for every index and height; `track_rad` (n,) are the knots of its spline, increasing.

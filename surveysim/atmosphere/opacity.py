@@ -91,8 +91,7 @@ def fluctuation_factor_mk2(band: BandOpacity, pwv_mm) -> np.ndarray:
     the atmosphere is its temperature, Rayleigh-Jeans. B2 is proportional to it. It stands for ``(C d eps / dC)^2
     B_atm^2`` of section 3.3, where the paper's eps is 1 - exp(tau). Errors as `optical_depth`.
     """
-    pwv_mm = _allowed(band, pwv_mm)
-    return (pwv_mm * band.spline(pwv_mm, 1) * band.temperature_k * 1e3) ** 2
+    return (np.asarray(pwv_mm) * optical_depth_slope(band, pwv_mm) * band.temperature_k * 1e3) ** 2
 
 
 def _allowed(band, pwv_mm):

@@ -102,7 +102,7 @@ class StripCache:
 
     @property
     def n_lane(self):
-        """How many lanes the strips have."""
+        """Number of lanes of the strips."""
         return lanes(self.half_width_rad, self.step_rad, self._fewest_lanes)
 
     @property
@@ -201,7 +201,7 @@ def build_strip(screen, length_rad, half_width_rad, step_rad, precision="float32
 
 
 def lanes(half_width_rad, step_rad, fewest):
-    """How many lanes a strip of a half width has, `fewest` or more."""
+    """Number of lanes of a strip of a half width, `fewest` or more."""
     return max(fewest, ceil(2.0 * half_width_rad / step_rad) + 1)
 
 
@@ -364,6 +364,7 @@ def add_atmosphere(
     amplitude_mk,
     strips,
     rng,
+    *,
     trends=None,
 ):
     """Add the emission of the moving layer to time streams, in place.

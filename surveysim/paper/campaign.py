@@ -122,7 +122,7 @@ def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], N
         air.illuminated_aperture_m,
         air.outer_scale_m,
         TRACKS_RAD,
-        min(float(item.elevation_rad.min()) for item in measurements),
+        lowest_rad=min(float(item.elevation_rad.min()) for item in measurements),
     )
     overlap = shared_overlap(setup, bins)
     wind, seconds = air.wind_median_rad_s, scenes[0].scan.duration_s

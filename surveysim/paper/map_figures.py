@@ -88,7 +88,7 @@ def log_bin_sigma(result: SurveyResult, item: DataSetScore) -> np.ndarray:
     rings = result.setup.band.rings
     # d ln ell as d ell / ell: the lowest bin starts at 0, where the logarithm has no value.
     width = np.diff(rings.edges_ell) / rings.ell
-    return item.noise_psd / item.signal_psd * np.sqrt(2 * width / rings.n_modes)
+    return item.quoted_psd / item.signal_psd * np.sqrt(2 * width / rings.n_modes)
 
 
 def _cumulative_panel(result: SurveyResult, names: dict[str, str]) -> Panel:

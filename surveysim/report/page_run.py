@@ -225,7 +225,7 @@ def _cleaning_grid(summary: Content) -> Grid:
     for entry in entries.values():
         cells = [cell("+".join(entry["steps"])), cell(entry["scans_discarded"])]
         cells += [Cell(number(entry[key]), entry[key]) for key in ("mean_iterations", "mean_removed")]
-        cells += [Cell(number(ratio), ratio) for ratio in entry["psd_over_white"].values()]
+        cells += [Cell("" if ratio is None else number(ratio), ratio) for ratio in entry["psd_over_white"].values()]
         rows.append((*cells, *(Cell(number(100 * entry[name]), 100 * entry[name]) for name in there)))
     columns = ["cleaning", "scans discarded", "iterations", "templates"]
     columns += [f"PSD at {hz} over white" for hz in first["psd_over_white"]] + [shares[name] for name in there]
@@ -373,8 +373,9 @@ def _forecast_grid(summary: Content) -> Grid:
     if some["bins"]:
         low, high = (count(round(some[key])) for key in ("low_ell", "high_ell"))
         note += (
-            f" The noise PSD is that of the bin where it is furthest off for certain, from ℓ = {low} to {high}; good"
-            f" bins are within {percent(GOOD_PSD)} and known to {percent(KNOWN)} or better."
+            f" The noise PSD is that of the bin, from ℓ = {low} to {high}, where it is furthest beyond two standard"
+            f" errors, as one bin in twenty is by chance; good bins are within {percent(GOOD_PSD)} and known to"
+            f" {percent(KNOWN)} or better."
         )
     return Grid("forecast-table", "Forecast against simulation", columns, tuple(rows), (note,))
 

@@ -224,7 +224,8 @@ def _ratio_note(summary: Content) -> str:
         return f"{note} A forecast has no Monte Carlo error."
     return (
         f"{note} Their errors count what the points have in common; beside stand those that independent runs would"
-        " have. Best: the probability that the point has the lowest σ(A) of all that lose few scans."
+        " have. Best: the probability that the point has the lowest σ(A) of all that lose few scans and whose error is"
+        " known."
     )
 
 

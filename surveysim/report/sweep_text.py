@@ -53,7 +53,7 @@ def print_sweep(result: SweepResult, directory: Path) -> None:
 
 
 def _forecast_lines(result: SweepResult) -> list[str]:
-    """How far forecasts are from the simulation at worst, and which points' forecasts may be off and why."""
+    """Largest difference of a forecast from its simulation, and a line for each flag of a point's forecast."""
     lines, both = [], list(zip(result.sweep.points, result.points, strict=True))
     compared = [(point, *item.off) for point, item in both if item.off]
     if compared:
@@ -101,9 +101,11 @@ def _chance(probability: float) -> str:
 
 
 def _among(result: SweepResult) -> str:
-    """Of how many points the best one is, where others lose too many scans to compete."""
+    """Of how many points the best one is, where others have no known error or lose too many scans to compete."""
     competing, scored = result.comparison.competing.sum(), (result.comparison.ratio > 0).sum()
-    return "" if competing == scored else f" of the {competing} points that lose few scans (of {scored})"
+    if competing == scored:
+        return ""
+    return f" of the {competing} points that have a known error and lose few scans (of {scored})"
 
 
 def _sweep_table(result: SweepResult) -> Table:

@@ -71,7 +71,7 @@ def print_warnings(console: Console, warnings: Sequence[str]) -> None:
 
 
 def table_console() -> Console:
-    """What tables are printed on."""
+    """Console that is wide enough for tables."""
     # Off a terminal rich takes 80 columns, in which the tables would break.
     return Console(soft_wrap=True, width=None if sys.stdout.isatty() else 120)
 
@@ -98,7 +98,7 @@ def where_line(directory: Path) -> str:
 
 
 def agreement_lines(result: SurveyResult) -> list[str]:
-    """How far the forecast is from the simulation, where that is more than it should be, and its flags."""
+    """Differences of the forecast from the simulation, with warnings of large ones, and its flags."""
     found = forecast_agreement(result)
     if not found:
         return []
@@ -114,7 +114,7 @@ def agreement_lines(result: SurveyResult) -> list[str]:
 
 
 def _psd_lines(found: dict[str, Agreement]) -> list[str]:
-    """How many bins of the noise PSDs are forecast as well as they should be, and the one that is furthest off."""
+    """Number of bins whose noise PSD is forecast well enough, and the bin that is furthest beyond its error."""
     bins, within = (sum(getattr(item, key) for item in found.values()) for key in ("bins", "within"))
     if bins == 0:
         return []
@@ -127,7 +127,9 @@ def _psd_lines(found: dict[str, Agreement]) -> list[str]:
     off = f"{name} by {100 * worst.psd:+.0f} +- {100 * worst.psd_error:.0f} % at ell = {worst.worst_ell:.0f}"
     line = f"  its noise PSDs: within {good} in {within} of {bins} bins {where}"
     line += f", {unknown} are not known to {known}" if unknown else ""
-    return [f"{line}; furthest off for certain: {off}"]
+    if abs(worst.psd) <= 2 * worst.psd_error:
+        return [f"{line}; none is off by more than two standard errors"]
+    return [f"{line}; furthest beyond two standard errors, as one in twenty is by chance: {off}"]
 
 
 def effect_lines(scores: "dict[str, DataSetForecast]", flagged: bool = False) -> list[str]:
@@ -154,7 +156,7 @@ def survey_lines(result: SurveyResult) -> list[str]:
 
 
 def estimate_lines(estimate: Estimate, done: int) -> list[str]:
-    """Which estimate is quoted, with the plain one beside a controlled one, and why an error is unknown."""
+    """Kind of the estimate that is quoted, the plain one beside a controlled one, and why an error is unknown."""
     if estimate.kind == "controlled":
         plain = with_unknown(estimate.plain_sigma_ukcmb2, estimate.plain_error_ukcmb2)
         lines = [f"{CONTROLLED}. Plain ({ACTUAL}): {plain}"]
@@ -253,7 +255,7 @@ def _cleaning_table(result: SurveyResult) -> Table:
         table.add_column(heading, justify="left" if heading == "cleaning" else "right")
     for label, entry in entries.items():
         cells = [str(entry["scans_discarded"]), f"{entry['mean_iterations']:.1f}", f"{entry['mean_removed']:.2f}"]
-        cells += [f"{ratio:.3g}" for ratio in entry["psd_over_white"].values()]
+        cells += ["" if ratio is None else f"{ratio:.3g}" for ratio in entry["psd_over_white"].values()]
         table.add_row(label, *cells, *(f"{100 * entry[name]:.1f} %" for name in shares if name in entry))
     return table
 

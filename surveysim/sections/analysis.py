@@ -34,7 +34,7 @@ class Cleaning(Section):
     """Whose responsivities templates are subtracted with: fitted to each scan, as in the paper, or to all scans of an
     observation together; the true ones with an error that lasts the survey, or without."""
     calibration_error: Annotated[float, Field(gt=0, le=1)] | None = None
-    """Needed by responsivities "survey": rms error of these, relative and log-normal."""
+    """Needed by responsivities "survey", which alone use it: rms error of these, relative and log-normal."""
     reach: Positive | None = None
     """Needed by "local": detectors within so many closest separations are neighbours."""
     order: Annotated[int, Field(ge=0, le=20)] | None = None
@@ -63,14 +63,8 @@ class Cleaning(Section):
         """Raise ValueError where a key about responsivities is missing, or would do nothing."""
         from mapmaker.cleaning import TEMPLATE_CLEANINGS
 
-        survey = self.responsivities == "survey"
-        if survey and self.calibration_error is None:
+        if self.responsivities == "survey" and self.calibration_error is None:
             raise ValueError("calibration_error: missing; responsivities 'survey' needs it")
-        if not survey and self.calibration_error is not None:
-            raise ValueError(
-                f"calibration_error: found {self.calibration_error:g} with responsivities {self.responsivities!r}; "
-                "none is expected, or responsivities 'survey'"
-            )
         if self.responsivities != "scan" and named.isdisjoint(TEMPLATE_CLEANINGS):
             raise ValueError(
                 f"responsivities: found {self.responsivities!r} with {', '.join(map(repr, sorted(named)))} alone, which"

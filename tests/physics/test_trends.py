@@ -67,7 +67,7 @@ def drawn(wind, speed, n_draw, n_scan=N_SCAN, offsets=(0j,), seed=1):
     rng, streams = np.random.default_rng(seed), []
     for _ in range(n_draw):
         data = np.zeros((len(offsets), n_scan * N_SAMP), np.float32)
-        add_atmosphere(data, *motion, np.ones(n_scan), strips, rng, draw_trends(item, rng))
+        add_atmosphere(data, *motion, np.ones(n_scan), strips, rng, trends=draw_trends(item, rng))
         streams.append(data.reshape(len(offsets), n_scan, N_SAMP))
     return np.array(streams, float)
 

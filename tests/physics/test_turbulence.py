@@ -35,7 +35,7 @@ def focal_plane():
 @pytest.fixture(scope="module")
 def grid():
     bins = pair_bins(focal_plane())
-    return bins, correlation_grid(bins.theta_rad, INDEX_GRID, HEIGHT_GRID_M, 8.0, None, TRACKS_RAD, LOWEST)
+    return bins, correlation_grid(bins.theta_rad, INDEX_GRID, HEIGHT_GRID_M, 8.0, None, TRACKS_RAD, lowest_rad=LOWEST)
 
 
 @pytest.mark.parametrize("index", [2 / 3, 2.0, 11 / 3, 14 / 3])

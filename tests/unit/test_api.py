@@ -62,8 +62,10 @@ def test_observations_and_seeds_differ(path):
     one, again, other = (simulate_observation(scene, number) for number in (0, 0, 1))
     np.testing.assert_array_equal(one.data_mk, again.data_mk)
     seeded = simulate_observation(load_scene(path, {"seed": 12}), 0)
-    for different in (other, seeded):
-        assert abs(np.corrcoef(np.diff(one.data_mk).ravel(), np.diff(different.data_mk).ravel())[0, 1]) < 0.1
+    # Of neighbouring detectors' differences in time: the layer, which all detectors see, counts as few numbers.
+    noise = [np.diff(np.diff(item.data_mk), axis=0).ravel() for item in (one, other, seeded)]
+    for different in noise[1:]:
+        assert abs(np.corrcoef(noise[0], different)[0, 1]) < 5 / np.sqrt(len(noise[0]))
 
 
 def test_observations_of_a_longer_survey_are_the_same(path):

@@ -1,4 +1,4 @@
-"""What a fit takes from a scan in time: closed forms against quadrature and draws."""
+"""Courses that a fit takes from a scan in time: closed forms against quadrature and draws."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ SPEED_RAD_S = np.radians(31 / 60)
 def _layer():
     """Frequencies and powers of a Kolmogorov layer at the paper's median wind."""
     layer = layer_waves(Screen(11 / 3, 8e-3, np.inf), SPEED_RAD_S * SECONDS)
-    return (layer.alpha * SPEED_RAD_S).real, layer.power
+    return (layer.alpha * SPEED_RAD_S).real, layer.power[0]
 
 
 def _templates(draws: int) -> np.ndarray:

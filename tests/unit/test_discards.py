@@ -9,6 +9,7 @@ from astropy.table import Table
 
 from surveysim import load_scene, run, run_sweep, survey
 from surveysim.api import forecast_sweep
+from surveysim.coadds import row_names
 from surveysim.discards import Discards, competing, discards, sweep_warnings, telling, why_withheld
 from surveysim.engines import SERIAL
 from surveysim.recipes import OPTIMAL
@@ -16,11 +17,12 @@ from surveysim.report.sweep_figure import sweep_figure
 from surveysim.report.sweep_text import best_line, discard_lines, print_sweep
 from surveysim.report.text import closing_line, print_result
 from surveysim.results import best_recipe
+from surveysim.scores import score_survey
 from surveysim.setup import prepare
 from surveysim.survey import run_observations
 from surveysim.trade import compare, pairs
 from tests.pages import read_page, rows_of
-from tests.scenes import SMALL_SCENE, without_sections
+from tests.scenes import SMALL_SCENE, TURBULENT_SCENE, without_sections
 
 N_SCANS = 4
 REMEDIES = ('cleaning.responsivities = "observation" or "survey"', "longer scans", '"pca"')
@@ -74,14 +76,15 @@ def test_shares_by_data_set_and_weather(small, monkeypatch):
 
 
 def test_the_optimal_set_loses_the_scans_of_the_best_recipe(small, monkeypatch):
+    """The actual data lose a scan of each observation; the other recipe, which loses none, is mostly the best."""
     losing(monkeypatch, lambda scene, observation: 1)
-    setup = prepare(small({"observations": 6, "cleaning.compare": ["planar"]}))
+    setup = prepare(small({"observations": 6, "cleaning.algorithm": "planar", "cleaning.compare": ["average"]}))
     coadds = run_observations(setup, None)
-    from surveysim.coadds import row_names
-
     columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
     best = best_recipe(setup, columns, "cmb")
     assert discards(setup, coadds).shares[OPTIMAL] == pytest.approx(np.mean(best == 0) / N_SCANS)
+    kept = score_survey(setup, coadds)[OPTIMAL].kept
+    assert kept == pytest.approx(1 - (best == 0) / N_SCANS) and (best == 1).any()
 
 
 def test_no_weather_without_an_atmosphere(small):
@@ -189,7 +192,7 @@ def lossy(tmp_path, monkeypatch):
     counts = {2.5: 0, 2.6: 0, 2.7: 1, 2.8: 4}
     losing(monkeypatch, lambda scene, observation: counts[round(scene.detector.psd_mk2_hz, 6)] > observation)
     path = tmp_path / "lossy.toml"
-    path.write_text(without_sections(SMALL_SCENE, "sky").replace("mask_separation_f_lambda = 1.3\n", "") + LEVELS)
+    path.write_text(without_sections(TURBULENT_SCENE, "sky").replace("mask_separation_f_lambda = 1.3\n", "") + LEVELS)
     return run_sweep(path, tmp_path / "out", engine=SERIAL, figures=False), tmp_path / "out"
 
 
@@ -221,7 +224,9 @@ def test_screen_and_page_of_a_sweep_that_loses_scans(lossy, capsys):
     assert screen.count("withheld │") == 2 and "25.0 %" in screen and "Warning: actual: more than 5 %" in screen
     assert discard_lines(result) == ["scans discarded, actual: 0.0 % to 25.0 %"]
     assert result.comparison.best == (0,)
-    assert best_line(result).startswith("best of the 2 points that lose few scans (of 4): detector.psd = 2.5 mK2 / Hz")
+    assert best_line(result).startswith(
+        "best of the 2 points that have a known error and lose few scans (of 4): detector.psd = 2.5 mK2 / Hz"
+    )
     rows = rows_of(page, "point-table")
     assert [row[5].text for row in rows][2:] == ["withheld"] * 2
     assert [row[6].text for row in rows] == ["0.0", "0.0", "6.2", "25.0"]
@@ -244,11 +249,22 @@ def test_a_lowest_point_that_loses_scans_is_not_called_the_best(tmp_path, monkey
     assert f"The probability that it is the best is withheld: {why}." in header and "confidence" not in header
 
 
-def test_forecasts_say_that_they_know_no_shares(tmp_path):
+def test_forecasts_predict_shares_and_compare_none(tmp_path):
     path = tmp_path / "small.toml"
     path.write_text(without_sections(SMALL_SCENE, "sky") + LEVELS)
     result = forecast_sweep(path, tmp_path / "out", figures=False)
-    assert discard_lines(result) == ["Shares of discarded scans are not forecast."] and result.warnings == []
+    assert discard_lines(result)[0].startswith("scans discarded, as predicted from a few, actual: ")
+    table = Table.read(tmp_path / "out" / "sweep.ecsv", format="ascii.ecsv")
+    assert list(table["discarded"]) == [point.discarded["actual"] for point in result.points]
+    assert max(table["discarded"]) > 0.05 and result.warnings == []
+
+
+def test_forecasts_say_that_they_know_no_shares(tmp_path, monkeypatch):
+    monkeypatch.setattr("surveysim.pilot._MOST_SAMPLES", 0)
+    path = tmp_path / "small.toml"
+    path.write_text(without_sections(SMALL_SCENE, "sky") + LEVELS)
+    result = forecast_sweep(path, tmp_path / "out", figures=False)
+    assert discard_lines(result) == ["Shares of discarded scans are not known."] and result.warnings == []
     assert "discarded" not in Table.read(tmp_path / "out" / "sweep.ecsv", format="ascii.ecsv").colnames
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from surveysim import observation, outputs, reduction, results, setup, sky
+from surveysim import agreement, observation, outputs, reduction, results, setup, sky
 from surveysim.api import run
 from surveysim.atmosphere import screen
 from surveysim.engines import SERIAL
@@ -52,7 +52,7 @@ DOES = {
     "opacity": [(setup, "site_water")],
     "score": [(results, "quoted_scores")],
     "window": [(sky, "flat_cmb_sky"), (reduction, "_add_window")],
-    "forecast": [(results, "forecast")],
+    "forecast": [(agreement, "forecast")],
     "best recipe": [(reduction, "merits")],
     "HEALPix": [(outputs, "write_healpix")],
 }

@@ -3,7 +3,20 @@
 import numpy as np
 import pytest
 
-from surveysim.progress import START_S, TimeLeft, equal_work, finish_times, progress_display, time_text
+from surveysim import load_scene
+from surveysim.control import quoted_scores
+from surveysim.progress import (
+    START_S,
+    TimeLeft,
+    equal_work,
+    finish_times,
+    progress_display,
+    score_so_far,
+    time_text,
+)
+from surveysim.setup import prepare
+from surveysim.survey import run_observations
+from tests.scenes import SMALL_SCENE
 
 
 class Clock:
@@ -97,3 +110,16 @@ def test_lines_off_a_terminal(capsys, monkeypatch):
         "5/6 points",
         "6/6 points",
     ]
+
+
+@pytest.mark.parametrize("n_obs, known", [(4, True), (3, False)])
+def test_the_score_so_far_is_the_one_that_is_quoted(tmp_path, n_obs, known):
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL_SCENE)
+    scene = load_scene(path, {"observations": n_obs})
+    setup = prepare(scene)
+    coadds = run_observations(setup, None)
+    item = quoted_scores(setup, coadds)["actual"]
+    assert item.control is not None and np.isfinite(item.band.error_ukcmb2) == known
+    error = f"{item.band.error_ukcmb2:.2g}" if known else "unknown"
+    assert score_so_far(scene, coadds) == f"sigma(A) = {item.band.sigma_ukcmb2:.3g} +- {error} uK_CMB^2"

@@ -17,6 +17,7 @@ from surveysim.reduction import observe
 from surveysim.response import projected_array
 from surveysim.scene import SceneError, load_scene
 from surveysim.setup import prepare
+from surveysim.sweep import load_sweep
 from tests.scenes import SMALL_SCENE
 
 WAYS = {
@@ -48,8 +49,6 @@ def setup_of(tmp_path):
             {"cleaning.responsivities": "survey"},
             "cleaning.calibration_error: missing; responsivities 'survey' needs it",
         ),
-        ({"cleaning.calibration_error": 0.01}, "calibration_error: found 0.01 with responsivities 'scan'; none is"),
-        (WAYS["survey"] | {"cleaning.responsivities": "known"}, "calibration_error: found 0.02 with .* 'known'"),
         (WAYS["survey"] | {"cleaning.calibration_error": 0}, "calibration_error: .*greater than 0"),
         (WAYS["survey"] | {"cleaning.calibration_error": 1.5}, "calibration_error: .*less than or equal to 1"),
         (
@@ -62,6 +61,19 @@ def test_keys_that_do_not_fit(setup_of, settings, words):
     with pytest.raises(SceneError, match=words) as caught:
         setup_of(**settings)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("way", ["scan", "observation", "known"])
+def test_only_survey_uses_the_calibration_error(setup_of, way):
+    plain, beside = setup_of(**WAYS[way]), setup_of(**WAYS[way], cleaning__calibration_error=0.5)
+    np.testing.assert_array_equal(observe(beside, 0, True).sums, observe(plain, 0, True).sums)
+
+
+def test_a_sweep_takes_all_settings(tmp_path):
+    path = tmp_path / "ways.toml"
+    path.write_text(f'{SMALL_SCENE}\n[sweep]\n"cleaning.responsivities" = {list(WAYS)}\n')
+    scenes = [point.scene for point in load_sweep(path, {"cleaning.calibration_error": 0.02}).points]
+    assert [scene.cleaning.responsivities for scene in scenes] == list(WAYS)
 
 
 def test_a_compared_cleaning_may_be_the_one_that_takes_them(setup_of):
@@ -210,7 +222,7 @@ def test_a_survey_s_error_leaves_a_part_of_the_layer(setup_of):
         setup = setup_of(**way)
         levels = conditions(setup, survey_draws(setup, 0, 4))
         model = next(noise_models(setup, levels))
-        noise.append(model.parts.layer(levels.motion))
+        noise.append(model.parts.layer(levels.motion, levels.sine))
     known, least, some, twice = noise
     np.testing.assert_allclose(least, known, rtol=1e-4)
     added = (twice - known) / (some - known)

@@ -214,14 +214,27 @@ def test_white_noise_run(tmp_path):
     assert np.isnan(Table.read(tmp_path / "out" / "tables" / "observations.ecsv")["b2_mk2"]).all()
 
 
-@pytest.mark.parametrize("setting", [{"observations": 1}, {"cleaning.max_iterations": 1}])
-def test_runs_that_cannot_be_scored(tmp_path, capsys, setting):
+def _strict_json(text):
+    """The content of a JSON text, which has no NaN."""
+
+    def refuse(constant):
+        raise ValueError(f"found {constant}")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+@pytest.mark.parametrize(
+    "setting, reason",
+    [({"observations": 1}, "found 1 observations"), ({"cleaning.max_iterations": 1}, "cleaning discarded all scans")],
+)
+def test_runs_that_cannot_be_scored(tmp_path, capsys, setting, reason):
     """One observation, or all scans discarded: the maps are written, and it is said why there is no score."""
     path = tmp_path / "small.toml"
     path.write_text(SMALL_SCENE)
     result = run(load_scene(path, setting), tmp_path / "out", engine=SERIAL, figures=False)
-    content = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert content["scores"] == {} and content["unscored"] == result.unscored != ""
+    content = _strict_json((tmp_path / "out" / "summary.json").read_text())
+    assert content["scores"] == {} and content["unscored"] == result.unscored
+    assert result.unscored.startswith(reason)
     print_result(result, tmp_path)
     assert f"Not scored: {result.unscored}" in capsys.readouterr().out.replace("\n", " ").replace("  ", " ")
 

@@ -200,7 +200,10 @@ def test_points_without_a_score_are_listed(write, levels, tmp_path):
     assert "2 or more observations" in content["points"][0]["unscored"] and "ratio" not in content["points"][0]
     table = Table.read(tmp_path / "sweep.ecsv", format="ascii.ecsv")
     assert "2 or more observations" in table["unscored"][0] and np.isnan(table["sigma_actual"][0])
-    assert "more than 99.5 %" in best_line(result)
+    # One alone is not the best of anything.
+    assert best_line(result).startswith("lowest: observations = 4")
+    assert result.withheld(1) == content["points"][1]["best_probability_withheld"] == "no other point has a score"
+    assert "best_probability" not in content["points"][1]
 
 
 def test_nothing_scored_at_all(write, tmp_path):

@@ -12,9 +12,10 @@ from surveysim.conditions import conditions, survey_draws
 from surveysim.engines import SERIAL
 from surveysim.forecast import expected_weights, forecast
 from surveysim.noise_model import survey_models
-from surveysim.pilot import Kept, predicted_kept
-from surveysim.report.text import agreement_lines, effect_lines
+from surveysim.pilot import Kept, _pilot_size, _spread, predicted_kept
+from surveysim.report.text import _psd_lines, agreement_lines, effect_lines
 from surveysim.results import forecast_agreement, summary
+from surveysim.scene import SceneError
 from surveysim.setup import prepare
 from surveysim.validity import compared_ell, resolution_ell
 from tests.scenes import SMALL_SCENE
@@ -23,6 +24,8 @@ LYNX = Path(__file__).parents[2] / "scenarios" / "lynx.toml"
 ARCMIN = np.radians(1 / 60)
 # Weather so calm that the layer hardly stands out of the noise: many scans are discarded.
 CALM = {"atmosphere.b2": "[2, 10, 400] mK2 rad(-5/3)", "observations": 12, "score.jackknives": 16}
+# Noise so faint that the layer is most of what cleaning leaves.
+FAINT = {f"{name}.psd": "1e-4 mK2 / Hz" for name in ("photon", "detector")} | {"excess.variance": "[1e-5, 2e-5] mK2"}
 LARGER = {"scan.scans": 9, "scan.duration": "8 s", "score.size": "24 arcmin", "score.ell_bin": 1000}
 
 
@@ -108,6 +111,19 @@ def test_a_pilot_predicts_the_share(calm):
     assert np.array_equal(forecast(calm.setup.scene).scores["actual"].kept.share, predicted.share)
 
 
+def test_a_pilot_of_few_observations_takes_more_of_their_scans(scene_of):
+    """Thirty-two times 6 scans in all, or as many as 3e6 detector-samples are; never more than there are."""
+    keys = {"scan.scans": 60, "scan.step": "0.2 arcmin"}
+    sizes = [_pilot_size(prepare(scene_of(**keys)), n_obs) for n_obs in (1, 4, 16, 1000)]
+    assert sizes == [(60, 1), (48, 4), (12, 16), (6, 32)]
+
+
+def test_a_forecast_without_a_kept_scan_says_how_it_knows(scene_of):
+    lost = scene_of(cleaning__max_iterations=1)
+    with pytest.raises(SceneError, match="no scan that is kept, by a trial of a few; .*Remedy: cleaning.responsiv"):
+        forecast(lost)
+
+
 def test_known_responsivities_discard_nothing(scene_of, monkeypatch):
     known = scene_of(cleaning__responsivities="known", **CALM)
     assert forecast(known).scores["actual"].kept.discarded == 0
@@ -117,11 +133,23 @@ def test_known_responsivities_discard_nothing(scene_of, monkeypatch):
     assert effect.size is None and effect.flagged and "not known" in effect.sentence
 
 
-def test_shares_are_interpolated_over_weather(scene_of):
+def test_shares_are_interpolated_between_observations_of_a_pilot():
+    """Observations 2, 0, 1, 3, 4 by their layer, of which the first, the fourth and the last are in the pilot."""
+    kept = _spread(np.array([2, 0, 1, 3, 4]), np.array([0, 3, 4]), np.array([0.25, 1.0, 1.0]), 4)
+    np.testing.assert_allclose(kept.share, [0.5, 0.75, 0.25, 1, 1])
+    # They stand for 2, 2 and 1 of five; their scatter is that of neighbours.
+    assert kept.error == pytest.approx(np.sqrt(0.75**2 / 4) * np.sqrt(2**2 + 2**2 + 1) / 5)
+    # As if one scan of the pilot more or less were lost, where all of them are kept.
+    assert _spread(np.arange(5), np.array([0, 3, 4]), np.ones(3), 4).error == pytest.approx(1 / 12)
+
+
+def test_shares_of_many_observations_follow_the_weather(scene_of):
     setup = prepare(scene_of(observations=100, atmosphere__b2="[2, 10, 400] mK2 rad(-5/3)"))
     levels = conditions(setup, survey_draws(setup, 0, 100))
     kept = predicted_kept(setup, setup.recipes, levels, np.ones(100))["actual"]
     assert kept.share.shape == (100,) and kept.share.min() >= 0 and kept.share.max() <= 1
+    order = np.argsort(levels.layer)
+    assert kept.share[order][:25].mean() < kept.share[order][-25:].mean() - 0.5
     assert Kept(np.array([1.0, 0.5])).discarded == 0.25
 
 
@@ -132,6 +160,7 @@ def test_shares_are_interpolated_over_weather(scene_of):
     "name, keys",
     [
         ("scans that share air", {"cleaning.algorithm": "none"}),
+        ("stripes", FAINT),
         ("low multipoles", {}),
         ("discarded scans", CALM),
         ("few detectors", {"cleaning.algorithm": "quadratic"}),
@@ -220,3 +249,11 @@ def test_lines_say_what_is_known(calm):
     assert within < bins and f"within 15 % in {within} of {bins} bins from ell = " in text
     assert "in all" not in text and "! forecast of actual" in text and "Cleaning discarded" in text
     assert "2500" not in text and "15000" not in text
+
+
+@pytest.mark.parametrize(
+    "off, said", [(0.27, "none is off by more than two"), (0.4, "by chance: actual by +40 +- 15 %")]
+)
+def test_no_bin_within_two_errors_is_said_to_be_off(calm, off, said):
+    item = replace(forecast_agreement(calm)["actual"], psd=off, psd_error=0.15)
+    assert said in _psd_lines({"actual": item})[0]
