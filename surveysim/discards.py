@@ -1,8 +1,9 @@
 """Shares of discarded scans, by data set and by weather, and the warnings that they call for.
 
 Cleaning discards a scan whose templates it can't fit. Where responsivities are fitted on the atmosphere of the scan,
-these are the calmest scans, hence the best data. A survey that loses a share of them loses more than that share of its
-information, and two points of a sweep that lose different shares differ for that reason alone.
+these are scans that see it change little: in the calmest weather, hence the best data, or while they go along with the
+wind at about its speed. A survey that loses a share of them loses more than that share of its information, and two
+points of a sweep that lose different shares differ for that reason alone.
 """
 
 from collections.abc import Mapping, Sequence

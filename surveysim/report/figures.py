@@ -358,7 +358,7 @@ def _sky_axes(axes: Axes, setup: Setup) -> None:
 
 def _look(setup: Setup, item: DataSetScore) -> tuple[str, str, str, float]:
     """Colour, dashes, label and the factor that makes up for detectors left out."""
-    if item.n_det < setup.n_det:
+    if _is_masked(item):
         return *MASKED_LINE, rf"{_name(setup, item)}, $\times$ {item.n_det}/{setup.n_det}", item.n_det / setup.n_det
     if item.name == OPTIMAL:
         return *OPTIMAL_LINE, "the best of each observation", 1.0
@@ -368,8 +368,12 @@ def _look(setup: Setup, item: DataSetScore) -> tuple[str, str, str, float]:
     return *LINES[item.name], _name(setup, item), 1.0
 
 
+def _is_masked(item: DataSetScore) -> bool:
+    return item.name.startswith("masked")  # its mask may keep all detectors
+
+
 def _name(setup: Setup, item: DataSetScore) -> str:
-    if item.n_det < setup.n_det:
+    if _is_masked(item):
         return f"masked, {item.n_det} detectors"
     return f"actual ({setup.recipes[0].label})" if item.name == ACTUAL and setup.chooses else item.name
 

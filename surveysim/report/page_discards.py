@@ -10,7 +10,8 @@ from surveysim.report.page_parts import Block, Cell, Grid, Section, Text, cell, 
 Content = Mapping[str, Any]  # of summary.json
 DISCARD_RULE = (
     "Cleaning discards a scan whose templates it can't fit. Where it fits responsivities on the atmosphere, these are"
-    " the scans of the calmest weather, hence the best data. A point of a sweep that loses more than"
+    " scans that see it change little: in the calmest weather, hence the best data, or while they go along with the"
+    " wind at about its speed. A point of a sweep that loses more than"
     f" {100 * MOST_DISCARDED:g} % of them, or {100 * MOST_APART:g} % more than the point that loses least, has no"
     " probability of being the best."
 )

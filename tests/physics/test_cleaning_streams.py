@@ -18,7 +18,8 @@ from mapmaker.cleaning import (
 )
 from mapmaker.wind import measure_wind, scan_velocities
 from surveysim.observation import draw_observation, observation_weather
-from surveysim.setup import prepare
+from surveysim.pointing import sky_vector
+from surveysim.setup import observation_path, prepare
 
 LYNX = Path(__file__).parents[2] / "scenarios" / "lynx.toml"
 RATE_HZ = 10.0
@@ -120,3 +121,17 @@ def test_local_templates_after_the_average_take_shared_noise(bad):
         both = clean_in_order(steps, streams.data_mk, streams.scan_bounds, streams.focal_plane)
         assert both.kept.all() and np.array_equal(both.responsivity, average.responsivity)
         assert 0.2 < both.data_mk.var() / average.data_mk.var() < 0.75
+
+
+def test_scans_that_go_along_with_the_wind_hold_nothing_to_fit_to():
+    """Bad weather, wind at the speed of short scans and along them: one fit a scan loses every second scan, those."""
+    point = surveysim.load_sweep(LYNX.with_name("prime_cam_280.toml"), {"instrument.layout.field_of_view": "8 arcmin"})
+    setup = prepare(point.points[0].scene)
+    weather, (_, pointing) = observation_weather(setup, 5), observation_path(setup, 5)
+    layer = np.stack(sky_vector(pointing.parallactic_rad, *weather.wind_rad_s), axis=-1)
+    relative = np.linalg.norm(pointing.velocity_rad_s - layer, axis=-1) / np.linalg.norm(layer, axis=-1)
+    along = relative < 0.1
+    assert weather.b2 > BAD_MK2 and along.sum() == 13 and relative[~along].min() > 1.9
+    streams = draw_observation(setup, 5)
+    assert (_clean("planar", streams, TEMPLATE).kept == ~along).all()
+    assert _clean("planar", streams, TemplateOptions(1e-8, 100, "observation")).kept.all()

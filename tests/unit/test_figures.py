@@ -97,6 +97,15 @@ def test_masked_psd_is_that_of_as_many_detectors(setup, scores):
     np.testing.assert_allclose(psd, masked.noise_psd[1:] * 7 / 19)
 
 
+def test_a_mask_may_keep_all_detectors():
+    """Detectors that are farther apart than the mask asks for: a data set like the actual one."""
+    setup = prepare(load_scene(LYNX, TINY | {"instrument.layout.pitch_f_lambda": 1.4}))
+    found = score_survey(setup, run_observations(setup, None))
+    figure = figures.map_psds(setup, found)
+    assert found["masked_19"].n_det == setup.n_det == 19
+    np.testing.assert_allclose(_curve(figure, "masked, 19 detectors"), _curve(figure, "actual"))
+
+
 def test_cumulative_sensitivity_at_the_scored_range_is_the_score(setup, scores):
     starts, sigma = _curve(figures.cumulative_sensitivity(setup, scores), "actual")
     assert starts[0] == 1000
