@@ -189,6 +189,7 @@ def _map_parts(
     scattered = modes.mean(flat) * rate / 2 * (1 - pixel)
     white = white * pixel + stream_power(arrays[0], None) * scattered
     shared = shared * pixel + stream_power(arrays[0], photon) * scattered
+    # Excess is scattered across the scan, among modes of one frequency: what detectors do not share stays whole.
     low = own + (low - own) * pixel
     return _Parts(white, shared, low, lambda motion, sine: layer(motion, sine) * pixel)
 

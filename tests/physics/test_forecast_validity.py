@@ -18,7 +18,7 @@ UNMASKED = SMALL_SCENE.replace("mask_separation_f_lambda = 1.3\n", "")
 SITED = SMALL_SCENE.replace('b2_probabilities = [0.25, 0.5, 0.75]\nb2 = "[100, 280, 980] mK2 rad(-5/3)"\n', "")
 FAST = {"scan.duration": "4 s", "scan.sample_rate": "30 Hz", "score.white_above": "8 Hz", "scan.turnaround": "1 s"}
 NARROW = {"scan.step": "1 arcmin", "scan.scans": 37}
-WITHIN = 0.1  # of sigma(A), with three standard errors of the ratio beside
+WITHIN, KNOWN = 0.1, 0.06  # of sigma(A): largest difference without a flag, and its largest standard error
 
 
 @dataclass(frozen=True)
@@ -147,13 +147,12 @@ CASES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_forecasts_are_right_or_flagged(tmp_path, name):
-    """Every data set within 10 % and three errors of the ratio, or flagged; and flagged where it should be."""
+    """Every data set within 10 %, which its simulation knows to 3 to 5 %, or flagged; flagged where it should be."""
     case = CASES[name]
     result = run(case.scene(tmp_path / "scene.toml"), engine=SERIAL)
     for data_set, item in forecast_agreement(result).items():
         flags = [effect.name for effect in result.expected.scores[data_set].effects if effect.flagged]
-        assert flags or abs(item.sigma) < WITHIN + 3 * item.sigma_error, (data_set, item)
-        assert item.sigma_error < 0.15
+        assert flags or (abs(item.sigma) < WITHIN and item.sigma_error < KNOWN), (data_set, item)
     flags = [effect.name for effect in result.expected.scores["actual"].effects if effect.flagged]
     assert flags == [case.flag] * bool(case.flag)
 
