@@ -239,7 +239,10 @@ def _strict_json(text):
 
 @pytest.mark.parametrize(
     "setting, reason",
-    [({"observations": 1}, "found 1; 2 or more are expected"), ({"cleaning.max_iterations": 1}, "cleaning discarded all scans")],
+    [
+        ({"observations": 1}, "observations with data: found 1"),
+        ({"cleaning.max_iterations": 1}, "cleaning discarded all scans"),
+    ],
 )
 def test_runs_that_cannot_be_scored(tmp_path, capsys, setting, reason):
     """One observation, or all scans discarded: the maps are written, and it is said why there is no score."""
