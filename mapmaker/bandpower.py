@@ -324,8 +324,6 @@ def _check(noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, m
 
 def _check_observations(observation_weights: np.ndarray) -> None:
     if observation_weights.ndim != 1 or observation_weights.size < 2:
-        raise ValueError(
-            f"found {observation_weights.size} observations with data; 2 or more observations are expected"
-        )
+        raise ValueError(f"observations with data: found {observation_weights.size}; 2 or more are expected")
     if not (observation_weights > 0).all():
         raise ValueError("observation weights must be positive")

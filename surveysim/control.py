@@ -13,7 +13,7 @@ import numpy as np
 from mapmaker.bandpower import flat_band_power
 from surveysim.coadds import CoAdds
 from surveysim.conditions import conditions, population, survey_draws
-from surveysim.forecast import can_forecast, expected_weights
+from surveysim.forecast import Forecast, can_forecast, expected_weights
 from surveysim.noise_model import NoiseModel, survey_models
 from surveysim.recipes import ACTUAL
 from surveysim.scene import Scene, SceneError
@@ -82,6 +82,19 @@ def expectations(scene: Scene) -> dict[str, Expectation]:
         weight = expected_weights(setup, noise)
         found[model.name] = Expectation(model, _psd(setup, noise), float(error), float(weight.std() / weight.mean()))
     return found
+
+
+def in_all_weather(setup: Setup, found: Forecast) -> dict[str, float]:
+    """sigma(A) [uK_CMB^2] of a forecast's data sets over all weather, as runs quote it; of those that have it.
+
+    A forecast itself is of the weather that the scene's seed draws for its observations.
+    """
+    levels, band = conditions(setup, survey_draws(setup, 0, setup.scene.observations)), setup.band
+    controlled = {}
+    for name, item in known_expectations(setup).items():
+        psd = found.scores[name].noise_psd * _control(setup, item, item.model.noise(levels)).factor
+        controlled[name] = flat_band_power(psd, item.model.signal_psd, band.rings.n_modes, band.selected)
+    return controlled
 
 
 def _psd(setup: Setup, noise: np.ndarray) -> np.ndarray:

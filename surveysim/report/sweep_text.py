@@ -60,6 +60,8 @@ def _forecast_lines(result: SweepResult) -> list[str]:
         point, off, error = max(compared, key=lambda entry: abs(entry[1]))
         far = f"{100 * off:+.0f} +- {100 * error:.0f} %"
         lines.append(f"forecast over simulated, less 1: at worst {far}, {point.label}")
+    if not result.simulated:
+        lines.append("Forecasts are of the weather that the seed draws; a run quotes sigma(A) of all weather.")
     return lines + [f"! forecast of {point.label}: {sentence}" for point, item in both for sentence in item.flags]
 
 

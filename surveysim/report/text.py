@@ -12,6 +12,7 @@ from rich.text import Text
 
 from mapmaker.bandpower import FEWEST
 from surveysim.agreement import GOOD_PSD, GOOD_SIGMA, KNOWN, Agreement
+from surveysim.control import in_all_weather
 from surveysim.discards import percent, telling
 from surveysim.plan import Plan
 from surveysim.recipes import ACTUAL
@@ -28,6 +29,7 @@ from surveysim.results import (
 )
 from surveysim.scene import Scene
 from surveysim.scores import FEWEST_CONTROLLED
+from surveysim.setup import prepare
 from surveysim.stopping import UNLIMITED, Estimate
 
 if TYPE_CHECKING:
@@ -299,22 +301,26 @@ def _seconds(seconds: float) -> str:
 
 def print_forecast(scene: Scene, forecast: "Forecast") -> None:
     """The forecast of each data set, beside the reference if there is one, and effects on it with their sizes."""
-    console = table_console()
+    console, everywhere = table_console(), in_all_weather(prepare(scene), forecast)
     reference = scene.score.reference
     published = dict(reference.values_ukcmb2) if reference else {}
     table = Table(title=Text(f"{scene.title}: forecast of the uncertainty on a flat CMB band power"))
-    for heading in ("data set", "detectors", "sigma(A) [uK_CMB^2]", "ell_eff", "FWHM"):
+    for heading in ("data set", "detectors", "sigma(A) [uK_CMB^2]", "in the weather drawn", "ell_eff", "FWHM"):
         table.add_column(Text(heading), justify="left" if heading == "data set" else "right")
     if reference:
         table.add_column(Text(reference.source), justify="right")
         table.add_column("ratio", justify="right")
     for name, item in forecast.scores.items():
         band = item.band
-        cells = [name, str(item.n_det), f"{band.sigma_ukcmb2:.1f}", f"{band.ell_eff:.0f}", f"{band.fwhm_ell:.0f}"]
+        sigma = everywhere.get(name, band.sigma_ukcmb2)
+        cells = [name, str(item.n_det), f"{sigma:.1f}", f"{band.sigma_ukcmb2:.1f}"]
+        cells += [f"{band.ell_eff:.0f}", f"{band.fwhm_ell:.0f}"]
         if name in published:
-            cells += [f"{published[name]:g}", f"{band.sigma_ukcmb2 / published[name]:.2f}"]
+            cells += [f"{published[name]:g}", f"{sigma / published[name]:.2f}"]
         table.add_row(*cells)
     console.print(table)
+    drawn = f"that of the weather drawn for {scene.observations} observations stands beside it"
+    console.print(f"sigma(A) is that of all weather, as a run quotes it; {drawn}.", highlight=False)
     console.print("Effects on the forecast, with their sizes; those marked ! may put it off:", highlight=False)
     flagged = effect_lines(forecast.scores, flagged=True)
     for line in effect_lines(forecast.scores):

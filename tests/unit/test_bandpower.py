@@ -210,7 +210,7 @@ def test_other_shapes_are_rejected():
         (NOISE[None], SIGNAL, np.ones(4), "at least 2 noise realizations"),
         (NOISE, SIGNAL, np.ones(4), "at least 2 noise realizations"),
         (np.stack([NOISE] * 2), SIGNAL[1:], np.ones(4), "signal PSD errors"),
-        (np.stack([NOISE] * 2), SIGNAL, np.ones(1), "2 or more observations"),
+        (np.stack([NOISE] * 2), SIGNAL, np.ones(1), "2 or more are expected"),
         (np.stack([NOISE] * 2), SIGNAL, np.array([1.0, 0.0]), "weights must be positive"),
     ],
 )

@@ -70,7 +70,7 @@ def refused(call, scene, *arguments):
         ("score.white_above=5 Hz", ("score.white_above: found 5 Hz", "the highest frequency of a scan")),
         ("instrument.beam_fwhm=5 deg", ("score.ell_min: found 4000", "beam")),
         ("excess.band_limit=0.1 Hz", ("excess.band_limit: found 0.1 Hz", "1 / scan.duration")),
-        ("atmosphere.outer_scale=1 m", ("atmosphere: outer_scale", "found")),
+        ("atmosphere.outer_scale=1 m", ("atmosphere.outer_scale: found 1 m with an aperture of 8 m",)),
         ("map.healpix_nside=3", ("healpix_nside: found 3; a power of two",)),
         ("sky.curved_nside=512", ("sky.curved_nside: found; the key is 'curved_lmax' now",)),
         ("sky.curved_lmax=1", ("sky.curved_lmax: found 1; ", "greater than or equal to 2")),

@@ -10,7 +10,10 @@ from astropy.table import QTable, Table
 from astropy.wcs import WCS
 
 from surveysim import load_scene, run
+from surveysim.coadds import kept_shares
+from surveysim.control import in_all_weather
 from surveysim.engines import SERIAL
+from surveysim.forecast import forecast
 from surveysim.report.page_parts import quoted
 from surveysim.report.text import print_result
 from surveysim.results import score_rows, summary
@@ -93,6 +96,17 @@ def test_one_estimate_is_quoted_everywhere(finished, content, capsys):
     assert shown in capsys.readouterr().out
     page = (folder / "report.html").read_text()
     assert page.count(quoted(best["sigma_ukcmb2"], best["error_ukcmb2"])) >= 3  # lead, key figures, table
+
+
+def test_a_forecast_alone_tells_what_a_run_quotes(finished):
+    """Of the scans that the run kept, over all weather: what stands beside the run's own result, within 1 %."""
+    setup = finished[0].setup
+    alone = in_all_weather(setup, forecast(setup.scene, kept_shares(setup, finished[0].coadds)))
+    beside = {row.name: row.forecast_ukcmb2 for row in score_rows(finished[0])}
+    drawn = finished[0].expected.scores
+    for name in SETS:
+        assert alone[name] == pytest.approx(beside[name], rel=0.01)
+    assert abs(alone["actual"] / drawn["actual"].band.sigma_ukcmb2 - 1) > 0.02
 
 
 def test_an_unknown_error_is_said_to_be_unknown(tmp_path, capsys):
@@ -225,7 +239,10 @@ def _strict_json(text):
 
 @pytest.mark.parametrize(
     "setting, reason",
-    [({"observations": 1}, "found 1 observations"), ({"cleaning.max_iterations": 1}, "cleaning discarded all scans")],
+    [
+        ({"observations": 1}, "observations with data: found 1"),
+        ({"cleaning.max_iterations": 1}, "cleaning discarded all scans"),
+    ],
 )
 def test_runs_that_cannot_be_scored(tmp_path, capsys, setting, reason):
     """One observation, or all scans discarded: the maps are written, and it is said why there is no score."""

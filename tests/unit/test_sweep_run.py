@@ -197,9 +197,9 @@ def test_points_without_a_score_are_listed(write, levels, tmp_path):
     result = run_sweep(write(WHITE + "\n[sweep]\nobservations = [1, 4]\n"), tmp_path, engine=SERIAL)
     assert result.comparison.reference == 1 and result.comparison.best == (1,)
     content = json.loads((tmp_path / "summary.json").read_text())
-    assert "2 or more observations" in content["points"][0]["unscored"] and "ratio" not in content["points"][0]
+    assert "2 or more are expected" in content["points"][0]["unscored"] and "ratio" not in content["points"][0]
     table = Table.read(tmp_path / "sweep.ecsv", format="ascii.ecsv")
-    assert "2 or more observations" in table["unscored"][0] and np.isnan(table["sigma_actual"][0])
+    assert "2 or more are expected" in table["unscored"][0] and np.isnan(table["sigma_actual"][0])
     # One alone is not the best of anything.
     assert best_line(result).startswith("lowest: observations = 4")
     assert result.withheld(1) == content["points"][1]["best_probability_withheld"] == "no other point has a score"
