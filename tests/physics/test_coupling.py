@@ -215,6 +215,7 @@ def test_scans_take_the_modes_that_skies_lack(lynx, algorithm, allowed):
     assert after < allowed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["none", "planar"])
 def test_the_forecast_interpolates_its_transmission(algorithm):
     """Bins of 500 against bins of 250, which know it at twice as many multipoles: within 1 % from ell = 1000."""

@@ -83,6 +83,7 @@ def long_scene(tmp_path, observations):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["processes", "dask"])
 def test_killed_worker(tmp_path, engine):
     """Its work is done again: the run ends as if nothing had been, with the same bits."""
@@ -99,6 +100,7 @@ def test_killed_worker(tmp_path, engine):
     assert_same_results(out, tmp_path / "whole")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["processes", "dask"])
 def test_killed_parent(tmp_path, engine):
     """No worker stays behind."""

@@ -309,7 +309,10 @@ def test_points_without_a_score_say_why(sweep_file, tmp_path):
     path.write_text(sweep_file.read_text().partition("[sweep]")[0] + "[sweep]\nobservations = [1, 4]\n")
     run_sweep(path, tmp_path / "out", engine=SERIAL, figures=False)
     page = read_page(tmp_path / "out" / "report.html")
-    assert rows_of(page, "point-table")[0][1].text == "not scored" and "observations = 1: found 1" in page.text
+    assert (
+        rows_of(page, "point-table")[0][1].text == "not scored"
+        and "observations = 1: observations with data: found 1" in page.text
+    )
 
 
 # ---------------------------------------------------------------- directories without results

@@ -18,6 +18,8 @@ from surveysim.scene import SceneError
 from tests.pages import read_page, rows_of, value_of
 from tests.scenes import SMALL_SCENE, without_sections
 
+pytestmark = pytest.mark.slow  # all items are made several times
+
 # Streams that are nearly all atmosphere, so that four short scans tell its wind.
 SCENE = (
     without_sections(SMALL_SCENE, "excess", "sky")
