@@ -85,14 +85,16 @@ def _ladder_row(setting: Setting, n_obs: int, run: Run, mark: Mark, finest: Data
 
 
 def forecast_row(scene: Scene, setting: Setting, reference_ukcmb2: float, reference_error: float) -> Measured:
-    """The closed form instead of a run."""
+    """The closed form instead of a run, over all weather as the reference is."""
+    from surveysim.control import in_all_weather
     from surveysim.forecast import forecast
+    from surveysim.setup import prepare
 
     try:
         before = clocks()
         forecast(scene)
         between = clocks()
-        sigma = float(forecast(scene).scores[ACTUAL].band.sigma_ukcmb2)
+        sigma = in_all_weather(prepare(scene), forecast(scene))[ACTUAL]
     except ValueError as error:  # of a scene that can't be forecast
         return Measured(setting, scene.observations, note=f"refused: {first_line(error)}")
     wall, cpu = clocks() - between
