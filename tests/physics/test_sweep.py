@@ -89,12 +89,16 @@ def seeds_of(tmp_path, scene, table, n):
     return np.array(rows).T
 
 
-def assert_right(log_ratio, paired):
-    """Scatter of n values about their mean, and the mean of variances that each have FLIPS - 1 degrees of freedom."""
+def assert_right(log_ratio, paired, too_large=1.0):
+    """Scatter of n values about their mean, and the mean of variances that each have FLIPS - 1 degrees of freedom.
+
+    `too_large`: the factor by which stated variances may exceed the scatter for a known reason.
+    """
     n = len(log_ratio)
     tolerance = 3 * np.sqrt(2 / (n - 1) + 2 / (n * (FLIPS - 1)))
     # Of the logarithm, so that too large an error fails as well as one that is too small.
-    assert np.log(np.var(log_ratio, ddof=1) / np.mean(paired**2)) == pytest.approx(0, abs=tolerance)
+    off = np.log(np.var(log_ratio, ddof=1) / np.mean(paired**2))
+    assert -tolerance - np.log(too_large) < off < tolerance
 
 
 def test_paired_error_of_a_small_change(tmp_path, monkeypatch):
@@ -110,11 +114,14 @@ def test_paired_error_of_a_small_change(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_paired_error_where_little_is_common(tmp_path, monkeypatch):
-    """Another scan speed: other maps of the same streams."""
+    """Another scan speed: other maps of the same streams.
+
+    Windows of different scans count as independent, though their skies are the same: variances may be twice too large.
+    """
     monkeypatch.setattr("surveysim.trade.run_forecast", lambda setup, coadds: None)
     table = '"scan.speed" = ["4 arcmin / s", "4.5 arcmin / s"]'
     log_ratio, paired, independent = seeds_of(tmp_path, NO_AIR, table, 60)
-    assert_right(log_ratio, paired)
+    assert_right(log_ratio, paired, too_large=2.0)
     assert np.mean(paired**2) < np.mean(independent**2)
 
 
