@@ -178,16 +178,18 @@ def score(
     edges_ell: np.ndarray,
     *,
     information: np.ndarray | None = None,
+    correlation: np.ndarray | None = None,
 ) -> tuple[BandPower, ErrorBudget]:
     """Band power of a survey and its error from K sign-flip realizations of the noise.
 
     `noise_psds_ukcmb2` (K, n_bin) are PSDs of `sum_i s_ki w_i m_i / sum_i w_i`: the same observations m_i,
     weights w_i (n_obs,) that are their inverse variances up to a factor, and independent random signs s_ki.
     `information` is that of all observations made, 0 for one whose data were all rejected: their weights times their
-    share of data (by default the weights, for equal shares). sigma follows from the mean over K; the parts of its
-    error are those of `noise_error`, `weather_error` and `window_error`. The division by a noisy N leaves sigma low by
-    a relative `sum_b (3/2 g_b - g_b^2) e_b^2`, where e_b is the relative error of N_b and g the normalised weight:
-    below the error of sigma itself.
+    share of data (by default the weights, for equal shares). `correlation` (n_bin - 1,) is that of the noise of each
+    bin's PSD with the next (`mapmaker.spectrum.neighbour_correlation`), none by default. sigma follows from the mean
+    over K; the parts of its error are those of `noise_error`, `weather_error` and `window_error`. The division by a
+    noisy N leaves sigma low by a relative `sum_b (3/2 g_b - g_b^2) e_b^2`, where e_b is the relative error of N_b and g
+    the normalised weight: below the error of sigma itself.
     Raises ValueError as `flat_band_power`, and for fewer than 2 realizations or observations or a bad weight.
     """
     if noise_psds_ukcmb2.ndim != 2 or len(noise_psds_ukcmb2) < 2:
@@ -197,11 +199,11 @@ def score(
     noise_psd = noise_psds_ukcmb2.mean(axis=0)
     of_bins = _information(noise_psd, signal_psd, n_modes, mask)
     weight = of_bins / of_bins.sum()
-    signs, common = noise_error_parts(noise_psds_ukcmb2, weight, observation_weights, n_modes)
+    signs, common = noise_error_parts(noise_psds_ukcmb2, weight, observation_weights, n_modes, correlation)
     budget = ErrorBudget(
         noise=float(np.hypot(signs, common)),
         weather=weather_error(observation_weights if information is None else information, common),
-        window=window_error(signal_psd_relative_error, weight),
+        window=window_error(signal_psd_relative_error, weight, correlation),
     )
     return band_power(noise_psd, signal_psd, n_modes, mask, ell, edges_ell, budget.total), budget
 
@@ -211,12 +213,13 @@ def noise_error(
     weight: np.ndarray,
     observation_weights: np.ndarray,
     n_modes: np.ndarray | None = None,
+    correlation: np.ndarray | None = None,
 ) -> float:
     """Relative error of sigma from the finite number of noise realizations (K, n_bin) and of observations.
 
     The two `noise_error_parts` in quadrature; raises ValueError as they do.
     """
-    return float(np.hypot(*noise_error_parts(noise_psds_ukcmb2, weight, observation_weights, n_modes)))
+    return float(np.hypot(*noise_error_parts(noise_psds_ukcmb2, weight, observation_weights, n_modes, correlation)))
 
 
 def noise_error_parts(
@@ -224,6 +227,7 @@ def noise_error_parts(
     weight: np.ndarray,
     observation_weights: np.ndarray,
     n_modes: np.ndarray | None = None,
+    correlation: np.ndarray | None = None,
 ) -> tuple[float, float]:
     """Relative errors of sigma from its noise: the part that more realizations take away, and the part they share.
 
@@ -240,7 +244,9 @@ def noise_error_parts(
 
     A few realizations know var(r) badly, to `sqrt(2 / (K - 1))`. Modes of noise that is alike in all directions have
     `var(r) = sum_b g_b^2 2 / n_b`. With `n_modes` (n_bin,) this closed form and the scatter of the realizations are
-    averaged, as if the closed form were the scatter of 16 more; without, the scatter is all there is. Within the K the
+    averaged, as if the closed form were the scatter of 16 more; without, the scatter is all there is. The `correlation`
+    (n_bin - 1,) of bins with the next leaves each bin `2 / n_b` less what it shares with its neighbours, which a wide
+    sum has again: a sum that one bin rules has less. Within the K the
     common part does not show: `<s^2> = var(r) (1 - c)`.
     Raises ValueError for fewer than 2 observations or a weight that is not positive.
     """
@@ -250,9 +256,28 @@ def noise_error_parts(
     common = np.sum(observation_weights**2) / np.sum(observation_weights) ** 2
     variance, n_real = np.var(response, ddof=1) / (1 - common), len(response)
     if n_modes is not None:
-        counted = np.sum(weight[used] ** 2 * 2 / n_modes[used])
+        counted = _counted_variance(weight, n_modes, correlation)
         variance = (_MODE_COUNT_DOF * counted + (n_real - 1) * variance) / (_MODE_COUNT_DOF + n_real - 1)
     return float(np.sqrt(variance * (1 - common) / n_real)), float(np.sqrt(variance * common))
+
+
+def _counted_variance(weight: np.ndarray, n_modes: np.ndarray, correlation: np.ndarray | None) -> float:
+    """Variance of the weighted sum of relative errors of bins whose wide sums have 2 / n of each."""
+    used = weight > 0
+    single = np.zeros(weight.shape)
+    single[used] = weight[used] * np.sqrt(2 / n_modes[used])
+    if correlation is None:
+        return float(single @ single)
+    shared = np.append(correlation, 0.0) + np.append(0.0, correlation)
+    return _variance_of_sum(single / np.sqrt(1 + shared), correlation)
+
+
+def _variance_of_sum(deviations: np.ndarray, correlation: np.ndarray | None) -> float:
+    """Of (n_bin,) terms with these standard deviations, each of which correlates with the next alone."""
+    alone = float(deviations @ deviations)
+    if correlation is None:
+        return alone
+    return alone + 2 * float(np.sum(correlation * deviations[1:] * deviations[:-1]))
 
 
 def ratio_error(information: np.ndarray, expected: np.ndarray) -> float:
@@ -274,15 +299,20 @@ def weather_error(information: np.ndarray, common_noise: float = 0.0) -> float:
     noise is `N = 1 / sum w`; if it changes alike in all bins, `d ln sigma = d ln N = -d ln sum w`, and a sum of n
     independent draws has the relative variance `CV(w)^2 / n`. Weights are measured with noise, which is in the error of
     sigma already: its variance `common_noise` squared (`noise_error_parts`) is taken off. The deviation of a mean over
-    its estimated error is Student's t, of variance `(n - 1) / (n - 3)`, which is multiplied in. Few observations rarely
-    hold the best nights, so below `FEWEST` the error is unknown; a long tail of weights makes it too small above, too.
+    its estimated error is Student's t, hence the `student_factor`. Few observations rarely hold the best nights, so
+    below `FEWEST` the error is unknown; a long tail of weights makes it too small above, too.
     Raises ValueError for fewer than 2 observations.
     """
     n_obs = information.size
     scatter = ratio_error(information, np.ones(n_obs))
     if n_obs < FEWEST:
         return float("nan")
-    return without_noise(scatter, common_noise) * float(np.sqrt((n_obs - 1) / (n_obs - 3)))
+    return without_noise(scatter, common_noise) * student_factor(n_obs)
+
+
+def student_factor(n_draw: int) -> float:
+    """Standard deviation of Student's t of n_draw draws: of a mean's error over its estimate; NaN below 4 draws."""
+    return float(np.sqrt((n_draw - 1) / (n_draw - 3))) if n_draw > 3 else float("nan")
 
 
 def without_noise(scatter: float, noise: float) -> float:
@@ -290,14 +320,16 @@ def without_noise(scatter: float, noise: float) -> float:
     return float(np.sqrt(max(scatter**2 - noise**2, 0.0)))
 
 
-def window_error(signal_psd_relative_error: np.ndarray, weight: np.ndarray) -> float:
-    """Relative error of sigma from errors of the signal PSD that are independent between bins.
+def window_error(
+    signal_psd_relative_error: np.ndarray, weight: np.ndarray, correlation: np.ndarray | None = None
+) -> float:
+    """Relative error of sigma from errors of the signal PSD, (n_bin,).
 
-    `d ln sigma = -sum_b g_b dM_b / M_b`, g the normalised `weight`: `sqrt(sum (g e)^2)`. Bins that the map's taper ties
-    to their neighbours have larger errors together: `mapmaker.window.neighbour_factor`.
+    `d ln sigma = -sum_b g_b dM_b / M_b`, g the normalised `weight`. Errors of neighbours have the `correlation`
+    (n_bin - 1,) that the map's taper gives them, and are independent by default: `sqrt(sum (g e)^2)`.
     """
-    used = weight > 0
-    return float(np.linalg.norm(weight[used] * signal_psd_relative_error[used]))
+    errors = np.where(weight > 0, weight * signal_psd_relative_error, 0.0)
+    return float(np.sqrt(_variance_of_sum(errors, correlation)))
 
 
 def _information(noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -7,11 +7,16 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Window:
-    """Share of the signal's power that is left, a bin of multipole, with its Monte Carlo error."""
+    """Share of the signal's power that is left, a bin of multipole, as measured with simulated skies."""
 
     ell: np.ndarray  # (n_bin,)
     transmission: np.ndarray  # (n_bin,) power out / power in
-    error: np.ndarray  # (n_bin,) standard error of the transmission
+    deviations: np.ndarray  # (n_sky, n_bin) each sky's part of the error, with its sign
+
+    @property
+    def error(self) -> np.ndarray:
+        """Standard error of the transmission, (n_bin,): the deviations, being independent, in quadrature."""
+        return np.linalg.norm(self.deviations, axis=0)
 
 
 def beam_window(ell: np.ndarray, fwhm_rad: float) -> np.ndarray:
@@ -42,7 +47,8 @@ def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.nd
 
     The ratio of the means over skies, not the mean of ratios: it is consistent and not ruled by skies that
     happen to be faint. The error is the delete-one jackknife over skies, `(n - 1) / n sum_i (r_i - mean
-    r)^2`, in which the sample variance common to both PSDs cancels. `ell` is (n_bin,).
+    r)^2`, in which the sample variance common to both PSDs cancels; `sqrt((n - 1) / n) (r_i - mean r)` are the
+    deviations. `ell` is (n_bin,).
     Raises ValueError for fewer than 2 skies, shapes that differ or a reference without power.
     """
     if psd_cleaned.ndim != 2 or psd_cleaned.shape != psd_reference.shape or psd_cleaned.shape[1:] != ell.shape:
@@ -57,19 +63,5 @@ def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.nd
         raise ValueError("the reference skies must have power in every bin")
     cleaned, reference = psd_cleaned.sum(axis=0), psd_reference.sum(axis=0)
     left_out = (cleaned - psd_cleaned) / (reference - psd_reference)
-    variance = (n_sky - 1) * np.var(left_out, axis=0)
-    return Window(ell, cleaned / reference, np.sqrt(variance))
-
-
-def neighbour_factor(taper: np.ndarray, pixel_rad: float, width_ell: float) -> float:
-    """Error of a smooth sum over bins of multipole, over that of bins that are independent of each other; 1 or more.
-
-    A taper (n,) along one axis ties modes a distance x apart by `K(x) = |FT(taper^2)|^2`. A bin of width d has the
-    variance `int K(x) (d - |x|) dx` over |x| < d, its share of a wide sum `d int K(x) dx`: the rest is the covariance
-    with its neighbours. For bins that are straight on the scale of K, and modes that are equally strong.
-    """
-    steps = 64
-    kernel = np.abs(np.fft.rfft(taper**2, steps * len(taper))) ** 2
-    kernel[1:] *= 2  # both signs
-    apart = 2 * np.pi * np.fft.rfftfreq(steps * len(taper), pixel_rad)
-    return float(np.sqrt(kernel.sum() / (kernel @ np.clip(1 - apart / width_ell, 0, None))))
+    deviations = np.sqrt((n_sky - 1) / n_sky) * (left_out - left_out.mean(axis=0))
+    return Window(ell, cleaned / reference, deviations)

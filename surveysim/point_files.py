@@ -14,7 +14,7 @@ from surveysim import __version__
 from surveysim.checkpoint import CheckpointError, check_origin
 from surveysim.scores import Control, DataSetScore
 
-_OF_BAND, _OF_WINDOW = ("weight", "ell", "cumulative"), ("ell", "transmission", "error")
+_OF_BAND, _OF_WINDOW = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
 _OF_CONTROL = ("factor", "expected")
 _OF_SET = ("noise_psds", "signal_psd", "weights", "kept")
 

@@ -10,14 +10,14 @@ from mapmaker.bandpower import (
     ErrorBudget,
     band_power,
     flat_band_power,
-    noise_error_parts,
     ratio_error,
     score,
+    student_factor,
     without_noise,
 )
 from mapmaker.binning import weighted_mean
 from mapmaker.spectrum import Annuli, map_psd
-from mapmaker.window import Window, neighbour_factor, signal_window
+from mapmaker.window import Window, signal_window
 from surveysim.band import N_SECTORS
 from surveysim.coadds import CoAdds, kept_shares, noise_weights
 from surveysim.recipes import ACTUAL
@@ -117,15 +117,13 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
 def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> DataSetScore:
     """A plain score with the forecast as control variate; `plain` keeps it, with its error by the forecast.
 
-    The scatter of each observation's information about the forecast's, without that of noise, is the error of either;
-    it is unknown with fewer than 4 observations. The plain one has besides the weather that happened to be drawn.
+    The scatter of each observation's information about the forecast's, without that of the noise that weights are
+    measured with, is the error of either, as that of a mean of few draws: unknown for fewer than 4. The plain one has
+    besides the weather that happened to be drawn.
     """
     rings, selected = setup.band.rings, item.band.weight > 0
-    used = item.weights > 0
-    _, common = noise_error_parts(item.noise_psds, item.band.weight, item.weights[used], rings.n_modes)
-    off = without_noise(ratio_error(item.information, control.expected), common)
-    if len(item.weights) < FEWEST_CONTROLLED:
-        off = np.nan
+    off = without_noise(ratio_error(item.information, control.expected), _measured_with(setup, item))
+    off *= student_factor(len(item.weights))
     budget = replace(item.budget, weather=off, population=control.population)
     plain = replace(item.budget, weather=float(np.hypot(off, control.sampling))).total
     quoted = replace(item, budget=budget, control=control)
@@ -133,6 +131,11 @@ def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> Data
         quoted.quoted_psd, item.signal_psd, rings.n_modes, selected, rings.ell, rings.edges_ell, budget.total
     )
     return replace(quoted, band=band, plain=replace(item.band, error_ukcmb2=item.band.sigma_ukcmb2 * plain))
+
+
+def _measured_with(setup: Setup, item: DataSetScore) -> float:
+    """Relative scatter of the sum of weights from the noise of the maps that they are measured on."""
+    return float(np.sqrt(setup.band.noise_scatter * np.sum(item.weights**2)) / np.sum(item.weights))
 
 
 def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
@@ -162,7 +165,7 @@ def gain(worse: DataSetScore, better: DataSetScore, factor: float = 1.0) -> Gain
     (`error_modes`), and not in quadrature.
     """
     ratio = factor * worse.band.sigma_ukcmb2 / better.band.sigma_ukcmb2
-    one, other = error_modes((worse, better), (id(worse.window), id(better.window)))
+    one, other = error_modes((worse, better), ("", ""))  # the skies of one survey
     return Gain(ratio, ratio * float(np.linalg.norm(one - other)))
 
 
@@ -173,9 +176,10 @@ def error_modes(items: Sequence[DataSetScore], skies: Sequence[Hashable]) -> np.
     item, and the norm of the difference of two rows that of their ratio; what both respond to alike cancels.
     Responses are those of `mapmaker.bandpower`: to the noise, one mode for each of the sign-flipped co-adds, whose
     signs are common; to the weather, one for each observation, common too (of controlled scores how its information
-    differs from the forecast's); to the window, one for each bin, common to items whose `skies` and bins are equal; to
-    the sample of weather that expectations are taken from, common to all. An unknown error makes its row NaN. How far
-    noise is common shows in the scatter of K co-adds: its correlation between two items is known to 1 / sqrt(K - 1).
+    differs from the forecast's); to the window, one for each sky and bin, common to items whose `skies` and bins are
+    equal; to the sample of weather that expectations are taken from, common to all. An unknown error makes its row NaN.
+    How far noise is common shows in the scatter of K co-adds: its correlation between two items is known to
+    1 / sqrt(K - 1). How far windows are shows in what each sky does to each bin.
     """
     groups = [(key, item.band.ell.tobytes()) for item, key in zip(items, skies, strict=True)]
     window = [_window_row(item) for item in items]
@@ -203,9 +207,9 @@ def _weather_row(item: DataSetScore) -> np.ndarray:
 
 def _window_row(item: DataSetScore) -> np.ndarray:
     used, window = item.band.weight > 0, item.window
-    row = np.zeros(len(used))
-    row[used] = item.band.weight[used] * window.error[used] / window.transmission[used]
-    return _of_norm(item.budget.window, row)
+    row = np.zeros(window.deviations.shape)
+    row[:, used] = -item.band.weight[used] * window.deviations[:, used] / window.transmission[used]
+    return _of_norm(item.budget.window, row.ravel())
 
 
 def _of_norm(norm: float, row: np.ndarray) -> np.ndarray:
@@ -225,16 +229,15 @@ def _score(setup, name, n_det, psds, window, weights, kept, *, selected=None) ->
     rings, signal = setup.band.rings, setup.band.signal_psd * window.transmission
     selected = setup.band.selected if selected is None else selected
     of_bins = rings.n_modes, selected, weights[weights > 0], rings.ell, rings.edges_ell
-    band, budget = score(psds, signal, _window_errors(setup, window), *of_bins, information=weights * kept)
+    of_data = {"information": weights * kept, "correlation": setup.band.correlation}
+    band, budget = score(psds, signal, _window_errors(window), *of_bins, **of_data)
     return DataSetScore(name, n_det, band, budget, psds, signal, window, weights, kept)
 
 
-def _window_errors(setup: Setup, window: Window) -> np.ndarray:
-    """Relative errors (n_bin,) of the window, larger by what bins have in common with their neighbours."""
-    none = np.zeros_like(window.error)
-    relative = np.divide(window.error, window.transmission, out=none, where=window.transmission > 0)
-    across = setup.band.taper[len(setup.band.taper) // 2]
-    return relative * neighbour_factor(across, setup.geometry.pixel_rad, setup.scene.score.ell_bin)
+def _window_errors(window: Window) -> np.ndarray:
+    """Relative errors (n_bin,) of the window."""
+    none = np.zeros_like(window.transmission)
+    return np.divide(window.error, window.transmission, out=none, where=window.transmission > 0)
 
 
 def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> np.ndarray:

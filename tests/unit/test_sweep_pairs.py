@@ -127,7 +127,8 @@ def test_estimates_of_a_sweep_are_of_one_kind(mixed, levels):
     np.testing.assert_array_equal(table["sigma_actual"], table["plain_sigma_actual"])
     assert json.loads((out / "summary.json").read_text())["estimate"] == "plain"
     shared = [
-        replace(item, budget=replace(item.budget, weather=ratio_error(item.information, np.ones(6)))) for item in items
+        replace(item, budget=replace(item.budget, weather=np.sqrt(5 / 3) * ratio_error(item.information, np.ones(6))))
+        for item in items
     ]
     rows = error_modes(shared, [point.skies for point in result.points])
     for pair in pairs(result):

@@ -97,8 +97,25 @@ def test_modes_hold_each_error_and_that_of_pairs(levels):
     assert np.linalg.norm(shared[0] - shared[1]) < 1e-5
     window = np.hypot(items[0].budget.window, items[1].budget.window)
     np.testing.assert_allclose(np.linalg.norm(own[0] - own[1]), window, rtol=1e-5)
-    found = gain(items[1], items[0], 0.5)
-    assert found.ratio == pytest.approx(2, rel=1e-5) and found.error == pytest.approx(2 * window, rel=1e-5)
+    found = gain(items[1], items[0], 0.5)  # of one survey, whose skies are the same
+    assert found.ratio == pytest.approx(2, rel=1e-5) and found.error < 2e-5
+
+
+@pytest.mark.parametrize("correlation", [1.0, 0.6, 0.0, -1.0])
+def test_windows_of_the_same_skies_share_what_each_sky_does(levels, correlation):
+    """Errors of equal size whose deviations correlate: `2 e^2 (1 - correlation)` is left of them in a ratio."""
+    item = levels[0].points[0].scores["actual"]
+    used, window = item.band.weight > 0, item.window
+    one, other = np.zeros((2, 2, len(used)))
+    scale = window.transmission[used] / item.band.weight[used]  # bins that weigh alike
+    one[:, used] = np.outer([1, 1], scale)
+    other[:, used] = np.outer(
+        [correlation + np.sqrt(1 - correlation**2), correlation - np.sqrt(1 - correlation**2)], scale
+    )
+    items = [replace(item, window=replace(window, deviations=part)) for part in (one, other)]
+    rows = error_modes(items, "aa")
+    expected = item.budget.window * np.sqrt(2 * (1 - correlation))
+    assert np.linalg.norm(rows[0] - rows[1]) == pytest.approx(expected, abs=1e-9)
 
 
 def test_modes_of_surveys_of_different_lengths(levels):
@@ -106,7 +123,7 @@ def test_modes_of_surveys_of_different_lengths(levels):
     item = replace(levels[0].points[0].scores["actual"], kept=1.0, control=None, plain=None)
     rng = np.random.default_rng(3)
     weights = rng.lognormal(0, 0.5, 4000)
-    window = replace(item.window, error=np.zeros_like(item.window.error))
+    window = replace(item.window, deviations=np.zeros_like(item.window.deviations))
     rows = []
     for n in (1000, 4000):
         variation = weights[:n].std(ddof=1) / weights[:n].mean() / np.sqrt(n)
