@@ -67,6 +67,17 @@ def flat_band_power(
     return float(_information(noise_psd_ukcmb2, signal_psd, n_modes, mask).sum() ** -0.5)
 
 
+def bin_weights(
+    noise_psd_ukcmb2: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray
+) -> np.ndarray:
+    """Share (n_bin,) of each bin in sigma^-2, 0 for one that is not selected; they sum to 1.
+
+    Raises ValueError as `flat_band_power`.
+    """
+    information = _information(noise_psd_ukcmb2, signal_psd, n_modes, mask)
+    return information / information.sum()
+
+
 def flat_band_power_fixed_weights(
     noise_psd_ukcmb2: np.ndarray,
     signal_psd: np.ndarray,
@@ -184,8 +195,8 @@ def score(
 
     `noise_psds_ukcmb2` (K, n_bin) are PSDs of `sum_i s_ki w_i m_i / sum_i w_i`: the same observations m_i,
     weights w_i (n_obs,) that are their inverse variances up to a factor, and independent random signs s_ki.
-    `information` is that of all observations made, 0 for one whose data were all rejected: their weights times their
-    share of data (by default the weights, for equal shares). `correlation` (n_bin - 1,) is that of the noise of each
+    `information` is that of all observations made, 0 for one whose data were all rejected: their `information_shares`
+    (by default the weights, for equal data). `correlation` (n_bin - 1,) is that of the noise of each
     bin's PSD with the next (`mapmaker.spectrum.neighbour_correlation`), none by default. sigma follows from the mean
     over K; the parts of its error are those of `noise_error`, `weather_error` and `window_error`. The division by a
     noisy N leaves sigma low by a relative `sum_b (3/2 g_b - g_b^2) e_b^2`, where e_b is the relative error of N_b and g
@@ -197,8 +208,7 @@ def score(
     if signal_psd_relative_error.shape != mask.shape:
         raise ValueError(f"expected {mask.size} signal PSD errors, got {signal_psd_relative_error.shape}")
     noise_psd = noise_psds_ukcmb2.mean(axis=0)
-    of_bins = _information(noise_psd, signal_psd, n_modes, mask)
-    weight = of_bins / of_bins.sum()
+    weight = bin_weights(noise_psd, signal_psd, n_modes, mask)
     signs, common = noise_error_parts(noise_psds_ukcmb2, weight, observation_weights, n_modes, correlation)
     budget = ErrorBudget(
         noise=float(np.hypot(signs, common)),
@@ -280,14 +290,31 @@ def _variance_of_sum(deviations: np.ndarray, correlation: np.ndarray | None) -> 
     return alone + 2 * float(np.sum(correlation * deviations[1:] * deviations[:-1]))
 
 
+def information_shares(
+    weights: np.ndarray, data: np.ndarray | float, noise: np.ndarray, bin_weight: np.ndarray
+) -> np.ndarray:
+    """How much each of (n_obs,) observations has of a survey's information: sigma answers to it; they sum to 1.
+
+    An observation of the weight w_i a sample, a share d_i of all `data` and the `noise` variance v_ib a sample
+    (n_obs, n_bin) adds to the co-added `N_b = sum w^2 d v_b / (sum w d)^2`. Of more or less of it, d ln sigma is minus
+    its ``2 w d / sum(w d) - sum_b g_b w^2 d v_b / sum(w^2 d v_b)``, g the `bin_weight` (n_bin,). With w = 1 / v in all
+    bins that is ``w d``; one that is noisy where its weight is not measured has less, even less than none.
+    """
+    used, bins = weights > 0, bin_weight > 0
+    of_all = weights * data
+    power = np.where(used[:, None], noise[:, bins], 0.0) * (weights * of_all)[:, None]
+    return 2 * of_all / of_all.sum() - (power / power.sum(axis=0)) @ bin_weight[bins]
+
+
 def ratio_error(information: np.ndarray, expected: np.ndarray) -> float:
     """Relative error of `sum(information) / sum(expected)` over (n_obs,) observations that are independent draws.
 
     To first order the ratio r changes by `(x_i - r y_i) / sum y` for each draw, so its relative variance is
     `n / (n - 1) sum (x_i - r y_i)^2 / (sum x)^2`: none where the two are proportional.
-    Raises ValueError for fewer than 2 observations or an expectation that is not positive.
+    Raises ValueError for fewer than 2 observations or an expectation whose sum is not positive.
     """
-    _check_observations(expected)
+    if expected.size < 2 or not expected.sum() > 0:
+        raise ValueError(f"expected at least 2 observations of a positive sum, got {expected}")
     ratio = information.sum() / expected.sum()
     return float(np.std(information - ratio * expected, ddof=1) * np.sqrt(expected.size) / information.sum())
 
@@ -295,12 +322,11 @@ def ratio_error(information: np.ndarray, expected: np.ndarray) -> float:
 def weather_error(information: np.ndarray, common_noise: float = 0.0) -> float:
     """Relative error of sigma from the weather of (n_obs,) observations, judged by their own scatter; NaN below 16.
 
-    `information` is the weight of an observation times its share of data. With inverse-variance weights the co-added
-    noise is `N = 1 / sum w`; if it changes alike in all bins, `d ln sigma = d ln N = -d ln sum w`, and a sum of n
-    independent draws has the relative variance `CV(w)^2 / n`. Weights are measured with noise, which is in the error of
-    sigma already: its variance `common_noise` squared (`noise_error_parts`) is taken off. The deviation of a mean over
-    its estimated error is Student's t, hence the `student_factor`. Few observations rarely hold the best nights, so
-    below `FEWEST` the error is unknown; a long tail of weights makes it too small above, too.
+    `information` is what sigma has of each (`information_shares`): its weight, with equal data and noise that changes
+    alike in all bins. A sum of n independent draws has the relative variance `CV^2 / n`. It is measured with noise,
+    which is in the error of sigma already: its variance `common_noise` squared (`noise_error_parts`) is taken off. The
+    deviation of a mean over its estimated error is Student's t, hence the `student_factor`. Few observations rarely
+    hold the best nights, so below `FEWEST` the error is unknown; a long tail of weights makes it too small above, too.
     Raises ValueError for fewer than 2 observations.
     """
     n_obs = information.size

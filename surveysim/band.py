@@ -92,17 +92,30 @@ class Band:
         modes = rfft2(self.pad(self.taper * total))
         return ring_mean(modes.real**2 + modes.imag**2, self.rings) / norm
 
-    def noise(self, total: np.ndarray, hits: np.ndarray) -> float:
-        """Noise variance a sample of a patch of sums and hits, both (n, n); inf without a hit."""
+    @cached_property
+    def _mode_bins(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Bin and multiplicity of the modes up to the last scored column, and how many modes bins have there."""
+        n_pad, n_column = self.mode_weight.shape
+        of_modes = self.rings.bin_of_mode, self.rings.multiplicity
+        bins, multiplicity = (values.reshape(n_pad, -1)[:, :n_column].ravel() for values in of_modes)
+        return bins, multiplicity, np.bincount(bins, multiplicity, len(self.rings.ell) + 1)
+
+    def noise(self, total: np.ndarray, hits: np.ndarray) -> tuple[float, np.ndarray]:
+        """Noise variance a sample of a patch of sums and hits, both (n, n), and that in each bin (n_bin,).
+
+        Both are inf without a hit.
+        """
         from scipy.fft import fft, rfft
 
-        norm = float(np.sum(self.taper**2 * hits))
+        n_bin, norm = len(self.rings.ell), float(np.sum(self.taper**2 * hits))
         if norm == 0:
-            return np.inf
+            return np.inf, np.full(n_bin, np.inf)
         n_pad, n_column = self.mode_weight.shape
         modes = fft(rfft(self.taper * total, n_pad)[:, :n_column], n_pad, axis=0)
         power = modes.real**2 + modes.imag**2
-        return float(np.sum(self.mode_weight * power) / (self.mode_weight.sum() * norm))
+        bins, multiplicity, count = self._mode_bins
+        of_bins = np.bincount(bins, power.ravel() * multiplicity, n_bin + 1) / count
+        return float(np.sum(self.mode_weight * power) / (self.mode_weight.sum() * norm)), of_bins[:n_bin] / norm
 
 
 def scored_band(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry) -> Band | None:

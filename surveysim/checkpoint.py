@@ -22,7 +22,7 @@ from surveysim.coadds import CoAdds
 NAME = "checkpoint.h5"
 
 _ARRAYS = ("sums", "weight", "hits", "flipped", "window", "window_weight")
-_LISTS = ("rows", "raw_psd", "clean_psd", "compared_psd")
+_LISTS = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")
 _USER_BLOCK = 512  # bytes, the least that HDF5 has
 _MARK = b"surveysim checkpoint, SHA-256 of what follows this block: "
 

@@ -1,7 +1,7 @@
 """Running sums over observations: the co-added maps, sign-flipped co-adds, window skies.
 
 The one mutable record of a run: it grows by one observation at a time, in index order, and it is what a
-checkpoint holds. But for a row and two PSDs an observation (1 kB), its size does not depend on their number.
+checkpoint holds. But for a row and a few PSDs an observation (some kB), its size does not depend on their number.
 """
 
 from dataclasses import dataclass, field
@@ -32,8 +32,8 @@ class CoAdds:
 
     `sums`, `weight`, `hits` (n_set, n_y, n_x): sum of w S, w H and H; `flipped` (K, n_set, n, n): sums
     with random signs on the scored patch; `window` (n_sky, n_window, 2, n, n) and `window_weight`
-    (n_window, n, n) on the patch; `rows` one tuple an observation (`row_names`); `raw_psd`, `clean_psd`
-    (n_obs, n_freq), `compared_psd` (n_obs, n_compare, n_freq).
+    (n_window, n, n) on the patch; `rows` one tuple an observation (`row_names`); `bin_noise` (n_obs, n_set, n_bin)
+    [mK^2], noise variances a sample; `raw_psd`, `clean_psd` (n_obs, n_freq), `compared_psd` (n_obs, n_compare, n_freq).
     """
 
     sums: np.ndarray
@@ -43,6 +43,7 @@ class CoAdds:
     window: np.ndarray
     window_weight: np.ndarray
     rows: list[tuple[float, ...]] = field(default_factory=list)
+    bin_noise: list[np.ndarray] = field(default_factory=list)
     raw_psd: list[np.ndarray] = field(default_factory=list)
     clean_psd: list[np.ndarray] = field(default_factory=list)
     compared_psd: list[np.ndarray] = field(default_factory=list)
@@ -114,6 +115,7 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
     if result.window is not None:
         _add_window(setup, coadds, result, weights)
     coadds.rows.append(_row(result))
+    coadds.bin_noise.append(result.bin_noise_mk2)
     coadds.raw_psd.append(result.raw_psd)
     coadds.clean_psd.append(result.clean_psd)
     coadds.compared_psd.append(result.compared_psd)

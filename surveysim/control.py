@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from mapmaker.bandpower import flat_band_power
+from mapmaker.bandpower import bin_weights, flat_band_power, information_shares
 from surveysim.coadds import CoAdds
 from surveysim.conditions import conditions, population, survey_draws
 from surveysim.forecast import Forecast, can_forecast, expected_weights
@@ -26,7 +26,7 @@ class Expectation:
     """A data set's noise model, and its forecast over all weather.
 
     `psd` (n_bin,) of a survey, up to a factor, `error` the relative one of its sigma(A); `variation` the standard
-    deviation of the observations' weights over their mean.
+    deviation of the observations' information over its mean.
     """
 
     model: NoiseModel
@@ -79,8 +79,10 @@ def expectations(scene: Scene) -> dict[str, Expectation]:
             raise SceneError("score: found no noise in its multipoles; some is expected")
         parts = [_sigma(setup, model, _psd(setup, part)) for part in np.split(noise, n_lists)]
         error = np.std(parts, ddof=1) / np.sqrt(len(parts)) / np.mean(parts)
-        weight = expected_weights(setup, noise)
-        found[model.name] = Expectation(model, _psd(setup, noise), float(error), float(weight.std() / weight.mean()))
+        psd = _psd(setup, noise)
+        of_bins = bin_weights(psd, model.signal_psd, setup.band.rings.n_modes, setup.band.selected)
+        shares = information_shares(expected_weights(setup, noise), 1.0, noise, of_bins)
+        found[model.name] = Expectation(model, psd, float(error), float(shares.std() / shares.mean()))
     return found
 
 
@@ -111,4 +113,4 @@ def _control(setup: Setup, expected: Expectation, noise: np.ndarray) -> Control:
     of_sample = _psd(setup, noise)
     factor = np.divide(expected.psd, of_sample, out=np.ones_like(of_sample), where=of_sample > 0)
     sampling = expected.variation / np.sqrt(len(noise))
-    return Control(factor, expected_weights(setup, noise), float(sampling), expected.error)
+    return Control(factor, expected_weights(setup, noise), noise, float(sampling), expected.error)

@@ -15,8 +15,8 @@ from surveysim.checkpoint import CheckpointError, check_origin
 from surveysim.scores import Control, DataSetScore
 
 _OF_BAND, _OF_WINDOW = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
-_OF_CONTROL = ("factor", "expected")
-_OF_SET = ("noise_psds", "signal_psd", "weights", "kept")
+_OF_CONTROL = ("factor", "weights", "noise")
+_OF_SET = ("noise_psds", "signal_psd", "weights", "bin_noise", "kept")
 
 
 @dataclass(frozen=True)

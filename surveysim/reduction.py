@@ -38,7 +38,8 @@ class ObservationResult:
     """What one observation leaves behind: maps and sums, never time-streams.
 
     `sums` (n_set, n_y, n_x) of the streams' type [mK] with `hits` (n_set, n_y, n_x) int32 or int64; `noise_mk2`
-    (n_set,), the noise variance a sample in the scored band, by which observations are weighted; `window` (n_sky,
+    (n_set,), the noise variance a sample in the scored band, by which observations are weighted, and `bin_noise_mk2`
+    (n_set, n_bin) that in each bin of multipole, without bins where there is no score; `window` (n_sky,
     n_window, 2, n, n) of that type on the scored patch, signal of the window skies binned without [0] and with [1]
     cleaning for each of the setup's windows, or None; `discarded`, `iterations` and `removed` (templates a scan) per
     recipe; `merits` (n_recipe, n_target) figures of merit of the recipes for all detectors, or None without a choice;
@@ -50,6 +51,7 @@ class ObservationResult:
     sums: np.ndarray
     hits: np.ndarray
     noise_mk2: np.ndarray
+    bin_noise_mk2: np.ndarray
     window: np.ndarray | None
     discarded: tuple[int, ...]
     iterations: tuple[float, ...]
@@ -129,7 +131,7 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
     ordered = [maps[name] for name in setup.data_sets]
     total, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
     with watch("weights"):
-        noise = np.array([map_noise(setup, *item) for item in ordered])
+        noise, of_bins = (np.array(part) for part in zip(*(map_noise(setup, *item) for item in ordered), strict=True))
     removed = np.concatenate(sums.removed, axis=1)
     compared = [_mean_psd(list(of_recipe)) for of_recipe in zip(*sums.compared, strict=True)]
     return ObservationResult(
@@ -137,6 +139,7 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
         sums=total,
         hits=hits,
         noise_mk2=noise,
+        bin_noise_mk2=of_bins,
         window=_window_maps(setup, sums.window, best),
         discarded=tuple((~kept).sum(axis=1).tolist()),
         iterations=tuple(np.concatenate(sums.iterations, axis=1).mean(axis=1).tolist()),
@@ -243,19 +246,17 @@ def _mean_psd(blocks: list[tuple[int, np.ndarray]]) -> np.ndarray:
     return sum(psd * (n / n_scans) for n, psd in blocks)
 
 
-def map_noise(setup: Setup, total: np.ndarray, hits: np.ndarray) -> float:
-    """Noise variance a sample [mK^2] of one observation's map; inf without a hit.
+def map_noise(setup: Setup, total: np.ndarray, hits: np.ndarray) -> tuple[float, np.ndarray]:
+    """Noise variance a sample [mK^2] of one observation's map, and that in each bin (n_bin,); inf without a hit.
 
     With a score: in the multipoles and with the weights that a flat band power gives them,
     ``sum M^2 |FT(T S)|^2 / (sum M^2 sum T^2 H)``, for sums S and hits H under the taper T: white noise of
     variance v a sample has v. It counts correlations between detectors, which a time-stream PSD can't
-    see. Without a score: the mean of ``S^2 / H`` over hit pixels.
+    see. Without a score: the mean of ``S^2 / H`` over hit pixels, and no bins.
     """
-    hit = hits > 0
-    if not hit.any():
-        return np.inf
     if setup.band is None:
-        return float(np.mean(total[hit].astype(float) ** 2 / hits[hit]))
+        hit = hits > 0
+        return float(np.mean(total[hit].astype(float) ** 2 / hits[hit])) if hit.any() else np.inf, np.zeros(0)
     rows = setup.band.patch
     return setup.band.noise(total[rows, rows], hits[rows, rows])
 

@@ -9,7 +9,10 @@ from mapmaker.bandpower import (
     BandPower,
     ErrorBudget,
     band_power,
+    bin_weights,
     flat_band_power,
+    information_shares,
+    noise_error_parts,
     ratio_error,
     score,
     student_factor,
@@ -32,12 +35,13 @@ class Control:
     """The forecast of a data set, as a control variate of its score (`surveysim.control`).
 
     `factor` (n_bin,): noise PSD expected over all weather, over the one expected of the observations simulated.
-    `expected` (n_obs,): information expected of each, up to a factor. `sampling`: relative error of sigma from as many
-    observations in random weather; `population`: that of the expectation over all weather.
+    `weights` (n_obs,) and `noise` (n_obs, n_bin) [mK^2 a sample]: those expected of each. `sampling`: relative error of
+    sigma from as many observations in random weather; `population`: that of the expectation over all weather.
     """
 
     factor: np.ndarray
-    expected: np.ndarray
+    weights: np.ndarray
+    noise: np.ndarray
     sampling: float
     population: float
 
@@ -48,8 +52,9 @@ class DataSetScore:
 
     `noise_psd` (n_bin,) [uK_CMB^2 sr] of the co-added map, with `noise_psds` (K, n_bin) of the sign-flipped co-adds;
     `signal_psd` (n_bin,) [sr], what the map holds of a flat spectrum of unit band power; `window` of its array;
-    `weights` (n_obs,) [1/mK^2 a sample], 0 for an observation without data; `kept` (n_obs,) share of its scans that is
-    not discarded; `plain` the result without control variate where there is one.
+    `weights` (n_obs,) [1/mK^2 a sample], 0 for an observation without data, and `bin_noise` (n_obs, n_bin) [mK^2 a
+    sample] of their maps; `kept` (n_obs,) share of its scans that is not discarded; `plain` the result without control
+    variate where there is one.
     """
 
     name: str
@@ -60,6 +65,7 @@ class DataSetScore:
     signal_psd: np.ndarray
     window: Window
     weights: np.ndarray
+    bin_noise: np.ndarray
     kept: np.ndarray | float = 1.0
     control: Control | None = None
     plain: BandPower | None = None
@@ -76,8 +82,15 @@ class DataSetScore:
 
     @property
     def information(self) -> np.ndarray:
-        """Weight of each observation's data, (n_obs,)."""
-        return self.weights * self.kept
+        """Share of each observation in the survey's, (n_obs,)."""
+        return information_shares(self.weights, self.kept, self.bin_noise, self.band.weight)
+
+    @property
+    def expected(self) -> np.ndarray:
+        """The same as the control variate expects it, or equal shares without one, (n_obs,)."""
+        if self.control is None:
+            return np.full(len(self.weights), 1 / len(self.weights))
+        return information_shares(self.control.weights, 1.0, self.control.noise, self.band.weight)
 
     @property
     def plain_band(self) -> BandPower:
@@ -110,20 +123,22 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
             n_det = len(setup.masked) if name.startswith("masked") else setup.n_det
             psds = _noise_psds(setup, coadds, s, setup.band.rings)
             window = windows[setup.window_of(name)]
-            scores[name] = _score(setup, name, n_det, psds, window, weights[:, s], kept[name])
+            of_observations = weights[:, s], np.array(coadds.bin_noise)[:, s], kept[name]
+            scores[name] = _score(setup, name, n_det, psds, window, *of_observations)
     return scores
 
 
 def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> DataSetScore:
     """A plain score with the forecast as control variate; `plain` keeps it, with its error by the forecast.
 
-    The scatter of each observation's information about the forecast's, without that of the noise that weights are
-    measured with, is the error of either, as that of a mean of few draws: unknown for fewer than 4. The plain one has
-    besides the weather that happened to be drawn.
+    The scatter of each observation's information about the forecast's, without that of noise, is the error of either,
+    as that of a mean of few draws: unknown for fewer than 4. The plain one has besides the weather that happened to be
+    drawn.
     """
     rings, selected = setup.band.rings, item.band.weight > 0
-    off = without_noise(ratio_error(item.information, control.expected), _measured_with(setup, item))
-    off *= student_factor(len(item.weights))
+    _, common = noise_parts(setup, item)
+    off = ratio_error(item.information, replace(item, control=control).expected)
+    off = without_noise(off, common) * student_factor(len(item.weights))
     budget = replace(item.budget, weather=off, population=control.population)
     plain = replace(item.budget, weather=float(np.hypot(off, control.sampling))).total
     quoted = replace(item, budget=budget, control=control)
@@ -133,16 +148,18 @@ def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> Data
     return replace(quoted, band=band, plain=replace(item.band, error_ukcmb2=item.band.sigma_ukcmb2 * plain))
 
 
-def _measured_with(setup: Setup, item: DataSetScore) -> float:
-    """Relative scatter of the sum of weights from the noise of the maps that they are measured on."""
-    return float(np.sqrt(setup.band.noise_scatter * np.sum(item.weights**2)) / np.sum(item.weights))
+def noise_parts(setup: Setup, item: DataSetScore) -> tuple[float, float]:
+    """Relative errors of the plain sigma from its noise: what more sign flips take away, and what they share."""
+    used = item.weights[item.weights > 0]
+    of_bins = setup.band.rings.n_modes, setup.band.correlation
+    return noise_error_parts(item.noise_psds, item.plain_band.weight, used, *of_bins)
 
 
 def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
     """The same data set scored from another lowest multipole."""
     low, high = setup.band.rings.edges_ell[:-1], setup.band.rings.edges_ell[1:]
     selected = (low >= ell_min) & (high <= setup.scene.score.ell_max)
-    of_set = item.name, item.n_det, item.noise_psds, item.window, item.weights, item.kept
+    of_set = item.name, item.n_det, item.noise_psds, item.window, item.weights, item.bin_noise, item.kept
     plain = _score(setup, *of_set, selected=selected)
     return plain if item.control is None else controlled_score(setup, plain, item.control)
 
@@ -200,9 +217,7 @@ def _noise_row(item: DataSetScore) -> np.ndarray:
 
 
 def _weather_row(item: DataSetScore) -> np.ndarray:
-    expected = np.ones(len(item.weights)) if item.control is None else item.control.expected
-    change = item.information / item.information.sum() - expected / expected.sum()
-    return _of_norm(item.budget.weather, change)
+    return _of_norm(item.budget.weather, item.information - item.expected)
 
 
 def _window_row(item: DataSetScore) -> np.ndarray:
@@ -225,13 +240,16 @@ def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
     return stacked
 
 
-def _score(setup, name, n_det, psds, window, weights, kept, *, selected=None) -> DataSetScore:
+def _score(setup, name, n_det, psds, window, weights, bin_noise, kept, *, selected=None) -> DataSetScore:
     rings, signal = setup.band.rings, setup.band.signal_psd * window.transmission
     selected = setup.band.selected if selected is None else selected
     of_bins = rings.n_modes, selected, weights[weights > 0], rings.ell, rings.edges_ell
-    of_data = {"information": weights * kept, "correlation": setup.band.correlation}
+    shares = information_shares(
+        weights, kept, bin_noise, bin_weights(psds.mean(axis=0), signal, rings.n_modes, selected)
+    )
+    of_data = {"information": shares, "correlation": setup.band.correlation}
     band, budget = score(psds, signal, _window_errors(window), *of_bins, **of_data)
-    return DataSetScore(name, n_det, band, budget, psds, signal, window, weights, kept)
+    return DataSetScore(name, n_det, band, budget, psds, signal, window, weights, bin_noise, kept)
 
 
 def _window_errors(window: Window) -> np.ndarray:

@@ -11,12 +11,11 @@ from time import perf_counter
 
 import numpy as np
 
-from mapmaker.bandpower import noise_error_parts
 from surveysim.coadds import CoAdds
 from surveysim.control import quoted_scores
 from surveysim.recipes import ACTUAL
 from surveysim.scene import Scene, SceneError
-from surveysim.scores import DataSetScore
+from surveysim.scores import DataSetScore, noise_parts
 from surveysim.setup import Setup, window_observations
 from surveysim.units import to_float
 
@@ -165,8 +164,7 @@ class ErrorParts:
 def error_parts(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -> ErrorParts:
     """The parts of the error of a run whose actual data are scored."""
     item = scores[ACTUAL]
-    psds, used = item.noise_psds, item.weights[item.weights > 0]
-    flips, common = noise_error_parts(psds, item.plain_band.weight, used, setup.band.rings.n_modes)
+    flips, common = noise_parts(setup, item)
     each_s = sum(coadds.seconds.values()) / coadds.done
     budget = item.budget
     return ErrorParts(math.hypot(common, budget.weather), flips, budget.window, budget.population, each_s)

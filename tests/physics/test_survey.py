@@ -97,7 +97,7 @@ def test_the_measured_noise_scatters_as_the_band_says(tmp_path):
     (tmp_path / "scene.toml").write_text(SMALL_SCENE)
     band = prepare(load_scene(tmp_path / "scene.toml", {"score.size": "24 arcmin", "map.pixel": "20 arcsec"})).band
     rng, hits, n_maps = np.random.default_rng(6), np.full(band.taper.shape, 100), 3000
-    noise = [band.noise(10 * rng.standard_normal(hits.shape), hits) for _ in range(n_maps)]
+    noise = [band.noise(10 * rng.standard_normal(hits.shape), hits)[0] for _ in range(n_maps)]
     assert np.mean(noise) == pytest.approx(1, abs=4 * np.sqrt(band.noise_scatter / n_maps))
     # The variance of n draws of little skewness is known to sqrt(2 / n), 2.6 %.
     assert np.var(noise) == pytest.approx(band.noise_scatter, rel=4 * np.sqrt(2 / n_maps))
@@ -111,7 +111,7 @@ def test_what_weights_take_by_chance_is_known_in_every_bin(tmp_path):
     hits, powers = np.full(band.taper.shape, 100.0), []
     for _ in range(n_co):
         maps = 10 * rng.standard_normal((n_obs, *hits.shape))
-        weights = 1 / np.array([band.noise(item, hits) for item in maps])
+        weights = 1 / np.array([band.noise(item, hits)[0] for item in maps])
         # As one map of n_obs times the hits whose noise would be 1 a sample.
         total = np.tensordot(weights, maps, axes=1) * n_obs / weights.sum()
         powers.append(band.ring_noise(total, n_obs * hits))

@@ -50,7 +50,8 @@ def toy_pair(weights, own, rng):
         psds = 1e-5 * np.stack([part.mean(axis=1) for part in np.split(power, np.cumsum(N_MODES // 2)[:-1], 1)], 1)
         signal = flat_spectrum_psd(ELL)
         band, budget = score(psds, signal, np.zeros(4), N_MODES, ELL > 0, weights, ELL, EDGES)
-        items.append(DataSetScore("actual", 100, band, budget, psds, signal, window, weights))
+        noise = np.repeat(1 / weights[:, None], 4, axis=1)
+        items.append(DataSetScore("actual", 100, band, budget, psds, signal, window, weights, noise))
     return items
 
 

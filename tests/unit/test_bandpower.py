@@ -5,10 +5,12 @@ import pytest
 
 from mapmaker.bandpower import (
     band_power,
+    bin_weights,
     estimate_amplitude,
     flat_band_power,
     flat_band_power_fixed_weights,
     flat_spectrum_psd,
+    information_shares,
     noise_error,
     noise_error_parts,
     score,
@@ -217,3 +219,28 @@ def test_other_shapes_are_rejected():
 def test_score_rejects_too_little(psds, errors, weights, message):
     with pytest.raises(ValueError, match=message):
         score(psds, SIGNAL, errors, N_MODES, MASK, weights, ELL, EDGES)
+
+
+def test_information_shares_are_what_sigma_answers_to():
+    """d ln sigma of a little more of one observation's data, from the co-added noise itself."""
+    rng, n_obs, n_bin = np.random.default_rng(3), 5, 4
+    weights, data = rng.uniform(0.5, 2.0, n_obs), rng.uniform(0.3, 1.0, n_obs)
+    noise, modes, mask = rng.uniform(0.5, 2.0, (n_obs, n_bin)), np.array([10, 20, 30, 40]), np.array([0, 1, 1, 1], bool)
+    signal = 1 / np.arange(1.0, n_bin + 1)
+
+    def sigma(of_data):
+        co_added = (weights**2 * of_data) @ noise / np.sum(weights * of_data) ** 2
+        return flat_band_power(co_added, signal, modes, mask), bin_weights(co_added, signal, modes, mask)
+
+    found = information_shares(weights, data, noise, sigma(data)[1])
+    step = 1e-6 * np.eye(n_obs)
+    slope = [np.log(sigma(data * (1 + up))[0] / sigma(data * (1 - up))[0]) / 2e-6 for up in step]
+    np.testing.assert_allclose(found, -np.array(slope), atol=1e-8)
+    assert found.sum() == pytest.approx(1)
+
+
+def test_information_of_noise_that_is_alike_in_all_bins_is_the_weight():
+    weights, data = np.array([1.0, 3.0, 0.0, 2.0]), np.array([1.0, 0.5, 1.0, 1.0])
+    noise = np.array([[1.0], [1 / 3], [np.inf], [0.5]]) * np.ones((1, 3))
+    expected = weights * data / np.sum(weights * data)
+    np.testing.assert_allclose(information_shares(weights, data, noise, np.array([0.0, 0.4, 0.6])), expected)

@@ -128,7 +128,8 @@ def test_modes_of_surveys_of_different_lengths(levels):
     for n in (1000, 4000):
         variation = weights[:n].std(ddof=1) / weights[:n].mean() / np.sqrt(n)
         budget = replace(item.budget, noise=0.0, window=0.0, weather=variation, population=0.0)
-        rows.append(replace(item, weights=weights[:n], budget=budget, window=window))
+        noise = np.repeat(1 / weights[:n, None], len(item.band.weight), axis=1)
+        rows.append(replace(item, weights=weights[:n], bin_noise=noise, budget=budget, window=window))
     one, other = error_modes(rows, "aa")
     variation = weights.std() / weights.mean()
     assert np.linalg.norm(one - other) == pytest.approx(variation * np.sqrt(1 / 1000 - 1 / 4000), rel=0.1)
