@@ -27,8 +27,7 @@ class FocalPlane:
 
     `x_rad`, `y_rad` (n_det,): offsets from the boresight; at array angle a the y axis lies at position
     angle a and the x axis 90 degrees clockwise of it as seen on the sky. `fwhm_rad`: Gaussian beam.
-    Raises ValueError for offsets that are not finite, not as many, none or beyond 90 degrees, and for a beam that is
-    not positive.
+    Raises ValueError for offsets that are not finite, not as many or none, and for a beam that is not positive.
     """
 
     x_rad: np.ndarray
@@ -36,9 +35,9 @@ class FocalPlane:
     fwhm_rad: float
 
     def __post_init__(self):
-        x = reals("x_rad", self.x_rad, ("n_det",), least=-_QUARTER_RAD, most=_QUARTER_RAD)
-        y = reals("y_rad", self.y_rad, (len(x),), least=-_QUARTER_RAD, most=_QUARTER_RAD)
-        fwhm = number("fwhm_rad", self.fwhm_rad, above=0, most=_QUARTER_RAD)
+        x = reals("x_rad", self.x_rad, ("n_det",))
+        y = reals("y_rad", self.y_rad, x.shape)
+        fwhm = number("fwhm_rad", self.fwhm_rad, above=0)
         _set(self, x_rad=x, y_rad=y, fwhm_rad=fwhm)
 
     def subset(self, detectors: np.ndarray | slice) -> "FocalPlane":

@@ -259,7 +259,7 @@ def test_other_files_are_refused(tmp_path):
             read_fits(tmp_path / name)
 
 
-@pytest.mark.parametrize("nside", [1024, 32768], ids=["many pixels in one", "each its own"])
+@pytest.mark.parametrize("nside", [1024, 4096])
 def test_healpix_map_as_healpy_sees_it(tmp_path, rng, nside):
     import healpy
 
@@ -275,14 +275,14 @@ def test_healpix_map_as_healpy_sees_it(tmp_path, rng, nside):
         for sums, plane in ((total, item.weighted_sum), (weight, item.weight), (hits, item.hits)):
             sums[pixel] = sums.get(pixel, 0) + plane[row, column]
     seen = sorted(pixel for pixel in hits if hits[pixel])
-    assert (len(seen) == (item.hits > 0).sum()) == (nside == 32768)
+    assert 3 < len(seen) < (item.hits > 0).sum()
     check_table(
         path,
         nside,
         seen,
         [[total[p] / weight[p] for p in seen], [weight[p] for p in seen], [hits[p] for p in seen]],
     )
-    if nside == 1024:  # a whole sphere of 32768 takes 100 GB
+    if nside == 1024:  # a whole sphere of 4096 takes 2 GB
         signal = healpy.read_map(path, field=0, nest=True)
         np.testing.assert_array_equal(np.flatnonzero(signal != healpy.UNSEEN), seen)
         np.testing.assert_allclose(signal[seen], [total[p] / weight[p] for p in seen], rtol=1e-5, atol=1e-6)

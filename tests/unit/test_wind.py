@@ -255,7 +255,7 @@ def test_scan_velocities_across_zero_right_ascension():
     ra, dec = np.concatenate([path, np.zeros(20)]), np.concatenate([np.zeros(20), path])
     scan = np.repeat([0, 1], 20)
     turn = math.radians(30)
-    streams = Timestreams(np.zeros((1, 40)), t, ra % (2 * np.pi), dec, np.full(40, turn), scan, hexagon(1))
+    streams = Timestreams(np.zeros((7, 40)), t, ra % (2 * np.pi), dec, np.full(40, turn), scan, hexagon(1))
     # East is -x cos + y sin in an array turned by 30 degrees, north x sin + y cos.
     cos, sin = math.cos(turn), math.sin(turn)
     expected = 4 * ARCMIN * np.array([[-cos, sin], [sin, cos]])
