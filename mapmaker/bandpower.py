@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.validation import reals
+
 FEWEST = 16  # observations whose own scatter tells how well they sample the weather
 _MODE_COUNT_DOF = 16  # realizations that a count of modes is worth as a measure of their scatter
 
@@ -48,9 +50,9 @@ class ErrorBudget:
 def flat_spectrum_psd(ell: np.ndarray) -> np.ndarray:
     """PSD on the sky of a flat spectrum of unit band power, `2 pi / (ell (ell + 1))`, in uK^2 sr per uK^2.
 
-    0 at ell = 0: the sky has no mean.
+    0 at ell = 0: the sky has no mean. Raises ValueError for multipoles that are negative or not finite.
     """
-    ell = np.asarray(ell, dtype=np.float64)
+    ell = reals("ell", ell, (...,), least=0, empty=True).astype(np.float64, copy=False)
     return 2 * np.pi / np.where(ell > 0, ell * (ell + 1), np.inf)
 
 
@@ -80,10 +82,9 @@ def flat_band_power_fixed_weights(
     equals `flat_band_power` for R = N and is never smaller. Raises ValueError as `flat_band_power`, for both
     noise PSDs.
     """
-    _check(noise_psd_ukcmb2, signal_psd, n_modes, mask)
-    _check(weighting_noise_psd_ukcmb2, signal_psd, n_modes, mask)
-    noise, signal, modes = noise_psd_ukcmb2[mask], signal_psd[mask], n_modes[mask]
-    weight = modes * signal / weighting_noise_psd_ukcmb2[mask] ** 2
+    noise, signal, modes = _selected(noise_psd_ukcmb2, signal_psd, n_modes, mask)
+    weighting = _selected(weighting_noise_psd_ukcmb2, signal_psd, n_modes, mask)[0]
+    weight = modes * signal / weighting**2
     return float(np.sqrt(np.sum((weight * noise) ** 2 * 2 / modes)) / np.sum(weight * signal))
 
 
@@ -100,12 +101,13 @@ def estimate_amplitude(
     dominates.
     Raises ValueError as `flat_band_power`.
     """
-    _check(noise_psd_ukcmb2, signal_psd, n_modes, mask)
+    noise, signal, modes = _selected(noise_psd_ukcmb2, signal_psd, n_modes, mask)
+    psd_ukcmb2, mask = reals("psd_ukcmb2", psd_ukcmb2, (..., "n_bin"), finite=False), np.asarray(mask)
     if psd_ukcmb2.shape[-1:] != mask.shape:
         raise ValueError(f"expected psd_ukcmb2 (..., {mask.size}), got {psd_ukcmb2.shape}")
-    noise, signal = noise_psd_ukcmb2[mask], signal_psd[mask]
-    weight = n_modes[mask] * signal / noise**2
-    return (psd_ukcmb2[..., mask] - noise) @ weight / (signal @ weight)
+    psd = reals("psd_ukcmb2[mask]", psd_ukcmb2[..., mask], (..., len(noise)))
+    weight = modes * signal / noise**2
+    return (psd - noise) @ weight / (signal @ weight)
 
 
 def band_power(
@@ -302,13 +304,20 @@ def window_error(signal_psd_relative_error: np.ndarray, weight: np.ndarray) -> f
 
 def _information(noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """`n/2 (M/N)^2` of selected bins, zero in the others, (n_bin,)."""
-    _check(noise_psd, signal_psd, n_modes, mask)
-    information = np.zeros(mask.shape)
-    information[mask] = n_modes[mask] / 2 * (signal_psd[mask] / noise_psd[mask]) ** 2
+    noise, signal, modes = _selected(noise_psd, signal_psd, n_modes, mask)
+    information = np.zeros(np.shape(mask))
+    information[np.asarray(mask)] = modes / 2 * (signal / noise) ** 2
     return information
 
 
-def _check(noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray) -> None:
+def _selected(
+    noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Noise, signal and modes of the selected bins; raises ValueError as `flat_band_power`."""
+    noise_psd = reals("noise_psd_ukcmb2", noise_psd, (...,), finite=False)
+    signal_psd = reals("signal_psd", signal_psd, (...,), finite=False)
+    n_modes = reals("n_modes", n_modes, (...,), finite=False)
+    mask = np.asarray(mask)
     shapes = [array.shape for array in (noise_psd, signal_psd, n_modes, mask)]
     if mask.ndim != 1 or len(set(shapes)) != 1:
         raise ValueError(f"noise PSD, signal PSD, n_modes and mask must all be (n_bin,), got {shapes}")
@@ -316,14 +325,15 @@ def _check(noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, m
         raise ValueError("mask must be boolean and select at least one bin")
     if not (noise_psd[mask] > 0).all():
         raise ValueError("the noise PSD must be positive in all selected bins")
-    if not (n_modes[mask] > 0).all():
-        raise ValueError("the number of modes must be positive in all selected bins")
+    if not ((n_modes[mask] > 0).all() and np.isfinite(n_modes[mask]).all()):
+        raise ValueError("the number of modes must be positive and finite in all selected bins")
     if not (np.isfinite(signal_psd[mask]).all() and signal_psd[mask].any()):
         raise ValueError("the signal PSD must be finite and not zero in all selected bins")
+    return noise_psd[mask], signal_psd[mask], n_modes[mask]
 
 
 def _check_observations(observation_weights: np.ndarray) -> None:
     if observation_weights.ndim != 1 or observation_weights.size < 2:
         raise ValueError(f"observations with data: found {observation_weights.size}; 2 or more are expected")
-    if not (observation_weights > 0).all():
-        raise ValueError("observation weights must be positive")
+    if not ((observation_weights > 0).all() and np.isfinite(observation_weights).all()):
+        raise ValueError("observation weights must be positive and finite")

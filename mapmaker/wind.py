@@ -118,10 +118,7 @@ class _Delays:
 
 
 def scan_velocities(streams: Timestreams) -> np.ndarray:
-    """Mean velocity of the boresight in each scan along the array's x and y, (n_scan, 2) [rad/s].
-
-    Raises ValueError for a scan of one sample.
-    """
+    """Mean velocity of the boresight in each scan along the array's x and y, (n_scan, 2) [rad/s]; ValueError for one sample."""
     from mapmaker.geometry import MapGeometry, mean_direction, north_angle, plane_offsets
 
     tangent = MapGeometry(*mean_direction(streams.ra_rad, streams.dec_rad), 1.0, 1, 1)
@@ -156,14 +153,14 @@ def measure_wind(
     Raises ValueError for values that are not finite, and for shapes, scans or a band that do not fit. A fit that the
     frozen layer does not explain has a `flag`. Sayers et al. (2010), "Calculating the Wind Velocity".
     """
-    plane = focal_plane
-    data_mk = reals("data_mk", data_mk, (len(plane.x_rad), "n_samp"))
+    data_mk = reals("data_mk", data_mk, (len(focal_plane.x_rad), "n_samp"))
     scan_bounds = bounds_of_scans(scan_bounds, data_mk.shape[1])
     velocity = _checked_velocity(scan_bounds, scan_velocity_rad_s, sample_rate_hz, highest_hz)
     live = np.all([np.ptp(data_mk[:, start:stop], axis=1) > 0 for start, stop in scan_bounds], axis=0)
-    if live.sum() < _MIN_DETECTORS or np.linalg.matrix_rank(_quadratic(plane.x_rad[live], plane.y_rad[live])) < 6:
+    x, y = focal_plane.x_rad[live], focal_plane.y_rad[live]
+    if live.sum() < _MIN_DETECTORS or np.linalg.matrix_rank(_quadratic(x, y)) < 6:
         return _nothing("too few live detectors")
-    spectra = _spectra(data_mk[live], scan_bounds, plane.subset(live), sample_rate_hz, highest_hz)
+    spectra = _spectra(data_mk[live], scan_bounds, np.stack([x, y]), sample_rate_hz, highest_hz)
     groups = _groups(velocity)
     found = _slowness(spectra, groups)
     if found is None or np.abs(found.slowness @ spectra.r_rad).max() * sample_rate_hz < _SHORTEST:
@@ -183,7 +180,7 @@ def _checked_velocity(bounds, velocity, rate, highest_hz) -> np.ndarray:
     return reals("scan_velocity_rad_s", velocity, (len(bounds), 2)).astype(np.float64, copy=False)
 
 
-def _spectra(data, bounds, plane, rate, highest_hz) -> _Spectra:
+def _spectra(data, bounds, places_rad, rate, highest_hz) -> _Spectra:
     n = int(bounds[0, 1] - bounds[0, 0])
     scans = np.stack([data[:, start:stop] for start, stop in bounds]).astype(np.float64)
     scans -= scans.mean(axis=2, keepdims=True)
@@ -197,7 +194,7 @@ def _spectra(data, bounds, plane, rate, highest_hz) -> _Spectra:
     both = (parts[..., : 2 * len(cycles)] + 1j * parts[..., 2 * len(cycles) :]).transpose(2, 0, 1)
     d, e = both.reshape(2, len(cycles), *both.shape[1:])
     scale = 1 / np.sqrt(np.mean(np.abs(d) ** 2, axis=1, keepdims=True))
-    r = np.stack([plane.x_rad - plane.x_rad.mean(), plane.y_rad - plane.y_rad.mean()])
+    r = places_rad - places_rad.mean(axis=1, keepdims=True)
     return _Spectra(d * scale, e * scale, cycles * (rate / n), r)
 
 

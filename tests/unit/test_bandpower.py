@@ -176,7 +176,7 @@ def test_score_joins_its_parts():
         (NOISE, SIGNAL, N_MODES, MASK.astype(int), "boolean"),
         (NOISE * 0, SIGNAL, N_MODES, MASK, "noise PSD must be positive"),
         (NOISE * np.nan, SIGNAL, N_MODES, MASK, "noise PSD must be positive"),
-        (NOISE, SIGNAL, -N_MODES, MASK, "number of modes"),
+        (NOISE, SIGNAL, -N_MODES, MASK, "number of modes must be positive and finite"),
         (NOISE, SIGNAL * 0, N_MODES, MASK, "signal PSD"),
         (NOISE, SIGNAL * np.nan, N_MODES, MASK, "signal PSD"),
         (NOISE[1:], SIGNAL, N_MODES, MASK, r"must all be \(n_bin,\)"),
@@ -211,7 +211,7 @@ def test_other_shapes_are_rejected():
         (NOISE, SIGNAL, np.ones(4), "at least 2 noise realizations"),
         (np.stack([NOISE] * 2), SIGNAL[1:], np.ones(4), "signal PSD errors"),
         (np.stack([NOISE] * 2), SIGNAL, np.ones(1), "2 or more are expected"),
-        (np.stack([NOISE] * 2), SIGNAL, np.array([1.0, 0.0]), "weights must be positive"),
+        (np.stack([NOISE] * 2), SIGNAL, np.array([1.0, 0.0]), "weights must be positive and finite"),
     ],
 )
 def test_score_rejects_too_little(psds, errors, weights, message):
