@@ -9,7 +9,7 @@ import numpy as np
 from mapmaker.files import regular_file, short, whole_file
 from mapmaker.geometry import (
     MapGeometry,
-    finest_nside,
+    check_nside,
     pixel_centres,
     plane_directions,
     same_geometry,
@@ -24,7 +24,6 @@ from mapmaker.validation import (
     pixel_numbers,
     reals,
     single_precision,
-    whole,
     wrong,
 )
 
@@ -256,16 +255,3 @@ def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
     # healpy's own writer wants the whole sphere in memory: 10 GB at nside 8192.
     with whole_file(path) as partial:
         fits.HDUList([fits.PrimaryHDU(), table]).writeto(partial, overwrite=True)
-
-
-def check_nside(name: str, nside: int, pixel_rad: float) -> None:
-    """Raise ValueError unless a map of pixels of this side [rad] fills a HEALPix map of `nside`, a power of two."""
-    finest = finest_nside(pixel_rad)
-    pixel = f"pixels of {np.degrees(pixel_rad) * 3600:.4g} arcsec"
-    if not finest:
-        raise ValueError(f"{name}: found {nside} for {pixel}; no nside is wide enough for these")
-    whole(name, nside, least=1)
-    if nside > finest:
-        raise ValueError(f"{name}: found {nside} for {pixel}; {finest} or less is expected, a finer map has holes")
-    if nside & (nside - 1):
-        raise ValueError(f"{name}: found {nside}; a power of two is expected")

@@ -173,6 +173,19 @@ def finest_nside(pixel_rad: float) -> int:
     return 2 ** min(math.floor(math.log2(most)), _FINEST_ORDER) if most >= 1 else 0
 
 
+def check_nside(name: str, nside: int, pixel_rad: float) -> None:
+    """Raise ValueError unless a map of pixels of this side [rad] fills a HEALPix map of `nside`, a power of two."""
+    finest = finest_nside(pixel_rad)
+    pixel = f"pixels of {math.degrees(pixel_rad) * 3600:.4g} arcsec"
+    if not finest:
+        raise ValueError(f"{name}: found {nside} for {pixel}; no nside is wide enough for these")
+    whole(name, nside, least=1)
+    if nside > finest:
+        raise ValueError(f"{name}: found {nside} for {pixel}; {finest} or less is expected, a finer map has holes")
+    if nside & (nside - 1):
+        raise ValueError(f"{name}: found {nside}; a power of two is expected")
+
+
 def wcs_cards(geometry: MapGeometry) -> dict[str, tuple[str | int | float, str]]:
     """Value and comment of every FITS keyword of the geometry's world coordinates (RA---TAN, DEC--TAN; degrees)."""
     ra_deg, dec_deg, pixel_deg = (

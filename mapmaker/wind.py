@@ -118,7 +118,7 @@ class _Delays:
 
 
 def scan_velocities(streams: Timestreams) -> np.ndarray:
-    """Mean velocity of the boresight in each scan along the array's x and y, (n_scan, 2) [rad/s]; ValueError for one sample."""
+    """Velocity of the boresight in each scan, of 2 samples or more, along the array's x and y, (n_scan, 2) [rad/s]."""
     from mapmaker.geometry import MapGeometry, mean_direction, north_angle, plane_offsets
 
     tangent = MapGeometry(*mean_direction(streams.ra_rad, streams.dec_rad), 1.0, 1, 1)
