@@ -243,9 +243,10 @@ def _check_layout(file) -> None:
     for name in ("data", *_PER_SAMPLE, *_PER_DETECTOR):
         if isinstance(file.get(name, getlink=True), h5py.ExternalLink):
             raise _Unfit(f"{name} is a link to another file; a data set is expected")
-        item = file[name]
+        item = file.get(name)
         if not isinstance(item, h5py.Dataset):
-            raise _Unfit(f"{name} is a {type(item).__name__.lower()}; a data set is expected")
+            kind = "link to nothing" if item is None else type(item).__name__.lower()
+            raise _Unfit(f"{name} is a {kind}; a data set is expected")
         if item.is_virtual or item.external:
             raise _Unfit(f"{name} is stored in another file; a data set with its values is expected")
         if item.shape is None or item.nbytes > _MOST_COMPRESSED * item.id.get_storage_size():
