@@ -130,7 +130,7 @@ def checked_map(item: BinnedMap, name: str = "map") -> BinnedMap:
         item,
         weighted_sum=reals(f"{name}.weighted_sum", item.weighted_sum, shape),
         weight=reals(f"{name}.weight", item.weight, shape, least=0),
-        hits=integers(f"{name}.hits", item.hits, shape, least=0),
+        hits=integers(f"{name}.hits", item.hits, shape, least=0).astype(np.int64, copy=False),
     )
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mapmaker.files import regular_file, short, whole_file
-from mapmaker.validation import flags, increasing, integers, number, reals, single_precision, wrong
+from mapmaker.validation import flags, increasing, integers, number, reals, signed, single_precision, wrong
 
 _PER_SAMPLE = ("time_s", "ra_deg", "dec_deg", "array_angle_deg", "scan")
 _PER_DETECTOR = ("x_arcmin", "y_arcmin")
@@ -114,10 +114,7 @@ def scan_bounds(scan: np.ndarray) -> np.ndarray:
     Raises ValueError for numbers that are not integers, for a scan in pieces (a number that comes back), and for the
     largest number of an unsigned type: a -1 that was stored in it.
     """
-    kind = np.asarray(scan).dtype
-    scan = integers("scan", scan, ("n_samp",))
-    if kind.kind == "u" and scan.max() == np.iinfo(kind).max:
-        raise wrong("scan", f"{scan.max()}, which is -1 in the type {kind}", "a type with a sign is")
+    scan = signed("scan", scan, integers("scan", scan, ("n_samp",)))
     edges = np.flatnonzero(np.diff(scan)) + 1
     start = np.concatenate([[0], edges]).astype(np.int64)
     stop = np.concatenate([edges, [len(scan)]]).astype(np.int64)

@@ -171,7 +171,15 @@ def single_precision(name: str, array: np.ndarray) -> np.ndarray:
 
 def pixel_numbers(value: object, shape: tuple[int, ...], n_pixel: int) -> np.ndarray:
     """Flat pixels of samples, of the data's shape: -1, off the map, to `n_pixel` - 1."""
-    return integers("index", value, shape, least=-1, most=n_pixel - 1)
+    return signed("index", value, integers("index", value, shape, least=-1, most=n_pixel - 1))
+
+
+def signed(name: str, value: object, array: np.ndarray) -> np.ndarray:
+    """The integers of `value`; raises ValueError for the largest of an unsigned type: a -1 that was stored in it."""
+    kind = np.asarray(value).dtype
+    if kind.kind == "u" and array.max() == np.iinfo(kind).max:
+        raise wrong(name, f"{array.max()}, which is -1 in the type {kind}", "a type with a sign is")
+    return array
 
 
 def _plain(name: str, value: object, kinds: str) -> np.ndarray:

@@ -99,6 +99,7 @@ WRONG_INDEX = [
     changed(INDEX, (3, 7), -2),
     changed(INDEX.astype(np.int64), (0, 0), 2**40),
     np.zeros((0, 0), np.int32),
+    np.where(INDEX < 0, 255, INDEX % 100).astype(np.uint8),  # -1 in this type
 ]
 WRONG_KEPT = [KEPT[:1], KEPT[:0], np.ones(N_SCAN + 1, bool), KEPT.astype(int), np.arange(2), KEPT[None], None, "yes"]
 WRONG_SIZES = [0, -1, 2.5, np.nan, "12", None, True, 1j]
@@ -316,6 +317,18 @@ def test_values_that_are_not_used_may_be_anything():
     index[4, 3] = -1  # off the map
     found = mm.bin_map(GEOMETRY, data, index, BOUNDS, np.array([True, False, True]))
     assert np.isfinite(found.weighted_sum).all() and found.hits.sum() == (index[:, np.r_[0:80, 160:240]] >= 0).sum()
+
+
+def test_hits_do_not_overflow():
+    many = replace(MAP, hits=np.full((SIDE, SIDE), 2**31 - 1, np.int32))
+    assert mm.coadd([many, many], [1.0, 1.0]).hits.max() == 2 * (2**31 - 1)
+
+
+def test_unsigned_pixels_in_a_map_that_has_the_largest():
+    """Pixel 255 of a larger map is what -1 becomes in 8 bits."""
+    large = replace(GEOMETRY, n_x=20, n_y=20)
+    with pytest.raises(ValueError, match="index: found 255, which is -1 in the type uint8"):
+        mm.bin_map(large, DATA, INDEX.astype(np.uint8), BOUNDS, KEPT)
 
 
 def test_no_scans_make_an_empty_map():
