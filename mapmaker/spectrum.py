@@ -140,9 +140,16 @@ def mode_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> np.ndar
     the taper.
     Raises ValueError if the taper does not have the map's shape, and for values that are not finite.
     """
+    return _psd(*_checked_map(map_mk, taper, pixel_rad), pixel_rad)
+
+
+def _checked_map(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> tuple[np.ndarray, np.ndarray]:
     taper = _checked_taper(taper)
-    map_mk = reals("map_mk", map_mk, (..., *taper.shape))
     number("pixel_rad", pixel_rad, above=0)
+    return reals("map_mk", map_mk, (..., *taper.shape)), taper
+
+
+def _psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> np.ndarray:
     from scipy.fft import rfft2
 
     modes = rfft2(map_mk * taper, workers=1)
@@ -155,14 +162,14 @@ def map_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float, rings: Annu
     Normalised as `mode_psd`. Raises ValueError if taper or annuli do not fit the map, and for values that are not
     finite.
     """
-    map_mk = reals("map_mk", map_mk, (..., "n_y", "n_x"))
+    map_mk, taper = _checked_map(map_mk, taper, pixel_rad)
     n_bin = rings.ell.size
     n_half = map_mk.shape[-2] * (map_mk.shape[-1] // 2 + 1)
     if rings.bin_of_mode.size != n_half:
         raise ValueError(f"annuli are for {rings.bin_of_mode.size} half-plane modes, the map has {n_half}")
     psd = np.empty(map_mk.shape[:-2] + (n_bin,))
     for index in np.ndindex(map_mk.shape[:-2]):
-        psd[index] = ring_mean(mode_psd(map_mk[index], taper, pixel_rad), rings)
+        psd[index] = _ring_mean(_psd(map_mk[index], taper, pixel_rad), rings)
     return psd
 
 
@@ -171,9 +178,14 @@ def ring_mean(values: np.ndarray, rings: Annuli) -> np.ndarray:
 
     Raises ValueError for another number of values than the annuli have modes, and for values that are not finite.
     """
-    values, n_bin = reals("values", values, (...,)), rings.ell.size
+    values = reals("values", values, (...,))
     if values.size != rings.bin_of_mode.size:
         raise wrong("values", f"{values.size} values", f"{rings.bin_of_mode.size}, one a mode of the annuli, are")
+    return _ring_mean(values, rings)
+
+
+def _ring_mean(values: np.ndarray, rings: Annuli) -> np.ndarray:
+    n_bin = rings.ell.size
     total = np.bincount(rings.bin_of_mode, values.ravel() * rings.multiplicity, n_bin + 1)[:n_bin]
     return total / np.bincount(rings.bin_of_mode, rings.multiplicity, n_bin + 1)[:n_bin]
 

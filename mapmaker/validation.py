@@ -43,15 +43,22 @@ def reals(
     if array.dtype not in (np.float32, np.float64):
         array = array.astype(np.float64)
     _check_shape(name, array, shape, empty)
-    if finite and array.size:
-        low, high = float(array.min()), float(array.max())
-        # Written so that NaN, which both take over, is refused.
-        if not (-math.inf < low >= least and low > above and math.inf > high <= most):
-            fits = np.isfinite(array) & (array >= least) & (array > above) & (array <= most)
-            raise wrong(
-                name, f"{array[~fits][0]} {_place(fits)}", f"{_range('finite numbers', least, above, most)} are"
-            )
+    if finite and array.size and not _within(array, least, above, most):
+        fits = np.isfinite(array) & (array >= least) & (array > above) & (array <= most)
+        if not fits.all():
+            expected = f"{_range('finite numbers', least, above, most)} are"
+            raise wrong(name, f"{array[~fits][0]} {_place(fits)}", expected)
     return array
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def _within(array: np.ndarray, least: float, above: float, most: float) -> bool:
+    """Whether values are surely finite and within bounds, in as few passes as that takes."""
+    # A sum that is finite has finite terms; one that is not may have overflowed.
+    if not math.isfinite(array.sum()):
+        return False
+    low = array.min() if max(least, above) > -math.inf else math.inf
+    return low >= least and low > above and (most == math.inf or array.max() <= most)
 
 
 def integers(

@@ -147,9 +147,8 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.nda
     """c (n_det,) of streams whose templates are those of `basis`, None if not converged, and iterations.
 
     c is held free of all rows of the basis but the first, the constant. By the Gram matrix, or by passes over the
-    streams.
+    streams. Raises ValueError for streams of other detectors than those of `basis`.
     """
-    basis = reals("basis", basis, ("n_par", "n_det")).astype(np.float64, copy=False)
     n_det, c = basis.shape[1], np.ones(basis.shape[1])
     limits = (options.tolerance, options.max_iterations, _STEPS[options.responsivities])
     if n_det <= MOST_GRAM:

@@ -165,7 +165,7 @@ TABLE = [
     *[(subtract, {"data_mk": DATA, "scan_bounds": BOUNDS, "focal_plane": PLANE, "options": TEMPLATES},
        {"data_mk": WRONG_STREAMS, "scan_bounds": WRONG_BOUNDS}) for subtract in (subtract_mean, subtract_average)],
     (fit_responsivity, {"blocks": lambda: [DATA], "basis": template_basis(PLANE, AVERAGE), "options": TEMPLATES},
-     {"blocks": [lambda: [DATA[:-1]], lambda: [np.ones((N_DET + 1, 9))]], "basis": wrong_arrays(np.ones((1, N_DET)))}),
+     {"blocks": [lambda: [DATA[:-1]], lambda: [np.ones((N_DET + 1, 9))]]}),
     (template_streams, {"data_mk": DATA, "scan_bounds": BOUNDS, "focal_plane": PLANE,
                         "responsivity": np.ones((N_SCAN, N_DET)), "exponents": AVERAGE, "place_rad": (0.0, 0.0)},
      {"data_mk": WRONG_STREAMS, "responsivity": wrong_arrays(np.ones((N_SCAN, N_DET)), finite=False),
