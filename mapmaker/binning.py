@@ -1,24 +1,47 @@
 """Binned maps: sums and hits per pixel, co-adding, FITS and HEALPix out."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from mapmaker.files import whole_file
-from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, same_geometry, wcs_cards
+from mapmaker.files import regular_file, short, whole_file
+from mapmaker.geometry import (
+    MapGeometry,
+    check_nside,
+    pixel_centres,
+    plane_directions,
+    same_geometry,
+    wcs_cards,
+)
 from mapmaker.kernels.pixels import bin_samples
+from mapmaker.validation import (
+    bounds_of_scans,
+    flags,
+    integers,
+    number,
+    pixel_numbers,
+    reals,
+    single_precision,
+    wrong,
+)
+
+HITS_UNIT, INVERSE_VARIANCE_UNIT = "count", "mK-2"  # of weights, as FITS writes units
 
 
 @dataclass(frozen=True)
 class BinnedMap:
-    """A map: `weighted_sum` [mK * weight], `weight` and `hits`, each (n_y, n_x)."""
+    """A map: `weighted_sum` [mK * weight], `weight` and `hits`, each (n_y, n_x).
+
+    `weight_unit`: "count" where weights are hits, as `bin_map` makes them, or "mK-2" for inverse variances.
+    """
 
     geometry: MapGeometry
     weighted_sum: np.ndarray
     weight: np.ndarray
     hits: np.ndarray
+    weight_unit: str = INVERSE_VARIANCE_UNIT
 
     @property
     def signal_mk(self) -> np.ndarray:
@@ -36,42 +59,105 @@ def bin_map(
 ) -> BinnedMap:
     """Bin the kept scans of (n_det, n_samp) streams, each sample with weight 1.
 
-    `index` is what `geometry.pixel_indices` gives; `bounds` (n_scan, 2); `kept` (n_scan,) bool.
+    `index` is what `geometry.pixel_indices` gives; `bounds` (n_scan, 2); `kept` (n_scan,) bool. Raises ValueError for
+    shapes and types that do not fit each other, pixels outside the map, scans outside the streams or overlapping, and
+    values on the map that are not finite in kept scans.
     """
-    total = np.zeros(geometry.n_y * geometry.n_x)
-    hits = np.zeros(geometry.n_y * geometry.n_x, np.int64)
-    bin_samples(data_mk, index, bounds, kept, total, hits)
+    data = reals("data_mk", data_mk, ("n_det", "n_samp"), finite=False)
+    n_pixel = geometry.n_y * geometry.n_x
+    index = pixel_numbers(index, data.shape, n_pixel)
+    bounds = bounds_of_scans(bounds, data.shape[1])
+    kept = flags("kept", kept, (len(bounds),), empty=True)
+    total, hits = np.zeros(n_pixel), np.zeros(n_pixel, np.int64)
+    bin_samples(data, index, bounds, kept, total, hits)
+    # Sums tell it in less time than the samples: there are fewer pixels.
+    if not np.isfinite(total).all():
+        raise wrong("data_mk", "values that are not finite in kept scans", "finite ones, or kept False for them, are")
     shape = (geometry.n_y, geometry.n_x)
-    return BinnedMap(geometry, total.reshape(shape), hits.reshape(shape).astype(float), hits.reshape(shape))
+    return BinnedMap(geometry, total.reshape(shape), hits.reshape(shape).astype(float), hits.reshape(shape), HITS_UNIT)
 
 
-def coadd(maps: list[BinnedMap], weights: list[float]) -> BinnedMap:
-    """The sum of maps of one geometry, each with its weight [1/mK^2 a sample].
+def coadd(maps: Sequence[BinnedMap], weights: Sequence[float]) -> BinnedMap:
+    """The sum of maps of one geometry, each with its weight.
 
-    Raises ValueError when there is no map or the geometries differ.
+    Weights are 1/mK^2 a sample for maps whose weights are hits, and plain numbers for those that have inverse variances
+    already. Raises ValueError when there is no map, the geometries differ, weights are not one a map, finite and 0 or
+    more, or a map as `checked_map`.
     """
     if not maps:
         raise ValueError("found no map; one or more are expected")
-    for number, item in enumerate(maps):
+    weights = reals("weights", weights, (len(maps),), least=0).tolist()
+    for k, item in enumerate(maps):
         if not same_geometry(item.geometry, maps[0].geometry):
-            raise ValueError(f"map {number} has another geometry than map 0: {item.geometry} and {maps[0].geometry}")
+            raise ValueError(f"map {k} has another geometry than map 0: {item.geometry} and {maps[0].geometry}")
+    maps = [checked_map(item, f"maps[{k}]") for k, item in enumerate(maps)]
     total = sum(w * item.weighted_sum for item, w in zip(maps, weights, strict=True))
     weight = sum(w * item.weight for item, w in zip(maps, weights, strict=True))
     return BinnedMap(maps[0].geometry, total, weight, sum(item.hits for item in maps))
 
 
+def half_difference(one: BinnedMap, other: BinnedMap) -> BinnedMap:
+    """The noise that the co-add of two maps has, from their difference: no sky, whatever their weights.
+
+    Of maps of the weights V and W, ``(m_V - m_W) sqrt(V W) / (V + W)`` has the variance of the co-add,
+    ``1 / (V + W)``, where weights are inverse variances up to a factor; the sky, which both see alike, is gone. Pixels
+    that one of them lacks are not observed. Raises ValueError as `coadd`, and for weights of two units.
+    """
+    if one.weight_unit != other.weight_unit:
+        raise wrong("weight_unit", f"{one.weight_unit!r} and {other.weight_unit!r}", "maps of one unit are")
+    both = coadd([one, other], [1.0, 1.0])
+    seen = (one.weight > 0) & (other.weight > 0)
+    scale = np.sqrt(one.weight * other.weight, out=np.zeros(seen.shape), where=seen)
+    return replace(
+        both,
+        weighted_sum=(one.signal_mk - other.signal_mk) * scale,
+        weight=np.where(seen, both.weight, 0.0),
+        hits=np.where(seen, both.hits, 0),
+        weight_unit=one.weight_unit,
+    )
+
+
+def checked_map(item: BinnedMap, name: str = "map") -> BinnedMap:
+    """The map, its planes in the machine's types.
+
+    Raises ValueError for planes of another shape than the geometry's, sums that are not finite, weights and hits that
+    are not finite and 0 or more, and units of weights other than the two of `BinnedMap`.
+    """
+    shape = (item.geometry.n_y, item.geometry.n_x)
+    if item.weight_unit not in (HITS_UNIT, INVERSE_VARIANCE_UNIT):
+        raise wrong(f"{name}.weight_unit", item.weight_unit, f"{HITS_UNIT!r} or {INVERSE_VARIANCE_UNIT!r} is")
+    return replace(
+        item,
+        weighted_sum=reals(f"{name}.weighted_sum", item.weighted_sum, shape),
+        weight=reals(f"{name}.weight", item.weight, shape, least=0),
+        hits=integers(f"{name}.hits", item.hits, shape, least=0).astype(np.int64, copy=False),
+    )
+
+
 def write_fits(path: str | Path, item: BinnedMap, header: Mapping[str, object]) -> None:
-    """Write signal, weight and hits as image extensions with one WCS, atomically."""
+    """Write signal, weight and hits as image extensions with one WCS, atomically.
+
+    Raises ValueError for a map as `checked_map`, values beyond single precision and a header that FITS cannot hold.
+    """
     from astropy.io import fits
 
+    item = checked_map(item)
     base = fits.Header([(keyword, *card) for keyword, card in wcs_cards(item.geometry).items()])
-    planes = [("SIGNAL", item.signal_mk, "mK"), ("WEIGHT", item.weight, "mK-2"), ("HITS", item.hits, "")]
+    planes = [
+        ("SIGNAL", single_precision("signal_mk", item.signal_mk), "mK"),
+        ("WEIGHT", single_precision("weight", item.weight), item.weight_unit),
+        ("HITS", item.hits.astype(_integers(item.hits)), ""),
+    ]
     images = [fits.PrimaryHDU()]
     for key, value in header.items():
-        images[0].header[key] = value
+        try:
+            images[0].header[key] = value
+        except (TypeError, ValueError, AttributeError) as error:
+            raise ValueError(
+                f"header: found {key!r}: {value!r:.60}; a card of FITS is expected ({short(error)})"
+            ) from None
     for name, data, unit in planes:
-        kind = _integers(data) if name == "HITS" else np.float32
-        image = fits.ImageHDU(data.astype(kind), header=base, name=name)
+        image = fits.ImageHDU(data, header=base, name=name)
         image.header["BUNIT"] = unit
         images.append(image)
     with whole_file(path) as partial:
@@ -84,29 +170,72 @@ def _integers(hits: np.ndarray) -> type:
 
 
 def read_fits(path: str | Path) -> BinnedMap:
-    """Read a map written by `write_fits`; raises ValueError for an unreadable or truncated file."""
+    """Read a map as `write_fits` writes them: compressed, scaled and integer images are converted.
+
+    Raises ValueError, in one line that names the file, for one that is unreadable, truncated or no regular file, and
+    for planes whose shapes or WCS differ or are not of `MapGeometry`, whose units are others, or with values of no map.
+    """
     from astropy.io import fits
 
+    regular_file(path, "map file")
     try:
         with fits.open(path, memmap=False) as file:
-            signal, weight, hits = (file[name].data.astype(float) for name in ("SIGNAL", "WEIGHT", "HITS"))
-            header = file["SIGNAL"].header
-            center = np.radians([header["CRVAL1"], header["CRVAL2"]])
-            pixel = float(np.radians(header["CDELT2"]))
-    except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
-        raise ValueError(f"{path}: not a whole map file ({error})") from None
-    geometry = MapGeometry(float(center[0]), float(center[1]), pixel, signal.shape[1], signal.shape[0])
-    return BinnedMap(geometry, signal * weight, weight, hits.astype(np.int64))
+            return _map_of(file)
+    except Exception as error:  # astropy has one of nearly every kind for a mangled file
+        raise ValueError(f"{path}: not a whole map file ({short(error)})") from None
+
+
+def _map_of(file) -> BinnedMap:
+    planes = {name: _plane(name, file[name]) for name in ("SIGNAL", "WEIGHT", "HITS")}
+    geometry = _geometry_of("SIGNAL", file["SIGNAL"].header, planes["SIGNAL"].shape)
+    for name in ("WEIGHT", "HITS"):
+        if not same_geometry(_geometry_of(name, file[name].header, planes[name].shape), geometry):
+            raise wrong(name, f"other coordinates or the shape {planes[name].shape}", "those of SIGNAL are")
+    units = {name: str(file[name].header.get("BUNIT", "")).strip() for name in planes}
+    if units["SIGNAL"] != "mK":
+        raise wrong("SIGNAL", f"the unit {units['SIGNAL']!r}", "'mK' is")
+    weight, hits = planes["WEIGHT"], planes["HITS"]
+    if not np.array_equal(hits, np.rint(hits)):
+        raise wrong("HITS", "numbers with fractions", "whole numbers are")
+    # Elsewhere, files of others have NaN where nothing was observed.
+    signal = np.where((weight == 0) & np.isnan(planes["SIGNAL"]), 0.0, planes["SIGNAL"])
+    return checked_map(BinnedMap(geometry, signal * weight, weight, hits.astype(np.int64), units["WEIGHT"]), "planes")
+
+
+def _plane(name: str, image) -> np.ndarray:
+    if image.data is None or not hasattr(image, "shape"):
+        raise wrong(name, type(image).__name__, "an image is")
+    return reals(name, image.data, ("n_y", "n_x"), finite=name == "HITS").astype(float)
+
+
+def _geometry_of(name: str, header, shape: tuple[int, int]) -> MapGeometry:
+    """The geometry that a header states; raises ValueError where it is none of square pixels about its centre."""
+    n_y, n_x = shape
+    ra_deg, dec_deg, pixel_deg = (number(key, header[key]) for key in ("CRVAL1", "CRVAL2", "CDELT2"))
+    geometry = MapGeometry(*np.radians([ra_deg, dec_deg]).tolist(), float(np.radians(pixel_deg)), n_x, n_y)
+    cards = wcs_cards(geometry)
+    for key in ("CRPIX1", "CRPIX2", "CDELT1", "CTYPE1", "CTYPE2"):
+        wanted, found = cards[key][0], header.get(key)
+        same = found == wanted if isinstance(wanted, str) else bool(np.isclose(number(key, found), wanted, 1e-9))
+        if not same:
+            raise wrong(f"{name}: {key}", found, f"{wanted} is")
+    turned = {"CROTA2": 0, "PC1_1": 1, "PC2_2": 1, "PC1_2": 0, "PC2_1": 0}
+    if any(header.get(key, value) != value for key, value in turned.items()) or "CD1_1" in header:
+        raise wrong(name, "coordinates that are turned or sheared", "none of PC, CD and CROTA is")
+    return geometry
 
 
 def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
     """Write the map re-binned to HEALPix (partial sky, nested): signal, weight and hits, atomically.
 
-    Each tangent-plane pixel goes to the HEALPix pixel of its centre; weights add.
+    Each tangent-plane pixel goes to the HEALPix pixel of its centre; weights add. Raises ValueError for a map as
+    `checked_map`, and for an `nside` that is no power of two or above `finest_nside`, which would leave holes.
     """
+    check_nside("nside", nside, item.geometry.pixel_rad)
     import healpy
     from astropy.io import fits
 
+    item = checked_map(item)
     rows, columns = np.nonzero(item.weight > 0)
     xi, eta = (plane[rows, columns] for plane in pixel_centres(item.geometry))
     ra, dec = plane_directions(item.geometry, xi, eta)
@@ -116,8 +245,8 @@ def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
     )
     columns = [
         fits.Column("PIXEL", "K", array=pixel),
-        fits.Column("SIGNAL", "E", "mK", array=total / weight),
-        fits.Column("WEIGHT", "E", "mK-2", array=weight),
+        fits.Column("SIGNAL", "E", "mK", array=single_precision("signal_mk", total / weight)),
+        fits.Column("WEIGHT", "E", item.weight_unit, array=single_precision("weight", weight)),
         fits.Column("HITS", "J" if _integers(hits) is np.int32 else "K", array=hits),
     ]
     table = fits.BinTableHDU.from_columns(columns)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.timestreams import FocalPlane
+from mapmaker.validation import bounds_of_scans, reals, wrong
 
 # In units of the closest pair: pairs nearer than this are adjacent; the width of a bin of separation.
 ADJACENT = 1.2
@@ -109,17 +110,32 @@ def _profile_solution(first: np.ndarray, second: np.ndarray, bins: np.ndarray, n
 
 
 def scan_covariances(data_mk: np.ndarray, scan_bounds: np.ndarray) -> np.ndarray:
-    """C_ij of each scan [mK^2], its mean removed: (n_scan, n_det, n_det) of streams (n_det, n_samp)."""
+    """C_ij of each scan [mK^2], its mean removed: (n_scan, n_det, n_det) of streams (n_det, n_samp).
+
+    Raises ValueError for arrays that do not fit each other, without a scan, and for values in a scan that are not
+    finite.
+    """
+    data_mk = reals("data_mk", data_mk, ("n_det", "n_samp"), finite=False)
     covariances = []
-    for start, stop in scan_bounds:
+    for start, stop in bounds_of_scans(scan_bounds, data_mk.shape[1]):
         block = data_mk[:, start:stop].astype(np.float64)
         block -= block.mean(axis=1, keepdims=True)
         covariances.append(block @ block.T / (stop - start))
-    return np.array(covariances)
+    if not covariances:
+        raise ValueError("scan_bounds: found no scan; one or more are expected")
+    found = np.array(covariances)
+    if not np.isfinite(found).all():
+        raise wrong("data_mk", "values that are not finite in scans", "finite ones are")
+    return found
 
 
 def correlation_profile(covariances_mk2: np.ndarray, bins: PairBins) -> Profile:
-    """Profile of correlation against separation of one observation, from `scan_covariances`."""
+    """Profile of correlation against separation of one observation, from `scan_covariances`.
+
+    Raises ValueError for covariances of other detectors than the bins' or that are not finite.
+    """
+    n_det = int(bins.second.max()) + 1
+    covariances_mk2 = reals("covariances_mk2", covariances_mk2, ("n_scan", n_det, n_det))
     pairs = covariances_mk2[:, bins.first, bins.second]
     mean, distant, n_scan = pairs.mean(axis=0), ~bins.adjacent, len(pairs)
     adjacent = float(mean[bins.adjacent].mean()) if bins.adjacent.any() else np.nan

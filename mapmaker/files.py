@@ -28,6 +28,19 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         raise
 
 
+def regular_file(path: str | Path, kind: str) -> None:
+    """Raise ValueError for what is no regular file: reading a pipe or a device may never end."""
+    if not Path(path).is_file():
+        found = "no regular file" if Path(path).exists() else "no such file"
+        raise ValueError(f"{path}: not a whole {kind} ({found})")
+
+
+def short(error: BaseException) -> str:
+    """An error's text in one line of 200 letters or less."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= 200 else f"{text[:197]}..."
+
+
 def write_ecsv(
     path: str | Path, columns: Mapping[str, Sequence], units: Mapping[str, str], meta: Mapping[str, object]
 ) -> None:

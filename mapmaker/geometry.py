@@ -7,7 +7,12 @@ import numpy as np
 
 from mapmaker.kernels.pixels import plane_pixels
 from mapmaker.timestreams import FocalPlane, Timestreams
+from mapmaker.validation import number, reals, whole, wrong
 
+# Least side of a HEALPix pixel over a map pixel's. Below, HEALPix pixels within the map get no map pixel: 20 % of them
+# at 1, 6 % at 1.2, 0.2 % at sqrt(2), none at 1.5, over declinations and turns of the lattices.
+_HEALPIX_SIDE = 1.5
+_FINEST_ORDER = 29  # of HEALPix, whose pixel numbers have 64 bits
 HORIZON = 1e-12  # cosine of the angle from the centre: less is rounding of a direction 90 degrees off
 MAX_PIXELS = 2**31 - 1  # of a map: pixel numbers are int32, -1 off the map
 
@@ -16,7 +21,8 @@ MAX_PIXELS = 2**31 - 1  # of a map: pixel numbers are int32, -1 off the map
 class MapGeometry:
     """Square pixels of a tangent plane; map arrays are (n_y, n_x), row 0 south, column 0 east.
 
-    Raises ValueError for more pixels than their numbers hold, `MAX_PIXELS`, or less than one.
+    Raises ValueError for more pixels than their numbers hold, `MAX_PIXELS`, or less than one, for a centre that is no
+    direction, and for pixels that are not positive and smaller than a quarter of a turn.
     """
 
     ra0_rad: float
@@ -26,6 +32,11 @@ class MapGeometry:
     n_y: int
 
     def __post_init__(self):
+        number("ra0_rad", self.ra0_rad)
+        number("dec0_rad", self.dec0_rad, least=-math.pi / 2, most=math.pi / 2)
+        number("pixel_rad", self.pixel_rad, above=0, below=math.pi / 2)
+        for name in ("n_x", "n_y"):
+            whole(name, getattr(self, name), least=-(2**63))
         if not (self.n_x >= 1 and self.n_y >= 1 and int(self.n_x) * int(self.n_y) <= MAX_PIXELS):
             raise ValueError(
                 f"found a map of {self.n_x} x {self.n_y} pixels; 1 to {MAX_PIXELS} pixels in all are expected"
@@ -46,7 +57,8 @@ def mean_direction(ra_rad: np.ndarray, dec_rad: np.ndarray) -> tuple[float, floa
     The direction of the mean unit vector: right across RA 0 and at a pole, where means of the angles are not.
     Raises ValueError for directions that are not finite, for none, and for those that cancel.
     """
-    ra, dec = (np.asarray(angle, dtype=float) for angle in (ra_rad, dec_rad))
+    ra = reals("ra_rad", ra_rad, (...,), empty=True)
+    dec = reals("dec_rad", dec_rad, ra.shape, empty=True)
     vectors = np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)
     x, y, z = (float(np.mean(item)) if item.size else math.nan for item in vectors)
     length = math.hypot(x, y, z)
@@ -104,6 +116,7 @@ def sky_offsets(plane: FocalPlane, array_angle_rad: np.ndarray) -> tuple[np.ndar
 def pixel_indices(geometry: MapGeometry, streams: Timestreams) -> np.ndarray:
     """Flat pixel index (n_det, n_samp) int32 of every sample, -1 off the map.
 
+    `streams` is a `Timestreams`, which has checked its values.
     The array angle of streams is the position angle at the boresight. Detectors lie where that puts them on the sky
     but for the plane's stretch, the square of the boresight's angle from the centre times their offset: 0.02 arcsec
     for a detector 4 arcmin out and a boresight 30 arcmin off, 2 arcmin for one 30 arcmin out and 15 degrees off.
@@ -123,8 +136,12 @@ def boresight_pixels(
     """Flat pixel index (n_det, n_samp) int32 for a boresight (n_samp,) in the tangent plane, -1 off the map.
 
     `plane_angle_rad` (n_samp,) is the angle of the array's y axis from the plane's north, eta: the position angle at
-    the boresight plus `north_angle`. Detector offsets are added in the plane.
+    the boresight plus `north_angle`. Detector offsets are added in the plane. Where the boresight is NaN, behind the
+    plane, samples are off the map. Raises ValueError for arrays of different lengths or that are no numbers.
     """
+    xi_rad = reals("xi_rad", xi_rad, ("n_samp",), finite=False)
+    eta_rad = reals("eta_rad", eta_rad, xi_rad.shape, finite=False)
+    plane_angle_rad = reals("plane_angle_rad", plane_angle_rad, xi_rad.shape, finite=False)
     scale = 1 / geometry.pixel_rad
     column = geometry.n_x / 2 - xi_rad * scale
     row = geometry.n_y / 2 + eta_rad * scale
@@ -133,11 +150,40 @@ def boresight_pixels(
 
 
 def covering_geometry(ra0_rad: float, dec0_rad: float, pixel_rad: float, half_extent_rad: float) -> MapGeometry:
-    """A square geometry that reaches `half_extent_rad` on each side, its size good for FFTs."""
+    """A square geometry that reaches `half_extent_rad` on each side, its size good for FFTs.
+
+    Raises ValueError for an extent that is not positive or beyond 90 degrees, and as `MapGeometry`.
+    """
     from scipy.fft import next_fast_len
 
+    number("half_extent_rad", half_extent_rad, above=0, most=math.pi / 2)
+    if half_extent_rad > MAX_PIXELS * number("pixel_rad", pixel_rad, above=0):
+        raise wrong("pixel_rad", pixel_rad, f"a side of {MAX_PIXELS} pixels or less is")
     n = 2 * next_fast_len(int(np.ceil(half_extent_rad / pixel_rad)) + 1, real=True)
     return MapGeometry(ra0_rad, dec0_rad, pixel_rad, n, n)
+
+
+def finest_nside(pixel_rad: float) -> int:
+    """Largest nside (a power of two) of a HEALPix map that a map of pixels of this side [rad] fills without holes.
+
+    Sides of its pixels, ``sqrt(pi / 3) / nside``, are 1.5 of the map's or more. 0 for pixels that none is wide enough
+    for. Raises ValueError for pixels that are not positive.
+    """
+    most = math.sqrt(math.pi / 3) / (_HEALPIX_SIDE * number("pixel_rad", pixel_rad, above=0))
+    return 2 ** min(math.floor(math.log2(most)), _FINEST_ORDER) if most >= 1 else 0
+
+
+def check_nside(name: str, nside: int, pixel_rad: float) -> None:
+    """Raise ValueError unless a map of pixels of this side [rad] fills a HEALPix map of `nside`, a power of two."""
+    finest = finest_nside(pixel_rad)
+    pixel = f"pixels of {math.degrees(pixel_rad) * 3600:.4g} arcsec"
+    if not finest:
+        raise ValueError(f"{name}: found {nside} for {pixel}; no nside is wide enough for these")
+    whole(name, nside, least=1)
+    if nside > finest:
+        raise ValueError(f"{name}: found {nside} for {pixel}; {finest} or less is expected, a finer map has holes")
+    if nside & (nside - 1):
+        raise ValueError(f"{name}: found {nside}; a power of two is expected")
 
 
 def wcs_cards(geometry: MapGeometry) -> dict[str, tuple[str | int | float, str]]:

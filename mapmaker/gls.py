@@ -26,7 +26,8 @@ from scipy.fft import dct, idct
 
 from mapmaker.binning import BinnedMap
 from mapmaker.geometry import MapGeometry
-from mapmaker.iterative import StreamBlock, subtract_sky
+from mapmaker.iterative import StreamBlock, check_pixels, subtract_sky
+from mapmaker.validation import band_edges, bounds_of_scans, number, reals, whole, wrong
 
 # A detector with less than this share of the mean noise is dead, and one of which the modes leave no more than
 # rounding of float32 has no noise of its own: neither gets weight.
@@ -50,17 +51,11 @@ class GlsOptions:
 
     def __post_init__(self):
         """Raise ValueError for values out of range."""
-        edges = np.asarray(self.band_edges_hz)
-        if len(edges) < 2 or edges[0] < 0 or not (np.diff(edges) > 0).all():
-            raise ValueError(f"band_edges_hz must be 2 or more and increase from 0 or more, got {self.band_edges_hz}")
-        if self.max_modes < 0 or self.max_iterations < 1:
-            raise ValueError(
-                f"max_modes must be at least 0 and max_iterations 1, got {self.max_modes}, {self.max_iterations}"
-            )
-        if not (self.eigenvalue_cut >= 1 and self.tolerance > 0):
-            raise ValueError(
-                f"eigenvalue_cut must be at least 1 and tolerance positive, got {self.eigenvalue_cut}, {self.tolerance}"
-            )
+        band_edges("band_edges_hz", self.band_edges_hz)
+        whole("max_modes", self.max_modes, least=0)
+        whole("max_iterations", self.max_iterations, least=1)
+        number("eigenvalue_cut", self.eigenvalue_cut, least=1)
+        number("tolerance", self.tolerance, above=0)
 
 
 @dataclass(frozen=True)
@@ -125,16 +120,23 @@ def measure_noise(
     A sky signal in the streams counts as noise. Raises ValueError where a band holds fewer than 2 modes of the
     scans, and where no detector has noise in a band.
     """
+    data_mk = reals("data_mk", data_mk, ("n_det", "n_samp"), finite=False)
+    scan_bounds = bounds_of_scans(scan_bounds, data_mk.shape[1])
+    number("sample_rate_hz", sample_rate_hz, above=0)
     columns: list[list[np.ndarray]] = [[] for _ in options.band_edges_hz[1:]]
     for start, stop in scan_bounds:
         modes = dct(data_mk[:, start:stop].astype(np.float64), axis=1, norm="ortho")
         for column, band in zip(columns, band_slices(stop - start, sample_rate_hz, options.band_edges_hz), strict=True):
             column.append(modes[:, band])
+    if not len(scan_bounds):
+        raise ValueError("scan_bounds: found no scan; one or more are expected")
     amplitudes = [np.concatenate(column, axis=1) for column in columns]
     for b, n in enumerate(item.shape[1] for item in amplitudes):
         if n < 2:
             low, high = options.band_edges_hz[b : b + 2]
             raise ValueError(f"the scans have {n} modes from {low} to {high} Hz; 2 or more are needed")
+    if not all(np.isfinite(item).all() for item in amplitudes):
+        raise wrong("data_mk", "values that are not finite in scans", "finite ones are")
     left, modes = zip(*(_band_noise(item, options) for item in amplitudes), strict=True)
     white = _separable(np.array(left), np.array([item.shape[1] for item in amplitudes]))
     return NoiseModel(options.band_edges_hz, white, modes, sample_rate_hz)
@@ -213,12 +215,16 @@ def gls_map(
     The streams are read once, one observation at a time; their indices are kept. `sky_mk` (n_y, n_x), an earlier
     map, is taken out of the streams before their noise is measured: needed where the sky is not faint against
     the noise. The blocks' weights are not used. Scans with values that are not finite are discarded. Raises
-    ValueError without an observation and as `measure_noise`.
+    ValueError without an observation, for pixels or a sky that are not of the map, and as `measure_noise`.
     """
+    number("sample_rate_hz", sample_rate_hz, above=0)
+    if sky_mk is not None:
+        sky_mk = reals("sky_mk", sky_mk, (geometry.n_y, geometry.n_x))
     n_pixel = geometry.n_y * geometry.n_x
     right = np.zeros(n_pixel)
     scans, discarded = [], 0
     for block in observations:
+        check_pixels(geometry, block)
         bounds = np.array([b for b in block.scan_bounds if np.isfinite(block.data_mk[:, b[0] : b[1]]).all()])
         discarded += len(block.scan_bounds) - len(bounds)
         if not len(bounds):

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mapmaker.binning import BinnedMap, bin_map, coadd
+from mapmaker.binning import BinnedMap, bin_map, checked_map, coadd
 from mapmaker.cleaning import Cleaned
-from mapmaker.geometry import MapGeometry
+from mapmaker.geometry import MAX_PIXELS, MapGeometry
 from mapmaker.timestreams import FocalPlane
+from mapmaker.validation import bounds_of_scans, number, pixel_numbers, reals, whole
 
 # A normal deviate's standard deviation over its median absolute value.
 _SIGMA_OF_MEDIAN = 1.482602218505602
@@ -27,6 +28,8 @@ class StreamBlock:
 
     `data_mk` (n_det, n_samp) float32 or float64 [mK]; `index` (n_det, n_samp) flat pixel, -1 off the map;
     `scan_bounds` (n_scan, 2) [start, stop); `weight` inverse noise variance a sample [1/mK^2].
+    Data of other real types become float64. Raises ValueError for arrays that do not fit each other or the focal plane,
+    and for weights that are not finite and 0 or more.
     """
 
     data_mk: np.ndarray
@@ -34,6 +37,24 @@ class StreamBlock:
     scan_bounds: np.ndarray
     focal_plane: FocalPlane
     weight: float = 1.0
+
+    def __post_init__(self):
+        data = reals("data_mk", self.data_mk, (len(self.focal_plane.x_rad), "n_samp"), finite=False)
+        index = pixel_numbers(self.index, data.shape, MAX_PIXELS)
+        bounds = bounds_of_scans(self.scan_bounds, data.shape[1])
+        values = {
+            "data_mk": data,
+            "index": index,
+            "scan_bounds": bounds,
+            "weight": number("weight", self.weight, least=0),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+
+def check_pixels(geometry: MapGeometry, block: StreamBlock) -> None:
+    """Raise ValueError for a block with pixels that the map does not have."""
+    pixel_numbers(block.index, block.data_mk.shape, geometry.n_y * geometry.n_x)
 
 
 @dataclass(frozen=True)
@@ -53,14 +74,10 @@ class IterationOptions:
 
     def __post_init__(self):
         """Raise ValueError for values out of range."""
-        if not self.threshold > 0:
-            raise ValueError(f"threshold must be positive, got {self.threshold}")
-        if not 0 <= self.loss < 1:
-            raise ValueError(f"loss must be in [0, 1), got {self.loss}")
-        if not self.tolerance > 0:
-            raise ValueError(f"tolerance must be positive, got {self.tolerance}")
-        if self.max_iterations < 1:
-            raise ValueError(f"max_iterations must be at least 1, got {self.max_iterations}")
+        number("threshold", self.threshold, above=0)
+        number("loss", self.loss, least=0, below=1)
+        number("tolerance", self.tolerance, above=0)
+        whole("max_iterations", self.max_iterations, least=1)
 
 
 @dataclass(frozen=True)
@@ -115,6 +132,9 @@ def significant(item: BinnedMap, fwhm_rad: float, threshold: float, floor: float
     """
     from scipy.ndimage import gaussian_filter
 
+    item, fwhm_rad = checked_map(item), number("fwhm_rad", fwhm_rad, above=0)
+    number("threshold", threshold, above=0)
+    number("floor", floor, least=0, most=1)
     sigma_pixels = fwhm_rad / np.sqrt(8 * np.log(2)) / item.geometry.pixel_rad
     total = gaussian_filter(item.weighted_sum.astype(float), sigma_pixels, mode="constant")
     # The square of a Gaussian is one of 1 / sqrt(2) the width; its constant drops out with the scatter.
@@ -127,7 +147,12 @@ def significant(item: BinnedMap, fwhm_rad: float, threshold: float, floor: float
 
 
 def subtract_sky(block: StreamBlock, sky_mk: np.ndarray) -> StreamBlock:
-    """The block less a map (n_y, n_x) [mK] as its pixels see it; samples off the map are left as they are."""
+    """The block less a map (n_y, n_x) [mK] as its pixels see it; samples off the map are left as they are.
+
+    Raises ValueError for a map that is not finite or has not all pixels of the block.
+    """
+    sky_mk = reals("sky_mk", sky_mk, ("n_y", "n_x"))
+    pixel_numbers(block.index, block.data_mk.shape, sky_mk.size)
     padded = np.append(sky_mk.ravel(), 0.0).astype(block.data_mk.dtype)
     # Index -1, off the map, is the last element: 0.
     return replace(block, data_mk=block.data_mk - padded[block.index])
@@ -137,8 +162,7 @@ def _one_pass(geometry, blocks, clean_block, estimate) -> tuple[BinnedMap, float
     """The co-added map with the estimate added back, and the narrowest beam."""
     total, fwhm_rad = None, np.inf
     for block in blocks:
-        if block.index.shape != block.data_mk.shape:
-            raise ValueError(f"index has the shape {block.index.shape}; {block.data_mk.shape}, the data's, is expected")
+        check_pixels(geometry, block)
         cleaned = clean_block(subtract_sky(block, estimate) if estimate.any() else block)
         one = bin_map(geometry, cleaned.data_mk, block.index, block.scan_bounds, cleaned.kept)
         total = coadd([one], [block.weight]) if total is None else coadd([total, one], [1.0, block.weight])

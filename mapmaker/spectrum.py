@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.validation import increasing, number, reals, whole, wrong
+
 
 @dataclass(frozen=True)
 class Annuli:
@@ -27,10 +29,11 @@ def tukey_taper(n_y: int, n_x: int, pixel_rad: float, size_rad: float, edge_frac
     `edge_fraction` is the share of the side taken by the two cosine edges: 0 is a box, 1 a Hann taper.
     Raises ValueError for an edge fraction outside [0, 1] or a square that is larger than the map.
     """
-    if not 0 <= edge_fraction <= 1:
+    _check_plane(n_y, n_x, pixel_rad)
+    if not 0 <= number("edge_fraction", edge_fraction) <= 1:
         raise ValueError(f"edge_fraction must be in [0, 1], got {edge_fraction}")
     extent_rad = min(n_y, n_x) * pixel_rad
-    if not 0 < size_rad <= extent_rad * (1 + 1e-9):
+    if not 0 < number("size_rad", size_rad) <= extent_rad * (1 + 1e-9):
         raise ValueError(f"size_rad must be in (0, {extent_rad}], the map's shorter side; got {size_rad}")
     return np.outer(tukey(n_y, pixel_rad, size_rad, edge_fraction), tukey(n_x, pixel_rad, size_rad, edge_fraction))
 
@@ -46,7 +49,11 @@ def tukey(n: int, pixel_rad: float, size_rad: float, edge_fraction: float) -> np
 
 
 def mode_ell(n_y: int, n_x: int, pixel_rad: float) -> np.ndarray:
-    """Multipole `ell = |k|` of each mode of `rfft2`, (n_y, n_x // 2 + 1)."""
+    """Multipole `ell = |k|` of each mode of `rfft2`, (n_y, n_x // 2 + 1).
+
+    Raises ValueError for sides that are not positive integers and pixels that are not positive.
+    """
+    _check_plane(n_y, n_x, pixel_rad)
     k_y = 2 * np.pi * np.fft.fftfreq(n_y, pixel_rad)
     k_x = 2 * np.pi * np.fft.rfftfreq(n_x, pixel_rad)
     return np.hypot(k_y[:, None], k_x)
@@ -63,11 +70,9 @@ def annuli(n_y: int, n_x: int, pixel_rad: float, edges_ell: np.ndarray, taper: n
     a band power is.
     Raises ValueError for edges that do not increase, a bin without modes or a taper of another shape.
     """
-    edges_ell = np.asarray(edges_ell, dtype=np.float64)
-    if edges_ell.ndim != 1 or edges_ell.size < 2 or not (np.diff(edges_ell) > 0).all():
-        raise ValueError(f"edges_ell must be at least two increasing multipoles, got {edges_ell}")
-    if taper.shape != (n_y, n_x):
-        raise ValueError(f"taper must have the map's shape {(n_y, n_x)}, got {taper.shape}")
+    edges_ell = increasing("edges_ell", edges_ell, fewest=2)
+    _check_plane(n_y, n_x, pixel_rad)
+    taper = _checked_taper(taper, (n_y, n_x))
     n_bin = edges_ell.size - 1
     ell = mode_ell(n_y, n_x, pixel_rad).ravel()
     bin_of_mode = np.searchsorted(edges_ell, ell, side="right") - 1
@@ -80,6 +85,19 @@ def annuli(n_y: int, n_x: int, pixel_rad: float, edges_ell: np.ndarray, taper: n
     ell_mean = np.bincount(bin_of_mode, multiplicity * ell, n_bin + 1)[:n_bin] / cells
     kept = np.sum(taper**2) ** 2 / (taper.size * np.sum(taper**4))
     return Annuli(edges_ell, ell_mean, cells * kept, bin_of_mode, multiplicity)
+
+
+def _check_plane(n_y: int, n_x: int, pixel_rad: float) -> None:
+    whole("n_y", n_y, least=1)
+    whole("n_x", n_x, least=1)
+    number("pixel_rad", pixel_rad, above=0)
+
+
+def _checked_taper(taper: np.ndarray, shape: tuple = ("n_y", "n_x")) -> np.ndarray:
+    taper = reals("taper", taper, shape)
+    if not taper.any():
+        raise wrong("taper", "zeros alone", "a taper that hides a part of the map is")
+    return taper
 
 
 def split_azimuth(rings: Annuli, n_y: int, n_x: int, pixel_rad: float, n_sector: int) -> Annuli:
@@ -120,10 +138,18 @@ def mode_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> np.ndar
     `map_mk` is (..., n_y, n_x), zero where nothing was observed; the result is (..., n_y, n_x // 2 + 1).
     Divided by `sum T^2`, so that white noise of variance s^2 a pixel has the PSD s^2 pixel_rad^2, whatever
     the taper.
-    Raises ValueError if the taper does not have the map's shape.
+    Raises ValueError if the taper does not have the map's shape, and for values that are not finite.
     """
-    if map_mk.shape[-2:] != taper.shape:
-        raise ValueError(f"map and taper must have the same shape, got {map_mk.shape[-2:]} and {taper.shape}")
+    return _psd(*_checked_map(map_mk, taper, pixel_rad), pixel_rad)
+
+
+def _checked_map(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> tuple[np.ndarray, np.ndarray]:
+    taper = _checked_taper(taper)
+    number("pixel_rad", pixel_rad, above=0)
+    return reals("map_mk", map_mk, (..., *taper.shape)), taper
+
+
+def _psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> np.ndarray:
     from scipy.fft import rfft2
 
     modes = rfft2(map_mk * taper, workers=1)
@@ -133,20 +159,32 @@ def mode_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> np.ndar
 def map_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float, rings: Annuli) -> np.ndarray:
     """Azimuthal mean of the PSD of tapered maps: (..., n_y, n_x) in mK to (..., n_bin) in mK^2 rad^2.
 
-    Normalised as `mode_psd`. Raises ValueError if taper or annuli do not fit the map.
+    Normalised as `mode_psd`. Raises ValueError if taper or annuli do not fit the map, and for values that are not
+    finite.
     """
+    map_mk, taper = _checked_map(map_mk, taper, pixel_rad)
     n_bin = rings.ell.size
     n_half = map_mk.shape[-2] * (map_mk.shape[-1] // 2 + 1)
     if rings.bin_of_mode.size != n_half:
         raise ValueError(f"annuli are for {rings.bin_of_mode.size} half-plane modes, the map has {n_half}")
     psd = np.empty(map_mk.shape[:-2] + (n_bin,))
     for index in np.ndindex(map_mk.shape[:-2]):
-        psd[index] = ring_mean(mode_psd(map_mk[index], taper, pixel_rad), rings)
+        psd[index] = _ring_mean(_psd(map_mk[index], taper, pixel_rad), rings)
     return psd
 
 
 def ring_mean(values: np.ndarray, rings: Annuli) -> np.ndarray:
-    """Mean over the modes of each bin (n_bin,) of values on the half plane of `rfft2`, flattened or not."""
+    """Mean over the modes of each bin (n_bin,) of values on the half plane of `rfft2`, flattened or not.
+
+    Raises ValueError for another number of values than the annuli have modes, and for values that are not finite.
+    """
+    values = reals("values", values, (...,))
+    if values.size != rings.bin_of_mode.size:
+        raise wrong("values", f"{values.size} values", f"{rings.bin_of_mode.size}, one a mode of the annuli, are")
+    return _ring_mean(values, rings)
+
+
+def _ring_mean(values: np.ndarray, rings: Annuli) -> np.ndarray:
     n_bin = rings.ell.size
     total = np.bincount(rings.bin_of_mode, values.ravel() * rings.multiplicity, n_bin + 1)[:n_bin]
     return total / np.bincount(rings.bin_of_mode, rings.multiplicity, n_bin + 1)[:n_bin]
@@ -178,12 +216,16 @@ def coupled_psd(
     Raises
     ------
     ValueError
-        If `sky_psd` is not on the half plane of `sky_shape`, or cells per pixel are not a positive integer.
+        If `sky_psd` is not on the half plane of `sky_shape`, if it or the taper is not finite or the PSD negative,
+        or if cells per pixel are not a positive integer.
     """
-    if sky_psd.shape != (sky_shape[0], sky_shape[1] // 2 + 1):
-        raise ValueError(f"sky_psd must be on the half plane of {sky_shape}, got {sky_psd.shape}")
-    if cells_per_pixel != int(cells_per_pixel) or cells_per_pixel < 1:
-        raise ValueError(f"cells_per_pixel must be a positive integer, got {cells_per_pixel}")
+    sky_shape = tuple(whole("sky_shape", n, least=1) for n in sky_shape)
+    if len(sky_shape) != 2:
+        raise wrong("sky_shape", f"{len(sky_shape)} numbers", "two are")
+    sky_psd = reals("sky_psd", sky_psd, (sky_shape[0], sky_shape[1] // 2 + 1), least=0)
+    taper = _checked_taper(taper)
+    number("pixel_rad", pixel_rad, above=0)
+    whole("cells_per_pixel", cells_per_pixel, least=1)
     from scipy.fft import irfft2, rfft2
 
     correlation = irfft2(sky_psd, sky_shape, workers=1) * (cells_per_pixel / pixel_rad) ** 2
@@ -213,6 +255,7 @@ def neighbour_correlation(taper: np.ndarray, rings: Annuli) -> np.ndarray:
     `rings` are for.
     Raises ValueError if the annuli are for another map.
     """
+    taper = _checked_taper(taper)
     n_y, n_x = taper.shape
     if rings.bin_of_mode.size != n_y * (n_x // 2 + 1):
         raise ValueError(f"annuli are for {rings.bin_of_mode.size} half-plane modes, the taper has {taper.shape}")

@@ -1,16 +1,24 @@
 """Time-streams of one observation and the focal plane that recorded them; HDF5 in and out."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from mapmaker.files import whole_file
+from mapmaker.files import regular_file, short, whole_file
+from mapmaker.validation import flags, increasing, integers, number, reals, signed, single_precision, wrong
 
 _PER_SAMPLE = ("time_s", "ra_deg", "dec_deg", "array_angle_deg", "scan")
 _PER_DETECTOR = ("x_arcmin", "y_arcmin")
+# Largest sizes: right ascensions and array angles may be unwrapped, by a hundred turns; beyond a quarter of a turn is
+# no declination, and no detector.
+_QUARTER_RAD, _TURNS_RAD = math.pi / 2 * (1 + 1e-9), 200 * math.pi
+_LARGEST = {"ra_deg": 36e3, "dec_deg": 90.0, "array_angle_deg": 36e3, "x_arcmin": 5400.0, "y_arcmin": 5400.0}
+# Bytes that a compressed file holds of an array's: HDF5's filters leave a thousandth of zeros.
+_MOST_COMPRESSED = 2000
 
 
 @dataclass(frozen=True)
@@ -19,15 +27,41 @@ class FocalPlane:
 
     `x_rad`, `y_rad` (n_det,): offsets from the boresight; at array angle a the y axis lies at position
     angle a and the x axis 90 degrees clockwise of it as seen on the sky. `fwhm_rad`: Gaussian beam.
+    Raises ValueError for offsets that are not finite, not as many or none, and for a beam that is not positive.
     """
 
     x_rad: np.ndarray
     y_rad: np.ndarray
     fwhm_rad: float
 
-    def subset(self, detectors: np.ndarray) -> "FocalPlane":
-        """The focal plane of some detectors, given by index."""
-        return FocalPlane(self.x_rad[detectors], self.y_rad[detectors], self.fwhm_rad)
+    def __post_init__(self):
+        x = reals("x_rad", self.x_rad, ("n_det",))
+        y = reals("y_rad", self.y_rad, x.shape)
+        fwhm = number("fwhm_rad", self.fwhm_rad, above=0)
+        _set(self, x_rad=x, y_rad=y, fwhm_rad=fwhm)
+
+    def subset(self, detectors: np.ndarray | slice) -> "FocalPlane":
+        """The focal plane of some detectors, given by index, by a flag each or by a slice.
+
+        Raises ValueError for none, and for an index or flags that do not fit the detectors.
+        """
+        rows = chosen(detectors, len(self.x_rad))
+        return FocalPlane(self.x_rad[rows], self.y_rad[rows], self.fwhm_rad)
+
+
+def chosen(detectors: np.ndarray | slice, n_det: int) -> np.ndarray | slice:
+    """Rows of some of `n_det` detectors; raises ValueError for an index or flags that do not fit them."""
+    if isinstance(detectors, slice):
+        return detectors
+    if np.asarray(detectors).dtype == bool:
+        return flags("detectors", detectors, (n_det,))
+    return integers("detectors", detectors, ("n",), least=-n_det, most=n_det - 1)
+
+
+def _set(record: object, **values: object) -> None:
+    """Give a record that is being made the values that its arguments stand for."""
+    for name, value in values.items():
+        object.__setattr__(record, name, value)
 
 
 @dataclass(frozen=True)
@@ -38,6 +72,8 @@ class Timestreams:
     (boresight), `array_angle_rad` (position angle of the array's y axis at the boresight, from north through
     east) and `scan` (n_samp,), `scan` -1 outside scans and the samples of one scan contiguous;
     `attributes` hold units, seed and truth.
+    Data of other real types become float64. Raises ValueError for shapes or types that do not fit, pointing that is not
+    finite or no direction, times that do not increase, and scans as `scan_bounds`. Data may be NaN.
     """
 
     data_mk: np.ndarray
@@ -49,24 +85,53 @@ class Timestreams:
     focal_plane: FocalPlane
     attributes: Mapping[str, float | int | str] = field(default_factory=dict)
 
+    def __post_init__(self):
+        n_det = len(self.focal_plane.x_rad)
+        data = reals("data_mk", self.data_mk, (n_det, "n_samp"), finite=False)
+        samples = (data.shape[1],)
+        time = reals("time_s", self.time_s, samples)
+        increasing("time_s", time, fewest=1)
+        sizes = {"ra_rad": _TURNS_RAD, "dec_rad": _QUARTER_RAD, "array_angle_rad": _TURNS_RAD}
+        angles = {name: reals(name, getattr(self, name), samples, least=-m, most=m) for name, m in sizes.items()}
+        scan = integers("scan", self.scan, samples)
+        scan_bounds(self.scan)
+        _set(self, data_mk=data, time_s=time, scan=scan, **angles)
+
     @property
     def scan_bounds(self) -> np.ndarray:
         """First and one-past-last sample of each scan, (n_scan, 2)."""
         return scan_bounds(self.scan)
 
+    def subset(self, detectors: np.ndarray | slice) -> "Timestreams":
+        """The streams of some detectors, given and refused as by `FocalPlane.subset`."""
+        plane = self.focal_plane.subset(detectors)
+        return replace(self, data_mk=self.data_mk[chosen(detectors, len(self.data_mk))], focal_plane=plane)
+
 
 def scan_bounds(scan: np.ndarray) -> np.ndarray:
-    """First and one-past-last sample of each run of equal, non-negative scan numbers, (n_scan, 2) int64."""
-    scan = np.asarray(scan)
+    """First and one-past-last sample of each scan, (n_scan, 2) int64, from scan numbers (n_samp,), negative outside.
+
+    Raises ValueError for numbers that are not integers, for a scan in pieces (a number that comes back), and for the
+    largest number of an unsigned type: a -1 that was stored in it.
+    """
+    scan = signed("scan", scan, integers("scan", scan, ("n_samp",)))
     edges = np.flatnonzero(np.diff(scan)) + 1
     start = np.concatenate([[0], edges]).astype(np.int64)
     stop = np.concatenate([edges, [len(scan)]]).astype(np.int64)
     inside = scan[start] >= 0
+    numbers, counts = np.unique(scan[start[inside]], return_counts=True)
+    if (counts > 1).any():
+        raise wrong(
+            "scan", f"scan {numbers[counts > 1][0]} in {counts.max()} pieces", "contiguous samples of a scan are"
+        )
     return np.column_stack([start[inside], stop[inside]])
 
 
 def write_timestreams(path: str | Path, streams: Timestreams) -> None:
-    """Write one observation to HDF5, atomically (a partial file never has the final name)."""
+    """Write one observation to HDF5, atomically (a partial file never has the final name).
+
+    Raises ValueError for attributes other than numbers and texts, and for data beyond single precision.
+    """
     with timestream_file(path, streams.data_mk.shape[1]) as add:
         add(streams)
 
@@ -76,7 +141,7 @@ def timestream_file(path: str | Path, n_samp: int) -> Iterator[Callable[[Timestr
     """An HDF5 file of one observation of `n_samp` samples, which it is given in parts, in order of time.
 
     It has its name, as from `write_timestreams`, once it is whole: raises ValueError where the parts have another
-    number of samples in all.
+    number of samples in all or differ in their detectors, and as `write_timestreams`.
     """
     import h5py
 
@@ -85,10 +150,14 @@ def timestream_file(path: str | Path, n_samp: int) -> Iterator[Callable[[Timestr
 
         def add(part: Timestreams) -> None:
             nonlocal done
+            until = done + part.data_mk.shape[1]
+            if until > n_samp:
+                raise ValueError(f"{path}: found {until} samples; {n_samp} are expected")
             if not done:
                 _begin(file, part, n_samp)
-            until = done + part.data_mk.shape[1]
-            file["data"][:, done:until] = part.data_mk.astype(np.float32, copy=False)
+            if len(part.data_mk) != len(file["data"]):
+                raise ValueError(f"{path}: found {len(part.data_mk)} detectors after {len(file['data'])}; one number")
+            file["data"][:, done:until] = single_precision("data_mk", part.data_mk)
             for name, values in _sample_columns(part).items():
                 file[name][done:until] = values
             done = until
@@ -107,7 +176,12 @@ def _begin(file, part: Timestreams, n_samp: int) -> None:
     file["x_arcmin"] = np.degrees(part.focal_plane.x_rad) * 60
     file["y_arcmin"] = np.degrees(part.focal_plane.y_rad) * 60
     file.attrs["fwhm_arcsec"] = np.degrees(part.focal_plane.fwhm_rad) * 3600
-    file.attrs.update(dict(part.attributes))
+    for name, value in part.attributes.items():
+        if name == "fwhm_arcsec":
+            raise wrong("attributes", name, "the beam in focal_plane.fwhm_rad, and other names here, are")
+        if np.asarray(value).dtype.kind not in "biufSU":
+            raise wrong(f"attributes[{name!r}]", type(value).__name__, "numbers and texts are")
+        file.attrs[name] = value
 
 
 def _sample_columns(streams: Timestreams) -> dict[str, np.ndarray]:
@@ -117,42 +191,69 @@ def _sample_columns(streams: Timestreams) -> dict[str, np.ndarray]:
 
 
 def read_timestreams(path: str | Path) -> Timestreams:
-    """Read one observation from HDF5.
+    """Read one observation from HDF5; integers and big-endian numbers are converted.
 
-    Raises ValueError for a file that is unreadable or truncated, lacks a data set, or whose shapes disagree.
+    Raises ValueError, in one line that names the file, for one that is unreadable, truncated or no regular file, that
+    lacks a data set, and whose shapes, types or values are not those of `Timestreams`. Data sets in other files
+    are not read.
     """
     import h5py
 
+    regular_file(path, "time-stream file")
     try:
         with h5py.File(path, "r") as file:
-            _check_layout(path, file)
-            angle = {name: np.radians(file[name][()]) for name in ("ra_deg", "dec_deg", "array_angle_deg")}
-            x, y = (np.radians(file[name][()] / 60) for name in _PER_DETECTOR)
-            attributes = dict(file.attrs)
-            fwhm = np.radians(float(attributes.pop("fwhm_arcsec")) / 3600)
-            data, time_s, scan = file["data"][()], file["time_s"][()], file["scan"][()]
-    except (OSError, KeyError) as error:
-        raise ValueError(f"{path}: not a whole time-stream file ({error})") from None
-    return Timestreams(
-        data,
-        time_s,
-        angle["ra_deg"],
-        angle["dec_deg"],
-        angle["array_angle_deg"],
-        scan,
-        FocalPlane(x, y, fwhm),
-        attributes,
-    )
+            return _streams_of(file)
+    except _Unfit as error:
+        raise ValueError(f"{path}: {error}") from None
+    except Exception as error:  # h5py has one of nearly every kind for a mangled file
+        raise ValueError(f"{path}: not a whole time-stream file ({short(error)})") from None
 
 
-def _check_layout(path: str | Path, file) -> None:
+class _Unfit(ValueError):
+    """A file that can be read but has not what it should."""
+
+
+def _streams_of(file) -> Timestreams:
+    _check_layout(file)
+    attributes = dict(file.attrs)
+    try:
+        fwhm_rad = np.radians(number("fwhm_arcsec", attributes.pop("fwhm_arcsec"), above=0) / 3600)
+        columns = {name: _radians(name, file[name][()]) for name in (*_PER_SAMPLE[1:4], *_PER_DETECTOR)}
+        plane = FocalPlane(columns.pop("x_arcmin"), columns.pop("y_arcmin"), fwhm_rad)
+        data = reals("data", file["data"][()], file["data"].shape, finite=False)
+        return Timestreams(data, file["time_s"][()], *columns.values(), file["scan"][()], plane, attributes)
+    except ValueError as error:
+        raise _Unfit(short(error)) from None
+
+
+def _radians(name: str, values: object) -> np.ndarray:
+    values = reals(name, values, ("n",), least=-_LARGEST[name], most=_LARGEST[name]).astype(np.float64, copy=False)
+    return np.radians(values / 60 if name.endswith("arcmin") else values)
+
+
+def _check_layout(file) -> None:
+    import h5py
+
     missing = [name for name in ("data", *_PER_SAMPLE, *_PER_DETECTOR) if name not in file]
     if missing or "fwhm_arcsec" not in file.attrs:
-        raise ValueError(f"{path}: lacks {', '.join(missing or ['the attribute fwhm_arcsec'])}")
+        raise _Unfit(f"lacks {', '.join(missing or ['the attribute fwhm_arcsec'])}")
+    for name in ("data", *_PER_SAMPLE, *_PER_DETECTOR):
+        if isinstance(file.get(name, getlink=True), h5py.ExternalLink):
+            raise _Unfit(f"{name} is a link to another file; a data set is expected")
+        item = file.get(name)
+        if not isinstance(item, h5py.Dataset):
+            kind = "link to nothing" if item is None else type(item).__name__.lower()
+            raise _Unfit(f"{name} is a {kind}; a data set is expected")
+        if item.is_virtual or item.external:
+            raise _Unfit(f"{name} is stored in another file; a data set with its values is expected")
+        if item.shape is None or item.nbytes > _MOST_COMPRESSED * item.id.get_storage_size():
+            raise _Unfit(
+                f"{name} has {item.id.get_storage_size()} bytes of values of the shape {item.shape}; all are expected"
+            )
     if file["data"].ndim != 2:
-        raise ValueError(f"{path}: data has the shape {file['data'].shape}; (n_det, n_samp) is expected")
+        raise _Unfit(f"data has the shape {file['data'].shape}; (n_det, n_samp) is expected")
     n_det, n_samp = file["data"].shape
     wanted = {name: (n_samp,) for name in _PER_SAMPLE} | {name: (n_det,) for name in _PER_DETECTOR}
     for name, shape in wanted.items():
         if file[name].shape != shape:
-            raise ValueError(f"{path}: {name} has the shape {file[name].shape}; {shape} is expected")
+            raise _Unfit(f"{name} has the shape {file[name].shape}; {shape} is expected")

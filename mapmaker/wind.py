@@ -23,6 +23,7 @@ from math import atan2, pi
 import numpy as np
 
 from mapmaker.timestreams import FocalPlane, Timestreams
+from mapmaker.validation import bounds_of_scans, number, reals
 
 N_PAIR_BINS = 24
 # Centred on the angles of a hexagonal lattice's rows, which edges would split by rounding.
@@ -117,7 +118,7 @@ class _Delays:
 
 
 def scan_velocities(streams: Timestreams) -> np.ndarray:
-    """Mean velocity of the boresight in each scan along the array's x and y, (n_scan, 2) [rad/s]."""
+    """Velocity of the boresight in each scan, of 2 samples or more, along the array's x and y, (n_scan, 2) [rad/s]."""
     from mapmaker.geometry import MapGeometry, mean_direction, north_angle, plane_offsets
 
     tangent = MapGeometry(*mean_direction(streams.ra_rad, streams.dec_rad), 1.0, 1, 1)
@@ -125,6 +126,8 @@ def scan_velocities(streams: Timestreams) -> np.ndarray:
     angles = streams.array_angle_rad + north_angle(tangent, *sky)
     velocity = []
     for start, stop in streams.scan_bounds:
+        if stop - start < 2:
+            raise ValueError(f"scan: found a scan of one sample, {start}; 2 or more are expected for a velocity")
         t = streams.time_s[start:stop] - streams.time_s[start:stop].mean()
         xi, eta = sky[:, start:stop] @ t / (t @ t)
         angle = angles[(start + stop) // 2]
@@ -150,13 +153,14 @@ def measure_wind(
     Raises ValueError for values that are not finite, and for shapes, scans or a band that do not fit. A fit that the
     frozen layer does not explain has a `flag`. Sayers et al. (2010), "Calculating the Wind Velocity".
     """
-    velocity = np.asarray(scan_velocity_rad_s, dtype=np.float64)
-    _check(data_mk, scan_bounds, focal_plane, sample_rate_hz, velocity, highest_hz)
+    data_mk = reals("data_mk", data_mk, (len(focal_plane.x_rad), "n_samp"))
+    scan_bounds = bounds_of_scans(scan_bounds, data_mk.shape[1])
+    velocity = _checked_velocity(scan_bounds, scan_velocity_rad_s, sample_rate_hz, highest_hz)
     live = np.all([np.ptp(data_mk[:, start:stop], axis=1) > 0 for start, stop in scan_bounds], axis=0)
-    plane = focal_plane.subset(live)
-    if live.sum() < _MIN_DETECTORS or np.linalg.matrix_rank(_quadratic(plane.x_rad, plane.y_rad)) < 6:
+    x, y = focal_plane.x_rad[live], focal_plane.y_rad[live]
+    if live.sum() < _MIN_DETECTORS or np.linalg.matrix_rank(_quadratic(x, y)) < 6:
         return _nothing("too few live detectors")
-    spectra = _spectra(data_mk[live], scan_bounds, plane, sample_rate_hz, highest_hz)
+    spectra = _spectra(data_mk[live], scan_bounds, np.stack([x, y]), sample_rate_hz, highest_hz)
     groups = _groups(velocity)
     found = _slowness(spectra, groups)
     if found is None or np.abs(found.slowness @ spectra.r_rad).max() * sample_rate_hz < _SHORTEST:
@@ -164,24 +168,19 @@ def measure_wind(
     return _wind_fit(spectra, found, groups, velocity)
 
 
-def _check(data, bounds, plane, rate, velocity, highest_hz) -> None:
-    if data.ndim != 2 or plane.x_rad.shape != (len(data),):
-        raise ValueError(f"data_mk has the shape {data.shape}; ({plane.x_rad.size}, n_samp) is expected")
+def _checked_velocity(bounds, velocity, rate, highest_hz) -> np.ndarray:
     if len(bounds) < _MIN_SCANS:
         raise ValueError(f"{len(bounds)} scans found; at least {_MIN_SCANS} are needed")
-    if velocity.shape != (len(bounds), 2):
-        raise ValueError(f"scan_velocity_rad_s has the shape {velocity.shape}; ({len(bounds)}, 2) is expected")
     length = np.diff(bounds, axis=1)
-    if np.ptp(length) or bounds.min() < 0 or bounds.max() > data.shape[1]:
-        raise ValueError("scans of different lengths or outside data_mk found; scans of one length are allowed")
-    lowest = LEAST_CYCLES * rate / length[0, 0]
-    if not lowest <= highest_hz < rate / 2:
+    if np.ptp(length):
+        raise ValueError("scans of different lengths found; scans of one length are allowed")
+    lowest = LEAST_CYCLES * number("sample_rate_hz", rate, above=0) / length[0, 0]
+    if not lowest <= number("highest_hz", highest_hz) < rate / 2:
         raise ValueError(f"highest_hz = {highest_hz} found; {lowest:.3g} to less than {rate / 2:.3g} Hz is allowed")
-    if not (np.isfinite(data).all() and np.isfinite(velocity).all()):
-        raise ValueError("values that are not finite found in data_mk or scan_velocity_rad_s; finite ones are allowed")
+    return reals("scan_velocity_rad_s", velocity, (len(bounds), 2)).astype(np.float64, copy=False)
 
 
-def _spectra(data, bounds, plane, rate, highest_hz) -> _Spectra:
+def _spectra(data, bounds, places_rad, rate, highest_hz) -> _Spectra:
     n = int(bounds[0, 1] - bounds[0, 0])
     scans = np.stack([data[:, start:stop] for start, stop in bounds]).astype(np.float64)
     scans -= scans.mean(axis=2, keepdims=True)
@@ -195,7 +194,7 @@ def _spectra(data, bounds, plane, rate, highest_hz) -> _Spectra:
     both = (parts[..., : 2 * len(cycles)] + 1j * parts[..., 2 * len(cycles) :]).transpose(2, 0, 1)
     d, e = both.reshape(2, len(cycles), *both.shape[1:])
     scale = 1 / np.sqrt(np.mean(np.abs(d) ** 2, axis=1, keepdims=True))
-    r = np.stack([plane.x_rad - plane.x_rad.mean(), plane.y_rad - plane.y_rad.mean()])
+    r = places_rad - places_rad.mean(axis=1, keepdims=True)
     return _Spectra(d * scale, e * scale, cycles * (rate / n), r)
 
 

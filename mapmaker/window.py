@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.validation import number, reals, whole
+
 
 @dataclass(frozen=True)
 class Window:
@@ -20,8 +22,12 @@ class Window:
 
 
 def beam_window(ell: np.ndarray, fwhm_rad: float) -> np.ndarray:
-    """Power transmission `B_ell^2 = exp(-ell^2 s^2)` of a Gaussian beam, `s = fwhm / sqrt(8 ln 2)`."""
-    return np.exp(-(np.asarray(ell) ** 2) * fwhm_rad**2 / (8 * np.log(2)))
+    """Power transmission `B_ell^2 = exp(-ell^2 s^2)` of a Gaussian beam, `s = fwhm / sqrt(8 ln 2)`.
+
+    Raises ValueError for multipoles or a beam that are not finite, and for a negative beam.
+    """
+    number("fwhm_rad", fwhm_rad, least=0)
+    return np.exp(-(reals("ell", ell, (...,), empty=True) ** 2) * fwhm_rad**2 / (8 * np.log(2)))
 
 
 def pixel_window(ell: np.ndarray, pixel_rad: float) -> np.ndarray:
@@ -30,13 +36,21 @@ def pixel_window(ell: np.ndarray, pixel_rad: float) -> np.ndarray:
     `ell` has any shape. Equal steps over the period of a smooth function converge exponentially: 32 are exact
     to rounding for all multipoles that a map of such pixels can hold.
     """
+    number("pixel_rad", pixel_rad, least=0)
     azimuth = (np.arange(32) + 0.5) * (np.pi / 2 / 32)
-    cycles = np.asarray(ell, dtype=np.float64)[..., None] * pixel_rad / (2 * np.pi)
+    cycles = reals("ell", ell, (...,), empty=True).astype(np.float64)[..., None] * pixel_rad / (2 * np.pi)
     return np.mean((np.sinc(cycles * np.cos(azimuth)) * np.sinc(cycles * np.sin(azimuth))) ** 2, axis=-1)
 
 
 def mode_pixel_window(n_y: int, n_x: int, cell_rad: float, pixel_rad: float) -> np.ndarray:
-    """Power transmission of square pixels on the half plane of `rfft2`, (n_y, n_x // 2 + 1), cells `cell_rad` wide."""
+    """Power transmission of square pixels on the half plane of `rfft2`, (n_y, n_x // 2 + 1), cells `cell_rad` wide.
+
+    Raises ValueError for sides that are not positive integers, and for cells or pixels that are not positive.
+    """
+    whole("n_y", n_y, least=1)
+    whole("n_x", n_x, least=1)
+    number("cell_rad", cell_rad, above=0)
+    number("pixel_rad", pixel_rad, above=0)
     along_y = np.sinc(np.fft.fftfreq(n_y, cell_rad) * pixel_rad) ** 2
     along_x = np.sinc(np.fft.rfftfreq(n_x, cell_rad) * pixel_rad) ** 2
     return np.outer(along_y, along_x)
@@ -49,8 +63,12 @@ def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.nd
     happen to be faint. The error is the delete-one jackknife over skies, `(n - 1) / n sum_i (r_i - mean
     r)^2`, in which the sample variance common to both PSDs cancels; `sqrt((n - 1) / n) (r_i - mean r)` are the
     deviations. `ell` is (n_bin,).
-    Raises ValueError for fewer than 2 skies, shapes that differ or a reference without power.
+    Raises ValueError for fewer than 2 skies, shapes that differ, values that are not finite, negative power or a
+    reference without power.
     """
+    psd_cleaned = reals("psd_cleaned", psd_cleaned, (...,), least=0)
+    psd_reference = reals("psd_reference", psd_reference, (...,), least=0)
+    ell = reals("ell", ell, (...,))
     if psd_cleaned.ndim != 2 or psd_cleaned.shape != psd_reference.shape or psd_cleaned.shape[1:] != ell.shape:
         raise ValueError(
             "expected psd_cleaned and psd_reference (n_sky, n_bin) and ell (n_bin,), got "

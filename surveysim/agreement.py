@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmaker.bandpower import noise_error, noise_error_parts, ratio_error, without_noise
+from mapmaker.uncertainty import noise_error, noise_error_parts, ratio_error, without_noise
 from surveysim.coadds import CoAdds, kept_shares
 from surveysim.forecast import DataSetForecast, Forecast, can_forecast, forecast
 from surveysim.scene import SceneError

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from mapmaker.geometry import MapGeometry, plane_offsets
+from mapmaker.geometry import MapGeometry, check_nside, plane_offsets
 from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES
 from surveysim.instrument import Camera
 from surveysim.levels import white_levels
@@ -206,6 +206,15 @@ def check_score(scene: Scene, geometry: MapGeometry, lines: Raster) -> None:
             f"score.white_above: found {scene.score.white_above_hz:g} Hz; "
             f"less than {highest:.4g} Hz, the highest frequency of a scan, is expected"
         )
+
+
+def check_healpix(scene: Scene) -> None:
+    """Raise SceneError for a HEALPix map that is too fine for the map's pixels to fill."""
+    if scene.map.healpix_nside is not None:
+        try:
+            check_nside("map.healpix_nside", scene.map.healpix_nside, scene.map.pixel_rad)
+        except ValueError as error:
+            raise SceneError(str(error)) from None
 
 
 def check_sky(scene: Scene, geometry: MapGeometry) -> None:

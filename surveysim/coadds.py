@@ -97,9 +97,13 @@ def signs(setup: Setup, observation: int) -> np.ndarray:
 
 
 def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> None:
-    """Add one observation, weighted by its own noise, in place."""
+    """Add one observation, weighted by its own noise, in place.
+
+    Raises ValueError for one that is not the next, and for maps or sums of other shapes than the setup's.
+    """
     if result.observation != coadds.done:
         raise ValueError(f"found observation {result.observation}; {coadds.done} is the next in order")
+    _check_shapes(setup, coadds, result)
     weights = noise_weights(result.noise_mk2)
     sign = signs(setup, result.observation)
     patch = setup.band.patch if setup.band else slice(0, 0)
@@ -121,6 +125,22 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
     coadds.compared_psd.append(result.compared_psd)
     for stage, seconds in result.seconds.items():
         coadds.seconds[stage] = coadds.seconds.get(stage, 0.0) + seconds
+
+
+def _check_shapes(setup: Setup, coadds: CoAdds, result: ObservationResult) -> None:
+    """Raise ValueError for shapes that do not fit: results come from other processes, sums from files."""
+    planes = (len(setup.data_sets), setup.geometry.n_y, setup.geometry.n_x)
+    n_flip, n = (setup.scene.score.jackknives, len(setup.band.taper)) if setup.scene.score else (0, 0)
+    found = {
+        "sums": (result.sums.shape, planes),
+        "hits": (result.hits.shape, planes),
+        "noise_mk2": (result.noise_mk2.shape, planes[:1]),
+        "co-added sums": (coadds.sums.shape, planes),
+        "flipped": (coadds.flipped.shape, (n_flip, planes[0], n, n)),
+    }
+    for name, (shape, expected) in found.items():
+        if shape != expected:
+            raise ValueError(f"{name}: found the shape {shape}; {expected} is expected")
 
 
 def noise_weights(noise_mk2: np.ndarray) -> np.ndarray:

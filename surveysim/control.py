@@ -10,7 +10,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from mapmaker.bandpower import bin_weights, flat_band_power, information_shares
+from mapmaker.bandpower import bin_weights, flat_band_power
+from mapmaker.uncertainty import information_shares
 from surveysim.coadds import CoAdds
 from surveysim.conditions import conditions, population, survey_draws
 from surveysim.forecast import Forecast, can_forecast, expected_weights

@@ -129,12 +129,12 @@ def _clean(setup: Setup, streams: Timestreams, name: str) -> Cleaned:
 def camera_pairs(setup: Setup) -> PairBins:
     """Pairs of the scene's camera by separation; raises ValueError as `pair_bins` does."""
     plane = setup.camera.focal_plane
-    return _pairs(plane.x_rad.tobytes(), plane.y_rad.tobytes())
+    return _pairs(plane.x_rad.tobytes(), plane.y_rad.tobytes(), plane.fwhm_rad)
 
 
 @lru_cache(maxsize=2)
-def _pairs(x: bytes, y: bytes) -> PairBins:
-    return pair_bins(FocalPlane(np.frombuffer(x), np.frombuffer(y), 0.0))
+def _pairs(x: bytes, y: bytes, fwhm_rad: float) -> PairBins:
+    return pair_bins(FocalPlane(np.frombuffer(x), np.frombuffer(y), fwhm_rad))
 
 
 def raw_variance(setup: Setup, streams: Timestreams) -> float:
@@ -186,12 +186,12 @@ def _mode_covariance(modes: np.ndarray, n: int) -> np.ndarray:
 def supported_cleanings(setup: Setup) -> tuple[str, ...]:
     """Those of `PAIR_CLEANINGS` whose templates the scene's camera can tell apart."""
     plane = setup.camera.focal_plane
-    return _supported(plane.x_rad.tobytes(), plane.y_rad.tobytes())
+    return _supported(plane.x_rad.tobytes(), plane.y_rad.tobytes(), plane.fwhm_rad)
 
 
 @lru_cache(maxsize=2)
-def _supported(x: bytes, y: bytes) -> tuple[str, ...]:
-    plane, names = FocalPlane(np.frombuffer(x), np.frombuffer(y), 0.0), []
+def _supported(x: bytes, y: bytes, fwhm_rad: float) -> tuple[str, ...]:
+    plane, names = FocalPlane(np.frombuffer(x), np.frombuffer(y), fwhm_rad), []
     for name, terms in PAIR_CLEANINGS.items():
         with suppress(ValueError):  # detectors too few, or on one line or conic
             template_basis(plane, terms)

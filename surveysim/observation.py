@@ -124,8 +124,16 @@ def _levels(setup: Setup, observation: int, weather: Weather | None) -> WhiteLev
 
 
 def add_sky_signal(setup: Setup, pointing: Pointing, sky_mk: np.ndarray, data_mk: np.ndarray, gain: np.ndarray) -> None:
-    """Add what the detectors see of a sky on the setup's sky grid to the streams, in place."""
+    """Add what the detectors see of a sky on the setup's sky grid to the streams, in place.
+
+    Raises ValueError for streams or gains of other samples or detectors than the pointing's and the camera's.
+    """
     grid, plane = setup.sky_geometry, setup.camera.focal_plane
+    n_det, n_samp = len(plane.x_rad), len(pointing.xi_rad)
+    if data_mk.shape != (n_det, n_samp) or gain.shape != (n_det,):
+        raise ValueError(
+            f"found streams {data_mk.shape}, gains {gain.shape}; ({n_det}, {n_samp}), ({n_det},) are expected"
+        )
     scale = 1 / grid.pixel_rad
     angle = pointing.array_angle_rad[pointing.scan]
     column = grid.n_x / 2 - 0.5 - pointing.xi_rad * scale

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from mapmaker.bandpower import BandPower, ErrorBudget
+from mapmaker.bandpower import BandPower
 from mapmaker.files import whole_file
+from mapmaker.uncertainty import ErrorBudget
 from mapmaker.window import Window
 from surveysim import __version__
 from surveysim.checkpoint import CheckpointError, check_origin

@@ -71,7 +71,12 @@ class TimeWindow:
     def power_sums(
         self, gain: np.ndarray, power: np.ndarray, frequency_hz: np.ndarray, at_hz: np.ndarray
     ) -> np.ndarray:
-        """`sums` of gain_ka power_pa, (n_p, n_k); power (n_p, n_a)."""
+        """`sums` of gain_ka power_pa, (n_p, n_k); power (n_p, n_a). Raises ValueError for shapes that do not fit."""
+        n_k, n_a = len(at_hz), len(frequency_hz)
+        if gain.shape not in ((n_k, n_a), (1, n_a)) or power.shape[1:] != (n_a,):
+            raise ValueError(
+                f"found gain {gain.shape} and power {power.shape}; ({n_k}, {n_a}) and (n, {n_a}) are expected"
+            )
         mean = np.sinc(frequency_hz * self.duration_s)
         lost = self.courses.of_waves(frequency_hz, self.duration_s)
         arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (gain, power, frequency_hz, at_hz))

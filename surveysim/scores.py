@@ -5,21 +5,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mapmaker.bandpower import (
-    BandPower,
+from mapmaker.bandpower import BandPower, band_power, bin_weights, flat_band_power, score
+from mapmaker.binning import weighted_mean
+from mapmaker.spectrum import Annuli, map_psd
+from mapmaker.uncertainty import (
     ErrorBudget,
-    band_power,
-    bin_weights,
-    flat_band_power,
     information_shares,
     noise_error_parts,
     ratio_error,
-    score,
     student_factor,
     without_noise,
 )
-from mapmaker.binning import weighted_mean
-from mapmaker.spectrum import Annuli, map_psd
 from mapmaker.window import Window, signal_window
 from surveysim.band import N_SECTORS
 from surveysim.coadds import CoAdds, kept_shares, noise_weights

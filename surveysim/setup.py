@@ -13,6 +13,7 @@ from surveysim.band import Band, scored_band
 from surveysim.blocks import Block, scan_blocks
 from surveysim.checks import (
     check_excess,
+    check_healpix,
     check_levels,
     check_masked,
     check_motion,
@@ -168,6 +169,7 @@ def _prepare(scene: Scene) -> Setup:
         masked = mask_by_separation(cam.positions_f_lambda, scene.score.mask_separation_f_lambda)
         check_masked(scene, masked)
     check_score(scene, geometry, lines)
+    check_healpix(scene)
     check_excess(scene)
     check_sky(scene, sky_geometry)
     ways = recipes(scene.cleaning, masked)

@@ -8,7 +8,7 @@ from time import perf_counter
 
 import numpy as np
 
-from mapmaker.bandpower import ratio_error, student_factor
+from mapmaker.uncertainty import ratio_error, student_factor
 from surveysim.agreement import agreement, quoted_forecast, run_forecast
 from surveysim.checkpoint import CheckpointError
 from surveysim.coadds import CoAdds

@@ -10,7 +10,7 @@ import numpy as np
 from mapmaker.cleaning.local import LocalOptions, subtract_local
 from mapmaker.cleaning.pca import PcaOptions, least_eigenvalues, subtract_pca
 from mapmaker.cleaning.polynomial import PolynomialOptions, exponents, subtract_polynomial
-from mapmaker.cleaning.scans import Cleaned, check_streams
+from mapmaker.cleaning.scans import Cleaned, live_detectors
 from mapmaker.cleaning.spectral import SpectralOptions, subtract_spectral
 from mapmaker.cleaning.templates import (
     AVERAGE,
@@ -43,12 +43,16 @@ __all__ = [
     "clean",
     "clean_in_order",
     "detectors_needed",
+    "live_detectors",
     "slowness",
 ]
 
 
 class Cleaner(Protocol):
-    """What every algorithm offers; `options` is the algorithm's own frozen record."""
+    """What every algorithm offers; `options` is the algorithm's own frozen record.
+
+    Each begins with `checks_streams` of `mapmaker.cleaning.scans`.
+    """
 
     def __call__(self, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: Any) -> Cleaned:
         """Clean one observation; arguments, result and errors as for `clean`."""
@@ -107,18 +111,17 @@ def detectors_needed(name: str, options: Any) -> int:
 def clean(name: str, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: Any) -> Cleaned:
     """Clean one observation with the named algorithm; the input is left as it is.
 
-    data_mk: (n_det, n_samp) float32 or float64 [mK]. scan_bounds: (n_scan, 2) [start, stop). options: the
-    algorithm's record in `OPTIONS`, for average, planar and quadratic `TemplateOptions`. For a subset of the
-    detectors, slice data and focal plane alike. A scan with a value that is not finite, or whose iteration does not
-    converge or that has a dead detector, is discarded: `kept` is False and its samples are 0. (With "none" a dead
-    detector is no different from others.) Scans that share one fit of responsivities, made without those that are not
-    finite or have a dead detector, are all discarded if it does not converge. Raises ValueError for an unknown name,
-    for options of another algorithm, for shapes, types or bounds that do not fit, and for focal planes that do not
-    support the templates.
+    data_mk: (n_det, n_samp) [mK], float32 or other real numbers, which become float64. scan_bounds: (n_scan, 2)
+    [start, stop), scans apart. options: the algorithm's record in `OPTIONS`, for average, planar and quadratic
+    `TemplateOptions`. For a subset of the detectors, take `Timestreams.subset`. A scan with a value that is not finite,
+    or whose iteration does not converge or that has a dead detector, is discarded: `kept` is False and its samples are
+    0. (With "none" a dead detector is no different from others; `live_detectors` finds the others.) Scans that share
+    one fit of responsivities, made without those that are not finite or have a dead detector, are all discarded if it
+    does not converge. Raises ValueError for an unknown name, for options of another algorithm, for shapes, types or
+    bounds that do not fit, and for focal planes that do not support the templates.
     Sayers et al. (2010), section on atmospheric noise removal.
     """
     _check(name, options)
-    check_streams(data_mk, scan_bounds, focal_plane)
     return CLEANERS[name](data_mk, scan_bounds, focal_plane, options)
 
 
@@ -131,10 +134,12 @@ def clean_in_order(
     step with templates, 1 if none has them; `iterations` and `removed` are sums. Other arguments and errors as for
     `clean`; raises ValueError for no steps.
     """
-    if not steps:
+    if not len(steps):
         raise ValueError("no cleaning steps found; one or more are expected")
-    for name, options in steps:
-        _check(name, options)
+    for step in steps:
+        if not isinstance(step, tuple | list) or len(step) != 2:
+            raise ValueError(f"steps: found {step!r:.60}; pairs of a name and its options are expected")
+        _check(*step)
     done: list[Cleaned] = []
     for name, options in steps:
         done.append(clean(name, done[-1].data_mk if done else data_mk, scan_bounds, focal_plane, options))
@@ -150,7 +155,7 @@ def clean_in_order(
 
 
 def _check(name: str, options: Any) -> None:
-    if name not in CLEANERS:
+    if not isinstance(name, str) or name not in CLEANERS:
         raise ValueError(f"unknown cleaning {name!r}, allowed: {', '.join(CLEANERS)}")
     if not isinstance(options, OPTIONS[name]):
         raise ValueError(f"options of {name!r} must be {OPTIONS[name].__name__}, got {type(options).__name__}")

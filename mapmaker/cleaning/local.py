@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, has_dead
+from mapmaker.cleaning.scans import Cleaned, Fit, checks_streams, clean_scans, has_dead
+from mapmaker.validation import number
 
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
@@ -30,8 +31,7 @@ class LocalOptions:
 
     def __post_init__(self):
         """Raise ValueError for a value out of range."""
-        if not 1 < self.reach < np.inf:
-            raise ValueError(f"reach must be above 1 and finite, got {self.reach}")
+        number("reach", self.reach, above=1)
 
 
 def neighbourhoods(focal_plane: FocalPlane, reach: float) -> np.ndarray:
@@ -51,6 +51,7 @@ def neighbourhoods(focal_plane: FocalPlane, reach: float) -> np.ndarray:
     return KDTree(places).query(places, k=most, distance_upper_bound=reach * closest)[1]
 
 
+@checks_streams
 def subtract_local(data_mk, scan_bounds, focal_plane: FocalPlane, options: LocalOptions) -> Cleaned:
     """Remove the mean and the localized templates; arguments, result and errors as for `clean`.
 

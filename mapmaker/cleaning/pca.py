@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, has_dead
+from mapmaker.cleaning.scans import Cleaned, Fit, checks_streams, clean_scans, has_dead
+from mapmaker.validation import number
 
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
@@ -25,6 +26,7 @@ _ZERO = 2.0**-46
 # The Gram matrix rounds its small eigenvalues by some 1e-16 of the largest. Where they come closer to that than
 # this, the stream's own singular values are taken, for twice the time.
 _BURIED = 1e-11
+_MOST_SIGMA = 1e6  # more detectors than any camera has would be needed
 # Logarithms of equal eigenvalues differ by rounding, which is not to stand out.
 _ROUNDING = 1e-9
 
@@ -37,8 +39,7 @@ class PcaOptions:
 
     def __post_init__(self):
         """Raise ValueError for a value out of range."""
-        if not 0 < self.sigma_cut < np.inf:
-            raise ValueError(f"sigma_cut must be positive and finite, got {self.sigma_cut}")
+        number("sigma_cut", self.sigma_cut, above=0, most=_MOST_SIGMA)
 
 
 def least_eigenvalues(sigma_cut: float) -> int:
@@ -50,6 +51,7 @@ def least_eigenvalues(sigma_cut: float) -> int:
 
 
 @threadpool_limits.wrap(limits=1)  # small eigenproblems: more threads are slower and change the last bits
+@checks_streams
 def subtract_pca(data_mk, scan_bounds, focal_plane: FocalPlane, options: PcaOptions) -> Cleaned:
     """Remove the mean and the outstanding modes; arguments, result and errors as for `clean`.
 

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.cleaning.responsivity import SCAN, Region, Responsivities, check_fit, clean_templates
-from mapmaker.cleaning.scans import Cleaned
+from mapmaker.cleaning.scans import Cleaned, checks_streams
 from mapmaker.cleaning.templates import polynomial_model, template_basis
+from mapmaker.validation import whole
 
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 # Extents and positions that differ by less than this fraction of the array's are equal: a lattice's rows are, but
 # for rounding.
 _EQUAL = 1e-6
+_MOST_ORDER = 200  # of 20,000 terms, which need as many detectors
 
 
 @dataclass(frozen=True)
@@ -38,10 +40,8 @@ class PolynomialOptions:
 
     def __post_init__(self):
         """Raise ValueError for values out of range."""
-        if self.order < 0:
-            raise ValueError(f"order must be at least 0, got {self.order}")
-        if self.regions < 1:
-            raise ValueError(f"regions must be at least 1, got {self.regions}")
+        whole("order", self.order, least=0, most=_MOST_ORDER)
+        whole("regions", self.regions, least=1)
         check_fit(self.tolerance, self.max_iterations, self.responsivities)
 
 
@@ -71,6 +71,7 @@ def _split(places: np.ndarray, members: np.ndarray, sizes: list[int]) -> list[np
     return _split(places, first, sizes[:half]) + _split(places, second, sizes[half:])
 
 
+@checks_streams
 def subtract_polynomial(data_mk, scan_bounds, focal_plane: FocalPlane, options: PolynomialOptions) -> Cleaned:
     """Remove the mean and all templates x^a y^b, a + b <= order, in each region.
 

@@ -25,6 +25,7 @@ import numpy as np
 
 from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, finite_scans, has_dead
 from mapmaker.kernels.cleaning import correlate, hold, iterate_responsivity, relax
+from mapmaker.validation import number, reals, whole, wrong
 
 SCAN, OBSERVATION = "scan", "observation"
 
@@ -69,19 +70,16 @@ class TemplateModel:
 
 def check_fit(tolerance: float, max_iterations: int, responsivities: Responsivities) -> None:
     """Raise ValueError for values out of range."""
-    if not tolerance > 0:
-        raise ValueError(f"tolerance must be positive, got {tolerance}")
-    if max_iterations < 1:
-        raise ValueError(f"max_iterations must be at least 1, got {max_iterations}")
+    number("tolerance", tolerance, above=0)
+    whole("max_iterations", max_iterations, least=1)
     if isinstance(responsivities, str):
         if responsivities not in (SCAN, OBSERVATION):
             raise ValueError(
                 f"responsivities must be {SCAN!r}, {OBSERVATION!r} or those of the detectors, got {responsivities!r}"
             )
         return
-    given = np.asarray(responsivities)
-    if given.ndim != 1 or not (np.isfinite(given).all() and given.all()):
-        raise ValueError("responsivities must be (n_det,), finite and not zero, got others")
+    if not reals("responsivities", responsivities, ("n_det",)).all():
+        raise wrong("responsivities", "a zero", "finite numbers other than zero are")
 
 
 def clean_templates(data_mk: np.ndarray, scan_bounds: np.ndarray, model: TemplateModel, options) -> Cleaned:
@@ -149,7 +147,7 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.nda
     """c (n_det,) of streams whose templates are those of `basis`, None if not converged, and iterations.
 
     c is held free of all rows of the basis but the first, the constant. By the Gram matrix, or by passes over the
-    streams.
+    streams. Raises ValueError for streams of other detectors than those of `basis`.
     """
     n_det, c = basis.shape[1], np.ones(basis.shape[1])
     limits = (options.tolerance, options.max_iterations, _STEPS[options.responsivities])
@@ -160,6 +158,8 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.nda
             gram += product
         if gram is None:
             return None, 0
+        if gram.shape != (n_det, n_det):
+            raise wrong("blocks", f"{len(gram)} detectors", f"{n_det}, those of basis, are")
         converged, iterations = iterate_responsivity(gram, basis, basis[1:], *limits, c)
     else:
         converged, iterations = _iterate_by_passes(blocks, basis, *limits, c)

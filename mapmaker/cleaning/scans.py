@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from functools import wraps
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from mapmaker.kernels.cleaning import DEAD_POWER
+from mapmaker.validation import bounds_of_scans, reals
 
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
@@ -76,16 +78,39 @@ def has_dead(block: np.ndarray) -> bool:
     return bool(power.min() <= DEAD_POWER * power.mean())
 
 
-def check_streams(data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane) -> None:
-    """Raise ValueError for shapes, types or bounds that do not fit each other."""
-    if data_mk.ndim != 2 or data_mk.dtype not in (np.float32, np.float64):
-        raise ValueError(f"expected (n_det, n_samp) float32 or float64, got {data_mk.shape} {data_mk.dtype}")
-    n_det, n_samp = data_mk.shape
-    if len(focal_plane.x_rad) != n_det:
-        raise ValueError(f"data have {n_det} detectors, the focal plane has {len(focal_plane.x_rad)}")
-    bounds = np.asarray(scan_bounds)
-    if bounds.ndim != 2 or bounds.shape[1] != 2:
-        raise ValueError(f"expected scan bounds (n_scan, 2), got {bounds.shape}")
-    wrong = (bounds[:, 0] < 0) | (bounds[:, 0] >= bounds[:, 1]) | (bounds[:, 1] > n_samp)
-    if wrong.any():
-        raise ValueError(f"scan {bounds[wrong][0].tolist()} is empty or outside the {n_samp} samples")
+Subtract = Callable[[np.ndarray, np.ndarray, "FocalPlane", Any], Cleaned]
+
+
+def checks_streams(subtract: Subtract) -> Subtract:
+    """A cleaning whose arguments are checked first, as `mapmaker.cleaning.clean` says."""
+
+    @wraps(subtract)
+    def checked(data_mk, scan_bounds, focal_plane: FocalPlane, options: Any) -> Cleaned:
+        return subtract(*check_streams(data_mk, scan_bounds, focal_plane), focal_plane, options)
+
+    return checked
+
+
+def check_streams(
+    data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane
+) -> tuple[np.ndarray, np.ndarray]:
+    """Streams in float32 or float64 and bounds in int64; raises ValueError for those that do not fit each other."""
+    data = reals("data_mk", data_mk, (len(focal_plane.x_rad), "n_samp"), finite=False)
+    return data, bounds_of_scans(scan_bounds, data.shape[1])
+
+
+def live_detectors(data_mk: np.ndarray, scan_bounds: np.ndarray) -> np.ndarray:
+    """Detectors (n_det,) bool that are of use: finite, and not dead, in more than half of the scans.
+
+    One dead detector is enough for most cleanings to discard a scan. Dead is one with next to no power about its mean.
+    Raises ValueError for streams (n_det, n_samp) and scans (n_scan, 2) that do not fit each other.
+    """
+    data = reals("data_mk", data_mk, ("n_det", "n_samp"), finite=False)
+    bounds = bounds_of_scans(scan_bounds, data.shape[1])
+    lively = np.zeros(len(data), int)
+    for start, stop in bounds:
+        block = data[:, start:stop].astype(float)
+        finite = np.isfinite(block).all(axis=1)
+        power = np.var(block[finite], axis=1)
+        lively[finite] += power > DEAD_POWER * power.mean() if len(power) else 0
+    return lively > len(bounds) / 2

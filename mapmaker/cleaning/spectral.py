@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, has_dead
+from mapmaker.cleaning.scans import Cleaned, Fit, checks_streams, clean_scans, has_dead
+from mapmaker.validation import reals
 
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
@@ -27,11 +28,12 @@ class SpectralOptions:
     others_mk: np.ndarray
 
     def __post_init__(self):
-        """Raise ValueError unless there is a band."""
-        if self.others_mk.ndim != 3 or not len(self.others_mk):
-            raise ValueError(f"others_mk must be (n_colour, n_det, n_samp), got {self.others_mk.shape}")
+        """Take real numbers of any type; raise ValueError for others and unless there is a band."""
+        others = reals("others_mk", self.others_mk, ("n_colour", "n_det", "n_samp"), finite=False)
+        object.__setattr__(self, "others_mk", others)
 
 
+@checks_streams
 def subtract_spectral(data_mk, scan_bounds, focal_plane: FocalPlane, options: SpectralOptions) -> Cleaned:
     """Remove the mean and what each detector's other bands see too; arguments, result and errors as for `clean`.
 

@@ -29,7 +29,8 @@ from mapmaker.cleaning.responsivity import (
     check_fit,
     clean_templates,
 )
-from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans
+from mapmaker.cleaning.scans import Cleaned, Fit, check_streams, checks_streams, clean_scans
+from mapmaker.validation import reals
 
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
@@ -120,21 +121,25 @@ def template_streams(
 
     That is p_n = (S^T S)^-1 S^T C^-1 d_n of each scan, its means removed, times the terms at `place_rad`, an (x, y) in
     the frame of the focal plane; terms count from the mean position of the detectors. responsivity: (n_scan, n_det),
-    that of `Cleaned`; discarded scans and samples outside scans are 0. Raises ValueError as `template_basis`.
+    that of `Cleaned`; discarded scans and samples outside scans are 0. Raises ValueError as `template_basis`, and for
+    arrays that do not fit each other.
     Sayers et al. (2010), "Higher-Order Template Subtraction".
     """
+    data_mk, bounds = check_streams(data_mk, scan_bounds, focal_plane)
+    responsivity = reals("responsivity", responsivity, (len(bounds), len(data_mk)), finite=False, empty=True)
     basis = template_basis(focal_plane, exponents)
     shapes = _shapes(focal_plane, exponents, focal_plane.x_rad, focal_plane.y_rad)
-    here = _shapes(focal_plane, exponents, *np.reshape(place_rad, (2, 1)))[0]
+    here = _shapes(focal_plane, exponents, *reals("place_rad", place_rad, (2,))[:, None])[0]
     terms = here[:, None] * np.linalg.solve(basis @ shapes, basis)
     streams = np.zeros((len(terms), data_mk.shape[1]))
-    for (start, stop), c in zip(scan_bounds, responsivity, strict=True):
+    for (start, stop), c in zip(bounds, responsivity, strict=True):
         if np.isfinite(c).all():
             block = data_mk[:, start:stop] / c[:, None]
             streams[:, start:stop] = terms @ (block - block.mean(axis=1, keepdims=True))
     return streams
 
 
+@checks_streams
 def subtract_mean(data_mk, scan_bounds, focal_plane: FocalPlane, options: object) -> Cleaned:
     """Remove each detector's mean in each scan, nothing else.
 
@@ -144,6 +149,7 @@ def subtract_mean(data_mk, scan_bounds, focal_plane: FocalPlane, options: object
     return clean_scans(data_mk, scan_bounds, lambda block, scan: Fit(np.ones(len(block))))
 
 
+@checks_streams
 def subtract_average(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
     """Remove the mean and the common signal; arguments, result and errors as for `clean`.
 
@@ -153,11 +159,13 @@ def subtract_average(data_mk, scan_bounds, focal_plane: FocalPlane, options: Tem
     return _subtract_templates(data_mk, scan_bounds, focal_plane, options, AVERAGE)
 
 
+@checks_streams
 def subtract_planar(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
     """Remove the mean and templates 1, x, y; arguments, result and errors as for `clean`."""
     return _subtract_templates(data_mk, scan_bounds, focal_plane, options, PLANAR)
 
 
+@checks_streams
 def subtract_quadratic(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
     """Remove the mean and templates 1, x, y, xy, x^2, y^2; arguments, result and errors as for `clean`."""
     return _subtract_templates(data_mk, scan_bounds, focal_plane, options, QUADRATIC)

@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.cleaning.responsivity import SCAN, Region, Responsivities, TemplateModel, check_fit, clean_templates
-from mapmaker.cleaning.scans import Cleaned
+from mapmaker.cleaning.scans import Cleaned, checks_streams
 from mapmaker.cleaning.templates import AVERAGE, template_basis
+from mapmaker.validation import number, reals
 
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
@@ -46,13 +47,8 @@ class WindOptions:
 
     def __post_init__(self):
         """Raise ValueError for values out of range."""
-        found = np.shape(self.slowness_s_rad)
-        if len(found) != 2 or found[1] != 2:
-            raise ValueError(f"slowness_s_rad must be (n_scan, 2), got {found}")
-        if not np.isfinite(self.slowness_s_rad).all():
-            raise ValueError("slowness_s_rad must be finite, got values that are not")
-        if not 0 < self.sample_rate_hz < np.inf:
-            raise ValueError(f"sample_rate_hz must be positive and finite, got {self.sample_rate_hz}")
+        reals("slowness_s_rad", self.slowness_s_rad, ("n_scan", 2), empty=True)
+        number("sample_rate_hz", self.sample_rate_hz, above=0)
         check_fit(self.tolerance, self.max_iterations, self.responsivities)
 
 
@@ -63,13 +59,15 @@ def slowness(wind_rad_s: np.ndarray, scan_velocity_rad_s: np.ndarray) -> np.ndar
     `mapmaker.wind.scan_velocities`. Raises ValueError for a layer at rest and for values that are not finite, such
     as those of a wind that could not be measured.
     """
-    u = np.asarray(wind_rad_s, dtype=np.float64) - np.asarray(scan_velocity_rad_s, dtype=np.float64)
+    wind = reals("wind_rad_s", wind_rad_s, (2,), finite=False)
+    u = wind.astype(float) - reals("scan_velocity_rad_s", scan_velocity_rad_s, ("n_scan", 2), finite=False, empty=True)
     square = np.sum(u**2, axis=-1, keepdims=True)
     if not (np.isfinite(u).all() and square.all()):
         raise ValueError("wind less scan velocity is zero or not finite; a finite velocity other than zero is allowed")
     return u / square
 
 
+@checks_streams
 def subtract_wind(data_mk, scan_bounds, focal_plane: FocalPlane, options: WindOptions) -> Cleaned:
     """Remove the mean and the common signal that passes with the wind.
 

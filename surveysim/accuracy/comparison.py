@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from mapmaker.bandpower import ErrorBudget
+from mapmaker.uncertainty import ErrorBudget
 from surveysim.accuracy.records import MUCH_FASTER, MUCH_WORSE, Measured, Recommendation, Setting, Slope
 from surveysim.accuracy.runs import Mark, Run, Tasks, clocks, first_line
 from surveysim.memory import peak_bytes

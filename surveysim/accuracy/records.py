@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mapmaker.bandpower import ErrorBudget
+from mapmaker.uncertainty import ErrorBudget
 from surveysim.scene import Scene
 
 SUB_SURVEY = 60  # observations with which all but the number of observations is measured

@@ -94,9 +94,16 @@ class Trends:
         return replace(self, value=self.value[first:end], swaths=self.swaths.scans(first, end))
 
     def impose(self, scan: int, strip: np.ndarray) -> None:
-        """Give a strip (n_lane, n_x) of unit amplitude the trends of a scan, in place."""
+        """Give a strip (n_lane, n_x) of unit amplitude the trends of a scan, in place.
+
+        Raises ValueError for a strip that lacks one of the scan's points.
+        """
         item = self.swaths
         lane, column, step = item.lane[scan], item.column[scan], item.step_rad
+        if not (lane.min() >= 0 and lane.max() < len(strip) and column.min() >= 0 and column.max() < strip.shape[1]):
+            raise ValueError(
+                f"found a strip of {strip.shape}; {lane.max() + 1} by {column.max() + 1} or more is expected"
+            )
         weight = kernels.point_weights(
             strip, lane, column, item.place_rad[scan], item.weight[scan], self.value[scan], *self.table
         )

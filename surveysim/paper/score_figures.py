@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mapmaker.bandpower import noise_error
+from mapmaker.uncertainty import noise_error
 from surveysim.paper.figure import Panel, PaperFigure, Series
 from surveysim.paper.map_figures import ARCMIN2_IN_SR, ELL, LOWEST_ELL
 from surveysim.paper.published import published

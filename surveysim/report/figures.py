@@ -12,8 +12,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from mapmaker.bandpower import noise_error
 from mapmaker.geometry import wcs
+from mapmaker.uncertainty import noise_error
 from mapmaker.window import beam_window, pixel_window
 from surveysim.coadds import CoAdds
 from surveysim.forecast import Forecast

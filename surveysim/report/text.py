@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mapmaker.bandpower import FEWEST
+from mapmaker.uncertainty import FEWEST
 from surveysim.agreement import GOOD_PSD, GOOD_SIGMA, KNOWN, Agreement
 from surveysim.control import in_all_weather
 from surveysim.discards import percent, telling

@@ -8,15 +8,9 @@ import numpy as np
 import pytest
 from scipy import fft
 
-from mapmaker.bandpower import (
-    estimate_amplitude,
-    flat_band_power,
-    flat_spectrum_psd,
-    noise_error,
-    score,
-    window_error,
-)
+from mapmaker.bandpower import estimate_amplitude, flat_band_power, flat_spectrum_psd, score
 from mapmaker.spectrum import annuli, map_psd, mode_ell, neighbour_correlation, tukey_taper
+from mapmaker.uncertainty import noise_error, window_error
 
 PIXEL_RAD = np.radians(20 / 3600)
 N_PIX = 96

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapmaker.bandpower import noise_error_parts, ratio_error
+from mapmaker.uncertainty import noise_error_parts, ratio_error
 from surveysim import load_scene
 from surveysim.conditions import conditions, population_draws
 from surveysim.control import expectations, quoted_scores

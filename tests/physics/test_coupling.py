@@ -110,9 +110,9 @@ def test_white_noise_stays_white():
 
 
 def test_coupled_psd_refuses():
-    with pytest.raises(ValueError, match=r"half plane of \(4, 4\), got \(4, 4\)"):
+    with pytest.raises(ValueError, match=r"sky_psd: found the shape \(4, 4\); \(4, 3\) is expected"):
         coupled_psd(np.ones((4, 4)), (4, 4), np.ones((2, 2)), 1.0)
-    with pytest.raises(ValueError, match="positive integer, got 1.5"):
+    with pytest.raises(ValueError, match="cells_per_pixel: found 1.5; an integer of at least 1 is expected"):
         coupled_psd(np.ones((4, 3)), (4, 4), np.ones((2, 2)), 1.0, 1.5)
     with pytest.raises(ValueError, match="annuli are for 12"):
         rings = annuli(4, 4, 1.0, np.array([1.0, 4.0]), np.ones((4, 4)))

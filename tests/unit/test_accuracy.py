@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from mapmaker.bandpower import ErrorBudget
+from mapmaker.uncertainty import ErrorBudget
 from surveysim import SceneError, load_scene
 from surveysim.accuracy import Measured, Setting, ladders, measure_accuracy
 from surveysim.accuracy.comparison import recommendations, slopes

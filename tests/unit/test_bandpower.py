@@ -10,14 +10,10 @@ from mapmaker.bandpower import (
     flat_band_power,
     flat_band_power_fixed_weights,
     flat_spectrum_psd,
-    information_shares,
-    noise_error,
-    noise_error_parts,
     score,
-    weather_error,
     weight_fwhm,
-    window_error,
 )
+from mapmaker.uncertainty import information_shares, noise_error, noise_error_parts, weather_error, window_error
 
 EDGES = np.arange(1000.0, 12001.0, 500.0)
 ELL = (EDGES[:-1] + EDGES[1:]) / 2
@@ -178,7 +174,7 @@ def test_score_joins_its_parts():
         (NOISE, SIGNAL, N_MODES, MASK.astype(int), "boolean"),
         (NOISE * 0, SIGNAL, N_MODES, MASK, "noise PSD must be positive"),
         (NOISE * np.nan, SIGNAL, N_MODES, MASK, "noise PSD must be positive"),
-        (NOISE, SIGNAL, -N_MODES, MASK, "number of modes"),
+        (NOISE, SIGNAL, -N_MODES, MASK, "number of modes must be positive and finite"),
         (NOISE, SIGNAL * 0, N_MODES, MASK, "signal PSD"),
         (NOISE, SIGNAL * np.nan, N_MODES, MASK, "signal PSD"),
         (NOISE[1:], SIGNAL, N_MODES, MASK, r"must all be \(n_bin,\)"),
@@ -213,7 +209,7 @@ def test_other_shapes_are_rejected():
         (NOISE, SIGNAL, np.ones(4), "at least 2 noise realizations"),
         (np.stack([NOISE] * 2), SIGNAL[1:], np.ones(4), "signal PSD errors"),
         (np.stack([NOISE] * 2), SIGNAL, np.ones(1), "2 or more are expected"),
-        (np.stack([NOISE] * 2), SIGNAL, np.array([1.0, 0.0]), "weights must be positive"),
+        (np.stack([NOISE] * 2), SIGNAL, np.array([1.0, 0.0]), "weights must be positive and finite"),
     ],
 )
 def test_score_rejects_too_little(psds, errors, weights, message):

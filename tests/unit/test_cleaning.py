@@ -249,7 +249,10 @@ def test_positions_count_to_a_millionth(off, supports):
 
 @pytest.mark.parametrize("options", [(0.0, 10), (-1.0, 10), (np.nan, 10), (1e-8, 0)])
 def test_options_out_of_range(options):
-    with pytest.raises(ValueError, match="must be"):
+    with pytest.raises(
+        ValueError,
+        match="tolerance: found .* a finite number above 0|max_iterations: found 0; an integer of at least 1",
+    ):
         TemplateOptions(*options)
 
 
@@ -263,12 +266,12 @@ def test_bad_arguments_say_what_was_found():
         clean("pca", data, BOUNDS, focal_plane, TEMPLATE_OPTIONS)
     with pytest.raises(ValueError, match="'cubic', allowed"):
         detectors_needed("cubic", TEMPLATE_OPTIONS)
-    with pytest.raises(ValueError, match="24 detectors, the focal plane has 25"):
+    with pytest.raises(ValueError, match=r"data_mk: found the shape \(24, 150\); \(25, n_samp\) is expected"):
         clean("planar", data[:24], BOUNDS, focal_plane, TEMPLATE_OPTIONS)
-    with pytest.raises(ValueError, match="float32 or float64"):
-        clean("planar", data.astype(int), BOUNDS, focal_plane, TEMPLATE_OPTIONS)
-    with pytest.raises(ValueError, match="scan bounds"):
+    with pytest.raises(ValueError, match="data_mk: found the type complex128; real numbers are expected"):
+        clean("planar", data.astype(complex), BOUNDS, focal_plane, TEMPLATE_OPTIONS)
+    with pytest.raises(ValueError, match=r"scan_bounds: found the shape \(2,\); \(n_scan, 2\) is expected"):
         clean("planar", data, BOUNDS[0], focal_plane, TEMPLATE_OPTIONS)
     for wrong in ([5, 5], [-1, 5], [100, 151]):
-        with pytest.raises(ValueError, match="empty or outside the 150 samples"):
+        with pytest.raises(ValueError, match="0 <= start < stop <= 150, the number of samples, is expected"):
             clean("planar", data, np.array([wrong]), focal_plane, TEMPLATE_OPTIONS)

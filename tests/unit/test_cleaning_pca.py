@@ -135,5 +135,7 @@ def test_too_few_detectors():
 
 @pytest.mark.parametrize("sigma_cut", [0.0, -3.0, np.nan, np.inf])
 def test_options_out_of_range(sigma_cut):
-    with pytest.raises(ValueError, match="sigma_cut must be positive and finite"):
+    with pytest.raises(
+        ValueError, match="sigma_cut: found .*; a finite number above 0 and of at most 1000000 is expected"
+    ):
         PcaOptions(sigma_cut)

@@ -147,10 +147,10 @@ def test_more_regions_than_detectors():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"order": -1}, "order must be at least 0, got -1"),
-        ({"regions": 0}, "regions must be at least 1, got 0"),
-        ({"tolerance": np.nan}, "tolerance must be positive"),
-        ({"max_iterations": 0}, "max_iterations must be at least 1"),
+        ({"order": -1}, "order: found -1; an integer of at least 0"),
+        ({"regions": 0}, "regions: found 0; an integer of at least 1"),
+        ({"tolerance": np.nan}, "tolerance: found nan; a finite number above 0"),
+        ({"max_iterations": 0}, "max_iterations: found 0; an integer of at least 1"),
     ],
 )
 def test_options_out_of_range(changed, message):

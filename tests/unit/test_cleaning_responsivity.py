@@ -173,9 +173,9 @@ def test_in_order_the_responsivities_are_those_of_the_templates():
     "wrong, words",
     [
         ("survey", "responsivities must be 'scan', 'observation' or those of the detectors, got 'survey'"),
-        (np.ones((2, 3)), r"responsivities must be \(n_det,\), finite and not zero"),
-        (np.array([1.0, 0.0]), "finite and not zero"),
-        (np.array([1.0, np.nan]), "finite and not zero"),
+        (np.ones((2, 3)), r"responsivities: found the shape \(2, 3\); \(n_det,\) is expected"),
+        (np.array([1.0, 0.0]), "a zero; finite numbers other than zero are expected"),
+        (np.array([1.0, np.nan]), r"found nan at \[1\]; finite numbers are expected"),
     ],
 )
 def test_bad_responsivities(make, wrong, words):

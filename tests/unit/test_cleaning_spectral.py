@@ -83,7 +83,7 @@ def test_a_scan_that_another_band_has_lost_is_discarded():
 
 def test_errors():
     data, others = streams()
-    with pytest.raises(ValueError, match=r"must be \(n_colour, n_det, n_samp\)"):
+    with pytest.raises(ValueError, match=r"\(n_colour, n_det, n_samp\) is expected"):
         SpectralOptions(others[0])
     with pytest.raises(ValueError, match=r"\(n_colour, 5, 620\) is expected"):
         clean("spectral", data, BOUNDS, focal_plane(), SpectralOptions(others[:, :4]))

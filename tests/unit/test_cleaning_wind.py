@@ -106,13 +106,13 @@ def test_one_slowness_a_scan():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"slowness_s_rad": np.zeros(2)}, r"must be \(n_scan, 2\), got \(2,\)"),
-        ({"slowness_s_rad": np.zeros((2, 3))}, r"must be \(n_scan, 2\), got \(2, 3\)"),
-        ({"slowness_s_rad": np.array([[0, np.nan]])}, "must be finite"),
-        ({"sample_rate_hz": 0.0}, "sample_rate_hz must be positive"),
-        ({"sample_rate_hz": np.nan}, "sample_rate_hz must be positive"),
-        ({"tolerance": 0.0}, "tolerance must be positive"),
-        ({"max_iterations": 0}, "max_iterations must be at least 1"),
+        ({"slowness_s_rad": np.zeros(2)}, r"found the shape \(2,\); \(n_scan, 2\) is expected"),
+        ({"slowness_s_rad": np.zeros((2, 3))}, r"found the shape \(2, 3\); \(n_scan, 2\) is expected"),
+        ({"slowness_s_rad": np.array([[0, np.nan]])}, r"found nan at \[0, 1\]; finite numbers are expected"),
+        ({"sample_rate_hz": 0.0}, "sample_rate_hz: found .*; a finite number above 0"),
+        ({"sample_rate_hz": np.nan}, "sample_rate_hz: found .*; a finite number above 0"),
+        ({"tolerance": 0.0}, "tolerance: found 0.0; a finite number above 0"),
+        ({"max_iterations": 0}, "max_iterations: found 0; an integer of at least 1"),
     ],
 )
 def test_options_out_of_range(changed, message):

@@ -72,6 +72,7 @@ def refused(call, scene, *arguments):
         ("excess.band_limit=0.1 Hz", ("excess.band_limit: found 0.1 Hz", "1 / scan.duration")),
         ("atmosphere.outer_scale=1 m", ("atmosphere.outer_scale: found 1 m with an aperture of 8 m",)),
         ("map.healpix_nside=3", ("healpix_nside: found 3; a power of two",)),
+        ("map.healpix_nside=8192", ("map.healpix_nside: found 8192 for pixels of", "4096 or less is expected")),
         ("sky.curved_nside=512", ("sky.curved_nside: found; the key is 'curved_lmax' now",)),
         ("sky.curved_lmax=1", ("sky.curved_lmax: found 1; ", "greater than or equal to 2")),
         ("sky.curved_lmax=true", ("sky.curved_lmax: found true; no key of a scene is true or false",)),

@@ -160,7 +160,7 @@ def test_mean_direction_is_the_centre_of_a_symmetric_pattern(ra_deg, dec_deg, rn
 
 @pytest.mark.parametrize("ra, dec", [([], []), ([0.0, np.pi], [0.0, 0.0]), ([np.nan, 1.0], [0.0, 0.0])])
 def test_no_mean_direction(ra, dec):
-    with pytest.raises(ValueError, match="mean vector"):
+    with pytest.raises(ValueError, match="mean vector|ra_rad: found nan"):
         mean_direction(np.array(ra), np.array(dec))
 
 

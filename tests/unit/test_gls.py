@@ -221,5 +221,5 @@ def test_a_band_without_modes():
     ],
 )
 def test_options_out_of_range(values):
-    with pytest.raises(ValueError, match="must be .* got"):
+    with pytest.raises(ValueError, match=f"{next(iter(values))}: found .* expected"):
         GlsOptions(**values)

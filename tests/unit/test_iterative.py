@@ -184,7 +184,7 @@ def test_noise_is_alike_where_the_weight_changes():
 
 @pytest.mark.parametrize("values", [{"threshold": 0}, {"loss": 1.0}, {"tolerance": 0}, {"max_iterations": 0}])
 def test_options_out_of_range(values):
-    with pytest.raises(ValueError, match=f"{next(iter(values))} must be .* got"):
+    with pytest.raises(ValueError, match=f"{next(iter(values))}: found .* expected"):
         IterationOptions(**values)
 
 
@@ -195,6 +195,8 @@ def test_nothing_to_map():
 
 def test_index_that_does_not_fit():
     item = block(bright_sky())
-    wrong = StreamBlock(item.data_mk, item.index[:, :-1], BOUNDS, item.focal_plane)
-    with pytest.raises(ValueError, match=r"index has the shape \(3, 44\); \(3, 45\)"):
-        iterate_map(GEOMETRY, lambda: [wrong], halved, IterationOptions())
+    with pytest.raises(ValueError, match=r"index: found the shape \(3, 44\); \(3, 45\) is expected"):
+        StreamBlock(item.data_mk, item.index[:, :-1], BOUNDS, item.focal_plane)
+    beyond = replace(item, index=np.full_like(item.index, GEOMETRY.n_x * GEOMETRY.n_y))
+    with pytest.raises(ValueError, match="index: found .* integers of at least -1 and of at most"):
+        iterate_map(GEOMETRY, lambda: [beyond], halved, IterationOptions())

@@ -100,7 +100,7 @@ def test_psd_rejects_other_shapes():
     rings = annuli(8, 8, PIXEL_RAD, np.array([0.0, 1e4]), taper)
     with pytest.raises(ValueError, match="annuli"):
         map_psd(np.ones((9, 9)), np.ones((9, 9)), PIXEL_RAD, rings)
-    with pytest.raises(ValueError, match="same shape"):
+    with pytest.raises(ValueError, match=r"map_mk: found the shape \(9, 9\); \(..., 8, 8\) is expected"):
         mode_psd(np.ones((9, 9)), taper, PIXEL_RAD)
 
 

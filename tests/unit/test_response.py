@@ -262,3 +262,12 @@ def test_layer_waves_hold_the_structure_function(outer_rad):
             phase = 2 * np.pi * (layer.alpha * np.exp(-1j * direction)).real * lag
             found = np.sum(power * 4 * np.sin(phase / 2) ** 2)
             assert found == pytest.approx(float(structure_function(seen, lag)), rel=0.03)
+
+
+def test_sums_over_other_frequencies_are_refused():
+    window = time_window(SAMPLES / RATE, tukey(SAMPLES, 1.0, SAMPLES, 0.5), 1 / RATE)
+    frequency, at_hz = np.linspace(0.1, 1, 9), np.linspace(0, 1, 4)
+    assert window.power_sums(np.ones((4, 9)), np.ones((2, 9)), frequency, at_hz).shape == (2, 4)
+    for strength, power in (((4, 8), (2, 9)), ((3, 9), (2, 9)), ((1, 9), (2, 8)), ((4, 9), (9,))):
+        with pytest.raises(ValueError, match="found gain .* are expected"):
+            window.power_sums(np.ones(strength), np.ones(power), frequency, at_hz)

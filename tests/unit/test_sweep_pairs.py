@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from mapmaker.bandpower import ratio_error
+from mapmaker.uncertainty import ratio_error
 from surveysim import run_sweep
 from surveysim.engines import SERIAL
 from surveysim.report.sweep_text import best_line, print_sweep

@@ -142,3 +142,12 @@ def test_scans_without_length_or_width():
     after = before.copy()
     trends.impose(1, after)
     assert np.isfinite(after).all() and np.isfinite(trends.value).all()
+
+
+def test_a_strip_that_lacks_a_point_is_refused():
+    strips = cache()
+    trends = draw_trends(scans(strips, 1), np.random.default_rng(4))
+    strip = draw_strip(strips.strip_for(90 * ARCMIN), np.random.default_rng(5))
+    for short in (strip[:-1], strip[:, : trends.swaths.column.max()]):
+        with pytest.raises(ValueError, match="found a strip of .* or more is expected"):
+            trends.impose(0, np.ascontiguousarray(short))

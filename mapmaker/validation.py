@@ -1,0 +1,231 @@
+"""Checks of arguments: each public function makes them once, before it computes anything.
+
+A check returns its argument as loops need it, in the machine's byte order and of a type that they are compiled for, or
+raises ValueError with the name, what was found and what is expected. Loops themselves test no index.
+"""
+
+import math
+import operator
+from collections.abc import Sequence
+from types import EllipsisType
+
+import numpy as np
+
+# Sides of a shape: a number, or the name of one that is free. A leading ... stands for any more axes.
+Shape = Sequence[int | str | EllipsisType]
+_KINDS = {"biuf": "real numbers", "iuf": "real numbers", "iu": "integers", "b": "True and False"}
+_MOST_TEXT = 60  # letters of a wrong value in a message
+
+
+def wrong(name: str, found: object, expected: str) -> ValueError:
+    """The error of an argument, to be raised: its name, what was found, what is expected."""
+    text = str(found)
+    return ValueError(f"{name}: found {text[:_MOST_TEXT]}{'...' * (len(text) > _MOST_TEXT)}; {expected} expected")
+
+
+def reals(
+    name: str,
+    value: object,
+    shape: Shape,
+    *,
+    finite: bool = True,
+    least: float = -math.inf,
+    above: float = -math.inf,
+    most: float = math.inf,
+    empty: bool = False,
+) -> np.ndarray:
+    """An array of real numbers, float32 where it is and float64 otherwise.
+
+    Bounds are those of values; without `finite`, infinities and NaN pass, and there are no bounds. Raises ValueError
+    for other shapes and types (complex, text, objects, masked values, quantities with a unit) and values out of bounds.
+    """
+    array = _plain(name, value, "biuf")
+    if array.dtype not in (np.float32, np.float64):
+        array = array.astype(np.float64)
+    _check_shape(name, array, shape, empty)
+    if finite and array.size and not _within(array, least, above, most):
+        fits = np.isfinite(array) & (array >= least) & (array > above) & (array <= most)
+        if not fits.all():
+            expected = f"{_range('finite numbers', least, above, most)} are"
+            raise wrong(name, f"{array[~fits][0]} {_place(fits)}", expected)
+    return array
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def _within(array: np.ndarray, least: float, above: float, most: float) -> bool:
+    """Whether values are surely finite and within bounds, in as few passes as that takes."""
+    # A sum that is finite has finite terms; one that is not may have overflowed.
+    if not math.isfinite(array.sum()):
+        return False
+    low = array.min() if max(least, above) > -math.inf else math.inf
+    return low >= least and low > above and (most == math.inf or array.max() <= most)
+
+
+def integers(
+    name: str,
+    value: object,
+    shape: Shape,
+    *,
+    least: int = -(2**63),
+    most: int = 2**63 - 1,
+    empty: bool = False,
+) -> np.ndarray:
+    """An array of integers, int32 where it is and int64 otherwise; errors as `reals`."""
+    array = _plain(name, value, "iu")
+    _check_shape(name, array, shape, empty)
+    if array.size and not (least <= (low := int(array.min())) and (high := int(array.max())) <= most):
+        fits = (array >= least) & (array <= most)
+        found = low if low < least else high
+        raise wrong(name, f"{found} {_place(fits)}", f"{_range('integers', least, -math.inf, most)} are")
+    return array if array.dtype in (np.int32, np.int64) else array.astype(np.int64)
+
+
+def flags(name: str, value: object, shape: Shape, *, empty: bool = False) -> np.ndarray:
+    """An array of True and False, never of numbers, which might be meant as indices; errors as `reals`."""
+    array = _plain(name, value, "b")
+    _check_shape(name, array, shape, empty)
+    return array
+
+
+def number(
+    name: str,
+    value: object,
+    *,
+    least: float = -math.inf,
+    above: float = -math.inf,
+    most: float = math.inf,
+    below: float = math.inf,
+) -> float:
+    """A finite real number within bounds."""
+    array = _plain(name, value, "iuf") if not isinstance(value, float) else value
+    if np.ndim(array):
+        raise wrong(name, f"the shape {np.shape(array)}", "one number is")
+    found = float(array)
+    if not (math.isfinite(found) and least <= found <= most and above < found < below):
+        raise wrong(name, found, f"{_range('a finite number', least, above, most, below)} is")
+    return found
+
+
+def whole(name: str, value: object, *, least: int, most: int | float = math.inf) -> int:
+    """An integer within bounds."""
+    try:
+        found = operator.index(value)
+    except TypeError:
+        found = None
+    if found is None or isinstance(value, bool | np.bool_) or not least <= found <= most:
+        raise wrong(name, repr(value) if found is None else found, f"{_range('an integer', least, -math.inf, most)} is")
+    return found
+
+
+def increasing(name: str, value: object, *, fewest: int, least: float = -math.inf) -> np.ndarray:
+    """Finite numbers (n,), `fewest` or more, that increase from `least` or more."""
+    array = reals(name, value, ("n",), least=least).astype(np.float64, copy=False)
+    if len(array) < fewest:
+        raise wrong(name, f"{len(array)} numbers", f"{fewest} or more are")
+    _check_increase(name, array)
+    return array
+
+
+def _check_increase(name: str, array: np.ndarray) -> None:
+    rises = np.diff(array) > 0
+    if not rises.all():
+        place = int(np.argmin(rises))
+        raise wrong(name, f"{array[place]:.9g} before {array[place + 1]:.9g} {_place(rises)}", "increasing numbers are")
+
+
+def band_edges(name: str, value: object) -> np.ndarray:
+    """Edges (n + 1,) of bands that increase from 0 or more; the last may be infinite."""
+    array = reals(name, value, ("n_band + 1",), finite=False).astype(np.float64, copy=False)
+    if len(array) < 2:
+        raise wrong(name, f"{len(array)} edges", "2 or more are")
+    reals(name, array[:-1], ("n_band",), least=0)
+    _check_increase(name, array)
+    return array
+
+
+def bounds_of_scans(value: object, n_samp: int) -> np.ndarray:
+    """First and one-past-last samples of scans, (n_scan, 2) int64: none empty, outside the samples or overlapping."""
+    name = "scan_bounds"
+    if np.size(value) == 0 and np.shape(value) in ((0,), (0, 2)):
+        return np.zeros((0, 2), np.int64)
+    bounds = integers(name, value, ("n_scan", 2)).astype(np.int64, copy=False)
+    bad = (bounds[:, 0] < 0) | (bounds[:, 0] >= bounds[:, 1]) | (bounds[:, 1] > n_samp)
+    if bad.any():
+        scan = int(np.argmax(bad))
+        raise wrong(
+            name,
+            f"{bounds[scan].tolist()} of scan {scan}",
+            f"[start, stop) with 0 <= start < stop <= {n_samp}, the number of samples, is",
+        )
+    ordered = bounds[np.argsort(bounds[:, 0], kind="stable")]
+    overlap = ordered[1:, 0] < ordered[:-1, 1]
+    if overlap.any():
+        first = int(np.argmax(overlap))
+        raise wrong(name, f"scans {ordered[first].tolist()} and {ordered[first + 1].tolist()}", "scans apart are")
+    return bounds
+
+
+def single_precision(name: str, array: np.ndarray) -> np.ndarray:
+    """Float32 of real numbers; raises ValueError for finite ones that it cannot hold."""
+    try:
+        with np.errstate(over="raise"):
+            return array.astype(np.float32, copy=False)
+    except FloatingPointError:
+        raise wrong(
+            name, f"numbers up to {np.abs(array).max():.3g}", "numbers that single precision holds are"
+        ) from None
+
+
+def pixel_numbers(value: object, shape: tuple[int, ...], n_pixel: int) -> np.ndarray:
+    """Flat pixels of samples, of the data's shape: -1, off the map, to `n_pixel` - 1."""
+    return signed("index", value, integers("index", value, shape, least=-1, most=n_pixel - 1))
+
+
+def signed(name: str, value: object, array: np.ndarray) -> np.ndarray:
+    """The integers of `value`; raises ValueError for the largest of an unsigned type: a -1 that was stored in it."""
+    kind = np.asarray(value).dtype
+    if kind.kind == "u" and array.max() == np.iinfo(kind).max:
+        raise wrong(name, f"{array.max()}, which is -1 in the type {kind}", "a type with a sign is")
+    return array
+
+
+def _plain(name: str, value: object, kinds: str) -> np.ndarray:
+    """A numpy array of some kinds of types, in the machine's byte order."""
+    expected = f"{_KINDS[kinds]} are"
+    if np.ma.is_masked(value):
+        raise wrong(name, "masked values", f"{_KINDS[kinds]} without a mask are")
+    if (unit := getattr(value, "unit", None)) is not None:
+        raise wrong(name, f"a quantity in {unit or 'no unit'}", f"plain numbers in the unit of {name} are")
+    try:
+        array = np.asarray(value)
+    except (ValueError, TypeError):  # rows of several lengths
+        raise wrong(name, type(value).__name__, f"an array of {expected}") from None
+    if not array.size and array.dtype == np.float64:  # numpy's type of an empty list
+        array = array.astype({"iu": np.int64, "b": bool}.get(kinds, np.float64))
+    if array.dtype.kind not in kinds:
+        found = repr(value) if isinstance(value, str | bytes | None) else f"the type {array.dtype}"
+        raise wrong(name, found, expected)
+    return array.astype(array.dtype.newbyteorder("="), copy=False)
+
+
+def _check_shape(name: str, array: np.ndarray, shape: Shape, empty: bool) -> None:
+    sides = [side for side in shape if side is not ...]
+    tail = array.shape[array.ndim - len(sides) :] if array.ndim >= len(sides) else ()
+    fits = len(tail) == len(sides) and (len(sides) < len(shape) or array.ndim == len(sides))
+    if not fits or any(side != found for side, found in zip(sides, tail, strict=True) if not isinstance(side, str)):
+        text = ", ".join("..." if side is ... else str(side) for side in shape)
+        raise wrong(name, f"the shape {array.shape}", f"({text}{',' * (len(shape) == 1)}) is")
+    if not (array.size or empty):
+        raise wrong(name, f"the shape {array.shape}, without a value", "one or more are")
+
+
+def _place(fits: np.ndarray) -> str:
+    """Where the first value is that does not fit."""
+    place = np.unravel_index(int(np.argmin(fits)), fits.shape)
+    return f"at [{', '.join(map(str, place))}]" if place else ""
+
+
+def _range(what: str, least: float, above: float, most: float, below: float = math.inf) -> str:
+    bounds = ((least, "of at least"), (above, "above"), (most, "of at most"), (below, "below"))
+    parts = [f"{word} {bound:.10g}" for bound, word in bounds if abs(bound) < 2**63 - 1]
+    return " ".join([what, " and ".join(parts)]).rstrip()
