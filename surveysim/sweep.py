@@ -15,10 +15,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from surveysim.quantities import shown
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene, SceneError, allowed_keys, read_scene, scene_of
 from surveysim.setup import prepare
+from surveysim.units import shown
 
 MAX_POINTS = 1000
 LABEL_LENGTH = 40

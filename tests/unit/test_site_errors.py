@@ -36,7 +36,10 @@ def path(tmp_path):
             SITE | {"atmosphere.pwv": "[0, 1, 2, 3, 4] mm"},
             "pwv: found (0.0, 1.0, 2.0, 3.0, 4.0); values above 0",
         ),
-        (SITE | {"atmosphere.pwv_probabilities": [0, 0.25, 0.5, 0.75, 1.5]}, "values from 0 to 1 are expected"),
+        (
+            SITE | {"atmosphere.pwv_probabilities": [0, 0.25, 0.5, 0.75, 1.5]},
+            "atmosphere.pwv_probabilities.4: found 1.5; a number less than or equal to 1 is",
+        ),
         (SITE | {"atmosphere.pwv": "[1, 2, 3, 4, 50] mm"}, "atmosphere.pwv: found 50 mm of water vapour; 0.05 to 6 mm"),
         (SITE | {"atmosphere.pwv": "[1, 2, 3, 4, 2000] mm"}, "1000 mm or less is expected of each"),
         (
