@@ -11,7 +11,7 @@ from surveysim.positions import read_positions
 from surveysim.sections import Instrument as InstrumentSection
 
 MAX_RINGS = 60
-MAX_PLACES = 200
+MAX_PLACES = 1000
 _OBLIQUE = np.array([np.cos(1.0), np.sin(1.0)])
 
 

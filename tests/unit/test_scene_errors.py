@@ -145,7 +145,7 @@ def test_bare_lists(path, found):
         ("observations", 0, "greater than or equal to 1"),
         ("scan.scans", 1.5, "integer"),
         ("scan.scans", "four", "integer"),
-        ("cleaning.tolerance", 0, "greater than or equal to 1e-12"),
+        ("cleaning.tolerance", 0, "greater than or equal to 0.000000000001"),
         ("cleaning.algorithm", "cubic", "'none', 'average', 'planar', 'quadratic'"),
         ("excess.coherence", "partial", "'field', 'intensity' or 'none'"),
         ("name", "a b", "A-Za-z0-9_.-"),
