@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -44,7 +45,7 @@ class Camera:
         """Distance of the outermost detector from the centre."""
         return float(np.hypot(self.focal_plane.x_rad, self.focal_plane.y_rad).max())
 
-    @property
+    @cached_property
     def closest_rad(self) -> float:
         """Separation of the closest pair of detectors; 0 for a single one."""
         positions = np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad])

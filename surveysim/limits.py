@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from surveysim.atmosphere.screen import SlantStrips
 
 PROGRAM_BYTES = 250e6  # Python and the libraries
-MOST_DRAWN = 5000  # observations whose weather is drawn to be checked
+MOST_DRAWN = 1000  # observations whose weather is drawn to be checked
 
 
 def check_layer(
@@ -24,19 +24,15 @@ def check_layer(
 ) -> int:
     """Raise SceneError where a run would meet weather, or a strip of the layer, that it can't draw.
 
-    Weather so extreme that hardly a survey of that many observations has it is tried first; where it fails, the
-    survey's own. Strips are tried at the lowest elevation, for the shortest and the longest tracks. Gives back the
-    elements of the largest strip's matrices; 0 without a layer.
+    The weather of so many observations is drawn; of larger surveys it is weather so extreme that hardly one of their
+    length has it. The strip is that of the longest track at the lowest elevation. Gives back the elements of its
+    matrices; 0 without a layer.
     """
     if strips is None:
         return 0
-    try:
-        wind = fastest_wind(scene.atmosphere, water, scene.observations)
-        return _check_strips(strips, wind, radius_rad, lines, lowest_rad)
-    except ValueError:
-        if scene.observations > MOST_DRAWN:
-            raise
-    return _check_strips(strips, _drawn_wind(scene, water), radius_rad, lines, lowest_rad)
+    drawn = scene.observations <= MOST_DRAWN
+    wind = _drawn_wind(scene, water) if drawn else fastest_wind(scene.atmosphere, water, scene.observations)
+    return _check_strip(strips, wind, radius_rad, lines, lowest_rad)
 
 
 def _drawn_wind(scene: Scene, water: Water | None) -> float:
@@ -45,7 +41,7 @@ def _drawn_wind(scene: Scene, water: Water | None) -> float:
     return max(draw_weather(scene.atmosphere, water, rng).wind_speed_rad_s for rng in rngs)
 
 
-def _check_strips(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, lines: Raster, lowest_rad: float) -> int:
+def _check_strip(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, lines: Raster, lowest_rad: float) -> int:
     from surveysim.atmosphere.foresight import check_strip
 
     sine = math.sin(lowest_rad)
@@ -53,7 +49,7 @@ def _check_strips(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, l
     longest = (2 * radius_rad + (lines.speed_rad_s + wind_rad_s) * seconds) / sine
     cache = strips.at(sine)
     try:
-        return max(check_strip(cache, length) for length in (longest, 0.0))
+        return check_strip(cache, longest)
     except ValueError as error:
         wind = math.degrees(wind_rad_s) * 60
         raise SceneError(

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import date
+from functools import lru_cache
 
 import numpy as np
 
@@ -203,10 +204,7 @@ def schedule(
 
     ValueError when the field never reaches the elevation, or more observations are asked for than fit.
     """
-    evening_mjd = date.fromisoformat(first_night).toordinal() - MJD_ZERO_ORDINAL
-    east_rad = math.remainder(site.longitude_rad, 2 * math.pi)  # 204.5 degrees east are 155.5 degrees west
-    midnight_mjd = evening_mjd + 1 + np.arange(nights) - east_rad / (2 * np.pi)
-    hour_angle, dec = _hour_angle_dec(field, site, midnight_mjd)
+    midnight_mjd, hour_angle, dec = _midnights(field, site, first_night, nights)
     half_s = _half_window_s(dec, site, max_hour_angle_rad, min_elevation_rad)
     _check_room(n_observations, nights, half_s, duration_s)
 
@@ -218,6 +216,17 @@ def schedule(
     from_transit_s = place * slot_s - half_s[night] + phase * (slot_s - duration_s)
     start_mjd = transit_mjd[night] + from_transit_s / DAY_S
     return Schedule(start_mjd, from_transit_s * SIDEREAL_RAD_S, dec[night])
+
+
+@lru_cache(maxsize=8)  # points of a sweep have nights in common
+def _midnights(
+    field: FieldCentre, site: Site, first_night: str, nights: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Local mean midnight [MJD] of each night, hour angle of the field then and its declination of date, (nights,)."""
+    evening_mjd = date.fromisoformat(first_night).toordinal() - MJD_ZERO_ORDINAL
+    east_rad = math.remainder(site.longitude_rad, 2 * math.pi)  # 204.5 degrees east are 155.5 degrees west
+    midnight_mjd = evening_mjd + 1 + np.arange(nights) - east_rad / (2 * np.pi)
+    return midnight_mjd, *_hour_angle_dec(field, site, midnight_mjd)
 
 
 def near_angles(site: Site, plan: Schedule, mid_time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

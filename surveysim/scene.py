@@ -8,7 +8,7 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -169,9 +169,7 @@ def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mappi
     try:
         return Scene.model_validate(data)
     except ValidationError as error:
-        lines = [_error_line(path, item) for item in error.errors()]
-        more = [f"{path}: {len(lines) - MAX_ERRORS} more errors"] if len(lines) > MAX_ERRORS else []
-        raise SceneError("\n".join(lines[:MAX_ERRORS] + more)) from None
+        raise SceneError(error_lines(path, [_error_line(item) for item in error.errors()])) from None
 
 
 def _name_of(path: Path) -> str:
@@ -231,7 +229,13 @@ def _override(path: Path, data: dict, key: str, value: Any) -> None:
     data[last] = value
 
 
-def _error_line(path: Path, item: Any) -> str:
+def error_lines(path: Path, errors: Sequence[str]) -> str:
+    """A line for each error of a file, the first few where there are many."""
+    more = [f"{len(errors) - MAX_ERRORS} more errors"] if len(errors) > MAX_ERRORS else []
+    return "\n".join(f"{path}: {line}" for line in [*errors[:MAX_ERRORS], *more])
+
+
+def _error_line(item: Any) -> str:
     key = printable(".".join(str(part) for part in item["loc"]))
     message = item["msg"].removeprefix("Value error, ")
     if item["type"] == "value_error" and (match := re.match(r"([a-z_0-9]+): ", message)) and key:
@@ -245,7 +249,7 @@ def _error_line(path: Path, item: Any) -> str:
         message = re.sub(r"^Input should be (greater|less)(.*)$", r"a number \1\2 is expected", message)
         allowed = _EXPECTED.get(item["type"], f"{message[0].lower()}{message[1:]}")
         message = f"found {shown(item['input'])}; {allowed}"
-    return f"{path}: {key}: {message}" if key else f"{path}: {message}"
+    return f"{key}: {message}" if key else message
 
 
 _EXPECTED = {

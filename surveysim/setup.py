@@ -202,7 +202,6 @@ def prepare(scene: Scene) -> Setup:
         raise SceneError(str(error)) from None
 
 
-@threadpool_limits.wrap(limits=1)
 def _prepare(scene: Scene) -> Setup:
     cam = camera(scene.instrument)
     lines = _raster(scene)

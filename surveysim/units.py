@@ -7,6 +7,7 @@ Rayleigh-Jeans; conversion happens here, at the border, and nowhere else.
 import math
 import re
 from datetime import date, time
+from functools import lru_cache
 
 PLANCK_J_S = 6.62607015e-34
 BOLTZMANN_J_K = 1.380649e-23
@@ -52,22 +53,23 @@ def to_float(text: object, unit: str) -> float:
         if _NOT_FINITE.fullmatch(text):
             _finite(math.inf, text)
         raise ValueError(f"found {shown(text)}; one number and one unit like {unit or '1'!r} are expected")
-    value = float(match["number"]) * unit_factor(match["unit"] or "", unit, text)
-    return _finite(value, text)
+    factor = _unit_factor(match["unit"] or "", unit)
+    if factor is None:
+        raise ValueError(f"found {shown(text)}; a quantity in units like {unit or '1'!r} is expected")
+    return _finite(float(match["number"]) * factor, text)
 
 
-def unit_factor(found: str, unit: str, quoted: object = None) -> float:
-    """How many `unit` one of the unit `found` is; raises ValueError, which shows `quoted`, unless it converts."""
+@lru_cache(maxsize=256)
+def _unit_factor(found: str, unit: str) -> float | None:
+    """How many `unit` one of the unit `found` is; None where it does not convert."""
     import astropy.units as u
 
     try:
         parsed = u.Unit(found)
-        if not isinstance(parsed, u.UnitBase):  # magnitudes and other functions
-            raise TypeError
-        return float(parsed.to(unit))
+        # Magnitudes and other functions are no units.
+        return float(parsed.to(unit)) if isinstance(parsed, u.UnitBase) else None
     except (u.UnitConversionError, TypeError, ValueError, ArithmeticError):
-        shown_unit = shown(found if quoted is None else quoted)
-        raise ValueError(f"found {shown_unit}; a quantity in units like {unit or '1'!r} is expected") from None
+        return None
 
 
 def to_floats(text: object, unit: str) -> tuple[float, ...]:

@@ -40,7 +40,7 @@ _NEGLIGIBLE, _NEGLIGIBLE_SUM = 1e-9, 1e-3
 # what a quadratic in the field of view leaves at 1000 m, and 7e-4 adds 40 % at 375 m. The spline of the
 # structure function must be as smooth for the same reason.
 _CLIPPED_MAX = 1e-5
-_N_X_MIN, _N_X_MAX = 32, 2**17
+_N_X_MIN, N_X_MAX = 32, 2**17
 # Lattice points, and elements of all frequencies' matrices, that a few gigabytes hold.
 _MOST_POINTS, _MOST_ELEMENTS = 2**24, 10**8
 
@@ -89,7 +89,7 @@ def build_strip(screen, length_rad, half_width_rad, step_rad, precision="float32
     strip = _factorize(screen, n_x, n_lane, step_rad, precision)
     while strip.clipped_fraction > _CLIPPED_MAX:
         n_x *= 2
-        if n_x > _N_X_MAX:
+        if n_x > N_X_MAX:
             raise ValueError(
                 f"no strip of {n_lane} lanes {step_rad:g} rad apart for {screen}: negative eigenvalues with"
                 f" {strip.clipped_fraction:.2g} of the variance found; at most {_CLIPPED_MAX:g} is allowed,"
@@ -127,6 +127,11 @@ def _too_large(n_x, n_lane, step_rad):
 def points_along(length_rad, step_rad):
     """Smallest power of two of lattice points whose half, without the seam, is longer than the length."""
     return max(_N_X_MIN, 2 ** ceil(log2(2.0 / (1.0 - _SEAM) * (length_rad / step_rad + 1.0))))
+
+
+def longest_track(n_x, step_rad):
+    """Length [rad] of tracks for which a strip is made of so many points, and not of fewer."""
+    return (0.5 * (1.0 - _SEAM) * n_x - 1.5) * step_rad
 
 
 def _factorize(screen, n_x, n_lane, step_rad, precision):
