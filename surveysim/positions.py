@@ -2,6 +2,8 @@
 
 import csv
 import math
+import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +36,7 @@ def read_positions(path: Path) -> np.ndarray:
 
 
 def _missing(path: Path) -> str:
-    return "" if path.exists() else "no such file beside the scene"
+    return "" if os.path.lexists(path) else "no such file beside the scene"
 
 
 def _positions(text: str) -> np.ndarray:
@@ -70,7 +72,8 @@ def _table(lines: list[str]) -> Any:
         raise ValueError(f"found {found}; '# %ECSV 1.0' is expected in the first line")
     _check_cells(lines)
     try:
-        table = Table.read(lines, format="ascii.ecsv")
+        with warnings.catch_warnings(action="ignore"):  # of datatypes, which are checked
+            table = Table.read(lines, format="ascii.ecsv")
     except Exception as error:  # astropy and yaml raise a wide range for broken tables
         reason = one_line(error) or type(error).__name__
         raise ValueError(f"not an ECSV table with columns x and y in angular units ({reason})") from None

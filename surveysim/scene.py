@@ -40,7 +40,7 @@ from surveysim.texts import nested_deeper, one_line, printable, read_text
 from surveysim.units import shown
 
 NAME, MAX_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]*", 100
-MAX_BYTES = 1_000_000  # of a scene file; with comments they have some 5 kB
+MAX_BYTES = 300_000  # of a scene file; with comments they have some 5 kB
 MAX_DEPTH = 20  # tables and lists within each other; scenes have 3
 MAX_ERRORS = 30  # lines of an error
 # A key of so many parts: the parser's time goes as their square.
@@ -169,7 +169,9 @@ def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mappi
     try:
         return Scene.model_validate(data)
     except ValidationError as error:
-        raise SceneError(error_lines(path, [_error_line(item) for item in error.errors()])) from None
+        found = error.errors(include_url=False, include_context=False)
+        lines = [_error_line(item) for item in found[:MAX_ERRORS]]
+        raise SceneError(error_lines(path, lines, len(found) - len(lines))) from None
 
 
 def _name_of(path: Path) -> str:
@@ -229,9 +231,10 @@ def _override(path: Path, data: dict, key: str, value: Any) -> None:
     data[last] = value
 
 
-def error_lines(path: Path, errors: Sequence[str]) -> str:
-    """A line for each error of a file, the first few where there are many."""
-    more = [f"{len(errors) - MAX_ERRORS} more errors"] if len(errors) > MAX_ERRORS else []
+def error_lines(path: Path, errors: Sequence[str], left_off: int = 0) -> str:
+    """A line for each error of a file, the first few where there are many; `left_off` are left off already."""
+    left_off += len(errors[MAX_ERRORS:])
+    more = [f"{left_off} more errors"] if left_off else []
     return "\n".join(f"{path}: {line}" for line in [*errors[:MAX_ERRORS], *more])
 
 

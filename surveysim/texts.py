@@ -14,11 +14,10 @@ def read_text(path: Path, most_bytes: int) -> str:
     Raises ValueError for anything else (folders, pipes and devices are not opened for reading), for more than
     `most_bytes`, and for another encoding.
     """
-    return _decoded(read_bytes(path, most_bytes))
+    return _decoded(_read_bytes(path, most_bytes))
 
 
-def read_bytes(path: Path, most_bytes: int) -> bytes:
-    """The content of a regular file; raises ValueError as `read_text`."""
+def _read_bytes(path: Path, most_bytes: int) -> bytes:
     try:
         # Without waiting for somebody who writes into a pipe; the kind is that of the file that is open.
         with open(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb") as file:
@@ -37,9 +36,7 @@ def _decoded(content: bytes) -> str:
         return content.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise ValueError(
-            f"not a whole TOML file (line {line} is not UTF-8: found the byte 0x{content[error.start]:02x})"
-        ) from None
+        raise ValueError(f"line {line} is not UTF-8: found the byte 0x{content[error.start]:02x}") from None
 
 
 def printable(text: str) -> str:

@@ -17,7 +17,7 @@ _SEXAGESIMAL = re.compile(r"\s*([+-]?)(\d{1,6})([hd])\s*(\d{1,6})m\s*(\d{1,6}(?:
 _LIST = re.compile(r"^\s*\[(?P<values>[^\]]*)\]\s*(?P<unit>.*)$", re.DOTALL)
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 # A unit is a product of names with powers, divided by one name at most: astropy alone reads "4 4 s" as 16 s.
-_POWER = r"(?:\s?(?:\^|\*\*)?\s?(?:-?\d{1,2}|\(\s*-?\d{1,6}(?:\.\d{1,6}|\s*/\s*\d{1,4})?\s*\)))?"
+_POWER = r"(?:(?:\s?(?:\^|\*\*)\s?)?(?:-?\d{1,2}|\(\s*-?\d{1,6}(?:\.\d{1,6}|\s*/\s*\d{1,4})?\s*\)))?"
 _NAME = rf"[A-Za-z\u00b5\u03bc]+{_POWER}"
 _UNIT = rf"%|{_NAME}(?:(?:\s?[*.]\s?|\s){_NAME})*(?:\s?/\s?{_NAME})?|/\s?{_NAME}"
 _QUANTITY = re.compile(rf"\s*(?P<number>{NUMBER})\s*(?P<unit>{_UNIT})?\s*", re.ASCII)

@@ -291,7 +291,7 @@ def test_truncated_file(path, share):
     assert "missing" in refusal(path)
 
 
-@pytest.mark.parametrize("raw", [b'title = "a" b', b"title = \xff\xfe", b"[scan\n", b"seed = 1\nseed = 2\n", b"\x00"])
+@pytest.mark.parametrize("raw", [b'title = "a" b', b"[scan\n", b"seed = 1\nseed = 2\n", b"\x00"])
 def test_bad_toml(path, raw):
     path.write_bytes(raw)
     assert "not a whole TOML file" in refusal(path)
