@@ -37,14 +37,14 @@ def _several(unit: str, example: str, most: float) -> WithJsonSchema:
     return of_file(["string", "array"], unit=unit, examples=[example], minimum=0, maximum=most)
 
 
-def number(least: float, most: float) -> tuple[BeforeValidator, Any]:
+def number(least: float, most: float) -> tuple[Any, BeforeValidator]:
     """A plain number of the file from `least` to `most`, to be unpacked into an `Annotated` type."""
-    return BeforeValidator(_plain), Field(ge=least, le=most, allow_inf_nan=False)
+    return Field(ge=least, le=most, allow_inf_nan=False), BeforeValidator(_plain)
 
 
-def whole(least: int, most: int) -> tuple[BeforeValidator, Any]:
+def whole(least: int, most: int) -> tuple[Any, BeforeValidator]:
     """A whole number of the file from `least` to `most`; as `number`."""
-    return BeforeValidator(_whole), Field(ge=least, le=most)
+    return Field(ge=least, le=most), BeforeValidator(_whole)
 
 
 def quantity(
@@ -107,7 +107,7 @@ def _plain(value: object) -> object:
 def _whole(value: object) -> object:
     if value is not None and (isinstance(value, bool) or not isinstance(value, int | float) or value % 1 != 0):
         raise ValueError(f"found {shown(value)}; an integer is expected")
-    return value
+    return None if value is None else int(value)
 
 
 def _fraction(value: object) -> object:
@@ -148,6 +148,8 @@ def _date(value: object) -> str:
 def _line(value: object) -> object:
     if isinstance(value, str) and not value.isprintable():
         raise ValueError(f"found {shown(value)}; one line of text without control characters is expected")
+    if isinstance(value, str) and len(value) > LONGEST_LINE:
+        raise ValueError(f"found {len(value)} characters, {shown(value)}; {LONGEST_LINE} or fewer are expected")
     return value
 
 
@@ -216,7 +218,7 @@ Latitude = Annotated[
 IsoDate = Annotated[
     str, BeforeValidator(_date), of_file("string", format="date", at_least=FIRST_DATE, at_most=LAST_DATE)
 ]
-Line = Annotated[str, BeforeValidator(_line), Field(max_length=LONGEST_LINE)]
+Line = Annotated[str, BeforeValidator(_line)]
 Nside = Annotated[int | None, BeforeValidator(_nside), of_file("integer", enum=[2**k for k in range(14)])]
 SiteName = Annotated[str | None, BeforeValidator(_site), of_file("string", enum=SITES)]
 TableFile = Annotated[Path | None, BeforeValidator(_file), of_file("string", examples=["camera.ecsv"])]

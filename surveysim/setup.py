@@ -43,7 +43,7 @@ from surveysim.recipes import ACTUAL, OPTIMAL, Recipe, recipes
 from surveysim.responsivity import assumed_responsivity, colour_responsivity, true_responsivity
 from surveysim.scan import Raster, RasterPath, duration_s, mid_times, raster, samples_per_scan
 from surveysim.scene import Scene, SceneError
-from surveysim.sections import Colour, Instrument
+from surveysim.sections import Colour, Excess, Instrument, Photon
 from surveysim.streams import Stage, generator
 from surveysim.weather import Water, site_water
 
@@ -106,17 +106,22 @@ class Setup:
         """The scored area and multipoles; None without a score."""
         return self._once("band", lambda: scored_band(self.scene, self.geometry, self.sky_geometry))
 
+    def _overlap(self, name: str, section: Photon | Excess | None) -> Overlap | Torus | None:
+        # Photon and excess noise of one coherence share one correlation.
+        key = f"overlap {section.coherence if section else 'none'}"
+        return self._once(key, lambda: shared_noise(self.camera, section, name))
+
     @property
     def photon_overlap(self) -> Overlap | Torus | None:
         """Correlation of photon noise between detectors; None where they share nothing."""
-        return self._once("photon_overlap", lambda: shared_noise(self.camera, self.scene.photon, "photon"))
+        return self._overlap("photon", self.scene.photon)
 
     @property
     def excess_factor(self) -> np.ndarray | TorusRoot | None:
         """Factor of the correlation of excess noise between detectors; None where they share nothing."""
 
         def make() -> np.ndarray | TorusRoot | None:
-            found = shared_noise(self.camera, self.scene.excess, "excess")
+            found = self._overlap("excess", self.scene.excess)
             return None if found is None else found.factor()
 
         return self._once("excess_factor", make)

@@ -10,7 +10,6 @@ from surveysim.quantities import (
     Bandwidth,
     BeamWidth,
     NoisePsd,
-    Positive,
     PositiveAngle,
     Share,
     TableFile,
@@ -29,7 +28,7 @@ class Layout(Section):
     """Rings around the central position: n rings have 3 n (n + 1) + 1 positions. Or `field_of_view`."""
     field_of_view_rad: PositiveAngle | None = Field(alias="field_of_view", default=None)
     """Diameter of a round area, filled with as many positions as have room in it. Or `rings`."""
-    pitch_f_lambda: Positive
+    pitch_f_lambda: Annotated[float, *number(0.1, 1000)]
     """Distance of neighbouring positions, in (f/#)lambda."""
     dead: tuple[Annotated[int, *whole(0, 10_980)], ...] = ()
     """Positions without a detector: numbers from 0 at the centre outwards, those equally far by angle."""

@@ -45,7 +45,7 @@ class Schedule(Section):
     """Height of the telescope above the ellipsoid."""
     first_night: IsoDate
     """Local date of the first evening."""
-    nights: Annotated[int, *whole(1, 10_000)]
+    nights: Annotated[int, *whole(1, 4000)]
     """How many nights in a row."""
     max_hour_angle_rad: HourAngle = Field(alias="max_hour_angle")
     """Largest distance from the meridian."""

@@ -59,7 +59,7 @@ def test_a_written_quantity_table_is_read(tmp_path):
         ("40.0 0.5", '40.0 ""', "row 2, column 'y': found an empty cell; a number is expected"),
         ("40.0 0.5", "40.0", "row 2: found 1 cells, '40.0'; 2 are expected"),
         ("40.0 0.5", "40.0 0.5 1", "row 2: found 3 cells, '40.0 0.5 1'; 2 are expected"),
-        ("40.0 0.5", "nan 0.5", "row 2, column 'x': found 'nan arcsec'; a finite offset from the boresight of up to 15"),
+        ("40.0 0.5", "nan 0.5", "row 2, column 'x': found 'nan arcsec'; a finite offset from the boresight of up"),
         ("-20.0 -1.5", "-20.0 -inf", "row 3, column 'y': found '-inf arcmin'; a finite offset"),
         ("-20.0 -1.5", "-20.0 901", "row 3, column 'y': found '901.0 arcmin'; a finite offset"),
         ("-20.0 -1.5", "1e300 0", "row 3, column 'x': found '1e+300 arcsec'"),
@@ -80,7 +80,7 @@ def test_a_written_quantity_table_is_read(tmp_path):
         ("unit: arcmin", "unit: arcmin2", "column 'y': found the unit 'arcmin2'"),
         ("unit: arcsec", "unit: parsnip", "column 'x': found the unit 'parsnip'"),
         ("unit: arcsec", "unit: mag", "column 'x': found the unit 'mag'"),
-        ("arcsec, datatype: float64", "arcsec, datatype: string", "column 'x': found datatype <U5; float64 is expected"),
+        ("arcsec, datatype: float64", "arcsec, datatype: string", "column 'x': found datatype <U5; float64 is"),
         ("arcsec, datatype: float64", "arcsec, datatype: complex128", "column 'x': found datatype complex128"),
         # the file
         ("# %ECSV 1.0\n", "", "found '# ---'; '# %ECSV 1.0' is expected in the first line"),

@@ -134,7 +134,7 @@ def test_bare_lists(path, found):
         ("scan.turnaround", "-1 s", "0 or more"),
         ("instrument.beam_fwhm", "-60 arcsec", "0.001 arcsec or more"),
         ("instrument.layout.rings", -1, "greater than or equal to 0"),
-        ("instrument.layout.pitch_f_lambda", -0.7, "greater than or equal to 0.000001"),
+        ("instrument.layout.pitch_f_lambda", -0.7, "greater than or equal to 0.1"),
         ("instrument.responsivity_scatter", -0.1, "greater than or equal to 0"),
         ("photon.psd", "-1 mK2 / Hz", "0 or more"),
         ("photon.coherent_fraction", 1.1, "less than or equal to 1"),
