@@ -16,8 +16,8 @@ from surveysim.atmosphere.factors import (
 from surveysim.atmosphere.screen import StripCache
 from surveysim.atmosphere.spectrum import Screen
 
-# Operations of eigenvectors that take some hundred milliseconds, and the fewest lanes that tell rough from smooth.
-_MOST_WORK, _FEWEST_LANES = 1e7, 4
+# Operations of eigenvectors that take a second at most, and the fewest lanes that tell rough from smooth.
+_MOST_WORK, _FEWEST_LANES = 1e8, 4
 
 
 def check_strip(strips: StripCache, length_rad: float) -> int:
@@ -40,7 +40,7 @@ def check_strip(strips: StripCache, length_rad: float) -> int:
 @lru_cache(maxsize=32)  # points of a sweep have layers alike
 def _used(screen: Screen, n_x: int, n_lane: int, step_rad: float) -> int:
     """Frequencies whose matrices are made, or all where these are few."""
-    if (n_x // 2 + 1) * n_lane**3 <= _MOST_WORK:
+    if _work(n_x // 2 + 1, n_lane) <= _MOST_WORK:
         return n_x // 2 + 1
     return used_modes(screen, lane_spectra(screen, n_x, n_lane, step_rad)[1], n_x, step_rad)
 
@@ -53,6 +53,11 @@ def _try(screen: Screen, n_x: int, n_lane: int, step_rad: float, used: int, prec
     theirs is less than the least of these (Cauchy).
     """
     lanes = n_lane
-    while lanes > _FEWEST_LANES and used * lanes**3 > _MOST_WORK:
+    while lanes > _FEWEST_LANES and _work(used, lanes) > _MOST_WORK:
         lanes = max(_FEWEST_LANES, ceil(lanes / 2))
     build_strip(screen, longest_track(n_x, step_rad), 0.5 * (lanes - 1) * step_rad, step_rad, precision, lanes)
+
+
+def _work(used: int, lanes: int) -> int:
+    # Small matrices take no less time each than those of some dozen lanes.
+    return used * lanes**2 * max(lanes, 12)
