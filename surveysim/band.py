@@ -118,6 +118,18 @@ class Band:
         return float(np.sum(self.mode_weight * power) / (self.mode_weight.sum() * norm)), of_bins[:n_bin] / norm
 
 
+def patch_side(size_rad: float, geometry: MapGeometry) -> int:
+    """Pixels along a side of the scored patch."""
+    return min(geometry.n_x, 2 * math.ceil(size_rad / geometry.pixel_rad / 2))
+
+
+def padded_side(size_rad: float, geometry: MapGeometry) -> int:
+    """Pixels along a side of that patch padded, which resolves bins that are narrower than the patch's own modes."""
+    from scipy.fft import next_fast_len
+
+    return next_fast_len(2 * patch_side(size_rad, geometry), real=True)
+
+
 def scored_band(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry) -> Band | None:
     """The band of a scene, None without a score; `sky_geometry` is the grid of the skies that it is scored by.
 
@@ -126,13 +138,10 @@ def scored_band(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry) 
     score = scene.score
     if score is None:
         return None
-    from scipy.fft import next_fast_len
-
-    n = min(geometry.n_x, 2 * math.ceil(score.size_rad / geometry.pixel_rad / 2))
+    n = patch_side(score.size_rad, geometry)
     first = (geometry.n_x - n) // 2
     taper = tukey_taper(n, n, geometry.pixel_rad, score.size_rad, score.taper_fraction)
-    # The padding resolves bins of multipole that are narrower than the patch's own modes.
-    n_pad = next_fast_len(2 * n, real=True)
+    n_pad = padded_side(score.size_rad, geometry)
     edges = np.arange(0, score.ell_max + score.ell_bin, score.ell_bin)
     edges = edges[edges <= max(score.ell_max, score.ell_min + score.ell_bin)].astype(float)
     padded = np.pad(taper, (0, n_pad - n))

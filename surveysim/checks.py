@@ -4,12 +4,15 @@ import math
 
 import numpy as np
 
+from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry, check_nside, plane_offsets
 from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES
+from mapmaker.window import beam_window
+from surveysim.band import FAINTEST, padded_side
 from surveysim.instrument import Camera
 from surveysim.levels import white_levels
 from surveysim.noise import highest_frequency
-from surveysim.pointing import SIDEREAL_RAD_S, FieldCentre, Schedule, Site, survey_angles
+from surveysim.pointing import SIDEREAL_RAD_S, Schedule, Site, near_angles
 from surveysim.recipes import needed_detectors
 from surveysim.scan import Raster, samples_per_scan
 from surveysim.scene import Scene, SceneError
@@ -19,10 +22,13 @@ MAX_REACH_RAD = math.radians(15)
 MAX_SIDE_PIXELS = 16_384
 MAX_DETECTOR_SAMPLES = 1e11  # an hour of 100,000 detectors at 200 Hz and more: hours of computing
 MAX_SAMPLES = 1e8  # of the boresight, whose path is held whole
-MAX_SURVEY_SCANS = 1e8
+MAX_SURVEY_SCANS = 2e6  # whose ephemerides take some minutes
+SCANS_AT_ONCE = 200_000  # of which angles are checked together
 MAX_COEFFICIENTS = 3e7  # of a sky on the sphere: 2 GB of memory, minutes of computing
 MAX_TURN_BEAMS = 0.1  # by which the array's edge may move as the sky turns, within half a scan
 MAX_AIRMASS_CHANGE = 0.02  # of itself, within half a scan: 2.7 % of the layer's amplitude at an index of 11/3
+FEW_MODES = 64  # along an axis, within which an empty bin is found, if there is one
+MOST_BINS = 1_000_000
 MAX_MODES = 4000  # of which the eigenvectors take half a minute a scan
 
 
@@ -86,35 +92,49 @@ def check_size(scene: Scene, cam: Camera) -> None:
         )
 
 
-def check_motion(
+def check_motion(scene: Scene, cam: Camera, site: Site, starts: Schedule, mid_time_s: np.ndarray) -> float:
+    """Raise SceneError for scans within which the sky turns, or its airmass changes, by more than may be neglected.
+
+    Only scans that might move too far, by the largest rates that there are at their elevation, have the angles of their
+    ends computed. Gives back the lowest elevation [rad] of all scans.
+    """
+    lowest = math.inf
+    step = max(1, SCANS_AT_ONCE // len(mid_time_s))
+    for first in range(0, len(starts.start_mjd), step):
+        some = np.arange(first, min(first + step, len(starts.start_mjd)))
+        elevation, parallactic = near_angles(site, starts.some(some), mid_time_s)
+        lowest = min(lowest, float(elevation.min()))
+        _check_some_motion(scene, cam, site, starts, mid_time_s, some, elevation, parallactic)
+    return lowest
+
+
+def _check_some_motion(
     scene: Scene,
     cam: Camera,
-    field: FieldCentre,
     site: Site,
     starts: Schedule,
-    *,
     mid_time_s: np.ndarray,
+    which: np.ndarray,
     elevation_rad: np.ndarray,
     parallactic_rad: np.ndarray,
 ) -> None:
-    """Raise SceneError for scans within which the sky turns, or its airmass changes, by more than may be neglected.
-
-    Each scan has the angles (n_obs, n_scan) of its middle. Only scans that might move too far, by the largest rates
-    that there are at their elevation, have the angles of their ends computed.
-    """
+    """The same of the observations `which` (n,), with angles (n, n_scan) of the middle of their scans."""
     half_s = scene.scan.duration_s / 2
     most_up_rad = half_s * SIDEREAL_RAD_S * math.cos(site.latitude_rad)
     most_turn_rad = most_up_rad / np.cos(np.minimum(elevation_rad + most_up_rad, math.pi / 2))
     most_airmass = np.sin(elevation_rad) / np.sin(np.maximum(elevation_rad - most_up_rad, 1e-3)) - 1
     allowed_rad = MAX_TURN_BEAMS * scene.instrument.beam_fwhm_rad
     doubtful = (most_turn_rad * cam.radius_rad > allowed_rad) | (most_airmass > MAX_AIRMASS_CHANGE)
-    for number in np.flatnonzero(doubtful.any(axis=1)):
-        one, up, angle = Schedule(starts.start_mjd[number : number + 1]), elevation_rad[number], parallactic_rad[number]
-        for side in (-half_s, half_s):
-            end_up, end_angle = (found[0] for found in survey_angles(field, site, one, mid_time_s + side))
-            turn = np.abs((end_angle - angle + math.pi) % (2 * math.pi) - math.pi)
-            _check_turn(number, up, turn, cam.radius_rad, allowed_rad)
-            _check_airmass(number, up, np.abs(np.sin(up) / np.sin(np.maximum(end_up, 1e-3)) - 1))
+    rows = np.flatnonzero(doubtful.any(axis=1))
+    for side in (-half_s, half_s):
+        end_up, end_angle = near_angles(site, starts.some(which[rows]), mid_time_s + side)
+        turn = np.abs((end_angle - parallactic_rad[rows] + math.pi) % (2 * math.pi) - math.pi)
+        change = np.abs(np.sin(elevation_rad[rows]) / np.sin(np.maximum(end_up, 1e-3)) - 1)
+        wrong = (turn * cam.radius_rad > allowed_rad) | (change > MAX_AIRMASS_CHANGE)
+        for place in np.flatnonzero(wrong.any(axis=1))[:1]:
+            number, up = int(which[rows[place]]), elevation_rad[rows[place]]
+            _check_turn(number, up, turn[place], cam.radius_rad, allowed_rad)
+            _check_airmass(number, up, change[place])
 
 
 def _check_turn(number: int, up_rad: np.ndarray, turn_rad: np.ndarray, radius_rad: float, allowed_rad: float) -> None:
@@ -200,6 +220,7 @@ def check_score(scene: Scene, geometry: MapGeometry, lines: Raster) -> None:
         raise SceneError(
             f"score.ell_max: found {scene.score.ell_max}; the map pixel's {nyquist:.0f} or less is expected"
         )
+    check_bins(scene, geometry)
     highest = highest_frequency(samples_per_scan(lines), lines.sample_rate_hz)
     if scene.score.white_above_hz >= highest:
         raise SceneError(
@@ -217,6 +238,34 @@ def check_healpix(scene: Scene) -> None:
             raise SceneError(str(error)) from None
 
 
+def check_bins(scene: Scene, geometry: MapGeometry) -> None:
+    """Raise SceneError where no bin is scored, one has no Fourier mode, or the beam lets nothing through.
+
+    Modes are whole steps apart along both axes. The radii 1 and sqrt(2) are 0.41 steps apart, and beyond 64 steps no
+    neighbours are further than 0.2: bins that hold modes up to there hold some everywhere.
+    """
+    score, pixel = scene.score, geometry.pixel_rad
+    step = 2 * math.pi / (padded_side(score.size_rad, geometry) * pixel)
+    last = max(score.ell_max, score.ell_min + score.ell_bin)
+    n_bin = min(last // score.ell_bin, max(2, math.ceil(FEW_MODES * step / score.ell_bin)), MOST_BINS)
+    few = np.arange(FEW_MODES + 2)
+    radius = np.unique(np.hypot(few[:, None], few)) * step
+    held = np.unique((radius // score.ell_bin).astype(int))
+    missing = np.setdiff1d(np.arange(n_bin), held)
+    if len(missing):
+        first = int(missing[0]) * score.ell_bin
+        raise SceneError(
+            f"score.ell_bin: no Fourier mode of the map has {first} <= ell < {first + score.ell_bin}; wider bins or a"
+            " larger map are expected"
+        )
+    lowest = -(-score.ell_min // score.ell_bin) * score.ell_bin
+    if lowest + score.ell_bin > score.ell_max:
+        raise SceneError(f"score.ell_bin: found {score.ell_bin}; a bin within ell_min to ell_max is expected")
+    ell = np.array([min(score.ell_min + step, score.ell_max)])
+    if not (flat_spectrum_psd(ell) * beam_window(ell, scene.instrument.beam_fwhm_rad))[0] > FAINTEST:
+        raise SceneError(f"score.ell_min: found {score.ell_min}; multipoles that the beam lets through are expected")
+
+
 def check_sky(scene: Scene, geometry: MapGeometry) -> None:
     """Raise SceneError for a sky on the sphere that ends within the scored multipoles, or that is too large to make.
 
@@ -225,8 +274,6 @@ def check_sky(scene: Scene, geometry: MapGeometry) -> None:
     """
     if scene.sky is None or scene.sky.curved_lmax is None:
         return
-    from surveysim.sky import highest_order
-
     lmax, score = scene.sky.curved_lmax, scene.score
     if score is not None:
         needed = math.ceil(score.ell_max + 4 * math.pi / score.size_rad)
@@ -235,12 +282,19 @@ def check_sky(scene: Scene, geometry: MapGeometry) -> None:
                 f"sky.curved_lmax: found {lmax}; {needed} or more is expected, which holds what the score's multipoles "
                 f"up to {score.ell_max} take in through its taper"
             )
-    coefficients = (lmax + 1) * (highest_order(geometry, lmax) + 1)
+    coefficients = sky_coefficients(lmax, geometry)
     if coefficients > MAX_COEFFICIENTS:
         raise SceneError(
             f"sky.curved_lmax: found {lmax}, which takes {coefficients:.2g} coefficients for a field of this size; "
             f"{MAX_COEFFICIENTS:.0e} or fewer are expected"
         )
+
+
+def sky_coefficients(lmax: int, geometry: MapGeometry) -> int:
+    """Coefficients of a sky on the sphere up to a multipole, of the orders that reach a field."""
+    from surveysim.sky import highest_order
+
+    return (lmax + 1) * (highest_order(geometry, lmax) + 1)
 
 
 def reach(scene: Scene, cam: Camera) -> float:

@@ -75,7 +75,7 @@ def empty_coadds(setup: Setup) -> CoAdds:
     shape = (setup.geometry.n_y, setup.geometry.n_x)
     n_flip = n_sky = n = 0
     if setup.scene.score:
-        n_flip, n_sky = setup.scene.score.jackknives, len(setup.window_skies_mk)
+        n_flip, n_sky = setup.scene.score.jackknives, setup.n_window_skies
         n = len(setup.band.taper)
     return CoAdds(
         sums=np.zeros((n_set, *shape)),

@@ -17,12 +17,13 @@ from surveysim.lattice import SharedNoise
 from surveysim.levels import white_levels
 from surveysim.noise import excess_variance
 from surveysim.observation import observation_weather
+from surveysim.parts import screen, shared_noise
 from surveysim.recipes import Recipe
 from surveysim.response import Array, layer_waves
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene
 from surveysim.sections import Excess, Photon
-from surveysim.setup import Setup, observation_path, prepare, screen, shared_noise
+from surveysim.setup import Setup, observation_path, prepare
 from surveysim.streams import Stage, generator
 from surveysim.weather import Weather, draw_weather
 

@@ -2,15 +2,17 @@
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cached_property
 
 import numpy as np
 
 from mapmaker.timestreams import FocalPlane
 from surveysim.coherence import Illumination, horn_taper_db, stop_efficiency
+from surveysim.positions import read_positions
 from surveysim.sections import Instrument as InstrumentSection
 
 MAX_RINGS = 60
+MAX_PLACES = 1000
 _OBLIQUE = np.array([np.cos(1.0), np.sin(1.0)])
 
 
@@ -43,7 +45,7 @@ class Camera:
         """Distance of the outermost detector from the centre."""
         return float(np.hypot(self.focal_plane.x_rad, self.focal_plane.y_rad).max())
 
-    @property
+    @cached_property
     def closest_rad(self) -> float:
         """Separation of the closest pair of detectors; 0 for a single one."""
         positions = np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad])
@@ -158,6 +160,8 @@ def closest_pair(positions: np.ndarray) -> tuple[float, int, int]:
         first, second = order[:-places], order[places:]
         if (along[second] - along[first]).min() >= closest[0]:
             break
+        if places > MAX_PLACES:  # positions of a table may lie on a line that is square to that one
+            return _closest_pair_of_tree(positions)
         squared = ((positions[second] - positions[first]) ** 2).sum(axis=1)
         nearest = int(np.argmin(squared))
         distance = float(np.sqrt(squared[nearest]))
@@ -166,31 +170,14 @@ def closest_pair(positions: np.ndarray) -> tuple[float, int, int]:
     return closest
 
 
-def read_positions(path: Path) -> np.ndarray:
-    """Positions (n_det, 2) in radians from an ECSV table with columns x and y that carry angular units.
+def _closest_pair_of_tree(positions: np.ndarray) -> tuple[float, int, int]:
+    from scipy.spatial import cKDTree
 
-    Raises ValueError when the file can't be read, lacks a column or a unit, or has a non-finite value.
-    """
-    from astropy.table import QTable
-
-    if not path.is_file():
-        raise ValueError(f"instrument.positions: {path}: no such file; an ECSV table beside the scene is expected")
-    try:
-        table = QTable.read(path, format="ascii.ecsv")
-        for name in ("x", "y"):
-            if name not in table.colnames:
-                raise ValueError(f"found the columns {', '.join(table.colnames)}")
-            if table[name].unit is None:
-                raise ValueError(f"column {name} has no unit")
-        positions = np.column_stack([table[name].to_value("rad") for name in ("x", "y")]).astype(float)
-    except Exception as error:  # astropy raises a wide range for broken tables
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise ValueError(
-            f"instrument.positions: {path} is not an ECSV table with columns x and y in angular units ({reason})"
-        ) from None
-    if len(positions) == 0 or not np.isfinite(positions).all():
-        raise ValueError(f"instrument.positions: {path} has no row or a non-finite value; finite angles are expected")
-    return positions
+    distance, neighbour = cKDTree(positions).query(positions, k=2)
+    first = int(np.argmin(distance[:, 1]))
+    # With a twin at the same place either may come first.
+    second = int(next(index for index in neighbour[first] if index != first))
+    return (float(distance[first, 1]), *sorted((first, second)))
 
 
 def mask_by_separation(positions: np.ndarray, separation: float) -> np.ndarray:

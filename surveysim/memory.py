@@ -1,6 +1,7 @@
 """What memory this process has held."""
 
 import math
+import os
 import sys
 
 
@@ -12,3 +13,15 @@ def peak_bytes() -> float:
         return math.nan
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return float(peak if sys.platform == "darwin" else peak * 1024)
+
+
+def machine_bytes() -> float:
+    """The most memory that a process may hold here: the machine's, or what a limit of processes allows; inf unknown."""
+    try:
+        most = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError, OSError):  # not a Unix system
+        return math.inf
+    import resource
+
+    limits = (resource.getrlimit(kind)[0] for kind in (resource.RLIMIT_AS, resource.RLIMIT_DATA))
+    return min([most, *(float(limit) for limit in limits if limit != resource.RLIM_INFINITY)])

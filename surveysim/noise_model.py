@@ -15,6 +15,7 @@ from surveysim.band import left_signal
 from surveysim.conditions import Conditions, NoiseCorrelations, fitted_courses, noise_correlations, population
 from surveysim.courses import Courses
 from surveysim.noise import excess_psd
+from surveysim.parts import screen
 from surveysim.recipes import Recipe
 from surveysim.response import (
     PROJECTIONS,
@@ -35,7 +36,7 @@ from surveysim.response import (
 )
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene, SceneError
-from surveysim.setup import Setup, prepare, screen
+from surveysim.setup import Setup, prepare
 
 _ANGLES = 3  # of the array against the scan that stand for all observations
 _SPEEDS, _DIRECTIONS = 5, 4  # of the layer against the scan

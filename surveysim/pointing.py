@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import date
+from functools import lru_cache
 
 import numpy as np
 
@@ -44,9 +45,15 @@ class FieldCentre:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Start of each observation, `start_mjd` (n_obs,), UTC, increasing."""
+    """Start of each observation, (n_obs,): `start_mjd`, UTC, increasing; hour angle then, and declination of date."""
 
     start_mjd: np.ndarray
+    hour_angle_rad: np.ndarray
+    dec_rad: np.ndarray
+
+    def some(self, which: np.ndarray | slice) -> "Schedule":
+        """Some of the observations."""
+        return Schedule(self.start_mjd[which], self.hour_angle_rad[which], self.dec_rad[which])
 
 
 @dataclass(frozen=True)
@@ -197,10 +204,7 @@ def schedule(
 
     ValueError when the field never reaches the elevation, or more observations are asked for than fit.
     """
-    evening_mjd = date.fromisoformat(first_night).toordinal() - MJD_ZERO_ORDINAL
-    east_rad = math.remainder(site.longitude_rad, 2 * math.pi)  # 204.5 degrees east are 155.5 degrees west
-    midnight_mjd = evening_mjd + 1 + np.arange(nights) - east_rad / (2 * np.pi)
-    hour_angle, dec = _hour_angle_dec(field, site, midnight_mjd)
+    midnight_mjd, hour_angle, dec = _midnights(field, site, first_night, nights)
     half_s = _half_window_s(dec, site, max_hour_angle_rad, min_elevation_rad)
     _check_room(n_observations, nights, half_s, duration_s)
 
@@ -210,7 +214,33 @@ def schedule(
     slot_s = 2 * half_s[night] / np.bincount(night, minlength=nights)[night]
     phase = (0.5 + GOLDEN * night) % 1.0
     from_transit_s = place * slot_s - half_s[night] + phase * (slot_s - duration_s)
-    return Schedule(start_mjd=transit_mjd[night] + from_transit_s / DAY_S)
+    start_mjd = transit_mjd[night] + from_transit_s / DAY_S
+    return Schedule(start_mjd, from_transit_s * SIDEREAL_RAD_S, dec[night])
+
+
+@lru_cache(maxsize=8)  # points of a sweep have nights in common
+def _midnights(
+    field: FieldCentre, site: Site, first_night: str, nights: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Local mean midnight [MJD] of each night, hour angle of the field then and its declination of date, (nights,)."""
+    evening_mjd = date.fromisoformat(first_night).toordinal() - MJD_ZERO_ORDINAL
+    east_rad = math.remainder(site.longitude_rad, 2 * math.pi)  # 204.5 degrees east are 155.5 degrees west
+    midnight_mjd = evening_mjd + 1 + np.arange(nights) - east_rad / (2 * np.pi)
+    return midnight_mjd, *_hour_angle_dec(field, site, midnight_mjd)
+
+
+def near_angles(site: Site, plan: Schedule, mid_time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Elevation and parallactic angle as `survey_angles`, in closed form: for checks, which ephemerides would hold up.
+
+    The declination of date is that of each night's middle. Elevations are right to arcseconds; parallactic angles are
+    counted from the pole of date, which leaves differences within a night as they are.
+    """
+    hour_angle = plan.hour_angle_rad[:, None] + SIDEREAL_RAD_S * np.asarray(mid_time_s)
+    sin_dec, cos_dec = np.sin(plan.dec_rad)[:, None], np.cos(plan.dec_rad)[:, None]
+    sin_up = math.sin(site.latitude_rad) * sin_dec + math.cos(site.latitude_rad) * cos_dec * np.cos(hour_angle)
+    across = math.cos(site.latitude_rad) * np.sin(hour_angle)
+    along = math.sin(site.latitude_rad) * cos_dec - math.cos(site.latitude_rad) * sin_dec * np.cos(hour_angle)
+    return np.arcsin(np.clip(sin_up, -1, 1)), np.arctan2(across, along)
 
 
 def survey_angles(

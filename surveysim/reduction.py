@@ -335,7 +335,7 @@ def transmissions(scene: Scene) -> np.ndarray:
     """
     setup = prepare(scene)
     middle = setup.blocks[len(setup.blocks) // 2]
-    setup = replace(setup, window_skies_mk=setup.window_skies_mk[[0, -1]])
+    setup = replace(setup, made=setup.made | {"window_skies_mk": setup.window_skies_mk[[0, -1]]})
     everywhere = np.ones_like(setup.band.taper)
     powers = np.zeros((len(setup.whole_recipes), len(TARGETS), 2, len(setup.band.rings.ell)))
     for observation in REFERENCE:

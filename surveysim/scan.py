@@ -64,6 +64,11 @@ def duration_s(raster: Raster) -> float:
     return raster.n_scans * raster.scan_s + (raster.n_scans - 1) * raster.turnaround_s
 
 
+def mid_times(raster: Raster) -> np.ndarray:
+    """Time of the middle of each scan (n_scan,) after the start of the observation [s]."""
+    return raster.scan_s / 2 + np.arange(raster.n_scans) * (raster.scan_s + raster.turnaround_s)
+
+
 def raster(raster: Raster, along: str, dither: np.ndarray) -> RasterPath:
     """Boresight path of one observation, scans along "ra" (xi) or "dec" (eta), moved by `dither` (2,) [rad].
 
@@ -77,7 +82,7 @@ def raster(raster: Raster, along: str, dither: np.ndarray) -> RasterPath:
         raise ValueError(f'scans go along "ra" or "dec", not {along!r}')
     n = samples_per_scan(raster)
     k = np.arange(raster.n_scans)
-    mid_s = raster.scan_s / 2 + k * (raster.scan_s + raster.turnaround_s)
+    mid_s = mid_times(raster)
     from_mid_s = (np.arange(n) + 0.5 - n / 2) / raster.sample_rate_hz
     speed = raster.speed_rad_s * (1.0 - 2.0 * (k % 2))
     along_rad = np.outer(speed, from_mid_s)

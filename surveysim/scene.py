@@ -8,15 +8,15 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationError, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
-from surveysim.quantities import shown
+from surveysim.quantities import Line, whole
 from surveysim.scan import MIN_SAMPLES
 from surveysim.sections import (
     Atmosphere,
@@ -36,6 +36,16 @@ from surveysim.sections import (
     Sky,
 )
 from surveysim.sites import sites_text
+from surveysim.texts import nested_deeper, one_line, printable, read_text
+from surveysim.units import shown
+
+NAME, MAX_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]*", 100
+MAX_BYTES = 300_000  # of a scene file; with comments they have some 5 kB
+MAX_DEPTH = 20  # tables and lists within each other; scenes have 3
+MAX_ERRORS = 30  # lines of an error
+# A key of so many parts: the parser's time goes as their square.
+_PART = r"""(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)"""
+_LONG_KEY = re.compile(rf"(?<![\w\-.]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_DEPTH - 1}}}")
 
 
 class SceneError(ValueError):
@@ -49,15 +59,13 @@ class Scene(Section):
     assumed or calibrated.
     """
 
-    name: str = Field(
-        pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$", max_length=100, json_schema_extra={"otherwise": "that of the file"}
-    )
+    name: str = Field(pattern=f"^{NAME}$", max_length=MAX_NAME, json_schema_extra={"otherwise": "that of the file"})
     """Name of the run and, unless said otherwise, of its folder: letters, digits, `_`, `.` and `-`."""
-    title: str
+    title: Line
     """What it is, in a line that heads tables and figures."""
-    seed: int = Field(ge=0, lt=2**63)
+    seed: Annotated[int, *whole(0, 2**63 - 1)]
     """Seed of all random numbers: one seed, one result."""
-    observations: int = Field(ge=1, le=1_000_000)
+    observations: Annotated[int, *whole(1, 1_000_000)]
     """Observations of the survey."""
     field: FieldSection
     schedule: Schedule | None = None
@@ -126,14 +134,20 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
 def read_scene(path: Path) -> tuple[str, dict]:
     """Text and unchecked content of a scene file; raises SceneError when it can't be read."""
     try:
-        text = path.read_text(encoding="utf-8")
-        return text, tomllib.loads(text)
-    except OSError as error:
-        raise SceneError(f"{path}: can't be read ({error.strerror}); a scene file (TOML) is expected") from None
+        text = read_text(path, MAX_BYTES)
+    except ValueError as error:
+        raise SceneError(f"{path}: {error}; a scene file (TOML) is expected") from None
+    if match := _LONG_KEY.search(text):
+        raise SceneError(f"{path}: found a key of {MAX_DEPTH} parts or more, {shown(match[0])}; fewer are expected")
+    try:
+        content = tomllib.loads(text)
     except RecursionError:
         raise SceneError(f"{path}: nested too deeply; a scene file (TOML) is expected") from None
-    except ValueError as error:  # of TOML, of its dates and of its encoding
-        raise SceneError(f"{path}: not a whole TOML file ({error})") from None
+    except ValueError as error:  # of TOML and of its dates
+        raise SceneError(f"{path}: not a whole TOML file ({one_line(error)})") from None
+    if nested_deeper(content, MAX_DEPTH):
+        raise SceneError(f"{path}: nested too deeply; a scene file (TOML) is expected")
+    return text, content
 
 
 def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mapping[str, Any]) -> Scene:
@@ -147,14 +161,28 @@ def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mappi
         _override(path, data, key, value)
     if isinstance(data.get("atmosphere"), dict):
         data["assumed"] += _assumed_of_site(data["atmosphere"])
-    data.setdefault("name", path.stem)
+    if "name" not in data:
+        data["name"] = _name_of(path)
     positions = data.get("instrument", {}).get("positions") if isinstance(data.get("instrument"), dict) else None
     if isinstance(positions, str) and positions and "\0" not in positions:
         data["instrument"]["positions"] = str((path.parent / positions).resolve())
     try:
         return Scene.model_validate(data)
     except ValidationError as error:
-        raise SceneError("\n".join(_error_line(path, item) for item in error.errors())) from None
+        found = error.errors(include_url=False, include_context=False)
+        lines = [_error_line(item) for item in found[:MAX_ERRORS]]
+        raise SceneError(error_lines(path, lines, len(found) - len(lines))) from None
+
+
+def _name_of(path: Path) -> str:
+    """The name that a file gives its scene; raises SceneError, which says how to name it, where it can't."""
+    if not re.fullmatch(NAME, path.stem) or len(path.stem) > MAX_NAME:
+        raise SceneError(
+            f"{path}: name: missing, and the file's name {shown(path.stem)} is none for results: letters of ASCII,"
+            f" digits, '_', '.' and '-' are, up to {MAX_NAME} of them; a line like name = \"my_scene\" at the top"
+            " of the file, before any [section], or --set name=my_scene is expected"
+        )
+    return path.stem
 
 
 def scene_hash(scene: Scene) -> str:
@@ -177,8 +205,10 @@ def assumed_values(text: str) -> list[str]:
     for line in text.splitlines():
         if match := re.match(r"\s*\[\[?([\w.]+)\]", line):
             section = match[1] + "."
-        elif match := re.match(r"\s*(\w+)\s*=\s*(.*?)\s*#\s*((?:assumed|calibrated).*)$", line):
-            found.append(f"{section}{match[1]} = {match[2]}: {match[3]}")
+        elif comment := re.search(r"#\s*((?:assumed|calibrated).*)$", line):
+            key, equals, value = line[: comment.start()].partition("=")
+            if equals and re.fullmatch(r"\w+", key.strip()):
+                found.append(f"{section}{key.strip()} = {value.strip()}: {comment[1]}")
     return found
 
 
@@ -192,6 +222,8 @@ def _assumed_of_site(section: Mapping[str, Any]) -> list[str]:
 
 def _override(path: Path, data: dict, key: str, value: Any) -> None:
     *sections, last = key.split(".")
+    if len(sections) >= MAX_DEPTH or nested_deeper(value, MAX_DEPTH):
+        raise SceneError(f"{path}: {shown(key)}: nested too deeply; a key of a scene is expected")
     for name in sections:
         data = data.setdefault(name, {})
         if not isinstance(data, dict):
@@ -199,8 +231,15 @@ def _override(path: Path, data: dict, key: str, value: Any) -> None:
     data[last] = value
 
 
-def _error_line(path: Path, item: Any) -> str:
-    key = ".".join(str(part) for part in item["loc"])
+def error_lines(path: Path, errors: Sequence[str], left_off: int = 0) -> str:
+    """A line for each error of a file, the first few where there are many; `left_off` are left off already."""
+    left_off += len(errors[MAX_ERRORS:])
+    more = [f"{left_off} more errors"] if left_off else []
+    return "\n".join(f"{path}: {line}" for line in [*errors[:MAX_ERRORS], *more])
+
+
+def _error_line(item: Any) -> str:
+    key = printable(".".join(str(part) for part in item["loc"]))
     message = item["msg"].removeprefix("Value error, ")
     if item["type"] == "value_error" and (match := re.match(r"([a-z_0-9]+): ", message)) and key:
         # A check of a whole section names the key that it is about.
@@ -210,9 +249,10 @@ def _error_line(path: Path, item: Any) -> str:
     elif item["type"] == "missing":
         message = "missing; this key is expected"
     elif item["type"] != "value_error":
+        message = re.sub(r"^Input should be (greater|less)(.*)$", r"a number \1\2 is expected", message)
         allowed = _EXPECTED.get(item["type"], f"{message[0].lower()}{message[1:]}")
         message = f"found {shown(item['input'])}; {allowed}"
-    return f"{path}: {key}: {message}" if key else f"{path}: {message}"
+    return f"{key}: {message}" if key else message
 
 
 _EXPECTED = {
@@ -224,6 +264,9 @@ _EXPECTED = {
     "int_from_float": "an integer is expected",
     "float_type": "a number is expected",
     "float_parsing": "a number is expected",
+    "finite_number": "a finite number is expected",
+    "string_pattern_mismatch": "letters of ASCII, digits, '_', '.' and '-' (A-Za-z0-9_.-), none of the last two first,"
+    " are expected",
 }
 
 

@@ -1,15 +1,16 @@
 """What all observations of a scene share, prepared once: camera, scans, angles, factors, skies."""
 
-import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mapmaker.cleaning.responsivity import OBSERVATION, Responsivities
 from mapmaker.geometry import MapGeometry, covering_geometry
-from surveysim.band import Band, scored_band
+from surveysim.band import Band, padded_side, patch_side, scored_band
 from surveysim.blocks import Block, scan_blocks
 from surveysim.checks import (
     check_excess,
@@ -23,13 +24,17 @@ from surveysim.checks import (
     check_sources,
     check_templates,
     reach,
+    sky_coefficients,
 )
-from surveysim.coherence import MOST_DENSE, Overlap, correlation_matrix, overlap
+from surveysim.coherence import MOST_DENSE, Overlap
 from surveysim.instrument import Camera, camera, mask_by_separation
-from surveysim.lattice import Torus, TorusRoot, embed
+from surveysim.lattice import Torus, TorusRoot
+from surveysim.limits import Sizes, check_layer, check_memory, needed_memory
+from surveysim.parts import layer_strips, scene_sky, shared_noise, window_skies
 from surveysim.pointing import (
     FieldCentre,
     Pointing,
+    Schedule,
     Site,
     observation_pointing,
     schedule,
@@ -37,11 +42,14 @@ from surveysim.pointing import (
 )
 from surveysim.recipes import ACTUAL, OPTIMAL, Recipe, recipes
 from surveysim.responsivity import assumed_responsivity, colour_responsivity, true_responsivity
-from surveysim.scan import Raster, RasterPath, duration_s, raster, samples_per_scan
+from surveysim.scan import Raster, RasterPath, duration_s, mid_times, raster, samples_per_scan
 from surveysim.scene import Scene, SceneError
 from surveysim.sections import Colour, Excess, Instrument, Photon
 from surveysim.streams import Stage, generator
 from surveysim.weather import Water, site_water
+
+if TYPE_CHECKING:
+    from surveysim.atmosphere.screen import SlantStrips
 
 
 @dataclass(frozen=True)
@@ -57,36 +65,83 @@ class Angles:
 class Setup:
     """A scene made ready: nothing here depends on the observation but the angles' rows.
 
-    `photon_overlap` and `excess_factor`, what detectors share of these noises, None where they share nothing;
-    `responsivity` (n_det,), the true one; `calibration` (1 + n_colour, n_det), responsivities that cleaning takes as
-    known in the mapped band and the others, or None where it fits them; `recipes` all ways of cleaning, those of the
-    masked array last; `masked` indices of the detectors that it keeps, or None; `sky_mk` on `sky_geometry` or None;
-    `window_skies_mk` (n_sky, n_y, n_x) or None, the last of a point source where recipes are compared; `strips` the
-    atmosphere's strips or None; `water` what the band makes of the site's water, None without a site, and
-    `colour_waters` what the other bands make of it; `colour_responsivity` (n_colour, n_det); `blocks` that an
-    observation is made in.
+    `times` when observations begin, None at a fixed elevation; `responsivity` (n_det,), the true one; `calibration`
+    (1 + n_colour, n_det), responsivities that cleaning takes as known in the mapped band and the others, or None where
+    it fits them; `recipes` all ways of cleaning, those of the masked array last; `masked` indices of the detectors that
+    it keeps, or None; `strips` the atmosphere's strips or None; `water` what the band makes of the site's water, None
+    without a site, and `colour_waters` what the other bands make of it; `colour_responsivity` (n_colour, n_det);
+    `blocks` that an observation is made in; `made` the parts that have been asked for.
     """
 
     scene: Scene
     camera: Camera
     raster: Raster
     blocks: tuple[Block, ...]
-    angles: Angles
+    times: Schedule | None
     geometry: MapGeometry
     sky_geometry: MapGeometry
-    band: Band | None
     recipes: tuple[Recipe, ...]
     responsivity: np.ndarray
     calibration: np.ndarray | None
-    photon_overlap: Overlap | Torus | None
-    excess_factor: np.ndarray | TorusRoot | None
-    strips: object | None
+    strips: "SlantStrips | None"
     water: Water | None
     colour_waters: tuple[Water, ...]
     colour_responsivity: np.ndarray
-    sky_mk: np.ndarray | None
-    window_skies_mk: np.ndarray | None
     masked: np.ndarray | None
+    made: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def _once(self, name: str, make: Callable[[], Any]) -> Any:
+        """A part made when it is first asked for: checks and plans need none of them."""
+        if name not in self.made:
+            with threadpool_limits(1):  # no bit may depend on the machine's cores
+                self.made[name] = make()
+        return self.made[name]
+
+    @property
+    def angles(self) -> Angles:
+        """When observations begin, and their angles."""
+        return self._once("angles", lambda: _angles(self.scene, self.times, mid_times(self.raster)))
+
+    @property
+    def band(self) -> Band | None:
+        """The scored area and multipoles; None without a score."""
+        return self._once("band", lambda: scored_band(self.scene, self.geometry, self.sky_geometry))
+
+    def _overlap(self, name: str, section: Photon | Excess | None) -> Overlap | Torus | None:
+        # Photon and excess noise of one coherence share one correlation.
+        key = f"overlap {section.coherence if section else 'none'}"
+        return self._once(key, lambda: shared_noise(self.camera, section, name))
+
+    @property
+    def photon_overlap(self) -> Overlap | Torus | None:
+        """Correlation of photon noise between detectors; None where they share nothing."""
+        return self._overlap("photon", self.scene.photon)
+
+    @property
+    def excess_factor(self) -> np.ndarray | TorusRoot | None:
+        """Factor of the correlation of excess noise between detectors; None where they share nothing."""
+
+        def make() -> np.ndarray | TorusRoot | None:
+            found = self._overlap("excess", self.scene.excess)
+            return None if found is None else found.factor()
+
+        return self._once("excess_factor", make)
+
+    @property
+    def sky_mk(self) -> np.ndarray | None:
+        """The sky (n_y, n_x) on `sky_geometry`; None without one."""
+        return self._once("sky_mk", lambda: scene_sky(self.scene, self.sky_geometry))
+
+    @property
+    def window_skies_mk(self) -> np.ndarray | None:
+        """Skies (n_sky, n_y, n_x) of the window or None, the last of a point source where recipes are compared."""
+        return self._once("window_skies_mk", lambda: window_skies(self.scene, self.sky_geometry))
+
+    @property
+    def n_window_skies(self) -> int:
+        """How many these are; 0 without a score."""
+        score = self.scene.score
+        return score.window.skies + bool(self.scene.cleaning.compare) if score else 0
 
     @property
     def n_det(self) -> int:
@@ -153,9 +208,6 @@ def prepare(scene: Scene) -> Setup:
         raise SceneError(str(error)) from None
 
 
-# Eigenvectors of the correlations differ in their last bits, or in a degenerate space altogether, between
-# numbers of BLAS threads; a run must not depend on the machine's cores.
-@threadpool_limits.wrap(limits=1)
 def _prepare(scene: Scene) -> Setup:
     cam = camera(scene.instrument)
     lines = _raster(scene)
@@ -173,33 +225,58 @@ def _prepare(scene: Scene) -> Setup:
     check_excess(scene)
     check_sky(scene, sky_geometry)
     ways = recipes(scene.cleaning, masked)
-    excess = shared_noise(cam, scene.excess, "excess")
     n_det = len(cam.focal_plane.x_rad)
     responsivity, of_colours = true_responsivity(scene, n_det), colour_responsivity(scene, n_det)
-    angles, water = _angles(scene, cam, lines), _water(scene, scene.instrument)
-    check_levels(scene, water, float(angles.elevation_rad.min()))
+    times, water = _times(scene, lines), _water(scene, scene.instrument)
+    lowest = _lowest(scene, cam, times, mid_times(lines))
+    check_levels(scene, water, lowest)
     check_sources(scene, sky_geometry)
-    return Setup(
+    setup = Setup(
         scene=scene,
-        band=scored_band(scene, geometry, sky_geometry),
         camera=cam,
         raster=lines,
         blocks=_blocks(scene, cam, lines, ways),
-        angles=angles,
+        times=times,
         geometry=geometry,
         sky_geometry=sky_geometry,
         recipes=ways,
         responsivity=responsivity,
         calibration=assumed_responsivity(scene, np.vstack([responsivity[None], of_colours])),
-        photon_overlap=shared_noise(cam, scene.photon, "photon"),
-        excess_factor=None if excess is None else excess.factor(),
-        strips=_strips(scene, cam),
+        strips=layer_strips(scene, cam),
         water=water,
         colour_waters=tuple(_water(scene, colour) for colour in scene.instrument.colours),
         colour_responsivity=of_colours,
-        sky_mk=_sky(scene, sky_geometry),
-        window_skies_mk=_window_skies(scene, sky_geometry),
         masked=masked,
+    )
+    if setup.n_det > MOST_DENSE:
+        _check_torus(setup)
+    elements = check_layer(scene, setup.strips, water, cam.radius_rad, lines, lowest)
+    check_memory(needed_memory(scene, _sizes(setup, elements)))
+    return setup
+
+
+def _check_torus(setup: Setup) -> None:
+    """Raise SceneError where there is no torus for the noise that so many detectors share: it is made, once."""
+    _ = setup.photon_overlap, setup.excess_factor
+
+
+def _sizes(setup: Setup, strip_elements: int) -> Sizes:
+    scene, geometry = setup.scene, setup.geometry
+    scored = scene.score is not None
+    curved = scene.sky is not None and scene.sky.curved_lmax is not None
+    return Sizes(
+        n_det=setup.n_det,
+        n_samp=samples_per_scan(setup.raster),
+        n_scans=max(block.n_scans for block in setup.blocks),
+        n_bands=1 + len(scene.instrument.colours) * setup.subtracts_colours,
+        n_pixel=geometry.n_x * geometry.n_y,
+        n_patch=patch_side(scene.score.size_rad, geometry) if scored else 0,
+        n_pad=padded_side(scene.score.size_rad, geometry) if scored else 0,
+        n_set=len(setup.data_sets),
+        n_window=len(setup.windows),
+        n_sky=setup.n_window_skies,
+        strip_elements=strip_elements,
+        n_coefficients=sky_coefficients(scene.sky.curved_lmax, setup.sky_geometry) if curved else 0,
     )
 
 
@@ -247,74 +324,41 @@ def _geometry(scene: Scene, cam: Camera, pixel_rad: float) -> MapGeometry:
     return covering_geometry(scene.field.ra_rad, scene.field.dec_rad, pixel_rad, reach(scene, cam))
 
 
-def _angles(scene: Scene, cam: Camera, lines: Raster) -> Angles:
-    shape = (scene.observations, scene.scan.scans)
-    if scene.fixed_pointing:
+def _times(scene: Scene, lines: Raster) -> Schedule | None:
+    """When observations begin; None at a fixed elevation. Raises SceneError for nights that do not hold them."""
+    plan = scene.schedule
+    if plan is None:
+        return None
+    limits = plan.max_hour_angle_rad, plan.min_elevation_rad
+    numbers = plan.first_night, plan.nights, scene.observations
+    try:
+        return schedule(_field(scene), _site(scene), *numbers, *limits, duration_s(lines))
+    except ValueError as error:
+        raise SceneError(f"schedule: {error}") from None
+
+
+def _field(scene: Scene) -> FieldCentre:
+    return FieldCentre(scene.field.ra_rad, scene.field.dec_rad)
+
+
+def _site(scene: Scene) -> Site:
+    return Site(scene.schedule.latitude_rad, scene.schedule.longitude_rad, scene.schedule.height_m)
+
+
+def _lowest(scene: Scene, cam: Camera, times: Schedule | None, mid_time_s: np.ndarray) -> float:
+    """Lowest elevation of all scans [rad]; raises SceneError where the sky moves too far within one."""
+    if times is None:
+        return scene.fixed_pointing.elevation_rad
+    return check_motion(scene, cam, _site(scene), times, mid_time_s)
+
+
+def _angles(scene: Scene, times: Schedule | None, mid_time_s: np.ndarray) -> Angles:
+    shape = (scene.observations, len(mid_time_s))
+    if times is None:
         fixed = scene.fixed_pointing
         elevation, parallactic = np.full(shape, fixed.elevation_rad), np.full(shape, fixed.parallactic_angle_rad)
         return Angles(np.zeros(shape[0]), elevation, parallactic)
-    plan = scene.schedule
-    field = FieldCentre(scene.field.ra_rad, scene.field.dec_rad)
-    site = Site(plan.latitude_rad, plan.longitude_rad, plan.height_m)
-    try:
-        times = schedule(
-            field,
-            site,
-            plan.first_night,
-            plan.nights,
-            scene.observations,
-            plan.max_hour_angle_rad,
-            plan.min_elevation_rad,
-            duration_s(lines),
-        )
-    except ValueError as error:
-        raise SceneError(f"schedule: {error}") from None
-    mid_time = raster(lines, "ra", np.zeros(2)).mid_time_s
-    angles = Angles(times.start_mjd, *survey_angles(field, site, times, mid_time))
-    middle = {"elevation_rad": angles.elevation_rad, "parallactic_rad": angles.parallactic_rad}
-    check_motion(scene, cam, field, site, times, mid_time_s=mid_time, **middle)
-    return angles
-
-
-def shared_noise(cam: Camera, section: Photon | Excess | None, name: str) -> Overlap | Torus | None:
-    """What detectors share of a noise by overlap, None where they share nothing."""
-    if section is None or section.coherence == "none":
-        return None
-    n_det = len(cam.focal_plane.x_rad)
-    if n_det <= MOST_DENSE:
-        return overlap(correlation_matrix(cam.positions_f_lambda, section.coherence, cam.illumination))
-    if cam.pitch_rad is None:
-        raise SceneError(
-            f"{name}.coherence: found {section.coherence!r} for the {n_det} detectors of a table of positions; "
-            f"{MOST_DENSE} or fewer are expected, or an instrument.layout, whose lattice makes noise that more share, "
-            "or coherence 'none'"
-        )
-    try:
-        return embed(cam.cells, cam.pitch_rad / cam.f_lambda_rad, section.coherence, cam.illumination)
-    except ValueError as error:
-        raise SceneError(f"{name}.coherence: {error}") from None
-
-
-def screen(scene: Scene):
-    """The layer as the telescope sees it at the zenith; raises SceneError where there is none of these numbers."""
-    from surveysim.atmosphere.spectrum import Screen
-
-    air = scene.atmosphere
-    outer = math.inf if air.outer_scale_m is None else air.outer_scale_m / air.layer_height_m
-    try:
-        return Screen(air.index, air.illuminated_aperture_m / air.layer_height_m, outer)
-    except ValueError as error:
-        raise SceneError(f"atmosphere: {error}") from None
-
-
-def _strips(scene: Scene, cam: Camera):
-    if scene.atmosphere is None:
-        return None
-    from surveysim.atmosphere.screen import SlantStrips
-
-    numerics = scene.numerics
-    numbers = numerics.screen_step, numerics.interpolation, numerics.precision
-    return SlantStrips(screen(scene), cam.radius_rad, cam.closest_rad, *numbers)
+    return Angles(times.start_mjd, *survey_angles(_field(scene), _site(scene), times, mid_time_s))
 
 
 def _water(scene: Scene, band: Instrument | Colour) -> Water | None:
@@ -322,37 +366,6 @@ def _water(scene: Scene, band: Instrument | Colour) -> Water | None:
     if air is None or air.site is None:
         return None
     return site_water(air, band.frequency_hz, band.bandwidth)
-
-
-def _sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
-    if scene.sky is None:
-        return None
-    from surveysim.sky import draw_sky
-
-    instrument = scene.instrument
-    rng = generator(scene.seed, Stage.SKY)
-    return draw_sky(scene.sky, geometry, instrument.cmb_per_rj, instrument.beam_fwhm_rad, rng)
-
-
-def _window_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
-    if scene.score is None:
-        return None
-    from surveysim.sky import central_source, flat_cmb_sky
-
-    window, instrument = scene.score.window, scene.instrument
-    skies = [
-        flat_cmb_sky(
-            geometry,
-            window.band_power_ukcmb2,
-            instrument.cmb_per_rj,
-            instrument.beam_fwhm_rad,
-            generator(scene.seed, Stage.WINDOW_SKY, realization=sky),
-        )
-        for sky in range(window.skies)
-    ]
-    if scene.cleaning.compare:
-        skies.append(central_source(geometry, instrument.beam_fwhm_rad))
-    return np.stack(skies)
 
 
 def observation_path(setup: Setup, observation: int) -> tuple[RasterPath, Pointing]:

@@ -50,7 +50,7 @@ def left_out(setup: Setup) -> dict[str, str]:
         reasons["ephemerides"] = "a fixed elevation needs no astropy.coordinates"
     if setup.water is None:
         reasons["opacity"] = "no atmosphere.site to know it of"
-    if setup.photon_overlap is None and setup.excess_factor is None:
+    if not any(section and section.coherence != "none" for section in (scene.photon, scene.excess)):
         reasons["overlap"] = "no noise that detectors share"
     if scene.instrument.colours and not setup.subtracts_colours:
         reasons["other bands"] = "no recipe subtracts them"

@@ -5,9 +5,11 @@ depend on these keys are common to all points, and differences between points ar
 """
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from itertools import product
 from math import prod
 from pathlib import Path
@@ -15,10 +17,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from surveysim.quantities import shown
 from surveysim.scan import samples_per_scan
-from surveysim.scene import Scene, SceneError, allowed_keys, read_scene, scene_of
+from surveysim.scene import Scene, SceneError, allowed_keys, error_lines, read_scene, scene_of
 from surveysim.setup import prepare
+from surveysim.texts import printable
+from surveysim.units import shown
 
 MAX_POINTS = 1000
 LABEL_LENGTH = 40
@@ -45,7 +48,7 @@ class Axis:
         varying = tuple(key for key, column in zip(self.keys, texts, strict=True) if len(set(column)) > 1)
         return varying or self.keys[:1]
 
-    @property
+    @cached_property
     def labels(self) -> list[str]:
         """Each step's value of the first key, or ``key = value`` of all `telling_keys`, as short text.
 
@@ -61,7 +64,8 @@ class Axis:
                 ", ".join(f"{name} = {text}" for name, text in zip(names, row, strict=True))
                 for row in zip(*columns, strict=True)
             ]
-        return [f"{text} #{step}" if texts.count(text) > 1 else text for step, text in enumerate(texts)]
+        seen = Counter(texts)
+        return [f"{text} #{step}" if seen[text] > 1 else text for step, text in enumerate(texts)]
 
     def at(self, step: int) -> str:
         """``name = value`` of one step, or ``name (key = value, ...)``."""
@@ -195,7 +199,7 @@ def _axes(path: Path, content: Mapping[str, Any], overrides: Mapping[str, Any]) 
         except ValueError as error:
             wrong.append(str(error))
     if wrong:
-        raise SceneError("\n".join(f"{path}: {line}" for line in wrong))
+        raise SceneError(error_lines(path, wrong))
     if not axes:
         raise SceneError(f"{path}: sweep: found {REFERENCE!r} alone; a key with a list of values is expected")
     try:
@@ -206,7 +210,7 @@ def _axes(path: Path, content: Mapping[str, Any], overrides: Mapping[str, Any]) 
 
 
 def _axis(name: str, value: Any) -> Axis:
-    where = f"sweep.{name}"
+    where = f"sweep.{printable(name)}"
     if isinstance(value, list):
         lists = {name: value}
     elif isinstance(value, dict) and value:
@@ -214,7 +218,7 @@ def _axis(name: str, value: Any) -> Axis:
     else:
         raise ValueError(f"{where}: found {shown(value)}; a list of values, or a table of keys with lists, is expected")
     for key, items in lists.items():
-        of_key = where if lists is not value else f"{where}.{key}"
+        of_key = where if lists is not value else f"{where}.{printable(key)}"
         _check_key(of_key, name, key)
         if not isinstance(items, list) or not items:
             raise ValueError(f"{of_key}: found {shown(items)}; a list of one or more values is expected")
@@ -228,7 +232,7 @@ def _check_key(where: str, axis: str, key: str) -> None:
     """Raise ValueError unless it is a key of a scene that points may differ in."""
     *sections, last = key.split(".")
     if sections[:1] == ["sweep"] or key in COMMON:
-        raise ValueError(f"{where}: found {key!r}; a key that is not common to all points is expected")
+        raise ValueError(f"{where}: found {shown(key)}; a key that is not common to all points is expected")
     allowed = allowed_keys(tuple(sections))
     if last not in allowed:
         if axis != key and key in allowed_keys(tuple(axis.split("."))):
@@ -242,7 +246,7 @@ def _check_together(axes: Sequence[Axis], overrides: Mapping[str, Any]) -> None:
     seen: list[str] = []
     for key in (key for axis in axes for key in axis.keys):
         if other := next((other for other in seen if _overlap(key, other)), None):
-            raise ValueError(f"sweep: found {key!r} beside {other!r}; every key on one axis is expected")
+            raise ValueError(f"sweep: found {shown(key)} beside {shown(other)}; every key on one axis is expected")
         if other := next((other for other in overrides if _overlap(key, other)), None):
             raise ValueError(f"{other}: set, and on an axis of the sweep; a key that it leaves alone is expected")
         seen.append(key)
@@ -316,12 +320,12 @@ def _of_all(path: Path, labels: Sequence[str], job: Callable[[int], T]) -> list[
             for line in str(error).splitlines():
                 wrong.setdefault(line.removeprefix(f"{path}: "), []).append(number)
     if wrong:
-        raise SceneError("\n".join(_line(path, line, labels, points) for line, points in wrong.items()))
+        raise SceneError(error_lines(path, [_line(line, labels, points) for line, points in wrong.items()]))
     return done
 
 
-def _line(path: Path, line: str, labels: Sequence[str], points: list[int]) -> str:
+def _line(line: str, labels: Sequence[str], points: list[int]) -> str:
     if len(points) == len(labels) > 1:
-        return f"{path}: {line}"
+        return line
     others = f" and {len(points) - 1} more" if len(points) > 1 else ""
-    return f"{path}: point ({labels[points[0]]}){others}: {line}"
+    return f"point ({printable(labels[points[0]])}){others}: {line}"

@@ -6,33 +6,70 @@ Rayleigh-Jeans; conversion happens here, at the border, and nowhere else.
 
 import math
 import re
+from datetime import date, time
+from functools import lru_cache
 
 PLANCK_J_S = 6.62607015e-34
 BOLTZMANN_J_K = 1.380649e-23
 CMB_TEMPERATURE_K = 2.7255
-_SEXAGESIMAL = re.compile(r"^\s*([+-]?)(\d+)([hd])\s*(\d+)m\s*(\d+(?:\.\d*)?)s\s*$")
+LONGEST_QUANTITY = 200  # characters of one number and its unit
+_SEXAGESIMAL = re.compile(r"\s*([+-]?)(\d{1,6})([hd])\s*(\d{1,6})m\s*(\d{1,6}(?:\.\d*)?)s\s*", re.ASCII)
 _LIST = re.compile(r"^\s*\[(?P<values>[^\]]*)\]\s*(?P<unit>.*)$", re.DOTALL)
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+# A unit is a product of names with powers, divided by one name at most: astropy alone reads "4 4 s" as 16 s.
+_POWER = r"(?:(?:\s?(?:\^|\*\*)\s?)?(?:-?\d{1,2}|\(\s*-?\d{1,6}(?:\.\d{1,6}|\s*/\s*\d{1,4})?\s*\)))?"
+_NAME = rf"[A-Za-z\u00b5\u03bc]+{_POWER}"
+_UNIT = rf"%|{_NAME}(?:(?:\s?[*.]\s?|\s){_NAME})*(?:\s?/\s?{_NAME})?|/\s?{_NAME}"
+_QUANTITY = re.compile(rf"\s*(?P<number>{NUMBER})\s*(?P<unit>{_UNIT})?\s*", re.ASCII)
+_NOT_FINITE = re.compile(r"\s*[+-]?(?:nan|inf|infinity)\b.*", re.ASCII | re.IGNORECASE | re.DOTALL)
+
+
+def shown(value: object) -> str:
+    """A value of a scene file as an error quotes it, cut to a line's length."""
+    try:
+        text = str(value) if isinstance(value, date | time) else repr(value)
+    except (RecursionError, ValueError):  # lists within lists, integers of thousands of digits
+        text = f"a value of type {type(value).__name__} that is too long to show"
+    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def to_float(text: object, unit: str) -> float:
-    """The number that a quantity such as ``"4 arcmin / s"`` has in `unit`.
+    """The number that a quantity such as ``"4 arcmin / s"``, one number and one unit, has in `unit`.
 
     A bare number is refused unless `unit` is dimensionless. Raises ValueError with what was
     found and what is allowed.
     """
-    import astropy.units as u
-
     if isinstance(text, bool) or not isinstance(text, int | float | str):
-        raise ValueError(f"found {text!r}; a quantity in {unit or 'plain numbers'} is expected")
+        raise ValueError(f"found {shown(text)}; a quantity in {unit or 'plain numbers'} is expected")
     if isinstance(text, int | float):
         if unit:
-            raise ValueError(f"found the bare number {text}; a string with a unit like {unit!r} is expected")
-        return _finite(float(text), text)
+            raise ValueError(f"found the bare number {shown(text)}; a string with a unit like {unit!r} is expected")
+        try:
+            return _finite(float(text), text)
+        except OverflowError:  # of an integer
+            return _finite(math.inf, text)
+    match = _QUANTITY.fullmatch(text) if len(text) <= LONGEST_QUANTITY else None
+    if match is None:
+        if _NOT_FINITE.fullmatch(text):
+            _finite(math.inf, text)
+        raise ValueError(f"found {shown(text)}; one number and one unit like {unit or '1'!r} are expected")
+    factor = _unit_factor(match["unit"] or "", unit)
+    if factor is None:
+        raise ValueError(f"found {shown(text)}; a quantity in units like {unit or '1'!r} is expected")
+    return _finite(float(match["number"]) * factor, text)
+
+
+@lru_cache(maxsize=256)
+def _unit_factor(found: str, unit: str) -> float | None:
+    """How many `unit` one of the unit `found` is; None where it does not convert."""
+    import astropy.units as u
+
     try:
-        value = float(u.Quantity(text).to_value(unit))
-    except (u.UnitConversionError, TypeError, ValueError):
-        raise ValueError(f"found {text!r}; a quantity in units like {unit or '1'!r} is expected") from None
-    return _finite(value, text)
+        parsed = u.Unit(found)
+        # Magnitudes and other functions are no units.
+        return float(parsed.to(unit)) if isinstance(parsed, u.UnitBase) else None
+    except (u.UnitConversionError, TypeError, ValueError, ArithmeticError):
+        return None
 
 
 def to_floats(text: object, unit: str) -> tuple[float, ...]:
@@ -44,7 +81,7 @@ def to_floats(text: object, unit: str) -> tuple[float, ...]:
         return tuple(to_float(item, unit) for item in text)
     match = _LIST.match(text) if isinstance(text, str) else None
     if match is None:
-        raise ValueError(f"found {text!r}; a list like '[1, 2, 3] {unit}' is expected")
+        raise ValueError(f"found {shown(text)}; a list like '[1, 2, 3] {unit}' is expected")
     return tuple(to_float(f"{value.strip()} {match['unit']}", unit) for value in match["values"].split(","))
 
 
@@ -53,19 +90,19 @@ def to_sky_angle(text: object) -> float:
 
     Raises ValueError with what was found and what is allowed.
     """
-    match = _SEXAGESIMAL.match(text) if isinstance(text, str) else None
+    match = _SEXAGESIMAL.fullmatch(text) if isinstance(text, str) else None
     if match is None:
         return to_float(text, "rad")
     sign, whole, unit, minutes, seconds = match.groups()
     if int(minutes) >= 60 or float(seconds) >= 60:
-        raise ValueError(f"found {text!r}; minutes and seconds below 60 are expected")
+        raise ValueError(f"found {shown(text)}; minutes and seconds below 60 are expected")
     degrees = (int(whole) + int(minutes) / 60 + float(seconds) / 3600) * (15 if unit == "h" else 1)
     return math.radians(-degrees if sign == "-" else degrees)
 
 
 def _finite(value: float, found: object) -> float:
     if not math.isfinite(value):
-        raise ValueError(f"found {found!r}; a finite number is expected")
+        raise ValueError(f"found {shown(found)}; a finite number is expected")
     return value
 
 

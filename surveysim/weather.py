@@ -90,7 +90,30 @@ def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: np.random.Gen
     """
     level, speed = rng.standard_normal(2)
     angle = rng.uniform(0, 2 * math.pi)
-    share = rng.random()
+    return _weather(atmosphere, water, level, speed, angle, rng.random())
+
+
+def fastest_wind(atmosphere: Atmosphere, water: Water | None, n_observations: int) -> float:
+    """Wind [rad/s] that none of so many observations exceeds, but for a chance of a millionth.
+
+    Raises ValueError as `draw_weather` where B2 or the wind may be no number for a stream. Inf where the wind has no
+    bound: it goes as a negative power of a B2 that may be 0.
+    """
+    if atmosphere.wind_b2_exponent < 0 and water is None and min(atmosphere.b2) == 0:
+        return math.inf
+    from scipy.special import ndtri
+
+    beyond = -float(ndtri(1e-6 / (2 * n_observations)))
+    extremes = [
+        _weather(atmosphere, water, level, beyond, 0.0, share) for level in (-beyond, beyond) for share in (0.0, 1.0)
+    ]
+    return max(weather.wind_speed_rad_s for weather in extremes)
+
+
+def _weather(
+    atmosphere: Atmosphere, water: Water | None, level: float, speed: float, angle: float, share: float
+) -> Weather:
+    """Weather at normal levels of B2 (or fluctuations) and wind, at an angle, and with a share of drier water."""
     pwv = math.nan
     if water is not None:
         pwv = float(pwv_quantile(atmosphere, share))

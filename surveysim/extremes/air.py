@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from mapmaker.cleaning import clean
-from surveysim.atmosphere.screen import Strip, add_atmosphere
+from surveysim.atmosphere.factors import Strip
+from surveysim.atmosphere.screen import add_atmosphere
 from surveysim.atmosphere.spectrum import Screen, structure_function
 from surveysim.extremes.case import N_SAMP, RATE_HZ, TEMPLATES, Outcome, agrees
 from surveysim.observation import add_layer, draw_observation, observation_weather

@@ -1,14 +1,28 @@
 """The section of the atmosphere."""
 
 from fractions import Fraction
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
-from surveysim.quantities import B2_MAX, B2_MIN, B2s, Fluctuations, Index, Length, SiteName, SpeedExtent, Waters
+from surveysim.quantities import (
+    B2_MAX,
+    B2_MIN,
+    FLUCTUATION_MAX,
+    FLUCTUATION_MIN,
+    B2s,
+    Fluctuations,
+    Index,
+    Length,
+    Probabilities,
+    SiteName,
+    SpeedExtent,
+    Waters,
+    number,
+)
 from surveysim.sections.base import Section, check_knots, check_quantiles
 from surveysim.sites import with_site
-from surveysim.units import to_floats
+from surveysim.units import shown, to_floats
 
 KOLMOGOROV = Fraction(11, 3)  # the index that amplitudes of fluctuations in `sites.toml` belong to
 _OF_SITE = {"otherwise": "the site's"}
@@ -33,25 +47,25 @@ class Atmosphere(Section):
     """Where the weather is from: its water and opacity, and the keys that are left out below."""
     layer_height_m: Length = Field(alias="layer_height", json_schema_extra=_OF_SITE)
     """Height of the layer above the telescope, at the zenith."""
-    b2_probabilities: tuple[float, ...] = ()
+    b2_probabilities: Probabilities = ()
     """Probabilities, between 0 and 1, of the quantiles `b2`."""
     b2: B2s = Field(default=(), json_schema_extra={"otherwise": "follows from the site"})
     """Quantiles of B2, the amplitude of the layer's power spectrum at the zenith, over the survey."""
-    pwv_probabilities: tuple[float, ...] = Field(default=(), json_schema_extra=_OF_SITE)
+    pwv_probabilities: Probabilities = Field(default=(), json_schema_extra=_OF_SITE)
     """Probabilities of the quantiles `pwv`: the first is 0 and the last 1, or there is one value alone."""
     pwv_mm: Waters = Field(alias="pwv", default=(), json_schema_extra=_OF_SITE)
     """Quantiles of the precipitable water over the site at the zenith, from the driest to the wettest; ln PWV is linear
     in the probability between them. One value: the same water in all observations."""
-    fluctuation_probabilities: tuple[float, ...] = Field(default=(), json_schema_extra=_OF_SITE)
+    fluctuation_probabilities: Probabilities = Field(default=(), json_schema_extra=_OF_SITE)
     """Probabilities, between 0 and 1, of the quantiles `fluctuation`."""
     fluctuation: Fluctuations = Field(default=(), json_schema_extra=_OF_SITE)
     """Quantiles of (delta C / C)^2, the water's fractional fluctuations as an amplitude like B2. A site's are those of
     an index of 11/3: with another index this key is needed, or `b2`, beside which its ranks alone count."""
     wind_median_rad_s: SpeedExtent = Field(alias="wind_median", json_schema_extra=_OF_SITE)
     """Median angular speed of the layer, which blows from anywhere."""
-    wind_log_scatter: float = Field(ge=0, le=2, json_schema_extra=_OF_SITE)
+    wind_log_scatter: Annotated[float, *number(0, 2)] = Field(json_schema_extra=_OF_SITE)
     """Scatter of the logarithm of that speed."""
-    wind_b2_exponent: float = Field(ge=-2, le=2, default=0.0)
+    wind_b2_exponent: Annotated[float, *number(-2, 2)] = 0.0
     """The median wind goes as this power of B2 over its median."""
 
     @model_validator(mode="before")
@@ -91,22 +105,25 @@ class Atmosphere(Section):
         if self.b2 or self.b2_probabilities:
             check_quantiles("b2", self.b2_probabilities, self.b2)
             if not all(value == 0 or B2_MIN <= value <= B2_MAX for value in self.b2):
-                raise ValueError(f"b2: found {self.b2}; 0 or values from {B2_MIN:g} to {B2_MAX:g} are expected")
+                raise ValueError(f"b2: found {shown(self.b2)}; 0 or values from {B2_MIN:g} to {B2_MAX:g} are expected")
         elif self.site is None:
             raise ValueError("b2: missing; a distribution of B2, or a site that it follows from, is expected")
         if self.site is not None:
             check_quantiles("fluctuation", self.fluctuation_probabilities, self.fluctuation)
             check_knots("pwv_probabilities", self.pwv_probabilities, "pwv", self.pwv_mm)
-            if min(self.pwv_probabilities) < 0 or max(self.pwv_probabilities) > 1:
-                raise ValueError(f"pwv_probabilities: found {self.pwv_probabilities}; values from 0 to 1 are expected")
             if len(self.pwv_mm) > 1 and (self.pwv_probabilities[0], self.pwv_probabilities[-1]) != (0, 1):
                 raise ValueError(
-                    f"pwv_probabilities: found {self.pwv_probabilities}; 0 first and 1 last are expected, the driest "
-                    "and the wettest water, or one value alone"
+                    f"pwv_probabilities: found {shown(self.pwv_probabilities)}; 0 first and 1 last are expected, the"
+                    " driest and the wettest water, or one value alone"
                 )
             for key, values in (("pwv", self.pwv_mm), ("fluctuation", self.fluctuation)):
                 if not min(values) > 0:
-                    raise ValueError(f"{key}: found {values}; values above 0 are expected")
+                    raise ValueError(f"{key}: found {shown(values)}; values above 0 are expected")
+            if not FLUCTUATION_MIN <= min(self.fluctuation) <= max(self.fluctuation) <= FLUCTUATION_MAX:
+                raise ValueError(
+                    f"fluctuation: found {shown(self.fluctuation)}; values from {FLUCTUATION_MIN:g} to"
+                    f" {FLUCTUATION_MAX:g} are expected"
+                )
         if self.layer_height_m < self.illuminated_aperture_m:
             raise ValueError(
                 f"layer_height: found {self.layer_height_m:g} m with an aperture of {self.illuminated_aperture_m:g} m; "

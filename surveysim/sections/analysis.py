@@ -7,12 +7,16 @@ from pydantic import Field, model_validator
 from surveysim.quantities import (
     BandPowers,
     Frequency,
+    Line,
     Nside,
     Positive,
     PositiveAngle,
     PositiveBandPower,
     Ratios,
+    Share,
     Steps,
+    number,
+    whole,
 )
 from surveysim.sections.base import Section
 
@@ -24,22 +28,22 @@ class Cleaning(Section):
     """What the scene cleans with: an algorithm, or several that are applied in order."""
     compare: tuple[Steps, ...] = ()
     """Other ways of cleaning the same streams, scored as data sets beside it and as "optimal", the best of each."""
-    tolerance: float = Field(gt=0, lt=1)
+    tolerance: Annotated[float, *number(1e-12, 0.999999)]
     """Mean fractional change of the responsivities at which the iteration of templates ends."""
-    max_iterations: int = Field(ge=1, le=1_000_000)
+    max_iterations: Annotated[int, *whole(1, 100_000)]
     """A scan, or an observation that is fitted as one, whose fit takes more is discarded."""
     sigma_cut: Positive | None = None
     """Needed by "pca": removes modes whose log eigenvalue is more than so many standard deviations above the mean."""
     responsivities: Literal["scan", "observation", "survey", "known"] = "scan"
     """Whose responsivities templates are subtracted with: fitted to each scan, as in the paper, or to all scans of an
     observation together; the true ones with an error that lasts the survey, or without."""
-    calibration_error: Annotated[float, Field(gt=0, le=1)] | None = None
+    calibration_error: Annotated[float, *number(1e-9, 1)] | None = None
     """Needed by responsivities "survey", which alone use it: rms error of these, relative and log-normal."""
     reach: Positive | None = None
     """Needed by "local": detectors within so many closest separations are neighbours."""
-    order: Annotated[int, Field(ge=0, le=20)] | None = None
+    order: Annotated[int, *whole(0, 20)] | None = None
     """Needed by "polynomial": order of the templates over the focal plane."""
-    regions: Annotated[int, Field(ge=1, le=1000)] | None = None
+    regions: Annotated[int, *whole(1, 1000)] | None = None
     """Needed by "polynomial": regions of the focal plane, each with templates of its own."""
 
     @model_validator(mode="after")
@@ -84,9 +88,9 @@ class MapSection(Section):
 class Window(Section):
     """Flat-CMB skies that measure what cleaning takes from the signal."""
 
-    skies: int = Field(ge=2, le=1000)
+    skies: Annotated[int, *whole(2, 1000)]
     """How many skies."""
-    observations: int = Field(ge=1)
+    observations: Annotated[int, *whole(1, 1_000_000)]
     """How many observations carry them, spread over the survey."""
     band_power_ukcmb2: PositiveBandPower = Field(alias="band_power")
     """Their band power; the window does not depend on it."""
@@ -95,7 +99,7 @@ class Window(Section):
 class Reference(Section):
     """Published uncertainties to print beside the run's, by data set."""
 
-    source: str
+    source: Line
     """Where they are from."""
     values_ukcmb2: BandPowers = Field(alias="values")
     """sigma(A) by name of the data set."""
@@ -108,15 +112,15 @@ class Score(Section):
 
     size_rad: PositiveAngle = Field(alias="size")
     """Side of the square of the map that is scored."""
-    taper_fraction: float = Field(ge=0, le=1)
+    taper_fraction: Share
     """Share of that side that its two cosine edges take."""
-    ell_bin: int = Field(ge=1)
+    ell_bin: Annotated[int, *whole(1, 1_000_000)]
     """Width of the bins of multipole."""
-    ell_min: int = Field(ge=1)
+    ell_min: Annotated[int, *whole(1, 10_000_000)]
     """Lowest multipole that is scored."""
-    ell_max: int = Field(ge=2)
+    ell_max: Annotated[int, *whole(2, 10_000_000)]
     """Highest multipole that is scored, a bin above `ell_min` or more."""
-    jackknives: int = Field(ge=2, le=1000)
+    jackknives: Annotated[int, *whole(2, 1000)]
     """Co-adds with random signs that measure the noise."""
     white_above_hz: Frequency = Field(alias="white_above")
     """The streams' level above this frequency is their white level."""

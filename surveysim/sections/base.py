@@ -4,6 +4,8 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, field_validator
 
+from surveysim.units import shown
+
 
 class Section(BaseModel):
     """A part of a scene: frozen, no unknown keys, keys named without units in the file.
@@ -27,7 +29,7 @@ def check_quantiles(name: str, probabilities: tuple[float, ...], values: tuple[f
     """Raise ValueError unless these are quantiles, with probabilities between 0 and 1."""
     check_knots(f"{name}_probabilities", probabilities, name, values)
     if not all(0 < p < 1 for p in probabilities):
-        raise ValueError(f"{name}_probabilities: found {probabilities}; values between 0 and 1 are expected")
+        raise ValueError(f"{name}_probabilities: found {shown(probabilities)}; values between 0 and 1 are expected")
 
 
 def check_knots(x_name: str, x: tuple[float, ...], y_name: str, y: tuple[float, ...]) -> None:
@@ -35,6 +37,6 @@ def check_knots(x_name: str, x: tuple[float, ...], y_name: str, y: tuple[float, 
     if len(x) != len(y) or not x:
         raise ValueError(f"{y_name}: found {len(y)} values for {len(x)} {x_name}; as many as these are expected")
     if any(b <= a for a, b in zip(x, x[1:], strict=False)):
-        raise ValueError(f"{x_name}: found {x}; increasing values are expected")
+        raise ValueError(f"{x_name}: found {shown(x)}; increasing values are expected")
     if min(y) < 0 or any(b < a for a, b in zip(y, y[1:], strict=False)):
-        raise ValueError(f"{y_name}: found {y}; values of 0 or more that do not decrease are expected")
+        raise ValueError(f"{y_name}: found {shown(y)}; values of 0 or more that do not decrease are expected")

@@ -1,18 +1,21 @@
 """The section of the instrument: band, beam, optics, focal plane."""
 
-from typing import Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
 from surveysim.quantities import (
     AngleExtent,
     BandFrequency,
+    Bandwidth,
     BeamWidth,
     NoisePsd,
-    Positive,
     PositiveAngle,
+    Share,
     TableFile,
     Taper,
+    number,
+    whole,
 )
 from surveysim.sections.base import Section
 from surveysim.units import rj_to_cmb
@@ -21,13 +24,13 @@ from surveysim.units import rj_to_cmb
 class Layout(Section):
     """A hexagonal layout around a central position: `rings`, or as many as a round `field_of_view` has room for."""
 
-    rings: int | None = Field(ge=0, le=60, default=None)
+    rings: Annotated[int, *whole(0, 60)] | None = None
     """Rings around the central position: n rings have 3 n (n + 1) + 1 positions. Or `field_of_view`."""
     field_of_view_rad: PositiveAngle | None = Field(alias="field_of_view", default=None)
     """Diameter of a round area, filled with as many positions as have room in it. Or `rings`."""
-    pitch_f_lambda: Positive
+    pitch_f_lambda: Annotated[float, *number(0.1, 1000)]
     """Distance of neighbouring positions, in (f/#)lambda."""
-    dead: tuple[int, ...] = ()
+    dead: tuple[Annotated[int, *whole(0, 10_980)], ...] = ()
     """Positions without a detector: numbers from 0 at the centre outwards, those equally far by angle."""
 
     @model_validator(mode="after")
@@ -42,7 +45,7 @@ class Colour(Section):
 
     frequency_hz: BandFrequency = Field(alias="frequency")
     """Centre of the band."""
-    bandwidth: float = Field(ge=1e-6, lt=1)
+    bandwidth: Bandwidth
     """Width of the band, as a share of its frequency."""
     psd_mk2_hz: NoisePsd = Field(alias="psd")
     """White noise of a detector, one-sided, in Rayleigh-Jeans temperature."""
@@ -58,24 +61,24 @@ class Instrument(Section):
 
     frequency_hz: BandFrequency = Field(alias="frequency")
     """Centre of the band, which has straight sides."""
-    bandwidth: float | None = Field(ge=1e-6, lt=1, default=None)
+    bandwidth: Bandwidth | None = None
     """Width of the band, as a share of its frequency; without it, CMB temperature is that of the band's centre. Needed
     with `atmosphere.site` and where noise is by power."""
     beam_fwhm_rad: BeamWidth = Field(alias="beam_fwhm")
     """Full width at half maximum of the Gaussian beam on the sky."""
     f_lambda_rad: PositiveAngle = Field(alias="f_lambda")
     """One (f/#)lambda on the sky: the wavelength over the diameter of the aperture that is lit."""
-    responsivity_scatter: float = Field(ge=0, le=1)
+    responsivity_scatter: Share
     """Scatter of the detectors' responsivities, relative and log-normal, fixed for the survey."""
     camera_rotation_rad: AngleExtent = Field(alias="camera_rotation")
     """Full range of the angle by which the camera is turned from one observation to the next."""
-    horn_f_lambda: float | None = Field(ge=0.1, le=20, default=None)
+    horn_f_lambda: Annotated[float, *number(0.1, 20)] | None = None
     """Diameter of the pixels' horns in (f/#)lambda, no more than the pitch: sets taper and spill on the stop."""
     edge_taper_db: Taper | None = Field(alias="edge_taper", default=None)
     """Gaussian taper with which pixels light the stop, at its edge; 0 dB lights it uniformly. Not beside horns."""
-    efficiency: float | None = Field(ge=1e-4, le=1, default=None)
+    efficiency: Annotated[float, *number(1e-4, 1)] | None = None
     """Optical efficiency from window to detector, without what horns spill on the stop."""
-    polarizations: int | None = Field(ge=1, le=2, default=None)
+    polarizations: Annotated[int, *whole(1, 2)] | None = None
     """Polarizations that a detector takes in."""
     layout: Layout | None = None
     """Or `positions`."""

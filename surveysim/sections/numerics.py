@@ -1,10 +1,10 @@
 """The section of numerical choices: they trade accuracy for time and say nothing about telescope or sky."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from surveysim.quantities import Memory
+from surveysim.quantities import Memory, number
 from surveysim.sections.base import Section
 
 
@@ -15,7 +15,7 @@ class Numerics(Section):
     """Of streams, strips of the layer and maps; random numbers have 24 bits in both."""
     interpolation: Literal["nearest", "linear", "cubic"] = "linear"
     """Of look-ups between the layer's lattice points."""
-    screen_step: float = Field(ge=0.1, le=10, default=1.0)
+    screen_step: Annotated[float, *number(0.1, 10)] = 1.0
     """Lattice step of the layer, over the one that is chosen for the beam and the camera."""
     stream_bytes: Memory = Field(alias="stream_memory", default=250e6)
     """The most that the streams of a block take, counted in single precision: larger observations are made in blocks

@@ -1,5 +1,7 @@
 """Sections that say where, when and how is observed."""
 
+from typing import Annotated
+
 from pydantic import Field
 
 from surveysim.quantities import (
@@ -15,6 +17,7 @@ from surveysim.quantities import (
     Latitude,
     Longitude,
     Speed,
+    whole,
 )
 from surveysim.sections.base import Section
 
@@ -42,7 +45,7 @@ class Schedule(Section):
     """Height of the telescope above the ellipsoid."""
     first_night: IsoDate
     """Local date of the first evening."""
-    nights: int = Field(ge=1, le=10_000)
+    nights: Annotated[int, *whole(1, 4000)]
     """How many nights in a row."""
     max_hour_angle_rad: HourAngle = Field(alias="max_hour_angle")
     """Largest distance from the meridian."""
@@ -64,7 +67,7 @@ class Scan(Section):
 
     speed_rad_s: Speed = Field(alias="speed")
     """Speed of the boresight on the sky within a scan."""
-    scans: int = Field(ge=1, le=100_000)
+    scans: Annotated[int, *whole(1, 100_000)]
     """Scans in one observation."""
     duration_s: Duration = Field(alias="duration")
     """Length of one scan, the turnaround not included; 8 samples or more."""

@@ -1,11 +1,12 @@
 """Sections of what else is in the time-streams: excess, photon and detector noise, sky."""
 
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
 from surveysim.quantities import (
     B2_MAX,
+    B2Knots,
     BandPowerExtent,
     Coherence,
     Frequency,
@@ -14,20 +15,24 @@ from surveysim.quantities import (
     Longitude,
     Nep,
     NoisePsd,
+    Share,
     Temperature,
     Variances,
+    number,
+    whole,
 )
 from surveysim.sections.base import Section, check_knots
+from surveysim.units import shown
 
 
 class Excess(Section):
     """Excess low-frequency noise: variance below a band limit against B2, spectrum f^-index."""
 
-    spectral_index: float = Field(ge=0, le=10)
+    spectral_index: Annotated[float, *number(0, 10)]
     """The spectrum goes as f to minus this."""
     band_limit_hz: Frequency = Field(alias="band_limit")
     """The variance is that below this frequency."""
-    b2: tuple[float, ...]
+    b2: B2Knots
     """Values of B2 [mK^2 rad^(2 - index)] for which the variance is given; one value: it is the same in any weather."""
     variance_mk2: Variances = Field(alias="variance")
     """Variance of a mean-removed scan at each: between them interpolated in logarithms, beyond them constant."""
@@ -38,12 +43,12 @@ class Excess(Section):
     @model_validator(mode="after")
     def _knots_fit(self) -> Self:
         check_knots("b2", self.b2, "variance", self.variance_mk2)
-        if not max(self.b2) <= B2_MAX:
-            raise ValueError(f"b2: found {self.b2}; finite values of {B2_MAX:g} or less are expected")
+        if not all(0 <= value <= B2_MAX for value in self.b2):
+            raise ValueError(f"b2: found {shown(self.b2)}; finite values of {B2_MAX:g} or less are expected")
         # Excess is interpolated in the logarithms of both.
         for name, values in (("b2", self.b2), ("variance", self.variance_mk2)):
             if len(self.b2) > 1 and not min(values) > 0:
-                raise ValueError(f"{name}: found {values}; finite values above 0 are expected")
+                raise ValueError(f"{name}: found {shown(values)}; finite values above 0 are expected")
         return self
 
 
@@ -68,9 +73,9 @@ class Photon(Section):
 
     psd_mk2_hz: NoisePsd | None = Field(alias="psd", default=None)
     """Photon noise of a detector, white, one-sided, in Rayleigh-Jeans temperature. Or `load`."""
-    coherent_fraction: float | None = Field(ge=0, le=1, default=None)
+    coherent_fraction: Share | None = None
     """Share of the load that comes through the beam, where pixels overlap; with `psd` only."""
-    bose_fraction: float | None = Field(ge=0, le=1, default=None)
+    bose_fraction: Share | None = None
     """Share of the noise `psd` that is bunching (Bose), not shot noise. Needed with `psd` and coherence "intensity"."""
     load: OpticalLoad | None = None
     """The load from which the noise follows. Or `psd`."""
@@ -129,7 +134,7 @@ class Sky(Section):
     """Flat CMB band power l (l + 1) C_l / 2 pi, in thermodynamic temperature; 0 for none."""
     point_sources: tuple[PointSource, ...] = ()
     """Any number of them."""
-    curved_lmax: int | None = Field(ge=2, le=30_000, default=None)
+    curved_lmax: Annotated[int, *whole(2, 30_000)] | None = None
     """Make the CMB on the sphere, up to this multipole, for fields too large for a plane; with a score, above its
     `ell_max`. Time grows as its square times the field's size, or as its cube."""
 

@@ -112,7 +112,7 @@ def test_simulated_set(per_sample, lynx, name):
 
 def test_window_of_one_sky(per_sample, lynx):
     """A sky through the streams of the whole and the masked array, with cleaning and without."""
-    setup = replace(lynx.setup, window_skies_mk=lynx.setup.window_skies_mk[:1])
+    setup = replace(lynx.setup, made=lynx.setup.made | {"window_skies_mk": lynx.setup.window_skies_mk[:1]})
     part = reduction._reduce(setup, OBSERVATION, lynx.pointing, lynx.block, stages.Stopwatch())
     window = reduction._empty_window(setup)
     per_sample("window, one sky", lambda: reduction._add_window(window, part))

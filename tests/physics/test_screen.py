@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from surveysim.atmosphere.screen import StripCache, add_atmosphere, build_strip, draw_strip, strip_step
+from surveysim.atmosphere.factors import build_strip
+from surveysim.atmosphere.screen import StripCache, add_atmosphere, draw_strip, strip_step
 from surveysim.atmosphere.spectrum import (
     Screen,
     cross_psd,

@@ -48,7 +48,7 @@ def refused(call, scene, *arguments):
         ("atmosphere.index=1/0", ("index: found '1/0'; a number or a fraction like '11/3' is expected",)),
         ("scan.speed=4 arcmin", ("scan.speed: found '4 arcmin'", "rad / s")),
         ("scan.speed=-4 arcmin/s", ("scan.speed: found", "0.001 arcsec / s or more")),
-        ("scan.scans=nan", ("scan.scans: found nan", "finite")),
+        ("scan.scans=nan", ("scan.scans: found nan; an integer is expected",)),
         ("scan.scans=1000000000", ("scan.scans: found 1000000000", "100000")),
         ("observations=1000000000", ("observations: found 1000000000", "1000000")),
         ("instrument.layout.rings=61", ("rings: found 61", "60")),
@@ -117,7 +117,7 @@ def test_workers(call, scene, workers):
     "content, words",
     [
         (None, "can't be read"),
-        (b"\x93NUMPY\x00\xff\xfe", "not a whole TOML file"),
+        (b"\x93NUMPY\x00\xff\xfe", "line 1 is not UTF-8"),
         (SMALL_SCENE[:300].encode(), "missing"),
         (b"first_night = 2003-02-30", "not a whole TOML file"),
         (b"a = " + b"[" * 5000, "expected"),
@@ -138,13 +138,13 @@ def test_unreadable_scene(call, tmp_path, content, words):
 @pytest.mark.parametrize(
     "table, words",
     [
-        (ECSV + "0 0\n40 0\n0 0\n", "detectors 0 and 2 have one position"),
+        (ECSV + "0 0\n40 0\n0 0\n", "row 3: found the position of row 1"),
         (ECSV, "no row"),
-        (ECSV + "0 nan\n", "non-finite"),
-        (ECSV.replace("unit: arcsec", "unit: m"), "angular units"),
+        (ECSV + "0 nan\n", "row 1, column 'y': found 'nan arcsec'; a finite offset"),
+        (ECSV.replace("unit: arcsec", "unit: m"), "column 'x': found the unit 'm'"),
         (ECSV.replace("name: x", "name: z") + "0 0\n", "columns x and y"),
-        (ECSV[:40], "not an ECSV table"),
-        ("\0\1\2", "not an ECSV table"),
+        (ECSV[:40], "found no row of column names"),
+        ("\0\1\2", "'# %ECSV 1.0' is expected in the first line"),
         (None, "no such file"),
     ],
 )

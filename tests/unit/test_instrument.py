@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surveysim.instrument import camera, check_distinct, hexagon, mask_by_separation, read_positions, without
+from surveysim.instrument import camera, check_distinct, hexagon, mask_by_separation, without
 from surveysim.scene import load_scene
 
 LYNX = Path(__file__).parents[2] / "scenarios" / "lynx.toml"
@@ -121,14 +121,6 @@ def test_a_camera_has_a_live_detector():
         without(hexagon(1, PITCH), tuple(range(7)))
 
 
-def test_positions_of_a_table(tmp_path):
-    path = tmp_path / "positions.ecsv"
-    path.write_text(TABLE)
-    arcsec = np.pi / 180 / 3600
-    expected = np.array([[0, 0], [40, 30], [-20, -90]]) * arcsec
-    np.testing.assert_allclose(read_positions(path), expected, rtol=1e-14)
-
-
 def test_camera_of_a_table(tmp_path):
     """A relative path is one from the scene's file."""
     (tmp_path / "positions.ecsv").write_text(TABLE)
@@ -139,45 +131,3 @@ def test_camera_of_a_table(tmp_path):
     cam = camera(load_scene(scene).instrument)
     assert len(cam.focal_plane.x_rad) == 3
     np.testing.assert_allclose(cam.positions_f_lambda[1], np.array([40, 30]) / 57.142857, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        TABLE[: TABLE.index("# schema")],
-        TABLE[: len(TABLE) - 5],
-        TABLE.replace("# %ECSV 1.0\n", ""),
-        TABLE.replace("name: y", "name: z").replace("x y\n", "x z\n"),
-        TABLE.replace("unit: arcsec, ", ""),
-        TABLE.replace("unit: arcsec", "unit: mm"),
-        TABLE.replace("40.0", "nan"),
-        TABLE.replace("40.0", "forty"),
-        TABLE[: TABLE.index("0.0")],
-        "",
-        "\x00\x01\xff",
-    ],
-    ids=[
-        "header only",
-        "half a row",
-        "no header",
-        "no y",
-        "no unit",
-        "length",
-        "nan",
-        "word",
-        "no row",
-        "empty",
-        "binary",
-    ],
-)
-def test_broken_tables_are_refused(tmp_path, text):
-    path = tmp_path / "positions.ecsv"
-    path.write_text(text, encoding="latin-1")
-    with pytest.raises(ValueError, match="instrument.positions") as caught:
-        read_positions(path)
-    assert str(path) in str(caught.value)
-
-
-def test_a_missing_table_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="instrument.positions: .*nowhere.ecsv"):
-        read_positions(tmp_path / "nowhere.ecsv")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from surveysim import agreement, observation, outputs, reduction, results, setup, sky
+from surveysim import agreement, observation, outputs, parts, reduction, results, setup, sky
 from surveysim.api import run
 from surveysim.atmosphere import screen
 from surveysim.engines import SERIAL
@@ -46,7 +46,7 @@ DOES = {
     "atmosphere": [(screen, "add_atmosphere"), (observation, "draw_weather")],
     "excess": [(observation, "add_excess")],
     "photon": [(observation, "add_correlated_white")],
-    "overlap": [(setup, "overlap")],
+    "overlap": [(parts, "overlap")],
     "sky": [(sky, "draw_sky")],
     "ephemerides": [(setup, "schedule")],
     "opacity": [(setup, "site_water")],

@@ -1,0 +1,74 @@
+"""Extreme values of all keys of a scene, from its schema: least, most and decades in between."""
+
+from collections.abc import Iterator, Mapping
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from docs.reference import all_keys
+from surveysim.units import to_float
+
+POWER = {"instrument.bandwidth": 0.15, "instrument.efficiency": 0.2, "instrument.polarizations": 2}
+LOAD = POWER | {"photon.psd": None, "photon.coherent_fraction": None}
+# What a key needs beside it to be in a scene that has another in its place.
+BESIDE: dict[str, Mapping[str, Any]] = {
+    "instrument.layout.field_of_view": {"instrument.layout.rings": None, "instrument.layout.dead": []},
+    "instrument.layout.rings": {"instrument.layout.dead": []},
+    "cleaning.calibration_error": {"cleaning.responsivities": "survey"},
+    "cleaning.sigma_cut": {"cleaning.algorithm": "pca"},
+    "cleaning.reach": {"cleaning.algorithm": "local"},
+    "cleaning.order": {"cleaning.algorithm": "polynomial", "cleaning.regions": 1},
+    "cleaning.regions": {"cleaning.algorithm": "polynomial", "cleaning.order": 1},
+    "photon.bose_fraction": {"photon.coherence": "intensity"},
+    "sky.curved_lmax": {"sky.cmb_band_power": "1000 uK2"},
+    "photon.load.sky": LOAD | {"photon.load.optics": "1 K"},
+    "photon.load.optics": LOAD | {"photon.load.sky": "1 K"},
+    "detector.nep": POWER | {"detector.psd": None},
+    "fixed_pointing.elevation": {"schedule": None, "fixed_pointing.parallactic_angle": "10 deg"},
+    "fixed_pointing.parallactic_angle": {"schedule": None, "fixed_pointing.elevation": "50 deg"},
+}
+# Lists, and numbers in tables that a scene has any number of: unit tests have their own of these.
+LISTS = ("instrument.colours.", "sky.point_sources.", "score.reference.")
+
+
+def bounds(item: Mapping[str, Any]) -> tuple[float | None, float | None]:
+    """Least and most of a number by the schema, in its unit."""
+    least = next((item[name] for name in ("at_least", "minimum", "exclusiveMinimum") if name in item), None)
+    most = next((item[name] for name in ("at_most", "maximum", "exclusiveMaximum") if name in item), None)
+    unit = item.get("unit", "")
+    return tuple(to_float(value, unit) if isinstance(value, str) else value for value in (least, most))
+
+
+def is_number(item: Mapping[str, Any]) -> bool:
+    """Whether a key has one number, with or without a unit."""
+    kinds = item["type"] if isinstance(item["type"], list) else [item["type"]]
+    return "enum" not in item and "array" not in kinds and bool({"integer", "number"} & {*kinds} or "unit" in item)
+
+
+def extreme_values(item: Mapping[str, Any], n: int) -> list[Any]:
+    """Values of a key as in a file: its choices, or least, most, and `n` in between evenly in logarithms."""
+    if "enum" in item:
+        return list(item["enum"])
+    if not is_number(item) or item["type"] == "object":
+        return []
+    least, most = bounds(item)
+    found = [least, most]
+    if most > 0:
+        smallest = least if least > 0 else 1 if item["type"] == "integer" else most * 1e-18
+        found += [*np.geomspace(smallest, most, n + 2)[1:-1]] + ([smallest] if least <= 0 else [])
+    if item["type"] == "integer":
+        return list(dict.fromkeys(int(round(value)) for value in found))
+    return [f"{value:.15g} {item['unit']}" if "unit" in item else float(value) for value in dict.fromkeys(found)]
+
+
+def extreme_overrides(n: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    """For every key, and each of its extreme values, the overrides that make a scene with it of another."""
+    for key, item in all_keys().items():
+        for value in () if key.startswith(LISTS) else extreme_values(item, n):
+            keys = {**BESIDE.get(key, {}), key: value}
+            if key == "atmosphere.index":
+                power = 2 - Fraction(str(value)).limit_denominator(1000)
+                quantiles = {"b2": f"[100, 280, 980] mK2 rad({power})", "b2_probabilities": [0.25, 0.5, 0.75]}
+                keys |= {"atmosphere.outer_scale": "1 km"} | {f"atmosphere.{name}": x for name, x in quantiles.items()}
+            yield key, keys
