@@ -1,7 +1,6 @@
 """The command line: run, forecast, accuracy, plan, paper, report, check, new."""
 
 import re
-import sys
 from itertools import count
 from pathlib import Path
 from time import process_time
@@ -12,12 +11,8 @@ import typer
 from surveysim import options
 from surveysim.interrupts import (
     EXIT_FAILED,
-    EXIT_INTERRUPTED,
-    EXIT_WRONG_SCENE,
-    cause,
     going_on_later,
     kept,
-    listen,
     says_interrupted,
     stopping,
 )
@@ -354,24 +349,6 @@ def new(
         typer.echo("it compares with published numbers; delete [score.reference] and its gains for another survey")
     if "[excess]" in text or "\nb2 = " in text:
         typer.echo("excess noise and b2 are of its own band and site; delete [excess] and atmosphere.b2 for another")
-
-
-def main() -> None:
-    """Entry point: errors of the user become one line each and exit code 2, never a traceback."""
-    listen()
-    try:
-        app()
-    except SceneError as error:
-        typer.echo(str(error), err=True)
-        sys.exit(EXIT_WRONG_SCENE)
-    except OSError as error:
-        typer.echo(cause(error), err=True)
-        sys.exit(EXIT_FAILED)
-    except MemoryError:
-        typer.echo("not enough memory for this scene; 'surveysim plan' says how much one takes", err=True)
-        sys.exit(EXIT_FAILED)
-    except KeyboardInterrupt:
-        sys.exit(EXIT_INTERRUPTED)
 
 
 def _ready(path: Path, settings: list[str] | None) -> Scene:

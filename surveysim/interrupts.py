@@ -1,7 +1,6 @@
 """How a command ends early: requests to stop, workers that are gone, outputs that can't be written."""
 
 import signal
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
@@ -11,6 +10,7 @@ from typing import Any, NoReturn
 
 import typer
 
+from surveysim.printable import complain
 from surveysim.scene import SceneError
 
 EXIT_FAILED = 1
@@ -28,7 +28,7 @@ def says_interrupted(command: Callable[..., None]) -> Callable[..., None]:
         try:
             command(*arguments, **options)
         except KeyboardInterrupt:
-            typer.echo("interrupted", err=True)
+            complain("interrupted")
             raise typer.Exit(EXIT_INTERRUPTED) from None
 
     return wrapped
@@ -46,14 +46,12 @@ def _stop_once(number: int, frame: object) -> None:
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signal.SIG_IGN)
     _asked_to_stop.set()
-    # Python drops, with a traceback, what is raised inside a finalizer; `stopping` raises it again.
-    sys.unraisablehook = _without_interrupts
-    raise KeyboardInterrupt
+    raise KeyboardInterrupt  # lost in a finalizer, or wrapped by an import: `stopping` raises it again
 
 
-def _without_interrupts(unraisable: Any) -> None:
-    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
-        sys.__unraisablehook__(unraisable)
+def asked_to_stop() -> bool:
+    """Whether this process was interrupted since it listens."""
+    return _asked_to_stop.is_set()
 
 
 def stopping(show: Callable[..., None]) -> Callable[..., None]:
@@ -93,7 +91,7 @@ def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
         for partial in directory.glob(pattern):
             partial.unlink(missing_ok=True)
     hint = f"; go on with --resume --out {directory}" if kept(directory) else ""
-    typer.echo(" ".join(reason.split()) + hint, err=True)
+    complain(" ".join(reason.split()) + hint)
     raise typer.Exit(code)
 
 

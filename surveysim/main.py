@@ -1,0 +1,72 @@
+"""The entry point: whatever goes wrong, from the first moment on, ends in one line and an exit code."""
+
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import NoReturn
+
+WITHOUT_NOTICES = {"-q", "--quiet", "--help"}
+
+
+def main() -> NoReturn:
+    """Run a command: exit code 0 for success, 2 for the user's errors, 1 for the machine's, 130 when interrupted."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupted_at_start)
+    from surveysim.environment import clean_up, settle
+
+    notice = settle()
+    try:
+        code = ended(sys.argv[1:], notice)
+    finally:
+        clean_up()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # all is done: nothing is left to interrupt
+    sys.exit(code)
+
+
+def _interrupted_at_start(number: int, frame: object) -> NoReturn:
+    """End at once: an exception may be lost, or wrapped, in a library that is being imported; nothing is begun yet."""
+    from surveysim.environment import clean_up
+
+    clean_up()
+    os.write(2, b"interrupted\n")
+    os._exit(130)
+
+
+def ended(arguments: Sequence[str], notice: str | None = None) -> int:
+    """Exit code of a command, once it has ended; a line of standard error says why, if it is no success."""
+    from surveysim.printable import complain
+
+    try:
+        if notice and not WITHOUT_NOTICES & set(arguments):
+            complain(notice)
+        code = _run(arguments)
+        sys.stdout.flush()
+    except BaseException as error:
+        from surveysim.failures import failure
+
+        code, message = failure(error, arguments)
+        if message:
+            with suppress(OSError):  # of standard error: nowhere is left to say it
+                complain(message)
+    return code
+
+
+def _run(arguments: Sequence[str]) -> int:
+    """Exit code of a command that ends as it should."""
+    from typer import Exit
+    from typer.main import get_command
+
+    from surveysim.cli import app
+    from surveysim.interrupts import listen
+
+    command = get_command(app)
+    listen()
+    try:
+        with command.make_context("surveysim", list(arguments) or ["--help"]) as context:
+            command.invoke(context)
+    except Exit as end:
+        return end.exit_code
+    return 0
