@@ -2,12 +2,14 @@
 
 import os
 import platform
+import select
 import sys
 import tempfile
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 from errno import EMFILE, ENFILE
+from typing import TextIO
 
 import typer
 
@@ -21,7 +23,11 @@ UsageError = typer.BadParameter.__bases__[0]  # its own name is private in some 
 
 def failure(error: BaseException, arguments: Sequence[str]) -> tuple[int, str]:
     """Exit code of an error that ends a command, and the lines to say; none if all is said, or nobody listens."""
-    broken = [name for name in ("stdout", "stderr") if _broken(name)]
+    broken = [name for name in ("stdout", "stderr") if broken_stream(getattr(sys, name))]
+    if isinstance(error.__context__, BrokenPipeError) and isinstance(error, SystemExit):  # by rich
+        return EXIT_BROKEN_PIPE, ""
+    if isinstance(error, BrokenPipeError) and broken:
+        return EXIT_BROKEN_PIPE, ""
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else EXIT_FAILED, ""
     if isinstance(error, KeyboardInterrupt | typer.Abort) or asked_to_stop():
@@ -30,21 +36,33 @@ def failure(error: BaseException, arguments: Sequence[str]) -> tuple[int, str]:
         return EXIT_WRONG_SCENE, _usage(error)
     if isinstance(error, SceneError):
         return EXIT_WRONG_SCENE, str(error)
-    if isinstance(error, BrokenPipeError) and broken:
-        return EXIT_BROKEN_PIPE, ""
     return EXIT_FAILED, _of_the_machine(error, broken) or _fault(error, arguments)
 
 
-def _broken(name: str) -> bool:
-    """Whether a standard stream can't be written; if so, Python shall not try it again when it ends."""
-    stream = getattr(sys, name)
+def broken_stream(stream: TextIO) -> bool:
+    """Whether a standard stream can't be written, or nobody reads it; if so, Python shall not try it when it ends."""
     try:
         stream.flush()
+        broken = _unread(stream)
     except OSError:
+        broken = True
+    if broken:
         with suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-        return True
-    return False
+    return broken
+
+
+def _unread(stream: TextIO) -> bool:
+    """Whether a stream is a pipe whose reader is gone."""
+    try:
+        number = stream.fileno()
+    except OSError:  # of a stream that is no file
+        return False
+    if not hasattr(select, "poll"):
+        return False
+    poll = select.poll()
+    poll.register(number, 0)
+    return any(found & select.POLLERR for _, found in poll.poll(0))
 
 
 def _usage(error: Exception) -> str:

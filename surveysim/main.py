@@ -4,7 +4,6 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import NoReturn
 
 WITHOUT_NOTICES = {"-q", "--quiet", "--help"}
@@ -45,12 +44,14 @@ def ended(arguments: Sequence[str], notice: str | None = None) -> int:
         code = _run(arguments)
         sys.stdout.flush()
     except BaseException as error:
-        from surveysim.failures import failure
+        from surveysim.failures import broken_stream, failure
 
         code, message = failure(error, arguments)
-        if message:
-            with suppress(OSError):  # of standard error: nowhere is left to say it
+        try:
+            if message:
                 complain(message)
+        except OSError:
+            broken_stream(sys.stderr)  # nowhere is left to say it
     return code
 
 
