@@ -36,7 +36,7 @@ def _interrupted_at_start(number: int, frame: object) -> NoReturn:
 
 def ended(arguments: Sequence[str], notice: str | None = None) -> int:
     """Exit code of a command, once it has ended; a line of standard error says why, if it is no success."""
-    from surveysim.printable import complain
+    from surveysim.printable import complain, printable
 
     try:
         if notice and not WITHOUT_NOTICES & set(arguments):
@@ -47,6 +47,8 @@ def ended(arguments: Sequence[str], notice: str | None = None) -> int:
         from surveysim.failures import broken_stream, failure
 
         code, message = failure(error, arguments)
+        for argument in arguments:  # a line break in a file's name is none of the message
+            message = message.replace(argument, printable(argument)) if "\n" in argument else message
         try:
             if message:
                 complain(message)
@@ -61,7 +63,7 @@ def _run(arguments: Sequence[str]) -> int:
     from typer.main import get_command
 
     from surveysim.cli import app
-    from surveysim.interrupts import listen
+    from surveysim.interrupts import EXIT_WRONG_SCENE, listen
 
     command = get_command(app)
     listen()
@@ -69,5 +71,5 @@ def _run(arguments: Sequence[str]) -> int:
         with command.make_context("surveysim", list(arguments) or ["--help"]) as context:
             command.invoke(context)
     except Exit as end:
-        return end.exit_code
+        return end.exit_code if arguments else EXIT_WRONG_SCENE
     return 0

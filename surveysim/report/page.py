@@ -57,7 +57,7 @@ def write_report(directory: str | Path) -> Path:
     except (NoResultsError, OSError, MemoryError):
         raise
     except Exception as error:  # files that others wrote, or that are damaged, can have anything in them
-        reason = shortened(printable(f"{type(error).__name__}: {error}"), LONGEST_REASON)
+        reason = shortened(printable(f"{type(error).__name__} {error}"), LONGEST_REASON)
         raise NoResultsError(f"{directory}: results that can't be read ({reason}); {EXPECTED}") from None
     with whole_file(directory / REPORT) as partial:
         partial.write_bytes(page)
