@@ -8,7 +8,6 @@ import tempfile
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
-from errno import EMFILE, ENFILE
 from typing import TextIO
 
 import typer
@@ -76,8 +75,6 @@ def _of_the_machine(error: BaseException, broken: list[str]) -> str:
 
     if isinstance(error, MemoryError):
         return "not enough memory for this scene; 'surveysim plan' says how much one takes"
-    if isinstance(error, OSError) and error.errno in (EMFILE, ENFILE):
-        return f"too many open files: {error.filename or error.strerror}; raise the limit ('ulimit -n')"
     if isinstance(error, OSError) and not error.filename and "stdout" in broken:
         return f"standard output: {error.strerror}"
     if isinstance(error, OSError):

@@ -3,6 +3,7 @@
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from errno import EMFILE, ENFILE
 from functools import wraps
 from pathlib import Path
 from threading import Event
@@ -104,4 +105,10 @@ def kept(directory: Path) -> bool:
 
 def cause(error: OSError, directory: Path = Path("output")) -> str:
     """The file of an error of the machine, or else the folder, and what is wrong with it."""
+    if error.errno in (EMFILE, ENFILE):
+        return (
+            f"{error.filename or directory}: too many open files; raise the limit ('ulimit -n') or take fewer workers"
+        )
+    if isinstance(error, FileNotFoundError) and not error.filename:
+        return "the working directory is gone; change to another"
     return f"{error.filename or directory}: {error.strerror or str(error).partition('. ')[0]}"

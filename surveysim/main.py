@@ -27,11 +27,13 @@ def main() -> NoReturn:
 
 def _interrupted_at_start(number: int, frame: object) -> NoReturn:
     """End at once: an exception may be lost, or wrapped, in a library that is being imported; nothing is begun yet."""
-    from surveysim.environment import clean_up
-
-    clean_up()
-    os.write(2, b"interrupted\n")
-    os._exit(130)
+    environment = sys.modules.get("surveysim.environment")  # an import may wait here for one that is under way
+    if hasattr(environment, "clean_up"):
+        environment.clean_up()
+    try:
+        os.write(2, b"interrupted\n")
+    finally:
+        os._exit(130)
 
 
 def ended(arguments: Sequence[str], notice: str | None = None) -> int:

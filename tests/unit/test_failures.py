@@ -83,8 +83,9 @@ def test_fault_whose_details_cannot_be_written(fail, monkeypatch, tmp_path):
         (
             OSError(errno.EMFILE, "Too many open files", "o/map.fits"),
             1,
-            "too many open files: o/map.fits; raise the limit ('ulimit -n')",
+            "o/map.fits: too many open files; raise the limit ('ulimit -n') or take fewer workers",
         ),
+        (FileNotFoundError(errno.ENOENT, "No such file"), 1, "the working directory is gone; change to another"),
         (MemoryError(), 1, "not enough memory for this scene; 'surveysim plan' says how much one takes"),
         (EngineError("the scheduler is gone"), 1, "the scheduler is gone"),
         (BrokenPipeError(errno.EPIPE, "Broken pipe"), 1, "output: Broken pipe"),  # not of a standard stream
