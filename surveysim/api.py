@@ -113,8 +113,8 @@ def run_sweep(
 
     The workers of the `engine`, one process a core by default, take a point each; results do not depend on them. With
     `out`, results are written there in place of an earlier run's, and what is done is kept in `out/points` until then;
-    `resume` goes on from there. `progress` is told how many points are done. Raises SceneError for a point that can't be run, CheckpointError for files of
-    other scenes and EngineError when the engine can't go on.
+    `resume` goes on from there. `progress` is told how many points are done. Raises SceneError for a point that can't
+    be run, CheckpointError for files of other scenes and EngineError when the engine can't go on.
     """
     start = perf_counter()
     sweep = sweep if isinstance(sweep, Sweep) else load_sweep(sweep)
