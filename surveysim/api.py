@@ -58,9 +58,9 @@ def run(
 ) -> SurveyResult:
     """Run a scene and, with `out`, write its results there in place of an earlier run's.
 
-    The `engine` is one process a core by default; results do not depend on it. Processes of this machine import the
-    calling script, which therefore needs the usual ``if __name__ == "__main__":``. With `out`, finished work is kept in
-    `out/checkpoint.h5` until the results are written; `resume` goes on from there.
+    The `engine` is one process a core by default; results do not depend on it. Only a worker of dask that replaces a
+    lost one imports the calling script, which then needs ``if __name__ == "__main__":``. With `out`, finished work is
+    kept in `out/checkpoint.h5` until the results are written; `resume` goes on from there.
 
     The run stops early where the relative error of sigma(A) of the actual data, by the forecast as control variate
     if there is one, is no more than `target_error`, or once `time_budget_s` is spent. What is scored is then the whole
@@ -111,11 +111,10 @@ def run_sweep(
 ) -> SweepResult:
     """Run every point of a sweep (of a scene file with [sweep]) and compare them.
 
-    The workers of the `engine`, one process a core by default, take a point each; results do not depend on them, and
-    the calling script needs the usual ``if __name__ == "__main__":``. With `out`, results are written there in place
-    of an earlier run's, and what is done is kept in `out/points` until then; `resume` goes on from there. `progress`
-    is told how many points are done. Raises SceneError for a point that can't be run, CheckpointError for files of
-    other scenes and EngineError when the engine can't go on.
+    The workers of the `engine`, one process a core by default, take a point each; results do not depend on them. With
+    `out`, results are written there in place of an earlier run's, and what is done is kept in `out/points` until then;
+    `resume` goes on from there. `progress` is told how many points are done. Raises SceneError for a point that can't
+    be run, CheckpointError for files of other scenes and EngineError when the engine can't go on.
     """
     start = perf_counter()
     sweep = sweep if isinstance(sweep, Sweep) else load_sweep(sweep)

@@ -1,7 +1,6 @@
 """The command line: run, forecast, accuracy, plan, paper, report, check, new."""
 
 import re
-import sys
 from itertools import count
 from pathlib import Path
 from time import process_time
@@ -12,17 +11,14 @@ import typer
 from surveysim import options
 from surveysim.interrupts import (
     EXIT_FAILED,
-    EXIT_INTERRUPTED,
-    EXIT_WRONG_SCENE,
-    cause,
     going_on_later,
     kept,
-    listen,
     says_interrupted,
     stopping,
 )
 from surveysim.options import Kind, NoFigures, Overrides, Quiet, Reference, SceneFile, Scheduler, Workers
-from surveysim.scene import Scene, SceneError, load_scene
+from surveysim.printable import complain, say
+from surveysim.scene import Scene, SceneError, load_scene, read_scene
 
 if TYPE_CHECKING:
     from surveysim.engines import Engine
@@ -287,19 +283,19 @@ def paper(
         with progress_display("paper", work, quiet, workers=with_engine.workers_for(len(work))) as show:
             written, failed = reproduce(asked, out, with_engine, stopping(lambda: show(next(done), lambda: "")))
     except EngineError as error:
-        typer.echo(str(error), err=True)
+        complain(str(error))
         raise typer.Exit(EXIT_FAILED) from None
     except (ValueError, ArithmeticError) as error:
         if isinstance(error, SceneError):
             raise
-        typer.echo(" ".join(str(error).split()), err=True)
+        complain(" ".join(str(error).split()))
         raise typer.Exit(EXIT_FAILED) from None
     if not quiet:
         from surveysim.report.text import print_paper
 
         print_paper(written)
     for line in failed:
-        typer.echo(line, err=True)
+        complain(line)
     if failed:
         raise typer.Exit(EXIT_FAILED)
 
@@ -313,7 +309,7 @@ def report(
     from surveysim.report.page import NoResultsError, write_report
 
     try:
-        typer.echo(write_report(directory))
+        say(write_report(directory))
     except NoResultsError as error:
         _fail(str(error))
 
@@ -323,10 +319,10 @@ def report(
 def check(scene: SceneFile, settings: Overrides = None) -> None:
     """Check a scene: errors only, each with file, key, what was found and what is allowed."""
     if sweep := _sweep(scene, settings):
-        typer.echo(f"{scene}: {sweep.name!r} is a sweep of {len(sweep.points)} points that can be run")
+        say(f"{scene}: {sweep.name!r} is a sweep of {len(sweep.points)} points that can be run")
         return
     checked = _ready(scene, settings)
-    typer.echo(f"{scene}: {checked.name!r} is a scene that can be run")
+    say(f"{scene}: {checked.name!r} is a scene that can be run")
 
 
 @app.command()
@@ -344,34 +340,16 @@ def new(
     if not source.is_file():
         known = ", ".join(sorted(path.stem for path in Path("scenarios").glob("*.toml"))) or "none here"
         _fail(f"{source}: no such scene; scenes in scenarios/: {known}")
-    text = source.read_text(encoding="utf-8")
+    text, _ = read_scene(source)
     target.parent.mkdir(exist_ok=True)
     target.write_text(text, encoding="utf-8")
-    typer.echo(f"{target}: a copy of {source}; edit it, then: surveysim check {target}")
+    say(f"{target}: a copy of {source}; edit it, then: surveysim check {target}")
     if "[sweep" in text:
-        typer.echo("it sweeps keys of its own; give [sweep] yours, or delete it")
+        say("it sweeps keys of its own; give [sweep] yours, or delete it")
     if "[score.reference]" in text:
-        typer.echo("it compares with published numbers; delete [score.reference] and its gains for another survey")
+        say("it compares with published numbers; delete [score.reference] and its gains for another survey")
     if "[excess]" in text or "\nb2 = " in text:
-        typer.echo("excess noise and b2 are of its own band and site; delete [excess] and atmosphere.b2 for another")
-
-
-def main() -> None:
-    """Entry point: errors of the user become one line each and exit code 2, never a traceback."""
-    listen()
-    try:
-        app()
-    except SceneError as error:
-        typer.echo(str(error), err=True)
-        sys.exit(EXIT_WRONG_SCENE)
-    except OSError as error:
-        typer.echo(cause(error), err=True)
-        sys.exit(EXIT_FAILED)
-    except MemoryError:
-        typer.echo("not enough memory for this scene; 'surveysim plan' says how much one takes", err=True)
-        sys.exit(EXIT_FAILED)
-    except KeyboardInterrupt:
-        sys.exit(EXIT_INTERRUPTED)
+        say("excess noise and b2 are of its own band and site; delete [excess] and atmosphere.b2 for another")
 
 
 def _ready(path: Path, settings: list[str] | None) -> Scene:

@@ -1,9 +1,9 @@
 """How a command ends early: requests to stop, workers that are gone, outputs that can't be written."""
 
 import signal
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from errno import EMFILE, ENFILE
 from functools import wraps
 from pathlib import Path
 from threading import Event
@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 
 import typer
 
+from surveysim.printable import complain
 from surveysim.scene import SceneError
 
 EXIT_FAILED = 1
@@ -28,7 +29,7 @@ def says_interrupted(command: Callable[..., None]) -> Callable[..., None]:
         try:
             command(*arguments, **options)
         except KeyboardInterrupt:
-            typer.echo("interrupted", err=True)
+            complain("interrupted")
             raise typer.Exit(EXIT_INTERRUPTED) from None
 
     return wrapped
@@ -46,14 +47,12 @@ def _stop_once(number: int, frame: object) -> None:
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signal.SIG_IGN)
     _asked_to_stop.set()
-    # Python drops, with a traceback, what is raised inside a finalizer; `stopping` raises it again.
-    sys.unraisablehook = _without_interrupts
-    raise KeyboardInterrupt
+    raise KeyboardInterrupt  # lost in a finalizer, or wrapped by an import: `stopping` raises it again
 
 
-def _without_interrupts(unraisable: Any) -> None:
-    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
-        sys.__unraisablehook__(unraisable)
+def asked_to_stop() -> bool:
+    """Whether this process was interrupted since it listens."""
+    return _asked_to_stop.is_set()
 
 
 def stopping(show: Callable[..., None]) -> Callable[..., None]:
@@ -93,7 +92,7 @@ def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
         for partial in directory.glob(pattern):
             partial.unlink(missing_ok=True)
     hint = f"; go on with --resume --out {directory}" if kept(directory) else ""
-    typer.echo(" ".join(reason.split()) + hint, err=True)
+    complain(" ".join(reason.split()) + hint)
     raise typer.Exit(code)
 
 
@@ -106,4 +105,10 @@ def kept(directory: Path) -> bool:
 
 def cause(error: OSError, directory: Path = Path("output")) -> str:
     """The file of an error of the machine, or else the folder, and what is wrong with it."""
+    if error.errno in (EMFILE, ENFILE):
+        return (
+            f"{error.filename or directory}: too many open files; raise the limit ('ulimit -n') or take fewer workers"
+        )
+    if isinstance(error, FileNotFoundError) and not error.filename:
+        return "the working directory is gone; change to another"
     return f"{error.filename or directory}: {error.strerror or str(error).partition('. ')[0]}"

@@ -24,6 +24,7 @@ Reference = Annotated[
     str | None,
     typer.Option(metavar="POINT", help="of a sweep: the point that ratios are to, by its number or as 'KEY = VALUE'"),
 ]
+DEEPEST = 9  # dots in a key
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
 
 
@@ -38,8 +39,12 @@ def setting(text: str) -> tuple[str, Any]:
     if not separator or not all(part.strip() for part in key.split(".")):
         raise SceneError(f"--set: found {text!r}; KEY=VALUE is expected")
     key, value = key.strip(), value.strip()
+    if key.count(".") > DEEPEST:
+        raise SceneError(f"--set: {key}: found {key.count('.') + 1} names; no key of a scene is that deep")
     try:
         parsed = tomllib.loads(f"value = {value}")
+    except RecursionError:
+        raise SceneError(f"--set: {key}: found a value that is nested too deeply") from None
     except ValueError:
         return key, value  # text needs no quotes here
     return key, parsed["value"] if len(parsed) == 1 else value

@@ -5,16 +5,23 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from time import monotonic
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from surveysim.coadds import CoAdds
+from surveysim.printable import complain
 from surveysim.scene import Scene
 from surveysim.setup import prepare, window_observations
 from surveysim.stopping import estimate_so_far
 
+if TYPE_CHECKING:
+    from surveysim.report.terminal import Terminal
+
 STATUS_EVERY_S = 4.0
 LINES = 10
+BESIDE_BAR = 54  # columns that name and numbers of items leave to time and score
+SHORTEST_BAR = 4
 
 
 START_S = 10.0  # at most, that a process takes to start and to compile
@@ -87,16 +94,22 @@ def progress_display(
     left = TimeLeft(work, workers)
     if quiet:
         yield lambda done, status: None
-    elif sys.stderr.isatty():
-        with _bar(name, len(work), left) as show:
-            yield show
+    elif not sys.stderr.isatty():
+        yield _lines(name, len(work), what, left, complain)
     else:
-        yield _lines(name, len(work), what, left)
+        from surveysim.report.terminal import Terminal
+
+        console = Terminal(stderr=True)
+        room = console.width - len(f"{name}{len(work)}{len(work)}") - BESIDE_BAR
+        if room < SHORTEST_BAR or not console.is_interactive:
+            yield _lines(name, len(work), what, left, console.say)
+            return
+        with _bar(name, len(work), left, console, min(room, 40)) as show:
+            yield show
 
 
 @contextmanager
-def _bar(name: str, total: int, left: TimeLeft) -> Iterator[Show]:
-    from rich.console import Console
+def _bar(name: str, total: int, left: TimeLeft, console: "Terminal", length: int) -> Iterator[Show]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn
     from rich.text import Text
 
@@ -109,12 +122,12 @@ def _bar(name: str, total: int, left: TimeLeft) -> Iterator[Show]:
 
     columns = (
         TextColumn("{task.description}"),
-        BarColumn(),
+        BarColumn(length),
         MofNCompleteColumn(),
         Remaining(),
         TextColumn("{task.fields[status]}"),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with Progress(*columns, console=console) as bar:
         task = bar.add_task(name, total=total, status="")
         said = monotonic()
 
@@ -129,7 +142,7 @@ def _bar(name: str, total: int, left: TimeLeft) -> Iterator[Show]:
         yield show
 
 
-def _lines(name: str, total: int, what: str, left: TimeLeft) -> Show:
+def _lines(name: str, total: int, what: str, left: TimeLeft, say: Callable[[str], None]) -> Show:
     every, said = max(1, total // LINES), monotonic()
 
     def show(done: int, status: Callable[[], str]) -> None:
@@ -140,7 +153,7 @@ def _lines(name: str, total: int, what: str, left: TimeLeft) -> Show:
             text = ""
             if done == total or monotonic() - said > STATUS_EVERY_S:  # it takes a while to say
                 text, said = status(), monotonic()
-            print(f"{name}: {done}/{total} {what}{time}  {text}".rstrip(), file=sys.stderr, flush=True)
+            say(f"{name}: {done}/{total} {what}{time}  {text}".rstrip())
 
     return show
 

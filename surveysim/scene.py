@@ -36,7 +36,7 @@ from surveysim.sections import (
     Sky,
 )
 from surveysim.sites import sites_text
-from surveysim.texts import nested_deeper, one_line, printable, read_text
+from surveysim.texts import key_text, nested_deeper, one_line, read_text
 from surveysim.units import shown
 
 NAME, MAX_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]*", 100
@@ -239,7 +239,7 @@ def error_lines(path: Path, errors: Sequence[str], left_off: int = 0) -> str:
 
 
 def _error_line(item: Any) -> str:
-    key = printable(".".join(str(part) for part in item["loc"]))
+    key = key_text(".".join(str(part) for part in item["loc"]))
     message = item["msg"].removeprefix("Value error, ")
     if item["type"] == "value_error" and (match := re.match(r"([a-z_0-9]+): ", message)) and key:
         # A check of a whole section names the key that it is about.

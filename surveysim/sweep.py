@@ -20,7 +20,7 @@ import numpy as np
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Scene, SceneError, allowed_keys, error_lines, read_scene, scene_of
 from surveysim.setup import prepare
-from surveysim.texts import printable
+from surveysim.texts import key_text
 from surveysim.units import shown
 
 MAX_POINTS = 1000
@@ -210,7 +210,7 @@ def _axes(path: Path, content: Mapping[str, Any], overrides: Mapping[str, Any]) 
 
 
 def _axis(name: str, value: Any) -> Axis:
-    where = f"sweep.{printable(name)}"
+    where = f"sweep.{key_text(name)}"
     if isinstance(value, list):
         lists = {name: value}
     elif isinstance(value, dict) and value:
@@ -218,7 +218,7 @@ def _axis(name: str, value: Any) -> Axis:
     else:
         raise ValueError(f"{where}: found {shown(value)}; a list of values, or a table of keys with lists, is expected")
     for key, items in lists.items():
-        of_key = where if lists is not value else f"{where}.{printable(key)}"
+        of_key = where if lists is not value else f"{where}.{key_text(key)}"
         _check_key(of_key, name, key)
         if not isinstance(items, list) or not items:
             raise ValueError(f"{of_key}: found {shown(items)}; a list of one or more values is expected")
@@ -328,4 +328,4 @@ def _line(line: str, labels: Sequence[str], points: list[int]) -> str:
     if len(points) == len(labels) > 1:
         return line
     others = f" and {len(points) - 1} more" if len(points) > 1 else ""
-    return f"point ({printable(labels[points[0]])}){others}: {line}"
+    return f"point ({key_text(labels[points[0]])}){others}: {line}"

@@ -5,6 +5,8 @@ import stat
 from pathlib import Path
 from typing import Any
 
+from surveysim.printable import printable, shortened
+
 LONGEST_KEY = 100
 
 
@@ -39,16 +41,14 @@ def _decoded(content: bytes) -> str:
         raise ValueError(f"line {line} is not UTF-8: found the byte 0x{content[error.start]:02x}") from None
 
 
-def printable(text: str) -> str:
-    """A text without control characters, cut to the length of a key."""
-    clean = "".join(char if char.isprintable() else "?" for char in text)
-    return clean if len(clean) <= LONGEST_KEY else f"{clean[: LONGEST_KEY - 3]}..."
+def key_text(text: str) -> str:
+    """A key as errors show it: printable, and not longer than keys are."""
+    return shortened(printable(text), LONGEST_KEY)
 
 
 def one_line(error: Exception) -> str:
-    """The text of an error, in one line of at most 200 printable characters."""
-    clean = "".join(char if char.isprintable() else "?" for char in " ".join(str(error).split()))
-    return clean if len(clean) <= 200 else f"{clean[:197]}..."
+    """The text of an error, in one printable line of at most 200 characters."""
+    return shortened(printable(" ".join(str(error).split())), 200)
 
 
 def nested_deeper(value: Any, depth: int) -> bool:

@@ -1,7 +1,8 @@
 """Kernel of the template cleaning: responsivities from the Gram matrix of one scan."""
 
 import numpy as np
-from numba import njit
+
+from mapmaker.kernels.compiled import njit
 
 # A detector with less than this fraction of the mean power is dead or stuck: what is left is rounding of
 # its mean.

@@ -1,7 +1,8 @@
 """Loops from pointing to pixels and from time-streams to maps."""
 
 import numpy as np
-from numba import njit
+
+from mapmaker.kernels.compiled import njit
 
 
 @njit(cache=True, nogil=True)

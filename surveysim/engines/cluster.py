@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from surveysim import __version__
 from surveysim.engines.losses import EngineError, log, too_many_losses
-from surveysim.engines.signals import deaf_children
+from surveysim.engines.signals import deaf_children, without_script
 
 if TYPE_CHECKING:
     from surveysim.engines import Engine
@@ -148,7 +148,7 @@ def _client(engine: "Engine", items: int) -> Iterator[Client]:
             yield client
         return
     _say_losses_once()
-    with deaf_children():
+    with deaf_children(), without_script():
         # No memory limit: a worker that is over its share of the machine while others are not need not end.
         cluster = LocalCluster(
             n_workers=engine.workers_for(items),

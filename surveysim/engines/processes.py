@@ -12,7 +12,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from surveysim.engines.losses import LOSSES_ALLOWED, log, too_many_losses
-from surveysim.engines.signals import deaf_children, held_back_signals
+from surveysim.engines.signals import deaf_children, held_back_signals, without_script
 
 TAKEN_AHEAD = 2  # items that wait at a worker, so that it does not wait for the parent
 
@@ -116,7 +116,7 @@ def _start(job: Callable[[Any], Any]) -> _Worker:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_work, args=(job, theirs), daemon=True)
-    with deaf_children():
+    with deaf_children(), without_script():
         process.start()
     theirs.close()  # held by the worker alone: its end closes with it
     return _Worker(process, ours)

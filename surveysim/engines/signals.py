@@ -1,10 +1,12 @@
-"""Signals that wait, and workers that are deaf to Ctrl-C."""
+"""Signals that wait, and workers that are deaf to Ctrl-C and do not run the calling script."""
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
+from types import ModuleType
 
 
 @contextmanager
@@ -43,3 +45,18 @@ def deaf_children() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def without_script() -> Iterator[None]:
+    """Processes that are started in the block do not import the calling script.
+
+    They need nothing of it. Importing runs it: without ``if __name__ == "__main__":`` it would start workers of its
+    own, and one that was read from standard input can't be read again.
+    """
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script

@@ -1,7 +1,8 @@
 """Loop of the forecast: what a scan's time window makes of the layer's spectrum."""
 
 import numpy as np
-from numba import njit
+
+from mapmaker.kernels.compiled import njit
 
 
 @njit(cache=True, nogil=True)

@@ -1,7 +1,8 @@
 """Loops of the atmospheric screen: a strip's Fourier modes, and look-up along detector tracks."""
 
 import numpy as np
-from numba import njit
+
+from mapmaker.kernels.compiled import njit
 
 
 @njit(cache=True, nogil=True)

@@ -1,6 +1,6 @@
 """Loops of the running sums."""
 
-from numba import njit
+from mapmaker.kernels.compiled import njit
 
 
 @njit(cache=True, nogil=True)

@@ -1,7 +1,8 @@
 """Loops of the trends that scans share: their covariance, joint draws, and the change of a strip to its trend."""
 
 import numpy as np
-from numba import njit
+
+from mapmaker.kernels.compiled import njit
 
 # Variance of a trend that the earlier ones leave open, over its own: less counts as none.
 _DETERMINED = 1e-9

@@ -1,16 +1,15 @@
 """What accuracy costs as text: the table of all settings, slopes and recommendations."""
 
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from surveysim.accuracy import AccuracyResult, Measured
+from surveysim.report.terminal import Terminal
 from surveysim.report.text import where_line, with_unknown
 
 if TYPE_CHECKING:
@@ -56,13 +55,12 @@ def accuracy_table(result: AccuracyResult) -> "AstropyTable":
 
 def print_accuracy(result: AccuracyResult, directory: Path) -> None:
     """A row for each setting, what could not be run and why, slopes, recommendations and where the files are."""
-    # Off a terminal rich takes 80 columns, in which the table would break.
-    console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else 140)
-    console.print(_table(result))
+    console = Terminal(140)
+    console.show(_table(result))
     for line in (*_refused(result), *reference_lines(result), *slope_lines(result), *recommended_lines(result)):
-        console.print(line, highlight=False, markup=False)
+        console.say(line)
     done = f"{len(result.rows)} settings in {result.wall_s:.1f} s with {result.workers} worker(s)"
-    console.print(f"\n{done}; {MEMORY}\n{where_line(directory)}", highlight=False, markup=False)
+    console.say(f"\n{done}; {MEMORY}\n{where_line(directory)}")
 
 
 def _table(result: AccuracyResult) -> Table:
@@ -70,7 +68,7 @@ def _table(result: AccuracyResult) -> Table:
     for heading in ("knob", "setting"):
         table.add_column(heading)
     for heading in ("n", "sigma(A) [uK_CMB^2]", "bias [%]", "wall [s]", "CPU [s]", "start [s]", "peak [MB]"):
-        table.add_column(Text(heading), justify="right", no_wrap=True)
+        table.add_column(Text(heading), justify="right")
     knob = ""
     for row in result.rows:
         if np.isfinite(row.sigma_ukcmb2):

@@ -1,15 +1,14 @@
 """What came out of extreme cases: a table on the terminal and in a file."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from mapmaker.files import write_ecsv
 from surveysim.extremes import Case, Outcome
+from surveysim.report.terminal import Terminal
 
 
 def write_extremes(path: Path, cases: Sequence[Case], outcomes: Sequence[Outcome]) -> None:
@@ -28,16 +27,16 @@ def write_extremes(path: Path, cases: Sequence[Case], outcomes: Sequence[Outcome
 
 def print_extremes(cases: Sequence[Case], outcomes: Sequence[Outcome], directory: Path) -> None:
     """A line a case, those first that are not as expected, and how many are."""
-    console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else 160)
+    console = Terminal(160)
     table = Table(title=Text("Extreme cases"))
     for heading in ("case", "expected", "found", "tolerance", "as expected"):
         table.add_column(heading)
     for case, outcome in sorted(zip(cases, outcomes, strict=True), key=lambda pair: pair[1].ok):
         cells = (case.name, _shown(outcome.expected), _shown(outcome.found), _shown(outcome.tolerance))
         table.add_row(*map(Text, cells), "yes" if outcome.ok else "NO")
-    console.print(table)
+    console.show(table)
     good = sum(outcome.ok for outcome in outcomes)
-    console.print(f"{good} of {len(outcomes)} as expected\nResults in {directory}", highlight=False, markup=False)
+    console.say(f"{good} of {len(outcomes)} as expected\nResults in {directory}")
 
 
 def _line(value: float | str) -> str:

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 from mapmaker.files import whole_file
 from surveysim import __version__
+from surveysim.printable import printable, shortened
 from surveysim.report.page_parts import Page
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
 REPORT = "report.html"
+LONGEST_REASON = 150
 EXPECTED = "the directory of a run, a sweep, 'surveysim accuracy' or 'surveysim paper' is expected"
 # Units and symbols as the results write them, once they are escaped for HTML.
 _WRITTEN = [
@@ -48,27 +50,23 @@ def write_report(directory: str | Path) -> Path:
     Raises NoResultsError for a directory without results, or with damaged ones.
     """
     directory = Path(directory)
-    text = _html(_page(directory))
+    if not directory.is_dir():
+        raise NoResultsError(f"{directory}: no such directory; {EXPECTED}")
+    try:
+        page = _html(_page_of(directory)).encode("utf-8")
+    except (NoResultsError, OSError, MemoryError):
+        raise
+    except Exception as error:  # files that others wrote, or that are damaged, can have anything in them
+        reason = shortened(printable(f"{type(error).__name__} {error}"), LONGEST_REASON)
+        raise NoResultsError(f"{directory}: results that can't be read ({reason}); {EXPECTED}") from None
     with whole_file(directory / REPORT) as partial:
-        partial.write_text(text, encoding="utf-8")
+        partial.write_bytes(page)
     return directory / REPORT
 
 
-def _page(directory: Path) -> Page:
-    """What the directory is of is told from its files."""
-    if not directory.is_dir():
-        raise NoResultsError(f"{directory}: no such directory; {EXPECTED}")
+def _page_of(directory: Path) -> Page:
+    """The page of a directory; its files tell which it is of."""
     summary = _read(directory / "summary.json") if (directory / "summary.json").exists() else {}
-    try:
-        return _page_of(directory, summary)
-    except NoResultsError:
-        raise
-    except (LookupError, TypeError, ValueError) as error:  # of files that others wrote, or that are damaged
-        reason = " ".join(f"{type(error).__name__} {error}".split())
-        raise NoResultsError(f"{directory}: results that can't be read ({reason}); {EXPECTED}") from None
-
-
-def _page_of(directory: Path, summary: dict[str, Any]) -> Page:
     if "points" in summary:
         from surveysim.report.page_sweep import sweep_page
 
@@ -89,10 +87,12 @@ def _page_of(directory: Path, summary: dict[str, Any]) -> Page:
 
 
 def _read(path: Path) -> dict[str, Any]:
+    if path.exists() and not path.is_file():  # a pipe would never end
+        raise NoResultsError(f"{path}: found no file; {EXPECTED}")
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
+    except (OSError, ValueError, RecursionError) as error:
+        reason = error.strerror if isinstance(error, OSError) else shortened(printable(error), LONGEST_REASON)
         raise NoResultsError(f"{path}: can't be read ({reason}); {EXPECTED}") from None
     if not isinstance(content, dict):
         raise NoResultsError(f"{path}: found {type(content).__name__}; a JSON object is expected")

@@ -9,47 +9,48 @@ from rich.text import Text
 from surveysim.discards import percent, telling
 from surveysim.plan import SweepPlan
 from surveysim.recipes import ACTUAL
-from surveysim.report.text import print_warnings, table_console, where_line, with_unknown
+from surveysim.report.terminal import Terminal
+from surveysim.report.text import print_warnings, where_line, with_unknown
 from surveysim.sweep import Sweep
 from surveysim.trade import ESTIMATES, SURE, SweepResult
 
 
 def print_sweep_plan(sweep: Sweep, plan: SweepPlan, workers: int) -> None:
     """Axes of a sweep and the predicted cost of its points."""
-    console = table_console()
+    console = Terminal()
     table = Table(title=Text(f"{sweep.name}: {plan.n_points} points"))
     table.add_column("axis")
     table.add_column("values")
     for axis in sweep.axes:
         table.add_row(Text(axis.name), Text(", ".join(axis.labels)))
-    console.print(table)
+    console.show(table)
     lines = (
         f"about {plan.wall_s:.0f} s with {workers} worker(s), predicted from the first and the last point",
         f"about {plan.memory_bytes / 1e6:.0f} MB a process",
         f"{plan.detector_samples / 1e6:.4g} million detector-samples",
     )
-    console.print("\n".join(lines), highlight=False)
+    console.say("\n".join(lines))
 
 
 def print_sweep(result: SweepResult, directory: Path) -> None:
     """A row for each point, why points have no score, the reference point, the best one, warnings, and the files."""
-    console = table_console()
-    console.print(_sweep_table(result))
+    console = Terminal()
+    console.show(_sweep_table(result))
     for point, item in zip(result.sweep.points, result.points, strict=True):
         if item.unscored:
-            console.print(f"Not scored: {point.label}: {item.unscored}", highlight=False, markup=False)
+            console.say(f"Not scored: {point.label}: {item.unscored}")
     if result.comparison.reference is not None:
         reference = result.sweep.points[result.comparison.reference].label
         shared = ", their errors those of runs with one seed" if result.simulated else ""
-        console.print(f"Ratios are to {reference}{shared}.", highlight=False, markup=False)
+        console.say(f"Ratios are to {reference}{shared}.")
         if said := ESTIMATES.get(result.estimate):
-            console.print(f"sigma(A) {said}.", highlight=False)
-        console.print(best_line(result), highlight=False, markup=False)
+            console.say(f"sigma(A) {said}.")
+        console.say(best_line(result))
     for line in (*discard_lines(result), *_forecast_lines(result)):
-        console.print(line, highlight=False, markup=False)
+        console.say(line)
     print_warnings(console, result.warnings)
     done = f"{len(result.points)} points in {result.wall_s:.1f} s with {result.workers} worker(s)"
-    console.print(f"\n{done}\n{where_line(directory)}", highlight=False, markup=False)
+    console.say(f"\n{done}\n{where_line(directory)}")
 
 
 def _forecast_lines(result: SweepResult) -> list[str]:
@@ -117,7 +118,7 @@ def _sweep_table(result: SweepResult) -> Table:
         table.add_column(Text(axis.name))
     headings = ["detectors"] + ["sigma(A) [uK_CMB^2]"] * result.simulated + ["forecast", "ratio"]
     for heading in headings + ["best", "discarded"] * result.simulated:
-        table.add_column(Text(heading), justify="right", no_wrap=True)
+        table.add_column(Text(heading), justify="right")
     for number, (point, item) in enumerate(zip(sweep.points, result.points, strict=True)):
         cells = [Text(axis.labels[step]) for axis, step in zip(sweep.axes, point.place, strict=True)]
         forecast = item.forecast_ukcmb2.get(ACTUAL)

@@ -1,12 +1,10 @@
 """Results and plans as text: tables on the terminal."""
 
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -17,6 +15,7 @@ from surveysim.discards import percent, telling
 from surveysim.plan import Plan
 from surveysim.recipes import ACTUAL
 from surveysim.report.page import REPORT
+from surveysim.report.terminal import Terminal
 from surveysim.results import (
     CONTROLLED,
     PLAIN,
@@ -40,42 +39,36 @@ if TYPE_CHECKING:
 
 def print_result(result: SurveyResult, directory: Path) -> None:
     """Score table beside the reference, gains, what is assumed, time taken and where the files are."""
-    console = table_console()
+    console = Terminal()
     for line in stop_lines(result):
-        console.print(f"{line}\n", highlight=False, markup=False)
+        console.say(f"{line}\n")
     if len(result.setup.whole_recipes) > 1:
-        console.print(_cleaning_table(result))
+        console.show(_cleaning_table(result))
     if result.scores:
-        console.print(_score_table(result))
+        console.show(_score_table(result))
         for line in (*survey_lines(result), *gain_lines(result), *agreement_lines(result)):
-            console.print(line, highlight=False)
-        console.print()
+            console.say(line)
+        console.say("")
         if result.alternatives:
-            console.print(_alternative_table(result))
-        console.print("\nMethod, where the reference leaves it open:", highlight=False)
+            console.show(_alternative_table(result))
+        console.say("\nMethod, where the reference leaves it open:")
         setup = result.setup
         for line in method(setup.chooses, setup.scene.instrument.bandwidth, setup.band.scored_correlation):
-            console.print(f"  - {line}", highlight=False, markup=False)
+            console.say(f"  - {line}")
     if result.unscored:
-        console.print(f"Not scored: {result.unscored}", highlight=False, markup=False)
+        console.say(f"Not scored: {result.unscored}")
     if result.setup.scene.assumed:
-        console.print("\nAssumed or calibrated in the scene:", highlight=False)
+        console.say("\nAssumed or calibrated in the scene:")
         for line in result.setup.scene.assumed:
-            console.print(f"  - {line}", highlight=False, markup=False)
+            console.say(f"  - {line}")
     print_warnings(console, result.discards.warnings)
-    console.print(f"\n{closing_line(result)}\n{where_line(directory)}", highlight=False, markup=False)
+    console.say(f"\n{closing_line(result)}\n{where_line(directory)}")
 
 
-def print_warnings(console: Console, warnings: Sequence[str]) -> None:
+def print_warnings(console: Terminal, warnings: Sequence[str]) -> None:
     """A paragraph for each warning."""
     for line in warnings:
-        console.print(f"\nWarning: {line}", highlight=False, markup=False)
-
-
-def table_console() -> Console:
-    """Console that is wide enough for tables."""
-    # Off a terminal rich takes 80 columns, in which the tables would break.
-    return Console(soft_wrap=True, width=None if sys.stdout.isatty() else 120)
+        console.say(f"\nWarning: {line}")
 
 
 def closing_line(result: SurveyResult) -> str:
@@ -274,7 +267,7 @@ def _alternative_table(result: SurveyResult) -> Table:
 
 def print_plan(scene: Scene, plan: Plan, workers: int) -> None:
     """Stages, what is left out and why, and the predicted cost."""
-    console = table_console()
+    console = Terminal()
     table = Table(title=Text(f"{scene.name}: {scene.title}"))
     for heading in ("stage", "what"):
         table.add_column(heading)
@@ -282,7 +275,7 @@ def print_plan(scene: Scene, plan: Plan, workers: int) -> None:
         table.add_row(name, what)
     for name, reason in plan.left_out.items():
         table.add_row(Text(name, style="dim"), Text(f"left out: {reason}", style="dim"))
-    console.print(table)
+    console.show(table)
     made = "one block of an observation" if "blocks" in plan.stages else "a few observations"
     lines = (
         f"about {_seconds(plan.wall_s)} s with {workers} worker(s), {_seconds(plan.figures_s)} s of it for figures, "
@@ -292,7 +285,7 @@ def print_plan(scene: Scene, plan: Plan, workers: int) -> None:
         f"about {plan.timestream_bytes / 1e6:.0f} MB of time-streams, if saved",
         f"{plan.detector_samples / 1e6:.4g} million detector-samples",
     )
-    console.print("\n".join(lines), highlight=False)
+    console.say("\n".join(lines))
 
 
 def _seconds(seconds: float) -> str:
@@ -301,7 +294,7 @@ def _seconds(seconds: float) -> str:
 
 def print_forecast(scene: Scene, forecast: "Forecast") -> None:
     """The forecast of each data set, beside the reference if there is one, and effects on it with their sizes."""
-    console, everywhere = table_console(), in_all_weather(prepare(scene), forecast)
+    console, everywhere = Terminal(), in_all_weather(prepare(scene), forecast)
     reference = scene.score.reference
     published = dict(reference.values_ukcmb2) if reference else {}
     table = Table(title=Text(f"{scene.title}: forecast of the uncertainty on a flat CMB band power"))
@@ -318,29 +311,29 @@ def print_forecast(scene: Scene, forecast: "Forecast") -> None:
         if name in published:
             cells += [f"{published[name]:g}", f"{sigma / published[name]:.2f}"]
         table.add_row(*cells)
-    console.print(table)
+    console.show(table)
     drawn = f"that of the weather drawn for {scene.observations} observations stands beside it"
-    console.print(f"sigma(A) is that of all weather, as a run quotes it; {drawn}.", highlight=False)
-    console.print("Effects on the forecast, with their sizes; those marked ! may put it off:", highlight=False)
+    console.say(f"sigma(A) is that of all weather, as a run quotes it; {drawn}.")
+    console.say("Effects on the forecast, with their sizes; those marked ! may put it off:")
     flagged = effect_lines(forecast.scores, flagged=True)
     for line in effect_lines(forecast.scores):
-        console.print(f"  {'!' if line in flagged else '-'} {line}", highlight=False, markup=False)
+        console.say(f"  {'!' if line in flagged else '-'} {line}")
 
 
 def print_paper(written: list[Path]) -> None:
     """The tables that were made, figures as their captions, and where the files are."""
     from astropy.table import Table as AstropyTable
 
-    console = table_console()
+    console = Terminal()
     for path in written:
         if path.suffix == ".ecsv" and not path.stem.startswith("measurements"):
             made = AstropyTable.read(path, format="ascii.ecsv")
             if path.stem.startswith("figure"):
-                console.print(f"\n{made.meta['title']}: {made.meta['caption']}", highlight=False, markup=False)
+                console.say(f"\n{made.meta['title']}: {made.meta['caption']}")
             else:
-                console.print(_plain_table(made))
+                console.show(_plain_table(made))
     if written:
-        console.print(f"\n{len(written)} files. {where_line(written[0].parent)}", highlight=False, markup=False)
+        console.say(f"\n{len(written)} files. {where_line(written[0].parent)}")
 
 
 def _plain_table(made: "AstropyTable") -> Table:

@@ -10,6 +10,7 @@ import typer.main
 
 from docs.reference import all_keys, command_reference, scene_keys, scene_reference, scene_sections
 from surveysim.cli import app
+from surveysim.failures import EXIT_BROKEN_PIPE
 from surveysim.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
 from surveysim.sweep import REFERENCE
 from tests.docs.pages import PAGES, ROOT, Block, blocks
@@ -113,7 +114,7 @@ def test_every_command_and_option_is_in_the_reference():
 
 def test_exit_codes():
     codes = re.findall(r"^\| (\d+) \|", (ROOT / "docs" / "commands.md").read_text(), re.MULTILINE)
-    assert list(map(int, codes)) == [0, EXIT_FAILED, EXIT_WRONG_SCENE, EXIT_INTERRUPTED]
+    assert list(map(int, codes)) == [0, EXIT_FAILED, EXIT_WRONG_SCENE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE]
 
 
 # ---------------------------------------------------------------- the build

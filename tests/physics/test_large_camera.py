@@ -25,7 +25,7 @@ def test_one_observation_in_blocks(tmp_path):
 
     More scans make more blocks, not larger ones: ten minutes take no more memory.
     """
-    command = [sys.executable, "-c", "from surveysim.cli import main; main()", "run", str(SCENE), "--workers", "1"]
+    command = [sys.executable, "-c", "from surveysim.main import main; main()", "run", str(SCENE), "--workers", "1"]
     command += [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}")]
     process = subprocess.Popen([*command, "--no-figures", "--quiet", "--out", str(tmp_path)])
     _, status, usage = os.wait4(process.pid, 0)

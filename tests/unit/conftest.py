@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from surveysim import cli
+from surveysim.main import main
 from tests.scenes import SMALL_SCENE
 
 
@@ -31,8 +31,9 @@ def call(monkeypatch, capsys, handlers):
 
     def call(*arguments):
         monkeypatch.setattr(sys, "argv", ["surveysim", *map(str, arguments)])
+        monkeypatch.setattr("surveysim.environment.settle", lambda: None)  # its changes last
         with pytest.raises(SystemExit) as end:
-            cli.main()
+            main()
         text = capsys.readouterr()
         return end.value.code or 0, text.out, text.err
 

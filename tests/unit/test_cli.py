@@ -365,7 +365,7 @@ def test_white_noise_needs_little(tmp_path):
     path = tmp_path / "white.toml"
     path.write_text(WHITE_NOISE_SCENE)
     code = (
-        "import sys\nfrom surveysim.cli import main\ntry:\n    main()\n"
+        "import sys\nfrom surveysim.main import main\ntry:\n    main()\n"
         "except SystemExit as end:\n    assert not end.code\nprint(' '.join(sys.modules))"
     )
     arguments = ["run", str(path), "--out", str(tmp_path / "o"), "--no-figures", "--workers", "1", "-q"]

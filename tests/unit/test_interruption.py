@@ -22,7 +22,7 @@ from tests.scenes import SMALL_SCENE
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes through /proc")
 
 KILLS = 2  # of each engine
-COMMAND = [sys.executable, "-c", "from surveysim.cli import main; main()"]
+COMMAND = [sys.executable, "-c", "from surveysim.main import main; main()"]
 
 
 FAST = [*COMMAND[:2], "import surveysim.survey as s; s.CHECKPOINT_SECONDS = 0.1; " + COMMAND[2]]

@@ -1,10 +1,12 @@
 """Reports of small runs: every figure and number is in them, nothing from outside, and bad directories are refused."""
 
 import json
+import os
 import re
 import shutil
 from base64 import b64decode
 
+import numpy as np
 import pytest
 
 from surveysim import load_scene, run, run_sweep
@@ -397,3 +399,54 @@ def test_numbers_without_errors():
 )
 def test_units_as_they_are_printed(text, written):
     assert str(units(text)) == written
+
+
+ODD = [None, [], {}, "x\u202e\x1b\ud800", -1, float("inf"), True, [[]], {"a": None}, 10**400, "<script>"]
+
+
+def nodes(content, path=()):
+    """Where everything is in a JSON document."""
+    yield path
+    for key, value in content.items() if isinstance(content, dict) else enumerate(content):
+        if isinstance(value, dict | list):
+            yield from nodes(value, (*path, key))
+        else:
+            yield (*path, key)
+
+
+def spoiled(content, path, value):
+    if not path:
+        return value
+    copy = dict(content) if isinstance(content, dict) else list(content)
+    copy[path[0]] = spoiled(content[path[0]], path[1:], value)
+    return copy
+
+
+@pytest.mark.parametrize("name", ["summary.json", "scene.json"])
+def test_damaged_results_are_refused_in_a_line(call, copy, name):
+    """Values of any type, wherever they are: a page, or one line; never another error. The old page stays."""
+    content = json.loads((copy / name).read_text())
+    random = np.random.default_rng(1)
+    places = list(nodes(content))
+    chosen = [("scores",)] * len(ODD) if name == "summary.json" else [()]
+    chosen += [places[number] for number in random.integers(len(places), size=5)]
+    refused = 0
+    for turn, path in enumerate(chosen):
+        (copy / "report.html").write_text("old")
+        (copy / name).write_text(json.dumps(spoiled(content, path, ODD[turn % len(ODD)])))
+        code, out, error = call("report", copy)
+        if code == 0:
+            assert (copy / "report.html").read_text().endswith("</html>\n")
+            continue
+        refused += 1
+        assert (code, out) == (2, "") and error[:-1].isprintable() and len(error) < 500
+        assert (copy / "report.html").read_text() == "old"
+    assert refused > len(chosen) // 3
+
+
+def test_results_that_are_no_files(call, copy):
+    for prepare in (os.mkfifo, os.mkdir):
+        (copy / "summary.json").unlink()
+        prepare(copy / "summary.json")
+        code, out, error = call("report", copy)
+        assert (code, out) == (2, "") and "summary.json: found no file" in error and len(error.splitlines()) == 1

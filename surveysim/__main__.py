@@ -1,0 +1,5 @@
+"""``python -m surveysim``: the command line."""
+
+from surveysim.main import main
+
+main()
