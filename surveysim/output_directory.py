@@ -34,6 +34,7 @@ _WRITTEN = re.compile(
 )
 _SAYS_ITSELF = re.compile(r"checkpoint\.h5|points/\d+\.(npz|checkpoint\.h5)")  # of which scene it is
 _UNFINISHED_WORK = re.compile(rf"{_SAYS_ITSELF.pattern}|timestreams/\d+\.h5")
+_INPUT = re.compile(r"scene\.toml|positions(_\d+)?\.ecsv")
 _PARTIAL = re.compile(r"(.+)\.(\d+)\.part")
 
 log = logging.getLogger("surveysim")
@@ -175,7 +176,8 @@ def _claim(path: Path, results: Results, force: bool, resume: bool) -> OutputDir
         raise OutputError(f"{path / RECORD}: not written by this program; {OTHERWISE}")
     record = record or _NOTHING
     mine = {name: known for name, known in record["files"].items() if _is_mine(path, name, record["files"])}
-    if record is not _NOTHING and not force:
+    started = record["finished"] or any(not _INPUT.fullmatch(name) for name in mine)
+    if record is not _NOTHING and started and not force:
         _check_same(path, results, record)
         _check_unfinished(path, mine, record, resume)
     if resume:
