@@ -195,8 +195,8 @@ def _check_same(path: Path, results: Results, record: Mapping[str, Any]) -> None
     if record["command"] != results.command:
         found = f"{kind} of 'surveysim {record['command']}'"
     elif record["sha256"] != results.sha256:
-        other = "with other settings" if record["scene"] == results.scene else f"of another scene, {record['scene']!r}"
-        found = f"{kind} {other}"
+        other = "with other settings" if record["scene"] == results.scene else "and not of this scene"
+        found = f"{kind} of {record['scene']!r} {other}"
     else:
         return
     raise OutputError(f"{path}: holds {found}; --force replaces them, --out writes elsewhere")
@@ -275,7 +275,9 @@ def _is_mine(path: Path, name: str, files: Mapping[str, str | None]) -> bool:
 
 def _may_be_removed(path: Path, name: str) -> bool:
     """Whether it is a plain file by a name that this program writes, and no link leads to it."""
-    return bool(_WRITTEN.fullmatch(name)) and _is_regular(path / name) and not (path / name).parent.is_symlink()
+    folder = name.rpartition("/")[0]
+    through_link = folder and (path / folder).is_symlink()
+    return bool(_WRITTEN.fullmatch(name)) and not through_link and _is_regular(path / name)
 
 
 def _is_regular(path: Path) -> bool:
