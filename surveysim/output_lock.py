@@ -12,6 +12,7 @@ from stat import S_ISREG
 from time import sleep
 from typing import Any
 
+from surveysim.engines import held_back_signals
 from surveysim.provenance import now
 from surveysim.scene import SceneError
 
@@ -38,7 +39,8 @@ def locked(directory: Path) -> Iterator[None]:
     """
     own = None
     try:
-        own = _take(directory)
+        with held_back_signals():  # no lock is left that this process does not know of
+            own = _take(directory)
         yield
     finally:
         if own is not None and _read(directory / LOCK) == own:
@@ -80,6 +82,7 @@ def _make(lock: Path, own: Mapping[str, Any]) -> bool:
         raise type(error)(error.errno, error.strerror, str(lock.parent)) from None
     try:
         with open(number, "w", encoding="utf-8") as file:
+            os.chmod(name, 0o644)  # others of a shared directory are to read who works there
             json.dump(own, file)
         try:
             os.link(name, lock)
@@ -94,10 +97,15 @@ def _make(lock: Path, own: Mapping[str, Any]) -> bool:
 
 def _make_without_links(lock: Path, own: Mapping[str, Any]) -> bool:
     try:
-        with open(lock, "x", encoding="utf-8") as file:
-            json.dump(own, file)
+        file = open(lock, "x", encoding="utf-8")  # noqa: SIM115, closed below
     except FileExistsError:
         return False
+    try:
+        with file:
+            json.dump(own, file)
+    except BaseException:
+        lock.unlink()
+        raise
     return True
 
 
