@@ -29,7 +29,7 @@ OTHERWISE = "--force replaces it, --out writes elsewhere"
 _WRITTEN = re.compile(
     r"report\.html|(summary|scene)\.json|scene\.toml|positions(_\d+)?\.ecsv|checkpoint\.h5|extremes\.ecsv"
     r"|(sweep|sweep_pairs|forecast|accuracy)\.ecsv|table\d+(_[a-z]+)?\.ecsv|figure\d+\.(png|ecsv)"
-    r"|(measurements|recovered)_\w+\.ecsv|tables/[^./][^/]*\.ecsv|maps/[^./][^/]*\.fits|figures/[^./][^/]*\.png"
+    r"|(measurements|recovered)_[0-9]+\.ecsv|tables/\w+\.ecsv|maps/\w[\w.+~,=-]*\.fits|figures/\w+\.png"
     r"|timestreams/\d+\.h5|points/\d+\.(npz|checkpoint\.h5)"
 )
 _SAYS_ITSELF = re.compile(r"checkpoint\.h5|points/\d+\.(npz|checkpoint\.h5)")  # of which scene it is
@@ -239,7 +239,7 @@ def _make(directory: Path) -> None:
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
-        found = "a link to nowhere" if directory.is_symlink() else "a file"
+        found = "a link to nowhere" if Path(error.filename).is_symlink() else "a file"
         raise NotADirectoryError(ENOTDIR, f"{found} where a folder is to be written", error.filename) from None
 
 

@@ -210,10 +210,12 @@ def test_a_folder_by_the_name_of_a_file(tmp_path, name, force):
 def test_directories_that_can_not_be(tmp_path):
     put(tmp_path, {"file": "mine"})
     (tmp_path / "link").symlink_to("nowhere")
-    for name, words in (("file", "a file"), ("file/below", "a file"), ("link", "a link to nowhere")):
+    (tmp_path / "loop").symlink_to("loop")
+    found = {"file": "a file", "file/below": "a file", "link": "a link to nowhere", "link/below": "a link to nowhere"}
+    for name, words in (found | {"loop": "a link to nowhere", "/dev/null": "a file"}).items():
         with pytest.raises(NotADirectoryError, match=f"{words} where a folder is to be written"):
             written(tmp_path / name)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "link"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "link", "loop"]
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
