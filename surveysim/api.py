@@ -8,12 +8,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mapmaker.timestreams import Timestreams
-from surveysim.checkpoint import NAME
+from surveysim.checkpoint import NAME as CHECKPOINT
 from surveysim.coadds import CoAdds
 from surveysim.engines import SERIAL, Engine
 from surveysim.observation import draw_observation
-from surveysim.outputs import remove_outputs, remove_partial_files, write_outputs, write_sweep
-from surveysim.point_files import remove_points
+from surveysim.output_directory import OutputDirectory, begin, claimed, finish, remove, replacing
+from surveysim.output_results import of_run, of_sweep
+from surveysim.outputs import write_outputs, write_sweep
 from surveysim.results import SurveyResult, survey_result
 from surveysim.scene import Scene
 from surveysim.setup import prepare
@@ -55,50 +56,52 @@ def run(
     progress: Callable[[CoAdds], None] = lambda coadds: None,
     target_error: float | None = None,
     time_budget_s: float | None = None,
+    force: bool = False,
 ) -> SurveyResult:
-    """Run a scene and, with `out`, write its results there in place of an earlier run's.
+    """Run a scene and, with `out`, write its results there in place of an earlier run's of the same scene.
 
     The `engine` is one process a core by default; results do not depend on it. Only a worker of dask that replaces a
     lost one imports the calling script, which then needs ``if __name__ == "__main__":``. With `out`, finished work is
-    kept in `out/checkpoint.h5` until the results are written; `resume` goes on from there.
+    kept in `out/checkpoint.h5` until the results are written; `resume` goes on from there. `force` replaces results of
+    other scenes and commands, unfinished runs, and files of the user by names that are to be written.
 
     The run stops early where the relative error of sigma(A) of the actual data, by the forecast as control variate
     if there is one, is no more than `target_error`, or once `time_budget_s` is spent. What is scored is then the whole
     survey, judged by a part of it, and the checkpoint is kept: a later run with `resume` and other limits or none goes
     on and ends with the same bits as one that never stopped. Raises SceneError when the scene can't be run,
-    ValueError for limits that make no sense, CheckpointError for a checkpoint that does not belong to the scene and
-    EngineError when the engine can't go on.
+    ValueError for limits that make no sense, OutputError for a directory that another job writes to or that holds
+    anything else (FinishedError where there is nothing to resume), CheckpointError for a checkpoint that does not
+    belong to the scene and EngineError when the engine can't go on.
     """
     start, limits = perf_counter(), Limits(target_error, time_budget_s)
     setup = prepare(scene)
     check_limits(setup, limits)
     workers = engine.workers_for(scene.observations)
-    directory = None if out is None else Path(out)
-    checkpoint = None if directory is None else directory / NAME
-    if save_timestreams and directory is None:
+    if save_timestreams and out is None:
         raise ValueError("save_timestreams: found no output directory; one is expected")
-    if directory is not None:
-        remove_partial_files(directory)
-        if not resume:
-            remove_outputs(directory)
-    coadds = run_observations(
-        setup,
-        checkpoint,
-        engine=engine,
-        resume=resume,
-        timestream_dir=directory / "timestreams" if save_timestreams else None,
-        progress=progress,
-        stops=stopping_rule(setup, limits, start),
-    )
-    result = survey_result(setup, coadds, perf_counter() - start, workers, limits, engine.kind)
-    if directory is not None:
-        remove_partial_files(directory)  # of workers that were lost
+
+    def result_of(checkpoint: Path | None, streams: Path | None) -> SurveyResult:
+        stops = stopping_rule(setup, limits, start)
+        coadds = run_observations(setup, checkpoint, engine, resume, streams, progress, stops)
+        return survey_result(setup, coadds, perf_counter() - start, workers, limits, engine.kind)
+
+    if out is None:
+        return result_of(None, None)
+    with claimed(Path(out), of_run(setup, figures, save_timestreams), force, resume) as place:
+        begin(place, removed=lambda name: not resume)
+        result = result_of(place.path / CHECKPOINT, place.path / "timestreams" if save_timestreams else None)
         if resume:  # until here they were those of a run that was stopped early, if any
-            remove_outputs(directory, with_timestreams=not save_timestreams)
-        write_outputs(directory, result, figures, save_timestreams)
-        if coadds.done == scene.observations:
-            checkpoint.unlink(missing_ok=True)
+            remove(place, [name for name in place.mine if _is_renewed(place, name, save_timestreams)])
+        write_outputs(place.path, result, figures, save_timestreams)
+        whole = result.coadds.done == scene.observations
+        finish(place, dropped=lambda name: whole and name == CHECKPOINT)
     return result
+
+
+def _is_renewed(place: OutputDirectory, name: str, timestreams: bool) -> bool:
+    """Whether a file of a run that is resumed makes way for a new one; time-streams stay where they are asked for."""
+    stays = name == CHECKPOINT or name in place.results.inputs or (timestreams and name.startswith("timestreams/"))
+    return not stays
 
 
 def run_sweep(
@@ -108,32 +111,33 @@ def run_sweep(
     resume: bool = False,
     figures: bool = True,
     progress: Callable[[int], None] = lambda done: None,
+    force: bool = False,
 ) -> SweepResult:
     """Run every point of a sweep (of a scene file with [sweep]) and compare them.
 
     The workers of the `engine`, one process a core by default, take a point each; results do not depend on them. With
     `out`, results are written there in place of an earlier run's, and what is done is kept in `out/points` until then;
-    `resume` goes on from there. `progress` is told how many points are done. Raises SceneError for a point that can't
-    be run, CheckpointError for files of other scenes and EngineError when the engine can't go on.
+    `resume` goes on from there. `progress` is told how many points are done, `force` is as in `run`. Raises SceneError
+    for a point that can't be run, OutputError as `run`, CheckpointError for files of other scenes and EngineError when
+    the engine can't go on.
     """
     start = perf_counter()
     sweep = sweep if isinstance(sweep, Sweep) else load_sweep(sweep)
     workers = engine.workers_for(len(sweep.points))
-    directory = None if out is None else Path(out)
-    kept = None if directory is None else directory / "points"
-    if directory is not None:
-        remove_partial_files(directory)
-        if not resume:
-            remove_outputs(directory)
-            remove_points(kept)
-    points = of_one_kind(run_points(sweep, kept, engine, resume, progress))
-    with threadpool_limits(1):  # the same bits on any machine
-        comparison = compare_runs(points, np.random.default_rng(DRAWS_SEED), sweep.reference)
-    seconds = perf_counter() - start
-    result = SweepResult(sweep, points, comparison, True, seconds, workers, engine.kind)
-    if directory is not None:
-        write_sweep(directory, result, figures)
-        remove_points(kept)
+
+    def result_of(kept: Path | None) -> SweepResult:
+        points = of_one_kind(run_points(sweep, kept, engine, resume, progress))
+        with threadpool_limits(1):  # the same bits on any machine
+            comparison = compare_runs(points, np.random.default_rng(DRAWS_SEED), sweep.reference)
+        return SweepResult(sweep, points, comparison, True, perf_counter() - start, workers, engine.kind)
+
+    if out is None:
+        return result_of(None)
+    with claimed(Path(out), of_sweep(sweep, "run", figures), force, resume) as place:
+        begin(place, removed=lambda name: not resume)
+        result = result_of(place.path / "points")
+        write_sweep(place.path, result, figures)
+        finish(place, dropped=lambda name: name.startswith("points/"))
     return result
 
 
@@ -142,14 +146,21 @@ def forecast_sweep(
     out: str | Path | None = None,
     figures: bool = True,
     progress: Callable[[int], None] = lambda done: None,
+    force: bool = False,
 ) -> SweepResult:
     """As `run_sweep`, with forecasts in place of simulations: quick, and without Monte Carlo errors."""
     start = perf_counter()
     sweep = sweep if isinstance(sweep, Sweep) else load_sweep(sweep)
-    points = forecast_points(sweep, progress)
-    comparison = compare_forecasts(points, sweep.reference)
-    result = SweepResult(sweep, points, comparison, False, perf_counter() - start, 1, SERIAL.kind)
-    if out is not None:
-        remove_outputs(Path(out))
-        write_sweep(Path(out), result, figures)
+
+    def result_of() -> SweepResult:
+        points = forecast_points(sweep, progress)
+        comparison = compare_forecasts(points, sweep.reference)
+        return SweepResult(sweep, points, comparison, False, perf_counter() - start, 1, SERIAL.kind)
+
+    if out is None:
+        return result_of()
+    with claimed(Path(out), of_sweep(sweep, "forecast", figures), force) as place:
+        result = result_of()
+        with replacing(place):
+            write_sweep(place.path, result, figures)
     return result

@@ -88,5 +88,5 @@ def check_origin(path: Path, found: Mapping[str, Any], scene_hash: str) -> None:
         if found[key] != expected:
             raise CheckpointError(
                 f"{path}: of another {key} (found {found[key][:12]}, expected {expected[:12]}); "
-                "run without --resume, or with --out elsewhere"
+                "start anew with --force, or write elsewhere with --out"
             )

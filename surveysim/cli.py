@@ -12,11 +12,12 @@ from surveysim import options
 from surveysim.interrupts import (
     EXIT_FAILED,
     going_on_later,
-    kept,
     says_interrupted,
+    says_new_start,
     stopping,
 )
-from surveysim.options import Kind, NoFigures, Overrides, Quiet, Reference, SceneFile, Scheduler, Workers
+from surveysim.options import Force, Kind, NoFigures, Overrides, Quiet, Reference, SceneFile, Scheduler, Workers
+from surveysim.output_names import default_directory
 from surveysim.printable import complain, say
 from surveysim.scene import Scene, SceneError, load_scene, read_scene
 
@@ -36,7 +37,7 @@ app = typer.Typer(
 @says_interrupted
 def run(
     scene: SceneFile,
-    out: Annotated[Path | None, typer.Option(help="where results go; outputs/<name> by default")] = None,
+    out: Annotated[Path | None, typer.Option(help="where results go; outputs/<name>+<settings> by default")] = None,
     workers: Workers = None,
     engine: Kind = "processes",
     scheduler: Scheduler = None,
@@ -53,29 +54,27 @@ def run(
     ] = None,
     reference: Reference = None,
     settings: Overrides = None,
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Simulate, clean, map and score a scene, or every point of its sweep."""
     with_engine = options.engine(engine, workers, scheduler)
     if sweep := _sweep(scene, settings, reference):
         _refuse_for_sweep(scene, save_timestreams, target_error, time_budget)
-        _run_sweep(sweep, out, with_engine, resume, not no_figures, quiet)
+        directory = out or default_directory(sweep.name, options.settings(settings, reference))
+        _run_sweep(sweep, directory, with_engine, resume, not no_figures, force, quiet)
         return
     limits = options.run_limits(target_error, time_budget)
     checked = _ready(scene, settings)
     if limits.target_error is not None and checked.score is None:
         _fail(f"{scene}: --target-error: found no [score]; the error is one of sigma(A), which needs it")
-    from surveysim.checkpoint import NAME as CHECKPOINT
-    from surveysim.outputs import check_writable
-
-    directory = out or Path("outputs") / checked.name
-    check_writable(directory)
-    if resume and not quiet and not (directory / CHECKPOINT).exists():
-        typer.echo(f"no checkpoint in {directory}: starting with the first observation", err=True)
     from surveysim.api import run as run_scene
     from surveysim.progress import equal_work, progress_display, score_so_far
     from surveysim.report.text import print_result
 
+    directory = out or default_directory(checked.name, options.settings(settings))
+    if resume and not quiet:
+        says_new_start(directory, "checkpoint", " observation")
     work = equal_work(checked.observations)
     with (
         going_on_later(scene, directory),
@@ -83,7 +82,7 @@ def run(
     ):
         progress = stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds)))
         todo = (checked, directory, with_engine, resume, save_timestreams, not no_figures, progress)
-        result = run_scene(*todo, limits.target_error, limits.time_budget_s)
+        result = run_scene(*todo, limits.target_error, limits.time_budget_s, force)
     if not quiet:
         print_result(result, directory)
 
@@ -99,13 +98,11 @@ def _refuse_for_sweep(scene: Path, save_timestreams: bool, target_error: str | N
             _fail(f"{scene}: {option}: found a sweep, {reason}; a scene without [sweep] is expected")
 
 
-def _run_sweep(sweep: "Sweep", out: Path | None, engine: "Engine", resume: bool, figures: bool, quiet: bool) -> None:
-    from surveysim.outputs import check_writable
-
-    directory = out or Path("outputs") / sweep.name
-    check_writable(directory)
-    if resume and not quiet and not kept(directory):
-        typer.echo(f"no points in {directory}: starting with the first", err=True)
+def _run_sweep(
+    sweep: "Sweep", directory: Path, engine: "Engine", resume: bool, figures: bool, force: bool, quiet: bool
+) -> None:
+    if resume and not quiet:
+        says_new_start(directory, "points", "")
     from surveysim.api import run_sweep
     from surveysim.progress import progress_display
     from surveysim.report.sweep_text import print_sweep
@@ -115,7 +112,8 @@ def _run_sweep(sweep: "Sweep", out: Path | None, engine: "Engine", resume: bool,
         going_on_later(sweep.path, directory),
         progress_display(sweep.name, work, quiet, "points", engine.workers_for(len(work))) as show,
     ):
-        result = run_sweep(sweep, directory, engine, resume, figures, stopping(lambda done: show(done, lambda: "")))
+        progress = stopping(lambda done: show(done, lambda: ""))
+        result = run_sweep(sweep, directory, engine, resume, figures, progress, force)
     if not quiet:
         print_sweep(result, directory)
 
@@ -128,15 +126,19 @@ def forecast(
     no_figures: NoFigures = False,
     reference: Reference = None,
     settings: Overrides = None,
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Say in seconds, without a Monte Carlo, what a scene or every point of its sweep would score."""
     from surveysim.forecast import forecast as forecast_scene
-    from surveysim.outputs import check_writable, write_forecast
+    from surveysim.output_directory import claimed, replacing
+    from surveysim.output_results import of_forecast
+    from surveysim.outputs import write_forecast
     from surveysim.report.text import print_forecast
 
     if sweep := _sweep(scene, settings, reference):
-        _forecast_sweep(sweep, out or Path("outputs") / f"{sweep.name}_forecast", not no_figures, quiet)
+        directory = out or default_directory(f"{sweep.name}_forecast", options.settings(settings, reference))
+        _forecast_sweep(sweep, directory, not no_figures, force, quiet)
         return
     checked = _ready(scene, settings)
     try:
@@ -144,21 +146,19 @@ def forecast(
     except ValueError as error:  # of a scene that can't be forecast
         _fail(f"{scene}: {error}")
     if out is not None:
-        check_writable(out)
-        write_forecast(out, found)
+        with claimed(out, of_forecast(checked), force) as place, replacing(place):
+            write_forecast(out, found)
     if not quiet:
         print_forecast(checked, found)
 
 
-def _forecast_sweep(sweep: "Sweep", directory: Path, figures: bool, quiet: bool) -> None:
+def _forecast_sweep(sweep: "Sweep", directory: Path, figures: bool, force: bool, quiet: bool) -> None:
     from surveysim.api import forecast_sweep
-    from surveysim.outputs import check_writable
     from surveysim.progress import equal_work, progress_display
     from surveysim.report.sweep_text import print_sweep
 
-    check_writable(directory)
     with progress_display(sweep.name, equal_work(len(sweep.points)), quiet, "points") as show:
-        result = forecast_sweep(sweep, directory, figures, stopping(lambda done: show(done, lambda: "")))
+        result = forecast_sweep(sweep, directory, figures, stopping(lambda done: show(done, lambda: "")), force)
     if not quiet:
         print_sweep(result, directory)
 
@@ -179,6 +179,7 @@ def accuracy(
     observations: Annotated[int, typer.Option(min=2, help="of each survey that measures another knob")] = 60,
     no_figures: NoFigures = False,
     settings: Overrides = None,
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Measure what each knob that trades accuracy for time gives and takes, or what comes out of extreme cases."""
@@ -186,44 +187,52 @@ def accuracy(
     if extremes == (scene is not None):
         _fail("accuracy: found both SCENE and --extremes, or none; one of them is expected")
     if extremes:
-        if not _run_extremes(out or Path("outputs/extremes"), quiet):
+        if not _run_extremes(out or Path("outputs/extremes"), force, quiet):
             raise typer.Exit(EXIT_FAILED)
         return
     checked = _ready(scene, settings)
     if checked.score is None:
         _fail(f"{scene}: score: missing; accuracy is that of a score")
     from surveysim.accuracy import ladders, measure_accuracy
-    from surveysim.outputs import check_writable, remove_outputs, write_accuracy
+    from surveysim.output_directory import claimed, replacing
+    from surveysim.output_results import accuracy_settings, of_accuracy
+    from surveysim.outputs import write_accuracy
     from surveysim.progress import equal_work, progress_display
     from surveysim.report.accuracy_text import print_accuracy
 
-    directory = out or Path("outputs") / f"{checked.name}_accuracy"
-    check_writable(directory)
+    given = options.settings(settings)
+    own = accuracy_settings(reference_error, seeds, observations)
+    directory = out or default_directory(f"{checked.name}_accuracy", given | own)
     most = len(ladders(checked, observations)) + seeds  # equal scenes are run once
-    with going_on_later(scene, directory), progress_display(checked.name, equal_work(most), quiet, "runs") as show:
+    with (
+        going_on_later(scene, directory),
+        claimed(directory, of_accuracy(checked, own, not no_figures), force) as place,
+        progress_display(checked.name, equal_work(most), quiet, "runs") as show,
+    ):
         progress = stopping(lambda done, total: show(done, lambda: ""))
-        given = options.settings(settings)
         result = measure_accuracy(scene, given, with_engine, reference_error, seeds, observations, progress)
-    remove_outputs(directory)
-    write_accuracy(directory, result, not no_figures)
+        with replacing(place):
+            write_accuracy(directory, result, not no_figures)
     if not quiet:
         print_accuracy(result, directory)
 
 
-def _run_extremes(directory: Path, quiet: bool) -> bool:
+def _run_extremes(directory: Path, force: bool, quiet: bool) -> bool:
     """Run the extreme cases and say what came out; whether all had the outcome that is expected."""
     from surveysim.extremes import CASES, run_case
-    from surveysim.outputs import check_writable
+    from surveysim.output_directory import claimed, replacing
+    from surveysim.output_results import EXTREMES
     from surveysim.progress import equal_work, progress_display
     from surveysim.report.extremes_text import print_extremes, write_extremes
 
-    check_writable(directory)
     outcomes = []
-    with progress_display("extremes", equal_work(len(CASES)), quiet, "cases") as show:
-        for case in CASES:
-            outcomes.append(run_case(case))
-            stopping(show)(len(outcomes), lambda: "")
-    write_extremes(directory / "extremes.ecsv", CASES, outcomes)
+    with claimed(directory, EXTREMES, force) as place:
+        with progress_display("extremes", equal_work(len(CASES)), quiet, "cases") as show:
+            for case in CASES:
+                outcomes.append(run_case(case))
+                stopping(show)(len(outcomes), lambda: "")
+        with replacing(place):
+            write_extremes(directory / "extremes.ecsv", CASES, outcomes)
     if not quiet:
         print_extremes(CASES, outcomes, directory)
     return all(outcome.ok for outcome in outcomes)
@@ -253,18 +262,18 @@ def paper(
     table: Annotated[list[int] | None, typer.Option(help="number of a table; may be given again")] = None,
     figure: Annotated[list[int] | None, typer.Option(help="number of a figure; may be given again")] = None,
     everything: Annotated[bool, typer.Option("--all", help="all tables and figures there are")] = False,
-    out: Annotated[Path, typer.Option(help="where they go")] = Path("outputs/paper"),
+    out: Annotated[Path | None, typer.Option(help="where they go; outputs/paper by default")] = None,
     scenarios: Annotated[Path, typer.Option(help="folder of the scenes")] = Path("scenarios"),
     observations: Annotated[int | None, typer.Option(help="at most so many a scene, for a quick look")] = None,
     workers: Workers = None,
     engine: Kind = "processes",
     scheduler: Scheduler = None,
     settings: Overrides = None,
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Make the paper's tables and figures from simulated observations, beside the paper's values."""
     from surveysim.engines import EngineError
-    from surveysim.outputs import check_writable
     from surveysim.progress import equal_work, progress_display
     from surveysim.reproduce import FIGURES, TABLES, reproduce, wanted
 
@@ -275,13 +284,16 @@ def paper(
         _fail("nothing asked for: --table, --figure or --all is expected")
     if observations is not None and observations < 1:
         _fail(f"--observations: found {observations}; 1 or more is expected")
-    asked = wanted(tables, figures, scenarios, observations, options.settings(settings))
-    check_writable(out)
+    given = options.settings(settings)
+    asked = wanted(tables, figures, scenarios, observations, given)
+    own = {} if observations is None else {"paper.observations": observations}
+    directory = out or default_directory("paper", given | own)
     done = count(1)
     try:
         work = equal_work(asked.observations)
         with progress_display("paper", work, quiet, workers=with_engine.workers_for(len(work))) as show:
-            written, failed = reproduce(asked, out, with_engine, stopping(lambda: show(next(done), lambda: "")))
+            progress = stopping(lambda: show(next(done), lambda: ""))
+            written, failed = reproduce(asked, directory, with_engine, progress, force)
     except EngineError as error:
         complain(str(error))
         raise typer.Exit(EXIT_FAILED) from None
@@ -304,12 +316,15 @@ def paper(
 @says_interrupted
 def report(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="what run, accuracy or paper left there")],
+    force: Force = False,
 ) -> None:
     """Write report.html anew, one page of all that lies in an output directory."""
-    from surveysim.report.page import NoResultsError, write_report
+    from surveysim.output_directory import renewed
+    from surveysim.report.page import REPORT, NoResultsError, write_report
 
     try:
-        say(write_report(directory))
+        with renewed(directory, REPORT, force):
+            say(write_report(directory))
     except NoResultsError as error:
         _fail(str(error))
 
@@ -335,14 +350,16 @@ def new(
     target = Path("scenarios") / f"{name}.toml"
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
         _fail(f"name: found {name!r}; letters, digits, '_', '.' and '-' are expected")
-    if target.exists():
-        _fail(f"{target}: exists; another name is expected")
     if not source.is_file():
         known = ", ".join(sorted(path.stem for path in Path("scenarios").glob("*.toml"))) or "none here"
         _fail(f"{source}: no such scene; scenes in scenarios/: {known}")
     text, _ = read_scene(source)
     target.parent.mkdir(exist_ok=True)
-    target.write_text(text, encoding="utf-8")
+    try:
+        with open(target, "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        _fail(f"{target}: exists; another name is expected")
     say(f"{target}: a copy of {source}; edit it, then: surveysim check {target}")
     if "[sweep" in text:
         say("it sweeps keys of its own; give [sweep] yours, or delete it")

@@ -71,9 +71,15 @@ def going_on_later(scene: Path, directory: Path) -> Iterator[None]:
     """End with one line where a run stops: why, and how to go on if anything is kept in `directory`."""
     from surveysim.checkpoint import CheckpointError
     from surveysim.engines import EngineError
+    from surveysim.output_directory import FinishedError
 
     try:
         yield
+    except FinishedError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit() from None
+    except SceneError:
+        raise
     except CheckpointError as error:
         raise SceneError(str(error)) from None
     except KeyboardInterrupt:
@@ -87,20 +93,20 @@ def going_on_later(scene: Path, directory: Path) -> Iterator[None]:
 
 
 def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
-    """Say why a run stopped and how to go on; leave no half-written file."""
-    for pattern in ("timestreams/*.part", "points/*.part"):  # of workers that were killed
-        for partial in directory.glob(pattern):
-            partial.unlink(missing_ok=True)
-    hint = f"; go on with --resume --out {directory}" if kept(directory) else ""
+    """Say why a run stopped and how to go on."""
+    from surveysim.output_directory import holds_work
+
+    hint = f"; go on with --resume --out {directory}" if holds_work(directory) else ""
     complain(" ".join(reason.split()) + hint)
     raise typer.Exit(code)
 
 
-def kept(directory: Path) -> bool:
-    """Whether there is anything that a run could go on from."""
-    from surveysim.checkpoint import NAME
+def says_new_start(directory: Path, kept: str, first: str) -> None:
+    """Say that there is nothing to resume, so that the work starts anew."""
+    from surveysim.output_directory import holds_work
 
-    return (directory / NAME).exists() or any(directory.glob("points/*.npz"))
+    if not holds_work(directory) and not (directory / "summary.json").exists():
+        typer.echo(f"no {kept} in {directory}: starting with the first{first}", err=True)
 
 
 def cause(error: OSError, directory: Path = Path("output")) -> str:

@@ -19,6 +19,9 @@ Kind = Annotated[str, typer.Option("--engine", help="what runs observations: ser
 Scheduler = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="of a dask cluster: tcp://host:port, or its scheduler's file")
 ]
+Force = Annotated[
+    bool, typer.Option("--force", help="replace other results, and files of yours by the same names, in the output")
+]
 NoFigures = Annotated[bool, typer.Option("--no-figures", help="leave the figures out")]
 Reference = Annotated[
     str | None,
@@ -28,9 +31,10 @@ DEEPEST = 9  # dots in a key
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
 
 
-def settings(given: list[str] | None) -> dict[str, Any]:
-    """Values by key of all that --set was given."""
-    return dict(setting(item) for item in given or ())
+def settings(given: list[str] | None, reference: str | None = None) -> dict[str, Any]:
+    """Values by key of all that --set was given, and of a sweep's --reference."""
+    chosen = {} if reference is None else {"reference": point(reference)}
+    return dict(setting(item) for item in given or ()) | chosen
 
 
 def setting(text: str) -> tuple[str, Any]:

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterable
-from errno import EISDIR, ENOTDIR
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,33 +24,6 @@ from surveysim.trade import SweepResult, pairs
 if TYPE_CHECKING:
     from surveysim.accuracy import AccuracyResult
     from surveysim.forecast import Forecast
-
-
-DIRECTORIES = ("tables", "maps", "figures", "timestreams", "points")
-TABLES = ("sweep.ecsv", "sweep_pairs.ecsv", "forecast.ecsv", "accuracy.ecsv")
-FILES = (REPORT, "summary.json", "scene.json", "checkpoint.h5", *TABLES)
-
-
-def check_writable(directory: Path) -> None:
-    """Make `directory`; raises OSError before an hour of work, not after it, when results can't be written there."""
-    directory.mkdir(parents=True, exist_ok=True)
-    for path in (directory / name for name in DIRECTORIES):
-        if path.exists() and not path.is_dir():
-            raise NotADirectoryError(ENOTDIR, "a file where a folder is to be written", str(path))
-    for path in (directory / name for name in FILES):
-        if path.is_dir():
-            raise IsADirectoryError(EISDIR, "a folder where a file is to be written", str(path))
-    probe = directory / ".writable"
-    probe.touch()
-    probe.unlink()
-
-
-def remove_partial_files(directory: Path) -> None:
-    """Remove what a killed run had half written among the files and folders of a run."""
-    patterns = [f"{name}.*.part" for name in FILES] + [f"{name}/*.part" for name in DIRECTORIES]
-    for pattern in patterns:
-        for path in directory.glob(pattern):
-            path.unlink(missing_ok=True)
 
 
 def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestreams: bool) -> None:
@@ -134,24 +106,6 @@ def write_forecast(directory: Path, forecast: "Forecast") -> Path:
         table.columns.update({f"noise_{name}": item.noise_psd, f"signal_{name}": item.signal_psd})
         table.units.update({f"noise_{name}": "uK2 sr", f"signal_{name}": "sr"})
     return _write_table(directory / "forecast.ecsv", table)
-
-
-def remove_outputs(directory: Path, with_timestreams: bool = True) -> None:
-    """Remove the files that an earlier run listed in its summary, so that none stands beside this run's.
-
-    Time-streams may stay for a run that goes on with them. Nothing else in `directory` is touched, nor anything where
-    there is no readable summary.
-    """
-    summary_file = directory / "summary.json"
-    try:
-        files = [directory / name for name in json.loads(summary_file.read_text(encoding="utf-8"))["files"]]
-    except (OSError, ValueError, KeyError, TypeError):
-        return
-    if not with_timestreams:
-        files = [path for path in files if path.suffix != ".h5"]
-    for path in (*files, summary_file):
-        if path.resolve().is_relative_to(directory.resolve()):
-            path.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> Path:

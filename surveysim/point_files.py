@@ -58,14 +58,6 @@ def finished_points(directory: Path) -> dict[int, Path]:
     return {int(path.stem): path for path in sorted(directory.glob("[0-9][0-9][0-9].npz"))}
 
 
-def remove_points(directory: Path) -> None:
-    """Remove the files of points, half-written ones too, and the folder if nothing else is in it."""
-    for path in (*directory.glob("[0-9][0-9][0-9].npz*"), *directory.glob("[0-9][0-9][0-9].checkpoint.h5*")):
-        path.unlink(missing_ok=True)
-    if directory.is_dir() and not any(directory.iterdir()):
-        directory.rmdir()
-
-
 def save_point(path: Path, result: PointResult, scene_hash: str) -> None:
     """Write a finished point atomically."""
     meta = {

@@ -5,32 +5,48 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surveysim.outputs import remove_outputs, write_summary, write_text
+from surveysim.output_directory import OTHERWISE, OutputDirectory, begin
+from surveysim.output_lock import OutputError
+from surveysim.outputs import write_summary, write_text
 from surveysim.provenance import made_by, now
 from surveysim.scene import Scene, scene_hash
 
+SUMMARY = "summary.json"
 PAPER = "Sayers et al. 2010"
 
 
-def earlier_runs(out: Path, items: Sequence[str]) -> list[dict[str, Any]]:
-    """Runs that made what stands in `out`, less the `items` that are to be made anew: their files are removed.
+def earlier_runs(
+    place: OutputDirectory, items: Sequence[str], scenes: Sequence[tuple[Scene, list[str]]], force: bool
+) -> list[dict[str, Any]]:
+    """Runs that made what stands in a directory, less the `items` that are to be made anew: their files are removed.
 
-    What another command left in `out` is removed altogether, as everywhere: a directory is of one command.
+    Raises OutputError for items that were made of other scenes than these, unless with `force`.
     """
-    path = out / "summary.json"
+    path, content, old, left = place.path / SUMMARY, {}, [], []
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        runs = content["runs"]
-        old = [out / name for run in runs for item in items for name in run["items"].get(item, ())]
-        left = [run for run in (_without(run, items) for run in runs) if run["items"]]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        remove_outputs(out)
-        return []
-    write_text(path, json.dumps(content | {"runs": left}, indent=2) + "\n")
-    for file in old:
-        if file.resolve().is_relative_to(out.resolve()):
-            file.unlink(missing_ok=True)
+        if SUMMARY in place.mine:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            if not force:
+                _check_scenes(place.path, content["runs"], items, scenes)
+            old = [name for run in content["runs"] for item in items for name in run["items"].get(item, ())]
+            left = [run for run in (_without(run, items) for run in content["runs"]) if run["items"]]
+    except (LookupError, TypeError, AttributeError, json.JSONDecodeError):
+        raise OutputError(f"{path}: damaged; delete it, or write elsewhere with --out") from None
+    begin(place, removed=lambda name: name in old or not left)
+    if left:
+        write_text(path, json.dumps(content | {"runs": left}, indent=2) + "\n")
     return left
+
+
+def _check_scenes(
+    directory: Path, runs: Sequence[dict[str, Any]], items: Sequence[str], scenes: Sequence[tuple[Scene, list[str]]]
+) -> None:
+    """Raise OutputError for an item that is there, made of other scenes."""
+    for run in runs:
+        for item in (item for item in items if item in run["items"]):
+            before = {scene["scene_sha256"] for scene in run["scenes"] if item in scene["items"]}
+            if before != {scene_hash(scene) for scene, its in scenes if item in its}:
+                raise OutputError(f"{directory}: holds {item} of other scenes or settings; {OTHERWISE}")
 
 
 def _without(run: dict[str, Any], items: Sequence[str]) -> dict[str, Any]:

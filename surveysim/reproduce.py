@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from mapmaker.files import whole_file
 from surveysim.atmosphere.fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV
 from surveysim.engines import Engine
+from surveysim.output_directory import OutputDirectory, claimed, finish
+from surveysim.output_results import of_paper
 from surveysim.paper.campaign import MeasuredSurvey, measure_survey
 from surveysim.record import earlier_runs, write_record
 from surveysim.scene import Scene, SceneError, load_scene
@@ -186,20 +188,29 @@ def _check(path: Path, scene: Scene, first: Scene) -> None:
 
 
 def reproduce(
-    asked: Wanted, out: Path, engine: Engine, progress: Callable[[], None] = lambda: None
+    asked: Wanted, out: Path, engine: Engine, progress: Callable[[], None] = lambda: None, force: bool = False
 ) -> tuple[list[Path], list[str]]:
     """Make what is asked for below `out`, each as soon as its observations are measured.
 
     Returns the files, and for each item that can't be made of these observations a line that says why. `progress` is
     called after each observation. Beside the files stand summary.json, which says of which scenes they were made, and
-    report.html; items of an earlier call stay.
+    report.html; items of an earlier call stay. Raises OutputError for a directory that another job writes to or, unless
+    with `force`, that holds anything else, or these items made of other scenes.
     """
+    with claimed(out, of_paper([*asked.items, *map(_band_item, asked.scenes)]), force) as place:
+        return _reproduce(asked, place, engine, progress, force)
+
+
+def _reproduce(
+    asked: Wanted, place: OutputDirectory, engine: Engine, progress: Callable[[], None], force: bool
+) -> tuple[list[Path], list[str]]:
+    out, used = place.path, _scenes_used(asked)
     surveys: dict[str, MeasuredSurvey] = {}
     made: dict[str, list[Path]] = {}
     failed: dict[str, str] = {}
     left, start = asked.items, perf_counter()
     workers = engine.workers_for(asked.observations) if asked.observations else 1  # before anything is removed
-    earlier = earlier_runs(out, [*asked.items, *map(_band_item, asked.scenes)])
+    earlier = earlier_runs(place, [*asked.items, *map(_band_item, asked.scenes)], used, force)
     try:
         for band in (None, *asked.scenes):
             makers = []
@@ -215,8 +226,8 @@ def reproduce(
             _make(makers, made, failed)
     finally:  # what is made by then is kept, whatever ends the rest
         if made or earlier:
-            used = _scenes_used(asked)
             write_record(out, earlier, made, failed, used, engine.kind, workers, perf_counter() - start)
+        finish(place)
     written = [path for paths in made.values() for path in paths]
     return written, [f"{name}: {reason}" for name, reason in failed.items()]
 

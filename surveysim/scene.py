@@ -10,10 +10,11 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from surveysim.quantities import Line, whole
@@ -52,6 +53,15 @@ class SceneError(ValueError):
     """A scene that can't be run; the text has one line for each error: file, key, found, allowed."""
 
 
+@dataclass(frozen=True)
+class Origin:
+    """The file that a scene was read from, and overrides by key; scenes are the same wherever they come from."""
+
+    path: Path = field(compare=False)
+    text: str = field(compare=False)
+    overrides: dict[str, Any] = field(compare=False)
+
+
 class Scene(Section):
     """A whole scene; an absent section leaves its stage out.
 
@@ -87,6 +97,12 @@ class Scene(Section):
     """Left out: maps, but no score."""
     numerics: Numerics = Numerics()
     assumed: SkipJsonSchema[tuple[str, ...]] = ()
+    _origin: Origin | None = PrivateAttr(None)
+
+    @property
+    def origin(self) -> Origin | None:
+        """The file that it was read from, if it was."""
+        return self._origin
 
     @model_validator(mode="after")
     def _sections_fit(self) -> Self:
@@ -167,7 +183,9 @@ def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mappi
     if isinstance(positions, str) and positions and "\0" not in positions:
         data["instrument"]["positions"] = str((path.parent / positions).resolve())
     try:
-        return Scene.model_validate(data)
+        scene = Scene.model_validate(data)
+        scene._origin = Origin(path.absolute(), text, dict(overrides))
+        return scene
     except ValidationError as error:
         found = error.errors(include_url=False, include_context=False)
         lines = [_error_line(item) for item in found[:MAX_ERRORS]]

@@ -76,7 +76,7 @@ def run_observations(
     if coadds.done < setup.scene.observations:
         keeper.save(coadds)
         if timestream_dir is not None:
-            _drop_streams(timestream_dir, coadds.done)
+            _drop_streams(timestream_dir, coadds.done, setup.scene.observations)
     return coadds
 
 
@@ -102,9 +102,7 @@ class _Keeper:
         self.due = end + max(CHECKPOINT_SECONDS, (end - start) / CHECKPOINT_SHARE)
 
 
-def _drop_streams(directory: Path, done: int) -> None:
-    """Remove streams that workers wrote ahead of where a run was stopped."""
-    for path in (*directory.glob("*.h5"), *directory.glob("*.h5.*.part")):
-        number = path.name.partition(".")[0]
-        if number.isdigit() and int(number) >= done:
-            path.unlink(missing_ok=True)
+def _drop_streams(directory: Path, first: int, end: int) -> None:
+    """Remove streams of some observations, which workers wrote ahead of where a run was stopped."""
+    for number in range(first, end):
+        (directory / f"{number:04d}.h5").unlink(missing_ok=True)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from hashlib import sha256
 from itertools import product
 from math import prod
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from surveysim.scan import samples_per_scan
-from surveysim.scene import Scene, SceneError, allowed_keys, error_lines, read_scene, scene_of
+from surveysim.scene import Origin, Scene, SceneError, allowed_keys, error_lines, read_scene, scene_hash, scene_of
 from surveysim.setup import prepare
 from surveysim.texts import key_text
 from surveysim.units import shown
@@ -93,12 +94,13 @@ class Point:
 class Sweep:
     """A scene file with [sweep]: its axes, and the points of all combinations, those of the last axis in a row.
 
-    `reference` is the number of the point that the others are compared with.
+    `reference` is the number of the point that the others are compared with, `origin` the file with its overrides.
     """
 
     path: Path
     axes: tuple[Axis, ...]
     points: tuple[Point, ...]
+    origin: Origin
     reference: int = 0
 
     @property
@@ -142,7 +144,15 @@ def load_sweep(
         chosen = _reference(name, _given_reference(content) if reference is None else reference, axes, points)
     except ValueError as error:
         raise SceneError(f"{path}: {error}") from None
-    return Sweep(path, axes, points, chosen)
+    if reference is not None and all(axis.name != REFERENCE for axis in axes):
+        overrides[f"sweep.{REFERENCE}"] = chosen
+    return Sweep(path, axes, points, Origin(path.absolute(), text, overrides), chosen)
+
+
+def sweep_hash(sweep: Sweep) -> str:
+    """SHA-256 of all that a sweep's results depend on: the scenes of its points, and the point that ratios are to."""
+    found = [scene_hash(point.scene) for point in sweep.points]
+    return sha256(" ".join([*found, str(sweep.reference)]).encode()).hexdigest()
 
 
 def value_text(value: Any) -> str:

@@ -200,7 +200,7 @@ def _kept(sweep: Sweep, directory: Path) -> dict[int, PointResult]:
         if number >= len(sweep.points):
             raise CheckpointError(
                 f"{path}: of another sweep (this one has {len(sweep.points)} points); "
-                "run without --resume, or with --out elsewhere"
+                "start anew with --force, or write elsewhere with --out"
             )
         found[number] = load_point(path, scene_hash(sweep.points[number].scene))
     return found

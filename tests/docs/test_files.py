@@ -14,6 +14,7 @@ from surveysim.checkpoint import NAME as CHECKPOINT
 from surveysim.engines import SERIAL
 from surveysim.extremes import CASES, run_case
 from surveysim.forecast import forecast
+from surveysim.output_directory import RECORD
 from surveysim.outputs import write_accuracy, write_forecast
 from surveysim.report.extremes_text import write_extremes
 from surveysim.reproduce import TABLES, reproduce, wanted
@@ -194,7 +195,15 @@ def test_the_list_of_files_in_the_summary_is_whole(made):
     for command in ("A run", "A sweep"):
         for folder in made[command]:
             listed = set(json.loads((folder / "summary.json").read_text())["files"])
-            assert listed == files(folder).keys() - {"summary.json", CHECKPOINT}
+            assert listed == files(folder).keys() - {"summary.json", CHECKPOINT, RECORD, "scene.toml"}
+
+
+@pytest.mark.parametrize("command", ["A run", "A sweep", "The paper"])
+def test_the_record_is_whole(made, command):
+    """Each file that a command writes is known as its own."""
+    for folder in made[command]:
+        record = json.loads((folder / RECORD).read_text())
+        assert record["finished"] and record["files"].keys() == files(folder).keys() - {RECORD}
 
 
 # ---------------------------------------------------------------- the comparison itself

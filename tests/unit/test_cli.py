@@ -202,7 +202,7 @@ def test_full_disk(call, scene, monkeypatch):
     monkeypatch.setattr("surveysim.checkpoint.os.fsync", full)
     code, _, error = call("run", scene, "--out", out, "--workers", 1, "--quiet")
     assert (code, error) == (1, f"{out / 'checkpoint.h5'}: No space left on device\n")
-    assert not list(out.iterdir())
+    assert sorted(path.name for path in out.iterdir()) == [".surveysim.json", "scene.toml"]
 
 
 def test_failure_in_an_observation(call, scene, monkeypatch):
@@ -229,9 +229,11 @@ def test_wrong_checkpoints(call, scene, monkeypatch, damage):
     path.write_bytes(raw)
     settings = ("--set", "seed=12") if damage == "other" else ()
     code, _, error = call("run", scene, "--out", out, "--resume", "--workers", 1, *settings)
-    assert code == 2 and error.startswith(f"{path}: ") and len(error.splitlines()) == 1
-    assert ("without --resume" if damage in ("other", "version") else "go on with --resume") in error
-    assert path.read_bytes() == raw and [item.name for item in out.iterdir()] == ["checkpoint.h5"]
+    where = out if damage == "other" else path
+    assert code == 2 and error.startswith(f"{where}: ") and len(error.splitlines()) == 1
+    assert ("go on with --resume" if damage in ("truncated", "bits") else "--force") in error
+    assert path.read_bytes() == raw
+    assert sorted(item.name for item in out.iterdir()) == [".surveysim.json", "checkpoint.h5", "scene.toml"]
 
 
 def interrupt_after(call, scene, out, done, monkeypatch):

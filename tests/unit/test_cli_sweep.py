@@ -12,7 +12,7 @@ from tests.scenes import SMALL_SCENE, TURBULENT_SCENE, without_sections
 from tests.unit.test_cli import refused
 from tests.unit.test_interruption import none_left, start, wait_for
 
-FORECAST_FILES = ["report.html", "scene.json", "summary.json", "sweep.ecsv"]
+FORECAST_FILES = [".surveysim.json", "report.html", "scene.json", "scene.toml", "summary.json", "sweep.ecsv"]
 FILES = [*FORECAST_FILES, "sweep_pairs.ecsv"]
 SWEEP = '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n'
 

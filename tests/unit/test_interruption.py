@@ -17,6 +17,7 @@ from astropy.io import fits
 from surveysim import load_scene
 from surveysim import run as run_scene
 from surveysim.engines import SERIAL
+from surveysim.output_lock import LOCK
 from tests.scenes import SMALL_SCENE
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes through /proc")
@@ -57,7 +58,7 @@ def test_interruption(tmp_path, workers, number, to_group):
     _, error = process.communicate(timeout=20)
     assert time.monotonic() - begin < 5
     assert (process.returncode, error) == (130, f"interrupted; go on with --resume --out {out}\n")
-    assert none_left(process.pid) and not list(out.rglob("*.part"))
+    assert none_left(process.pid) and not list(out.rglob("*.part")) and not (out / LOCK).exists()
     scene = load_scene(path)
     run_scene(scene, out, engine=SERIAL, resume=True, figures=False)
     run_scene(scene, tmp_path / "whole", engine=SERIAL, figures=False)

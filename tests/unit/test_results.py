@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 
 import numpy as np
 import pytest
@@ -49,9 +50,11 @@ def content(finished):
 def test_files(finished):
     names = sorted(str(path.relative_to(finished[1])) for path in finished[1].rglob("*.*"))
     assert names == [
+        ".surveysim.json",
         *(f"maps/{name}.fits" for name in sorted(SETS)),
         "report.html",
         "scene.json",
+        "scene.toml",
         "summary.json",
         *(f"tables/{name}.ecsv" for name in ("alternatives", "map_psd", "observations", "scores", "timestream_psd")),
     ]
@@ -256,7 +259,7 @@ def test_runs_that_cannot_be_scored(tmp_path, capsys, setting, reason):
     assert f"Not scored: {result.unscored}" in capsys.readouterr().out.replace("\n", " ").replace("  ", " ")
 
 
-def test_a_run_replaces_an_earlier_one(tmp_path):
+def test_a_forced_run_replaces_an_earlier_one(tmp_path):
     path = tmp_path / "small.toml"
     path.write_text(SMALL_SCENE)
     out = tmp_path / "out"
@@ -264,7 +267,7 @@ def test_a_run_replaces_an_earlier_one(tmp_path):
     for name in ("notes.txt", "figures/mine.png", "tables/mine.ecsv"):
         (out / name).write_text("mine")
     assert "report.html" in json.loads((out / "summary.json").read_text())["files"]
-    run(load_scene(path, {"observations": 2}), out, engine=SERIAL, figures=False)
+    run(load_scene(path, {"observations": 2}), out, engine=SERIAL, figures=False, force=True)
     assert [path.name for path in (out / "figures").glob("*")] == ["mine.png"]
     assert "<img" not in (out / "report.html").read_text()
     assert not list((out / "timestreams").glob("*")) and (out / "tables" / "mine.ecsv").exists()
@@ -279,13 +282,17 @@ def test_units_of_tables(finished):
     assert QTable.read(out / "tables" / "observations.ecsv")["noise_mk2_actual"].unit == "mK2"
 
 
+GONE = 2**30  # no process has this number
+
+
 def test_half_written_files_of_a_killed_run_go(tmp_path):
     """Those of a run's own files and folders; nothing of the user's."""
     path, out = tmp_path / "small.toml", tmp_path / "out"
     path.write_text(SMALL_SCENE)
-    names = ("checkpoint.h5.123.part", "timestreams/0003.h5.123.part", "maps/actual.fits.9.part", "mine.part")
-    for name in names:
+    names = [f"{name}.{GONE}.part" for name in ("checkpoint.h5", "timestreams/0003.h5", "maps/actual.fits")]
+    mine = ["mine.part", "figures/movie.part", f"figures/movie.{GONE}.part", f"maps/actual.fits.{os.getppid()}.part"]
+    for name in names + mine:
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_text("half")
     run(load_scene(path), out, engine=SERIAL, resume=True, figures=False)
-    assert [name for name in names if (out / name).exists()] == ["mine.part"]
+    assert [name for name in names + mine if (out / name).exists()] == mine

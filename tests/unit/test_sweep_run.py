@@ -11,6 +11,8 @@ from surveysim import SceneError, load_scene, load_sweep, run, run_sweep, survey
 from surveysim.api import forecast_sweep
 from surveysim.checkpoint import CheckpointError
 from surveysim.engines import SERIAL, Engine
+from surveysim.output_directory import RECORD
+from surveysim.output_lock import OutputError
 from surveysim.point_files import PointResult, load_point, save_point
 from surveysim.report.sweep_figure import _ticks, draw_sweep, sweep_figure
 from surveysim.report.sweep_text import best_line
@@ -28,7 +30,7 @@ WHITE = (
 )
 LEVELS = '\n[sweep]\n"detector.psd" = ["2.5 mK2 / Hz", "10 mK2 / Hz", "2500000 uK2 / Hz"]\n'
 SPEEDS = '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s", "5 arcmin / s"]\n'
-FILES = ["report.html", "scene.json", "summary.json", "sweep.ecsv", "sweep_pairs.ecsv"]
+FILES = [RECORD, "report.html", "scene.json", "scene.toml", "summary.json", "sweep.ecsv", "sweep_pairs.ecsv"]
 ROWS = ("ratio", "paired_error", "independent_error", "best_probability")
 
 
@@ -182,8 +184,8 @@ def test_comparisons_are_repeatable(levels):
 def test_files_of_a_sweep(levels):
     result, out = levels
     content = json.loads((out / "summary.json").read_text())
-    assert content["files"] == ["figures/sweep.png", *FILES[:2], *FILES[3:]]
-    assert sorted(path.name for path in out.iterdir()) == ["figures", *FILES]
+    assert content["files"] == ["figures/sweep.png", "report.html", "scene.json", "sweep.ecsv", "sweep_pairs.ecsv"]
+    assert sorted(path.name for path in out.iterdir()) == sorted(["figures", *FILES])
     assert content["seed"] == 11 and content["best"] == [0, 2] and content["kind"] == "simulated"
     assert content["axes"][0]["values"] == [["2.5 mK2 / Hz"], ["10 mK2 / Hz"], ["2500000 uK2 / Hz"]]
     assert len({point["scene_sha256"] for point in content["points"]}) == 2  # two points are one scene
@@ -201,13 +203,15 @@ def test_a_new_run_takes_the_place_of_an_old_one(write, levels, tmp_path):
     path = write(WHITE + SPEEDS)
     run_sweep(path, tmp_path, engine=SERIAL)
     (tmp_path / "points").mkdir()
-    (tmp_path / "points" / "007.npz").write_text("of an interrupted sweep")
+    (tmp_path / "points" / "mine.npz").write_text("mine")
     (tmp_path / "mine.txt").write_text("mine")
-    run(load_scene(path), tmp_path, engine=SERIAL, figures=False)
+    with pytest.raises(OutputError, match="holds results of .white. with other settings; --force replaces them, --out"):
+        run(load_scene(path), tmp_path, engine=SERIAL, figures=False)
+    run(load_scene(path), tmp_path, engine=SERIAL, figures=False, force=True)
     assert not (tmp_path / "sweep.ecsv").exists() and not (tmp_path / "figures" / "sweep.png").exists()
-    run_sweep(path, tmp_path, engine=SERIAL, figures=False)
-    assert sorted(item.name for item in tmp_path.iterdir() if item.is_file()) == ["mine.txt", *FILES]
-    assert not (tmp_path / "points").exists()
+    run_sweep(path, tmp_path, engine=SERIAL, figures=False, force=True)
+    assert sorted(item.name for item in tmp_path.iterdir() if item.is_file()) == sorted(["mine.txt", *FILES])
+    assert [item.name for item in (tmp_path / "points").iterdir()] == ["mine.npz"]
 
 
 def test_points_without_a_score_are_listed(write, levels, tmp_path):
@@ -277,9 +281,15 @@ def test_wrong_files_of_points(write, tmp_path, monkeypatch, kind, damage):
         for module in ("checkpoint", "point_files"):
             monkeypatch.setattr(f"surveysim.{module}.__version__", "0.0.1")
     sweep = load_sweep(path, {"scan.scans": 3} if damage == "of another scene" else {})
+    if damage == "of another scene":
+        with pytest.raises(OutputError, match="holds an unfinished run of .white. with other settings"):
+            run_sweep(sweep, tmp_path, engine=SERIAL, resume=True)
+        for name in (RECORD, "scene.toml"):
+            (tmp_path / name).unlink()
     with pytest.raises(CheckpointError, match=damage) as caught:
         run_sweep(sweep, tmp_path, engine=SERIAL, resume=True)
-    assert str(caught.value).startswith(f"{file}: ") and "--resume" in str(caught.value)
+    hint = "--resume" if damage == "damaged" else "--force"
+    assert str(caught.value).startswith(f"{file}: ") and hint in str(caught.value)
 
 
 def test_points_come_back_from_their_files(levels, tmp_path):
@@ -320,7 +330,7 @@ def test_failures_name_their_point(write, monkeypatch):
 def test_files_of_a_longer_sweep_are_refused(write, levels, tmp_path):
     (tmp_path / "points").mkdir()
     save_point(tmp_path / "points" / "003.npz", levels[0].points[0], "abc")
-    with pytest.raises(CheckpointError, match=r"003.npz: of another sweep \(this one has 3 points\); run without"):
+    with pytest.raises(CheckpointError, match=r"003.npz: of another sweep \(this one has 3 points\); start anew"):
         run_sweep(write(WHITE + SPEEDS), tmp_path, engine=SERIAL, resume=True)
 
 

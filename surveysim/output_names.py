@@ -1,0 +1,69 @@
+"""Names of output directories: a directory of its own for each set of overrides."""
+
+import json
+import re
+from collections.abc import Mapping
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+OUTPUTS = Path("outputs")
+MOST_LETTERS = 120  # of a directory's name: file systems take 255 bytes, and a path has several
+_OF_HASH = 8
+_MOST_OF_VALUE = 30
+# What a value may be to stand in a name as it is, less its spaces and with "-" for "/": no two values then share one.
+_KEY = re.compile(r"[A-Za-z0-9_.-]+")
+_VALUE = re.compile(
+    r"(?:[A-Za-z0-9_.]|-(?=[0-9.])|(?<=[0-9.]) (?=[A-Za-z])|(?<=[A-Za-z]) ?/ ?(?=[A-Za-z]))*[A-Za-z0-9_]"
+)
+
+
+def default_directory(name: str, settings: Mapping[str, Any]) -> Path:
+    """Where results of a scene go unless said otherwise: a directory of its own for each set of overrides.
+
+    Overrides stand in its name as ``key=value``, in the order of their keys. A value that is long or has other than
+    the letters that any file system takes is cut, with a part of its hash after `~`. The key ``name`` is left out: it
+    is the scene's `name` already.
+    """
+    given = {key: settings[key] for key in sorted(settings) if key != "name"}
+    whole = "+".join([name, *(f"{_key(key)}={_value(value)}" for key, value in given.items())])
+    if len(whole) > MOST_LETTERS:
+        whole = f"{whole[: MOST_LETTERS - _OF_HASH - 1]}~{_hash(given)}"
+    return OUTPUTS / whole
+
+
+def _key(key: str) -> str:
+    return key if _KEY.fullmatch(key) else _cut(key)
+
+
+def _value(value: Any) -> str:
+    plain = [_plain(item) for item in value] if isinstance(value, list) and len(value) > 1 else [_plain(value)]
+    return _cut(value) if None in plain else ",".join(plain)
+
+
+def _plain(value: Any) -> str | None:
+    """A value as it may stand in a name; None if it may not, or looks like one of another type."""
+    if isinstance(value, bool | int | float):
+        return str(value).lower().replace("+", "")
+    if not isinstance(value, str) or not _VALUE.fullmatch(value) or _is_toml(value):
+        return None
+    return re.sub(r" ?/ ?", "-", value).replace(" ", "")
+
+
+def _is_toml(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return text in ("true", "false")
+    return True
+
+
+def _cut(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value, default=str)
+    letters = re.sub(r"[^A-Za-z0-9_.]+", "-", text).strip("-.")
+    return f"{letters[:_MOST_OF_VALUE]}~{_hash(value)}"
+
+
+def _hash(value: Any) -> str:
+    text = json.dumps(value, sort_keys=True, default=repr)
+    return sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:_OF_HASH]
