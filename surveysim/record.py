@@ -8,6 +8,7 @@ from typing import Any
 from surveysim.outputs import remove_outputs, write_summary, write_text
 from surveysim.provenance import made_by, now
 from surveysim.scene import Scene, scene_hash
+from surveysim.strict_json import strict_json
 
 PAPER = "Sayers et al. 2010"
 
@@ -26,7 +27,7 @@ def earlier_runs(out: Path, items: Sequence[str]) -> list[dict[str, Any]]:
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         remove_outputs(out)
         return []
-    write_text(path, json.dumps(content | {"runs": left}, indent=2) + "\n")
+    write_text(path, strict_json(content | {"runs": left}, indent=2) + "\n")
     for file in old:
         if file.resolve().is_relative_to(out.resolve()):
             file.unlink(missing_ok=True)

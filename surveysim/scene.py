@@ -36,6 +36,7 @@ from surveysim.sections import (
     Sky,
 )
 from surveysim.sites import sites_text
+from surveysim.strict_json import strict_json
 
 
 class SceneError(ValueError):
@@ -168,7 +169,7 @@ def scene_hash(scene: Scene) -> str:
 
 def resolved(scene: Scene) -> str:
     """The scene in internal units as JSON, with units in the names."""
-    return json.dumps(scene.model_dump(mode="json"), indent=1, sort_keys=True)
+    return strict_json(scene.model_dump(mode="json"), indent=1, sort_keys=True)
 
 
 def assumed_values(text: str) -> list[str]:
