@@ -73,7 +73,7 @@ def load_checkpoint(path: Path, setup: Setup) -> CoAdds:
     """
     import h5py
 
-    raw = Path(path).read_bytes()
+    raw = path.read_bytes() if path.is_file() else b""  # a pipe never ends
     digest = raw[len(_MARK) : len(_MARK) + 64]
     if not raw.startswith(_MARK) or sha256(memoryview(raw)[_USER_BLOCK:]).hexdigest().encode() != digest:
         raise CheckpointError(f"{path}: damaged, or no checkpoint at all; {_AGAIN}")

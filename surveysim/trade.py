@@ -202,7 +202,7 @@ def _kept(sweep: Sweep, directory: Path) -> dict[int, PointResult]:
                 f"{path}: of another sweep (this one has {len(sweep.points)} points); "
                 "run without --resume, or with --out elsewhere"
             )
-        found[number] = load_point(path, scene_hash(sweep.points[number].scene))
+        found[number] = load_point(path, sweep.points[number])
     return found
 
 
