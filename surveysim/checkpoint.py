@@ -4,10 +4,8 @@ One HDF5 file, which grows by an observation at a time: it is replaced as a whol
 until the new one is on the disk. Its user block, the first 512 bytes, holds the SHA-256 of all that follows.
 """
 
-import errno
 import json
 import math
-import os
 from collections.abc import Mapping
 from hashlib import sha256
 from io import BytesIO
@@ -43,14 +41,9 @@ def save_checkpoint(path: Path, coadds: CoAdds, identity: str) -> None:
     `identity` is the hash of the scene. Raises OSError that names the file where it can't be written.
     """
     content = _packed(coadds, {"scene": identity, "version": __version__, "seconds": coadds.seconds})
-    try:
-        with whole_file(path) as partial, open(partial, "wb") as file:
-            file.write((_MARK + sha256(content).hexdigest().encode()).ljust(_USER_BLOCK, b"\0"))
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:  # of a write, it names no file
-        raise OSError(error.errno or errno.EIO, error.strerror or str(error), str(path)) from None
+    with whole_file(path) as partial, open(partial, "wb") as file:
+        file.write((_MARK + sha256(content).hexdigest().encode()).ljust(_USER_BLOCK, b"\0"))
+        file.write(content)
 
 
 def _packed(coadds: CoAdds, meta: Mapping[str, Any]) -> memoryview:

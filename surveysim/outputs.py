@@ -7,6 +7,7 @@ from errno import EISDIR, ENOTDIR
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
@@ -168,7 +169,9 @@ def _draw(directory: Path, figures: Callable[[], Drawings] | None, files: list[P
     for name, draw in drawings.items():
         path = directory / f"{name}.png"
         try:
-            draw(path)
+            with catch_warnings():
+                simplefilter("ignore")  # of letters that no font has, and labels that have no room
+                draw(path)
         except Exception as error:  # matplotlib raises a wide range: of fonts, formulas, sizes
             warnings.append(_undrawn(f"figure {name!r}", error))
         else:

@@ -1,7 +1,6 @@
 """What a sweep keeps of a point, and its small file, by which an interrupted sweep goes on."""
 
 import json
-import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -84,8 +83,6 @@ def save_point(path: Path, result: PointResult, identity: str) -> None:
     arrays = {f"{name}/{key}": array for name, item in result.scores.items() for key, array in _arrays(item).items()}
     with whole_file(path) as partial, open(partial, "wb") as file:
         np.savez(file, meta=json.dumps(meta), **arrays)
-        file.flush()
-        os.fsync(file.fileno())  # a lost point costs hours
 
 
 def load_point(path: Path, point: Point) -> PointResult:

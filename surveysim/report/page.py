@@ -63,7 +63,7 @@ def _page(directory: Path) -> Page:
         return _page_of(directory, summary)
     except NoResultsError:
         raise
-    except (LookupError, TypeError, ValueError) as error:  # of files that others wrote, or that are damaged
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:  # of damaged files
         reason = " ".join(f"{type(error).__name__} {error}".split())
         raise NoResultsError(f"{directory}: results that can't be read ({reason}); {EXPECTED}") from None
 
