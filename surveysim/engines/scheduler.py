@@ -142,6 +142,11 @@ def _asked(address: str) -> int:
             f"scheduler: found {address} and no certificates; dask's keys distributed.comm.tls.ca-file, client.cert "
             "and client.key are expected"
         )
+    if parts.scheme == "tcp" and arguments["require_encryption"]:
+        raise EngineError(
+            f"scheduler: found {address}, which is not encrypted; tls://host:port is expected by dask's key "
+            "distributed.comm.require-encryption"
+        )
     kind, version, workers = asyncio.run(asyncio.wait_for(_answers(address, arguments), CONNECT_S))
     if kind != "Scheduler":
         raise EngineError(f"scheduler: found a {shown(kind)} at {address}; a scheduler is expected")

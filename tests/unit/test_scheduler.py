@@ -190,6 +190,8 @@ def test_certificates(short, tmp_path):
     keys = ("ca-file", "client.cert", "client.key")
     with dask.config.set({f"distributed.comm.tls.{key}": str(tmp_path / "nothing.pem") for key in keys}):
         refused("tls://127.0.0.1:9", "scheduler: dask's certificates can't be read")
+    with dask.config.set({"distributed.comm.require-encryption": True}):
+        refused("tcp://127.0.0.1:9", "tcp://127.0.0.1:9, which is not encrypted; tls://host:port is expected")
     one, other = certificate(tmp_path, "one"), certificate(tmp_path, "other")
     with server(speak_tls(one)) as place:
         keys = {"ca-file": other[0], "client.cert": other[0], "client.key": other[1]}
