@@ -41,6 +41,7 @@ WAIT_S = 24 * 3600.0  # for a first worker: as long as a batch queue may take
 SAY_EVERY_S = 300.0  # that it still waits
 ANSWER_S = 60.0  # in which a scheduler that is busy has to answer
 CLOSE_S = 5.0  # for a farewell to the scheduler
+DIRECT = {"direct_to_workers": True}
 _ONE_AT_A_TIME = Lock()
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of malloc.h
 
@@ -203,17 +204,24 @@ def _client(engine: "Engine", items: int) -> Iterator[Client]:
                 client.close(timeout=CLOSE_S)
         return
     _say_losses_once()
-    with deaf_children():
-        # No memory limit: a worker that is over its share of the machine while others are not need not end.
-        cluster = LocalCluster(
-            n_workers=engine.workers_for(items),
-            threads_per_worker=1,
-            memory_limit=None,
-            dashboard_address="127.0.0.1:0",
-            silence_logs=logging.CRITICAL,
-        )
-    with cluster, Client(cluster, set_as_default=False, direct_to_workers=True) as client:
+    with _started(engine.workers_for(items)) as cluster, Client(cluster, set_as_default=False, **DIRECT) as client:
         yield client
+
+
+def _started(workers: int) -> LocalCluster:
+    """Workers of this machine; raises EngineError where they can't be started."""
+    try:
+        with deaf_children():
+            # No memory limit: a worker that is over its share of the machine while others are not need not end.
+            return LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                memory_limit=None,
+                dashboard_address="127.0.0.1:0",
+                silence_logs=logging.CRITICAL,
+            )
+    except Exception as error:  # of files, processes or threads that a limit of the machine forbids
+        raise EngineError(f"engine 'dask': no workers can be started here ({schedulers.reason(error)})") from None
 
 
 def _connected(scheduler: str) -> Client:
@@ -221,8 +229,7 @@ def _connected(scheduler: str) -> Client:
     _say_losses_once()
     address, limit = schedulers.address_of(scheduler), schedulers.CONNECT_S
     schedulers.workers_at(address)  # its own end is sure, which that of a client is not while it connects
-    options = {"timeout": limit, "set_as_default": False, "direct_to_workers": True}
-    return schedulers.within(limit, address, lambda: Client(address, **options))
+    return schedulers.within(limit, address, lambda: Client(address, timeout=limit, set_as_default=False, **DIRECT))
 
 
 def _say_losses_once() -> None:
@@ -239,8 +246,8 @@ def _lost_scheduler() -> Iterator[None]:
     except KilledWorker:
         raise too_many_losses() from None
     except (ImportError, AttributeError) as error:
-        raise EngineError(f"a worker can't load surveysim {__version__}: {error}") from None
+        raise EngineError(f"a worker can't load surveysim {__version__}: {schedulers.reason(error)}") from None
     except (CancelledError, OSError):  # closed connections, time-outs
         raise EngineError("the scheduler of the cluster is gone") from None
     except RuntimeError as error:  # of a client that is no more, or a scheduler that can't read what it gets
-        raise EngineError(f"the scheduler of the cluster can't go on: {str(error).partition('. ')[0]}") from None
+        raise EngineError(f"the scheduler of the cluster can't go on: {schedulers.reason(error)}") from None

@@ -24,6 +24,7 @@ PROTOCOLS = ("tcp", "tls")
 LARGEST_FILE = 1 << 20  # bytes; a scheduler's file has some hundreds
 
 _CONNECTING = 0.8  # of that until a connection is given up, so that its error is still heard
+_NO_SCHEDULER = "the answer is not that of a scheduler"
 _SHOWN = 100  # letters of an address or a reason in a message
 _EXPECTED = "tcp://host:port, tls://host:port or a scheduler's file is expected"
 _ADDRESS = re.compile(r".*://.*|[^/\\]+:\d+", re.DOTALL)
@@ -110,20 +111,25 @@ def within(seconds: float, address: str, ask: Callable[[], Found]) -> Found:
     if isinstance(error, EngineError):
         raise error from None
     if error is not None:
-        raise EngineError(f"{none} ({_reason(error)})") from None
+        raise EngineError(f"{none} ({reason(error, _NO_SCHEDULER)})") from None
     return found
 
 
-def _reason(error: Exception) -> str:
-    """Why it does not, in a few words: the first cause is the one that the network gave."""
-    while isinstance(error.__cause__, Exception):
-        error = error.__cause__
-    if isinstance(error, TimeoutError):
+def reason(error: BaseException, other: str = "") -> str:
+    """An error of dask in a few words, `other` for one that network and machine do not give.
+
+    Of errors that led to each other, the first of theirs tells most.
+    """
+    chain = [error]
+    while isinstance(before := chain[-1].__cause__ or chain[-1].__context__, Exception):
+        chain.append(before)
+    first = next((each for each in reversed(chain) if isinstance(each, OSError)), error)
+    if isinstance(first, TimeoutError):
         return "silence"
-    if not isinstance(error, OSError):  # of whatever the answer was taken for
-        return "the answer is not that of a scheduler"
-    lines = (error.strerror or str(error)).splitlines()
-    return " ".join(lines[0].split())[:_SHOWN] if lines else type(error).__name__
+    if other and not isinstance(first, OSError):
+        return other
+    lines = str(getattr(first, "strerror", None) or first).splitlines()
+    return " ".join(lines[0].split())[:_SHOWN] if lines else type(first).__name__
 
 
 def _asked(address: str) -> int:
@@ -131,12 +137,12 @@ def _asked(address: str) -> int:
     try:
         socket.getaddrinfo(parts.hostname, parts.port, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError) as error:
-        reason = getattr(error, "strerror", None) or "no host name"
-        raise EngineError(f"scheduler: host {shown(parts.hostname)} is not known ({reason})") from None
+        why = getattr(error, "strerror", None) or "no host name"
+        raise EngineError(f"scheduler: host {shown(parts.hostname)} is not known ({why})") from None
     try:
         arguments = Security().get_connection_args("client")
     except (OSError, ValueError) as error:  # certificates of dask's configuration that are not there, or no such
-        raise EngineError(f"scheduler: dask's certificates can't be read ({_reason(error)})") from None
+        raise EngineError(f"scheduler: dask's certificates can't be read ({reason(error)})") from None
     if parts.scheme == "tls" and arguments["ssl_context"] is None:
         raise EngineError(
             f"scheduler: found {address} and no certificates; dask's keys distributed.comm.tls.ca-file, client.cert "

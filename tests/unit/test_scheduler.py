@@ -84,7 +84,8 @@ def refused(given, *words):
     with pytest.raises(EngineError) as caught:
         workers_at(address_of(given))
     text = str(caught.value)
-    assert all(word in text for word in words) and len(text) < 400 and text.isprintable()
+    assert [word for word in words if word not in text] == [], text
+    assert len(text) < 400 and text.isprintable()
     return text
 
 
