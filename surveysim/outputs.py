@@ -164,7 +164,7 @@ def _draw(directory: Path, figures: Callable[[], Drawings] | None, files: list[P
     try:
         drawings = figures() if figures else {}
     except Exception as error:  # of a library for figures that can't be loaded
-        warnings.append(_undrawn("figures", error))
+        warnings.append(undrawn("figures", error))
         return
     for name, draw in drawings.items():
         path = directory / f"{name}.png"
@@ -173,7 +173,7 @@ def _draw(directory: Path, figures: Callable[[], Drawings] | None, files: list[P
                 simplefilter("ignore")  # of letters that no font has, and labels that have no room
                 draw(path)
         except Exception as error:  # matplotlib raises a wide range: of fonts, formulas, sizes
-            warnings.append(_undrawn(f"figure {name!r}", error))
+            warnings.append(undrawn(f"figure {name!r}", error))
         else:
             files.append(path)
 
@@ -183,7 +183,7 @@ def _write_record(directory: Path, content: dict[str, Any], written: Iterable[Pa
     write_text(directory / "summary.json", strict_json(content | {"files": files}, indent=2) + "\n")
 
 
-def _undrawn(what: str, error: Exception) -> str:
+def undrawn(what: str, error: Exception) -> str:
     """Warn that something could not be drawn; returns the line."""
     text = str(error).strip().partition("\n")[0]
     reason = "".join(letter for letter in text if letter.isprintable())[:REASON]

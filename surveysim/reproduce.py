@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from mapmaker.files import whole_file
 from surveysim.atmosphere.fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV
 from surveysim.engines import Engine
+from surveysim.outputs import undrawn
 from surveysim.paper.campaign import MeasuredSurvey, measure_survey
 from surveysim.record import earlier_runs, write_record
 from surveysim.scene import Scene, SceneError, load_scene
@@ -336,8 +337,15 @@ def _write_figure(out: Path, figure: "PaperFigure") -> list[Path]:
     from surveysim.report.panels import draw_figure
 
     picture = out / f"figure{figure.number:02d}.png"
-    draw_figure(figure, picture)
-    return [_write_table(picture.with_suffix(".ecsv"), points_table(figure)), picture]
+    table = picture.with_suffix(".ecsv")
+    try:
+        draw_figure(figure, picture)
+    except ValueError:  # of observations that give no figure
+        raise
+    except Exception as error:  # matplotlib raises a wide range: of fonts, formulas, sizes
+        undrawn(f"figure {figure.number}", error)
+        return [_write_table(table, points_table(figure))]
+    return [_write_table(table, points_table(figure)), picture]
 
 
 def _write_table(path: Path, table: "Table") -> Path:
