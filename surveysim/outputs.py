@@ -107,8 +107,8 @@ def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> 
     from surveysim.report.accuracy_text import accuracy_table, reference_lines
 
     written = [directory / "accuracy.ecsv", write_text(directory / "scene.json", resolved(result.scene) + "\n")]
-    with whole_file(written[0]) as partial:
-        accuracy_table(result).write(partial, format="ascii.ecsv", overwrite=True)
+    with whole_file(written[0]) as unfinished:
+        accuracy_table(result).write(unfinished, format="ascii.ecsv", overwrite=True)
     content = {
         "scene": result.scene.name,
         "title": result.scene.title,
