@@ -1,7 +1,9 @@
 """Files that are there whole or not at all, and tables in ECSV."""
 
+import errno
 import math
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,14 +17,21 @@ _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ01234567
 def whole_file(path: str | Path) -> Iterator[Path]:
     """A path to write to, which takes the name `path` if the block succeeds and is removed if it fails.
 
-    Makes the folders that lead to it.
+    Makes the folders that lead to it. It is on the disk when it takes the name. Raises OSError with number, reason and
+    `path` where it can't be written.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.{os.getpid()}.part")  # another process may be writing the same file
     try:
         yield partial
+        _to_disk(partial)
         partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        if error.filename not in (None, str(partial)):
+            raise
+        raise OSError(*_failure(error), str(path)) from None
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
@@ -39,6 +48,22 @@ def short(error: BaseException) -> str:
     """An error's text in one line of 200 letters or less."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= 200 else f"{text[:197]}..."
+
+
+def _failure(error: OSError) -> tuple[int, str]:
+    """Number and reason of an error in writing: numpy has none of a full disk, HDF5 in its text alone."""
+    told = re.search(r"errno = (\d+)", str(error))
+    number = error.errno or (int(told[1]) if told else 0)
+    return (number, os.strerror(number)) if number else (errno.EIO, "not written whole, as on a full disk")
+
+
+def _to_disk(path: Path) -> None:
+    """Wait until a file is on the disk: a name that outlives a loss of power must not be that of an empty file."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def write_ecsv(

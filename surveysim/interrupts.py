@@ -76,7 +76,7 @@ def going_on_later(scene: Path, directory: Path) -> Iterator[None]:
     try:
         yield
     except FinishedError as error:
-        typer.echo(str(error), err=True)
+        complain(str(error))
         raise typer.Exit() from None
     except SceneError:
         raise
@@ -106,7 +106,7 @@ def says_new_start(directory: Path, kept: str, first: str) -> None:
     from surveysim.output_directory import holds_work
 
     if not holds_work(directory) and not (directory / "summary.json").exists():
-        typer.echo(f"no {kept} in {directory}: starting with the first{first}", err=True)
+        complain(f"no {kept} in {directory}: starting with the first{first}")
 
 
 def cause(error: OSError, directory: Path = Path("output")) -> str:

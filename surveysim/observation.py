@@ -18,6 +18,7 @@ from surveysim.levels import WhiteLevels, white_levels
 from surveysim.noise import add_correlated_white, add_excess, add_white, excess_variance
 from surveysim.pointing import Pointing, sky_vector
 from surveysim.scan import samples_per_scan
+from surveysim.scene import scene_hash
 from surveysim.setup import Setup, observation_path
 from surveysim.streams import Stage, generator
 from surveysim.weather import Weather, draw_weather
@@ -259,6 +260,7 @@ def _timestreams(
         truth["pwv_mm"] = weather.pwv_mm
     attributes = {
         "scene": setup.scene.name,
+        "scene_sha256": scene_hash(setup.scene),
         "seed": setup.scene.seed,
         "observation": observation,
         "start_mjd_utc": whole.start_mjd,

@@ -1,9 +1,11 @@
 """Files of a finished run: summary, resolved scene, tables, maps and figures, each written atomically."""
 
-import json
-from collections.abc import Iterable
+import logging
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from surveysim.scan import samples_per_scan
 from surveysim.scene import resolved, scene_hash
 from surveysim.setup import prepare
 from surveysim.stages import left_out
+from surveysim.strict_json import strict_json
 from surveysim.sweep_outputs import pair_table, sweep_summary, sweep_table
 from surveysim.tables import Table
 from surveysim.trade import SweepResult, pairs
@@ -26,23 +29,32 @@ if TYPE_CHECKING:
     from surveysim.forecast import Forecast
 
 
+Drawings = dict[str, Callable[[Path], Any]]  # what draws a figure as a PNG, by its name
+
+REASON = 120  # letters of the reason why a figure can't be drawn
+log = logging.getLogger("surveysim")
+
+
 def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestreams: bool) -> None:
     """Write all results of a run below `directory`; summary.json lists its files, report.html is made of them all."""
     written = [write_text(directory / "scene.json", resolved(result.setup.scene) + "\n")]
     written += _write_tables(directory / "tables", result)
     written += _write_maps(directory / "maps", result)
-    if figures:
-        from surveysim.report.figures import draw_figures
-
-        written += draw_figures(directory / "figures", result.setup, result.coadds, result.scores, result.expected)
-        if result.estimate is not None and np.isfinite(result.estimate.relative_error):
-            from surveysim.report.time_figure import draw_time
-
-            written.append(draw_time(directory / "figures" / "run_time.png", result))
     if timestreams:
         streams = (directory / "timestreams" / f"{number:04d}.h5" for number in range(result.coadds.done))
         written += [path for path in streams if path.is_file()]  # none of before a resumption that asked for them
-    write_summary(directory, summary(result), written)
+    write_summary(directory, summary(result), written, partial(_of_run, result) if figures else None)
+
+
+def _of_run(result: SurveyResult) -> Drawings:
+    from surveysim.report.figures import drawings
+
+    drawn = drawings(result.setup, result.coadds, result.scores, result.expected)
+    if result.estimate is not None and np.isfinite(result.estimate.relative_error):
+        from surveysim.report.time_figure import draw_time
+
+        drawn["run_time"] = lambda path: draw_time(path, result)
+    return drawn
 
 
 def write_sweep(directory: Path, result: SweepResult, figures: bool) -> None:
@@ -51,11 +63,14 @@ def write_sweep(directory: Path, result: SweepResult, figures: bool) -> None:
     if of_pairs := pairs(result):
         written.append(_write_table(directory / "sweep_pairs.ecsv", pair_table(of_pairs)))
     written.append(write_text(directory / "scene.json", resolved(result.sweep.points[0].scene) + "\n"))
-    if figures and result.comparison.best:
-        from surveysim.report.sweep_figure import draw_sweep
+    drawn = partial(_of_sweep, result) if figures and result.comparison.best else None
+    write_summary(directory, sweep_summary(result, of_pairs), written, drawn)
 
-        written.append(draw_sweep(directory / "figures" / "sweep.png", result))
-    write_summary(directory, sweep_summary(result, of_pairs), written)
+
+def _of_sweep(result: SweepResult) -> Drawings:
+    from surveysim.report.sweep_figure import draw_sweep
+
+    return {"sweep": lambda path: draw_sweep(path, result)}
 
 
 def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> None:
@@ -64,12 +79,8 @@ def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> 
     from surveysim.report.accuracy_text import accuracy_table, reference_lines
 
     written = [directory / "accuracy.ecsv", write_text(directory / "scene.json", resolved(result.scene) + "\n")]
-    with whole_file(written[0]) as partial:
-        accuracy_table(result).write(partial, format="ascii.ecsv", overwrite=True)
-    if figures:
-        from surveysim.report.accuracy_figure import draw_accuracy
-
-        written.append(draw_accuracy(directory / "figures" / "accuracy.png", result))
+    with whole_file(written[0]) as unfinished:
+        accuracy_table(result).write(unfinished, format="ascii.ecsv", overwrite=True)
     content = {
         "scene": result.scene.name,
         "title": result.scene.title,
@@ -82,21 +93,75 @@ def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> 
             "reference_error": result.reference_error,
             "reference_seeds": result.seeds,
             "tolerated_bias": result.own_error * TOLERATED,
-            "slopes": [vars(item) | ({"error": None} if np.isnan(item.error) else {}) for item in result.slopes],
+            "slopes": [vars(item) for item in result.slopes],
             "recommended": [vars(item) for item in result.recommended],
         },
         "left_out": left_out(prepare(result.scene)),
+        "warnings": [],
         "detectors": prepare(result.scene).n_det,
         "run": {"date": now(), "workers": result.workers, "wall_s": result.wall_s},
     }
-    write_summary(directory, content, written)
+    write_summary(directory, content, written, partial(_of_accuracy, result) if figures else None)
 
 
-def write_summary(directory: Path, content: dict[str, Any], written: Iterable[Path]) -> None:
-    """Write summary.json, which lists the files `written` below `directory`, and report.html, made of them all."""
-    files = sorted(path.relative_to(directory).as_posix() for path in (*written, directory / REPORT))
-    write_text(directory / "summary.json", json.dumps(content | {"files": files}, indent=2) + "\n")
+def _of_accuracy(result: "AccuracyResult") -> Drawings:
+    from surveysim.report.accuracy_figure import draw_accuracy
+
+    return {"accuracy": lambda path: draw_accuracy(path, result)}
+
+
+def write_summary(
+    directory: Path,
+    content: dict[str, Any],
+    written: Iterable[Path],
+    figures: Callable[[], Drawings] | None = None,
+) -> None:
+    """Write summary.json, which lists the files `written` below `directory`, then `figures`, then report.html.
+
+    The results are safe before anything is drawn, and a figure that can't be drawn costs a warning: summary.json lists
+    the figures that are there, and has a warning in place of each other one.
+    """
+    files, warnings = list(written), list(content.get("warnings", ()))
+    _write_record(directory, content, files)
+    try:
+        _draw(directory / "figures", figures, files, warnings)
+    finally:  # an interrupt too
+        if figures:
+            _write_record(directory, content | {"warnings": warnings}, files)
     write_report(directory)
+
+
+def _draw(directory: Path, figures: Callable[[], Drawings] | None, files: list[Path], warnings: list[str]) -> None:
+    """Draw what can be drawn; adds to the `files`, or to the `warnings`."""
+    try:
+        drawings = figures() if figures else {}
+    except Exception as error:  # of a library for figures that can't be loaded
+        warnings.append(undrawn("figures", error))
+        return
+    for name, draw in drawings.items():
+        path = directory / f"{name}.png"
+        try:
+            with catch_warnings():
+                simplefilter("ignore")  # of letters that no font has, and labels that have no room
+                draw(path)
+        except Exception as error:  # matplotlib raises a wide range: of fonts, formulas, sizes
+            warnings.append(undrawn(f"figure {name!r}", error))
+        else:
+            files.append(path)
+
+
+def _write_record(directory: Path, content: dict[str, Any], written: Iterable[Path]) -> None:
+    files = sorted(path.relative_to(directory).as_posix() for path in (*written, directory / REPORT))
+    write_text(directory / "summary.json", strict_json(content | {"files": files}, indent=2) + "\n")
+
+
+def undrawn(what: str, error: Exception) -> str:
+    """Warn that something could not be drawn; returns the line."""
+    text = str(error).strip().partition("\n")[0]
+    reason = "".join(letter for letter in text if letter.isprintable())[:REASON]
+    line = f"{what} can't be drawn ({type(error).__name__}{': ' * bool(reason)}{reason}); all else is written"
+    log.warning(line)
+    return line
 
 
 def write_forecast(directory: Path, forecast: "Forecast") -> Path:

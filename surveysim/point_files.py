@@ -1,23 +1,30 @@
 """What a sweep keeps of a point, and its small file, by which an interrupted sweep goes on."""
 
 import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mapmaker.bandpower import BandPower
 from mapmaker.files import whole_file
 from mapmaker.uncertainty import ErrorBudget
 from mapmaker.window import Window
 from surveysim import __version__
-from surveysim.checkpoint import CheckpointError, check_origin
+from surveysim.checkpoint import REASON, CheckpointError, check_origin, read_meta
+from surveysim.recipes import ACTUAL, OPTIMAL
+from surveysim.scene import Scene, scene_hash
 from surveysim.scores import Control, DataSetScore
+from surveysim.sweep import Point
 
 _OF_BAND, _OF_WINDOW = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
 _OF_CONTROL = ("factor", "weights", "noise")
 _OF_SET = ("noise_psds", "signal_psd", "weights", "bin_noise", "kept")
+_NEVER_NEGATIVE = ("noise_psds", "signal_psd", "weights", "kept", "band.ell", "window.ell")
+_Share = Annotated[float, Field(ge=0, le=1)]
 
 
 @dataclass(frozen=True)
@@ -58,10 +65,10 @@ def finished_points(directory: Path) -> dict[int, Path]:
     return {int(path.stem): path for path in sorted(directory.glob("[0-9][0-9][0-9].npz"))}
 
 
-def save_point(path: Path, result: PointResult, scene_hash: str) -> None:
-    """Write a finished point atomically."""
+def save_point(path: Path, result: PointResult, identity: str) -> None:
+    """Write a finished point of the scene with this hash, atomically."""
     meta = {
-        "scene": scene_hash,
+        "scene": identity,
         "version": __version__,
         "sets": {name: _numbers(item) for name, item in result.scores.items()},
         "rest": {key: value for key, value in vars(result).items() if key != "scores"},
@@ -71,19 +78,132 @@ def save_point(path: Path, result: PointResult, scene_hash: str) -> None:
         np.savez(file, meta=json.dumps(meta), **arrays)
 
 
-def load_point(path: Path, scene_hash: str) -> PointResult:
-    """Read a finished point back; raises CheckpointError for a damaged file or one of another scene or version."""
+def load_point(path: Path, point: Point) -> PointResult:
+    """Read a finished point back.
+
+    Raises CheckpointError for a file that is damaged, of another scene or version, or whose content is not what a
+    sweep keeps of this point.
+    """
     try:
+        if not path.is_file():  # a pipe never ends
+            raise ValueError("no file")
         with np.load(path, allow_pickle=False) as file:
-            meta = json.loads(str(file["meta"]))
-            found = {key: str(meta[key]) for key in ("version", "scene")}
-            scores = {name: _score(file, name, numbers) for name, numbers in meta["sets"].items()}
-            result = PointResult(scores=scores, **meta["rest"])
+            meta = read_meta(str(file["meta"]))
+            check_origin(path, meta, scene_hash(point.scene))
+            result = _result(file, _Meta.model_validate(meta))
+        _check_point(result, point)
+    except CheckpointError:
+        raise
+    except ValidationError as error:  # its own text has a line for each fault, and quotes what it found
+        first = error.errors()[0]
+        reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
     except Exception as error:  # zip, npy and JSON readers raise a wide range for damaged bytes
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise CheckpointError(f"{path}: damaged ({reason}); delete it and go on with --resume") from None
-    check_origin(path, found, scene_hash)
+        reason = str(error) or type(error).__name__
+    else:
+        return result
+    reason = "".join(letter for letter in " ".join(reason.split()) if letter.isprintable())
+    raise CheckpointError(f"{path}: damaged ({reason[:REASON]}); delete it and go on with --resume")
+
+
+class _Numbers(BaseModel):
+    """Fields of a known type and no others; NaN stands for what is not known."""
+
+    model_config = ConfigDict(strict=True, extra="forbid")
+
+
+class _Band(_Numbers):
+    sigma_ukcmb2: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    error_ukcmb2: float
+    ell_eff: float
+    fwhm_ell: float
+
+
+class _Budget(_Numbers):
+    noise: float
+    weather: float
+    window: float
+    population: float
+
+
+class _Control(_Numbers):
+    sampling: float
+    population: float
+
+
+class _Set(_Numbers):
+    n_det: Annotated[int, Field(ge=1)]
+    band: _Band
+    budget: _Budget
+    control: _Control | None = None
+    plain: _Band | None = None
+
+
+class _Quarter(_Numbers):
+    b2_min_mk2: float
+    b2_max_mk2: float
+    observations: Annotated[int, Field(ge=1)]
+    discarded: dict[str, _Share]
+
+
+class _Rest(_Numbers):
+    n_det: int
+    forecast_ukcmb2: dict[str, Annotated[float, Field(gt=0)]]
+    off: Annotated[list[float], Field(max_length=2)]
+    flags: list[str]
+    discarded: dict[str, _Share]
+    discarded_by_weather: list[_Quarter]
+    skies: str
+    unscored: str
+    wall_s: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class _Meta(_Numbers):
+    """What the file of a point says in JSON."""
+
+    scene: str
+    version: str
+    sets: dict[str, _Set]
+    rest: _Rest
+
+
+def _result(file: Any, meta: _Meta) -> PointResult:
+    numbers = {name: item.model_dump(exclude_none=True) for name, item in meta.sets.items()}
+    result = PointResult(
+        scores={name: _score(file, name, item) for name, item in numbers.items()}, **meta.rest.model_dump()
+    )
+    known = {f"{name}/{key}" for name, item in result.scores.items() for key in _arrays(item)}
+    if others := set(file.files) - known - {"meta"}:
+        raise ValueError(f"unknown: {', '.join(sorted(others))}")
     return result
+
+
+def _check_point(result: PointResult, point: Point) -> None:
+    """Raise ValueError for scores that are not of the scene of a point."""
+    score, names = point.scene.score, _data_sets(point.scene)
+    if result.n_det != point.n_det or any(item.n_det > point.n_det for item in result.scores.values()):
+        raise ValueError(f"other numbers of detectors than {point.n_det}")
+    if bool(result.scores) == bool(result.unscored) or (result.scores and ACTUAL not in result.scores):
+        raise ValueError("neither a score nor a reason for none, or both")
+    if others := [name for name in result.scores if not names.fullmatch(name)]:
+        raise ValueError(f"no data set of the scene: {others[0]}")
+    n_bin = {len(item.signal_psd) for item in result.scores.values()}
+    n_obs, skies = point.scene.observations, score.window.skies
+    sizes = {"noise_psds": (score.jackknives, *n_bin), "window.deviations": (skies, *n_bin)}
+    sizes |= dict.fromkeys(("weights", "control.weights"), (n_obs,))
+    sizes |= dict.fromkeys(("bin_noise", "control.noise"), (n_obs, *n_bin))
+    for name, item in result.scores.items():
+        for key, array in _arrays(item).items():
+            shapes = {sizes.get(key, tuple(n_bin))} if key != "kept" else {(), sizes["weights"]}
+            if np.shape(array) not in shapes or np.asarray(array).dtype != float:
+                raise ValueError(f"{name}/{key} has the shape {np.shape(array)} of {np.asarray(array).dtype}")
+            if key in _NEVER_NEGATIVE and not ((array >= 0) & np.isfinite(array)).all():
+                raise ValueError(f"{name}/{key} has values below 0 or none")
+
+
+def _data_sets(scene: Scene) -> re.Pattern[str]:
+    """Names of a scene's data sets."""
+    names = [ACTUAL, OPTIMAL, *scene.score.simulated, *("+".join(steps) for steps in scene.cleaning.compare)]
+    return re.compile("|".join([*map(re.escape, names), r"masked_\d+"]))
 
 
 def _numbers(item: DataSetScore) -> dict[str, Any]:

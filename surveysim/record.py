@@ -10,6 +10,7 @@ from surveysim.output_lock import OutputError
 from surveysim.outputs import write_summary, write_text
 from surveysim.provenance import made_by, now
 from surveysim.scene import Scene, scene_hash
+from surveysim.strict_json import strict_json
 
 SUMMARY = "summary.json"
 PAPER = "Sayers et al. 2010"
@@ -34,7 +35,7 @@ def earlier_runs(
         raise OutputError(f"{path}: damaged; delete it, or write elsewhere with --out") from None
     begin(place, removed=lambda name: name in old or not left)
     if left:
-        write_text(path, json.dumps(content | {"runs": left}, indent=2) + "\n")
+        write_text(path, strict_json(content | {"runs": left}, indent=2) + "\n")
     return left
 
 

@@ -12,6 +12,7 @@ from surveysim.atmosphere.fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV
 from surveysim.engines import Engine
 from surveysim.output_directory import OutputDirectory, claimed, finish
 from surveysim.output_results import of_paper
+from surveysim.outputs import undrawn
 from surveysim.paper.campaign import MeasuredSurvey, measure_survey
 from surveysim.record import earlier_runs, write_record
 from surveysim.scene import Scene, SceneError, load_scene
@@ -347,8 +348,15 @@ def _write_figure(out: Path, figure: "PaperFigure") -> list[Path]:
     from surveysim.report.panels import draw_figure
 
     picture = out / f"figure{figure.number:02d}.png"
-    draw_figure(figure, picture)
-    return [_write_table(picture.with_suffix(".ecsv"), points_table(figure)), picture]
+    table = picture.with_suffix(".ecsv")
+    try:
+        draw_figure(figure, picture)
+    except ValueError:  # of observations that give no figure
+        raise
+    except Exception as error:  # matplotlib raises a wide range: of fonts, formulas, sizes
+        undrawn(f"figure {figure.number}", error)
+        return [_write_table(table, points_table(figure))]
+    return [_write_table(table, points_table(figure)), picture]
 
 
 def _write_table(path: Path, table: "Table") -> Path:

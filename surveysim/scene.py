@@ -37,6 +37,7 @@ from surveysim.sections import (
     Sky,
 )
 from surveysim.sites import sites_text
+from surveysim.strict_json import strict_json
 from surveysim.texts import key_text, nested_deeper, one_line, read_text
 from surveysim.units import shown
 
@@ -214,7 +215,7 @@ def scene_hash(scene: Scene) -> str:
 
 def resolved(scene: Scene) -> str:
     """The scene in internal units as JSON, with units in the names."""
-    return json.dumps(scene.model_dump(mode="json"), indent=1, sort_keys=True)
+    return strict_json(scene.model_dump(mode="json"), indent=1, sort_keys=True)
 
 
 def assumed_values(text: str) -> list[str]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 
-from surveysim.checkpoint import load_checkpoint, save_checkpoint
+from surveysim.checkpoint import check_streams, load_checkpoint, save_checkpoint
 from surveysim.coadds import CoAdds, add_observation, empty_coadds
 from surveysim.engines import SERIAL, Engine, held_back_signals, ordered_map
 from surveysim.reduction import ObservationResult, observe
@@ -53,7 +53,9 @@ def run_observations(
     identity = scene_hash(setup.scene)
     coadds = empty_coadds(setup)
     if resume and checkpoint is not None and checkpoint.exists():
-        coadds = load_checkpoint(checkpoint, identity)
+        coadds = load_checkpoint(checkpoint, setup)
+        if timestream_dir is not None:
+            check_streams(timestream_dir, setup, coadds.done)
     keeper = _Keeper(checkpoint, identity, coadds.done)
     left = () if stops(coadds) else range(coadds.done, setup.scene.observations)
     # Workers elsewhere may have another working directory.

@@ -202,7 +202,7 @@ def _kept(sweep: Sweep, directory: Path) -> dict[int, PointResult]:
                 f"{path}: of another sweep (this one has {len(sweep.points)} points); "
                 "start anew with --force, or write elsewhere with --out"
             )
-        found[number] = load_point(path, scene_hash(sweep.points[number].scene))
+        found[number] = load_point(path, sweep.points[number])
     return found
 
 

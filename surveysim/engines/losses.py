@@ -11,8 +11,8 @@ class EngineError(RuntimeError):
     """An engine that can't go on: its workers or its scheduler are gone, or can't be used; the text says which."""
 
 
-def too_many_losses() -> EngineError:
-    """The error of an item whose workers are gone again and again."""
-    return EngineError(
-        f"a worker process is gone {LOSSES_ALLOWED} times with the same work, perhaps killed for want of memory"
-    )
+def too_many_losses(exit_code: int | None = None) -> EngineError:
+    """The error of an item whose workers are gone again and again, the last with an exit code if it is known."""
+    ended_itself = exit_code is not None and exit_code > 0
+    how = f"ended with exit code {exit_code}" if ended_itself else "perhaps killed for want of memory"
+    return EngineError(f"a worker process is gone {LOSSES_ALLOWED} times with the same work, {how}")

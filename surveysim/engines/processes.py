@@ -15,6 +15,7 @@ from surveysim.engines.losses import LOSSES_ALLOWED, log, too_many_losses
 from surveysim.engines.signals import deaf_children, held_back_signals, without_script
 
 TAKEN_AHEAD = 2  # items that wait at a worker, so that it does not wait for the parent
+ENDS_S = 1.0  # that a process may take to end once its pipe is closed
 
 Answer = tuple[Any, Exception | None]
 
@@ -100,12 +101,13 @@ def _of_the_lost(crew: list[_Worker], losses: Counter[int]) -> list[int]:
     """Numbers that are to be given out again, of workers that are gone and leave the crew."""
     lost = [worker for worker in crew if worker.pipe.closed]
     for worker in lost:
+        worker.process.join(ENDS_S)  # by itself, so that its exit code is its own
         worker.process.kill()
         worker.process.join()
         crew.remove(worker)
         losses[worker.has[0]] += 1  # the others had not been begun
         if losses[worker.has[0]] >= LOSSES_ALLOWED:
-            raise too_many_losses()
+            raise too_many_losses(worker.process.exitcode)
         log.warning("a worker process is gone; its work is done again")
     return [number for worker in lost for number in worker.has]
 

@@ -13,6 +13,7 @@ from PIL import Image
 from mapmaker.files import whole_file
 
 DPI = 150
+LONGEST = 80  # letters of a user's text in a figure
 
 # The palette of Okabe and Ito, told apart by all kinds of colour vision.
 BLACK, GREEN, BLUE, VERMILION, PURPLE = "#000000", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
@@ -48,6 +49,12 @@ def plain_ticks(axis: Axis, marks: tuple[int, ...] = (1, 2, 5)) -> None:
     axis.set_major_locator(LogLocator(subs=marks))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def plain(text: str) -> str:
+    """A text of the user's as it stands: no dollar sign begins a formula, and it is no longer than a figure is wide."""
+    shown = "".join(letter if letter.isprintable() else "?" for letter in text)
+    return (shown if len(shown) <= LONGEST else f"{shown[: LONGEST - 3]}...").replace("$", r"\$")
 
 
 def save(figure: Figure, path: Path, full_colour: bool = False) -> None:

@@ -3,7 +3,9 @@
 Each figure is one function from results to a `Figure`, drawn with Agg and without any global state.
 """
 
+from collections.abc import Callable
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -64,34 +66,31 @@ UK_CMB = r"$\mu$K$_\mathrm{CMB}$"
 UK2_CMB = r"$\mu$K$_\mathrm{CMB}^2$"
 
 
-def draw_figures(
-    directory: Path,
-    setup: Setup,
-    coadds: CoAdds,
-    scores: dict[str, DataSetScore],
-    expected: Forecast | None = None,
-) -> list[Path]:
-    """Draw the figures that the scene has results for, as PNGs in `directory`; returns their paths.
+def drawings(
+    setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore], expected: Forecast | None = None
+) -> dict[str, Callable[[Path], None]]:
+    """What draws each figure that the scene has results for as a PNG, whole or not at all, by its name.
 
     Time-stream PSDs and the map where any scan was kept; PSDs, windows, sensitivity and weights of the maps
-    with `scores`, PSDs and windows beside those `expected` by forecast; the weather with an atmosphere. Each file is
-    written whole or not at all.
+    with `scores`, PSDs and windows beside those `expected` by forecast; the weather with an atmosphere.
     """
     if not coadds.weight[0].any():
-        return []
-    drawn = {"timestream_psd": timestream_psd(setup, coadds), "map": coadded_map(setup, coadds)}
+        return {}
+    made = {"timestream_psd": lambda: timestream_psd(setup, coadds), "map": lambda: coadded_map(setup, coadds)}
     if scores:
-        drawn["map_psd"] = map_psds(setup, scores, expected)
-        drawn["window"] = windows(setup, scores, expected)
-        drawn["cumulative_sensitivity"] = cumulative_sensitivity(setup, scores)
-        drawn["weights"] = bin_weights(setup, scores)
+        made["map_psd"] = lambda: map_psds(setup, scores, expected)
+        made["window"] = lambda: windows(setup, scores, expected)
+        made["cumulative_sensitivity"] = lambda: cumulative_sensitivity(setup, scores)
+        made["weights"] = lambda: bin_weights(setup, scores)
     if (coadds.column("b2_mk2") > 0).any():
-        drawn["weather"] = weather(setup, coadds)
-    directory.mkdir(parents=True, exist_ok=True)
-    for name, figure in drawn.items():
+        made["weather"] = lambda: weather(setup, coadds)
+
+    def draw(name: str, path: Path) -> None:
+        figure = made[name]()
         figure.suptitle(f"{setup.scene.name}: {TITLES[name]} ({coadds.done} observations)", fontsize=11)
-        save(figure, directory / f"{name}.png", name in FULL_COLOUR)
-    return [directory / f"{name}.png" for name in drawn]
+        save(figure, path, name in FULL_COLOUR)
+
+    return {name: partial(draw, name) for name in made}
 
 
 def timestream_psd(setup: Setup, coadds: CoAdds) -> Figure:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surveysim.report.captions import ACCURACY
+from surveysim.report.page_discards import warned
 from surveysim.report.page_parts import (
     UK2,
     Block,
@@ -60,7 +61,8 @@ def accuracy_page(directory: Path, summary: Content, scene: Content) -> Page:
         key.append(("error of one run", percent(own["error_ukcmb2"] / own["sigma_ukcmb2"])))
     key += [("settings", count(len(table))), ("run time", duration(summary["run"]["wall_s"]))]
     title = f"{summary['title']}: what accuracy costs"
-    return Page("surveysim accuracy", title, tuple(_lead(found)), tuple(key), tuple(sections))
+    lead = (*_lead(found), *warned(summary))
+    return Page("surveysim accuracy", title, lead, tuple(key), tuple(sections))
 
 
 def _lead(found: Content) -> Iterator[str]:

@@ -18,9 +18,9 @@ DISCARD_RULE = (
 QUARTERS = "Quarters of the observations by their B2, the calmest first."
 
 
-def share_cell(share: float) -> Cell:
-    """A share in percent; empty for NaN."""
-    return Cell("") if math.isnan(share) else Cell(f"{100 * share:.1f}", 100 * share)
+def share_cell(share: float | None) -> Cell:
+    """A share in percent; empty for NaN and None."""
+    return Cell("") if share is None or math.isnan(share) else Cell(f"{100 * share:.1f}", 100 * share)
 
 
 def quarter_names(n: int) -> list[str]:
@@ -30,8 +30,8 @@ def quarter_names(n: int) -> list[str]:
 
 
 def warned(summary: Content) -> Iterator[str]:
-    """The warnings of a run or a sweep as paragraphs."""
-    for line in summary["warnings"]:
+    """The warnings in a summary as paragraphs."""
+    for line in summary.get("warnings", ()):
         yield f"Warning: {line}"
 
 

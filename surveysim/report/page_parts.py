@@ -138,6 +138,11 @@ def measured(value: float | None, error: float | None = None) -> Cell:
     return Cell(with_error(value, error), value)
 
 
+def times(value: float | None, factor: float) -> float | None:
+    """A number of a summary times a factor; None, as null is read, stays what it is."""
+    return None if value is None else value * factor
+
+
 def with_error(value: float, error: float | None) -> str:
     """``221.1 ± 5.2``: both rounded to two digits of the error; three digits without one, or where it is rounding's."""
     if error is None or not (math.isfinite(error) and error > EXACT * abs(value)):
@@ -150,20 +155,24 @@ def with_error(value: float, error: float | None) -> str:
     return f"({with_error(value / scale, error / scale)}) {TIMES} 10^({_signed(str(exponent))})"
 
 
-def quoted(value: float, error: float | None) -> str:
-    """As `with_error`, but an error of None is said to be unknown."""
+def quoted(value: float | None, error: float | None) -> str:
+    """As `with_error`, but an error of None is said to be unknown, as a value of None is."""
+    if value is None:
+        return "unknown"
     return f"{number(value)} ± unknown" if error is None else with_error(value, error)
 
 
 def as_known(value: float, error: float | None) -> str:
     """A number rounded to two digits of an error, or to three of its own where that is unknown."""
-    if error is None:
+    if error is None or value is None:
         return number(value)
     return _fixed(value, 1 - int(f"{error:.1e}".partition("e")[2]))  # of the rounded error: 0.0996 is 0.10
 
 
-def number(value: float, digits: int = 3) -> str:
-    """A number of so many digits, without exponent from 0.001 to a million."""
+def number(value: float | None, digits: int = 3) -> str:
+    """A number of so many digits, without exponent from 0.001 to a million; "none" for None."""
+    if value is None:
+        return "none"
     if value == 0 or not math.isfinite(value):
         return "0" if value == 0 else "none"
     rounded = float(f"{value:.{digits - 1}e}")
@@ -180,16 +189,18 @@ def short(value: float) -> str:
     return _signed(_grouped(f"{value:,.6g}", value))
 
 
-def percent(share: float, error: float | None = None) -> str:
-    """A share in percent, as `with_error` writes numbers."""
+def percent(share: float | None, error: float | None = None) -> str:
+    """A share in percent, as `with_error` writes numbers; "unknown" for None."""
+    if share is None:
+        return "unknown"
     if error is not None and error > 0:
         return f"({with_error(100 * share, 100 * error)}) %"
     return f"{number(100 * share, 2)} %"
 
 
-def count(value: int) -> str:
-    """An integer, its digits in threes from five on."""
-    return _fixed(value, 0)
+def count(value: float | None) -> str:
+    """A number without decimals, its digits in threes from five on; "none" for None."""
+    return "none" if value is None else _fixed(value, 0)
 
 
 def day_and_time(date: str) -> str:
@@ -197,8 +208,10 @@ def day_and_time(date: str) -> str:
     return date.replace("T", " ").replace("+00:00", " UTC")
 
 
-def duration(seconds: float) -> str:
-    """A time in the unit that suits it."""
+def duration(seconds: float | None) -> str:
+    """A time in the unit that suits it; "unknown" for None."""
+    if seconds is None:
+        return "unknown"
     for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if seconds >= 1.5 * size:
             return f"{number(seconds / size, 2)} {unit}"

@@ -31,6 +31,7 @@ from surveysim.report.page_parts import (
     plural,
     quoted,
     short,
+    times,
 )
 from surveysim.report.page_provenance import provenance, sources, stage_times
 from surveysim.report.page_scene import cleaning_words, scene_terms
@@ -179,7 +180,7 @@ def _score_grid(summary: Content, scene: Content) -> Grid:
         elif reference:
             cells += [Cell(""), Cell("")]
         numbers = [Cell(count(row["n_det"]), row["n_det"])]
-        numbers += [Cell(count(round(row[key])), row[key]) for key in ("ell_eff", "fwhm_ell")]
+        numbers += [Cell(count(row[key]), row[key]) for key in ("ell_eff", "fwhm_ell")]
         rows.append((*cells, *numbers))
     columns += ["detectors", "ell_eff", "FWHM in ℓ"]
     title = "Uncertainty of a flat CMB band power"
@@ -236,7 +237,7 @@ def _alternative_grid(rows: list[Content]) -> Grid:
     texts = {"weights": "weights of bins", "ell_min": "from ℓ", "ell_eff": "ell_eff", "fwhm_ell": "FWHM in ℓ"}
     columns = tuple(texts.get(name, name.replace("_", " ")) for name in rows[0])
     body = tuple(
-        tuple(Cell(value) if isinstance(value, str) else Cell(count(round(value)), value) for value in row.values())
+        tuple(Cell(value) if isinstance(value, str) else Cell(count(value), value) for value in row.values())
         for row in rows
     )
     note = (
@@ -306,7 +307,8 @@ def _answer_grid(summary: Content, scene: Content) -> Grid:
         "skies": score["window"]["skies"],
     }
     rows, mark = [], 0
-    for answer in sorted([here, *answers], key=lambda answer: -answer["relative_error"]):
+    known = [answer for answer in (here, *answers) if answer["relative_error"] is not None]
+    for answer in sorted(known, key=lambda answer: -answer["relative_error"]):
         if answer is here:
             mark = len(rows)
         name = f"{percent(answer['relative_error'])}{', this run' if answer is here else ''}"
@@ -345,9 +347,9 @@ def _truth_rows(items: list[Content]) -> tuple[tuple[Cell, ...], ...]:
     rows = []
     for item in items:
         expected, ratio = item["expected"], Cell("")
-        if expected > 0:
-            ratio = measured(item["found"] / expected, item["error"] / expected)
-        beside = (Cell(number(expected), expected), measured(item["found"], item["error"]), ratio)
+        if expected is not None and expected > 0:
+            ratio = measured(times(item["found"], 1 / expected), times(item["error"], 1 / expected))
+        beside = (measured(expected), measured(item["found"], item["error"]), ratio)
         rows.append((cell(item["quantity"]), cell(item["unit"]), *beside))
     return tuple(rows)
 
@@ -355,12 +357,11 @@ def _truth_rows(items: list[Content]) -> tuple[tuple[Cell, ...], ...]:
 def _forecast_grid(summary: Content) -> Grid:
     rows = []
     for name, item in summary["forecast_over_simulated"].items():
-        error = item["sigma_error"]
-        off = quoted(100 * item["sigma"], None if error is None else 100 * error)
-        cells = [cell(name), Cell(off, 100 * item["sigma"])]
+        off = quoted(times(item["sigma"], 100), times(item["sigma_error"], 100))
+        cells = [cell(name), Cell(off, times(item["sigma"], 100))]
         if item["bins"]:
-            cells.append(measured(100 * item["psd"], 100 * item["psd_error"]))
-            cells.append(Cell(count(round(item["worst_ell"])), item["worst_ell"]))
+            cells.append(measured(times(item["psd"], 100), times(item["psd_error"], 100)))
+            cells.append(Cell(count(item["worst_ell"]), item["worst_ell"]))
         else:
             cells += [Cell("")] * 2
         rows.append((*cells, cell(item["within"]), cell(item["bins"])))
@@ -371,7 +372,7 @@ def _forecast_grid(summary: Content) -> Grid:
         " scans that were kept."
     )
     if some["bins"]:
-        low, high = (count(round(some[key])) for key in ("low_ell", "high_ell"))
+        low, high = (count(some[key]) for key in ("low_ell", "high_ell"))
         note += (
             f" The noise PSD is that of the bin, from ℓ = {low} to {high}, where it is furthest beyond two standard"
             f" errors, as one bin in twenty is by chance; good bins are within {percent(GOOD_PSD)} and known to"

@@ -28,6 +28,7 @@ from surveysim.report.page_parts import (
     picture,
     plural,
     quoted,
+    times,
 )
 from surveysim.report.page_provenance import provenance, sources
 from surveysim.report.page_run import what_was_simulated
@@ -286,7 +287,7 @@ def _agreement(summary: Content) -> Grid | None:
     rows = []
     for point in summary["points"]:
         if off := point.get("forecast_over_simulated"):
-            ratio = measured(100 * off["sigma"], 100 * off["sigma_error"])
+            ratio = measured(times(off["sigma"], 100), times(off["sigma_error"], 100))
             rows.append((cell(_values(point, _keys(summary))), ratio))
     columns = ("point", "forecast over simulated, less 1 [%]")
     note = (

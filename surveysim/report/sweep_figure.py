@@ -7,7 +7,7 @@ import numpy as np
 
 from surveysim.paper.figure import Panel, PaperFigure, Series
 from surveysim.recipes import ACTUAL
-from surveysim.report.drawing import save
+from surveysim.report.drawing import plain, save
 from surveysim.report.panels import lay_out
 from surveysim.sweep import Axis, numbers_of
 from surveysim.trade import SweepResult
@@ -54,7 +54,7 @@ def sweep_figure(result: SweepResult) -> PaperFigure:
         Panel("uncertainty of a flat band power", label, f"sigma(A) [{UK2_CMB}]", tuple(levels), **look),
         Panel("against the reference point", label, "ratio of sigma(A)", tuple(ratios), **look),
     )
-    reference = sweep.points[comparison.reference].label
+    reference = plain(sweep.points[comparison.reference].label)
     caption = f"{len(sweep.points)} points with one seed; reference point: {reference}."
     if result.simulated:
         caption += (
@@ -100,7 +100,7 @@ def _lines(result: SweepResult) -> list[tuple[str, np.ndarray]]:
     for point in sweep.points:
         rows.setdefault(point.place[1:], []).append(point.number)
     return [
-        (", ".join(axis.at(step) for axis, step in zip(sweep.axes[1:], others, strict=True)), np.array(numbers))
+        (plain(", ".join(axis.at(step) for axis, step in zip(sweep.axes[1:], others, strict=True))), np.array(numbers))
         for others, numbers in rows.items()
     ]
 
@@ -118,9 +118,9 @@ def _positions(result: SweepResult) -> tuple[np.ndarray, str, bool]:
     place = np.array([point.place[0] for point in sweep.points])
     found = _numbers(first)
     if found is None:
-        return place, first.name, False
+        return place, plain(first.name), False
     values, unit = found[0].astype(float), found[1]
-    return values[place], f"{first.name} [{unit}]" if unit else first.name, _wide(values)
+    return values[place], plain(f"{first.name} [{unit}]" if unit else first.name), _wide(values)
 
 
 def _numbers(axis: Axis) -> tuple[np.ndarray, str] | None:
@@ -139,4 +139,4 @@ def _ticks(result: SweepResult) -> list[str]:
     first = result.sweep.axes[0]
     if _in_a_row(result) or _numbers(first) is not None:
         return []
-    return [re.sub(r", (?=[\w.]+ = )", "\n", label) for label in first.labels]
+    return ["\n".join(map(plain, re.split(r", (?=[\w.]+ = )", label))) for label in first.labels]

@@ -20,6 +20,8 @@ from surveysim.quantities import (
 )
 from surveysim.sections.base import Section
 
+LONGEST_NAME = 100  # letters of a cleaning that is compared
+
 
 class Cleaning(Section):
     """The subtraction algorithm, or several in order, others to compare it with, and what they need to know."""
@@ -27,7 +29,8 @@ class Cleaning(Section):
     algorithm: Steps
     """What the scene cleans with: an algorithm, or several that are applied in order."""
     compare: tuple[Steps, ...] = ()
-    """Other ways of cleaning the same streams, scored as data sets beside it and as "optimal", the best of each."""
+    """Other ways of cleaning the same streams, scored as data sets beside it and as "optimal", the best of each; the
+    names of one that has several algorithms make 100 letters at most, as they name its files."""
     tolerance: Annotated[float, *number(1e-12, 0.999999)]
     """Mean fractional change of the responsivities at which the iteration of templates ends."""
     max_iterations: Annotated[int, *whole(1, 100_000)]
@@ -59,8 +62,15 @@ class Cleaning(Section):
                 raise ValueError(f"{key}: missing; {algorithm!r} needs it")
         self._check_responsivities(named)
         sets = ["+".join(steps) for steps in (self.algorithm, *self.compare)]
-        if repeated := [name for name in sets if sets.count(name) > 1]:
+        alike = [name.lower() for name in sets]  # some file systems do not tell cases apart
+        if repeated := [name for name in sets if alike.count(name.lower()) > 1]:
             raise ValueError(f"compare: found {repeated[0]!r} more than once; different algorithms are expected")
+        for name, steps in zip(sets[1:], self.compare, strict=True):
+            if len(name) > LONGEST_NAME:  # of a data set, which names files and columns
+                raise ValueError(
+                    f"compare: found {len(steps)} algorithms in order, whose names make {len(name)} letters; "
+                    f"{LONGEST_NAME} or fewer are expected"
+                )
         return self
 
     def _check_responsivities(self, named: set[str]) -> None:
@@ -132,7 +142,9 @@ class Score(Section):
     reference: Reference | None = None
 
     @model_validator(mode="after")
-    def _range_has_bins(self) -> Self:
+    def _range_and_sets(self) -> Self:
         if self.ell_max < self.ell_min + self.ell_bin:
             raise ValueError(f"ell_max: found {self.ell_max}; at least ell_min + ell_bin is expected")
+        if repeated := [name for name in self.simulated if self.simulated.count(name) > 1]:
+            raise ValueError(f"simulated: found {repeated[0]!r} more than once; different data sets are expected")
         return self

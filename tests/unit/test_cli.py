@@ -199,7 +199,7 @@ def test_full_disk(call, scene, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(survey, "CHECKPOINT_SECONDS", 0.0)
-    monkeypatch.setattr("surveysim.checkpoint.os.fsync", full)
+    monkeypatch.setattr("mapmaker.files.os.fsync", full)
     code, _, error = call("run", scene, "--out", out, "--workers", 1, "--quiet")
     assert (code, error) == (1, f"{out / 'checkpoint.h5'}: No space left on device\n")
     assert sorted(path.name for path in out.iterdir()) == [".surveysim.json", "scene.toml"]

@@ -56,8 +56,11 @@ def _curve(figure: matplotlib.figure.Figure, label: str) -> np.ndarray:
 
 def test_all_figures(tmp_path, setup, coadds, scores):
     style = dict(matplotlib.rcParams)
-    paths = figures.draw_figures(tmp_path / "figures", setup, coadds, scores)
-    assert [path.stem for path in paths] == list(figures.TITLES)
+    drawings = figures.drawings(setup, coadds, scores)
+    assert list(drawings) == list(figures.TITLES)
+    paths = [tmp_path / "figures" / f"{name}.png" for name in drawings]
+    for path in paths:
+        drawings[path.stem](path)
     assert sorted(paths) == sorted((tmp_path / "figures").iterdir())  # and nothing unfinished
     for path in paths:
         with Image.open(path) as image:
@@ -71,13 +74,15 @@ def test_scene_with_little_to_show(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "save", lambda *arguments: None)  # drawing is what takes time
     setup = prepare(load_scene(LYNX, {key: TINY[key] for key in TINY if "score" not in key} | CALM))
     coadds = run_observations(setup, None)
-    paths = figures.draw_figures(tmp_path, setup, coadds, {})
-    assert [path.name for path in paths] == ["timestream_psd.png", "map.png"]
+    drawings = figures.drawings(setup, coadds, {})
+    assert list(drawings) == ["timestream_psd", "map"]
+    for name, draw in drawings.items():
+        draw(tmp_path / name)
     assert len(figures.timestream_psd(setup, coadds).axes) == 1
 
 
-def test_nothing_observed_gives_no_figures(tmp_path, setup):
-    assert figures.draw_figures(tmp_path, setup, empty_coadds(setup), {}) == []
+def test_nothing_observed_gives_no_figures(setup):
+    assert figures.drawings(setup, empty_coadds(setup), {}) == {}
 
 
 def test_timestream_psd_of_the_calmest_and_the_worst(setup, coadds):

@@ -16,6 +16,7 @@ from surveysim.output_lock import OutputError
 from surveysim.point_files import PointResult, load_point, save_point
 from surveysim.report.sweep_figure import _ticks, draw_sweep, sweep_figure
 from surveysim.report.sweep_text import best_line
+from surveysim.scene import scene_hash
 from surveysim.scores import error_modes, gain
 from surveysim.sweep import Axis
 from surveysim.sweep_outputs import sweep_table
@@ -294,8 +295,8 @@ def test_wrong_files_of_points(write, tmp_path, monkeypatch, kind, damage):
 
 def test_points_come_back_from_their_files(levels, tmp_path):
     point = levels[0].points[1]
-    save_point(tmp_path / "000.npz", point, "abc")
-    again = load_point(tmp_path / "000.npz", "abc")
+    save_point(tmp_path / "000.npz", point, scene_hash(levels[0].sweep.points[1].scene))
+    again = load_point(tmp_path / "000.npz", levels[0].sweep.points[1])
     assert isinstance(again, PointResult) and again.forecast_ukcmb2 == point.forecast_ukcmb2
     assert (again.n_det, again.skies, again.unscored, again.wall_s) == (18, point.skies, "", point.wall_s)
     one, other = point.scores["actual"], again.scores["actual"]
