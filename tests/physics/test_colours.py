@@ -40,6 +40,7 @@ def test_bands_see_one_layer_as_opacity_scales_it():
     assert np.abs(setup.colour_responsivity[0] / setup.colour_responsivity[1] - 1).max() > 0.01
 
 
+@pytest.mark.slow
 def test_residual_at_10_mhz_is_near_the_instrument_s_noise():
     """SuZIE II came within a factor 1.5 of it (paper, "Prospects"); here over its own level at 1.25 to 2.5 Hz."""
     result = run(load_scene(SUZIE, {"observations": 40}), engine=SERIAL)

@@ -100,6 +100,7 @@ def assert_right(log_ratio, paired):
     assert abs(off) < tolerance
 
 
+@pytest.mark.slow
 def test_paired_error_of_a_small_change(tmp_path, monkeypatch):
     """Half more detector noise beside the same photon noise: far better known than from independent runs."""
     monkeypatch.setattr("surveysim.trade.run_forecast", lambda setup, coadds: None)

@@ -4,6 +4,7 @@ import signal
 import sys
 
 import pytest
+from PIL import Image
 
 from surveysim.main import main
 from tests.scenes import SMALL_SCENE
@@ -16,6 +17,20 @@ def handlers():
     yield
     for number, handler in kept.items():
         signal.signal(number, handler)
+
+
+@pytest.fixture(scope="module")
+def blank_figures():
+    """Figures of a run are made and not rendered, which takes most of their time: blank images instead."""
+
+    def save(figure, path, full_colour=False):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", (60, 40)).save(path)
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("figures", "time_figure"):
+            patch.setattr(f"surveysim.report.{module}.save", save)
+        yield
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ import errno
 import os
 import pty
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -360,27 +359,3 @@ def test_new(call, scene, monkeypatch):
         code, _, error = call("new", *arguments)
         assert code == 2 and words in error and len(error.splitlines()) == 1
     assert call("new", "other")[0] == 2
-
-
-def test_white_noise_needs_little(tmp_path):
-    """No import of what only other scenes need, in a process of its own."""
-    path = tmp_path / "white.toml"
-    path.write_text(WHITE_NOISE_SCENE)
-    code = (
-        "import sys\nfrom surveysim.main import main\ntry:\n    main()\n"
-        "except SystemExit as end:\n    assert not end.code\nprint(' '.join(sys.modules))"
-    )
-    arguments = ["run", str(path), "--out", str(tmp_path / "o"), "--no-figures", "--workers", "1", "-q"]
-    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True)
-    loaded = set(done.stdout.split())
-    assert not loaded & {
-        "healpy",
-        "matplotlib",
-        "dask",
-        "distributed",
-        "h5py",
-        "scipy.optimize",
-        "scipy.stats",
-    }
-    assert not loaded & {"surveysim.atmosphere.screen", "surveysim.sky"}
-    assert (tmp_path / "o" / "maps" / "actual.fits").exists()

@@ -27,6 +27,7 @@ from tests.scenes import SMALL_SCENE, TURBULENT_SCENE, without_sections
 N_SCANS = 4
 REMEDIES = ('cleaning.responsivities = "observation" or "survey"', "longer scans", '"pca"')
 LEVELS = '\n[sweep]\n"detector.psd" = ["2.5 mK2 / Hz", "2.6 mK2 / Hz", "2.7 mK2 / Hz", "2.8 mK2 / Hz"]\n'
+TWO_LEVELS = '\n[sweep]\n"detector.psd" = ["2.5 mK2 / Hz", "2.6 mK2 / Hz"]\n'
 
 
 def losing(monkeypatch, lost):
@@ -186,14 +187,15 @@ def test_only_points_that_lose_few_scans_compete():
 # ---------------------------------------------------------------- of a sweep: files, screen, page
 
 
-@pytest.fixture
-def lossy(tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def lossy(tmp_path_factory):
     """A sweep of four points that lose 0, 0, 1 and 4 of their 16 scans."""
     counts = {2.5: 0, 2.6: 0, 2.7: 1, 2.8: 4}
-    losing(monkeypatch, lambda scene, observation: counts[round(scene.detector.psd_mk2_hz, 6)] > observation)
-    path = tmp_path / "lossy.toml"
+    path = tmp_path_factory.mktemp("lossy") / "lossy.toml"
     path.write_text(without_sections(TURBULENT_SCENE, "sky").replace("mask_separation_f_lambda = 1.3\n", "") + LEVELS)
-    return run_sweep(path, tmp_path / "out", engine=SERIAL, figures=False), tmp_path / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        losing(patch, lambda scene, observation: counts[round(scene.detector.psd_mk2_hz, 6)] > observation)
+        return run_sweep(path, path.parent / "out", engine=SERIAL, figures=False), path.parent / "out"
 
 
 def test_files_of_a_sweep_that_loses_scans(lossy):
@@ -240,7 +242,7 @@ def test_screen_and_page_of_a_sweep_that_loses_scans(lossy, capsys):
 def test_a_lowest_point_that_loses_scans_is_not_called_the_best(tmp_path, monkeypatch):
     losing(monkeypatch, lambda scene, observation: int(observation == 0))
     path = tmp_path / "lossy.toml"
-    path.write_text(without_sections(SMALL_SCENE, "sky") + LEVELS)
+    path.write_text(without_sections(SMALL_SCENE, "sky") + TWO_LEVELS)
     result = run_sweep(path, tmp_path / "out", engine=SERIAL, figures=False)
     why = "6.2 % of its scans are discarded, more than 5 %"
     assert best_line(result).startswith("lowest: ") and best_line(result).endswith(f"the best is withheld: {why}")
@@ -262,7 +264,7 @@ def test_forecasts_predict_shares_and_compare_none(tmp_path):
 def test_forecasts_say_that_they_know_no_shares(tmp_path, monkeypatch):
     monkeypatch.setattr("surveysim.pilot._MOST_SAMPLES", 0)
     path = tmp_path / "small.toml"
-    path.write_text(without_sections(SMALL_SCENE, "sky") + LEVELS)
+    path.write_text(without_sections(SMALL_SCENE, "sky") + TWO_LEVELS)
     result = forecast_sweep(path, tmp_path / "out", figures=False)
     assert discard_lines(result) == ["Shares of discarded scans are not known."] and result.warnings == []
     assert "discarded" not in Table.read(tmp_path / "out" / "sweep.ecsv", format="ascii.ecsv").colnames

@@ -36,20 +36,27 @@ def scene(tmp_path):
     return path
 
 
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """The files of the run that is interrupted, from one that is not."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    run_scene(load_scene(long_scene(folder, 200)), folder / "whole", engine=SERIAL, figures=False)
+    return folder / "whole"
+
+
 @pytest.mark.parametrize(
     "workers, number, to_group",
     [
         (1, signal.SIGINT, True),
-        (2, signal.SIGINT, True),
+        pytest.param(2, signal.SIGINT, True, marks=pytest.mark.slow),  # of a sweep it is tested every time
         pytest.param(1, signal.SIGTERM, False, marks=pytest.mark.slow),
         pytest.param(2, signal.SIGINT, False, marks=pytest.mark.slow),
         (2, signal.SIGTERM, False),
     ],
 )
-def test_interruption(tmp_path, workers, number, to_group):
+def test_interruption(tmp_path, undisturbed, workers, number, to_group):
     """Ctrl-C in a terminal (the group), or a request to stop: a checkpoint, one line, nobody left behind."""
-    path, out = tmp_path / "long.toml", tmp_path / "out"
-    path.write_text(SMALL_SCENE.replace("observations = 4", "observations = 200"))
+    path, out = long_scene(tmp_path, 200), tmp_path / "out"
     process = start("run", path, "--out", out, "--workers", workers, "--save-timestreams", "--no-figures", "-q")
     # At most seven are under way: some are in the sums by then.
     wait_for(out / "timestreams" / "0012.h5", process)
@@ -59,10 +66,8 @@ def test_interruption(tmp_path, workers, number, to_group):
     assert time.monotonic() - begin < 5
     assert (process.returncode, error) == (130, f"interrupted; go on with --resume --out {out}\n")
     assert none_left(process.pid) and not list(out.rglob("*.part")) and not (out / LOCK).exists()
-    scene = load_scene(path)
-    run_scene(scene, out, engine=SERIAL, resume=True, figures=False)
-    run_scene(scene, tmp_path / "whole", engine=SERIAL, figures=False)
-    assert_same_results(out, tmp_path / "whole")
+    run_scene(load_scene(path), out, engine=SERIAL, resume=True, figures=False)
+    assert_same_results(out, undisturbed)
 
 
 @pytest.mark.slow

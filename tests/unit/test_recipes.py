@@ -26,7 +26,7 @@ def path(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def compared(path, tmp_path_factory):
+def compared(path, tmp_path_factory, blank_figures):
     out = tmp_path_factory.mktemp("compared")
     return run(load_scene(path, COMPARE), out, engine=SERIAL, figures=True), out
 

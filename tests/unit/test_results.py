@@ -259,7 +259,7 @@ def test_runs_that_cannot_be_scored(tmp_path, capsys, setting, reason):
     assert f"Not scored: {result.unscored}" in capsys.readouterr().out.replace("\n", " ").replace("  ", " ")
 
 
-def test_a_forced_run_replaces_an_earlier_one(tmp_path):
+def test_a_forced_run_replaces_an_earlier_one(tmp_path, blank_figures):
     path = tmp_path / "small.toml"
     path.write_text(SMALL_SCENE)
     out = tmp_path / "out"

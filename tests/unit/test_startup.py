@@ -26,7 +26,9 @@ UNWANTED = (
     "matplotlib",
     "scipy.interpolate",
     "scipy.ndimage",
+    "scipy.optimize",
     "scipy.spatial",
+    "scipy.stats",
     "surveysim.atmosphere.screen",
     "surveysim.sky",
 )

@@ -12,10 +12,8 @@ from surveysim import load_scene, run
 from surveysim.engines import SERIAL, Engine
 from surveysim.report.text import cost_lines, stop_lines, survey_lines
 from surveysim.report.time_figure import time_figure
-from surveysim.results import survey_result
 from surveysim.setup import prepare
 from surveysim.stopping import FEWEST, UNLIMITED, Estimate, Limits, is_boundary, parsed_limits, stop_reason
-from surveysim.survey import run_observations
 from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
 from tests.unit.test_cli import refused
 
@@ -29,9 +27,26 @@ def scene(tmp_path):
     return path
 
 
+@pytest.fixture(scope="module")
+def forty(tmp_path_factory):
+    """The same scene for runs that tests share."""
+    path = tmp_path_factory.mktemp("forty") / "small.toml"
+    path.write_text(SMALL_SCENE.replace("observations = 4", "observations = 40", 1))
+    return load_scene(path)
+
+
+@pytest.fixture(scope="module")
+def part(forty):
+    return run(forty, engine=SERIAL, target_error=TARGET)
+
+
+@pytest.fixture(scope="module")
+def whole(forty):
+    return run(forty, engine=SERIAL)
+
+
 def same_sums(one, other):
-    np.testing.assert_array_equal(one.rows, other.rows)
-    for name in ("sums", "weight", "hits", "flipped", "window", "window_weight"):
+    for name in ("rows", "raw_psd", "clean_psd", "sums", "weight", "hits", "flipped", "window", "window_weight"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
@@ -98,19 +113,20 @@ def test_which_reason_came_first(scene):
     assert stop_reason(setup, both, 40, good) == "all" == stop_reason(setup, UNLIMITED, 40, None)
 
 
-def test_a_reached_target_ends_a_run_alike_whatever_the_workers(scene):
-    checked = load_scene(scene)
-    alone, crew = (run(checked, engine=Engine(workers=workers), target_error=TARGET) for workers in (1, 2))
-    assert alone.stopped == crew.stopped == "target" and alone.coadds.done == FEWEST
-    assert alone.estimate.relative_error <= TARGET
-    same_sums(alone.coadds, crew.coadds)
-    assert alone.estimate == crew.estimate
-    assert run(checked, engine=SERIAL, target_error=1e-4).stopped == "all"
+def test_a_reached_target_ends_a_run_alike_whatever_the_workers(scene, part, tmp_path):
+    """Streams that workers wrote ahead of it are dropped."""
+    options = {"engine": Engine(workers=2), "figures": False, "save_timestreams": True}
+    crew = run(load_scene(scene), tmp_path / "out", target_error=TARGET, **options)
+    assert part.stopped == crew.stopped == "target" and part.coadds.done == FEWEST
+    assert part.estimate.relative_error <= TARGET
+    same_sums(part.coadds, crew.coadds)
+    assert part.estimate == crew.estimate
+    names = sorted(path.name for path in (tmp_path / "out" / "timestreams").iterdir())
+    assert names == [f"{number:04d}.h5" for number in range(FEWEST)]
 
 
-def test_a_part_is_scored_for_the_whole_survey(scene):
+def test_a_part_is_scored_for_the_whole_survey(scene, part):
     """The first 32 of 40 observations: sigma of a survey of 32 times 32 / 40, errors alike."""
-    part = run(load_scene(scene), engine=SERIAL, target_error=TARGET)
     alone = run(load_scene(scene, {"observations": 32}), engine=SERIAL)
     # The window observations of the small scenes are the same, so all else is.
     same_sums(part.coadds, alone.coadds)
@@ -125,7 +141,7 @@ def test_a_part_is_scored_for_the_whole_survey(scene):
     assert ratio == pytest.approx(other, rel=4e-3)
 
 
-def test_a_run_goes_on_from_its_target(scene, tmp_path):
+def test_a_run_goes_on_from_its_target(scene, whole, tmp_path):
     checked, out = load_scene(scene), tmp_path / "out"
     options = {"engine": SERIAL, "figures": False, "save_timestreams": True}
     first = run(checked, out, target_error=TARGET, **options)
@@ -133,19 +149,11 @@ def test_a_run_goes_on_from_its_target(scene, tmp_path):
     assert run(checked, out, resume=True, target_error=TARGET, **options).coadds.done == first.coadds.done
     assert len(list((out / "timestreams").iterdir())) == FEWEST
     assert run(checked, out, resume=True, target_error=0.9 * TARGET, **options).coadds.done >= first.coadds.done
-    last = run(checked, out, resume=True, **options)
+    last = run(checked, out, resume=True, target_error=1e-4, **options)
     assert last.stopped == "all" and not (out / "checkpoint.h5").exists()
     assert len(list((out / "timestreams").iterdir())) == 40
-    whole = run(checked, engine=SERIAL)
     same_sums(last.coadds, whole.coadds)
     assert last.estimate == whole.estimate
-
-
-def test_streams_that_workers_wrote_ahead_are_dropped(scene, tmp_path):
-    options = {"engine": Engine(workers=2), "figures": False, "save_timestreams": True}
-    run(load_scene(scene), tmp_path / "out", target_error=TARGET, **options)
-    names = sorted(path.name for path in (tmp_path / "out" / "timestreams").iterdir())
-    assert names == [f"{number:04d}.h5" for number in range(FEWEST)]
 
 
 def test_a_spent_budget_ends_a_run_after_a_pair(call, scene, tmp_path):  # noqa: F811
@@ -172,11 +180,9 @@ def test_a_budget_needs_no_score(scene):
     assert stop_lines(result) == ["Stopped: the time budget was spent, 2 of 4 observations simulated"]
 
 
-def test_the_cost_of_a_fine_answer_is_what_its_errors_add_up_to(scene):
-    checked = load_scene(scene)
-    setup = prepare(checked)
-    result = survey_result(setup, run_observations(setup, None), 1.0, 1)
-    item, cost, score = result.scores["actual"], result.fine_cost, checked.score
+def test_the_cost_of_a_fine_answer_is_what_its_errors_add_up_to(forty, whole):
+    result = whole
+    item, cost, score = result.scores["actual"], result.fine_cost, forty.score
     budget = item.budget
     # Of the noise's error, (1 - c) / K goes with the K flips and c with observations, c their share in common.
     weights = item.weights[item.weights > 0]
@@ -192,9 +198,8 @@ def test_the_cost_of_a_fine_answer_is_what_its_errors_add_up_to(scene):
     assert twice.fine_cost.seconds == pytest.approx(cost.seconds / 2)
 
 
-def test_the_figure_of_error_against_time_goes_through_the_run_and_its_costs(scene):
-    setup = prepare(load_scene(scene))
-    result = survey_result(setup, run_observations(setup, None), 1.0, 2)
+def test_the_figure_of_error_against_time_goes_through_the_run_and_its_costs(whole):
+    result = replace(whole, workers=2)
     alone, more, own = time_figure(result).panels[0].series
     seconds, error = own.x[0], own.y[0]
     assert seconds == pytest.approx(sum(result.coadds.seconds.values()) / 2)
@@ -207,8 +212,8 @@ def test_the_figure_of_error_against_time_goes_through_the_run_and_its_costs(sce
         assert result.cost(target).seconds == time
 
 
-def test_lines_of_a_part(scene):
-    result = run(load_scene(scene), engine=SERIAL, target_error=TARGET)
+def test_lines_of_a_part(part):
+    result = part
     lines = survey_lines(result)
     band, plain = result.scores["actual"].band, result.scores["actual"].plain_band
     assert lines[0] == "  of the whole survey of 40 observations, judged by 32"

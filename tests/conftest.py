@@ -1,0 +1,33 @@
+"""The whole suite on two cores; closed forms of scenes are kept, as many tests run the same small scene."""
+
+import os
+from functools import lru_cache
+
+import pytest
+
+import surveysim.conditions as conditions
+
+KEPT = 24  # scenes; a run keeps one
+
+
+def keep(module, name):
+    """Give a module's cached function room for more scenes, before others import it."""
+    setattr(module, name, lru_cache(maxsize=KEPT)(getattr(module, name).__wrapped__))
+
+
+keep(conditions, "population")
+
+import surveysim.noise_model as noise_model  # noqa: E402
+
+keep(noise_model, "survey_models")
+
+import surveysim.control as control  # noqa: E402
+
+keep(control, "expectations")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config):
+    """Two processes for the whole suite, of which each imports and compiles; none for files or tests by name."""
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    return min(2, os.cpu_count() or 1) if whole else 0
