@@ -1,5 +1,6 @@
 """Mangled checkpoints, with the digest that they had or with one that fits them."""
 
+import contextlib
 import json
 from collections.abc import Callable
 from hashlib import sha256
@@ -33,10 +34,8 @@ def prepare(folder: Path) -> tuple[Path, dict[str, Any]]:
         if coadds.done == 2:
             raise KeyboardInterrupt
 
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         run(scene, stopped / "out", engine=SERIAL, figures=False, progress=stop)
-    except KeyboardInterrupt:
-        pass
     run(scene, whole, engine=SERIAL, figures=False)
     if not (stopped / "out" / "checkpoint.h5").exists():
         raise AssertionError("the run that was stopped left no checkpoint")
@@ -56,7 +55,7 @@ def mangled(base: tuple[Path, dict[str, Any]], rng: np.random.Generator) -> tupl
         path.write_bytes(mangled_bytes(raw, rng))
         good = path.read_bytes() == raw or None
         if good is None:
-            return label, lambda: resumed(whole, True if _same(raw) else False)
+            return label, lambda: resumed(whole, bool(_same(raw)))
     elif how == 1:
         label, content = "bytes with a digest that fits", mangled_bytes(raw[USER_BLOCK:], rng)
         path.write_bytes(_sealed(raw, content))

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.fuzz.kept import files
 from tests.fuzz.mangle import NUMBERS, ODD, mangled_tokens, pick
 from tests.fuzz.outcomes import Outcome, call, check, outcome_of_end
 from tests.fuzz.scenes import whole_summary
 from tests.fuzz.sweeps import AXES
 from tests.scenes import SMALL_SCENE
+from tests.trees import files
 
 TEXTS = (
     "",

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -12,20 +11,6 @@ from tests.fuzz.outcomes import Outcome, call, outcome_of_end
 
 NUMBERS = ("scores", "gains", "scans_discarded", "points", "observations")
 QUIET = ("--engine", "serial", "--no-figures", "-q", "--out", "out")
-
-
-def files(directory: Path) -> dict[str, str]:
-    """SHA-256 of every file below a directory, and where every link leads."""
-    found = {}
-    for path in sorted(directory.rglob("*")):
-        name = path.relative_to(directory).as_posix()
-        if path.is_symlink():
-            found[name] = f"-> {path.readlink()}"
-        elif path.is_file():
-            found[name] = sha256(path.read_bytes()).hexdigest()
-        else:
-            found[name] = "folder"
-    return found
 
 
 def numbers(directory: Path) -> dict[str, Any]:
@@ -76,7 +61,7 @@ def odd_array(array: np.ndarray, rng: np.random.Generator) -> tuple[str, np.ndar
     if how == 2:
         return "an axis more", array[None], False
     if how == 3:
-        return "flat", array.ravel(), False if array.ndim > 1 else True
+        return "flat", array.ravel(), array.ndim < 2
     if how == 4:
         return "empty", array[:0] if array.ndim else np.zeros(0), False
     if how == 5:
@@ -86,7 +71,7 @@ def odd_array(array: np.ndarray, rng: np.random.Generator) -> tuple[str, np.ndar
     if how == 7:
         return "big-endian", array.astype(array.dtype.newbyteorder(">")), True
     if how == 8 and array.ndim > 1:
-        return "turned", np.moveaxis(array, 0, -1), True if array.shape == np.moveaxis(array, 0, -1).shape else False
+        return "turned", np.moveaxis(array, 0, -1), array.shape == np.moveaxis(array, 0, -1).shape
     if how == 9:
         return "a scalar", np.array(1.0), False
     flat.flat[int(rng.integers(flat.size))] = value = (np.nan, np.inf, -1e300)[int(rng.integers(3))]

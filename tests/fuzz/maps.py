@@ -149,7 +149,8 @@ def _of_plane(hdus: list[Any], rng: np.random.Generator) -> tuple[str, bool | No
         hdus[0], hdus[-1] = hdus[-1], hdus[0]
         hdus[1:] = hdus[1:][:3]
         good = None
-    words = ["missing", "1-D", "narrower", "3-D", "no-data", "table", "float64", "NaN-weight", "negative-weight", "bad-signal", "negative-hits", "order"]
+    words = ["missing", "1-D", "narrower", "3-D", "no-data", "table", "float64"]
+    words += ["NaN-weight", "negative-weight", "bad-signal", "negative-hits", "order"]
     return f"plane {PLANES[place - 1]}: {words[how]}", good
 
 

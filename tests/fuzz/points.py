@@ -1,5 +1,6 @@
 """Mangled files of a sweep's finished points."""
 
+import contextlib
 import io
 import json
 import zipfile
@@ -32,10 +33,8 @@ def prepare(folder: Path) -> tuple[Path, dict[str, Any]]:
         if done == 1:
             raise KeyboardInterrupt
 
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         run_sweep(stopped / "scene.toml", stopped / "out", engine=SERIAL, figures=False, progress=stop)
-    except KeyboardInterrupt:
-        pass
     run_sweep(stopped / "scene.toml", whole, engine=SERIAL, figures=False)
     if not (stopped / "out" / "points" / "000.npz").exists():
         raise AssertionError("the sweep that was stopped left no point")

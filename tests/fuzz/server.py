@@ -178,10 +178,7 @@ def main() -> None:
     """Print a record a line: `KIND|all NUMBER SEED [FIRST]`."""
     kind, number, seed, *first = sys.argv[1:]
     start = int(first[0]) if first else 0
-    if kind == "all":
-        tasks = shares(int(number))
-    else:
-        tasks = [(kind, place) for place in range(start, start + int(number))]
+    tasks = shares(int(number)) if kind == "all" else [(kind, place) for place in range(start, start + int(number))]
     with tempfile.TemporaryDirectory(prefix="fuzz-") as root:
         for record in serve(tasks, int(seed), Path(root)):
             print(json.dumps(record), flush=True)

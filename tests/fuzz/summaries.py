@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from tests.fuzz.kept import QUIET, copied, files
+from tests.fuzz.kept import QUIET, copied
 from tests.fuzz.mangle import ODD, mangled_bytes, mangled_tokens, pick
 from tests.fuzz.outcomes import Outcome, call, check, outcome_of_end
 from tests.scenes import SMALL_SCENE
+from tests.trees import files
 
 MINE = (
     "thesis.tex",

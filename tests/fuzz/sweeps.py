@@ -12,7 +12,8 @@ from tests.fuzz.mangle import NUMBERS, ODD, Raw, mangled_bytes, mangled_tokens, 
 from tests.fuzz.outcomes import Outcome, call, check, outcome_of_end
 from tests.scenes import SMALL_SCENE
 
-AXES = '[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n\n[sweep.pixel]\n"map.pixel" = ["20 arcsec", "30 arcsec"]\n'
+SPEEDS = '"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n'
+AXES = f'[sweep]\n{SPEEDS}\n[sweep.pixel]\n"map.pixel" = ["20 arcsec", "30 arcsec"]\n'
 NAMES = (
     "$x_2$",
     "\\frac{",
@@ -70,13 +71,13 @@ def mangled(base: dict[str, Any], rng: np.random.Generator) -> tuple[str, Callab
         axes = mangled_tokens(AXES, rng)
     elif how == 2:
         name = pick(rng, NAMES)
-        axes = f'[sweep.{toml(name)}]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n'
+        axes = f"[sweep.{toml(name)}]\n{SPEEDS}"
     elif how == 3:
         key = pick(rng, KEYS)
         axes = f"[sweep]\n{toml(key)} = {toml(_axis(base, rng, key))}\n"
     else:
         key = ".".join(pick(rng, base["keys"]))
-        axes = f'[sweep]\n"{key}" = {toml(_axis(base, rng, key))}\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n'
+        axes = f'[sweep]\n"{key}" = {toml(_axis(base, rng, key))}\n{SPEEDS}'
     Path("scene.toml").write_text(SMALL_SCENE + "\n" + axes, encoding="utf-8", errors="surrogatepass")
     return repr(axes), lambda: tried(base["units"])
 
