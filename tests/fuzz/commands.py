@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.fuzz import scenes
 from tests.fuzz.mangle import NUMBERS, ODD, mangled_tokens, pick
 from tests.fuzz.outcomes import Outcome, call, check, outcome_of_end
-from tests.fuzz.scenes import whole_summary
 from tests.fuzz.sweeps import AXES
 from tests.scenes import SMALL_SCENE
 from tests.trees import files
@@ -133,8 +133,6 @@ COMMON = ("run", "run", "run", "check", "check", "plan", "forecast", "report", "
 
 def prepare(folder: Path) -> None:
     """Load what the commands load."""
-    from tests.fuzz import scenes
-
     scenes.prepare(folder)
 
 
@@ -212,7 +210,7 @@ def tried(arguments: list[str]) -> Outcome:
     if refused := outcome_of_end(ended, refusals=(1, 2)):
         return refused
     return (
-        whole_summary()
+        scenes.whole_summary()
         if Path("out/summary.json").exists() and arguments[0] == "run" and "sweep.toml" not in arguments
         else Outcome("right")
     )

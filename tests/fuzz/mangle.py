@@ -121,6 +121,50 @@ ODD = (
 )
 
 
+ODD_QUANTITIES = (
+    "4 4 {unit}",
+    "2 {old}",
+    "{old} 2",
+    "{old} {old}",
+    "{old} / 2",
+    "{old} * 3",
+    "({old})",
+    "-{old}",
+    "+{old}",
+    "{old}.",
+    " {old} ",
+    "{old}\n",
+    "{old} # x",
+    "{old}e3",
+    "1e3{old}",
+    "{old} rad / rad",
+    "{old} 10",
+    "{old} 10(3)",
+    "{old}, {old}",
+    "1 {unit}",
+    "4e0 {unit}",
+    "4e 4 {unit}",
+    "4 k{unit}",
+    "{unit}",
+    "{unit} 4",
+    "4 {unit} {unit}",
+    "4 {unit}2",
+    "4 {unit}(1)",
+    "4{unit}",
+    "4 {unit} / {unit}",
+    "1/3 {unit}",
+    "4_0 {unit}",
+    "0x10 {unit}",
+    "4j {unit}",
+    "[4] {unit}",
+    "[4 5] {unit}",
+    "[4, 5] {unit} / 2",
+    "[4, [5]] {unit}",
+    "[4, 5, ] {unit}",
+    "[4, 4 {unit}] {unit}",
+)
+
+
 def pick(rng: np.random.Generator, items: Any) -> Any:
     """One of several, unchanged in type."""
     return items[int(rng.integers(len(items)))]

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import os
+import re
 import sys
 import traceback
 import unicodedata
@@ -14,6 +15,7 @@ from tests import entry
 GOOD = ("refused", "right")
 BAD = ("silent", "message", "traceback", "hang", "memory")
 LONGEST_LINE, MOST_LINES = 500, 40
+_LIBRARY = re.compile(r"^WARNING: .*|\b[A-Z]\w+Warning: .*", re.MULTILINE)
 BUG = ("Traceback (most recent call last)", "a bug of surveysim", "details were written")
 
 
@@ -96,6 +98,8 @@ def fault_of_text(text: str) -> str:
     controls = {f"U+{ord(c):04X}" for c in text if c != "\n" and _unprintable(c)}
     if controls:
         return f"control characters {', '.join(sorted(controls))}"
+    if found := _LIBRARY.search(text):
+        return f"a library's warning {found[0]!r}"
     lines = text.strip().splitlines()
     if lines and lines[0].startswith("Usage:"):  # the frame that typer draws around its one line
         lines = [text.strip()[-LONGEST_LINE:]] if len(text) < 4 * LONGEST_LINE else lines
@@ -119,7 +123,8 @@ def outcome_of_end(ended: Ended, refusals: tuple[int, ...] = (2,)) -> Outcome | 
     if "not enough memory" in said or "MemoryError" in said:
         return Outcome("memory", said[-300:])
     if ended.code == 0:
-        return None
+        warned = _LIBRARY.search(ended.error)
+        return Outcome("message", f"a library's warning: {ended.error[-300:]}") if warned else None
     if ended.code not in refusals:
         return Outcome("message", f"exit code {ended.code}: {ended.error[:300]}")
     fault = fault_of_text(ended.error)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.fuzz.mangle import NUMBERS, ODD, Raw, mangled_bytes, mangled_tokens, pick, scene_text
+from tests.fuzz.mangle import NUMBERS, ODD, ODD_QUANTITIES, Raw, mangled_bytes, mangled_tokens, pick, scene_text
 from tests.fuzz.outcomes import Outcome, call, check, outcome_of_end
 from tests.fuzz.units import Unreadable, quantities, quantity
 from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections
@@ -120,8 +120,17 @@ def made(path: Path) -> dict[str, Any]:
     return json.loads(json.dumps(load_scene(path).model_dump(mode="json", by_alias=True, exclude={"assumed"})))
 
 
+_PREPARED: dict[str, Any] = {}  # for the kinds that share it
+
+
 def prepare(folder: Path) -> dict[str, Any]:
-    """Write and run the scenes that are mangled."""
+    """Write and check the scenes that are mangled, and run one."""
+    if not _PREPARED:
+        _PREPARED.update(_prepared(folder))
+    return _PREPARED
+
+
+def _prepared(folder: Path) -> dict[str, Any]:
     from surveysim.scene import load_scene
     from surveysim.setup import prepare as prepared
 
@@ -172,7 +181,7 @@ def _difference(text: str, raw: bytes) -> str:
 def value(rng: np.random.Generator, key: tuple[str, ...], old: Any, units: dict[tuple[str, ...], str]) -> Any:
     """An extreme, wrong or odd value of a key."""
     unit = units.get(key, "")
-    how = int(rng.integers(14))
+    how = int(rng.integers(16))
     if how == 0:
         return pick(rng, ODD)
     if how == 1:
@@ -187,6 +196,8 @@ def value(rng: np.random.Generator, key: tuple[str, ...], old: Any, units: dict[
         return mangled_tokens(old, rng, 1) if isinstance(old, str) else old
     if how == 5:
         return f"{rng.uniform(0, 100):.3g} {pick(rng, sorted(set(units.values())))}"
+    if how > 13 and isinstance(old, str):
+        return pick(rng, ODD_QUANTITIES).format(old=old, unit=unit)
     return _scaled(old, float(f"{10 ** rng.normal(0, 6 if how == 7 else 1 if how > 9 else 0.3):.3g}"))
 
 
@@ -210,7 +221,7 @@ def _with_values(content: dict[str, Any], base: dict[str, Any], rng: np.random.G
         if rng.random() < 0.06:
             key = (*key[:-1], pick(rng, ("unknown", "$x$", "a\x1b[2Jb", "", "k" * 2000, "ключ", "a.b", "\u202eb")))
         if rng.random() < 0.02:
-            key = ("n",) * int(10 ** rng.uniform(1, 3.3))
+            key = ("n",) * int(10 ** rng.uniform(1, 2.7))
         place: Any = content
         for name in key[:-1]:
             below = place.get(name)
@@ -222,7 +233,8 @@ def _with_values(content: dict[str, Any], base: dict[str, Any], rng: np.random.G
             del place[key[-1]]
         else:
             place[key[-1]] = value(rng, key, place.get(key[-1]), base["units"])
-    return scene_text(content)
+    nested = f"\n[{'.'.join('n' * int(10 ** rng.uniform(2, 4)))}]\n" if rng.random() < 0.01 else ""
+    return scene_text(content) + nested
 
 
 def tried(base: Base, units: dict[tuple[str, ...], str], with_run: bool) -> Outcome:

@@ -139,7 +139,7 @@ def run_over() -> Outcome:
     """A run into the directory ends well or is refused, and the user's files stay."""
     mine = [*MINE, *(["out/link"] if Path("out/link").is_symlink() else [])]
     before = {name: files(Path(".")).get(name) for name in mine}
-    ended = call("run", "scene.toml", "--set", "observations=2", *QUIET)
+    ended = call("run", "scene.toml", *QUIET)
     after = files(Path("."))
     lost = [name for name in mine if after.get(name) != before[name]]
     check(not lost, f"changed or deleted {lost}; exit code {ended.code}")

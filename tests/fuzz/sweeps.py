@@ -51,14 +51,8 @@ KEYS = (
 
 
 def prepare(folder: Path) -> dict[str, Any]:
-    """Run a sweep, and give what values of keys are made with."""
-    base = scenes.prepare(folder)
-    path = folder / "sweep.toml"
-    path.write_text(SMALL_SCENE + "\n" + AXES)
-    from surveysim.api import forecast_sweep
-
-    forecast_sweep(path, None, figures=False)
-    return base
+    """What values of keys are made with."""
+    return scenes.prepare(folder)
 
 
 def mangled(base: dict[str, Any], rng: np.random.Generator) -> tuple[str, Callable[[], Outcome]]:
