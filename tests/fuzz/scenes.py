@@ -107,6 +107,7 @@ def key_units() -> dict[tuple[str, ...], str]:
             for part in parts(below):
                 if "unit" in part:
                     yield (*path, name), part["unit"]
+                    _ENDS[(*path, name)] = tuple(part[end] for end in ("at_least", "at_most") if end in part)
                 of = next(parts(part["items"])) if isinstance(part.get("items"), dict) else part
                 yield from walk(of, (*path, name))
 
@@ -120,6 +121,7 @@ def made(path: Path) -> dict[str, Any]:
     return json.loads(json.dumps(load_scene(path).model_dump(mode="json", by_alias=True, exclude={"assumed"})))
 
 
+_ENDS: dict[tuple[str, ...], tuple[str, ...]] = {}  # documented bounds of quantities
 _PREPARED: dict[str, Any] = {}  # for the kinds that share it
 
 
@@ -196,6 +198,8 @@ def value(rng: np.random.Generator, key: tuple[str, ...], old: Any, units: dict[
         return mangled_tokens(old, rng, 1) if isinstance(old, str) else old
     if how == 5:
         return f"{rng.uniform(0, 100):.3g} {pick(rng, sorted(set(units.values())))}"
+    if how == 8 and _ENDS.get(key):  # a documented end of its range, or somewhat within it
+        return _scaled(pick(rng, _ENDS[key]), float(f"{10 ** (rng.choice([0, 0, 1, 2]) * rng.uniform(-2, 2)):.3g}"))
     if how > 13 and isinstance(old, str):
         return pick(rng, ODD_QUANTITIES).format(old=old, unit=unit)
     return _scaled(old, float(f"{10 ** rng.normal(0, 6 if how == 7 else 1 if how > 9 else 0.3):.3g}"))

@@ -26,4 +26,5 @@ def test_soak(what, number):
     print(what, early, late)
     assert late["mb"] <= GROWTH * early["mb"], (early, late)
     assert late["descriptors"] <= early["descriptors"]
-    assert late["children"] == 0 and late["temporary"] == 0, late
+    assert late["children"] <= early["children"]  # multiprocessing keeps one that looks after its semaphores
+    assert late["temporary"] == 0
