@@ -31,3 +31,12 @@ def pytest_xdist_auto_num_workers(config):
     """Two processes for the whole suite, of which each imports and compiles; none for files or tests by name."""
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
     return min(2, os.cpu_count() or 1) if whole else 0
+
+
+def pytest_addoption(parser):
+    group = parser.getgroup("surveysim")
+    group.addoption("--fuzz", type=int, metavar="N", help="inputs that the slow test of mangled inputs tries")
+    group.addoption("--fuzz-seed", type=int, default=1, metavar="SEED", help="seed of the mangled inputs")
+    group.addoption(
+        "--stress", type=int, metavar="N", help="kills that the slow stress tests try; a third as many pairs"
+    )

@@ -1,0 +1,127 @@
+"""Mangled checkpoints, with the digest that they had or with one that fits them."""
+
+import contextlib
+import json
+from collections.abc import Callable
+from hashlib import sha256
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.fuzz.kept import copied, numbers, odd_array, resumed
+from tests.fuzz.mangle import mangled_bytes, pick
+from tests.fuzz.outcomes import Outcome
+from tests.scenes import SMALL_SCENE
+
+USER_BLOCK = 512
+META = (None, [], {}, "x", -1, 1e400, {"scene": 1}, True, "\x1b[31m", "y" * 3000)
+
+
+def prepare(folder: Path) -> tuple[Path, dict[str, Any]]:
+    """A run that was stopped after two of four observations, and the results of a whole one."""
+    from surveysim.api import run
+    from surveysim.engines import SERIAL
+    from surveysim.scene import load_scene
+
+    stopped, whole = folder / "stopped", folder / "whole"
+    stopped.mkdir()
+    (stopped / "scene.toml").write_text(SMALL_SCENE)
+    scene = load_scene(stopped / "scene.toml")
+
+    def stop(coadds: Any) -> None:
+        if coadds.done == 2:
+            raise KeyboardInterrupt
+
+    with contextlib.suppress(KeyboardInterrupt):
+        run(scene, stopped / "out", engine=SERIAL, figures=False, progress=stop)
+    run(scene, whole, engine=SERIAL, figures=False)
+    if not (stopped / "out" / "checkpoint.h5").exists():
+        raise AssertionError("the run that was stopped left no checkpoint")
+    return stopped, numbers(whole)
+
+
+def mangled(base: tuple[Path, dict[str, Any]], rng: np.random.Generator) -> tuple[str, Callable[[], Outcome]]:
+    """A mangled checkpoint in the output directory."""
+    stopped, whole = base
+    copied(stopped)
+    path = Path("out/checkpoint.h5")
+    raw = path.read_bytes()
+    how = int(rng.integers(6))
+    good: bool | None = None
+    if how == 0:
+        label = "bytes"
+        path.write_bytes(mangled_bytes(raw, rng))
+        good = path.read_bytes() == raw or None
+        if good is None:
+            return label, lambda: resumed(whole, bool(_same(raw)))
+    elif how == 1:
+        label, content = "bytes with a digest that fits", mangled_bytes(raw[USER_BLOCK:], rng)
+        path.write_bytes(_sealed(raw, content))
+    else:
+        label, content, good = _changed(raw, rng)
+        path.write_bytes(_sealed(raw, content))
+    return label, lambda: resumed(whole, good)
+
+
+def _same(raw: bytes) -> bool:
+    """Whether the file still holds what it did: what fills its first block up carries nothing."""
+    now = Path("out/checkpoint.h5").read_bytes()
+    return now[USER_BLOCK:] == raw[USER_BLOCK:] and now[:122] == raw[:122]
+
+
+def _sealed(raw: bytes, content: bytes) -> bytes:
+    """Content with its digest before it, as the program writes it."""
+    mark = raw[: raw.index(b": ") + 2]
+    return (mark + sha256(content).hexdigest().encode()).ljust(USER_BLOCK, b"\0") + content
+
+
+def _changed(raw: bytes, rng: np.random.Generator) -> tuple[str, bytes, bool | None]:
+    """Another data set or other facts, in a file that is whole HDF5."""
+    import h5py
+
+    whole = BytesIO(raw)
+    with h5py.File(whole, "r+") as file:
+        names = sorted(file)
+        name = pick(rng, names)
+        how = int(rng.integers(10))
+        if how == 0:
+            del file[name]
+            label, good = f"without {name}", False
+        elif how == 1:
+            file["extra"] = np.zeros(3)
+            label, good = "an extra data set", None
+        elif how == 2:
+            del file[name]
+            file.create_group(name)
+            label, good = f"{name} as a group", False
+        elif how in (3, 4, 5):
+            label, good = _of_meta(file, rng)
+        else:
+            words, array, good = odd_array(file[name][()], rng)
+            del file[name]
+            file[name] = array
+            label = f"{name}: {words}"
+    return label, whole.getvalue()[USER_BLOCK:], good
+
+
+def _of_meta(file: Any, rng: np.random.Generator) -> tuple[str, bool | None]:
+    meta = json.loads(file.attrs["meta"])
+    how = int(rng.integers(4))
+    if how == 0:
+        value = pick(
+            rng, ("", "{", "[]", "null", "1", "{}", np.nan, b"\xff", '{"scene": 1, "version": 2, "seconds": 3}')
+        )
+        file.attrs["meta"] = value
+        return f"meta = {value!r}", False
+    key = pick(rng, sorted(meta))
+    if how == 1:
+        del meta[key]
+        good, label = False, f"meta without {key}"
+    else:
+        value = pick(rng, META)
+        meta[key] = value
+        good, label = (None if key == "seconds" and value == {} else False), f"meta: {key} = {value!r}"[:200]
+    file.attrs["meta"] = json.dumps(meta)
+    return label, good
