@@ -27,6 +27,7 @@ REASON = 150  # letters of the reason why a file is refused
 _ARRAYS = ("sums", "weight", "hits", "flipped", "window", "window_weight")
 _LISTS = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")
 _AGAIN = "delete it and go on with --resume"
+_LARGEST = 1e30  # of any sum: maps, in single precision, hold up to 3e38
 _USER_BLOCK = 512  # bytes, the least that HDF5 has
 _MARK = b"surveysim checkpoint, SHA-256 of what follows this block: "
 
@@ -139,8 +140,8 @@ def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
 def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     """Raise ValueError for sums that no observations add up to."""
     for name in (*_ARRAYS, "raw_psd", "clean_psd", "compared_psd"):
-        if not np.isfinite(arrays[name]).all():
-            raise ValueError(f"{name} has values that are not finite")
+        if not (np.abs(arrays[name]) < _LARGEST).all():
+            raise ValueError(f"{name} has values that are not finite, or above {_LARGEST:g}")
     for name in ("weight", "hits", "window_weight", "raw_psd", "clean_psd", "compared_psd"):
         if (arrays[name] < 0).any():
             raise ValueError(f"{name} has negative values")

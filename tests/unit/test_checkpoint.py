@@ -115,7 +115,9 @@ def test_another_scene_or_version(path, coadds, setup, monkeypatch):
         with pytest.raises(CheckpointError, match="of another version"):
             load_checkpoint(path, setup)
     save_checkpoint(path, coadds, "abd")
-    with pytest.raises(CheckpointError, match="of another scene .*without --resume, or with --out elsewhere"):
+    with pytest.raises(
+        CheckpointError, match="of another scene .*start anew with --force, or write elsewhere with --out"
+    ):
         load_checkpoint(path, setup)
 
 
@@ -159,6 +161,7 @@ FORGERIES = {
     **{f"dimensions of {name}": changed(name, lambda array: array[None]) for name in ("sums", "rows", "raw_psd")},
     **{f"NaN in {name}": changed(name, set_at(np.nan)) for name in ("sums", "weight", "flipped", "window", "raw_psd")},
     **{f"infinity in {name}": changed(name, set_at(np.inf)) for name in ("sums", "window_weight", "clean_psd")},
+    **{f"vast {name}": changed(name, set_at(-1e300)) for name in ("sums", "flipped", "window")},
     **{f"negative {name}": changed(name, set_at(-1)) for name in ("hits", "weight", "window_weight", "raw_psd")},
     **{f"no {name}": (lambda file, name=name: file.pop(name)) for name in (*ARRAYS, *LISTS)},
     "another name": lambda file: file.move("sums", "sum"),
@@ -200,7 +203,7 @@ def test_contents_of_no_run_are_refused(path, refused, forgery):
 @pytest.mark.parametrize("value", [None, 3, "", "other", ["other"], "\x1b[31m" * 9])
 def test_other_origins_are_refused(path, refused, key, value):
     forge(path, meta(**{key: value}))
-    refused(f"of another {key} .found .*; run without --resume, or with --out elsewhere")
+    refused(f"of another {key} .found .*; start anew with --force, or write elsewhere with --out")
 
 
 def forge(path, change):
@@ -246,7 +249,9 @@ def test_streams_of_another_run_are_refused(tmp_path, scene, setup):
     other = (streams / "0001.h5").read_bytes()
     for content in (b"", b"text", whole[:2000], other):
         (streams / "0001.h5").write_bytes(content)
-        with pytest.raises(CheckpointError, match="0001.h5: no time-streams of observation 1 of this scene; run with"):
+        with pytest.raises(
+            CheckpointError, match="0001.h5: no time-streams of observation 1 of this scene; start anew"
+        ):
             run_observations(setup, path, resume=True, timestream_dir=streams)
     (streams / "0000.h5").write_bytes(whole)
     with pytest.raises(CheckpointError, match="0000.h5: no time-streams of observation 0"):

@@ -63,6 +63,10 @@ def at_first(value):
     return lambda array: np.concatenate([np.full(1, value), array.ravel()[1:]]).reshape(array.shape)
 
 
+def set_all(value):
+    return lambda array: np.full_like(array, value)
+
+
 del_ = object()
 SETS = ("sets", "actual")
 ARRAYS = ("noise_psds", "signal_psd", "weights", "band.weight", "band.ell", "window.transmission")
@@ -74,6 +78,8 @@ FORGERIES = {
     **{f"NaN in {name}": array(f"actual/{name}", at_first(np.nan)) for name in ("noise_psds", "signal_psd", "weights")},
     **{f"negative {name}": array(f"actual/{name}", at_first(-1.0)) for name in ("noise_psds", "weights")},
     **{f"infinite {name}": array(f"actual/{name}", at_first(np.inf)) for name in ("signal_psd", "weights")},
+    **{f"no noise of {name}": array(f"actual/{name}", set_all(np.inf)) for name in ("bin_noise", "control.noise")},
+    **{f"NaN in {name}": array(f"actual/{name}", set_all(np.nan)) for name in ("bin_noise", "control.noise")},
     "an array less": lambda content: {k: v for k, v in content.items() if k != "actual/weights"},
     "an array more": lambda content: content | {"actual/more": np.zeros(3)},
     "no meta": lambda content: {k: v for k, v in content.items() if k != "meta"},
@@ -118,7 +124,7 @@ def test_contents_of_no_point_are_refused(finished, tmp_path, forgery):
 def test_other_origins_are_refused(finished, tmp_path, key, value):
     point, raw = finished
     np.savez(tmp_path / "000.npz", **meta(key, value=value)(content_of(raw)))
-    refused(tmp_path / "000.npz", point, f"of another {key} .found .*; run without --resume")
+    refused(tmp_path / "000.npz", point, f"of another {key} .found .*; start anew with --force")
 
 
 @pytest.mark.parametrize("content", [b"", b"text", b"PK\x03\x04", bytes(1000), b"\x93NUMPY\x01\x00"])
