@@ -150,7 +150,16 @@ def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     if arrays["weight"][arrays["hits"] == 0].any() or arrays["sums"][arrays["weight"] == 0].any():
         raise ValueError("there are sums without hits or without weight")
     if len(arrays["rows"]):
-        _check_rows(dict(zip(row_names(setup), arrays["rows"].T, strict=True)), setup)
+        columns = dict(zip(row_names(setup), arrays["rows"].T, strict=True))
+        _check_rows(columns, setup)
+        noise = np.column_stack([columns[f"noise_mk2_{name}"] for name in setup.data_sets])
+        _check_noise(noise, arrays["bin_noise"])
+
+
+def _check_noise(noise: np.ndarray, bin_noise: np.ndarray) -> None:
+    """Raise ValueError unless noise of maps (n_obs, n_set) is infinite, and in (..., n_bin) bins, for the same ones."""
+    if np.isnan(noise).any() or (bin_noise.size and (np.isinf(bin_noise) != np.isinf(noise)[..., None]).any()):
+        raise ValueError("noise and bin_noise are not of the same observations with data")
 
 
 def _check_rows(columns: Mapping[str, np.ndarray], setup: Setup) -> None:

@@ -23,7 +23,8 @@ from surveysim.sweep import Point
 _OF_BAND, _OF_WINDOW = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
 _OF_CONTROL = ("factor", "weights", "noise")
 _OF_SET = ("noise_psds", "signal_psd", "weights", "bin_noise", "kept")
-_NEVER_NEGATIVE = ("noise_psds", "signal_psd", "weights", "kept", "band.ell", "window.ell")
+_NEVER_NEGATIVE = ("noise_psds", "signal_psd", "weights", "kept", "band.weight", "band.ell", "window.ell")
+_NEVER_NEGATIVE += ("control.weights", "plain.weight", "plain.ell")
 _Share = Annotated[float, Field(ge=0, le=1)]
 
 
