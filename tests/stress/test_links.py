@@ -10,7 +10,7 @@ from tests.trees import files
 
 pytestmark = pytest.mark.slow
 
-SHORT = SCENE.replace("observations = 40", "observations = 3")
+SHORT = SCENE.replace("observations = 16", "observations = 3")
 # Where a link stands, and what of the user's it leads to.
 LINKS = {
     "out": "mine",
