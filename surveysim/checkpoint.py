@@ -27,6 +27,7 @@ REASON = 150  # letters of the reason why a file is refused
 _ARRAYS = ("sums", "weight", "hits", "flipped", "window", "window_weight")
 _LISTS = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")
 _AGAIN = "delete it and go on with --resume"
+_LARGEST = 1e30  # of any sum: maps, in single precision, hold up to 3e38
 _USER_BLOCK = 512  # bytes, the least that HDF5 has
 _MARK = b"surveysim checkpoint, SHA-256 of what follows this block: "
 
@@ -139,8 +140,8 @@ def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
 def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     """Raise ValueError for sums that no observations add up to."""
     for name in (*_ARRAYS, "raw_psd", "clean_psd", "compared_psd"):
-        if not np.isfinite(arrays[name]).all():
-            raise ValueError(f"{name} has values that are not finite")
+        if not (np.abs(arrays[name]) < _LARGEST).all():
+            raise ValueError(f"{name} has values that are not finite, or above {_LARGEST:g}")
     for name in ("weight", "hits", "window_weight", "raw_psd", "clean_psd", "compared_psd"):
         if (arrays[name] < 0).any():
             raise ValueError(f"{name} has negative values")
@@ -149,7 +150,16 @@ def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     if arrays["weight"][arrays["hits"] == 0].any() or arrays["sums"][arrays["weight"] == 0].any():
         raise ValueError("there are sums without hits or without weight")
     if len(arrays["rows"]):
-        _check_rows(dict(zip(row_names(setup), arrays["rows"].T, strict=True)), setup)
+        columns = dict(zip(row_names(setup), arrays["rows"].T, strict=True))
+        _check_rows(columns, setup)
+        noise = np.column_stack([columns[f"noise_mk2_{name}"] for name in setup.data_sets])
+        _check_noise(noise, arrays["bin_noise"])
+
+
+def _check_noise(noise: np.ndarray, bin_noise: np.ndarray) -> None:
+    """Raise ValueError unless noise of maps (n_obs, n_set) is infinite, and in (..., n_bin) bins, for the same ones."""
+    if np.isnan(noise).any() or (bin_noise.size and (np.isinf(bin_noise) != np.isinf(noise)[..., None]).any()):
+        raise ValueError("noise and bin_noise are not of the same observations with data")
 
 
 def _check_rows(columns: Mapping[str, np.ndarray], setup: Setup) -> None:
