@@ -1,5 +1,6 @@
 """Binned maps: sums and hits per pixel, co-adding, FITS and HEALPix out."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +28,22 @@ from mapmaker.validation import (
     wrong,
 )
 
+# Cards that a map's header may have, with values that leave its coordinates as `wcs_cards` states them: FK5 is ICRS
+# within 0.1 arcsec.
+_AS_BY_DEFAULT = {
+    "CUNIT1": ("deg",),
+    "CUNIT2": ("deg",),
+    "PC1_1": (1,),
+    "PC2_2": (1,),
+    "PC1_2": (0,),
+    "PC2_1": (0,),
+    "CROTA1": (0,),
+    "CROTA2": (0,),
+    "LONPOLE": (180,),
+    "RADESYS": ("ICRS", "FK5"),
+    "EQUINOX": (2000,),
+}
+_TURNS_OR_DISTORTS = re.compile(r"CD[12]_[12]|P[VS][12]_\d+|[AB]P?_ORDER|(CPDIS|CQDIS|D2IMDIS)[12]")
 HITS_UNIT, INVERSE_VARIANCE_UNIT = "count", "mK-2"  # of weights, as FITS writes units
 
 
@@ -199,7 +216,9 @@ def _map_of(file) -> BinnedMap:
         raise wrong("HITS", "numbers with fractions", "whole numbers are")
     # Elsewhere, files of others have NaN where nothing was observed.
     signal = np.where((weight == 0) & np.isnan(planes["SIGNAL"]), 0.0, planes["SIGNAL"])
-    return checked_map(BinnedMap(geometry, signal * weight, weight, hits.astype(np.int64), units["WEIGHT"]), "planes")
+    with np.errstate(over="ignore", invalid="ignore"):  # the check finds what is not finite
+        total = signal * weight
+    return checked_map(BinnedMap(geometry, total, weight, hits.astype(np.int64), units["WEIGHT"]), "planes")
 
 
 def _plane(name: str, image) -> np.ndarray:
@@ -219,9 +238,11 @@ def _geometry_of(name: str, header, shape: tuple[int, int]) -> MapGeometry:
         same = found == wanted if isinstance(wanted, str) else bool(np.isclose(number(key, found), wanted, 1e-9))
         if not same:
             raise wrong(f"{name}: {key}", found, f"{wanted} is")
-    turned = {"CROTA2": 0, "PC1_1": 1, "PC2_2": 1, "PC1_2": 0, "PC2_1": 0}
-    if any(header.get(key, value) != value for key, value in turned.items()) or "CD1_1" in header:
-        raise wrong(name, "coordinates that are turned or sheared", "none of PC, CD and CROTA is")
+    for key, allowed in _AS_BY_DEFAULT.items():
+        if key in header and header[key] not in allowed:
+            raise wrong(f"{name}: {key}", header[key], f"{allowed[0]} or no such card is")
+    for key in filter(_TURNS_OR_DISTORTS.fullmatch, header):
+        raise wrong(name, f"coordinates that {key} turns, shears or distorts", "none of CD, PC, PV, CROTA and SIP is")
     return geometry
 
 

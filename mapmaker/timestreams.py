@@ -250,6 +250,8 @@ def _check_layout(file) -> None:
             raise _Unfit(
                 f"{name} has {item.id.get_storage_size()} bytes of values of the shape {item.shape}; all are expected"
             )
+        if item.dtype.kind == "b" or h5py.check_enum_dtype(item.dtype):
+            raise _Unfit(f"{name} has names for its values; numbers are expected")
     if file["data"].ndim != 2:
         raise _Unfit(f"data has the shape {file['data'].shape}; (n_det, n_samp) is expected")
     n_det, n_samp = file["data"].shape

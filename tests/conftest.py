@@ -40,3 +40,9 @@ def pytest_addoption(parser):
     group.addoption(
         "--stress", type=int, metavar="N", help="kills that the slow stress tests try; a third as many pairs"
     )
+
+
+@pytest.fixture(autouse=True)
+def no_terminal(monkeypatch):
+    """Tables as wide as they are off a terminal: processes of pytest-xdist are told the width of the one they serve."""
+    monkeypatch.delenv("COLUMNS", raising=False)

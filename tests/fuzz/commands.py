@@ -80,6 +80,7 @@ OPTIONS = {
         "--engine",
         "--scheduler",
         "--resume",
+        "--force",
         "--no-figures",
         "--target-error",
         "--time-budget",
@@ -90,8 +91,8 @@ OPTIONS = {
     ),
     "check": ("--set",),
     "plan": ("--set", "--workers"),
-    "forecast": ("--out", "--set", "--no-figures", "--reference", "-q"),
-    "report": (),
+    "forecast": ("--out", "--force", "--set", "--no-figures", "--reference", "-q"),
+    "report": ("--force",),
     "new": ("--like",),
     "paper": (
         "--table",
@@ -106,7 +107,7 @@ OPTIONS = {
     ),
     "accuracy": ("--reference-error", "--seeds", "--observations", "--workers", "--engine", "--scheduler"),
 }
-FLAGS = ("--resume", "--no-figures", "-q", "--save-timestreams")
+FLAGS = ("--resume", "--force", "--no-figures", "-q", "--save-timestreams")
 KNOWN = {
     "--engine": ("serial", "processes", "dask", "mpi", "SERIAL"),
     "--scheduler": (
@@ -191,8 +192,9 @@ def _option(name: str, rng: np.random.Generator) -> list[str]:
 
 def _quick(arguments: list[str]) -> list[str]:
     """What keeps a command that is accepted short, without changing what is mangled."""
-    if arguments[0] in ("run", "forecast") and "--no-figures" not in arguments:
-        return ["--no-figures"]
+    if arguments[0] in ("run", "forecast"):
+        alone = arguments[0] == "run" and not {"--engine", "--workers", "--scheduler"} & set(arguments)
+        return ["--no-figures"] * ("--no-figures" not in arguments) + ["--engine", "serial"] * alone
     if arguments[0] == "paper" and "--scenarios" not in arguments:
         return ["--scenarios", "folder"]  # without scenes: all that it could make fails
     return []

@@ -29,7 +29,7 @@ def resumed(whole: dict[str, Any], good: bool | None) -> Outcome:
     """Go on in `out`: what is mangled is refused, or changes nothing that it should not.
 
     `good` says that the file has to be accepted with the same results (True), or refused (False); None: a number that
-    nobody can know to be wrong was changed.
+    nobody can know to be wrong was changed, or the same numbers are stored as this program does not store them.
     """
     ended = call("run", "scene.toml", "--resume", *QUIET)
     if refused := outcome_of_end(ended):
@@ -69,7 +69,7 @@ def odd_array(array: np.ndarray, rng: np.random.Generator) -> tuple[str, np.ndar
     if how == 6:
         return "complex", array.astype(complex), False
     if how == 7:
-        return "big-endian", array.astype(array.dtype.newbyteorder(">")), True
+        return "big-endian", array.astype(array.dtype.newbyteorder(">")), None
     if how == 8 and array.ndim > 1:
         return "turned", np.moveaxis(array, 0, -1), array.shape == np.moveaxis(array, 0, -1).shape
     if how == 9:

@@ -16,7 +16,8 @@ GOOD = ("refused", "right")
 BAD = ("silent", "message", "traceback", "hang", "memory")
 LONGEST_LINE, MOST_LINES = 500, 40
 _LIBRARY = re.compile(r"^WARNING: .*|\b[A-Z]\w+Warning: .*", re.MULTILINE)
-BUG = ("Traceback (most recent call last)", "a bug of surveysim", "details were written")
+BUG = ("Traceback (most recent call last)", "surveysim can't go on")
+_DETAILS = re.compile(r"details in (\S+\.txt)")
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ def outcome_of_end(ended: Ended, refusals: tuple[int, ...] = (2,)) -> Outcome | 
     """The outcome of a command that did not accept its input, or None where it did."""
     said = ended.escaped or ended.error
     if ended.escaped or any(words in said for words in BUG):
-        return Outcome("traceback", last_frame(ended.escaped) if ended.escaped else ended.error[-300:])
+        return Outcome("traceback", last_frame(ended.escaped) if ended.escaped else _details(ended.error))
     if "not enough memory" in said or "MemoryError" in said:
         return Outcome("memory", said[-300:])
     if ended.code == 0:
@@ -131,6 +132,16 @@ def outcome_of_end(ended: Ended, refusals: tuple[int, ...] = (2,)) -> Outcome | 
     if fault:
         return Outcome("message", f"{fault}: {ended.error[:300]}")
     return Outcome("refused", ended.error[:300])
+
+
+def _details(error: str) -> str:
+    """Where a bug is that the entry point has caught: its file with the details says it, which is removed."""
+    match = _DETAILS.search(error)
+    if match is None or not Path(match[1]).is_file():
+        return error[-300:]
+    text = Path(match[1]).read_text(encoding="utf-8", errors="replace")
+    Path(match[1]).unlink()
+    return last_frame(text)
 
 
 def outcome_of_error(error: Exception, allowed: tuple[type, ...]) -> Outcome:

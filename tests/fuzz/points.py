@@ -15,7 +15,8 @@ from tests.fuzz.mangle import mangled_bytes, pick
 from tests.fuzz.outcomes import Outcome
 from tests.scenes import SMALL_SCENE
 
-SWEEP = SMALL_SCENE.replace("mask_separation_f_lambda = 1.3\n", "").replace('["uncorrelated", "white"]', "[]")
+SMALLER = SMALL_SCENE.replace("observations = 4", "observations = 2")
+SWEEP = SMALLER.replace("mask_separation_f_lambda = 1.3\n", "").replace('["uncorrelated", "white"]', "[]")
 SWEEP += '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n'
 VALUES = (None, [], {}, "x", -1, 0, 1e400, float("nan"), True, "\x1b[31m", [1], {"a": 1}, 10**30)
 

@@ -145,7 +145,7 @@ def _prepared(folder: Path) -> dict[str, Any]:
         prepared(load_scene(path))
         bases.append(Base(text, tomllib.loads(text), made(path)))
     warm(folder)
-    return {"bases": bases, "keys": schema_keys(), "units": key_units()}
+    return {"run": folder / "out", "bases": bases, "keys": schema_keys(), "units": key_units()}
 
 
 def warm(folder: Path) -> None:

@@ -3,11 +3,13 @@
 import json
 import shutil
 from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tests.fuzz import scenes
 from tests.fuzz.kept import QUIET, copied
 from tests.fuzz.mangle import ODD, mangled_bytes, mangled_tokens, pick
 from tests.fuzz.outcomes import Outcome, call, check, outcome_of_end
@@ -40,6 +42,8 @@ FOREIGN = (
     "summary.json",
     "MAPS/mine.fits",
 )
+RECORD = ".surveysim.json"
+OTHER_HASH = sha256(b"another content").hexdigest()
 VALUES = (
     None,
     [],
@@ -61,16 +65,11 @@ VALUES = (
 
 def prepare(folder: Path) -> Path:
     """The output of a run, with files of the user around and inside it."""
-    from surveysim.api import run
-    from surveysim.engines import SERIAL
-    from surveysim.report.page import write_report
-    from surveysim.scene import load_scene
-
     base = folder / "base"
-    base.mkdir()
+    shutil.copytree(scenes.prepare(folder)["run"], base / "out")
     (base / "scene.toml").write_text(SMALL_SCENE)
-    run(load_scene(base / "scene.toml"), base / "out", engine=SERIAL, figures=False)
-    write_report(base / "out")
+    if not (base / "out" / RECORD).exists():
+        raise AssertionError("the run left no record")
     for name in MINE:
         (base / name).parent.mkdir(exist_ok=True)
         (base / name).write_text(f"{name} is mine")
@@ -78,9 +77,9 @@ def prepare(folder: Path) -> Path:
 
 
 def mangled(base: Path, rng: np.random.Generator) -> tuple[str, Callable[[], Outcome]]:
-    """A mangled summary in the output directory."""
+    """A mangled summary, or record of the files, in the output directory."""
     copied(base)
-    path = Path("out/summary.json")
+    path = Path("out") / pick(rng, ("summary.json", "summary.json", RECORD))
     text = path.read_text()
     how = int(rng.integers(6))
     if how == 0:
@@ -93,8 +92,12 @@ def mangled(base: Path, rng: np.random.Generator) -> tuple[str, Callable[[], Out
         content = json.loads(text)
         label = _with_files(content, rng) if how < 4 else _with_values(content, rng)
         path.write_text(json.dumps(content, allow_nan=True))
-    with_report = rng.random() < 0.5
-    return f"{label}; {'report' if with_report else 'run'}", reported if with_report else run_over
+    label = f"{path.name}: {label}"
+    then = int(rng.integers(4))
+    if then < 2:
+        return f"{label}; report", reported
+    options = ("--force",) if then == 3 else ()
+    return f"{label}; run {options}", lambda: run_over(*options)
 
 
 def _with_files(content: dict[str, Any], rng: np.random.Generator) -> str:
@@ -104,7 +107,10 @@ def _with_files(content: dict[str, Any], rng: np.random.Generator) -> str:
         Path("out/link").symlink_to("..")
     if rng.random() < 0.4:
         content.clear()
-    content["files"] = [*content.get("files", []), *named] if rng.random() < 0.8 else pick(rng, VALUES)
+    if "sha256" in content:
+        content["files"] |= {name: pick(rng, (OTHER_HASH, OTHER_HASH.upper(), "", 1)) for name in named}
+    else:
+        content["files"] = [*content.get("files", []), *named] if rng.random() < 0.8 else pick(rng, VALUES)
     return f"files {'alone' if len(content) == 1 else 'and more'}: {named}"
 
 
@@ -126,7 +132,7 @@ def reported() -> Outcome:
     ended = call("report", "out")
     after = files(Path("."))
     changed = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
-    check(changed <= {"out/report.html"}, f"report changed {sorted(changed)}")
+    check(changed <= {"out/report.html", f"out/{RECORD}"}, f"report changed {sorted(changed)}")
     if refused := outcome_of_end(ended):
         return refused
     page = Path("out/report.html").read_text(encoding="utf-8")
@@ -135,11 +141,11 @@ def reported() -> Outcome:
     return Outcome("right")
 
 
-def run_over() -> Outcome:
+def run_over(*options: str) -> Outcome:
     """A run into the directory ends well or is refused, and the user's files stay."""
     mine = [*MINE, *(["out/link"] if Path("out/link").is_symlink() else [])]
     before = {name: files(Path(".")).get(name) for name in mine}
-    ended = call("run", "scene.toml", *QUIET)
+    ended = call("run", "scene.toml", *QUIET, *options)
     after = files(Path("."))
     lost = [name for name in mine if after.get(name) != before[name]]
     check(not lost, f"changed or deleted {lost}; exit code {ended.code}")

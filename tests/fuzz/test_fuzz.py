@@ -15,7 +15,7 @@ import pytest
 
 from tests.fuzz.outcomes import BAD
 
-FEW, MANY = 50, 600
+FEW, MANY = 20, 600
 SHOWN = 25
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits memory through /proc")

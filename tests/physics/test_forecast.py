@@ -405,7 +405,7 @@ def test_white_noise_by_hand(scene_of):
     [
         {"observations": 1},
         {"atmosphere__wind_median": "0 arcmin/s"},
-        {"atmosphere__wind_median": "240 arcmin/s", "atmosphere__wind_log_scatter": 2.0},
+        {"atmosphere__wind_median": "240 arcmin/s", "atmosphere__wind_log_scatter": 0.5},
         {"scan__step": "0 arcmin"},
         {"score__ell_min": 500, "score__ell_max": 2000, "score__ell_bin": 750},
         {"instrument__camera_rotation": "0 deg"},

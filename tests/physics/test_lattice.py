@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapmaker.timestreams import FocalPlane
-from surveysim import conditions, lattice, response, setup
+from surveysim import conditions, lattice, limits, parts, response, setup
 from surveysim.coherence import Illumination, correlation_matrix
 from surveysim.forecast import forecast
 from surveysim.instrument import Camera, hexagon
@@ -21,6 +21,7 @@ from surveysim.setup import prepare
 from tests.scenes import SMALL_SCENE
 
 RATE = 10.0
+DENSE = (conditions, limits, parts, response, setup)  # all that look at how many detectors have a matrix
 
 
 def array(rings, pitch, dead=()):
@@ -87,8 +88,8 @@ def test_fields_have_the_covariance(share):
     for places, part in torus.factor(share).fields(n, np.random.default_rng(3)):
         fields[:, places] = part
     expected = share * implied(torus, cells) + (1 - share) * np.eye(len(cells))
-    for parts in ((fields.real, fields.real), (fields.imag, fields.imag)):
-        found = parts[0].astype(float) @ parts[1].T.astype(float) / n
+    for pair in ((fields.real, fields.real), (fields.imag, fields.imag)):
+        found = pair[0].astype(float) @ pair[1].T.astype(float) / n
         assert np.abs((found - expected) / np.sqrt((1 + expected**2) / n)).max() < 5
     across = fields.real.astype(float) @ fields.imag.T.astype(float) / n
     assert np.abs(across).max() < 5 / math.sqrt(n)
@@ -178,7 +179,7 @@ def test_coverage_of_many_samples_is_that_of_some_of_them(path, monkeypatch):
 @pytest.fixture
 def few_are_many(monkeypatch):
     """Arrays of more than ten detectors count as too large for a matrix."""
-    for module in (setup, conditions, response):
+    for module in DENSE:
         monkeypatch.setattr(module, "MOST_DENSE", 10)
     prepare.cache_clear()
     survey_models.cache_clear()
@@ -202,7 +203,7 @@ def test_forecasts_are_those_of_matrices(path, few_are_many):
     many = forecast(scene, kept)
     assert isinstance(prepare(scene).excess_factor, TorusRoot)
     with pytest.MonkeyPatch.context() as patch:
-        for module in (setup, conditions, response):
+        for module in DENSE:
             patch.setattr(module, "MOST_DENSE", 1000)
         prepare.cache_clear()
         survey_models.cache_clear()
@@ -244,7 +245,7 @@ def test_tables_of_many_detectors_share_nothing(path, few_are_many):
     QTable({"x": x * u.arcsec, "y": y * u.arcsec}).write(path.parent / "camera.ecsv")
     table = {"instrument.layout": None, "instrument.positions": "camera.ecsv"}
     with pytest.raises(
-        SceneError, match=r"excess.coherence: found 'field' for the 19 detectors of a table .* 10 or few"
+        SceneError, match=r"photon.coherence: found 'field' for the 19 detectors of a table .* 10 or few"
     ):
         prepare(load_scene(path, table))
     alone = load_scene(path, table | {"photon.coherence": "none", "excess.coherence": "none"})

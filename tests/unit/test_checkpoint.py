@@ -115,7 +115,9 @@ def test_another_scene_or_version(path, coadds, setup, monkeypatch):
         with pytest.raises(CheckpointError, match="of another version"):
             load_checkpoint(path, setup)
     save_checkpoint(path, coadds, "abd")
-    with pytest.raises(CheckpointError, match="of another scene .*without --resume, or with --out elsewhere"):
+    with pytest.raises(
+        CheckpointError, match="of another scene .*start anew with --force, or write elsewhere with --out"
+    ):
         load_checkpoint(path, setup)
 
 
@@ -200,7 +202,7 @@ def test_contents_of_no_run_are_refused(path, refused, forgery):
 @pytest.mark.parametrize("value", [None, 3, "", "other", ["other"], "\x1b[31m" * 9])
 def test_other_origins_are_refused(path, refused, key, value):
     forge(path, meta(**{key: value}))
-    refused(f"of another {key} .found .*; run without --resume, or with --out elsewhere")
+    refused(f"of another {key} .found .*; start anew with --force, or write elsewhere with --out")
 
 
 def forge(path, change):
@@ -246,7 +248,9 @@ def test_streams_of_another_run_are_refused(tmp_path, scene, setup):
     other = (streams / "0001.h5").read_bytes()
     for content in (b"", b"text", whole[:2000], other):
         (streams / "0001.h5").write_bytes(content)
-        with pytest.raises(CheckpointError, match="0001.h5: no time-streams of observation 1 of this scene; run with"):
+        with pytest.raises(
+            CheckpointError, match="0001.h5: no time-streams of observation 1 of this scene; start anew"
+        ):
             run_observations(setup, path, resume=True, timestream_dir=streams)
     (streams / "0000.h5").write_bytes(whole)
     with pytest.raises(CheckpointError, match="0000.h5: no time-streams of observation 0"):

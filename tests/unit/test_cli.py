@@ -194,8 +194,12 @@ def test_full_disk(call, scene, monkeypatch):
     """One line that names the file; no half-written checkpoint, and an older one stays."""
     out = scene.parent / "out"
 
+    fsync = os.fsync
+
     def full(file):
-        raise OSError(errno.ENOSPC, "No space left on device")
+        if "checkpoint" in os.readlink(f"/proc/self/fd/{file}"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        fsync(file)
 
     monkeypatch.setattr(survey, "CHECKPOINT_SECONDS", 0.0)
     monkeypatch.setattr("mapmaker.files.os.fsync", full)

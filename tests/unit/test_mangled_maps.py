@@ -81,6 +81,13 @@ WRONG_MAPS = {
     "another projection": set_card("SIGNAL", "CTYPE1", "RA---SIN"),
     "galactic": set_card("SIGNAL", "CTYPE1", "GLON-TAN"),
     "turned": set_card("SIGNAL", "PC1_2", 0.5),
+    "turned about the centre": set_card("WEIGHT", "LONPOLE", 90.0),
+    "sheared": set_card("HITS", "CD2_1", 0.1),
+    "distorted": set_card("SIGNAL", "PV2_1", 0.5),
+    "in radians": set_card("SIGNAL", "CUNIT1", "rad"),
+    "in arcmin": set_card("WEIGHT", "CUNIT2", "arcmin"),
+    "of 1950": set_card("SIGNAL", "RADESYS", "FK4"),
+    "of its date": set_card("HITS", "EQUINOX", 2026.9),
     "text": set_card("SIGNAL", "CRVAL1", "east"),
     "beyond the pole": set_card("SIGNAL", "CRVAL2", 91.0),
     "pixel of 0": set_card("SIGNAL", "CDELT2", 0.0),
@@ -114,7 +121,15 @@ def nan_where_nothing_was_observed(file):
     file["SIGNAL"].data = np.where(file["WEIGHT"].data > 0, file["SIGNAL"].data, np.nan)
 
 
+def other_words(file):
+    for image in file[1:]:
+        for key in ("CUNIT1", "CUNIT2", "LONPOLE", "LATPOLE", "RADESYS"):
+            del image.header[key]
+        image.header.update({"RADESYS": "FK5", "EQUINOX": 2000.0, "PC1_1": 1.0, "CROTA2": 0.0, "HISTORY": "copied"})
+
+
 RIGHT_MAPS = {
+    "other words": other_words,
     "compressed": compressed,
     "double": set_data("SIGNAL", lambda a: a.astype(float)),
     "short": set_data("HITS", lambda a: a.astype(np.int16)),

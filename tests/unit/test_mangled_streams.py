@@ -55,6 +55,7 @@ WRONG_VALUES = {
     "complex": lambda v: v.astype(complex),
     "records": lambda v: np.zeros(v.shape, [("a", "f4"), ("b", "i4")]),
     "flags": lambda v: v > 0,
+    "names": lambda v: v.astype("i4"),
     "one value": lambda v: v.ravel()[0],
     "nothing": lambda v: v[:0],
     "another axis": lambda v: v[None],
@@ -67,9 +68,8 @@ def test_types_and_shapes_of_streams(path, name, kind):
     values = WRONG_VALUES[kind](get(path, name))
     if isinstance(values, np.ndarray) and values.dtype == object:
         put(path, name, values, dtype=h5py.string_dtype())
-    elif kind == "flags" and name != "scan":
-        values = values.astype("S5")
-        put(path, name, values)
+    elif kind == "names":
+        put(path, name, values, dtype=h5py.enum_dtype({"low": 0, "high": 1}, "i4"))
     else:
         put(path, name, values)
     refused(read_timestreams, path, "found|shape|whole|values")

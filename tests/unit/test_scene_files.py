@@ -56,7 +56,7 @@ def test_what_editors_leave_is_read(path, content):
         (SMALL_SCENE.encode() + b"\n".join(b"[x%d]" % i for i in range(3000)), "x0: unknown key; allowed are"),
         (b"x = " + b"9" * 5000, "not a whole TOML file (Exceeds the limit (4300 digits)"),
         (b'"\x1b[31mx" = 1', "not a whole TOML file"),
-        (b'"\\u001b[31mx" = 1\n' + SMALL_SCENE.encode(), "?[31mx: unknown key"),
+        (b'"\\u001b[31mx" = 1\n' + SMALL_SCENE.encode(), "\\x1b[31mx: unknown key"),
         (b"title = 1979-05-27\n", "title: found 1979-05-27; a text in quotes is expected"),
         (b"field = 1\nscan = 'a'\natmosphere = [1, 2]\ninstrument = 1979-05-27\n", "title: missing"),
     ],
