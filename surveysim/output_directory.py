@@ -22,6 +22,7 @@ from mapmaker.files import whole_file
 from surveysim import __version__
 from surveysim.checkpoint import NAME as CHECKPOINT
 from surveysim.output_lock import LOCK, OutputError, alive, locked
+from surveysim.units import shown
 
 RECORD = ".surveysim.json"
 OTHERWISE = "--force replaces it, --out writes elsewhere"
@@ -151,8 +152,8 @@ def renewed(directory: Path, name: str, force: bool = False) -> Iterator[None]:
         record = _read_record(directory) or _NOTHING
         _check_readable(directory)
         known = record["files"]
-        if os.path.lexists(directory / name) and not force and name not in known:
-            raise OutputError(f"{directory / name}: not written by this program; --force replaces it")
+        if os.path.lexists(directory / name) and not force and not _is_mine(directory, name, known):
+            raise OutputError(f"{directory / name}: not written by this program, or changed since; --force replaces it")
         yield
         if record is not _NOTHING:
             files = known | {name: _identity(directory / name)}
@@ -161,7 +162,8 @@ def renewed(directory: Path, name: str, force: bool = False) -> Iterator[None]:
 
 def holds_work(directory: Path) -> bool:
     """Whether a run could go on from files in a directory: a checkpoint, or points of a sweep."""
-    return any(any(directory.glob(pattern)) for pattern in (CHECKPOINT, "points/*.npz", "points/*.checkpoint.h5"))
+    patterns = (CHECKPOINT, "points/*.npz", "points/*.checkpoint.h5")
+    return any(path.is_file() for pattern in patterns for path in directory.glob(pattern))
 
 
 # ---------------------------------------------------------------- whose a directory is
@@ -193,10 +195,10 @@ def _check_same(path: Path, results: Results, record: Mapping[str, Any]) -> None
     """Raise OutputError where a directory is another command's, or of another scene."""
     kind = "results" if record["finished"] else "an unfinished run"
     if record["command"] != results.command:
-        found = f"{kind} of 'surveysim {record['command']}'"
+        found = f"{kind} of {shown('surveysim ' + record['command'])}"
     elif record["sha256"] != results.sha256:
         other = "with other settings" if record["scene"] == results.scene else "and not of this scene"
-        found = f"{kind} of {record['scene']!r} {other}"
+        found = f"{kind} of {shown(record['scene'])} {other}"
     else:
         return
     raise OutputError(f"{path}: holds {found}; --force replaces them, --out writes elsewhere")
@@ -235,7 +237,9 @@ def _others(path: Path, results: Results, mine: Mapping[str, str | None], force:
 
 
 def _make(directory: Path) -> None:
-    """Make a directory; raises OSError that says what is in its place."""
+    """Make a directory; raises OSError that says what is in its place, OutputError for a home directory's sign."""
+    if directory.parts[:1] == ("~",):
+        raise OutputError(f"{directory}: found a '~' that the shell has not replaced; the home's own path is expected")
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:

@@ -6,6 +6,7 @@ leaves its stage out. Every record here is frozen and holds floats in internal u
 
 import hashlib
 import json
+import os
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -182,7 +183,7 @@ def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mappi
         data["name"] = _name_of(path)
     positions = data.get("instrument", {}).get("positions") if isinstance(data.get("instrument"), dict) else None
     if isinstance(positions, str) and positions and "\0" not in positions:
-        data["instrument"]["positions"] = str((path.parent / positions).resolve())
+        data["instrument"]["positions"] = os.path.realpath(path.parent / positions)
     try:
         scene = Scene.model_validate(data)
         scene._origin = Origin(path.absolute(), text, dict(overrides))

@@ -359,6 +359,8 @@ def test_new(call, scene, monkeypatch):
         (("mine", "--like", "yours"), "exists"),
         (("other", "--like", "nowhere"), "mine, ours, yours"),
         (("../other", "--like", "mine"), "letters, digits"),
+        (("..", "--like", "mine"), "none of the last two first"),  # no scene by this name could be run
+        (("x" * 101, "--like", "mine"), "letters, digits"),
     ):
         code, _, error = call("new", *arguments)
         assert code == 2 and words in error and len(error.splitlines()) == 1

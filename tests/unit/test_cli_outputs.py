@@ -84,6 +84,27 @@ def test_a_checkpoint_is_not_thrown_away(call, scene, monkeypatch):
     assert "checkpoint.h5" not in names("outputs/small")
 
 
+@pytest.mark.parametrize("text", [WHITE_NOISE_SCENE, WHITE + SWEEP], ids=["scene", "sweep"])
+def test_a_run_that_is_interrupted_costs_no_earlier_results(call, scene, monkeypatch, text):
+    scene.write_text(text.replace("observations = 4", "observations = 2"))
+    assert call("run", scene, *QUICK, "--out", "out") == (0, "", "")
+    before = tree(Path("out"))
+
+    def stopped(*arguments, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("surveysim.api.survey_result", stopped)
+        patch.setattr("surveysim.api.compare_runs", stopped)
+        assert call("run", scene, *QUICK, "--out", "out")[0] == 130
+    after = tree(Path("out"))
+    assert {name: after[name] for name in before if name != RECORD} == {
+        name: before[name] for name in before if name != RECORD
+    }
+    assert call("run", scene, *QUICK, "--out", "out", "--resume") == (0, "", "")
+    assert names("out") == sorted({name.partition("/")[0] for name in before})
+
+
 @pytest.mark.parametrize("command", ["run", "forecast"])
 def test_sweeps(call, scene, command):
     """As scenes, with the reference point and the table [sweep]."""
@@ -133,7 +154,9 @@ def test_a_report_of_the_user(call, scene):
     (Path("out") / RECORD).unlink()
     page = Path("out/report.html").read_bytes()
     code, _, error = call("report", "out")
-    assert code == 2 and error == "out/report.html: not written by this program; --force replaces it\n"
+    assert (
+        code == 2 and error == "out/report.html: not written by this program, or changed since; --force replaces it\n"
+    )
     assert call("report", "out", "--force")[0] == 0 and Path("out/report.html").read_bytes() == page
 
 

@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 from surveysim.positions import MAX_BYTES, read_positions
+from surveysim.scene import SceneError, load_scene
+from surveysim.setup import prepare
+from tests.scenes import SMALL_SCENE
 
 HEAD = """\
 # %ECSV 1.0
@@ -141,3 +144,14 @@ def test_files_that_are_no_files(tmp_path):
 def test_broken_tables_are_refused(tmp_path, text):
     (path := tmp_path / "camera.ecsv").write_text(text, encoding="latin-1")
     assert refusal(path)
+
+
+def test_a_link_to_itself_beside_a_scene(tmp_path):
+    (tmp_path / "loop.ecsv").symlink_to("loop.ecsv")
+    start, end = SMALL_SCENE.index("[instrument.layout]"), SMALL_SCENE.index("[scan]")
+    scene = tmp_path / "small.toml"
+    scene.write_text(f'{SMALL_SCENE[:start]}positions = "loop.ecsv"\n\n{SMALL_SCENE[end:]}')
+    with pytest.raises(
+        SceneError, match=r"positions: .*loop.ecsv: can't be read \(Too many levels of symbolic links\)"
+    ):
+        prepare(load_scene(scene))
