@@ -450,4 +450,4 @@ def test_results_that_are_no_files(call, copy):
         prepare(copy / "summary.json")
         code, out, error = call("report", copy)
         assert (code, out) == (2, "") and len(error.splitlines()) == 1
-        assert "summary.json: no plain file" in error or "summary.json: found no file" in error
+        assert "summary.json: not a regular file" in error or "summary.json: found no file" in error
