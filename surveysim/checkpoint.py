@@ -70,7 +70,7 @@ def load_checkpoint(path: Path, setup: Setup) -> CoAdds:
     raw = path.read_bytes() if path.is_file() else b""  # a pipe never ends
     digest = raw[len(_MARK) : len(_MARK) + 64]
     if not raw.startswith(_MARK) or sha256(memoryview(raw)[_USER_BLOCK:]).hexdigest().encode() != digest:
-        raise CheckpointError(f"{path}: damaged, or no checkpoint at all; {_AGAIN}")
+        raise CheckpointError(f"{path}: damaged, or not a checkpoint; {_AGAIN}")
     try:
         with h5py.File(BytesIO(raw), "r") as file:
             meta = read_meta(file.attrs["meta"])
@@ -81,7 +81,7 @@ def load_checkpoint(path: Path, setup: Setup) -> CoAdds:
         raise
     except Exception as error:  # HDF5 and JSON readers raise a wide range for what is none
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise CheckpointError(f"{path}: not what a run keeps ({reason[:REASON]}); {_AGAIN}") from None
+        raise CheckpointError(f"{path}: not what a run of this scene writes ({reason[:REASON]}); {_AGAIN}") from None
     rows = arrays.pop("rows")
     return CoAdds(
         **{name: list(array) if name in _LISTS else array for name, array in arrays.items()},
@@ -180,8 +180,8 @@ def check_streams(directory: Path, setup: Setup, done: int) -> None:
         path = directory / f"{number:04d}.h5"
         if path.exists() and not _is_stream(path, (setup.n_det, n_samp), identity, number):
             raise CheckpointError(
-                f"{path}: no time-streams of observation {number} of this scene; start anew with --force, or write "
-                "elsewhere with --out"
+                f"{path}: not the time-streams of observation {number} of this scene; start anew with --force, or "
+                "write elsewhere with --out"
             )
 
 
@@ -203,6 +203,6 @@ def check_origin(path: Path, found: Mapping[str, Any], identity: str) -> None:
     for key, expected in (("version", __version__), ("scene", identity)):
         if (value := found.get(key)) != expected:
             raise CheckpointError(
-                f"{path}: of another {key} (found {str(value)[:12]!r}, expected {expected[:12]!r}); "
+                f"{path}: from another {key} (found {str(value)[:12]!r}, expected {expected[:12]!r}); "
                 "start anew with --force, or write elsewhere with --out"
             )

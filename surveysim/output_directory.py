@@ -197,8 +197,9 @@ def _check_same(path: Path, results: Results, record: Mapping[str, Any]) -> None
     if record["command"] != results.command:
         found = f"{kind} of {shown('surveysim ' + record['command'])}"
     elif record["sha256"] != results.sha256:
-        other = "with other settings" if record["scene"] == results.scene else "and not of this scene"
-        found = f"{kind} of {shown(record['scene'])} {other}"
+        name = shown(record["scene"])
+        other = f"{name} with other settings" if record["scene"] == results.scene else f"another scene, {name}"
+        found = f"{kind} of {other}"
     else:
         return
     raise OutputError(f"{path}: holds {found}; --force replaces them, --out writes elsewhere")
@@ -210,11 +211,11 @@ def _check_unfinished(path: Path, mine: Mapping[str, str | None], record: Mappin
     A run that was stopped early has both results and a checkpoint.
     """
     if resume and record["finished"] and not holds_work(path):
-        raise FinishedError(f"{path}: finished; there is nothing to resume")
+        raise FinishedError(f"{path}: the run is finished; there is nothing to resume")
     work = [name for name in mine if _UNFINISHED_WORK.fullmatch(name)]
     if not resume and (CHECKPOINT in work or (work and not record["finished"])):
         raise OutputError(
-            f"{path / work[0]}: of a run that has not finished; --resume goes on from there, --force starts anew, "
+            f"{path / work[0]}: from a run that has not finished; --resume goes on from there, --force starts anew, "
             "--out writes elsewhere"
         )
 
@@ -229,7 +230,7 @@ def _others(path: Path, results: Results, mine: Mapping[str, str | None], force:
         if S_ISDIR(state.st_mode):
             raise IsADirectoryError(EISDIR, "a folder where a file is to be written", str(path / name))
         if not force:
-            what = "not written by this program, or changed since" if S_ISREG(state.st_mode) else "no plain file"
+            what = "not written by this program, or changed since" if S_ISREG(state.st_mode) else "not a regular file"
             hint = f"--resume goes on from there, {OTHERWISE}" if _UNFINISHED_WORK.fullmatch(name) else OTHERWISE
             raise OutputError(f"{path / name}: {what}; {hint}")
         found[name] = (state.st_ino, state.st_mtime_ns)
@@ -264,7 +265,7 @@ def _check_readable(directory: Path) -> None:
     for folder, prefix in [(directory, "")] + [(directory / name, f"{name}/") for name in ("tables", "figures")]:
         for entry in os.scandir(folder) if folder.is_dir() else ():
             if _WRITTEN.fullmatch(prefix + entry.name) and not entry.is_file() and not entry.is_dir():
-                raise OutputError(f"{entry.path}: no plain file; results are expected")
+                raise OutputError(f"{entry.path}: not a regular file; results are expected")
 
 
 # ---------------------------------------------------------------- whose a file is

@@ -70,7 +70,7 @@ def test_round_trip_of_nothing(tmp_path, setup):
 
 @pytest.fixture
 def refused(path, setup):
-    def refused(words="damaged, or no checkpoint at all; delete it and go on with --resume"):
+    def refused(words="damaged, or not a checkpoint; delete it and go on with --resume"):
         with pytest.raises(CheckpointError, match=words) as caught:
             load_checkpoint(path, setup)
         text = str(caught.value)
@@ -199,14 +199,14 @@ FORGERIES = {
 def test_contents_of_no_run_are_refused(path, refused, forgery):
     """With a digest that is right."""
     forge(path, FORGERIES[forgery])
-    refused(r"not what a run keeps \(.+\); delete it and go on with --resume")
+    refused(r"not what a run of this scene writes \(.+\); delete it and go on with --resume")
 
 
 @pytest.mark.parametrize("key", ["version", "scene"])
 @pytest.mark.parametrize("value", [None, 3, "", "other", ["other"], "\x1b[31m" * 9])
 def test_other_origins_are_refused(path, refused, key, value):
     forge(path, meta(**{key: value}))
-    refused(f"of another {key} .found .*; start anew with --force, or write elsewhere with --out")
+    refused(f"from another {key} .found .*; start anew with --force, or write elsewhere with --out")
 
 
 def forge(path, change):
@@ -223,7 +223,7 @@ def forge(path, change):
 
 def test_what_is_no_hdf5_is_refused(path, refused):
     path.write_bytes((_MARK + sha256(b"text").hexdigest().encode()).ljust(512, b"\0") + b"text")
-    refused("not what a run keeps")
+    refused("not what a run of this scene writes")
 
 
 def test_sizes_are_compared_before_anything_is_read(path, refused):
@@ -253,11 +253,11 @@ def test_streams_of_another_run_are_refused(tmp_path, scene, setup):
     for content in (b"", b"text", whole[:2000], other):
         (streams / "0001.h5").write_bytes(content)
         with pytest.raises(
-            CheckpointError, match="0001.h5: no time-streams of observation 1 of this scene; start anew"
+            CheckpointError, match="0001.h5: not the time-streams of observation 1 of this scene; start anew"
         ):
             run_observations(setup, path, resume=True, timestream_dir=streams)
     (streams / "0000.h5").write_bytes(whole)
-    with pytest.raises(CheckpointError, match="0000.h5: no time-streams of observation 0"):
+    with pytest.raises(CheckpointError, match="0000.h5: not the time-streams of observation 0"):
         check_streams(streams, setup, 2)
 
 

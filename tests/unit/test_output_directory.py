@@ -175,7 +175,7 @@ def test_links_to_files_are_not_followed(tmp_path, name):
 
 def test_a_link_to_nowhere_is_there(tmp_path):
     (tmp_path / "summary.json").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(OutputError, match=r"summary.json: no plain file"):
+    with pytest.raises(OutputError, match=r"summary.json: not a regular file"):
         written(tmp_path)
 
 
@@ -263,7 +263,7 @@ def test_the_same_results_are_replaced(tmp_path):
     "results, words",
     [
         (OTHER, "holds results of 'small' with other settings"),
-        (Results("run", "big", "c" * 64, NAMES), "holds results of 'small' and not of this scene"),
+        (Results("run", "big", "c" * 64, NAMES), "holds results of another scene, 'small'"),
         (Results("forecast", "small", "a" * 64, ("forecast.ecsv",)), "holds results of 'surveysim run'"),
         (Results("paper", "", "", ("table1.ecsv",)), "holds results of 'surveysim run'"),
     ],
@@ -317,7 +317,7 @@ def test_a_run_is_not_thrown_away(tmp_path, names):
     before = tree(tmp_path)
     with pytest.raises(OutputError) as error:
         written(tmp_path)
-    words = "of a run that has not finished; --resume goes on from there, --force starts anew, --out writes elsewhere"
+    words = "from a run that has not finished; --resume goes on from there, --force starts anew, --out writes elsewhere"
     assert str(error.value) == f"{tmp_path / names[0]}: {words}"
     with pytest.raises(OutputError, match="holds an unfinished run of 'small' with other settings"):
         written(tmp_path, results=OTHER)
@@ -352,7 +352,7 @@ def test_a_finished_run_is_not_resumed(tmp_path):
 def test_a_run_that_was_stopped_early_is_resumed(tmp_path):
     """It has both results and a checkpoint."""
     written(tmp_path, NAMES[:4])
-    with pytest.raises(OutputError, match="checkpoint.h5: of a run that has not finished; --resume"):
+    with pytest.raises(OutputError, match="checkpoint.h5: from a run that has not finished; --resume"):
         written(tmp_path)
     with claimed(tmp_path, RUN, resume=True) as place:
         begin(place, removed=lambda name: False)

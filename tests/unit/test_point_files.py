@@ -125,7 +125,7 @@ def test_contents_of_no_point_are_refused(finished, tmp_path, forgery):
 def test_other_origins_are_refused(finished, tmp_path, key, value):
     point, raw = finished
     np.savez(tmp_path / "000.npz", **meta(key, value=value)(content_of(raw)))
-    refused(tmp_path / "000.npz", point, f"of another {key} .found .*; start anew with --force")
+    refused(tmp_path / "000.npz", point, f"from another {key} .found .*; start anew with --force")
 
 
 @pytest.mark.parametrize("content", [b"", b"text", b"PK\x03\x04", bytes(1000), b"\x93NUMPY\x01\x00"])

@@ -74,7 +74,7 @@ def test_a_written_quantity_table_is_read(tmp_path):
         ("-20.0 -1.5", "40.0 0.5", "row 3: found the position of row 2"),
         ("\n0.0 0.0\n40.0 0.5\n-20.0 -1.5\n", "\n", "found no row; one row for each detector is expected"),
         # columns
-        ("x y\n", "x z\n", "column 'z': unknown; the columns x and y alone are allowed"),
+        ("x y\n", "x z\n", "column 'z': unknown; only the columns x and y are allowed"),
         ("x y\n", "x x\n", "column 'x': found more than once; the columns x and y, each once, are expected"),
         ("x y\n", "X y\n", "column 'X': unknown"),
         ("\nx y\n0.0 0.0\n40.0 0.5\n-20.0 -1.5\n", "\nx\n0.0\n", "column 'y': missing; the columns x and y"),
@@ -101,7 +101,7 @@ def test_dead_detectors_are_no_column(tmp_path):
     """A column that is not known is refused: one of dead detectors was passed over, and they were simulated."""
     (path := tmp_path / "camera.ecsv").write_text(DEAD)
     assert refusal(path) == (
-        "column 'dead': unknown; the columns x and y alone are allowed: rows of detectors that do not work are left out"
+        "column 'dead': unknown; only the columns x and y are allowed; leave out rows of detectors that do not work"
     )
 
 

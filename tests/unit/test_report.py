@@ -459,5 +459,5 @@ def test_results_that_are_no_files(call, copy):
         (copy / "summary.json").unlink()
         prepare(copy / "summary.json")
         code, out, error = call("report", copy)
-        words = "found no file" if prepare is os.mkdir else "no plain file"
+        words = "found no file" if prepare is os.mkdir else "not a regular file"
         assert (code, out) == (2, "") and f"summary.json: {words}" in error and len(error.splitlines()) == 1
