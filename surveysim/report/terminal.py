@@ -54,11 +54,13 @@ class Terminal(Console):
             if column.justify == "right":
                 column.min_width = max((cell_len(str(cell)) for cell in column.cells), default=0)
         wide = self.options.update(width=WIDEST)
-        if self.measure(table, options=wide).minimum <= self.width:
+        fits = self.measure(table, options=wide).minimum <= self.width
+        if table.title and (not fits or cell_len(str(table.title)) > self.measure(table).maximum):
+            self.say(str(table.title))
+            table.title = None
+        if fits:
             self.print(table)
             return
-        if table.title:
-            self.say(str(table.title))
         cells = [list(column.cells) for column in table.columns]
         for row in zip(*cells, strict=True):
             self.say("")

@@ -51,6 +51,17 @@ def test_tables_and_lines_fit(monkeypatch, capsys, width):
     assert " ".join(" ".join(lines).split()).endswith("20504.2 +- 1695.1 uK_CMB^2, of 12 of 300 observations in all")
 
 
+@pytest.mark.parametrize("long", [False, True])
+def test_titles_are_one_line_off_a_terminal(capsys, long):
+    title = "Twelve observations: uncertainty on a flat CMB band power" if long else "Two"
+    made = Table(title=Text(title))
+    made.add_column("data set")
+    made.add_row("uncorrelated")
+    Terminal().show(made)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == title if long else lines[0].strip() == title and len(lines[0]) == len(lines[1])
+
+
 def test_paths_are_never_broken(monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "20")
     path = "/a-long/path-of/many-parts/that-does/not-fit.html"
