@@ -22,7 +22,8 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.{os.getpid()}.part")  # another process may be writing the same file
+    # Another process may be writing the same file; astropy would take a "~" in front for the home directory.
+    partial = path.absolute().with_name(f"{path.name}.{os.getpid()}.part")
     try:
         yield partial
         _to_disk(partial)

@@ -7,14 +7,13 @@ import numpy as np
 
 from mapmaker.kernels.pixels import plane_pixels
 from mapmaker.timestreams import FocalPlane, Timestreams
-from mapmaker.validation import number, reals, whole, wrong
+from mapmaker.validation import MAX_PIXELS, number, pixel_side, reals, whole, wrong
 
 # Least side of a HEALPix pixel over a map pixel's. Below, HEALPix pixels within the map get no map pixel: 20 % of them
 # at 1, 6 % at 1.2, 0.2 % at sqrt(2), none at 1.5, over declinations and turns of the lattices.
 _HEALPIX_SIDE = 1.5
 _FINEST_ORDER = 29  # of HEALPix, whose pixel numbers have 64 bits
 HORIZON = 1e-12  # cosine of the angle from the centre: less is rounding of a direction 90 degrees off
-MAX_PIXELS = 2**31 - 1  # of a map: pixel numbers are int32, -1 off the map
 
 
 @dataclass(frozen=True)
@@ -34,9 +33,9 @@ class MapGeometry:
     def __post_init__(self):
         number("ra0_rad", self.ra0_rad)
         number("dec0_rad", self.dec0_rad, least=-math.pi / 2, most=math.pi / 2)
-        number("pixel_rad", self.pixel_rad, above=0, below=math.pi / 2)
+        pixel_side("pixel_rad", self.pixel_rad)
         for name in ("n_x", "n_y"):
-            whole(name, getattr(self, name), least=-(2**63))
+            whole(name, getattr(self, name), least=-(2**63), most=2**63 - 1)
         if not (self.n_x >= 1 and self.n_y >= 1 and int(self.n_x) * int(self.n_y) <= MAX_PIXELS):
             raise ValueError(
                 f"found a map of {self.n_x} x {self.n_y} pixels; 1 to {MAX_PIXELS} pixels in all are expected"
@@ -157,7 +156,7 @@ def covering_geometry(ra0_rad: float, dec0_rad: float, pixel_rad: float, half_ex
     from scipy.fft import next_fast_len
 
     number("half_extent_rad", half_extent_rad, above=0, most=math.pi / 2)
-    if half_extent_rad > MAX_PIXELS * number("pixel_rad", pixel_rad, above=0):
+    if half_extent_rad > MAX_PIXELS * pixel_side("pixel_rad", pixel_rad):
         raise wrong("pixel_rad", pixel_rad, f"a side of {MAX_PIXELS} pixels or less is")
     n = 2 * next_fast_len(int(np.ceil(half_extent_rad / pixel_rad)) + 1, real=True)
     return MapGeometry(ra0_rad, dec0_rad, pixel_rad, n, n)
@@ -169,7 +168,7 @@ def finest_nside(pixel_rad: float) -> int:
     Sides of its pixels, ``sqrt(pi / 3) / nside``, are 1.5 of the map's or more. 0 for pixels that none is wide enough
     for. Raises ValueError for pixels that are not positive.
     """
-    most = math.sqrt(math.pi / 3) / (_HEALPIX_SIDE * number("pixel_rad", pixel_rad, above=0))
+    most = math.sqrt(math.pi / 3) / (_HEALPIX_SIDE * pixel_side("pixel_rad", pixel_rad))
     return 2 ** min(math.floor(math.log2(most)), _FINEST_ORDER) if most >= 1 else 0
 
 

@@ -53,7 +53,7 @@ class GlsOptions:
         """Raise ValueError for values out of range."""
         band_edges("band_edges_hz", self.band_edges_hz)
         whole("max_modes", self.max_modes, least=0)
-        whole("max_iterations", self.max_iterations, least=1)
+        whole("max_iterations", self.max_iterations, least=1, most=2**31 - 1)
         number("eigenvalue_cut", self.eigenvalue_cut, least=1)
         number("tolerance", self.tolerance, above=0)
 

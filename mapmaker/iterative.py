@@ -14,9 +14,9 @@ import numpy as np
 
 from mapmaker.binning import BinnedMap, bin_map, checked_map, coadd
 from mapmaker.cleaning import Cleaned
-from mapmaker.geometry import MAX_PIXELS, MapGeometry
+from mapmaker.geometry import MapGeometry
 from mapmaker.timestreams import FocalPlane
-from mapmaker.validation import bounds_of_scans, number, pixel_numbers, reals, whole
+from mapmaker.validation import MAX_PIXELS, bounds_of_scans, number, pixel_numbers, reals, whole
 
 # A normal deviate's standard deviation over its median absolute value.
 _SIGMA_OF_MEDIAN = 1.482602218505602
@@ -77,7 +77,7 @@ class IterationOptions:
         number("threshold", self.threshold, above=0)
         number("loss", self.loss, least=0, below=1)
         number("tolerance", self.tolerance, above=0)
-        whole("max_iterations", self.max_iterations, least=1)
+        whole("max_iterations", self.max_iterations, least=1, most=2**31 - 1)
 
 
 @dataclass(frozen=True)

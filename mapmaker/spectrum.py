@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmaker.validation import increasing, number, reals, whole, wrong
+from mapmaker.validation import MAX_PIXELS, increasing, number, pixel_side, plane_sides, reals, whole, wrong
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,8 @@ def annuli(n_y: int, n_x: int, pixel_rad: float, edges_ell: np.ndarray, taper: n
 
 
 def _check_plane(n_y: int, n_x: int, pixel_rad: float) -> None:
-    whole("n_y", n_y, least=1)
-    whole("n_x", n_x, least=1)
-    number("pixel_rad", pixel_rad, above=0)
+    plane_sides(n_y, n_x)
+    pixel_side("pixel_rad", pixel_rad)
 
 
 def _checked_taper(taper: np.ndarray, shape: tuple = ("n_y", "n_x")) -> np.ndarray:
@@ -145,7 +144,7 @@ def mode_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> np.ndar
 
 def _checked_map(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> tuple[np.ndarray, np.ndarray]:
     taper = _checked_taper(taper)
-    number("pixel_rad", pixel_rad, above=0)
+    pixel_side("pixel_rad", pixel_rad)
     return reals("map_mk", map_mk, (..., *taper.shape)), taper
 
 
@@ -224,8 +223,8 @@ def coupled_psd(
         raise wrong("sky_shape", f"{len(sky_shape)} numbers", "two are")
     sky_psd = reals("sky_psd", sky_psd, (sky_shape[0], sky_shape[1] // 2 + 1), least=0)
     taper = _checked_taper(taper)
-    number("pixel_rad", pixel_rad, above=0)
-    whole("cells_per_pixel", cells_per_pixel, least=1)
+    pixel_side("pixel_rad", pixel_rad)
+    whole("cells_per_pixel", cells_per_pixel, least=1, most=MAX_PIXELS)
     from scipy.fft import irfft2, rfft2
 
     correlation = irfft2(sky_psd, sky_shape, workers=1) * (cells_per_pixel / pixel_rad) ** 2

@@ -27,7 +27,8 @@ class FocalPlane:
 
     `x_rad`, `y_rad` (n_det,): offsets from the boresight; at array angle a the y axis lies at position
     angle a and the x axis 90 degrees clockwise of it as seen on the sky. `fwhm_rad`: Gaussian beam.
-    Raises ValueError for offsets that are not finite, not as many or none, and for a beam that is not positive.
+    Raises ValueError for offsets that are not finite, not as many or none, and for a beam that is not
+    between 0 and half a turn.
     """
 
     x_rad: np.ndarray
@@ -37,7 +38,7 @@ class FocalPlane:
     def __post_init__(self):
         x = reals("x_rad", self.x_rad, ("n_det",))
         y = reals("y_rad", self.y_rad, x.shape)
-        fwhm = number("fwhm_rad", self.fwhm_rad, above=0)
+        fwhm = number("fwhm_rad", self.fwhm_rad, above=0, below=np.pi)
         _set(self, x_rad=x, y_rad=y, fwhm_rad=fwhm)
 
     def subset(self, detectors: np.ndarray | slice) -> "FocalPlane":

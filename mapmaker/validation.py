@@ -15,6 +15,7 @@ import numpy as np
 Shape = Sequence[int | str | EllipsisType]
 _KINDS = {"biuf": "real numbers", "iuf": "real numbers", "iu": "integers", "b": "True and False"}
 _MOST_TEXT = 60  # letters of a wrong value in a message
+MAX_PIXELS = 2**31 - 1  # of a map: pixel numbers are int32, -1 off the map
 
 
 def wrong(name: str, found: object, expected: str) -> ValueError:
@@ -115,6 +116,19 @@ def whole(name: str, value: object, *, least: int, most: int | float = math.inf)
     if found is None or isinstance(value, bool | np.bool_) or not least <= found <= most:
         raise wrong(name, repr(value) if found is None else found, f"{_range('an integer', least, -math.inf, most)} is")
     return found
+
+
+def pixel_side(name: str, value: object) -> float:
+    """The side of a pixel [rad]: from what rounding of directions leaves of it, to a quarter of a turn."""
+    return number(name, value, least=1e-12, below=math.pi / 2)
+
+
+def plane_sides(n_y: object, n_x: object) -> None:
+    """Raise ValueError for sides of a plane that are no integers, or more cells in all than a map may have."""
+    whole("n_y", n_y, least=1, most=MAX_PIXELS)
+    whole("n_x", n_x, least=1, most=MAX_PIXELS)
+    if int(n_y) * int(n_x) > MAX_PIXELS:
+        raise wrong("n_y, n_x", f"{n_y} x {n_x} cells", f"{MAX_PIXELS} cells in all or less are")
 
 
 def increasing(name: str, value: object, *, fewest: int, least: float = -math.inf) -> np.ndarray:

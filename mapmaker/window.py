@@ -1,10 +1,11 @@
 """What is lost of a sky signal's power on its way into the map: beam, pixel, scans and cleaning."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from mapmaker.validation import number, reals, whole
+from mapmaker.validation import number, pixel_side, plane_sides, reals
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ def beam_window(ell: np.ndarray, fwhm_rad: float) -> np.ndarray:
 
     Raises ValueError for multipoles or a beam that are not finite, and for a negative beam.
     """
-    number("fwhm_rad", fwhm_rad, least=0)
+    number("fwhm_rad", fwhm_rad, least=0, most=math.pi)
     return np.exp(-(reals("ell", ell, (...,), empty=True) ** 2) * fwhm_rad**2 / (8 * np.log(2)))
 
 
@@ -36,7 +37,7 @@ def pixel_window(ell: np.ndarray, pixel_rad: float) -> np.ndarray:
     `ell` has any shape. Equal steps over the period of a smooth function converge exponentially: 32 are exact
     to rounding for all multipoles that a map of such pixels can hold.
     """
-    number("pixel_rad", pixel_rad, least=0)
+    number("pixel_rad", pixel_rad, least=0, below=math.pi / 2)
     azimuth = (np.arange(32) + 0.5) * (np.pi / 2 / 32)
     cycles = reals("ell", ell, (...,), empty=True).astype(np.float64)[..., None] * pixel_rad / (2 * np.pi)
     return np.mean((np.sinc(cycles * np.cos(azimuth)) * np.sinc(cycles * np.sin(azimuth))) ** 2, axis=-1)
@@ -47,10 +48,9 @@ def mode_pixel_window(n_y: int, n_x: int, cell_rad: float, pixel_rad: float) -> 
 
     Raises ValueError for sides that are not positive integers, and for cells or pixels that are not positive.
     """
-    whole("n_y", n_y, least=1)
-    whole("n_x", n_x, least=1)
-    number("cell_rad", cell_rad, above=0)
-    number("pixel_rad", pixel_rad, above=0)
+    plane_sides(n_y, n_x)
+    pixel_side("cell_rad", cell_rad)
+    pixel_side("pixel_rad", pixel_rad)
     along_y = np.sinc(np.fft.fftfreq(n_y, cell_rad) * pixel_rad) ** 2
     along_x = np.sinc(np.fft.rfftfreq(n_x, cell_rad) * pixel_rad) ** 2
     return np.outer(along_y, along_x)

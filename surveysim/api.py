@@ -88,10 +88,10 @@ def run(
     if out is None:
         return result_of(None, None)
     with claimed(Path(out), of_run(setup, figures, save_timestreams), force, resume) as place:
-        begin(place, removed=lambda name: not resume)
+        begin(place, removed=lambda name: force)
         result = result_of(place.path / CHECKPOINT, place.path / "timestreams" if save_timestreams else None)
-        if resume:  # until here they were those of a run that was stopped early, if any
-            remove(place, [name for name in place.mine if _is_renewed(place, name, save_timestreams)])
+        # Until here they are an earlier run's, which one that is interrupted or fails does not cost.
+        remove(place, [name for name in place.mine if _is_renewed(place, name, save_timestreams)])
         write_outputs(place.path, result, figures, save_timestreams)
         whole = result.coadds.done == scene.observations
         finish(place, dropped=lambda name: whole and name == CHECKPOINT)
@@ -99,7 +99,7 @@ def run(
 
 
 def _is_renewed(place: OutputDirectory, name: str, timestreams: bool) -> bool:
-    """Whether a file of a run that is resumed makes way for a new one; time-streams stay where they are asked for."""
+    """Whether a file of an earlier run makes way for a new one; time-streams are written by now, where asked for."""
     stays = name == CHECKPOINT or name in place.results.inputs or (timestreams and name.startswith("timestreams/"))
     return not stays
 
@@ -134,8 +134,11 @@ def run_sweep(
     if out is None:
         return result_of(None)
     with claimed(Path(out), of_sweep(sweep, "run", figures), force, resume) as place:
-        begin(place, removed=lambda name: not resume)
+        begin(place, removed=lambda name: force)
         result = result_of(place.path / "points")
+        remove(
+            place, [name for name in place.mine if not name.startswith("points/") and name not in place.results.inputs]
+        )
         write_sweep(place.path, result, figures)
         finish(place, dropped=lambda name: name.startswith("points/"))
     return result

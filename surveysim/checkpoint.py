@@ -27,6 +27,7 @@ REASON = 150  # letters of the reason why a file is refused
 _ARRAYS = ("sums", "weight", "hits", "flipped", "window", "window_weight")
 _LISTS = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")
 _AGAIN = "delete it and go on with --resume"
+_LARGEST = 1e30  # of any sum: maps, in single precision, hold up to 3e38
 _USER_BLOCK = 512  # bytes, the least that HDF5 has
 _MARK = b"surveysim checkpoint, SHA-256 of what follows this block: "
 
@@ -69,7 +70,7 @@ def load_checkpoint(path: Path, setup: Setup) -> CoAdds:
     raw = path.read_bytes() if path.is_file() else b""  # a pipe never ends
     digest = raw[len(_MARK) : len(_MARK) + 64]
     if not raw.startswith(_MARK) or sha256(memoryview(raw)[_USER_BLOCK:]).hexdigest().encode() != digest:
-        raise CheckpointError(f"{path}: damaged, or no checkpoint at all; {_AGAIN}")
+        raise CheckpointError(f"{path}: damaged, or not a checkpoint; {_AGAIN}")
     try:
         with h5py.File(BytesIO(raw), "r") as file:
             meta = read_meta(file.attrs["meta"])
@@ -80,7 +81,7 @@ def load_checkpoint(path: Path, setup: Setup) -> CoAdds:
         raise
     except Exception as error:  # HDF5 and JSON readers raise a wide range for what is none
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise CheckpointError(f"{path}: not what a run keeps ({reason[:REASON]}); {_AGAIN}") from None
+        raise CheckpointError(f"{path}: not what a run of this scene writes ({reason[:REASON]}); {_AGAIN}") from None
     rows = arrays.pop("rows")
     return CoAdds(
         **{name: list(array) if name in _LISTS else array for name, array in arrays.items()},
@@ -139,8 +140,8 @@ def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
 def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     """Raise ValueError for sums that no observations add up to."""
     for name in (*_ARRAYS, "raw_psd", "clean_psd", "compared_psd"):
-        if not np.isfinite(arrays[name]).all():
-            raise ValueError(f"{name} has values that are not finite")
+        if not (np.abs(arrays[name]) < _LARGEST).all():
+            raise ValueError(f"{name} has values that are not finite, or above {_LARGEST:g}")
     for name in ("weight", "hits", "window_weight", "raw_psd", "clean_psd", "compared_psd"):
         if (arrays[name] < 0).any():
             raise ValueError(f"{name} has negative values")
@@ -149,7 +150,16 @@ def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     if arrays["weight"][arrays["hits"] == 0].any() or arrays["sums"][arrays["weight"] == 0].any():
         raise ValueError("there are sums without hits or without weight")
     if len(arrays["rows"]):
-        _check_rows(dict(zip(row_names(setup), arrays["rows"].T, strict=True)), setup)
+        columns = dict(zip(row_names(setup), arrays["rows"].T, strict=True))
+        _check_rows(columns, setup)
+        noise = np.column_stack([columns[f"noise_mk2_{name}"] for name in setup.data_sets])
+        _check_noise(noise, arrays["bin_noise"])
+
+
+def _check_noise(noise: np.ndarray, bin_noise: np.ndarray) -> None:
+    """Raise ValueError unless noise of maps (n_obs, n_set) is infinite, and in (..., n_bin) bins, for the same ones."""
+    if np.isnan(noise).any() or (bin_noise.size and (np.isinf(bin_noise) != np.isinf(noise)[..., None]).any()):
+        raise ValueError("noise and bin_noise are not of the same observations with data")
 
 
 def _check_rows(columns: Mapping[str, np.ndarray], setup: Setup) -> None:
@@ -170,8 +180,8 @@ def check_streams(directory: Path, setup: Setup, done: int) -> None:
         path = directory / f"{number:04d}.h5"
         if path.exists() and not _is_stream(path, (setup.n_det, n_samp), identity, number):
             raise CheckpointError(
-                f"{path}: no time-streams of observation {number} of this scene; start anew with --force, or write "
-                "elsewhere with --out"
+                f"{path}: not the time-streams of observation {number} of this scene; start anew with --force, or "
+                "write elsewhere with --out"
             )
 
 
@@ -193,6 +203,6 @@ def check_origin(path: Path, found: Mapping[str, Any], identity: str) -> None:
     for key, expected in (("version", __version__), ("scene", identity)):
         if (value := found.get(key)) != expected:
             raise CheckpointError(
-                f"{path}: of another {key} (found {str(value)[:12]!r}, expected {expected[:12]!r}); "
+                f"{path}: from another {key} (found {str(value)[:12]!r}, expected {expected[:12]!r}); "
                 "start anew with --force, or write elsewhere with --out"
             )

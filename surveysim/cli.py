@@ -19,7 +19,8 @@ from surveysim.interrupts import (
 from surveysim.options import Force, Kind, NoFigures, Overrides, Quiet, Reference, SceneFile, Scheduler, Workers
 from surveysim.output_names import default_directory
 from surveysim.printable import complain, say
-from surveysim.scene import Scene, SceneError, load_scene, read_scene
+from surveysim.scene import MAX_NAME, NAME, Scene, SceneError, load_scene, read_scene
+from surveysim.units import shown
 
 if TYPE_CHECKING:
     from surveysim.engines import Engine
@@ -173,7 +174,8 @@ def accuracy(
     engine: Kind = "processes",
     scheduler: Scheduler = None,
     reference_error: Annotated[
-        float, typer.Option(metavar="ERROR", min=1e-4, help="how well the reference should be known, relative")
+        float,
+        typer.Option(metavar="ERROR", min=1e-4, max=0.99, help="how well the reference should be known, relative"),
     ] = 0.01,
     seeds: Annotated[int, typer.Option(min=1, help="at most so many whole surveys for the reference")] = 8,
     observations: Annotated[int, typer.Option(min=2, help="of each survey that measures another knob")] = 60,
@@ -348,8 +350,8 @@ def new(
     """Write scenarios/NAME.toml, a copy of another scene to edit."""
     source = Path(like) if like.endswith(".toml") else Path("scenarios") / f"{like}.toml"
     target = Path("scenarios") / f"{name}.toml"
-    if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
-        _fail(f"name: found {name!r}; letters, digits, '_', '.' and '-' are expected")
+    if not re.fullmatch(NAME, name) or len(name) > MAX_NAME:
+        _fail(f"name: found {shown(name)}; letters, digits, '_', '.' and '-', none of the last two first, are expected")
     if not source.is_file():
         known = ", ".join(sorted(path.stem for path in Path("scenarios").glob("*.toml"))) or "none here"
         _fail(f"{source}: no such scene; scenes in scenarios/: {known}")

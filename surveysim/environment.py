@@ -79,8 +79,11 @@ def provide_caches() -> str | None:
     os.environ["HOME"] = place
     os.environ["XDG_CACHE_HOME"] = os.path.join(place, ".cache")
     os.environ["XDG_CONFIG_HOME"] = os.path.join(place, ".config")
-    found = f"{cache} and {config} can't both be written" if os.path.isdir(home) else "found no home directory"
-    return f"no cache: {found}; commands start more slowly until HOME is a directory that can be written"
+    if os.path.isdir(home):
+        found, remedy = f"{cache} and {config} can't both be written", "they can"
+    else:
+        found, remedy = "found no home directory", "HOME is one that can be written"
+    return f"no cache: {found}; commands may start more slowly until {remedy}"
 
 
 def _can_be_written(directory: str) -> bool:

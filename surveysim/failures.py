@@ -74,7 +74,7 @@ def _of_the_machine(error: BaseException, broken: list[str]) -> str:
     from surveysim.engines import EngineError
 
     if isinstance(error, MemoryError):
-        return "not enough memory for this scene; 'surveysim plan' says how much one takes"
+        return "not enough memory for this scene; 'surveysim plan SCENE' says how much it needs"
     if isinstance(error, OSError) and not error.filename and "stdout" in broken:
         return f"standard output: {error.strerror}"
     if isinstance(error, OSError):

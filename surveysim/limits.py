@@ -53,9 +53,8 @@ def _check_strip(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, li
     except ValueError as error:
         wind = math.degrees(wind_rad_s) * 60
         raise SceneError(
-            f"atmosphere: {error} (found tracks of up to {math.degrees(longest):.3g} deg through the layer, in wind of"
-            f" {wind:.3g} arcmin / s; values of scan.duration, scan.speed, wind_median, wind_log_scatter, layer_height"
-            " and illuminated_aperture together are expected to make shorter ones)"
+            f"atmosphere: {error} (tracks through the layer are up to {math.degrees(longest):.3g} deg long, in wind of"
+            f" {wind:.3g} arcmin / s)"
         ) from None
 
 
@@ -116,6 +115,6 @@ def check_memory(needed: Mapping[str, float]) -> None:
     if not total <= there:
         key, most = max(needed.items(), key=lambda item: item[1])
         raise SceneError(
-            f"{key}: found a scene that takes some {total / 1e9:.3g} GB of memory in one process, of which"
-            f" {most / 1e9:.3g} GB go with this key; {there / 1e9:.3g} GB or less is expected, what this machine has"
+            f"{key}: found a scene that needs about {total / 1e9:.3g} GB of memory in one process, {most / 1e9:.3g} GB"
+            f" of it because of this key; {there / 1e9:.3g} GB or less is expected, the memory of this machine"
         )

@@ -22,6 +22,7 @@ from mapmaker.files import whole_file
 from surveysim import __version__
 from surveysim.checkpoint import NAME as CHECKPOINT
 from surveysim.output_lock import LOCK, OutputError, alive, locked
+from surveysim.units import shown
 
 RECORD = ".surveysim.json"
 OTHERWISE = "--force replaces it, --out writes elsewhere"
@@ -151,8 +152,8 @@ def renewed(directory: Path, name: str, force: bool = False) -> Iterator[None]:
         record = _read_record(directory) or _NOTHING
         _check_readable(directory)
         known = record["files"]
-        if os.path.lexists(directory / name) and not force and name not in known:
-            raise OutputError(f"{directory / name}: not written by this program; --force replaces it")
+        if os.path.lexists(directory / name) and not force and not _is_mine(directory, name, known):
+            raise OutputError(f"{directory / name}: not written by this program, or changed since; --force replaces it")
         yield
         if record is not _NOTHING:
             files = known | {name: _identity(directory / name)}
@@ -161,7 +162,8 @@ def renewed(directory: Path, name: str, force: bool = False) -> Iterator[None]:
 
 def holds_work(directory: Path) -> bool:
     """Whether a run could go on from files in a directory: a checkpoint, or points of a sweep."""
-    return any(any(directory.glob(pattern)) for pattern in (CHECKPOINT, "points/*.npz", "points/*.checkpoint.h5"))
+    patterns = (CHECKPOINT, "points/*.npz", "points/*.checkpoint.h5")
+    return any(path.is_file() for pattern in patterns for path in directory.glob(pattern))
 
 
 # ---------------------------------------------------------------- whose a directory is
@@ -193,10 +195,11 @@ def _check_same(path: Path, results: Results, record: Mapping[str, Any]) -> None
     """Raise OutputError where a directory is another command's, or of another scene."""
     kind = "results" if record["finished"] else "an unfinished run"
     if record["command"] != results.command:
-        found = f"{kind} of 'surveysim {record['command']}'"
+        found = f"{kind} of {shown('surveysim ' + record['command'])}"
     elif record["sha256"] != results.sha256:
-        other = "with other settings" if record["scene"] == results.scene else "and not of this scene"
-        found = f"{kind} of {record['scene']!r} {other}"
+        name = shown(record["scene"])
+        other = f"{name} with other settings" if record["scene"] == results.scene else f"another scene, {name}"
+        found = f"{kind} of {other}"
     else:
         return
     raise OutputError(f"{path}: holds {found}; --force replaces them, --out writes elsewhere")
@@ -208,11 +211,11 @@ def _check_unfinished(path: Path, mine: Mapping[str, str | None], record: Mappin
     A run that was stopped early has both results and a checkpoint.
     """
     if resume and record["finished"] and not holds_work(path):
-        raise FinishedError(f"{path}: finished; there is nothing to resume")
+        raise FinishedError(f"{path}: the run is finished; there is nothing to resume")
     work = [name for name in mine if _UNFINISHED_WORK.fullmatch(name)]
     if not resume and (CHECKPOINT in work or (work and not record["finished"])):
         raise OutputError(
-            f"{path / work[0]}: of a run that has not finished; --resume goes on from there, --force starts anew, "
+            f"{path / work[0]}: from a run that has not finished; --resume goes on from there, --force starts anew, "
             "--out writes elsewhere"
         )
 
@@ -227,7 +230,7 @@ def _others(path: Path, results: Results, mine: Mapping[str, str | None], force:
         if S_ISDIR(state.st_mode):
             raise IsADirectoryError(EISDIR, "a folder where a file is to be written", str(path / name))
         if not force:
-            what = "not written by this program, or changed since" if S_ISREG(state.st_mode) else "no plain file"
+            what = "not written by this program, or changed since" if S_ISREG(state.st_mode) else "not a regular file"
             hint = f"--resume goes on from there, {OTHERWISE}" if _UNFINISHED_WORK.fullmatch(name) else OTHERWISE
             raise OutputError(f"{path / name}: {what}; {hint}")
         found[name] = (state.st_ino, state.st_mtime_ns)
@@ -235,7 +238,9 @@ def _others(path: Path, results: Results, mine: Mapping[str, str | None], force:
 
 
 def _make(directory: Path) -> None:
-    """Make a directory; raises OSError that says what is in its place."""
+    """Make a directory; raises OSError that says what is in its place, OutputError for a home directory's sign."""
+    if directory.parts[:1] == ("~",):
+        raise OutputError(f"{directory}: found a '~' that the shell has not replaced; the home's own path is expected")
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
@@ -260,7 +265,7 @@ def _check_readable(directory: Path) -> None:
     for folder, prefix in [(directory, "")] + [(directory / name, f"{name}/") for name in ("tables", "figures")]:
         for entry in os.scandir(folder) if folder.is_dir() else ():
             if _WRITTEN.fullmatch(prefix + entry.name) and not entry.is_file() and not entry.is_dir():
-                raise OutputError(f"{entry.path}: no plain file; results are expected")
+                raise OutputError(f"{entry.path}: not a regular file; results are expected")
 
 
 # ---------------------------------------------------------------- whose a file is

@@ -77,7 +77,8 @@ def _take(directory: Path) -> dict[str, Any]:
 def _make(lock: Path, own: Mapping[str, Any]) -> bool:
     """Make a lock, unless there is one."""
     try:
-        number, name = tempfile.mkstemp(f".{os.getpid()}.part", f"{LOCK}.", lock.parent)
+        folder = os.path.realpath(lock.parent)  # tempfile takes ".." after a link for the link's own folder
+        number, name = tempfile.mkstemp(f".{os.getpid()}.part", f"{LOCK}.", folder)
     except OSError as error:
         raise type(error)(error.errno, error.strerror, str(lock.parent)) from None
     try:

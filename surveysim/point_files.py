@@ -23,7 +23,8 @@ from surveysim.sweep import Point
 _OF_BAND, _OF_WINDOW = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
 _OF_CONTROL = ("factor", "weights", "noise")
 _OF_SET = ("noise_psds", "signal_psd", "weights", "bin_noise", "kept")
-_NEVER_NEGATIVE = ("noise_psds", "signal_psd", "weights", "kept", "band.ell", "window.ell")
+_NEVER_NEGATIVE = ("noise_psds", "signal_psd", "weights", "kept", "band.weight", "band.ell", "window.ell")
+_NEVER_NEGATIVE += ("control.weights", "plain.weight", "plain.ell")
 _Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -198,6 +199,16 @@ def _check_point(result: PointResult, point: Point) -> None:
                 raise ValueError(f"{name}/{key} has the shape {np.shape(array)} of {np.asarray(array).dtype}")
             if key in _NEVER_NEGATIVE and not ((array >= 0) & np.isfinite(array)).all():
                 raise ValueError(f"{name}/{key} has values below 0 or none")
+        _check_noise(f"{name}/bin_noise", item.weights, item.bin_noise, item.band.weight)
+        if item.control is not None:
+            _check_noise(f"{name}/control.noise", item.control.weights, item.control.noise, item.band.weight)
+
+
+def _check_noise(name: str, weights: np.ndarray, noise: np.ndarray, bin_weight: np.ndarray) -> None:
+    """Raise ValueError for noise that is none where it has a weight; elsewhere it may be infinite or unknown."""
+    used = noise[np.ix_(weights > 0, bin_weight > 0)]
+    if not ((used >= 0) & np.isfinite(used)).all():
+        raise ValueError(f"{name} has values below 0 or none where there are data")
 
 
 def _data_sets(scene: Scene) -> re.Pattern[str]:

@@ -115,8 +115,8 @@ def _check_names(names: list[str]) -> None:
     other = [name for name in names if name not in COLUMNS]
     if other:
         raise ValueError(
-            f"column {shown(other[0])}: unknown; the columns x and y alone are allowed: rows of detectors that do not"
-            " work are left out"
+            f"column {shown(other[0])}: unknown; only the columns x and y are allowed; leave out rows of detectors"
+            " that do not work"
         )
     for name in COLUMNS:
         if names.count(name) != 1:

@@ -170,7 +170,7 @@ def _check(path: Path, scene: Scene, first: Scene) -> None:
     """Raise SceneError unless a scene can be run and measured together with the first one of its band."""
     unscored = _prepared(path, scene.model_copy(update={"score": None}))
     if scene.atmosphere is None:
-        raise SceneError(f"{path}: atmosphere: missing; it is what is measured")
+        raise SceneError(f"{path}: [atmosphere] is missing; this command measures it")
     if (found := len(prepare(unscored).blocks)) > 1:
         memory = f"{scene.numerics.stream_bytes / 1e6:.4g} MB"
         raise SceneError(

@@ -6,6 +6,7 @@ leaves its stage out. Every record here is frozen and holds floats in internal u
 
 import hashlib
 import json
+import os
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -161,7 +162,7 @@ def read_scene(path: Path) -> tuple[str, dict]:
     except RecursionError:
         raise SceneError(f"{path}: nested too deeply; a scene file (TOML) is expected") from None
     except ValueError as error:  # of TOML and of its dates
-        raise SceneError(f"{path}: not a whole TOML file ({one_line(error)})") from None
+        raise SceneError(f"{path}: not a valid TOML file ({one_line(error)})") from None
     if nested_deeper(content, MAX_DEPTH):
         raise SceneError(f"{path}: nested too deeply; a scene file (TOML) is expected")
     return text, content
@@ -182,7 +183,7 @@ def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mappi
         data["name"] = _name_of(path)
     positions = data.get("instrument", {}).get("positions") if isinstance(data.get("instrument"), dict) else None
     if isinstance(positions, str) and positions and "\0" not in positions:
-        data["instrument"]["positions"] = str((path.parent / positions).resolve())
+        data["instrument"]["positions"] = os.path.realpath(path.parent / positions)
     try:
         scene = Scene.model_validate(data)
         scene._origin = Origin(path.absolute(), text, dict(overrides))
@@ -197,9 +198,9 @@ def _name_of(path: Path) -> str:
     """The name that a file gives its scene; raises SceneError, which says how to name it, where it can't."""
     if not re.fullmatch(NAME, path.stem) or len(path.stem) > MAX_NAME:
         raise SceneError(
-            f"{path}: name: missing, and the file's name {shown(path.stem)} is none for results: letters of ASCII,"
-            f" digits, '_', '.' and '-' are, up to {MAX_NAME} of them; a line like name = \"my_scene\" at the top"
-            " of the file, before any [section], or --set name=my_scene is expected"
+            f"{path}: name: missing, and the file's name {shown(path.stem)} can't take its place; a line like"
+            ' name = "my_scene" at the top of the file, before any [section], or --set name=my_scene is expected:'
+            f" up to {MAX_NAME} ASCII letters, digits, '_', '.' and '-', neither of the last two first"
         )
     return path.stem
 
@@ -284,8 +285,7 @@ _EXPECTED = {
     "float_type": "a number is expected",
     "float_parsing": "a number is expected",
     "finite_number": "a finite number is expected",
-    "string_pattern_mismatch": "letters of ASCII, digits, '_', '.' and '-' (A-Za-z0-9_.-), none of the last two first,"
-    " are expected",
+    "string_pattern_mismatch": "ASCII letters, digits, '_', '.' and '-' are expected, neither of the last two first",
 }
 
 

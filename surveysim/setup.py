@@ -302,20 +302,20 @@ def _blocks(scene: Scene, cam: Camera, lines: Raster, ways: tuple[Recipe, ...]) 
     key = f"numerics.stream_memory: found {most / 1e6:.4g} MB"
     if scan_bytes > most:
         raise SceneError(
-            f"{key}; the {scan_bytes / 1e6:.4g} MB of one scan of {n_samp} samples of {n_det} detectors or more are "
-            "expected: more memory, or a shorter scan.duration"
+            f"{key}; {scan_bytes / 1e6:.4g} MB or more is expected, for one scan of {n_samp} samples of {n_det} "
+            "detectors, or a shorter scan.duration"
         )
     found = scan_blocks(lines.n_scans, scan_bytes, most)
     if len(found) > 1 and any(recipe.uses("wind") for recipe in ways):
         raise SceneError(
-            f"{key}, which cuts an observation into {len(found)} blocks; 'wind' cleaning measures the wind of a whole "
-            f"one, whose {scan_bytes * lines.n_scans / 1e6:.4g} MB or more are expected, or another cleaning.algorithm"
+            f"{key}, which cuts an observation into {len(found)} blocks; 'wind' cleaning needs it whole: "
+            f"{scan_bytes * lines.n_scans / 1e6:.4g} MB or more is expected, or another cleaning.algorithm"
         )
     together = scene.cleaning.responsivities == OBSERVATION and any(recipe.takes_responsivities for recipe in ways)
     if len(found) > 1 and together:
         raise SceneError(
-            f"{key}, which cuts an observation into {len(found)} blocks; cleaning.responsivities 'observation' needs a "
-            f"whole one, whose {scan_bytes * lines.n_scans / 1e6:.4g} MB or more are expected, or 'survey' in its place"
+            f"{key}, which cuts an observation into {len(found)} blocks; cleaning.responsivities 'observation' needs "
+            f"it whole: {scan_bytes * lines.n_scans / 1e6:.4g} MB or more is expected, or 'survey' in its place"
         )
     return found
 

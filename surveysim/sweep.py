@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from surveysim.quantities import LONGEST_LINE
 from surveysim.scan import samples_per_scan
 from surveysim.scene import Origin, Scene, SceneError, allowed_keys, error_lines, read_scene, scene_hash, scene_of
 from surveysim.setup import prepare
@@ -225,6 +226,10 @@ def _axis(name: str, value: Any) -> Axis:
         lists = {name: value}
     elif isinstance(value, dict) and value:
         lists = value
+        if not name.isprintable() or not 0 < len(name) <= LONGEST_LINE:
+            raise ValueError(
+                f"sweep: found the axis {shown(name)}; a name in one line, of printable letters, is expected"
+            )
     else:
         raise ValueError(f"{where}: found {shown(value)}; a list of values, or a table of keys with lists, is expected")
     for key, items in lists.items():

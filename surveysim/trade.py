@@ -199,7 +199,7 @@ def _kept(sweep: Sweep, directory: Path) -> dict[int, PointResult]:
     for number, path in finished_points(directory).items():
         if number >= len(sweep.points):
             raise CheckpointError(
-                f"{path}: of another sweep (this one has {len(sweep.points)} points); "
+                f"{path}: from another sweep (this one has {len(sweep.points)} points); "
                 "start anew with --force, or write elsewhere with --out"
             )
         found[number] = load_point(path, sweep.points[number])

@@ -72,8 +72,8 @@ def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) ->
     log_b2 = np.sort((seen[:, None] + drawn).ravel())
     if not atmosphere.b2 and not log_b2[-1] < math.log(B2_MAX):
         raise ValueError(
-            f"atmosphere.fluctuation: found {atmosphere.fluctuation}, which make more than {B2_MAX:g} mK^2 of B2 of the"
-            " site's water; less is expected"
+            f"atmosphere.fluctuation: found {atmosphere.fluctuation}, which give B2 above {B2_MAX:g} mK^2 with the"
+            " site's water; smaller values are expected"
         )
     rank = (np.arange(log_b2.size) + 0.5) / log_b2.size
     return Water(opacity, response, log_b2, ndtri(rank))

@@ -18,7 +18,8 @@ INSIDE = (
     "points/readme",
     "mine/actual.fits",
 )
-TIMED = ("summary.json", "report.html", "figures/run_time.png")  # hold times, and differ between equal runs
+# Hold times, or hashes of what does, and differ between equal runs.
+TIMED = ("summary.json", "report.html", "figures/run_time.png", ".surveysim.json")
 
 
 def files(directory: Path) -> dict[str, str]:

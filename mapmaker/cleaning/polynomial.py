@@ -41,7 +41,7 @@ class PolynomialOptions:
     def __post_init__(self):
         """Raise ValueError for values out of range."""
         whole("order", self.order, least=0, most=_MOST_ORDER)
-        whole("regions", self.regions, least=1)
+        whole("regions", self.regions, least=1, most=2**31 - 1)
         check_fit(self.tolerance, self.max_iterations, self.responsivities)
 
 

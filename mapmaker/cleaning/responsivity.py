@@ -71,7 +71,7 @@ class TemplateModel:
 def check_fit(tolerance: float, max_iterations: int, responsivities: Responsivities) -> None:
     """Raise ValueError for values out of range."""
     number("tolerance", tolerance, above=0)
-    whole("max_iterations", max_iterations, least=1)
+    whole("max_iterations", max_iterations, least=1, most=2**31 - 1)
     if isinstance(responsivities, str):
         if responsivities not in (SCAN, OBSERVATION):
             raise ValueError(
@@ -150,7 +150,8 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.nda
     streams. Raises ValueError for streams of other detectors than those of `basis`.
     """
     n_det, c = basis.shape[1], np.ones(basis.shape[1])
-    limits = (options.tolerance, options.max_iterations, _STEPS[options.responsivities])
+    # One type each: the loop is compiled for the first that comes.
+    limits = (float(options.tolerance), int(options.max_iterations), _STEPS[options.responsivities])
     if n_det <= MOST_GRAM:
         products = (block @ block.T for block in blocks())
         gram = next(products, None)

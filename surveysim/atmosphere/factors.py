@@ -118,9 +118,9 @@ def check_elements(used, n_x, n_lane, step_rad):
 
 def _too_large(n_x, n_lane, step_rad):
     return (
-        f"a strip of the layer of {n_x} by {n_lane} points {step_rad:.3g} rad apart found; {_MOST_POINTS:.3g} points,"
-        f" {LAG_MAX:g} beams and {_MOST_ELEMENTS:.3g} elements of covariance are allowed: shorter scans, a slower"
-        " wind, a lower layer, a smaller camera or a larger numerics.screen_step need less"
+        f"found a strip of the layer with {n_x} by {n_lane} points {step_rad:.3g} rad apart; up to {_MOST_POINTS:.3g}"
+        f" points, {LAG_MAX:g} beams of length and {_MOST_ELEMENTS:.3g} elements of covariance are allowed, by shorter"
+        " scans, a slower wind, a lower layer, a smaller camera or a larger numerics.screen_step"
     )
 
 

@@ -250,4 +250,4 @@ def _lost_scheduler() -> Iterator[None]:
     except (CancelledError, OSError):  # closed connections, time-outs
         raise EngineError("the scheduler of the cluster is gone") from None
     except RuntimeError as error:  # of a client that is no more, or a scheduler that can't read what it gets
-        raise EngineError(f"the scheduler of the cluster can't go on: {schedulers.reason(error)}") from None
+        raise EngineError(f"the cluster's scheduler failed: {schedulers.reason(error)}") from None

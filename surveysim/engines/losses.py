@@ -14,5 +14,5 @@ class EngineError(RuntimeError):
 def too_many_losses(exit_code: int | None = None) -> EngineError:
     """The error of an item whose workers are gone again and again, the last with an exit code if it is known."""
     ended_itself = exit_code is not None and exit_code > 0
-    how = f"ended with exit code {exit_code}" if ended_itself else "perhaps killed for want of memory"
-    return EngineError(f"a worker process is gone {LOSSES_ALLOWED} times with the same work, {how}")
+    how = f"the last with exit code {exit_code}" if ended_itself else "perhaps killed because memory ran out"
+    return EngineError(f"{LOSSES_ALLOWED} worker processes were lost with the same work, {how}")

@@ -69,7 +69,8 @@ def _address_in(path: Path) -> str:
         if not isinstance(address, str):
             raise TypeError
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        raise EngineError(f"scheduler: found {shown(path)}, no address and no scheduler's file; {_EXPECTED}") from None
+        found = f"{shown(path)}, which is neither an address nor a scheduler's file"
+        raise EngineError(f"scheduler: found {found}; {_EXPECTED}") from None
     return address
 
 
@@ -125,7 +126,7 @@ def reason(error: BaseException, other: str = "") -> str:
         chain.append(before)
     first = next((each for each in reversed(chain) if isinstance(each, OSError)), error)
     if isinstance(first, TimeoutError):
-        return "silence"
+        return "timed out"
     if other and not isinstance(first, OSError):
         return other
     lines = str(getattr(first, "strerror", None) or first).splitlines()
@@ -158,8 +159,8 @@ def _asked(address: str) -> int:
         raise EngineError(f"scheduler: found a {shown(kind)} at {address}; a scheduler is expected")
     if version != distributed.__version__:
         raise EngineError(
-            f"scheduler: found one with distributed {version} at {address}; {distributed.__version__}, as here, "
-            "is expected"
+            f"scheduler: found distributed {version} at {address}; {distributed.__version__}, the version here, is "
+            "expected"
         )
     return workers
 

@@ -40,6 +40,10 @@ _WRITTEN = [
 ]
 
 
+# Characters that no page may have, or that turn the direction of its text.
+_CONTROLS = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+
+
 class NoResultsError(ValueError):
     """A directory that no page can be made of; the text has one line: what was found and what is expected."""
 
@@ -53,7 +57,7 @@ def write_report(directory: str | Path) -> Path:
     if not directory.is_dir():
         raise NoResultsError(f"{directory}: no such directory; {EXPECTED}")
     try:
-        page = _html(_page_of(directory)).encode("utf-8")
+        page = _CONTROLS.sub(lambda found: printable(found[0]), _html(_page_of(directory))).encode("utf-8")
     except (NoResultsError, OSError, MemoryError):
         raise
     except Exception as error:  # files that others wrote, or that are damaged, can have anything in them

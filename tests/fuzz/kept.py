@@ -25,14 +25,14 @@ def _untimed(item: Any) -> Any:
     return [_untimed(below) for below in item] if isinstance(item, list) else item
 
 
-def resumed(whole: dict[str, Any], good: bool | None) -> Outcome:
+def resumed(whole: dict[str, Any], good: bool | None, refusals: tuple[int, ...] = (2,)) -> Outcome:
     """Go on in `out`: what is mangled is refused, or changes nothing that it should not.
 
     `good` says that the file has to be accepted with the same results (True), or refused (False); None: a number that
     nobody can know to be wrong was changed, or the same numbers are stored as this program does not store them.
     """
     ended = call("run", "scene.toml", "--resume", *QUIET)
-    if refused := outcome_of_end(ended):
+    if refused := outcome_of_end(ended, refusals):
         if good and refused.kind == "refused":
             return Outcome("silent", f"good, but refused: {refused.text}")
         return refused
@@ -52,6 +52,8 @@ def copied(base: Path) -> None:
 
 def odd_array(array: np.ndarray, rng: np.random.Generator) -> tuple[str, np.ndarray, bool | None]:
     """An array with another shape, type or content; whether it can be good."""
+    if not array.size:
+        return "empty as it was", array, True
     how = int(rng.integers(12))
     flat = array.astype(float)
     if how == 0:

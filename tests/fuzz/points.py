@@ -18,6 +18,7 @@ from tests.scenes import SMALL_SCENE
 SMALLER = SMALL_SCENE.replace("observations = 4", "observations = 2")
 SWEEP = SMALLER.replace("mask_separation_f_lambda = 1.3\n", "").replace('["uncorrelated", "white"]', "[]")
 SWEEP += '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n'
+FOLDER = "a folder"
 VALUES = (None, [], {}, "x", -1, 0, 1e400, float("nan"), True, "\x1b[31m", [1], {"a": 1}, 10**30)
 
 
@@ -57,7 +58,8 @@ def mangled(base: tuple[Path, dict[str, Any]], rng: np.random.Generator) -> tupl
         label, good = _other_file(path, raw, rng)
     else:
         label, good = _changed(path, rng)
-    return label, lambda: resumed(whole, good)
+    refusals = (1, 2) if label == FOLDER else (2,)  # where no file can be written is the machine's fault
+    return label, lambda: resumed(whole, good, refusals)
 
 
 def _other_file(path: Path, raw: bytes, rng: np.random.Generator) -> tuple[str, bool | None]:
@@ -71,7 +73,7 @@ def _other_file(path: Path, raw: bytes, rng: np.random.Generator) -> tuple[str, 
     path.unlink()
     if how == 2:
         path.mkdir()
-        return "a folder", False
+        return FOLDER, False
     if how == 3:
         buffer = io.BytesIO()
         np.savez(buffer, meta=np.array([{"a": 1}], dtype=object), allow_pickle=True)

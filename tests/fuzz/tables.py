@@ -134,8 +134,9 @@ def simply_read(text: str) -> np.ndarray:
     names, *rows = list(csv.reader(body, delimiter=delimiter, skipinitialspace=True))
     units = {}
     for line in header:
-        if match := re.match(r"- \{name: ([^,}]+)(?:, unit: ([^,}]+))?, datatype: ([^,}]+)", line):
-            units[match[1]] = match[2] or ""
+        if match := re.fullmatch(r"- \{(.*)\}", line):
+            facts = dict(part.strip().split(": ", 1) for part in match[1].split(",") if ": " in part)
+            units[facts["name"]] = facts.get("unit", "")
     if sorted(names) != ["x", "y"] or sorted(units) != ["x", "y"]:
         raise Unreadable(f"columns {names}")
     if any(len(row) != 2 for row in rows):

@@ -31,7 +31,10 @@ NO_AIR = (
     .replace('algorithm = "average"', 'algorithm = "none"')
     .replace("observations = 4\n", "observations = 10\n")
 )
-AIR = NO_SETS.replace("observations = 4\n", "observations = 24\n")
+# Eighteen detectors that fit their responsivities to each scan would lose a fifth of the scans, each point others.
+AIR = NO_SETS.replace("observations = 4\n", "observations = 24\n").replace(
+    'algorithm = "average"\n', 'algorithm = "average"\nresponsivities = "observation"\n'
+)
 
 
 # ---------------------------------------------------------------- surveys of toy modes

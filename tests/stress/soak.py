@@ -59,12 +59,12 @@ def of_observations(root: Path, number: int) -> list[dict[str, float]]:
 
 
 def of_runs(root: Path, number: int) -> list[dict[str, float]]:
-    """Measure after a fifth and after all of many runs, every tenth with worker processes and figures."""
+    """Measure after a fifth and after all of many runs, every tenth with figures, every twentieth with workers."""
     scene = load_scene(root / "scene.toml", QUICK | {"observations": 4})
     found = []
     for place in range(1, number + 1):
-        whole = place % 10 == 0
-        run(scene, root / "out", engine=Engine(workers=2) if whole else SERIAL, figures=whole)
+        engine = SERIAL if place % 20 else Engine(workers=2)
+        run(scene, root / "out", engine=engine, figures=place % 10 == 0)
         if place in (number // 5, number):
             found.append(state(root / "temporary"))
     return found

@@ -2,15 +2,17 @@
 
 import os
 import shutil
+import signal
 
 import pytest
 
-from tests.stress.commands import SCENE, SWEEP, ended, start
+from surveysim.main import ended
+from tests.stress.commands import SCENE, SWEEP
 from tests.trees import files
 
 pytestmark = pytest.mark.slow
 
-SHORT = SCENE.replace("observations = 40", "observations = 3")
+SHORT = SCENE.replace("observations = 16", "observations = 3")
 # Where a link stands, and what of the user's it leads to.
 LINKS = {
     "out": "mine",
@@ -44,9 +46,19 @@ MINE = (
 )
 
 
+@pytest.fixture
+def call(monkeypatch, capsys, tmp_path):
+    """Run the command line here; returns exit code and standard error."""
+    monkeypatch.chdir(tmp_path)
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield lambda arguments: (ended(arguments), capsys.readouterr().err)
+    for number, handler in kept.items():
+        signal.signal(number, handler)
+
+
 @pytest.mark.parametrize("earlier", [False, True], ids=["new", "over-a-run"])
 @pytest.mark.parametrize("link", LINKS)
-def test_links(tmp_path, link, earlier):
+def test_links(tmp_path, call, link, earlier):
     mine = tmp_path / "mine"
     for name in MINE:
         (mine / name).parent.mkdir(parents=True, exist_ok=True)
@@ -57,7 +69,7 @@ def test_links(tmp_path, link, earlier):
     if link == "out/points":
         arguments = tuple(item for item in arguments if item != "--save-timestreams")
     if earlier:
-        code, error = ended(start(tmp_path, *arguments))
+        code, error = call(arguments)
         assert code == 0, error
     place = tmp_path / link
     place.parent.mkdir(parents=True, exist_ok=True)
@@ -66,7 +78,7 @@ def test_links(tmp_path, link, earlier):
     place.unlink(missing_ok=True)
     place.symlink_to(os.path.relpath(tmp_path / LINKS[link], place.parent))
     before = files(mine)
-    code, error = ended(start(tmp_path, *arguments))
+    code, error = call(arguments)
     after = files(mine)
     changed = [name for name in before if after.get(name) != before[name]]
     assert not changed, f"exit code {code}: changed {changed}"

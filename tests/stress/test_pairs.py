@@ -11,7 +11,7 @@ from tests.trees import lost, plant, results
 pytestmark = pytest.mark.slow
 
 FEW = 3
-LONG = SCENE.replace("observations = 40", "observations = 150")
+LONG = SCENE.replace("observations = 16", "observations = 80")
 # Scene and arguments of each of the two.
 PAIRS = (
     ((LONG, ("--set", "seed=1")), (LONG, ("--set", "seed=2"))),

@@ -75,6 +75,11 @@ def wrong_numbers(least=None, above=None):
         yield from (above, above - 1)
 
 
+def wrong_pixels():
+    """Sides of pixels whose powers, or whose numbers of pixels, no float and no integer holds, among others."""
+    return [*wrong_numbers(above=0), 1e-320, 1e-300, 1.6, 1e300]
+
+
 WRONG_BOUNDS = [
     BOUNDS.astype(float),
     BOUNDS[0],
@@ -102,7 +107,7 @@ WRONG_INDEX = [
     np.where(INDEX < 0, 255, INDEX % 100).astype(np.uint8),  # -1 in this type
 ]
 WRONG_KEPT = [KEPT[:1], KEPT[:0], np.ones(N_SCAN + 1, bool), KEPT.astype(int), np.arange(2), KEPT[None], None, "yes"]
-WRONG_SIZES = [0, -1, 2.5, np.nan, "12", None, True, 1j]
+WRONG_SIZES = [0, -1, 2.5, np.nan, "12", None, True, 1j, 2**31, 2**64, 10**400]
 WRONG_STREAMS = [*wrong_arrays(DATA[:, :-1], finite=False), DATA[:-1]]
 WRONG_WEIGHTS = [[1.0], [1.0, np.nan], [1.0, -1.0], [np.inf, 1.0], ["1", "1"], [1j, 1.0], 1.0, [[1.0, 1.0]], None, []]
 WRONG_MAPS = [
@@ -133,13 +138,13 @@ TABLE = [
      {"data_mk": [*wrong_arrays(DATA)], "index": WRONG_INDEX, "bounds": WRONG_BOUNDS, "kept": WRONG_KEPT}),
     (mm.coadd, {"maps": [MAP, MAP], "weights": [1.0, 2.0]}, {"weights": WRONG_WEIGHTS, "maps": [[], [MAP]]}),
     (mm.MapGeometry, {"ra0_rad": 2.3, "dec0_rad": 0.7, "pixel_rad": PIXEL, "n_x": 3, "n_y": 4},
-     {"ra0_rad": wrong_numbers(), "dec0_rad": wrong_numbers(least=-1), "pixel_rad": wrong_numbers(above=0),
+     {"ra0_rad": wrong_numbers(), "dec0_rad": wrong_numbers(least=-1), "pixel_rad": wrong_pixels(),
       "n_x": WRONG_SIZES, "n_y": WRONG_SIZES}),
     (mm.covering_geometry, {"ra0_rad": 2.3, "dec0_rad": 0.7, "pixel_rad": PIXEL, "half_extent_rad": 1e-3},
-     {"pixel_rad": [*wrong_numbers(above=0), 1e-300], "half_extent_rad": wrong_numbers(above=0)}),
+     {"pixel_rad": wrong_pixels(), "half_extent_rad": wrong_numbers(above=0)}),
     (mm.mean_direction, {"ra_rad": np.ones(3), "dec_rad": np.ones(3)},
      {"ra_rad": [*wrong_arrays(np.ones(3))], "dec_rad": [*wrong_arrays(np.ones(3))]}),
-    (mm.finest_nside, {"pixel_rad": PIXEL}, {"pixel_rad": wrong_numbers(above=0)}),
+    (mm.finest_nside, {"pixel_rad": PIXEL}, {"pixel_rad": wrong_pixels()}),
     (boresight_pixels, {"geometry": GEOMETRY, "xi_rad": np.zeros(4), "eta_rad": np.zeros(4),
                         "plane_angle_rad": np.zeros(4), "plane": PLANE},
      {name: wrong_arrays(np.zeros(4), finite=False) for name in ("eta_rad", "plane_angle_rad")}),
@@ -219,17 +224,17 @@ TABLE = [
                           np.full((1, N_DET, N_DET), np.nan),
                           np.ones((0, N_DET, N_DET)), np.ones((1, N_DET, N_DET), complex)]}),
     (mm.tukey_taper, {"n_y": 9, "n_x": 9, "pixel_rad": PIXEL, "size_rad": 5e-4, "edge_fraction": 0.5},
-     {"n_y": WRONG_SIZES, "n_x": WRONG_SIZES, "pixel_rad": wrong_numbers(above=0), "size_rad": wrong_numbers(above=0),
+     {"n_y": WRONG_SIZES, "n_x": WRONG_SIZES, "pixel_rad": wrong_pixels(), "size_rad": wrong_numbers(above=0),
       "edge_fraction": [*wrong_numbers(least=0), 1.1]}),
     (mm.mode_ell, {"n_y": 9, "n_x": 9, "pixel_rad": PIXEL},
-     {"n_y": WRONG_SIZES, "n_x": WRONG_SIZES, "pixel_rad": wrong_numbers(above=0)}),
+     {"n_y": WRONG_SIZES, "n_x": WRONG_SIZES, "pixel_rad": wrong_pixels()}),
     (mm.annuli, {"n_y": SIDE, "n_x": SIDE, "pixel_rad": PIXEL, "edges_ell": EDGES, "taper": TAPER},
-     {"n_y": [SIDE + 1, *WRONG_SIZES], "pixel_rad": wrong_numbers(above=0), "taper": [*wrong_arrays(TAPER), 0 * TAPER],
+     {"n_y": [SIDE + 1, *WRONG_SIZES], "pixel_rad": wrong_pixels(), "taper": [*wrong_arrays(TAPER), 0 * TAPER],
       "edges_ell": [EDGES[::-1], EDGES[:1], [1.0, np.nan], EDGES[None], "ab", [1e9, 2e9], None, []]}),
     *[(of, {"map_mk": np.ones((2, SIDE, SIDE)), "taper": TAPER, "pixel_rad": PIXEL} | more,
        {"map_mk": [np.ones(SIDE), np.ones((SIDE, SIDE + 4)), np.full((SIDE, SIDE), np.nan),
                    np.ones((SIDE, SIDE), complex)],
-        "taper": [*wrong_arrays(TAPER), 0 * TAPER], "pixel_rad": wrong_numbers(above=0)})
+        "taper": [*wrong_arrays(TAPER), 0 * TAPER], "pixel_rad": wrong_pixels()})
       for of, more in ((mode_psd, {}), (mm.map_psd, {"rings": RINGS}))],
     (mm.ring_mean, {"values": np.ones(RINGS.bin_of_mode.size), "rings": RINGS},
      {"values": [np.ones(3), np.full(RINGS.bin_of_mode.size, np.nan), "a", None,
@@ -237,14 +242,14 @@ TABLE = [
     (mm.coupled_psd, {"sky_psd": np.ones((24, 13)), "sky_shape": (24, 24), "taper": TAPER, "pixel_rad": PIXEL},
      {"sky_psd": wrong_arrays(np.ones((24, 13)), least=0),
       "sky_shape": [(24, 25, 26), (24,), (23, 24), (2.5, 24), ("a", 1)],
-      "taper": [np.ones(3), np.full((SIDE, SIDE), np.nan), 0 * TAPER], "pixel_rad": wrong_numbers(above=0),
+      "taper": [np.ones(3), np.full((SIDE, SIDE), np.nan), 0 * TAPER], "pixel_rad": wrong_pixels(),
       "cells_per_pixel": WRONG_SIZES}),
     (mm.neighbour_correlation, {"taper": TAPER, "rings": RINGS}, {"taper": [*wrong_arrays(TAPER), 0 * TAPER]}),
     *[(of, {"ell": np.ones(3), name: 1e-4},
-       {"ell": [[1.0, np.nan], "ab", [1j], None], name: wrong_numbers(least=0)})
+       {"ell": [[1.0, np.nan], "ab", [1j], None], name: [*wrong_numbers(least=0), 1e300]})
       for of, name in ((mm.beam_window, "fwhm_rad"), (pixel_window, "pixel_rad"))],
     (mm.mode_pixel_window, {"n_y": 8, "n_x": 8, "cell_rad": PIXEL, "pixel_rad": PIXEL},
-     {"n_y": WRONG_SIZES, "n_x": WRONG_SIZES, "cell_rad": wrong_numbers(above=0), "pixel_rad": wrong_numbers(above=0)}),
+     {"n_y": WRONG_SIZES, "n_x": WRONG_SIZES, "cell_rad": wrong_pixels(), "pixel_rad": wrong_pixels()}),
     (mm.signal_window, {"psd_cleaned": np.ones((3, 4)), "psd_reference": np.ones((3, 4)), "ell": np.ones(4)},
      {"psd_cleaned": wrong_arrays(np.ones((3, 4)), least=0), "psd_reference": wrong_arrays(np.ones((3, 4)), least=0),
       "ell": wrong_arrays(np.ones(4))}),
@@ -344,3 +349,13 @@ def test_quantities_are_refused():
         mm.FocalPlane([0.0], [0.0], 1 * u.arcmin)
     with pytest.raises(ValueError, match="data_mk: found a quantity in K"):
         mm.bin_map(GEOMETRY, DATA * u.K, INDEX, BOUNDS, KEPT)
+
+
+@pytest.mark.parametrize(
+    "tolerance, most", [(np.float16(1e-3), np.uint64(100)), (np.float32(1e-3), np.int8(100)), (1, 100)]
+)
+def test_options_of_any_type_of_number(tolerance, most):
+    """The loop is compiled for one."""
+    expected = mm.clean("average", DATA, BOUNDS, PLANE, mm.TemplateOptions(float(tolerance), 100))
+    found = mm.clean("average", DATA, BOUNDS, PLANE, mm.TemplateOptions(tolerance, most))
+    np.testing.assert_array_equal(found.data_mk, expected.data_mk)

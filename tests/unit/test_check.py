@@ -21,6 +21,7 @@ from tests.scenes import SMALL_SCENE
 FIRST_LIGHT = Path(__file__).parents[2] / "scenarios" / "first_light.toml"
 MOST_SECONDS, MOST_BYTES = 10.0, 3e9
 MOST_WORK = 3e7  # detector-samples of an observation that a test makes
+EACH = 7  # of the extremes of keys that is tried; with 1, which takes a quarter of an hour, all are
 
 
 @pytest.fixture
@@ -65,9 +66,9 @@ def test_every_number_has_both_bounds():
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        ({"atmosphere.wind_median": "300 deg / s"}, "atmosphere: a strip of the layer of"),
-        ({"atmosphere.layer_height": "90000 km"}, "atmosphere: a strip of the layer of"),
-        ({"atmosphere.illuminated_aperture": "1 mm"}, "atmosphere: a strip of the layer of"),
+        ({"atmosphere.wind_median": "300 deg / s"}, "atmosphere: found a strip of the layer with"),
+        ({"atmosphere.layer_height": "90000 km"}, "atmosphere: found a strip of the layer with"),
+        ({"atmosphere.illuminated_aperture": "1 mm"}, "atmosphere: found a strip of the layer with"),
         ({"atmosphere.wind_b2_exponent": -2}, ""),
         ({"atmosphere.b2": "[0, 280, 980] mK2 rad(-5/3)", "atmosphere.wind_b2_exponent": -2}, ""),
         ({"atmosphere.b2_probabilities": [0.49, 0.5, 0.51], "atmosphere.b2": "[1e-9, 1, 1e9] mK2 rad(-5/3)"}, "B2 = "),
@@ -94,7 +95,7 @@ def test_weather_of_many_observations_is_bounded(small):
     """Nobody draws that of a million to check them: it is as extreme as hardly any of such surveys has it."""
     keys = {"observations": 500_000, "atmosphere.wind_log_scatter": 1}
     start = perf_counter()
-    with pytest.raises(SceneError, match="atmosphere: a strip of the layer .* in wind of .* arcmin / s"):
+    with pytest.raises(SceneError, match="atmosphere: found a strip of the layer .* in wind of .* arcmin / s"):
         prepare(load_scene(small, keys))
     assert prepare(load_scene(small, {"observations": 500_000})).scene.observations == 500_000
     assert perf_counter() - start < MOST_SECONDS
@@ -124,7 +125,7 @@ def test_scenes_larger_than_the_machine_are_refused_before_they_are_made(small, 
     """By their key, with what they take; it is not taken."""
     monkeypatch.setattr(limits, "machine_bytes", lambda: 1e9)
     before = memory.peak_bytes()
-    with pytest.raises(SceneError, match="found a scene that takes some .* GB of memory in one process") as caught:
+    with pytest.raises(SceneError, match="found a scene that needs about .* GB of memory in one process") as caught:
         prepare(load_scene(small, overrides))
     assert str(caught.value).startswith(f"{key}: ")
     assert memory.peak_bytes() - before < 3e8
@@ -136,7 +137,7 @@ def test_skies_are_not_made_to_be_checked(small):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("key", "overrides"), [*extreme_overrides(2)], ids=lambda item: str(item)[:60])
+@pytest.mark.parametrize(("key", "overrides"), [*extreme_overrides(2)][::EACH], ids=lambda item: str(item)[:60])
 def test_check_and_run_agree_at_extremes_of_all_keys(monkeypatch, key, overrides):
     monkeypatch.setattr(limits, "machine_bytes", lambda: MOST_BYTES)
     text = refused_or_run(FIRST_LIGHT, overrides)

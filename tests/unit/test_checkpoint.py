@@ -70,7 +70,7 @@ def test_round_trip_of_nothing(tmp_path, setup):
 
 @pytest.fixture
 def refused(path, setup):
-    def refused(words="damaged, or no checkpoint at all; delete it and go on with --resume"):
+    def refused(words="damaged, or not a checkpoint; delete it and go on with --resume"):
         with pytest.raises(CheckpointError, match=words) as caught:
             load_checkpoint(path, setup)
         text = str(caught.value)
@@ -161,6 +161,10 @@ FORGERIES = {
     **{f"dimensions of {name}": changed(name, lambda array: array[None]) for name in ("sums", "rows", "raw_psd")},
     **{f"NaN in {name}": changed(name, set_at(np.nan)) for name in ("sums", "weight", "flipped", "window", "raw_psd")},
     **{f"infinity in {name}": changed(name, set_at(np.inf)) for name in ("sums", "window_weight", "clean_psd")},
+    **{f"vast {name}": changed(name, set_at(-1e300)) for name in ("sums", "flipped", "window")},
+    "infinite noise of an observation with data": changed("bin_noise", set_at(np.inf, 3)),
+    "no noise of an observation with data": changed("rows", set_at(np.inf, -1)),
+    "unknown noise": changed("rows", set_at(np.nan, -1)),
     **{f"negative {name}": changed(name, set_at(-1)) for name in ("hits", "weight", "window_weight", "raw_psd")},
     **{f"no {name}": (lambda file, name=name: file.pop(name)) for name in (*ARRAYS, *LISTS)},
     "another name": lambda file: file.move("sums", "sum"),
@@ -195,14 +199,14 @@ FORGERIES = {
 def test_contents_of_no_run_are_refused(path, refused, forgery):
     """With a digest that is right."""
     forge(path, FORGERIES[forgery])
-    refused(r"not what a run keeps \(.+\); delete it and go on with --resume")
+    refused(r"not what a run of this scene writes \(.+\); delete it and go on with --resume")
 
 
 @pytest.mark.parametrize("key", ["version", "scene"])
 @pytest.mark.parametrize("value", [None, 3, "", "other", ["other"], "\x1b[31m" * 9])
 def test_other_origins_are_refused(path, refused, key, value):
     forge(path, meta(**{key: value}))
-    refused(f"of another {key} .found .*; start anew with --force, or write elsewhere with --out")
+    refused(f"from another {key} .found .*; start anew with --force, or write elsewhere with --out")
 
 
 def forge(path, change):
@@ -219,7 +223,7 @@ def forge(path, change):
 
 def test_what_is_no_hdf5_is_refused(path, refused):
     path.write_bytes((_MARK + sha256(b"text").hexdigest().encode()).ljust(512, b"\0") + b"text")
-    refused("not what a run keeps")
+    refused("not what a run of this scene writes")
 
 
 def test_sizes_are_compared_before_anything_is_read(path, refused):
@@ -249,11 +253,11 @@ def test_streams_of_another_run_are_refused(tmp_path, scene, setup):
     for content in (b"", b"text", whole[:2000], other):
         (streams / "0001.h5").write_bytes(content)
         with pytest.raises(
-            CheckpointError, match="0001.h5: no time-streams of observation 1 of this scene; start anew"
+            CheckpointError, match="0001.h5: not the time-streams of observation 1 of this scene; start anew"
         ):
             run_observations(setup, path, resume=True, timestream_dir=streams)
     (streams / "0000.h5").write_bytes(whole)
-    with pytest.raises(CheckpointError, match="0000.h5: no time-streams of observation 0"):
+    with pytest.raises(CheckpointError, match="0000.h5: not the time-streams of observation 0"):
         check_streams(streams, setup, 2)
 
 

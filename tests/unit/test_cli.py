@@ -62,7 +62,7 @@ def refused(call, scene, *arguments):
         ("map.pixel=0.01 arcsec", ("map.pixel: found a map of", "16384 or less")),
         ("scan.sample_rate=9e8 Hz", ("scan.sample_rate: found", "1e+11 or less")),
         ("scan.sample_rate=2e7 Hz", ("scan.sample_rate: found 4.8e+08 samples", "1e+08 or less")),
-        ("numerics.stream_memory=4 kB", ("numerics.stream_memory: found 0.004 MB", "of one scan of 60 samples")),
+        ("numerics.stream_memory=4 kB", ("numerics.stream_memory: found 0.004 MB", "for one scan of 60 samples")),
         ("score.size=3 deg", ("score.size: found 180 arcmin", "or less is expected")),
         ("score.ell_max=30000", ("score.ell_max: found 30000", "21600 or less")),
         ("score.ell_bin=3", ("score.ell_bin: no Fourier mode", "expected")),
@@ -118,7 +118,7 @@ def test_workers(call, scene, workers):
         (None, "can't be read"),
         (b"\x93NUMPY\x00\xff\xfe", "line 1 is not UTF-8"),
         (SMALL_SCENE[:300].encode(), "missing"),
-        (b"first_night = 2003-02-30", "not a whole TOML file"),
+        (b"first_night = 2003-02-30", "not a valid TOML file"),
         (b"a = " + b"[" * 5000, "expected"),
         (b"", "missing"),
     ],
@@ -359,6 +359,8 @@ def test_new(call, scene, monkeypatch):
         (("mine", "--like", "yours"), "exists"),
         (("other", "--like", "nowhere"), "mine, ours, yours"),
         (("../other", "--like", "mine"), "letters, digits"),
+        (("..", "--like", "mine"), "none of the last two first"),  # no scene by this name could be run
+        (("x" * 101, "--like", "mine"), "letters, digits"),
     ):
         code, _, error = call("new", *arguments)
         assert code == 2 and words in error and len(error.splitlines()) == 1

@@ -63,7 +63,7 @@ def test_its_own_scene_run_again_gives_the_same_bits(call, scene):
 def test_a_finished_run_has_nothing_to_resume(call, scene):
     assert call("run", scene, *QUICK) == (0, "", "")
     before = tree(Path("outputs"))
-    said = "outputs/small: finished; there is nothing to resume\n"
+    said = "outputs/small: the run is finished; there is nothing to resume\n"
     assert call("run", scene, "--engine", "serial", "--resume") == (0, "", said)
     assert tree(Path("outputs")) == before
     with pytest.raises(FinishedError):
@@ -78,10 +78,31 @@ def test_a_checkpoint_is_not_thrown_away(call, scene, monkeypatch):
     interrupt_after(call, scene, Path("outputs/small"), 1, monkeypatch)
     before = tree(Path("outputs"))
     code, _, error = call("run", scene, *QUICK)
-    assert code == 2 and "checkpoint.h5: of a run that has not finished; --resume goes on from there" in error
+    assert code == 2 and "checkpoint.h5: from a run that has not finished; --resume goes on from there" in error
     assert tree(Path("outputs")) == before
     assert call("run", scene, *QUICK, "--resume") == (0, "", "")
     assert "checkpoint.h5" not in names("outputs/small")
+
+
+@pytest.mark.parametrize("text", [WHITE_NOISE_SCENE, WHITE + SWEEP], ids=["scene", "sweep"])
+def test_a_run_that_is_interrupted_costs_no_earlier_results(call, scene, monkeypatch, text):
+    scene.write_text(text.replace("observations = 4", "observations = 2"))
+    assert call("run", scene, *QUICK, "--out", "out") == (0, "", "")
+    before = tree(Path("out"))
+
+    def stopped(*arguments, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("surveysim.api.survey_result", stopped)
+        patch.setattr("surveysim.api.compare_runs", stopped)
+        assert call("run", scene, *QUICK, "--out", "out")[0] == 130
+    after = tree(Path("out"))
+    assert {name: after[name] for name in before if name != RECORD} == {
+        name: before[name] for name in before if name != RECORD
+    }
+    assert call("run", scene, *QUICK, "--out", "out", "--resume") == (0, "", "")
+    assert names("out") == sorted({name.partition("/")[0] for name in before})
 
 
 @pytest.mark.parametrize("command", ["run", "forecast"])
@@ -97,7 +118,7 @@ def test_sweeps(call, scene, command):
     assert call(command, scene, *how, "--out", "two")[0] == 2
     assert call("forecast" if command == "run" else "run", scene, *how[-2:], "--out", "two")[0] == 2
     if command == "run":
-        said = (0, "", "two: finished; there is nothing to resume\n")
+        said = (0, "", "two: the run is finished; there is nothing to resume\n")
         assert call(command, "two/scene.toml", *how, "--out", "two", "--resume") == said
     assert call(command, scene, *how, "--out", "two", "--force") == (0, "", "")
 
@@ -133,7 +154,9 @@ def test_a_report_of_the_user(call, scene):
     (Path("out") / RECORD).unlink()
     page = Path("out/report.html").read_bytes()
     code, _, error = call("report", "out")
-    assert code == 2 and error == "out/report.html: not written by this program; --force replaces it\n"
+    assert (
+        code == 2 and error == "out/report.html: not written by this program, or changed since; --force replaces it\n"
+    )
     assert call("report", "out", "--force")[0] == 0 and Path("out/report.html").read_bytes() == page
 
 

@@ -95,8 +95,8 @@ def test_work_of_a_lost_worker_is_done_again(engine, tmp_path, caplog):
 
 @LOCAL
 def test_work_that_ends_every_worker(engine):
-    how = "ended with exit code 9" if engine is TWO else "perhaps killed for want of memory"  # dask does not tell
-    with pytest.raises(EngineError, match=f"a worker process is gone 3 times with the same work, {how}"):
+    how = "the last with exit code 9" if engine is TWO else "perhaps killed because memory ran out"  # by dask
+    with pytest.raises(EngineError, match=f"3 worker processes were lost with the same work, {how}"):
         list(ordered_map(vanish, range(2), engine))
     assert not multiprocessing.active_children()
 
@@ -146,7 +146,9 @@ def test_schedulers_that_are_not_there(monkeypatch, tmp_path):
     monkeypatch.setattr("surveysim.engines.scheduler.CONNECT_S", 0.5)
     (tmp_path / "text").write_text("no scheduler")
     for path in ("nowhere.json", tmp_path / "text"):
-        with pytest.raises(EngineError, match="no address and no scheduler's file; tcp://host:port, tls://host:port"):
+        with pytest.raises(
+            EngineError, match="neither an address nor a scheduler's file; tcp://host:port, tls://host:port"
+        ):
             list(on_cluster(square, [1], Engine("dask", scheduler=str(path))))
     with pytest.raises(EngineError, match="scheduler: no scheduler answers at tcp://127.0.0.1:9"):
         list(on_cluster(square, [1], Engine("dask", scheduler="tcp://127.0.0.1:9")))

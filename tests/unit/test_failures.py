@@ -86,7 +86,7 @@ def test_fault_whose_details_cannot_be_written(fail, monkeypatch, tmp_path):
             "o/map.fits: too many open files; raise the limit ('ulimit -n') or take fewer workers",
         ),
         (FileNotFoundError(errno.ENOENT, "No such file"), 1, "the working directory is gone; change to another"),
-        (MemoryError(), 1, "not enough memory for this scene; 'surveysim plan' says how much one takes"),
+        (MemoryError(), 1, "not enough memory for this scene; 'surveysim plan SCENE' says how much it needs"),
         (EngineError("the scheduler is gone"), 1, "the scheduler is gone"),
         (BrokenPipeError(errno.EPIPE, "Broken pipe"), 1, "output: Broken pipe"),  # not of a standard stream
         (KeyboardInterrupt(), 130, "interrupted"),

@@ -93,7 +93,9 @@ def test_times_and_declinations(path):
     read_timestreams(path)
 
 
-@pytest.mark.parametrize("value", [0.0, -60.0, np.nan, np.inf, "60", "wide", [60.0, 60.0], 1j, h5py.Empty("f8")])
+@pytest.mark.parametrize(
+    "value", [0.0, -60.0, np.nan, np.inf, 648000.0, 1e300, "60", "wide", [60.0, 60.0], 1j, h5py.Empty("f8")]
+)
 def test_beams(path, value):
     with h5py.File(path, "a") as file:
         file.attrs["fwhm_arcsec"] = value

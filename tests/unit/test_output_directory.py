@@ -3,6 +3,7 @@
 import json
 import os
 from hashlib import sha256
+from pathlib import Path
 
 import pytest
 
@@ -174,7 +175,7 @@ def test_links_to_files_are_not_followed(tmp_path, name):
 
 def test_a_link_to_nowhere_is_there(tmp_path):
     (tmp_path / "summary.json").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(OutputError, match=r"summary.json: no plain file"):
+    with pytest.raises(OutputError, match=r"summary.json: not a regular file"):
         written(tmp_path)
 
 
@@ -218,6 +219,23 @@ def test_directories_that_can_not_be(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "link", "loop"]
 
 
+def test_a_home_directory_that_the_shell_left(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("~", "~/out"):
+        with pytest.raises(OutputError, match="found a '~' that the shell has not replaced"):
+            written(Path(name))
+    assert tree(tmp_path) == {}
+
+
+def test_the_folder_above_a_link(tmp_path):
+    """It is that of the link's target, as for the system."""
+    (tmp_path / "real" / "deep").mkdir(parents=True)
+    (tmp_path / "link").symlink_to("real/deep")
+    written(tmp_path / "link" / ".." / "out")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "real"]
+    assert {RECORD, "summary.json"} <= set(tree(tmp_path / "real" / "out"))
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_folders_that_can_not_be_written(tmp_path):
     (tmp_path / "maps").mkdir(mode=0o555)
@@ -245,7 +263,7 @@ def test_the_same_results_are_replaced(tmp_path):
     "results, words",
     [
         (OTHER, "holds results of 'small' with other settings"),
-        (Results("run", "big", "c" * 64, NAMES), "holds results of 'small' and not of this scene"),
+        (Results("run", "big", "c" * 64, NAMES), "holds results of another scene, 'small'"),
         (Results("forecast", "small", "a" * 64, ("forecast.ecsv",)), "holds results of 'surveysim run'"),
         (Results("paper", "", "", ("table1.ecsv",)), "holds results of 'surveysim run'"),
     ],
@@ -262,6 +280,17 @@ def test_other_results_are_refused(tmp_path, results, words):
     written(tmp_path, results.names[:1], results, force=True)
     there = {name for name in tree(tmp_path) if "." in name}
     assert there == {RECORD, "notes.txt", results.names[0], *results.inputs}
+
+
+def test_a_record_that_someone_edited_is_shown_in_a_short_line(tmp_path):
+    written(tmp_path)
+    record = json.loads((tmp_path / RECORD).read_text())
+    for key in ("command", "scene"):
+        edited = record | {"sha256": "other", key: "\x1b[31mx\n" * 100}
+        (tmp_path / RECORD).write_text(json.dumps(edited))
+        with pytest.raises(OutputError) as error:
+            written(tmp_path)
+        assert str(error.value).isprintable() and len(str(error.value)) < 200 + len(str(tmp_path))
 
 
 def test_force_keeps_results_that_the_user_changed(tmp_path):
@@ -288,7 +317,7 @@ def test_a_run_is_not_thrown_away(tmp_path, names):
     before = tree(tmp_path)
     with pytest.raises(OutputError) as error:
         written(tmp_path)
-    words = "of a run that has not finished; --resume goes on from there, --force starts anew, --out writes elsewhere"
+    words = "from a run that has not finished; --resume goes on from there, --force starts anew, --out writes elsewhere"
     assert str(error.value) == f"{tmp_path / names[0]}: {words}"
     with pytest.raises(OutputError, match="holds an unfinished run of 'small' with other settings"):
         written(tmp_path, results=OTHER)
@@ -323,7 +352,7 @@ def test_a_finished_run_is_not_resumed(tmp_path):
 def test_a_run_that_was_stopped_early_is_resumed(tmp_path):
     """It has both results and a checkpoint."""
     written(tmp_path, NAMES[:4])
-    with pytest.raises(OutputError, match="checkpoint.h5: of a run that has not finished; --resume"):
+    with pytest.raises(OutputError, match="checkpoint.h5: from a run that has not finished; --resume"):
         written(tmp_path)
     with claimed(tmp_path, RUN, resume=True) as place:
         begin(place, removed=lambda name: False)
@@ -372,9 +401,25 @@ def test_a_report_is_renewed(tmp_path):
     written(tmp_path, results.names, results)  # the record knows it
 
 
+@pytest.mark.parametrize("change", ["edited", "a link"])
+def test_a_report_that_the_user_changed_is_not_renewed(tmp_path, change):
+    results = Results("run", "small", "", ("summary.json", "report.html"))
+    written(tmp_path, results.names, results)
+    if change == "edited":
+        put(tmp_path, {"report.html": "with notes"})
+    else:
+        (tmp_path / "report.html").rename(tmp_path / "page.html")
+        (tmp_path / "report.html").symlink_to("page.html")
+    before = tree(tmp_path)
+    refused = pytest.raises(OutputError, match="report.html: not written by this program, or changed since; --force")
+    with refused, renewed(tmp_path, "report.html"):
+        pytest.fail("written")
+    assert tree(tmp_path) == before
+
+
 def test_a_report_of_the_user_is_not_renewed(tmp_path):
     put(tmp_path, {"report.html": "mine"})
-    refused = pytest.raises(OutputError, match="report.html: not written by this program; --force")
+    refused = pytest.raises(OutputError, match="report.html: not written by this program, or changed since; --force")
     with refused, renewed(tmp_path, "report.html"):
         pytest.fail("written")
     with renewed(tmp_path, "report.html", force=True):

@@ -185,3 +185,9 @@ def test_cost(tmp_path):
     # Three starts for figures and one for itself; 400 observations take longer, in no more memory than that of a strip.
     assert few.figures_s == many.figures_s == 6 and 8 < few.wall_s < many.wall_s
     assert 1e8 < few.memory_bytes <= many.memory_bytes < 2 * few.memory_bytes
+
+
+def test_a_survey_of_one_observation(tmp_path):
+    (path := tmp_path / "small.toml").write_text(SMALL_SCENE.replace("observations = 4", "observations = 1", 1))
+    plan = make_plan(prepare(load_scene(path)), 1)
+    assert plan.wall_s > 0 and plan.memory_bytes > 0

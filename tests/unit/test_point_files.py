@@ -63,17 +63,24 @@ def at_first(value):
     return lambda array: np.concatenate([np.full(1, value), array.ravel()[1:]]).reshape(array.shape)
 
 
+def set_all(value):
+    return lambda array: np.full_like(array, value)
+
+
 del_ = object()
 SETS = ("sets", "actual")
 ARRAYS = ("noise_psds", "signal_psd", "weights", "band.weight", "band.ell", "window.transmission")
+NOT_NEGATIVE = ("noise_psds", "signal_psd", "weights", "band.weight", "control.weights", "plain.weight")
 FORGERIES = {
     **{f"shape of {name}": array(f"actual/{name}", lambda a: a[..., :-1]) for name in ARRAYS},
     **{f"dimensions of {name}": array(f"actual/{name}", lambda a: a[None]) for name in ARRAYS},
     **{f"type of {name}": array(f"actual/{name}", lambda a: a.astype(np.int16)) for name in ARRAYS},
     **{f"text in {name}": array(f"actual/{name}", lambda a: a.astype(str)) for name in ARRAYS},
     **{f"NaN in {name}": array(f"actual/{name}", at_first(np.nan)) for name in ("noise_psds", "signal_psd", "weights")},
-    **{f"negative {name}": array(f"actual/{name}", at_first(-1.0)) for name in ("noise_psds", "weights")},
-    **{f"infinite {name}": array(f"actual/{name}", at_first(np.inf)) for name in ("signal_psd", "weights")},
+    **{f"negative {name}": array(f"actual/{name}", at_first(-1.0)) for name in NOT_NEGATIVE},
+    **{f"infinite {name}": array(f"actual/{name}", at_first(np.inf)) for name in NOT_NEGATIVE},
+    **{f"no noise of {name}": array(f"actual/{name}", set_all(np.inf)) for name in ("bin_noise", "control.noise")},
+    **{f"NaN in {name}": array(f"actual/{name}", set_all(np.nan)) for name in ("bin_noise", "control.noise")},
     "an array less": lambda content: {k: v for k, v in content.items() if k != "actual/weights"},
     "an array more": lambda content: content | {"actual/more": np.zeros(3)},
     "no meta": lambda content: {k: v for k, v in content.items() if k != "meta"},
@@ -118,7 +125,7 @@ def test_contents_of_no_point_are_refused(finished, tmp_path, forgery):
 def test_other_origins_are_refused(finished, tmp_path, key, value):
     point, raw = finished
     np.savez(tmp_path / "000.npz", **meta(key, value=value)(content_of(raw)))
-    refused(tmp_path / "000.npz", point, f"of another {key} .found .*; start anew with --force")
+    refused(tmp_path / "000.npz", point, f"from another {key} .found .*; start anew with --force")
 
 
 @pytest.mark.parametrize("content", [b"", b"text", b"PK\x03\x04", bytes(1000), b"\x93NUMPY\x01\x00"])

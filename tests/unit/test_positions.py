@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 from surveysim.positions import MAX_BYTES, read_positions
+from surveysim.scene import SceneError, load_scene
+from surveysim.setup import prepare
+from tests.scenes import SMALL_SCENE
 
 HEAD = """\
 # %ECSV 1.0
@@ -71,7 +74,7 @@ def test_a_written_quantity_table_is_read(tmp_path):
         ("-20.0 -1.5", "40.0 0.5", "row 3: found the position of row 2"),
         ("\n0.0 0.0\n40.0 0.5\n-20.0 -1.5\n", "\n", "found no row; one row for each detector is expected"),
         # columns
-        ("x y\n", "x z\n", "column 'z': unknown; the columns x and y alone are allowed"),
+        ("x y\n", "x z\n", "column 'z': unknown; only the columns x and y are allowed"),
         ("x y\n", "x x\n", "column 'x': found more than once; the columns x and y, each once, are expected"),
         ("x y\n", "X y\n", "column 'X': unknown"),
         ("\nx y\n0.0 0.0\n40.0 0.5\n-20.0 -1.5\n", "\nx\n0.0\n", "column 'y': missing; the columns x and y"),
@@ -98,7 +101,7 @@ def test_dead_detectors_are_no_column(tmp_path):
     """A column that is not known is refused: one of dead detectors was passed over, and they were simulated."""
     (path := tmp_path / "camera.ecsv").write_text(DEAD)
     assert refusal(path) == (
-        "column 'dead': unknown; the columns x and y alone are allowed: rows of detectors that do not work are left out"
+        "column 'dead': unknown; only the columns x and y are allowed; leave out rows of detectors that do not work"
     )
 
 
@@ -141,3 +144,14 @@ def test_files_that_are_no_files(tmp_path):
 def test_broken_tables_are_refused(tmp_path, text):
     (path := tmp_path / "camera.ecsv").write_text(text, encoding="latin-1")
     assert refusal(path)
+
+
+def test_a_link_to_itself_beside_a_scene(tmp_path):
+    (tmp_path / "loop.ecsv").symlink_to("loop.ecsv")
+    start, end = SMALL_SCENE.index("[instrument.layout]"), SMALL_SCENE.index("[scan]")
+    scene = tmp_path / "small.toml"
+    scene.write_text(f'{SMALL_SCENE[:start]}positions = "loop.ecsv"\n\n{SMALL_SCENE[end:]}')
+    with pytest.raises(
+        SceneError, match=r"positions: .*loop.ecsv: can't be read \(Too many levels of symbolic links\)"
+    ):
+        prepare(load_scene(scene))

@@ -444,10 +444,20 @@ def test_damaged_results_are_refused_in_a_line(call, copy, name):
     assert refused > len(chosen) // 3
 
 
+def test_no_control_characters_are_in_a_page(call, copy):
+    content = json.loads((copy / "summary.json").read_text())
+    content["files"].append("maps/a\0\x07\x1b[31mred\x85\u202eb.fits")
+    (copy / "summary.json").write_text(json.dumps(content))
+    assert call("report", copy)[0] == 0
+    page = (copy / "report.html").read_text()
+    assert r"a\x00\x07\x1b[31mred\x85\u202eb.fits" in page
+    assert not set(page) & set("\0\x07\x1b\x85\u202e")
+
+
 def test_results_that_are_no_files(call, copy):
     for prepare in (os.mkfifo, os.mkdir):
         (copy / "summary.json").unlink()
         prepare(copy / "summary.json")
         code, out, error = call("report", copy)
-        assert (code, out) == (2, "") and len(error.splitlines()) == 1
-        assert "summary.json: no plain file" in error or "summary.json: found no file" in error
+        words = "found no file" if prepare is os.mkdir else "not a regular file"
+        assert (code, out) == (2, "") and f"summary.json: {words}" in error and len(error.splitlines()) == 1

@@ -12,6 +12,7 @@ from PIL import Image
 from surveysim import load_scene
 from surveysim import run as run_scene
 from surveysim.engines import SERIAL, Engine
+from surveysim.output_lock import OutputError
 from surveysim.report.page_paper import Compared
 from surveysim.reproduce import FIGURES, TABLES, reproduce, wanted
 from surveysim.scene import SceneError
@@ -68,7 +69,7 @@ def test_everything_is_there_and_nothing_else(made):
     }
     names |= {f"figure{number:02d}.{kind}" for number in FIGURES for kind in ("png", "ecsv")}
     assert {path.name for path in written} == names
-    assert {path.name for path in out.iterdir()} == names | {"summary.json", "report.html"}
+    assert {path.name for path in out.iterdir()} == names | {"summary.json", "report.html", ".surveysim.json"}
 
 
 def test_the_report_has_all_of_it(made):
@@ -120,7 +121,7 @@ def test_what_agrees(numbers, verdict):
 
 def test_the_summary_says_what_each_item_is_made_of(made):
     content = json.loads((made[0] / "summary.json").read_text())
-    assert set(content["files"]) == {path.name for path in made[0].iterdir()} - {"summary.json"}
+    assert set(content["files"]) == {path.name for path in made[0].iterdir()} - {"summary.json", ".surveysim.json"}
     (run,) = content["runs"]
     assert sorted(name for names in run["items"].values() for name in names) == sorted(path.name for path in made[1])
     assert run["failed"] == {} and run["surveysim"] and run["date"]
@@ -132,16 +133,23 @@ def test_the_summary_says_what_each_item_is_made_of(made):
 
 def test_items_of_an_earlier_call_stay_with_what_made_them(scenarios, tmp_path):
     reproduce(wanted((), (1, 2), scenarios, None), tmp_path, SERIAL)
-    reproduce(wanted((), (2,), scenarios, None, {"seed": 5}), tmp_path, SERIAL)
+    other = wanted((), (2,), scenarios, None, {"seed": 5})
+    with pytest.raises(OutputError, match="holds figure 2 of other scenes or settings; --force replaces it"):
+        reproduce(other, tmp_path, SERIAL)
+    reproduce(other, tmp_path, SERIAL, force=True)
     content = json.loads((tmp_path / "summary.json").read_text())
     assert [list(run["items"]) for run in content["runs"]] == [["figure 1"], ["figure 2"]]
     assert [[scene["seed"] for scene in run["scenes"]] for run in content["runs"]] == [[], [5]]
     assert len(read_page(tmp_path / "report.html").all("img")) == 2
-    reproduce(wanted((), (6,), scenarios, 1, {"atmosphere.b2": "[0, 0, 0] mK2 rad(-5/3)"}), tmp_path, SERIAL)
+    still = wanted((), (6,), scenarios, 1, {"atmosphere.b2": "[0, 0, 0] mK2 rad(-5/3)"})
+    reproduce(still, tmp_path, SERIAL, force=True)
     page = read_page(tmp_path / "report.html")
     assert len(page.all("img")) == 2 and "Not made: figure 6" in page.text and "Not made: 143 GHz" in page.text
     before = list(tmp_path.glob("figure*"))
-    run_scene(load_scene(scenarios / "lynx.toml", {"score": None}), tmp_path, engine=SERIAL, figures=False)
+    scene = load_scene(scenarios / "lynx.toml", {"score": None})
+    with pytest.raises(OutputError, match="--force"):
+        run_scene(scene, tmp_path, engine=SERIAL, figures=False)
+    run_scene(scene, tmp_path, engine=SERIAL, figures=False, force=True)
     assert before and not list(tmp_path.glob("figure*"))  # a directory is of one command
 
 

@@ -140,7 +140,7 @@ def test_other_bands_are_cleaned_with_their_own(setup_of):
 def test_a_fit_to_an_observation_needs_it_whole(setup_of):
     words = (
         "numerics.stream_memory: found 0.009 MB, which cuts an observation into 2 blocks; cleaning.responsivities "
-        "'observation' needs a whole one, whose 0.01728 MB or more are expected, or 'survey' in its place"
+        "'observation' needs it whole: 0.01728 MB or more is expected, or 'survey' in its place"
     )
     with pytest.raises(SceneError, match=words):
         setup_of(**WAYS["observation"], numerics__stream_memory="9 kB")

@@ -77,7 +77,7 @@ def test_no_schedulers_files(tmp_path, content):
 
 def test_a_pipe_is_no_schedulers_file(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    refused(str(tmp_path / "pipe"), "scheduler: found ", "no address and no scheduler's file")
+    refused(str(tmp_path / "pipe"), "scheduler: found ", "neither an address nor a scheduler's file")
 
 
 def refused(given, *words):
@@ -264,7 +264,7 @@ def test_no_worker(cluster, monkeypatch, caplog):
 
 def test_another_version_of_dask(cluster, monkeypatch):
     monkeypatch.setattr("distributed.__version__", "2020.1.0")
-    refused(cluster.scheduler_address, "scheduler: found one with distributed ", "; 2020.1.0, as here, is expected")
+    refused(cluster.scheduler_address, "scheduler: found distributed ", "; 2020.1.0, the version here, is expected")
 
 
 def test_a_worker_is_no_scheduler(cluster):

@@ -133,6 +133,12 @@ def test_wrong_tables(refused, table, words):
     assert line.startswith(words), line
 
 
+@pytest.mark.parametrize("name", ["", r"a\u001b[31m", r"two\nlines", "x" * 301])
+def test_names_of_axes_that_are_no_line(refused, name):
+    (text,) = refused(f'[sweep."{name}"]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n')
+    assert "found the axis" in text and text.isprintable()
+
+
 def test_every_wrong_axis_has_its_line(refused):
     assert len(refused("seed = [1]\ntitle = [2]\n")) == 2
 

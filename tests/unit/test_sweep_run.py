@@ -331,7 +331,7 @@ def test_failures_name_their_point(write, monkeypatch):
 def test_files_of_a_longer_sweep_are_refused(write, levels, tmp_path):
     (tmp_path / "points").mkdir()
     save_point(tmp_path / "points" / "003.npz", levels[0].points[0], "abc")
-    with pytest.raises(CheckpointError, match=r"003.npz: of another sweep \(this one has 3 points\); start anew"):
+    with pytest.raises(CheckpointError, match=r"003.npz: from another sweep \(this one has 3 points\); start anew"):
         run_sweep(write(WHITE + SPEEDS), tmp_path, engine=SERIAL, resume=True)
 
 
