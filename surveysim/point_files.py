@@ -5,6 +5,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
+from zipfile import ZIP_STORED
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -89,6 +90,8 @@ def load_point(path: Path, point: Point) -> PointResult:
         if not path.is_file():  # a pipe never ends
             raise ValueError("no file")
         with np.load(path, allow_pickle=False) as file:
+            if any(item.compress_type != ZIP_STORED for item in file.zip.infolist()):
+                raise ValueError("compressed")  # by others: a few bytes can hold gigabytes
             meta = read_meta(str(file["meta"]))
             check_origin(path, meta, scene_hash(point.scene))
             result = _result(file, _Meta.model_validate(meta))

@@ -100,6 +100,10 @@ def _changed(text: str, content: Mapping[str, Any], changes: Mapping[tuple[str, 
         plain, written = expected, document
         for section in sections:
             plain, written = plain.setdefault(section, {}), written.setdefault(section, {})
+        if value is None:  # left out, which only Python can ask for
+            plain.pop(last, None)
+            written.pop(last, None)
+            continue
         plain[last] = value
         written[last] = _item(value)
     found = tomlkit.dumps(document)

@@ -55,7 +55,8 @@ def write_report(directory: str | Path) -> Path:
     """
     directory = Path(directory)
     if not directory.is_dir():
-        raise NoResultsError(f"{directory}: no such directory; {EXPECTED}")
+        found = "not a directory" if directory.exists() else "no such directory"
+        raise NoResultsError(f"{directory}: {found}; {EXPECTED}")
     try:
         page = _CONTROLS.sub(lambda found: printable(found[0]), _html(_page_of(directory))).encode("utf-8")
     except (NoResultsError, OSError, MemoryError):

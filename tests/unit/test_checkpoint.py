@@ -112,11 +112,11 @@ def test_other_hdf5_files_are_refused(path, refused):
 def test_another_scene_or_version(path, coadds, setup, monkeypatch):
     with monkeypatch.context() as other:
         other.setattr("surveysim.checkpoint.__version__", "0.0.1")
-        with pytest.raises(CheckpointError, match="of another version"):
+        with pytest.raises(CheckpointError, match="from another version"):
             load_checkpoint(path, setup)
     save_checkpoint(path, coadds, "abd")
     with pytest.raises(
-        CheckpointError, match="of another scene .*start anew with --force, or write elsewhere with --out"
+        CheckpointError, match="from another scene .*start anew with --force, or write elsewhere with --out"
     ):
         load_checkpoint(path, setup)
 

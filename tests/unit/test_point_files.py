@@ -128,6 +128,13 @@ def test_other_origins_are_refused(finished, tmp_path, key, value):
     refused(tmp_path / "000.npz", point, f"from another {key} .found .*; start anew with --force")
 
 
+def test_compressed_files_are_refused_unread(finished, tmp_path, monkeypatch):
+    point, raw = finished
+    np.savez_compressed(tmp_path / "000.npz", **content_of(raw))
+    monkeypatch.setattr("numpy.lib.npyio.NpzFile.__getitem__", lambda *_: pytest.fail("read"))
+    refused(tmp_path / "000.npz", point, "damaged .compressed.; delete it")
+
+
 @pytest.mark.parametrize("content", [b"", b"text", b"PK\x03\x04", bytes(1000), b"\x93NUMPY\x01\x00"])
 def test_other_files_are_refused(finished, tmp_path, content):
     (tmp_path / "000.npz").write_bytes(content)

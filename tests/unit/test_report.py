@@ -324,6 +324,7 @@ def test_points_without_a_score_say_why(sweep_file, tmp_path):
     "prepare, words",
     [
         (lambda path: None, "no such directory"),
+        (lambda path: path.write_text("mine"), "not a directory"),
         (lambda path: path.mkdir(), "found no results"),
         (lambda path: (path.mkdir(), (path / "summary.json").write_text('{"scores": ')), "summary.json: can't be read"),
         (lambda path: (path.mkdir(), (path / "summary.json").write_text("[1]")), "a JSON object is expected"),

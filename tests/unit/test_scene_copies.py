@@ -54,6 +54,15 @@ def test_the_same_scene(tmp_path, settings, name):
     assert scene_files(found) == files
 
 
+@pytest.mark.parametrize("settings", [{"score": None}, {"sky": None, "seed": 5}, {"atmosphere.outer_scale": None}])
+def test_the_same_scene_without_a_part(tmp_path, settings):
+    """Left out in Python, by None."""
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL_SCENE)
+    scene = load_scene(path, settings)
+    assert scene_hash(load_scene(again(scene_files(scene), tmp_path / "elsewhere"))) == scene_hash(scene)
+
+
 def test_comments_stay_but_those_of_other_values(tmp_path):
     path = tmp_path / "small.toml"
     text = SMALL_SCENE.replace("seed = 11", "seed = 11  # assumed: any").replace("scans = 4", "scans = 4  # assumed")

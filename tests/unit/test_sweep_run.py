@@ -269,7 +269,7 @@ def test_two_workers_and_an_interruption_give_the_same_table(write, tmp_path, mo
 
 
 @pytest.mark.parametrize("kind", ["000.npz", "001.checkpoint.h5"])
-@pytest.mark.parametrize("damage", ["damaged", "of another scene", "of another version"])
+@pytest.mark.parametrize("damage", ["damaged", "from another scene", "from another version"])
 def test_wrong_files_of_points(write, tmp_path, monkeypatch, kind, damage):
     path = write(WHITE + SPEEDS)
     interrupted(path, tmp_path, monkeypatch)
@@ -278,11 +278,11 @@ def test_wrong_files_of_points(write, tmp_path, monkeypatch, kind, damage):
         (tmp_path / "points" / "000.npz").unlink()
     if damage == "damaged":
         file.write_bytes(file.read_bytes()[:-100])
-    if damage == "of another version":
+    if damage == "from another version":
         for module in ("checkpoint", "point_files"):
             monkeypatch.setattr(f"surveysim.{module}.__version__", "0.0.1")
-    sweep = load_sweep(path, {"scan.scans": 3} if damage == "of another scene" else {})
-    if damage == "of another scene":
+    sweep = load_sweep(path, {"scan.scans": 3} if damage == "from another scene" else {})
+    if damage == "from another scene":
         with pytest.raises(OutputError, match="holds an unfinished run of .white. with other settings"):
             run_sweep(sweep, tmp_path, engine=SERIAL, resume=True)
         for name in (RECORD, "scene.toml"):
