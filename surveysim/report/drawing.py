@@ -1,5 +1,6 @@
 """The look that all figures share: canvas, palette, axes, ticks, and how a PNG is written."""
 
+import gc
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +59,7 @@ def plain(text: str) -> str:
 
 
 def save(figure: Figure, path: Path, full_colour: bool = False) -> None:
-    """Write a PNG, whole or not at all; `full_colour` for those with a colour bar."""
+    """Write a PNG, whole or not at all, and empty the figure; `full_colour` for those with a colour bar."""
     figure.canvas.draw()
     image = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy())
     if not full_colour:
@@ -66,3 +67,6 @@ def save(figure: Figure, path: Path, full_colour: bool = False) -> None:
         image = image.quantize(256, dither=Image.Dither.NONE)
     with whole_file(path) as partial:
         image.save(partial, "PNG", dpi=(DPI, DPI), optimize=True)
+    # Parts of a figure refer to each other: megabytes of it would wait for a collection, and leave holes in memory.
+    figure.clear()
+    gc.collect()

@@ -109,6 +109,7 @@ def fault_of_end(code, error, number):
         return f"a traceback: {error[-600:]}"
     if number != signal.SIGKILL and code not in (0, 130, -number):
         return f"exit code {code}: {error}"
-    if code == 130 and len(error.splitlines()) != 1:
+    lines = [line for line in error.splitlines() if "this job takes its place" not in line]  # of one killed before
+    if code == 130 and len(lines) != 1:
         return f"{len(error.splitlines())} lines: {error}"
     return ""
