@@ -17,7 +17,7 @@ from surveysim.trade import ESTIMATES, SURE, SweepResult
 
 def print_sweep_plan(sweep: Sweep, plan: SweepPlan, workers: int) -> None:
     """Axes of a sweep and the predicted cost of its points."""
-    console = Terminal()
+    console = Terminal(160)
     table = Table(title=Text(f"{sweep.name}: {plan.n_points} points"))
     table.add_column("axis")
     table.add_column("values")
@@ -34,7 +34,7 @@ def print_sweep_plan(sweep: Sweep, plan: SweepPlan, workers: int) -> None:
 
 def print_sweep(result: SweepResult, directory: Path) -> None:
     """A row for each point, why points have no score, the reference point, the best one, warnings, and the files."""
-    console = Terminal()
+    console = Terminal(160)
     console.show(_sweep_table(result))
     for point, item in zip(result.sweep.points, result.points, strict=True):
         if item.unscored:
