@@ -73,7 +73,7 @@ def _of_the_machine(error: BaseException, broken: list[str]) -> str:
     """A line of an error that is the machine's; empty for others."""
     from surveysim.engines import EngineError
 
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or (isinstance(error, ImportError) and "failed to map" in str(error)):
         return "not enough memory for this scene; 'surveysim plan SCENE' says how much it needs"
     if isinstance(error, OSError) and not error.filename and "stdout" in broken:
         return f"standard output: {error.strerror}"

@@ -38,7 +38,12 @@ def _interrupted_at_start(number: int, frame: object) -> NoReturn:
 
 def ended(arguments: Sequence[str], notice: str | None = None) -> int:
     """Exit code of a command, once it has ended; a line of standard error says why, if it is no success."""
-    from surveysim.printable import complain, printable
+    try:  # before anything else fails: there may be no memory left for imports then
+        from surveysim.failures import broken_stream, failure
+        from surveysim.printable import complain, printable
+    except Exception as error:  # of a machine that can't load libraries
+        os.write(2, f"surveysim can't start: {' '.join(str(error).split())[:200]!a}\n".encode())
+        return 1
 
     try:
         if notice and not WITHOUT_NOTICES & set(arguments):
@@ -46,8 +51,6 @@ def ended(arguments: Sequence[str], notice: str | None = None) -> int:
         code = _run(arguments)
         sys.stdout.flush()
     except BaseException as error:
-        from surveysim.failures import broken_stream, failure
-
         code, message = failure(error, arguments)
         for argument in arguments:  # a line break in a file's name is none of the message
             message = message.replace(argument, printable(argument)) if "\n" in argument else message

@@ -2,6 +2,7 @@
 
 import errno
 import signal
+import sys
 import tempfile
 import tomllib
 from pathlib import Path
@@ -217,3 +218,20 @@ def test_version_of_the_entry_point():
     """The installed command and ``python -m surveysim`` are the same function."""
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
     assert project["project"]["scripts"] == {"surveysim": "surveysim.main:main"}
+
+
+def test_libraries_that_can_not_be_loaded(capfd, monkeypatch):
+    """As where memory is short: one line, whatever is missing."""
+    monkeypatch.setitem(sys.modules, "surveysim.failures", None)
+    assert ended(["check", "small.toml"]) == 1
+    out, error = capfd.readouterr()
+    assert out == "" and error.startswith("surveysim can't start: ") and len(error.splitlines()) == 1
+
+
+def test_libraries_that_do_not_fit_into_memory(capsys, handlers, monkeypatch):
+    def run(arguments):
+        raise ImportError("x.so: failed to map segment from shared object")
+
+    monkeypatch.setattr("surveysim.main._run", run)
+    assert ended(["check", "small.toml"]) == 1
+    assert capsys.readouterr().err == "not enough memory for this scene; 'surveysim plan' says how much one takes\n"
