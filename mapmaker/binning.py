@@ -230,7 +230,8 @@ def _plane(name: str, image) -> np.ndarray:
 def _geometry_of(name: str, header, shape: tuple[int, int]) -> MapGeometry:
     """The geometry that a header states; raises ValueError where it is none of square pixels about its centre."""
     n_y, n_x = shape
-    ra_deg, dec_deg, pixel_deg = (number(key, header[key]) for key in ("CRVAL1", "CRVAL2", "CDELT2"))
+    ra_deg = number("CRVAL1", header["CRVAL1"], least=-720, most=720)  # two turns: more is no right ascension
+    dec_deg, pixel_deg = (number(key, header[key]) for key in ("CRVAL2", "CDELT2"))
     geometry = MapGeometry(*np.radians([ra_deg, dec_deg]).tolist(), float(np.radians(pixel_deg)), n_x, n_y)
     cards = wcs_cards(geometry)
     for key in ("CRPIX1", "CRPIX2", "CDELT1", "CTYPE1", "CTYPE2"):
