@@ -28,7 +28,7 @@ def _at_index(index: str, height: str) -> dict[str, Any]:
 
 def _layer_cases() -> list[Case]:
     grid = [
-        Case(f"layer, b = {b}, h = {h}", _LAYER, air.layer, _at_index(b, h))
+        Case(f"layer, b = {b}, h = {h}", _LAYER, air.layer, _at_index(b, h), slow=h == "20 km")
         for b in ("2/3", "5/3", "11/3", "14/3", "20/3")
         for h in ("100 m", "1000 m", "20 km")
         if (b, h) != ("20/3", "100 m")

@@ -133,6 +133,7 @@ def test_a_scan_s_own_structure_function_is_as_it_was():
     np.testing.assert_allclose(found[far] / expected, 1.0, atol=4.5 * math.sqrt(2.0 / n_draw))
 
 
+@pytest.mark.slow
 def test_b2_of_18_scans():
     """The variance about the means of 18 scans scatters by 0.45, not by 0.30, and its median is 0.90 of its mean."""
     covariance = closed_form(places(complex(WIND), 4 * ARCMIN))

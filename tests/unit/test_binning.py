@@ -325,7 +325,7 @@ def test_other_nsides_are_refused(tmp_path, rng, nside):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("arcsec, nside", [(20, 4096), (30, 4096), (60, 2048), (1e-9, 2**29), (3600 * 60, 0)])
+@pytest.mark.parametrize("arcsec, nside", [(20, 4096), (30, 4096), (60, 2048), (1e-6, 2**29), (3600 * 60, 0)])
 def test_finest_nside(arcsec, nside):
     assert finest_nside(np.radians(arcsec / 3600)) == nside
     if not nside:

@@ -21,7 +21,7 @@ from tests.scenes import SMALL_SCENE
 FIRST_LIGHT = Path(__file__).parents[2] / "scenarios" / "first_light.toml"
 MOST_SECONDS, MOST_BYTES = 10.0, 3e9
 MOST_WORK = 3e7  # detector-samples of an observation that a test makes
-EACH = 7  # of the extremes of keys that is tried; with 1, which takes a quarter of an hour, all are
+EACH = 14  # of the extremes of keys that is tried; with 1, which takes a quarter of an hour, all are
 
 
 @pytest.fixture

@@ -251,6 +251,7 @@ def test_a_lowest_point_that_loses_scans_is_not_called_the_best(tmp_path, monkey
     assert f"The probability that it is the best is withheld: {why}." in header and "confidence" not in header
 
 
+@pytest.mark.slow
 def test_forecasts_predict_shares_and_compare_none(tmp_path):
     path = tmp_path / "small.toml"
     path.write_text(without_sections(SMALL_SCENE, "sky") + LEVELS)

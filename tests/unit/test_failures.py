@@ -234,4 +234,6 @@ def test_libraries_that_do_not_fit_into_memory(capsys, handlers, monkeypatch):
 
     monkeypatch.setattr("surveysim.main._run", run)
     assert ended(["check", "small.toml"]) == 1
-    assert capsys.readouterr().err == "not enough memory for this scene; 'surveysim plan' says how much one takes\n"
+    assert (
+        capsys.readouterr().err == "not enough memory for this scene; 'surveysim plan SCENE' says how much it needs\n"
+    )

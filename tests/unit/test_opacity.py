@@ -170,6 +170,7 @@ def test_cells_average_transmission():
     assert build_opacity.cell_optical_depth(np.full(5, 300.0), 2).tolist() == [50.0, 50.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("site", SITES)
 def test_table_is_what_am_computes(site):
     """Direct spectra at a column that is not one of the three a table is made of: 6e-4 was measured."""

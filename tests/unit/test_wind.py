@@ -160,6 +160,7 @@ def test_two_speeds_are_flagged(rng):
     assert measure_wind(data, BOUNDS, plane, RATE, AT_REST).flag == "more than one layer"
 
 
+@pytest.mark.slow
 def test_two_directions_are_flagged(rng):
     """Both fronts have one delay along their mean direction, so that only what lies across it can tell."""
     plane, across, found = hexagon(), np.array([0.8, 0.6]), []
