@@ -166,6 +166,7 @@ def test_cleanings_that_the_camera_does_not_support_are_left_out(setup, tmp_path
     assert list(measure(six, draw_observation(six, 0), 0).pair_noise) == ["average"]
 
 
+@pytest.mark.slow
 def test_the_thin_screen_says_what_average_subtraction_leaves():
     """Atmosphere alone, responsivities known: the mean over observations to their scatter, and 3 % of the model."""
     changes = {"observations": 24, "instrument.responsivity_scatter": 0.0}
@@ -239,6 +240,7 @@ def paired(setup):
     return replace(whole, measurements=tuple(items), fits=fits)
 
 
+@pytest.mark.slow
 def test_excess_is_what_white_noise_and_atmosphere_leave(setup, paired):
     for cleaning in PAIR_CLEANINGS:
         excess = excess_noise(paired, cleaning)

@@ -77,6 +77,7 @@ def test_pitch(scene_of, pitch, coherence):
     check_survey(scene_of(NO_AIR.replace('"field"', f'"{coherence}"'), keys))
 
 
+@pytest.mark.slow
 def test_dense_pixels_under_the_atmosphere(scene_of):
     """37 pixels within half a beam: their average takes most of the sky as well."""
     keys = WIDE | BRIGHT | {"instrument.layout.pitch_f_lambda": 0.3, "instrument.layout.rings": 3}

@@ -259,6 +259,7 @@ def test_transmission_is_the_measured_window(wide):
     assert (np.abs(ratio - 1) < 0.1 + 3 * error)[high].all()
 
 
+@pytest.mark.slow
 def test_undersampled_scans_alias_alike(scene_of):
     """At 20 arcmin/s and 10 Hz the highest modes turn more than once a sample: noise folds back into the band."""
     text = without_sections(SMALL_SCENE, "atmosphere").replace(*BARE_EXCESS).replace('"average"', '"none"')
@@ -279,6 +280,7 @@ def test_excess_of_any_slope(scene_of, index):
     assert abs(found.sigma) < 0.1 + 3 * found.sigma_error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coherence", ["field", "none"])
 def test_pixels_do_not_smooth_noise_of_single_streams(scene_of, coherence):
     """Half a beam wide, they take a fifth of what is smooth at ell = 11 000; of tracks side by side they take nothing.

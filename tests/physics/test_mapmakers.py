@@ -199,6 +199,7 @@ def test_maximum_likelihood_keeps_the_sky_that_the_average_loses():
     assert (average < likelihood - 0.02).all()
 
 
+@pytest.mark.slow
 def test_maximum_likelihood_is_less_noisy_under_slow_noise():
     """Above l = 4000, even before what the average loses of the sky is counted."""
     ratio = noise_ratio(average_map, atmosphere_mk=10.0, slow_mk=1.0)

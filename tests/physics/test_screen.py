@@ -193,6 +193,7 @@ def convolved(psd, f_hz, duration_s):
     )
 
 
+@pytest.mark.slow
 def test_temporal_psd_and_coherence_across_the_wind():
     """Hann periodogram of a 15 s scan at 0.13-0.8 Hz within 2 %; coherence at 4 and 8 arcmin to 0.003."""
     strip = survey_strip(KOLMOGOROV)

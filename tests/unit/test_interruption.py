@@ -51,7 +51,7 @@ def undisturbed(tmp_path_factory):
         pytest.param(2, signal.SIGINT, True, marks=pytest.mark.slow),  # of a sweep it is tested every time
         pytest.param(1, signal.SIGTERM, False, marks=pytest.mark.slow),
         pytest.param(2, signal.SIGINT, False, marks=pytest.mark.slow),
-        (2, signal.SIGTERM, False),
+        pytest.param(2, signal.SIGTERM, False, marks=pytest.mark.slow),
     ],
 )
 def test_interruption(tmp_path, undisturbed, workers, number, to_group):

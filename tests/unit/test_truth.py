@@ -49,6 +49,7 @@ def test_noise_of_a_load_is_that_of_each_observation(path):
     assert abs(white.found / white.expected - 1) < 0.02
 
 
+@pytest.mark.slow
 def test_weather_is_that_of_its_distribution(tmp_path):
     items = found(weather_scene(tmp_path, {"observations": 150, "score.window.observations": 40}))
     for name, expected in (("first quartile", 500), ("median", 1000), ("third quartile", 2000)):
