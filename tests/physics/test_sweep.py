@@ -141,7 +141,7 @@ def test_paired_error_in_varying_weather(tmp_path, monkeypatch, table, gained):
     sqrt(5 / n) for the kurtosis of 6 that is found.
     """
     monkeypatch.setattr("surveysim.trade.run_forecast", lambda setup, coadds: None)
-    n = 40
+    n = 30
     log_ratio, paired, independent = seeds_of(tmp_path, AIR, table, n)
     assert np.log(np.var(log_ratio, ddof=1) / np.mean(paired**2)) == pytest.approx(0, abs=3 * np.sqrt(5 / n))
     assert np.sqrt(np.mean(paired**2)) < np.sqrt(np.mean(independent**2)) / gained

@@ -8,7 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from surveysim import Engine, load_scene, run
+from surveysim import Engine, load_scene, run, survey
 from surveysim.engines import SERIAL
 from tests.scenes import SMALL_SCENE
 
@@ -46,7 +46,8 @@ def main() -> None:
 
 
 def of_observations(root: Path, number: int) -> list[dict[str, float]]:
-    """Measure during one run."""
+    """Measure during one run, which writes checkpoints from the start: they load a library of their own."""
+    survey.CHECKPOINT_SECONDS = 0.5
     scene = load_scene(root / "scene.toml", QUICK | {"observations": number})
     found = []
 
