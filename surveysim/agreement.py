@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmaker.uncertainty import noise_error, noise_error_parts, ratio_error, without_noise
+from mapmaker.uncertainty import ratio_error, without_noise
 from surveysim.coadds import CoAdds, kept_shares
 from surveysim.forecast import DataSetForecast, Forecast, can_forecast, forecast
 from surveysim.scene import SceneError
-from surveysim.scores import DataSetScore
+from surveysim.scores import DataSetScore, bin_errors, noise_parts
 from surveysim.setup import Setup
 from surveysim.validity import compared_ell
 
@@ -86,9 +86,7 @@ def _scatter(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -
     kept = expected.kept.share
     some = kept > 0
     total = ratio_error((simulated.weights * kept)[some], (expected.weights * kept)[some])
-    used = simulated.weights[simulated.weights > 0]
-    psds, n_modes = simulated.noise_psds, setup.band.rings.n_modes
-    _, common = noise_error_parts(psds, simulated.plain_band.weight, used, n_modes)
+    _, common = noise_parts(setup, simulated)
     return without_noise(total, common)
 
 
@@ -104,8 +102,5 @@ def _bin_ratios(
     setup: Setup, simulated: DataSetScore, expected: DataSetForecast, bins: np.ndarray, scatter: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Forecast over simulated noise PSD, less 1, in some bins, and the errors of that, (n,) each."""
-    weights = simulated.weights[simulated.weights > 0]
     ratio = expected.noise_psd[bins] / simulated.noise_psd[bins]
-    psds, n_modes = simulated.noise_psds, setup.band.rings.n_modes
-    noise = np.array([noise_error(psds[:, [k]], np.ones(1), weights, n_modes[[k]]) for k in bins])
-    return ratio - 1, ratio * np.hypot(noise, scatter)
+    return ratio - 1, ratio * np.hypot(bin_errors(setup, simulated)[bins], scatter)

@@ -12,7 +12,7 @@ from surveysim.checkpoint import NAME as CHECKPOINT
 from surveysim.coadds import CoAdds
 from surveysim.engines import SERIAL, Engine
 from surveysim.observation import draw_observation
-from surveysim.output_directory import OutputDirectory, begin, claimed, finish, remove, replacing
+from surveysim.output_directory import begin, claimed, replacing
 from surveysim.output_results import of_run, of_sweep
 from surveysim.outputs import write_outputs, write_sweep
 from surveysim.results import SurveyResult, survey_result
@@ -90,18 +90,13 @@ def run(
     with claimed(Path(out), of_run(setup, figures, save_timestreams), force, resume) as place:
         begin(place, removed=lambda name: force)
         result = result_of(place.path / CHECKPOINT, place.path / "timestreams" if save_timestreams else None)
-        # Until here they are an earlier run's, which one that is interrupted or fails does not cost.
-        remove(place, [name for name in place.mine if _is_renewed(place, name, save_timestreams)])
-        write_outputs(place.path, result, figures, save_timestreams)
         whole = result.coadds.done == scene.observations
-        finish(place, dropped=lambda name: whole and name == CHECKPOINT)
+        with replacing(place, over=lambda name: whole and name == CHECKPOINT) as new:
+            numbers = range(result.coadds.done) if save_timestreams else ()
+            streams = [f"timestreams/{number:04d}.h5" for number in numbers]
+            # None of before a resumption that asked for them.
+            write_outputs(new, result, figures, [name for name in streams if (place.path / name).is_file()])
     return result
-
-
-def _is_renewed(place: OutputDirectory, name: str, timestreams: bool) -> bool:
-    """Whether a file of an earlier run makes way for a new one; time-streams are written by now, where asked for."""
-    stays = name == CHECKPOINT or name in place.results.inputs or (timestreams and name.startswith("timestreams/"))
-    return not stays
 
 
 def run_sweep(
@@ -136,11 +131,8 @@ def run_sweep(
     with claimed(Path(out), of_sweep(sweep, "run", figures), force, resume) as place:
         begin(place, removed=lambda name: force)
         result = result_of(place.path / "points")
-        remove(
-            place, [name for name in place.mine if not name.startswith("points/") and name not in place.results.inputs]
-        )
-        write_sweep(place.path, result, figures)
-        finish(place, dropped=lambda name: name.startswith("points/"))
+        with replacing(place, over=lambda name: name.startswith("points/")) as new:
+            write_sweep(new, result, figures)
     return result
 
 
@@ -164,6 +156,6 @@ def forecast_sweep(
         return result_of()
     with claimed(Path(out), of_sweep(sweep, "forecast", figures), force) as place:
         result = result_of()
-        with replacing(place):
-            write_sweep(place.path, result, figures)
+        with replacing(place) as new:
+            write_sweep(new, result, figures)
     return result

@@ -147,8 +147,8 @@ def forecast(
     except ValueError as error:  # of a scene that can't be forecast
         _fail(f"{scene}: {error}")
     if out is not None:
-        with claimed(out, of_forecast(checked), force) as place, replacing(place):
-            write_forecast(out, found)
+        with claimed(out, of_forecast(checked), force) as place, replacing(place) as new:
+            write_forecast(new, found)
     if not quiet:
         print_forecast(checked, found)
 
@@ -213,8 +213,8 @@ def accuracy(
     ):
         progress = stopping(lambda done, total: show(done, lambda: ""))
         result = measure_accuracy(scene, given, with_engine, reference_error, seeds, observations, progress)
-        with replacing(place):
-            write_accuracy(directory, result, not no_figures)
+        with replacing(place) as new:
+            write_accuracy(new, result, not no_figures)
     if not quiet:
         print_accuracy(result, directory)
 
@@ -233,8 +233,8 @@ def _run_extremes(directory: Path, force: bool, quiet: bool) -> bool:
             for case in CASES:
                 outcomes.append(run_case(case))
                 stopping(show)(len(outcomes), lambda: "")
-        with replacing(place):
-            write_extremes(directory / "extremes.ecsv", CASES, outcomes)
+        with replacing(place) as new:
+            write_extremes(new / "extremes.ecsv", CASES, outcomes)
     if not quiet:
         print_extremes(CASES, outcomes, directory)
     return all(outcome.ok for outcome in outcomes)

@@ -2,7 +2,7 @@
 
 A hidden file, `.surveysim.json`, says which command wrote the directory, of which scene, and lists each file with its
 SHA-256. Only files that are listed there, have a name that this program writes and are unchanged are ever removed, and
-nothing is reached through a link.
+nothing is reached through a link. Results are written to a folder of their own and take their places together.
 """
 
 import json
@@ -10,10 +10,10 @@ import logging
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from errno import EACCES, EISDIR, ENOTDIR
-from hashlib import file_digest
+from hashlib import file_digest, sha256
 from pathlib import Path
 from stat import S_ISDIR, S_ISREG
 from typing import Any
@@ -24,7 +24,7 @@ from surveysim.checkpoint import NAME as CHECKPOINT
 from surveysim.output_lock import LOCK, OutputError, alive, locked
 from surveysim.units import shown
 
-RECORD = ".surveysim.json"
+RECORD, NEW = ".surveysim.json", ".surveysim.new"
 OTHERWISE = "--force replaces it, --out writes elsewhere"
 # All names that any command writes: no other file is ever removed, whatever the record lists.
 _WRITTEN = re.compile(
@@ -50,7 +50,7 @@ class Results:
     """A command's results: what makes them, and the names of all files that it may write, below its directory.
 
     `sha256` is of all that they depend on. `inputs` are files that are written before the work starts, with their
-    content; results are written by the caller.
+    content; results are written by the caller, those that are `piecewise` to their places as they are made.
     """
 
     command: str
@@ -58,6 +58,7 @@ class Results:
     sha256: str
     names: tuple[str, ...]
     inputs: Mapping[str, bytes] = field(default_factory=dict)
+    piecewise: bool = False
 
     @property
     def all_names(self) -> tuple[str, ...]:
@@ -100,32 +101,55 @@ def claimed(directory: Path, results: Results, force: bool = False, resume: bool
             _remove_partial_files(place)  # of workers that were killed
 
 
-def begin(place: OutputDirectory, removed: Callable[[str], bool] = lambda name: True) -> None:
-    """Remove earlier results, or those whose name is to be `removed`, and record that new ones are on their way."""
-    stay = {name for name in place.mine if name in place.results.inputs or not removed(name)}
-    remove(place, place.mine.keys() - stay)
-    record = {name: place.mine[name] for name in stay} | dict.fromkeys(place.results.all_names)
-    _write_record(place, record, finished=False)
-    for name, content in place.results.inputs.items():
+def begin(place: OutputDirectory, removed: Callable[[str], bool]) -> None:
+    """Remove earlier results whose name is to be `removed`, write inputs, and record that work is on its way."""
+    results = place.results
+    stay = {name: known for name, known in place.mine.items() if name in results.inputs or not removed(name)}
+    remove(place, place.mine.keys() - stay.keys())
+    coming = [name for name in results.names if results.piecewise or _UNFINISHED_WORK.fullmatch(name)]
+    inputs = {name: sha256(content).hexdigest() for name, content in results.inputs.items()}
+    _write_record(place, stay | dict.fromkeys(coming) | inputs, finished=False)
+    for name, content in results.inputs.items():
         with whole_file(place.path / name) as partial:
             partial.write_bytes(content)
 
 
-def finish(place: OutputDirectory, dropped: Callable[[str], bool] = lambda name: False) -> None:
-    """Record the files that are there now, less those that are needed no longer, which are removed."""
-    names = dict.fromkeys((*place.mine, *place.results.all_names))
-    there = [name for name in names if _is_regular(place.path / name) and not _is_untouched(place, name)]
-    listed = {name: _identity(place.path / name) for name in there if not dropped(name)}
-    _write_record(place, listed, finished=True)
-    remove(place, [name for name in there if dropped(name)])
-
-
 @contextmanager
-def replacing(place: OutputDirectory) -> Iterator[None]:
-    """Put results that are written in the block, as their work is done, in the place of earlier ones."""
-    begin(place)
-    yield
-    finish(place)
+def replacing(place: OutputDirectory, over: Callable[[str], bool] = lambda name: False) -> Iterator[Path]:
+    """A folder to write results to; when the block ends they take the place of earlier ones, or none does if it fails.
+
+    A checkpoint or points that are `over`, their work being done, are removed with what is left of earlier results.
+    """
+    new = place.path / f"{NEW}.{os.getpid()}.part"
+    new.mkdir()
+    try:
+        for name, content in place.results.inputs.items():
+            (new / name).write_bytes(content)
+        yield new
+    except OSError as error:  # that names a file by the place that it was to have
+        path = str(error.filename or place.path).replace(str(new), str(place.path))
+        raise OSError(error.errno, error.strerror or str(error), path) from None
+    _put_in_place(place, new, over)
+
+
+def _put_in_place(place: OutputDirectory, new: Path, over: Callable[[str], bool]) -> None:
+    written = {path.relative_to(new).as_posix(): _identity(path) for path in new.rglob("*") if path.is_file()}
+    work = [name for name in place.results.names if _UNFINISHED_WORK.fullmatch(name) and _is_written(place, name)]
+    files = written | {name: _identity(place.path / name) for name in work if not over(name)}
+    gone = {name: place.mine.get(name) for name in (*place.mine, *work) if name not in files}
+    _write_record(place, files | gone, finished=False)
+    for name in written:
+        (place.path / name).parent.mkdir(exist_ok=True)
+        (new / name).replace(place.path / name)
+    remove(place, gone)
+    _write_record(place, files, finished=True)
+
+
+def finish(place: OutputDirectory) -> None:
+    """Record the files of a piecewise job that are there now."""
+    names = dict.fromkeys((*place.mine, *place.results.all_names))
+    files = {name: _identity(place.path / name) for name in names if _is_written(place, name)}
+    _write_record(place, files, finished=True)
 
 
 def remove(place: OutputDirectory, names: Iterable[str]) -> None:
@@ -292,10 +316,12 @@ def _is_regular(path: Path) -> bool:
         return False
 
 
-def _is_untouched(place: OutputDirectory, name: str) -> bool:
-    """Whether it is a file of the user that could have been replaced, but was not."""
+def _is_written(place: OutputDirectory, name: str) -> bool:
+    """Whether a file is there, and not one of the user that could have been replaced, but was not."""
+    if not _is_regular(place.path / name):
+        return False
     state = os.lstat(place.path / name)
-    return place.others.get(name) == (state.st_ino, state.st_mtime_ns)
+    return place.others.get(name) != (state.st_ino, state.st_mtime_ns)
 
 
 def _identity(path: Path) -> str:
@@ -309,6 +335,7 @@ def _identity(path: Path) -> str:
 
 def _remove_partial_files(place: OutputDirectory) -> None:
     """Remove what processes that are gone left half written, by the exact names of this command's files."""
+    _remove_folders(place.path)
     listed = (_read_record(place.path) or _NOTHING)["files"]
     known = {*listed, *place.results.all_names, RECORD}
     for folder in {name.rpartition("/")[0] for name in known if _WRITTEN.fullmatch(name)} | {"timestreams", "points"}:
@@ -321,6 +348,22 @@ def _remove_partial_files(place: OutputDirectory) -> None:
             own = name in known or _UNFINISHED_WORK.fullmatch(name) or name.startswith(f"{LOCK}.")
             if own and _is_over(int(match[2])):
                 Path(entry.path).unlink(missing_ok=True)
+
+
+def _remove_folders(path: Path) -> None:
+    """Remove folders of results that never took their places, less what others may have put there."""
+    for entry in os.scandir(path):
+        match = _PARTIAL.fullmatch(entry.name)
+        if not match or match[1] != NEW or not entry.is_dir(follow_symlinks=False) or not _is_over(int(match[2])):
+            continue
+        for folder, _, names in os.walk(entry.path, topdown=False):
+            for file in (Path(folder) / name for name in names):
+                name = file.relative_to(entry.path).as_posix()
+                half = _PARTIAL.fullmatch(name)
+                if _WRITTEN.fullmatch(half[1] if half else name) and _is_regular(file):
+                    file.unlink()
+            with suppress(OSError):  # what is left in it stays
+                os.rmdir(folder)
 
 
 def _is_over(pid: int) -> bool:

@@ -81,4 +81,4 @@ def of_paper(items: Sequence[str]) -> Results:
             names += [f"table{number}.ecsv", *(f"table{number}_{part}.ecsv" for part in _PARTS.get(number, ()))]
         else:
             names += [f"{part}_{kind}.ecsv" for part in ("measurements", "recovered")]
-    return Results("paper", "", "", tuple(names))
+    return Results("paper", "", "", tuple(names), piecewise=True)

@@ -1,7 +1,7 @@
 """Files of a finished run: summary, resolved scene, tables, maps and figures, each written atomically."""
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,14 +35,15 @@ REASON = 120  # letters of the reason why a figure can't be drawn
 log = logging.getLogger("surveysim")
 
 
-def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestreams: bool) -> None:
-    """Write all results of a run below `directory`; summary.json lists its files, report.html is made of them all."""
+def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestreams: Sequence[str] = ()) -> None:
+    """Write all results of a run below `directory`; summary.json lists its files, report.html is made of them all.
+
+    `timestreams` are names of those that workers have written.
+    """
     written = [write_text(directory / "scene.json", resolved(result.setup.scene) + "\n")]
     written += _write_tables(directory / "tables", result)
     written += _write_maps(directory / "maps", result)
-    if timestreams:
-        streams = (directory / "timestreams" / f"{number:04d}.h5" for number in range(result.coadds.done))
-        written += [path for path in streams if path.is_file()]  # none of before a resumption that asked for them
+    written += [directory / name for name in timestreams]
     write_summary(directory, summary(result), written, partial(_of_run, result) if figures else None)
 
 

@@ -11,6 +11,7 @@ from mapmaker.spectrum import Annuli, map_psd
 from mapmaker.uncertainty import (
     ErrorBudget,
     information_shares,
+    noise_error,
     noise_error_parts,
     ratio_error,
     student_factor,
@@ -149,6 +150,14 @@ def noise_parts(setup: Setup, item: DataSetScore) -> tuple[float, float]:
     used = item.weights[item.weights > 0]
     of_bins = setup.band.rings.n_modes, setup.band.correlation
     return noise_error_parts(item.noise_psds, item.plain_band.weight, used, *of_bins)
+
+
+def bin_errors(setup: Setup, item: DataSetScore) -> np.ndarray:
+    """Relative standard errors (n_bin,) of the plain noise PSD, for each bin by itself."""
+    used = item.weights[item.weights > 0]
+    of_bins = setup.band.rings.n_modes, setup.band.correlation
+    alone = np.eye(len(setup.band.rings.ell))
+    return np.array([noise_error(item.noise_psds, weight, used, *of_bins) for weight in alone])
 
 
 def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:

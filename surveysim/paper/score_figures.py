@@ -5,12 +5,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mapmaker.uncertainty import noise_error
 from surveysim.paper.figure import Panel, PaperFigure, Series
 from surveysim.paper.map_figures import ARCMIN2_IN_SR, ELL, LOWEST_ELL
 from surveysim.paper.published import published
 from surveysim.results import SurveyResult, score_rows
-from surveysim.scores import DataSetScore
+from surveysim.scores import DataSetScore, bin_errors
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -104,8 +103,7 @@ def _used(result: SurveyResult) -> np.ndarray:
 def _noise_series(result: SurveyResult, name: str, item: DataSetScore) -> list[Series]:
     """Square root of a data set's PSD times its share of the detectors, with the error of each bin as a band."""
     used, share = _used(result), _share(result, item)
-    weights = item.weights[item.weights > 0]
-    relative = np.array([noise_error(psds[:, None], np.ones(1), weights) for psds in item.noise_psds.T[used]])
+    relative = bin_errors(result.setup, item)[used]
     y = np.sqrt(share * ARCMIN2_IN_SR * item.noise_psd[used])
     ell, look = result.setup.band.rings.ell[used], LOOKS[_kind(name)]
     label = name if share == 1 else rf"masked, $\times$ ({item.n_det}/{result.setup.n_det})$^{{1/2}}$"

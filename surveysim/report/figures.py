@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from mapmaker.geometry import wcs
-from mapmaker.uncertainty import noise_error
 from mapmaker.window import beam_window, pixel_window
 from surveysim.coadds import CoAdds
 from surveysim.forecast import Forecast
@@ -38,7 +37,7 @@ from surveysim.report.drawing import (
     save,
 )
 from surveysim.scan import samples_per_scan
-from surveysim.scores import DataSetScore, rescore
+from surveysim.scores import DataSetScore, bin_errors, rescore
 from surveysim.setup import Setup
 
 TITLES = {
@@ -174,7 +173,7 @@ def map_psds(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast |
     """Noise PSD of the map of each data set (the paper's figure `sim_noise`), and a signal to hold against.
 
     The masked array's PSD is multiplied by its share of the detectors: the paper multiplies an amplitude by
-    the root of it. Bands are the standard error of `noise_error`, for each bin by itself; thin lines the forecast.
+    the root of it. Bands are the standard error of `bin_errors`; thin lines the forecast.
     """
     rings, first = setup.band.rings, next(iter(scores.values()))
     used = _usable(setup)
@@ -183,7 +182,7 @@ def map_psds(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast |
     for item in scores.values():
         colour, dashes, label, share = _look(setup, item)
         psd = share * item.noise_psd[used]
-        error = psd * _bin_errors(item)[used]
+        error = psd * bin_errors(setup, item)[used]
         axes.fill_between(ell, psd - error, psd + error, color=colour, alpha=0.18, lw=0)
         axes.plot(ell, psd, color=colour, ls=dashes, lw=1.8, label=label)
         if expected and item.name in expected.scores:
@@ -375,12 +374,6 @@ def _name(setup: Setup, item: DataSetScore) -> str:
     if _is_masked(item):
         return f"masked, {item.n_det} detectors"
     return f"actual ({setup.recipes[0].label})" if item.name == ACTUAL and setup.chooses else item.name
-
-
-def _bin_errors(item: DataSetScore) -> np.ndarray:
-    """Relative standard error (n_bin,) of the noise PSD of each bin."""
-    used = item.weights[item.weights > 0]
-    return np.array([noise_error(psds[:, None], np.ones(1), used) for psds in item.noise_psds.T])
 
 
 def _shade_scored(axes: Axes, setup: Setup) -> None:

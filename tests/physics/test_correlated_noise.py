@@ -188,6 +188,7 @@ def test_the_thin_screen_says_what_average_subtraction_leaves():
     assert (residual_by_track(setup, "quadratic", 1.0)(np.log(0.13)) < 1e-3 * model(np.log(0.13))).all()
 
 
+@pytest.mark.slow
 def test_the_scene_s_excess_comes_back_but_for_what_cleaning_and_white_levels_take(lynx):
     """After quadratic subtraction neighbours keep tr(A P G P) of it, less the tail above 2.5 Hz counted as white.
 

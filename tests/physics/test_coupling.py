@@ -135,7 +135,8 @@ def test_the_run_expects_what_its_skies_hold(lynx):
     np.testing.assert_allclose(sectors, band.signal_psd[band.selected], rtol=0.01)
 
 
-@pytest.mark.parametrize("algorithm", ["none", "average", pytest.param("planar", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("algorithm", ["none", "average", "planar"])
 def test_what_cleaning_leaves_does_not_depend_on_the_skies_size(algorithm):
     """The modes that the periodic grid of the window skies lacks, scans and cleaning remove: 3 times as large a grid.
 

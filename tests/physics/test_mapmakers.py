@@ -191,6 +191,7 @@ def noise_ratio(reference, **noise):
     return sum(psd(likelihood_map(items)) for items in draws) / sum(psd(reference(items)) for items in draws)
 
 
+@pytest.mark.slow
 def test_maximum_likelihood_keeps_the_sky_that_the_average_loses():
     """Modes and levels are measured with the sky in the streams, which takes a little: 3 % is allowed."""
     average, likelihood = transfers()

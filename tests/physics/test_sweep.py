@@ -58,6 +58,7 @@ def toy_pair(weights, own, rng):
     return items
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("own", [0.03, 0.3, 1.0])
 def test_error_of_a_ratio_of_toy_surveys(own):
     """300 pairs of surveys of 60 observations that share all, most or none of their noise, in new weather each time:

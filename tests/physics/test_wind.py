@@ -136,6 +136,7 @@ def test_one_layer_is_not_flagged():
     assert found.count("") >= 17
 
 
+@pytest.mark.slow
 def test_two_layers_are_flagged():
     """Equal layers at 31 arcmin/s with 120 degrees between them: their mean delay is that of 62 arcmin/s."""
     assert flags(layers([(31, 0), (31, 120)], 20, b2=1000)).count("") <= 1
@@ -156,6 +157,7 @@ def test_noise_without_a_layer_has_no_wind():
     assert set(flags(layers([], 10, b2=0))) == {"no coherent delay"}
 
 
+@pytest.mark.slow
 def test_quiet_layer_is_measured_to_a_percent():
     """Without noise the speed is the flow's alone: only the layer's gradients across the wind remain, for the angle."""
     fits = layers([(31, 0)], 20, b2=1000, noise=False)

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from surveysim.output_directory import (
+    NEW,
     RECORD,
     FinishedError,
     Results,
     begin,
     claimed,
-    finish,
     remove,
     renewed,
     replacing,
@@ -28,11 +28,12 @@ GONE = 2**30  # no process has this number
 
 def written(directory, names=NAMES[:3], results=RUN, **how):
     """A run that leaves these files."""
-    with claimed(directory, results, **how) as place, replacing(place):
-        for name in names:
-            path = directory / name
-            path.parent.mkdir(exist_ok=True)
-            path.write_text(f"{name} of {results.sha256}")
+    work = [name for name in names if name.startswith(("checkpoint", "timestreams"))]
+    with claimed(directory, results, **how) as place:
+        begin(place, removed=lambda name: how.get("force", False))
+        put(directory, {name: f"{name} of {results.sha256}" for name in work})
+        with replacing(place) as new:
+            put(new, {name: f"{name} of {results.sha256}" for name in names if name not in work})
 
 
 def tree(directory):
@@ -307,7 +308,7 @@ def test_force_keeps_results_that_the_user_changed(tmp_path):
 def killed(directory, names, results=RUN):
     """A run that was killed once these files were there."""
     with claimed(directory, results) as place:
-        begin(place)
+        begin(place, removed=lambda name: False)
         put(directory, dict.fromkeys(names, "half of it"))
 
 
@@ -334,11 +335,48 @@ def test_a_run_that_has_nothing_to_lose_is_no_obstacle(tmp_path):
     written(tmp_path, results=OTHER)
 
 
-def test_what_a_killed_run_left_is_ours(tmp_path):
-    """Whatever of its files there is; files that were there before are still the user's."""
-    killed(tmp_path, ["maps/actual.fits", "summary.json"])
+def test_a_file_that_came_after_a_run_was_killed_is_the_user_s(tmp_path):
+    """By any name but those of work under way: results take their places once they are all there."""
+    killed(tmp_path, [])
+    put(tmp_path, {"maps/actual.fits": "mine"})
+    before = tree(tmp_path)
+    with pytest.raises(OutputError, match="actual.fits: not written by this program"):
+        written(tmp_path)
+    assert tree(tmp_path) == before
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt(), ValueError("x")])
+def test_results_that_are_not_written_whole_cost_none_of_before(tmp_path, error):
     written(tmp_path)
-    assert (tmp_path / "maps/actual.fits").read_text().startswith("maps/actual.fits of")
+    before = tree(tmp_path)
+    with pytest.raises(type(error)) as caught, claimed(tmp_path, RUN) as place:
+        begin(place, removed=lambda name: False)
+        with replacing(place) as new:
+            put(new, {"summary.json": "new", "maps/actual.fits": "half"})
+            if isinstance(error, OSError):
+                error.filename = str(new / "maps/actual.fits")
+            raise error
+    after = tree(tmp_path)
+    assert {name: after[name] for name in before if name != RECORD} == {k: v for k, v in before.items() if k != RECORD}
+    assert after.keys() == before.keys()
+    if isinstance(error, OSError):
+        assert caught.value.filename == str(tmp_path / "maps/actual.fits")
+    written(tmp_path)
+
+
+def test_the_folder_of_a_killed_job_goes_but_for_what_others_put_there(tmp_path):
+    for pid in (GONE, GONE + 1):
+        files = {"summary.json": "half", f"maps/actual.fits.{pid}.part": "half", "figures/map.png": "whole"}
+        put(tmp_path / f"{NEW}.{pid}.part", files)
+    put(tmp_path / f"{NEW}.{GONE}.part", {"maps/notes.txt": "mine"})
+    put(tmp_path / f"{NEW}.1.part", {"summary.json": "of a process that is there"})
+    put(tmp_path / "mine.1.part", {"summary.json": "mine"})
+    written(tmp_path)
+    left = {name for name in tree(tmp_path) if ".part/" in name}
+    assert left == {f"{NEW}.{GONE}.part/{n}" for n in ("maps", "maps/notes.txt")} | {
+        f"{NEW}.1.part/summary.json",
+        "mine.1.part/summary.json",
+    }
 
 
 def test_a_finished_run_is_not_resumed(tmp_path):
@@ -358,8 +396,9 @@ def test_a_run_that_was_stopped_early_is_resumed(tmp_path):
         begin(place, removed=lambda name: False)
         assert (tmp_path / "maps/actual.fits").exists() and (tmp_path / "checkpoint.h5").exists()
         remove(place, ["maps/actual.fits", "../x", "notes.txt"])
-        finish(place, dropped=lambda name: name == "checkpoint.h5")
-    assert {name for name in tree(tmp_path) if "." in name} == {RECORD, "scene.toml", "summary.json", "figures/map.png"}
+        with replacing(place, over=lambda name: name == "checkpoint.h5") as new:
+            put(new, {"summary.json": "new"})
+    assert {name for name in tree(tmp_path) if "." in name} == {RECORD, "scene.toml", "summary.json"}
 
 
 def test_a_checkpoint_alone_is_resumed_and_not_replaced(tmp_path):

@@ -73,7 +73,7 @@ def test_unknown_numbers_of_a_summary_are_null_and_can_be_reported(result, tmp_p
     for *keys, value in unknown:
         put(whole, keys, value)
     monkeypatch.setattr(outputs, "summary", lambda result: whole)
-    outputs.write_outputs(tmp_path, result, False, False)
+    outputs.write_outputs(tmp_path, result, False)
     text = (tmp_path / "summary.json").read_text()
     assert json.loads(text, parse_constant=pytest.fail)["best"]["sigma_ukcmb2"] is None
     assert "unknown" in (tmp_path / "report.html").read_text()
@@ -148,7 +148,7 @@ def test_a_figure_that_fails_costs_a_line(result, tmp_path, monkeypatch, caplog,
         monkeypatch.setattr(figures, name, lambda *arguments: drawing.new_figure(1, 1))
     (tmp_path / "figures").mkdir()
     monkeypatch.setattr("surveysim.report.page_run.run_pictures", lambda *arguments: [])
-    outputs.write_outputs(tmp_path, result, True, False)
+    outputs.write_outputs(tmp_path, result, True)
     summary = json.loads((tmp_path / "summary.json").read_text())
     (line,) = (record.getMessage() for record in caplog.records)
     assert line.startswith("figure 'weather' can't be drawn (") and line.isprintable() and len(line) < 250
@@ -162,7 +162,7 @@ def test_without_matplotlib(result, tmp_path, monkeypatch, caplog):
         raise ImportError("no Agg")
 
     monkeypatch.setattr(figures, "drawings", fail)
-    outputs.write_outputs(tmp_path, result, True, False)
+    outputs.write_outputs(tmp_path, result, True)
     (line,) = (record.getMessage() for record in caplog.records)
     assert line == "figures can't be drawn (ImportError: no Agg); all else is written"
     assert set(json.loads((tmp_path / "summary.json").read_text())["files"]) == files(tmp_path) - {"summary.json"}
@@ -178,7 +178,7 @@ def test_results_are_there_before_figures(result, tmp_path, monkeypatch):
     seen = set()
     monkeypatch.setattr(figures, "coadded_map", stop)
     with pytest.raises(KeyboardInterrupt):
-        outputs.write_outputs(tmp_path, result, True, False)
+        outputs.write_outputs(tmp_path, result, True)
     assert seen >= {"summary.json", "scene.json", "tables/scores.ecsv", "maps/actual.fits"}
     listed = set(json.loads((tmp_path / "summary.json").read_text())["files"])
     assert listed - {"report.html"} == files(tmp_path) - {"summary.json"}
@@ -189,7 +189,7 @@ def test_a_missing_figure_does_not_matter_to_the_report(result, tmp_path, monkey
     monkeypatch.setattr(outputs, "_of_run", lambda result: {"map": lambda path: path.write_bytes(b"")})
     (tmp_path / "figures").mkdir()
     monkeypatch.setattr("surveysim.report.page_run.run_pictures", lambda *arguments: [])
-    outputs.write_outputs(tmp_path, result, True, False)
+    outputs.write_outputs(tmp_path, result, True)
     monkeypatch.undo()
     (tmp_path / "figures" / "map.png").unlink()
     assert write_report(tmp_path).is_file()
@@ -224,7 +224,7 @@ def drawn_whole(path):
 def test_files_have_the_permissions_of_the_umask(result, tmp_path):
     old = os.umask(0o027)
     try:
-        outputs.write_outputs(tmp_path, result, False, False)
+        outputs.write_outputs(tmp_path, result, False)
     finally:
         os.umask(old)
     modes = {stat.S_IMODE((tmp_path / name).stat().st_mode) for name in files(tmp_path)}
@@ -275,7 +275,7 @@ def files(directory):
 
 
 def test_a_summary_without_its_lists_is_refused_in_a_line(result, tmp_path):
-    outputs.write_outputs(tmp_path, result, False, False)
+    outputs.write_outputs(tmp_path, result, False)
     content = json.loads((tmp_path / "summary.json").read_text())
     for key in ("scores", "discarded", "run", "stopped"):
         (tmp_path / "summary.json").write_text(json.dumps(content | {key: []}))
