@@ -20,6 +20,7 @@ from surveysim.coadds import CoAdds, empty_coadds, row_names
 from surveysim.scan import samples_per_scan
 from surveysim.scene import scene_hash
 from surveysim.setup import Setup
+from surveysim.texts import one_line
 
 NAME = "checkpoint.h5"
 REASON = 150  # letters of the reason why a file is refused
@@ -80,8 +81,8 @@ def load_checkpoint(path: Path, setup: Setup) -> CoAdds:
     except CheckpointError:
         raise
     except Exception as error:  # HDF5 and JSON readers raise a wide range for what is none
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise CheckpointError(f"{path}: not what a run of this scene writes ({reason[:REASON]}); {_AGAIN}") from None
+        reason = one_line(error, REASON)
+        raise CheckpointError(f"{path}: not what a run of this scene writes ({reason}); {_AGAIN}") from None
     rows = arrays.pop("rows")
     return CoAdds(
         **{name: list(array) if name in _LISTS else array for name, array in arrays.items()},

@@ -12,7 +12,6 @@ from surveysim import options
 from surveysim.interrupts import (
     EXIT_FAILED,
     going_on_later,
-    says_interrupted,
     says_new_start,
     stopping,
 )
@@ -35,7 +34,6 @@ app = typer.Typer(
 
 
 @app.command()
-@says_interrupted
 def run(
     scene: SceneFile,
     out: Annotated[Path | None, typer.Option(help="where results go; outputs/<name>+<settings> by default")] = None,
@@ -120,7 +118,6 @@ def _run_sweep(
 
 
 @app.command()
-@says_interrupted
 def forecast(
     scene: SceneFile,
     out: Annotated[Path | None, typer.Option(help="where results go; of a sweep outputs/<name>_forecast")] = None,
@@ -165,7 +162,6 @@ def _forecast_sweep(sweep: "Sweep", directory: Path, figures: bool, force: bool,
 
 
 @app.command()
-@says_interrupted
 def accuracy(
     scene: Annotated[Path | None, typer.Argument(metavar="[SCENE]", help="a scene file (TOML)")] = None,
     extremes: Annotated[bool, typer.Option("--extremes", help="run the suite of extreme cases instead")] = False,
@@ -241,7 +237,6 @@ def _run_extremes(directory: Path, force: bool, quiet: bool) -> bool:
 
 
 @app.command()
-@says_interrupted
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
     """Say what would run, what is left out, and what time, memory and disk it would take."""
     from surveysim.engines import default_workers
@@ -259,7 +254,6 @@ def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) 
 
 
 @app.command()
-@says_interrupted
 def paper(
     table: Annotated[list[int] | None, typer.Option(help="number of a table; may be given again")] = None,
     figure: Annotated[list[int] | None, typer.Option(help="number of a figure; may be given again")] = None,
@@ -315,7 +309,6 @@ def paper(
 
 
 @app.command()
-@says_interrupted
 def report(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="what run, accuracy or paper left there")],
     force: Force = False,
@@ -332,7 +325,6 @@ def report(
 
 
 @app.command()
-@says_interrupted
 def check(scene: SceneFile, settings: Overrides = None) -> None:
     """Check a scene: errors only, each with file, key, what was found and what is allowed."""
     if sweep := _sweep(scene, settings):

@@ -4,7 +4,6 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from errno import EMFILE, ENFILE
-from functools import wraps
 from pathlib import Path
 from threading import Event
 from typing import Any, NoReturn
@@ -19,20 +18,6 @@ EXIT_WRONG_SCENE = 2
 EXIT_INTERRUPTED = 130
 
 _asked_to_stop = Event()
-
-
-def says_interrupted(command: Callable[..., None]) -> Callable[..., None]:
-    """A command that ends with one line and exit code 130 on Ctrl-C."""
-
-    @wraps(command)
-    def wrapped(*arguments: Any, **options: Any) -> None:
-        try:
-            command(*arguments, **options)
-        except KeyboardInterrupt:
-            complain("interrupted")
-            raise typer.Exit(EXIT_INTERRUPTED) from None
-
-    return wrapped
 
 
 def listen() -> None:

@@ -22,6 +22,7 @@ from surveysim.stages import left_out
 from surveysim.strict_json import strict_json
 from surveysim.sweep_outputs import pair_table, sweep_summary, sweep_table
 from surveysim.tables import Table
+from surveysim.texts import one_line
 from surveysim.trade import SweepResult, pairs
 
 if TYPE_CHECKING:
@@ -158,9 +159,8 @@ def _write_record(directory: Path, content: dict[str, Any], written: Iterable[Pa
 
 def undrawn(what: str, error: Exception) -> str:
     """Warn that something could not be drawn; returns the line."""
-    text = str(error).strip().partition("\n")[0]
-    reason = "".join(letter for letter in text if letter.isprintable())[:REASON]
-    line = f"{what} can't be drawn ({type(error).__name__}{': ' * bool(reason)}{reason}); all else is written"
+    told = f": {one_line(error, REASON)}" if str(error).strip() else ""
+    line = f"{what} can't be drawn ({type(error).__name__}{told}); all else is written"
     log.warning(line)
     return line
 

@@ -20,6 +20,7 @@ from surveysim.recipes import ACTUAL, OPTIMAL
 from surveysim.scene import Scene, scene_hash
 from surveysim.scores import Control, DataSetScore
 from surveysim.sweep import Point
+from surveysim.texts import one_line
 
 _OF_BAND, _OF_WINDOW = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
 _OF_CONTROL = ("factor", "weights", "noise")
@@ -102,11 +103,10 @@ def load_point(path: Path, point: Point) -> PointResult:
         first = error.errors()[0]
         reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
     except Exception as error:  # zip, npy and JSON readers raise a wide range for damaged bytes
-        reason = str(error) or type(error).__name__
+        reason = error
     else:
         return result
-    reason = "".join(letter for letter in " ".join(reason.split()) if letter.isprintable())
-    raise CheckpointError(f"{path}: damaged ({reason[:REASON]}); delete it and go on with --resume")
+    raise CheckpointError(f"{path}: damaged ({one_line(reason, REASON)}); delete it and go on with --resume")
 
 
 class _Numbers(BaseModel):

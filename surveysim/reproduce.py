@@ -17,6 +17,7 @@ from surveysim.paper.campaign import MeasuredSurvey, measure_survey
 from surveysim.record import earlier_runs, write_record
 from surveysim.scene import Scene, SceneError, load_scene
 from surveysim.setup import prepare
+from surveysim.texts import one_line
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -268,7 +269,7 @@ def _make(
         try:
             made[name] = make()
         except ValueError as error:
-            failed[name] = " ".join(str(error).split())
+            failed[name] = one_line(error)
 
 
 def _write_scored(name: str, out: Path, run: Callable[[], "SurveyResult"]) -> list[Path]:

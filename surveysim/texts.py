@@ -46,9 +46,9 @@ def key_text(text: str) -> str:
     return shortened(printable(text), LONGEST_KEY)
 
 
-def one_line(error: Exception) -> str:
-    """The text of an error, in one printable line of at most 200 characters."""
-    return shortened(printable(" ".join(str(error).split())), 200)
+def one_line(error: object, longest: int = 200) -> str:
+    """The text of an error, or of its type if it has none, in one printable line of so many characters at most."""
+    return shortened(printable(" ".join(str(error).split()) or type(error).__name__), longest)
 
 
 def nested_deeper(value: Any, depth: int) -> bool:
