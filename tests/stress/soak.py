@@ -34,7 +34,7 @@ def state(temporary: Path) -> dict[str, float]:
 
 
 def main() -> None:
-    """Measure at a tenth and at the end of one run's observations, or after a fifth and all of many runs."""
+    """Measure at a tenth and at the end of one run's observations, or after two fifths and all of many runs."""
     what, number = sys.argv[1], int(sys.argv[2])
     with tempfile.TemporaryDirectory() as folder:
         root, temporary = Path(folder), Path(folder) / "temporary"
@@ -60,13 +60,16 @@ def of_observations(root: Path, number: int) -> list[dict[str, float]]:
 
 
 def of_runs(root: Path, number: int) -> list[dict[str, float]]:
-    """Measure after a fifth and after all of many runs, every tenth with figures, every twentieth with workers."""
+    """Measure after two fifths and all of many runs, every tenth with figures, every twentieth with workers.
+
+    The first measurement comes after the first run with workers: Python starts a process for their semaphores.
+    """
     scene = load_scene(root / "scene.toml", QUICK | {"observations": 4})
     found = []
     for place in range(1, number + 1):
         engine = SERIAL if place % 20 else Engine(workers=2)
         run(scene, root / "out", engine=engine, figures=place % 10 == 0)
-        if place in (number // 5, number):
+        if place in (2 * number // 5, number):
             found.append(state(root / "temporary"))
     return found
 
