@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surveysim.scene import Scene
+from surveysim.scene.scene import Scene
 
 SCENARIOS = Path(__file__).parent.parent / "scenarios"
 LONGEST_EXAMPLE = 44
@@ -68,7 +68,7 @@ def scene_reference() -> str:
 
 def command_reference() -> str:
     """Markdown: for each command what it does, its arguments and options, as typer documents them."""
-    command = [sys.executable, "-m", "typer", "surveysim.cli", "utils", "docs", "--name", "surveysim"]
+    command = [sys.executable, "-m", "typer", "surveysim.cli.app", "utils", "docs", "--name", "surveysim"]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     return text[text.index("## `surveysim ") :].replace("```console\n$ ", "```text\n")
 

@@ -6,13 +6,13 @@ from typing import Any
 __version__ = "0.3.0"
 
 _PUBLIC = {
-    "load_scene": "surveysim.scene",
-    "SceneError": "surveysim.scene",
+    "load_scene": "surveysim.scene.scene",
+    "SceneError": "surveysim.scene.scene",
     "simulate_observation": "surveysim.api",
     "run": "surveysim.api",
-    "Engine": "surveysim.engines",
-    "EngineError": "surveysim.engines",
-    "load_sweep": "surveysim.sweep",
+    "Engine": "surveysim.runtime.engine",
+    "EngineError": "surveysim.runtime.engine",
+    "load_sweep": "surveysim.studies.sweep.axes",
     "run_sweep": "surveysim.api",
 }
 __all__ = ["__version__", *_PUBLIC]

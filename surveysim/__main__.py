@@ -1,5 +1,5 @@
 """``python -m surveysim``: the command line."""
 
-from surveysim.main import main
+from surveysim.cli.main import main
 
 main()

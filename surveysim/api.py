@@ -8,20 +8,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mapmaker.timestreams import Timestreams
-from surveysim.checkpoint import NAME as CHECKPOINT
-from surveysim.coadds import CoAdds
-from surveysim.engines import SERIAL, Engine
-from surveysim.observation import draw_observation
-from surveysim.output_directory import begin, claimed, replacing
-from surveysim.output_results import of_run, of_sweep
-from surveysim.outputs import write_outputs, write_sweep
-from surveysim.results import SurveyResult, survey_result
-from surveysim.scene import Scene
-from surveysim.setup import prepare
-from surveysim.stopping import Limits, check_limits, stopping_rule
-from surveysim.survey import run_observations
-from surveysim.sweep import Sweep, load_sweep
-from surveysim.trade import (
+from surveysim.output.directory import begin, claimed, replacing
+from surveysim.output.expected_files import of_run, of_sweep
+from surveysim.output.writer import write_outputs, write_sweep
+from surveysim.reduction.setup import prepare
+from surveysim.results.results import SurveyResult, survey_result
+from surveysim.results.stopping import Limits, check_limits, stopping_rule
+from surveysim.runtime.engine import SERIAL, Engine
+from surveysim.scene.scene import Scene
+from surveysim.studies.sweep.axes import Sweep, load_sweep
+from surveysim.studies.sweep.comparison import (
     SweepResult,
     compare_forecasts,
     compare_runs,
@@ -29,6 +25,10 @@ from surveysim.trade import (
     of_one_kind,
     run_points,
 )
+from surveysim.survey.checkpoint import NAME as CHECKPOINT
+from surveysim.survey.coadds import CoAdds
+from surveysim.survey.run import run_observations
+from surveysim.timestreams.observation import draw_observation
 
 PROCESSES = Engine()
 DRAWS_SEED = 0  # of the draws that say how sure the best point of a sweep is

@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import pytest
 
-import surveysim.conditions as conditions
+import surveysim.forecasting.observing_conditions as conditions
 
 KEPT = 24  # scenes; a run keeps one
 
@@ -17,11 +17,11 @@ def keep(module, name):
 
 keep(conditions, "population")
 
-import surveysim.noise_model as noise_model  # noqa: E402
+import surveysim.forecasting.noise_model as noise_model  # noqa: E402
 
 keep(noise_model, "survey_models")
 
-import surveysim.control as control  # noqa: E402
+import surveysim.results.control_variate as control  # noqa: E402
 
 keep(control, "expectations")
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from docs.reference import all_keys
-from surveysim.units import to_float
+from surveysim.scene.units import to_float
 
 POWER = {"instrument.bandwidth": 0.15, "instrument.efficiency": 0.2, "instrument.polarizations": 2}
 LOAD = POWER | {"photon.psd": None, "photon.coherent_fraction": None}

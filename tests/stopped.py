@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from surveysim.scene import Scene, load_scene
+from surveysim.scene.scene import Scene, load_scene
 from tests.scenes import SMALL_SCENE, without_sections
 
 WEATHER = {

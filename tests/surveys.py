@@ -3,11 +3,11 @@
 import numpy as np
 
 from mapmaker.wind import WindFit
-from surveysim.atmosphere.correlation import CorrelationGrid
-from surveysim.atmosphere.fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV, TurbulenceFit
-from surveysim.measurement import Measurement, camera_pairs
-from surveysim.paper.campaign import MeasuredSurvey
-from surveysim.weather import Weather
+from surveysim.atmosphere.detector_correlation import CorrelationGrid
+from surveysim.atmosphere.turbulence_fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV, TurbulenceFit
+from surveysim.atmosphere.weather import Weather
+from surveysim.paper.measured_survey import MeasuredSurvey
+from surveysim.paper.measurement import Measurement, camera_pairs
 
 ARCMIN = np.radians(1 / 60)
 N_SCAN = 4

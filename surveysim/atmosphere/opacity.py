@@ -9,7 +9,7 @@ from importlib.resources import as_file, files
 
 import numpy as np
 
-from surveysim.sites import SITES
+from surveysim.scene.sites import SITES
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.cleaning.templates import template_basis
-from surveysim.atmosphere.correlation import scan_correlation
-from surveysim.atmosphere.fit import TRACKS_RAD
-from surveysim.atmosphere.spectrum import at_elevation
-from surveysim.measurement import PAIR_CLEANINGS, PairNoise, camera_pairs
-from surveysim.paper.campaign import MeasuredSurvey, known_track
-from surveysim.setup import Setup
+from surveysim.atmosphere.detector_correlation import scan_correlation
+from surveysim.atmosphere.thin_screen import at_elevation
+from surveysim.atmosphere.turbulence_fit import TRACKS_RAD
+from surveysim.paper.measured_survey import MeasuredSurvey, known_track
+from surveysim.paper.measurement import PAIR_CLEANINGS, PairNoise, camera_pairs
+from surveysim.reduction.setup import Setup
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surveysim.paper.campaign import MeasuredSurvey
+from surveysim.paper.measured_survey import MeasuredSurvey
 from surveysim.paper.published import published
 from surveysim.paper.statistics import bootstrap
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surveysim.paper.campaign import MeasuredSurvey
+from surveysim.paper.measured_survey import MeasuredSurvey
 
 RESAMPLES = 400
 SEED = 20100101

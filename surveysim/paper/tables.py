@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from surveysim.atmosphere.opacity import BandOpacity, band_opacity, fluctuation_factor_mk2
-from surveysim.load import photon_noise
-from surveysim.measurement import PAIR_CLEANINGS
-from surveysim.paper.campaign import MeasuredSurvey
+from surveysim.atmosphere.weather import b2_quantile
 from surveysim.paper.excess import excess_noise, white_correlation
+from surveysim.paper.measured_survey import MeasuredSurvey
+from surveysim.paper.measurement import PAIR_CLEANINGS
 from surveysim.paper.published import published
 from surveysim.paper.statistics import QUARTILES, centile_errors, median_error, quarters
-from surveysim.sites import median_water_mm
-from surveysim.weather import b2_quantile
+from surveysim.scene.sites import median_water_mm
+from surveysim.telescope.photon_noise import photon_noise
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -128,7 +128,8 @@ def _group_rows(quantity: str, cleaning: str, values: np.ndarray, groups: list[n
 
 
 def photon_noise_table() -> "Table":
-    """Photon noise of Bolocam's load by the formulas of `surveysim.load`, beside the paper's figures (section 1.1).
+    """Photon noise of Bolocam's load by the formulas of `surveysim.telescope.photon_noise`, beside the paper's figures
+    (section 1.1).
 
     Two polarizations, for which the paper's loads in pW and in K agree and shot and Bose noise are equal, as it says.
     """

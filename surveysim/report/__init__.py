@@ -1,1 +1,1 @@
-"""Tables and figures of a run."""
+"""Results for people: figures, tables on a terminal, and HTML pages."""

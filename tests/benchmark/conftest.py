@@ -11,12 +11,12 @@ from threadpoolctl import threadpool_limits
 
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import Timestreams
-from surveysim.blocks import Block
-from surveysim.observation import draw_observation
-from surveysim.pointing import Pointing
-from surveysim.reduction import ObservationResult, observe
-from surveysim.scene import load_scene
-from surveysim.setup import Setup, observation_path, prepare
+from surveysim.reduction.observation import ObservationResult, observe
+from surveysim.reduction.setup import Setup, observation_path, prepare
+from surveysim.scene.scene import load_scene
+from surveysim.telescope.pointing import Pointing
+from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.scan_blocks import Block
 
 OBSERVATION = 0
 FLOOR = "floor: normal deviates"

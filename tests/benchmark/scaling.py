@@ -24,12 +24,12 @@ def measure(rings: int, rate_hz: float, scans: int) -> dict[str, float]:
 
     from threadpoolctl import threadpool_limits
 
-    from surveysim.blocks import Block
-    from surveysim.memory import peak_bytes
-    from surveysim.reduction import observe
-    from surveysim.scan import samples_per_scan
-    from surveysim.scene import load_scene
-    from surveysim.setup import prepare
+    from surveysim.reduction.observation import observe
+    from surveysim.reduction.setup import prepare
+    from surveysim.runtime.memory import peak_bytes
+    from surveysim.scene.scene import load_scene
+    from surveysim.telescope.raster import samples_per_scan
+    from surveysim.timestreams.scan_blocks import Block
 
     settings = {"instrument.layout.rings": rings, "scan.sample_rate": f"{rate_hz} Hz", "scan.scans": scans}
     # The map and its patch stay as large as those of the whole raster.

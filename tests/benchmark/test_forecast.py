@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from surveysim.forecast import forecast
-from surveysim.kernels.forecast import windowed_sums
-from surveysim.scene import load_scene
-from surveysim.setup import prepare
+from surveysim.forecasting.forecast import forecast
+from surveysim.reduction.mode_kernels import windowed_sums
+from surveysim.reduction.setup import prepare
+from surveysim.scene.scene import load_scene
 
 
 @pytest.mark.parametrize("algorithm", ["average", "quadratic"])

@@ -9,13 +9,13 @@ from scipy.fft import irfft, next_fast_len, rfft
 from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.wind import measure_wind, scan_velocities
-from surveysim import observation as stages
-from surveysim import reduction
-from surveysim import simulated_sets as sets
-from surveysim.coadds import add_observation, empty_coadds
-from surveysim.noise import add_white, hann_psd, white_level
-from surveysim.recipes import Beside, Recipe, apply_recipe, measured_delays
-from surveysim.streams import Stage, generator
+from surveysim.reduction import noise_only_sets as sets
+from surveysim.reduction import observation as reduction
+from surveysim.reduction.cleaning_pipelines import Beside, Recipe, apply_recipe, measured_delays
+from surveysim.runtime.rng import Stage, generator
+from surveysim.survey.coadds import add_observation, empty_coadds
+from surveysim.timestreams import observation as stages
+from surveysim.timestreams.noise import add_white, hann_psd, white_level
 from tests.benchmark.conftest import FLOOR, OBSERVATION
 
 

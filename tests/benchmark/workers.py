@@ -10,9 +10,9 @@ from statistics import median
 from time import perf_counter, process_time
 
 from surveysim import Engine, load_scene
-from surveysim.engines import default_workers
-from surveysim.setup import prepare
-from surveysim.survey import run_observations
+from surveysim.reduction.setup import prepare
+from surveysim.runtime.engine import default_workers
+from surveysim.survey.run import run_observations
 
 LYNX = Path(__file__).parents[2] / "scenarios" / "lynx.toml"
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from surveysim import load_scene, run, run_sweep
-from surveysim.engines import SERIAL
-from surveysim.reproduce import reproduce, wanted
+from surveysim.paper.reproduce import reproduce, wanted
+from surveysim.runtime.engine import SERIAL
 from tests.scenes import SMALL_SCENE, without_sections
-from tests.unit.test_reproduce import SCENE
+from tests.unit.paper.test_reproduce import SCENE
 
 pytestmark = pytest.mark.browser
 CHROMIUM, DRIVER = "/usr/bin/chromium", "/usr/bin/chromedriver"

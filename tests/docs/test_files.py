@@ -9,19 +9,19 @@ from astropy.io import fits
 from astropy.table import Table
 
 import surveysim
-from surveysim.accuracy import measure_accuracy
-from surveysim.checkpoint import NAME as CHECKPOINT
-from surveysim.engines import SERIAL
-from surveysim.extremes import CASES, run_case
-from surveysim.forecast import forecast
-from surveysim.output_directory import RECORD
-from surveysim.outputs import write_accuracy, write_forecast
-from surveysim.report.extremes_text import write_extremes
-from surveysim.reproduce import TABLES, reproduce, wanted
+from surveysim.forecasting.forecast import forecast
+from surveysim.output.directory import RECORD
+from surveysim.output.writer import write_accuracy, write_forecast
+from surveysim.paper.reproduce import TABLES, reproduce, wanted
+from surveysim.report.terminal.stress import write_extremes
+from surveysim.runtime.engine import SERIAL
+from surveysim.studies.convergence import measure_accuracy
+from surveysim.studies.stress import CASES, run_case
+from surveysim.survey.checkpoint import NAME as CHECKPOINT
 from tests.docs.pages import ROOT
 from tests.docs.tables import differences, documented
 from tests.scenes import SMALL_SCENE
-from tests.unit.test_reproduce import SCENE as PAPER_SCENE
+from tests.unit.paper.test_reproduce import SCENE as PAPER_SCENE
 
 pytestmark = pytest.mark.docs
 PAGE = documented(ROOT / "docs" / "files.md")

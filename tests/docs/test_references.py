@@ -9,10 +9,10 @@ import pytest
 import typer.main
 
 from docs.reference import all_keys, command_reference, scene_keys, scene_reference, scene_sections
-from surveysim.cli import app
-from surveysim.failures import EXIT_BROKEN_PIPE
-from surveysim.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
-from surveysim.sweep import REFERENCE
+from surveysim.cli.app import app
+from surveysim.cli.failures import EXIT_BROKEN_PIPE
+from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
+from surveysim.studies.sweep.axes import REFERENCE
 from tests.docs.pages import PAGES, ROOT, Block, blocks
 from tests.docs.tables import documented
 

@@ -22,8 +22,8 @@ META = (None, [], {}, "x", -1, 1e400, {"scene": 1}, True, "\x1b[31m", "y" * 3000
 def prepare(folder: Path) -> tuple[Path, dict[str, Any]]:
     """A run that was stopped after two of four observations, and the results of a whole one."""
     from surveysim.api import run
-    from surveysim.engines import SERIAL
-    from surveysim.scene import load_scene
+    from surveysim.runtime.engine import SERIAL
+    from surveysim.scene.scene import load_scene
 
     stopped, whole = folder / "stopped", folder / "whole"
     stopped.mkdir()

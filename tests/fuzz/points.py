@@ -25,7 +25,7 @@ VALUES = (None, [], {}, "x", -1, 0, 1e400, float("nan"), True, "\x1b[31m", [1], 
 def prepare(folder: Path) -> tuple[Path, dict[str, Any]]:
     """A sweep that was stopped after the first of two points, and the results of a whole one."""
     from surveysim.api import run_sweep
-    from surveysim.engines import SERIAL
+    from surveysim.runtime.engine import SERIAL
 
     stopped, whole = folder / "stopped", folder / "whole"
     stopped.mkdir()

@@ -78,7 +78,7 @@ def texts() -> list[str]:
 
 def schema_keys() -> list[tuple[str, ...]]:
     """Every key that a scene may have, in the file's names."""
-    from surveysim.scene import Scene
+    from surveysim.scene.scene import Scene
 
     def walk(model: Any, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
         for name, field in model.model_fields.items():
@@ -94,7 +94,7 @@ def schema_keys() -> list[tuple[str, ...]]:
 
 def key_units() -> dict[tuple[str, ...], str]:
     """Units of the keys that are quantities."""
-    from surveysim.scene import Scene
+    from surveysim.scene.scene import Scene
 
     schema = Scene.model_json_schema(by_alias=True)
 
@@ -116,7 +116,7 @@ def key_units() -> dict[tuple[str, ...], str]:
 
 def made(path: Path) -> dict[str, Any]:
     """What the program makes of a scene, by the names of the file."""
-    from surveysim.scene import load_scene
+    from surveysim.scene.scene import load_scene
 
     return json.loads(json.dumps(load_scene(path).model_dump(mode="json", by_alias=True, exclude={"assumed"})))
 
@@ -133,8 +133,8 @@ def prepare(folder: Path) -> dict[str, Any]:
 
 
 def _prepared(folder: Path) -> dict[str, Any]:
-    from surveysim.scene import load_scene
-    from surveysim.setup import prepare as prepared
+    from surveysim.reduction.setup import prepare as prepared
+    from surveysim.scene.scene import load_scene
 
     bases = []
     for number, text in enumerate(texts()):
@@ -151,8 +151,8 @@ def _prepared(folder: Path) -> dict[str, Any]:
 def warm(folder: Path) -> None:
     """Load what a run loads, so that no input pays for it."""
     from surveysim.api import run
-    from surveysim.engines import SERIAL
-    from surveysim.scene import load_scene
+    from surveysim.runtime.engine import SERIAL
+    from surveysim.scene.scene import load_scene
 
     run(load_scene(folder / "scene0" / "scene.toml"), folder / "out", engine=SERIAL, figures=False)
 
@@ -324,9 +324,9 @@ def means(text: Any, found: Any, unit: str | None) -> bool:
 
 def small_enough() -> bool:
     """Whether one observation of the scene is a matter of a second."""
-    from surveysim.scan import samples_per_scan
-    from surveysim.scene import load_scene
-    from surveysim.setup import prepare as prepared
+    from surveysim.reduction.setup import prepare as prepared
+    from surveysim.scene.scene import load_scene
+    from surveysim.telescope.raster import samples_per_scan
 
     setup = prepared(load_scene("scene.toml"))
     samples = setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)

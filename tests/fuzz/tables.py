@@ -51,7 +51,7 @@ def prepare(folder: Path) -> str:
     """The text of a good table."""
     text = table([("x", "arcmin", "float64"), ("y", "arcmin", "float64")], ROWS)
     (folder / "camera.ecsv").write_text(text)
-    from surveysim.instrument import read_positions
+    from surveysim.telescope.focal_plane import read_positions
 
     read_positions(folder / "camera.ecsv")
     return text
@@ -109,7 +109,7 @@ def mangled(base: str, rng: np.random.Generator) -> tuple[str, Callable[[], Outc
 
 def tried() -> Outcome:
     """Read the table; compare it with the simple reader's."""
-    from surveysim.instrument import read_positions
+    from surveysim.telescope.focal_plane import read_positions
 
     try:
         found = read_positions(Path("camera.ecsv"))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from surveysim import load_scene
-from surveysim.accuracy.runs import Task, run_task
-from surveysim.atmosphere.screen import LOOK_UPS, strip_step
-from surveysim.atmosphere.spectrum import Screen, structure_function
+from surveysim.atmosphere.screen_simulation import LOOK_UPS, strip_step
+from surveysim.atmosphere.thin_screen import Screen, structure_function
+from surveysim.studies.convergence.runs import Task, run_task
 from tests.scenes import SMALL_SCENE, without_sections
 
 N_LANE, N_X, N_POINT = 8, 12, 60

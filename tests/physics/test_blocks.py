@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from surveysim.reduction import transmissions
-from surveysim.scene import load_scene
-from surveysim.scores import score_survey
-from surveysim.setup import prepare
-from surveysim.survey import run_observations
+from surveysim.reduction.observation import transmissions
+from surveysim.reduction.setup import prepare
+from surveysim.scene.scene import load_scene
+from surveysim.survey.run import run_observations
+from surveysim.survey.scores import score_survey
 from tests.scenes import SMALL_SCENE
 
 N_OBS = 48

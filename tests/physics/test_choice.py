@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from surveysim.api import run
-from surveysim.choice import merits
-from surveysim.engines import SERIAL
-from surveysim.reduction import transmissions
-from surveysim.results import summary
-from surveysim.scene import load_scene
-from surveysim.setup import prepare
+from surveysim.reduction.figure_of_merit import merits
+from surveysim.reduction.observation import transmissions
+from surveysim.reduction.setup import prepare
+from surveysim.results.results import summary
+from surveysim.runtime.engine import SERIAL
+from surveysim.scene.scene import load_scene
 from tests.scenes import SMALL_SCENE
 
 LYNX = "scenarios/lynx.toml"

@@ -17,9 +17,9 @@ from mapmaker.cleaning import (
     slowness,
 )
 from mapmaker.wind import measure_wind, scan_velocities
-from surveysim.observation import draw_observation, observation_weather
-from surveysim.pointing import sky_vector
-from surveysim.setup import observation_path, prepare
+from surveysim.reduction.setup import observation_path, prepare
+from surveysim.telescope.pointing import sky_vector
+from surveysim.timestreams.observation import draw_observation, observation_weather
 
 LYNX = Path(__file__).parents[2] / "scenarios" / "lynx.toml"
 RATE_HZ = 10.0

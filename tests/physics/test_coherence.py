@@ -8,7 +8,8 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 from scipy.special import j0, roots_legendre
 
-from surveysim.coherence import (
+from surveysim.telescope.focal_plane import hexagon
+from surveysim.telescope.pixel_coherence import (
     Illumination,
     correlation_factor,
     correlation_matrix,
@@ -17,7 +18,6 @@ from surveysim.coherence import (
     mutual_coherence,
     stop_efficiency,
 )
-from surveysim.instrument import hexagon
 
 DENSE = pytest.mark.parametrize("pitch", [0.1, 0.7, 1.3])
 COHERENCES = pytest.mark.parametrize("coherence", ["field", "intensity", "none"])

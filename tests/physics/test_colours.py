@@ -5,12 +5,12 @@ import pytest
 
 from surveysim.api import run
 from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
-from surveysim.engines import SERIAL
-from surveysim.observation import draw_colours, draw_observation
-from surveysim.recipes import Beside, Recipe, apply_recipe
-from surveysim.results import summary
-from surveysim.scene import SceneError, load_scene
-from surveysim.setup import observation_path, prepare
+from surveysim.reduction.cleaning_pipelines import Beside, Recipe, apply_recipe
+from surveysim.reduction.setup import observation_path, prepare
+from surveysim.results.results import summary
+from surveysim.runtime.engine import SERIAL
+from surveysim.scene.scene import SceneError, load_scene
+from surveysim.timestreams.observation import draw_colours, draw_observation
 
 SUZIE = "scenarios/suzie_ii.toml"
 

@@ -5,15 +5,15 @@ import pytest
 
 from mapmaker.uncertainty import noise_error_parts, ratio_error
 from surveysim import load_scene
-from surveysim.conditions import conditions, population_draws
-from surveysim.control import expectations, quoted_scores
-from surveysim.forecast import expected_weights
-from surveysim.noise_model import noise_models
-from surveysim.setup import prepare
-from surveysim.stopping import estimate_so_far
-from surveysim.streams import Stage, generator
-from surveysim.survey import run_observations
-from surveysim.weather import draw_weather
+from surveysim.atmosphere.weather import draw_weather
+from surveysim.forecasting.forecast import expected_weights
+from surveysim.forecasting.noise_model import noise_models
+from surveysim.forecasting.observing_conditions import conditions, population_draws
+from surveysim.reduction.setup import prepare
+from surveysim.results.control_variate import expectations, quoted_scores
+from surveysim.results.stopping import estimate_so_far
+from surveysim.runtime.rng import Stage, generator
+from surveysim.survey.run import run_observations
 from tests.stopped import weather_scene
 
 

@@ -11,16 +11,23 @@ import pytest
 
 from mapmaker.cleaning import Cleaned, TemplateOptions, clean
 from mapmaker.cleaning.templates import template_basis
-from surveysim.coherence import correlation_factor, correlation_matrix
-from surveysim.measurement import PAIR_CLEANINGS, PairNoise, camera_pairs, measure, pair_noise, supported_cleanings
-from surveysim.noise import draw_from_psd, excess_psd, excess_variance
-from surveysim.observation import draw_observation, observation_weather
-from surveysim.paper.campaign import known_track
 from surveysim.paper.excess import excess_noise, residual_atmosphere, residual_by_track
-from surveysim.paper.pair_figures import correlation_histogram_figure, folded, separation_figure
+from surveysim.paper.figures.pairs import correlation_histogram_figure, folded, separation_figure
+from surveysim.paper.measured_survey import known_track
+from surveysim.paper.measurement import (
+    PAIR_CLEANINGS,
+    PairNoise,
+    camera_pairs,
+    measure,
+    pair_noise,
+    supported_cleanings,
+)
 from surveysim.paper.tables import correlated_noise_table
-from surveysim.scene import load_scene
-from surveysim.setup import observation_path, prepare
+from surveysim.reduction.setup import observation_path, prepare
+from surveysim.scene.scene import load_scene
+from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix
+from surveysim.timestreams.noise import draw_from_psd, excess_psd, excess_variance
+from surveysim.timestreams.observation import draw_observation, observation_weather
 from tests.scenes import SMALL_SCENE
 from tests.surveys import ARCMIN, fit, named, of_b2
 

@@ -10,11 +10,11 @@ from mapmaker.bandpower import estimate_amplitude, flat_band_power, flat_spectru
 from mapmaker.geometry import MapGeometry, boresight_pixels, sky_offsets
 from mapmaker.spectrum import annuli, coupled_psd, map_psd, mode_ell, neighbour_correlation, ring_mean, tukey_taper
 from mapmaker.window import beam_window, mode_pixel_window, pixel_window
-from surveysim.band import flat_signal
-from surveysim.forecast import forecast
-from surveysim.noise_model import survey_models
-from surveysim.scene import load_scene
-from surveysim.setup import observation_path, prepare
+from surveysim.forecasting.forecast import forecast
+from surveysim.forecasting.noise_model import survey_models
+from surveysim.reduction.scored_region import flat_signal
+from surveysim.reduction.setup import observation_path, prepare
+from surveysim.scene.scene import load_scene
 
 LYNX = Path(__file__).parents[2] / "scenarios" / "lynx.toml"
 FWHM = np.radians(1 / 60)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surveysim.extremes import CASES, Case, Outcome, base_scene, run_case
-from surveysim.scene import SceneError
+from surveysim.scene.scene import SceneError
+from surveysim.studies.stress import CASES, Case, Outcome, base_scene, run_case
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")  # of numpy: none may reach a user
 

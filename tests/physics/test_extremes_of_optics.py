@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from surveysim.api import run, simulate_observation
-from surveysim.coherence import correlation_matrix, lattice_sum
-from surveysim.engines import SERIAL
-from surveysim.forecast import forecast
-from surveysim.instrument import camera, hexagon
-from surveysim.observation import observation_levels
-from surveysim.response import matrix_power, projected_array
-from surveysim.results import forecast_agreement
-from surveysim.scene import SceneError, load_scene
-from surveysim.setup import prepare
+from surveysim.forecasting.forecast import forecast
+from surveysim.reduction.mode_response import matrix_power, projected_array
+from surveysim.reduction.setup import prepare
+from surveysim.results.results import forecast_agreement
+from surveysim.runtime.engine import SERIAL
+from surveysim.scene.scene import SceneError, load_scene
+from surveysim.telescope.focal_plane import camera, hexagon
+from surveysim.telescope.pixel_coherence import correlation_matrix, lattice_sum
+from surveysim.timestreams.observation import observation_levels
 from tests.scenes import SMALL_SCENE, without_sections
 
 # A patch wide enough for few observations, in weather that keeps all scans.

@@ -10,25 +10,25 @@ import pytest
 from mapmaker.geometry import sky_offsets
 from mapmaker.spectrum import tukey
 from mapmaker.timestreams import FocalPlane
-from surveysim import response
 from surveysim.api import run
-from surveysim.atmosphere.screen import StripCache, add_atmosphere, strip_step
-from surveysim.atmosphere.spectrum import Screen
-from surveysim.coherence import correlation_factor, correlation_matrix
-from surveysim.conditions import conditions, survey_draws
-from surveysim.engines import SERIAL
-from surveysim.forecast import forecast
-from surveysim.instrument import hexagon
-from surveysim.noise import add_correlated_white, add_excess, excess_psd
-from surveysim.noise_model import noise_models
-from surveysim.observation import observation_weather
-from surveysim.pointing import sky_vector
-from surveysim.response import layer_gain, layer_waves, matrix_power, projected_array, scan_window
-from surveysim.results import forecast_agreement, summary
-from surveysim.scene import SceneError, load_scene
-from surveysim.sections import Excess
-from surveysim.setup import observation_path, prepare
-from surveysim.units import rj_to_cmb
+from surveysim.atmosphere.screen_simulation import StripCache, add_atmosphere, strip_step
+from surveysim.atmosphere.thin_screen import Screen
+from surveysim.forecasting.forecast import forecast
+from surveysim.forecasting.noise_model import noise_models
+from surveysim.forecasting.observing_conditions import conditions, survey_draws
+from surveysim.reduction import mode_response as response
+from surveysim.reduction.mode_response import layer_gain, layer_waves, matrix_power, projected_array, scan_window
+from surveysim.reduction.setup import observation_path, prepare
+from surveysim.results.results import forecast_agreement, summary
+from surveysim.runtime.engine import SERIAL
+from surveysim.scene.noise_and_sky import Excess
+from surveysim.scene.scene import SceneError, load_scene
+from surveysim.scene.units import rj_to_cmb
+from surveysim.telescope.focal_plane import hexagon
+from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix
+from surveysim.telescope.pointing import sky_vector
+from surveysim.timestreams.noise import add_correlated_white, add_excess, excess_psd
+from surveysim.timestreams.observation import observation_weather
 from tests import naive
 from tests.scenes import SMALL_SCENE, WIDE_PATCH, without_sections
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from surveysim.api import run
-from surveysim.engines import SERIAL
-from surveysim.forecast import forecast
-from surveysim.results import forecast_agreement
-from surveysim.scene import load_scene
+from surveysim.forecasting.forecast import forecast
+from surveysim.results.results import forecast_agreement
+from surveysim.runtime.engine import SERIAL
+from surveysim.scene.scene import load_scene
 from tests.scenes import SMALL_SCENE, WIDE_PATCH
 
 # 24 observations know sigma(A) to 4 %.

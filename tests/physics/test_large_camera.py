@@ -10,9 +10,9 @@ import pytest
 from astropy.io import fits
 from astropy.table import Table
 
-from surveysim.observation import observation_levels
-from surveysim.scene import load_scene
-from surveysim.setup import prepare
+from surveysim.reduction.setup import prepare
+from surveysim.scene.scene import load_scene
+from surveysim.timestreams.observation import observation_levels
 
 SCENE = Path(__file__).parents[2] / "scenarios" / "large_camera.toml"
 SETTINGS = {"observations": 1, "scan.scans": 3, "scan.step": "60 arcmin", "numerics.stream_memory": "100 MB"}
@@ -25,7 +25,7 @@ def test_one_observation_in_blocks(tmp_path):
 
     More scans make more blocks, not larger ones: ten minutes take no more memory.
     """
-    command = [sys.executable, "-c", "from surveysim.main import main; main()", "run", str(SCENE), "--workers", "1"]
+    command = [sys.executable, "-c", "from surveysim.cli.main import main; main()", "run", str(SCENE), "--workers", "1"]
     command += [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}")]
     process = subprocess.Popen([*command, "--no-figures", "--quiet", "--out", str(tmp_path)])
     _, status, usage = os.wait4(process.pid, 0)

@@ -6,18 +6,23 @@ import numpy as np
 import pytest
 
 from mapmaker.timestreams import FocalPlane
-from surveysim import conditions, lattice, limits, parts, response, setup
-from surveysim.coherence import Illumination, correlation_matrix
-from surveysim.forecast import forecast
-from surveysim.instrument import Camera, hexagon
-from surveysim.lattice import LARGEST_ERROR, SharedNoise, TorusRoot, embed
-from surveysim.noise import add_correlated_white, add_excess, excess_psd, hann_psd
-from surveysim.noise_model import survey_models
-from surveysim.observation import draw_observation
-from surveysim.response import matrix_power, projected_array, stream_power
-from surveysim.scene import SceneError, load_scene
-from surveysim.sections import Excess
-from surveysim.setup import prepare
+from surveysim.forecasting import observing_conditions as conditions
+from surveysim.forecasting.forecast import forecast
+from surveysim.forecasting.noise_model import survey_models
+from surveysim.reduction import mode_response as response
+from surveysim.reduction import resource_limits as limits
+from surveysim.reduction import setup
+from surveysim.reduction.mode_response import matrix_power, projected_array, stream_power
+from surveysim.reduction.setup import prepare
+from surveysim.scene.noise_and_sky import Excess
+from surveysim.scene.scene import SceneError, load_scene
+from surveysim.telescope import lattice_noise as lattice
+from surveysim.telescope.focal_plane import Camera, hexagon
+from surveysim.telescope.lattice_noise import LARGEST_ERROR, SharedNoise, TorusRoot, embed
+from surveysim.telescope.pixel_coherence import Illumination, correlation_matrix
+from surveysim.timestreams import shared_parts as parts
+from surveysim.timestreams.noise import add_correlated_white, add_excess, excess_psd, hann_psd
+from surveysim.timestreams.observation import draw_observation
 from tests.scenes import SMALL_SCENE
 
 RATE = 10.0

@@ -6,15 +6,8 @@ from dataclasses import replace
 import pytest
 from scipy.integrate import quad
 
-from surveysim.load import (
-    PhotonNoise,
-    bose_nep2,
-    photon_noise,
-    power_per_k,
-    power_w,
-    shot_nep2,
-)
-from surveysim.units import BOLTZMANN_J_K, PLANCK_J_S, rj_to_cmb
+from surveysim.scene.units import BOLTZMANN_J_K, PLANCK_J_S, rj_to_cmb
+from surveysim.telescope.photon_noise import PhotonNoise, bose_nep2, photon_noise, power_per_k, power_w, shot_nep2
 
 BOLOCAM = {"load_k": 80.0, "frequency_hz": 143e9, "bandwidth": 0.15, "efficiency": 0.08, "polarizations": 2}
 

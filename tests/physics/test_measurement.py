@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from mapmaker.cleaning import TemplateOptions, clean
-from surveysim.engines import SERIAL
-from surveysim.measurement import map_variances, raw_variance
-from surveysim.noise import low_frequency_variance
-from surveysim.observation import draw_observation
-from surveysim.paper.campaign import measure_survey
+from surveysim.paper.measured_survey import measure_survey
+from surveysim.paper.measurement import map_variances, raw_variance
 from surveysim.paper.recovery import recovery_table
-from surveysim.scene import load_scene
-from surveysim.setup import observation_path, prepare
+from surveysim.reduction.setup import observation_path, prepare
+from surveysim.runtime.engine import SERIAL
+from surveysim.scene.scene import load_scene
+from surveysim.timestreams.noise import low_frequency_variance
+from surveysim.timestreams.observation import draw_observation
 from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
 
 ARCMIN = math.radians(1 / 60)
@@ -116,7 +116,7 @@ def test_fitted_b2_scatters_as_18_scans_that_share_trends(survey):
 @pytest.mark.slow
 def test_raw_variance_is_the_model_s(survey):
     """B2 sin(el)^-8/3 of the closed form for each wind; the ratio's median to the scatter of 18 scans."""
-    from surveysim.atmosphere.spectrum import Screen, at_elevation, mean_removed_variance
+    from surveysim.atmosphere.thin_screen import Screen, at_elevation, mean_removed_variance
 
     layer = Screen(11 / 3, 8e-3)
     ratio = []

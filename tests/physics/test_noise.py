@@ -10,9 +10,10 @@ import math
 import numpy as np
 import pytest
 
-from surveysim.coherence import correlation_factor, correlation_matrix, mutual_coherence
-from surveysim.instrument import hexagon
-from surveysim.noise import (
+from surveysim.scene.noise_and_sky import Excess
+from surveysim.telescope.focal_plane import hexagon
+from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix, mutual_coherence
+from surveysim.timestreams.noise import (
     add_correlated_white,
     add_excess,
     add_white,
@@ -24,7 +25,6 @@ from surveysim.noise import (
     photon_correlation,
     white_level,
 )
-from surveysim.sections import Excess
 
 RATE = 10.0
 HANN = 1 + 2 * (4 / 9 + 1 / 36)

@@ -12,15 +12,9 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from surveysim.atmosphere.factors import build_strip
-from surveysim.atmosphere.screen import StripCache, add_atmosphere, draw_strip, strip_step
-from surveysim.atmosphere.spectrum import (
-    Screen,
-    cross_psd,
-    mean_removed_variance,
-    structure_function,
-    temporal_psd,
-)
+from surveysim.atmosphere.screen_simulation import StripCache, add_atmosphere, draw_strip, strip_step
+from surveysim.atmosphere.strip_factors import build_strip
+from surveysim.atmosphere.thin_screen import Screen, cross_psd, mean_removed_variance, structure_function, temporal_psd
 
 ARCMIN = math.radians(1.0 / 60.0)
 SCAN_RAD, SPEED, HALF_WIDTH = 465.0 * ARCMIN, 31.0 * ARCMIN, 4.1 * ARCMIN

@@ -7,9 +7,9 @@ import pytest
 from scipy.special import ndtri
 from scipy.stats import kstest, spearmanr
 
-from surveysim.sections import Atmosphere
-from surveysim.sites import SITES
-from surveysim.weather import b2_quantile, draw_weather, pwv_quantile, site_water
+from surveysim.atmosphere.weather import b2_quantile, draw_weather, pwv_quantile, site_water
+from surveysim.scene.atmosphere import Atmosphere
+from surveysim.scene.sites import SITES
 
 N_DRAWS = 8000
 QUARTILES = ndtri([0.25, 0.5, 0.75])

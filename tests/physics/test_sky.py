@@ -14,10 +14,11 @@ from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, wcs
 from mapmaker.kernels.pixels import add_sky
 from mapmaker.spectrum import annuli, coupled_psd, map_psd, mode_ell, mode_psd, ring_mean, tukey_taper
 from mapmaker.window import beam_window
-from surveysim.scene import SceneError, load_scene
-from surveysim.sections import PointSource, Sky
-from surveysim.setup import prepare
-from surveysim.sky import (
+from surveysim.reduction.setup import prepare
+from surveysim.scene.noise_and_sky import PointSource, Sky
+from surveysim.scene.scene import SceneError, load_scene
+from surveysim.scene.units import rj_to_cmb
+from surveysim.timestreams.sky import (
     add_point_sources,
     curved_cmb_sky,
     draw_sky,
@@ -26,7 +27,6 @@ from surveysim.sky import (
     highest_order,
     sharpened,
 )
-from surveysim.units import rj_to_cmb
 from tests.scenes import SMALL_SCENE, without_sections
 
 ARCMIN = math.radians(1 / 60)
@@ -261,7 +261,7 @@ def test_orders_that_are_left_out_do_not_reach_the_field(monkeypatch, pixel_arcm
 
     few, order = sky(), highest_order(g, lmax)
     assert order < lmax
-    monkeypatch.setattr("surveysim.sky.highest_order", lambda *_: min(lmax, 2 * order))
+    monkeypatch.setattr("surveysim.timestreams.sky.highest_order", lambda *_: min(lmax, 2 * order))
     # The numbers of lower orders are drawn first, so they stay.
     many = sky()
     np.testing.assert_allclose(few, many, atol=3e-6 * many.std())

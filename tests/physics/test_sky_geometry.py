@@ -7,12 +7,12 @@ import pytest
 
 from mapmaker.geometry import boresight_pixels, pixel_indices
 from mapmaker.wind import scan_velocities
-from surveysim.checks import MAX_AIRMASS_CHANGE, MAX_TURN_BEAMS
-from surveysim.observation import draw_observation
-from surveysim.pointing import SIDEREAL_RAD_S
-from surveysim.scene import SceneError, load_scene
-from surveysim.setup import observation_path, prepare
-from surveysim.sky import add_point_sources
+from surveysim.reduction.consistency import MAX_AIRMASS_CHANGE, MAX_TURN_BEAMS
+from surveysim.reduction.setup import observation_path, prepare
+from surveysim.scene.scene import SceneError, load_scene
+from surveysim.telescope.pointing import SIDEREAL_RAD_S
+from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.sky import add_point_sources
 from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections
 
 LATITUDE = math.radians(19.8)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from surveysim import run
-from surveysim.engines import SERIAL
-from surveysim.setup import prepare
-from surveysim.stopping import FEWEST, best_estimate, estimate_so_far
-from surveysim.survey import run_observations
+from surveysim.reduction.setup import prepare
+from surveysim.results.stopping import FEWEST, best_estimate, estimate_so_far
+from surveysim.runtime.engine import SERIAL
+from surveysim.survey.run import run_observations
 from tests.stopped import WEATHER, weather_scene
 
 SEEDS = 50

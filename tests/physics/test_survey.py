@@ -10,15 +10,15 @@ from mapmaker.binning import weighted_mean
 from mapmaker.cleaning.templates import QUADRATIC, template_basis
 from mapmaker.spectrum import map_psd
 from mapmaker.window import beam_window, pixel_window
-from surveysim.atmosphere.spectrum import at_elevation, temporal_psd
-from surveysim.engines import Engine
-from surveysim.noise import excess_psd, excess_variance
-from surveysim.observation import draw_observation
-from surveysim.scene import load_scene
-from surveysim.scores import score_survey
-from surveysim.setup import prepare
-from surveysim.survey import run_observations
-from surveysim.units import rj_to_cmb
+from surveysim.atmosphere.thin_screen import at_elevation, temporal_psd
+from surveysim.reduction.setup import prepare
+from surveysim.runtime.engine import Engine
+from surveysim.scene.scene import load_scene
+from surveysim.scene.units import rj_to_cmb
+from surveysim.survey.run import run_observations
+from surveysim.survey.scores import score_survey
+from surveysim.timestreams.noise import excess_psd, excess_variance
+from surveysim.timestreams.observation import draw_observation
 from tests.scenes import SMALL_SCENE
 
 LYNX = Path(__file__).parents[2] / "scenarios" / "lynx.toml"

@@ -9,10 +9,10 @@ import pytest
 from mapmaker.bandpower import flat_spectrum_psd, score
 from mapmaker.window import Window
 from surveysim import load_sweep, run_sweep
-from surveysim.engines import SERIAL
-from surveysim.point_files import PointResult
-from surveysim.scores import DataSetScore, error_modes
-from surveysim.trade import compare_runs
+from surveysim.runtime.engine import SERIAL
+from surveysim.studies.sweep.comparison import compare_runs
+from surveysim.studies.sweep.point_store import PointResult
+from surveysim.survey.scores import DataSetScore, error_modes
 from tests.scenes import SMALL_SCENE, without_sections
 
 ELL = np.array([4500.0, 5500.0, 6500.0, 7500.0])
@@ -107,7 +107,7 @@ def assert_right(log_ratio, paired):
 @pytest.mark.slow
 def test_paired_error_of_a_small_change(tmp_path, monkeypatch):
     """Half more detector noise beside the same photon noise: far better known than from independent runs."""
-    monkeypatch.setattr("surveysim.trade.run_forecast", lambda setup, coadds: None)
+    monkeypatch.setattr("surveysim.studies.sweep.comparison.run_forecast", lambda setup, coadds: None)
     table = '"detector.psd" = ["2.5 mK2 / Hz", "3.75 mK2 / Hz"]'
     log_ratio, paired, independent = seeds_of(tmp_path, NO_AIR, table, 24)
     assert_right(log_ratio, paired)
@@ -119,7 +119,7 @@ def test_paired_error_of_a_small_change(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_paired_error_where_little_is_common(tmp_path, monkeypatch):
     """Another scan speed: other maps of the same streams and skies."""
-    monkeypatch.setattr("surveysim.trade.run_forecast", lambda setup, coadds: None)
+    monkeypatch.setattr("surveysim.studies.sweep.comparison.run_forecast", lambda setup, coadds: None)
     table = '"scan.speed" = ["4 arcmin / s", "4.5 arcmin / s"]'
     log_ratio, paired, independent = seeds_of(tmp_path, NO_AIR, table, 60)
     assert_right(log_ratio, paired)
@@ -141,7 +141,7 @@ def test_paired_error_in_varying_weather(tmp_path, monkeypatch, table, gained):
     Weights with long tails scatter more from seed to seed than normal ones: the variance from n seeds is known to
     sqrt(5 / n) for the kurtosis of 6 that is found.
     """
-    monkeypatch.setattr("surveysim.trade.run_forecast", lambda setup, coadds: None)
+    monkeypatch.setattr("surveysim.studies.sweep.comparison.run_forecast", lambda setup, coadds: None)
     n = 30
     log_ratio, paired, independent = seeds_of(tmp_path, AIR, table, n)
     assert np.log(np.var(log_ratio, ddof=1) / np.mean(paired**2)) == pytest.approx(0, abs=3 * np.sqrt(5 / n))

@@ -9,13 +9,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surveysim.atmosphere.screen import StripCache, add_atmosphere, scan_tracks, strip_step
-from surveysim.atmosphere.spectrum import Screen, structure_function
-from surveysim.atmosphere.trends import draw_trends, swaths
-from surveysim.observation import add_layer, observation_weather
-from surveysim.scene import load_scene
-from surveysim.setup import observation_path, prepare
-from surveysim.weather import Weather
+from surveysim.atmosphere.scan_trends import draw_trends, swaths
+from surveysim.atmosphere.screen_simulation import StripCache, add_atmosphere, scan_tracks, strip_step
+from surveysim.atmosphere.thin_screen import Screen, structure_function
+from surveysim.atmosphere.weather import Weather
+from surveysim.reduction.setup import observation_path, prepare
+from surveysim.scene.scene import load_scene
+from surveysim.timestreams.observation import add_layer, observation_weather
 from tests.scenes import SMALL_SCENE
 
 ARCMIN = math.radians(1 / 60)

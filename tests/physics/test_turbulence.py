@@ -8,12 +8,18 @@ import pytest
 
 from mapmaker.correlations import Profile, correlation_profile, pair_bins, scan_covariances
 from mapmaker.timestreams import FocalPlane
-from surveysim.atmosphere.correlation import OUTER_SCALE_M, correlation_grid, scan_correlation
-from surveysim.atmosphere.fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV, TRACKS_RAD, fit_turbulence
-from surveysim.atmosphere.screen import StripCache, add_atmosphere, strip_step
-from surveysim.atmosphere.spectrum import Screen, at_elevation, beam_transfer, mean_removed_variance, structure_function
-from surveysim.coherence import mutual_coherence
-from surveysim.instrument import hexagon
+from surveysim.atmosphere.detector_correlation import OUTER_SCALE_M, correlation_grid, scan_correlation
+from surveysim.atmosphere.screen_simulation import StripCache, add_atmosphere, strip_step
+from surveysim.atmosphere.thin_screen import (
+    Screen,
+    at_elevation,
+    beam_transfer,
+    mean_removed_variance,
+    structure_function,
+)
+from surveysim.atmosphere.turbulence_fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV, TRACKS_RAD, fit_turbulence
+from surveysim.telescope.focal_plane import hexagon
+from surveysim.telescope.pixel_coherence import mutual_coherence
 
 ARCMIN = math.radians(1 / 60)
 WIND, SECONDS, N_SAMP = 31 * ARCMIN, 15.0, 150

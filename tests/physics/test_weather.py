@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
-from surveysim.sections import Atmosphere
-from surveysim.weather import b2_quantile, draw_weather
+from surveysim.atmosphere.weather import b2_quantile, draw_weather
+from surveysim.scene.atmosphere import Atmosphere
 
 N_DRAWS = 16000
 LYNX = {

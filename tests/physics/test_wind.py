@@ -13,11 +13,11 @@ import pytest
 import surveysim
 from mapmaker.geometry import sky_offsets
 from mapmaker.wind import measure_wind, scan_velocities
-from surveysim.atmosphere.screen import add_atmosphere
-from surveysim.observation import draw_observation
-from surveysim.pointing import sky_vector
-from surveysim.setup import observation_path, prepare
-from surveysim.streams import Stage, generator
+from surveysim.atmosphere.screen_simulation import add_atmosphere
+from surveysim.reduction.setup import observation_path, prepare
+from surveysim.runtime.rng import Stage, generator
+from surveysim.telescope.pointing import sky_vector
+from surveysim.timestreams.observation import draw_observation
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 ARCMIN = math.radians(1 / 60)

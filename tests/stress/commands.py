@@ -12,7 +12,7 @@ from tests.entry import FUNCTION, MODULE
 from tests.scenes import SMALL_SCENE
 
 # Checkpoints ten times a second: there is something to go on from, wherever a run is killed.
-FAST = f"import surveysim.survey as s; s.CHECKPOINT_SECONDS = 0.1; from {MODULE} import {FUNCTION}; {FUNCTION}()"
+FAST = f"import surveysim.survey.run as s; s.CHECKPOINT_SECONDS = 0.1; from {MODULE} import {FUNCTION}; {FUNCTION}()"
 SCENE = SMALL_SCENE.replace("observations = 4", "observations = 16")
 SWEEP = SMALL_SCENE.replace("mask_separation_f_lambda = 1.3\n", "").replace("observations = 4", "observations = 6")
 SWEEP += '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s", "5 arcmin / s", "6 arcmin / s"]\n'

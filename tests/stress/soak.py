@@ -8,8 +8,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from surveysim import Engine, load_scene, run, survey
-from surveysim.engines import SERIAL
+from surveysim import Engine, load_scene, run
+from surveysim.runtime.engine import SERIAL
+from surveysim.survey import run as survey
 from tests.scenes import SMALL_SCENE
 
 # Short scans of the small camera: a few milliseconds an observation.

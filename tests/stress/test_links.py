@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from surveysim.main import ended
+from surveysim.cli.main import ended
 from tests.stress.commands import SCENE, SWEEP
 from tests.trees import files
 

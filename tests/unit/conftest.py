@@ -6,7 +6,7 @@ import sys
 import pytest
 from PIL import Image
 
-from surveysim.main import main
+from surveysim.cli.main import main
 from tests.scenes import SMALL_SCENE
 
 
@@ -28,8 +28,8 @@ def blank_figures():
         Image.new("RGB", (60, 40)).save(path)
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("figures", "time_figure"):
-            patch.setattr(f"surveysim.report.{module}.save", save)
+        for module in ("survey", "run_time"):
+            patch.setattr(f"surveysim.report.figures.{module}.save", save)
         yield
 
 
@@ -46,7 +46,7 @@ def call(monkeypatch, capsys, handlers):
 
     def call(*arguments):
         monkeypatch.setattr(sys, "argv", ["surveysim", *map(str, arguments)])
-        monkeypatch.setattr("surveysim.environment.settle", lambda: None)  # its changes last
+        monkeypatch.setattr("surveysim.runtime.environment.settle", lambda: None)  # its changes last
         with pytest.raises(SystemExit) as end:
             main()
         text = capsys.readouterr()

@@ -8,9 +8,9 @@ import pytest
 
 from mapmaker.timestreams import read_timestreams
 from surveysim import SceneError, load_scene, run, simulate_observation
-from surveysim.engines import SERIAL, Engine
-from surveysim.setup import prepare
-from surveysim.survey import run_observations
+from surveysim.reduction.setup import prepare
+from surveysim.runtime.engine import SERIAL, Engine
+from surveysim.survey.run import run_observations
 from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
 
 STAGES = ("atmosphere", "excess", "photon", "detector", "sky")

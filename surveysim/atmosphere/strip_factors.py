@@ -1,0 +1,226 @@
+"""Factors of random strips of the layer, from which realizations are drawn.
+
+In the frame of the moving layer all detectors of a scan at constant velocity follow straight parallel
+lines. A scan therefore needs a strip of the layer that is long along the relative velocity (x) and as wide
+as the focal plane (y): `n_lane` lanes of `n_x` lattice points.
+
+The field has stationary increments but, without an outer scale, no finite variance, and much of its
+gradient comes from scales beyond any box. Intrinsic circulant embedding along x (Stein 2002, J. Comput.
+Graph. Stat. 11, 587) deals with both: with D the structure function, the covariance
+
+    C(x, dy) = -(D(r) - a x^2) / 2,   r^2 = x^2 + dy^2,   a = D'(L/2) / L,
+
+continued with period L = n_x step has zero slope at the seam x = L/2; an independent linear ramp along x,
+of slope variance a, gives back what a x^2 took away. The higher odd derivatives jump at the seam and would
+put negative power at high frequencies, where the beam leaves almost none; so C is made smooth and even
+about the seam over its last quarter. The structure function on the lattice is then exact up to the seam's
+beginning, and longer tracks are not allowed.
+
+A Fourier transform along x turns C into one small matrix per frequency, whose eigenvectors are the factors
+kept in `Strip`. At zero frequency C is positive for contrasts between lanes alone, so the constant is
+projected out: a common offset of a strip is of no consequence, since the mean of every scan is removed.
+"""
+
+from dataclasses import dataclass
+from math import ceil, log2, pi
+
+import numpy as np
+import scipy.fft
+from threadpoolctl import threadpool_limits
+
+from surveysim.atmosphere.thin_screen import LAG_MAX, structure_function, structure_slope
+
+# Share of half a period that is bent to make the seam smooth, and the number of even powers fitted there.
+_SEAM = 0.25
+_SEAM_TERMS = 4
+# Modes that add less than this share to the differences between lattice neighbours are left out; all that are left
+# out, of which long strips have very many, add no more than the second.
+_NEGLIGIBLE, _NEGLIGIBLE_SUM = 1e-9, 1e-3
+# Negative power looks like roughness: it hardly changes the structure function, but 2e-4 of it adds 7 % to
+# what a quadratic in the field of view leaves at 1000 m, and 7e-4 adds 40 % at 375 m. The spline of the
+# structure function must be as smooth for the same reason.
+_CLIPPED_MAX = 1e-5
+_N_X_MIN, N_X_MAX = 32, 2**17
+# Lattice points, and elements of all frequencies' matrices, that a few gigabytes hold.
+_MOST_POINTS, _MOST_ELEMENTS = 2**24, 10**8
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Factors of strips of one size, per unit amplitude; made once and drawn from many times.
+
+    columns (n_total, n_lane) float32 or float64: eigenvectors scaled to the standard deviation of each part of a mode
+    in an unnormalized DFT; those of frequency k are rows start[k]:start[k + 1], and no frequency above
+    n_freq has any. ramp_std [1/rad] is the standard deviation of the slope along x. clipped_fraction is the
+    share of the variance of neighbour differences in negative eigenvalues, which were set to zero.
+    """
+
+    step_rad: float
+    n_x: int
+    n_lane: int
+    ramp_std: float
+    columns: np.ndarray
+    start: np.ndarray
+    clipped_fraction: float
+
+    @property
+    def length_rad(self):
+        """Longest track [rad] for which the structure function is exact."""
+        return 0.5 * (1.0 - _SEAM) * self.n_x * self.step_rad
+
+    @property
+    def half_width_rad(self):
+        """Largest distance [rad] of a track from the strip's middle."""
+        return 0.5 * (self.n_lane - 1) * self.step_rad
+
+
+@threadpool_limits.wrap(limits=1)  # eigenvectors differ in their last bits between numbers of BLAS threads
+def build_strip(screen, length_rad, half_width_rad, step_rad, precision="float32", fewest_lanes=2):
+    """Factors of a strip for tracks up to `length_rad` long within +-`half_width_rad` of its middle.
+
+    The period is the smallest power of two of steps that holds the length, doubled as long as more than 1e-5
+    of the variance of neighbour differences has negative eigenvalues: that happens where the field is smooth
+    over the period, on tracks of a few beams or for b > 5. Raises ValueError when no period does, and for strips
+    too long or too wide to hold.
+    """
+    n_lane = lanes(half_width_rad, step_rad, fewest_lanes)
+    n_x = points_along(length_rad, step_rad)
+    check_points(n_x, n_lane, step_rad, screen)
+    strip = _factorize(screen, n_x, n_lane, step_rad, precision)
+    while strip.clipped_fraction > _CLIPPED_MAX:
+        n_x *= 2
+        if n_x > N_X_MAX:
+            raise ValueError(
+                f"no strip of {n_lane} lanes {step_rad:g} rad apart for {screen}: negative eigenvalues with"
+                f" {strip.clipped_fraction:.2g} of the variance found; at most {_CLIPPED_MAX:g} is allowed,"
+                " use a smaller outer scale or shorter scans"
+            )
+        strip = _factorize(screen, n_x, n_lane, step_rad, precision)
+    return strip
+
+
+def lanes(half_width_rad, step_rad, fewest):
+    """Number of lanes of a strip of a half width, `fewest` or more."""
+    return max(fewest, ceil(2.0 * half_width_rad / step_rad) + 1)
+
+
+def check_points(n_x, n_lane, step_rad, screen):
+    """Raise ValueError for strips too long for the structure function, or of too many points."""
+    if n_x * n_lane > _MOST_POINTS or n_x * step_rad > 2.0 * LAG_MAX * screen.beam_rad:
+        raise ValueError(_too_large(n_x, n_lane, step_rad))
+
+
+def check_elements(used, n_x, n_lane, step_rad):
+    """Raise ValueError for too many elements of the covariances of `used` frequencies."""
+    if used * n_lane**2 > _MOST_ELEMENTS:
+        raise ValueError(_too_large(n_x, n_lane, step_rad))
+
+
+def _too_large(n_x, n_lane, step_rad):
+    return (
+        f"found a strip of the layer with {n_x} by {n_lane} points {step_rad:.3g} rad apart; up to {_MOST_POINTS:.3g}"
+        f" points, {LAG_MAX:g} beams of length and {_MOST_ELEMENTS:.3g} elements of covariance are allowed, by shorter"
+        " scans, a slower wind, a lower layer, a smaller camera or a larger numerics.screen_step"
+    )
+
+
+def points_along(length_rad, step_rad):
+    """Smallest power of two of lattice points whose half, without the seam, is longer than the length."""
+    return max(_N_X_MIN, 2 ** ceil(log2(2.0 / (1.0 - _SEAM) * (length_rad / step_rad + 1.0))))
+
+
+def longest_track(n_x, step_rad):
+    """Length [rad] of tracks for which a strip is made of so many points, and not of fewer."""
+    return (0.5 * (1.0 - _SEAM) * n_x - 1.5) * step_rad
+
+
+def _factorize(screen, n_x, n_lane, step_rad, precision):
+    """Strip of a given size, whatever its clipped fraction."""
+    ramp_variance, density = lane_spectra(screen, n_x, n_lane, step_rad)
+    total = 2.0 * float(structure_function(screen, step_rad))
+    value, vector, share = _eigen_modes(density, n_x, step_rad, used_modes(screen, density, n_x, step_rad))
+    share /= total
+    kept = share > min(_NEGLIGIBLE, 0.1 * _NEGLIGIBLE_SUM / share.size)
+    # A real mode (k = 0 or Nyquist) has all its variance, n_x times the eigenvalue, in one part, the others
+    # half of it.
+    part = np.full(n_x // 2 + 1, 0.5 * n_x)
+    part[[0, -1]] = n_x
+    scale = np.sqrt(np.maximum(value, 0.0) * part[: len(value), None])
+    columns = (vector * scale[:, None, :]).transpose(0, 2, 1)[kept]
+    start = np.concatenate([[0], np.cumsum(kept.sum(axis=1))])
+    n_freq = int(np.searchsorted(start, start[-1]))
+    clipped = max(0.0, -float(share[share < 0.0].sum()))
+    return Strip(
+        step_rad,
+        n_x,
+        n_lane,
+        ramp_variance**0.5,
+        columns.astype(precision),
+        start[: n_freq + 1].astype(np.int64),
+        clipped,
+    )
+
+
+def lane_spectra(screen, n_x, n_lane, step_rad):
+    """Ramp variance [1/rad^2], and spectra (n_x/2 + 1, n_lane): DFT along x of C, lanes 0, 1, ... apart."""
+    half = 0.5 * n_x * step_rad
+    ramp_variance = max(0.0, float(structure_slope(screen, half)) / (2.0 * half))
+    x = step_rad * np.arange(n_x // 2 + 1)
+    distance = np.hypot(x[:, None], step_rad * np.arange(n_lane))
+    covariance = -0.5 * (structure_function(screen, distance) - ramp_variance * x[:, None] ** 2)
+    return ramp_variance, scipy.fft.dct(_smooth_seam(covariance), type=1, axis=0)
+
+
+def _smooth_seam(covariance):
+    """Covariance (n_x/2 + 1, n_lane) made smooth and even about its last row, the seam.
+
+    Over the last _SEAM of its length it goes over into the best-fitting polynomial that is even about the
+    seam.
+    """
+    n = int(_SEAM * (covariance.shape[0] - 1))
+    s = np.arange(n, -1, -1.0) / n  # 1 where the change begins, 0 at the seam
+    even = s[:, None] ** np.arange(0, 2 * _SEAM_TERMS, 2)
+    far = slice(0, max(_SEAM_TERMS, n // 2))
+    end = covariance[-n - 1 :]
+    coefficients = np.linalg.lstsq(even[far], end[far], rcond=None)[0]
+    step = np.clip((1.0 - s) / 0.8, 0.0, 1.0)
+    step = step**4 * (35.0 - 84.0 * step + 70.0 * step**2 - 20.0 * step**3)
+    return np.concatenate([covariance[: -n - 1], end + step[:, None] * (even @ coefficients - end)])
+
+
+def _weights(n_x):
+    """Weights (n_x/2 + 1,) of frequencies in a variance, and in that of the difference of neighbours along x."""
+    weight = np.full(n_x // 2 + 1, 2.0 / n_x)
+    weight[[0, -1]] = 1.0 / n_x
+    return weight, weight * (2.0 * np.sin(pi * np.arange(n_x // 2 + 1) / n_x)) ** 2
+
+
+def used_modes(screen, density, n_x, step_rad):
+    """How many frequencies, from 0 on, could matter of spectra (n_x/2 + 1, n_lane)."""
+    weight, along = _weights(n_x)
+    # No eigenvalue exceeds its matrix' largest absolute row sum.
+    bound = np.abs(density).sum(axis=1) * (along + weight)
+    used = 1 + int(np.flatnonzero(bound[1:] > 1e-2 * _NEGLIGIBLE * bound[1:].sum()).max()) + 1
+    # The sum of bounds is far above the total where a strip is long and its field red.
+    share = along * density[:, 0] + 2.0 * weight * (density[:, 0] - density[:, 1])
+    total = 2.0 * float(structure_function(screen, step_rad))
+    above = np.flatnonzero(np.cumsum(share[::-1])[::-1] > _NEGLIGIBLE_SUM * total)
+    return max(used, 1 + int(above.max(initial=0)))
+
+
+def _eigen_modes(density, n_x, step_rad, used):
+    """Eigenvalues (used, n_lane), eigenvectors (used, n_lane, n_lane) and shares (used, n_lane).
+
+    A mode's share is what it adds to the variance of the difference of neighbours along x plus of that
+    across; without the ramp all shares add to 2 D(step). Raises ValueError where the matrices would be too large.
+    """
+    n_lane = density.shape[1]
+    check_elements(used, n_x, n_lane, step_rad)
+    lane = np.arange(n_lane)
+    weight, along = _weights(n_x)
+    matrix = density[:used, np.abs(lane[:, None] - lane)]
+    matrix[0] -= matrix[0].mean(axis=0)
+    matrix[0] -= matrix[0].mean(axis=1)[:, None]
+    value, vector = np.linalg.eigh(matrix)
+    across = np.square(np.diff(vector, axis=1)).sum(axis=1) / (n_lane - 1)
+    return value, vector, value * (along[:used, None] / n_lane + weight[:used, None] * across)

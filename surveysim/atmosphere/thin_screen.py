@@ -1,0 +1,291 @@
+"""Closed forms and quadratures of the thin-screen atmosphere (paper, section on the Kolmogorov-Taylor model).
+
+A flat layer of emission fluctuations with the isotropic two-dimensional power spectrum
+
+    P(alpha) = B2 sin(el)^(1 - b) (alpha^2 + alpha_0^2)^(-b/2),    alpha_0 = 1 / outer_scale_rad,
+
+alpha in cycles per radian, two-sided density in mK^2 rad^2. Without an outer scale alpha_0 = 0 and the
+spectrum is the pure power law alpha^-b. Mind the convention: alpha_0 is one over the outer scale, without a
+factor 2 pi. The telescope sees the layer in its near field, through a uniform disc of angular diameter D/h.
+Every function here is per unit amplitude, B2 sin(el)^(1 - b) = 1, so results scale with that amplitude.
+
+At the elevation el the layer is h / sin(el) away: the disc is D sin(el) / h wide, and the outer scale shrinks as much.
+In angles over sin(el) it is the layer at the zenith, with the amplitude B2 / sin(el).
+
+Angles are small compared with a radian in the paper; a large outer scale may exceed one, and the layer
+stays flat.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import gamma, inf, isfinite, pi, sin, sqrt
+
+import numpy as np
+from scipy.special import j0, j1, kv
+from threadpoolctl import threadpool_limits
+
+# In units of the beam: limits of the tabulated structure function, and where its two methods meet.
+_LAG_MIN, _LAG_JOIN, LAG_MAX = 1e-4, 1.5, 1e4
+# The disc's transfer is replaced by its average over an oscillation above this; the quarter makes the error
+# of the first order vanish.
+_ALPHA_AVERAGED = 200.25
+# End of the quadrature over alpha_y.
+_ALPHA_Y_MAX = 300.25
+
+
+@dataclass(frozen=True)
+class Screen:
+    """A thin layer as one telescope sees it: spectral index b, disc diameter D/h and outer scale.
+
+    Raises ValueError where no structure function exists: b <= 0, or b >= 4 without an outer scale; and for an
+    outer scale smaller than the beam, where a thin layer has no meaning.
+    """
+
+    index: float
+    beam_rad: float
+    outer_scale_rad: float = inf
+
+    def __post_init__(self):
+        if not self.index > 0.0:
+            raise ValueError(f"spectral index b = {self.index:g} found; b > 0 is allowed")
+        if not (self.beam_rad > 0.0 and isfinite(self.beam_rad)):
+            raise ValueError(f"beam_rad = {self.beam_rad:g} found; a positive finite angle D/h is allowed")
+        if self.index >= 4.0 and not isfinite(self.outer_scale_rad):
+            raise ValueError(
+                f"spectral index b = {self.index:g} found without an outer scale: differences of the field"
+                " would be infinite; b < 4 is allowed, or any b with a finite outer_scale_rad"
+            )
+        if not self.outer_scale_rad >= self.beam_rad:
+            raise ValueError(
+                f"outer_scale_rad = {self.outer_scale_rad:g} found; at least the beam, {self.beam_rad:g}, is allowed"
+            )
+
+
+def at_elevation(screen, sine):
+    """The screen at the zenith as it is seen, in angles on the sky, at an elevation of this sine."""
+    return replace(screen, beam_rad=screen.beam_rad * sine, outer_scale_rad=screen.outer_scale_rad * sine)
+
+
+def power(screen, alpha):
+    """Two-dimensional power spectrum of the layer without the beam [rad^2] at alpha [1/rad], any shape."""
+    return (np.square(alpha) + screen.outer_scale_rad**-2.0) ** (-screen.index / 2.0)
+
+
+def beam_transfer(alpha_d):
+    """Transfer of a uniform disc, 2 J1(pi alpha D) / (pi alpha D); `alpha_d` is alpha times D."""
+    argument = pi * np.maximum(np.abs(alpha_d), 1e-9)
+    return 2.0 * j1(argument) / argument
+
+
+# ---------------------------------------------------------------- structure function
+
+
+def structure_function(screen, theta_rad):
+    """Structure function with the beam, <(T(r + theta) - T(r))^2> [1], at angles `theta_rad` of any shape.
+
+    D = 4 pi int alpha P beam^2 (1 - J0(2 pi alpha theta)) d alpha, from a cubic spline in log-log through a
+    quadrature good to about 1e-6. Below 1e-4 of the beam it continues as a power law.
+    Raises ValueError beyond 1e4 beams.
+    """
+    lag = np.abs(np.asarray(theta_rad, dtype=float)) / screen.beam_rad
+    if np.any(lag > LAG_MAX):
+        raise ValueError(f"angle of {lag.max():g} beams found; at most {LAG_MAX:g} is allowed")
+    spline, slope_min = _log_structure(*_in_beams(screen))
+    x = np.log(np.maximum(lag, 1e-300))
+    below = np.minimum(x - np.log(_LAG_MIN), 0.0)
+    value = screen.beam_rad ** (screen.index - 2.0) * np.exp(
+        spline(np.maximum(x, np.log(_LAG_MIN))) + slope_min * below
+    )
+    return np.where(lag > 0.0, value, 0.0)
+
+
+def structure_slope(screen, theta_rad):
+    """Derivative of the structure function [1/rad] at angles `theta_rad` > 0 between 1e-4 and 1e4 beams."""
+    spline, _ = _log_structure(*_in_beams(screen))
+    x = np.log(np.asarray(theta_rad, dtype=float) / screen.beam_rad)
+    return screen.beam_rad ** (screen.index - 2.0) * spline(x, 1) * np.exp(spline(x)) / theta_rad
+
+
+def structure_table(screen):
+    """The structure function as loops evaluate it: coefficients (n, 4) of cubics, and scale (5,).
+
+    As `surveysim.atmosphere.trend_kernels.structure` takes them; within 1e-7 of `structure_function`, and beyond 1e4
+    beams a power law.
+    """
+    coefficients, scale = _table_in_beams(*_in_beams(screen))
+    return coefficients * screen.beam_rad ** (screen.index - 2.0), np.append(screen.beam_rad, scale)
+
+
+@lru_cache(maxsize=64)
+def _table_in_beams(index, outer_scale):
+    """`structure_table` for a beam of 1: scale (4,) without the beam."""
+    from scipy.interpolate import CubicSpline
+
+    spline, slope_min = _log_structure(index, outer_scale)
+    knot = spline.x
+    values = CubicSpline(knot, np.exp(spline(knot)))
+    step = (knot[-1] - knot[0]) / (len(knot) - 1)
+    return np.ascontiguousarray(values.c.T), np.array([knot[0], step, slope_min, float(spline(knot[-1], 1))])
+
+
+def _in_beams(screen):
+    """Index and outer scale in units of the beam, on which the shape of the structure function depends."""
+    # Rounded, so that one aperture at many heights is one shape.
+    return screen.index, float(f"{screen.outer_scale_rad / screen.beam_rad:.12g}")
+
+
+def pencil_structure_function(index, theta_rad):
+    """Structure function of the pure power law without a beam, 2 < b < 4 [1].
+
+    D = 4 pi (2 pi theta)^(b-2) pi / (2^p Gamma((p+1)/2)^2 sin(pi (p-1)/2)), p = b - 1; about 300.6
+    theta^(5/3) for b = 11/3. Raises ValueError for any other b.
+    """
+    if not 2.0 < index < 4.0:
+        raise ValueError(f"spectral index b = {index:g} found; a pencil beam allows 2 < b < 4")
+    return _pencil_constant(index) * np.asarray(theta_rad, dtype=float) ** (index - 2.0)
+
+
+def _pencil_constant(index):
+    p = index - 1.0
+    return (
+        4.0 * pi * (2.0 * pi) ** (index - 2.0) * pi / (2.0**p * gamma((p + 1.0) / 2.0) ** 2 * sin(pi * (p - 1.0) / 2.0))
+    )
+
+
+@lru_cache(maxsize=64)
+@threadpool_limits.wrap(limits=1)  # what is kept must not depend on who asked first, with how many threads
+def _log_structure(index, outer_scale):
+    """Spline of ln D against ln(theta / beam) for a beam of 1 and an outer scale in beams; slope at its lower end."""
+    from scipy.interpolate import CubicSpline
+
+    screen = Screen(index, 1.0, outer_scale)
+    lag = np.geomspace(_LAG_MIN, LAG_MAX, 801)
+    near = np.append(lag[lag < _LAG_JOIN], _LAG_JOIN)
+    value_near = _structure_near(screen, near)
+    far = lag[lag >= _LAG_JOIN]
+    value_far = value_near[-1] + _structure_far(screen, far) - _structure_far(screen, np.array([_LAG_JOIN]))
+    value = np.concatenate([value_near[:-1], value_far])
+    spline = CubicSpline(np.log(lag), np.log(value))
+    return spline, float(spline(np.log(_LAG_MIN), 1))
+
+
+def _structure_near(screen, lag):
+    """Spectral quadrature for lags up to a few beams (in beams)."""
+    b, scale = screen.index, screen.beam_rad ** (screen.index - 2.0)
+    u0 = screen.beam_rad / screen.outer_scale_rad
+    u_min = 1e-3 * min(u0, 1.0) if u0 > 0.0 else 1e-3
+    u, weight = _gauss_panels(
+        np.concatenate([np.geomspace(u_min, 0.25, 40), np.arange(0.5, _ALPHA_AVERAGED + 0.1, 0.25)]), 6
+    )
+    density = weight * u * (u * u + u0 * u0) ** (-b / 2.0) * beam_transfer(u) ** 2
+    integral = _one_minus_j0(2.0 * pi * np.multiply.outer(lag, u)) @ density
+    # Below u_min 1 - J0 is (pi u lag)^2; with an outer scale nothing is left there.
+    head = (pi * lag) ** 2 * u_min ** (4.0 - b) / (4.0 - b) if u0 == 0.0 else 0.0
+    return 4.0 * pi * scale * (integral + head + _structure_tail(b, lag))
+
+
+def _structure_tail(b, lag):
+    """What lies above _ALPHA_AVERAGED, where beam^2 averages to 4 / (pi^4 u^3)."""
+    x_min = _ALPHA_AVERAGED * lag
+    x_max = np.maximum(x_min, 20.0)
+    node, weight = np.polynomial.legendre.leggauss(300)
+    half = 0.5 * np.log(x_max / x_min)
+    x = x_min[:, None] * np.exp(np.multiply.outer(half, node + 1.0))
+    inner = half * ((x ** (-1.0 - b) * _one_minus_j0(2.0 * pi * x)) @ weight)
+    return 4.0 / pi**4 * lag ** (1.0 + b) * (inner + x_max ** (-1.0 - b) / (1.0 + b))
+
+
+def _structure_far(screen, lag):
+    """Structure function but for a constant, lags above a beam (in beams).
+
+    There the beam only averages the pencil beam's structure function over the separations of two points of
+    the disc (the disc's autocorrelation), which is smooth.
+    """
+    node, weight = np.polynomial.legendre.leggauss(24)
+    root = 0.5 * (node + 1.0)  # s = 1 - root^2, for the overlap vanishes as (1 - s)^(3/2)
+    s = 1.0 - root * root
+    overlap = (np.arccos(s) - s * np.sqrt(1.0 - s * s)) * s * root * weight
+    phi = (np.arange(24) + 0.5) * pi / 24.0
+    distance = np.sqrt(lag[:, None, None] ** 2 + s[:, None] ** 2 + 2.0 * lag[:, None, None] * s[:, None] * np.cos(phi))
+    return _pencil_difference(screen, distance).mean(axis=-1) @ (overlap / overlap.sum())
+
+
+def _pencil_difference(screen, lag):
+    """Pencil beam's structure function but for a constant, for any allowed b, in units of the beam."""
+    if isfinite(screen.outer_scale_rad):
+        mu, argument = screen.index / 2.0 - 1.0, lag * screen.beam_rad
+        alpha_0 = 1.0 / screen.outer_scale_rad
+        bessel = kv(mu, 2.0 * pi * alpha_0 * argument)
+        return -4.0 * pi / gamma(screen.index / 2.0) * (pi * argument / alpha_0) ** mu * bessel
+    # At b = 2 the power law becomes a logarithm: the limit of (lag^p - 1) / p.
+    p = screen.index - 2.0
+    p = p if abs(p) > 1e-7 else 1e-7
+    return _pencil_constant(p + 2.0) * np.expm1(p * np.log(lag)) * screen.beam_rad**p
+
+
+def _one_minus_j0(x):
+    """1 - J0(x) without cancellation at small x."""
+    quarter = 0.25 * x * x
+    return np.where(x < 0.05, quarter * (1.0 - quarter * (0.25 - quarter / 36.0)), 1.0 - j0(x))
+
+
+def _gauss_panels(edges, order):
+    """Nodes and weights of Gauss-Legendre quadrature of one order on each panel between `edges`."""
+    node, weight = np.polynomial.legendre.leggauss(order)
+    half = 0.5 * np.diff(edges)
+    return (edges[:-1] + half)[:, None].repeat(order, 1).ravel() + np.outer(half, node).ravel(), np.outer(
+        half, weight
+    ).ravel()
+
+
+# ---------------------------------------------------------------- frozen flow
+
+
+def temporal_psd(screen, f_hz, speed_rad_s):
+    """One-sided PSD of one beam's time stream under frozen flow [1/Hz], at `f_hz` > 0 of any shape."""
+    return cross_psd(screen, f_hz, speed_rad_s, 0.0)
+
+
+def cross_psd(screen, f_hz, speed_rad_s, dy_rad):
+    """One-sided cross-PSD of two beams `dy_rad` apart across the wind [1/Hz], at `f_hz` > 0 of any shape.
+
+    S(f, dy) = (2/w) int P beam^2 cos(2 pi alpha_y dy) d alpha_y over both signs, alpha_x = f/w; real, since
+    along the wind only a phase 2 pi f dx / w would be added. Good to 1e-5 for b = 11/3 (0.3 % for b = 2/3)
+    up to f = 30 w / beam. Raises ValueError for frequencies that are not positive.
+    """
+    f_hz = np.asarray(f_hz, dtype=float)
+    if not (np.all(f_hz > 0.0) and speed_rad_s > 0.0):
+        raise ValueError("frequency or speed that is not positive found; only positive ones are allowed")
+    u_y, weight = _gauss_panels(
+        np.concatenate([[0.0], np.geomspace(1e-7, 0.25, 60), np.arange(0.5, _ALPHA_Y_MAX, 0.25)]), 6
+    )
+    weight = weight * np.cos(2.0 * pi * u_y * dy_rad / screen.beam_rad)
+    integral = [
+        _transverse_integral(screen, u_x, u_y, weight) for u_x in np.ravel(f_hz) * screen.beam_rad / speed_rad_s
+    ]
+    return 4.0 / speed_rad_s * screen.beam_rad ** (screen.index - 1.0) * np.reshape(integral, f_hz.shape)
+
+
+def _transverse_integral(screen, u_x, u_y, weight):
+    u0 = screen.beam_rad / screen.outer_scale_rad
+    u_squared = u_x * u_x + u_y * u_y
+    return np.sum(weight * (u_squared + u0 * u0) ** (-screen.index / 2.0) * beam_transfer(np.sqrt(u_squared)) ** 2)
+
+
+def pencil_temporal_psd(index, f_hz, speed_rad_s):
+    """One-sided temporal PSD of the pure power law without a beam [1/Hz], b > 1.
+
+    S = (2/w) (f/w)^(1-b) sqrt(pi) Gamma((b-1)/2) / Gamma(b/2).
+    """
+    if not index > 1.0:
+        raise ValueError(f"spectral index b = {index:g} found; a pencil beam's PSD allows b > 1")
+    constant = 2.0 * sqrt(pi) * gamma((index - 1.0) / 2.0) / gamma(index / 2.0)
+    return constant / speed_rad_s * (np.asarray(f_hz, dtype=float) / speed_rad_s) ** (1.0 - index)
+
+
+def mean_removed_variance(screen, speed_rad_s, duration_s):
+    """Variance of a scan's time stream about the scan's own mean [1]: int_0^1 (1 - x) D(x w T) dx."""
+    node, weight = np.polynomial.legendre.leggauss(96)
+    root = 0.5 * (node + 1.0)  # x = root^2 resolves the small lags
+    x = root * root
+    return float(np.sum(weight * root * (1.0 - x) * structure_function(screen, x * speed_rad_s * duration_s)))

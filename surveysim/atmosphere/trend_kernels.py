@@ -1,0 +1,191 @@
+"""Loops of the trends that scans share: their covariance, joint draws, and the change of a strip to its trend."""
+
+import numpy as np
+
+from mapmaker.kernels.compiled import njit
+
+# Variance of a trend that the earlier ones leave open, over its own: less counts as none.
+_DETERMINED = 1e-9
+
+
+@njit(cache=True, nogil=True)
+def structure(squared, coefficients, scale):
+    """Structure function at one squared distance, by the table of `surveysim.atmosphere.thin_screen.structure_table`.
+
+    coefficients (n, 4) of cubics in the logarithm of the distance in beams; scale (5,): beam, logarithm at which the
+    table begins and its step, powers at its lower and its upper end, with which the function goes on.
+    """
+    if squared <= 0.0:
+        return 0.0
+    x = 0.5 * np.log(squared / (scale[0] * scale[0])) - scale[1]
+    last = coefficients.shape[0]
+    end = last * scale[2]
+    if x < 0.0:
+        return coefficients[0, 3] * np.exp(scale[3] * x)
+    if x >= end:
+        return _in_cell(scale[2], coefficients[last - 1]) * np.exp(scale[4] * (x - end))
+    cell = min(int(x / scale[2]), last - 1)
+    return _in_cell(x - cell * scale[2], coefficients[cell])
+
+
+@njit(cache=True, nogil=True)
+def _in_cell(x, c):
+    """Cubic (4,) at x from the beginning of its cell."""
+    return ((c[0] * x + c[1]) * x + c[2]) * x + c[3]
+
+
+@njit(cache=True, nogil=True)
+def _add_covariance(out, row, column, place_a, weight_a, place_b, weight_b, coefficients, scale):
+    """Write the covariance of two scans' trends into out[row:, column:]: -1/2 w D w."""
+    n_trend, n_point = weight_a.shape
+    apart = np.empty((n_point, n_point))
+    for i in range(n_point):
+        for j in range(n_point):
+            dx, dy = place_a[i, 0] - place_b[j, 0], place_a[i, 1] - place_b[j, 1]
+            apart[i, j] = -0.5 * structure(dx * dx + dy * dy, coefficients, scale)
+    for m in range(n_trend):
+        half = np.zeros(n_point)
+        for i in range(n_point):
+            for j in range(n_point):
+                half[j] += weight_a[m, i] * apart[i, j]
+        for n in range(n_trend):
+            total = 0.0
+            for j in range(n_point):
+                total += half[j] * weight_b[n, j]
+            out[row + m, column + n] = total
+
+
+@njit(cache=True, nogil=True)
+def _factorize(matrix, size):
+    """Replace the lower triangle of matrix[:size, :size] by its Cholesky factor.
+
+    Columns of rows that earlier ones determine are zero, so that a singular matrix has a factor too.
+    """
+    for j in range(size):
+        pivot = matrix[j, j]
+        least = _DETERMINED * pivot
+        for k in range(j):
+            pivot -= matrix[j, k] ** 2
+        root = np.sqrt(pivot) if pivot > least else 0.0
+        matrix[j, j] = root
+        for i in range(j + 1, size):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = total / root if root > 0.0 else 0.0
+
+
+@njit(cache=True, nogil=True)
+def draw_trends(place, weight, normals, group, coefficients, scale):
+    """Trends (n_scan, n_trend) of consecutive scans from normals of that shape.
+
+    place (n_scan, n_point, 2), weight (n_scan, n_trend, n_point). Scans are drawn in groups of `group`, each given the
+    group before: covariances within a group and between neighbouring groups are exact.
+    """
+    n_scan, n_trend = normals.shape
+    trends = np.empty((n_scan, n_trend))
+    covariance = np.empty((2 * group * n_trend, 2 * group * n_trend))
+    whitened = np.empty(2 * group * n_trend)
+    own = np.empty((group * n_trend, group * n_trend))
+    for start in range(0, n_scan, group):
+        first, end = max(0, start - group), min(n_scan, start + group)
+        size, known = (end - first) * n_trend, (start - first) * n_trend
+        covariance[:known, :known] = own[:known, :known]
+        for a in range(start, end):
+            for b in range(first, a + 1):
+                row, column = (a - first) * n_trend, (b - first) * n_trend
+                _add_covariance(covariance, row, column, place[a], weight[a], place[b], weight[b], coefficients, scale)
+        own[: size - known, : size - known] = covariance[known:size, known:size]
+        _factorize(covariance, size)
+        for i in range(size):
+            scan, trend = first + i // n_trend, i % n_trend
+            total = 0.0
+            for k in range(i):
+                total += covariance[i, k] * whitened[k]
+            if i < known:
+                pivot = covariance[i, i]
+                whitened[i] = (trends[scan, trend] - total) / pivot if pivot > 0.0 else 0.0
+            else:
+                whitened[i] = normals[scan, trend]
+                trends[scan, trend] = total + covariance[i, i] * whitened[i]
+    return trends
+
+
+@njit(cache=True, nogil=True)
+def point_weights(strip, lane, column, place, weight, trend, coefficients, scale):
+    """Weights (n_point,) of the field's covariance with the points that change a strip's trends to `trend`.
+
+    strip (n_lane, n_x) holds the points at lane (n_point,) and column (n_point,); place (n_point, 2), weight (n_trend,
+    n_point), trend (n_trend,). They are w^T C^-1 (t - w T), with C the covariance of the trends.
+    """
+    n_trend, n_point = weight.shape
+    factor = np.empty((n_trend, n_trend))
+    _add_covariance(factor, 0, 0, place, weight, place, weight, coefficients, scale)
+    _factorize(factor, n_trend)
+    change = np.empty(n_trend)
+    for m in range(n_trend):
+        total = trend[m]
+        for i in range(n_point):
+            total -= weight[m, i] * strip[lane[i], column[i]]
+        for k in range(m):
+            total -= factor[m, k] * change[k]
+        change[m] = total / factor[m, m] if factor[m, m] > 0.0 else 0.0
+    for m in range(n_trend - 1, -1, -1):
+        total = change[m]
+        for k in range(m + 1, n_trend):
+            total -= factor[k, m] * change[k]
+        change[m] = total / factor[m, m] if factor[m, m] > 0.0 else 0.0
+    return change @ weight
+
+
+@njit(cache=True, nogil=True)
+def add_covariances(strip, used, lane, column, weight, step, stride, cells, coefficients, scale):
+    """Add the field's covariance with weighted points, -1/2 sum_i weight_i D, to the first `used` columns of a strip.
+
+    strip (n_lane, n_x), changed in place, `step` apart; points at lane (n_point,) and column (n_point,). The sum is
+    evaluated every `stride` columns and at `cells` + 1 lines across, one more beyond each end, and is cubic between. It
+    has the constant that leaves the strip's level near 0, where single precision is finest.
+    """
+    n_lane = strip.shape[0]
+    across = (n_lane - 1) / cells
+    n_y, n_x = cells + 3, (used - 1) // stride + 4
+    coarse = np.empty((n_y, n_x))
+    for p in range(n_y):
+        for q in range(n_x):
+            total = 0.0
+            for i in range(weight.size):
+                dx, dy = (q - 1) * stride - column[i], (p - 1) * across - lane[i]
+                total += weight[i] * structure(step * step * (dx * dx + dy * dy), coefficients, scale)
+            coarse[p, q] = -0.5 * total
+    level = coarse.mean()
+    for i in range(weight.size):
+        level += strip[lane[i], column[i]] / weight.size
+    coarse -= level
+    along = np.empty((stride, 4))
+    for r in range(stride):
+        _centred_weights(r / stride, along[r])
+    between, row = np.empty(4), np.empty(n_x)
+    for n in range(n_lane):
+        y = n / across
+        cell = min(int(y), cells - 1)
+        _centred_weights(y - cell, between)
+        for q in range(n_x):
+            row[q] = (
+                between[0] * coarse[cell, q]
+                + between[1] * coarse[cell + 1, q]
+                + between[2] * coarse[cell + 2, q]
+                + between[3] * coarse[cell + 3, q]
+            )
+        for x in range(used):
+            q, w = x // stride, along[x % stride]
+            strip[n, x] += w[0] * row[q] + w[1] * row[q + 1] + w[2] * row[q + 2] + w[3] * row[q + 3]
+
+
+@njit(cache=True, nogil=True)
+def _centred_weights(x, weight):
+    """Write the weights (4,) that the values at -1, 0, 1 and 2 have at x: Lagrange's, exact for cubics."""
+    a, b, c, d = x + 1.0, x, x - 1.0, x - 2.0
+    weight[0] = -b * c * d / 6.0
+    weight[1] = a * c * d / 2.0
+    weight[2] = -a * b * d / 2.0
+    weight[3] = a * b * c / 6.0

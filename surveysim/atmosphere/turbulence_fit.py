@@ -1,0 +1,76 @@
+"""Amplitude, index and height of the turbulent layer from the correlation of detectors (paper, section 3.2)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmaker.correlations import PairBins, Profile
+from surveysim.atmosphere.detector_correlation import CorrelationGrid
+
+# The paper's grid.
+INDEX_GRID = tuple(2 / 3 + 0.5 * k for k in range(13))
+HEIGHT_GRID_M = (375.0, 500.0, 750.0, 1000.0, 1500.0, 2000.0, 3000.0, 4000.0, 6000.0)
+KOLMOGOROV = 6  # 11/3 in INDEX_GRID
+# Of layers that move by an arcminute to those that move by a radian and a half during a scan.
+TRACKS_RAD = np.geomspace(3e-4, 1.5, 24)
+
+
+@dataclass(frozen=True)
+class TurbulenceFit:
+    """Fits of one observation at every grid point: `b2` [mK^2 rad^(2-b)] at zenith and `chi2`, (n_b, n_h).
+
+    `best` is the grid point (i_b, i_h) of the smallest chi^2.
+    """
+
+    b2: np.ndarray
+    chi2: np.ndarray
+    best: tuple[int, int]
+
+
+def fit_turbulence(
+    profile: Profile,
+    bins: PairBins,
+    grid: CorrelationGrid,
+    track_rad: np.ndarray,
+    elevation_rad: np.ndarray,
+    overlap: np.ndarray | None,
+) -> TurbulenceFit | None:
+    """Fit every grid point to one observation; None where the profile or the track of a scan can't be used.
+
+    `track_rad` (n_scan,): how far the layer moves during each scan; `elevation_rad` (n_scan,). Adjacent pairs are left
+    out. The level of C gives B2; its shape, free of gains, gives chi^2, with jackknife errors over scans. `overlap`
+    (n_bin,) is the coherence of pixels of each separation: low-frequency noise that they share through it has an
+    amplitude of its own in the fit, for it does not end with the adjacent pairs.
+    """
+    theory = grid.correlation(track_rad, elevation_rad)
+    if not (np.isfinite(profile.log_level) and (theory > 0.0).all()):
+        return None
+    shape = np.log(theory)
+    level = shape @ (bins.count / bins.count.sum())
+    fitted, error = fitted_profile(profile, shape, overlap)
+    chi2 = (((profile.log_profile - fitted) / error) ** 2).sum(axis=-1)
+    best = np.unravel_index(int(chi2.argmin()), chi2.shape)
+    return TurbulenceFit(np.exp(profile.log_level - level), chi2, (int(best[0]), int(best[1])))
+
+
+def fitted_profile(
+    profile: Profile, log_theory: np.ndarray, overlap: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Theory (..., n_bin) of ln C as `fit_turbulence` compares it with a profile, and the profile's errors (n_bin,).
+
+    An offset and an amplitude of `overlap` (n_bin,) are fitted to what is between the two; errors from leaving out
+    one scan at a time.
+    """
+    n_scan = len(profile.scan_profiles)
+    weight = 1.0 / np.maximum((n_scan - 1) * profile.scan_profiles.var(axis=0), 1e-30)
+    ignored = np.ones((1, len(weight))) if overlap is None else np.stack([np.ones(len(weight)), overlap])
+    left = _left_over(profile.log_profile - log_theory, ignored, weight)
+    return profile.log_profile - left, weight**-0.5
+
+
+def _left_over(residual: np.ndarray, ignored: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Residuals (..., n_bin) less their weighted fit by the shapes `ignored` (n_shape, n_bin)."""
+    scaled = np.sqrt(weight)
+    basis = np.linalg.qr((ignored * scaled).T)[0]
+    whitened = residual * scaled
+    return (whitened - (whitened @ basis) @ basis.T) / scaled

@@ -1,0 +1,167 @@
+"""The weather of one observation: water, B2 and wind drawn from the survey's distributions."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from surveysim.atmosphere.opacity import BandOpacity
+from surveysim.scene.atmosphere import Atmosphere
+from surveysim.scene.fields import B2_MAX
+
+WIND_MAX_RAD_S = 1e3
+LARGEST_LOG = 700.0  # whose exponential is a number
+_RANKS = 400  # of water and of fluctuations, for the quantiles of their product
+
+
+@dataclass(frozen=True)
+class Weather:
+    """One draw: B2 at zenith [mK^2 rad^(2-b) of the screen's index], the wind in azimuth-elevation axes, the water.
+
+    `pwv_mm` is the zenith column of precipitable water, NaN without a site.
+    """
+
+    b2: float
+    wind_speed_rad_s: float
+    wind_angle_rad: float
+    pwv_mm: float
+
+    @property
+    def wind_rad_s(self) -> tuple[float, float]:
+        """Angular velocity of the layer along azimuth (on the sky) and elevation."""
+        return (
+            self.wind_speed_rad_s * math.cos(self.wind_angle_rad),
+            self.wind_speed_rad_s * math.sin(self.wind_angle_rad),
+        )
+
+
+@dataclass(frozen=True)
+class Water:
+    """What a band makes of a site's water, by its `opacity`.
+
+    `response`: (C d tau / dC)^2 B_atm^2 [mK^2] against PWV [mm] (section 3.3). `log_b2` (n,): quantiles of ln B2 that
+    follow from it and the distributions of water and fluctuations, at the normal levels `level` (n,).
+    """
+
+    opacity: BandOpacity
+    response: Callable[[np.ndarray], np.ndarray]
+    log_b2: np.ndarray
+    level: np.ndarray
+
+
+def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) -> Water:
+    """The water of a scene's site in a band; raises ValueError, with the key, where its opacities do not reach."""
+    from scipy.special import ndtri
+
+    from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
+
+    try:
+        opacity = band_opacity(atmosphere.site, frequency_hz, bandwidth)
+    except ValueError as error:
+        raise ValueError(f"atmosphere.site: {error}") from None
+    response = partial(fluctuation_factor_mk2, opacity)
+    try:
+        response(np.array(atmosphere.pwv_mm))
+    except ValueError as error:
+        raise ValueError(f"atmosphere.pwv: {error}") from None
+    share = (np.arange(_RANKS) + 0.5) / _RANKS
+    seen = np.log(response(pwv_quantile(atmosphere, share)))
+    drawn = np.log(log_quantile(atmosphere.fluctuation_probabilities, atmosphere.fluctuation, ndtri(share)))
+    log_b2 = np.sort((seen[:, None] + drawn).ravel())
+    if not atmosphere.b2 and not log_b2[-1] < math.log(B2_MAX):
+        raise ValueError(
+            f"atmosphere.fluctuation: found {atmosphere.fluctuation}, which give B2 above {B2_MAX:g} mK^2 with the"
+            " site's water; smaller values are expected"
+        )
+    rank = (np.arange(log_b2.size) + 0.5) / log_b2.size
+    return Water(opacity, response, log_b2, ndtri(rank))
+
+
+def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: np.random.Generator) -> Weather:
+    """One observation's weather. Wind speeds are log-normal about their median, directions uniform.
+
+    Without a site B2 comes from its own quantiles. With one it is the fractional fluctuation of the water times
+    what the band makes of it, (delta C / C)^2 (C d tau / dC)^2 B_atm^2, PWV and fluctuation drawn independently
+    (section 3.3); quantiles of B2 beside a site replace those that follow, each draw keeping its rank. With
+    `wind_b2_exponent` the median wind goes as that power of B2 over its median. Raises ValueError for a draw that is
+    no number for a stream: tails of quantiles that lie close together rise without limit.
+    """
+    level, speed = rng.standard_normal(2)
+    angle = rng.uniform(0, 2 * math.pi)
+    return _weather(atmosphere, water, level, speed, angle, rng.random())
+
+
+def fastest_wind(atmosphere: Atmosphere, water: Water | None, n_observations: int) -> float:
+    """Wind [rad/s] that none of so many observations exceeds, but for a chance of a millionth.
+
+    Raises ValueError as `draw_weather` where B2 or the wind may be no number for a stream. Inf where the wind has no
+    bound: it goes as a negative power of a B2 that may be 0.
+    """
+    if atmosphere.wind_b2_exponent < 0 and water is None and min(atmosphere.b2) == 0:
+        return math.inf
+    from scipy.special import ndtri
+
+    beyond = -float(ndtri(1e-6 / (2 * n_observations)))
+    extremes = [
+        _weather(atmosphere, water, level, beyond, 0.0, share) for level in (-beyond, beyond) for share in (0.0, 1.0)
+    ]
+    return max(weather.wind_speed_rad_s for weather in extremes)
+
+
+def _weather(
+    atmosphere: Atmosphere, water: Water | None, level: float, speed: float, angle: float, share: float
+) -> Weather:
+    """Weather at normal levels of B2 (or fluctuations) and wind, at an angle, and with a share of drier water."""
+    pwv = math.nan
+    if water is not None:
+        pwv = float(pwv_quantile(atmosphere, share))
+        fluctuation = log_quantile(atmosphere.fluctuation_probabilities, atmosphere.fluctuation, level)
+        level = np.interp(math.log(water.response(pwv)) + math.log(fluctuation), water.log_b2, water.level)
+    b2 = float(b2_quantile(atmosphere, water, level))
+    wind = atmosphere.wind_median_rad_s * math.exp(atmosphere.wind_log_scatter * speed)
+    if atmosphere.wind_b2_exponent and b2 > 0:
+        if not (median := float(b2_quantile(atmosphere, water, 0.0))) > 0:
+            raise ValueError("atmosphere.wind_b2_exponent: found with a median B2 of 0; one above 0 is expected")
+        wind *= math.exp(min(atmosphere.wind_b2_exponent * (math.log(b2) - math.log(median)), LARGEST_LOG))
+    # But for rounding of a quantile that is the bound itself.
+    if not (b2 < B2_MAX * (1 + 1e-9) and wind < WIND_MAX_RAD_S):
+        key = "b2" if atmosphere.b2 else "fluctuation"
+        raise ValueError(
+            f"atmosphere.{key}: found distributions that give B2 = {b2:.3g} mK^2 and {wind:.3g} rad/s of wind; less"
+            f" than {B2_MAX:g} and {WIND_MAX_RAD_S:g} are expected"
+        )
+    return Weather(b2, wind, angle, pwv)
+
+
+def b2_quantile(atmosphere: Atmosphere, water: Water | None, normal_level: np.ndarray) -> np.ndarray:
+    """B2 of a scene at a level of the standard normal distribution: its own quantiles, else those of its site."""
+    if atmosphere.b2:
+        return log_quantile(atmosphere.b2_probabilities, atmosphere.b2, normal_level)
+    return np.exp(np.minimum(np.interp(normal_level, water.level, water.log_b2), LARGEST_LOG))
+
+
+def pwv_quantile(atmosphere: Atmosphere, probability: np.ndarray) -> np.ndarray:
+    """PWV [mm] with this probability below it: ln PWV is linear in it between the knots, from 0 to 1.
+
+    Unlike B2 it has no tails: tables of opacity end, and the outermost quantiles are the driest and the wettest water.
+    """
+    return np.exp(np.interp(probability, atmosphere.pwv_probabilities, np.log(atmosphere.pwv_mm)))
+
+
+def log_quantile(probabilities: tuple[float, ...], values: tuple[float, ...], normal_level: np.ndarray) -> np.ndarray:
+    """The value at a level of the standard normal distribution, given its quantiles.
+
+    Its logarithm is linear in the normal level between the quantiles; beyond them it goes on with the slope
+    between the outermost two, a log-normal tail.
+    """
+    from scipy.special import ndtri
+
+    if len(values) == 1 or min(values) == 0:
+        return np.interp(normal_level, ndtri(probabilities), values)
+    levels, logs = ndtri(probabilities), np.log(values)
+    slope = (logs[-1] - logs[0]) / (levels[-1] - levels[0])
+    beyond = np.minimum(normal_level - levels[0], 0) + np.maximum(normal_level - levels[-1], 0)
+    # Draws beyond `B2_MAX` are refused; until then they stay numbers.
+    return np.exp(np.clip(np.interp(normal_level, levels, logs) + slope * beyond, -LARGEST_LOG, LARGEST_LOG))

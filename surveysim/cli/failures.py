@@ -1,0 +1,104 @@
+"""Failures of a command: an exit code and a line each; of a fault of this program also a file with the details."""
+
+import os
+import platform
+import select
+import sys
+import tempfile
+import traceback
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import TextIO
+
+import typer
+
+from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE, asked_to_stop, cause
+from surveysim.runtime.printable import printable, shortened
+from surveysim.scene.scene import SceneError
+
+EXIT_BROKEN_PIPE = 141  # as of a program that SIGPIPE ends: 128 and its number
+UsageError = typer.BadParameter.__bases__[0]  # its own name is private in some versions of typer
+
+
+def failure(error: BaseException, arguments: Sequence[str]) -> tuple[int, str]:
+    """Exit code of an error that ends a command, and the lines to say; none if all is said, or nobody listens."""
+    broken = [name for name in ("stdout", "stderr") if broken_stream(getattr(sys, name))]
+    if isinstance(error.__context__, BrokenPipeError) and isinstance(error, SystemExit):  # by rich
+        return EXIT_BROKEN_PIPE, ""
+    if isinstance(error, BrokenPipeError) and broken:
+        return EXIT_BROKEN_PIPE, ""
+    if isinstance(error, SystemExit):
+        return error.code if isinstance(error.code, int) else EXIT_FAILED, ""
+    if isinstance(error, KeyboardInterrupt | typer.Abort) or asked_to_stop():
+        return EXIT_INTERRUPTED, "interrupted"
+    if isinstance(error, UsageError):
+        return EXIT_WRONG_SCENE, _usage(error)
+    if isinstance(error, SceneError):
+        return EXIT_WRONG_SCENE, str(error)
+    return EXIT_FAILED, _of_the_machine(error, broken) or _fault(error, arguments)
+
+
+def broken_stream(stream: TextIO) -> bool:
+    """Whether a standard stream can't be written, or nobody reads it; if so, Python shall not try it when it ends."""
+    try:
+        stream.flush()
+        broken = _unread(stream)
+    except OSError:
+        broken = True
+    if broken:
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    return broken
+
+
+def _unread(stream: TextIO) -> bool:
+    """Whether a stream is a pipe whose reader is gone."""
+    try:
+        number = stream.fileno()
+    except OSError:  # of a stream that is no file
+        return False
+    if not hasattr(select, "poll"):
+        return False
+    poll = select.poll()
+    poll.register(number, 0)
+    return any(found & select.POLLERR for _, found in poll.poll(0))
+
+
+def _usage(error: Exception) -> str:
+    command = error.ctx.command_path if error.ctx else "surveysim"
+    return f"{' '.join(error.format_message().split())} ('{command} --help' says more)"
+
+
+def _of_the_machine(error: BaseException, broken: list[str]) -> str:
+    """A line of an error that is the machine's; empty for others."""
+    from surveysim.runtime.engine import EngineError
+
+    if isinstance(error, MemoryError) or (isinstance(error, ImportError) and "failed to map" in str(error)):
+        return "not enough memory for this scene; 'surveysim plan SCENE' says how much it needs"
+    if isinstance(error, OSError) and not error.filename and "stdout" in broken:
+        return f"standard output: {error.strerror}"
+    if isinstance(error, OSError):
+        return cause(error)
+    return str(error) if isinstance(error, EngineError) else ""
+
+
+def _fault(error: BaseException, arguments: Sequence[str]) -> str:
+    """A line about an error that no part of the program expects, and the file with its details."""
+    said = shortened(printable(f"{type(error).__name__}: {error}"), 200)
+    try:
+        path = write_details(error, arguments)
+    except OSError as reason:
+        return f"surveysim can't go on: {said} (its details can't be written: {reason.strerror})"
+    return f"surveysim can't go on: {said}; please report it with its details in {path}"
+
+
+def write_details(error: BaseException, arguments: Sequence[str]) -> str:
+    """Write traceback, versions and command line to a new file for temporary ones; returns its path."""
+    from surveysim import __version__
+
+    number, path = tempfile.mkstemp(prefix="surveysim-error-", suffix=".txt")
+    with open(number, "w", encoding="utf-8", errors="backslashreplace") as file:
+        file.write(f"surveysim {__version__}, Python {platform.python_version()}, {platform.platform()}\n")
+        file.write(f"arguments: {list(arguments)!r}\n\n")
+        file.writelines(traceback.format_exception(error))
+    return path

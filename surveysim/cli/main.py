@@ -1,0 +1,80 @@
+"""The entry point: whatever goes wrong, from the first moment on, ends in one line and an exit code."""
+
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+WITHOUT_NOTICES = {"-q", "--quiet", "--help"}
+
+
+def main() -> NoReturn:
+    """Run a command: exit code 0 for success, 2 for the user's errors, 1 for the machine's, 130 when interrupted."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupted_at_start)
+    from surveysim.runtime.environment import clean_up, settle
+
+    notice = settle()
+    try:
+        code = ended(sys.argv[1:], notice)
+    finally:
+        clean_up()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # all is done: nothing is left to interrupt
+    sys.exit(code)
+
+
+def _interrupted_at_start(number: int, frame: object) -> NoReturn:
+    """End at once: an exception may be lost, or wrapped, in a library that is being imported; nothing is begun yet."""
+    environment = sys.modules.get("surveysim.runtime.environment")  # an import may wait here for one that is under way
+    if hasattr(environment, "clean_up"):
+        environment.clean_up()
+    try:
+        os.write(2, b"interrupted\n")
+    finally:
+        os._exit(130)
+
+
+def ended(arguments: Sequence[str], notice: str | None = None) -> int:
+    """Exit code of a command, once it has ended; a line of standard error says why, if it is no success."""
+    try:  # before anything else fails: there may be no memory left for imports then
+        from surveysim.cli.failures import broken_stream, failure
+        from surveysim.runtime.printable import complain, printable
+    except Exception as error:  # of a machine that can't load libraries
+        os.write(2, f"surveysim can't start: {' '.join(str(error).split())[:200]!a}\n".encode())
+        return 1
+
+    try:
+        if notice and not WITHOUT_NOTICES & set(arguments):
+            complain(notice)
+        code = _run(arguments)
+        sys.stdout.flush()
+    except BaseException as error:
+        code, message = failure(error, arguments)
+        for argument in arguments:  # a line break in a file's name is none of the message
+            message = message.replace(argument, printable(argument)) if "\n" in argument else message
+        try:
+            if message:
+                complain(message)
+        except OSError:
+            broken_stream(sys.stderr)  # nowhere is left to say it
+    return code
+
+
+def _run(arguments: Sequence[str]) -> int:
+    """Exit code of a command that ends as it should."""
+    from typer import Exit
+    from typer.main import get_command
+
+    from surveysim.cli.app import app
+    from surveysim.cli.interrupts import EXIT_WRONG_SCENE, listen
+
+    command = get_command(app)
+    listen()
+    try:
+        with command.make_context("surveysim", list(arguments) or ["--help"]) as context:
+            command.invoke(context)
+    except Exit as end:
+        return end.exit_code if arguments else EXIT_WRONG_SCENE
+    return 0

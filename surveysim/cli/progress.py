@@ -1,0 +1,178 @@
+"""Progress of a run: a bar on a terminal, plain lines elsewhere, with what can be said so far."""
+
+import heapq
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from time import monotonic
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from surveysim.reduction.setup import prepare, window_observations
+from surveysim.results.stopping import estimate_so_far
+from surveysim.runtime.printable import complain
+from surveysim.scene.scene import Scene
+from surveysim.survey.coadds import CoAdds
+
+if TYPE_CHECKING:
+    from surveysim.report.terminal.layout import Terminal
+
+STATUS_EVERY_S = 4.0
+LINES = 10
+BESIDE_BAR = 54  # columns that name and numbers of items leave to time and score
+SHORTEST_BAR = 4
+
+
+START_S = 10.0  # at most, that a process takes to start and to compile
+LEAST = 0.01  # of the time so far: less is not known, as items that are under way may take longer than others
+ENOUGH = 0.5  # of the first item's work: less, done since the first was in, does not tell how long the rest takes
+
+Show = Callable[[int, Callable[[], str]], None]  # how many are done; what else there is to say
+
+
+def equal_work(n: int) -> np.ndarray:
+    """Work of so many items that take alike."""
+    return np.ones(n)
+
+
+class TimeLeft:
+    """Estimates of the time left, from when items came in and how much work (n,) each of them is.
+
+    `workers` take the items in turn, and results come in order. The time per work is measured since the first item was
+    in: before it lie start-up and compilation. Until enough work has been done since, it is measured since the start,
+    unless start-up could be most of that.
+    """
+
+    def __init__(self, work: Sequence[float], workers: int, clock: Callable[[], float] = monotonic):
+        self.work, self.workers, self.clock = np.asarray(work, float), workers, clock
+        self.start = clock()
+        self.first: tuple[float, int] | None = None
+        self.times = np.zeros(0)
+        self.end: float | None = None
+
+    def add(self, done: int) -> float | None:
+        """Seconds left now that so many are `done`; None while that can't be said."""
+        now = self.clock()
+        if self.first is None:  # those before it were kept from an earlier run
+            self.first = now, done
+            self.times = finish_times(self.work[max(0, done - 1) :], self.workers)
+        (since, first), times = self.first, self.times
+        whole, so_far = times[-1], times[min(done - first, len(times) - 1)]
+        if so_far >= (1 + ENOUGH) * times[0]:
+            left = (now - since) * (whole - so_far) / (so_far - times[0])
+        elif now - self.start > START_S:
+            left = (now - self.start) * (whole - so_far) / so_far
+        else:
+            left = 0.0
+        known = left > LEAST * (now - self.start)
+        self.end = now + left if known else None
+        return left if known else None
+
+    def now(self) -> float | None:
+        """Seconds left of the last estimate; None without one, or when it turned out too short."""
+        left = None if self.end is None else self.end - self.clock()
+        return left if left is not None and left > 0 else None
+
+
+def finish_times(work: np.ndarray, workers: int) -> np.ndarray:
+    """When each item (n,) and all before it are done, in units of work: a free worker takes the next."""
+    free, times = [0.0] * workers, []
+    for item in work:
+        times.append(heapq.heapreplace(free, free[0] + float(item)) + float(item))
+    return np.maximum.accumulate(times)
+
+
+@contextmanager
+def progress_display(
+    name: str, work: Sequence[float], quiet: bool, what: str = "observations", workers: int = 1
+) -> Iterator[Show]:
+    """A callable that shows how many observations (or `what` else) are done, for the time of the block.
+
+    `work` has how much each of them is, by which the time left is told.
+    """
+    left = TimeLeft(work, workers)
+    if quiet:
+        yield lambda done, status: None
+    elif not sys.stderr.isatty():
+        yield _lines(name, len(work), what, left, complain)
+    else:
+        from surveysim.report.terminal.layout import Terminal
+
+        console = Terminal(stderr=True)
+        room = console.width - len(f"{name}{len(work)}{len(work)}") - BESIDE_BAR
+        if room < SHORTEST_BAR or not console.is_interactive:
+            yield _lines(name, len(work), what, left, console.say)
+            return
+        with _bar(name, len(work), left, console, min(room, 40)) as show:
+            yield show
+
+
+@contextmanager
+def _bar(name: str, total: int, left: TimeLeft, console: "Terminal", length: int) -> Iterator[Show]:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn
+    from rich.text import Text
+
+    class Remaining(ProgressColumn):
+        """The estimate, counted down until the next item is in."""
+
+        def render(self, task: object) -> Text:
+            seconds = left.now()
+            return Text("" if seconds is None else time_text(seconds))
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(length),
+        MofNCompleteColumn(),
+        Remaining(),
+        TextColumn("{task.fields[status]}"),
+    )
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task(name, total=total, status="")
+        said = monotonic()
+
+        def show(done: int, status: Callable[[], str]) -> None:
+            nonlocal said
+            left.add(done)
+            bar.update(task, completed=done)
+            if monotonic() - said > STATUS_EVERY_S:
+                bar.update(task, status=status())
+                said = monotonic()
+
+        yield show
+
+
+def _lines(name: str, total: int, what: str, left: TimeLeft, say: Callable[[str], None]) -> Show:
+    every, said = max(1, total // LINES), monotonic()
+
+    def show(done: int, status: Callable[[], str]) -> None:
+        nonlocal said
+        seconds = left.add(done)
+        if done % every == 0 or done == total:
+            time = "" if seconds is None else f", {time_text(seconds)}"
+            text = ""
+            if done == total or monotonic() - said > STATUS_EVERY_S:  # it takes a while to say
+                text, said = status(), monotonic()
+            say(f"{name}: {done}/{total} {what}{time}  {text}".rstrip())
+
+    return show
+
+
+def time_text(seconds: float) -> str:
+    """``90 s left``, in minutes or hours where it is long."""
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit} left"
+    return f"{seconds:.0f} s left"
+
+
+def score_so_far(scene: Scene, coadds: CoAdds) -> str:
+    """``sigma(A) = 270 +- 8 uK_CMB^2`` of the actual data so far, as it is quoted; empty while it can't be said."""
+    windows = window_observations(scene)[: coadds.done].sum()
+    if scene.score is None or coadds.done < 2 or windows < 2:
+        return ""
+    found = estimate_so_far(prepare(scene), coadds)
+    if found is None:
+        return ""
+    error = "unknown" if np.isnan(found.error_ukcmb2) else f"{found.error_ukcmb2:.2g}"
+    return f"sigma(A) = {found.sigma_ukcmb2:.3g} +- {error} uK_CMB^2"

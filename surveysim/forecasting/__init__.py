@@ -1,0 +1,1 @@
+"""The noise forecast: the noise of a survey's maps in closed form, without a Monte Carlo."""

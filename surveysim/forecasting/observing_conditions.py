@@ -1,0 +1,219 @@
+"""What forecasts take from observations: levels of noise and what detectors share of it, the array's angle, its motion
+against the layer, what fits take from scans, coverage."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import chain
+
+import numpy as np
+
+from mapmaker.chunks import row_chunks
+from mapmaker.geometry import boresight_pixels
+from mapmaker.timestreams import FocalPlane
+from surveysim.atmosphere.weather import Weather, draw_weather
+from surveysim.reduction.cleaning_pipelines import Recipe
+from surveysim.reduction.fitted_modes import NO_COURSES, Courses, template_courses
+from surveysim.reduction.mode_response import Array, layer_waves
+from surveysim.reduction.setup import Setup, observation_path, prepare
+from surveysim.runtime.rng import Stage, generator
+from surveysim.scene.noise_and_sky import Excess, Photon
+from surveysim.scene.scene import Scene
+from surveysim.telescope.lattice_noise import SharedNoise
+from surveysim.telescope.noise_levels import white_levels
+from surveysim.telescope.pixel_coherence import MOST_DENSE, correlation_matrix
+from surveysim.telescope.raster import samples_per_scan
+from surveysim.timestreams.noise import excess_variance
+from surveysim.timestreams.observation import observation_weather
+from surveysim.timestreams.shared_parts import screen, shared_noise
+
+_NUMBERS = 5  # of a draw: four of the weather, and which observation it is
+_SHIFTS = 8  # of the lattice of draws: their scatter is the error of a mean over all
+_DRAWS_A_SHIFT = 256
+_HIT_SAMPLES = 3e7  # of the observations that stand for the coverage
+_FEWEST_HITS, _MOST_HITS = 4, 48
+_MOST_HIT_SAMPLES = 3e7  # of one of them, of which larger ones have every so many in time
+
+NoiseCorrelations = tuple[np.ndarray | SharedNoise | None, np.ndarray | SharedNoise | None]
+Draw = tuple[int, Weather | None]  # an observation's number, and a weather that it might have
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Levels of draws: (n_draw,) `white` and `shared` photon and detector noise [mK^2/Hz], `excess` [mK^2],
+    `layer` (B2 at its elevation), `sine` of that elevation; `angle` (n_draw,) the array's against the scan; `motion`
+    (n_draw, 2) complex, against the layer, there and back [rad/s].
+    """
+
+    white: np.ndarray
+    shared: np.ndarray
+    excess: np.ndarray
+    layer: np.ndarray
+    sine: np.ndarray
+    angle: np.ndarray
+    motion: np.ndarray
+
+
+@dataclass(frozen=True)
+class _View:
+    """How an observation sees: mean of sin(elevation)^(1 - index) and elevation of the scans, the sky's and the array's
+    angle in the middle, and how far its scans are turned from RA.
+    """
+
+    slant: float
+    elevation_rad: float
+    parallactic_rad: float
+    array_angle_rad: float
+    turn_rad: float
+
+
+def survey_draws(setup: Setup, first: int, end: int) -> list[Draw]:
+    """Observations `first` to `end - 1` in the weather that the scene's seed draws for them."""
+    return [(number, observation_weather(setup, number)) for number in range(first, end)]
+
+
+def population_draws(setup: Setup) -> list[list[Draw]]:
+    """Observations spread over the survey in weather spread over its distribution: several lists of one kind.
+
+    Each is a rank-one lattice in all random numbers of the weather, with a random shift of its own: means over a list
+    are without bias, and far closer to the expectation than those over as many independent draws.
+    """
+    air, n_obs = setup.scene.atmosphere, setup.scene.observations
+    rng = generator(setup.scene.seed, Stage.WEATHER, realization=1)  # that of the survey is 0
+    lists = []
+    for shift in rng.random((_SHIFTS, _NUMBERS)):
+        points = (shift + np.outer(np.arange(_DRAWS_A_SHIFT), _lattice_steps())) % 1
+        numbers = np.minimum((points[:, -1] * n_obs).astype(int), n_obs - 1)
+        weather = [air and draw_weather(air, setup.water, _Given(point)) for point in points[:, :-1]]
+        lists.append(list(zip(numbers.tolist(), weather, strict=True)))
+    return lists
+
+
+def _lattice_steps() -> np.ndarray:
+    """Powers of the inverse root of x^(d + 1) = x + 1: multiples of them fill the unit cube evenly (Roberts 2018)."""
+    root = 2.0
+    for _ in range(60):
+        root = (1 + root) ** (1 / (_NUMBERS + 1))
+    return root ** -np.arange(1.0, _NUMBERS + 1)
+
+
+class _Given:
+    """Numbers of a generator that are known beforehand, uniform in 0 to 1 and each used once."""
+
+    def __init__(self, uniform: np.ndarray):
+        self._left = iter(np.clip(uniform, 1e-12, 1 - 1e-12).tolist())
+
+    def standard_normal(self, size: int) -> np.ndarray:
+        from scipy.special import ndtri
+
+        return ndtri([next(self._left) for _ in range(size)])
+
+    def uniform(self, low: float, high: float) -> float:
+        return low + (high - low) * next(self._left)
+
+    def random(self) -> float:
+        return next(self._left)
+
+
+@lru_cache(maxsize=1)
+def population(scene: Scene) -> tuple[Conditions, int]:
+    """Conditions of all `population_draws` of a scene, one list after the other, and how many lists there are."""
+    setup = prepare(scene)
+    lists = population_draws(setup)
+    return conditions(setup, chain.from_iterable(lists)), len(lists)
+
+
+def conditions(setup: Setup, draws: Iterable[Draw]) -> Conditions:
+    """Conditions of some observations in some weather."""
+    draws = list(draws)
+    views = {number: _view(setup, number) for number in {number for number, _ in draws}}
+    rows = [_row(setup, views[number], weather) for number, weather in draws]
+    *levels, there, back = (np.array(column) for column in zip(*rows, strict=True))
+    return Conditions(*levels, np.stack([there, back], axis=1))
+
+
+def _view(setup: Setup, number: int) -> _View:
+    _, pointing = observation_path(setup, number)
+    middle = len(pointing.elevation_rad) // 2
+    air, slant = setup.scene.atmosphere, 0.0
+    if air is not None:
+        slant = np.mean(np.sin(pointing.elevation_rad) ** (1 - air.index))
+    elevation = float(setup.angles.elevation_rad[number].mean())
+    turn = number % 2 * np.pi / 2  # scans along Dec
+    return _View(slant, elevation, pointing.parallactic_rad[middle], pointing.array_angle_rad[middle], turn)
+
+
+def _row(setup: Setup, view: _View, weather: Weather | None) -> tuple[float | complex, ...]:
+    scene = setup.scene
+    opacity = setup.water.opacity if setup.water else None
+    white = white_levels(scene, opacity, weather.pwv_mm if weather else np.nan, view.elevation_rad)
+    excess = excess_variance(scene.excess, weather and weather.b2) if scene.excess else 0.0
+    layer, wind = 0.0, 0.0
+    if weather is not None:
+        layer = weather.b2 * view.slant
+        # Azimuth and elevation on the sky, then in the frame of the scan.
+        wind = np.exp(-1j * view.parallactic_rad) * (-weather.wind_rad_s[0] + 1j * weather.wind_rad_s[1])
+    wind = wind * np.exp(-1j * view.turn_rad)
+    speed = setup.raster.speed_rad_s
+    # A scan back is a scan there in a frame that is turned by half a turn.
+    shared = white.photon_mk2_hz * white.shared
+    unshared = white.photon_mk2_hz - shared + white.detector_mk2_hz
+    angle = view.array_angle_rad + view.turn_rad
+    return unshared, shared, excess, layer, np.sin(view.elevation_rad), angle, speed - wind, speed + wind
+
+
+def noise_correlations(setup: Setup, recipe: Recipe) -> NoiseCorrelations:
+    """Correlation of the shared photon noise and of the excess noise, this with responsivities; None without."""
+    gain, scene = setup.responsivity[recipe.rows], setup.scene
+    photon = _correlation(setup, recipe, scene.photon, "photon", np.ones(len(gain)))
+    return photon, _correlation(setup, recipe, scene.excess, "excess", gain)
+
+
+def _correlation(
+    setup: Setup, recipe: Recipe, section: Photon | Excess | None, name: str, gain: np.ndarray
+) -> np.ndarray | SharedNoise | None:
+    if section is None:
+        return None
+    if setup.n_det > MOST_DENSE:
+        torus = shared_noise(setup.camera, section, name)
+        return SharedNoise(torus and replace(torus, cells=torus.cells[recipe.rows]), gain)
+    place = setup.camera.positions_f_lambda[recipe.rows]
+    matrix = correlation_matrix(place, section.coherence, setup.camera.illumination)
+    matrix *= gain[:, None] * gain
+    return matrix
+
+
+def fitted_courses(setup: Setup, recipe: Recipe, array: Array, levels: Conditions) -> Courses:
+    """Courses that scans lose to what a recipe fits to them, in a layer that passes as fast as in half of `levels`."""
+    fits = {"scan": 1.0, "observation": 1 / setup.raster.n_scans}
+    # PCA fits a mode to each scan, whatever is known of responsivities.
+    share = fits["scan"] if recipe.uses("pca") else fits.get(setup.scene.cleaning.responsivities, 0.0)
+    if setup.scene.atmosphere is None or not len(array.basis) or not share:
+        return NO_COURSES
+    seconds = samples_per_scan(setup.raster) / setup.raster.sample_rate_hz
+    motion = np.median(np.abs(levels.motion))
+    layer = layer_waves(screen(setup.scene), motion * seconds, [np.median(levels.sine)])
+    common = array.seen(2 * np.pi * layer.alpha).mean(axis=0)
+    power = layer.power[0] * (common.real**2 + common.imag**2)
+    return template_courses((layer.alpha * motion).real, power, seconds).less(share)
+
+
+def mean_hits(setup: Setup, recipe: Recipe) -> np.ndarray:
+    """Mean hits of one observation on the scored patch (n, n), from some observations spread over the survey."""
+    n_obs, geometry = setup.scene.observations, setup.geometry
+    plane: FocalPlane = setup.camera.focal_plane.subset(recipe.rows)
+    samples = len(plane.x_rad) * setup.raster.n_scans * samples_per_scan(setup.raster)
+    every = max(1, int(samples // _MOST_HIT_SAMPLES))
+    wanted = min(n_obs, int(np.clip(_HIT_SAMPLES / samples, _FEWEST_HITS, _MOST_HITS)))
+    # In pairs of both directions.
+    numbers = np.unique(np.minimum(2 * (np.arange(wanted) * n_obs // wanted // 2) + np.arange(wanted) % 2, n_obs - 1))
+    hits = np.zeros(geometry.n_x * geometry.n_y)
+    for number in numbers:
+        _, pointing = observation_path(setup, int(number))
+        angle = pointing.array_angle_rad[pointing.scan[::every]]
+        boresight = pointing.xi_rad[::every], pointing.eta_rad[::every], angle
+        for rows in row_chunks(len(plane.x_rad), len(angle)):
+            index = boresight_pixels(geometry, *boresight, plane.subset(rows)).ravel()
+            hits += np.bincount(index[index >= 0], minlength=len(hits))
+    patch = setup.band.patch
+    return hits.reshape(geometry.n_y, geometry.n_x)[patch, patch] * every / len(numbers)

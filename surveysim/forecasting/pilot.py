@@ -1,0 +1,96 @@
+"""A pilot of a survey: a few scans drawn and cleaned, which tell how many scans cleaning discards."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mapmaker.cleaning.responsivity import OBSERVATION
+from surveysim.forecasting.observing_conditions import Conditions
+from surveysim.reduction.cleaning_pipelines import Recipe
+from surveysim.reduction.observation import kept_scans
+from surveysim.reduction.setup import Setup
+from surveysim.telescope.raster import samples_per_scan
+from surveysim.timestreams.scan_blocks import Block
+
+MOST_OBSERVATIONS = 32  # of a pilot
+MOST_SCANS = 6  # of each of so many
+_SAMPLES = 3e6  # detector-samples of a pilot: about a quarter of a second
+_FEWEST_OBSERVATIONS = 8  # a larger pilot than `_SAMPLES` rather than fewer, up to
+_MOST_SAMPLES = 5e7  # a few seconds
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Share of its scans that each observation keeps, (n_obs,), and the standard error of `discarded`.
+
+    The error is 0 where all scans were counted, and infinite where the share is not known and taken as 1.
+    """
+
+    share: np.ndarray
+    error: float = 0.0
+
+    @property
+    def discarded(self) -> float:
+        """Share of the survey's scans that is discarded."""
+        return float(1 - self.share.mean())
+
+
+def predicted_kept(
+    setup: Setup, recipes: tuple[Recipe, ...], levels: Conditions, weight: np.ndarray
+) -> dict[str, Kept]:
+    """Scans that cleaning keeps of observations in the conditions `levels`, predicted by a pilot, by data set.
+
+    Observations are put in the order of the layer's strength. The pilot takes every so many of them, half by their
+    number and half by the `weight` (n_obs,) that they have in the map: scans are lost in calm weather, whose
+    observations weigh most. Between those of the pilot the share is interpolated.
+
+    Recipes that fit no responsivities keep all scans. Where a pilot would take longer than a few seconds, or can't be
+    drawn, the share is not known. The draws are those of the scene's seed.
+    """
+    whole = Kept(np.ones(len(weight)))
+    fitted = tuple(recipe for recipe in recipes if recipe.takes_responsivities)
+    if setup.scene.atmosphere is None or setup.calibration is not None or not fitted:
+        return {recipe.data_set: whole for recipe in recipes}
+    unknown = {recipe.data_set: replace(whole, error=np.inf) if recipe in fitted else whole for recipe in recipes}
+    n_scans, n_pilot = _pilot_size(setup, len(weight))
+    if n_scans * n_pilot * _scan_samples(setup) > _MOST_SAMPLES:
+        return unknown
+    order = np.argsort(levels.layer, kind="stable")
+    importance = np.cumsum(weight[order] / weight.sum() + 1 / len(weight)) / 2
+    places = np.unique(np.searchsorted(importance, (np.arange(n_pilot) + 0.5) / n_pilot))
+    places = np.minimum(places, len(weight) - 1)
+    pilot = replace(setup, blocks=(Block(0, 0, n_scans),), recipes=fitted)
+    try:
+        found = np.array([kept_scans(pilot, int(order[place])).mean(axis=1) for place in places])
+    except ValueError:  # a layer that can't be drawn
+        return unknown
+    shares = {recipe.data_set: _spread(order, places, of, n_scans) for recipe, of in zip(fitted, found.T, strict=True)}
+    return {recipe.data_set: shares.get(recipe.data_set, whole) for recipe in recipes}
+
+
+def _scan_samples(setup: Setup) -> int:
+    return setup.n_det * samples_per_scan(setup.raster)
+
+
+def _pilot_size(setup: Setup, n_obs: int) -> tuple[int, int]:
+    """Scans of an observation and observations of a pilot: those that are fitted together are all in."""
+    scans, most = _SAMPLES / _scan_samples(setup), min(MOST_OBSERVATIONS, n_obs)
+    n_scans = int(np.clip(scans / most, 1, MOST_SCANS * MOST_OBSERVATIONS / most))
+    if setup.scene.cleaning.responsivities == OBSERVATION:
+        n_scans = setup.raster.n_scans
+    n_pilot = int(np.clip(scans / n_scans, _FEWEST_OBSERVATIONS, MOST_OBSERVATIONS))
+    return min(n_scans, setup.raster.n_scans), min(n_pilot, n_obs)
+
+
+def _spread(order: np.ndarray, places: np.ndarray, found: np.ndarray, n_scans: int) -> Kept:
+    """Shares of all observations from those `found` of the pilot's `n_scans` scans each.
+
+    The scatter is that of neighbours, whose weather is alike, and no less than one scan of all.
+    """
+    share = np.empty(len(order))
+    share[order] = np.interp(np.arange(len(order)), places, found)
+    edges = np.concatenate([[0], (places[1:] + places[:-1] + 1) / 2, [len(order)]])
+    stands_for = np.diff(edges) / len(order)
+    scatter = np.sqrt(np.mean(np.diff(found) ** 2) / 2) if len(found) > 1 else 0.5
+    error = max(scatter * np.linalg.norm(stands_for), 1 / (n_scans * len(found)))
+    return Kept(share, float(error))

@@ -1,1 +1,0 @@
-"""Numba loops of the simulator, each short, each with a slow twin in tests/naive.py."""

@@ -1,0 +1,1 @@
+"""Output directories: their lock, names and record of files, and the writers of results."""

@@ -1,0 +1,398 @@
+"""An output directory: one job at a time writes there, in place of its own earlier results and of nothing else.
+
+A hidden file, `.surveysim.json`, says which command wrote the directory, of which scene, and lists each file with its
+SHA-256. Only files that are listed there, have a name that this program writes and are unchanged are ever removed, and
+nothing is reached through a link. Results are written to a folder of their own and take their places together.
+"""
+
+import json
+import logging
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from errno import EACCES, EISDIR, ENOTDIR
+from hashlib import file_digest, sha256
+from pathlib import Path
+from stat import S_ISDIR, S_ISREG
+from typing import Any
+
+from mapmaker.files import whole_file
+from surveysim import __version__
+from surveysim.output.lock import LOCK, OutputError, alive, locked
+from surveysim.scene.units import shown
+from surveysim.survey.checkpoint import NAME as CHECKPOINT
+
+RECORD, NEW = ".surveysim.json", ".surveysim.new"
+OTHERWISE = "--force replaces it, --out writes elsewhere"
+# All names that any command writes: no other file is ever removed, whatever the record lists.
+_WRITTEN = re.compile(
+    r"report\.html|(summary|scene)\.json|scene\.toml|positions(_\d+)?\.ecsv|checkpoint\.h5|extremes\.ecsv"
+    r"|(sweep|sweep_pairs|forecast|accuracy)\.ecsv|table\d+(_[a-z]+)?\.ecsv|figure\d+\.(png|ecsv)"
+    r"|(measurements|recovered)_[0-9]+\.ecsv|tables/\w+\.ecsv|maps/\w[\w.+~,=-]*\.fits|figures/\w+\.png"
+    r"|timestreams/\d+\.h5|points/\d+\.(npz|checkpoint\.h5)"
+)
+_SAYS_ITSELF = re.compile(r"checkpoint\.h5|points/\d+\.(npz|checkpoint\.h5)")  # of which scene it is
+_UNFINISHED_WORK = re.compile(rf"{_SAYS_ITSELF.pattern}|timestreams/\d+\.h5")
+_INPUT = re.compile(r"scene\.toml|positions(_\d+)?\.ecsv")
+_PARTIAL = re.compile(r"(.+)\.(\d+)\.part")
+
+log = logging.getLogger("surveysim")
+
+
+class FinishedError(OutputError):
+    """A run that is finished, so that there is nothing to resume."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """A command's results: what makes them, and the names of all files that it may write, below its directory.
+
+    `sha256` is of all that they depend on. `inputs` are files that are written before the work starts, with their
+    content; results are written by the caller, those that are `piecewise` to their places as they are made.
+    """
+
+    command: str
+    scene: str
+    sha256: str
+    names: tuple[str, ...]
+    inputs: Mapping[str, bytes] = field(default_factory=dict)
+    piecewise: bool = False
+
+    @property
+    def all_names(self) -> tuple[str, ...]:
+        """Names of inputs and results."""
+        return (*self.inputs, *self.names)
+
+
+@dataclass(frozen=True)
+class OutputDirectory:
+    """A directory that this process has locked.
+
+    `mine` are files there that this program wrote, unchanged since, with what identifies their content (None where
+    a job that was killed may or may not have written them). `others` are files of the user that `--force` allows to
+    replace, with what tells whether they have been.
+    """
+
+    path: Path
+    results: Results
+    mine: dict[str, str | None]
+    others: dict[str, tuple[int, int]]
+
+
+@contextmanager
+def claimed(directory: Path, results: Results, force: bool = False, resume: bool = False) -> Iterator[OutputDirectory]:
+    """Make a directory and lock it for a command's results, until the end of the block.
+
+    Raises OutputError for a directory that another job writes to, that holds results of another scene or command, an
+    unfinished run or files of the user by names that are to be written (all these unless with `force`), or links in
+    place of its folders; FinishedError with `resume` for a run that is finished; OSError where it can't be written.
+    """
+    if force and resume:
+        raise OutputError(f"{directory}: found both resume and force; a run goes on, or is replaced")
+    _make(directory)
+    with locked(directory):
+        place = _claim(directory, results, force, resume)
+        _remove_partial_files(place)
+        try:
+            yield place
+        finally:
+            _remove_partial_files(place)  # of workers that were killed
+
+
+def begin(place: OutputDirectory, removed: Callable[[str], bool]) -> None:
+    """Remove earlier results whose name is to be `removed`, write inputs, and record that work is on its way."""
+    results = place.results
+    stay = {name: known for name, known in place.mine.items() if name in results.inputs or not removed(name)}
+    remove(place, place.mine.keys() - stay.keys())
+    coming = [name for name in results.names if results.piecewise or _UNFINISHED_WORK.fullmatch(name)]
+    inputs = {name: sha256(content).hexdigest() for name, content in results.inputs.items()}
+    _write_record(place, stay | dict.fromkeys(coming) | inputs, finished=False)
+    for name, content in results.inputs.items():
+        with whole_file(place.path / name) as partial:
+            partial.write_bytes(content)
+
+
+@contextmanager
+def replacing(place: OutputDirectory, over: Callable[[str], bool] = lambda name: False) -> Iterator[Path]:
+    """A folder to write results to; when the block ends they take the place of earlier ones, or none does if it fails.
+
+    A checkpoint or points that are `over`, their work being done, are removed with what is left of earlier results.
+    """
+    new = place.path / f"{NEW}.{os.getpid()}.part"
+    new.mkdir()
+    try:
+        for name, content in place.results.inputs.items():
+            (new / name).write_bytes(content)
+        yield new
+    except OSError as error:  # that names a file by the place that it was to have
+        path = str(error.filename or place.path).replace(str(new), str(place.path))
+        raise OSError(error.errno, error.strerror or str(error), path) from None
+    _put_in_place(place, new, over)
+
+
+def _put_in_place(place: OutputDirectory, new: Path, over: Callable[[str], bool]) -> None:
+    written = {path.relative_to(new).as_posix(): _identity(path) for path in new.rglob("*") if path.is_file()}
+    work = [name for name in place.results.names if _UNFINISHED_WORK.fullmatch(name) and _is_written(place, name)]
+    files = written | {name: _identity(place.path / name) for name in work if not over(name)}
+    gone = {name: place.mine.get(name) for name in (*place.mine, *work) if name not in files}
+    _write_record(place, files | gone, finished=False)
+    for name in written:
+        (place.path / name).parent.mkdir(exist_ok=True)
+        (new / name).replace(place.path / name)
+    remove(place, gone)
+    _write_record(place, files, finished=True)
+
+
+def finish(place: OutputDirectory) -> None:
+    """Record the files of a piecewise job that are there now."""
+    names = dict.fromkeys((*place.mine, *place.results.all_names))
+    files = {name: _identity(place.path / name) for name in names if _is_written(place, name)}
+    _write_record(place, files, finished=True)
+
+
+def remove(place: OutputDirectory, names: Iterable[str]) -> None:
+    """Remove files that this program wrote, and the folder of a sweep's points with the last of them."""
+    points = False
+    for name in names:
+        if _may_be_removed(place.path, name):
+            (place.path / name).unlink(missing_ok=True)
+            points |= name.startswith("points/")
+    if points and not any((place.path / "points").iterdir()):
+        (place.path / "points").rmdir()
+
+
+@contextmanager
+def renewed(directory: Path, name: str, force: bool = False) -> Iterator[None]:
+    """Lock a directory of results while one of its files is written anew.
+
+    Raises OutputError for a file of the user by that name (unless with `force`), and for what is no file at all.
+    """
+    if not directory.is_dir():
+        yield  # to an error
+        return
+    with locked(directory):
+        record = _read_record(directory) or _NOTHING
+        _check_readable(directory)
+        known = record["files"]
+        if os.path.lexists(directory / name) and not force and not _is_mine(directory, name, known):
+            raise OutputError(f"{directory / name}: not written by this program, or changed since; --force replaces it")
+        yield
+        if record is not _NOTHING:
+            files = known | {name: _identity(directory / name)}
+            _write(directory / RECORD, record | {"files": files})
+
+
+def holds_work(directory: Path) -> bool:
+    """Whether a run could go on from files in a directory: a checkpoint, or points of a sweep."""
+    patterns = (CHECKPOINT, "points/*.npz", "points/*.checkpoint.h5")
+    return any(path.is_file() for pattern in patterns for path in directory.glob(pattern))
+
+
+# ---------------------------------------------------------------- whose a directory is
+
+_NOTHING: dict[str, Any] = {"command": "", "scene": "", "sha256": "", "finished": True, "files": {}}
+
+
+def _claim(path: Path, results: Results, force: bool, resume: bool) -> OutputDirectory:
+    _check_folders(path, results.all_names)
+    record = _read_record(path)
+    if record is None and os.path.lexists(path / RECORD) and not force:
+        raise OutputError(f"{path / RECORD}: not written by this program; {OTHERWISE}")
+    record = record or _NOTHING
+    mine = {name: known for name, known in record["files"].items() if _is_mine(path, name, record["files"])}
+    started = record["finished"] or any(not _INPUT.fullmatch(name) for name in mine)
+    if record is not _NOTHING and started and not force:
+        _check_same(path, results, record)
+        _check_unfinished(path, mine, record, resume)
+    if resume:
+        mine |= {name: None for name in results.names if _SAYS_ITSELF.fullmatch(name) and _may_be_removed(path, name)}
+    others = _others(path, results, mine, force)
+    for name in record["files"].keys() - mine.keys() - others.keys():
+        if os.path.lexists(path / name) and _WRITTEN.fullmatch(name):
+            log.warning("%s: changed since it was written; it stays", path / name)
+    return OutputDirectory(path, results, mine, others)
+
+
+def _check_same(path: Path, results: Results, record: Mapping[str, Any]) -> None:
+    """Raise OutputError where a directory is another command's, or of another scene."""
+    kind = "results" if record["finished"] else "an unfinished run"
+    if record["command"] != results.command:
+        found = f"{kind} of {shown('surveysim ' + record['command'])}"
+    elif record["sha256"] != results.sha256:
+        name = shown(record["scene"])
+        other = f"{name} with other settings" if record["scene"] == results.scene else f"another scene, {name}"
+        found = f"{kind} of {other}"
+    else:
+        return
+    raise OutputError(f"{path}: holds {found}; --force replaces them, --out writes elsewhere")
+
+
+def _check_unfinished(path: Path, mine: Mapping[str, str | None], record: Mapping[str, Any], resume: bool) -> None:
+    """Raise OutputError for work that would be lost without `resume`, FinishedError where there is none to go on with.
+
+    A run that was stopped early has both results and a checkpoint.
+    """
+    if resume and record["finished"] and not holds_work(path):
+        raise FinishedError(f"{path}: the run is finished; there is nothing to resume")
+    work = [name for name in mine if _UNFINISHED_WORK.fullmatch(name)]
+    if not resume and (CHECKPOINT in work or (work and not record["finished"])):
+        raise OutputError(
+            f"{path / work[0]}: from a run that has not finished; --resume goes on from there, --force starts anew, "
+            "--out writes elsewhere"
+        )
+
+
+def _others(path: Path, results: Results, mine: Mapping[str, str | None], force: bool) -> dict[str, tuple[int, int]]:
+    """Files of the user by names that are to be written; raises OutputError for the first unless with `force`."""
+    found = {}
+    for name in results.all_names:
+        if name in mine or not os.path.lexists(path / name):
+            continue
+        state = os.lstat(path / name)
+        if S_ISDIR(state.st_mode):
+            raise IsADirectoryError(EISDIR, "a folder where a file is to be written", str(path / name))
+        if not force:
+            what = "not written by this program, or changed since" if S_ISREG(state.st_mode) else "not a regular file"
+            hint = f"--resume goes on from there, {OTHERWISE}" if _UNFINISHED_WORK.fullmatch(name) else OTHERWISE
+            raise OutputError(f"{path / name}: {what}; {hint}")
+        found[name] = (state.st_ino, state.st_mtime_ns)
+    return found
+
+
+def _make(directory: Path) -> None:
+    """Make a directory; raises OSError that says what is in its place, OutputError for a home directory's sign."""
+    if directory.parts[:1] == ("~",):
+        raise OutputError(f"{directory}: found a '~' that the shell has not replaced; the home's own path is expected")
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        found = "a link to nowhere" if Path(error.filename).is_symlink() else "a file"
+        raise NotADirectoryError(ENOTDIR, f"{found} where a folder is to be written", error.filename) from None
+
+
+def _check_folders(path: Path, names: Iterable[str]) -> None:
+    """Raise an error where a folder that files are to be written to is a link, a file or read-only."""
+    for name in dict.fromkeys(name.partition("/")[0] for name in names if "/" in name):
+        folder = path / name
+        if folder.is_symlink():
+            raise OutputError(f"{folder}: a link where a folder is to be written; --out writes elsewhere")
+        if folder.exists() and not folder.is_dir():
+            raise NotADirectoryError(ENOTDIR, "a file where a folder is to be written", str(folder))
+        if folder.is_dir() and not os.access(folder, os.W_OK | os.X_OK):
+            raise PermissionError(EACCES, os.strerror(EACCES), str(folder))
+
+
+def _check_readable(directory: Path) -> None:
+    """Raise OutputError where a file by a name that this program writes is none: reading a FIFO would never end."""
+    for folder, prefix in [(directory, "")] + [(directory / name, f"{name}/") for name in ("tables", "figures")]:
+        for entry in os.scandir(folder) if folder.is_dir() else ():
+            if _WRITTEN.fullmatch(prefix + entry.name) and not entry.is_file() and not entry.is_dir():
+                raise OutputError(f"{entry.path}: not a regular file; results are expected")
+
+
+# ---------------------------------------------------------------- whose a file is
+
+
+def _is_mine(path: Path, name: str, files: Mapping[str, str | None]) -> bool:
+    """Whether a file is listed, and as it was written."""
+    if name not in files or not _may_be_removed(path, name):
+        return False
+    return files[name] is None or files[name] == _identity(path / name)
+
+
+def _may_be_removed(path: Path, name: str) -> bool:
+    """Whether it is a plain file by a name that this program writes, and no link leads to it."""
+    folder = name.rpartition("/")[0]
+    through_link = folder and (path / folder).is_symlink()
+    return bool(_WRITTEN.fullmatch(name)) and not through_link and _is_regular(path / name)
+
+
+def _is_regular(path: Path) -> bool:
+    try:
+        return S_ISREG(os.lstat(path).st_mode)
+    except (OSError, ValueError):
+        return False
+
+
+def _is_written(place: OutputDirectory, name: str) -> bool:
+    """Whether a file is there, and not one of the user that could have been replaced, but was not."""
+    if not _is_regular(place.path / name):
+        return False
+    state = os.lstat(place.path / name)
+    return place.others.get(name) != (state.st_ino, state.st_mtime_ns)
+
+
+def _identity(path: Path) -> str:
+    """What tells whether a file has changed: its SHA-256; of large time-streams size and time of the last change."""
+    if path.parent.name == "timestreams":
+        state = path.stat()
+        return f"{state.st_size} bytes, {state.st_mtime_ns} ns"
+    with open(path, "rb") as file:
+        return file_digest(file, "sha256").hexdigest()
+
+
+def _remove_partial_files(place: OutputDirectory) -> None:
+    """Remove what processes that are gone left half written, by the exact names of this command's files."""
+    _remove_folders(place.path)
+    listed = (_read_record(place.path) or _NOTHING)["files"]
+    known = {*listed, *place.results.all_names, RECORD}
+    for folder in {name.rpartition("/")[0] for name in known if _WRITTEN.fullmatch(name)} | {"timestreams", "points"}:
+        where = place.path / folder
+        for entry in os.scandir(where) if where.is_dir() and not where.is_symlink() else ():
+            match = _PARTIAL.fullmatch(entry.name)
+            if match is None or not entry.is_file(follow_symlinks=False):
+                continue
+            name = f"{folder}/{match[1]}".lstrip("/")
+            own = name in known or _UNFINISHED_WORK.fullmatch(name) or name.startswith(f"{LOCK}.")
+            if own and _is_over(int(match[2])):
+                Path(entry.path).unlink(missing_ok=True)
+
+
+def _remove_folders(path: Path) -> None:
+    """Remove folders of results that never took their places, less what others may have put there."""
+    for entry in os.scandir(path):
+        match = _PARTIAL.fullmatch(entry.name)
+        if not match or match[1] != NEW or not entry.is_dir(follow_symlinks=False) or not _is_over(int(match[2])):
+            continue
+        for folder, _, names in os.walk(entry.path, topdown=False):
+            for file in (Path(folder) / name for name in names):
+                name = file.relative_to(entry.path).as_posix()
+                half = _PARTIAL.fullmatch(name)
+                if _WRITTEN.fullmatch(half[1] if half else name) and _is_regular(file):
+                    file.unlink()
+            with suppress(OSError):  # what is left in it stays
+                os.rmdir(folder)
+
+
+def _is_over(pid: int) -> bool:
+    return pid == os.getpid() or not alive(pid)  # this process writes nothing else here
+
+
+# ---------------------------------------------------------------- the record
+
+
+def _read_record(path: Path) -> dict[str, Any] | None:
+    """The record of a directory; None where there is none that this program wrote."""
+    if not _is_regular(path / RECORD):
+        return None
+    try:
+        found = json.loads((path / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    types = {"surveysim": str, "command": str, "scene": str, "sha256": str, "finished": bool, "files": dict}
+    whole = isinstance(found, dict) and all(isinstance(found.get(key), kind) for key, kind in types.items())
+    whole = whole and all(isinstance(value, str | None) for value in found["files"].values())
+    return found if whole else None
+
+
+def _write_record(place: OutputDirectory, files: Mapping[str, str | None], finished: bool) -> None:
+    results = place.results
+    content = {"surveysim": __version__, "command": results.command, "scene": results.scene, "sha256": results.sha256}
+    _write(place.path / RECORD, content | {"finished": finished, "files": dict(sorted(files.items()))})
+
+
+def _write(path: Path, content: Mapping[str, Any]) -> None:
+    with whole_file(path) as partial:
+        partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,84 @@
+"""Results of each command: all files that it may write, and a hash of all that they depend on."""
+
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
+from typing import Any
+
+from surveysim.output.directory import Results
+from surveysim.output.scene_copy import scene_files, sweep_files
+from surveysim.reduction.setup import Setup
+from surveysim.scene.scene import Scene, scene_hash
+from surveysim.studies.convergence.records import MOST_SEEDS, REFERENCE_ERROR, SUB_SURVEY
+from surveysim.studies.sweep.axes import Sweep, sweep_hash
+from surveysim.survey.checkpoint import NAME as CHECKPOINT
+
+COMMON = ("summary.json", "scene.json", "report.html")
+_TABLES = ("observations", "timestream_psd", "scores", "map_psd", "alternatives")
+_FIGURES = (
+    "timestream_psd",
+    "map",
+    "map_psd",
+    "window",
+    "cumulative_sensitivity",
+    "weights",
+    "weather",
+    "run_time",
+)
+_PARTS = {"1": ("sites",), "2": ("photons",), "3": ("gains",)}  # of a table, in files of their own
+
+
+def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
+    """Results of a run of a scene."""
+    scene = setup.scene
+    names = [*COMMON, CHECKPOINT, *(f"tables/{name}.ecsv" for name in _TABLES)]
+    endings = ("", "_healpix") if scene.map.healpix_nside else ("",)
+    names += [f"maps/{name}{ending}.fits" for name in setup.data_sets for ending in endings]
+    if figures:
+        names += [f"figures/{name}.png" for name in _FIGURES]
+    if timestreams:
+        names += [f"timestreams/{number:04d}.h5" for number in range(scene.observations)]
+    return Results("run", scene.name, scene_hash(scene), tuple(names), scene_files(scene))
+
+
+def of_sweep(sweep: Sweep, command: str, figures: bool) -> Results:
+    """Results of a sweep; those that are run keep their points until the end."""
+    names = [*COMMON, "sweep.ecsv", "sweep_pairs.ecsv", *(["figures/sweep.png"] if figures else [])]
+    if command == "run":
+        names += [f"points/{point.number:03d}.{kind}" for point in sweep.points for kind in ("npz", "checkpoint.h5")]
+    return Results(command, sweep.name, sweep_hash(sweep), tuple(names), sweep_files(sweep))
+
+
+def of_forecast(scene: Scene) -> Results:
+    """Results of a scene's forecast."""
+    return Results("forecast", scene.name, scene_hash(scene), ("forecast.ecsv",), scene_files(scene))
+
+
+def accuracy_settings(reference_error: float, seeds: int, observations: int) -> dict[str, Any]:
+    """What a measurement of accuracy is told beside its scene, by key, less what is so by default."""
+    told = {"reference_error": reference_error, "seeds": seeds, "observations": observations}
+    usual = {"reference_error": REFERENCE_ERROR, "seeds": MOST_SEEDS, "observations": SUB_SURVEY}
+    return {f"accuracy.{key}": value for key, value in told.items() if value != usual[key]}
+
+
+def of_accuracy(scene: Scene, settings: Mapping[str, Any], figures: bool) -> Results:
+    """Results of a measurement of accuracy, by its `accuracy_settings`."""
+    names = (*COMMON, "accuracy.ecsv", *(["figures/accuracy.png"] if figures else []))
+    identity = sha256(f"{scene_hash(scene)} {sorted(settings.items())}".encode()).hexdigest()
+    return Results("accuracy", scene.name, identity, names, scene_files(scene))
+
+
+EXTREMES = Results("accuracy --extremes", "", "", ("extremes.ecsv",))
+
+
+def of_paper(items: Sequence[str]) -> Results:
+    """Results of the paper's items, as in "table 1", "figure 5" and "143 GHz"; their record says of which scenes."""
+    names = ["summary.json", "report.html"]
+    for item in items:
+        kind, _, number = item.partition(" ")
+        if kind == "figure":
+            names += [f"figure{int(number):02d}.{ending}" for ending in ("png", "ecsv")]
+        elif kind == "table":
+            names += [f"table{number}.ecsv", *(f"table{number}_{part}.ecsv" for part in _PARTS.get(number, ()))]
+        else:
+            names += [f"{part}_{kind}.ecsv" for part in ("measurements", "recovered")]
+    return Results("paper", "", "", tuple(names), piecewise=True)

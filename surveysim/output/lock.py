@@ -1,0 +1,200 @@
+"""The lock of an output directory: one job at a time writes there, and a lock whose job is gone is taken over."""
+
+import json
+import logging
+import os
+import socket
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from stat import S_ISREG
+from time import sleep
+from typing import Any
+
+from surveysim.runtime.engine import held_back_signals
+from surveysim.runtime.provenance import now
+from surveysim.scene.scene import SceneError
+
+LOCK = ".surveysim.lock"
+_READ_AGAIN_S, _TRIES = 0.1, 20  # of a lock that was made, but not yet written
+_MOST_BYTES = 10_000
+
+_KEYS = ("host", "machine", "boot", "processes", "pid", "age", "started")
+
+log = logging.getLogger("surveysim")
+
+
+class OutputError(SceneError):
+    """An output directory that can't be used as it is; the text has one line: why, and what to do."""
+
+
+@contextmanager
+def locked(directory: Path) -> Iterator[None]:
+    """Hold the lock of a directory, or raise OutputError that names the process that holds it.
+
+    The lock is a file that appears whole and only where there is none (a hard link), which holds on network file
+    systems too. A lock of this machine whose process is gone is taken over; one of another machine never is, as nobody
+    can tell from here. Raises OSError that names the directory where it can't be written.
+    """
+    own = None
+    try:
+        with held_back_signals():  # no lock is left that this process does not know of
+            own = _take(directory)
+        yield
+    finally:
+        if own is not None and _read(directory / LOCK) == own:
+            (directory / LOCK).unlink(missing_ok=True)
+
+
+def alive(pid: int) -> bool:
+    """Whether a process of this machine is there and no zombie."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        pass  # of another user, or no process number at all
+    return (_status(pid) or "?")[0] not in "ZX"
+
+
+def _take(directory: Path) -> dict[str, Any]:
+    """Make the lock; returns its content."""
+    lock, own, tries = directory / LOCK, _holder(), 0
+    while True:
+        if _make(lock, own):
+            return own
+        found = _read(lock)
+        if found is None and not os.path.lexists(lock):
+            continue  # released just now
+        if found is None and tries < _TRIES:
+            tries += 1
+            sleep(_READ_AGAIN_S)
+            continue
+        _refuse_or_remove(lock, found)
+
+
+def _make(lock: Path, own: Mapping[str, Any]) -> bool:
+    """Make a lock, unless there is one."""
+    try:
+        folder = os.path.realpath(lock.parent)  # tempfile takes ".." after a link for the link's own folder
+        number, name = tempfile.mkstemp(f".{os.getpid()}.part", f"{LOCK}.", folder)
+    except OSError as error:
+        raise type(error)(error.errno, error.strerror, str(lock.parent)) from None
+    try:
+        with open(number, "w", encoding="utf-8") as file:
+            os.chmod(name, 0o644)  # others of a shared directory are to read who works there
+            json.dump(own, file)
+        try:
+            os.link(name, lock)
+        except FileExistsError:
+            return False
+        except OSError:  # a file system without hard links
+            return _make_without_links(lock, own)
+        return True
+    finally:
+        os.unlink(name)
+
+
+def _make_without_links(lock: Path, own: Mapping[str, Any]) -> bool:
+    try:
+        file = open(lock, "x", encoding="utf-8")  # noqa: SIM115, closed below
+    except FileExistsError:
+        return False
+    try:
+        with file:
+            json.dump(own, file)
+    except BaseException:
+        lock.unlink()
+        raise
+    return True
+
+
+def _read(lock: Path) -> dict[str, Any] | None:
+    """The holder of a lock; None where there is none that can be read."""
+    try:
+        if not S_ISREG(os.lstat(lock).st_mode):
+            return None
+        with open(lock, encoding="utf-8") as file:
+            found = json.loads(file.read(_MOST_BYTES))
+    except (OSError, ValueError, RecursionError):
+        return None
+    whole = isinstance(found, dict) and found.keys() == set(_KEYS) and isinstance(found["pid"], int)
+    return found if whole else None
+
+
+def _refuse_or_remove(lock: Path, found: Mapping[str, Any] | None) -> None:
+    """Remove a lock whose process is gone; raises OutputError for any other."""
+    if found is None:
+        raise OutputError(f"{lock}: a lock that can't be read; delete it if no job writes to {lock.parent}")
+    who = f"process {found['pid']} of host {_word(found['host'])} since {_word(found['started'])}"
+    own = _holder()
+    if any(found[key] != own[key] for key in ("host", "machine", "processes")):
+        raise OutputError(
+            f"{lock.parent}: in use by {who}; wait for its end or write elsewhere with --out, and if that process is "
+            f"gone delete {lock}"
+        )
+    if found["boot"] == own["boot"] and alive(found["pid"]) and _age(found["pid"]) == found["age"]:
+        raise OutputError(f"{lock.parent}: in use by {who}; wait for its end, or write elsewhere with --out")
+    if _remove_if_same(lock, found):
+        log.warning("%s: was in use by %s, which is gone; this job takes its place", lock.parent, who)
+
+
+def _remove_if_same(lock: Path, found: Mapping[str, Any]) -> bool:
+    """Remove a lock unless another job has replaced it: only the holder of its flock removes a file."""
+    import fcntl
+
+    with suppress(FileNotFoundError), open(lock, encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX)
+        except OSError:  # a file system without it
+            raise OutputError(f"{lock}: of a process that is gone; delete it and try again") from None
+        if _read(lock) == found and os.path.samestat(os.stat(lock), os.fstat(file.fileno())):
+            lock.unlink()
+            return True
+    return False
+
+
+def _holder() -> dict[str, Any]:
+    """This process, as its lock names it."""
+    pid = os.getpid()
+    return {
+        "host": socket.gethostname(),
+        "machine": _text("/etc/machine-id"),
+        "boot": _text("/proc/sys/kernel/random/boot_id"),
+        "processes": _link("/proc/self/ns/pid"),  # containers number their processes themselves
+        "pid": pid,
+        "age": _age(pid),
+        "started": now(),
+    }
+
+
+def _status(pid: int) -> list[str] | None:
+    """Fields of a process from its state on (Linux)."""
+    text = _text(f"/proc/{pid}/stat")
+    return text.rpartition(")")[2].split() if text else None
+
+
+def _age(pid: int) -> str:
+    """When a process was started, in ticks since the machine was: tells two of one number apart."""
+    fields = _status(pid)
+    return fields[19] if fields and len(fields) > 19 else ""
+
+
+def _text(path: str) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8").strip()
+    except (OSError, ValueError):
+        return ""
+
+
+def _link(path: str) -> str:
+    try:
+        return os.readlink(path)
+    except OSError:
+        return ""
+
+
+def _word(value: object) -> str:
+    """Text of a file that anybody may have written, for a terminal."""
+    return "".join(c if c.isprintable() else "?" for c in str(value))[:64]

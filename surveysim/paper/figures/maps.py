@@ -1,0 +1,180 @@
+"""Figure 13 of the paper: noise of the co-added map by cleaning algorithm, and its sensitivity to a flat band power."""
+
+import numpy as np
+
+from surveysim.paper.published import published
+from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
+from surveysim.report.figures.spec import Panel, PaperFigure, Series
+from surveysim.results.results import SurveyResult
+from surveysim.survey.coadds import row_names
+from surveysim.survey.scores import DataSetScore, gain, rescore
+
+LOOKS = ("blue", "green", "vermilion", "purple", "orange", "sky")  # of the recipes, in their order
+OPTIMAL_LOOK = "black --"
+LOWEST_ELL = 500  # bins below it hold few modes, and of those little but the map's mean and gradient
+ARCMIN2_IN_SR = np.degrees(60.0) ** 2  # square arcminutes in a steradian: PSDs get plain numbers
+ELL, UNCERTAINTY = r"Multipole $\ell$", r"$\sigma(A)$ [$\mu$K$_\mathrm{CMB}^2$]"
+FROM_ELL = r"Lowest multipole $\ell$ used"
+
+
+def map_psd_figure(result: SurveyResult) -> PaperFigure:
+    """Figure 13: map noise PSDs by algorithm, the same over the windows, and the cumulative sensitivity.
+
+    Raises ValueError for a result that has no scores or compares no recipes.
+    """
+    if not result.setup.chooses or not result.scores:
+        found = result.unscored or "cleaning.compare is empty"
+        raise ValueError(f"found no scores of several recipes: {found}; a scored run that compares some is expected")
+    names = recipe_names(result)
+    return PaperFigure(
+        number=13,
+        title="Noise of the co-added map and sensitivity to a flat CMB band power",
+        caption=_caption(result, names),
+        panels=(
+            _psd_panel(result, names),
+            _sensitivity_panel(result, names),
+            _cumulative_panel(result, names),
+            _ratio_panel(result, names),
+        ),
+        columns=2,
+    )
+
+
+def recipe_names(result: SurveyResult) -> dict[str, str]:
+    """Label and data set of every recipe for all detectors, and of the best of them for each observation."""
+    return {recipe.label: recipe.data_set for recipe in result.setup.whole_recipes} | {OPTIMAL: OPTIMAL}
+
+
+def winners(result: SurveyResult, target: str, data_sets: tuple[str, ...]) -> dict[str, float]:
+    """Shares of the observations for which each data set has the highest figure of merit for a target.
+
+    target: one of `surveysim.reduction.figure_of_merit.TARGETS`. Observations in which no data set has any are left
+    out. Raises ValueError for a data set without figures of merit, and where no observation has any.
+    """
+    names = row_names(result.setup)
+    wanted = [f"merit_{target}_{data_set}" for data_set in data_sets]
+    missing = [name for name in wanted if name not in names]
+    if missing:
+        raise ValueError(f"found no {', '.join(missing)} in the rows; data sets that are compared are allowed")
+    merits = np.array(result.coadds.rows)[:, [names.index(name) for name in wanted]]
+    merits = merits[np.nan_to_num(merits).max(axis=1) > 0]
+    if len(merits) == 0:
+        raise ValueError("found no observation with a figure of merit; one or more is expected")
+    best = np.nanargmax(merits, axis=1)
+    return {data_set: float(np.mean(best == place)) for place, data_set in enumerate(data_sets)}
+
+
+# ---------------------------------------------------------------- panels
+
+
+def _psd_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
+    used, rings = _usable(result), result.setup.band.rings
+    psds = {label: ARCMIN2_IN_SR * result.scores[name].noise_psd[used] for label, name in names.items()}
+    return _panel("noise", ELL, r"Map PSD [$\mu$K$_\mathrm{CMB}^2$ arcmin$^2$]", _lines(rings.ell[used], psds))
+
+
+def _sensitivity_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
+    used, rings = _usable(result), result.setup.band.rings
+    sigmas = {label: log_bin_sigma(result, result.scores[name])[used] for label, name in names.items()}
+    y_label = r"$\sigma(A)$ of $\Delta\ln\ell = 1$ [$\mu$K$_\mathrm{CMB}^2$]"
+    return _panel("noise over windows", ELL, y_label, _lines(rings.ell[used], sigmas))
+
+
+def log_bin_sigma(result: SurveyResult, item: DataSetScore) -> np.ndarray:
+    """Uncertainty (n_bin,) of a flat band power from the noise of each bin, as if it spanned one unit of ln ell.
+
+    ``N / M (2 dlnell / n)^(1/2)``: noise PSD over that of unit band power behind all windows, n modes in the bin.
+    """
+    rings = result.setup.band.rings
+    # d ln ell as d ell / ell: the lowest bin starts at 0, where the logarithm has no value.
+    width = np.diff(rings.edges_ell) / rings.ell
+    return item.quoted_psd / item.signal_psd * np.sqrt(2 * width / rings.n_modes)
+
+
+def _cumulative_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
+    starts, series = _starts(result), []
+    for label, name in names.items():
+        bands = [rescore(result.setup, result.scores[name], start).band for start in starts]
+        sigma, error = (np.array([getattr(band, key) for band in bands]) for key in ("sigma_ukcmb2", "error_ukcmb2"))
+        series += _with_error(label, starts, sigma, error, _look(label, names))
+    return _panel("cumulative sensitivity", FROM_ELL, UNCERTAINTY, series)
+
+
+def _ratio_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
+    """Cumulative sensitivity over that of the scene's own cleaning, with the errors of the ratios."""
+    starts, series = _starts(result), []
+    own = [rescore(result.setup, result.scores[ACTUAL], start) for start in starts]
+    first = next(iter(names))
+    for label, name in names.items():
+        other = [rescore(result.setup, result.scores[name], start) for start in starts]
+        ratios = [gain(one, base) for one, base in zip(other, own, strict=True)]
+        ratio, error = (np.array([getattr(item, key) for item in ratios]) for key in ("ratio", "error"))
+        series += _with_error(label, starts, ratio, error, _look(label, names))
+    y_label = rf"$\sigma(A)$ over that of {first}"
+    return _panel(f"cumulative sensitivity over that of {first}", FROM_ELL, y_label, series, y_log=False)
+
+
+def _with_error(label: str, x: np.ndarray, y: np.ndarray, error: np.ndarray, look: str) -> list[Series]:
+    colour = look.split()[0]
+    return [Series("", "band", x, y, colour, y - error, y + error), Series(label, "line", x, y, look)]
+
+
+def _lines(ell: np.ndarray, curves: dict[str, np.ndarray]) -> list[Series]:
+    return [Series(label, "line", ell, y, _look(label, curves)) for label, y in curves.items()]
+
+
+def _look(label: str, names: dict) -> str:
+    return OPTIMAL_LOOK if label == OPTIMAL else LOOKS[list(names).index(label) % len(LOOKS)]
+
+
+def _panel(title: str, x_label: str, y_label: str, series: list[Series], y_log: bool = True) -> Panel:
+    ends = float(series[0].x[0]), float(series[0].x[-1])
+    return Panel(title, x_label, y_label, tuple(series), x_log=True, y_log=y_log, x_range=ends)
+
+
+def _usable(result: SurveyResult) -> np.ndarray:
+    """Bins (n_bin,) bool from `LOWEST_ELL` up to the end of the scored range."""
+    edges = result.setup.band.rings.edges_ell
+    return (edges[:-1] >= LOWEST_ELL) & (edges[1:] <= result.setup.scene.score.ell_max)
+
+
+def _starts(result: SurveyResult) -> np.ndarray:
+    """Lowest multipoles of the ranges that are scored, one at each usable bin's lower edge."""
+    return result.setup.band.rings.edges_ell[:-1][_usable(result)]
+
+
+# ---------------------------------------------------------------- caption
+
+
+def _caption(result: SurveyResult, names: dict[str, str]) -> str:
+    scene, first = result.setup.scene, next(iter(names))
+    recipes = {label: name for label, name in names.items() if label != OPTIMAL}
+    own = result.scores[ACTUAL]
+    against = {label: gain(result.scores[name], own) for label, name in names.items() if name != ACTUAL}
+    ratios = ", ".join(f"{item.ratio:.3f} ± {item.error:.3f} ({label})" for label, item in against.items())
+    removed = {label: result.flux_removed[name] for label, name in recipes.items()}
+    flux = _beside(removed, published()["cleaning"]["point_source_flux_removed"])
+    return (
+        f"{result.coadds.done} simulated observations of {scene.name}, co-added after each algorithm, and after the one"
+        f" that is best in each observation for a flat CMB spectrum in the scored range (optimal). Noise from"
+        f" co-adds with random signs."
+        f" Top right: noise PSD over that of unit flat band power behind beam, pixel and the algorithm's window, as"
+        f" the uncertainty that bins of one unit of ln l would have; bottom: from all data from a multipole up to"
+        f" {scene.score.ell_max}, with Monte Carlo errors; right, of the ratio. In the scored range from"
+        f" {scene.score.ell_min} it is {own.band.sigma_ukcmb2:.0f} ± {own.band.error_ukcmb2:.0f} uK_CMB^2 with {first},"
+        f" times {ratios}. Best for a flat CMB spectrum: {_shares(result, 'cmb', recipes)} %; for a point source:"
+        f" {_shares(result, 'point_source', recipes)} % of observations."
+        f" Flux of a faint point source removed: {flux} %."
+        f" The paper finds average, planar and optimal alike within errors, and quadratic subtraction less sensitive."
+    )
+
+
+def _shares(result: SurveyResult, target: str, recipes: dict[str, str]) -> str:
+    best = winners(result, target, tuple(recipes.values()))
+    return _beside({label: best[name] for label, name in recipes.items()}, published()["cleaning"][f"optimal_{target}"])
+
+
+def _beside(shares: dict[str, float], paper: dict[str, float]) -> str:
+    """Percentages by label, with the paper's where it has one."""
+    theirs = {label: f" (paper {100 * value:.0f})" for label, value in paper.items()}
+    return ", ".join(f"{label} {100 * share:.1f}{theirs.get(label, '')}" for label, share in shares.items())

@@ -1,0 +1,231 @@
+"""What one observation says of the atmosphere: wind, correlations, variances, from its time-streams alone.
+
+The truth that was drawn is kept beside it, for comparison and nothing else.
+"""
+
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.fft import rfft
+
+from mapmaker.binning import bin_map
+from mapmaker.cleaning import Cleaned, TemplateOptions, clean
+from mapmaker.cleaning.templates import AVERAGE, QUADRATIC, template_basis
+from mapmaker.correlations import PairBins, Profile, correlation_profile, pair_bins, scan_covariances
+from mapmaker.geometry import MapGeometry, boresight_pixels
+from mapmaker.spectrum import mode_ell, mode_multiplicity, mode_psd, tukey_taper
+from mapmaker.timestreams import FocalPlane, Timestreams
+from mapmaker.wind import WindFit, measure_wind, scan_velocities
+from surveysim.atmosphere.weather import Weather
+from surveysim.reduction.setup import Setup, observation_path, prepare
+from surveysim.scene.scene import Scene
+from surveysim.telescope.pointing import Pointing
+from surveysim.telescope.raster import samples_per_scan
+from surveysim.timestreams.noise import hann_psd, low_frequency_variance, white_level
+from surveysim.timestreams.observation import draw_observation, observation_weather
+
+# Multipoles, of the highest that the map's pixels hold along an axis, where no atmosphere is left in a map.
+WHITE_FROM = 0.6
+UNHIT_MAX = 0.01  # share of a map that may be unhit for a variance to be had
+LOW_FREQUENCY_HZ = 1.0  # the paper's Table 2
+WHITE_ABOVE_HZ = 2.5  # section 5.1
+CORRELATION_EDGES = np.linspace(-1.0, 1.0, 81)  # of the histograms of correlation coefficients
+# Cleanings after which noise is compared between detectors (section 5.1), and their templates.
+PAIR_CLEANINGS = {"average": AVERAGE, "quadratic": QUADRATIC}
+
+
+@dataclass(frozen=True)
+class PairNoise:
+    """Low-frequency noise of detectors and pairs of them after one cleaning, means over kept scans (section 5.1).
+
+    `variance_mk2`, `adjacent_mk2`: up to 1 Hz, means over detectors and over the covariances of adjacent pairs.
+    `white_mk2`, `adjacent_white_mk2`: what levels like those above 2.5 Hz put into that band. Of correlation
+    coefficients up to 1 Hz: `adjacent_counts` and `distant_counts` (n_edge - 1,), pairs between `CORRELATION_EDGES`;
+    `adjacent_correlation`, and `correlation` (n_bin,) by separation, means over pairs.
+    """
+
+    variance_mk2: float
+    adjacent_mk2: float
+    white_mk2: float
+    adjacent_white_mk2: float
+    adjacent_counts: np.ndarray
+    distant_counts: np.ndarray
+    adjacent_correlation: float
+    correlation: np.ndarray
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One observation measured, and the `truth` drawn for it.
+
+    `wind` in the array's frame, of which the x axis lies at `camera_angle_rad` from the direction of increasing
+    azimuth; `profile` of correlations; `track_rad` (n_scan,) how far the layer moves during a scan by the
+    measured wind; `elevation_rad` (n_scan,). `raw_mk2`: variance of mean-removed scans below 1 Hz without the
+    white level's share, mean over detectors. `map_mk2` and `map_white_mk2`: variance of the map after average
+    cleaning, and the white part of it. `pair_noise` by cleaning, without those that keep no scan or that the
+    camera has too few detectors for.
+    """
+
+    observation: int
+    truth: Weather
+    wind: WindFit
+    camera_angle_rad: float
+    profile: Profile
+    track_rad: np.ndarray
+    elevation_rad: np.ndarray
+    raw_mk2: float
+    map_mk2: float
+    map_white_mk2: float
+    pair_noise: Mapping[str, PairNoise]
+
+
+@dataclass(frozen=True)
+class MeasurementJob:
+    """What a worker does with an observation's number: the scene, which each prepares for itself."""
+
+    scene: Scene
+
+    def __call__(self, observation: int) -> Measurement:
+        """Simulate and measure."""
+        setup = prepare(self.scene)
+        streams = draw_observation(setup, observation)
+        return measure(setup, streams, observation)
+
+
+def measure(setup: Setup, streams: Timestreams, observation: int) -> Measurement:
+    """Measure the streams of one observation of a scene with an atmosphere."""
+    _, pointing = observation_path(setup, observation)
+    bounds, rate = streams.scan_bounds, setup.raster.sample_rate_hz
+    velocity = scan_velocities(streams)
+    wind = measure_wind(streams.data_mk, bounds, streams.focal_plane, rate, velocity)
+    seconds = samples_per_scan(setup.raster) / rate
+    cleaned = {name: _clean(setup, streams, name) for name in supported_cleanings(setup)}
+    variance, white = map_variances(setup, streams, pointing, cleaned["average"])
+    bins = camera_pairs(setup)
+    return Measurement(
+        observation=observation,
+        truth=observation_weather(setup, observation),
+        wind=wind,
+        camera_angle_rad=float(pointing.array_angle_rad[0] - pointing.parallactic_rad[0]),
+        profile=correlation_profile(scan_covariances(streams.data_mk, bounds), bins),
+        track_rad=np.hypot(*(wind.velocity_rad_s - velocity).T) * seconds,
+        elevation_rad=pointing.elevation_rad,
+        raw_mk2=raw_variance(setup, streams),
+        map_mk2=variance,
+        map_white_mk2=white,
+        pair_noise={name: pair_noise(item, bins, rate) for name, item in cleaned.items() if item.kept.any()},
+    )
+
+
+def _clean(setup: Setup, streams: Timestreams, name: str) -> Cleaned:
+    section = setup.scene.cleaning
+    options = TemplateOptions(section.tolerance, section.max_iterations, setup.responsivities)
+    return clean(name, streams.data_mk, streams.scan_bounds, streams.focal_plane, options)
+
+
+def camera_pairs(setup: Setup) -> PairBins:
+    """Pairs of the scene's camera by separation; raises ValueError as `pair_bins` does."""
+    plane = setup.camera.focal_plane
+    return _pairs(plane.x_rad.tobytes(), plane.y_rad.tobytes(), plane.fwhm_rad)
+
+
+@lru_cache(maxsize=2)
+def _pairs(x: bytes, y: bytes, fwhm_rad: float) -> PairBins:
+    return pair_bins(FocalPlane(np.frombuffer(x), np.frombuffer(y), fwhm_rad))
+
+
+def raw_variance(setup: Setup, streams: Timestreams) -> float:
+    """Variance [mK^2] of mean-removed scans below 1 Hz less the white level's share, mean over detectors (Table 2)."""
+    rate, n_scans = setup.raster.sample_rate_hz, setup.raster.n_scans
+    low = low_frequency_variance(streams.data_mk, n_scans, rate, LOW_FREQUENCY_HZ)
+    psd = hann_psd(streams.data_mk, n_scans, np.ones(n_scans, bool), rate)
+    white = white_level(psd, samples_per_scan(setup.raster), rate, WHITE_ABOVE_HZ)
+    return float(np.mean(low - white * LOW_FREQUENCY_HZ))
+
+
+def pair_noise(cleaned: Cleaned, bins: PairBins, sample_rate_hz: float) -> PairNoise:
+    """Noise below 1 Hz of cleaned scans of one length, side by side, and of all pairs of their detectors.
+
+    Counts as `low_frequency_variance`: modes of a scan, but for its mean, up to 1 Hz. Raises ValueError where no scan
+    is kept.
+    """
+    if not cleaned.kept.any():
+        raise ValueError("found no scan that is kept; one or more is expected")
+    n_det, n_scan = len(cleaned.data_mk), len(cleaned.kept)
+    scans = cleaned.data_mk.reshape(n_det, n_scan, -1)[:, cleaned.kept]
+    spectrum, n = rfft(scans, axis=-1), scans.shape[-1]
+    frequency = np.arange(spectrum.shape[-1]) * (sample_rate_hz / n)
+    low = (frequency > 0) & (frequency < LOW_FREQUENCY_HZ * (1 + 1e-9))
+    high = (frequency > WHITE_ABOVE_HZ) & (2 * np.arange(len(frequency)) < n)
+    covariance = _mode_covariance(spectrum[..., low], n)
+    white = _mode_covariance(spectrum[..., high], n) * (low.sum() / high.sum())
+    deviation, near = np.sqrt(np.diag(covariance)), bins.adjacent
+    pairs = bins.first, bins.second
+    correlation = np.clip(covariance[pairs] / (deviation[bins.first] * deviation[bins.second]), -1, 1)
+    return PairNoise(
+        variance_mk2=float(np.diag(covariance).mean()),
+        adjacent_mk2=float(covariance[pairs][near].mean()),
+        white_mk2=float(np.diag(white).mean()),
+        adjacent_white_mk2=float(white[pairs][near].mean()),
+        adjacent_counts=np.histogram(correlation[near], CORRELATION_EDGES)[0].astype(np.int32),
+        distant_counts=np.histogram(correlation[~near], CORRELATION_EDGES)[0].astype(np.int32),
+        adjacent_correlation=float(correlation[near].mean()),
+        correlation=bins.mean(correlation),
+    )
+
+
+def _mode_covariance(modes: np.ndarray, n: int) -> np.ndarray:
+    """Covariance (n_det, n_det) of what some modes (n_det, n_scan, n_mode) of scans of n samples hold."""
+    parts = np.ascontiguousarray(modes, np.complex128).reshape(len(modes), -1).view(np.float64)
+    return parts @ parts.T * (2 / (n**2 * modes.shape[1]))
+
+
+def supported_cleanings(setup: Setup) -> tuple[str, ...]:
+    """Those of `PAIR_CLEANINGS` whose templates the scene's camera can tell apart."""
+    plane = setup.camera.focal_plane
+    return _supported(plane.x_rad.tobytes(), plane.y_rad.tobytes(), plane.fwhm_rad)
+
+
+@lru_cache(maxsize=2)
+def _supported(x: bytes, y: bytes, fwhm_rad: float) -> tuple[str, ...]:
+    plane, names = FocalPlane(np.frombuffer(x), np.frombuffer(y), fwhm_rad), []
+    for name, terms in PAIR_CLEANINGS.items():
+        with suppress(ValueError):  # detectors too few, or on one line or conic
+            template_basis(plane, terms)
+            names.append(name)
+    return tuple(names)
+
+
+def map_variances(setup: Setup, streams: Timestreams, pointing: Pointing, cleaned: Cleaned) -> tuple[float, float]:
+    """Variance of the map of one observation's cleaned streams, and its white part [mK^2] (section 3.5).
+
+    Over the middle of the map, under a cosine taper; the white part is the level of the highest multipoles.
+    NaN for a map with gaps.
+    """
+    geometry, plane = setup.geometry, streams.focal_plane
+    angle = pointing.array_angle_rad[pointing.scan]
+    index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, angle, plane)
+    item = bin_map(geometry, cleaned.data_mk, index, streams.scan_bounds, cleaned.kept)
+    signal = np.divide(item.weighted_sum, item.hits, out=np.zeros(item.hits.shape), where=item.hits > 0)
+    taper, high, share = _map_modes(geometry, setup.scene.scan.step_rad * (setup.raster.n_scans - 1))
+    if np.sum(taper**2 * (item.hits == 0)) > UNHIT_MAX * np.sum(taper**2):
+        return np.nan, np.nan  # gaps would count as quiet sky
+    psd = mode_psd(signal, taper, geometry.pixel_rad) / geometry.pixel_rad**2
+    return float(np.sum(psd * share)), float(np.mean(psd[high]))
+
+
+@lru_cache(maxsize=2)
+def _map_modes(geometry: MapGeometry, covered_rad: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Taper (n_y, n_x) over the covered square, modes without atmosphere and every mode's share of a variance."""
+    n_y, n_x = geometry.n_y, geometry.n_x
+    side = min(covered_rad, n_x * geometry.pixel_rad)
+    ell = mode_ell(n_y, n_x, geometry.pixel_rad)
+    cells = mode_multiplicity(n_y, n_x).reshape(ell.shape)
+    return (
+        tukey_taper(n_y, n_x, geometry.pixel_rad, side, 0.5),
+        ell > WHITE_FROM * np.pi / geometry.pixel_rad,
+        cells / cells.sum(),
+    )

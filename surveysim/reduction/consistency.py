@@ -1,0 +1,305 @@
+"""What sections of a scene ask of each other: errors that need the camera or the map to be known."""
+
+import math
+
+import numpy as np
+
+from mapmaker.bandpower import flat_spectrum_psd
+from mapmaker.geometry import MapGeometry, check_nside, plane_offsets
+from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES
+from mapmaker.window import beam_window
+from surveysim.atmosphere.weather import Water
+from surveysim.reduction.cleaning_pipelines import needed_detectors
+from surveysim.reduction.scored_region import FAINTEST, padded_side
+from surveysim.scene.scene import Scene, SceneError
+from surveysim.telescope.focal_plane import Camera
+from surveysim.telescope.noise_levels import white_levels
+from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, Site, near_angles
+from surveysim.telescope.raster import Raster, samples_per_scan
+from surveysim.timestreams.noise import highest_frequency
+
+MAX_REACH_RAD = math.radians(15)
+MAX_SIDE_PIXELS = 16_384
+MAX_DETECTOR_SAMPLES = 1e11  # an hour of 100,000 detectors at 200 Hz and more: hours of computing
+MAX_SAMPLES = 1e8  # of the boresight, whose path is held whole
+MAX_SURVEY_SCANS = 2e6  # whose ephemerides take some minutes
+SCANS_AT_ONCE = 200_000  # of which angles are checked together
+MAX_COEFFICIENTS = 3e7  # of a sky on the sphere: 2 GB of memory, minutes of computing
+MAX_TURN_BEAMS = 0.1  # by which the array's edge may move as the sky turns, within half a scan
+MAX_AIRMASS_CHANGE = 0.02  # of itself, within half a scan: 2.7 % of the layer's amplitude at an index of 11/3
+FEW_MODES = 64  # along an axis, within which an empty bin is found, if there is one
+MOST_BINS = 1_000_000
+MAX_MODES = 4000  # of which the eigenvectors take half a minute a scan
+
+
+def check_templates(scene: Scene, cam: Camera) -> None:
+    """Raise SceneError when the templates have no atmosphere to follow, or too few detectors."""
+    section = scene.cleaning
+    n_det = len(cam.focal_plane.x_rad)
+    for key, steps in (("algorithm", section.algorithm), *(("compare", steps) for steps in section.compare)):
+        if scene.atmosphere is None and steps != ("none",):
+            # The iteration calibrates detectors on their common signal; without one it discards every scan.
+            found = repr(steps[0]) if len(steps) == 1 else list(steps)
+            raise SceneError(f"cleaning.{key}: found {found} without [atmosphere]; 'none' is expected")
+        _check_count(scene, steps, n_det, f"cleaning.{key}")
+        samples = math.floor(scene.scan.duration_s * scene.scan.sample_rate_hz + 1e-6)
+        if "pca" in steps and samples <= (needed := needed_detectors(section, "pca")):
+            raise SceneError(
+                f"cleaning.{key}: found 'pca' with scans of {samples} samples; {needed + 1} or more are expected, of"
+                " fewer no mode can stand out"
+            )
+        if "pca" in steps and min(samples, n_det) > MAX_MODES:
+            raise SceneError(
+                f"cleaning.{key}: found 'pca' with {n_det} detectors and scans of {samples} samples; "
+                f"{MAX_MODES} or fewer of one are expected, as it takes all eigenvectors of the smaller number"
+            )
+        cycles = scene.scan.duration_s * HIGHEST_HZ
+        if "wind" in steps and (cycles < LEAST_CYCLES or scene.scan.sample_rate_hz <= 2 * HIGHEST_HZ):
+            raise SceneError(
+                f"cleaning.{key}: found 'wind' with scans of {scene.scan.duration_s:g} s at"
+                f" {scene.scan.sample_rate_hz:g} Hz; {LEAST_CYCLES / HIGHEST_HZ:g} s or more at more than"
+                f" {2 * HIGHEST_HZ:g} Hz are expected to measure it"
+            )
+
+
+def check_size(scene: Scene, cam: Camera) -> None:
+    """Raise SceneError for a map beyond the tangent plane's use, or arrays that no machine would hold."""
+    scan = scene.scan
+    extent = reach(scene, cam)
+    if extent > MAX_REACH_RAD:
+        raise SceneError(
+            f"scan: found a map that reaches {math.degrees(extent):.4g} deg from its centre with this speed, duration, "
+            f"step, dither and camera; {math.degrees(MAX_REACH_RAD):g} deg or less is expected"
+        )
+    side = 2 * extent / scene.map.pixel_rad
+    if side > MAX_SIDE_PIXELS:
+        raise SceneError(f"map.pixel: found a map of {side:.4g} pixels a side; {MAX_SIDE_PIXELS} or less are expected")
+    samples = len(cam.focal_plane.x_rad) * scan.scans * scan.duration_s * scan.sample_rate_hz
+    if samples > MAX_DETECTOR_SAMPLES:
+        raise SceneError(
+            f"scan.sample_rate: found {samples:.3g} detector-samples an observation; "
+            f"{MAX_DETECTOR_SAMPLES:g} or less are expected"
+        )
+    boresight = scan.scans * scan.duration_s * scan.sample_rate_hz
+    if boresight > MAX_SAMPLES:
+        raise SceneError(
+            f"scan.sample_rate: found {boresight:.3g} samples an observation; {MAX_SAMPLES:g} or less are expected"
+        )
+    if scene.observations * scan.scans > MAX_SURVEY_SCANS:
+        raise SceneError(
+            f"observations: found {scene.observations * scan.scans:.3g} scans in all; "
+            f"{MAX_SURVEY_SCANS:g} or less are expected"
+        )
+
+
+def check_motion(scene: Scene, cam: Camera, site: Site, starts: Schedule, mid_time_s: np.ndarray) -> float:
+    """Raise SceneError for scans within which the sky turns, or its airmass changes, by more than may be neglected.
+
+    Only scans that might move too far, by the largest rates that there are at their elevation, have the angles of their
+    ends computed. Gives back the lowest elevation [rad] of all scans.
+    """
+    lowest = math.inf
+    step = max(1, SCANS_AT_ONCE // len(mid_time_s))
+    for first in range(0, len(starts.start_mjd), step):
+        some = np.arange(first, min(first + step, len(starts.start_mjd)))
+        elevation, parallactic = near_angles(site, starts.some(some), mid_time_s)
+        lowest = min(lowest, float(elevation.min()))
+        _check_some_motion(scene, cam, site, starts, mid_time_s, some, elevation, parallactic)
+    return lowest
+
+
+def _check_some_motion(
+    scene: Scene,
+    cam: Camera,
+    site: Site,
+    starts: Schedule,
+    mid_time_s: np.ndarray,
+    which: np.ndarray,
+    elevation_rad: np.ndarray,
+    parallactic_rad: np.ndarray,
+) -> None:
+    """The same of the observations `which` (n,), with angles (n, n_scan) of the middle of their scans."""
+    half_s = scene.scan.duration_s / 2
+    most_up_rad = half_s * SIDEREAL_RAD_S * math.cos(site.latitude_rad)
+    most_turn_rad = most_up_rad / np.cos(np.minimum(elevation_rad + most_up_rad, math.pi / 2))
+    most_airmass = np.sin(elevation_rad) / np.sin(np.maximum(elevation_rad - most_up_rad, 1e-3)) - 1
+    allowed_rad = MAX_TURN_BEAMS * scene.instrument.beam_fwhm_rad
+    doubtful = (most_turn_rad * cam.radius_rad > allowed_rad) | (most_airmass > MAX_AIRMASS_CHANGE)
+    rows = np.flatnonzero(doubtful.any(axis=1))
+    for side in (-half_s, half_s):
+        end_up, end_angle = near_angles(site, starts.some(which[rows]), mid_time_s + side)
+        turn = np.abs((end_angle - parallactic_rad[rows] + math.pi) % (2 * math.pi) - math.pi)
+        change = np.abs(np.sin(elevation_rad[rows]) / np.sin(np.maximum(end_up, 1e-3)) - 1)
+        wrong = (turn * cam.radius_rad > allowed_rad) | (change > MAX_AIRMASS_CHANGE)
+        for place in np.flatnonzero(wrong.any(axis=1))[:1]:
+            number, up = int(which[rows[place]]), elevation_rad[rows[place]]
+            _check_turn(number, up, turn[place], cam.radius_rad, allowed_rad)
+            _check_airmass(number, up, change[place])
+
+
+def _check_turn(number: int, up_rad: np.ndarray, turn_rad: np.ndarray, radius_rad: float, allowed_rad: float) -> None:
+    worst = int(np.argmax(turn_rad))
+    if turn_rad[worst] * radius_rad > allowed_rad:
+        raise SceneError(
+            f"scan.duration: found scans of observation {number}, at {math.degrees(up_rad[worst]):.1f} deg elevation,"
+            f" in half of which the sky turns by {math.degrees(turn_rad[worst]):.2g} deg and the array's edge moves by"
+            f" {math.degrees(turn_rad[worst] * radius_rad) * 3600:.3g} arcsec on it; {MAX_TURN_BEAMS:g} of a beam,"
+            f" {math.degrees(allowed_rad) * 3600:.3g} arcsec, or less is expected: shorter scans, or a field that stays"
+            " away from the zenith"
+        )
+
+
+def _check_airmass(number: int, up_rad: np.ndarray, change: np.ndarray) -> None:
+    worst = int(np.argmax(change))
+    if change[worst] > MAX_AIRMASS_CHANGE:
+        raise SceneError(
+            f"scan.duration: found scans of observation {number}, at {math.degrees(up_rad[worst]):.1f} deg elevation,"
+            f" in half of which the airmass changes by {change[worst]:.2g} of itself; {MAX_AIRMASS_CHANGE:g} or less is"
+            " expected: shorter scans, or a higher schedule.min_elevation"
+        )
+
+
+def check_levels(scene: Scene, water: Water | None, lowest_rad: float) -> None:
+    """Raise ValueError where noise by power is no level of a stream in the wettest weather at the lowest elevation."""
+    wettest_mm = max(scene.atmosphere.pwv_mm) if water else math.nan
+    white_levels(scene, water.opacity if water else None, wettest_mm, lowest_rad)
+
+
+def check_sources(scene: Scene, grid: MapGeometry) -> None:
+    """Raise SceneError for a point source that no detector can see: three beams or more beyond the sky `grid`."""
+    for number, source in enumerate(scene.sky.point_sources if scene.sky else ()):
+        offsets = plane_offsets(grid, source.ra_rad, source.dec_rad)
+        allowed_rad = grid.n_x * grid.pixel_rad / 2 + 3 * scene.instrument.beam_fwhm_rad
+        # Written so that NaN, of a direction behind the plane, is refused.
+        if not np.max(np.abs(offsets)) <= allowed_rad:
+            distance = _separation(grid, source.ra_rad, source.dec_rad)
+            raise SceneError(
+                f"sky.point_sources.{number}: found a source {math.degrees(distance):.4g} deg from the field's centre,"
+                f" outside the map; one within {math.degrees(allowed_rad):.4g} deg in right ascension and declination"
+                " is expected"
+            )
+
+
+def _separation(grid: MapGeometry, ra_rad: float, dec_rad: float) -> float:
+    """Angle [rad] of a direction from the centre of a map (haversine)."""
+    across = math.cos(dec_rad) * math.cos(grid.dec0_rad) * math.sin((ra_rad - grid.ra0_rad) / 2) ** 2
+    return 2 * math.asin(min(1.0, math.sqrt(math.sin((dec_rad - grid.dec0_rad) / 2) ** 2 + across)))
+
+
+def check_excess(scene: Scene) -> None:
+    """Raise SceneError when a scan is too short to hold the excess' band."""
+    if scene.excess and scene.excess.band_limit_hz * scene.scan.duration_s <= 1:
+        raise SceneError(
+            f"excess.band_limit: found {scene.excess.band_limit_hz:g} Hz; "
+            f"more than 1 / scan.duration = {1 / scene.scan.duration_s:g} Hz is expected"
+        )
+
+
+def check_masked(scene: Scene, masked: np.ndarray) -> None:
+    """Raise SceneError when the mask leaves too few detectors for the templates."""
+    _check_count(scene, scene.cleaning.algorithm, len(masked), "score.mask_separation_f_lambda")
+
+
+def _check_count(scene: Scene, steps: tuple[str, ...], n_det: int, key: str) -> None:
+    for name in steps:
+        needed = needed_detectors(scene.cleaning, name)
+        if n_det < needed:
+            raise SceneError(f"{key}: found {n_det} detectors; {name!r} needs {needed} or more")
+
+
+def check_score(scene: Scene, geometry: MapGeometry, lines: Raster) -> None:
+    """Raise SceneError when the map or the sample rate can't carry the score."""
+    if scene.score is None:
+        return
+    extent = geometry.n_x * geometry.pixel_rad
+    if scene.score.size_rad > extent:
+        found, allowed = (math.degrees(x) * 60 for x in (scene.score.size_rad, extent))
+        raise SceneError(f"score.size: found {found:.4g} arcmin; the map's {allowed:.4g} arcmin or less is expected")
+    nyquist = math.pi / geometry.pixel_rad
+    if scene.score.ell_max > nyquist:
+        raise SceneError(
+            f"score.ell_max: found {scene.score.ell_max}; the map pixel's {nyquist:.0f} or less is expected"
+        )
+    check_bins(scene, geometry)
+    highest = highest_frequency(samples_per_scan(lines), lines.sample_rate_hz)
+    if scene.score.white_above_hz >= highest:
+        raise SceneError(
+            f"score.white_above: found {scene.score.white_above_hz:g} Hz; "
+            f"less than {highest:.4g} Hz, the highest frequency of a scan, is expected"
+        )
+
+
+def check_healpix(scene: Scene) -> None:
+    """Raise SceneError for a HEALPix map that is too fine for the map's pixels to fill."""
+    if scene.map.healpix_nside is not None:
+        try:
+            check_nside("map.healpix_nside", scene.map.healpix_nside, scene.map.pixel_rad)
+        except ValueError as error:
+            raise SceneError(str(error)) from None
+
+
+def check_bins(scene: Scene, geometry: MapGeometry) -> None:
+    """Raise SceneError where no bin is scored, one has no Fourier mode, or the beam lets nothing through.
+
+    Modes are whole steps apart along both axes. The radii 1 and sqrt(2) are 0.41 steps apart, and beyond 64 steps no
+    neighbours are further than 0.2: bins that hold modes up to there hold some everywhere.
+    """
+    score, pixel = scene.score, geometry.pixel_rad
+    step = 2 * math.pi / (padded_side(score.size_rad, geometry) * pixel)
+    last = max(score.ell_max, score.ell_min + score.ell_bin)
+    n_bin = min(last // score.ell_bin, max(2, math.ceil(FEW_MODES * step / score.ell_bin)), MOST_BINS)
+    few = np.arange(FEW_MODES + 2)
+    radius = np.unique(np.hypot(few[:, None], few)) * step
+    held = np.unique((radius // score.ell_bin).astype(int))
+    missing = np.setdiff1d(np.arange(n_bin), held)
+    if len(missing):
+        first = int(missing[0]) * score.ell_bin
+        raise SceneError(
+            f"score.ell_bin: no Fourier mode of the map has {first} <= ell < {first + score.ell_bin}; wider bins or a"
+            " larger map are expected"
+        )
+    lowest = -(-score.ell_min // score.ell_bin) * score.ell_bin
+    if lowest + score.ell_bin > score.ell_max:
+        raise SceneError(f"score.ell_bin: found {score.ell_bin}; a bin within ell_min to ell_max is expected")
+    ell = np.array([min(score.ell_min + step, score.ell_max)])
+    if not (flat_spectrum_psd(ell) * beam_window(ell, scene.instrument.beam_fwhm_rad))[0] > FAINTEST:
+        raise SceneError(f"score.ell_min: found {score.ell_min}; multipoles that the beam lets through are expected")
+
+
+def check_sky(scene: Scene, geometry: MapGeometry) -> None:
+    """Raise SceneError for a sky on the sphere that ends within the scored multipoles, or that is too large to make.
+
+    A taper mixes what lies within twice its resolution: above the last bin a sky without that would lack more than
+    1 % there.
+    """
+    if scene.sky is None or scene.sky.curved_lmax is None:
+        return
+    lmax, score = scene.sky.curved_lmax, scene.score
+    if score is not None:
+        needed = math.ceil(score.ell_max + 4 * math.pi / score.size_rad)
+        if lmax < needed:
+            raise SceneError(
+                f"sky.curved_lmax: found {lmax}; {needed} or more is expected, which holds what the score's multipoles "
+                f"up to {score.ell_max} take in through its taper"
+            )
+    coefficients = sky_coefficients(lmax, geometry)
+    if coefficients > MAX_COEFFICIENTS:
+        raise SceneError(
+            f"sky.curved_lmax: found {lmax}, which takes {coefficients:.2g} coefficients for a field of this size; "
+            f"{MAX_COEFFICIENTS:.0e} or fewer are expected"
+        )
+
+
+def sky_coefficients(lmax: int, geometry: MapGeometry) -> int:
+    """Coefficients of a sky on the sphere up to a multipole, of the orders that reach a field."""
+    from surveysim.timestreams.sky import highest_order
+
+    return (lmax + 1) * (highest_order(geometry, lmax) + 1)
+
+
+def reach(scene: Scene, cam: Camera) -> float:
+    """Largest offset of a sample from the field's centre, along either axis [rad]."""
+    scan = scene.scan
+    along = scan.speed_rad_s * scan.duration_s / 2
+    across = scan.step_rad * (scan.scans - 1) / 2
+    return max(along, across) + scan.dither_rad / 2 + cam.radius_rad

@@ -1,0 +1,354 @@
+"""One observation reduced: cleaning by every recipe, maps of every data set, noise levels, the best recipe.
+
+It goes over the blocks of the observation and adds up what they leave; the simulated sets, which need the PSDs that
+were measured in all of them, go over the blocks once more.
+"""
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from mapmaker.chunks import row_chunks
+from mapmaker.cleaning import Cleaned
+from mapmaker.cleaning.responsivity import OBSERVATION
+from mapmaker.geometry import boresight_pixels
+from mapmaker.kernels.pixels import bin_samples
+from mapmaker.timestreams import Timestreams, timestream_file
+from surveysim.atmosphere.weather import Weather
+from surveysim.reduction.cleaning_pipelines import OPTIMAL, Beside, Recipe, apply_recipe, what_is_beside
+from surveysim.reduction.figure_of_merit import TARGETS, best_places, merits
+from surveysim.reduction.noise_only_sets import add_simulated, mean_removed
+from surveysim.reduction.setup import Setup, observation_path, prepare
+from surveysim.scene.scene import Scene
+from surveysim.telescope.pointing import Pointing
+from surveysim.telescope.raster import samples_per_scan
+from surveysim.timestreams.noise import hann_power, hann_scale, white_level
+from surveysim.timestreams.observation import Stopwatch, add_sky_signal, draw_block, draw_colours, observation_weather
+from surveysim.timestreams.scan_blocks import Block
+
+REFERENCE = (0, 1)  # observations that tell what recipes leave of a signal: one along each direction
+
+
+@dataclass(frozen=True)
+class ObservationResult:
+    """What one observation leaves behind: maps and sums, never time-streams.
+
+    `sums` (n_set, n_y, n_x) of the streams' type [mK] with `hits` (n_set, n_y, n_x) int32 or int64; `noise_mk2`
+    (n_set,), the noise variance a sample in the scored band, by which observations are weighted, and `bin_noise_mk2`
+    (n_set, n_bin) that in each bin of multipole, without bins where there is no score; `window` (n_sky,
+    n_window, 2, n, n) of that type on the scored patch, signal of the window skies binned without [0] and with [1]
+    cleaning for each of the setup's windows, or None; `discarded`, `iterations` and `removed` (templates a scan) per
+    recipe; `merits` (n_recipe, n_target) figures of merit of the recipes for all detectors, or None without a choice;
+    `raw_psd` and `clean_psd` (n_freq,) [mK^2/Hz], means over detectors, `compared_psd` (n_compare, n_freq) that of the
+    other recipes; `seconds` spent per stage.
+    """
+
+    observation: int
+    sums: np.ndarray
+    hits: np.ndarray
+    noise_mk2: np.ndarray
+    bin_noise_mk2: np.ndarray
+    window: np.ndarray | None
+    discarded: tuple[int, ...]
+    iterations: tuple[float, ...]
+    removed: tuple[float, ...]
+    merits: np.ndarray | None
+    weather: Weather | None
+    elevation_rad: float
+    raw_psd: np.ndarray
+    clean_psd: np.ndarray
+    compared_psd: np.ndarray
+    white_mk2_hz: float
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+Map = tuple[np.ndarray, np.ndarray]  # sums and hits, (n_y, n_x) each
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One block on its way to maps: `index` (n_det, n_samp) of pixels, `cleaned` per recipe, what they know beside."""
+
+    setup: Setup
+    observation: int
+    block: Block
+    pointing: Pointing
+    streams: Timestreams
+    index: np.ndarray
+    beside: Beside
+    cleaned: tuple[Cleaned, ...]
+
+
+@dataclass
+class _Sums:
+    """What the blocks of one observation add up to; it grows by one block at a time.
+
+    `maps` by data set, float64 sums [mK] and int64 hits (n_y n_x,) each; `window` (n_sky, n_window, 2, n_y n_x) float64
+    or None; `power` (n_det, n_freq) of the actual data's kept scans (`hann_power`). Of each block: `kept`,
+    `iterations` and `removed` (n_recipe, n_scan), and PSDs (n_freq,) [mK^2/Hz], means over its detectors and kept
+    scans, with the number of these scans: `raw`, and `compared` of the other recipes.
+    """
+
+    maps: dict[str, Map]
+    window: np.ndarray | None
+    power: np.ndarray
+    kept: list[np.ndarray] = field(default_factory=list)
+    iterations: list[np.ndarray] = field(default_factory=list)
+    removed: list[np.ndarray] = field(default_factory=list)
+    raw: list[tuple[int, np.ndarray]] = field(default_factory=list)
+    compared: list[list[tuple[int, np.ndarray]]] = field(default_factory=list)
+
+
+def observe(setup: Setup, observation: int, with_window: bool, path: Path | None = None) -> ObservationResult:
+    """Simulate, clean and bin one observation: every data set, and the window skies where asked.
+
+    With a `path`, its time-streams before cleaning are written there.
+    """
+    watch, (_, pointing) = Stopwatch(), observation_path(setup, observation)
+    sums = _empty_sums(setup, with_window)
+    with nullcontext(_let_go) if path is None else timestream_file(path, len(pointing.time_s)) as save:
+        for block in setup.blocks:
+            _add_block(sums, setup, observation, pointing, block, save, watch)
+    kept = np.concatenate(sums.kept, axis=1)
+    psd = sums.power / max(1, kept[0].sum()) * _psd_scale(setup)
+    white = np.full(1, np.nan)
+    if setup.scene.score:
+        n, rate = samples_per_scan(setup.raster), setup.raster.sample_rate_hz
+        white = white_level(psd, n, rate, setup.scene.score.white_above_hz)
+        add_simulated(sums.maps, sums.kept, setup, observation, pointing, psd=psd, white=white, watch=watch)
+    maps = {name: _plane(setup, *item) for name, item in sums.maps.items()}
+    worth, best = None, 0
+    if setup.chooses:
+        with watch("choice"):
+            of_recipes = [maps[recipe.data_set] for recipe in setup.whole_recipes]
+            worth = merits(setup, transmissions(setup.scene), of_recipes)
+        best = max(0, int(best_places(worth[:, 0])))
+        maps[OPTIMAL] = maps[setup.whole_recipes[best].data_set]
+    ordered = [maps[name] for name in setup.data_sets]
+    total, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
+    with watch("weights"):
+        noise, of_bins = (np.array(part) for part in zip(*(map_noise(setup, *item) for item in ordered), strict=True))
+    removed = np.concatenate(sums.removed, axis=1)
+    compared = [_mean_psd(list(of_recipe)) for of_recipe in zip(*sums.compared, strict=True)]
+    return ObservationResult(
+        observation=observation,
+        sums=total,
+        hits=hits,
+        noise_mk2=noise,
+        bin_noise_mk2=of_bins,
+        window=_window_maps(setup, sums.window, best),
+        discarded=tuple((~kept).sum(axis=1).tolist()),
+        iterations=tuple(np.concatenate(sums.iterations, axis=1).mean(axis=1).tolist()),
+        removed=tuple(float(row[_some(of)].mean()) for row, of in zip(removed, kept, strict=True)),
+        merits=worth,
+        weather=observation_weather(setup, observation),
+        elevation_rad=float(pointing.elevation_rad.mean()),
+        raw_psd=_mean_psd(sums.raw),
+        clean_psd=psd.mean(axis=0),
+        compared_psd=np.array(compared).reshape(-1, psd.shape[1]),
+        white_mk2_hz=float(white.mean()),
+        seconds=watch.seconds,
+    )
+
+
+def kept_scans(setup: Setup, observation: int) -> np.ndarray:
+    """Scans that each recipe keeps of an observation, (n_recipe, n_scan) bool of the setup's blocks."""
+    _, pointing = observation_path(setup, observation)
+    parts = (_reduce(setup, observation, pointing, block, Stopwatch()) for block in setup.blocks)
+    return np.concatenate([[item.kept for item in part.cleaned] for part in parts], axis=1)
+
+
+def _let_go(streams: Timestreams) -> None:
+    """What becomes of streams that are not saved."""
+
+
+def _empty_sums(setup: Setup, with_window: bool) -> _Sums:
+    n_pixel = setup.geometry.n_y * setup.geometry.n_x
+    names = [name for name in setup.data_sets if name != OPTIMAL]
+    maps = {name: (np.zeros(n_pixel), np.zeros(n_pixel, np.int64)) for name in names}
+    power = np.zeros((setup.n_det, samples_per_scan(setup.raster) // 2 + 1))
+    return _Sums(maps, _empty_window(setup) if with_window else None, power)
+
+
+def _add_block(
+    sums: _Sums,
+    setup: Setup,
+    observation: int,
+    pointing: Pointing,
+    block: Block,
+    save: Callable[[Timestreams], None],
+    watch: Stopwatch,
+) -> None:
+    """Make one block and add what it leaves; its streams are gone when this returns."""
+    part = _reduce(setup, observation, pointing, block, watch)
+    save(part.streams)
+    with watch("spectra"):
+        _add_spectra(sums, part)
+    for recipe, item in zip(setup.recipes, part.cleaned, strict=True):
+        with watch("binning"):
+            _bin(part, item.data_mk, recipe, item.kept, *sums.maps[recipe.data_set])
+    for name in ("kept", "iterations", "removed"):
+        getattr(sums, name).append(np.array([getattr(item, name) for item in part.cleaned]))
+    if sums.window is not None:
+        with watch("window"):
+            _add_window(sums.window, part)
+
+
+def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> _Part:
+    """Draw and clean one block of an observation that is pointed as a `whole`."""
+    streams = draw_block(setup, observation, whole, block, watch)
+    pointing, plane = whole.scans(block.first, block.end), streams.focal_plane
+    with watch("pixels"):
+        angle = pointing.array_angle_rad[pointing.scan]
+        index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane)
+    with watch("wind"):
+        colours = draw_colours(setup, observation, whole, block)
+        rate = setup.raster.sample_rate_hz
+        beside = what_is_beside(setup.recipes, streams, colours, setup.calibration, rate)
+    cleaned, everyone = [], np.ones(block.n_scans, bool)
+    for recipe in setup.recipes:
+        with watch("cleaning" if recipe.steps == setup.scene.cleaning.algorithm else f"cleaning {recipe.label}"):
+            cleaned.append(_clean(setup, recipe, streams, streams.data_mk[recipe.rows], beside, everyone))
+    return _Part(setup, observation, block, pointing, streams, index, beside, tuple(cleaned))
+
+
+def _clean(
+    setup: Setup, recipe: Recipe, streams: Timestreams, data_mk: np.ndarray, beside: Beside, scans: np.ndarray
+) -> Cleaned:
+    """Clean some scans (n_scan,) bool of the streams of a recipe's detectors; the result knows of no others."""
+    plane, rate = streams.focal_plane.subset(recipe.rows), setup.raster.sample_rate_hz
+    beside = replace(beside, delays_s_rad=beside.delays_s_rad[scans])
+    return apply_recipe(setup.scene.cleaning, recipe, data_mk, streams.scan_bounds[scans], plane, beside, rate)
+
+
+def _add_spectra(sums: _Sums, part: _Part) -> None:
+    data, n_scans, scale = part.streams.data_mk, part.block.n_scans, _psd_scale(part.setup)
+    actual, *others = part.cleaned[: len(part.setup.whole_recipes)]
+    sums.power += hann_power(actual.data_mk, n_scans, actual.kept)
+    everyone = np.ones(n_scans, bool)
+    raw = [hann_power(mean_removed(data[rows], n_scans), n_scans, everyone) for rows in row_chunks(*data.shape)]
+    sums.raw.append((n_scans, (np.concatenate(raw) / n_scans * scale).mean(axis=0)))
+    powers = [(int(item.kept.sum()), hann_power(item.data_mk, n_scans, item.kept)) for item in others]
+    sums.compared.append([(n, (power / max(1, n) * scale).mean(axis=0)) for n, power in powers])
+
+
+def _psd_scale(setup: Setup) -> float:
+    return hann_scale(samples_per_scan(setup.raster), setup.raster.sample_rate_hz, setup.stream_type)
+
+
+def _mean_psd(blocks: list[tuple[int, np.ndarray]]) -> np.ndarray:
+    """Mean PSD (n_freq,) over all scans, from means over the scans of each block; 0 without a scan."""
+    n_scans = max(1, sum(n for n, _ in blocks))
+    return sum(psd * (n / n_scans) for n, psd in blocks)
+
+
+def map_noise(setup: Setup, total: np.ndarray, hits: np.ndarray) -> tuple[float, np.ndarray]:
+    """Noise variance a sample [mK^2] of one observation's map, and that in each bin (n_bin,); inf without a hit.
+
+    With a score: in the multipoles and with the weights that a flat band power gives them,
+    ``sum M^2 |FT(T S)|^2 / (sum M^2 sum T^2 H)``, for sums S and hits H under the taper T: white noise of
+    variance v a sample has v. It counts correlations between detectors, which a time-stream PSD can't
+    see. Without a score: the mean of ``S^2 / H`` over hit pixels, and no bins.
+    """
+    if setup.band is None:
+        hit = hits > 0
+        return float(np.mean(total[hit].astype(float) ** 2 / hits[hit])) if hit.any() else np.inf, np.zeros(0)
+    rows = setup.band.patch
+    return setup.band.noise(total[rows, rows], hits[rows, rows])
+
+
+def _some(kept: np.ndarray) -> np.ndarray:
+    """The kept scans, or all (of zeros) where none is kept, so that a mean is defined."""
+    return kept if kept.any() else np.ones_like(kept)
+
+
+def _bin(
+    part: _Part, data_mk: np.ndarray, recipe: Recipe, kept: np.ndarray, total: np.ndarray, hits: np.ndarray
+) -> None:
+    """Add the kept scans of a recipe's detectors to a map's sums and hits, in place."""
+    bin_samples(data_mk, part.index[recipe.rows], part.streams.scan_bounds, kept, total, hits)
+
+
+def _plane(setup: Setup, total: np.ndarray, hits: np.ndarray) -> Map:
+    shape = (setup.geometry.n_y, setup.geometry.n_x)
+    kind = np.int32 if hits.max() < 2**31 else np.int64
+    return total.reshape(shape).astype(setup.stream_type), hits.reshape(shape).astype(kind)
+
+
+def _empty_window(setup: Setup) -> np.ndarray:
+    return np.zeros((len(setup.window_skies_mk), len(setup.windows), 2, setup.geometry.n_y * setup.geometry.n_x))
+
+
+def _add_window(window: np.ndarray, part: _Part) -> None:
+    """Add the signal of each window sky without and with cleaning, the difference that it makes to the cleaned data."""
+    setup, streams = part.setup, part.streams
+    hits, signal = np.zeros(window.shape[-1], np.int64), np.empty_like(streams.data_mk)
+    for s, sky in enumerate(setup.window_skies_mk):
+        signal[:] = 0
+        add_sky_signal(setup, part.pointing, sky, signal, setup.responsivity)
+        for recipe, base in zip(setup.recipes, part.cleaned, strict=True):
+            rows, place = recipe.rows, setup.windows.index(recipe.data_set)
+            scans = _cleaned_again(setup, recipe, base.kept)
+            both = _clean(setup, recipe, streams, streams.data_mk[rows] + signal[rows], part.beside, scans)
+            kept = base.kept.copy()
+            kept[scans] &= both.kept
+            if scans is not base.kept and not np.array_equal(kept, base.kept):
+                kept[:] = False  # another fit: the difference is not the signal's alone
+            difference = both.data_mk
+            difference -= base.data_mk
+            for state, data in enumerate((signal[rows], difference)):
+                _bin(part, data, recipe, kept, window[s, place, state], hits)
+
+
+def _cleaned_again(setup: Setup, recipe: Recipe, kept: np.ndarray) -> np.ndarray:
+    """Scans (n_scan,) bool that are cleaned once more, with a signal: those that are kept without it.
+
+    Discarded ones take all iterations in vain. Where all scans share one fit, all have their part in it again, unless
+    it failed.
+    """
+    together = setup.scene.cleaning.responsivities == OBSERVATION and recipe.takes_responsivities
+    return np.ones_like(kept) if together and kept.any() else kept
+
+
+def _window_maps(setup: Setup, window: np.ndarray | None, best: int) -> np.ndarray | None:
+    """Window skies as maps of the scored patch, those of the optimal set taken from the recipe that is best."""
+    if window is None:
+        return None
+    maps, patch = window.reshape(*window.shape[:3], setup.geometry.n_y, setup.geometry.n_x), setup.band.patch
+    maps = maps[..., patch, patch].astype(setup.stream_type)
+    if setup.chooses:
+        chosen = setup.windows.index(setup.whole_recipes[best].data_set)
+        maps[:, setup.windows.index(OPTIMAL)] = maps[:, chosen]
+    return maps
+
+
+@lru_cache(maxsize=2)
+def transmissions(scene: Scene) -> np.ndarray:
+    """What each recipe leaves of the power of a flat CMB sky and of a point source, (n_recipe, 2, n_bin).
+
+    From the observations of `REFERENCE`, of several blocks that in the middle of the map; 0 for a recipe that discards
+    all their scans.
+    """
+    setup = prepare(scene)
+    middle = setup.blocks[len(setup.blocks) // 2]
+    setup = replace(setup, made=setup.made | {"window_skies_mk": setup.window_skies_mk[[0, -1]]})
+    everywhere = np.ones_like(setup.band.taper)
+    powers = np.zeros((len(setup.whole_recipes), len(TARGETS), 2, len(setup.band.rings.ell)))
+    for observation in REFERENCE:
+        maps = _window_maps(setup, _window_alone(setup, observation % scene.observations, middle), 0)
+        for r, recipe in enumerate(setup.whole_recipes):
+            place = setup.windows.index(recipe.data_set)
+            for s, state in np.ndindex(powers.shape[1:3]):
+                powers[r, s, state] += setup.band.ring_noise(maps[s, place, state], everywhere)
+    return np.divide(powers[:, :, 1], powers[:, :, 0], out=np.zeros_like(powers[:, :, 0]), where=powers[:, :, 0] > 0)
+
+
+def _window_alone(setup: Setup, observation: int, block: Block) -> np.ndarray:
+    """The window skies of one block of an observation, and nothing else of it."""
+    window, (_, pointing) = _empty_window(setup), observation_path(setup, observation)
+    _add_window(window, _reduce(setup, observation, pointing, block, Stopwatch()))
+    return window

@@ -1,0 +1,120 @@
+"""Limits that a run would meet while it draws, foreseen: the layer's strips in the worst weather, and memory."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from surveysim.atmosphere.weather import Water, draw_weather, fastest_wind
+from surveysim.runtime.memory import machine_bytes
+from surveysim.runtime.rng import Stage, generator
+from surveysim.scene.scene import Scene, SceneError
+from surveysim.telescope.pixel_coherence import MOST_DENSE
+from surveysim.telescope.raster import Raster, samples_per_scan
+
+if TYPE_CHECKING:
+    from surveysim.atmosphere.screen_simulation import SlantStrips
+
+PROGRAM_BYTES = 250e6  # Python and the libraries
+MOST_DRAWN = 1000  # observations whose weather is drawn to be checked
+
+
+def check_layer(
+    scene: Scene, strips: "SlantStrips | None", water: Water | None, radius_rad: float, lines: Raster, lowest_rad: float
+) -> int:
+    """Raise SceneError where a run would meet weather, or a strip of the layer, that it can't draw.
+
+    The weather of so many observations is drawn; of larger surveys it is weather so extreme that hardly one of their
+    length has it. The strip is that of the longest track at the lowest elevation. Gives back the elements of its
+    matrices; 0 without a layer.
+    """
+    if strips is None:
+        return 0
+    drawn = scene.observations <= MOST_DRAWN
+    wind = _drawn_wind(scene, water) if drawn else fastest_wind(scene.atmosphere, water, scene.observations)
+    return _check_strip(strips, wind, radius_rad, lines, lowest_rad)
+
+
+def _drawn_wind(scene: Scene, water: Water | None) -> float:
+    """The fastest wind [rad/s] of all observations; raises ValueError for weather that is no number for a stream."""
+    rngs = (generator(scene.seed, Stage.WEATHER, number) for number in range(scene.observations))
+    return max(draw_weather(scene.atmosphere, water, rng).wind_speed_rad_s for rng in rngs)
+
+
+def _check_strip(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, lines: Raster, lowest_rad: float) -> int:
+    from surveysim.atmosphere.strip_limits import check_strip
+
+    sine = math.sin(lowest_rad)
+    seconds = (samples_per_scan(lines) - 1) / lines.sample_rate_hz
+    longest = (2 * radius_rad + (lines.speed_rad_s + wind_rad_s) * seconds) / sine
+    cache = strips.at(sine)
+    try:
+        return check_strip(cache, longest)
+    except ValueError as error:
+        wind = math.degrees(wind_rad_s) * 60
+        raise SceneError(
+            f"atmosphere: {error} (tracks through the layer are up to {math.degrees(longest):.3g} deg long, in wind of"
+            f" {wind:.3g} arcmin / s)"
+        ) from None
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of the arrays of a run: detectors, samples of a scan, scans of the largest block, bands that are drawn,
+    map pixels in all and along a side of the scored patch and of the padded one, data sets, windows, skies, numbers
+    of a strip's matrices, and coefficients of a curved sky.
+    """
+
+    n_det: int
+    n_samp: int
+    n_scans: int
+    n_bands: int
+    n_pixel: int
+    n_patch: int
+    n_pad: int
+    n_set: int
+    n_window: int
+    n_sky: int
+    strip_elements: int
+    n_coefficients: int
+
+
+def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
+    """Bytes that the largest process of a run takes about, by the key that has most to do with them.
+
+    Counted are arrays that are there at one time, of which the largest have been measured; a run takes between half and
+    twice as much.
+    """
+    real = 4 if scene.numerics.precision == "float32" else 8
+    n_freq, patch, flips = of.n_samp // 2 + 1, of.n_patch**2, scene.score.jackknives if scene.score else 0
+    skies = of.n_sky * (8 * 4 * of.n_pixel + 16 * of.n_window * of.n_pixel + 40 * of.n_window * patch)
+    shared = any(section and section.coherence != "none" for section in (scene.photon, scene.excess))
+    pairs = of.n_det**2 if shared and of.n_det <= MOST_DENSE else 0
+    compared = 2 + len(scene.cleaning.compare)
+    needed = {
+        "numerics.stream_memory": of.n_det * of.n_samp * of.n_scans * (5 + of.n_bands) * real + 16 * of.n_det * n_freq,
+        "scan.sample_rate": 100.0 * scene.scan.scans * of.n_samp,
+        "map.pixel": 64.0 * of.n_set * of.n_pixel + (140.0 * of.n_pixel if scene.sky or scene.score else 0),
+        "score.window.skies": float(skies),
+        "score.jackknives": 12.0 * flips * of.n_set * patch,
+        "score.size": 110.0 * of.n_pad**2,
+        "atmosphere.layer_height": 32.0 * of.strip_elements,
+        "instrument.layout": 32.0 * pairs,
+        "observations": 8.0 * scene.observations * (compared * n_freq + 4 * scene.scan.scans),
+        "sky.curved_lmax": 48.0 * of.n_coefficients,
+    }
+    return {key: float(size) for key, size in needed.items()} | {"instrument": PROGRAM_BYTES}
+
+
+def check_memory(needed: Mapping[str, float]) -> None:
+    """Raise SceneError where one process of a run takes more memory than this machine has.
+
+    `needed` are bytes by the key of the scene that has most to do with them.
+    """
+    total, there = sum(needed.values()), machine_bytes()
+    if not total <= there:
+        key, most = max(needed.items(), key=lambda item: item[1])
+        raise SceneError(
+            f"{key}: found a scene that needs about {total / 1e9:.3g} GB of memory in one process, {most / 1e9:.3g} GB"
+            f" of it because of this key; {there / 1e9:.3g} GB or less is expected, the memory of this machine"
+        )

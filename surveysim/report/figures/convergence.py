@@ -1,0 +1,109 @@
+"""The figure of what accuracy costs: errors and biases against run time, with the Pareto fronts."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from surveysim.report.figures.layout import lay_out
+from surveysim.report.figures.spec import Panel, PaperFigure, Series
+from surveysim.report.figures.style import save
+from surveysim.studies.convergence import AccuracyResult, Measured
+
+LOOKS = ("blue", "vermilion", "green", "purple", "orange")
+TIME = "CPU time without start-up [s]"
+HALF_DECADE = 10**0.25  # room about the points
+
+
+def draw_accuracy(path: Path, result: AccuracyResult) -> Path:
+    """Draw the figure as a PNG, whole or not at all; returns its path."""
+    save(lay_out(accuracy_figure(result)), path)
+    return path
+
+
+def accuracy_figure(result: AccuracyResult) -> PaperFigure:
+    """Three panels against time: Monte Carlo errors of parts of the survey, of the other Monte Carlo knobs, and biases.
+
+    Grey lines are Pareto fronts: nothing is faster and as good. Diamonds are the scene's own settings.
+    """
+    rows = [row for row in result.rows if np.isfinite(row.sigma_ukcmb2) and row.cpu_s > 0]
+    of_kind = {kind: [row for row in rows if row.setting.kind == kind] for kind in ("survey", "sampling", "numerical")}
+    panels = (
+        _survey_panel(of_kind["survey"], [row for row in rows if row.setting.kind == "forecast"]),
+        _panel("other Monte Carlo knobs", "relative error of sigma(A)", of_kind["sampling"], _error),
+        _panel("numerical knobs", "bias of sigma(A), or its error", of_kind["numerical"], _bias),
+    )
+    fitted = ", ".join(f"{item.name} {item.value:.2f}" for item in result.slopes if "time" in item.name)
+    caption = (
+        f"Left: {result.scene.observations} observations and parts of them, {result.seeds} seed(s); slopes: {fitted}."
+        f" Others: {result.sub_observations} observations; biases are against the finest setting of each knob, which"
+        " has none and is left out, with paired errors; where a bias is below its error, the error is drawn (squares)."
+        " Grey: Pareto front. Diamonds: the scene's own settings."
+    )
+    return PaperFigure(
+        0, f"{result.scene.name}: what accuracy costs", caption, tuple(panel for panel in panels if panel), 3
+    )
+
+
+def pareto(time: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Places, in order of time, of the points (n,) of which none is both as fast and better, or faster and as good."""
+    order = np.lexsort((error, time))
+    best = np.minimum.accumulate(error[order])
+    return order[np.concatenate([[True], best[1:] < best[:-1]])]
+
+
+def _survey_panel(rows: Sequence[Measured], forecast: Sequence[Measured]) -> Panel | None:
+    panel = _panel("number of observations", "relative error of sigma(A)", rows, _error)
+    if panel is None:
+        return None
+    time, error = _points([row for row in rows if _error(row) > 0], _error)  # not unknown
+    ends = np.array([time.min(), time.max()])
+    guide = np.exp(np.mean(np.log(error) + 0.5 * np.log(time))) * ends**-0.5
+    series = [*panel.series, Series("time$^{-1/2}$", "line", ends, guide, "sky --")]
+    x_range, y_range = panel.x_range, panel.y_range
+    if forecast and _bias(forecast[0]) > 0:
+        x, y = _points(forecast, _bias)
+        series.append(Series("forecast: bias", "points", x, y, "green :"))
+        x_range, y_range = _range(np.append(x, time)), _range(np.append(y, error))
+    return Panel(panel.title, TIME, panel.y_label, tuple(series), True, True, False, x_range, y_range)
+
+
+def _panel(title: str, y_label: str, rows: Sequence[Measured], value) -> Panel | None:
+    """All knobs of some rows; None where no value is above 0."""
+    rows = [row for row in rows if value(row) > 0]
+    if not rows:
+        return None
+    time, error = _points(rows, value)
+    front = pareto(time, error)
+    series = [Series("", "line", time[front], error[front], "grey")]
+    for look, knob in zip(LOOKS, dict.fromkeys(row.setting.knob for row in rows), strict=False):
+        marks: dict[str, list[Measured]] = {}
+        for row in rows:
+            if row.setting.knob == knob:
+                marks.setdefault(_mark(row), []).append(row)
+        for number, (mark, drawn) in enumerate(marks.items()):
+            series.append(Series("" if number else knob, "points", *_points(drawn, value), f"{look} {mark}"))
+    return Panel(title, TIME, y_label, tuple(series), True, True, False, _range(time), _range(error))
+
+
+def _points(rows: Sequence[Measured], value) -> tuple[np.ndarray, np.ndarray]:
+    return np.array([row.cpu_s for row in rows]), np.array([value(row) for row in rows])
+
+
+def _error(row: Measured) -> float:
+    return row.relative_error
+
+
+def _bias(row: Measured) -> float:
+    return max(abs(row.bias), row.bias_error)
+
+
+def _mark(row: Measured) -> str:
+    """Diamonds for the scene's own settings, squares for what is no more than a limit."""
+    if row.setting.own:
+        return "-."
+    return "--" if row.setting.kind == "numerical" and abs(row.bias) <= row.bias_error else "-"
+
+
+def _range(values: np.ndarray) -> tuple[float, float]:
+    return float(values.min() / HALF_DECADE), float(values.max() * HALF_DECADE)

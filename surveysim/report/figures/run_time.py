@@ -1,0 +1,44 @@
+"""The figure of a run's error against the time of its simulation, from its own errors and times."""
+
+from pathlib import Path
+
+import numpy as np
+
+from surveysim.report.figures.layout import lay_out
+from surveysim.report.figures.spec import Panel, PaperFigure, Series
+from surveysim.report.figures.style import save
+from surveysim.results.results import SurveyResult
+
+SHORTEST, LONGEST = 1 / 30, 30  # of the times drawn, in those of the run
+TARGETS = np.geomspace(1 / 5, 10, 40)  # relative errors whose costs are drawn, in that of the run
+
+
+def draw_time(path: Path, result: SurveyResult) -> Path:
+    """Draw the figure of a scored run as a PNG, whole or not at all; returns its path."""
+    save(lay_out(time_figure(result)), path)
+    return path
+
+
+def time_figure(result: SurveyResult) -> PaperFigure:
+    """Relative error of the best estimate against seconds of simulation with the run's workers.
+
+    The solid line has more observations alone, the dashed one sign flips and window skies too where they are needed.
+    """
+    parts, done = result.parts, result.coadds.done
+    own_s = done * parts.each_s / result.workers
+    seconds = own_s * np.geomspace(SHORTEST, LONGEST, 60)
+    fixed = np.linalg.norm([parts.flips, parts.skies, parts.rest])
+    alone = np.hypot(parts.observations * np.sqrt(own_s / seconds), fixed)
+    error = result.estimate.relative_error
+    costs = [cost for cost in map(result.cost, error * TARGETS) if cost and cost.observations > 2]
+    dashed = np.array([(cost.seconds, cost.relative_error) for cost in costs]).reshape(-1, 2).T
+    series = (
+        Series("more observations", "line", seconds, alone, "black"),
+        Series("more sign flips and skies too", "line", dashed[0], dashed[1], "vermilion --"),
+        Series("this run", "points", np.array([own_s]), np.array([error]), "blue -."),
+    )
+    label = f"Time of simulation with {result.workers} worker{'s' * (result.workers > 1)} [s]"
+    reach = (float(seconds[0]), float(seconds[-1]))
+    panel = Panel("", label, r"Relative error of $\sigma(A)$", series, True, True, x_range=reach)
+    title = f"{result.setup.scene.name}: error against run time ({done} observations)"
+    return PaperFigure(0, title, "Extrapolated from this run's own errors and times.", (panel,))

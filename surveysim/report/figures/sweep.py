@@ -1,0 +1,142 @@
+"""The figure of a sweep: sigma(A) along the first axis, and its ratio to the reference point with paired errors."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.report.figures.layout import lay_out
+from surveysim.report.figures.spec import Panel, PaperFigure, Series
+from surveysim.report.figures.style import plain, save
+from surveysim.studies.sweep.axes import Axis, numbers_of
+from surveysim.studies.sweep.comparison import SweepResult
+
+COLOURS = ("black", "vermilion", "blue", "green", "purple", "orange", "sky")
+MOST_LINES = 10  # with more, points stand in a row by their number
+LOG_FROM = 5  # ratio of the largest to the smallest value from which an axis is logarithmic
+LEVEL_TICKS = 40  # letters that fit below a panel
+UK2_CMB = r"$\mu$K$_\mathrm{CMB}^2$"
+
+
+def draw_sweep(path: Path, result: SweepResult) -> Path:
+    """Draw the figure of a sweep with at least one score as a PNG, whole or not at all; returns its path."""
+    figure = lay_out(sweep_figure(result))
+    ticks = _ticks(result)
+    if ticks:
+        for axes in figure.axes:
+            turned = sum(max(map(len, tick.split("\n"))) for tick in ticks) > LEVEL_TICKS
+            look = {"rotation": 30, "rotation_mode": "anchor", "ha": "right", "fontsize": 8} if turned else {}
+            axes.set_xticks(range(len(ticks)), ticks, **look)
+    save(figure, path)
+    return path
+
+
+def sweep_figure(result: SweepResult) -> PaperFigure:
+    """Two panels: sigma(A) of the actual data set, forecasts as lines; and ratios to the reference point.
+
+    One colour for each combination of the values of all axes but the first. Grey bars in the second panel are the
+    errors that independent runs would have.
+    """
+    sweep, comparison = result.sweep, result.comparison
+    x, label, logarithmic = _positions(result)
+    levels, ratios = [], []
+    for colour, (name, rows) in zip(COLOURS * MOST_LINES, _lines(result), strict=False):
+        rows = rows[np.argsort(x[rows], kind="stable")]
+        levels += _levels(result, x, rows, name, colour)
+        ratios += _ratios(result, x, rows, name, colour)
+    lost = np.array([not result.comparable(number, comparison.reference) for number in range(len(x))])
+    if lost.any():
+        ratios.append(Series("not comparable: scans lost", "points", x[lost], comparison.ratio[lost], "orange -."))
+    shown = comparison.sigma_ukcmb2[np.isfinite(comparison.sigma_ukcmb2)]
+    look = {"x_log": logarithmic, "y_log": _wide(shown)}
+    panels = (
+        Panel("uncertainty of a flat band power", label, f"sigma(A) [{UK2_CMB}]", tuple(levels), **look),
+        Panel("against the reference point", label, "ratio of sigma(A)", tuple(ratios), **look),
+    )
+    reference = plain(sweep.points[comparison.reference].label)
+    caption = f"{len(sweep.points)} points with one seed; reference point: {reference}."
+    if result.simulated:
+        caption += (
+            " Bars are Monte Carlo errors; those of the ratios count that noise, weather and skies are common."
+            " Grey bars: independent runs. Dashes or triangles: forecast."
+        )
+    return PaperFigure(0, f"{sweep.name}: sweep", caption, panels, 2)
+
+
+def _levels(result: SweepResult, x: np.ndarray, rows: np.ndarray, name: str, colour: str) -> list[Series]:
+    comparison = result.comparison
+    forecast = np.array([result.points[row].forecast_ukcmb2.get(ACTUAL, np.nan) for row in rows])
+    series = []
+    if np.isfinite(forecast).any():
+        label = "" if name and result.simulated else name or "forecast"
+        # Steps without a number have nothing between them.
+        kind, look = ("points", f"{colour} :") if _ticks(result) else ("line", f"{colour} --")
+        series.append(Series(label, kind, x[rows], forecast, look))
+    if result.simulated:
+        sigma, error = comparison.sigma_ukcmb2[rows], comparison.error_ukcmb2[rows]
+        series.append(Series(name or "simulated", "points", x[rows], sigma, colour, sigma - error, sigma + error))
+    return series
+
+
+def _ratios(result: SweepResult, x: np.ndarray, rows: np.ndarray, name: str, colour: str) -> list[Series]:
+    comparison = result.comparison
+    ratio = comparison.ratio[rows]
+    if not result.simulated:
+        return [Series(name, "line", x[rows], ratio, f"{colour} --")]
+    series = []
+    for error, look in ((comparison.independent_error[rows], "grey"), (comparison.paired_error[rows], colour)):
+        label = name if look == colour else ""
+        series.append(Series(label, "points", x[rows], ratio, look, ratio - error, ratio + error))
+    return series
+
+
+def _lines(result: SweepResult) -> list[tuple[str, np.ndarray]]:
+    """Label and points (indices) of each line: of each combination of the values of all axes but the first."""
+    sweep = result.sweep
+    if _in_a_row(result):
+        return [("", np.arange(len(sweep.points)))]
+    rows: dict[tuple[int, ...], list[int]] = {}
+    for point in sweep.points:
+        rows.setdefault(point.place[1:], []).append(point.number)
+    return [
+        (plain(", ".join(axis.at(step) for axis, step in zip(sweep.axes[1:], others, strict=True))), np.array(numbers))
+        for others, numbers in rows.items()
+    ]
+
+
+def _in_a_row(result: SweepResult) -> bool:
+    return len(result.points) > MOST_LINES * len(result.sweep.axes[0].values)
+
+
+def _positions(result: SweepResult) -> tuple[np.ndarray, str, bool]:
+    """Place of each point on the horizontal axis, the axis' label, and whether it is logarithmic."""
+    sweep = result.sweep
+    if _in_a_row(result):
+        return np.arange(len(sweep.points)), "point", False
+    first = sweep.axes[0]
+    place = np.array([point.place[0] for point in sweep.points])
+    found = _numbers(first)
+    if found is None:
+        return place, plain(first.name), False
+    values, unit = found[0].astype(float), found[1]
+    return values[place], plain(f"{first.name} [{unit}]" if unit else first.name), _wide(values)
+
+
+def _numbers(axis: Axis) -> tuple[np.ndarray, str] | None:
+    """Values of the axis' first key and their unit; None unless they are numbers that keep its steps apart."""
+    found = numbers_of([values[0] for values in axis.values])
+    return found if found is not None and len(np.unique(found[0])) == len(axis.values) else None
+
+
+def _wide(values: np.ndarray) -> bool:
+    """Whether an axis of these values is logarithmic."""
+    return bool(values.min() > 0 and values.max() >= LOG_FROM * values.min())
+
+
+def _ticks(result: SweepResult) -> list[str]:
+    """Labels of the steps, each key in a line of its own, where their place is not their value; none elsewhere."""
+    first = result.sweep.axes[0]
+    if _in_a_row(result) or _numbers(first) is not None:
+        return []
+    return ["\n".join(map(plain, re.split(r", (?=[\w.]+ = )", label))) for label in first.labels]

@@ -1,0 +1,1 @@
+"""HTML pages of runs, sweeps, convergence studies and the paper's items."""

@@ -1,0 +1,129 @@
+"""The page of a measurement of accuracy: what every knob gives and takes, the figure, the scene, provenance."""
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from surveysim.report.html.captions import ACCURACY
+from surveysim.report.html.components import (
+    UK2,
+    Block,
+    Cell,
+    Grid,
+    Listing,
+    Page,
+    Section,
+    Text,
+    cell,
+    count,
+    duration,
+    measured,
+    number,
+    percent,
+    picture,
+    with_error,
+)
+from surveysim.report.html.discarded_scans import warned
+from surveysim.report.html.provenance import provenance, sources
+from surveysim.report.html.survey import what_was_simulated
+
+if TYPE_CHECKING:
+    from astropy.table import Row, Table
+
+Content = Mapping[str, Any]  # of summary.json and scene.json
+PICTURE = "figures/accuracy.png"
+
+
+def accuracy_page(directory: Path, summary: Content, scene: Content) -> Page:
+    """The page of what `surveysim accuracy` left in a directory."""
+    from astropy.table import Table
+
+    table, found = Table.read(directory / "accuracy.ecsv", format="ascii.ecsv"), summary["accuracy"]
+    scored = [row for row in table if math.isfinite(row["sigma_ukcmb2"])]
+    sections = [Section("settings", "What every knob gives and takes", tuple(_settings(table, scored, found)))]
+    if PICTURE in summary["files"] and (directory / PICTURE).is_file():
+        lines = (ACCURACY.shows, ACCURACY.look_for)
+        drawn = picture(directory / PICTURE, ACCURACY.title, ACCURACY.alt, lines)
+        sections.append(Section("figure", "Error against run time", (drawn, *_slopes(found))))
+    else:
+        sections.append(Section("figure", "Error against run time", tuple(_slopes(found))))
+    what = what_was_simulated(scene, summary, summary["detectors"])
+    sections += [
+        Section("scene", "What was simulated", what),
+        Section("sources", "Where the values come from", sources(scene)),
+        Section("provenance", "Provenance", (provenance(summary),)),
+    ]
+    own = next((row for row in scored if row["kind"] == "survey" and row["own"]), None)
+    key = [(f"reference σ(A) [{UK2}]", number(found["reference_ukcmb2"], 4))]
+    key += [("known to", percent(found["reference_error"]))]
+    if own is not None:
+        key.append(("error of one run", percent(own["error_ukcmb2"] / own["sigma_ukcmb2"])))
+    key += [("settings", count(len(table))), ("run time", duration(summary["run"]["wall_s"]))]
+    title = f"{summary['title']}: what accuracy costs"
+    lead = (*_lead(found), *warned(summary))
+    return Page("surveysim accuracy", title, lead, tuple(key), tuple(sections))
+
+
+def _lead(found: Content) -> Iterator[str]:
+    others = [f"{item['knob']} {item['label']}" for item in found["recommended"] if not item["is_own"]]
+    tolerated = f"a bias below {percent(found['tolerated_bias'])}, a third of the run's Monte Carlo error"
+    text = f"The scene's own settings are the fastest with {tolerated}"
+    yield f"{text}, but for: {'; '.join(others)}." if others else f"{text}."
+    yield " ".join(f"{_sentence(line.strip())}." for line in found["reference"])
+
+
+def _settings(table: "Table", scored: list["Row"], found: Content) -> Iterator[Block]:
+    rows, best = tuple(_row(row) for row in scored), tuple(k for k, row in enumerate(scored) if row["own"])
+    columns = (
+        "knob and setting",
+        "observations",
+        f"σ(A) [{UK2}]",
+        "bias [%]",
+        "wall [s]",
+        "CPU [s]",
+        "start [s]",
+        "peak [MB]",
+    )
+    notes = (
+        "Shaded: the scene's own settings. A bias is against the finest setting of its knob (of the number of"
+        " observations and the forecast: against the reference), with its paired error; 0 without an error is that"
+        " setting itself, or one equal to it. Peak: the most memory that a process held since it began, with other"
+        " settings before this one.",
+    )
+    yield Grid("setting-table", "All settings that could be run", columns, rows, notes, best)
+    refused = [row for row in table if not math.isfinite(row["sigma_ukcmb2"])]
+    if refused:
+        yield Listing(tuple(f"{row['knob']} {row['setting']}: {row['note']}." for row in refused), "Not run:")
+    tolerated = percent(found["tolerated_bias"])
+    yield Listing(
+        tuple(map(_recommended, found["recommended"])), f"Recommended, fastest with a bias below {tolerated}:"
+    )
+
+
+def _row(row: "Row") -> tuple[Cell, ...]:
+    bias = (
+        measured(100 * row["bias"], 100 * row["bias_error"]) if row["bias_error"] > 0 else Cell("0", float(row["bias"]))
+    )
+    times = [Cell(number(float(row[name])), float(row[name])) for name in ("wall_s", "cpu_s", "start_s")]
+    name = cell(f"{row['knob']}: {row['setting']}")
+    level = measured(float(row["sigma_ukcmb2"]), float(row["error_ukcmb2"]))
+    return name, cell(int(row["observations"])), level, bias, *times, measured(float(row["peak_mb"]))
+
+
+def _slopes(found: Content) -> Iterator[Block]:
+    items = tuple(f"{item['name']}: {with_error(item['value'], item['error'])}" for item in found["slopes"])
+    if items:
+        yield Listing(items, "Slopes in logarithms; that of a Monte Carlo is −0.5:")
+    else:
+        yield Text(("Too few settings could be run to tell how errors fall with time.",))
+
+
+def _recommended(item: Content) -> str:
+    has = "as the scene has it" if item["is_own"] else "not the scene's"
+    doubt = "" if item["resolved"] else "; its bias is not known to that, only not told from none"
+    return f"{item['knob']} {item['label']}: {has}{doubt}."
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."

@@ -1,0 +1,61 @@
+"""Discarded scans on a page: shares of data sets, against the weather, and warnings."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from surveysim.report.html.components import Block, Cell, Grid, Section, Text, cell, number
+from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, WEATHER_GROUPS, telling
+
+Content = Mapping[str, Any]  # of summary.json
+DISCARD_RULE = (
+    "Cleaning discards a scan whose templates it can't fit. Where it fits responsivities on the atmosphere, these are"
+    " scans that see it change little: in the calmest weather, hence the best data, or while they go along with the"
+    " wind at about its speed. A point of a sweep that loses more than"
+    f" {100 * MOST_DISCARDED:g} % of them, or {100 * MOST_APART:g} % more than the point that loses least, has no"
+    " probability of being the best."
+)
+QUARTERS = "Quarters of the observations by their B2, the calmest first."
+
+
+def share_cell(share: float | None) -> Cell:
+    """A share in percent; empty for NaN and None."""
+    return Cell("") if share is None or math.isnan(share) else Cell(f"{100 * share:.1f}", 100 * share)
+
+
+def quarter_names(n: int) -> list[str]:
+    """Names of so many groups of observations."""
+    kind = "quarter" if n == WEATHER_GROUPS else "group"
+    return [f"{place} {kind}" for place in ("1st", "2nd", "3rd", "4th")[:n]]
+
+
+def warned(summary: Content) -> Iterator[str]:
+    """The warnings in a summary as paragraphs."""
+    for line in summary.get("warnings", ()):
+        yield f"Warning: {line}"
+
+
+def discarded_section(summary: Content) -> Section:
+    """Shares of discarded scans of a run, of all and by quarters of the observations."""
+    return Section("discarded", "Discarded scans", tuple(_blocks(summary)))
+
+
+def _blocks(summary: Content) -> Iterator[Block]:
+    shares, by_weather = summary["discarded"], summary["discarded_by_weather"]
+    if not any(shares.values()):
+        yield Text(("No scan was discarded.",))
+        return
+    names = telling([shares, *(part["discarded"] for part in by_weather)])
+    rows = []
+    for name, part in zip(quarter_names(len(by_weather)), by_weather, strict=True):
+        b2 = f"{number(part['b2_min_mk2'])} to {number(part['b2_max_mk2'])}"
+        rows.append((cell(name), Cell(b2), cell(part["observations"]), *_cells(part["discarded"], names)))
+    rows.append((cell("all"), Cell(""), cell(summary["observations"]), *_cells(shares, names)))
+    columns = ("observations by B2", "B2 [mK2]", "number", *(f"{name} [%]" for name in names))
+    title = "Share of the scans that cleaning discards"
+    notes = (DISCARD_RULE, QUARTERS) if by_weather else (DISCARD_RULE,)
+    yield Grid("discarded-table", title, columns, tuple(rows), notes)
+
+
+def _cells(shares: Mapping[str, float], names: list[str]) -> list[Cell]:
+    return [share_cell(shares[name]) for name in names]

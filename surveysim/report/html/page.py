@@ -1,0 +1,129 @@
+"""One page for what lies in an output directory: of a run, a sweep, the paper's items or a measurement of accuracy."""
+
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mapmaker.files import whole_file
+from surveysim import __version__
+from surveysim.report.html.components import Page
+from surveysim.runtime.printable import printable, shortened
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+REPORT = "report.html"
+LONGEST_REASON = 150
+EXPECTED = "the directory of a run, a sweep, 'surveysim accuracy' or 'surveysim paper' is expected"
+# Units and symbols as the results write them, once they are escaped for HTML.
+_WRITTEN = [
+    (re.compile(pattern), written)
+    for pattern, written in (
+        (r"\b([uµm])K_CMB\^?2\b", r"\1K²<sub>CMB</sub>"),
+        (r"\b([uµ]K²|[uµm]K)_CMB\b", r"\1<sub>CMB</sub>"),
+        (r"\b([uµm])K\^?2\b", r"\1K²"),
+        (r"\buK", "µK"),
+        (r"\b(rad|Hz)\((-?[\d/]+)\)", r"\1<sup>\2</sup>"),
+        (r"\^\(([^()]*)\)", r"<sup>\1</sup>"),
+        (r"\^(-?\d+)", r"<sup>\1</sup>"),
+        (r"<sup>-", "<sup>−"),
+        (r"\bB2\b", "B<sup>2</sup>"),
+        (r"\bell_eff\b", "ℓ<sub>eff</sub>"),
+        (r"\bell\b", "ℓ"),
+        (r"\(f/#\)lambda\b", "(f/#)λ"),
+        (r"\bsigma\(A\)", "σ(A)"),
+        (r" / (s|Hz)\b", r"/\1"),
+        (r"\+-", "±"),
+        (r"(?<=[a-z])([._])(?=[a-z])", r"\1<wbr>"),  # where a key of a scene may go on in the next line
+    )
+]
+
+
+# Characters that no page may have, or that turn the direction of its text.
+_CONTROLS = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+
+
+class NoResultsError(ValueError):
+    """A directory that no page can be made of; the text has one line: what was found and what is expected."""
+
+
+def write_report(directory: str | Path) -> Path:
+    """Write `report.html`, whole or not at all, from the files in `directory` alone; returns its path.
+
+    Raises NoResultsError for a directory without results, or with damaged ones.
+    """
+    directory = Path(directory)
+    if not directory.is_dir():
+        found = "not a directory" if directory.exists() else "no such directory"
+        raise NoResultsError(f"{directory}: {found}; {EXPECTED}")
+    try:
+        page = _CONTROLS.sub(lambda found: printable(found[0]), _html(_page_of(directory))).encode("utf-8")
+    except (NoResultsError, OSError, MemoryError):
+        raise
+    except Exception as error:  # files that others wrote, or that are damaged, can have anything in them
+        reason = shortened(printable(f"{type(error).__name__} {error}"), LONGEST_REASON)
+        raise NoResultsError(f"{directory}: results that can't be read ({reason}); {EXPECTED}") from None
+    with whole_file(directory / REPORT) as partial:
+        partial.write_bytes(page)
+    return directory / REPORT
+
+
+def _page_of(directory: Path) -> Page:
+    """The page of a directory; its files tell which it is of."""
+    summary = _read(directory / "summary.json") if (directory / "summary.json").exists() else {}
+    if "points" in summary:
+        from surveysim.report.html.sweep import sweep_page
+
+        return sweep_page(directory, summary, _read(directory / "scene.json"))
+    if "scores" in summary:
+        from surveysim.report.html.survey import run_page
+
+        return run_page(directory, summary, _read(directory / "scene.json"))
+    if "accuracy" in summary:
+        from surveysim.report.html.convergence import accuracy_page
+
+        return accuracy_page(directory, summary, _read(directory / "scene.json"))
+    from surveysim.report.html.paper import has_items, paper_page
+
+    if has_items(directory):
+        return paper_page(directory, summary)
+    raise NoResultsError(f"{directory}: found no results; {EXPECTED}")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if path.exists() and not path.is_file():  # a pipe would never end
+        raise NoResultsError(f"{path}: found no file; {EXPECTED}")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        reason = error.strerror if isinstance(error, OSError) else shortened(printable(error), LONGEST_REASON)
+        raise NoResultsError(f"{path}: can't be read ({reason}); {EXPECTED}") from None
+    if not isinstance(content, dict):
+        raise NoResultsError(f"{path}: found {type(content).__name__}; a JSON object is expected")
+    return content
+
+
+def _html(page: Page) -> str:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("surveysim.report.html"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters["units"] = units
+    return environment.get_template("page.html.j2").render(page=page, version=__version__)
+
+
+def units(text: str) -> "Markup":
+    """Text for HTML, its units and symbols as they are printed: ``uK_CMB^2``, ``mK2 rad(-5/3)``, ``ell_eff``."""
+    from markupsafe import Markup, escape
+
+    written = str(escape(text))
+    for pattern, replacement in _WRITTEN:
+        written = pattern.sub(replacement, written)
+    return Markup(written)

@@ -1,0 +1,67 @@
+"""Where a page's numbers come from: versions, seed, hash, date, time taken, and the sources of a scene's values."""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from surveysim.report.html.components import Block, Cell, Grid, Terms, Text, cell, count, day_and_time, duration, number
+
+MANY_FILES = 40  # of a folder, as time-streams may be
+_ASSUMED = re.compile(r"(?P<key>\S+) = (?P<value>.*?): (?P<source>(?:assumed|calibrated).*)", re.DOTALL)
+
+
+def provenance(content: Mapping[str, Any]) -> Terms:
+    """Terms of what summary.json says of where, when and with what its results were made."""
+    run = content["run"]
+    packages = ", ".join(f"{name} {version}" for name, version in content["packages"].items())
+    terms = [
+        ("Scene", content["scene"]),
+        ("Seed", str(content["seed"])),
+        ("Hash of the scene", content.get("scene_sha256", "")),
+        ("surveysim", content["surveysim"]),
+        ("Python", content["python"]),
+        ("Packages", packages),
+        ("Date", day_and_time(run.get("date", ""))),
+        ("Engine", run.get("engine", "")),
+        ("Workers", str(run["workers"])),
+        ("Wall time", duration(run["wall_s"])),
+        ("Files", _files(content.get("files", ()))),
+    ]
+    return Terms(tuple((term, what) for term, what in terms if what), code=True)
+
+
+def _files(names: Sequence[str]) -> str:
+    """Names of files; of a folder that holds many, how many."""
+    folders: dict[str, list[str]] = {}
+    for name in names:
+        folders.setdefault(name.rpartition("/")[0], []).append(name)
+    return ", ".join(
+        f"{folder}/ ({len(found)} files)" if len(found) > MANY_FILES else ", ".join(found)
+        for folder, found in folders.items()
+    )
+
+
+def stage_times(run: Mapping[str, Any]) -> Grid:
+    """Time of every stage, over all workers."""
+    each = run["stage_ns_per_detector_sample"]
+    rows = [
+        (cell(name), Cell(number(seconds, 2), seconds), Cell(number(each[name], 2), each[name]))
+        for name, seconds in sorted(run["stage_s"].items(), key=lambda item: -item[1])
+    ]
+    total = (sum(run["stage_s"].values()), sum(each.values()))
+    rows.append((cell("in all"), *(Cell(number(value, 2), value) for value in total)))
+    columns = ("stage", "time of all workers [s]", "for each detector-sample [ns]")
+    return Grid("stage-table", "Time by stage", columns, tuple(rows))
+
+
+def sources(scene: Mapping[str, Any]) -> tuple[Block, ...]:
+    """Values of the scene whose comments say that they are assumed or calibrated, with what they say."""
+    found = [match for line in scene["assumed"] if (match := _ASSUMED.fullmatch(line))]
+    if not found:
+        return (Text(("No comment of the scene says that a value is assumed or calibrated.",)),)
+    intro = (
+        "These values of the scene are not published: its comments say that they are assumed, or calibrated, and"
+        f" against what ({count(len(found))} of them). All others stand in scene.json as they were run."
+    )
+    rows = tuple((cell(f"{item['key']} = {item['value']}"), cell(item["source"])) for item in found)
+    return (Text((intro,)), Grid("source-table", "Assumed or calibrated", ("value", "source"), rows))

@@ -1,0 +1,275 @@
+"""A resolved scene in words: what was observed, with what, through which air, and what was made of it."""
+
+import math
+from collections.abc import Callable, Iterator
+from fractions import Fraction
+from pathlib import PurePath
+from typing import Any
+
+from surveysim.report.html.components import UK2, joined, number, plural, short
+
+CLEANINGS = {
+    "none": "removal of each scan's mean",
+    "average": "average subtraction",
+    "planar": "planar subtraction",
+    "quadratic": "quadratic subtraction",
+    "polynomial": "polynomial subtraction",
+    "wind": "average subtraction shifted along the wind",
+    "pca": "adaptive PCA",
+    "local": "subtraction of what neighbours see",
+    "spectral": "subtraction of what the bands share",
+}
+COHERENCES = {
+    "field": "as far as the fields of overlapping beams are coherent (the hypothesis of Sayers et al. 2010)",
+    "intensity": "as far as the intensities of overlapping beams are (as light that bunches does)",
+    "none": "not at all",
+}
+SIMULATED = {"uncorrelated": "the same noise without correlations", "white": "white noise"}
+SITES = {"mauna_kea": "Mauna Kea", "south_pole": "the South Pole", "alma": "ALMA", "ccat": "CCAT"}
+
+Values = dict[str, Any]
+
+
+def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
+    """Terms and what is said of each, from the content of scene.json; stages that the scene leaves out have none."""
+    tell: dict[str, Callable[[], Iterator[str]]] = {
+        "Field": lambda: _field(scene),
+        "Observations": lambda: _observations(scene),
+        "Camera": lambda: _camera(scene["instrument"], n_det),
+        "Atmosphere": lambda: _atmosphere(scene["atmosphere"]),
+        "Excess noise": lambda: _excess(scene["excess"]),
+        "Photon noise": lambda: _photon(scene["photon"]),
+        "Detector noise": lambda: _detector(scene["detector"]),
+        "Sky": lambda: _sky(scene["sky"]),
+        "Cleaning": lambda: _cleaning(scene["cleaning"]),
+        "Map": lambda: _map(scene),
+        "Score": lambda: _score(scene["score"], scene["observations"]),
+        "Numerics": lambda: _numerics(scene["numerics"]),
+    }
+    optional = {
+        "Atmosphere": "atmosphere",
+        "Excess noise": "excess",
+        "Photon noise": "photon",
+        "Detector noise": "detector",
+        "Sky": "sky",
+        "Score": "score",
+    }
+    there = [term for term in tell if term not in optional or scene[optional[term]] is not None]
+    return tuple((term, " ".join(tell[term]())) for term in there)
+
+
+def cleaning_words(steps: list[str]) -> str:
+    """Steps of a cleaning in words."""
+    return ", then ".join(CLEANINGS.get(step, step) for step in steps)
+
+
+def _field(scene: Values) -> Iterator[str]:
+    field = scene["field"]
+    yield f"Centred on right ascension {_hours(field['ra_rad'])}, declination {_degrees(field['dec_rad'])} (J2000)."
+    if fixed := scene["fixed_pointing"]:
+        elevation, parallactic = _deg(fixed["elevation_rad"]), _deg(fixed["parallactic_angle_rad"])
+        yield f"The telescope stays at an elevation of {elevation}° and a parallactic angle of {parallactic}°."
+    if plan := scene["schedule"]:
+        yield (
+            f"Observed from latitude {_deg(plan['latitude_rad'])}°, longitude {_deg(plan['longitude_rad'])}°,"
+            f" {short(plan['height_m'])} m high, in {plural(plan['nights'], 'night')} from {plan['first_night']},"
+            f" within {short(math.degrees(plan['max_hour_angle_rad']) / 15)} h of transit and above"
+            f" {_deg(plan['min_elevation_rad'])}°."
+        )
+
+
+def _observations(scene: Values) -> Iterator[str]:
+    scan = scene["scan"]
+    raster = f"{plural(scan['scans'], 'scan')} of {short(scan['duration_s'])} s at {_arcmin(scan['speed_rad_s'])}/s"
+    yield f"{plural(scene['observations'], 'observation')} of {raster}, {short(scan['turnaround_s'])} s a turn."
+    yield f"Scans lie {_arcmin(scan['step_rad'])} apart."
+    if scan["dither_rad"]:
+        yield f"Each observation is offset at random within {_arcmin(scan['dither_rad'])}."
+    yield f"Detectors are sampled at {short(scan['sample_rate_hz'])} Hz."
+
+
+def _camera(camera: Values, n_det: int) -> Iterator[str]:
+    width = f", {_percent(camera['bandwidth'])} wide" if camera["bandwidth"] else ""
+    yield f"{plural(n_det, 'detector')} at {short(camera['frequency_hz'] / 1e9)} GHz{width},"
+    yield f"with a beam of {_arcsec(camera['beam_fwhm_rad'])} (FWHM); (f/#)λ is {_arcsec(camera['f_lambda_rad'])}."
+    if layout := camera["layout"]:
+        extent = f"{layout['rings']} rings" if layout["rings"] is not None else ""
+        if layout["field_of_view_rad"] is not None:
+            extent = f"a field of view of {_arcmin(layout['field_of_view_rad'])}"
+        pitch = f"{short(layout['pitch_f_lambda'])} (f/#)λ"
+        dead = f", {len(layout['dead'])} of them dead" if layout["dead"] else ""
+        yield f"Positions are hexagonal over {extent}, neighbours {pitch} apart"
+        yield f"({_arcsec(layout['pitch_f_lambda'] * camera['f_lambda_rad'])}){dead}."
+    if camera["positions"]:
+        yield f"Positions come from the table {PurePath(camera['positions']).name}."
+    yield f"Responsivities scatter by {_percent(camera['responsivity_scatter'])}."
+    if camera["camera_rotation_rad"]:
+        yield f"The camera turns within {_deg(camera['camera_rotation_rad'])}° from one observation to the next."
+    if camera["horn_f_lambda"] is not None:
+        yield f"Horns are {short(camera['horn_f_lambda'])} (f/#)λ wide."
+    if camera["edge_taper_db"] is not None:
+        yield f"Pixels light the stop with an edge taper of {short(camera['edge_taper_db'])} dB."
+    if camera["efficiency"] is not None:
+        yield f"The efficiency from window to detector is {_percent(camera['efficiency'])}."
+    if camera["polarizations"] is not None:
+        yield f"Detectors take {plural(camera['polarizations'], 'polarization')}."
+    if camera["colours"]:
+        bands = joined([f"{short(colour['frequency_hz'] / 1e9)}" for colour in camera["colours"]])
+        yield f"Every pixel has further bands at {bands} GHz, which cleaning may subtract."
+
+
+def _atmosphere(air: Values) -> Iterator[str]:
+    index = Fraction(air["index"]).limit_denominator(1000)
+    yield f"One frozen layer {short(air['layer_height_m'])} m above the telescope, seen through"
+    yield f"{short(air['illuminated_aperture_m'])} m, with the spectrum B2 α^(-{index})."
+    if air["outer_scale_m"] is not None:
+        yield f"Its outer scale is {short(air['outer_scale_m'])} m."
+    if air["site"]:
+        yield f"Water and its fluctuations are those of {SITES.get(air['site'], air['site'])}."
+    unit = f"mK2 rad({Fraction(2 - air['index']).limit_denominator(1000)})"
+    if air["b2"]:
+        levels = ", ".join(short(100 * level) for level in air["b2_probabilities"])
+        yield f"B2 is drawn for each observation, with the quantiles {_list(air['b2'])} {unit} at {levels} %."
+    else:
+        yield "B2 is drawn for each observation; it follows from the water and its fluctuations."
+    wind = air["wind_median_rad_s"]
+    yield f"Winds have a median of {_arcmin(wind)}/s ({number(wind * air['layer_height_m'])} m/s in the layer),"
+    yield f"a scatter of {short(air['wind_log_scatter'])} in the logarithm and all directions."
+    if air["wind_b2_exponent"]:
+        yield f"Their median goes as the power {short(air['wind_b2_exponent'])} of B2."
+
+
+def _excess(excess: Values) -> Iterator[str]:
+    variances = excess["variance_mk2"]
+    yield f"Low-frequency noise of {_span(variances)} mK2 below {short(excess['band_limit_hz'])} Hz"
+    if len(variances) > 1:
+        yield f"(growing with B2 from {_span(excess['b2'])}),"
+    yield f"spectrum f^(-{short(excess['spectral_index'])}). Neighbours share it {COHERENCES[excess['coherence']]}."
+
+
+def _photon(photon: Values) -> Iterator[str]:
+    if load := photon["load"]:
+        sky = "the site's water" if load["sky_k"] is None else f"a sky of {short(load['sky_k'])} K"
+        yield f"From the load of {sky} and {short(load['optics_k'])} K of warm optics."
+        of = "the bunching of what" if photon["coherence"] == "intensity" else "what"
+        yield f"Neighbours share {of} comes through the beam {COHERENCES[photon['coherence']]}."
+    else:
+        share, how = photon["coherent_fraction"], photon["coherence"]
+        shared = f"of which neighbours share {_percent(share)} {COHERENCES[how]}"
+        if how == "intensity":
+            bose = photon["bose_fraction"]
+            shared = f"{_percent(bose)} of it bunching, of a load of which {_percent(share)} comes through the beam;"
+            shared += f" neighbours share the bunching of that part {COHERENCES[how]}"
+            share *= bose
+        yield f"White, {short(photon['psd_mk2_hz'])} mK2 / Hz,"
+        yield f"{shared if share > 0 and how != 'none' else 'shared by none'}."
+
+
+def _detector(detector: Values) -> Iterator[str]:
+    if detector["psd_mk2_hz"] is not None:
+        yield f"White, {short(detector['psd_mk2_hz'])} mK2 / Hz, shared by none."
+    else:
+        yield f"White, a noise-equivalent power of {number(detector['nep_w_rthz'], 2)} W / Hz(1/2), shared by none."
+
+
+def _sky(sky: Values) -> Iterator[str]:
+    yield f"A CMB of flat band power, {short(sky['cmb_band_power_ukcmb2'])} {UK2}"
+    yield f"on the sphere up to l = {sky['curved_lmax']}" if sky["curved_lmax"] else "on the plane"
+    sources = sky["point_sources"]
+    peaks = _list([source["peak_mk"] for source in sources])
+    yield f"and {plural(len(sources), 'point source')} of {peaks} mK (Rayleigh-Jeans)." if sources else "alone."
+
+
+_RESPONSIVITIES = {
+    "scan": "Responsivities are fitted to each scan.",
+    "observation": "Responsivities are fitted to all scans of an observation together.",
+    "survey": "Responsivities are known with an error of {error:.3g} rms that lasts the survey.",
+    "known": "Responsivities are known.",
+}
+
+
+def _cleaning(cleaning: Values) -> Iterator[str]:
+    words = cleaning_words(cleaning["algorithm"])
+    yield f"{words[0].upper()}{words[1:]}."
+    if cleaning["compare"]:
+        yield f"Compared with {joined([cleaning_words(steps) for steps in cleaning['compare']])}."
+    from mapmaker.cleaning import TEMPLATE_CLEANINGS
+
+    named = {name for steps in (cleaning["algorithm"], *cleaning["compare"]) for name in steps}
+    if not named.isdisjoint(TEMPLATE_CLEANINGS):
+        yield _RESPONSIVITIES[cleaning["responsivities"]].format(error=cleaning["calibration_error"])
+    yield f"Templates are iterated to {number(cleaning['tolerance'], 1)}, at most {cleaning['max_iterations']} times."
+    details = {"sigma_cut": "sigma", "reach": "closest separations", "order": "", "regions": ""}
+    for key, unit in details.items():
+        if cleaning[key] is not None:
+            yield f"{key.replace('_', ' ').capitalize()}: {f'{short(cleaning[key])} {unit}'.strip()}."
+
+
+def _map(scene: Values) -> Iterator[str]:
+    yield f"Pixels of {_arcsec(scene['map']['pixel_rad'])}, binned, in a tangent plane."
+    if scene["map"]["healpix_nside"]:
+        yield f"Also as HEALPix maps at nside {scene['map']['healpix_nside']}."
+
+
+def _numerics(numerics: Values) -> Iterator[str]:
+    step = numerics["screen_step"]
+    lattice = "the usual step" if step == 1 else f"{short(step)} times the usual step"
+    yield f"Streams are {numerics['precision']}; look-ups in the layer are {numerics['interpolation']}, at {lattice}."
+
+
+def _score(score: Values, observations: int) -> Iterator[str]:
+    yield "σ(A), the uncertainty of the amplitude A of a flat CMB band power,"
+    yield f"from multipoles {score['ell_min']} to {score['ell_max']} in bins of {score['ell_bin']},"
+    edges = _percent(score["taper_fraction"])
+    yield f"over {_arcmin(score['size_rad'])} square, with cosine edges on {edges} of each side."
+    yield f"The noise is measured by {score['jackknives']} co-adds with random signs, the signal that is left by"
+    through = min(score["window"]["observations"], observations)
+    yield f"{score['window']['skies']} skies through {plural(through, 'observation')}."
+    beside = [SIMULATED[name] for name in score["simulated"]]
+    if score["mask_separation_f_lambda"]:
+        beside.append(f"an array masked to {short(score['mask_separation_f_lambda'])} (f/#)λ")
+    if beside:
+        yield f"Scored beside the survey itself: {joined(beside)}."
+
+
+# ---------------------------------------------------------------- units
+
+
+def _arcmin(rad: float) -> str:
+    return f"{short(_clean(math.degrees(rad) * 60))} arcmin"
+
+
+def _arcsec(rad: float) -> str:
+    return f"{short(float(f'{math.degrees(rad) * 3600:.4g}'))} arcsec"
+
+
+def _percent(share: float) -> str:
+    return f"{short(_clean(100 * share))} %"
+
+
+def _deg(rad: float) -> str:
+    return short(_clean(math.degrees(rad)))
+
+
+def _clean(value: float) -> float:
+    """Without what conversions to radians and back leave."""
+    return float(f"{value:.6g}")
+
+
+def _hours(rad: float) -> str:
+    seconds = round(math.degrees(rad) / 15 * 3600, 1) % 86400
+    return f"{int(seconds // 3600):02d}h {int(seconds // 60 % 60):02d}m {short(seconds % 60)}s"
+
+
+def _degrees(rad: float) -> str:
+    seconds = round(abs(math.degrees(rad)) * 3600, 1)
+    sign = "−" if rad < 0 else "+"
+    return f"{sign}{int(seconds // 3600):02d}° {int(seconds // 60 % 60):02d}′ {short(seconds % 60)}″"
+
+
+def _list(values: list[float]) -> str:
+    return ", ".join(short(value) for value in values)
+
+
+def _span(values: list[float]) -> str:
+    return short(values[0]) if len(values) == 1 else f"{short(values[0])} to {short(values[-1])}"

@@ -1,0 +1,302 @@
+"""The page of a sweep: which point is best, the axes, all points, the figure, the scene, provenance."""
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.report.html.captions import FORECAST_SWEEP, SWEEP
+from surveysim.report.html.components import (
+    UK2,
+    Block,
+    Cell,
+    Grid,
+    Page,
+    Section,
+    Terms,
+    Text,
+    as_known,
+    cell,
+    count,
+    duration,
+    joined,
+    measured,
+    number,
+    picture,
+    plural,
+    quoted,
+    times,
+)
+from surveysim.report.html.discarded_scans import DISCARD_RULE, QUARTERS, quarter_names, share_cell, warned
+from surveysim.report.html.provenance import provenance, sources
+from surveysim.report.html.survey import what_was_simulated
+from surveysim.studies.sweep.axes import value_text
+from surveysim.studies.sweep.comparison import ESTIMATES, SURE
+from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, telling
+
+Content = Mapping[str, Any]  # of summary.json and scene.json, or of a point in the former
+PICTURE = "figures/sweep.png"
+MOST_NAMED = 4  # points in a note
+WITHHELD = "best_probability_withheld"
+
+
+def sweep_page(directory: Path, summary: Content, scene: Content) -> Page:
+    """The page of what a sweep left in a directory."""
+    sections = [
+        Section("axes", "What was varied", _axes(summary)),
+        Section("points", "Points", tuple(_grids(summary))),
+    ]
+    if PICTURE in summary["files"] and (directory / PICTURE).is_file():
+        caption = SWEEP if summary["kind"] == "simulated" else FORECAST_SWEEP
+        drawn = picture(directory / PICTURE, caption.title, caption.alt, (caption.shows, caption.look_for))
+        sections.append(Section("figure", "Figure", (drawn,)))
+    if found := tuple(_pair_grids(summary)):
+        sections.append(Section("pairs", "Every point against every other", found))
+    if found := tuple(_discarded(summary)):
+        sections.append(Section("discarded", "Discarded scans", found))
+    if found := _agreement(summary):
+        sections.append(Section("truth", "Forecast against simulation", (found,)))
+    first = Text(("The scene of the first point; the others differ in the keys that are varied, and in what follows.",))
+    what = what_was_simulated(scene, summary, summary["points"][0]["n_det"])
+    sections += [
+        Section("scene", "What was simulated", (first, *what)),
+        Section("sources", "Where the values come from", sources(scene)),
+        Section("provenance", "Provenance", (provenance(summary), _hashes(summary))),
+    ]
+    kind = "surveysim sweep" if summary["kind"] == "simulated" else "surveysim sweep, by forecast"
+    return Page(kind, summary["title"], tuple(_lead(summary, scene)), _key_figures(summary), tuple(sections))
+
+
+def _lead(summary: Content, scene: Content) -> Iterator[str]:
+    points, best = summary["points"], [summary["points"][number] for number in summary["best"]]
+    names = joined([axis["name"] for axis in summary["axes"]])
+    made = f"{plural(len(points), 'point')} along {names}"
+    if not best:
+        yield f"{made}; none has a score."
+        yield from warned(summary)
+        return
+    yield _best_sentence(summary, made, best)
+    reference = points[summary["reference"]]
+    if reference not in best:
+        ratio = _ratio_cell(best[0], False, "ratio_error").text
+        yield f"That is {ratio} times the σ(A) of the reference point, {reference['label']}."
+    if summary["kind"] == "simulated":
+        yield (
+            f"Every point has up to {plural(scene['observations'], 'observation')} with the same seed, hence the same"
+            " weather, noise and skies wherever the keys allow it. Ratios are therefore known better than the points."
+        )
+    yield from warned(summary)
+
+
+def _best_sentence(summary: Content, made: str, best: list[Content]) -> str:
+    labels = " or ".join(point["label"] for point in best)
+    if summary["kind"] != "simulated":
+        sigma = number(best[0]["forecast_ukcmb2"][ACTUAL])
+        return f"Of {made}, the best by forecast is {labels}: σ(A) = {sigma} {UK2}."
+    row = best[0]["scores"][ACTUAL]
+    sigma = f"σ(A) = {quoted(row['sigma_ukcmb2'], row['error_ukcmb2'])} {UK2}"
+    if WITHHELD in best[0]:
+        why = best[0][WITHHELD]
+        return f"Of {made}, the lowest is {labels}: {sigma}. The probability that it is the best is withheld: {why}."
+    sure, each = best[0]["best_probability"], "each " if len(best) > 1 else ""
+    confidence = f"more than {100 * SURE:g} %" if sure > SURE else f"{100 * sure:.0f} %"
+    out = sum(WITHHELD in point for point in summary["points"])
+    others = f" {plural(out, 'point')} that lose too many scans are not counted." if out else ""
+    return f"Of {made}, the best is {labels}: {sigma}, {each}with a confidence of {confidence}.{others}"
+
+
+def _key_figures(summary: Content) -> tuple[tuple[str, str], ...]:
+    run, found = summary["run"], []
+    if summary["best"]:
+        best = summary["points"][summary["best"][0]]
+        row = best["scores"].get(ACTUAL)
+        sigma = quoted(row["sigma_ukcmb2"], row["error_ukcmb2"]) if row else number(best["forecast_ukcmb2"][ACTUAL])
+        ratio = _ratio_cell(best, best["point"] == summary["reference"], "ratio_error").text
+        name = "lowest" if WITHHELD in best else "best"
+        found += [(f"{name} σ(A) [{UK2}]", sigma), ("over the reference", ratio)]
+    found += [("points", count(len(summary["points"]))), ("axes", count(len(summary["axes"])))]
+    return (*found, ("run time", duration(run["wall_s"])), ("workers", count(run["workers"])))
+
+
+def _axes(summary: Content) -> tuple[Block, ...]:
+    pairs = []
+    for axis in summary["axes"]:
+        for key, values in zip(axis["keys"], zip(*axis["values"], strict=True), strict=True):
+            pairs.append((key, ", ".join(value_text(value) for value in values)))
+    together = [joined(axis["keys"]) for axis in summary["axes"] if len(axis["keys"]) > 1]
+    lines = tuple(f"{keys} change together." for keys in together)
+    return (Terms(tuple(pairs)), *((Text(lines),) if lines else ()))
+
+
+def _grids(summary: Content) -> Iterator[Block]:
+    keys = _keys(summary)
+    simulated = summary["kind"] == "simulated"
+    columns = ["point", *(f"σ(A) [{UK2}]",) * simulated, "forecast", "ratio"]
+    columns += ["ratio, if independent", "best [%]", "discarded [%]"] * simulated + ["detectors"]
+    rows = tuple((cell(_values(point, keys)), *_numbers(summary, point)) for point in summary["points"])
+    named = f"The point's name has the values of {joined(keys)}. "
+    notes = [named + _ratio_note(summary)]
+    notes += [f"{point['label']}: {point['unscored']}." for point in summary["points"] if point.get("unscored")]
+    reasons = dict.fromkeys(point[WITHHELD] for point in summary["points"] if WITHHELD in point)
+    for reason in reasons:
+        labels = [point["label"] for point in summary["points"] if point.get(WITHHELD) == reason]
+        of = joined(labels) if len(labels) <= MOST_NAMED else plural(len(labels), "point")
+        notes.append(f"Withheld for {of}: {reason}.")
+    notes += [
+        f"The forecast of {point['label']} may be off: {sentence}"
+        for point in summary["points"]
+        for sentence in point["forecast_flags"]
+    ]
+    caption = "Uncertainty of a flat CMB band power, actual data"
+    yield Grid("point-table", caption, tuple(columns), rows, tuple(notes), tuple(summary["best"]))
+    others = list(dict.fromkeys(name for point in summary["points"] for name in point["scores"] if name != ACTUAL))
+    if others:
+        rows = tuple((cell(_values(point, keys)), *_others(point, others)) for point in summary["points"])
+        yield Grid("other-table", f"Other data sets: σ(A) [{UK2}]", ("point", *others), rows)
+
+
+def _keys(summary: Content) -> list[str]:
+    """Keys that name a point: those of each axis whose values differ, or its first."""
+    found = []
+    for axis in summary["axes"]:
+        texts = [[value_text(value) for value in column] for column in zip(*axis["values"], strict=True)]
+        differ = [key for key, column in zip(axis["keys"], texts, strict=True) if len(set(column)) > 1]
+        found += differ or axis["keys"][:1]
+    return found
+
+
+def _values(point: Content, keys: list[str]) -> str:
+    return ", ".join(value_text(point["settings"][key]) for key in keys)
+
+
+def _numbers(summary: Content, point: Content) -> Iterator[Cell]:
+    score, scored = point["scores"].get(ACTUAL), "ratio" in point
+    forecast, own = point["forecast_ukcmb2"].get(ACTUAL), point["point"] == summary["reference"]
+    if summary["kind"] == "simulated":
+        yield quoted_cell(score["sigma_ukcmb2"], score["error_ukcmb2"]) if score else Cell("not scored")
+    known = score and score["error_ukcmb2"]
+    shown = "" if forecast is None else as_known(forecast, score["error_ukcmb2"]) if known else number(forecast)
+    yield Cell(shown, forecast)
+    yield _ratio_cell(point, own, "ratio_error")
+    if summary["kind"] == "simulated":
+        yield _ratio_cell(point, own, "independent_error")
+        probability = point.get("best_probability")
+        if probability is None:
+            yield Cell("withheld" if scored else "")
+        else:
+            yield Cell(_probability(probability), probability)
+        yield share_cell(point["discarded"][ACTUAL])
+    yield cell(point["n_det"])
+
+
+def quoted_cell(value: float, error: float | None) -> Cell:
+    """A number with an error that may be unknown."""
+    return Cell(quoted(value, error), value)
+
+
+def _ratio_cell(point: Content, own: bool, error: str) -> Cell:
+    """The ratio of a point to the reference, with an error if the sweep has any."""
+    if own or "ratio" not in point:
+        return Cell("1", point["ratio"]) if own else Cell("")
+    return quoted_cell(point["ratio"], point[error]) if error in point else measured(point["ratio"])
+
+
+def _probability(share: float) -> str:
+    """In percent; never 0 or 100, which draws can't tell."""
+    if share > SURE:
+        return f"> {100 * SURE:g}"
+    return "< 0.5" if share < 1 - SURE else f"{100 * share:.0f}"
+
+
+def _others(point: Content, names: list[str]) -> Iterator[Cell]:
+    for name in names:
+        score = point["scores"].get(name)
+        yield quoted_cell(score["sigma_ukcmb2"], score["error_ukcmb2"]) if score else Cell("")
+
+
+def _ratio_note(summary: Content) -> str:
+    if summary["reference"] is None:
+        return "No point has a score, so there are no ratios."
+    said = ESTIMATES.get(summary["estimate"])
+    note = f"σ(A) {said}. " if said else ""
+    note += f"Ratios are to {summary['points'][summary['reference']]['label']}."
+    if summary["kind"] != "simulated":
+        return f"{note} A forecast has no Monte Carlo error."
+    return (
+        f"{note} Their errors count what the points have in common; beside stand those that independent runs would"
+        " have. Best: the probability that the point has the lowest σ(A) of all that lose few scans and whose error is"
+        " known."
+    )
+
+
+def _pair_grids(summary: Content) -> Iterator[Grid]:
+    """Ratios of all pairs: rows over columns."""
+    pairs = {(pair["point"], pair["other"]): pair for pair in summary["pairs"]}
+    numbers = sorted({number for pair in pairs for number in pair})
+    if len(numbers) < 3:  # the table of points has the only pair
+        return
+    names = {number: f"{number}: {_values(summary['points'][number], _keys(summary))}" for number in numbers}
+    rows = tuple((cell(names[row]), *(_pair_cell(pairs, row, column) for column in numbers)) for row in numbers)
+    notes = [
+        "σ(A) of the row's point over that of the column's, with the error of the pair, which counts what both share."
+    ]
+    if not all(pair["comparable"] for pair in pairs.values()):
+        notes.append(
+            f"*: not to be compared, as one loses more than {100 * MOST_DISCARDED:g} % of its scans or the two differ"
+            f" by more than {100 * MOST_APART:g} %."
+        )
+    columns = ("point", *(str(number) for number in numbers))
+    yield Grid("pair-table", "Ratios of σ(A)", columns, rows, tuple(notes))
+
+
+def _pair_cell(pairs: Mapping[tuple[int, int], Content], row: int, column: int) -> Cell:
+    if row == column:
+        return Cell("1", 1.0)
+    pair = pairs.get((row, column)) or pairs[column, row]
+    ratio, error = pair["ratio"], pair["paired_error"]
+    if (row, column) not in pairs:
+        ratio, error = 1 / ratio, None if error is None else error / ratio**2
+    return Cell(quoted(ratio, error) + ("" if pair["comparable"] else " *"), ratio)
+
+
+def _discarded(summary: Content) -> Iterator[Block]:
+    """Shares of discarded scans of each point: of each data set, and of the actual one against the weather."""
+    points = [point for point in summary["points"] if "discarded" in point]
+    if not points:
+        return
+    keys, names = _keys(summary), telling([point["discarded"] for point in points])
+    if not any(value for point in points for value in point["discarded"].values()):
+        yield Text(("No scan was discarded.",))
+        return
+    quarters = max(len(point["discarded_by_weather"]) for point in points)
+    rows = []
+    for point in points:
+        by_weather = [part["discarded"][ACTUAL] for part in point["discarded_by_weather"]]
+        by_weather += [math.nan] * (quarters - len(by_weather))
+        shares = [point["discarded"].get(name, math.nan) for name in names]
+        rows.append((cell(_values(point, keys)), *map(share_cell, (*shares, *by_weather))))
+    columns = ["point", *(f"{name} [%]" for name in names)]
+    columns += [f"{ACTUAL}, {name} [%]" for name in quarter_names(quarters)]
+    notes = (DISCARD_RULE, QUARTERS) if quarters else (DISCARD_RULE,)
+    yield Grid("discarded-table", "Share of the scans that cleaning discards", tuple(columns), tuple(rows), notes)
+
+
+def _agreement(summary: Content) -> Grid | None:
+    """Forecast over simulated, less 1, of every point that has both."""
+    rows = []
+    for point in summary["points"]:
+        if off := point.get("forecast_over_simulated"):
+            ratio = measured(times(off["sigma"], 100), times(off["sigma_error"], 100))
+            rows.append((cell(_values(point, _keys(summary))), ratio))
+    columns = ("point", "forecast over simulated, less 1 [%]")
+    note = (
+        "Both are of the same observations and of the scans that were kept. Errors are those of the ratio; the points"
+        " have one seed, so they are not independent of each other."
+    )
+    return Grid("agreement-table", "σ(A) of the actual data", columns, tuple(rows), (note,)) if rows else None
+
+
+def _hashes(summary: Content) -> Terms:
+    pairs = tuple((f"Point {point['point']}", point["scene_sha256"]) for point in summary["points"])
+    return Terms(pairs, "Hashes of the points' scenes", code=True)

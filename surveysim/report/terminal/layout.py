@@ -1,0 +1,70 @@
+"""Tables and lines on a terminal of any width, whatever is in them."""
+
+import os
+import sys
+import textwrap
+from collections.abc import Iterable
+from typing import Any
+
+from rich.cells import cell_len
+from rich.console import Console
+from rich.segment import Segment
+from rich.table import Table
+
+from surveysim.runtime.printable import printable
+
+NARROWEST = 20
+WIDEST = 10_000
+
+
+class Terminal(Console):
+    """A console that shows texts as they are: nothing in them is markup, or controls the terminal."""
+
+    def __init__(self, columns: int = 120, **options: Any) -> None:
+        # Off a terminal rich takes 80 columns, in which the tables would break.
+        self.wraps = "stderr" in options or sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
+        width = None if self.wraps else columns
+        super().__init__(width=width, markup=False, emoji=False, highlight=False, **options)
+
+    def render(self, *arguments: Any, **options: Any) -> Iterable[Segment]:
+        """Segments of text, printable; those that move the cursor are rich's own."""
+        for segment in super().render(*arguments, **options):
+            text, style, control = segment
+            if control or text.isprintable():
+                yield segment
+            else:
+                yield Segment("\n".join(map(printable, text.split("\n"))), style)
+
+    def say(self, text: str) -> None:
+        """Print lines, broken between words alone where they are wider than the terminal."""
+        for line in text.split("\n"):
+            line, room = printable(line), max(NARROWEST, self.width)
+            if self.wraps:
+                indent = line[: len(line) - len(line.lstrip())]
+                words = {"break_long_words": False, "break_on_hyphens": False, "subsequent_indent": indent}
+                line = textwrap.fill(line, room, **words)
+            self.print(line, soft_wrap=True)
+
+    def show(self, table: Table) -> None:
+        """Print a table, or, where it does not fit, its rows one after the other, a line a cell.
+
+        Words are never broken, nor are the cells of columns that are justified on the right: numbers.
+        """
+        for column in table.columns:
+            if column.justify == "right":
+                column.min_width = max((cell_len(str(cell)) for cell in column.cells), default=0)
+        wide = self.options.update(width=WIDEST)
+        fits = self.measure(table, options=wide).minimum <= self.width
+        if table.title and (not fits or cell_len(str(table.title)) > self.measure(table).maximum):
+            self.say(str(table.title))
+            table.title = None
+        if fits:
+            self.print(table)
+            return
+        cells = [list(column.cells) for column in table.columns]
+        for row in zip(*cells, strict=True):
+            self.say("")
+            for column, cell in zip(table.columns, row, strict=True):
+                if text := str(cell):
+                    self.say(f"{column.header}: {text}")
+        self.say("")

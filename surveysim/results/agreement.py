@@ -1,0 +1,106 @@
+"""The forecast against a run: how far it is off, with the errors of that."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmaker.uncertainty import ratio_error, without_noise
+from surveysim.forecasting.forecast import DataSetForecast, Forecast, can_forecast, forecast
+from surveysim.forecasting.validity import compared_ell
+from surveysim.reduction.setup import Setup
+from surveysim.scene.scene import SceneError
+from surveysim.survey.coadds import CoAdds, kept_shares
+from surveysim.survey.scores import DataSetScore, bin_errors, noise_parts
+
+GOOD_SIGMA, GOOD_PSD = 0.1, 0.15  # relative: what a forecast is good to
+KNOWN = GOOD_PSD / 2  # a bin whose ratio has a larger standard error can't be called good
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Forecast over simulation of one data set, less 1, each with the standard error of the ratio.
+
+    Both are of the same observations in the same weather, and of the scans that were kept. `sigma` is that of sigma(A).
+    Noise PSDs are compared in the bins from `low_ell` to `high_ell`: `psd` is that of the bin around `worst_ell`, which
+    is furthest off beyond two standard errors, or comes closest to them. Of `bins` bins, `within` are off by no more
+    than `GOOD_PSD` and have an error of no more than `KNOWN`; `unknown` have a larger error. Without such bins these
+    numbers are 0 and the others None.
+    """
+
+    sigma: float
+    sigma_error: float
+    psd: float | None = None
+    psd_error: float | None = None
+    worst_ell: float | None = None
+    low_ell: float | None = None
+    high_ell: float | None = None
+    bins: int = 0
+    within: int = 0
+    unknown: int = 0
+
+
+def run_forecast(setup: Setup, coadds: CoAdds) -> Forecast | None:
+    """The forecast of a run's own observations and of the scans that it kept, None where the scene has none."""
+    try:
+        return forecast(setup.scene, kept_shares(setup, coadds)) if can_forecast(setup) else None
+    except SceneError:  # a finished run never fails for want of a forecast
+        return None
+
+
+def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -> Agreement:
+    """Compare one data set.
+
+    The weather is common to both and cancels in their ratio. Left are the noise of the realizations, the scatter of
+    observations' noise about its forecast, and for sigma(A) the error of the window.
+    """
+    scatter = _scatter(setup, simulated, expected)
+    ratio = expected.band.sigma_ukcmb2 / simulated.plain_band.sigma_ukcmb2
+    error = ratio * float(np.linalg.norm([simulated.budget.noise, simulated.budget.window, scatter]))
+    low, high = compared_ell(setup)
+    edges = setup.band.rings.edges_ell
+    bins = np.flatnonzero((edges[:-1] >= low) & (edges[1:] <= high))
+    if not len(bins):
+        return Agreement(sigma=ratio - 1, sigma_error=error)
+    off, errors = _bin_ratios(setup, simulated, expected, bins, scatter)
+    worst = int(np.argmax(np.abs(off) - 2 * errors))
+    known = errors <= KNOWN
+    return Agreement(
+        sigma=ratio - 1,
+        sigma_error=error,
+        psd=float(off[worst]),
+        psd_error=float(errors[worst]),
+        worst_ell=float(simulated.band.ell[bins[worst]]),
+        low_ell=float(edges[bins[0]]),
+        high_ell=float(edges[bins[-1] + 1]),
+        bins=len(bins),
+        within=int(np.sum(known & (np.abs(off) <= GOOD_PSD))),
+        unknown=int(np.sum(~known)),
+    )
+
+
+def _scatter(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -> float:
+    """Relative error of the co-added noise for observations that differ from their forecasts, beyond their own noise.
+
+    That noise is the part of the realizations' error which all have in common.
+    """
+    kept = expected.kept.share
+    some = kept > 0
+    total = ratio_error((simulated.weights * kept)[some], (expected.weights * kept)[some])
+    _, common = noise_parts(setup, simulated)
+    return without_noise(total, common)
+
+
+def quoted_forecast(simulated: DataSetScore, expected: DataSetForecast) -> float:
+    """sigma(A) [uK_CMB^2] by forecast that stands beside the quoted one: as far from it as the plain ones are apart.
+
+    A quoted score that has the forecast as control variate is that of all weather, and so is this.
+    """
+    return expected.band.sigma_ukcmb2 * simulated.band.sigma_ukcmb2 / simulated.plain_band.sigma_ukcmb2
+
+
+def _bin_ratios(
+    setup: Setup, simulated: DataSetScore, expected: DataSetForecast, bins: np.ndarray, scatter: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Forecast over simulated noise PSD, less 1, in some bins, and the errors of that, (n,) each."""
+    ratio = expected.noise_psd[bins] / simulated.noise_psd[bins]
+    return ratio - 1, ratio * np.hypot(bin_errors(setup, simulated)[bins], scatter)

@@ -1,0 +1,102 @@
+"""What was put into a run against what came out of it: noise levels, signal, weather."""
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Literal
+
+import numpy as np
+
+from surveysim.atmosphere.weather import b2_quantile, pwv_quantile
+from surveysim.forecasting.forecast import Forecast
+from surveysim.reduction.setup import Setup
+from surveysim.survey.coadds import CoAdds
+from surveysim.survey.scores import DataSetScore
+from surveysim.telescope.noise_levels import white_levels
+
+QUARTILES = (0.25, 0.5, 0.75)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A quantity in `unit`: `expected` by the scene or in closed form, and `found` with its Monte Carlo error.
+
+    `kind` is "measured" for what is found in time-streams and maps, "drawn" for weather, whose draws stand against the
+    distribution that they are from.
+    """
+
+    kind: Literal["measured", "drawn"]
+    quantity: str
+    unit: str
+    expected: float
+    found: float
+    error: float
+
+
+def truth(
+    setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore], expected: Forecast | None
+) -> tuple[Truth, ...]:
+    """All that a run allows to be compared; nothing of stages that it leaves out."""
+    return (*_white(setup, coadds), *_signal(scores, expected), *_weather(setup, coadds))
+
+
+def _white(setup: Setup, coadds: CoAdds) -> list[Truth]:
+    """Photon and detector noise as set, against the level of the cleaned streams, means over observations."""
+    measured = coadds.column("white_mk2_hz")
+    known = np.isfinite(measured)
+    if known.sum() < 2 or setup.scene.score is None:
+        return []
+    opacity = setup.water.opacity if setup.water else None
+    conditions = zip(coadds.column("pwv_mm")[known], coadds.column("elevation_rad")[known], strict=True)
+    levels = [white_levels(setup.scene, opacity, *item) for item in conditions]
+    set_to = float(np.mean([item.photon_mk2_hz + item.detector_mk2_hz for item in levels]))
+    name = f"white noise of the streams, above {setup.scene.score.white_above_hz:g} Hz"
+    return [Truth("measured", name, "mK2 / Hz", set_to, *_mean(measured[known]))]
+
+
+def _signal(scores: dict[str, DataSetScore], expected: Forecast | None) -> list[Truth]:
+    """Share of the signal's power that cleaning leaves in the scored bins, by forecast and by simulated skies.
+
+    One row for each window: data sets that share one share its row.
+    """
+    rows, seen = [], set()
+    for name, item in scores.items():
+        if expected is None or name not in expected.scores or id(item.window) in seen:
+            continue
+        seen.add(id(item.window))
+        share = item.band.weight / item.band.weight.sum()
+        closed = float(share @ expected.scores[name].transmission)
+        # The skies are common to all bins, so their errors are taken as common too.
+        found, error = float(share @ item.window.transmission), float(share @ item.window.error)
+        rows.append(Truth("measured", f"signal power left by cleaning, {name}", "", closed, found, error))
+    return rows
+
+
+def _weather(setup: Setup, coadds: CoAdds) -> list[Truth]:
+    """Quartiles of the distributions of the weather, against those of what was drawn from them."""
+    from scipy.special import ndtri
+
+    air = setup.scene.atmosphere
+    if air is None:
+        return []
+    b2 = b2_quantile(air, setup.water, ndtri(np.array(QUARTILES)))
+    unit = f"mK2 rad({Fraction(2 - air.index).limit_denominator(1000)})"
+    rows = [_quartile("B2", unit, k, value, coadds.column("b2_mk2")) for k, value in enumerate(b2)]
+    wind = np.degrees(coadds.column("wind_speed_rad_s")) * 60
+    if air.wind_b2_exponent == 0:  # else its median depends on B2
+        rows.append(_quartile("wind", "arcmin / s", 1, float(np.degrees(air.wind_median_rad_s)) * 60, wind))
+    if setup.water is not None:
+        water = zip(range(len(QUARTILES)), pwv_quantile(air, np.array(QUARTILES)), strict=True)
+        rows += [_quartile("water", "mm", k, value, coadds.column("pwv_mm")) for k, value in water]
+    return rows
+
+
+def _quartile(name: str, unit: str, place: int, expected: float, drawn: np.ndarray) -> Truth:
+    """One quartile of draws (n,); its error is half the distance of the draws a standard error of rank away."""
+    level, label = QUARTILES[place], ("first quartile", "median", "third quartile")[place]
+    reach = np.sqrt(level * (1 - level) / len(drawn))
+    low, found, high = np.quantile(drawn, np.clip([level - reach, level, level + reach], 0, 1))
+    return Truth("drawn", f"{name}, {label}", unit, float(expected), float(found), float(high - low) / 2)
+
+
+def _mean(values: np.ndarray) -> tuple[float, float]:
+    return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))

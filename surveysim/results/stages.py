@@ -1,0 +1,65 @@
+"""What a run of a scene does: the stages that run, and those left out with the reason for each."""
+
+from surveysim.forecasting.forecast import can_forecast
+from surveysim.reduction.setup import Setup, window_observations
+from surveysim.scene.scene import Scene
+from surveysim.telescope.raster import samples_per_scan
+
+STREAMS = ("atmosphere", "excess", "photon", "detector", "sky")  # sections that make time-streams
+SECTIONS_LEFT_OUT = {
+    "atmosphere": ": no layer, no weather",
+    "sky": ": noise alone",
+    "score": ": no map PSDs, no sign-flipped maps",
+}
+
+
+def absent_sections(scene: Scene) -> list[str]:
+    """Optional sections that the scene does not have."""
+    return [name for name in (*STREAMS, "score") if getattr(scene, name) is None]
+
+
+def stages_that_run(setup: Setup) -> dict[str, str]:
+    """Every stage of a run of the scene, and what it does."""
+    scene = setup.scene
+    scans = f"{scene.observations} observations of {setup.raster.n_scans} scans"
+    stages = {"pointing": f"{scans}, {setup.n_det} detectors, {scene.scan.sample_rate_hz:g} Hz"}
+    if len(setup.blocks) > 1:
+        most = max(block.n_scans for block in setup.blocks)
+        megabytes = most * samples_per_scan(setup.raster) * setup.n_det * setup.stream_type.itemsize / 1e6
+        stages["blocks"] = f"{len(setup.blocks)} an observation, {most} scans or fewer in {megabytes:.3g} MB of streams"
+    stages |= {name: "streams" for name in STREAMS if getattr(scene, name) is not None}
+    stages["cleaning"] = ", ".join(recipe.label for recipe in setup.whole_recipes)
+    stages["maps"] = f"{setup.geometry.n_x} x {setup.geometry.n_y} pixels"
+    if scene.score:
+        n_window = int(window_observations(scene).sum())
+        stages["data sets"] = ", ".join(setup.data_sets)
+        stages["window"] = f"{scene.score.window.skies} skies through {n_window} observations"
+        stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
+        if can_forecast(setup):
+            stages["forecast"] = "of each data set, beside its score"
+    if scene.map.healpix_nside:
+        stages["HEALPix"] = f"maps at nside {scene.map.healpix_nside}"
+    return stages
+
+
+def left_out(setup: Setup) -> dict[str, str]:
+    """Every stage that a run of the scene leaves out, and why."""
+    scene = setup.scene
+    reasons = {name: f"no section [{name}]{SECTIONS_LEFT_OUT.get(name, '')}" for name in absent_sections(scene)}
+    if scene.fixed_pointing:
+        reasons["ephemerides"] = "a fixed elevation needs no astropy.coordinates"
+    if setup.water is None:
+        reasons["opacity"] = "no atmosphere.site to know it of"
+    if not any(section and section.coherence != "none" for section in (scene.photon, scene.excess)):
+        reasons["overlap"] = "no noise that detectors share"
+    if scene.instrument.colours and not setup.subtracts_colours:
+        reasons["other bands"] = "no recipe subtracts them"
+    if scene.score is None:
+        reasons |= dict.fromkeys(("window", "forecast", "best recipe"), "no section [score] to need it")
+    elif not can_forecast(setup):
+        reasons["forecast"] = f"cleaning by {setup.recipes[0].label} is no projection"
+    if scene.score and not setup.chooses:
+        reasons["best recipe"] = "no cleaning.compare to choose from"
+    if not scene.map.healpix_nside:
+        reasons["HEALPix"] = "no map.healpix_nside"
+    return reasons

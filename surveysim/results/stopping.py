@@ -1,0 +1,194 @@
+"""When a run has done enough, and what a better answer would cost.
+
+A run may stop early: its error is small enough, or its time is spent. The decision about the error looks at sums over
+whole boundaries of observations alone, never at workers or clocks.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.reduction.setup import Setup, window_observations
+from surveysim.results.control_variate import quoted_scores
+from surveysim.scene.scene import Scene, SceneError
+from surveysim.scene.units import to_float
+from surveysim.survey.coadds import CoAdds
+from surveysim.survey.scores import DataSetScore, noise_parts
+
+FEWEST = 32  # observations whose scatter tells their error to an eighth; rare ones that lose scans must be among them
+_WINDOWS = 8  # observations that tell what cleaning leaves of the sky: fewer leave seams in its maps
+_SPACING = 8  # of boundaries, up to 128 observations: four pairs of scan directions
+FINE_ERROR = 0.01  # of the answer whose cost is told
+TOLD_ERRORS = (0.03, FINE_ERROR)  # of all answers whose costs are kept with the results
+_SHARE = 0.25  # of the variance that sign flips, or skies, may have in it
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What ends a run before its last observation: a relative error of sigma(A), a time since it was begun; or None."""
+
+    target_error: float | None = None
+    time_budget_s: float | None = None
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for an error that is not between 0 and 1 or a time that is not above 0."""
+        target, budget = self.target_error, self.time_budget_s
+        if target is not None and not 0 < target < 1:
+            raise ValueError(f"target error: found {target:g}; more than 0 and less than 100 % is expected")
+        if budget is not None and not 0 < budget < math.inf:
+            raise ValueError(f"time budget: found {budget:g} s; more than 0 s is expected")
+
+
+UNLIMITED = Limits()
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The actual data's sigma(A) [uK_CMB^2] of the whole survey with its error, as it is quoted everywhere.
+
+    `kind` is "controlled", with the forecast as control variate, or "plain"; `plain_sigma_ukcmb2` and
+    `plain_error_ukcmb2` are those of the very observations simulated. Errors are NaN where they are unknown.
+    """
+
+    kind: str
+    sigma_ukcmb2: float
+    error_ukcmb2: float
+    plain_sigma_ukcmb2: float
+    plain_error_ukcmb2: float
+
+    @property
+    def relative_error(self) -> float:
+        """Error over sigma."""
+        return self.error_ukcmb2 / self.sigma_ukcmb2
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What an answer of a relative error takes: `seconds` of simulation, and what the scene needs."""
+
+    relative_error: float
+    seconds: float
+    observations: int
+    jackknives: int
+    skies: int
+
+
+def parsed_limits(target_error: str | None, time_budget: str | None) -> Limits:
+    """Limits from texts such as "3%" or "0.03" and "60 s" or "2 min"; raises ValueError with found and expected."""
+    parsed = []
+    for name, text, unit in (("--target-error", target_error, ""), ("--time-budget", time_budget, "s")):
+        try:
+            parsed.append(None if text is None else to_float(text, unit))
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+    return Limits(*parsed)
+
+
+def check_limits(setup: Setup, limits: Limits) -> None:
+    """Raise SceneError for a target that the scene has no score for."""
+    if limits.target_error is not None and setup.scene.score is None:
+        raise SceneError("score: missing; a target error is one of sigma(A), which needs it")
+
+
+def stopping_rule(setup: Setup, limits: Limits, begun: float) -> Callable[[CoAdds], bool]:
+    """Whether a run that was `begun` (by `perf_counter`) is to stop at these sums.
+
+    The target is looked at where a run may end by it, the budget after every pair of directions.
+    """
+
+    def stops(coadds: CoAdds) -> bool:
+        if limits.target_error is not None and may_end(setup.scene, coadds.done):
+            found = estimate_so_far(setup, coadds)
+            if found is not None and found.relative_error <= limits.target_error:
+                return True
+        over = limits.time_budget_s is not None and perf_counter() - begun >= limits.time_budget_s
+        return over and coadds.done > 0 and coadds.done % 2 == 0
+
+    return stops
+
+
+def may_end(scene: Scene, done: int) -> bool:
+    """Whether a run may end by its target here: a boundary, with window observations enough or all there are."""
+    windows = window_observations(scene)
+    return is_boundary(done) and windows[:done].sum() >= min(_WINDOWS, windows.sum())
+
+
+def is_boundary(done: int) -> bool:
+    """Whether the error is looked at here: every 8 observations from 32 on, 16 from 128, 32 from 256 and so on."""
+    return done >= FEWEST and done % (_SPACING * 2 ** max(0, done.bit_length() - 7)) == 0
+
+
+def stop_reason(setup: Setup, limits: Limits, done: int, found: Estimate | None) -> str:
+    """Which came first of a run's end: "all" observations, its "target" or its time "budget"."""
+    if done == setup.scene.observations:
+        return "all"
+    reached = found is not None and limits.target_error is not None and found.relative_error <= limits.target_error
+    return "target" if reached and may_end(setup.scene, done) else "budget"
+
+
+def estimate_so_far(setup: Setup, coadds: CoAdds) -> Estimate | None:
+    """The best estimate from the observations so far, None where there is none."""
+    try:
+        return best_estimate(quoted_scores(setup, coadds, (ACTUAL,)))
+    except ValueError:  # too few scans are kept so far
+        return None
+
+
+def best_estimate(scores: dict[str, DataSetScore]) -> Estimate | None:
+    """The quoted estimate of the actual data; None without a score."""
+    if ACTUAL not in scores:
+        return None
+    item = scores[ACTUAL]
+    kind = "plain" if item.control is None else "controlled"
+    bands = item.band, item.plain_band
+    return Estimate(kind, *(value for band in bands for value in (band.sigma_ukcmb2, band.error_ukcmb2)))
+
+
+@dataclass(frozen=True)
+class ErrorParts:
+    """Relative errors of the actual data's best estimate, by what makes them fall: more `observations`, sign `flips`
+    or window `skies`; the `rest` falls with none. `each_s` is the time that an observation takes of one worker.
+    """
+
+    observations: float
+    flips: float
+    skies: float
+    rest: float
+    each_s: float
+
+
+def error_parts(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -> ErrorParts:
+    """The parts of the error of a run whose actual data are scored."""
+    item = scores[ACTUAL]
+    flips, common = noise_parts(setup, item)
+    each_s = sum(coadds.seconds.values()) / coadds.done
+    budget = item.budget
+    return ErrorParts(math.hypot(common, budget.weather), flips, budget.window, budget.population, each_s)
+
+
+def answer_cost(setup: Setup, done: int, workers: int, parts: ErrorParts, target: float = FINE_ERROR) -> Cost | None:
+    """What an answer of this relative error would take, by the parts of the error of `done` observations.
+
+    Errors from sign flips and window skies do not fall with observations: where they have more than a quarter of
+    the variance, more flips and skies are counted on, whose errors go as one over the root of their numbers. None
+    where the rest of the error alone is larger, or the error is unknown.
+    """
+    score = setup.scene.score
+    if math.isnan(parts.observations):
+        return None
+    jackknives = _enough(score.jackknives, parts.flips / target)
+    skies = _enough(score.window.skies, parts.skies / target)
+    fixed = parts.flips**2 * score.jackknives / jackknives + parts.skies**2 * score.window.skies / skies + parts.rest**2
+    if fixed >= target**2:
+        return None
+    observations = 2 * max(1, math.ceil(done * parts.observations**2 / (target**2 - fixed) / 2))
+    return Cost(target, observations * parts.each_s / workers, observations, jackknives, skies)
+
+
+def _enough(number: int, error: float) -> int:
+    """How many are needed of what gives this error, in units of the target's, at present."""
+    return number * max(1, int(np.ceil(error**2 / _SHARE)))

@@ -1,0 +1,179 @@
+"""The scheduler of a dask cluster: its address, and whether one answers there, in bounded time."""
+
+import asyncio
+import json
+import queue
+import re
+import socket
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, TypeVar
+from urllib.parse import urlsplit
+
+import distributed
+from distributed.core import rpc
+from distributed.security import Security
+
+from surveysim.runtime.interrupt_signals import deaf_children
+from surveysim.runtime.worker_loss import EngineError
+
+CONNECT_S = 10.0  # in which a scheduler has to answer
+PROTOCOLS = ("tcp", "tls")
+LARGEST_FILE = 1 << 20  # bytes; a scheduler's file has some hundreds
+
+_CONNECTING = 0.8  # of that until a connection is given up, so that its error is still heard
+_NO_SCHEDULER = "the answer is not that of a scheduler"
+_SHOWN = 100  # letters of an address or a reason in a message
+_EXPECTED = "tcp://host:port, tls://host:port or a scheduler's file is expected"
+_ADDRESS = re.compile(r".*://.*|[^/\\]+:\d+", re.DOTALL)
+
+Found = TypeVar("Found")
+
+
+def address_of(scheduler: str) -> str:
+    """The address ``protocol://host:port`` of a scheduler by its address, or by the path of its file.
+
+    Raises EngineError with one line for what is neither.
+    """
+    text = scheduler if _ADDRESS.fullmatch(scheduler) else _address_in(Path(scheduler))
+    return _checked(text if "://" in text else f"tcp://{text}")
+
+
+def _checked(address: str) -> str:
+    try:
+        parts = urlsplit(address)
+        port = parts.port
+    except ValueError as error:  # of a port out of range, or brackets without an address of IPv6
+        raise EngineError(f"scheduler: found {shown(address)} ({shown(error)}); {_EXPECTED}") from None
+    if parts.scheme not in PROTOCOLS:
+        raise EngineError(f"scheduler: found the protocol {shown(parts.scheme)}; {_EXPECTED}")
+    host = f"[{parts.hostname}]" if ":" in (parts.hostname or "") else parts.hostname
+    if not host or not port or address != f"{parts.scheme}://{parts.netloc}" or not _plain(parts.netloc):
+        raise EngineError(f"scheduler: found {shown(address)}; {_EXPECTED}")
+    return f"{parts.scheme}://{host}:{port}"
+
+
+def _plain(place: str) -> bool:
+    """Whether there is nothing but a host and a port: no user, no blanks, nothing unprintable."""
+    return place.isprintable() and not set(place) & set("@ ")
+
+
+def _address_in(path: Path) -> str:
+    """The address in a scheduler's file."""
+    try:
+        if not path.is_file() or path.stat().st_size > LARGEST_FILE:  # a pipe or a device might never end
+            raise ValueError
+        address = json.loads(path.read_text(encoding="utf-8"))["address"]
+        if not isinstance(address, str):
+            raise TypeError
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        found = f"{shown(path)}, which is neither an address nor a scheduler's file"
+        raise EngineError(f"scheduler: found {found}; {_EXPECTED}") from None
+    return address
+
+
+def shown(text: object) -> str:
+    """What was found, for a message of one line."""
+    short = str(text)
+    return repr(short if len(short) <= _SHOWN else f"{short[:_SHOWN]}...")
+
+
+def workers_at(address: str) -> int:
+    """How many workers the scheduler at an address has.
+
+    Raises EngineError where none answers within `CONNECT_S`, something else does, or one of another version of dask.
+    """
+    return within(CONNECT_S, address, lambda: _asked(address))
+
+
+def within(seconds: float, address: str, ask: Callable[[], Found]) -> Found:
+    """The value of `ask()`, which asks the scheduler at an address, unless it takes longer than `seconds`.
+
+    It has a thread of its own, so that requests to stop are heard meanwhile. Raises EngineError for whatever it
+    raises, and where its time is over.
+    """
+    answer: queue.Queue[tuple[Found | None, Exception | None]] = queue.Queue()
+
+    def work() -> None:
+        try:
+            with deaf_children():
+                answer.put((ask(), None))
+        except Exception as error:  # dask and the network raise a wide range for what is no scheduler
+            answer.put((None, error))
+
+    threading.Thread(target=work, daemon=True).start()
+    none = f"scheduler: no scheduler answers at {address}"
+    try:
+        found, error = answer.get(timeout=seconds)
+    except queue.Empty:
+        raise EngineError(f"{none} within {seconds:g} s") from None
+    if isinstance(error, EngineError):
+        raise error from None
+    if error is not None:
+        raise EngineError(f"{none} ({reason(error, _NO_SCHEDULER)})") from None
+    return found
+
+
+def reason(error: BaseException, other: str = "") -> str:
+    """An error of dask in a few words, `other` for one that network and machine do not give.
+
+    Of errors that led to each other, the first of theirs tells most.
+    """
+    chain = [error]
+    while isinstance(before := chain[-1].__cause__ or chain[-1].__context__, Exception):
+        chain.append(before)
+    first = next((each for each in reversed(chain) if isinstance(each, OSError)), error)
+    if isinstance(first, TimeoutError):
+        return "timed out"
+    if other and not isinstance(first, OSError):
+        return other
+    lines = str(getattr(first, "strerror", None) or first).splitlines()
+    return " ".join(lines[0].split())[:_SHOWN] if lines else type(first).__name__
+
+
+def _asked(address: str) -> int:
+    parts = urlsplit(address)
+    try:
+        socket.getaddrinfo(parts.hostname, parts.port, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or "no host name"
+        raise EngineError(f"scheduler: host {shown(parts.hostname)} is not known ({why})") from None
+    try:
+        arguments = Security().get_connection_args("client")
+    except (OSError, ValueError) as error:  # certificates of dask's configuration that are not there, or no such
+        raise EngineError(f"scheduler: dask's certificates can't be read ({reason(error)})") from None
+    if parts.scheme == "tls" and arguments["ssl_context"] is None:
+        raise EngineError(
+            f"scheduler: found {address} and no certificates; dask's keys distributed.comm.tls.ca-file, client.cert "
+            "and client.key are expected"
+        )
+    if parts.scheme == "tcp" and arguments["require_encryption"]:
+        raise EngineError(
+            f"scheduler: found {address}, which is not encrypted; tls://host:port is expected by dask's key "
+            "distributed.comm.require-encryption"
+        )
+    kind, version, workers = asyncio.run(asyncio.wait_for(_answers(address, arguments), CONNECT_S))
+    if kind != "Scheduler":
+        raise EngineError(f"scheduler: found a {shown(kind)} at {address}; a scheduler is expected")
+    if version != distributed.__version__:
+        raise EngineError(
+            f"scheduler: found distributed {version} at {address}; {distributed.__version__}, the version here, is "
+            "expected"
+        )
+    return workers
+
+
+async def _answers(address: str, arguments: dict[str, Any]) -> tuple[str, str, int]:
+    """Kind of the server at an address, its version of distributed, and its number of workers."""
+    server = rpc(address, timeout=_CONNECTING * CONNECT_S, connection_args=arguments)
+    try:
+        kind = str((await server.identity())["type"])
+        if kind != "Scheduler":
+            return kind, "", 0
+        versions = await server.versions()
+        return kind, str(versions["packages"]["distributed"]), len(await server.ncores())
+    finally:
+        with suppress(Exception):
+            await server.close_rpc()

@@ -1,0 +1,99 @@
+"""The process around a command: its streams, its caches, and libraries that would speak for themselves."""
+
+import logging
+import os
+import shutil
+import sys
+import tempfile
+import threading
+import warnings
+from typing import Any
+
+from surveysim.runtime.printable import complain
+
+log = logging.getLogger("surveysim")
+
+_temporary_homes: list[str] = []
+
+
+def settle() -> str | None:
+    """Make streams, libraries and caches fit for a command; returns a line if caches do not outlive it."""
+    open_streams()
+    silence_libraries()
+    return provide_caches()
+
+
+def open_streams() -> None:
+    """Standard streams that are there, whatever the caller closed, and that write any letter, or ``?`` for it."""
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:  # closed: the next file that is opened would be taken for it
+            os.open(os.devnull, os.O_RDWR)
+    for name in ("stdin", "stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            stream = open(os.devnull, "r" if name == "stdin" else "w", encoding="utf-8")  # noqa: SIM115
+            setattr(sys, name, stream)
+        if name != "stdin" and hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+
+
+def silence_libraries() -> None:
+    """Let libraries warn and log nothing, here and in worker processes; this program's log goes to standard error."""
+    sys.warnoptions[:] = ["ignore"]  # worker processes are started with them
+    os.environ["PYTHONWARNINGS"] = "ignore"
+    warnings.resetwarnings()
+    warnings.simplefilter("ignore")
+    if not log.handlers:
+        logging.getLogger().addHandler(logging.NullHandler())
+        log.addHandler(_Lines())
+    # What is raised in a finalizer or in a thread can't be handled by anyone.
+    sys.unraisablehook = _ignored
+    threading.excepthook = _ignored
+
+
+class _Lines(logging.Handler):
+    """A line of standard error a record."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        complain(record.getMessage())
+
+
+def _ignored(raised: Any) -> None:
+    log.debug("ignored: %s: %s", raised.exc_type.__name__, raised.exc_value)
+
+
+def provide_caches() -> str | None:
+    """See to it that libraries find a home for their caches; returns a line if that is a temporary one, or none."""
+    home = os.path.expanduser("~")  # without any it is "~", and libraries would make a folder of that name
+    cache = os.environ.get("XDG_CACHE_HOME") or os.path.join(home, ".cache")
+    config = os.environ.get("XDG_CONFIG_HOME") or os.path.join(home, ".config")
+    if os.path.isdir(home) and _can_be_written(cache) and _can_be_written(config):
+        return None
+    try:
+        place = tempfile.mkdtemp(prefix="surveysim-home-")
+        _temporary_homes.append(place)
+    except OSError:
+        place = os.devnull  # below it nobody, not even root, can make a directory
+    os.environ["HOME"] = place
+    os.environ["XDG_CACHE_HOME"] = os.path.join(place, ".cache")
+    os.environ["XDG_CONFIG_HOME"] = os.path.join(place, ".config")
+    if os.path.isdir(home):
+        found, remedy = f"{cache} and {config} can't both be written", "they can"
+    else:
+        found, remedy = "found no home directory", "HOME is one that can be written"
+    return f"no cache: {found}; commands may start more slowly until {remedy}"
+
+
+def _can_be_written(directory: str) -> bool:
+    """Whether a directory, or the nearest above it that is there, can be written."""
+    while not os.path.lexists(directory):
+        directory = os.path.dirname(directory) or os.curdir
+    return os.path.isdir(directory) and os.access(directory, os.W_OK | os.X_OK)
+
+
+def clean_up() -> None:
+    """Remove a home that was made for this process."""
+    while _temporary_homes:
+        shutil.rmtree(_temporary_homes.pop(), ignore_errors=True)

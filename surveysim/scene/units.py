@@ -1,0 +1,123 @@
+"""Quantities of a scene file to floats in the internal units, and temperature conversions.
+
+Inside the packages all numbers are radians, seconds, hertz, metres and millikelvin
+Rayleigh-Jeans; conversion happens here, at the border, and nowhere else.
+"""
+
+import math
+import re
+from datetime import date, time
+from functools import lru_cache
+
+PLANCK_J_S = 6.62607015e-34
+BOLTZMANN_J_K = 1.380649e-23
+CMB_TEMPERATURE_K = 2.7255
+LONGEST_QUANTITY = 200  # characters of one number and its unit
+_SEXAGESIMAL = re.compile(r"\s*([+-]?)(\d{1,6})([hd])\s*(\d{1,6})m\s*(\d{1,6}(?:\.\d*)?)s\s*", re.ASCII)
+_LIST = re.compile(r"^\s*\[(?P<values>[^\]]*)\]\s*(?P<unit>.*)$", re.DOTALL)
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+# A unit is a product of names with powers, divided by one name at most: astropy alone reads "4 4 s" as 16 s.
+_POWER = r"(?:(?:\s?(?:\^|\*\*)\s?)?(?:-?\d{1,2}|\(\s*-?\d{1,6}(?:\.\d{1,6}|\s*/\s*\d{1,4})?\s*\)))?"
+_NAME = rf"[A-Za-z\u00b5\u03bc]+{_POWER}"
+_UNIT = rf"%|{_NAME}(?:(?:\s?[*.]\s?|\s){_NAME})*(?:\s?/\s?{_NAME})?|/\s?{_NAME}"
+_QUANTITY = re.compile(rf"\s*(?P<number>{NUMBER})\s*(?P<unit>{_UNIT})?\s*", re.ASCII)
+_NOT_FINITE = re.compile(r"\s*[+-]?(?:nan|inf|infinity)\b.*", re.ASCII | re.IGNORECASE | re.DOTALL)
+
+
+def shown(value: object) -> str:
+    """A value of a scene file as an error quotes it, cut to a line's length."""
+    try:
+        text = str(value) if isinstance(value, date | time) else repr(value)
+    except (RecursionError, ValueError):  # lists within lists, integers of thousands of digits
+        text = f"a value of type {type(value).__name__} that is too long to show"
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def to_float(text: object, unit: str) -> float:
+    """The number that a quantity such as ``"4 arcmin / s"``, one number and one unit, has in `unit`.
+
+    A bare number is refused unless `unit` is dimensionless. Raises ValueError with what was
+    found and what is allowed.
+    """
+    if isinstance(text, bool) or not isinstance(text, int | float | str):
+        raise ValueError(f"found {shown(text)}; a quantity in {unit or 'plain numbers'} is expected")
+    if isinstance(text, int | float):
+        if unit:
+            raise ValueError(f"found the bare number {shown(text)}; a string with a unit like {unit!r} is expected")
+        try:
+            return _finite(float(text), text)
+        except OverflowError:  # of an integer
+            return _finite(math.inf, text)
+    match = _QUANTITY.fullmatch(text) if len(text) <= LONGEST_QUANTITY else None
+    if match is None:
+        if _NOT_FINITE.fullmatch(text):
+            _finite(math.inf, text)
+        raise ValueError(f"found {shown(text)}; one number and one unit like {unit or '1'!r} are expected")
+    factor = _unit_factor(match["unit"] or "", unit)
+    if factor is None:
+        raise ValueError(f"found {shown(text)}; a quantity in units like {unit or '1'!r} is expected")
+    return _finite(float(match["number"]) * factor, text)
+
+
+@lru_cache(maxsize=256)
+def _unit_factor(found: str, unit: str) -> float | None:
+    """How many `unit` one of the unit `found` is; None where it does not convert."""
+    import astropy.units as u
+
+    try:
+        parsed = u.Unit(found)
+        # Magnitudes and other functions are no units.
+        return float(parsed.to(unit)) if isinstance(parsed, u.UnitBase) else None
+    except (u.UnitConversionError, TypeError, ValueError, ArithmeticError):
+        return None
+
+
+def to_floats(text: object, unit: str) -> tuple[float, ...]:
+    """The numbers of a list of quantities: ``"[46, 100, 170] mK2 rad(-5/3)"`` or a TOML list.
+
+    Raises ValueError with what was found and what is allowed.
+    """
+    if isinstance(text, list | tuple):
+        return tuple(to_float(item, unit) for item in text)
+    match = _LIST.match(text) if isinstance(text, str) else None
+    if match is None:
+        raise ValueError(f"found {shown(text)}; a list like '[1, 2, 3] {unit}' is expected")
+    return tuple(to_float(f"{value.strip()} {match['unit']}", unit) for value in match["values"].split(","))
+
+
+def to_sky_angle(text: object) -> float:
+    """Radians of ``"08h49m12s"``, ``"+44d50m24s"`` or any angular quantity.
+
+    Raises ValueError with what was found and what is allowed.
+    """
+    match = _SEXAGESIMAL.fullmatch(text) if isinstance(text, str) else None
+    if match is None:
+        return to_float(text, "rad")
+    sign, whole, unit, minutes, seconds = match.groups()
+    if int(minutes) >= 60 or float(seconds) >= 60:
+        raise ValueError(f"found {shown(text)}; minutes and seconds below 60 are expected")
+    degrees = (int(whole) + int(minutes) / 60 + float(seconds) / 3600) * (15 if unit == "h" else 1)
+    return math.radians(-degrees if sign == "-" else degrees)
+
+
+def _finite(value: float, found: object) -> float:
+    if not math.isfinite(value):
+        raise ValueError(f"found {shown(found)}; a finite number is expected")
+    return value
+
+
+def rj_to_cmb(frequency_hz: float, bandwidth: float) -> float:
+    """Thermodynamic CMB temperature per Rayleigh-Jeans temperature of a band.
+
+    The band has straight sides and the fractional width `bandwidth`, 0 for its centre alone. A Rayleigh-Jeans source
+    puts equal power into equal frequencies, as in `surveysim.telescope.photon_noise`: one spatial mode, whose solid
+    angle times aperture is the squared wavelength, and a beam that the source fills. So this is one over the band's
+    mean of ``x^2 e^x / (e^x - 1)^2`` with ``x = h nu / k T_CMB``: 1.65 at 143 GHz. (The ratio of the BLIP figures that
+    section 1.1 of the paper quotes in both temperatures is 1.53.)
+    """
+    import numpy as np
+
+    # Gauss-Legendre nodes: exact to rounding, as the integrand is smooth over any band.
+    node, weight = np.polynomial.legendre.leggauss(64)
+    x = PLANCK_J_S * frequency_hz / (BOLTZMANN_J_K * CMB_TEMPERATURE_K) * (1 + bandwidth / 2 * node)
+    return float(2 / np.sum(weight * np.exp(x) * (x / np.expm1(x)) ** 2))

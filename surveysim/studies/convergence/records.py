@@ -1,0 +1,113 @@
+"""What is measured of the choices that trade accuracy for time."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from mapmaker.uncertainty import ErrorBudget
+from surveysim.scene.scene import Scene
+
+SUB_SURVEY = 60  # observations with which all but the number of observations is measured
+REFERENCE_ERROR, MOST_SEEDS = 0.01, 8
+PARTS = (16, 8, 4, 2, 1)  # of the survey
+FLIPS, SKIES, WINDOW_PARTS = (8, 16, 32, 64, 128), (2, 4, 8), (20, 5, 2)
+STEPS, RATES = (4.0, 2.0, 1.0, 0.5), (0.5, 1.0, 2.0)
+FINEST = {"numerics.precision": "float64", "numerics.interpolation": "cubic", "numerics.screen_step": min(STEPS)}
+OF_SCREEN = ("screen step", "interpolation")
+TOLERATED = 1 / 3  # of the Monte Carlo error of the whole survey: a bias that adds 5 % to it
+MUCH_WORSE, MUCH_FASTER = 1.1, 1.1  # ratios of errors and of times that make a difference
+
+Kind = Literal["survey", "sampling", "numerical", "forecast"]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A step of a knob's ladder, by the keys of the scene that it replaces; `own` for the scene's own."""
+
+    knob: str
+    label: str
+    overrides: dict[str, Any]
+    kind: Kind
+    own: bool
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a setting gives and takes; NaN where `note` says why it could not be run.
+
+    `error_ukcmb2` is the Monte Carlo error of one run, of which `budget` has the parts. `bias` is the ratio of sigma(A)
+    to that of the reference, less 1, with its paired error. Times are those of the observations and of their score,
+    without the `start_s` that it takes to prepare and to observe once. `peak_mb` is the most that the process held
+    since it began, earlier settings included, and `raised_mb` by how much this one raised that.
+    """
+
+    setting: Setting
+    observations: int
+    sigma_ukcmb2: float = np.nan
+    error_ukcmb2: float = np.nan
+    bias: float = np.nan
+    bias_error: float = np.nan
+    wall_s: float = np.nan
+    cpu_s: float = np.nan
+    start_s: float = np.nan
+    peak_mb: float = np.nan
+    raised_mb: float = np.nan
+    budget: ErrorBudget | None = None
+    note: str = ""
+
+    @property
+    def relative_error(self) -> float:
+        """Monte Carlo error over sigma(A)."""
+        return self.error_ukcmb2 / self.sigma_ukcmb2
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Slope of ln y against ln x, with its error from the scatter about the line (NaN for less than 3 points)."""
+
+    name: str
+    value: float
+    error: float
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """The fastest setting of a knob that is as good as needed.
+
+    `is_own`: the scene has it; `resolved`: its bias is known to better than what is tolerated.
+    """
+
+    knob: str
+    label: str
+    is_own: bool
+    resolved: bool
+
+
+@dataclass(frozen=True)
+class AccuracyResult:
+    """All ladders. The reference of the number of observations is the mean of `seeds` whole surveys.
+
+    `reference_error` is its relative error and `wanted_error` what it should be; `scatter` that of the seeds over the
+    error that each run claims (NaN for one seed); `own_error` the relative Monte Carlo error of the scene's own run,
+    and `sub_observations` how many the other ladders were measured with.
+    """
+
+    scene: Scene
+    seeds: int
+    reference_ukcmb2: float
+    reference_error: float
+    wanted_error: float
+    scatter: float
+    own_error: float
+    sub_observations: int
+    rows: tuple[Measured, ...]
+    slopes: tuple[Slope, ...]
+    recommended: tuple[Recommendation, ...]
+    wall_s: float
+    workers: int
+
+    @property
+    def chosen(self) -> tuple[int, ...]:
+        """Rows that are the scene's own settings."""
+        return tuple(number for number, row in enumerate(self.rows) if row.setting.own)

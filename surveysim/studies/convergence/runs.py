@@ -1,0 +1,158 @@
+"""Settings run, each in a process, with their times and memory."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import ceil
+from time import perf_counter, process_time
+from typing import Any
+
+import numpy as np
+
+from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.reduction.observation import observe
+from surveysim.reduction.setup import Setup, prepare
+from surveysim.results.control_variate import known_expectations, quoted_scores
+from surveysim.runtime.engine import Engine, ordered_map
+from surveysim.runtime.memory import peak_bytes
+from surveysim.scene.scene import Scene, SceneError, scene_hash
+from surveysim.studies.convergence.records import OF_SCREEN, Setting
+from surveysim.survey.coadds import CoAdds
+from surveysim.survey.run import run_observations
+from surveysim.survey.scores import DataSetScore
+
+
+@dataclass(frozen=True)
+class Task:
+    """A scene to run and after how many observations to score it."""
+
+    scene: Scene
+    counts: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A score of the observations so far, or why there is none, and the time that they and it took."""
+
+    score: DataSetScore | None
+    wall_s: float
+    cpu_s: float
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Marks by the number of observations, and what the process took; `note` says why there are none."""
+
+    marks: dict[int, Mark] = field(default_factory=dict)
+    start_s: float = np.nan
+    peak_mb: float = np.nan
+    raised_mb: float = np.nan
+    note: str = ""
+
+    def scored(self, count: int) -> bool:
+        """Whether there is a score of so many observations."""
+        return count in self.marks and self.marks[count].score is not None
+
+
+def run_task(task: Task) -> Run:
+    """Run a scene in this process; one that can't be run has a note in place of marks."""
+    before, start = peak_bytes() / 1e6, perf_counter()
+    try:
+        setup = prepare(task.scene)
+        # Compiles, and makes factors and expectations over weather: no part of the time that an observation takes.
+        observe(setup, 0, with_window=True)
+        known_expectations(setup)
+        start_s = perf_counter() - start
+        marks = _marks(setup, task.counts)
+    except (ValueError, ArithmeticError, MemoryError) as error:
+        return Run(note=f"refused: {first_line(error)}")
+    peak = peak_bytes() / 1e6
+    return Run(marks, start_s, peak, peak - before)
+
+
+def _marks(setup: Setup, counts: Sequence[int]) -> dict[int, Mark]:
+    marks: dict[int, Mark] = {}
+    began, scoring = clocks(), np.zeros(2)
+
+    def mark(coadds: CoAdds) -> None:
+        if coadds.done not in counts:
+            return
+        before, found, note = clocks(), None, ""
+        try:
+            found = quoted_scores(setup, coadds, (ACTUAL,))[ACTUAL]
+        except ValueError as error:  # too few observations, or none with window skies
+            note = f"not scored: {first_line(error)}"
+        after = clocks()
+        wall, cpu = after - began - scoring
+        scoring[:] += after - before
+        marks[coadds.done] = Mark(found, float(wall), float(cpu), note)
+
+    run_observations(setup, None, progress=mark)
+    return marks
+
+
+def clocks() -> np.ndarray:
+    """Wall and CPU seconds of this process."""
+    return np.array([perf_counter(), process_time()])
+
+
+def first_line(error: BaseException) -> str:
+    """What an error says, in one line."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0]
+
+
+@dataclass(frozen=True)
+class Tasks:
+    """Tasks by the hash of their scene, each once; by a setting's place its hash, or why it is refused."""
+
+    tasks: dict[str, Task] = field(default_factory=dict)
+    hashes: dict[int, str] = field(default_factory=dict)
+    refused: dict[int, str] = field(default_factory=dict)
+
+
+def tasks(scene_of: Callable[[Mapping[str, Any]], Scene], settings: Iterable[Setting]) -> Tasks:
+    """What has to be run for some settings; equal scenes once, and those that are refused with the reason."""
+    found = Tasks()
+    for place, setting in enumerate(settings):
+        if setting.kind not in ("sampling", "numerical"):
+            continue
+        try:
+            scene = scene_of(setting.overrides)
+        except SceneError as error:
+            found.refused[place] = f"refused: {first_line(error)}"
+            continue
+        if setting.knob in OF_SCREEN and scene.atmosphere is None:
+            found.refused[place] = "refused: without [atmosphere] there is no screen"
+            continue
+        found.hashes[place] = scene_hash(scene)
+        found.tasks.setdefault(found.hashes[place], Task(scene, (scene.observations,)))
+    return found
+
+
+def run_all(tasks: Sequence[Task], engine: Engine, progress: Callable[[int], None]) -> list[Run]:
+    """Run tasks, several at a time, each in one process; `progress` is told how many are done."""
+    found: list[Run] = []
+    results = ordered_map(run_task, tasks, engine)
+    try:
+        for run in results:
+            found.append(run)
+            progress(len(found))
+    finally:
+        results.close()
+    return found
+
+
+def seeds_wanted(scene: Scene, own: Run, reference_error: float, most: int) -> int:
+    """How many whole surveys bring the error of their mean below the wanted one, or the most that are allowed.
+
+    Raises ValueError without a score, and for fewer observations than tell its error.
+    """
+    if not own.scored(scene.observations):
+        raise ValueError(f"{scene.name}: {own.note or own.marks[scene.observations].note}")
+    error = own.marks[scene.observations].score.budget.total
+    if np.isnan(error):
+        n_obs = scene.observations
+        raise ValueError(
+            f"{scene.name}: found {n_obs} observations; as many as tell the error of sigma(A) are expected"
+        )
+    return min(most, ceil((error / reference_error) ** 2))

@@ -1,0 +1,59 @@
+"""Every knob's ladder of settings."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from surveysim.scene.scene import Scene
+from surveysim.studies.convergence.records import (
+    FINEST,
+    FLIPS,
+    PARTS,
+    RATES,
+    SKIES,
+    STEPS,
+    SUB_SURVEY,
+    WINDOW_PARTS,
+    Setting,
+)
+
+
+def ladders(scene: Scene, most: int = SUB_SURVEY) -> tuple[Setting, ...]:
+    """All settings, each knob's from coarse to fine; the scene's own is always among them."""
+    n_obs = scene.observations
+    counts = [Setting("observations", str(n_obs // part), {}, "survey", part == 1) for part in PARTS]
+    forecast = Setting("forecast", "closed form", {}, "forecast", False)
+    return (*counts, *_sampling(scene, sub_survey(scene, most)), *_numerical(scene), forecast)
+
+
+def sub_survey(scene: Scene, most: int) -> dict[str, Any]:
+    """Keys of a survey of at most so many observations, of which as large a part carries window skies."""
+    wanted = min(scene.observations, most)
+    window = round(scene.score.window.observations * wanted / scene.observations)
+    return {"observations": wanted, "score.window.observations": max(2, window)}
+
+
+def _sampling(scene: Scene, base: Mapping[str, Any]) -> list[Setting]:
+    score, key = scene.score, "score.window.observations"
+    flips, skies = sorted({*FLIPS, score.jackknives}), sorted({*SKIES, score.window.skies})
+    counts = {max(2, base["observations"] // part) for part in WINDOW_PARTS} | {base[key]}
+    ladder = [("noise realizations", "score.jackknives", count, score.jackknives) for count in flips]
+    ladder += [("window skies", "score.window.skies", count, score.window.skies) for count in skies]
+    ladder += [("window observations", key, count, base[key]) for count in sorted(counts)]
+    return [Setting(knob, str(value), {key: value}, "sampling", value == own) for knob, key, value, own in ladder]
+
+
+def _numerical(scene: Scene) -> list[Setting]:
+    own, rate_hz = scene.numerics, scene.scan.sample_rate_hz
+    steps = sorted({*STEPS, own.screen_step}, reverse=True)
+    ladder = [("screen step", "numerics.screen_step", step, own.screen_step) for step in steps]
+    for knob, kinds in (("interpolation", ("nearest", "linear", "cubic")), ("precision", ("float32", "float64"))):
+        ladder += [(knob, f"numerics.{knob}", kind, getattr(own, knob)) for kind in kinds]
+    found = [
+        Setting(knob, value if isinstance(value, str) else f"{value:g}", {key: value}, "numerical", value == mine)
+        for knob, key, value, mine in ladder
+    ]
+    for factor in RATES:
+        text = f"{factor * rate_hz:.10g} Hz"
+        found.append(Setting("sample rate", text, {"scan.sample_rate": text}, "numerical", factor == 1))
+    together = [("scene's own", {}, True), ("finest", dict(FINEST), False)]
+    return found + [Setting("numerics together", label, keys, "numerical", mine) for label, keys, mine in together]

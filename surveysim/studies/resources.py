@@ -1,0 +1,180 @@
+"""What a run of a scene would do, take and leave behind, predicted from a few observations or a block made here."""
+
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from time import process_time
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from surveysim.reduction.observation import ObservationResult, observe
+from surveysim.reduction.setup import Setup, prepare, window_observations
+from surveysim.results.results import survey_result
+from surveysim.results.stages import left_out, stages_that_run
+from surveysim.runtime.memory import peak_bytes
+from surveysim.studies.sweep.axes import Sweep
+from surveysim.survey.coadds import CoAdds, add_observation, empty_coadds
+from surveysim.telescope.raster import samples_per_scan
+from surveysim.timestreams.observation import observation_weather
+from surveysim.timestreams.scan_blocks import Block
+
+# Drawing figures takes about twice as long as it takes to start, half as long again with those of a score, and
+# matplotlib holds this much.
+FIGURE_STARTS, SCORE_FIGURE_STARTS = 2.0, 3.0
+FIGURE_BYTES = 80e6
+# Where the system does not say what a process holds: Python and the libraries.
+BASE_BYTES = 230e6
+# Stages of an observation that do not take longer the more scans it has, and those of window skies.
+ONCE, SKIES = ("choice", "weights"), ("window",)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Stages that run with the reason for each left out, and the predicted cost.
+
+    `wall_s` is that of a machine with nothing else to do, of which figures take `figures_s`; `memory_bytes` that of
+    the largest process.
+    """
+
+    stages: dict[str, str]
+    left_out: dict[str, str]
+    detector_samples: int
+    wall_s: float
+    figures_s: float
+    memory_bytes: float
+    output_bytes: float
+    timestream_bytes: float
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """Seconds of a process's first observation beyond another's, of one without and with window skies, of adding one
+    to the sums and of scoring them; and the most memory that this process has held."""
+
+    first_s: float
+    plain_s: float
+    window_s: float
+    adding_s: float
+    scoring_s: float
+    memory_bytes: float
+
+
+def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
+    """Predict by running a few observations, with and without window skies, and scoring them.
+
+    Of observations in several blocks one block is made, and one scan more. `start_s` is the time that it took to start
+    and to prepare `setup`; worker processes take it once more.
+    """
+    scene = setup.scene
+    n_window = int(window_observations(scene).sum())
+    parallel = min(workers, scene.observations, os.cpu_count() or 1)
+    with threadpool_limits(1):  # as in a run
+        measured = _measure(setup) if len(setup.blocks) == 1 else _measure_block(setup)
+    observing_s = (scene.observations - n_window) * measured.plain_s + n_window * measured.window_s
+    # Sums are made by the first process, which else waits for the workers.
+    summing_s = scene.observations * measured.adding_s
+    working_s = observing_s + summing_s if parallel == 1 else max(observing_s / parallel, summing_s)
+    figures_s = start_s * (SCORE_FIGURE_STARTS if scene.score else FIGURE_STARTS)
+    samples = setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)
+    coadds = empty_coadds(setup)
+    maps = coadds.sums.nbytes + coadds.weight.nbytes + coadds.hits.nbytes
+    return Plan(
+        stages=stages_that_run(setup),
+        left_out=left_out(setup),
+        detector_samples=samples * scene.observations,
+        wall_s=(1 + (parallel > 1)) * start_s + measured.first_s + working_s + measured.scoring_s + figures_s,
+        figures_s=figures_s,
+        memory_bytes=measured.memory_bytes + FIGURE_BYTES,
+        output_bytes=0.6 * maps + 400 * scene.observations,
+        timestream_bytes=4.0 * samples * scene.observations,
+    )
+
+
+def _measure(setup: Setup) -> _Measured:
+    """What observations take here, once caches are warm and the longest strip of the layer is made."""
+    carries = window_observations(setup.scene)
+    plain = int(np.argmin(carries))
+    first_s = _timed(observe, setup, _windiest(setup), False)[0] + _timed(observe, setup, plain, False)[0]
+    plain_s, result = _timed(observe, setup, plain, False)
+    window_s = plain_s
+    if carries.any():
+        window_s, result = _timed(observe, setup, int(np.argmax(carries)), True)
+    return _with_sums(setup, result, max(0.0, first_s - 2 * plain_s), plain_s, window_s)
+
+
+def _measure_block(setup: Setup) -> _Measured:
+    """The same from one block, which holds as much as any, and from one more of a single scan, once caches are warm."""
+    carries = window_observations(setup.scene)
+    most = max(block.n_scans for block in setup.blocks)
+    block, scan = (replace(setup, blocks=(Block(0, 0, n),)) for n in (most, 1))
+    which = _windiest(setup), bool(carries.any())
+    block_s, result = _timed(observe, block, *which)
+    scan_s, timed = _timed(observe, scan, *which)
+    total = sum(timed.seconds.values())
+    once_s, skies_s = (scan_s * sum(timed.seconds.get(name, 0.0) for name in names) / total for names in (ONCE, SKIES))
+    window_s = once_s + (scan_s - once_s) * setup.raster.n_scans
+    first_s = max(0.0, block_s - once_s - (scan_s - once_s) * most)
+    return _with_sums(setup, result, first_s, window_s - skies_s * setup.raster.n_scans, window_s)
+
+
+def _with_sums(setup: Setup, result: ObservationResult, first_s: float, plain_s: float, window_s: float) -> _Measured:
+    """What was measured of observations, with the time that it takes to add one to the sums and to score these."""
+    coadds = empty_coadds(setup)
+    for number in range(min(2, setup.scene.observations)):  # once caches are warm, where there is a second
+        adding_s, _ = _timed(add_observation, setup, coadds, replace(result, observation=number))
+    scoring_s = _scoring(setup, coadds)
+    held = peak_bytes()
+    held = BASE_BYTES if math.isnan(held) else held
+    return _Measured(first_s, plain_s, window_s, adding_s, scoring_s, held)
+
+
+def _scoring(setup: Setup, coadds: CoAdds) -> float:
+    """Seconds that it takes to score sums; of two equal observations it takes as long as of many."""
+    return _timed(survey_result, setup, coadds, 0.0, 1)[0] if setup.scene.score else 0.0
+
+
+def _timed(work: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
+    # The processor's time, so that what else runs here is not predicted too.
+    start = process_time()
+    result = work(*arguments)
+    return process_time() - start, result
+
+
+def _windiest(setup: Setup) -> int:
+    """The observation whose layer moves fastest, and so takes the longest strip; the first without a layer."""
+    if setup.scene.atmosphere is None:
+        return 0
+    weathers = [observation_weather(setup, observation) for observation in range(setup.scene.observations)]
+    return int(np.argmax([weather.wind_speed_rad_s for weather in weathers]))
+
+
+@dataclass(frozen=True)
+class SweepPlan:
+    """The predicted cost of all points of a sweep."""
+
+    n_points: int
+    detector_samples: int
+    wall_s: float
+    memory_bytes: float
+
+
+def make_sweep_plan(sweep: Sweep, workers: int, start_s: float = 0.0) -> SweepPlan:
+    """Predict from the first and the last point: the others take as long for each of their detector-samples.
+
+    `start_s` as in `make_plan`; points are prepared once more where they run.
+    """
+    ends = [sweep.points[number] for number in sorted({0, len(sweep.points) - 1})]
+    plans = [make_plan(prepare(point.scene), 1) for point in ends]
+    seconds_each = sum(plan.wall_s for plan in plans) / sum(plan.detector_samples for plan in plans)
+    work = [point.detector_samples * seconds_each for point in sweep.points]
+    parallel = min(workers, len(work), os.cpu_count() or 1)
+    starts = 1 + (parallel > 1)
+    return SweepPlan(
+        n_points=len(work),
+        detector_samples=sum(point.detector_samples for point in sweep.points),
+        wall_s=starts * start_s + max(max(work), sum(work) / parallel),
+        memory_bytes=max(plan.memory_bytes for plan in plans),
+    )

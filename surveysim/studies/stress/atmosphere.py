@@ -1,0 +1,123 @@
+"""What comes out of extreme layers, winds and elevations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from mapmaker.cleaning import clean
+from surveysim.atmosphere.screen_simulation import add_atmosphere
+from surveysim.atmosphere.strip_factors import Strip
+from surveysim.atmosphere.thin_screen import Screen, structure_function
+from surveysim.reduction.setup import Setup, observation_path, prepare
+from surveysim.scene.scene import Scene
+from surveysim.studies.stress.case import N_SAMP, RATE_HZ, TEMPLATES, Outcome, agrees
+from surveysim.timestreams.observation import add_layer, draw_observation, observation_weather
+
+
+def layer(scene: Scene) -> Outcome:
+    """How far the structure function of the strips of an observation is from the quadrature, at worst."""
+    setup = prepare(scene)
+    streams = draw_observation(setup, 0)
+    cleaned = clean("average", streams.data_mk, streams.scan_bounds, streams.focal_plane, TEMPLATES)
+    if not (np.isfinite(streams.data_mk).all() and np.isfinite(cleaned.data_mk).all()):
+        return Outcome("streams that are not finite", 0.0, 0.0, False)
+    worst = max(_departure(setup.strips.screen, strip) for strip in _strips(setup))
+    # Modes that are left out may add 1e-3 to the differences along and across together.
+    return agrees(worst, 0.0, 2e-3, "relative departure of the structure function")
+
+
+def _strips(setup: Setup) -> Iterator[Strip]:
+    """All strips that a setup has made."""
+    for cache in setup.strips.caches.values():
+        yield from cache.strips.values()
+
+
+def _departure(screen: Screen, strip: Strip) -> float:
+    """Largest relative departure of a strip's structure function along x from `structure_function`."""
+    power = np.add.reduceat(np.square(strip.columns, dtype=float).mean(axis=1), strip.start[:-1])
+    k = np.arange(len(power))
+    weight = np.where(k == strip.n_x // 2, 1.0, 4.0) / strip.n_x**2
+    lag = np.unique(np.geomspace(1, strip.length_rad / strip.step_rad, 24).astype(int))
+    theta = lag * strip.step_rad
+    waves = 4.0 * np.sin(np.pi * np.outer(lag, k) / strip.n_x) ** 2 @ (weight * power)
+    expected = structure_function(screen, theta)
+    return float(np.abs((waves + (strip.ramp_std * theta) ** 2) / expected - 1).max())
+
+
+def _moved(setup: Setup, scan_rad_s: np.ndarray, layer_rad_s: np.ndarray) -> np.ndarray:
+    """Streams (n_det, N_SAMP) float32 of one scan under the layer alone, one draw for all velocities."""
+    plane = setup.camera.focal_plane
+    data = np.zeros((setup.n_det, N_SAMP), np.float32)
+    offsets = np.stack([plane.x_rad, plane.y_rad], axis=-1)[None]
+    rng = np.random.default_rng(3)
+    add_atmosphere(
+        data, [(0, N_SAMP)], RATE_HZ, offsets, [scan_rad_s], [layer_rad_s], [17.0], setup.strips.at(1.0), rng
+    )
+    return data
+
+
+def still(scene: Scene) -> Outcome:
+    """A layer that moves with the scan leaves constant streams, whatever their direction."""
+    setup, angle = prepare(scene), np.arange(16) * math.pi / 8
+    velocities = scene.scan.speed_rad_s * np.column_stack([np.cos(angle), np.sin(angle)])
+    streams = [_moved(setup, velocity, velocity) for velocity in velocities]
+    return agrees(max(np.ptp(data, axis=1).max() for data in streams), 0.0, 0.0, "change of a stream over a scan [mK]")
+
+
+def opposite(scene: Scene) -> Outcome:
+    """A layer against the scan is one at rest under a scan twice as fast."""
+    setup, velocity = prepare(scene), np.array([0.6, 0.8]) * scene.scan.speed_rad_s
+    found = _moved(setup, velocity, -velocity) - _moved(setup, 2 * velocity, np.zeros(2))
+    return agrees(np.abs(found).max(), 0.0, 0.0, "difference of streams [mK]")
+
+
+def one_layer(scene: Scene, b2: float = 0.0) -> np.ndarray:
+    """The layer alone of the first observation, at the scene's B2 or another."""
+    setup = prepare(scene)
+    path, pointing = observation_path(setup, 0)
+    weather = observation_weather(setup, 0)
+    data = np.zeros((setup.n_det, len(path.time_s)), np.float32)
+    add_layer(setup, 0, pointing, replace(weather, b2=b2 or weather.b2), data)
+    return data
+
+
+def elevation(scene: Scene) -> Outcome:
+    """Streams are those of a layer at the zenith, at the slant distance, times sin(el)^((1 - b) / 2)."""
+    sine, air = math.sin(scene.fixed_pointing.elevation_rad), scene.atmosphere
+    overhead = scene.fixed_pointing.model_copy(update={"elevation_rad": math.pi / 2})
+    higher = air.model_copy(update={"layer_height_m": air.layer_height_m / sine})
+    here = one_layer(scene)
+    there = one_layer(scene.model_copy(update={"fixed_pointing": overhead, "atmosphere": higher}))
+    expected = sine ** ((1 - air.index) / 2)
+    departure = np.abs(here / expected - there).max() / np.abs(there).max()
+    return agrees(departure, 0.0, 2.0**-21, f"streams over those at the zenith: {expected:.5g}; departure from it")
+
+
+def amplitude(scene: Scene) -> Outcome:
+    """Streams go as the root of B2."""
+    b2 = scene.atmosphere.b2[0]
+    here, one = one_layer(scene), one_layer(scene, 1.0)
+    departure = np.abs(here / math.sqrt(b2) - one).max() / np.abs(one).max()
+    return agrees(departure, 0.0, 2.0**-21, "departure from sqrt(B2) over the largest value")
+
+
+def no_air(scene: Scene) -> Outcome:
+    """B2 of 0 is no atmosphere."""
+    without = scene.model_copy(update={"atmosphere": None, "cleaning": _none_of(scene)})
+    found = draw_observation(prepare(scene), 0).data_mk - draw_observation(prepare(without), 0).data_mk
+    return agrees(np.abs(found).max(), 0.0, 0.0, "difference of streams [mK]")
+
+
+def _none_of(scene: Scene):
+    return scene.cleaning.model_copy(update={"algorithm": ("none",)})
+
+
+def drawn(scene: Scene) -> Outcome:
+    """Any observation of the scene, for those that must be refused."""
+    setup = prepare(scene)
+    values = [np.abs(draw_observation(setup, k).data_mk).max() for k in range(scene.observations)]
+    return agrees(float(np.isfinite(values).all()), 1.0, 0.0, "finite")

@@ -1,0 +1,105 @@
+"""What comes out of extreme noise, maps and correlations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mapmaker.binning import bin_map
+from mapmaker.correlations import correlation_profile, pair_bins, scan_covariances
+from mapmaker.gls import GlsOptions, gls_map
+from mapmaker.iterative import StreamBlock
+from mapmaker.timestreams import FocalPlane
+from surveysim.reduction.setup import Setup, observation_path, prepare
+from surveysim.scene.scene import Scene
+from surveysim.studies.stress.case import N_SAMP, RATE_HZ, STIFF, Outcome, agrees
+from surveysim.studies.stress.cleaning import planted
+from surveysim.telescope.pixel_coherence import correlation_factor
+from surveysim.timestreams.noise import add_excess, low_frequency_variance
+from surveysim.timestreams.observation import draw_observation
+
+
+def excess(scene: Scene) -> Outcome:
+    """The variance below the band limit that a spectral index gives."""
+    section, n_det, n_scans = scene.excess, 100, 64
+    data = np.zeros((n_det, n_scans * N_SAMP), np.float32)
+    add_excess(data, section, section.variance_mk2[0], n_scans, RATE_HZ, np.eye(n_det), np.random.default_rng(2))
+    found = low_frequency_variance(data, n_scans, RATE_HZ, section.band_limit_hz).mean()
+    # At worst the lowest mode has it all: two deviates a scan.
+    tolerance = 4 * section.variance_mk2[0] / math.sqrt(n_det * n_scans)
+    return agrees(found, section.variance_mk2[0], tolerance, "variance below the band limit [mK^2]")
+
+
+def white_excess(scene: Scene) -> Outcome:
+    """Excess noise of index 0 does not correlate from sample to sample."""
+    section, n_det = scene.excess, 200
+    data = np.zeros((n_det, 16 * N_SAMP), np.float32)
+    add_excess(data, section, 1.0, 16, RATE_HZ, np.eye(n_det), np.random.default_rng(2))
+    scans = data.reshape(n_det, 16, N_SAMP)
+    found = np.sum(scans[..., 1:] * scans[..., :-1]) / np.sum(scans**2)
+    return agrees(found, 0.0, 4 / math.sqrt(data.size), "correlation of neighbouring samples")
+
+
+def correlation(scene: Scene, least: float) -> Outcome:
+    """A correlation matrix with the eigenvalues `least`, 1 and 2 - least."""
+    turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
+    matrix = turn * [least, 1.0, 2.0 - least] @ turn.T
+    factor = correlation_factor(matrix)
+    return agrees(np.abs(factor @ factor.T - matrix).max(), 0.0, 1e-12, "departure of the factor's square")
+
+
+def twins(scene: Scene) -> Outcome:
+    """Pixels all in one place."""
+    factor = correlation_factor(np.ones((37, 37)))
+    return agrees(np.abs(factor @ factor.T - 1).max(), 0.0, 1e-12, "departure of the factor's square")
+
+
+def gains(scene: Scene) -> Outcome:
+    """A profile of correlations under gains over six decades."""
+    plane = prepare(scene).camera.focal_plane
+    streams = draw_observation(prepare(scene), 0)
+    bins, gain = pair_bins(plane), np.geomspace(1e-3, 1e3, len(plane.x_rad))[:, None]
+    profiles = [
+        correlation_profile(scan_covariances(data, streams.scan_bounds), bins).log_profile
+        for data in (streams.data_mk.astype(float), gain * streams.data_mk)
+    ]
+    return agrees(np.abs(profiles[1] - profiles[0]).max(), 0.0, 1e-10, "change of the profile of ln C")
+
+
+def pairs(scene: Scene, places: np.ndarray) -> Outcome:
+    """A profile linear in theta^2 and gains over two decades: what comes back of the profile."""
+    bins = pair_bins(FocalPlane(*places.T, 3e-4))
+    gain, distant = np.linspace(-2, 2, len(places)), ~bins.adjacent
+    shape = -((bins.theta_rad / bins.theta_rad[-1]) ** 2)
+    logs = shape[bins.bin[distant]] + gain[bins.first[distant]] + gain[bins.second[distant]]
+    return agrees(np.abs(bins.solve @ logs - (shape - shape.mean())).max(), 0.0, 1e-9, "departure of the profile")
+
+
+def _blocks(scene: Scene, ratio: float) -> tuple[Setup, StreamBlock]:
+    setup = prepare(scene)
+    path, _ = observation_path(setup, 0)
+    n_det, n_pix = setup.n_det, setup.geometry.n_x * setup.geometry.n_y
+    bounds = np.arange(setup.raster.n_scans)[:, None] * N_SAMP + [0, N_SAMP]
+    data = planted(n_det, ratio, n_scans=setup.raster.n_scans)
+    # A tenth of the map is enough to be crossed often; the rest stays without a hit.
+    index = np.random.default_rng(9).integers(0, n_pix // 10, data.shape)
+    return setup, StreamBlock(data, index, bounds, setup.camera.focal_plane)
+
+
+def unhit(scene: Scene) -> Outcome:
+    """A map with pixels that no sample hits."""
+    setup, block = _blocks(scene, 0.0)
+    item = bin_map(setup.geometry, block.data_mk, block.index, block.scan_bounds, np.ones(len(block.scan_bounds), bool))
+    finite = np.isfinite(item.signal_mk).all() and not item.signal_mk[item.hits == 0].any()
+    return agrees(float(finite), 1.0, 0.0, f"finite, and 0 in {np.sum(item.hits == 0)} pixels without a hit")
+
+
+def likelihood_map(scene: Scene) -> Outcome:
+    """A maximum-likelihood map under a common mode."""
+    maps = []
+    for ratio in (1e3, STIFF):
+        setup, block = _blocks(scene, ratio)
+        found = gls_map(setup.geometry, [block], RATE_HZ, GlsOptions())
+        maps.append(found.map.signal_mk[found.map.hits > 0])
+    return agrees(np.std(maps[1] - maps[0]) / np.std(maps[0]), 0.0, 1e-2, "change of the map over its noise")

@@ -1,0 +1,346 @@
+"""Sweeps: the table [sweep] of a scene file, read as axes of values and the scenes of all their combinations.
+
+Every point is the scene of the file with some keys replaced. All have one seed, so random numbers that do not
+depend on these keys are common to all points, and differences between points are known better than the points.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from hashlib import sha256
+from itertools import product
+from math import prod
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from surveysim.reduction.setup import prepare
+from surveysim.runtime.text_files import key_text
+from surveysim.scene.fields import LONGEST_LINE
+from surveysim.scene.scene import Origin, Scene, SceneError, allowed_keys, error_lines, read_scene, scene_hash, scene_of
+from surveysim.scene.units import shown
+from surveysim.telescope.raster import samples_per_scan
+
+MAX_POINTS = 1000
+LABEL_LENGTH = 40
+COMMON = ("seed", "name", "title", "sweep")  # to all points
+REFERENCE = "reference"  # of [sweep]: no axis, if its value is a number or a text, which an axis never is
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Keys of the scene that change together, and a tuple of their values (as in the file) for each step."""
+
+    name: str
+    keys: tuple[str, ...]
+    values: tuple[tuple[Any, ...], ...]
+
+    @property
+    def telling_keys(self) -> tuple[str, ...]:
+        """Keys that tell the steps apart: the first one if its values do, or else all whose values differ."""
+        texts = [[value_text(value) for value in column] for column in zip(*self.values, strict=True)]
+        if len(set(texts[0])) == len(self.values):
+            return self.keys[:1]
+        varying = tuple(key for key, column in zip(self.keys, texts, strict=True) if len(set(column)) > 1)
+        return varying or self.keys[:1]
+
+    @cached_property
+    def labels(self) -> list[str]:
+        """Each step's value of the first key, or ``key = value`` of all `telling_keys`, as short text.
+
+        Steps that look alike all the same have their number behind.
+        """
+        telling = self.telling_keys
+        columns = [[_short(values[self.keys.index(key)]) for values in self.values] for key in telling]
+        if telling == self.keys[:1]:
+            texts = columns[0]
+        else:
+            names = _short_names(telling)
+            texts = [
+                ", ".join(f"{name} = {text}" for name, text in zip(names, row, strict=True))
+                for row in zip(*columns, strict=True)
+            ]
+        seen = Counter(texts)
+        return [f"{text} #{step}" if seen[text] > 1 else text for step, text in enumerate(texts)]
+
+    def at(self, step: int) -> str:
+        """``name = value`` of one step, or ``name (key = value, ...)``."""
+        text = self.labels[step]
+        return f"{self.name} = {text}" if self.telling_keys == self.keys[:1] else f"{self.name} ({text})"
+
+
+@dataclass(frozen=True)
+class Point:
+    """A combination of values: its `number`, its `place` on each axis, `settings` by key, and the scene they make.
+
+    `label` names it by its axes: ``key = value, ...``.
+    """
+
+    number: int
+    place: tuple[int, ...]
+    label: str
+    settings: dict[str, Any]
+    scene: Scene
+    n_det: int
+    detector_samples: int
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A scene file with [sweep]: its axes, and the points of all combinations, those of the last axis in a row.
+
+    `reference` is the number of the point that the others are compared with, `origin` the file with its overrides.
+    """
+
+    path: Path
+    axes: tuple[Axis, ...]
+    points: tuple[Point, ...]
+    origin: Origin
+    reference: int = 0
+
+    @property
+    def name(self) -> str:
+        """The scene's name."""
+        return self.points[0].scene.name
+
+
+def is_sweep(path: str | Path) -> bool:
+    """Whether a scene file has a table [sweep]; raises SceneError when it can't be read."""
+    return "sweep" in read_scene(Path(path))[1]
+
+
+def load_sweep(
+    path: str | Path, overrides: Mapping[str, Any] | None = None, reference: int | str | None = None
+) -> Sweep:
+    """Read a scene file with [sweep], and check and prepare the scene of every point.
+
+    `overrides` maps dotted keys, which the sweep leaves alone, to values. `reference` takes the place of the file's
+    `sweep.reference`: the number of a point or its values, as ``key = value, ...``. Raises SceneError with one line
+    for each error: file, key, found, allowed, and the point unless all have the error.
+    """
+    path, overrides = Path(path), dict(overrides or {})
+    text, content = read_scene(path)
+    axes = _axes(path, content, overrides)
+    places = list(product(*(range(len(axis.values)) for axis in axes)))
+    settings = [_settings(axes, place) for place in places]
+    labels = [", ".join(axis.at(step) for axis, step in zip(axes, place, strict=True)) for place in places]
+
+    def point(number: int) -> Point:
+        scene = scene_of(path, text, content, overrides | settings[number])
+        if scene.score is None:
+            raise SceneError("score: missing; a sweep compares scores")
+        setup = prepare(scene)
+        samples = setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster) * scene.observations
+        return Point(number, places[number], labels[number], settings[number], scene, setup.n_det, samples)
+
+    points = tuple(_of_all(path, labels, point))
+    name = "sweep.reference" if reference is None else "--reference"
+    try:
+        chosen = _reference(name, _given_reference(content) if reference is None else reference, axes, points)
+    except ValueError as error:
+        raise SceneError(f"{path}: {error}") from None
+    if reference is not None and all(axis.name != REFERENCE for axis in axes):
+        overrides[f"sweep.{REFERENCE}"] = chosen
+    return Sweep(path, axes, points, Origin(path.absolute(), text, overrides), chosen)
+
+
+def sweep_hash(sweep: Sweep) -> str:
+    """SHA-256 of all that a sweep's results depend on: the scenes of its points, and the point that ratios are to."""
+    found = [scene_hash(point.scene) for point in sweep.points]
+    return sha256(" ".join([*found, str(sweep.reference)]).encode()).hexdigest()
+
+
+def value_text(value: Any) -> str:
+    """A value of the file as text: quantities as they stand, steps of cleaning with a plus."""
+    if isinstance(value, list) and value and all(isinstance(item, str) for item in value):
+        return "+".join(value)
+    return value if isinstance(value, str) else repr(value)
+
+
+def numbers_of(values: Sequence[Any]) -> tuple[np.ndarray, str] | None:
+    """Values of the file as numbers (n,) and their unit, that of the first; None where they are not all numbers."""
+    if all(isinstance(value, int | float) for value in values):
+        found, unit = np.array(values), ""
+    elif all(isinstance(value, str) for value in values):
+        found, unit = _fractions(values) or _quantities(values) or (np.array([np.nan]), "")
+    else:
+        return None
+    return (found, unit) if np.isfinite(found).all() else None
+
+
+def _fractions(values: Sequence[str]) -> tuple[np.ndarray, str] | None:
+    try:
+        return np.array([float(Fraction(value)) for value in values]), ""
+    except (ValueError, ZeroDivisionError, OverflowError):
+        return None
+
+
+def _quantities(values: Sequence[str]) -> tuple[np.ndarray, str] | None:
+    import astropy.units as u
+
+    try:
+        found = [u.Quantity(value) for value in values]
+        return np.array([float(item.to_value(found[0].unit)) for item in found]), str(found[0].unit)
+    except (u.UnitConversionError, TypeError, ValueError):
+        return None
+
+
+# ---------------------------------------------------------------- the table [sweep]
+
+
+def _axes(path: Path, content: Mapping[str, Any], overrides: Mapping[str, Any]) -> tuple[Axis, ...]:
+    """The axes of a file; raises SceneError with a line for each error in its table."""
+    table = content.get("sweep")
+    if not isinstance(table, dict) or not table:
+        found = "missing" if table is None else f"found {shown(table)}"
+        raise SceneError(f"{path}: sweep: {found}; a table of keys with lists of values is expected")
+    axes, wrong = [], []
+    given = {REFERENCE} if _given_reference(content) is not None else set()
+    for name, value in table.items():
+        if name in given:
+            continue
+        try:
+            axes.append(_axis(name, value))
+        except ValueError as error:
+            wrong.append(str(error))
+    if wrong:
+        raise SceneError(error_lines(path, wrong))
+    if not axes:
+        raise SceneError(f"{path}: sweep: found {REFERENCE!r} alone; a key with a list of values is expected")
+    try:
+        _check_together(axes, overrides)
+    except ValueError as error:
+        raise SceneError(f"{path}: {error}") from None
+    return tuple(axes)
+
+
+def _axis(name: str, value: Any) -> Axis:
+    where = f"sweep.{key_text(name)}"
+    if isinstance(value, list):
+        lists = {name: value}
+    elif isinstance(value, dict) and value:
+        lists = value
+        if not name.isprintable() or not 0 < len(name) <= LONGEST_LINE:
+            raise ValueError(
+                f"sweep: found the axis {shown(name)}; a name in one line, of printable letters, is expected"
+            )
+    else:
+        raise ValueError(f"{where}: found {shown(value)}; a list of values, or a table of keys with lists, is expected")
+    for key, items in lists.items():
+        of_key = where if lists is not value else f"{where}.{key_text(key)}"
+        _check_key(of_key, name, key)
+        if not isinstance(items, list) or not items:
+            raise ValueError(f"{of_key}: found {shown(items)}; a list of one or more values is expected")
+    lengths = [len(items) for items in lists.values()]
+    if len(set(lengths)) > 1:
+        raise ValueError(f"{where}: found lists of {' and '.join(map(str, lengths))} values; one length is expected")
+    return Axis(name, tuple(lists), tuple(zip(*lists.values(), strict=True)))
+
+
+def _check_key(where: str, axis: str, key: str) -> None:
+    """Raise ValueError unless it is a key of a scene that points may differ in."""
+    *sections, last = key.split(".")
+    if sections[:1] == ["sweep"] or key in COMMON:
+        raise ValueError(f"{where}: found {shown(key)}; a key that is not common to all points is expected")
+    allowed = allowed_keys(tuple(sections))
+    if last not in allowed:
+        if axis != key and key in allowed_keys(tuple(axis.split("."))):
+            raise ValueError(f'{where}: unknown key; a key with dots goes in quotes: "{axis}.{key}"')
+        names = ", ".join(f"{'.'.join([*sections, name])}" for name in allowed if name not in COMMON)
+        raise ValueError(f"{where}: unknown key{f'; allowed are {names}' if names else ' of a scene'}")
+
+
+def _check_together(axes: Sequence[Axis], overrides: Mapping[str, Any]) -> None:
+    """Raise ValueError when a key is given twice, or for too many points."""
+    seen: list[str] = []
+    for key in (key for axis in axes for key in axis.keys):
+        if other := next((other for other in seen if _overlap(key, other)), None):
+            raise ValueError(f"sweep: found {shown(key)} beside {shown(other)}; every key on one axis is expected")
+        if other := next((other for other in overrides if _overlap(key, other)), None):
+            raise ValueError(f"{other}: set, and on an axis of the sweep; a key that it leaves alone is expected")
+        seen.append(key)
+    n_points = prod(len(axis.values) for axis in axes)
+    if n_points > MAX_POINTS:
+        raise ValueError(f"sweep: found {n_points} points; {MAX_POINTS} or less are expected")
+
+
+def _overlap(key: str, other: str) -> bool:
+    """Whether two dotted keys are one, or one is a section that holds the other."""
+    return f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}.")
+
+
+def _given_reference(content: Mapping[str, Any]) -> int | str | None:
+    """The reference point that the table [sweep] names, if any."""
+    value = content["sweep"].get(REFERENCE)
+    return value if isinstance(value, int | str) else None
+
+
+def _reference(name: str, given: int | str | None, axes: Sequence[Axis], points: Sequence[Point]) -> int:
+    """Number of the reference point, by default the first; raises ValueError unless the text names one."""
+    if isinstance(given, bool):
+        raise ValueError(f"{name}: found {shown(given)}; the number of a point, or its values, is expected")
+    if given is None or isinstance(given, int):
+        if not 0 <= (given or 0) < len(points):
+            raise ValueError(f"{name}: found {given}; the number of a point, 0 to {len(points) - 1}, is expected")
+        return given or 0
+    found = [point.number for point in points if _is_named(given, point, axes)]
+    if len(found) != 1:
+        others = f"that names {len(found)} points" if found else "that names no point"
+        raise ValueError(f"{name}: found {given!r}, {others}; as in {points[0].label!r}, one is expected")
+    return found[0]
+
+
+def _is_named(text: str, point: Point, axes: Sequence[Axis]) -> bool:
+    """Whether a text is nothing but ``key = value`` of some keys or axes of a point."""
+    own = [axis.at(step) for axis, step in zip(axes, point.place, strict=True)]
+    own += [f"{key} = {value_text(value)}" for key, value in point.settings.items()]
+    left = re.sub(r"\s*=\s*", " = ", text)
+    for part in sorted(own, key=len, reverse=True):
+        left = left.replace(part, "", 1)
+    return bool(text.strip()) and not left.strip(" ,")
+
+
+def _short(value: Any) -> str:
+    text = value_text(value)
+    return text if len(text) <= LABEL_LENGTH else f"{text[: LABEL_LENGTH - 3]}..."
+
+
+def _short_names(keys: Sequence[str]) -> list[str]:
+    """The last parts of dotted keys, or the whole keys where these are not unique."""
+    last = [key.rpartition(".")[2] for key in keys]
+    return last if len(set(last)) == len(last) else list(keys)
+
+
+def _settings(axes: Iterable[Axis], place: tuple[int, ...]) -> dict[str, Any]:
+    return {
+        key: value
+        for axis, step in zip(axes, place, strict=True)
+        for key, value in zip(axis.keys, axis.values[step], strict=True)
+    }
+
+
+def _of_all(path: Path, labels: Sequence[str], job: Callable[[int], T]) -> list[T]:
+    """`job(number)` of every point; raises SceneError with each of their errors once."""
+    done, wrong = [], {}
+    for number in range(len(labels)):
+        try:
+            done.append(job(number))
+        except SceneError as error:
+            for line in str(error).splitlines():
+                wrong.setdefault(line.removeprefix(f"{path}: "), []).append(number)
+    if wrong:
+        raise SceneError(error_lines(path, [_line(line, labels, points) for line, points in wrong.items()]))
+    return done
+
+
+def _line(line: str, labels: Sequence[str], points: list[int]) -> str:
+    if len(points) == len(labels) > 1:
+        return line
+    others = f" and {len(points) - 1} more" if len(points) > 1 else ""
+    return f"point ({key_text(labels[points[0]])}){others}: {line}"

@@ -1,0 +1,393 @@
+"""The points of a sweep run, and set against each other: ratios with paired errors, and which point is the best."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from mapmaker.uncertainty import ratio_error, student_factor
+from surveysim.forecasting.forecast import Forecast, forecast
+from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.reduction.setup import Setup, prepare
+from surveysim.results.agreement import agreement, quoted_forecast, run_forecast
+from surveysim.results.control_variate import quoted_scores
+from surveysim.runtime.engine import Engine, ordered_map
+from surveysim.scene.scene import scene_hash
+from surveysim.studies.sweep.axes import Point, Sweep
+from surveysim.studies.sweep.point_store import (
+    PointResult,
+    finished_points,
+    load_point,
+    point_checkpoint,
+    point_file,
+    save_point,
+)
+from surveysim.survey.checkpoint import CheckpointError
+from surveysim.survey.coadds import CoAdds
+from surveysim.survey.discarded_scans import competing, discards, sweep_warnings, why_withheld
+from surveysim.survey.run import run_observations
+from surveysim.survey.scores import FEWEST_CONTROLLED, DataSetScore, error_modes
+
+DRAWS = 20_000  # of the best point: a probability of 0.5 is known to 0.004
+_DRAWS_AT_ONCE = 1000
+SURE = 0.995  # from here on a probability rounds to 100 %, which it is not
+MOST_PAIRED = 100  # points with a score, of which every pair is told
+_EQUAL = 1e-9  # relative difference below which two points are equal
+
+ESTIMATES = {  # kinds of sigma(A)
+    "controlled": "has the forecast as control variate, which takes out the luck of the weather",
+    "plain": "is of the weather that was drawn, which is common to all points",
+}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Points against each other, (n_point,) each and NaN for a point without a score.
+
+    `ratio` is sigma(A) over that of the point `reference`, `paired_error` its error and `independent_error` what it
+    would be if the two shared nothing. `best` are the lowest points: several if they are equal, none where nothing is
+    scored. `best_probability` is that of being the lowest of the points that are `competing`, NaN for the others: some
+    points lose too many scans to compete (`surveysim.survey.discarded_scans`), and if one of these is the lowest, none
+    competes. `modes` (n_point, n_mode) are the responses of ln sigma to unit deviates that points may have in common.
+    """
+
+    reference: int | None
+    best: tuple[int, ...]
+    competing: np.ndarray
+    modes: np.ndarray
+    sigma_ukcmb2: np.ndarray
+    error_ukcmb2: np.ndarray
+    ratio: np.ndarray
+    paired_error: np.ndarray
+    independent_error: np.ndarray
+    best_probability: np.ndarray
+
+
+@dataclass(frozen=True)
+class Pair:
+    """sigma(A) of `point` over that of `other`, with its paired error and that of independent runs.
+
+    They are `comparable` if both lose few scans, and like shares of them (`SweepResult.comparable`).
+    """
+
+    point: int
+    other: int
+    ratio: float
+    paired_error: float
+    independent_error: float
+    comparable: bool
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """A finished sweep; `simulated` is false where its points are forecasts alone."""
+
+    sweep: Sweep
+    points: tuple[PointResult, ...]
+    comparison: Comparison
+    simulated: bool
+    wall_s: float
+    workers: int
+    engine: str
+
+    @property
+    def estimate(self) -> str:
+        """Kind of the estimates of all points: "controlled" or "plain"; empty without a score."""
+        scored = [item for point in self.points for item in point.scores.values()]
+        return "" if not scored else "plain" if scored[0].control is None else "controlled"
+
+    @property
+    def warnings(self) -> list[str]:
+        """Lines on scans that are discarded, and on a reference point without a score.
+
+        Shares that are predicted are not known well enough to be compared: a forecast's flags tell of them.
+        """
+        labels = [point.label for point in self.sweep.points]
+        found = sweep_warnings(labels, [point.discarded for point in self.points]) if self.simulated else []
+        reference = self.comparison.reference
+        if self.sweep.reference not in (0, reference):
+            other = "" if reference is None else f"; ratios are to {labels[reference]}"
+            found.append(f"the reference point that was chosen, {labels[self.sweep.reference]}, has no score{other}")
+        return found
+
+    def comparable(self, point: int, other: int) -> bool:
+        """Whether two points both lose few scans, and like shares of them."""
+        return bool(competing(_actual_shares(self.points)[[point, other]]).all())
+
+    def withheld(self, number: int) -> str:
+        """Why a point with a score has no probability of being the best; empty for one that has, or has no score."""
+        comparison = self.comparison
+        scored = np.isfinite(comparison.ratio)
+        if not self.simulated or comparison.competing[number] or not scored[number]:
+            return ""
+        if not np.isfinite(comparison.modes[number]).all():
+            return "its error is unknown, of too few observations"
+        if scored.sum() == 1:
+            return "no other point has a score"
+        shares = _actual_shares(self.points)
+        return why_withheld(float(shares[number]), float(shares[scored].min()))
+
+
+@dataclass(frozen=True)
+class PointJob:
+    """Run, score and forecast a point in one process, and keep it in `directory` if there is one."""
+
+    directory: Path | None
+    resume: bool
+
+    def __call__(self, point: Point) -> PointResult:
+        """Raises ValueError that names the point, and CheckpointError for a checkpoint of another scene."""
+        start, setup, checkpoint = perf_counter(), prepare(point.scene), None
+        if self.directory is not None:
+            checkpoint = point_checkpoint(self.directory, point.number)
+        try:
+            coadds = run_observations(setup, checkpoint, resume=self.resume)
+        except CheckpointError:
+            raise
+        except (ValueError, ArithmeticError) as error:
+            raise ValueError(f"point ({point.label}): {error}") from None
+        scores, unscored = _scored(setup, coadds)
+        lost = discards(setup, coadds)
+        expected, sigma, off = run_forecast(setup, coadds) if scores else None, {}, []
+        if expected is not None:
+            sigma = {name: quoted_forecast(scores[name], item) for name, item in expected.scores.items()}
+            found = agreement(setup, scores[ACTUAL], expected.scores[ACTUAL])
+            off = [found.sigma, found.sigma_error]
+        told = sigma, off, _flags(expected)
+        result = PointResult(
+            setup.n_det, scores, *told, lost.shares, lost.by_weather, _skies(setup), unscored, perf_counter() - start
+        )
+        if self.directory is not None:
+            save_point(point_file(self.directory, point.number), result, scene_hash(point.scene))
+            checkpoint.unlink(missing_ok=True)
+        return result
+
+
+def _scored(setup: Setup, coadds: CoAdds) -> tuple[dict[str, DataSetScore], str]:
+    """Scores by data set, or none and why."""
+    try:
+        return quoted_scores(setup, coadds), ""
+    except ValueError as error:  # too few observations, or too few scans kept in them
+        return {}, str(error)
+
+
+def run_points(
+    sweep: Sweep,
+    directory: Path | None,
+    engine: Engine,
+    resume: bool,
+    progress: Callable[[int], None],
+) -> tuple[PointResult, ...]:
+    """Run all points, several at a time, each by one worker; `progress` is told how many are done.
+
+    Points are kept in `directory`, finished or not, and taken up from there with `resume`. Raises CheckpointError
+    for files of other scenes, EngineError when the engine can't go on, ValueError when a point fails.
+    """
+    found = _kept(sweep, directory) if resume and directory is not None else {}
+    missing = [point for point in sweep.points if point.number not in found]
+    # Workers elsewhere may have another working directory.
+    kept = None if directory is None else directory.absolute()
+    results = ordered_map(PointJob(kept, resume), missing, engine)
+    try:
+        for point in missing:
+            found[point.number] = next(results)
+            progress(len(found))
+    finally:
+        results.close()
+    return tuple(found[point.number] for point in sweep.points)
+
+
+def _kept(sweep: Sweep, directory: Path) -> dict[int, PointResult]:
+    """Finished points by number; raises CheckpointError for files that are not of this sweep."""
+    found = {}
+    for number, path in finished_points(directory).items():
+        if number >= len(sweep.points):
+            raise CheckpointError(
+                f"{path}: from another sweep (this one has {len(sweep.points)} points); "
+                "start anew with --force, or write elsewhere with --out"
+            )
+        found[number] = load_point(path, sweep.points[number])
+    return found
+
+
+def _flags(found: Forecast | None) -> list[str]:
+    """Why the actual data's forecast may be off."""
+    return [effect.sentence for effect in found.scores[ACTUAL].effects if effect.flagged] if found else []
+
+
+def _discarded(found: Forecast | None) -> dict[str, float]:
+    """Shares of scans that are predicted to be discarded, by data set; those that are not known are left out."""
+    kept = {name: item.kept for name, item in found.scores.items()} if found else {}
+    return {name: item.discarded for name, item in kept.items() if np.isfinite(item.error)}
+
+
+def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[PointResult, ...]:
+    """Forecasts of all points, one after the other, or why there is none."""
+    results = []
+    for point in sweep.points:
+        start, found, reason = perf_counter(), None, ""
+        try:
+            found = forecast(point.scene)
+        except ValueError as error:  # of a scene that can't be forecast
+            reason = str(error)
+        sigma = {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}
+        told = sigma, [], _flags(found), _discarded(found), []
+        results.append(PointResult(point.n_det, {}, *told, "", reason, perf_counter() - start))
+        progress(len(results))
+    return tuple(results)
+
+
+def _skies(setup: Setup) -> str:
+    """Equal where windows are measured with the same skies: one seed, and one grid that they are drawn on."""
+    scene = setup.scene
+    return sha256(f"{scene.seed} {scene.score.window} {setup.sky_geometry}".encode()).hexdigest()
+
+
+# ---------------------------------------------------------------- comparison
+
+
+def of_one_kind(points: tuple[PointResult, ...]) -> tuple[PointResult, ...]:
+    """The points, their scores without control variate where a point has none: estimates of one kind compare.
+
+    What a control variate takes out, the luck of the weather, is common to all points of a sweep.
+    """
+    scored = [item for point in points for item in point.scores.values()]
+    if len({item.control is None for item in scored}) < 2:
+        return points
+    return tuple(
+        replace(point, scores={name: _uncontrolled(item) for name, item in point.scores.items()}) for point in points
+    )
+
+
+def _uncontrolled(item: DataSetScore) -> DataSetScore:
+    if item.control is None:
+        return item
+    weather = float(np.hypot(item.budget.weather, item.control.sampling))
+    budget = replace(item.budget, weather=weather, population=0.0)
+    return replace(item, band=item.plain_band, budget=budget, control=None, plain=None)
+
+
+def compare_runs(points: tuple[PointResult, ...], rng: np.random.Generator, reference: int = 0) -> Comparison:
+    """Runs of the actual data set against each other, with what their errors share."""
+    scored = {number: point.scores[ACTUAL] for number, point in enumerate(points) if point.scores}
+    sigma, relative = np.full((2, len(points)), np.nan)
+    modes = np.zeros((len(points), 1))
+    if scored:
+        numbers, items = list(scored), list(scored.values())
+        sigma[numbers] = [item.band.sigma_ukcmb2 for item in items]
+        relative[numbers] = [item.band.error_ukcmb2 / item.band.sigma_ukcmb2 for item in items]
+        found = error_modes(_of_one_weather(items), [points[number].skies for number in numbers])
+        modes = np.zeros((len(points), found.shape[1]))
+        modes[numbers] = found
+    return compare(sigma, modes, rng, reference, _actual_shares(points), relative)
+
+
+def _of_one_weather(items: list[DataSetScore]) -> list[DataSetScore]:
+    """The scores for comparisons with each other: of equally many observations, the weather is common to all.
+
+    How well few observations sample the weather is unknown, but ratios need not know it: what is left of it in them
+    shows in the scatter of one point's observations against another's.
+    """
+    lengths = {len(item.weights) for item in items}
+    if len(lengths) > 1 or min(lengths) < FEWEST_CONTROLLED or any(item.control is not None for item in items):
+        return items
+    return [replace(item, budget=replace(item.budget, weather=_scatter(item.information))) for item in items]
+
+
+def _scatter(information: np.ndarray) -> float:
+    return ratio_error(information, np.ones(len(information))) * student_factor(len(information))
+
+
+def _actual_shares(points: tuple[PointResult, ...]) -> np.ndarray:
+    """Shares (n_point,) of discarded scans of the actual data, 0 where none is known."""
+    return np.array([point.discarded.get(ACTUAL, 0.0) for point in points])
+
+
+def compare_forecasts(points: tuple[PointResult, ...], reference: int = 0) -> Comparison:
+    """Forecasts of the actual data set against each other, which have no Monte Carlo errors."""
+    sigma = np.array([point.forecast_ukcmb2.get(ACTUAL, np.nan) for point in points])
+    return compare(sigma, np.zeros((len(points), 1)), np.random.default_rng(0), reference)
+
+
+def compare(
+    sigma_ukcmb2: np.ndarray,
+    modes: np.ndarray,
+    rng: np.random.Generator,
+    reference: int = 0,
+    discarded: np.ndarray | None = None,
+    relative: np.ndarray | None = None,
+) -> Comparison:
+    """Compare points (n_point,), NaN for none, whose ln sigma respond to unit deviates as `modes` (n_point, n_mode).
+
+    Where the `reference` has no score, the first point that has one takes its place. `discarded` (n_point,) are the
+    shares of scans that points lose, none by default; `relative` (n_point,) are relative errors, NaN where unknown, by
+    default those of the modes. Points whose modes are NaN do not compete.
+    """
+    scored = np.flatnonzero(np.isfinite(sigma_ukcmb2))
+    nothing, competes = np.full(len(sigma_ukcmb2), np.nan), np.zeros(len(sigma_ukcmb2), bool)
+    if len(scored) == 0:
+        return Comparison(None, (), competes, modes, *(nothing.copy() for _ in range(6)))
+    reference = reference if reference in scored else int(scored[0])
+    lowest = np.nanmin(sigma_ukcmb2)
+    best = tuple(int(number) for number in scored[sigma_ukcmb2[scored] <= lowest * (1 + _EQUAL)])
+    shares = np.zeros(len(nothing)) if discarded is None else discarded
+    competes[scored] = competing(shares[scored]) & np.isfinite(modes[scored]).all(axis=1)
+    # Against nobody, or while one that does not compete is lower, none is known to be the best.
+    if competes.sum() < 2 or not competes[list(best)].any():
+        competes[:] = False
+    relative = np.linalg.norm(modes, axis=1) if relative is None else relative
+    ratio = sigma_ukcmb2 / sigma_ukcmb2[reference]
+    apart = np.hypot(relative, relative[reference])
+    paired = np.linalg.norm(modes - modes[reference], axis=1)
+    apart[reference] = paired[reference] = 0.0
+    probability = nothing.copy()
+    if competes.any():
+        probability[competes] = probability_of_lowest(np.log(sigma_ukcmb2[competes]), modes[competes], rng)
+    return Comparison(
+        reference=reference,
+        best=best,
+        competing=competes,
+        modes=modes,
+        sigma_ukcmb2=sigma_ukcmb2,
+        error_ukcmb2=sigma_ukcmb2 * relative,
+        ratio=ratio,
+        paired_error=ratio * paired,
+        independent_error=ratio * apart,
+        best_probability=probability,
+    )
+
+
+def pairs(result: SweepResult) -> list[Pair]:
+    """Every point with a score over every one before it; none of more than `MOST_PAIRED` such points."""
+    sigma = result.comparison.sigma_ukcmb2
+    scored = [int(number) for number in np.flatnonzero(np.isfinite(sigma))]
+    if not result.simulated or len(scored) > MOST_PAIRED:
+        return []
+    return [_pair(result, point, other) for place, point in enumerate(scored) for other in scored[:place]]
+
+
+def _pair(result: SweepResult, point: int, other: int) -> Pair:
+    comparison = result.comparison
+    sigma, error, modes = comparison.sigma_ukcmb2, comparison.error_ukcmb2, comparison.modes
+    ratio = float(sigma[point] / sigma[other])
+    paired = ratio * float(np.linalg.norm(modes[point] - modes[other]))
+    apart = ratio * float(np.hypot(error[point] / sigma[point], error[other] / sigma[other]))
+    return Pair(point, other, ratio, paired, apart, result.comparable(point, other))
+
+
+def probability_of_lowest(log_sigma: np.ndarray, modes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Probability (n,) that each of the true values is the lowest, by `DRAWS` draws about those found.
+
+    Values that are equal share a draw.
+    """
+    # As many modes as points are enough: R^T R = modes modes^T.
+    factor = np.linalg.qr(modes.T, mode="r")
+    won = np.zeros(len(log_sigma))
+    for _ in range(DRAWS // _DRAWS_AT_ONCE):
+        drawn = log_sigma + rng.standard_normal((_DRAWS_AT_ONCE, len(factor))) @ factor
+        lowest = drawn <= drawn.min(axis=1, keepdims=True) + _EQUAL
+        won += (lowest / lowest.sum(axis=1, keepdims=True)).sum(axis=0)
+    return won / DRAWS

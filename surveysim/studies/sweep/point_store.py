@@ -1,0 +1,262 @@
+"""What a sweep keeps of a point, and its small file, by which an interrupted sweep goes on."""
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+from zipfile import ZIP_STORED
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from mapmaker.bandpower import BandPower
+from mapmaker.files import whole_file
+from mapmaker.uncertainty import ErrorBudget
+from mapmaker.window import Window
+from surveysim import __version__
+from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
+from surveysim.runtime.text_files import one_line
+from surveysim.scene.scene import Scene, scene_hash
+from surveysim.studies.sweep.axes import Point
+from surveysim.survey.checkpoint import REASON, CheckpointError, check_origin, read_meta
+from surveysim.survey.scores import Control, DataSetScore
+
+_OF_BAND, _OF_WINDOW = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
+_OF_CONTROL = ("factor", "weights", "noise")
+_OF_SET = ("noise_psds", "signal_psd", "weights", "bin_noise", "kept")
+_NEVER_NEGATIVE = ("noise_psds", "signal_psd", "weights", "kept", "band.weight", "band.ell", "window.ell")
+_NEVER_NEGATIVE += ("control.weights", "plain.weight", "plain.ell")
+_Share = Annotated[float, Field(ge=0, le=1)]
+
+
+@dataclass(frozen=True)
+class PointResult:
+    """Scores by data set, or why there are none; forecasts of sigma(A) [uK_CMB^2] by data set.
+
+    `off` is the actual data's forecast over the simulation, less 1, with the standard error of that, empty where there
+    is only one of them; `flags` say why the forecast may be off.
+    `discarded` is the share of discarded scans by data set, empty where it is not known, and `discarded_by_weather`
+    that of quarters of the observations (`surveysim.survey.discarded_scans`). `skies` is equal for points whose windows
+    are measured with the same skies. `wall_s` is the time that the point took since it was started or, the last time,
+    resumed.
+    """
+
+    n_det: int
+    scores: dict[str, DataSetScore]
+    forecast_ukcmb2: dict[str, float]
+    off: list[float]
+    flags: list[str]
+    discarded: dict[str, float]
+    discarded_by_weather: list[dict[str, Any]]
+    skies: str
+    unscored: str
+    wall_s: float
+
+
+def point_file(directory: Path, number: int) -> Path:
+    """Where a finished point is kept."""
+    return directory / f"{number:03d}.npz"
+
+
+def point_checkpoint(directory: Path, number: int) -> Path:
+    """Where a point under way is kept."""
+    return directory / f"{number:03d}.checkpoint.h5"
+
+
+def finished_points(directory: Path) -> dict[int, Path]:
+    """Files of finished points by number."""
+    return {int(path.stem): path for path in sorted(directory.glob("[0-9][0-9][0-9].npz"))}
+
+
+def save_point(path: Path, result: PointResult, identity: str) -> None:
+    """Write a finished point of the scene with this hash, atomically."""
+    meta = {
+        "scene": identity,
+        "version": __version__,
+        "sets": {name: _numbers(item) for name, item in result.scores.items()},
+        "rest": {key: value for key, value in vars(result).items() if key != "scores"},
+    }
+    arrays = {f"{name}/{key}": array for name, item in result.scores.items() for key, array in _arrays(item).items()}
+    with whole_file(path) as partial, open(partial, "wb") as file:
+        np.savez(file, meta=json.dumps(meta), **arrays)
+
+
+def load_point(path: Path, point: Point) -> PointResult:
+    """Read a finished point back.
+
+    Raises CheckpointError for a file that is damaged, of another scene or version, or whose content is not what a
+    sweep keeps of this point.
+    """
+    try:
+        if not path.is_file():  # a pipe never ends
+            raise ValueError("no file")
+        with np.load(path, allow_pickle=False) as file:
+            if any(item.compress_type != ZIP_STORED for item in file.zip.infolist()):
+                raise ValueError("compressed")  # by others: a few bytes can hold gigabytes
+            meta = read_meta(str(file["meta"]))
+            check_origin(path, meta, scene_hash(point.scene))
+            result = _result(file, _Meta.model_validate(meta))
+        _check_point(result, point)
+    except CheckpointError:
+        raise
+    except ValidationError as error:  # its own text has a line for each fault, and quotes what it found
+        first = error.errors()[0]
+        reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    except Exception as error:  # zip, npy and JSON readers raise a wide range for damaged bytes
+        reason = error
+    else:
+        return result
+    raise CheckpointError(f"{path}: damaged ({one_line(reason, REASON)}); delete it and go on with --resume")
+
+
+class _Numbers(BaseModel):
+    """Fields of a known type and no others; NaN stands for what is not known."""
+
+    model_config = ConfigDict(strict=True, extra="forbid")
+
+
+class _Band(_Numbers):
+    sigma_ukcmb2: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    error_ukcmb2: float
+    ell_eff: float
+    fwhm_ell: float
+
+
+class _Budget(_Numbers):
+    noise: float
+    weather: float
+    window: float
+    population: float
+
+
+class _Control(_Numbers):
+    sampling: float
+    population: float
+
+
+class _Set(_Numbers):
+    n_det: Annotated[int, Field(ge=1)]
+    band: _Band
+    budget: _Budget
+    control: _Control | None = None
+    plain: _Band | None = None
+
+
+class _Quarter(_Numbers):
+    b2_min_mk2: float
+    b2_max_mk2: float
+    observations: Annotated[int, Field(ge=1)]
+    discarded: dict[str, _Share]
+
+
+class _Rest(_Numbers):
+    n_det: int
+    forecast_ukcmb2: dict[str, Annotated[float, Field(gt=0)]]
+    off: Annotated[list[float], Field(max_length=2)]
+    flags: list[str]
+    discarded: dict[str, _Share]
+    discarded_by_weather: list[_Quarter]
+    skies: str
+    unscored: str
+    wall_s: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+
+class _Meta(_Numbers):
+    """What the file of a point says in JSON."""
+
+    scene: str
+    version: str
+    sets: dict[str, _Set]
+    rest: _Rest
+
+
+def _result(file: Any, meta: _Meta) -> PointResult:
+    numbers = {name: item.model_dump(exclude_none=True) for name, item in meta.sets.items()}
+    result = PointResult(
+        scores={name: _score(file, name, item) for name, item in numbers.items()}, **meta.rest.model_dump()
+    )
+    known = {f"{name}/{key}" for name, item in result.scores.items() for key in _arrays(item)}
+    if others := set(file.files) - known - {"meta"}:
+        raise ValueError(f"unknown: {', '.join(sorted(others))}")
+    return result
+
+
+def _check_point(result: PointResult, point: Point) -> None:
+    """Raise ValueError for scores that are not of the scene of a point."""
+    score, names = point.scene.score, _data_sets(point.scene)
+    if result.n_det != point.n_det or any(item.n_det > point.n_det for item in result.scores.values()):
+        raise ValueError(f"other numbers of detectors than {point.n_det}")
+    if bool(result.scores) == bool(result.unscored) or (result.scores and ACTUAL not in result.scores):
+        raise ValueError("neither a score nor a reason for none, or both")
+    if others := [name for name in result.scores if not names.fullmatch(name)]:
+        raise ValueError(f"no data set of the scene: {others[0]}")
+    n_bin = {len(item.signal_psd) for item in result.scores.values()}
+    n_obs, skies = point.scene.observations, score.window.skies
+    sizes = {"noise_psds": (score.jackknives, *n_bin), "window.deviations": (skies, *n_bin)}
+    sizes |= dict.fromkeys(("weights", "control.weights"), (n_obs,))
+    sizes |= dict.fromkeys(("bin_noise", "control.noise"), (n_obs, *n_bin))
+    for name, item in result.scores.items():
+        for key, array in _arrays(item).items():
+            shapes = {sizes.get(key, tuple(n_bin))} if key != "kept" else {(), sizes["weights"]}
+            if np.shape(array) not in shapes or np.asarray(array).dtype != float:
+                raise ValueError(f"{name}/{key} has the shape {np.shape(array)} of {np.asarray(array).dtype}")
+            if key in _NEVER_NEGATIVE and not ((array >= 0) & np.isfinite(array)).all():
+                raise ValueError(f"{name}/{key} has values below 0 or none")
+        _check_noise(f"{name}/bin_noise", item.weights, item.bin_noise, item.band.weight)
+        if item.control is not None:
+            _check_noise(f"{name}/control.noise", item.control.weights, item.control.noise, item.band.weight)
+
+
+def _check_noise(name: str, weights: np.ndarray, noise: np.ndarray, bin_weight: np.ndarray) -> None:
+    """Raise ValueError for noise that is none where it has a weight; elsewhere it may be infinite or unknown."""
+    used = noise[np.ix_(weights > 0, bin_weight > 0)]
+    if not ((used >= 0) & np.isfinite(used)).all():
+        raise ValueError(f"{name} has values below 0 or none where there are data")
+
+
+def _data_sets(scene: Scene) -> re.Pattern[str]:
+    """Names of a scene's data sets."""
+    names = [ACTUAL, OPTIMAL, *scene.score.simulated, *("+".join(steps) for steps in scene.cleaning.compare)]
+    return re.compile("|".join([*map(re.escape, names), r"masked_\d+"]))
+
+
+def _numbers(item: DataSetScore) -> dict[str, Any]:
+    found = {"n_det": item.n_det, "band": _of(item.band, _OF_BAND), "budget": vars(item.budget)}
+    if item.control is not None:
+        found |= {"control": _of(item.control, _OF_CONTROL), "plain": _of(item.plain, _OF_BAND)}
+    return found
+
+
+def _of(record: Any, arrays: tuple[str, ...]) -> dict[str, float]:
+    """The numbers of a record, less its arrays."""
+    return {key: value for key, value in vars(record).items() if key not in arrays}
+
+
+def _parts(item: DataSetScore) -> dict[str, tuple[Any, tuple[str, ...]]]:
+    """Records of a score that have arrays, and their names."""
+    parts = {"": (item, _OF_SET), "band.": (item.band, _OF_BAND), "window.": (item.window, _OF_WINDOW)}
+    if item.control is not None:
+        parts |= {"control.": (item.control, _OF_CONTROL), "plain.": (item.plain, _OF_BAND)}
+    return parts
+
+
+def _arrays(item: DataSetScore) -> dict[str, np.ndarray]:
+    return {f"{part}{key}": getattr(of, key) for part, (of, keys) in _parts(item).items() for key in keys}
+
+
+def _score(file: Any, name: str, numbers: dict[str, Any]) -> DataSetScore:
+    def arrays(part: str, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
+        return {key: file[f"{name}/{part}{key}"] for key in keys}
+
+    controlled = "control" in numbers
+    return DataSetScore(
+        name=name,
+        n_det=numbers["n_det"],
+        band=BandPower(**numbers["band"], **arrays("band.", _OF_BAND)),
+        budget=ErrorBudget(**numbers["budget"]),
+        window=Window(**arrays("window.", _OF_WINDOW)),
+        control=Control(**numbers["control"], **arrays("control.", _OF_CONTROL)) if controlled else None,
+        plain=BandPower(**numbers["plain"], **arrays("plain.", _OF_BAND)) if controlled else None,
+        **arrays("", _OF_SET),
+    )

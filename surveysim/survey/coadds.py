@@ -1,0 +1,199 @@
+"""Running sums over observations: the co-added maps, sign-flipped co-adds, window skies.
+
+The one mutable record of a run: it grows by one observation at a time, in index order, and it is what a
+checkpoint holds. But for a row and a few PSDs an observation (some kB), its size does not depend on their number.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
+from surveysim.reduction.figure_of_merit import TARGETS, best_places
+from surveysim.reduction.observation import ObservationResult
+from surveysim.reduction.setup import Setup
+from surveysim.runtime.rng import Stage, generator
+from surveysim.survey.kernels import add_signed
+
+ROW_FIELDS = (
+    "observation",
+    "b2_mk2",
+    "wind_speed_rad_s",
+    "wind_angle_rad",
+    "pwv_mm",
+    "elevation_rad",
+    "white_mk2_hz",
+)
+
+
+@dataclass
+class CoAdds:
+    """Sums over the first `done` observations.
+
+    `sums`, `weight`, `hits` (n_set, n_y, n_x): sum of w S, w H and H; `flipped` (K, n_set, n, n): sums
+    with random signs on the scored patch; `window` (n_sky, n_window, 2, n, n) and `window_weight`
+    (n_window, n, n) on the patch; `rows` one tuple an observation (`row_names`); `bin_noise` (n_obs, n_set, n_bin)
+    [mK^2], noise variances a sample; `raw_psd`, `clean_psd` (n_obs, n_freq), `compared_psd` (n_obs, n_compare, n_freq).
+    """
+
+    sums: np.ndarray
+    weight: np.ndarray
+    hits: np.ndarray
+    flipped: np.ndarray
+    window: np.ndarray
+    window_weight: np.ndarray
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+    bin_noise: list[np.ndarray] = field(default_factory=list)
+    raw_psd: list[np.ndarray] = field(default_factory=list)
+    clean_psd: list[np.ndarray] = field(default_factory=list)
+    compared_psd: list[np.ndarray] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def done(self) -> int:
+        """How many observations are in."""
+        return len(self.rows)
+
+    @property
+    def n_set(self) -> int:
+        """How many data sets are kept."""
+        return len(self.sums)
+
+    def column(self, name: str) -> np.ndarray:
+        """One of `ROW_FIELDS` of all observations, (n_obs,)."""
+        place = ROW_FIELDS.index(name)
+        return np.array([row[place] for row in self.rows])
+
+    def noise_mk2(self) -> np.ndarray:
+        """Noise variance a sample, (n_obs, n_set)."""
+        return np.array([row[-self.n_set :] for row in self.rows])
+
+
+def empty_coadds(setup: Setup) -> CoAdds:
+    """Sums over no observation."""
+    n_set, n_window = len(setup.data_sets), len(setup.windows)
+    shape = (setup.geometry.n_y, setup.geometry.n_x)
+    n_flip = n_sky = n = 0
+    if setup.scene.score:
+        n_flip, n_sky = setup.scene.score.jackknives, setup.n_window_skies
+        n = len(setup.band.taper)
+    return CoAdds(
+        sums=np.zeros((n_set, *shape)),
+        weight=np.zeros((n_set, *shape)),
+        hits=np.zeros((n_set, *shape), np.int64),
+        flipped=np.zeros((n_flip, n_set, n, n)),
+        window=np.zeros((n_sky, n_window, 2, n, n)),
+        window_weight=np.zeros((n_window, n, n)),
+    )
+
+
+def signs(setup: Setup, observation: int) -> np.ndarray:
+    """Random signs (K,) of one observation in the sign-flipped co-adds: noise stays, the sky cancels."""
+    score = setup.scene.score
+    if score is None:
+        return np.zeros(0)
+    rng = generator(setup.scene.seed, Stage.JACKKNIFE, observation)
+    return 2.0 * rng.integers(0, 2, score.jackknives) - 1.0
+
+
+def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> None:
+    """Add one observation, weighted by its own noise, in place.
+
+    Raises ValueError for one that is not the next, and for maps or sums of other shapes than the setup's.
+    """
+    if result.observation != coadds.done:
+        raise ValueError(f"found observation {result.observation}; {coadds.done} is the next in order")
+    _check_shapes(setup, coadds, result)
+    weights = noise_weights(result.noise_mk2)
+    sign = signs(setup, result.observation)
+    patch = setup.band.patch if setup.band else slice(0, 0)
+    # All that could fail for want of memory comes before the first sum: none is left half done.
+    sums = weights[:, None, None] * result.sums.astype(float)
+    hits = weights[:, None, None] * result.hits
+    for s, weighted in enumerate(sums):
+        coadds.sums[s] += weighted
+        coadds.weight[s] += hits[s]
+        if len(sign):
+            add_signed(coadds.flipped[:, s], np.ascontiguousarray(weighted[patch, patch]), sign)
+    coadds.hits += result.hits
+    if result.window is not None:
+        _add_window(setup, coadds, result, weights)
+    coadds.rows.append(_row(result))
+    coadds.bin_noise.append(result.bin_noise_mk2)
+    coadds.raw_psd.append(result.raw_psd)
+    coadds.clean_psd.append(result.clean_psd)
+    coadds.compared_psd.append(result.compared_psd)
+    for stage, seconds in result.seconds.items():
+        coadds.seconds[stage] = coadds.seconds.get(stage, 0.0) + seconds
+
+
+def _check_shapes(setup: Setup, coadds: CoAdds, result: ObservationResult) -> None:
+    """Raise ValueError for shapes that do not fit: results come from other processes, sums from files."""
+    planes = (len(setup.data_sets), setup.geometry.n_y, setup.geometry.n_x)
+    n_flip, n = (setup.scene.score.jackknives, len(setup.band.taper)) if setup.scene.score else (0, 0)
+    found = {
+        "sums": (result.sums.shape, planes),
+        "hits": (result.hits.shape, planes),
+        "noise_mk2": (result.noise_mk2.shape, planes[:1]),
+        "co-added sums": (coadds.sums.shape, planes),
+        "flipped": (coadds.flipped.shape, (n_flip, planes[0], n, n)),
+    }
+    for name, (shape, expected) in found.items():
+        if shape != expected:
+            raise ValueError(f"{name}: found the shape {shape}; {expected} is expected")
+
+
+def noise_weights(noise_mk2: np.ndarray) -> np.ndarray:
+    """Weights [1/mK^2] of noise variances a sample, any shape; 0 where there are no data."""
+    known = np.isfinite(noise_mk2) & (noise_mk2 > 0)
+    return np.divide(1.0, noise_mk2, out=np.zeros_like(noise_mk2), where=known)
+
+
+def lost_scans(setup: Setup, coadds: CoAdds) -> np.ndarray:
+    """Discarded scans (n_obs, n_set) of each observation so far, by data set.
+
+    The simulated sets lose the scans of the actual data, the optimal set those of the recipe that it takes.
+    """
+    columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
+    counts = {recipe.data_set: columns[f"discarded_{recipe.data_set}"] for recipe in setup.recipes}
+    if setup.chooses:
+        whole = [recipe.data_set for recipe in setup.whole_recipes]
+        best = best_places(np.array([columns[f"merit_{TARGETS[0]}_{name}"] for name in whole]))
+        # Without any merit the first recipe is taken.
+        counts[OPTIMAL] = np.array([counts[name] for name in whole])[np.maximum(best, 0), np.arange(len(best))]
+    return np.stack([counts.get(name, counts[ACTUAL]) for name in setup.data_sets], axis=1)
+
+
+def kept_shares(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
+    """Share (n_obs,) of its scans that is kept of each observation so far, by data set."""
+    kept = 1 - lost_scans(setup, coadds) / setup.raster.n_scans
+    return dict(zip(setup.data_sets, kept.T, strict=True))
+
+
+def _add_window(setup: Setup, coadds: CoAdds, result: ObservationResult, weights: np.ndarray) -> None:
+    patch = setup.band.patch
+    for place, name in enumerate(setup.windows):
+        data_set = setup.data_sets.index(name)
+        coadds.window[:, place] += weights[data_set] * result.window[:, place]
+        coadds.window_weight[place] += weights[data_set] * result.hits[data_set][patch, patch]
+
+
+def _row(result: ObservationResult) -> tuple[float, ...]:
+    weather = result.weather
+    drawn = (np.nan,) * 4
+    if weather is not None:
+        drawn = (weather.b2, weather.wind_speed_rad_s, weather.wind_angle_rad, weather.pwv_mm)
+    conditions = (result.observation, *drawn, result.elevation_rad, result.white_mk2_hz)
+    cleaning = (*result.discarded, *result.iterations, *result.removed)
+    merits = () if result.merits is None else result.merits.T.ravel()
+    return (*conditions, *cleaning, *merits, *result.noise_mk2)
+
+
+def row_names(setup: Setup) -> list[str]:
+    """What the values of a row of `CoAdds.rows` are."""
+    of_recipes = [
+        f"{what}_{recipe.data_set}" for what in ("discarded", "iterations", "removed") for recipe in setup.recipes
+    ]
+    whole = setup.whole_recipes if setup.chooses else ()
+    merits = [f"merit_{target}_{recipe.data_set}" for target in TARGETS for recipe in whole]
+    return [*ROW_FIELDS, *of_recipes, *merits, *(f"noise_mk2_{name}" for name in setup.data_sets)]

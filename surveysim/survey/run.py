@@ -1,0 +1,110 @@
+"""Many observations: engine, checkpoint, and the records of a finished survey."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from time import monotonic
+
+from surveysim.reduction.observation import ObservationResult, observe
+from surveysim.reduction.setup import Setup, prepare, window_observations
+from surveysim.runtime.engine import SERIAL, Engine, held_back_signals, ordered_map
+from surveysim.scene.scene import Scene, scene_hash
+from surveysim.survey.checkpoint import check_streams, load_checkpoint, save_checkpoint
+from surveysim.survey.coadds import CoAdds, add_observation, empty_coadds
+
+CHECKPOINT_SECONDS = 10.0  # between checkpoints
+CHECKPOINT_SHARE = 0.05  # of the time at most goes into them
+
+
+@dataclass(frozen=True)
+class ObservationJob:
+    """What a worker does with an observation's number.
+
+    It holds the scene and not its setup, which each worker prepares: while the megabytes of a setup went to
+    one worker, no other would start.
+    """
+
+    scene: Scene
+    timestream_dir: Path | None
+
+    def __call__(self, observation: int) -> ObservationResult:
+        """Simulate, clean and bin; write the streams if asked."""
+        with_window = bool(window_observations(self.scene)[observation])
+        path = None if self.timestream_dir is None else self.timestream_dir / f"{observation:04d}.h5"
+        return observe(prepare(self.scene), observation, with_window, path)
+
+
+def run_observations(
+    setup: Setup,
+    checkpoint: Path | None,
+    engine: Engine = SERIAL,
+    resume: bool = False,
+    timestream_dir: Path | None = None,
+    progress: Callable[[CoAdds], None] = lambda coadds: None,
+    stops: Callable[[CoAdds], bool] = lambda coadds: False,
+) -> CoAdds:
+    """Run all observations of a scene, or as many as it takes until `stops`, and add them up in order.
+
+    `progress` is called after each; whether it `stops` is asked after each and before the first. With a `checkpoint`
+    path, the sums are written there every few seconds, and when the run is stopped, interrupted or fails
+    (KeyboardInterrupt and errors pass on); with `resume`, they are taken up from there. Raises CheckpointError for one
+    that does not belong to the scene, and EngineError when the engine can't go on.
+    """
+    identity = scene_hash(setup.scene)
+    coadds = empty_coadds(setup)
+    if resume and checkpoint is not None and checkpoint.exists():
+        coadds = load_checkpoint(checkpoint, setup)
+        if timestream_dir is not None:
+            check_streams(timestream_dir, setup, coadds.done)
+    keeper = _Keeper(checkpoint, identity, coadds.done)
+    left = () if stops(coadds) else range(coadds.done, setup.scene.observations)
+    # Workers elsewhere may have another working directory.
+    streams = None if timestream_dir is None else timestream_dir.absolute()
+    results = ordered_map(ObservationJob(setup.scene, streams), left, engine)
+    try:
+        for result in results:
+            # An observation is in the sums whole or not at all: a checkpoint may be made of them any time.
+            with held_back_signals():
+                add_observation(setup, coadds, result)
+            progress(coadds)
+            keeper.save_if_due(coadds)
+            if stops(coadds):
+                break
+    except BaseException:
+        keeper.save(coadds)
+        raise
+    finally:
+        results.close()
+    if coadds.done < setup.scene.observations:
+        keeper.save(coadds)
+        if timestream_dir is not None:
+            _drop_streams(timestream_dir, coadds.done, setup.scene.observations)
+    return coadds
+
+
+class _Keeper:
+    """Saves the sums of a run to its checkpoint, if it has one: often, but for a small share of the time."""
+
+    def __init__(self, path: Path | None, scene_hash: str, done: int):
+        self.path, self.scene_hash, self.done = path, scene_hash, done
+        self.due = monotonic() + CHECKPOINT_SECONDS
+
+    def save_if_due(self, coadds: CoAdds) -> None:
+        """Save after some seconds: so much work is done again at most when a run is killed."""
+        if monotonic() >= self.due:
+            self.save(coadds)
+
+    def save(self, coadds: CoAdds) -> None:
+        """Save unless what is done has been saved already."""
+        if self.path is None or coadds.done == self.done:
+            return
+        start = monotonic()
+        save_checkpoint(self.path, coadds, self.scene_hash)
+        self.done, end = coadds.done, monotonic()
+        self.due = end + max(CHECKPOINT_SECONDS, (end - start) / CHECKPOINT_SHARE)
+
+
+def _drop_streams(directory: Path, first: int, end: int) -> None:
+    """Remove streams of some observations, which workers wrote ahead of where a run was stopped."""
+    for number in range(first, end):
+        (directory / f"{number:04d}.h5").unlink(missing_ok=True)

@@ -1,0 +1,306 @@
+"""From co-added maps to the uncertainty on a flat CMB band power, for every data set."""
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mapmaker.bandpower import BandPower, band_power, bin_weights, flat_band_power, score
+from mapmaker.binning import weighted_mean
+from mapmaker.spectrum import Annuli, map_psd
+from mapmaker.uncertainty import (
+    ErrorBudget,
+    information_shares,
+    noise_error,
+    noise_error_parts,
+    ratio_error,
+    student_factor,
+    without_noise,
+)
+from mapmaker.window import Window, signal_window
+from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.reduction.scored_region import N_SECTORS
+from surveysim.reduction.setup import Setup
+from surveysim.survey.coadds import CoAdds, kept_shares, noise_weights
+
+PEAK = 0.8  # of the brightest pixel: what counts as a point source's peak
+FEWEST_CONTROLLED = 4  # observations whose scatter about the forecast tells anything of it
+
+
+@dataclass(frozen=True)
+class Control:
+    """The forecast of a data set, as a control variate of its score (`surveysim.results.control_variate`).
+
+    `factor` (n_bin,): noise PSD expected over all weather, over the one expected of the observations simulated.
+    `weights` (n_obs,) and `noise` (n_obs, n_bin) [mK^2 a sample]: those expected of each. `sampling`: relative error of
+    sigma from as many observations in random weather; `population`: that of the expectation over all weather.
+    """
+
+    factor: np.ndarray
+    weights: np.ndarray
+    noise: np.ndarray
+    sampling: float
+    population: float
+
+
+@dataclass(frozen=True)
+class DataSetScore:
+    """One data set's result: `band` is the one quoted, with the forecast as `control` variate where there is one.
+
+    `noise_psd` (n_bin,) [uK_CMB^2 sr] of the co-added map, with `noise_psds` (K, n_bin) of the sign-flipped co-adds;
+    `signal_psd` (n_bin,) [sr], what the map holds of a flat spectrum of unit band power; `window` of its array;
+    `weights` (n_obs,) [1/mK^2 a sample], 0 for an observation without data, and `bin_noise` (n_obs, n_bin) [mK^2 a
+    sample] of their maps; `kept` (n_obs,) share of its scans that is not discarded; `plain` the result without control
+    variate where there is one.
+    """
+
+    name: str
+    n_det: int
+    band: BandPower
+    budget: ErrorBudget
+    noise_psds: np.ndarray
+    signal_psd: np.ndarray
+    window: Window
+    weights: np.ndarray
+    bin_noise: np.ndarray
+    kept: np.ndarray | float = 1.0
+    control: Control | None = None
+    plain: BandPower | None = None
+
+    @property
+    def noise_psd(self) -> np.ndarray:
+        """Mean over the sign-flipped co-adds."""
+        return self.noise_psds.mean(axis=0)
+
+    @property
+    def quoted_psd(self) -> np.ndarray:
+        """The noise PSD that `band` is of: expected over all weather where there is a control variate."""
+        return self.noise_psd if self.control is None else self.noise_psd * self.control.factor
+
+    @property
+    def information(self) -> np.ndarray:
+        """Share of each observation in the survey's, (n_obs,)."""
+        return information_shares(self.weights, self.kept, self.bin_noise, self.band.weight)
+
+    @property
+    def expected(self) -> np.ndarray:
+        """The same as the control variate expects it, or equal shares without one, (n_obs,)."""
+        if self.control is None:
+            return np.full(len(self.weights), 1 / len(self.weights))
+        return information_shares(self.control.weights, 1.0, self.control.noise, self.band.weight)
+
+    @property
+    def plain_band(self) -> BandPower:
+        """The result of the very observations that were simulated, without a control variate."""
+        return self.band if self.plain is None else self.plain
+
+
+@dataclass(frozen=True)
+class Gain:
+    """The ratio of two data sets' uncertainties, with the error of the pair."""
+
+    ratio: float
+    error: float
+
+
+def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = None) -> dict[str, DataSetScore]:
+    """Plain scores of the whole survey's named data sets (all by default), judged by the observations so far.
+
+    Raises ValueError with fewer than 2 observations with data, or before a window observation is in; says so where
+    cleaning discarded all scans.
+    """
+    kept = kept_shares(setup, coadds)
+    if not kept[ACTUAL].any():
+        raise ValueError("cleaning discarded all scans; some scans of 2 or more observations are expected")
+    windows = [_window(setup, coadds, place, setup.band.rings) for place in range(len(setup.windows))]
+    weights = noise_weights(coadds.noise_mk2())
+    scores = {}
+    for s, name in enumerate(setup.data_sets):
+        if names is None or name in names:
+            n_det = len(setup.masked) if name.startswith("masked") else setup.n_det
+            psds = _noise_psds(setup, coadds, s, setup.band.rings)
+            window = windows[setup.window_of(name)]
+            of_observations = weights[:, s], np.array(coadds.bin_noise)[:, s], kept[name]
+            scores[name] = _score(setup, name, n_det, psds, window, *of_observations)
+    return scores
+
+
+def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> DataSetScore:
+    """A plain score with the forecast as control variate; `plain` keeps it, with its error by the forecast.
+
+    The scatter of each observation's information about the forecast's, without that of noise, is the error of either,
+    as that of a mean of few draws: unknown for fewer than 4. The plain one has besides the weather that happened to be
+    drawn.
+    """
+    rings, selected = setup.band.rings, item.band.weight > 0
+    _, common = noise_parts(setup, item)
+    off = ratio_error(item.information, replace(item, control=control).expected)
+    off = without_noise(off, common) * student_factor(len(item.weights))
+    budget = replace(item.budget, weather=off, population=control.population)
+    plain = replace(item.budget, weather=float(np.hypot(off, control.sampling))).total
+    quoted = replace(item, budget=budget, control=control)
+    band = band_power(
+        quoted.quoted_psd, item.signal_psd, rings.n_modes, selected, rings.ell, rings.edges_ell, budget.total
+    )
+    return replace(quoted, band=band, plain=replace(item.band, error_ukcmb2=item.band.sigma_ukcmb2 * plain))
+
+
+def noise_parts(setup: Setup, item: DataSetScore) -> tuple[float, float]:
+    """Relative errors of the plain sigma from its noise: what more sign flips take away, and what they share."""
+    used = item.weights[item.weights > 0]
+    of_bins = setup.band.rings.n_modes, setup.band.correlation
+    return noise_error_parts(item.noise_psds, item.plain_band.weight, used, *of_bins)
+
+
+def bin_errors(setup: Setup, item: DataSetScore) -> np.ndarray:
+    """Relative standard errors (n_bin,) of the plain noise PSD, for each bin by itself."""
+    used = item.weights[item.weights > 0]
+    of_bins = setup.band.rings.n_modes, setup.band.correlation
+    alone = np.eye(len(setup.band.rings.ell))
+    return np.array([noise_error(item.noise_psds, weight, used, *of_bins) for weight in alone])
+
+
+def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
+    """The same data set scored from another lowest multipole."""
+    low, high = setup.band.rings.edges_ell[:-1], setup.band.rings.edges_ell[1:]
+    selected = (low >= ell_min) & (high <= setup.scene.score.ell_max)
+    of_set = item.name, item.n_det, item.noise_psds, item.window, item.weights, item.bin_noise, item.kept
+    plain = _score(setup, *of_set, selected=selected)
+    return plain if item.control is None else controlled_score(setup, plain, item.control)
+
+
+def sector_sigma(setup: Setup, coadds: CoAdds, item: DataSetScore) -> float:
+    """sigma(A) [uK_CMB^2] of the scored range with modes weighted by their direction too (`split_azimuth`)."""
+    sectors = setup.band.sectors
+    noise = _noise_psds(setup, coadds, setup.data_sets.index(item.name), sectors).mean(axis=0)
+    if item.control is not None:
+        noise = noise * np.repeat(item.control.factor[setup.band.selected], N_SECTORS)
+    window = _window(setup, coadds, setup.window_of(item.name), sectors)
+    signal = setup.band.sector_psd * window.transmission
+    return flat_band_power(noise, signal, sectors.n_modes, np.ones(len(noise), bool))
+
+
+def gain(worse: DataSetScore, better: DataSetScore, factor: float = 1.0) -> Gain:
+    """``factor * sigma(worse) / sigma(better)`` with the Monte Carlo error of the ratio.
+
+    The two share signs, weather and perhaps window skies, so their errors are those of a difference
+    (`error_modes`), and not in quadrature.
+    """
+    ratio = factor * worse.band.sigma_ukcmb2 / better.band.sigma_ukcmb2
+    one, other = error_modes((worse, better), ("", ""))  # the skies of one survey
+    return Gain(ratio, ratio * float(np.linalg.norm(one - other)))
+
+
+def error_modes(items: Sequence[DataSetScore], skies: Sequence[Hashable]) -> np.ndarray:
+    """Responses (n_item, n_mode) of ln sigma to independent unit deviates: products of rows are their covariance.
+
+    The items are data sets of one survey or of surveys with one seed. A row's norm is the relative error of its
+    item, and the norm of the difference of two rows that of their ratio; what both respond to alike cancels.
+    Responses are those of `mapmaker.bandpower`: to the noise, one mode for each of the sign-flipped co-adds, whose
+    signs are common; to the weather, one for each observation, common too (of controlled scores how its information
+    differs from the forecast's); to the window, one for each sky and bin, common to items whose `skies` and bins are
+    equal; to the sample of weather that expectations are taken from, common to all. An unknown error makes its row NaN.
+    How far noise is common shows in the scatter of K co-adds: its correlation between two items is known to
+    1 / sqrt(K - 1). How far windows are shows in what each sky does to each bin.
+    """
+    groups = [(key, item.band.ell.tobytes()) for item, key in zip(items, skies, strict=True)]
+    window = [_window_row(item) for item in items]
+    rows_of = (_noise_row, _weather_row, lambda item: np.array([item.budget.population]))
+    columns = [_stacked([row(item) for item in items]) for row in rows_of]
+    for group in dict.fromkeys(groups):
+        rows = [row if own == group else row[:0] for row, own in zip(window, groups, strict=True)]
+        if groups.count(group) == 1:  # shared with nobody: one mode has it all
+            rows = [np.linalg.norm(row, keepdims=True) if len(row) else row for row in rows]
+        columns.append(_stacked(rows))
+    return np.hstack(columns)
+
+
+def _noise_row(item: DataSetScore) -> np.ndarray:
+    used = item.band.weight > 0
+    response = (item.noise_psds[:, used] / item.noise_psd[used]) @ item.band.weight[used]
+    return _of_norm(item.budget.noise, response - response.mean())
+
+
+def _weather_row(item: DataSetScore) -> np.ndarray:
+    return _of_norm(item.budget.weather, item.information - item.expected)
+
+
+def _window_row(item: DataSetScore) -> np.ndarray:
+    used, window = item.band.weight > 0, item.window
+    row = np.zeros(window.deviations.shape)
+    row[:, used] = -item.band.weight[used] * window.deviations[:, used] / window.transmission[used]
+    return _of_norm(item.budget.window, row.ravel())
+
+
+def _of_norm(norm: float, row: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(row)
+    return row * (norm / length) if length > 0 else row
+
+
+def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows of any lengths as one array, short ones with zeros behind."""
+    stacked = np.zeros((len(rows), max(len(row) for row in rows)))
+    for row, values in zip(stacked, rows, strict=True):
+        row[: len(values)] = values
+    return stacked
+
+
+def _score(setup, name, n_det, psds, window, weights, bin_noise, kept, *, selected=None) -> DataSetScore:
+    rings, signal = setup.band.rings, setup.band.signal_psd * window.transmission
+    selected = setup.band.selected if selected is None else selected
+    of_bins = rings.n_modes, selected, weights[weights > 0], rings.ell, rings.edges_ell
+    shares = information_shares(
+        weights, kept, bin_noise, bin_weights(psds.mean(axis=0), signal, rings.n_modes, selected)
+    )
+    of_data = {"information": shares, "correlation": setup.band.correlation}
+    band, budget = score(psds, signal, _window_errors(window), *of_bins, **of_data)
+    return DataSetScore(name, n_det, band, budget, psds, signal, window, weights, bin_noise, kept)
+
+
+def _window_errors(window: Window) -> np.ndarray:
+    """Relative errors (n_bin,) of the window."""
+    none = np.zeros_like(window.transmission)
+    return np.divide(window.error, window.transmission, out=none, where=window.transmission > 0)
+
+
+def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> np.ndarray:
+    """PSDs (K, n_bin) [uK_CMB^2 sr] of the sign-flipped co-adds.
+
+    Weights measured on the very maps that they weigh favour an observation whose noise fluctuates low, which lowers
+    the co-added PSD where they are measured and raises it elsewhere (`Band.mode_chance`); this bias is corrected.
+    The PSD of a survey goes as one over its observations: of a part it is scaled to the whole.
+    """
+    patch = setup.band.patch
+    maps = weighted_mean(coadds.flipped[:, data_set], coadds.weight[data_set][patch, patch])
+    to_ukcmb = 1e3 * setup.scene.instrument.cmb_per_rj
+    whole = coadds.done / setup.scene.observations
+    weights = noise_weights(coadds.noise_mk2()[:, data_set])
+    independent = 1 - np.sum(weights**2) / np.sum(weights) ** 2  # a single observation can't be favoured
+    return _psd(setup, maps, rings) * (to_ukcmb**2 * (1 + independent * setup.band.chance(rings)) * whole)
+
+
+def flux_removed(setup: Setup, coadds: CoAdds) -> dict[str, float]:
+    """Share of a faint point source's flux that cleaning takes, by data set; empty where recipes are not compared.
+
+    At the sources' peaks, against the map binned without cleaning; the mean of the scans goes with it.
+    """
+    if not setup.chooses:
+        return {}
+    removed = {}
+    for place, name in enumerate(setup.windows):
+        without, cleaned = weighted_mean(coadds.window[-1, place], coadds.window_weight[place])
+        peak = without > PEAK * without.max()
+        removed[name] = 1 - float(cleaned[peak].sum() / without[peak].sum())
+    return removed
+
+
+def _window(setup: Setup, coadds: CoAdds, place: int, rings: Annuli) -> Window:
+    skies = setup.scene.score.window.skies
+    maps = weighted_mean(coadds.window[:skies, place], coadds.window_weight[place])
+    psd = _psd(setup, maps, rings)
+    return signal_window(psd[:, 1], psd[:, 0], rings.ell)
+
+
+def _psd(setup: Setup, patches: np.ndarray, rings: Annuli) -> np.ndarray:
+    band = setup.band
+    return map_psd(band.pad(patches), band.padded_taper, setup.geometry.pixel_rad, rings)

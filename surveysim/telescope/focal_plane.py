@@ -1,0 +1,201 @@
+"""Focal planes: hexagonal layouts, tables of positions, dead and masked detectors."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mapmaker.timestreams import FocalPlane
+from surveysim.scene.instrument import Instrument as InstrumentSection
+from surveysim.scene.position_table import read_positions
+from surveysim.telescope.pixel_coherence import Illumination, horn_taper_db, stop_efficiency
+
+MAX_RINGS = 60
+MAX_PLACES = 1000
+_OBLIQUE = np.array([np.cos(1.0), np.sin(1.0)])
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A focal plane in the array frame and what couples its detectors.
+
+    `focal_plane` holds n_det detectors; `f_lambda_rad` is one (f/#)lambda on the sky; `illumination` is how each
+    pixel lights the stop; `pitch_rad` that of the hexagonal lattice that detectors are on, None for a table.
+    """
+
+    focal_plane: FocalPlane
+    f_lambda_rad: float
+    illumination: Illumination = Illumination()
+    pitch_rad: float | None = None
+
+    @property
+    def positions_f_lambda(self) -> np.ndarray:
+        """Positions (n_det, 2) in (f/#)lambda."""
+        return np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad]) / self.f_lambda_rad
+
+    @property
+    def cells(self) -> np.ndarray:
+        """Places (n_det, 2) of detectors of a layout on its lattice, along axes 60 degrees apart."""
+        row = np.rint(self.focal_plane.y_rad / (np.sqrt(0.75) * self.pitch_rad))
+        return np.column_stack([np.rint(self.focal_plane.x_rad / self.pitch_rad - row / 2), row]).astype(int)
+
+    @property
+    def radius_rad(self) -> float:
+        """Distance of the outermost detector from the centre."""
+        return float(np.hypot(self.focal_plane.x_rad, self.focal_plane.y_rad).max())
+
+    @cached_property
+    def closest_rad(self) -> float:
+        """Separation of the closest pair of detectors; 0 for a single one."""
+        positions = np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad])
+        return closest_pair(positions)[0] if len(positions) > 1 else 0.0
+
+
+def camera(section: InstrumentSection) -> Camera:
+    """The camera of a scene, dead positions left out.
+
+    Raises ValueError for a dead position that is not in the layout, no live detector, two
+    detectors at one position, horns that do not fit between their neighbours, or an unreadable table.
+    """
+    pitch = None
+    if section.positions is not None:
+        positions = read_positions(section.positions)
+    else:
+        positions = without(_layout_positions(section), section.layout.dead)
+        pitch = section.layout.pitch_f_lambda * section.f_lambda_rad
+    check_distinct(positions)
+    plane = FocalPlane(positions[:, 0].copy(), positions[:, 1].copy(), section.beam_fwhm_rad)
+    cam = Camera(plane, section.f_lambda_rad, illumination(section), pitch)
+    closest = cam.closest_rad / section.f_lambda_rad
+    if section.horn_f_lambda is not None and 0 < closest < section.horn_f_lambda * (1 - 1e-9):
+        raise ValueError(
+            f"instrument.horn_f_lambda: found {section.horn_f_lambda:g}; {closest:.4g}, the closest pair's distance in "
+            "(f/#)lambda, or less is expected"
+        )
+    return cam
+
+
+def illumination(section: InstrumentSection) -> Illumination:
+    """How pixels light the stop: uniformly, with the scene's edge taper, or with that of its horns."""
+    if section.horn_f_lambda is not None:
+        return Illumination(horn_taper_db(section.horn_f_lambda))
+    return Illumination(section.edge_taper_db or 0.0)
+
+
+def total_efficiency(section: InstrumentSection) -> float:
+    """From window to detector, with what horns spill on the stop; the scene must give an `efficiency`."""
+    if section.horn_f_lambda is None:
+        return section.efficiency
+    return section.efficiency * stop_efficiency(horn_taper_db(section.horn_f_lambda))
+
+
+def _layout_positions(section: InstrumentSection) -> np.ndarray:
+    """Positions (n, 2) [rad] of a layout, dead ones among them.
+
+    A round field of view holds as many pixels as its area does cells, those nearest to its centre: were they counted by
+    their centres, the area that they pack would jump with the pitch by a fifth.
+    """
+    layout, pitch = section.layout, section.layout.pitch_f_lambda * section.f_lambda_rad
+    if layout.rings is not None:
+        return hexagon(layout.rings, pitch)
+    radius = layout.field_of_view_rad / 2
+    # Pixels of that area lie within its radius and a pitch; a ring of the hexagon is at least 0.87 pitches further out.
+    rings = int((radius + pitch) / (np.sqrt(0.75) * pitch)) + 1
+    if rings > MAX_RINGS:
+        raise ValueError(
+            f"instrument.layout.field_of_view: found {rings} rings in it; {MAX_RINGS} or fewer are expected"
+        )
+    count = max(1, round(np.pi * radius**2 / (np.sqrt(0.75) * pitch**2)))
+    return hexagon(rings, pitch)[:count]
+
+
+def hexagon(rings: int, pitch: float) -> np.ndarray:
+    """Positions (3 n (n+1) + 1, 2) of `rings` rings around a centre, in the unit of `pitch`.
+
+    Ordered by distance from the centre, then by angle: 127 positions for six rings.
+    """
+    q, r = np.meshgrid(np.arange(-rings, rings + 1), np.arange(-rings, rings + 1), indexing="ij")
+    inside = np.abs(q + r) <= rings
+    x = q[inside] + 0.5 * r[inside]
+    y = np.sqrt(0.75) * r[inside]
+    order = np.lexsort((np.round(np.arctan2(y, x), 9), np.round(np.hypot(x, y), 9)))
+    return pitch * np.column_stack([x, y])[order]
+
+
+def without(positions: np.ndarray, dead: tuple[int, ...]) -> np.ndarray:
+    """Positions less the dead ones; raises ValueError for one that does not exist or appears twice."""
+    wrong = [index for index in dead if not 0 <= index < len(positions)]
+    if wrong or len(set(dead)) != len(dead):
+        raise ValueError(
+            f"instrument.layout.dead: found {list(dead)}; different numbers from 0 to {len(positions) - 1} are expected"
+        )
+    if len(dead) == len(positions):
+        raise ValueError(f"instrument.layout.dead: found all {len(dead)} positions; one live detector is expected")
+    return np.delete(positions, list(dead), axis=0)
+
+
+def check_distinct(positions: np.ndarray) -> None:
+    """Raise ValueError when two detectors have one position (within 1e-6 of the extent)."""
+    if len(positions) < 2:
+        return
+    distance, first, second = closest_pair(positions)
+    if distance <= 1e-6 * float(np.ptp(positions, axis=0).max()):
+        raise ValueError(
+            f"instrument: detectors {first} and {second} have one position; different positions are expected"
+        )
+
+
+def closest_pair(positions: np.ndarray) -> tuple[float, int, int]:
+    """Distance of the closest two of (n, 2) positions, n of 2 or more, and their numbers in order.
+
+    Sorted along a line that no regular layout is square to: of pairs k places apart none is closer than the line
+    says, so few k are enough.
+    """
+    # A tree finds it too, but its import takes longer than the start of a small run.
+    along = positions @ _OBLIQUE
+    order = np.argsort(along, kind="stable")
+    closest = (np.inf, 0, 0)
+    for places in range(1, len(order)):
+        first, second = order[:-places], order[places:]
+        if (along[second] - along[first]).min() >= closest[0]:
+            break
+        if places > MAX_PLACES:  # positions of a table may lie on a line that is square to that one
+            return _closest_pair_of_tree(positions)
+        squared = ((positions[second] - positions[first]) ** 2).sum(axis=1)
+        nearest = int(np.argmin(squared))
+        distance = float(np.sqrt(squared[nearest]))
+        if distance < closest[0]:
+            closest = (distance, *sorted((int(first[nearest]), int(second[nearest]))))
+    return closest
+
+
+def _closest_pair_of_tree(positions: np.ndarray) -> tuple[float, int, int]:
+    from scipy.spatial import cKDTree
+
+    distance, neighbour = cKDTree(positions).query(positions, k=2)
+    first = int(np.argmin(distance[:, 1]))
+    # With a twin at the same place either may come first.
+    second = int(next(index for index in neighbour[first] if index != first))
+    return (float(distance[first, 1]), *sorted((first, second)))
+
+
+def mask_by_separation(positions: np.ndarray, separation: float) -> np.ndarray:
+    """Indices of detectors that are all at least `separation` apart (section 5.2's mask).
+
+    Taken greedily from the centre outwards, ties by angle; on a hexagonal layout that keeps every
+    second position in both axes for separations between sqrt(3) and 2 pitches.
+    """
+    x, y = positions.T
+    order = np.lexsort((np.round(np.arctan2(y, x), 9), np.round(np.hypot(x, y) / separation, 9)))
+    # Of those kept only the ones in squares of that side around it can be too near: others need not be looked at.
+    squares = np.floor(positions / separation).astype(int).tolist()
+    kept: dict[tuple[int, int], list[list[float]]] = {}
+    found = []
+    for index, place in zip(order.tolist(), positions[order].tolist(), strict=True):
+        column, row = squares[index]
+        near = (kept.get((column + i, row + j), ()) for i in (-1, 0, 1) for j in (-1, 0, 1))
+        if all(math.dist(place, other) >= separation * (1 - 1e-9) for square in near for other in square):
+            kept.setdefault((column, row), []).append(place)
+            found.append(index)
+    return np.array(sorted(found))

@@ -1,0 +1,105 @@
+"""Levels of photon and detector noise: as a scene gives them, or from the load in each observation's weather."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from surveysim.atmosphere.opacity import BandOpacity, optical_depth
+from surveysim.scene.fields import PSD_MAX_MK2_HZ
+from surveysim.scene.noise_and_sky import Photon
+from surveysim.scene.scene import Scene
+from surveysim.telescope.focal_plane import total_efficiency
+from surveysim.telescope.photon_noise import PhotonNoise, photon_noise, power_per_k
+
+
+@dataclass(frozen=True)
+class WhiteLevels:
+    """White noise of one observation: one-sided PSDs [mK^2/Hz], and the `shared` part of the photon noise."""
+
+    photon_mk2_hz: float
+    shared: float
+    detector_mk2_hz: float
+
+
+def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevation_rad: float) -> WhiteLevels:
+    """Levels of one observation; stages that the scene leaves out are 0.
+
+    `opacity` of the scene's site with the observation's water `pwv_mm` and mean elevation; None without a site.
+    """
+    passed = sky_transmission(scene, opacity, pwv_mm, elevation_rad)
+    photon, shared = 0.0, 0.0
+    if scene.photon and scene.photon.load is None:
+        photon, shared = scene.photon.psd_mk2_hz, _stated_part(scene.photon)
+    elif scene.photon:
+        sky = scene.photon.load.sky_k
+        sky = opacity.temperature_k * (1 - passed) if sky is None else sky
+        noise = load_noise(scene, sky, passed)
+        photon, shared = noise.psd_mk2_hz, shared_part(scene, sky, noise)
+    detector = scene.detector.psd_mk2_hz if scene.detector else 0.0
+    if detector is None:
+        per_k = power_per_k(_bandwidth_hz(scene), total_efficiency(scene.instrument), scene.instrument.polarizations)
+        detector = (1e3 * scene.detector.nep_w_rthz / (per_k * passed)) ** 2
+    _check_level("photon.load", photon)
+    _check_level("detector.nep", detector)
+    return WhiteLevels(photon, shared, detector)
+
+
+def _check_level(key: str, psd_mk2_hz: float) -> None:
+    """Raise ValueError for noise by power that is no level of a stream, as under an opaque sky."""
+    if not psd_mk2_hz <= PSD_MAX_MK2_HZ:
+        raise ValueError(
+            f"{key}: found power that is a noise of {psd_mk2_hz:.3g} mK2 / Hz above the atmosphere in this band;"
+            f" {PSD_MAX_MK2_HZ:g} mK2 / Hz or less is expected"
+        )
+
+
+def sky_transmission(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevation_rad: float) -> float:
+    """Transmission of the atmosphere where the photon noise is that of the site's sky, else 1.
+
+    A load that the scene states, and a detector's power without a load, are taken with temperatures that are calibrated
+    above the atmosphere, as in the paper.
+    """
+    of_site = scene.photon and scene.photon.load and scene.photon.load.sky_k is None
+    if not of_site:
+        return 1.0
+    return float(np.exp(-optical_depth(opacity, pwv_mm) / np.sin(elevation_rad)))
+
+
+def load_noise(scene: Scene, sky_k: float, transmission: float) -> PhotonNoise:
+    """Photon noise of a pixel under a sky of this load, in temperature above the atmosphere."""
+    band = scene.instrument
+    return photon_noise(
+        sky_k + scene.photon.load.optics_k,
+        band.frequency_hz,
+        band.bandwidth,
+        total_efficiency(band),
+        band.polarizations,
+        transmission,
+    )
+
+
+def shared_part(scene: Scene, sky_k: float, noise: PhotonNoise) -> float:
+    """Part of the photon noise that overlapping pixels share, of the load that comes through the beam.
+
+    With "field" coherence they share shot and Bose noise alike, as section 5.1 argues: the sky's part of the load.
+    With "intensity" coherence they are a classical intensity interferometer, which sees the Bose noise alone; that
+    goes as the square of the load.
+    """
+    load = sky_k + scene.photon.load.optics_k
+    part = sky_k / load if load else 0.0
+    bose = noise.bose_psd_mk2_hz / noise.psd_mk2_hz if noise.psd_mk2_hz else 0.0
+    return _shared(scene.photon.coherence, part, bose)
+
+
+def _stated_part(photon: Photon) -> float:
+    """The same of photon noise that is stated as a PSD, with the parts that the scene states."""
+    return _shared(photon.coherence, photon.coherent_fraction, photon.bose_fraction)
+
+
+def _shared(coherence: str, part: float, bose: float | None) -> float:
+    """Shared part of photon noise from a load, of which `part` comes through the beam; `bose` of the noise bunches."""
+    return part**2 * bose if coherence == "intensity" else part
+
+
+def _bandwidth_hz(scene: Scene) -> float:
+    return scene.instrument.bandwidth * scene.instrument.frequency_hz

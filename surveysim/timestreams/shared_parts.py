@@ -1,0 +1,96 @@
+"""Parts that all observations of a scene share: noise that detectors share, strips of the layer, skies."""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from mapmaker.geometry import MapGeometry
+from surveysim.runtime.rng import Stage, generator
+from surveysim.scene.noise_and_sky import Excess, Photon
+from surveysim.scene.scene import Scene, SceneError
+from surveysim.telescope.focal_plane import Camera
+from surveysim.telescope.lattice_noise import Torus, embed
+from surveysim.telescope.pixel_coherence import MOST_DENSE, Overlap, correlation_matrix, overlap
+
+if TYPE_CHECKING:
+    from surveysim.atmosphere.screen_simulation import SlantStrips
+
+
+# Eigenvectors of the correlations differ in their last bits, or in a degenerate space altogether, between
+# numbers of BLAS threads; a run must not depend on the machine's cores.
+@threadpool_limits.wrap(limits=1)
+def shared_noise(cam: Camera, section: Photon | Excess | None, name: str) -> Overlap | Torus | None:
+    """What detectors share of a noise by overlap, None where they share nothing."""
+    if section is None or section.coherence == "none":
+        return None
+    n_det = len(cam.focal_plane.x_rad)
+    if n_det <= MOST_DENSE:
+        return overlap(correlation_matrix(cam.positions_f_lambda, section.coherence, cam.illumination))
+    if cam.pitch_rad is None:
+        raise SceneError(
+            f"{name}.coherence: found {section.coherence!r} for the {n_det} detectors of a table of positions; "
+            f"{MOST_DENSE} or fewer are expected, or an instrument.layout, whose lattice makes noise that more share, "
+            "or coherence 'none'"
+        )
+    try:
+        return embed(cam.cells, cam.pitch_rad / cam.f_lambda_rad, section.coherence, cam.illumination)
+    except ValueError as error:
+        raise SceneError(f"{name}.coherence: {error}") from None
+
+
+def screen(scene: Scene):
+    """The layer as the telescope sees it at the zenith; raises SceneError where there is none of these numbers."""
+    from surveysim.atmosphere.thin_screen import Screen
+
+    air = scene.atmosphere
+    outer = math.inf if air.outer_scale_m is None else air.outer_scale_m / air.layer_height_m
+    try:
+        return Screen(air.index, air.illuminated_aperture_m / air.layer_height_m, outer)
+    except ValueError as error:
+        raise SceneError(f"atmosphere: {error}") from None
+
+
+def layer_strips(scene: Scene, cam: Camera) -> "SlantStrips | None":
+    """Strips of the layer, none made yet; None without an atmosphere."""
+    if scene.atmosphere is None:
+        return None
+    from surveysim.atmosphere.screen_simulation import SlantStrips
+
+    numerics = scene.numerics
+    numbers = numerics.screen_step, numerics.interpolation, numerics.precision
+    return SlantStrips(screen(scene), cam.radius_rad, cam.closest_rad, *numbers)
+
+
+def scene_sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
+    """The sky (n_y, n_x) that all streams see; None without one."""
+    if scene.sky is None:
+        return None
+    from surveysim.timestreams.sky import draw_sky
+
+    instrument = scene.instrument
+    rng = generator(scene.seed, Stage.SKY)
+    return draw_sky(scene.sky, geometry, instrument.cmb_per_rj, instrument.beam_fwhm_rad, rng)
+
+
+def window_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
+    """The window's skies (n_sky, n_y, n_x), that of a point source last where recipes are compared."""
+    if scene.score is None:
+        return None
+    from surveysim.timestreams.sky import central_source, flat_cmb_sky
+
+    window, instrument = scene.score.window, scene.instrument
+    skies = [
+        flat_cmb_sky(
+            geometry,
+            window.band_power_ukcmb2,
+            instrument.cmb_per_rj,
+            instrument.beam_fwhm_rad,
+            generator(scene.seed, Stage.WINDOW_SKY, realization=sky),
+        )
+        for sky in range(window.skies)
+    ]
+    if scene.cleaning.compare:
+        skies.append(central_source(geometry, instrument.beam_fwhm_rad))
+    return np.stack(skies)

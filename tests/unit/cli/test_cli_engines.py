@@ -1,0 +1,50 @@
+"""The command line's engines: wrong choices, schedulers and disks in one line, and what was there stays."""
+
+import json
+import sys
+
+import pytest
+
+from tests.unit.cli.test_cli import refused
+from tests.unit.survey.test_interruption import files
+
+
+@pytest.fixture
+def scene(scene_file):
+    return scene_file
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (("--engine", "threads"), "--engine: found 'threads'; serial, processes, dask are there"),
+        (("--scheduler", "tcp://host:8786"), "--scheduler: found one for the engine 'processes'; only 'dask' has one"),
+        (
+            ("--engine", "dask", "--scheduler", "tcp://host:8786", "--workers", 2),
+            "--workers: found a number beside a scheduler, which has workers of its own",
+        ),
+    ],
+)
+def test_wrong_choices(call, scene, arguments, words):
+    assert words in refused(call, scene, *arguments)
+
+
+def test_a_scheduler_that_is_not_there_costs_nothing(call, scene):
+    """Neither the time of a run nor the results of an earlier one."""
+    out = scene.parent / "out"
+    assert call("run", scene, "--out", out, "--engine", "serial", "--no-figures", "-q")[0] == 0
+    before = {name: (out / name).read_bytes() for name in files(out) if (out / name).is_file()}
+    assert json.loads(before["summary.json"])["run"]["engine"] == "serial"
+    nowhere = scene.parent / "nowhere.json"
+    code, _, error = call("run", scene, "--out", out, "--engine", "dask", "--scheduler", nowhere)
+    assert code == 1 and len(error.splitlines()) == 1
+    assert error.startswith(f"scheduler: found '{nowhere}'"[:100])
+    assert {name: (out / name).read_bytes() for name in files(out) if (out / name).is_file()} == before
+
+
+def test_without_distributed(call, scene, monkeypatch):
+    """The extra is named that brings it."""
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    monkeypatch.delitem(sys.modules, "surveysim.runtime.dask_cluster", raising=False)
+    code, _, error = call("run", scene, "--out", scene.parent / "out", "--engine", "dask", "-q")
+    assert (code, error) == (1, "engine 'dask': distributed is not installed; pip install 'surveysim[cluster]'\n")

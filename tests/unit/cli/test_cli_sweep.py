@@ -1,0 +1,131 @@
+"""The command line on sweeps and forecasts."""
+
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from tests.scenes import SMALL_SCENE, TURBULENT_SCENE, without_sections
+from tests.unit.cli.test_cli import refused
+from tests.unit.survey.test_interruption import none_left, start, wait_for
+
+FORECAST_FILES = [".surveysim.json", "report.html", "scene.json", "scene.toml", "summary.json", "sweep.ecsv"]
+FILES = [*FORECAST_FILES, "sweep_pairs.ecsv"]
+SWEEP = '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n'
+
+
+@pytest.fixture
+def scene(scene_file):
+    return scene_file
+
+
+@pytest.fixture
+def sweep(tmp_path):
+    path = tmp_path / "speeds.toml"
+    path.write_text(TURBULENT_SCENE + SWEEP)
+    return path
+
+
+def test_check_and_plan_of_a_sweep(call, sweep):
+    assert call("check", sweep) == (0, f"{sweep}: 'speeds' is a sweep of 2 points that can be run\n", "")
+    code, out, error = call("check", sweep, "--set", "scan.speed=1 arcmin / s")
+    assert (code, out) == (2, "") and error.startswith(f"{sweep}: scan.speed: set, and on an axis of the sweep")
+    code, out, error = call("plan", sweep, "--workers", 1, "--set", "observations=2")
+    assert (code, error) == (0, "")
+    assert "speeds: 2 points" in out and "3 arcmin / s, 4 arcmin / s" in out and "MB a process" in out
+    assert (
+        "0.01728 million detector-samples" in out
+    )  # 2 points of 2 observations of 4 scans of 60 samples, 18 detectors
+    code, _, error = call("plan", sweep, "--set", "score.ell_max=30000")
+    assert code == 2 and error.startswith(f"{sweep}: score.ell_max: found 30000") and len(error.splitlines()) == 1
+    assert list(sweep.parent.iterdir()) == [sweep]
+
+
+def test_sweeps_that_are_refused(call, sweep):
+    assert "--save-timestreams: found a sweep, which keeps none" in refused(call, sweep, "--save-timestreams")
+    assert "point (scan.speed = 4 arcmin" not in refused(call, sweep, "--set", "scan.scans=0")
+    sweep.write_text(SMALL_SCENE + '\n[sweep]\n"scan.scans" = [0, 4]\n')
+    assert f"{sweep}: point (scan.scans = 0): scan.scans: found 0" in refused(call, sweep)
+    sweep.write_text(without_sections(SMALL_SCENE, "score") + SWEEP)
+    assert f"{sweep}: score: missing; a sweep compares scores" in refused(call, sweep)
+
+
+def test_run_of_a_sweep(call, sweep):
+    out = sweep.parent / "out"
+    arguments = ("--out", out, "--workers", 1, "--set", "observations=5")
+    code, text, error = call("run", sweep, *arguments, "--resume", "--no-figures")
+    assert code == 0 and "best: scan.speed = " in text and " with confidence " in text
+    assert "Ratios are to scan.speed = 3 arcmin / s, their errors those of runs with one seed." in text
+    lines = error.splitlines()
+    assert lines[0] == f"no points in {out}: starting with the first"
+    assert [line.split(",")[0] for line in lines[1:]] == ["speeds: 1/2 points", "speeds: 2/2 points"]
+    assert sorted(path.name for path in out.iterdir()) == FILES
+    assert call("run", sweep, *arguments, "--quiet") == (0, "", "")
+    assert (out / "figures" / "sweep.png").exists()
+    (out / "points").write_text("mine")
+    code, _, error = call("run", sweep, *arguments)
+    assert code == 1 and f"{out / 'points'}: a file where a folder is to be written" in error
+
+
+def test_reference_point_of_the_command_line(call, sweep):
+    """By number, by its values; errors say what names a point."""
+    out = sweep.parent / "out"
+    for given in ("1", "scan.speed=4 arcmin / s"):
+        code, text, _ = call("forecast", sweep, "--out", out, "--reference", given, "--no-figures")
+        assert code == 0 and "Ratios are to scan.speed = 4 arcmin / s." in text
+        assert Table.read(out / "sweep.ecsv", format="ascii.ecsv").meta["reference"] == 1
+    for given, words in (("2", "found 2; the number of a point, 0 to 1, is expected"), ("x", "names no point; as in")):
+        code, text, error = call("run", sweep, "--reference", given)
+        assert (code, text) == (2, "") and f"{sweep}: --reference: " in error and words in error
+    sweep.write_text(SMALL_SCENE)
+    for command in ("run", "forecast"):
+        code, _, error = call(command, sweep, "--reference", "0")
+        assert (
+            code == 2
+            and error == f"{sweep}: --reference: found a scene without [sweep]; points of a sweep are expected\n"
+        )
+
+
+def test_interrupted_sweep(sweep):
+    """Ctrl-C in a terminal with workers: the hint, whole files of finished points, nobody left behind."""
+    values = ", ".join(f'"{speed} arcmin / s"' for speed in np.linspace(3, 5, 30))
+    sweep.write_text(f'{SMALL_SCENE}\n[sweep]\n"scan.speed" = [{values}]\n')
+    out = sweep.parent / "out"
+    process = start("run", sweep, "--out", out, "--workers", 2, "--no-figures", "-q")
+    wait_for(out / "points" / "001.npz", process)
+    os.killpg(process.pid, signal.SIGINT)
+    _, error = process.communicate(timeout=20)
+    assert (process.returncode, error) == (130, f"interrupted; go on with --resume --out {out}\n")
+    assert none_left(process.pid) and not list(out.rglob("*.part"))
+    assert not (out / "sweep.ecsv").exists() and len(list((out / "points").glob("???.npz"))) >= 1
+
+
+def test_forecast(call, scene):
+    code, out, error = call("forecast", scene)
+    assert (code, error) == (0, "") and "masked_7" in out and "Effects on the forecast" in out
+    assert list(scene.parent.iterdir()) == [scene]
+    assert call("forecast", scene, "--out", scene.parent / "out", "--quiet") == (0, "", "")
+    table = Table.read(scene.parent / "out" / "forecast.ecsv", format="ascii.ecsv")
+    assert {"ell", "noise_actual", "signal_actual", "noise_white"} <= set(table.colnames) and len(table) == 6
+    code, out, error = call("forecast", scene, "--set", "score=x")
+    assert code == 2 and "score: found 'x'; a section is expected" in error
+
+
+def test_forecast_of_what_has_none(call, scene):
+    scene.write_text(without_sections(SMALL_SCENE, "score"))
+    code, out, error = call("forecast", scene)
+    assert (code, out) == (2, "") and error.startswith(f"{scene}: score: missing") and len(error.splitlines()) == 1
+
+
+def test_forecast_of_a_sweep(call, sweep, monkeypatch):
+    monkeypatch.chdir(sweep.parent)
+    code, out, error = call("forecast", sweep, "--no-figures")
+    assert code == 0 and "best: scan.speed = 3 arcmin / s, sigma(A) = " in out and "by forecast" in out
+    assert "confidence" not in out and error.splitlines()[-1].startswith("speeds: 2/2 points")
+    directory = Path("outputs/speeds_forecast")
+    assert sorted(path.name for path in directory.iterdir()) == FORECAST_FILES
+    assert call("forecast", sweep, "--out", "mine", "--quiet") == (0, "", "")
+    assert Path("mine/figures/sweep.png").exists()

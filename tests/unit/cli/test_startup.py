@@ -1,0 +1,148 @@
+"""What a small run starts without: heavy imports, and what stands in for what they would do."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from scipy.spatial.distance import pdist
+
+from mapmaker.files import write_ecsv
+from surveysim.telescope.focal_plane import closest_pair, hexagon
+from tests.scenes import WHITE_NOISE_SCENE
+
+UNWANTED = (
+    "astropy.coordinates",
+    "astropy.io.ascii",
+    "astropy.table",
+    "astropy.time",
+    "astropy.wcs",
+    "dask",
+    "distributed",
+    "ducc0",
+    "h5py",
+    "healpy",
+    "matplotlib",
+    "scipy.interpolate",
+    "scipy.ndimage",
+    "scipy.optimize",
+    "scipy.spatial",
+    "scipy.stats",
+    "surveysim.atmosphere.screen_simulation",
+    "surveysim.timestreams.sky",
+)
+
+
+def test_white_noise_is_run_and_written_without_what_it_does_not_need(tmp_path):
+    """The whole command, in a fresh process."""
+    (tmp_path / "white.toml").write_text(WHITE_NOISE_SCENE)
+    code = (
+        "import sys\nfrom surveysim.cli.app import app\n"
+        "app(sys.argv[1:], standalone_mode=False)\nprint(' '.join(sys.modules))"
+    )
+    options = ["--no-figures", "--quiet", "--workers", "1", "--out", "out"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, "run", "white.toml", *options],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert not set(UNWANTED) & set(done.stdout.split())
+    assert (tmp_path / "out" / "summary.json").exists()
+    assert (tmp_path / "out" / "maps" / "actual.fits").exists()
+    assert Table.read(tmp_path / "out" / "tables" / "observations.ecsv")["observation"].tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("n", [2, 3, 10, 300])
+def test_closest_pair(n):
+    for seed in range(10):
+        positions = np.random.default_rng(seed).normal(0, 2, (n, 2))
+        distance, first, second = closest_pair(positions)
+        assert first < second and distance == pytest.approx(pdist(positions).min(), rel=1e-15)
+        assert np.hypot(*(positions[first] - positions[second])) == pytest.approx(distance, rel=1e-15)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.0, 1.0 + np.pi / 2])
+def test_closest_pair_of_rows_and_lattices(angle):
+    """Rows along and square to the line by which positions are sorted, and a lattice turned to it."""
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    row = np.column_stack([np.arange(200.0), np.zeros(200)])
+    for positions in (row @ turn, hexagon(6, 1.0) @ turn):
+        assert closest_pair(positions)[0] == pytest.approx(1, rel=1e-12)
+        positions[17] = positions[3]
+        assert closest_pair(positions) == (0.0, 3, 17)
+
+
+# ---------------------------------------------------------------- ECSV
+
+
+COLUMNS = {
+    "number": np.array([3, -1, 2**62]),
+    "small": np.array([0, 1, 255], np.uint8),
+    "value": np.array([0.1, 1 / 3, -5e-324]),
+    "odd": np.array([np.nan, np.inf, -np.inf]),
+    "single": np.array([0.1, 1e-30, np.nan], np.float32),
+    "y": np.array([True, False, True]),  # a bool in YAML 1.1, if it were not in quotes
+    "text": np.array(["plain", "", 'two words, "quoted"']),
+    "strange": np.array(["#not a comment", "nan", "µK²"]),
+    'name with "quotes"': [1, 2, 3],
+}
+UNITS = {"value": "uK2 sr", "single": "mK2 / Hz", "number": "s"}
+META = {
+    "comment": 'uK_CMB^2: "µ", a \\ and # signs',
+    "count": 7,
+    "level": 1e-5,
+    "large": -2.5e300,
+    "nothing": None,
+    "yes": True,
+    "best": [0, 2],
+    "names": ("a", "no"),
+}
+
+
+def test_a_table_is_as_astropy_reads_it(tmp_path):
+    path = tmp_path / "tables" / "all.ecsv"
+    write_ecsv(path, COLUMNS, UNITS, META)
+    table = Table.read(path, format="ascii.ecsv")
+    assert table.colnames == list(COLUMNS)
+    for name, values in COLUMNS.items():
+        # astropy takes an empty text for a missing one, also of its own writer.
+        found = table[name].filled("") if name == "text" else np.asarray(table[name])
+        np.testing.assert_array_equal(found, values)
+        assert table[name].dtype.kind == np.asarray(values).dtype.kind
+        assert table[name].dtype.kind == "U" or table[name].dtype == np.asarray(values).dtype
+        assert (None if table[name].unit is None else str(table[name].unit)) == UNITS.get(name)
+    assert dict(table.meta) == META | {"names": ["a", "no"]}
+    assert [other.name for other in path.parent.iterdir()] == ["all.ecsv"]
+
+
+def test_special_numbers_of_meta(tmp_path):
+    write_ecsv(tmp_path / "t.ecsv", {"a": [1.5]}, {}, {"odd": [np.inf, -np.inf, np.nan, np.float32(0.5), np.int32(4)]})
+    found = Table.read(tmp_path / "t.ecsv", format="ascii.ecsv").meta["odd"]
+    np.testing.assert_array_equal(found, [np.inf, -np.inf, np.nan, 0.5, 4])
+
+
+def test_a_table_without_rows(tmp_path):
+    write_ecsv(tmp_path / "t.ecsv", {"a": np.zeros(0), "b": np.zeros(0, int)}, {"a": "s"}, {})
+    table = Table.read(tmp_path / "t.ecsv", format="ascii.ecsv")
+    assert (len(table), table.colnames, table.meta) == (0, ["a", "b"], {})
+
+
+@pytest.mark.parametrize(
+    "columns, units, meta, message",
+    [
+        ({"a": np.zeros((2, 2))}, {}, {}, "column a: found 2 dimensions"),
+        ({"a": [1j]}, {}, {}, "column a: found 1 dimensions of complex128"),
+        ({"a": [None, 1.0]}, {}, {}, "column a: found 1 dimensions of object"),
+        ({"a": ["one\ntwo"]}, {}, {}, "column a: found a line break"),
+        ({"a": [1, 2], "b": [1]}, {}, {}, r"found columns of \[2, 1\] rows"),
+        ({"a": [1]}, {"b": "s"}, {}, r"found units of \['b'\]"),
+        ({"a": [1]}, {}, {"b": {1}}, r"found \{1\} in meta"),
+    ],
+)
+def test_what_is_no_table_is_refused(tmp_path, columns, units, meta, message):
+    with pytest.raises(ValueError, match=message):
+        write_ecsv(tmp_path / "t.ecsv", columns, units, meta)
+    assert not list(tmp_path.iterdir())

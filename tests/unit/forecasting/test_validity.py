@@ -1,0 +1,260 @@
+"""Effects on a forecast and their sizes, multipoles that follow the scene, and how far a run agrees."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surveysim import load_scene, run
+from surveysim.forecasting.forecast import expected_weights, forecast
+from surveysim.forecasting.noise_model import survey_models
+from surveysim.forecasting.observing_conditions import conditions, survey_draws
+from surveysim.forecasting.pilot import Kept, _pilot_size, _spread, predicted_kept
+from surveysim.forecasting.validity import compared_ell, resolution_ell
+from surveysim.reduction.setup import prepare
+from surveysim.report.terminal.survey import _psd_lines, agreement_lines, effect_lines
+from surveysim.results.agreement import GOOD_PSD, KNOWN, agreement
+from surveysim.results.results import forecast_agreement, summary
+from surveysim.runtime.engine import SERIAL
+from surveysim.scene.scene import SceneError
+from tests.scenes import SMALL_SCENE
+
+LYNX = Path(__file__).parents[3] / "scenarios" / "lynx.toml"
+ARCMIN = np.radians(1 / 60)
+# Weather so calm that the layer hardly stands out of the noise: many scans are discarded.
+CALM = {"atmosphere.b2": "[2, 10, 400] mK2 rad(-5/3)", "observations": 12, "score.jackknives": 16}
+# Noise so faint that the layer is most of what cleaning leaves.
+FAINT = {f"{name}.psd": "1e-4 mK2 / Hz" for name in ("photon", "detector")} | {"excess.variance": "[1e-5, 2e-5] mK2"}
+LARGER = {"scan.scans": 9, "scan.duration": "8 s", "score.size": "24 arcmin", "score.ell_bin": 1000}
+
+
+@pytest.fixture(scope="module")
+def scene_of(tmp_path_factory):
+    def load(text: str = SMALL_SCENE, **overrides):
+        path = tmp_path_factory.mktemp("scene") / "small.toml"
+        path.write_text(text)
+        return load_scene(path, {key.replace("__", "."): value for key, value in overrides.items()})
+
+    return load
+
+
+@pytest.fixture(scope="module")
+def calm(scene_of):
+    return run(scene_of(**CALM, **LARGER), engine=SERIAL)
+
+
+def effects_of(scene, name="actual"):
+    return {effect.name: effect for effect in forecast(scene).scores[name].effects}
+
+
+# ---------------------------------------------------------------- multipoles
+
+
+def test_multipoles_of_the_taper_the_scan_and_the_beam(scene_of):
+    """A taper of 12 arcmin, half of it edges, has 11/16 of its length; a beam of 60 arcsec leaves 3 % at ell 15160."""
+    setup = prepare(scene_of())
+    assert resolution_ell(setup) == pytest.approx(2 * np.pi / (12 * 11 / 16 * ARCMIN))
+    low, high = compared_ell(setup)
+    assert low == pytest.approx(3 * resolution_ell(setup))
+    width = ARCMIN / np.sqrt(8 * np.log(2))
+    assert np.exp(-((high * width) ** 2)) == pytest.approx(0.03)
+    short = prepare(scene_of(scan__duration="1.5 s"))  # 6 arcmin, shorter than the taper
+    assert resolution_ell(short) == pytest.approx(2 * np.pi / (6 * ARCMIN))
+
+
+def test_multipoles_end_at_pixels_and_samples(scene_of):
+    wide_beam = {"instrument.beam_fwhm": "10 arcsec"}
+    pixels = compared_ell(prepare(scene_of(**wide_beam)))[1]
+    assert pixels == pytest.approx(0.75 * np.pi / (0.5 * ARCMIN))
+    fast = scene_of(scan__speed="20 arcmin / s", **wide_beam)
+    assert compared_ell(prepare(fast))[1] == pytest.approx(np.pi * 10 / (20 * ARCMIN))
+
+
+def test_lowest_multipoles_follow_the_scene(scene_of, calm):
+    """Ninths of the scene's own, on edges of bins, down to the taper's resolution; those of Bolocam's Lynx survey."""
+    from surveysim.results.results import _lowest_multipoles
+
+    assert _lowest_multipoles(prepare(load_scene(LYNX))) == [1000, 2000, 3000, 4000, 4500, 5000, 5500]
+    assert sorted({row["ell_min"] for row in summary(calm)["alternatives"]}) == [2000, 3000, 4000, 5000]
+    fine = scene_of(score__ell_min=9000, score__ell_max=18000, score__ell_bin=1000, map__pixel="20 arcsec")
+    assert _lowest_multipoles(prepare(fine)) == [4000, 6000, 8000, 9000, 10000, 11000]
+
+
+# ---------------------------------------------------------------- discarded scans
+
+
+def test_runs_compare_with_the_forecast_of_the_scans_that_they_kept(calm):
+    """The noise of each observation, weighted and co-added by hand with its kept scans."""
+    setup, expected = calm.setup, calm.expected.scores["actual"]
+    counts = np.array([row[7] for row in calm.coadds.rows])
+    kept = 1 - counts / setup.raster.n_scans
+    assert 0.05 < 1 - kept.mean() < 0.95 and expected.kept.discarded == pytest.approx(1 - kept.mean())
+    levels = conditions(setup, survey_draws(setup, 0, 12))
+    noise = survey_models(setup.scene)[0].noise(levels)
+    weight = expected_weights(setup, noise)
+    whole = forecast(setup.scene, {name: np.ones(12) for name in ("actual", "masked_7")}).scores["actual"]
+    ratio = (weight**2 * kept) @ noise / (weight @ kept) ** 2 / (weight**2 @ noise / weight.sum() ** 2)
+    np.testing.assert_allclose(expected.noise_psd / whole.noise_psd, ratio, rtol=1e-9)
+    assert summary(calm)["forecast"]["actual"]["discarded"] == expected.kept.discarded
+
+
+def test_a_pilot_predicts_the_share(calm):
+    """Of a dozen observations it takes all: within three of its errors of what the run counted."""
+    counted = calm.expected.scores["actual"].kept
+    predicted = forecast(calm.setup.scene).scores["actual"].kept
+    assert counted.error == 0 < predicted.error < 0.2
+    assert abs(predicted.discarded - counted.discarded) < 3 * predicted.error
+    # The calmest lose most.
+    order = np.argsort(calm.coadds.column("b2_mk2"))
+    assert predicted.share[order][:4].mean() < predicted.share[order][-4:].mean()
+    assert np.array_equal(forecast(calm.setup.scene).scores["actual"].kept.share, predicted.share)
+
+
+def test_a_pilot_of_few_observations_takes_more_of_their_scans(scene_of):
+    """Thirty-two times 6 scans in all, or as many as 3e6 detector-samples are; never more than there are."""
+    keys = {"scan.scans": 60, "scan.step": "0.2 arcmin"}
+    sizes = [_pilot_size(prepare(scene_of(**keys)), n_obs) for n_obs in (1, 4, 16, 1000)]
+    assert sizes == [(60, 1), (48, 4), (12, 16), (6, 32)]
+
+
+def test_a_forecast_without_a_kept_scan_says_how_it_knows(scene_of):
+    lost = scene_of(cleaning__max_iterations=1)
+    with pytest.raises(SceneError, match="no scan that is kept, by a trial of a few; .*Remedy: cleaning.responsiv"):
+        forecast(lost)
+
+
+def test_known_responsivities_discard_nothing(scene_of, monkeypatch):
+    known = scene_of(cleaning__responsivities="known", **CALM)
+    assert forecast(known).scores["actual"].kept.discarded == 0
+    # A pilot of more than a few seconds is not made: the share is said not to be known.
+    monkeypatch.setattr("surveysim.forecasting.pilot._MOST_SAMPLES", 1e3)
+    effect = effects_of(scene_of(**CALM))["discarded scans"]
+    assert effect.size is None and effect.flagged and "not known" in effect.sentence
+
+
+def test_shares_are_interpolated_between_observations_of_a_pilot():
+    """Observations 2, 0, 1, 3, 4 by their layer, of which the first, the fourth and the last are in the pilot."""
+    kept = _spread(np.array([2, 0, 1, 3, 4]), np.array([0, 3, 4]), np.array([0.25, 1.0, 1.0]), 4)
+    np.testing.assert_allclose(kept.share, [0.5, 0.75, 0.25, 1, 1])
+    # They stand for 2, 2 and 1 of five; their scatter is that of neighbours.
+    assert kept.error == pytest.approx(np.sqrt(0.75**2 / 4) * np.sqrt(2**2 + 2**2 + 1) / 5)
+    # As if one scan of the pilot more or less were lost, where all of them are kept.
+    assert _spread(np.arange(5), np.array([0, 3, 4]), np.ones(3), 4).error == pytest.approx(1 / 12)
+
+
+def test_shares_of_many_observations_follow_the_weather(scene_of):
+    setup = prepare(scene_of(observations=100, atmosphere__b2="[2, 10, 400] mK2 rad(-5/3)"))
+    levels = conditions(setup, survey_draws(setup, 0, 100))
+    kept = predicted_kept(setup, setup.recipes, levels, np.ones(100))["actual"]
+    assert kept.share.shape == (100,) and kept.share.min() >= 0 and kept.share.max() <= 1
+    order = np.argsort(levels.layer)
+    assert kept.share[order][:25].mean() < kept.share[order][-25:].mean() - 0.5
+    assert Kept(np.array([1.0, 0.5])).discarded == 0.25
+
+
+# ---------------------------------------------------------------- effects
+
+
+@pytest.mark.parametrize(
+    "name, keys",
+    [
+        ("scans that share air", {"cleaning.algorithm": "none"}),
+        ("stripes", FAINT),
+        ("low multipoles", {}),
+        ("discarded scans", CALM),
+        ("few detectors", {"cleaning.algorithm": "quadratic"}),
+        ("uneven coverage", {"scan.step": "9 arcmin", "scan.dither": "0 arcmin", "score.size": "24 arcmin"}),
+        ("cleaning", {"cleaning.algorithm": "wind", "scan.duration": "12 s"}),
+    ],
+)
+def test_effects_are_flagged(scene_of, name, keys):
+    text = SMALL_SCENE.replace("mask_separation_f_lambda = 1.3\n", "")
+    effect = effects_of(scene_of(text, **keys))[name]
+    assert effect.flagged and effect.sentence.endswith(".")
+    assert (effect.size is None) == (name == "cleaning")
+
+
+def test_a_good_forecast_has_no_flag(scene_of):
+    bright = {"atmosphere.b2": "[400, 900, 2000] mK2 rad(-5/3)", "score.ell_min": 6000, "observations": 24}
+    found = forecast(scene_of(**{**LARGER, **bright}))
+    assert not any(effect.flagged for effect in found.scores["actual"].effects)
+    lines = effect_lines(found.scores)
+    assert len(lines) == len(found.scores["actual"].effects) and effect_lines(found.scores, flagged=True) == []
+
+
+def test_sizes_of_effects(scene_of):
+    """Templates over detectors; the layer's share falls with the layer, and with its wind no scan shares air."""
+    text = SMALL_SCENE.replace("mask_separation_f_lambda = 1.3\n", "")
+    assert effects_of(scene_of(text, cleaning__algorithm="planar"))["few detectors"].size == pytest.approx(3 / 18)
+    air = "scans that share air"
+    none = {"cleaning.algorithm": "none"}
+    bright, faint = (
+        effects_of(scene_of(text, **none, **keys))[air].size
+        for keys in ({}, {"atmosphere.b2": "[1, 2, 3] mK2 rad(-5/3)"})
+    )
+    assert 0 < faint < bright < 1
+    still, windy = (
+        effects_of(scene_of(text, atmosphere__wind_median=f"{speed} arcmin / s"))[air].size for speed in (0.02, 60)
+    )
+    assert windy == 0 < still
+
+
+# ---------------------------------------------------------------- agreement
+
+
+def test_only_bins_that_are_known_can_be_good(calm):
+    """One bin off, one bin known too badly: each ends the claim that all are good."""
+    setup, item = calm.setup, calm.scores["actual"]
+    weights = np.ones(400)  # hundreds of observations: errors are those of sign flips alone
+    rng = np.random.default_rng(3)
+    scatter = 1 + 0.02 * rng.standard_normal((64, len(item.signal_psd)))
+    psds = scatter / scatter.mean(axis=0)
+    sure = replace(item, noise_psds=psds, weights=weights)
+    kept = Kept(np.ones(400))
+    expected = replace(calm.expected.scores["actual"], noise_psd=np.ones(psds.shape[1]), weights=weights, kept=kept)
+    found = agreement(setup, sure, expected)
+    assert found.bins == found.within > 2 and found.unknown == 0
+    edges = setup.band.rings.edges_ell
+    place = int(np.flatnonzero(edges[:-1] >= found.low_ell)[1])
+    off = np.ones(psds.shape[1])
+    off[place] += GOOD_PSD + 0.02
+    worse = agreement(setup, sure, replace(expected, noise_psd=off))
+    assert worse.within == found.bins - 1 and worse.psd == pytest.approx(GOOD_PSD + 0.02)
+    assert worse.worst_ell == item.band.ell[place]
+    noisy = psds.copy()
+    noisy[:, place] = 1 + 12 * KNOWN * np.sqrt(2) * np.cos(2 * np.pi * np.arange(64) / 64)
+    unknown = agreement(setup, replace(sure, noise_psds=noisy), expected)
+    assert unknown.unknown == 1 and unknown.within == found.bins - 1
+
+
+def test_errors_leave_the_weather_out(scene_of):
+    """Weather that spans decades is in the error of the plain sigma(A), and not in that of the ratio."""
+    wild = run(
+        scene_of(**{**LARGER, **CALM, "cleaning.responsivities": "known", "excess.b2": [1, 1000]}), engine=SERIAL
+    )
+    for name, item in forecast_agreement(wild).items():
+        budget = wild.scores[name].budget
+        least = np.hypot(budget.noise, budget.window) * (1 + item.sigma)
+        assert item.sigma_error >= least * (1 - 1e-9)
+    actual = forecast_agreement(wild)["actual"]
+    plain = wild.scores["actual"].plain_band
+    assert actual.sigma_error / (1 + actual.sigma) < plain.error_ukcmb2 / plain.sigma_ukcmb2
+
+
+def test_lines_say_what_is_known(calm):
+    """Few flips and observations: no claim that all bins are good, and the flag of lost scans."""
+    text = "\n".join(agreement_lines(calm))
+    found = forecast_agreement(calm).values()
+    bins, within = sum(item.bins for item in found), sum(item.within for item in found)
+    assert within < bins and f"within 15 % in {within} of {bins} bins from ell = " in text
+    assert "in all" not in text and "! forecast of actual" in text and "Cleaning discarded" in text
+    assert "2500" not in text and "15000" not in text
+
+
+@pytest.mark.parametrize(
+    "off, said", [(0.27, "none is off by more than two"), (0.4, "by chance: actual by +40 +- 15 %")]
+)
+def test_no_bin_within_two_errors_is_said_to_be_off(calm, off, said):
+    item = replace(forecast_agreement(calm)["actual"], psd=off, psd_error=0.15)
+    assert said in _psd_lines({"actual": item})[0]

@@ -1,0 +1,146 @@
+"""Recipes of a scene: their data sets, their windows, what they need, and how wrong ones are refused."""
+
+import numpy as np
+import pytest
+
+from mapmaker.binning import read_fits
+from surveysim.api import run
+from surveysim.reduction import consistency as checks
+from surveysim.reduction.cleaning_pipelines import needed_detectors
+from surveysim.reduction.figure_of_merit import best_places
+from surveysim.reduction.setup import prepare
+from surveysim.results.results import best_recipe
+from surveysim.runtime.engine import SERIAL
+from surveysim.scene.scene import SceneError, load_scene
+from surveysim.survey.coadds import row_names
+from tests.scenes import SMALL_SCENE
+
+COMPARE = {"cleaning.compare": ["planar", ["average", "local"], "wind"], "cleaning.reach": 1.2}
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    file = tmp_path_factory.mktemp("scene") / "small.toml"
+    file.write_text(SMALL_SCENE)
+    return file
+
+
+@pytest.fixture(scope="module")
+def compared(path, tmp_path_factory, blank_figures):
+    out = tmp_path_factory.mktemp("compared")
+    return run(load_scene(path, COMPARE), out, engine=SERIAL, figures=True), out
+
+
+def test_data_sets_and_windows(path):
+    setup = prepare(load_scene(path, COMPARE))
+    assert [recipe.label for recipe in setup.recipes] == ["average", "planar", "average+local", "wind", "average"]
+    masked = f"masked_{len(setup.masked)}"
+    sets = ("actual", "uncorrelated", "white", "planar", "average+local", "wind", "optimal", masked)
+    assert setup.data_sets == sets
+    assert setup.windows == ("actual", "planar", "average+local", "wind", "optimal", masked)
+    assert [setup.window_of(name) for name in sets] == [0, 0, 0, 1, 2, 3, 4, 5]
+
+
+def test_one_recipe_is_no_choice(path):
+    setup = prepare(load_scene(path))
+    assert not setup.chooses and "optimal" not in setup.data_sets
+    assert len(setup.window_skies_mk) == 2  # no sky of point sources
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"cleaning.algorithm": "pca"}, "cleaning.sigma_cut: missing; 'pca' needs it"),
+        ({"cleaning.algorithm": ["average", "local"]}, "cleaning.reach: missing; 'local' needs it"),
+        ({"cleaning.compare": ["polynomial"], "cleaning.order": 2}, "cleaning.regions: missing; 'polynomial' needs it"),
+        ({"cleaning.compare": ["average"]}, "cleaning.compare: found 'average' more than once"),
+        ({"cleaning.compare": ["median"]}, "cleaning.compare.0: found 'median'; one of 'none', 'average'"),
+        ({"cleaning.compare": [[]]}, "cleaning.compare.0: found []; one of"),
+        ({"cleaning.algorithm": 3}, "cleaning.algorithm: found 3; one of"),
+        ({"cleaning.algorithm": ["average", 3]}, "cleaning.algorithm: found 3; one of"),
+        (
+            {"cleaning.compare": ["polynomial"], "cleaning.order": 5, "cleaning.regions": 1},
+            "cleaning.compare: found 18 detectors; 'polynomial' needs 22 or more",
+        ),
+    ],
+)
+def test_refused(path, changes, words):
+    with pytest.raises(SceneError) as caught:
+        prepare(load_scene(path, changes))
+    assert words in str(caught.value)
+
+
+def test_a_recipe_that_discards_everything_never_wins(path):
+    """Local templates leave nothing to calibrate on: the average after them keeps no scan, and no window."""
+    scene = load_scene(path, {"cleaning.compare": [["local", "average"]], "cleaning.reach": 1.2})
+    result = run(scene, engine=SERIAL)
+    columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
+    assert columns["discarded_local+average"].sum() == 16
+    assert (best_recipe(result.setup, columns, "cmb") == 0).all()
+    np.testing.assert_array_equal(columns["noise_mk2_optimal"], columns["noise_mk2_actual"])
+
+
+def test_wind_needs_scans_that_tell_it(path):
+    with pytest.raises(SceneError, match="cleaning.compare: found 'wind' with scans of 2 s at 10 Hz; 4 s or more"):
+        prepare(load_scene(path, {"cleaning.compare": ["wind"], "scan.duration": "2 s"}))
+
+
+def test_pca_of_too_many_is_refused(path, monkeypatch):
+    pca = {"cleaning.algorithm": "pca", "cleaning.sigma_cut": 3.0, "score.mask_separation_f_lambda": None}
+    pca |= {"instrument.layout.rings": 4}
+    monkeypatch.setattr(checks, "MAX_MODES", 59)
+    with pytest.raises(SceneError, match="found 'pca' with 60 detectors and scans of 60 samples; 59 or fewer of one"):
+        prepare(load_scene(path, pca))
+    # Few samples of many detectors are few eigenvectors too.
+    prepare(load_scene(path, pca | {"scan.duration": "5.9 s"}))
+
+
+def test_detectors_that_steps_need(path):
+    section = load_scene(path, {"cleaning.order": 3, "cleaning.regions": 2, "cleaning.sigma_cut": 3.0}).cleaning
+    needed = [needed_detectors(section, name) for name in ("none", "average", "quadratic", "polynomial", "pca")]
+    assert needed == [1, 2, 7, 22, 11]
+
+
+def test_comparing_changes_nothing_of_the_actual_data(path, compared, tmp_path):
+    run(load_scene(path), tmp_path, engine=SERIAL, figures=False)
+    for name in ("actual", "white"):
+        alone, beside = (read_fits(folder / "maps" / f"{name}.fits") for folder in (tmp_path, compared[1]))
+        np.testing.assert_array_equal(alone.weighted_sum, beside.weighted_sum)
+        np.testing.assert_array_equal(alone.weight, beside.weight)
+
+
+def test_what_a_comparison_leaves_behind(compared):
+    result, out = compared
+    sets = result.setup.data_sets
+    assert {path.stem for path in (out / "maps").iterdir()} == set(sets) == set(result.scores)
+    assert (out / "figures" / "window.png").exists()
+    columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
+    # Templates a scan: of the recipes' own kind.
+    assert [columns[f"removed_{name}"].mean() for name in ("actual", "planar", "average+local")] == [1, 3, 2]
+    best = best_recipe(result.setup, columns, "cmb")
+    assert best.shape == (4,) and set(best) <= {0, 1, 2, 3}
+
+
+def test_the_optimal_map_is_each_observation_s_best(compared):
+    """Rebuilt from the co-adds' own rows: its noise is that of the best recipe in every observation."""
+    result, _ = compared
+    columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
+    best = best_recipe(result.setup, columns, "cmb")
+    noise = np.array([columns[f"noise_mk2_{recipe.data_set}"] for recipe in result.setup.whole_recipes])
+    np.testing.assert_array_equal(columns["noise_mk2_optimal"], noise[best, np.arange(4)])
+
+
+def test_flux_at_the_peak_of_a_source(compared):
+    """A template of n detectors takes the beam that they see at once, 2.94 / n at 0.7 (f/#)lambda; a scan its mean.
+
+    Both of peaks that are averaged down to 0.8, to 0.9; sources near the edges of an array are seen by fewer.
+    """
+    removed = compared[0].flux_removed
+    assert removed["actual"] < removed["planar"] and removed["actual"] == pytest.approx(removed["wind"], abs=0.05)
+    mean_of_scan = 1.06 / 24  # a beam of 1 arcmin in a scan of 24
+    assert removed["actual"] == pytest.approx((2.94 / 18 + mean_of_scan) / 0.9, rel=0.35)
+
+
+def test_the_best_of_merits():
+    merits = np.array([[1.0, np.nan, 0.0, np.nan], [2.0, 1.0, 0.0, np.nan], [np.nan, 3.0, 0.0, np.nan]])
+    assert best_places(merits).tolist() == [1, 2, -1, -1]

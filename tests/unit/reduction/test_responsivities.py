@@ -1,0 +1,229 @@
+"""Whose responsivities a scene cleans with: keys, draws, recipes, blocks, window skies and forecasts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapmaker.cleaning import TEMPLATE_CLEANINGS
+from surveysim.api import run
+from surveysim.forecasting.noise_model import noise_models
+from surveysim.forecasting.observing_conditions import conditions, fitted_courses, survey_draws
+from surveysim.reduction import observation as reduction
+from surveysim.reduction.cleaning_pipelines import Beside, apply_recipe
+from surveysim.reduction.fitted_modes import NO_COURSES
+from surveysim.reduction.mode_response import projected_array
+from surveysim.reduction.observation import observe
+from surveysim.reduction.setup import prepare
+from surveysim.runtime.engine import SERIAL, Engine
+from surveysim.scene.scene import SceneError, load_scene
+from surveysim.studies.sweep.axes import load_sweep
+from tests.scenes import SMALL_SCENE
+
+WAYS = {
+    "scan": {},
+    "observation": {"cleaning.responsivities": "observation"},
+    "survey": {"cleaning.responsivities": "survey", "cleaning.calibration_error": 0.02},
+    "known": {"cleaning.responsivities": "known"},
+}
+KEYS = {"sigma_cut": 3.0, "order": 1, "regions": 1}
+PCA = {"cleaning.algorithm": "pca", "cleaning.sigma_cut": 3.0, "score.mask_separation_f_lambda": None}
+LONG = {"scan.duration": "15 s", "scan.sample_rate": "10 Hz"}  # for 'wind', which measures it
+
+
+@pytest.fixture
+def setup_of(tmp_path):
+    def make(**settings):
+        path = tmp_path / "small.toml"
+        path.write_text(SMALL_SCENE)
+        return prepare(load_scene(path, {key.replace("__", "."): value for key, value in settings.items()}))
+
+    return make
+
+
+@pytest.mark.parametrize(
+    "settings, words",
+    [
+        ({"cleaning.responsivities": "night"}, "cleaning.responsivities: .*'scan', 'observation', 'survey' or 'known'"),
+        (
+            {"cleaning.responsivities": "survey"},
+            "cleaning.calibration_error: missing; responsivities 'survey' needs it",
+        ),
+        (WAYS["survey"] | {"cleaning.calibration_error": 0}, "calibration_error: found 0; a number greater than"),
+        (WAYS["survey"] | {"cleaning.calibration_error": 1.5}, "calibration_error: .*less than or equal to 1"),
+        (
+            WAYS["known"] | {"cleaning.algorithm": "pca", "cleaning.sigma_cut": 3.0},
+            "responsivities: found 'known' with 'pca' alone, which needs none; 'scan' is expected, or an algorithm of",
+        ),
+    ],
+)
+def test_keys_that_do_not_fit(setup_of, settings, words):
+    with pytest.raises(SceneError, match=words) as caught:
+        setup_of(**settings)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("way", ["scan", "observation", "known"])
+def test_only_survey_uses_the_calibration_error(setup_of, way):
+    plain, beside = setup_of(**WAYS[way]), setup_of(**WAYS[way], cleaning__calibration_error=0.5)
+    np.testing.assert_array_equal(observe(beside, 0, True).sums, observe(plain, 0, True).sums)
+
+
+def test_a_sweep_takes_all_settings(tmp_path):
+    path = tmp_path / "ways.toml"
+    path.write_text(f'{SMALL_SCENE}\n[sweep]\n"cleaning.responsivities" = {list(WAYS)}\n')
+    scenes = [point.scene for point in load_sweep(path, {"cleaning.calibration_error": 0.02}).points]
+    assert [scene.cleaning.responsivities for scene in scenes] == list(WAYS)
+
+
+def test_a_compared_cleaning_may_be_the_one_that_takes_them(setup_of):
+    setup = setup_of(**WAYS["known"], **PCA, cleaning__compare=["average"])
+    assert setup.calibration is not None
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("name", TEMPLATE_CLEANINGS)
+def test_every_cleaning_runs_with_every_setting(setup_of, name, way):
+    keys = {f"cleaning.{key}": value for key, value in KEYS.items()}
+    setup = setup_of(**WAYS[way], **keys, **LONG, cleaning__algorithm=name, score__simulated=[])
+    found = observe(setup, 0, with_window=True)
+    assert (found.iterations[0] == 0) == (way in ("survey", "known"))
+    assert found.hits.any() and np.isfinite(found.sums).all() and found.window.any()
+
+
+def test_the_calibration_is_the_true_one_with_its_error(setup_of):
+    """Of 127 detectors and seven seeds, the rms of the error is known to 9 %; nothing else that is drawn moves."""
+    errors = []
+    for seed in range(7):
+        keys = {"seed": seed, "instrument__layout__rings": 6}
+        known, survey = setup_of(**keys, **WAYS["known"]), setup_of(**keys, **WAYS["survey"])
+        np.testing.assert_array_equal(known.calibration[0], known.responsivity)
+        np.testing.assert_array_equal(survey.responsivity, known.responsivity)
+        assert survey.calibration[0].mean() == pytest.approx(1)
+        errors.append(np.log(survey.calibration[0] / survey.responsivity))
+    errors = np.array(errors)
+    assert errors.std(axis=1).mean() == pytest.approx(0.02, rel=4 / np.sqrt(2 * errors.size))
+    assert np.abs(np.corrcoef(errors)[0, 1:]).max() < 4 / np.sqrt(errors.shape[1])
+    assert setup_of(**WAYS["scan"]).calibration is None and setup_of(**WAYS["observation"]).calibration is None
+
+
+@pytest.mark.parametrize("place", [0, -1], ids=["all", "masked"])
+def test_a_recipe_knows_its_own_detectors(setup_of, place):
+    """A signal times the true responsivities vanishes, of all detectors and of the masked ones."""
+    setup = setup_of(**WAYS["known"])
+    recipe, plane = setup.recipes[place], setup.camera.focal_plane
+    data = setup.responsivity[:, None] * np.random.default_rng(1).standard_normal(60)
+    beside = Beside(np.zeros((1, 2)), np.zeros((0, *data.shape)), setup.calibration)
+    bounds, section = np.array([[0, 60]]), setup.scene.cleaning
+    left = apply_recipe(section, recipe, data[recipe.rows], bounds, plane.subset(recipe.rows), beside, 10.0)
+    assert left.kept.all() and np.abs(left.data_mk).max() < 1e-12
+
+
+def test_other_bands_are_cleaned_with_their_own(setup_of):
+    """What all detectors see in all bands vanishes: each band is cleaned with the responsivities that are its own."""
+    setup = setup_of(**WAYS["known"])
+    rng, n_det = np.random.default_rng(2), setup.n_det
+    calibration = np.exp(0.1 * rng.standard_normal((2, n_det)))
+    noise, bounds, found = rng.standard_normal((2, n_det, 60)), np.array([[0, 60]]), []
+    recipe, section = replace(setup.recipes[0], steps=("average", "spectral")), setup.scene.cleaning
+    for strength in (1.0, 1000.0):
+        common = strength * np.sin(np.arange(60))
+        mapped, other = noise + calibration[..., None] * common
+        beside = Beside(np.zeros((1, 2)), other[None], calibration)
+        found.append(apply_recipe(section, recipe, mapped, bounds, setup.camera.focal_plane, beside, 10.0).data_mk)
+    np.testing.assert_allclose(found[1], found[0], atol=1e-9)
+
+
+# ---------------------------------------------------------------- blocks, engines, window skies
+
+
+def test_a_fit_to_an_observation_needs_it_whole(setup_of):
+    words = (
+        "numerics.stream_memory: found 0.009 MB, which cuts an observation into 2 blocks; cleaning.responsivities "
+        "'observation' needs it whole: 0.01728 MB or more is expected, or 'survey' in its place"
+    )
+    with pytest.raises(SceneError, match=words):
+        setup_of(**WAYS["observation"], numerics__stream_memory="9 kB")
+    for way in ("survey", "known"):
+        assert len(setup_of(**WAYS[way], numerics__stream_memory="9 kB").blocks) == 2
+
+
+def test_a_survey_has_one_calibration_however_it_is_cut(setup_of):
+    whole, cut = (setup_of(**WAYS["survey"], numerics__stream_memory=memory) for memory in ("1 MB", "5 kB"))
+    np.testing.assert_array_equal(cut.calibration, whole.calibration)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["observation", "survey"])
+def test_workers_change_no_bit(setup_of, way):
+    scene = setup_of(**WAYS[way]).scene
+    one, two = (run(scene, engine=engine) for engine in (SERIAL, Engine(workers=2)))
+    np.testing.assert_array_equal(one.coadds.sums, two.coadds.sums)
+    np.testing.assert_array_equal(one.coadds.window, two.coadds.window)
+
+
+@pytest.mark.parametrize("way, again", [("scan", 3), ("observation", 4)])
+def test_window_skies_are_fitted_with_the_same_scans(setup_of, monkeypatch, way, again):
+    """A scan that is lost without a sky is cleaned again only where it has a part in the others' responsivities."""
+    clean, cleaned = reduction.apply_recipe, []
+
+    def lossy(*arguments):
+        done = clean(*arguments)
+        first = not cleaned
+        cleaned.append(len(done.kept))
+        if not first:
+            return done
+        done.data_mk[:, :60] = 0
+        return replace(done, kept=np.arange(4) > 0)
+
+    monkeypatch.setattr(reduction, "apply_recipe", lossy)
+    strong = {"atmosphere__b2": "[2000, 5000, 10000] mK2 rad(-5/3)"}  # so that no other scan is lost
+    found = observe(setup_of(**WAYS[way], **strong, score__mask_separation_f_lambda=None), 0, with_window=True)
+    assert cleaned == [4, again, again] and found.window.any()
+
+
+def test_a_fit_that_other_scans_share_with_the_sky_tells_nothing(setup_of, monkeypatch):
+    clean, cleaned = reduction.apply_recipe, []
+
+    def lossy(*arguments):
+        done = clean(*arguments)
+        cleaned.append(len(done.kept))
+        return done if len(cleaned) == 1 else replace(done, kept=np.arange(4) > 0)
+
+    monkeypatch.setattr(reduction, "apply_recipe", lossy)
+    found = observe(setup_of(**WAYS["observation"], score__mask_separation_f_lambda=None), 0, with_window=True)
+    assert not found.window.any()
+
+
+# ---------------------------------------------------------------- forecast
+
+
+def _courses(setup):
+    recipe, levels = setup.recipes[0], conditions(setup, survey_draws(setup, 0, 4))
+    plane = setup.camera.focal_plane
+    return fitted_courses(setup, recipe, projected_array(plane, 0.0, setup.responsivity, recipe.steps[0]), levels)
+
+
+def test_what_a_forecast_takes_for_fitted(setup_of):
+    scan, observation = (_courses(setup_of(**WAYS[way])) for way in ("scan", "observation"))
+    assert 0.9 < scan.share.sum() < 1
+    np.testing.assert_allclose(observation.share, scan.share / 4)  # of four scans
+    assert _courses(setup_of(**WAYS["survey"])) is _courses(setup_of(**WAYS["known"])) is NO_COURSES
+    assert _courses(setup_of(cleaning__algorithm="none")) is NO_COURSES
+    # PCA fits a mode to each scan whatever templates take.
+    np.testing.assert_allclose(_courses(setup_of(**PCA)).share, scan.share)
+
+
+def test_a_survey_s_error_leaves_a_part_of_the_layer(setup_of):
+    """Closed form: e^2 of the layer that all detectors see, beside what known responsivities leave."""
+    noise = []
+    for error in (None, 1e-6, 0.05, 0.1):
+        way = WAYS["known"] if error is None else WAYS["survey"] | {"cleaning.calibration_error": error}
+        setup = setup_of(**way)
+        levels = conditions(setup, survey_draws(setup, 0, 4))
+        model = next(noise_models(setup, levels))
+        noise.append(model.parts.layer(levels.motion, levels.sine))
+    known, least, some, twice = noise
+    np.testing.assert_allclose(least, known, rtol=1e-4)
+    added = (twice - known) / (some - known)
+    assert (some > known).all() and np.median(added) == pytest.approx(4, rel=0.25)

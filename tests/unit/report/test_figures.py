@@ -1,0 +1,127 @@
+"""Figures of a tiny made-up survey: which files there are, and that the lines are the results."""
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from PIL import Image
+
+from surveysim.reduction.setup import Setup, prepare
+from surveysim.report.figures import survey as figures
+from surveysim.scene.scene import load_scene
+from surveysim.survey.coadds import CoAdds, empty_coadds
+from surveysim.survey.run import run_observations
+from surveysim.survey.scores import DataSetScore, score_survey
+
+LYNX = Path(__file__).parents[3] / "scenarios" / "lynx.toml"
+TINY = {
+    "observations": 4,
+    "instrument.layout.rings": 2,
+    "instrument.layout.dead": [],
+    "scan.scans": 4,
+    "scan.step": "4 arcmin",
+    "scan.duration": "5 s",
+    "map.pixel": "1 arcmin",
+    "score.size": "16 arcmin",
+    "score.ell_bin": 1000,
+    "score.ell_min": 3000,
+    "score.ell_max": 10000,
+    "score.jackknives": 4,
+    "score.window.skies": 2,
+    "score.window.observations": 4,
+}
+CALM = {"atmosphere": None, "excess": None, "score": None, "cleaning.algorithm": "none", "observations": 1}
+
+
+@pytest.fixture(scope="module")
+def setup() -> Setup:
+    return prepare(load_scene(LYNX, TINY))
+
+
+@pytest.fixture(scope="module")
+def coadds(setup: Setup) -> CoAdds:
+    return run_observations(setup, None)
+
+
+@pytest.fixture(scope="module")
+def scores(setup: Setup, coadds: CoAdds) -> dict[str, DataSetScore]:
+    return score_survey(setup, coadds)
+
+
+def _curve(figure: matplotlib.figure.Figure, label: str) -> np.ndarray:
+    (line,) = (line for line in figure.axes[0].lines if label in line.get_label())
+    return np.array(line.get_data())
+
+
+def test_all_figures(tmp_path, setup, coadds, scores):
+    style = dict(matplotlib.rcParams)
+    drawings = figures.drawings(setup, coadds, scores)
+    assert list(drawings) == list(figures.TITLES)
+    paths = [tmp_path / "figures" / f"{name}.png" for name in drawings]
+    for path in paths:
+        drawings[path.stem](path)
+    assert sorted(paths) == sorted((tmp_path / "figures").iterdir())  # and nothing unfinished
+    for path in paths:
+        with Image.open(path) as image:
+            assert image.format == "PNG"
+            assert image.info["dpi"] == pytest.approx((150, 150), abs=0.1)
+            assert np.ptp(np.asarray(image.convert("L")).astype(int)) > 200
+    assert dict(matplotlib.rcParams) == style
+
+
+def test_scene_with_little_to_show(tmp_path, monkeypatch):
+    monkeypatch.setattr(figures, "save", lambda *arguments: None)  # drawing is what takes time
+    setup = prepare(load_scene(LYNX, {key: TINY[key] for key in TINY if "score" not in key} | CALM))
+    coadds = run_observations(setup, None)
+    drawings = figures.drawings(setup, coadds, {})
+    assert list(drawings) == ["timestream_psd", "map"]
+    for name, draw in drawings.items():
+        draw(tmp_path / name)
+    assert len(figures.timestream_psd(setup, coadds).axes) == 1
+
+
+def test_nothing_observed_gives_no_figures(setup):
+    assert figures.drawings(setup, empty_coadds(setup), {}) == {}
+
+
+def test_timestream_psd_of_the_calmest_and_the_worst(setup, coadds):
+    figure = figures.timestream_psd(setup, coadds)
+    kept = [number for number, psd in enumerate(coadds.clean_psd) if psd.any()]
+    order = sorted(kept, key=lambda number: coadds.rows[number][1])
+    for axes, observation in zip(figure.axes, (order[0], order[-1]), strict=True):
+        frequency, raw = axes.lines[0].get_data()
+        assert frequency[0] == pytest.approx(1 / 5) and frequency[-1] == pytest.approx(4.8)
+        np.testing.assert_array_equal(raw, coadds.raw_psd[observation][1:-1])
+        np.testing.assert_array_equal(axes.lines[1].get_ydata(), coadds.clean_psd[observation][1:-1])
+
+
+def test_masked_psd_is_that_of_as_many_detectors(setup, scores):
+    masked = scores["masked_7"]
+    _, psd = _curve(figures.map_psds(setup, scores), "masked")
+    np.testing.assert_allclose(psd, masked.noise_psd[1:] * 7 / 19)
+
+
+def test_a_mask_may_keep_all_detectors():
+    """Detectors that are farther apart than the mask asks for: a data set like the actual one."""
+    setup = prepare(load_scene(LYNX, TINY | {"instrument.layout.pitch_f_lambda": 1.4}))
+    found = score_survey(setup, run_observations(setup, None))
+    figure = figures.map_psds(setup, found)
+    assert found["masked_19"].n_det == setup.n_det == 19
+    np.testing.assert_allclose(_curve(figure, "masked, 19 detectors"), _curve(figure, "actual"))
+
+
+def test_cumulative_sensitivity_at_the_scored_range_is_the_score(setup, scores):
+    starts, sigma = _curve(figures.cumulative_sensitivity(setup, scores), "actual")
+    assert starts[0] == 1000
+    assert sigma[starts == 3000] == pytest.approx(scores["actual"].band.sigma_ukcmb2)
+    assert (np.diff(sigma) >= 0).all()
+
+
+def test_map_in_cmb_temperature(setup, coadds):
+    signal, noise = figures._map_planes(setup, coadds)
+    seen = np.isfinite(noise)
+    assert 0.2 < seen.mean() < 1
+    assert np.isfinite(signal[seen]).all()
+    # 1 mK Rayleigh-Jeans is 1650 uK of the CMB at 143 GHz.
+    np.testing.assert_allclose(noise[seen], 1650 / np.sqrt(coadds.weight[0][seen]), rtol=0.01)

@@ -1,0 +1,198 @@
+"""What a plan says: the stages that run and no others, and what they would take."""
+
+import pytest
+
+from surveysim.api import run
+from surveysim.atmosphere import screen_simulation as screen
+from surveysim.output import writer as outputs
+from surveysim.reduction import observation as reduction
+from surveysim.reduction import setup
+from surveysim.reduction.setup import prepare
+from surveysim.results import agreement, results
+from surveysim.runtime.engine import SERIAL
+from surveysim.scene.scene import load_scene
+from surveysim.studies.resources import make_plan
+from surveysim.telescope.raster import samples_per_scan
+from surveysim.timestreams import observation, sky
+from surveysim.timestreams import shared_parts as parts
+from tests.scenes import SCHEDULE, SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
+
+ALWAYS = ["pointing", "detector", "cleaning", "maps"]
+SCORED = ["data sets", "window", "score", "forecast"]
+NO_CHOICE = {"best recipe": "no cleaning.compare to choose from"}
+NO_HEALPIX = {"HEALPix": "no map.healpix_nside"}
+FIXED = {"ephemerides": "a fixed elevation needs no astropy.coordinates"}
+NO_SITE = {"opacity": "no atmosphere.site to know it of"}
+NO_SKY = {"sky": "no section [sky]: noise alone"}
+NO_AIR = {"atmosphere": "no section [atmosphere]: no layer, no weather"}
+NO_SCORE = {
+    "score": "no section [score]: no map PSDs, no sign-flipped maps",
+    "window": "no section [score] to need it",
+    "forecast": "no section [score] to need it",
+    "best recipe": "no section [score] to need it",
+}
+NO_EXCESS, NO_PHOTON = {"excess": "no section [excess]"}, {"photon": "no section [photon]"}
+NO_OVERLAP = {"overlap": "no noise that detectors share"}
+# The scene's own air goes with the section that it is put into.
+AIR_OF_A_SITE = (
+    SCHEDULE
+    + """
+[atmosphere]
+site = "mauna_kea"
+index = "11/3"
+illuminated_aperture = "8 m"
+
+[own]"""
+)
+SUZIE = "scenarios/suzie_ii.toml"
+
+# What is called only where a stage runs: the module that calls (or, imported there when first needed, makes) it.
+DOES = {
+    "atmosphere": [(screen, "add_atmosphere"), (observation, "draw_weather")],
+    "excess": [(observation, "add_excess")],
+    "photon": [(observation, "add_correlated_white")],
+    "overlap": [(parts, "overlap")],
+    "sky": [(sky, "draw_sky")],
+    "ephemerides": [(setup, "schedule")],
+    "opacity": [(setup, "site_water")],
+    "score": [(results, "quoted_scores")],
+    "window": [(sky, "flat_cmb_sky"), (reduction, "_add_window")],
+    "forecast": [(agreement, "forecast")],
+    "best recipe": [(reduction, "merits")],
+    "HEALPix": [(outputs, "write_healpix")],
+}
+
+
+def edited(*pairs: tuple[str, str]) -> str:
+    text = SMALL_SCENE
+    for old, new in pairs:
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    return text
+
+
+SCENES = {
+    "everything": (
+        edited(
+            ('algorithm = "average"', 'algorithm = "average"\ncompare = ["planar"]'),
+            ("[map]", "[map]\nhealpix_nside = 1024"),
+        ),
+        ["atmosphere", "excess", "photon", "sky", *SCORED, "HEALPix"],
+        FIXED | NO_SITE,
+    ),
+    "white noise": (
+        WHITE_NOISE_SCENE,
+        [],
+        NO_AIR | NO_EXCESS | NO_PHOTON | NO_SKY | NO_SCORE | FIXED | NO_SITE | NO_OVERLAP | NO_HEALPIX,
+    ),
+    "a scheduled site": (
+        without_sections(
+            edited(("[atmosphere]", AIR_OF_A_SITE), ("[instrument]", "[instrument]\nbandwidth = 0.15")),
+            "fixed_pointing",
+            "own",
+            "sky",
+            "excess",
+        ),
+        ["atmosphere", "photon", *SCORED],
+        NO_EXCESS | NO_SKY | NO_CHOICE | NO_HEALPIX,
+    ),
+    "no projection": (
+        edited(
+            ('algorithm = "average"', 'algorithm = "polynomial"\norder = 1\nregions = 1'),
+            ("rings = 2", "rings = 3"),
+            ("mask_separation_f_lambda = 1.3\n", ""),
+        ),
+        ["atmosphere", "excess", "photon", "sky", *SCORED[:-1]],
+        {"forecast": "cleaning by polynomial is no projection"} | FIXED | NO_SITE | NO_CHOICE | NO_HEALPIX,
+    ),
+    "signal alone scored": (
+        without_sections(edited(('algorithm = "average"', 'algorithm = "none"')), "atmosphere", "photon", "excess"),
+        ["sky", *SCORED],
+        NO_AIR | NO_EXCESS | NO_PHOTON | FIXED | NO_SITE | NO_OVERLAP | NO_CHOICE | NO_HEALPIX,
+    ),
+}
+
+
+@pytest.fixture
+def called(monkeypatch):
+    """Names of stages whose functions were called since."""
+    prepare.cache_clear()
+    names = set()
+
+    def watched(name, function):
+        def call(*arguments, **named):
+            names.add(name)
+            return function(*arguments, **named)
+
+        return call
+
+    for name, functions in DOES.items():
+        for module, function in functions:
+            monkeypatch.setattr(module, function, watched(name, getattr(module, function)))
+    yield names
+    prepare.cache_clear()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_stages_run_or_are_left_out_as_the_plan_says(tmp_path, called, name):
+    text, runs, left_out = SCENES[name]
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    scene = load_scene(path)
+    result = run(scene, out=tmp_path / "out", engine=SERIAL, figures=False)
+    assert result.unscored == ""
+    done = set(called)
+    plan = make_plan(prepare(scene), 1)
+    assert plan.left_out == left_out
+    assert sorted(plan.stages) == sorted(ALWAYS + runs)
+    assert done == DOES.keys() - left_out.keys()
+
+
+@pytest.mark.parametrize("algorithm, subtracted", [("spectral", True), ("average", False)])
+def test_other_bands_are_drawn_only_where_subtracted(monkeypatch, algorithm, subtracted):
+    scene = load_scene(SUZIE, {"cleaning.algorithm": algorithm, "cleaning.compare": [], "observations": 2})
+    ready, drawn = prepare(scene), []
+    monkeypatch.setattr(
+        reduction, "draw_colours", lambda *arguments: drawn.append(observation.draw_colours(*arguments)) or drawn[-1]
+    )
+    plan = make_plan(ready, 1)
+    assert (plan.left_out.get("other bands") is None) == subtracted
+    assert drawn and all((len(streams) > 0) == subtracted for streams in drawn)
+
+
+def test_observations_of_several_blocks_are_measured_on_one(tmp_path, monkeypatch):
+    """A block of two scans and one scan more are made, and stand for four observations of four scans."""
+    path = tmp_path / "scene.toml"
+    path.write_text(SMALL_SCENE)
+    whole = make_plan(prepare(load_scene(path)), 1)
+    ready = prepare(load_scene(path, {"numerics.stream_memory": "9 kB"}))
+    drawn, draw = [], reduction.draw_block
+    monkeypatch.setattr(reduction, "draw_block", lambda *args: drawn.append(args[3].n_scans) or draw(*args))
+    found = make_plan(ready, 1)
+    assert drawn == [2, 1]
+    assert (
+        found.stages["blocks"] == "2 an observation, 2 scans or fewer in 0.00864 MB of streams"
+        and "blocks" not in whole.stages
+    )
+    assert found.detector_samples == whole.detector_samples and found.output_bytes == whole.output_bytes
+    assert found.left_out == whole.left_out
+
+
+def test_cost(tmp_path):
+    """Sizes that follow from the scene, and times that add up."""
+    path = tmp_path / "scene.toml"
+    path.write_text(SMALL_SCENE)
+    few, many = (make_plan(prepare(load_scene(path, {"observations": n})), 1, 2.0) for n in (4, 400))
+    lines = prepare(load_scene(path)).raster
+    assert few.detector_samples == 4 * 18 * lines.n_scans * samples_per_scan(lines)
+    assert many.detector_samples == 100 * few.detector_samples
+    assert few.timestream_bytes == 4 * few.detector_samples
+    # Three starts for figures and one for itself; 400 observations take longer, in no more memory than that of a strip.
+    assert few.figures_s == many.figures_s == 6 and 8 < few.wall_s < many.wall_s
+    assert 1e8 < few.memory_bytes <= many.memory_bytes < 2 * few.memory_bytes
+
+
+def test_a_survey_of_one_observation(tmp_path):
+    (path := tmp_path / "small.toml").write_text(SMALL_SCENE.replace("observations = 4", "observations = 1", 1))
+    plan = make_plan(prepare(load_scene(path)), 1)
+    assert plan.wall_s > 0 and plan.memory_bytes > 0

@@ -1,0 +1,309 @@
+"""Checkpoints: whole, atomic, of this scene and version, or refused."""
+
+import errno
+import json
+import resource
+from hashlib import sha256
+from io import BytesIO
+
+import h5py
+import numpy as np
+import pytest
+
+from surveysim import load_scene
+from surveysim.reduction.setup import prepare
+from surveysim.runtime.engine import Engine
+from surveysim.scene.scene import scene_hash
+from surveysim.survey.checkpoint import _MARK, CheckpointError, check_streams, load_checkpoint, save_checkpoint
+from surveysim.survey.coadds import empty_coadds
+from surveysim.survey.run import run_observations
+from tests.scenes import SMALL_SCENE
+
+ARRAYS = ("sums", "weight", "hits", "flipped", "window", "window_weight")
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "small.toml"
+    path.write_text(SMALL_SCENE)
+    return load_scene(path)
+
+
+@pytest.fixture(scope="module")
+def setup(scene):
+    return prepare(scene)
+
+
+@pytest.fixture(scope="module")
+def coadds(setup):
+    return run_observations(setup, None)
+
+
+@pytest.fixture
+def path(tmp_path, coadds, scene):
+    path = tmp_path / "checkpoint.h5"
+    save_checkpoint(path, coadds, scene_hash(scene))
+    return path
+
+
+def same(one, other):
+    for name in ARRAYS:
+        left, right = getattr(one, name), getattr(other, name)
+        assert left.dtype == right.dtype
+        np.testing.assert_array_equal(left, right)
+    for name in ("rows", "raw_psd", "clean_psd"):
+        np.testing.assert_array_equal(np.array(getattr(one, name)), np.array(getattr(other, name)))
+    return True
+
+
+def test_round_trip(path, coadds, setup):
+    loaded = load_checkpoint(path, setup)
+    assert same(loaded, coadds) and loaded.seconds == coadds.seconds and loaded.done == 4
+    assert [item.name for item in path.parent.iterdir()] == [path.name]
+
+
+def test_round_trip_of_nothing(tmp_path, setup):
+    empty = empty_coadds(setup)
+    save_checkpoint(tmp_path / "new" / "checkpoint.h5", empty, scene_hash(setup.scene))
+    assert same(load_checkpoint(tmp_path / "new" / "checkpoint.h5", setup), empty)
+
+
+@pytest.fixture
+def refused(path, setup):
+    def refused(words="damaged, or not a checkpoint; delete it and go on with --resume"):
+        with pytest.raises(CheckpointError, match=words) as caught:
+            load_checkpoint(path, setup)
+        text = str(caught.value)
+        assert text.startswith(f"{path}: ") and text.isprintable() and len(text) < len(str(path)) + 250
+
+    return refused
+
+
+def test_every_truncation_is_refused(path, refused):
+    raw = path.read_bytes()
+    for share in np.linspace(0, 0.999, 23):
+        path.write_bytes(raw[: int(share * len(raw))])
+        refused()
+
+
+def test_every_flipped_bit_is_refused(path, refused):
+    """Of the sums and of the file's own structure alike; what fills the first block up carries nothing."""
+    raw = path.read_bytes()
+    places = np.linspace(512, len(raw) - 1, 60).astype(int)
+    for place in (0, 57, 58, 121, *places):
+        damaged = bytearray(raw)
+        damaged[place] ^= 0x04
+        path.write_bytes(damaged)
+        refused()
+
+
+@pytest.mark.parametrize("content", [b"", b"text", b"PK\x03\x04", bytes(1000)])
+def test_other_files_are_refused(path, refused, content):
+    path.write_bytes(content)
+    refused()
+
+
+def test_other_hdf5_files_are_refused(path, refused):
+    with h5py.File(path, "w") as file:
+        file["sums"] = np.zeros(3)
+    refused()
+
+
+def test_another_scene_or_version(path, coadds, setup, monkeypatch):
+    with monkeypatch.context() as other:
+        other.setattr("surveysim.survey.checkpoint.__version__", "0.0.1")
+        with pytest.raises(CheckpointError, match="from another version"):
+            load_checkpoint(path, setup)
+    save_checkpoint(path, coadds, "abd")
+    with pytest.raises(
+        CheckpointError, match="from another scene .*start anew with --force, or write elsewhere with --out"
+    ):
+        load_checkpoint(path, setup)
+
+
+def changed(name, change):
+    """An array of the file, changed."""
+
+    def apply(file):
+        value = change(file[name][()])
+        del file[name]
+        file[name] = value
+
+    return apply
+
+
+def set_at(value, place=0):
+    def change(array):
+        array.flat[place] = value
+        return array
+
+    return change
+
+
+def meta(**others):
+    def apply(file):
+        file.attrs["meta"] = json.dumps(json.loads(file.attrs["meta"]) | others)
+
+    return apply
+
+
+def all_of(*changes):
+    def apply(file):
+        for change in changes:
+            change(file)
+
+    return apply
+
+
+LISTS = ("rows", "raw_psd", "clean_psd", "compared_psd")
+FORGERIES = {
+    **{f"shape of {name}": changed(name, lambda array: array[..., :-1]) for name in (*ARRAYS, *LISTS)},
+    **{f"dimensions of {name}": changed(name, lambda array: array[None]) for name in ("sums", "rows", "raw_psd")},
+    **{f"NaN in {name}": changed(name, set_at(np.nan)) for name in ("sums", "weight", "flipped", "window", "raw_psd")},
+    **{f"infinity in {name}": changed(name, set_at(np.inf)) for name in ("sums", "window_weight", "clean_psd")},
+    **{f"vast {name}": changed(name, set_at(-1e300)) for name in ("sums", "flipped", "window")},
+    "infinite noise of an observation with data": changed("bin_noise", set_at(np.inf, 3)),
+    "no noise of an observation with data": changed("rows", set_at(np.inf, -1)),
+    "unknown noise": changed("rows", set_at(np.nan, -1)),
+    **{f"negative {name}": changed(name, set_at(-1)) for name in ("hits", "weight", "window_weight", "raw_psd")},
+    **{f"no {name}": (lambda file, name=name: file.pop(name)) for name in (*ARRAYS, *LISTS)},
+    "another name": lambda file: file.move("sums", "sum"),
+    "one name more": lambda file: file.create_dataset("more", data=1.0),
+    "a group": all_of(lambda file: file.pop("hits"), lambda file: file.create_group("hits")),
+    "a link to another file": all_of(
+        lambda file: file.pop("hits"), lambda file: file.update({"hits": h5py.ExternalLink("other.h5", "hits")})
+    ),
+    "single precision": changed("sums", lambda array: array.astype(np.float32)),
+    "hits as floats": changed("hits", lambda array: array.astype(float)),
+    "hits of 32 bits": changed("hits", lambda array: array.astype(np.int32)),
+    "text": changed("rows", lambda array: np.full(array.shape, b"text")),
+    "complex": changed("raw_psd", lambda array: array.astype(complex)),
+    "fewer rows": changed("rows", lambda array: array[:-1]),
+    "rows of more observations": all_of(*(changed(name, lambda array: np.repeat(array, 2, 0)) for name in LISTS)),
+    "rows in another order": changed("rows", lambda array: array[::-1]),
+    "a row twice": changed("rows", lambda array: array[[0, 0, 2, 3]]),
+    "sums without hits": changed("hits", np.zeros_like),
+    "sums without weight": changed("weight", np.zeros_like),
+    "meta of text": lambda file: file.attrs.update(meta="text"),
+    "meta of a list": lambda file: file.attrs.update(meta="[]"),
+    "meta of numbers": lambda file: file.attrs.update(meta=3),
+    "no meta": lambda file: file.attrs.pop("meta"),
+    "no seconds": meta(seconds=None),
+    "negative seconds": meta(seconds={"cleaning": -1.0}),
+    "seconds of text": meta(seconds={"cleaning": "1"}),
+    "infinite seconds": meta(seconds={"cleaning": float("inf")}),
+}
+
+
+@pytest.mark.parametrize("forgery", FORGERIES)
+def test_contents_of_no_run_are_refused(path, refused, forgery):
+    """With a digest that is right."""
+    forge(path, FORGERIES[forgery])
+    refused(r"not what a run of this scene writes \(.+\); delete it and go on with --resume")
+
+
+@pytest.mark.parametrize("key", ["version", "scene"])
+@pytest.mark.parametrize("value", [None, 3, "", "other", ["other"], "\x1b[31m" * 9])
+def test_other_origins_are_refused(path, refused, key, value):
+    forge(path, meta(**{key: value}))
+    refused(f"from another {key} .found .*; start anew with --force, or write elsewhere with --out")
+
+
+def forge(path, change):
+    """Change a checkpoint and sign it anew."""
+    content = BytesIO(path.read_bytes())
+    with h5py.File(content, "r") as old, h5py.File(whole := BytesIO(), "w", userblock_size=512) as new:
+        new.attrs.update(old.attrs)
+        for name in old:
+            old.copy(name, new)
+        change(new)
+    rest = whole.getvalue()[512:]
+    path.write_bytes((_MARK + sha256(rest).hexdigest().encode()).ljust(512, b"\0") + rest)
+
+
+def test_what_is_no_hdf5_is_refused(path, refused):
+    path.write_bytes((_MARK + sha256(b"text").hexdigest().encode()).ljust(512, b"\0") + b"text")
+    refused("not what a run of this scene writes")
+
+
+def test_sizes_are_compared_before_anything_is_read(path, refused):
+    """A few bytes can claim to be terabytes."""
+
+    def claim(file):
+        file.pop("sums")
+        file.create_dataset("sums", (1 << 40,), float, chunks=(1 << 20,), compression="gzip")
+
+    forge(path, claim)
+    refused("sums has the shape")
+
+
+def test_streams_of_another_run_are_refused(tmp_path, scene, setup):
+    """What a resumed run lists among its files is its own."""
+    path, streams = tmp_path / "checkpoint.h5", tmp_path / "timestreams"
+    run_observations(setup, path, timestream_dir=streams, stops=lambda so_far: so_far.done == 2)
+    for number in (2, 3):  # of no observation that is kept
+        (streams / f"{number:04d}.h5").write_text("of nobody")
+    check_streams(streams, setup, 2)
+    (streams / "0000.h5").unlink()  # of before a resumption that asked for them
+    check_streams(streams, setup, 2)
+    whole = (streams / "0001.h5").read_bytes()
+    with h5py.File(streams / "0001.h5", "r+") as file:
+        file.attrs["scene_sha256"] = "0" * 64
+    other = (streams / "0001.h5").read_bytes()
+    for content in (b"", b"text", whole[:2000], other):
+        (streams / "0001.h5").write_bytes(content)
+        with pytest.raises(
+            CheckpointError, match="0001.h5: not the time-streams of observation 1 of this scene; start anew"
+        ):
+            run_observations(setup, path, resume=True, timestream_dir=streams)
+    (streams / "0000.h5").write_bytes(whole)
+    with pytest.raises(CheckpointError, match="0000.h5: not the time-streams of observation 0"):
+        check_streams(streams, setup, 2)
+
+
+def test_full_disk_leaves_the_old_one(path, coadds):
+    """A write that fails: at once, in the middle, or with the last byte."""
+    before = path.read_bytes()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for share in (0.0, 0.5, 1.0):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (max(0, int(share * len(before)) - 1), limits[1]))
+        try:
+            with pytest.raises(OSError) as caught:
+                save_checkpoint(path, coadds, "abc")
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert caught.value.errno == errno.EFBIG and caught.value.filename == str(path)
+        assert path.read_bytes() == before and [item.name for item in path.parent.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_stopped_runs_keep_what_is_done(tmp_path, scene, coadds, error):
+    """The checkpoint holds the observations that were in, and resuming gives the same bits."""
+    setup, path = prepare(scene), tmp_path / "checkpoint.h5"
+
+    def stop(so_far):
+        if so_far.done == 3:
+            raise error
+
+    with pytest.raises(error):
+        run_observations(setup, path, progress=stop)
+    assert load_checkpoint(path, setup).done == 3
+    assert same(run_observations(setup, path, resume=True), coadds)
+
+
+def test_a_finished_checkpoint_has_nothing_left_to_do(tmp_path, scene, coadds):
+    path = tmp_path / "checkpoint.h5"
+    save_checkpoint(path, coadds, scene_hash(scene))
+    assert same(run_observations(prepare(scene), path, engine=Engine(workers=2), resume=True), coadds)
+
+
+def test_without_resume_a_checkpoint_is_not_read(tmp_path, scene, coadds):
+    path = tmp_path / "checkpoint.h5"
+    path.write_text("damaged")
+    assert same(run_observations(prepare(scene), path), coadds)
+
+
+def test_other_tools_read_it(path, coadds, scene):
+    with h5py.File(path) as file:
+        assert json.loads(file.attrs["meta"])["scene"] == scene_hash(scene)
+        np.testing.assert_array_equal(file["hits"][()], coadds.hits)

@@ -1,0 +1,57 @@
+"""Arrays of other shapes than a scene's are refused before loops that test no index take them."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from surveysim import load_scene
+from surveysim.reduction.setup import observation_path, prepare
+from surveysim.survey.coadds import add_observation, empty_coadds
+from surveysim.timestreams.observation import add_sky_signal
+from tests.scenes import SMALL_SCENE
+
+
+@pytest.fixture(scope="module")
+def setup(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "small.toml"
+    path.write_text(SMALL_SCENE)
+    return prepare(load_scene(path))
+
+
+@pytest.mark.parametrize("name", ["sums", "hits", "noise_mk2"])
+@pytest.mark.parametrize("cut", [np.s_[:-1], np.s_[None], np.s_[..., :-1]])
+def test_results_of_another_shape(setup, name, cut):
+    """Of a worker with another scene, say: nothing is added."""
+    coadds = empty_coadds(setup)
+    arrays = {
+        "sums": np.ones(coadds.sums.shape),
+        "hits": np.ones(coadds.hits.shape, int),
+        "noise_mk2": np.ones(coadds.n_set),
+    }
+    with pytest.raises(ValueError, match=rf"{name}: found the shape .* is expected"):
+        add_observation(setup, coadds, SimpleNamespace(observation=0, **(arrays | {name: arrays[name][cut]})))
+    assert not coadds.sums.any() and not coadds.hits.any() and not coadds.rows
+
+
+@pytest.mark.parametrize("cut", [np.s_[:-1], np.s_[:, :-1], np.s_[..., :-1], np.s_[:0]])
+def test_sums_of_another_shape(setup, cut):
+    coadds = empty_coadds(setup)
+    coadds.flipped = coadds.flipped[cut]
+    arrays = {"sums": coadds.sums, "hits": coadds.hits, "noise_mk2": np.ones(coadds.n_set)}
+    with pytest.raises(ValueError, match="flipped: found the shape .* is expected"):
+        add_observation(setup, coadds, SimpleNamespace(observation=0, **arrays))
+
+
+def test_skies_on_streams_of_another_shape(setup):
+    _, pointing = observation_path(setup, 0)
+    shape, gain = (setup.n_det, len(pointing.xi_rad)), np.ones(setup.n_det)
+    sky = np.ones((setup.sky_geometry.n_y, setup.sky_geometry.n_x), np.float32)
+    right = np.zeros(shape, np.float32)
+    add_sky_signal(setup, pointing, sky, right, gain)
+    assert right.any()
+    for wrong in (np.zeros((shape[0], shape[1] + 1)), np.zeros((shape[0] + 1, shape[1]))):
+        with pytest.raises(ValueError, match="found streams .* are expected"):
+            add_sky_signal(setup, pointing, sky, wrong, gain)
+    with pytest.raises(ValueError, match="gains"):
+        add_sky_signal(setup, pointing, sky, right, gain[:-1])
