@@ -18,7 +18,7 @@ OWN_B2 = {"b2_probabilities": [0.25, 0.5, 0.75], "b2": "[100, 280, 980] mK2 rad(
 
 
 def atmosphere(site, **keys):
-    return Atmosphere.model_validate({"index": "11/3", "illuminated_aperture": "8 m", "site": site} | keys)
+    return Atmosphere.model_validate({"spectral_index": "11/3", "illuminated_aperture": "8 m", "site": site} | keys)
 
 
 def draws(air, water, seed=1):

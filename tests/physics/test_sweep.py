@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mapmaker.bandpower import flat_spectrum_psd, score
-from mapmaker.window import Window
+from mapmaker.transfer_function import TransferFunction
 from surveysim import load_sweep, run_sweep
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.sweep.comparison import compare_runs
@@ -45,7 +45,7 @@ def toy_pair(weights, own, rng):
     shape = (weights.size, N_MODES.sum() // 2)
     common, *apart = (rng.normal(size=(*shape, 2)) @ [1, 1j] / np.sqrt(2) for _ in range(3))
     signs = rng.choice([-1.0, 1.0], size=(FLIPS, weights.size))
-    window = Window(ELL, np.ones(4), np.zeros((2, 4)))
+    window = TransferFunction(ELL, np.ones(4), np.zeros((2, 4)))
     items = []
     for noise in apart:
         modes = np.sqrt(weights)[:, None] * (np.sqrt(1 - own) * common + np.sqrt(own) * noise)

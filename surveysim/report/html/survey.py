@@ -304,7 +304,7 @@ def _answer_grid(summary: Content, scene: Content) -> Grid:
         "seconds": sum(run["stage_s"].values()) / run["workers"],
         "observations": summary["observations"],
         "jackknives": score["jackknives"],
-        "skies": score["window"]["skies"],
+        "skies": score["signal_sims"]["skies"],
     }
     rows, mark = [], 0
     known = [answer for answer in (here, *answers) if answer["relative_error"] is not None]

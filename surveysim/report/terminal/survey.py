@@ -42,7 +42,7 @@ def print_result(result: SurveyResult, directory: Path) -> None:
     console = Terminal()
     for line in stop_lines(result):
         console.say(f"{line}\n")
-    if len(result.setup.whole_recipes) > 1:
+    if len(result.setup.whole_pipelines) > 1:
         console.show(_cleaning_table(result))
     if result.scores:
         console.show(_score_table(result))
@@ -175,7 +175,7 @@ def cost_lines(result: SurveyResult) -> list[str]:
         return []
     needs = [f"{cost.observations} observations"]
     needs += [f"{cost.jackknives} sign flips"] * (cost.jackknives > score.jackknives)
-    needs += [f"{cost.skies} window skies"] * (cost.skies > score.window.skies)
+    needs += [f"{cost.skies} window skies"] * (cost.skies > score.signal_sims.skies)
     time = f"{cost.seconds / 60:.2g} min" if cost.seconds >= 60 else f"{cost.seconds:.0f} s"
     percent = 100 * cost.relative_error
     return [f"  a {percent:g} % answer would take about {time} with {result.workers} worker(s) ({', '.join(needs)})"]
@@ -240,7 +240,9 @@ def _cells(row: Row, with_forecast: bool, with_reference: bool) -> list[str]:
 def _cleaning_table(result: SurveyResult) -> Table:
     """What each way of cleaning costs and leaves, and of how many observations it is the best."""
     table = Table(title=Text("Cleaning: what it costs, and what it leaves"))
-    entries = {recipe.label: summary(result)["cleaning"][recipe.data_set] for recipe in result.setup.whole_recipes}
+    entries = {
+        pipeline.label: summary(result)["cleaning"][pipeline.data_set] for pipeline in result.setup.whole_pipelines
+    }
     first = next(iter(entries.values()))
     shares = {"point_source_flux_removed": "flux removed", "best_for_cmb": "best: CMB"}
     shares["best_for_point_source"] = "best: source"

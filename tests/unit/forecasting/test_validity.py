@@ -146,7 +146,7 @@ def test_shares_are_interpolated_between_observations_of_a_pilot():
 def test_shares_of_many_observations_follow_the_weather(scene_of):
     setup = prepare(scene_of(observations=100, atmosphere__b2="[2, 10, 400] mK2 rad(-5/3)"))
     levels = conditions(setup, survey_draws(setup, 0, 100))
-    kept = predicted_kept(setup, setup.recipes, levels, np.ones(100))["actual"]
+    kept = predicted_kept(setup, setup.pipelines, levels, np.ones(100))["actual"]
     assert kept.share.shape == (100,) and kept.share.min() >= 0 and kept.share.max() <= 1
     order = np.argsort(levels.layer)
     assert kept.share[order][:25].mean() < kept.share[order][-25:].mean() - 0.5

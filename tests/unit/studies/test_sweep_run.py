@@ -280,7 +280,7 @@ def test_wrong_files_of_points(write, tmp_path, monkeypatch, kind, damage):
     if damage == "damaged":
         file.write_bytes(file.read_bytes()[:-100])
     if damage == "from another version":
-        for module in ("checkpoint", "point_files"):
+        for module in ("survey.checkpoint", "studies.sweep.point_store"):
             monkeypatch.setattr(f"surveysim.{module}.__version__", "0.0.1")
     sweep = load_sweep(path, {"scan.scans": 3} if damage == "from another scene" else {})
     if damage == "from another scene":
