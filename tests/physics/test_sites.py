@@ -60,7 +60,7 @@ def test_one_distribution_of_fluctuations_serves_both_bands_of_table_1(frequency
 def test_medians_above_the_south_pole(frequency, width, median):
     """Predicted, not calibrated: half of Mauna Kea's fluctuations on the Pole's water. 7.5 / 35.5 / 82 mK^2.
 
-    ACBAR's medians at its own band centres, which the paper rounds to 151 and 282 GHz: Bussmann et al. (2005), abstract.
+    Medians and band centres of ACBAR by its authors (Bussmann et al. 2005, abstract); the paper has 151 and 282 GHz.
     """
     air = atmosphere("south_pole")
     b2 = b2_quantile(air, site_water(air, frequency, width), 0.0)
@@ -71,8 +71,8 @@ def test_medians_above_the_south_pole(frequency, width, median):
 def test_quartiles_above_the_south_pole():
     """Both bands of Table 1 at 151 and 282 GHz together: 2.4 / 8.0 / 24 and 30 / 99 / 299 mK^2.
 
-    Each band lies a quarter off the mean of the two, low at 151 and high at 282 GHz: the model makes 12.4 of the ratio of
-    the bands, which fluctuations leave alone, and ACBAR saw 7. At 274 GHz, its centre by its authors, it would be 10.2.
+    Each band lies a quarter off the mean of the two, low at 151 and high at 282 GHz: the ratio of the bands, which
+    fluctuations leave alone, is 12.4 in the model and 7 in the data. With the centres of ACBAR's authors it is 11.
     """
     air = atmosphere("south_pole")
     bands = [(151e9, 0.2), (282e9, 0.18)]
