@@ -93,8 +93,8 @@ def test_quartiles_of_b2_come_back(survey):
     """But for the median of a fit, 10 % low.
 
     A fit scatters by 0.44 about B2. A pair of fitted and drawn parts at a quartile if that lies between the two: so do
-    n f <|e|> pairs, f being the density of ln B2 and e the scatter. The quartiles differ by the root of that over n f, and
-    the outer ones by another 0.04, for the scatter of fits widens the distribution.
+    n f <|e|> pairs, f being the density of ln B2 and e the scatter. The quartiles differ by the root of that over n f,
+    and the outer ones by another 0.04, for the scatter of fits widens the distribution.
     """
     used = np.isfinite(survey.b2_fitted)
     quartiles = [np.percentile(np.log(b2[used]), [25, 50, 75]) for b2 in (survey.b2_fitted, survey.b2_drawn)]
