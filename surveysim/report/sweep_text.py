@@ -10,7 +10,7 @@ from surveysim.discards import percent, telling
 from surveysim.plan import SweepPlan
 from surveysim.recipes import ACTUAL
 from surveysim.report.terminal import Terminal
-from surveysim.report.text import print_warnings, where_line, with_unknown
+from surveysim.report.text import percent_off, print_warnings, where_line, with_unknown
 from surveysim.sweep import Sweep
 from surveysim.trade import ESTIMATES, SURE, SweepResult
 
@@ -59,8 +59,7 @@ def _forecast_lines(result: SweepResult) -> list[str]:
     compared = [(point, *item.off) for point, item in both if item.off]
     if compared:
         point, off, error = max(compared, key=lambda entry: abs(entry[1]))
-        far = f"{100 * off:+.0f} +- {100 * error:.0f} %"
-        lines.append(f"forecast over simulated, less 1: at worst {far}, {point.label}")
+        lines.append(f"forecast over simulated, less 1: at worst {percent_off(off, error)}, {point.label}")
     if not result.simulated:
         lines.append("Forecasts are of the weather that the seed draws; a run quotes sigma(A) of all weather.")
     return lines + [f"! forecast of {point.label}: {sentence}" for point, item in both for sentence in item.flags]

@@ -97,7 +97,7 @@ def agreement_lines(result: SurveyResult) -> list[str]:
     found = forecast_agreement(result)
     if not found:
         return []
-    off = ", ".join(f"{name} {_percent_off(item.sigma, item.sigma_error)}" for name, item in found.items())
+    off = ", ".join(f"{name} {percent_off(item.sigma, item.sigma_error)}" for name, item in found.items())
     lines = [f"  forecast of sigma(A) over simulated, less 1: {off}"]
     lines += [
         f"  forecast of {name}: sigma(A) is worse than {100 * GOOD_SIGMA:.0f} %"
@@ -126,11 +126,11 @@ def _psd_lines(found: dict[str, Agreement]) -> list[str]:
     name, worst = max(known_at_all.items(), key=lambda entry: abs(entry[1].psd) - 2 * entry[1].psd_error)
     if abs(worst.psd) <= 2 * worst.psd_error:
         return [f"{line}; none is off by more than two standard errors"]
-    off = f"{name} by {_percent_off(worst.psd, worst.psd_error)} at ell = {worst.worst_ell:.0f}"
+    off = f"{name} by {percent_off(worst.psd, worst.psd_error)} at ell = {worst.worst_ell:.0f}"
     return [f"{line}; furthest beyond two standard errors, as one in twenty is by chance: {off}"]
 
 
-def _percent_off(off: float, error: float) -> str:
+def percent_off(off: float, error: float) -> str:
     """``+3 +- 5 %``, or ``+3 % +- unknown`` for an error that is NaN."""
     return f"{100 * off:+.0f} % +- unknown" if math.isnan(error) else f"{100 * off:+.0f} +- {100 * error:.0f} %"
 

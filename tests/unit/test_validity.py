@@ -13,7 +13,7 @@ from surveysim.engines import SERIAL
 from surveysim.forecast import expected_weights, forecast
 from surveysim.noise_model import survey_models
 from surveysim.pilot import Kept, _pilot_size, _spread, predicted_kept
-from surveysim.report.text import _psd_lines, agreement_lines, effect_lines
+from surveysim.report.text import _psd_lines, agreement_lines, effect_lines, percent_off
 from surveysim.results import forecast_agreement, summary
 from surveysim.scene import SceneError
 from surveysim.setup import prepare
@@ -266,6 +266,7 @@ def test_three_observations_do_not_tell_the_error(calm):
     found = agreement(setup, item, expected)
     assert np.isfinite(found.sigma) and np.isnan(found.sigma_error) and np.isnan(found.psd_error)
     assert found.unknown == found.bins > 0 and found.within == 0
+    assert percent_off(found.sigma, found.sigma_error) == f"{100 * found.sigma:+.0f} % +- unknown"
     (line,) = _psd_lines({"actual": found})
     assert line.endswith(
         f"within 15 % in 0 of {found.bins} bins from ell = {found.low_ell:.0f} to"
