@@ -97,7 +97,7 @@ def agreement_lines(result: SurveyResult) -> list[str]:
     found = forecast_agreement(result)
     if not found:
         return []
-    off = ", ".join(f"{name} {100 * item.sigma:+.0f} +- {100 * item.sigma_error:.0f} %" for name, item in found.items())
+    off = ", ".join(f"{name} {percent_off(item.sigma, item.sigma_error)}" for name, item in found.items())
     lines = [f"  forecast of sigma(A) over simulated, less 1: {off}"]
     lines += [
         f"  forecast of {name}: sigma(A) is worse than {100 * GOOD_SIGMA:.0f} %"
@@ -118,13 +118,21 @@ def _psd_lines(found: dict[str, Agreement]) -> list[str]:
     where = f"from ell = {some.low_ell:.0f} to {some.high_ell:.0f}"
     if within == bins:
         return [f"  its noise PSDs: within {good} in all {bins} bins {where}, each known to {known} or better"]
-    name, worst = max(found.items(), key=lambda entry: abs(entry[1].psd) - 2 * entry[1].psd_error)
-    off = f"{name} by {100 * worst.psd:+.0f} +- {100 * worst.psd_error:.0f} % at ell = {worst.worst_ell:.0f}"
     line = f"  its noise PSDs: within {good} in {within} of {bins} bins {where}"
     line += f", {unknown} are not known to {known}" if unknown else ""
+    known_at_all = {name: item for name, item in found.items() if math.isfinite(item.psd_error)}
+    if not known_at_all:
+        return [line]
+    name, worst = max(known_at_all.items(), key=lambda entry: abs(entry[1].psd) - 2 * entry[1].psd_error)
     if abs(worst.psd) <= 2 * worst.psd_error:
         return [f"{line}; none is off by more than two standard errors"]
+    off = f"{name} by {percent_off(worst.psd, worst.psd_error)} at ell = {worst.worst_ell:.0f}"
     return [f"{line}; furthest beyond two standard errors, as one in twenty is by chance: {off}"]
+
+
+def percent_off(off: float, error: float) -> str:
+    """``+3 +- 5 %``, or ``+3 % +- unknown`` for an error that is NaN."""
+    return f"{100 * off:+.0f} % +- unknown" if math.isnan(error) else f"{100 * off:+.0f} +- {100 * error:.0f} %"
 
 
 def effect_lines(scores: "dict[str, DataSetForecast]", flagged: bool = False) -> list[str]:
