@@ -18,6 +18,7 @@ from surveysim.reduction.mode_response import PROJECTIONS
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.scene import Scene, SceneError
 from surveysim.survey.discarded_scans import REMEDY
+from surveysim.timestreams.component import present_components
 
 NOTHING_FOUND = "score: found no noise in its multipoles or no scan across its patch; both are expected"
 
@@ -61,9 +62,11 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
     setup = prepare(scene)
     if scene.score is None:
         raise SceneError("score: missing; a forecast says what a map is worth")
-    if not can_forecast(setup):
+    if not is_projection(setup.pipelines[0]):
         allowed = ", ".join(map(repr, PROJECTIONS))
         raise SceneError(f"cleaning.algorithm: found {setup.pipelines[0].label!r}; one of {allowed} can be forecast")
+    if not can_forecast(setup):
+        raise SceneError(why_no_forecast(setup))
     models = survey_models(scene)
     if kept is None:
         levels = conditions(setup, survey_draws(setup, 0, scene.observations))
@@ -81,8 +84,18 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
 
 
 def can_forecast(setup: Setup) -> bool:
-    """Whether a prepared scene has a score and its first cleaning can be forecast."""
-    return setup.scene.score is not None and is_projection(setup.pipelines[0])
+    """Whether a prepared scene has a score and all that it needs has a closed form."""
+    return setup.scene.score is not None and why_no_forecast(setup) is None
+
+
+def why_no_forecast(setup: Setup) -> str | None:
+    """Name a component or a cleaning that has no closed form; None where all have one."""
+    for item in present_components(setup.scene):
+        if not item.forecast:
+            return f"{item.name}: found a section without a closed form"
+    if not is_projection(setup.pipelines[0]):
+        return f"cleaning by {setup.pipelines[0].label} is no projection"
+    return None
 
 
 def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hits: np.ndarray) -> DataSetForecast:

@@ -41,7 +41,7 @@ from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.scene import Scene, SceneError
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.noise import excess_psd
+from surveysim.timestreams.low_frequency import excess_psd
 from surveysim.timestreams.shared_parts import screen
 
 _ANGLES = 3  # of the array against the scan that stand for all observations

@@ -23,8 +23,8 @@ from surveysim.telescope.lattice_noise import NoiseCorrelation
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.pixel_coherence import MOST_DENSE, correlation_matrix
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.noise import excess_variance
-from surveysim.timestreams.observation import observation_weather
+from surveysim.timestreams.low_frequency import excess_variance
+from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.shared_parts import screen, shared_noise
 
 _NUMBERS = 5  # of a draw: four of the weather, and which observation it is

@@ -17,6 +17,7 @@ from mapmaker.cleaning.templates import AVERAGE, QUADRATIC, template_basis
 from mapmaker.correlations import PairBins, Profile, correlation_profile, pair_bins, scan_covariances
 from mapmaker.geometry import MapGeometry, boresight_pixels
 from mapmaker.spectrum import mode_ell, mode_multiplicity, mode_psd, tukey_taper
+from mapmaker.stream_psd import hann_psd, low_frequency_variance, white_level
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.wind import WindFit, measure_wind, scan_velocities
 from surveysim.atmosphere.weather import Weather
@@ -24,8 +25,8 @@ from surveysim.reduction.setup import Setup, observation_path, prepare
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.noise import hann_psd, low_frequency_variance, white_level
-from surveysim.timestreams.observation import draw_observation, observation_weather
+from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.observed_block import observation_weather
 
 # Multipoles, of the highest that the map's pixels hold along an axis, where no atmosphere is left in a map.
 WHITE_FROM = 0.6

@@ -17,6 +17,7 @@ from mapmaker.cleaning import Cleaned
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
+from mapmaker.stream_psd import hann_power, hann_scale, white_level
 from mapmaker.timestreams import Timestreams, timestream_file
 from surveysim.atmosphere.weather import Weather
 from surveysim.reduction.cleaning_pipelines import (
@@ -32,14 +33,9 @@ from surveysim.reduction.setup import Setup, observation_path, prepare
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.noise import hann_power, hann_scale, white_level
-from surveysim.timestreams.observation import (
-    Stopwatch,
-    add_sky_signal,
-    draw_block,
-    draw_other_bands,
-    observation_weather,
-)
+from surveysim.timestreams.observation import Stopwatch, draw_block, draw_other_bands
+from surveysim.timestreams.observed_block import observation_weather
+from surveysim.timestreams.response import add_sky_signal
 from surveysim.timestreams.scan_blocks import Block
 
 REFERENCE = (0, 1)  # observations that tell what pipelines leave of a signal: one along each direction
@@ -308,7 +304,7 @@ def _add_window(window: np.ndarray, part: _Part) -> None:
     hits, signal = np.zeros(window.shape[-1], np.int64), np.empty_like(streams.data_mk)
     for s, sky in enumerate(setup.window_skies_mk):
         signal[:] = 0
-        add_sky_signal(setup, part.pointing, sky, signal, setup.responsivity)
+        add_sky_signal(setup, part.pointing, sky, signal)
         for pipeline, base in zip(setup.pipelines, part.cleaned, strict=True):
             rows, place = pipeline.rows, setup.windows.index(pipeline.data_set)
             scans = _cleaned_again(setup, pipeline, base.kept)

@@ -1,21 +1,18 @@
 """What a run of a scene does: the stages that run, and those left out with the reason for each."""
 
-from surveysim.forecasting.forecast import can_forecast
+from surveysim.forecasting.forecast import can_forecast, why_no_forecast
 from surveysim.reduction.setup import Setup, window_observations
 from surveysim.scene.scene import Scene
 from surveysim.telescope.raster import samples_per_scan
+from surveysim.timestreams.component import COMPONENTS, present_components
 
-STREAMS = ("atmosphere", "excess", "photon", "detector", "sky")  # sections that make time-streams
-SECTIONS_LEFT_OUT = {
-    "atmosphere": ": no layer, no weather",
-    "sky": ": noise alone",
-    "score": ": no map PSDs, no sign-flipped maps",
-}
+# Optional sections, and the consequence of leaving each out.
+OPTIONAL = {item.name: item.absence for item in COMPONENTS} | {"score": ": no map PSDs, no sign-flipped maps"}
 
 
 def absent_sections(scene: Scene) -> list[str]:
-    """Optional sections that the scene does not have."""
-    return [name for name in (*STREAMS, "score") if getattr(scene, name) is None]
+    """List the optional sections that the scene does not have."""
+    return [name for name in OPTIONAL if getattr(scene, name) is None]
 
 
 def stages_that_run(setup: Setup) -> dict[str, str]:
@@ -27,7 +24,7 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
         most = max(block.n_scans for block in setup.blocks)
         megabytes = most * samples_per_scan(setup.raster) * setup.n_det * setup.stream_type.itemsize / 1e6
         stages["blocks"] = f"{len(setup.blocks)} an observation, {most} scans or fewer in {megabytes:.3g} MB of streams"
-    stages |= {name: "streams" for name in STREAMS if getattr(scene, name) is not None}
+    stages |= {item.name: item.sentence for item in present_components(scene)}
     stages["cleaning"] = ", ".join(pipeline.label for pipeline in setup.whole_pipelines)
     stages["maps"] = f"{setup.geometry.n_x} x {setup.geometry.n_y} pixels"
     if scene.score:
@@ -45,7 +42,7 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
 def left_out(setup: Setup) -> dict[str, str]:
     """Every stage that a run of the scene leaves out, and why."""
     scene = setup.scene
-    reasons = {name: f"no section [{name}]{SECTIONS_LEFT_OUT.get(name, '')}" for name in absent_sections(scene)}
+    reasons = {name: f"no section [{name}]{OPTIONAL[name]}" for name in absent_sections(scene)}
     if scene.fixed_pointing:
         reasons["ephemerides"] = "a fixed elevation needs no astropy.coordinates"
     if setup.water is None:
@@ -57,7 +54,7 @@ def left_out(setup: Setup) -> dict[str, str]:
     if scene.score is None:
         reasons |= dict.fromkeys(("window", "forecast", "best pipeline"), "no section [score] to need it")
     elif not can_forecast(setup):
-        reasons["forecast"] = f"cleaning by {setup.pipelines[0].label} is no projection"
+        reasons["forecast"] = why_no_forecast(setup)
     if scene.score and not setup.chooses:
         reasons["best pipeline"] = "no cleaning.compare to choose from"
     if not scene.map.healpix_nside:

@@ -18,7 +18,7 @@ from surveysim.runtime.memory import peak_bytes
 from surveysim.studies.sweep.axes import Sweep
 from surveysim.survey.coadds import CoAdds, add_observation, empty_coadds
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.observation import observation_weather
+from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.scan_blocks import Block
 
 # Drawing figures takes about twice as long as it takes to start, half as long again with those of a score, and

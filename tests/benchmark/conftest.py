@@ -16,6 +16,7 @@ from surveysim.reduction.setup import Setup, observation_path, prepare
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.observed_block import ObservedBlock, observed_block
 from surveysim.timestreams.scan_blocks import Block
 
 OBSERVATION = 0
@@ -37,6 +38,10 @@ class Prepared:
     @property
     def block(self) -> Block:
         return self.setup.blocks[0]
+
+    @property
+    def observed_block(self) -> ObservedBlock:
+        return observed_block(self.setup, OBSERVATION, self.block, self.pointing)
 
     @property
     def data_mk(self) -> np.ndarray:

@@ -8,14 +8,18 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
+from mapmaker.stream_psd import hann_psd, white_level
 from mapmaker.wind import measure_wind, scan_velocities
 from surveysim.reduction import noise_only_sets as sets
 from surveysim.reduction import observation as reduction
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline, measured_delays
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.survey.coadds import add_observation, empty_coadds
-from surveysim.timestreams import observation as stages
-from surveysim.timestreams.noise import add_white, hann_psd, white_level
+from surveysim.timestreams.atmosphere import add_atmosphere
+from surveysim.timestreams.low_frequency import add_low_frequency_noise
+from surveysim.timestreams.noise import add_white
+from surveysim.timestreams.observation import Stopwatch
+from surveysim.timestreams.photon import add_photon_noise
 from tests.benchmark.conftest import FLOOR, OBSERVATION
 
 
@@ -38,21 +42,18 @@ def test_floor_copy(per_sample, lynx):
 
 
 def test_atmosphere(per_sample, lynx):
-    weather = stages.observation_weather(lynx.setup, OBSERVATION)
-    data = np.zeros_like(lynx.data_mk)
-    per_sample("atmosphere", lambda: stages.add_layer(lynx.setup, OBSERVATION, lynx.pointing, weather, data))
+    data, block = np.zeros_like(lynx.data_mk), lynx.observed_block
+    per_sample("atmosphere", lambda: add_atmosphere(data, block))
 
 
 def test_excess(per_sample, lynx):
-    weather = stages.observation_weather(lynx.setup, OBSERVATION)
-    data = np.zeros_like(lynx.data_mk)
-    per_sample("excess", lambda: stages._add_excess(lynx.setup, OBSERVATION, lynx.block, weather, data))
+    data, block = np.zeros_like(lynx.data_mk), lynx.observed_block
+    per_sample("excess", lambda: add_low_frequency_noise(data, block))
 
 
 def test_photon(per_sample, lynx):
-    data = np.zeros_like(lynx.data_mk)
-    levels = stages.observation_levels(lynx.setup, OBSERVATION)
-    per_sample("photon", lambda: stages._add_photon(lynx.setup, OBSERVATION, lynx.block, levels, data))
+    data, block = np.zeros_like(lynx.data_mk), lynx.observed_block
+    per_sample("photon", lambda: add_photon_noise(data, block))
 
 
 def test_detector(per_sample, lynx):
@@ -115,7 +116,7 @@ def test_simulated_set(per_sample, lynx, name):
 def test_window_of_one_sky(per_sample, lynx):
     """A sky through the streams of the whole and the masked array, with cleaning and without."""
     setup = replace(lynx.setup, made=lynx.setup.made | {"window_skies_mk": lynx.setup.window_skies_mk[:1]})
-    part = reduction._reduce(setup, OBSERVATION, lynx.pointing, lynx.block, stages.Stopwatch())
+    part = reduction._reduce(setup, OBSERVATION, lynx.pointing, lynx.block, Stopwatch())
     window = reduction._empty_window(setup)
     per_sample("window, one sky", lambda: reduction._add_window(window, part))
 

@@ -19,7 +19,8 @@ from mapmaker.cleaning import (
 from mapmaker.wind import measure_wind, scan_velocities
 from surveysim.reduction.setup import observation_path, prepare
 from surveysim.telescope.pointing import sky_vector
-from surveysim.timestreams.observation import draw_observation, observation_weather
+from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.observed_block import observation_weather
 
 LYNX = Path(__file__).parents[2] / "scenarios" / "lynx.toml"
 RATE_HZ = 10.0

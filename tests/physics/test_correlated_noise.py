@@ -26,8 +26,10 @@ from surveysim.paper.tables import correlated_noise_table
 from surveysim.reduction.setup import observation_path, prepare
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix
-from surveysim.timestreams.noise import draw_from_psd, excess_psd, excess_variance
-from surveysim.timestreams.observation import draw_observation, observation_weather
+from surveysim.timestreams.low_frequency import excess_psd, excess_variance
+from surveysim.timestreams.noise import draw_from_psd
+from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.observed_block import observation_weather
 from tests.scenes import SMALL_SCENE
 from tests.surveys import ARCMIN, fit, named, of_b2
 

@@ -16,7 +16,7 @@ from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import SceneError, load_scene
 from surveysim.telescope.focal_plane import camera, hexagon
 from surveysim.telescope.pixel_coherence import correlation_matrix, lattice_sum
-from surveysim.timestreams.observation import observation_levels
+from surveysim.timestreams.observed_block import observation_levels
 from tests.scenes import SMALL_SCENE, without_sections
 
 # A patch wide enough for few observations, in weather that keeps all scans.

@@ -27,8 +27,9 @@ from surveysim.scene.units import rj_to_cmb
 from surveysim.telescope.focal_plane import hexagon
 from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix
 from surveysim.telescope.pointing import sky_vector
-from surveysim.timestreams.noise import add_correlated_white, add_excess, excess_psd
-from surveysim.timestreams.observation import observation_weather
+from surveysim.timestreams.low_frequency import add_excess, excess_psd
+from surveysim.timestreams.noise import add_correlated_white
+from surveysim.timestreams.observed_block import observation_weather
 from tests import naive
 from tests.scenes import SMALL_SCENE, WIDE_PATCH, without_sections
 

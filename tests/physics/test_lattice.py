@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from mapmaker.stream_psd import hann_psd
 from mapmaker.timestreams import FocalPlane
 from surveysim.forecasting import observing_conditions as conditions
 from surveysim.forecasting.forecast import forecast
@@ -21,7 +22,8 @@ from surveysim.telescope.focal_plane import Camera, hexagon
 from surveysim.telescope.lattice_noise import LARGEST_ERROR, CirculantFactor, NoiseCorrelation, embed
 from surveysim.telescope.pixel_coherence import Illumination, correlation_matrix
 from surveysim.timestreams import shared_parts as parts
-from surveysim.timestreams.noise import add_correlated_white, add_excess, excess_psd, hann_psd
+from surveysim.timestreams.low_frequency import add_excess, excess_psd
+from surveysim.timestreams.noise import add_correlated_white
 from surveysim.timestreams.observation import draw_observation
 from tests.scenes import SMALL_SCENE
 

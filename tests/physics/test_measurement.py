@@ -8,13 +8,13 @@ from scipy.special import ndtri
 from scipy.stats import norm
 
 from mapmaker.cleaning import TemplateOptions, clean
+from mapmaker.stream_psd import low_frequency_variance
 from surveysim.paper.measured_survey import measure_survey
 from surveysim.paper.measurement import map_variances, raw_variance
 from surveysim.paper.recovery import recovery_table
 from surveysim.reduction.setup import observation_path, prepare
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
-from surveysim.timestreams.noise import low_frequency_variance
 from surveysim.timestreams.observation import draw_observation
 from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
 

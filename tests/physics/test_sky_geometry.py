@@ -12,7 +12,7 @@ from surveysim.reduction.setup import observation_path, prepare
 from surveysim.scene.scene import SceneError, load_scene
 from surveysim.telescope.pointing import SIDEREAL_RAD_S
 from surveysim.timestreams.observation import draw_observation
-from surveysim.timestreams.sky import add_point_sources
+from surveysim.timestreams.sky_maps import add_point_sources
 from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections
 
 LATITUDE = math.radians(19.8)

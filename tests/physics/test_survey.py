@@ -17,7 +17,7 @@ from surveysim.scene.scene import load_scene
 from surveysim.scene.units import rj_to_cmb
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import score_survey
-from surveysim.timestreams.noise import excess_psd, excess_variance
+from surveysim.timestreams.low_frequency import excess_psd, excess_variance
 from surveysim.timestreams.observation import draw_observation
 from tests.scenes import SMALL_SCENE
 

@@ -15,7 +15,8 @@ from surveysim.atmosphere.thin_screen import Screen, structure_function
 from surveysim.atmosphere.weather import Weather
 from surveysim.reduction.setup import observation_path, prepare
 from surveysim.scene.scene import load_scene
-from surveysim.timestreams.observation import add_layer, observation_weather
+from surveysim.timestreams.atmosphere import add_layer
+from surveysim.timestreams.observed_block import observation_weather
 from tests.scenes import SMALL_SCENE
 
 ARCMIN = math.radians(1 / 60)

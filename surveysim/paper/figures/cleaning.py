@@ -8,6 +8,7 @@ import numpy as np
 
 from mapmaker.cleaning import Cleaned, PcaOptions, TemplateOptions, WindOptions, clean, slowness
 from mapmaker.cleaning.templates import QUADRATIC, template_streams
+from mapmaker.stream_psd import hann_psd
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.transfer_function import beam_window
 from mapmaker.wind import scan_velocities
@@ -19,9 +20,10 @@ from surveysim.reduction.setup import Setup, observation_path
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.noise import hann_psd
-from surveysim.timestreams.observation import add_sky_signal, draw_observation, observation_levels
-from surveysim.timestreams.sky import flat_cmb_sky
+from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.observed_block import observation_levels
+from surveysim.timestreams.response import add_sky_signal
+from surveysim.timestreams.sky_maps import flat_cmb_sky
 
 CENTILES = {"good": 25.0, "poor": 75.0}  # of B2
 ALGORITHMS = ("none", "average", "wind", "planar", "quadratic")
@@ -311,7 +313,7 @@ def cleaning_cost(one: Example, name: str) -> Cost:
         instrument.beam_fwhm_rad,
         generator(setup.scene.seed, RandomPurpose.WINDOW_SKY),
     )
-    add_sky_signal(setup, pointing, sky, plain, setup.responsivity)
+    add_sky_signal(setup, pointing, sky, plain)
     base, both = one.clean(name), one.clean(name, plain)
     same = base.kept & both.kept & (base.removed == both.removed)
     if not same.any():

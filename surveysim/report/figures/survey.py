@@ -38,7 +38,7 @@ from surveysim.report.figures.style import (
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import DataSetScore, bin_errors, rescore
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.observation import observation_levels
+from surveysim.timestreams.observed_block import observation_levels
 
 TITLES = {
     "timestream_psd": "time-streams before and after cleaning",

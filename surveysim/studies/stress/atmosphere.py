@@ -15,7 +15,9 @@ from surveysim.atmosphere.thin_screen import Screen, structure_function
 from surveysim.reduction.setup import Setup, observation_path, prepare
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.case import N_SAMP, RATE_HZ, TEMPLATES, Outcome, agrees
-from surveysim.timestreams.observation import add_layer, draw_observation, observation_weather
+from surveysim.timestreams.atmosphere import add_layer
+from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.observed_block import observation_weather
 
 
 def layer(scene: Scene) -> Outcome:

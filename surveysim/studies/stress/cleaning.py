@@ -23,8 +23,9 @@ from surveysim.reduction.setup import observation_path, prepare
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.atmosphere import one_layer
 from surveysim.studies.stress.case import N_SAMP, QUANTUM, RATE_HZ, STIFF, TEMPLATES, Outcome, agrees
+from surveysim.timestreams.atmosphere import add_layer
 from surveysim.timestreams.noise import add_white
-from surveysim.timestreams.observation import add_layer, observation_weather
+from surveysim.timestreams.observed_block import observation_weather
 
 ALGORITHMS: dict[str, Any] = {
     "average": TEMPLATES,

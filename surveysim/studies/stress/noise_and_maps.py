@@ -10,13 +10,14 @@ from mapmaker.binning import bin_map
 from mapmaker.correlations import correlation_profile, pair_bins, scan_covariances
 from mapmaker.gls import GlsOptions, gls_map
 from mapmaker.iterative import StreamBlock
+from mapmaker.stream_psd import low_frequency_variance
 from mapmaker.timestreams import FocalPlane
 from surveysim.reduction.setup import Setup, observation_path, prepare
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.case import N_SAMP, RATE_HZ, STIFF, Outcome, agrees
 from surveysim.studies.stress.cleaning import planted
 from surveysim.telescope.pixel_coherence import correlation_factor
-from surveysim.timestreams.noise import add_excess, low_frequency_variance
+from surveysim.timestreams.low_frequency import add_excess
 from surveysim.timestreams.observation import draw_observation
 
 

@@ -104,7 +104,7 @@ def test_weather_of_many_observations_is_bounded(small):
 
 def test_the_fastest_wind_is_faster_than_all_that_are_drawn(small):
     from surveysim.atmosphere.weather import fastest_wind
-    from surveysim.timestreams.observation import observation_weather
+    from surveysim.timestreams.observed_block import observation_weather
 
     setup = prepare(load_scene(small, {"observations": 300, "atmosphere.wind_b2_exponent": 0.3}))
     drawn = max(observation_weather(setup, number).wind_speed_rad_s for number in range(300))

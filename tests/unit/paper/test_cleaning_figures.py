@@ -8,6 +8,7 @@ import pytest
 
 from mapmaker.cleaning import Cleaned
 from mapmaker.cleaning.templates import PLANAR, QUADRATIC, template_streams
+from mapmaker.stream_psd import hann_psd
 from mapmaker.timestreams import FocalPlane
 from surveysim.paper.figures import cleaning as cleaning_figures
 from surveysim.paper.figures.cleaning import (
@@ -29,7 +30,6 @@ from surveysim.scene.scene import load_scene
 from surveysim.survey.coadds import row_names
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import gain, rescore
-from surveysim.timestreams.noise import hann_psd
 from tests.scenes import SMALL_SCENE
 
 WIND_RAD_S = np.array([0.01, 0.0])

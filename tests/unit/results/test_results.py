@@ -223,7 +223,7 @@ def test_white_noise_run(tmp_path):
     result = run(load_scene(path), tmp_path / "out", engine=SERIAL, figures=False)
     content = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert set(content) == KEYS and content["scores"] == {} and result.scores == {}
-    assert content["stages_left_out"] == ["atmosphere", "excess", "photon", "sky", "score"]
+    assert content["stages_left_out"] == ["atmosphere", "excess", "sky", "photon", "score"]
     assert sorted(p.name for p in (tmp_path / "out" / "tables").iterdir()) == [
         "observations.ecsv",
         "timestream_psd.ecsv",

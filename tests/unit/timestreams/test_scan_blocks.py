@@ -171,11 +171,11 @@ def test_streams_are_written_block_by_block(setup_of, tmp_path):
 
 
 def test_no_more_than_a_block_is_drawn_at_a_time(setup_of, monkeypatch):
-    from surveysim.timestreams import observation
+    from surveysim.timestreams import detector
 
     shapes = []
-    add = observation.add_white
-    monkeypatch.setattr(observation, "add_white", lambda data, *rest: shapes.append(data.shape) or add(data, *rest))
+    add = detector.add_white
+    monkeypatch.setattr(detector, "add_white", lambda data, *rest: shapes.append(data.shape) or add(data, *rest))
     observe(setup_of(blocks=4), 0, with_window=True)
     assert shapes == [(18, 60)] * 4
 
