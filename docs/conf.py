@@ -5,7 +5,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from reference import command_reference, scene_reference
+from generated import command_reference, scene_reference
 
 from surveysim import __version__
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import typer.main
 
-from docs.reference import all_keys, command_reference, scene_keys, scene_reference, scene_sections
+from docs.generated import all_keys, command_reference, scene_keys, scene_reference, scene_sections
 from surveysim.cli.app import app
 from surveysim.cli.failures import EXIT_BROKEN_PIPE
 from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
@@ -42,7 +42,7 @@ def test_every_key_says_what_it_is():
 def test_every_key_is_in_the_reference():
     text = scene_reference()
     for section in scene_sections():
-        part = text.split(f"### {section.heading}\n")[1].partition("\n### ")[0]
+        part = text.split(f"## {section.heading}\n")[1].partition("\n## ")[0]
         listed = re.findall(r"^\| `(\w+)` \|", part, re.MULTILINE)
         above = f"{section.name}." if section.name else ""
         assert listed == [name.removeprefix(above) for name in all_keys() if name.rpartition(".")[0] == section.name]
@@ -113,7 +113,7 @@ def test_every_command_and_option_is_in_the_reference():
 
 
 def test_exit_codes():
-    codes = re.findall(r"^\| (\d+) \|", (ROOT / "docs" / "commands.md").read_text(), re.MULTILINE)
+    codes = re.findall(r"^\| (\d+) \|", (ROOT / "docs" / "reference" / "commands.md").read_text(), re.MULTILINE)
     assert list(map(int, codes)) == [0, EXIT_FAILED, EXIT_WRONG_SCENE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE]
 
 
@@ -128,7 +128,7 @@ def test_what_is_made_has_its_place():
 
 
 def test_tables_are_read():
-    found = documented(ROOT / "docs" / "files.md")
+    found = documented(ROOT / "docs" / "reference" / "files.md")
     assert found["`tables/map_psd.ecsv`"]["noise_<data set>"] == "uK2 sr"
     assert found["`tables/observations.ecsv`"]["wind_speed_rad_s"] == "rad / s"
     assert found["`tables/observations.ecsv`"]["wind_angle_rad"] == "rad"
