@@ -11,6 +11,7 @@ from pathlib import Path
 from markdown_it import MarkdownIt
 
 ROOT = Path(__file__).parent.parent.parent
+README = ROOT / "README.md"
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 SHOWN = ("console", "text")  # for reading, as the guide says
 PROGRAM = ("mapmaker", "surveysim", "tests", "pyproject.toml")

@@ -13,12 +13,11 @@ from surveysim.cli.app import app
 from surveysim.cli.failures import EXIT_BROKEN_PIPE
 from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
 from surveysim.studies.sweep.axes import REFERENCE
-from tests.docs.pages import PAGES, ROOT, Block, blocks
+from tests.docs.pages import PAGES, README, ROOT, Block, blocks
 from tests.docs.tables import documented
 
 pytestmark = pytest.mark.docs
 SCENARIOS = sorted((ROOT / "scenarios").glob("*.toml"))
-README = ROOT / "README.md"
 
 
 def keys_of(text: str) -> set[str]:

@@ -1,0 +1,53 @@
+"""The files at the root that people read first: length, links, versions, and the numbers of Table 3."""
+
+import re
+from pathlib import Path
+
+import pytest
+from astropy.table import Table
+
+import surveysim
+from tests.docs.pages import README, ROOT
+
+pytestmark = pytest.mark.docs
+WORDS, PICTURE_BYTES = 600, 150_000
+PAGES_AT_ROOT = [README, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
+ROWS = {
+    "actual": "actual",
+    "uncorrelated between detectors": "uncorrelated",
+    "white": "white",
+    "actual, 36 detectors at least 1.3 (f/#)lambda apart, scaled by 36/115": "masked_36_scaled",
+}
+
+
+def links(path: Path) -> list[str]:
+    return re.findall(r"\]\(([^)#]+)[^)]*\)", path.read_text(encoding="utf-8"))
+
+
+def test_readme_is_one_screen():
+    text = README.read_text(encoding="utf-8")
+    pictures = re.findall(r"!\[[^]]*\]\((.+)\)", text)
+    assert len(text.split()) <= WORDS
+    assert [(ROOT / name).stat().st_size < PICTURE_BYTES for name in pictures] == [True]
+
+
+@pytest.mark.parametrize("path", PAGES_AT_ROOT, ids=lambda path: path.stem)
+def test_links_lead_somewhere(path):
+    there = [link for link in links(path) if not link.startswith("https://")]
+    assert there and [link for link in there if not (path.parent / link).exists()] == []
+
+
+def test_readme_has_the_scores_of_the_reference_run():
+    table = Table.read(ROOT / "outputs" / "reference" / "lynx" / "tables" / "scores.ecsv")
+    rows = {row["name"]: row for row in table}
+    cells = [line.strip("| ").split(" | ") for line in README.read_text().splitlines() if " ± " in line]
+    assert [name for name, _, _ in cells] == list(ROWS)
+    for name, score, paper in cells:
+        row = rows[ROWS[name]]
+        assert score == f"{row['sigma_ukcmb2']:.1f} ± {row['error_ukcmb2']:.1f}"
+        assert paper == f"{row['reference_ukcmb2']:.0f}"
+
+
+def test_versions_are_alike():
+    assert f"\nversion: {surveysim.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"\n## [{surveysim.__version__}]" in (ROOT / "CHANGELOG.md").read_text()
