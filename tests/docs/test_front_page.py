@@ -7,6 +7,7 @@ import pytest
 from astropy.table import Table
 
 import surveysim
+from docs.development import house
 from tests.docs.pages import README, ROOT
 
 pytestmark = pytest.mark.docs
@@ -51,3 +52,9 @@ def test_readme_has_the_scores_of_the_reference_run():
 def test_versions_are_alike():
     assert f"\nversion: {surveysim.__version__}\n" in (ROOT / "CITATION.cff").read_text()
     assert f"\n## [{surveysim.__version__}]" in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_house_finds_every_step_of_the_main_flow():
+    found = house.measures(ROOT)
+    assert re.fullmatch(r"\d+", found["files of the main flow"])
+    assert int(found["files"]) > 100 and int(found["functions"]) > 1000
