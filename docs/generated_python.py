@@ -3,6 +3,8 @@
 import ast
 import importlib
 import inspect
+import re
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -10,6 +12,7 @@ from typing import Any
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("surveysim", "mapmaker")
+CALL_WIDTH = 84
 SIMPLE = (bool, int, float, str, tuple, type(None))
 
 
@@ -35,8 +38,34 @@ def module_reference() -> str:
 
 def _entry(package: ModuleType, name: str) -> str:
     item = getattr(package, name)
-    text = inspect.cleandoc(item.__doc__ or "")
-    return f"### `{package.__name__}.{name}`\n\n```python\n{_call(name, item)}\n```\n\n```text\n{text}\n```"
+    text = markdown(inspect.cleandoc(item.__doc__ or ""))
+    return f"### `{package.__name__}.{name}`\n\n```python\n{_call(name, item)}\n```\n\n{text}"
+
+
+def markdown(docstring: str) -> str:
+    """A docstring in numpy style as Markdown: sections in bold, each item of a section in a list."""
+    lines, found, item, in_section = docstring.splitlines(), [], False, False
+    for line, following in zip(lines, [*lines[1:], ""], strict=True):
+        text = escaped(line.strip())
+        if re.fullmatch(r"-{3,}", line):
+            continue
+        if re.fullmatch(r"-{3,}", following):
+            in_section, item = True, False
+            found += ["", f"**{text}**", ""]
+        elif in_section and line and not line[0].isspace():
+            item = True
+            found.append(f"- {text}")
+        else:
+            found.append(f"  {text}" if item else text)
+    return "\n".join(found)
+
+
+def escaped(text: str) -> str:
+    """A line whose marks of Markdown are letters, outside of code."""
+    parts = re.split(r"(`+[^`]+`+)", text)
+    return "".join(
+        part if number % 2 else re.sub(r"([\\\[\]<>*_$#|])", r"\\\1", part) for number, part in enumerate(parts)
+    )
 
 
 def _call(name: str, item: Any) -> str:
@@ -53,7 +82,7 @@ def _call(name: str, item: Any) -> str:
             words.append(parameter.name)
         else:
             words.append(f"{parameter.name}={default!r}" if isinstance(default, SIMPLE) else f"{parameter.name}=...")
-    return f"{name}({', '.join(words)})"
+    return textwrap.fill(f"{name}({', '.join(words)})", CALL_WIDTH, subsequent_indent=" " * (len(name) + 1))
 
 
 def _modules() -> Iterator[Path]:

@@ -8,7 +8,10 @@ from pathlib import Path
 import pytest
 import typer.main
 
+import mapmaker
+import surveysim
 from docs.generated import all_keys, command_reference, scene_keys, scene_reference, scene_sections
+from docs.generated_python import api_reference, markdown, module_reference
 from surveysim.cli.app import app
 from surveysim.cli.failures import EXIT_BROKEN_PIPE
 from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
@@ -114,6 +117,30 @@ def test_every_command_and_option_is_in_the_reference():
 def test_exit_codes():
     codes = re.findall(r"^\| (\d+) \|", (ROOT / "docs" / "reference" / "commands.md").read_text(), re.MULTILINE)
     assert list(map(int, codes)) == [0, EXIT_FAILED, EXIT_WRONG_SCENE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE]
+
+
+# ---------------------------------------------------------------- Python
+
+
+@pytest.mark.parametrize("package", [mapmaker, surveysim])
+def test_every_public_name_is_in_the_reference(package):
+    part = api_reference().split(f"## {package.__name__}\n")[1].partition("\n## ")[0]
+    names = [name for name in package.__all__ if not name.startswith("_")]
+    assert re.findall(r"^### `\w+\.(\w+)`$", part, re.MULTILINE) == names
+
+
+def test_docstrings_become_lists():
+    text = "Add `x_y` [mK].\n\nParameters\n----------\nx_y : float\n    First.\nb : int\n"
+    lines = [line for line in markdown(text).splitlines() if line]
+    assert lines == [r"Add `x_y` \[mK\].", "**Parameters**", r"- x\_y : float", "  First.", "- b : int"]
+
+
+def test_every_module_is_in_the_reference():
+    text = module_reference()
+    for path in [*ROOT.glob("mapmaker/**/*.py"), *ROOT.glob("surveysim/**/*.py")]:
+        if not path.name.startswith("__"):
+            part = text.split(f"### `{path.parent.relative_to(ROOT)}/`\n")[1].partition("\n### ")[0]
+            assert re.search(rf"^\| `{re.escape(path.name)}` \| \w.* \|$", part, re.MULTILINE)
 
 
 # ---------------------------------------------------------------- the build
