@@ -95,4 +95,4 @@ def _summary(path: Path) -> str:
     if not path.exists():
         return ""
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-    return " ".join(text.partition("\n\n")[0].split()).replace("|", r"\|")
+    return escaped(" ".join(text.partition("\n\n")[0].split()))
