@@ -60,7 +60,7 @@ def test_rows_have_type_unit_range_and_default():
     assert rows["`interpolation`"].endswith('| text | `"nearest"`, `"linear"`, `"cubic"` | `"linear"` |')
     assert rows["`min_elevation`"].endswith('as `"40 deg"` | 5 deg to 90 deg | **required** |')
     assert rows["`layer_height`"].endswith("| 1 mm to 100000 km | the site's |")
-    assert rows["`stream_memory`"].endswith("| quantity in `byte` | 1 byte to 1e15 byte | `2.5e+08 byte` |")
+    assert rows["`max_block_memory`"].endswith("| quantity in `byte` | 1 byte to 1e15 byte | `2.5e+08 byte` |")
     assert {line.count("|") for line in rows.values()} == {6}
 
 
