@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mapmaker.files import regular_file, short, whole_file
+from mapmaker.files import atomic_write, regular_file, short
 from mapmaker.geometry import (
     MapGeometry,
     check_nside,
@@ -177,7 +177,7 @@ def write_fits(path: str | Path, item: BinnedMap, header: Mapping[str, object]) 
         image = fits.ImageHDU(data, header=base, name=name)
         image.header["BUNIT"] = unit
         images.append(image)
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         fits.HDUList(images).writeto(partial, overwrite=True)
 
 
@@ -275,5 +275,5 @@ def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
     keywords = {"PIXTYPE": "HEALPIX", "ORDERING": "NESTED", "NSIDE": nside, "COORDSYS": "C"}
     table.header.update(keywords | {"INDXSCHM": "EXPLICIT", "OBJECT": "PARTIAL"})
     # healpy's own writer wants the whole sphere in memory: 10 GB at nside 8192.
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         fits.HDUList([fits.PrimaryHDU(), table]).writeto(partial, overwrite=True)

@@ -14,7 +14,7 @@ _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ01234567
 
 
 @contextmanager
-def whole_file(path: str | Path) -> Iterator[Path]:
+def atomic_write(path: str | Path) -> Iterator[Path]:
     """A path to write to, which takes the name `path` if the block succeeds and is removed if it fails.
 
     Makes the folders that lead to it. It is on the disk when it takes the name. Raises OSError with number, reason and
@@ -92,7 +92,7 @@ def write_ecsv(
     header.append("schema: astropy-2.0")
     rows = zip(*([_cell(str(value)) for value in array] for array in arrays.values()), strict=True)
     lines = [f"# {line}" for line in header] + [" ".join(row) for row in (map(_cell, arrays), *rows)]
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mapmaker.files import regular_file, short, whole_file
+from mapmaker.files import atomic_write, regular_file, short
 from mapmaker.validation import flags, increasing, integers, number, reals, signed, single_precision, wrong
 
 _PER_SAMPLE = ("time_s", "ra_deg", "dec_deg", "array_angle_deg", "scan")
@@ -146,7 +146,7 @@ def timestream_file(path: str | Path, n_samp: int) -> Iterator[Callable[[Timestr
     """
     import h5py
 
-    with whole_file(path) as partial, h5py.File(partial, "w") as file:
+    with atomic_write(path) as partial, h5py.File(partial, "w") as file:
         done = 0
 
         def add(part: Timestreams) -> None:

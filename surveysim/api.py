@@ -13,7 +13,7 @@ from surveysim.output.expected_files import of_run, of_sweep
 from surveysim.output.writer import write_outputs, write_sweep
 from surveysim.reduction.setup import prepare
 from surveysim.results.results import SurveyResult, survey_result
-from surveysim.results.stopping import Limits, check_limits, stopping_rule
+from surveysim.results.stopping import StoppingCriteria, check_limits, stopping_rule
 from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.scene.scene import Scene
 from surveysim.studies.sweep.axes import Sweep, load_sweep
@@ -37,7 +37,7 @@ DRAWS_SEED = 0  # of the draws that say how sure the best point of a sweep is
 def simulate_observation(scene: Scene, observation: int) -> Timestreams:
     """The time-streams of one observation of a scene, the weather drawn for it in their attributes.
 
-    They are whole, whatever `numerics.stream_memory` allows a run. Raises SceneError when the scene can't be run,
+    They are whole, whatever `numerics.max_block_memory` allows a run. Raises SceneError when the scene can't be run,
     ValueError for an observation that it does not have.
     """
     if not 0 <= observation < scene.observations:
@@ -73,7 +73,7 @@ def run(
     anything else (FinishedError where there is nothing to resume), CheckpointError for a checkpoint that does not
     belong to the scene and EngineError when the engine can't go on.
     """
-    start, limits = perf_counter(), Limits(target_error, time_budget_s)
+    start, limits = perf_counter(), StoppingCriteria(target_error, time_budget_s)
     setup = prepare(scene)
     check_limits(setup, limits)
     workers = engine.workers_for(scene.observations)

@@ -17,7 +17,7 @@ BESIDE: dict[str, Mapping[str, Any]] = {
     "instrument.layout.rings": {"instrument.layout.dead": []},
     "cleaning.calibration_error": {"cleaning.responsivities": "survey"},
     "cleaning.sigma_cut": {"cleaning.algorithm": "pca"},
-    "cleaning.reach": {"cleaning.algorithm": "local"},
+    "cleaning.neighbour_radius": {"cleaning.algorithm": "local"},
     "cleaning.order": {"cleaning.algorithm": "polynomial", "cleaning.regions": 1},
     "cleaning.regions": {"cleaning.algorithm": "polynomial", "cleaning.order": 1},
     "photon.bose_fraction": {"photon.coherence": "intensity"},
@@ -29,7 +29,7 @@ BESIDE: dict[str, Mapping[str, Any]] = {
     "fixed_pointing.parallactic_angle": {"schedule": None, "fixed_pointing.elevation": "50 deg"},
 }
 # Lists, and numbers in tables that a scene has any number of: unit tests have their own of these.
-LISTS = ("instrument.colours.", "sky.point_sources.", "score.reference.")
+LISTS = ("instrument.bands.", "sky.point_sources.", "score.reference.")
 
 
 def bounds(item: Mapping[str, Any]) -> tuple[float | None, float | None]:
@@ -67,7 +67,7 @@ def extreme_overrides(n: int) -> Iterator[tuple[str, dict[str, Any]]]:
     for key, item in all_keys().items():
         for value in () if key.startswith(LISTS) else extreme_values(item, n):
             keys = {**BESIDE.get(key, {}), key: value}
-            if key == "atmosphere.index":
+            if key == "atmosphere.spectral_index":
                 power = 2 - Fraction(str(value)).limit_denominator(1000)
                 quantiles = {"b2": f"[100, 280, 980] mK2 rad({power})", "b2_probabilities": [0.25, 0.5, 0.75]}
                 keys |= {"atmosphere.outer_scale": "1 km"} | {f"atmosphere.{name}": x for name, x in quantiles.items()}

@@ -18,7 +18,7 @@ frequency = "143 GHz"
 beam_fwhm = "60 arcsec"
 f_lambda = "57.142857 arcsec"
 responsivity_scatter = 0.05
-camera_rotation = "60 deg"
+camera_rotation_range = "60 deg"
 
 [instrument.layout]
 rings = 2
@@ -35,7 +35,7 @@ dither = "2 arcmin"
 sample_rate = "10 Hz"
 
 [atmosphere]
-index = "11/3"
+spectral_index = "11/3"
 layer_height = "1000 m"
 illuminated_aperture = "8 m"
 b2_probabilities = [0.25, 0.5, 0.75]
@@ -81,11 +81,11 @@ ell_bin = 2000
 ell_min = 4000
 ell_max = 12000
 jackknives = 4
-white_above = "2.5 Hz"
+white_noise_above = "2.5 Hz"
 mask_separation_f_lambda = 1.3
-simulated = ["uncorrelated", "white"]
+noise_only_sets = ["uncorrelated", "white"]
 
-[score.window]
+[score.signal_sims]
 skies = 2
 observations = 2
 band_power = "1000 uK2"

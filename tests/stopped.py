@@ -19,9 +19,9 @@ WEATHER = {
     "score.ell_min": 3000,
     "score.ell_bin": 1000,
     "score.jackknives": 48,
-    "score.simulated": [],
-    "score.window.skies": 4,
-    "score.window.observations": 200,
+    "score.noise_only_sets": [],
+    "score.signal_sims.skies": 4,
+    "score.signal_sims.observations": 200,
     "observations": 400,
 }
 

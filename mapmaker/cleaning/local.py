@@ -27,18 +27,18 @@ MOST_NEIGHBOURS = 6
 class LocalOptions:
     """Which detectors are neighbours."""
 
-    reach: float = 1.2  # in units of the closest separation of two detectors
+    neighbour_radius: float = 1.2  # in units of the closest separation of two detectors
 
     def __post_init__(self):
         """Raise ValueError for a value out of range."""
-        number("reach", self.reach, above=1)
+        number("neighbour_radius", self.neighbour_radius, above=1)
 
 
-def neighbourhoods(focal_plane: FocalPlane, reach: float) -> np.ndarray:
+def neighbourhoods(focal_plane: FocalPlane, neighbour_radius: float) -> np.ndarray:
     """Each detector and its 6 or fewer nearest neighbours, (n_det, <= 7) by index; n_det stands for none.
 
-    reach: in units of the closest separation, detectors at one place apart. Raises ValueError for fewer than two
-    places.
+    neighbour_radius: in units of the closest separation, detectors at one place apart. Raises ValueError for fewer than
+    two places.
     """
     from scipy.spatial import KDTree
 
@@ -48,7 +48,7 @@ def neighbourhoods(focal_plane: FocalPlane, reach: float) -> np.ndarray:
         raise ValueError(f"{len(places)} detectors at {len(apart)} place have no neighbours, at least 2 are needed")
     closest = KDTree(apart).query(apart, k=2)[0][:, 1].min()
     most = min(MOST_NEIGHBOURS + 1, len(places))
-    return KDTree(places).query(places, k=most, distance_upper_bound=reach * closest)[1]
+    return KDTree(places).query(places, k=most, distance_upper_bound=neighbour_radius * closest)[1]
 
 
 @checks_streams
@@ -60,7 +60,7 @@ def subtract_local(data_mk, scan_bounds, focal_plane: FocalPlane, options: Local
     Responsivities are 1 and no iterations are made. Raises ValueError for fewer than two places in the array.
     Sayers et al. (2010), "Adjacent Bolometer Correlations".
     """
-    index = neighbourhoods(focal_plane, options.reach)
+    index = neighbourhoods(focal_plane, options.neighbour_radius)
     return clean_scans(data_mk, scan_bounds, lambda block, scan: _subtract(block, index))
 
 

@@ -50,14 +50,14 @@ def subtract_spectral(data_mk, scan_bounds, focal_plane: FocalPlane, options: Sp
 
     def subtract(block: np.ndarray, scan: int) -> Fit:
         start, stop = scan_bounds[scan]
-        colours = others[:, :, start:stop].astype(np.float64)
-        if not np.isfinite(colours).all():
+        bands = others[:, :, start:stop].astype(np.float64)
+        if not np.isfinite(bands).all():
             return Fit(None)
-        colours -= colours.mean(axis=2, keepdims=True)
-        if has_dead(block) or any(has_dead(colour) for colour in colours):
+        bands -= bands.mean(axis=2, keepdims=True)
+        if has_dead(block) or any(has_dead(colour) for colour in bands):
             return Fit(None)
         # Bands that see one atmosphere are nearly alike: an orthogonal basis keeps the digits of their difference.
-        basis = np.linalg.qr(colours.transpose(1, 2, 0))[0]
+        basis = np.linalg.qr(bands.transpose(1, 2, 0))[0]
         block -= (basis @ (basis.transpose(0, 2, 1) @ block[..., None]))[..., 0]
         return Fit(np.ones(len(block)), removed=len(others))
 

@@ -68,12 +68,12 @@ def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) ->
         raise ValueError(f"atmosphere.pwv: {error}") from None
     share = (np.arange(_RANKS) + 0.5) / _RANKS
     seen = np.log(response(pwv_quantile(atmosphere, share)))
-    drawn = np.log(log_quantile(atmosphere.fluctuation_probabilities, atmosphere.fluctuation, ndtri(share)))
+    drawn = np.log(log_quantile(atmosphere.water_fluctuation_probabilities, atmosphere.water_fluctuation, ndtri(share)))
     log_b2 = np.sort((seen[:, None] + drawn).ravel())
     if not atmosphere.b2 and not log_b2[-1] < math.log(B2_MAX):
         raise ValueError(
-            f"atmosphere.fluctuation: found {atmosphere.fluctuation}, which give B2 above {B2_MAX:g} mK^2 with the"
-            " site's water; smaller values are expected"
+            f"atmosphere.water_fluctuation: found {atmosphere.water_fluctuation}, which give B2 above"
+            f" {B2_MAX:g} mK^2 with the site's water; smaller values are expected"
         )
     rank = (np.arange(log_b2.size) + 0.5) / log_b2.size
     return Water(opacity, response, log_b2, ndtri(rank))
@@ -117,7 +117,7 @@ def _weather(
     pwv = math.nan
     if water is not None:
         pwv = float(pwv_quantile(atmosphere, share))
-        fluctuation = log_quantile(atmosphere.fluctuation_probabilities, atmosphere.fluctuation, level)
+        fluctuation = log_quantile(atmosphere.water_fluctuation_probabilities, atmosphere.water_fluctuation, level)
         level = np.interp(math.log(water.response(pwv)) + math.log(fluctuation), water.log_b2, water.level)
     b2 = float(b2_quantile(atmosphere, water, level))
     wind = atmosphere.wind_median_rad_s * math.exp(atmosphere.wind_log_scatter * speed)
@@ -127,7 +127,7 @@ def _weather(
         wind *= math.exp(min(atmosphere.wind_b2_exponent * (math.log(b2) - math.log(median)), LARGEST_LOG))
     # But for rounding of a quantile that is the bound itself.
     if not (b2 < B2_MAX * (1 + 1e-9) and wind < WIND_MAX_RAD_S):
-        key = "b2" if atmosphere.b2 else "fluctuation"
+        key = "b2" if atmosphere.b2 else "water_fluctuation"
         raise ValueError(
             f"atmosphere.{key}: found distributions that give B2 = {b2:.3g} mK^2 and {wind:.3g} rad/s of wind; less"
             f" than {B2_MAX:g} and {WIND_MAX_RAD_S:g} are expected"

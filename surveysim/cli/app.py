@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from surveysim.cli import options
-from surveysim.cli.interrupts import EXIT_FAILED, going_on_later, says_new_start, stopping
+from surveysim.cli.interrupts import EXIT_FAILED, report_new_start, report_resumable_exit, stopping
 from surveysim.cli.options import Force, Kind, NoFigures, Overrides, Quiet, Reference, SceneFile, Scheduler, Workers
 from surveysim.output.names import default_directory
 from surveysim.runtime.printable import complain, say
@@ -68,10 +68,10 @@ def run(
 
     directory = out or default_directory(checked.name, options.settings(settings))
     if resume and not quiet:
-        says_new_start(directory, "checkpoint", " observation")
+        report_new_start(directory, "checkpoint", " observation")
     work = equal_work(checked.observations)
     with (
-        going_on_later(scene, directory),
+        report_resumable_exit(scene, directory),
         progress_display(checked.name, work, quiet, workers=with_engine.workers_for(len(work))) as show,
     ):
         progress = stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds)))
@@ -96,14 +96,14 @@ def _run_sweep(
     sweep: "Sweep", directory: Path, engine: "Engine", resume: bool, figures: bool, force: bool, quiet: bool
 ) -> None:
     if resume and not quiet:
-        says_new_start(directory, "points", "")
+        report_new_start(directory, "points", "")
     from surveysim.api import run_sweep
     from surveysim.cli.progress import progress_display
     from surveysim.report.terminal.sweep import print_sweep
 
     work = [point.detector_samples for point in sweep.points]
     with (
-        going_on_later(sweep.path, directory),
+        report_resumable_exit(sweep.path, directory),
         progress_display(sweep.name, work, quiet, "points", engine.workers_for(len(work))) as show,
     ):
         progress = stopping(lambda done: show(done, lambda: ""))
@@ -191,15 +191,14 @@ def accuracy(
     from surveysim.output.expected_files import accuracy_settings, of_accuracy
     from surveysim.output.writer import write_accuracy
     from surveysim.report.terminal.convergence import print_accuracy
-    from surveysim.studies.convergence import measure_accuracy
-    from surveysim.studies.convergence import settings as ladders
+    from surveysim.studies.convergence import ladders, measure_accuracy
 
     given = options.settings(settings)
     own = accuracy_settings(reference_error, seeds, observations)
     directory = out or default_directory(f"{checked.name}_accuracy", given | own)
     most = len(ladders(checked, observations)) + seeds  # equal scenes are run once
     with (
-        going_on_later(scene, directory),
+        report_resumable_exit(scene, directory),
         claimed(directory, of_accuracy(checked, own, not no_figures), force) as place,
         progress_display(checked.name, equal_work(most), quiet, "runs") as show,
     ):

@@ -52,7 +52,7 @@ def stopping(show: Callable[..., None]) -> Callable[..., None]:
 
 
 @contextmanager
-def going_on_later(scene: Path, directory: Path) -> Iterator[None]:
+def report_resumable_exit(scene: Path, directory: Path) -> Iterator[None]:
     """End with one line where a run stops: why, and how to go on if anything is kept in `directory`."""
     from surveysim.output.directory import FinishedError
     from surveysim.runtime.engine import EngineError
@@ -86,7 +86,7 @@ def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
     raise typer.Exit(code)
 
 
-def says_new_start(directory: Path, kept: str, first: str) -> None:
+def report_new_start(directory: Path, kept: str, first: str) -> None:
     """Say that there is nothing to resume, so that the work starts anew."""
     from surveysim.output.directory import holds_work
 

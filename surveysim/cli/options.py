@@ -9,7 +9,7 @@ import typer
 from surveysim.scene.scene import SceneError
 
 if TYPE_CHECKING:
-    from surveysim.results.stopping import Limits
+    from surveysim.results.stopping import StoppingCriteria
     from surveysim.runtime.engine import Engine
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="a scene file (TOML)")]
@@ -77,7 +77,7 @@ def engine(kind: str, workers: int | None, scheduler: str | None) -> "Engine":
         raise SceneError(f"--{error}") from None
 
 
-def run_limits(target_error: str | None, time_budget: str | None) -> "Limits":
+def run_limits(target_error: str | None, time_budget: str | None) -> "StoppingCriteria":
     """What ends a run early."""
     from surveysim.results.stopping import parsed_limits
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
-from mapmaker.window import beam_window
+from mapmaker.transfer_function import beam_window
 from surveysim.forecasting.noise_model import NoiseModel, is_projection, survey_models
 from surveysim.forecasting.observing_conditions import Conditions, conditions, mean_hits, survey_draws
 from surveysim.forecasting.pilot import Kept, predicted_kept
@@ -52,7 +52,7 @@ class Forecast:
 def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecast:
     """Forecast the data sets of a scene.
 
-    `kept` holds, by the data set of each recipe, the share of scans (n_obs,) that a run kept of each of the survey's
+    `kept` holds, by the data set of each pipeline, the share of scans (n_obs,) that a run kept of each of the survey's
     first observations: the forecast is then that of the survey as judged by them. By default it is predicted
     (`surveysim.forecasting.pilot`).
 
@@ -63,26 +63,26 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
         raise SceneError("score: missing; a forecast says what a map is worth")
     if not can_forecast(setup):
         allowed = ", ".join(map(repr, PROJECTIONS))
-        raise SceneError(f"cleaning.algorithm: found {setup.recipes[0].label!r}; one of {allowed} can be forecast")
+        raise SceneError(f"cleaning.algorithm: found {setup.pipelines[0].label!r}; one of {allowed} can be forecast")
     models = survey_models(scene)
     if kept is None:
         levels = conditions(setup, survey_draws(setup, 0, scene.observations))
         weight = expected_weights(setup, _some_noise(setup, models[0], levels))
-        scans = predicted_kept(setup, tuple(filter(is_projection, setup.recipes)), levels, weight)
+        scans = predicted_kept(setup, tuple(filter(is_projection, setup.pipelines)), levels, weight)
     else:
         levels = conditions(setup, survey_draws(setup, 0, len(next(iter(kept.values())))))
         scans = {name: Kept(share) for name, share in kept.items()}
     found: dict[str, DataSetForecast] = {}
     for model in models:
-        if model.name == model.recipe.data_set:  # the sets that follow share its detectors
-            hits = mean_hits(setup, model.recipe)
-        found[model.name] = _scored(setup, model, levels, scans[model.recipe.data_set], hits)
+        if model.name == model.pipeline.data_set:  # the sets that follow share its detectors
+            hits = mean_hits(setup, model.pipeline)
+        found[model.name] = _scored(setup, model, levels, scans[model.pipeline.data_set], hits)
     return Forecast(setup.band.rings.ell, {name: found[name] for name in setup.data_sets if name in found})
 
 
 def can_forecast(setup: Setup) -> bool:
     """Whether a prepared scene has a score and its first cleaning can be forecast."""
-    return setup.scene.score is not None and is_projection(setup.recipes[0])
+    return setup.scene.score is not None and is_projection(setup.pipelines[0])
 
 
 def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hits: np.ndarray) -> DataSetForecast:
@@ -104,7 +104,7 @@ def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hit
     signal = model.signal_psd
     score = band_power(psd, signal, rings.n_modes, band.selected, rings.ell, rings.edges_ell, 0.0)
     layer = model.layer_noise(levels)
-    grounds = Grounds(model.recipe, model.n_det, levels, kept, weight, noise, layer, score.weight, hits)
+    grounds = Grounds(model.pipeline, model.n_det, levels, kept, weight, noise, layer, score.weight, hits)
     passed = signal / band.signal_psd
     found = effects(setup, grounds)
     return DataSetForecast(model.name, model.n_det, score, psd, signal, passed, weight, kept, found)

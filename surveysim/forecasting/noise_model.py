@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from mapmaker.window import pixel_window
+from mapmaker.transfer_function import pixel_window
 from surveysim.forecasting.observing_conditions import (
     Conditions,
     NoiseCorrelations,
@@ -18,14 +18,14 @@ from surveysim.forecasting.observing_conditions import (
     noise_correlations,
     population,
 )
-from surveysim.reduction.cleaning_pipelines import Recipe
+from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.fitted_modes import Courses
 from surveysim.reduction.mode_response import (
     PROJECTIONS,
     Array,
     Layer,
     Modes,
-    TimeWindow,
+    ScanApodization,
     frequency_nodes,
     hann_window,
     layer_gain,
@@ -72,7 +72,7 @@ class NoiseModel:
     """
 
     name: str
-    recipe: Recipe
+    pipeline: CleaningPipeline
     n_det: int
     parts: _Parts
     signal_psd: np.ndarray
@@ -96,7 +96,7 @@ class _Spectrum:
 
     modes: Modes
     at_hz: np.ndarray
-    window: TimeWindow
+    window: ScanApodization
     nodes_hz: np.ndarray
     weight_hz: np.ndarray
     excess_hz: np.ndarray
@@ -114,25 +114,25 @@ def noise_models(setup: Setup, levels: Conditions) -> Iterator[NoiseModel]:
 
     Raises SceneError where cleaning can't be forecast.
     """
-    for recipe in filter(is_projection, setup.recipes):
-        arrays = _arrays(setup, recipe, levels)
-        spectrum = _spectrum(setup, fitted_courses(setup, recipe, arrays[0], levels))
+    for pipeline in filter(is_projection, setup.pipelines):
+        arrays = _arrays(setup, pipeline, levels)
+        spectrum = _spectrum(setup, fitted_courses(setup, pipeline, arrays[0], levels))
         n_det = len(arrays[0].place)
         responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
         transmission = _transmission(setup, spectrum, arrays, responses)
         signal = left_signal(setup.scene, setup.geometry, setup.sky_geometry, setup.band, transmission)
-        correlations = noise_correlations(setup, recipe)
+        correlations = noise_correlations(setup, pipeline)
         parts = _map_parts(setup, levels, spectrum, arrays, responses, correlations)
-        yield NoiseModel(recipe.data_set, recipe, n_det, parts, signal)
-        if recipe is setup.recipes[0]:
-            for name in setup.scene.score.simulated:
+        yield NoiseModel(pipeline.data_set, pipeline, n_det, parts, signal)
+        if pipeline is setup.pipelines[0]:
+            for name in setup.scene.score.noise_only_sets:
                 parts = _simulated_parts(setup, levels, spectrum, arrays, correlations, name)
-                yield NoiseModel(name, recipe, n_det, parts, signal)
+                yield NoiseModel(name, pipeline, n_det, parts, signal)
 
 
-def is_projection(recipe: Recipe) -> bool:
-    """Whether a recipe is, nearly at least, a projection that does not depend on the data."""
-    return len(recipe.steps) == 1 and recipe.steps[0] in PROJECTIONS
+def is_projection(pipeline: CleaningPipeline) -> bool:
+    """Whether a pipeline is, nearly at least, a projection that does not depend on the data."""
+    return len(pipeline.steps) == 1 and pipeline.steps[0] in PROJECTIONS
 
 
 def _spectrum(setup: Setup, courses: Courses) -> _Spectrum:
@@ -155,16 +155,16 @@ def _spectrum(setup: Setup, courses: Courses) -> _Spectrum:
     return _Spectrum(modes, at_hz, window, nodes, weight, excess_hz, excess)
 
 
-def _arrays(setup: Setup, recipe: Recipe, levels: Conditions) -> list[Array]:
-    """The recipe's detectors at angles to the scan that stand for all observations."""
-    plane = setup.camera.focal_plane.subset(recipe.rows)
+def _arrays(setup: Setup, pipeline: CleaningPipeline, levels: Conditions) -> list[Array]:
+    """The pipeline's detectors at angles to the scan that stand for all observations."""
+    plane = setup.camera.focal_plane.subset(pipeline.rows)
     angles = np.sort(np.mod(levels.angle, 2 * np.pi))
     chosen = angles[((np.arange(_ANGLES) + 0.5) * len(angles) / _ANGLES).astype(int)] if len(angles) > 1 else angles
-    responsivity, assumed = setup.responsivity[recipe.rows], None
-    if setup.calibration is not None and recipe.takes_responsivities:
-        assumed = setup.calibration[0, recipe.rows]
+    responsivity, assumed = setup.responsivity[pipeline.rows], None
+    if setup.calibration is not None and pipeline.takes_responsivities:
+        assumed = setup.calibration[0, pipeline.rows]
     try:
-        return [projected_array(plane, angle, responsivity, recipe.steps[0], assumed) for angle in np.unique(chosen)]
+        return [projected_array(plane, angle, responsivity, pipeline.steps[0], assumed) for angle in np.unique(chosen)]
     except ValueError as error:
         raise SceneError(f"cleaning: {error}") from None
 
@@ -287,7 +287,7 @@ def _simulated_parts(
         through = window.at(spectrum.at_hz[:, None] - both) ** 2 / seconds
         to_modes = rate * (through[:, : len(lines)] + through[:, len(lines) :])
     else:
-        high = lines > setup.scene.score.white_above_hz
+        high = lines > setup.scene.score.white_noise_above_hz
         flat = window.sums(spectrum.weight_hz[None], nodes, spectrum.at_hz)
         to_modes = rate * np.outer(flat, high / high.sum())
 

@@ -12,14 +12,14 @@ from mapmaker.chunks import row_chunks
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.weather import Weather, draw_weather
-from surveysim.reduction.cleaning_pipelines import Recipe
+from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.fitted_modes import NO_COURSES, Courses, template_courses
 from surveysim.reduction.mode_response import Array, layer_waves
 from surveysim.reduction.setup import Setup, observation_path, prepare
-from surveysim.runtime.rng import Stage, generator
+from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.noise_and_sky import Excess, Photon
 from surveysim.scene.scene import Scene
-from surveysim.telescope.lattice_noise import SharedNoise
+from surveysim.telescope.lattice_noise import NoiseCorrelation
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.pixel_coherence import MOST_DENSE, correlation_matrix
 from surveysim.telescope.raster import samples_per_scan
@@ -34,7 +34,7 @@ _HIT_SAMPLES = 3e7  # of the observations that stand for the coverage
 _FEWEST_HITS, _MOST_HITS = 4, 48
 _MOST_HIT_SAMPLES = 3e7  # of one of them, of which larger ones have every so many in time
 
-NoiseCorrelations = tuple[np.ndarray | SharedNoise | None, np.ndarray | SharedNoise | None]
+NoiseCorrelations = tuple[np.ndarray | NoiseCorrelation | None, np.ndarray | NoiseCorrelation | None]
 Draw = tuple[int, Weather | None]  # an observation's number, and a weather that it might have
 
 
@@ -79,12 +79,12 @@ def population_draws(setup: Setup) -> list[list[Draw]]:
     are without bias, and far closer to the expectation than those over as many independent draws.
     """
     air, n_obs = setup.scene.atmosphere, setup.scene.observations
-    rng = generator(setup.scene.seed, Stage.WEATHER, realization=1)  # that of the survey is 0
+    rng = generator(setup.scene.seed, RandomPurpose.WEATHER, realization=1)  # that of the survey is 0
     lists = []
     for shift in rng.random((_SHIFTS, _NUMBERS)):
         points = (shift + np.outer(np.arange(_DRAWS_A_SHIFT), _lattice_steps())) % 1
         numbers = np.minimum((points[:, -1] * n_obs).astype(int), n_obs - 1)
-        weather = [air and draw_weather(air, setup.water, _Given(point)) for point in points[:, :-1]]
+        weather = [air and draw_weather(air, setup.water, _QuasiRandomDraws(point)) for point in points[:, :-1]]
         lists.append(list(zip(numbers.tolist(), weather, strict=True)))
     return lists
 
@@ -97,7 +97,7 @@ def _lattice_steps() -> np.ndarray:
     return root ** -np.arange(1.0, _NUMBERS + 1)
 
 
-class _Given:
+class _QuasiRandomDraws:
     """Numbers of a generator that are known beforehand, uniform in 0 to 1 and each used once."""
 
     def __init__(self, uniform: np.ndarray):
@@ -137,7 +137,7 @@ def _view(setup: Setup, number: int) -> _View:
     middle = len(pointing.elevation_rad) // 2
     air, slant = setup.scene.atmosphere, 0.0
     if air is not None:
-        slant = np.mean(np.sin(pointing.elevation_rad) ** (1 - air.index))
+        slant = np.mean(np.sin(pointing.elevation_rad) ** (1 - air.spectral_index))
     elevation = float(setup.angles.elevation_rad[number].mean())
     turn = number % 2 * np.pi / 2  # scans along Dec
     return _View(slant, elevation, pointing.parallactic_rad[middle], pointing.array_angle_rad[middle], turn)
@@ -162,32 +162,34 @@ def _row(setup: Setup, view: _View, weather: Weather | None) -> tuple[float | co
     return unshared, shared, excess, layer, np.sin(view.elevation_rad), angle, speed - wind, speed + wind
 
 
-def noise_correlations(setup: Setup, recipe: Recipe) -> NoiseCorrelations:
+def noise_correlations(setup: Setup, pipeline: CleaningPipeline) -> NoiseCorrelations:
     """Correlation of the shared photon noise and of the excess noise, this with responsivities; None without."""
-    gain, scene = setup.responsivity[recipe.rows], setup.scene
-    photon = _correlation(setup, recipe, scene.photon, "photon", np.ones(len(gain)))
-    return photon, _correlation(setup, recipe, scene.excess, "excess", gain)
+    gain, scene = setup.responsivity[pipeline.rows], setup.scene
+    photon = _correlation(setup, pipeline, scene.photon, "photon", np.ones(len(gain)))
+    return photon, _correlation(setup, pipeline, scene.excess, "excess", gain)
 
 
 def _correlation(
-    setup: Setup, recipe: Recipe, section: Photon | Excess | None, name: str, gain: np.ndarray
-) -> np.ndarray | SharedNoise | None:
+    setup: Setup, pipeline: CleaningPipeline, section: Photon | Excess | None, name: str, gain: np.ndarray
+) -> np.ndarray | NoiseCorrelation | None:
     if section is None:
         return None
     if setup.n_det > MOST_DENSE:
         torus = shared_noise(setup.camera, section, name)
-        return SharedNoise(torus and replace(torus, cells=torus.cells[recipe.rows]), gain)
-    place = setup.camera.positions_f_lambda[recipe.rows]
+        return NoiseCorrelation(torus and replace(torus, cells=torus.cells[pipeline.rows]), gain)
+    place = setup.camera.positions_f_lambda[pipeline.rows]
     matrix = correlation_matrix(place, section.coherence, setup.camera.illumination)
     matrix *= gain[:, None] * gain
     return matrix
 
 
-def fitted_courses(setup: Setup, recipe: Recipe, array: Array, levels: Conditions) -> Courses:
-    """Courses that scans lose to what a recipe fits to them, in a layer that passes as fast as in half of `levels`."""
+def fitted_courses(setup: Setup, pipeline: CleaningPipeline, array: Array, levels: Conditions) -> Courses:
+    """Courses that scans lose to what a pipeline fits to them, in a layer that passes as fast as in half of
+    `levels`.
+    """
     fits = {"scan": 1.0, "observation": 1 / setup.raster.n_scans}
     # PCA fits a mode to each scan, whatever is known of responsivities.
-    share = fits["scan"] if recipe.uses("pca") else fits.get(setup.scene.cleaning.responsivities, 0.0)
+    share = fits["scan"] if pipeline.uses("pca") else fits.get(setup.scene.cleaning.responsivities, 0.0)
     if setup.scene.atmosphere is None or not len(array.basis) or not share:
         return NO_COURSES
     seconds = samples_per_scan(setup.raster) / setup.raster.sample_rate_hz
@@ -198,10 +200,10 @@ def fitted_courses(setup: Setup, recipe: Recipe, array: Array, levels: Condition
     return template_courses((layer.alpha * motion).real, power, seconds).less(share)
 
 
-def mean_hits(setup: Setup, recipe: Recipe) -> np.ndarray:
+def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
     """Mean hits of one observation on the scored patch (n, n), from some observations spread over the survey."""
     n_obs, geometry = setup.scene.observations, setup.geometry
-    plane: FocalPlane = setup.camera.focal_plane.subset(recipe.rows)
+    plane: FocalPlane = setup.camera.focal_plane.subset(pipeline.rows)
     samples = len(plane.x_rad) * setup.raster.n_scans * samples_per_scan(setup.raster)
     every = max(1, int(samples // _MOST_HIT_SAMPLES))
     wanted = min(n_obs, int(np.clip(_HIT_SAMPLES / samples, _FEWEST_HITS, _MOST_HITS)))

@@ -6,7 +6,7 @@ import numpy as np
 
 from mapmaker.cleaning.responsivity import OBSERVATION
 from surveysim.forecasting.observing_conditions import Conditions
-from surveysim.reduction.cleaning_pipelines import Recipe
+from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.observation import kept_scans
 from surveysim.reduction.setup import Setup
 from surveysim.telescope.raster import samples_per_scan
@@ -36,7 +36,7 @@ class Kept:
 
 
 def predicted_kept(
-    setup: Setup, recipes: tuple[Recipe, ...], levels: Conditions, weight: np.ndarray
+    setup: Setup, pipelines: tuple[CleaningPipeline, ...], levels: Conditions, weight: np.ndarray
 ) -> dict[str, Kept]:
     """Scans that cleaning keeps of observations in the conditions `levels`, predicted by a pilot, by data set.
 
@@ -44,14 +44,16 @@ def predicted_kept(
     number and half by the `weight` (n_obs,) that they have in the map: scans are lost in calm weather, whose
     observations weigh most. Between those of the pilot the share is interpolated.
 
-    Recipes that fit no responsivities keep all scans. Where a pilot would take longer than a few seconds, or can't be
+    Pipelines that fit no responsivities keep all scans. Where a pilot would take longer than a few seconds, or can't be
     drawn, the share is not known. The draws are those of the scene's seed.
     """
     whole = Kept(np.ones(len(weight)))
-    fitted = tuple(recipe for recipe in recipes if recipe.takes_responsivities)
+    fitted = tuple(pipeline for pipeline in pipelines if pipeline.takes_responsivities)
     if setup.scene.atmosphere is None or setup.calibration is not None or not fitted:
-        return {recipe.data_set: whole for recipe in recipes}
-    unknown = {recipe.data_set: replace(whole, error=np.inf) if recipe in fitted else whole for recipe in recipes}
+        return {pipeline.data_set: whole for pipeline in pipelines}
+    unknown = {
+        pipeline.data_set: replace(whole, error=np.inf) if pipeline in fitted else whole for pipeline in pipelines
+    }
     n_scans, n_pilot = _pilot_size(setup, len(weight))
     if n_scans * n_pilot * _scan_samples(setup) > _MOST_SAMPLES:
         return unknown
@@ -59,13 +61,15 @@ def predicted_kept(
     importance = np.cumsum(weight[order] / weight.sum() + 1 / len(weight)) / 2
     places = np.unique(np.searchsorted(importance, (np.arange(n_pilot) + 0.5) / n_pilot))
     places = np.minimum(places, len(weight) - 1)
-    pilot = replace(setup, blocks=(Block(0, 0, n_scans),), recipes=fitted)
+    pilot = replace(setup, blocks=(Block(0, 0, n_scans),), pipelines=fitted)
     try:
         found = np.array([kept_scans(pilot, int(order[place])).mean(axis=1) for place in places])
     except ValueError:  # a layer that can't be drawn
         return unknown
-    shares = {recipe.data_set: _spread(order, places, of, n_scans) for recipe, of in zip(fitted, found.T, strict=True)}
-    return {recipe.data_set: shares.get(recipe.data_set, whole) for recipe in recipes}
+    shares = {
+        pipeline.data_set: _spread(order, places, of, n_scans) for pipeline, of in zip(fitted, found.T, strict=True)
+    }
+    return {pipeline.data_set: shares.get(pipeline.data_set, whole) for pipeline in pipelines}
 
 
 def _scan_samples(setup: Setup) -> int:

@@ -7,7 +7,7 @@ import numpy as np
 
 from surveysim.forecasting.observing_conditions import Conditions
 from surveysim.forecasting.pilot import Kept
-from surveysim.reduction.cleaning_pipelines import Recipe
+from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.mode_response import PROJECTIONS
 from surveysim.reduction.setup import Setup
 from surveysim.survey.discarded_scans import MOST_DISCARDED
@@ -47,7 +47,7 @@ class Grounds:
     (n, n) of an observation on the scored patch.
     """
 
-    recipe: Recipe
+    pipeline: CleaningPipeline
     n_det: int
     levels: Conditions
     kept: Kept
@@ -97,16 +97,16 @@ def effects(setup: Setup, grounds: Grounds) -> tuple[Effect, ...]:
 
 
 def _effects(setup: Setup, grounds: Grounds) -> Iterator[Effect]:
-    if grounds.recipe.takes_responsivities:
+    if grounds.pipeline.takes_responsivities:
         yield _discarded(grounds.kept)
     if setup.scene.atmosphere is not None:
         yield _repeated_layer(setup, grounds)
-        if grounds.recipe.steps != ("none",):
+        if grounds.pipeline.steps != ("none",):
             yield _stripes(grounds)
-        if (name := grounds.recipe.label) in _APPROXIMATE:
+        if (name := grounds.pipeline.label) in _APPROXIMATE:
             sentence = f"Cleaning {_APPROXIMATE[name]} is taken as average subtraction: the difference is not known."
             yield Effect("cleaning", None, sentence, True)
-    if templates := len(PROJECTIONS[grounds.recipe.label]):
+    if templates := len(PROJECTIONS[grounds.pipeline.label]):
         yield _few_detectors(templates, grounds.n_det)
     yield _uneven_coverage(setup, grounds.hits)
     yield _weights(setup, grounds)
@@ -133,7 +133,7 @@ def _repeated_layer(setup: Setup, grounds: Grounds) -> Effect:
     """
     path = setup.scene.scan
     parts = grounds.layer_share
-    if grounds.recipe.steps == ("none",):
+    if grounds.pipeline.steps == ("none",):
         size, where = float(parts.sum()), "Scans share trends of the layer in any wind"
     else:
         wind = np.abs(grounds.levels.motion - path.speed_rad_s).mean(axis=1)

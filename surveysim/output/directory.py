@@ -18,7 +18,7 @@ from pathlib import Path
 from stat import S_ISDIR, S_ISREG
 from typing import Any
 
-from mapmaker.files import whole_file
+from mapmaker.files import atomic_write
 from surveysim import __version__
 from surveysim.output.lock import LOCK, OutputError, alive, locked
 from surveysim.scene.units import shown
@@ -110,7 +110,7 @@ def begin(place: OutputDirectory, removed: Callable[[str], bool]) -> None:
     inputs = {name: sha256(content).hexdigest() for name, content in results.inputs.items()}
     _write_record(place, stay | dict.fromkeys(coming) | inputs, finished=False)
     for name, content in results.inputs.items():
-        with whole_file(place.path / name) as partial:
+        with atomic_write(place.path / name) as partial:
             partial.write_bytes(content)
 
 
@@ -394,5 +394,5 @@ def _write_record(place: OutputDirectory, files: Mapping[str, str | None], finis
 
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

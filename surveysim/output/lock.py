@@ -12,7 +12,7 @@ from stat import S_ISREG
 from time import sleep
 from typing import Any
 
-from surveysim.runtime.engine import held_back_signals
+from surveysim.runtime.engine import defer_signals
 from surveysim.runtime.provenance import now
 from surveysim.scene.scene import SceneError
 
@@ -39,7 +39,7 @@ def locked(directory: Path) -> Iterator[None]:
     """
     own = None
     try:
-        with held_back_signals():  # no lock is left that this process does not know of
+        with defer_signals():  # no lock is left that this process does not know of
             own = _take(directory)
         yield
     finally:

@@ -10,7 +10,7 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 
 from mapmaker.binning import BinnedMap, write_fits, write_healpix
-from mapmaker.files import whole_file, write_ecsv
+from mapmaker.files import atomic_write, write_ecsv
 from surveysim.reduction.setup import prepare
 from surveysim.report.html.page import REPORT, write_report
 from surveysim.results.results import SurveyResult, score_rows, summary
@@ -81,7 +81,7 @@ def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> 
     from surveysim.studies.convergence.records import TOLERATED
 
     written = [directory / "accuracy.ecsv", write_text(directory / "scene.json", resolved(result.scene) + "\n")]
-    with whole_file(written[0]) as unfinished:
+    with atomic_write(written[0]) as unfinished:
         accuracy_table(result).write(unfinished, format="ascii.ecsv", overwrite=True)
     content = {
         "scene": result.scene.name,
@@ -176,7 +176,7 @@ def write_forecast(directory: Path, forecast: "Forecast") -> Path:
 
 def write_text(path: Path, text: str) -> Path:
     """Write a text file atomically; returns its path."""
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8")
     return path
 
@@ -271,9 +271,9 @@ def _timestream_table(result: SurveyResult) -> Table:
     comment = "quantiles over observations of the mean PSD over detectors"
     table = Table({"frequency": frequency}, {"frequency": "Hz"}, {"comment": comment})
     compared = np.array(coadds.compared_psd)
-    recipes = enumerate(result.setup.whole_recipes[1:])
+    pipelines = enumerate(result.setup.whole_pipelines[1:])
     psds_of = {"raw": coadds.raw_psd, "clean": coadds.clean_psd}
-    psds_of |= {f"clean_{recipe.data_set}": compared[:, place] for place, recipe in recipes}
+    psds_of |= {f"clean_{pipeline.data_set}": compared[:, place] for place, pipeline in pipelines}
     for name, psds in psds_of.items():
         for label, level in (("q25", 25), ("median", 50), ("q75", 75)):
             table.columns[f"{name}_{label}"] = np.percentile(psds, level, axis=0)

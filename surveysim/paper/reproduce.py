@@ -7,7 +7,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from mapmaker.files import whole_file
+from mapmaker.files import atomic_write
 from surveysim.atmosphere.turbulence_fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV
 from surveysim.output.directory import OutputDirectory, claimed, finish
 from surveysim.output.expected_files import of_paper
@@ -131,7 +131,7 @@ def _compared(path: Path, overrides: dict[str, Any], observations: int | None) -
     scene = _scene(path, {"cleaning.compare": [list(steps) for steps in COMPARED]} | overrides, observations)
     if scene.score is None:
         raise SceneError(f"{path}: score: missing; figure 13 scores the maps")
-    score = scene.score.model_copy(update={"mask_separation_f_lambda": None, "simulated": (), "reference": None})
+    score = scene.score.model_copy(update={"mask_separation_f_lambda": None, "noise_only_sets": (), "reference": None})
     return _prepared(path, scene.model_copy(update={"score": score}))
 
 
@@ -140,10 +140,10 @@ def _scored(path: Path, overrides: dict[str, Any], observations: int | None) -> 
     scene = _scene(path, {"cleaning.compare": []} | overrides, observations)
     if scene.score is None:
         raise SceneError(f"{path}: score: missing; Table 3 and figure 16 score the maps")
-    if set(scene.score.simulated) != set(SIMULATED):
-        found = ", ".join(scene.score.simulated) or "none"
+    if set(scene.score.noise_only_sets) != set(SIMULATED):
+        found = ", ".join(scene.score.noise_only_sets) or "none"
         raise SceneError(
-            f"{path}: score.simulated: found {found}; Table 3 and figure 16 need {' and '.join(SIMULATED)}"
+            f"{path}: score.noise_only_sets: found {found}; Table 3 and figure 16 need {' and '.join(SIMULATED)}"
         )
     if scene.score.mask_separation_f_lambda is None:
         raise SceneError(f"{path}: score.mask_separation_f_lambda: missing; Table 3 and figure 16 need a masked array")
@@ -173,12 +173,12 @@ def _check(path: Path, scene: Scene, first: Scene) -> None:
     if scene.atmosphere is None:
         raise SceneError(f"{path}: [atmosphere] is missing; this command measures it")
     if (found := len(prepare(unscored).blocks)) > 1:
-        memory = f"{scene.numerics.stream_bytes / 1e6:.4g} MB"
+        memory = f"{scene.numerics.max_block_bytes / 1e6:.4g} MB"
         raise SceneError(
-            f"{path}: numerics.stream_memory: found {memory}, which cuts observations into {found} blocks; whole ones "
-            f"are measured, and {found} times as much is enough for them"
+            f"{path}: numerics.max_block_memory: found {memory}, which cuts observations into {found} blocks; "
+            f"whole ones are measured, and {found} times as much is enough for them"
         )
-    index, height = scene.atmosphere.index, scene.atmosphere.layer_height_m
+    index, height = scene.atmosphere.spectral_index, scene.atmosphere.layer_height_m
     if abs(index - INDEX_GRID[KOLMOGOROV]) > 1e-9 or height not in HEIGHT_GRID_M:
         raise SceneError(
             f"{path}: atmosphere: found index {index:.4g} and layer_height {height:g} m; B2 is fitted at"
@@ -360,6 +360,6 @@ def _write_figure(out: Path, figure: "PaperFigure") -> list[Path]:
 
 
 def _write_table(path: Path, table: "Table") -> Path:
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         table.write(partial, format="ascii.ecsv", overwrite=True)
     return path

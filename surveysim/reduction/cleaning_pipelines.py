@@ -28,7 +28,7 @@ ACTUAL, OPTIMAL = "actual", "optimal"
 
 
 @dataclass(frozen=True)
-class Recipe:
+class CleaningPipeline:
     """Cleaning steps in order, and the data set that they make of some detectors (None: of all)."""
 
     data_set: str
@@ -55,40 +55,40 @@ class Recipe:
         return slice(None) if self.detectors is None else self.detectors
 
 
-def recipes(section: Cleaning, masked: np.ndarray | None) -> tuple[Recipe, ...]:
+def pipelines(section: Cleaning, masked: np.ndarray | None) -> tuple[CleaningPipeline, ...]:
     """The scene's own cleaning, those that it compares with, and its own on a masked array."""
-    found = [Recipe(ACTUAL, section.algorithm)]
-    found += [Recipe("+".join(steps), steps) for steps in section.compare]
+    found = [CleaningPipeline(ACTUAL, section.algorithm)]
+    found += [CleaningPipeline("+".join(steps), steps) for steps in section.compare]
     if masked is not None:
-        found.append(Recipe(f"masked_{len(masked)}", section.algorithm, masked))
+        found.append(CleaningPipeline(f"masked_{len(masked)}", section.algorithm, masked))
     return tuple(found)
 
 
 @dataclass(frozen=True)
-class Beside:
-    """What recipes know beside the streams: `delays_s_rad` (n_scan, 2), the slowness that a wind model shifts by,
-    `colours_mk` (n_colour, n_det, n_samp) of all detectors, and their `calibration` (1 + n_colour, n_det),
+class AuxiliaryData:
+    """What pipelines know beside the streams: `delays_s_rad` (n_scan, 2), the slowness that a wind model shifts by,
+    `other_bands_mk` (n_colour, n_det, n_samp) of all detectors, and their `calibration` (1 + n_colour, n_det),
     responsivities in the mapped band and the others, or None where they are fitted.
     """
 
     delays_s_rad: np.ndarray
-    colours_mk: np.ndarray
+    other_bands_mk: np.ndarray
     calibration: np.ndarray | None = None
 
 
 def step_options(
-    section: Cleaning, name: str, beside: Beside, sample_rate_hz: float, responsivities: Responsivities
+    section: Cleaning, name: str, auxiliary: AuxiliaryData, sample_rate_hz: float, responsivities: Responsivities
 ) -> Any:
     """The record that one step takes."""
     template = (section.tolerance, section.max_iterations, responsivities)
     if name == "wind":
-        return WindOptions(beside.delays_s_rad, sample_rate_hz, *template)
+        return WindOptions(auxiliary.delays_s_rad, sample_rate_hz, *template)
     if name == "spectral":
-        return SpectralOptions(beside.colours_mk)
+        return SpectralOptions(auxiliary.other_bands_mk)
     if name == "pca":
         return PcaOptions(section.sigma_cut)
     if name == "local":
-        return LocalOptions(section.reach)
+        return LocalOptions(section.neighbour_radius)
     if name == "polynomial":
         return PolynomialOptions(section.order, section.regions, *template)
     return TemplateOptions(*template)
@@ -96,67 +96,67 @@ def step_options(
 
 def needed_detectors(section: Cleaning, name: str) -> int:
     """How many detectors one step needs."""
-    nothing = Beside(np.zeros((1, 2)), np.zeros((1, 1, 1)))
+    nothing = AuxiliaryData(np.zeros((1, 2)), np.zeros((1, 1, 1)))
     return detectors_needed(name, step_options(section, name, nothing, 1.0, SCAN))
 
 
-def apply_recipe(
+def apply_pipeline(
     section: Cleaning,
-    recipe: Recipe,
+    pipeline: CleaningPipeline,
     data_mk: np.ndarray,
     scan_bounds: np.ndarray,
     focal_plane: FocalPlane,
-    beside: Beside,
+    auxiliary: AuxiliaryData,
     sample_rate_hz: float,
 ) -> Cleaned:
-    """Clean the streams (n_det, n_samp) of the recipe's detectors, which `data_mk` and `focal_plane` hold alone.
+    """Clean the streams (n_det, n_samp) of the pipeline's detectors, which `data_mk` and `focal_plane` hold alone.
 
     Before their spectral common mode is subtracted, the other bands are cleaned by the same steps as the mapped one.
     """
-    colours = beside.colours_mk[:, recipe.rows]
-    known = [section.responsivities] * (1 + len(colours))
-    if beside.calibration is not None:
-        known = list(beside.calibration[:, recipe.rows])
+    others = auxiliary.other_bands_mk[:, pipeline.rows]
+    known = [section.responsivities] * (1 + len(others))
+    if auxiliary.calibration is not None:
+        known = list(auxiliary.calibration[:, pipeline.rows])
     # Steps of the mapped band and of the others, which differ in the responsivities.
     bands: list[list[tuple[str, Any]]] = [[] for _ in known]
-    for name in recipe.steps:
+    for name in pipeline.steps:
         if name == "spectral" and bands[0]:
-            alike = zip(bands[1:], colours, strict=True)
-            colours = np.array([_cleaned_alike(steps, colour, scan_bounds, focal_plane) for steps, colour in alike])
-        of_rows = replace(beside, colours_mk=colours)
+            alike = zip(bands[1:], others, strict=True)
+            others = np.array([_cleaned_alike(steps, band_mk, scan_bounds, focal_plane) for steps, band_mk in alike])
+        of_rows = replace(auxiliary, other_bands_mk=others)
         for steps, responsivities in zip(bands, known, strict=True):
             steps.append((name, step_options(section, name, of_rows, sample_rate_hz, responsivities)))
     return clean_in_order(bands[0], data_mk, scan_bounds, focal_plane)
 
 
 def _cleaned_alike(
-    steps: list[tuple[str, Any]], colour_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane
+    steps: list[tuple[str, Any]], band_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane
 ) -> np.ndarray:
     """Streams of another band, cleaned; NaN in scans that are discarded, so that the mapped band's are too."""
-    cleaned = clean_in_order(steps, colour_mk, scan_bounds, focal_plane)
+    cleaned = clean_in_order(steps, band_mk, scan_bounds, focal_plane)
     for start, stop in scan_bounds[~cleaned.kept]:
         cleaned.data_mk[:, start:stop] = np.nan
     return cleaned.data_mk
 
 
-def what_is_beside(
-    recipes: tuple[Recipe, ...],
+def auxiliary_data(
+    pipelines: tuple[CleaningPipeline, ...],
     streams: Timestreams,
-    colours_mk: np.ndarray,
+    other_bands_mk: np.ndarray,
     calibration: np.ndarray | None,
     sample_rate_hz: float,
-) -> Beside:
-    """What the recipes need to know of one observation beside its streams."""
-    return Beside(measured_delays(recipes, streams, sample_rate_hz), colours_mk, calibration)
+) -> AuxiliaryData:
+    """What the pipelines need to know of one observation beside its streams."""
+    return AuxiliaryData(measured_delays(pipelines, streams, sample_rate_hz), other_bands_mk, calibration)
 
 
-def measured_delays(recipes: tuple[Recipe, ...], streams: Timestreams, sample_rate_hz: float) -> np.ndarray:
+def measured_delays(pipelines: tuple[CleaningPipeline, ...], streams: Timestreams, sample_rate_hz: float) -> np.ndarray:
     """Slowness (n_scan, 2) [s/rad] of the layer by the wind measured from the streams; 0 where none is of use.
 
-    Measured only if a recipe shifts by it: elsewhere 0 too.
+    Measured only if a pipeline shifts by it: elsewhere 0 too.
     """
     none = np.zeros((len(streams.scan_bounds), 2))
-    if not any(recipe.uses("wind") for recipe in recipes):
+    if not any(pipeline.uses("wind") for pipeline in pipelines):
         return none
     velocity = scan_velocities(streams)
     wind = measure_wind(streams.data_mk, streams.scan_bounds, streams.focal_plane, sample_rate_hz, velocity)

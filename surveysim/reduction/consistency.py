@@ -6,8 +6,8 @@ import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry, check_nside, plane_offsets
+from mapmaker.transfer_function import beam_window
 from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES
-from mapmaker.window import beam_window
 from surveysim.atmosphere.weather import Water
 from surveysim.reduction.cleaning_pipelines import needed_detectors
 from surveysim.reduction.scored_region import FAINTEST, padded_side
@@ -222,9 +222,9 @@ def check_score(scene: Scene, geometry: MapGeometry, lines: Raster) -> None:
         )
     check_bins(scene, geometry)
     highest = highest_frequency(samples_per_scan(lines), lines.sample_rate_hz)
-    if scene.score.white_above_hz >= highest:
+    if scene.score.white_noise_above_hz >= highest:
         raise SceneError(
-            f"score.white_above: found {scene.score.white_above_hz:g} Hz; "
+            f"score.white_noise_above: found {scene.score.white_noise_above_hz:g} Hz; "
             f"less than {highest:.4g} Hz, the highest frequency of a scan, is expected"
         )
 

@@ -1,6 +1,6 @@
 """Which cleaning is best for one observation: figures of merit for a flat CMB spectrum and for a point source.
 
-A recipe that removes more noise removes more signal, and which wins depends on the weather (paper, section 4.3).
+A pipeline that removes more noise removes more signal, and which wins depends on the weather (paper, section 4.3).
 Its noise is that of the observation's own map; what it leaves of the signal is measured once a survey.
 """
 
@@ -8,18 +8,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mapmaker.window import beam_window
+from mapmaker.transfer_function import beam_window
 from surveysim.reduction.setup import Setup
 
 TARGETS = ("cmb", "point_source")
 
 
-def merits(setup: Setup, transmission: np.ndarray, maps: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Figures of merit (n_recipe, 2) of one observation's maps, sums and hits (n_y, n_x) of each recipe.
+def figures_of_merit(
+    setup: Setup, transmission: np.ndarray, maps: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """Figures of merit (n_pipeline, 2) of one observation's maps, sums and hits (n_y, n_x) of each pipeline.
 
     For a flat spectrum ``sum n/2 (M T / N)^2`` over the scored bins, sigma(A)^-2 up to a factor; for a point source
     ``sum n B^2 T / N`` over all bins, its squared signal to noise. N is the noise of the map in each bin, T
-    (n_recipe, 2, n_bin) what the recipe leaves of the signal's power, n the modes of a bin.
+    (n_pipeline, 2, n_bin) what the pipeline leaves of the signal's power, n the modes of a bin.
     """
     band, rings = setup.band, setup.band.rings
     rows = band.patch
@@ -32,7 +34,7 @@ def merits(setup: Setup, transmission: np.ndarray, maps: Sequence[tuple[np.ndarr
     )
 
 
-def best_places(merits: np.ndarray) -> np.ndarray:
-    """Place of the recipe with the highest merit, of merits (n_recipe, ...); -1 where none has any."""
-    merits = np.nan_to_num(merits)
-    return np.where(merits.max(axis=0) > 0, merits.argmax(axis=0), -1)
+def best_places(figures_of_merit: np.ndarray) -> np.ndarray:
+    """Place of the pipeline with the highest merit, of merits (n_pipeline, ...); -1 where none has any."""
+    figures_of_merit = np.nan_to_num(figures_of_merit)
+    return np.where(figures_of_merit.max(axis=0) > 0, figures_of_merit.argmax(axis=0), -1)

@@ -27,7 +27,7 @@ from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.thin_screen import Screen, at_elevation, beam_transfer, power
 from surveysim.reduction.fitted_modes import NO_COURSES, Courses
 from surveysim.reduction.mode_kernels import windowed_sums
-from surveysim.telescope.lattice_noise import SharedNoise
+from surveysim.telescope.lattice_noise import NoiseCorrelation
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 
 # The templates of cleaning that is, once the responsivities are known, a fixed projection; and of cleaning that comes
@@ -47,7 +47,7 @@ _RADII, _AZIMUTHS = 32, 16  # of the layer's wavevectors
 
 
 @dataclass(frozen=True)
-class TimeWindow:
+class ScanApodization:
     """A scan of `duration_s` seen through a taper: `transfer` is w at steps of 1 / `per_step` Hz from 0.
 
     `of_courses` (n, n_f) is the same of the taper times each of the `courses` that scans lose beside their mean.
@@ -98,7 +98,7 @@ class TimeWindow:
         return 1 - (mean + fitted) / self.transfer[0]
 
 
-def time_window(duration_s: float, taper: np.ndarray, step_s: float, courses: Courses = NO_COURSES) -> TimeWindow:
+def time_window(duration_s: float, taper: np.ndarray, step_s: float, courses: Courses = NO_COURSES) -> ScanApodization:
     """The window of a taper (n,) at steps of `step_s` about the middle of a scan, which loses the courses too."""
     time = (np.arange(len(taper)) - (len(taper) - 1) / 2) * step_s
     length = len(taper) * step_s
@@ -108,24 +108,24 @@ def time_window(duration_s: float, taper: np.ndarray, step_s: float, courses: Co
     tapered = taper * courses.at(time, duration_s)
     of_courses = [(np.sin if odd else np.cos)(phase) @ row for odd, row in zip(courses.odd, tapered, strict=True)]
     of_courses = scale * np.reshape(of_courses, (len(tapered), len(frequency)))
-    return TimeWindow(duration_s, scale * (np.cos(phase) @ taper), per_step, courses, of_courses)
+    return ScanApodization(duration_s, scale * (np.cos(phase) @ taper), per_step, courses, of_courses)
 
 
 def scan_window(
     duration_s: float, speed_rad_s: float, size_rad: float, taper_fraction: float, courses: Courses = NO_COURSES
-) -> TimeWindow:
+) -> ScanApodization:
     """The window of a map's taper, `size_rad` wide with cosine edges, along a scan through its middle."""
     length = min(duration_s, size_rad / speed_rad_s)
     step = length / _TAPER_STEPS
     return time_window(duration_s, tukey(_TAPER_STEPS, step * speed_rad_s, size_rad, taper_fraction), step, courses)
 
 
-def hann_window(duration_s: float, courses: Courses = NO_COURSES) -> TimeWindow:
+def hann_window(duration_s: float, courses: Courses = NO_COURSES) -> ScanApodization:
     """The window of the tapered periodograms that measure the PSD of streams."""
     return time_window(duration_s, np.hanning(_TAPER_STEPS + 1)[:-1], duration_s / _TAPER_STEPS, courses)
 
 
-def frequency_nodes(window: TimeWindow, highest_hz: float) -> tuple[np.ndarray, np.ndarray]:
+def frequency_nodes(window: ScanApodization, highest_hz: float) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies (n,) of both signs and their weights: fine where the scan's mean goes, else by its resolution."""
     cycle = min(_STEPS_PER_CYCLE / window.per_step, highest_hz / 8)
     near = np.geomspace(0.02 / window.duration_s, 0.5 * cycle, 24)
@@ -215,25 +215,25 @@ def projected_array(
     return Array(place, responsivity, responsivity if assumed is None else assumed, basis)
 
 
-def matrix_power(response: np.ndarray, correlation: np.ndarray | SharedNoise | None) -> np.ndarray:
+def matrix_power(response: np.ndarray, correlation: np.ndarray | NoiseCorrelation | None) -> np.ndarray:
     """Power a^H K a / n_det (n_mode,) of streams of unit PSD with the correlation K (None: none), a (n_det, n_mode)."""
     spread = response if correlation is None else correlation @ response
     return np.einsum("ij,ij->j", response.conj(), spread).real / len(response)
 
 
-def stream_power(array: Array, correlation: np.ndarray | SharedNoise | None) -> float:
+def stream_power(array: Array, correlation: np.ndarray | NoiseCorrelation | None) -> float:
     """Mean PSD of the cleaned streams of detectors that have unit PSD and a correlation (None: none)."""
     n_det = len(array.place)
     if correlation is None and n_det > MOST_DENSE:
-        correlation = SharedNoise(None, np.ones(n_det))
-    if isinstance(correlation, SharedNoise):
+        correlation = NoiseCorrelation(None, np.ones(n_det))
+    if isinstance(correlation, NoiseCorrelation):
         return float(np.mean(correlation.gain**2)) - _projected_power(array, correlation) / n_det
     matrix = np.eye(n_det) if correlation is None else correlation
     once = array.cleaned(matrix)
     return float(np.trace(array.cleaned(once.T)) / n_det)
 
 
-def _projected_power(array: Array, correlation: SharedNoise) -> float:
+def _projected_power(array: Array, correlation: NoiseCorrelation) -> float:
     """What cleaning takes of the trace of K: with ``P = U V^T``, that of ``P K + K P^T - P K P^T``."""
     gain = array.assumed[:, None]
     u, v = gain * array.basis.T, array.basis.T / gain

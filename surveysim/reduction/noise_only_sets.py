@@ -9,13 +9,13 @@ from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.timestreams import scan_bounds
 from surveysim.reduction.setup import Setup
-from surveysim.runtime.rng import Stage, generator
+from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.noise import draw_from_psd
 from surveysim.timestreams.observation import Stopwatch
 
-SIMULATED = {"uncorrelated": Stage.UNCORRELATED, "white": Stage.WHITE}
+SIMULATED = {"uncorrelated": RandomPurpose.UNCORRELATED, "white": RandomPurpose.WHITE}
 
 
 def mean_removed(data: np.ndarray, n_scans: int) -> np.ndarray:
@@ -37,7 +37,7 @@ def add_simulated(
 ) -> None:
     """Add the maps of section 5.2's simulated sets, in the scans that the actual data keep.
 
-    `maps` holds sums and hits by data set, which grow in place; `kept_scans` of each block (n_recipe, n_scan). `psd`
+    `maps` holds sums and hits by data set, which grow in place; `kept_scans` of each block (n_pipeline, n_scan). `psd`
     (n_det, n_freq) and `white` (n_det,), measured on the cleaned streams [mK^2/Hz], are all that the sets need of them:
     detectors are taken some at a time.
     """
@@ -45,7 +45,7 @@ def add_simulated(
     for block, kept in zip(setup.blocks, kept_scans, strict=True):
         pointing = whole.scans(block.first, block.end)
         angle, bounds = pointing.array_angle_rad[pointing.scan], scan_bounds(pointing.scan)
-        names = setup.scene.score.simulated
+        names = setup.scene.score.noise_only_sets
         rngs = [generator(setup.scene.seed, SIMULATED[name], observation, block=block.number) for name in names]
         for rows in row_chunks(setup.n_det, len(pointing.time_s)):
             with watch("pixels"):

@@ -1,4 +1,4 @@
-"""One observation reduced: cleaning by every recipe, maps of every data set, noise levels, the best recipe.
+"""One observation reduced: cleaning by every pipeline, maps of every data set, noise levels, the best pipeline.
 
 It goes over the blocks of the observation and adds up what they leave; the simulated sets, which need the PSDs that
 were measured in all of them, go over the blocks once more.
@@ -19,18 +19,30 @@ from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.timestreams import Timestreams, timestream_file
 from surveysim.atmosphere.weather import Weather
-from surveysim.reduction.cleaning_pipelines import OPTIMAL, Beside, Recipe, apply_recipe, what_is_beside
-from surveysim.reduction.figure_of_merit import TARGETS, best_places, merits
+from surveysim.reduction.cleaning_pipelines import (
+    OPTIMAL,
+    AuxiliaryData,
+    CleaningPipeline,
+    apply_pipeline,
+    auxiliary_data,
+)
+from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
 from surveysim.reduction.noise_only_sets import add_simulated, mean_removed
 from surveysim.reduction.setup import Setup, observation_path, prepare
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.noise import hann_power, hann_scale, white_level
-from surveysim.timestreams.observation import Stopwatch, add_sky_signal, draw_block, draw_colours, observation_weather
+from surveysim.timestreams.observation import (
+    Stopwatch,
+    add_sky_signal,
+    draw_block,
+    draw_other_bands,
+    observation_weather,
+)
 from surveysim.timestreams.scan_blocks import Block
 
-REFERENCE = (0, 1)  # observations that tell what recipes leave of a signal: one along each direction
+REFERENCE = (0, 1)  # observations that tell what pipelines leave of a signal: one along each direction
 
 
 @dataclass(frozen=True)
@@ -42,9 +54,9 @@ class ObservationResult:
     (n_set, n_bin) that in each bin of multipole, without bins where there is no score; `window` (n_sky,
     n_window, 2, n, n) of that type on the scored patch, signal of the window skies binned without [0] and with [1]
     cleaning for each of the setup's windows, or None; `discarded`, `iterations` and `removed` (templates a scan) per
-    recipe; `merits` (n_recipe, n_target) figures of merit of the recipes for all detectors, or None without a choice;
-    `raw_psd` and `clean_psd` (n_freq,) [mK^2/Hz], means over detectors, `compared_psd` (n_compare, n_freq) that of the
-    other recipes; `seconds` spent per stage.
+    pipeline; `figures_of_merit` (n_pipeline, n_target) figures of merit of the pipelines for all detectors, or None
+    without a choice; `raw_psd` and `clean_psd` (n_freq,) [mK^2/Hz], means over detectors, `compared_psd` (n_compare,
+    n_freq) that of the other pipelines; `seconds` spent per stage.
     """
 
     observation: int
@@ -56,7 +68,7 @@ class ObservationResult:
     discarded: tuple[int, ...]
     iterations: tuple[float, ...]
     removed: tuple[float, ...]
-    merits: np.ndarray | None
+    figures_of_merit: np.ndarray | None
     weather: Weather | None
     elevation_rad: float
     raw_psd: np.ndarray
@@ -71,7 +83,9 @@ Map = tuple[np.ndarray, np.ndarray]  # sums and hits, (n_y, n_x) each
 
 @dataclass(frozen=True)
 class _Part:
-    """One block on its way to maps: `index` (n_det, n_samp) of pixels, `cleaned` per recipe, what they know beside."""
+    """One block on its way to maps: `index` (n_det, n_samp) of pixels, `cleaned` per pipeline, what they know
+    beside.
+    """
 
     setup: Setup
     observation: int
@@ -79,7 +93,7 @@ class _Part:
     pointing: Pointing
     streams: Timestreams
     index: np.ndarray
-    beside: Beside
+    auxiliary: AuxiliaryData
     cleaned: tuple[Cleaned, ...]
 
 
@@ -89,8 +103,8 @@ class _Sums:
 
     `maps` by data set, float64 sums [mK] and int64 hits (n_y n_x,) each; `window` (n_sky, n_window, 2, n_y n_x) float64
     or None; `power` (n_det, n_freq) of the actual data's kept scans (`hann_power`). Of each block: `kept`,
-    `iterations` and `removed` (n_recipe, n_scan), and PSDs (n_freq,) [mK^2/Hz], means over its detectors and kept
-    scans, with the number of these scans: `raw`, and `compared` of the other recipes.
+    `iterations` and `removed` (n_pipeline, n_scan), and PSDs (n_freq,) [mK^2/Hz], means over its detectors and kept
+    scans, with the number of these scans: `raw`, and `compared` of the other pipelines.
     """
 
     maps: dict[str, Map]
@@ -118,22 +132,22 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
     white = np.full(1, np.nan)
     if setup.scene.score:
         n, rate = samples_per_scan(setup.raster), setup.raster.sample_rate_hz
-        white = white_level(psd, n, rate, setup.scene.score.white_above_hz)
+        white = white_level(psd, n, rate, setup.scene.score.white_noise_above_hz)
         add_simulated(sums.maps, sums.kept, setup, observation, pointing, psd=psd, white=white, watch=watch)
     maps = {name: _plane(setup, *item) for name, item in sums.maps.items()}
     worth, best = None, 0
     if setup.chooses:
         with watch("choice"):
-            of_recipes = [maps[recipe.data_set] for recipe in setup.whole_recipes]
-            worth = merits(setup, transmissions(setup.scene), of_recipes)
+            of_pipelines = [maps[pipeline.data_set] for pipeline in setup.whole_pipelines]
+            worth = figures_of_merit(setup, transfer_functions(setup.scene), of_pipelines)
         best = max(0, int(best_places(worth[:, 0])))
-        maps[OPTIMAL] = maps[setup.whole_recipes[best].data_set]
+        maps[OPTIMAL] = maps[setup.whole_pipelines[best].data_set]
     ordered = [maps[name] for name in setup.data_sets]
     total, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
     with watch("weights"):
         noise, of_bins = (np.array(part) for part in zip(*(map_noise(setup, *item) for item in ordered), strict=True))
     removed = np.concatenate(sums.removed, axis=1)
-    compared = [_mean_psd(list(of_recipe)) for of_recipe in zip(*sums.compared, strict=True)]
+    compared = [_mean_psd(list(of_pipeline)) for of_pipeline in zip(*sums.compared, strict=True)]
     return ObservationResult(
         observation=observation,
         sums=total,
@@ -144,7 +158,7 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
         discarded=tuple((~kept).sum(axis=1).tolist()),
         iterations=tuple(np.concatenate(sums.iterations, axis=1).mean(axis=1).tolist()),
         removed=tuple(float(row[_some(of)].mean()) for row, of in zip(removed, kept, strict=True)),
-        merits=worth,
+        figures_of_merit=worth,
         weather=observation_weather(setup, observation),
         elevation_rad=float(pointing.elevation_rad.mean()),
         raw_psd=_mean_psd(sums.raw),
@@ -156,7 +170,7 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
 
 
 def kept_scans(setup: Setup, observation: int) -> np.ndarray:
-    """Scans that each recipe keeps of an observation, (n_recipe, n_scan) bool of the setup's blocks."""
+    """Scans that each pipeline keeps of an observation, (n_pipeline, n_scan) bool of the setup's blocks."""
     _, pointing = observation_path(setup, observation)
     parts = (_reduce(setup, observation, pointing, block, Stopwatch()) for block in setup.blocks)
     return np.concatenate([[item.kept for item in part.cleaned] for part in parts], axis=1)
@@ -188,9 +202,9 @@ def _add_block(
     save(part.streams)
     with watch("spectra"):
         _add_spectra(sums, part)
-    for recipe, item in zip(setup.recipes, part.cleaned, strict=True):
+    for pipeline, item in zip(setup.pipelines, part.cleaned, strict=True):
         with watch("binning"):
-            _bin(part, item.data_mk, recipe, item.kept, *sums.maps[recipe.data_set])
+            _bin(part, item.data_mk, pipeline, item.kept, *sums.maps[pipeline.data_set])
     for name in ("kept", "iterations", "removed"):
         getattr(sums, name).append(np.array([getattr(item, name) for item in part.cleaned]))
     if sums.window is not None:
@@ -206,28 +220,33 @@ def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch
         angle = pointing.array_angle_rad[pointing.scan]
         index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane)
     with watch("wind"):
-        colours = draw_colours(setup, observation, whole, block)
+        bands = draw_other_bands(setup, observation, whole, block)
         rate = setup.raster.sample_rate_hz
-        beside = what_is_beside(setup.recipes, streams, colours, setup.calibration, rate)
+        auxiliary = auxiliary_data(setup.pipelines, streams, bands, setup.calibration, rate)
     cleaned, everyone = [], np.ones(block.n_scans, bool)
-    for recipe in setup.recipes:
-        with watch("cleaning" if recipe.steps == setup.scene.cleaning.algorithm else f"cleaning {recipe.label}"):
-            cleaned.append(_clean(setup, recipe, streams, streams.data_mk[recipe.rows], beside, everyone))
-    return _Part(setup, observation, block, pointing, streams, index, beside, tuple(cleaned))
+    for pipeline in setup.pipelines:
+        with watch("cleaning" if pipeline.steps == setup.scene.cleaning.algorithm else f"cleaning {pipeline.label}"):
+            cleaned.append(_clean(setup, pipeline, streams, streams.data_mk[pipeline.rows], auxiliary, everyone))
+    return _Part(setup, observation, block, pointing, streams, index, auxiliary, tuple(cleaned))
 
 
 def _clean(
-    setup: Setup, recipe: Recipe, streams: Timestreams, data_mk: np.ndarray, beside: Beside, scans: np.ndarray
+    setup: Setup,
+    pipeline: CleaningPipeline,
+    streams: Timestreams,
+    data_mk: np.ndarray,
+    auxiliary: AuxiliaryData,
+    scans: np.ndarray,
 ) -> Cleaned:
-    """Clean some scans (n_scan,) bool of the streams of a recipe's detectors; the result knows of no others."""
-    plane, rate = streams.focal_plane.subset(recipe.rows), setup.raster.sample_rate_hz
-    beside = replace(beside, delays_s_rad=beside.delays_s_rad[scans])
-    return apply_recipe(setup.scene.cleaning, recipe, data_mk, streams.scan_bounds[scans], plane, beside, rate)
+    """Clean some scans (n_scan,) bool of the streams of a pipeline's detectors; the result knows of no others."""
+    plane, rate = streams.focal_plane.subset(pipeline.rows), setup.raster.sample_rate_hz
+    auxiliary = replace(auxiliary, delays_s_rad=auxiliary.delays_s_rad[scans])
+    return apply_pipeline(setup.scene.cleaning, pipeline, data_mk, streams.scan_bounds[scans], plane, auxiliary, rate)
 
 
 def _add_spectra(sums: _Sums, part: _Part) -> None:
     data, n_scans, scale = part.streams.data_mk, part.block.n_scans, _psd_scale(part.setup)
-    actual, *others = part.cleaned[: len(part.setup.whole_recipes)]
+    actual, *others = part.cleaned[: len(part.setup.whole_pipelines)]
     sums.power += hann_power(actual.data_mk, n_scans, actual.kept)
     everyone = np.ones(n_scans, bool)
     raw = [hann_power(mean_removed(data[rows], n_scans), n_scans, everyone) for rows in row_chunks(*data.shape)]
@@ -267,10 +286,10 @@ def _some(kept: np.ndarray) -> np.ndarray:
 
 
 def _bin(
-    part: _Part, data_mk: np.ndarray, recipe: Recipe, kept: np.ndarray, total: np.ndarray, hits: np.ndarray
+    part: _Part, data_mk: np.ndarray, pipeline: CleaningPipeline, kept: np.ndarray, total: np.ndarray, hits: np.ndarray
 ) -> None:
-    """Add the kept scans of a recipe's detectors to a map's sums and hits, in place."""
-    bin_samples(data_mk, part.index[recipe.rows], part.streams.scan_bounds, kept, total, hits)
+    """Add the kept scans of a pipeline's detectors to a map's sums and hits, in place."""
+    bin_samples(data_mk, part.index[pipeline.rows], part.streams.scan_bounds, kept, total, hits)
 
 
 def _plane(setup: Setup, total: np.ndarray, hits: np.ndarray) -> Map:
@@ -290,10 +309,10 @@ def _add_window(window: np.ndarray, part: _Part) -> None:
     for s, sky in enumerate(setup.window_skies_mk):
         signal[:] = 0
         add_sky_signal(setup, part.pointing, sky, signal, setup.responsivity)
-        for recipe, base in zip(setup.recipes, part.cleaned, strict=True):
-            rows, place = recipe.rows, setup.windows.index(recipe.data_set)
-            scans = _cleaned_again(setup, recipe, base.kept)
-            both = _clean(setup, recipe, streams, streams.data_mk[rows] + signal[rows], part.beside, scans)
+        for pipeline, base in zip(setup.pipelines, part.cleaned, strict=True):
+            rows, place = pipeline.rows, setup.windows.index(pipeline.data_set)
+            scans = _cleaned_again(setup, pipeline, base.kept)
+            both = _clean(setup, pipeline, streams, streams.data_mk[rows] + signal[rows], part.auxiliary, scans)
             kept = base.kept.copy()
             kept[scans] &= both.kept
             if scans is not base.kept and not np.array_equal(kept, base.kept):
@@ -301,47 +320,47 @@ def _add_window(window: np.ndarray, part: _Part) -> None:
             difference = both.data_mk
             difference -= base.data_mk
             for state, data in enumerate((signal[rows], difference)):
-                _bin(part, data, recipe, kept, window[s, place, state], hits)
+                _bin(part, data, pipeline, kept, window[s, place, state], hits)
 
 
-def _cleaned_again(setup: Setup, recipe: Recipe, kept: np.ndarray) -> np.ndarray:
+def _cleaned_again(setup: Setup, pipeline: CleaningPipeline, kept: np.ndarray) -> np.ndarray:
     """Scans (n_scan,) bool that are cleaned once more, with a signal: those that are kept without it.
 
     Discarded ones take all iterations in vain. Where all scans share one fit, all have their part in it again, unless
     it failed.
     """
-    together = setup.scene.cleaning.responsivities == OBSERVATION and recipe.takes_responsivities
+    together = setup.scene.cleaning.responsivities == OBSERVATION and pipeline.takes_responsivities
     return np.ones_like(kept) if together and kept.any() else kept
 
 
 def _window_maps(setup: Setup, window: np.ndarray | None, best: int) -> np.ndarray | None:
-    """Window skies as maps of the scored patch, those of the optimal set taken from the recipe that is best."""
+    """Window skies as maps of the scored patch, those of the optimal set taken from the pipeline that is best."""
     if window is None:
         return None
     maps, patch = window.reshape(*window.shape[:3], setup.geometry.n_y, setup.geometry.n_x), setup.band.patch
     maps = maps[..., patch, patch].astype(setup.stream_type)
     if setup.chooses:
-        chosen = setup.windows.index(setup.whole_recipes[best].data_set)
+        chosen = setup.windows.index(setup.whole_pipelines[best].data_set)
         maps[:, setup.windows.index(OPTIMAL)] = maps[:, chosen]
     return maps
 
 
 @lru_cache(maxsize=2)
-def transmissions(scene: Scene) -> np.ndarray:
-    """What each recipe leaves of the power of a flat CMB sky and of a point source, (n_recipe, 2, n_bin).
+def transfer_functions(scene: Scene) -> np.ndarray:
+    """What each pipeline leaves of the power of a flat CMB sky and of a point source, (n_pipeline, 2, n_bin).
 
-    From the observations of `REFERENCE`, of several blocks that in the middle of the map; 0 for a recipe that discards
-    all their scans.
+    From the observations of `REFERENCE`, of several blocks that in the middle of the map; 0 for a pipeline that
+    discards all their scans.
     """
     setup = prepare(scene)
     middle = setup.blocks[len(setup.blocks) // 2]
     setup = replace(setup, made=setup.made | {"window_skies_mk": setup.window_skies_mk[[0, -1]]})
     everywhere = np.ones_like(setup.band.taper)
-    powers = np.zeros((len(setup.whole_recipes), len(TARGETS), 2, len(setup.band.rings.ell)))
+    powers = np.zeros((len(setup.whole_pipelines), len(TARGETS), 2, len(setup.band.rings.ell)))
     for observation in REFERENCE:
         maps = _window_maps(setup, _window_alone(setup, observation % scene.observations, middle), 0)
-        for r, recipe in enumerate(setup.whole_recipes):
-            place = setup.windows.index(recipe.data_set)
+        for r, pipeline in enumerate(setup.whole_pipelines):
+            place = setup.windows.index(pipeline.data_set)
             for s, state in np.ndindex(powers.shape[1:3]):
                 powers[r, s, state] += setup.band.ring_noise(maps[s, place, state], everywhere)
     return np.divide(powers[:, :, 1], powers[:, :, 0], out=np.zeros_like(powers[:, :, 0]), where=powers[:, :, 0] > 0)

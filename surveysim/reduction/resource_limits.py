@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from surveysim.atmosphere.weather import Water, draw_weather, fastest_wind
 from surveysim.runtime.memory import machine_bytes
-from surveysim.runtime.rng import Stage, generator
+from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.scene import Scene, SceneError
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.raster import Raster, samples_per_scan
@@ -37,7 +37,7 @@ def check_layer(
 
 def _drawn_wind(scene: Scene, water: Water | None) -> float:
     """The fastest wind [rad/s] of all observations; raises ValueError for weather that is no number for a stream."""
-    rngs = (generator(scene.seed, Stage.WEATHER, number) for number in range(scene.observations))
+    rngs = (generator(scene.seed, RandomPurpose.WEATHER, number) for number in range(scene.observations))
     return max(draw_weather(scene.atmosphere, water, rng).wind_speed_rad_s for rng in rngs)
 
 
@@ -92,10 +92,11 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     pairs = of.n_det**2 if shared and of.n_det <= MOST_DENSE else 0
     compared = 2 + len(scene.cleaning.compare)
     needed = {
-        "numerics.stream_memory": of.n_det * of.n_samp * of.n_scans * (5 + of.n_bands) * real + 16 * of.n_det * n_freq,
+        "numerics.max_block_memory": of.n_det * of.n_samp * of.n_scans * (5 + of.n_bands) * real
+        + 16 * of.n_det * n_freq,
         "scan.sample_rate": 100.0 * scene.scan.scans * of.n_samp,
         "map.pixel": 64.0 * of.n_set * of.n_pixel + (140.0 * of.n_pixel if scene.sky or scene.score else 0),
-        "score.window.skies": float(skies),
+        "score.signal_sims.skies": float(skies),
         "score.jackknives": 12.0 * flips * of.n_set * patch,
         "score.size": 110.0 * of.n_pad**2,
         "atmosphere.layer_height": 32.0 * of.strip_elements,

@@ -19,7 +19,7 @@ from mapmaker.spectrum import (
     split_azimuth,
     tukey_taper,
 )
-from mapmaker.window import beam_window, mode_pixel_window
+from mapmaker.transfer_function import beam_window, mode_pixel_window
 from surveysim.scene.scene import Scene, SceneError
 
 N_SECTORS = 3
@@ -28,7 +28,7 @@ _NOTHING, _BELOW = 1e-100, 3.0  # least transmission, and e-folds of ell that it
 
 
 @dataclass(frozen=True)
-class Band:
+class ScoredRegion:
     """The scored sky area and multipoles.
 
     `patch`: rows (and columns) of the map under the taper; `taper` (n, n) on the patch; `rings` the bins
@@ -130,7 +130,7 @@ def padded_side(size_rad: float, geometry: MapGeometry) -> int:
     return next_fast_len(2 * patch_side(size_rad, geometry), real=True)
 
 
-def scored_band(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry) -> Band | None:
+def scored_region(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry) -> ScoredRegion | None:
     """The band of a scene, None without a score; `sky_geometry` is the grid of the skies that it is scored by.
 
     Raises SceneError when no bin or no mode is left.
@@ -159,7 +159,7 @@ def scored_band(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry) 
     except ValueError:
         sectors = None
     signal = flat_signal(scene, geometry, sky_geometry, padded)
-    return Band(
+    return ScoredRegion(
         patch=slice(first, first + n),
         taper=taper,
         rings=rings,
@@ -193,7 +193,7 @@ def flat_signal(
 
 
 def left_signal(
-    scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry, band: Band, transmission: np.ndarray
+    scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry, band: ScoredRegion, transmission: np.ndarray
 ) -> np.ndarray:
     """PSD (n_bin,) [sr] that a flat spectrum of unit band power leaves in the tapered map.
 

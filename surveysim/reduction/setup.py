@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from mapmaker.cleaning.responsivity import OBSERVATION, Responsivities
 from mapmaker.geometry import MapGeometry, covering_geometry
 from surveysim.atmosphere.weather import Water, site_water
-from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL, Recipe, recipes
+from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL, CleaningPipeline, pipelines
 from surveysim.reduction.consistency import (
     check_excess,
     check_healpix,
@@ -27,14 +27,14 @@ from surveysim.reduction.consistency import (
     sky_coefficients,
 )
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
-from surveysim.reduction.scored_region import Band, padded_side, patch_side, scored_band
-from surveysim.runtime.rng import Stage, generator
-from surveysim.scene.instrument import Colour, Instrument
+from surveysim.reduction.scored_region import ScoredRegion, padded_side, patch_side, scored_region
+from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.scene.instrument import Instrument, OtherBand
 from surveysim.scene.noise_and_sky import Excess, Photon
 from surveysim.scene.scene import Scene, SceneError
 from surveysim.telescope.focal_plane import Camera, camera, mask_by_separation
-from surveysim.telescope.lattice_noise import Torus, TorusRoot
-from surveysim.telescope.pixel_coherence import MOST_DENSE, Overlap
+from surveysim.telescope.lattice_noise import CirculantCorrelation, CirculantFactor
+from surveysim.telescope.pixel_coherence import MOST_DENSE, DenseCorrelation
 from surveysim.telescope.pointing import (
     FieldCentre,
     Pointing,
@@ -45,7 +45,7 @@ from surveysim.telescope.pointing import (
     survey_angles,
 )
 from surveysim.telescope.raster import Raster, RasterPath, duration_s, mid_times, raster, samples_per_scan
-from surveysim.telescope.responsivity import assumed_responsivity, colour_responsivity, true_responsivity
+from surveysim.telescope.responsivity import assumed_responsivity, band_responsivity, true_responsivity
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
 from surveysim.timestreams.shared_parts import layer_strips, scene_sky, shared_noise, window_skies
 
@@ -68,9 +68,9 @@ class Setup:
 
     `times` when observations begin, None at a fixed elevation; `responsivity` (n_det,), the true one; `calibration`
     (1 + n_colour, n_det), responsivities that cleaning takes as known in the mapped band and the others, or None where
-    it fits them; `recipes` all ways of cleaning, those of the masked array last; `masked` indices of the detectors that
-    it keeps, or None; `strips` the atmosphere's strips or None; `water` what the band makes of the site's water, None
-    without a site, and `colour_waters` what the other bands make of it; `colour_responsivity` (n_colour, n_det);
+    it fits them; `pipelines` all ways of cleaning, those of the masked array last; `masked` indices of the detectors
+    that it keeps, or None; `strips` the atmosphere's strips or None; `water` what the band makes of the site's water,
+    None without a site, and `band_waters` what the other bands make of it; `band_responsivity` (n_colour, n_det);
     `blocks` that an observation is made in; `made` the parts that have been asked for.
     """
 
@@ -81,13 +81,13 @@ class Setup:
     times: Schedule | None
     geometry: MapGeometry
     sky_geometry: MapGeometry
-    recipes: tuple[Recipe, ...]
+    pipelines: tuple[CleaningPipeline, ...]
     responsivity: np.ndarray
     calibration: np.ndarray | None
     strips: "SlantStrips | None"
     water: Water | None
-    colour_waters: tuple[Water, ...]
-    colour_responsivity: np.ndarray
+    band_waters: tuple[Water, ...]
+    band_responsivity: np.ndarray
     masked: np.ndarray | None
     made: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
@@ -104,25 +104,25 @@ class Setup:
         return self._once("angles", lambda: _angles(self.scene, self.times, mid_times(self.raster)))
 
     @property
-    def band(self) -> Band | None:
+    def band(self) -> ScoredRegion | None:
         """The scored area and multipoles; None without a score."""
-        return self._once("band", lambda: scored_band(self.scene, self.geometry, self.sky_geometry))
+        return self._once("band", lambda: scored_region(self.scene, self.geometry, self.sky_geometry))
 
-    def _overlap(self, name: str, section: Photon | Excess | None) -> Overlap | Torus | None:
+    def _overlap(self, name: str, section: Photon | Excess | None) -> DenseCorrelation | CirculantCorrelation | None:
         # Photon and excess noise of one coherence share one correlation.
         key = f"overlap {section.coherence if section else 'none'}"
         return self._once(key, lambda: shared_noise(self.camera, section, name))
 
     @property
-    def photon_overlap(self) -> Overlap | Torus | None:
+    def photon_overlap(self) -> DenseCorrelation | CirculantCorrelation | None:
         """Correlation of photon noise between detectors; None where they share nothing."""
         return self._overlap("photon", self.scene.photon)
 
     @property
-    def excess_factor(self) -> np.ndarray | TorusRoot | None:
+    def excess_factor(self) -> np.ndarray | CirculantFactor | None:
         """Factor of the correlation of excess noise between detectors; None where they share nothing."""
 
-        def make() -> np.ndarray | TorusRoot | None:
+        def make() -> np.ndarray | CirculantFactor | None:
             found = self._overlap("excess", self.scene.excess)
             return None if found is None else found.factor()
 
@@ -135,14 +135,14 @@ class Setup:
 
     @property
     def window_skies_mk(self) -> np.ndarray | None:
-        """Skies (n_sky, n_y, n_x) of the window or None, the last of a point source where recipes are compared."""
+        """Skies (n_sky, n_y, n_x) of the window or None, the last of a point source where pipelines are compared."""
         return self._once("window_skies_mk", lambda: window_skies(self.scene, self.sky_geometry))
 
     @property
     def n_window_skies(self) -> int:
         """How many these are; 0 without a score."""
         score = self.scene.score
-        return score.window.skies + bool(self.scene.cleaning.compare) if score else 0
+        return score.signal_sims.skies + bool(self.scene.cleaning.compare) if score else 0
 
     @property
     def n_det(self) -> int:
@@ -167,30 +167,30 @@ class Setup:
     @property
     def data_sets(self) -> tuple[str, ...]:
         """Names of the data sets that are scored, in the order of their maps."""
-        whole = [recipe.data_set for recipe in self.whole_recipes]
-        masked = [recipe.data_set for recipe in self.recipes[len(whole) :]]
-        simulated = self.scene.score.simulated if self.scene.score else ()
+        whole = [pipeline.data_set for pipeline in self.whole_pipelines]
+        masked = [pipeline.data_set for pipeline in self.pipelines[len(whole) :]]
+        simulated = self.scene.score.noise_only_sets if self.scene.score else ()
         return (ACTUAL, *simulated, *whole[1:], *([OPTIMAL] if self.chooses else ()), *masked)
 
     @property
-    def whole_recipes(self) -> tuple[Recipe, ...]:
-        """Recipes for all detectors, the scene's own first."""
-        return tuple(recipe for recipe in self.recipes if recipe.detectors is None)
+    def whole_pipelines(self) -> tuple[CleaningPipeline, ...]:
+        """Pipelines for all detectors, the scene's own first."""
+        return tuple(pipeline for pipeline in self.pipelines if pipeline.detectors is None)
 
     @property
     def chooses(self) -> bool:
-        """Whether the best recipe of each observation makes a data set of its own."""
-        return self.scene.score is not None and len(self.whole_recipes) > 1
+        """Whether the best pipeline of each observation makes a data set of its own."""
+        return self.scene.score is not None and len(self.whole_pipelines) > 1
 
     @property
-    def subtracts_colours(self) -> bool:
-        """Whether a recipe needs the other bands of the pixels."""
-        return any(recipe.uses("spectral") for recipe in self.recipes)
+    def subtracts_bands(self) -> bool:
+        """Whether a pipeline needs the other bands of the pixels."""
+        return any(pipeline.uses("spectral") for pipeline in self.pipelines)
 
     @property
     def windows(self) -> tuple[str, ...]:
         """Data sets that have a signal window of their own; the others share the first."""
-        own = {recipe.data_set for recipe in self.recipes} | {OPTIMAL}
+        own = {pipeline.data_set for pipeline in self.pipelines} | {OPTIMAL}
         return tuple(name for name in self.data_sets if name in own)
 
     def window_of(self, data_set: str) -> int:
@@ -225,9 +225,9 @@ def _prepare(scene: Scene) -> Setup:
     check_healpix(scene)
     check_excess(scene)
     check_sky(scene, sky_geometry)
-    ways = recipes(scene.cleaning, masked)
+    ways = pipelines(scene.cleaning, masked)
     n_det = len(cam.focal_plane.x_rad)
-    responsivity, of_colours = true_responsivity(scene, n_det), colour_responsivity(scene, n_det)
+    responsivity, of_bands = true_responsivity(scene, n_det), band_responsivity(scene, n_det)
     times, water = _times(scene, lines), _water(scene, scene.instrument)
     lowest = _lowest(scene, cam, times, mid_times(lines))
     check_levels(scene, water, lowest)
@@ -240,13 +240,13 @@ def _prepare(scene: Scene) -> Setup:
         times=times,
         geometry=geometry,
         sky_geometry=sky_geometry,
-        recipes=ways,
+        pipelines=ways,
         responsivity=responsivity,
-        calibration=assumed_responsivity(scene, np.vstack([responsivity[None], of_colours])),
+        calibration=assumed_responsivity(scene, np.vstack([responsivity[None], of_bands])),
         strips=layer_strips(scene, cam),
         water=water,
-        colour_waters=tuple(_water(scene, colour) for colour in scene.instrument.colours),
-        colour_responsivity=of_colours,
+        band_waters=tuple(_water(scene, colour) for colour in scene.instrument.bands),
+        band_responsivity=of_bands,
         masked=masked,
     )
     if setup.n_det > MOST_DENSE:
@@ -269,7 +269,7 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
         n_det=setup.n_det,
         n_samp=samples_per_scan(setup.raster),
         n_scans=max(block.n_scans for block in setup.blocks),
-        n_bands=1 + len(scene.instrument.colours) * setup.subtracts_colours,
+        n_bands=1 + len(scene.instrument.bands) * setup.subtracts_bands,
         n_pixel=geometry.n_x * geometry.n_y,
         n_patch=patch_side(scene.score.size_rad, geometry) if scored else 0,
         n_pad=padded_side(scene.score.size_rad, geometry) if scored else 0,
@@ -294,25 +294,25 @@ def _raster(scene: Scene) -> Raster:
     )
 
 
-def _blocks(scene: Scene, cam: Camera, lines: Raster, ways: tuple[Recipe, ...]) -> tuple[Block, ...]:
-    """Blocks of an observation; raises SceneError for a scan too long, or recipes that need an observation whole."""
-    n_det, n_samp, most = len(cam.focal_plane.x_rad), samples_per_scan(lines), scene.numerics.stream_bytes
-    colours = len(scene.instrument.colours) * any(recipe.uses("spectral") for recipe in ways)
+def _blocks(scene: Scene, cam: Camera, lines: Raster, ways: tuple[CleaningPipeline, ...]) -> tuple[Block, ...]:
+    """Blocks of an observation; raises SceneError for a scan too long, or pipelines that need an observation whole."""
+    n_det, n_samp, most = len(cam.focal_plane.x_rad), samples_per_scan(lines), scene.numerics.max_block_bytes
+    bands = len(scene.instrument.bands) * any(pipeline.uses("spectral") for pipeline in ways)
     # In single precision whatever the streams have: it is not to change what is drawn.
-    scan_bytes = n_det * n_samp * (1 + colours) * np.dtype(np.float32).itemsize
-    key = f"numerics.stream_memory: found {most / 1e6:.4g} MB"
+    scan_bytes = n_det * n_samp * (1 + bands) * np.dtype(np.float32).itemsize
+    key = f"numerics.max_block_memory: found {most / 1e6:.4g} MB"
     if scan_bytes > most:
         raise SceneError(
             f"{key}; {scan_bytes / 1e6:.4g} MB or more is expected, for one scan of {n_samp} samples of {n_det} "
             "detectors, or a shorter scan.duration"
         )
     found = scan_blocks(lines.n_scans, scan_bytes, most)
-    if len(found) > 1 and any(recipe.uses("wind") for recipe in ways):
+    if len(found) > 1 and any(pipeline.uses("wind") for pipeline in ways):
         raise SceneError(
             f"{key}, which cuts an observation into {len(found)} blocks; 'wind' cleaning needs it whole: "
             f"{scan_bytes * lines.n_scans / 1e6:.4g} MB or more is expected, or another cleaning.algorithm"
         )
-    together = scene.cleaning.responsivities == OBSERVATION and any(recipe.takes_responsivities for recipe in ways)
+    together = scene.cleaning.responsivities == OBSERVATION and any(pipeline.takes_responsivities for pipeline in ways)
     if len(found) > 1 and together:
         raise SceneError(
             f"{key}, which cuts an observation into {len(found)} blocks; cleaning.responsivities 'observation' needs "
@@ -362,7 +362,7 @@ def _angles(scene: Scene, times: Schedule | None, mid_time_s: np.ndarray) -> Ang
     return Angles(times.start_mjd, *survey_angles(_field(scene), _site(scene), times, mid_time_s))
 
 
-def _water(scene: Scene, band: Instrument | Colour) -> Water | None:
+def _water(scene: Scene, band: Instrument | OtherBand) -> Water | None:
     air = scene.atmosphere
     if air is None or air.site is None:
         return None
@@ -371,9 +371,9 @@ def _water(scene: Scene, band: Instrument | Colour) -> Water | None:
 
 def observation_path(setup: Setup, observation: int) -> tuple[RasterPath, Pointing]:
     """The boresight of one observation: scans along RA and Dec in turn, dithered, the camera turned."""
-    rng = generator(setup.scene.seed, Stage.POINTING, observation)
+    rng = generator(setup.scene.seed, RandomPurpose.POINTING, observation)
     dither = (rng.random(2) - 0.5) * setup.raster.dither_rad
-    turn = (rng.random() - 0.5) * setup.scene.instrument.camera_rotation_rad
+    turn = (rng.random() - 0.5) * setup.scene.instrument.camera_rotation_range_rad
     path = raster(setup.raster, ("ra", "dec")[observation % 2], dither)
     angles = setup.angles
     pointing = observation_pointing(
@@ -392,7 +392,7 @@ def window_observations(scene: Scene) -> np.ndarray:
     if scene.score is None:
         return chosen
     pairs = max(1, scene.observations // 2)
-    wanted = min(pairs, max(1, scene.score.window.observations // 2))
+    wanted = min(pairs, max(1, scene.score.signal_sims.observations // 2))
     first = 2 * (np.arange(wanted) * pairs // wanted)
     chosen[first] = True
     chosen[np.minimum(first + 1, scene.observations - 1)] = True

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmaker.uncertainty import ratio_error, without_noise
+from mapmaker.uncertainty import ratio_error, student_factor, without_noise
 from surveysim.forecasting.forecast import DataSetForecast, Forecast, can_forecast, forecast
 from surveysim.forecasting.validity import compared_ell
 from surveysim.reduction.setup import Setup
@@ -24,7 +24,7 @@ class Agreement:
     Noise PSDs are compared in the bins from `low_ell` to `high_ell`: `psd` is that of the bin around `worst_ell`, which
     is furthest off beyond two standard errors, or comes closest to them. Of `bins` bins, `within` are off by no more
     than `GOOD_PSD` and have an error of no more than `KNOWN`; `unknown` have a larger error. Without such bins these
-    numbers are 0 and the others None.
+    numbers are 0 and the others None. Errors are NaN, unknown, for fewer than 4 observations.
     """
 
     sigma: float
@@ -62,7 +62,7 @@ def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) 
     if not len(bins):
         return Agreement(sigma=ratio - 1, sigma_error=error)
     off, errors = _bin_ratios(setup, simulated, expected, bins, scatter)
-    worst = int(np.argmax(np.abs(off) - 2 * errors))
+    worst = int(np.argmax(np.abs(off) - 2 * np.nan_to_num(errors)))
     known = errors <= KNOWN
     return Agreement(
         sigma=ratio - 1,
@@ -81,13 +81,14 @@ def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) 
 def _scatter(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -> float:
     """Relative error of the co-added noise for observations that differ from their forecasts, beyond their own noise.
 
-    That noise is the part of the realizations' error which all have in common.
+    That noise is the part of the realizations' error which all have in common. As in the control by the forecast, the
+    error is that of a mean of few draws, estimated from them (`student_factor`); NaN for fewer than 4.
     """
     kept = expected.kept.share
     some = kept > 0
     total = ratio_error((simulated.weights * kept)[some], (expected.weights * kept)[some])
     _, common = noise_parts(setup, simulated)
-    return without_noise(total, common)
+    return without_noise(total, common) * student_factor(np.count_nonzero(some))
 
 
 def quoted_forecast(simulated: DataSetScore, expected: DataSetForecast) -> float:

@@ -17,7 +17,7 @@ QUARTILES = (0.25, 0.5, 0.75)
 
 
 @dataclass(frozen=True)
-class Truth:
+class ClosureTest:
     """A quantity in `unit`: `expected` by the scene or in closed form, and `found` with its Monte Carlo error.
 
     `kind` is "measured" for what is found in time-streams and maps, "drawn" for weather, whose draws stand against the
@@ -34,12 +34,12 @@ class Truth:
 
 def truth(
     setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore], expected: Forecast | None
-) -> tuple[Truth, ...]:
+) -> tuple[ClosureTest, ...]:
     """All that a run allows to be compared; nothing of stages that it leaves out."""
     return (*_white(setup, coadds), *_signal(scores, expected), *_weather(setup, coadds))
 
 
-def _white(setup: Setup, coadds: CoAdds) -> list[Truth]:
+def _white(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
     """Photon and detector noise as set, against the level of the cleaned streams, means over observations."""
     measured = coadds.column("white_mk2_hz")
     known = np.isfinite(measured)
@@ -49,11 +49,11 @@ def _white(setup: Setup, coadds: CoAdds) -> list[Truth]:
     conditions = zip(coadds.column("pwv_mm")[known], coadds.column("elevation_rad")[known], strict=True)
     levels = [white_levels(setup.scene, opacity, *item) for item in conditions]
     set_to = float(np.mean([item.photon_mk2_hz + item.detector_mk2_hz for item in levels]))
-    name = f"white noise of the streams, above {setup.scene.score.white_above_hz:g} Hz"
-    return [Truth("measured", name, "mK2 / Hz", set_to, *_mean(measured[known]))]
+    name = f"white noise of the streams, above {setup.scene.score.white_noise_above_hz:g} Hz"
+    return [ClosureTest("measured", name, "mK2 / Hz", set_to, *_mean(measured[known]))]
 
 
-def _signal(scores: dict[str, DataSetScore], expected: Forecast | None) -> list[Truth]:
+def _signal(scores: dict[str, DataSetScore], expected: Forecast | None) -> list[ClosureTest]:
     """Share of the signal's power that cleaning leaves in the scored bins, by forecast and by simulated skies.
 
     One row for each window: data sets that share one share its row.
@@ -67,11 +67,11 @@ def _signal(scores: dict[str, DataSetScore], expected: Forecast | None) -> list[
         closed = float(share @ expected.scores[name].transmission)
         # The skies are common to all bins, so their errors are taken as common too.
         found, error = float(share @ item.window.transmission), float(share @ item.window.error)
-        rows.append(Truth("measured", f"signal power left by cleaning, {name}", "", closed, found, error))
+        rows.append(ClosureTest("measured", f"signal power left by cleaning, {name}", "", closed, found, error))
     return rows
 
 
-def _weather(setup: Setup, coadds: CoAdds) -> list[Truth]:
+def _weather(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
     """Quartiles of the distributions of the weather, against those of what was drawn from them."""
     from scipy.special import ndtri
 
@@ -79,7 +79,7 @@ def _weather(setup: Setup, coadds: CoAdds) -> list[Truth]:
     if air is None:
         return []
     b2 = b2_quantile(air, setup.water, ndtri(np.array(QUARTILES)))
-    unit = f"mK2 rad({Fraction(2 - air.index).limit_denominator(1000)})"
+    unit = f"mK2 rad({Fraction(2 - air.spectral_index).limit_denominator(1000)})"
     rows = [_quartile("B2", unit, k, value, coadds.column("b2_mk2")) for k, value in enumerate(b2)]
     wind = np.degrees(coadds.column("wind_speed_rad_s")) * 60
     if air.wind_b2_exponent == 0:  # else its median depends on B2
@@ -90,12 +90,12 @@ def _weather(setup: Setup, coadds: CoAdds) -> list[Truth]:
     return rows
 
 
-def _quartile(name: str, unit: str, place: int, expected: float, drawn: np.ndarray) -> Truth:
+def _quartile(name: str, unit: str, place: int, expected: float, drawn: np.ndarray) -> ClosureTest:
     """One quartile of draws (n,); its error is half the distance of the draws a standard error of rank away."""
     level, label = QUARTILES[place], ("first quartile", "median", "third quartile")[place]
     reach = np.sqrt(level * (1 - level) / len(drawn))
     low, found, high = np.quantile(drawn, np.clip([level - reach, level, level + reach], 0, 1))
-    return Truth("drawn", f"{name}, {label}", unit, float(expected), float(found), float(high - low) / 2)
+    return ClosureTest("drawn", f"{name}, {label}", unit, float(expected), float(found), float(high - low) / 2)
 
 
 def _mean(values: np.ndarray) -> tuple[float, float]:

@@ -8,7 +8,7 @@ import numpy as np
 from mapmaker.bandpower import BandPower, flat_band_power_fixed_weights
 from surveysim.forecasting.forecast import DataSetForecast, Forecast
 from surveysim.forecasting.validity import resolution_ell
-from surveysim.reduction.cleaning_pipelines import ACTUAL, Recipe
+from surveysim.reduction.cleaning_pipelines import ACTUAL, CleaningPipeline
 from surveysim.reduction.figure_of_merit import TARGETS, best_places
 from surveysim.reduction.setup import Setup
 from surveysim.results.agreement import Agreement, agreement, quoted_forecast, run_forecast
@@ -19,10 +19,10 @@ from surveysim.results.stopping import (
     FINE_ERROR,
     TOLD_ERRORS,
     UNLIMITED,
-    Cost,
     ErrorParts,
     Estimate,
-    Limits,
+    StoppingCriteria,
+    TimeToPrecision,
     answer_cost,
     best_estimate,
     error_parts,
@@ -46,8 +46,8 @@ CONTROLLED = (
 )
 PLAIN = "sigma(A) is plain: of the weather drawn, since cleaning has no forecast that could take out its luck"
 OPTIMAL_METHOD = (
-    "The optimal set takes for each observation the recipe whose own map has the least noise for its signal, which "
-    "favours chance; what a recipe leaves of the signal is that of two observations."
+    "The optimal set takes for each observation the pipeline whose own map has the least noise for its signal, which "
+    "favours chance; what a pipeline leaves of the signal is that of two observations."
 )
 METHOD = (
     "Noise is measured by co-adds with random signs; of a sky in the streams 1 / n_eff of its power stays.",
@@ -65,7 +65,7 @@ METHOD = (
 def method(compared: bool, bandwidth: float | None, correlation: float) -> tuple[str, ...]:
     """Lines on how a scene is scored.
 
-    `compared` says whether recipes are compared, `bandwidth` is the instrument's, `correlation` that of neighbouring
+    `compared` says whether pipelines are compared, `bandwidth` is the instrument's, `correlation` that of neighbouring
     bins' noise, NaN for a single bin.
     """
     lines = [line for line in METHOD if compared or line != OPTIMAL_METHOD]
@@ -102,9 +102,9 @@ class SurveyResult:
 
     They are empty without a score or where `unscored` says why there is none, and are those quoted
     (`surveysim.results.control_variate.quoted_scores`). `flux_removed` is the share of a faint point source's flux that
-    each recipe takes, known where recipes are compared; `expected` the forecast of the data sets, None where cleaning
-    has none. A run that `limits` ended early is scored for the whole survey. `wall_s` is the time since the run was
-    started or, the last time, resumed.
+    each pipeline takes, known where pipelines are compared; `expected` the forecast of the data sets, None where
+    cleaning has none. A run that `limits` ended early is scored for the whole survey. `wall_s` is the time since the
+    run was started or, the last time, resumed.
     """
 
     setup: Setup
@@ -117,7 +117,7 @@ class SurveyResult:
     wall_s: float
     workers: int
     unscored: str
-    limits: Limits
+    limits: StoppingCriteria
     engine: str
 
     @property
@@ -140,13 +140,13 @@ class SurveyResult:
         """What the error of the estimate is made of; None without a score."""
         return error_parts(self.setup, self.coadds, self.scores) if ACTUAL in self.scores else None
 
-    def cost(self, target: float) -> Cost | None:
+    def cost(self, target: float) -> TimeToPrecision | None:
         """What an answer to a relative error would take; None without a score, or where none is as good."""
         parts = self.parts
         return None if parts is None else answer_cost(self.setup, self.coadds.done, self.workers, parts, target)
 
     @property
-    def fine_cost(self) -> Cost | None:
+    def fine_cost(self) -> TimeToPrecision | None:
         """What an answer to 1 % would take, as `cost`."""
         return self.cost(FINE_ERROR)
 
@@ -156,7 +156,7 @@ def survey_result(
     coadds: CoAdds,
     wall_s: float,
     workers: int,
-    limits: Limits = UNLIMITED,
+    limits: StoppingCriteria = UNLIMITED,
     engine: str = SERIAL.kind,
 ) -> SurveyResult:
     """Score what was summed; a survey that can't be scored keeps its maps and says why."""
@@ -294,7 +294,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "discarded_by_weather": result.discards.by_weather,
         "warnings": result.discards.warnings,
         "mean_iterations": float(columns[f"iterations_{ACTUAL}"].mean()),
-        "cleaning": {recipe.data_set: _cleaning_entry(recipe, result, columns) for recipe in setup.recipes},
+        "cleaning": {pipeline.data_set: _cleaning_entry(pipeline, result, columns) for pipeline in setup.pipelines},
         "stopped": _stopped_entry(result),
         "scores": {},
     }
@@ -327,23 +327,23 @@ def summary(result: SurveyResult) -> dict[str, Any]:
     return content
 
 
-def _cleaning_entry(recipe: Recipe, result: SurveyResult, columns: dict[str, np.ndarray]) -> dict[str, Any]:
-    """What one recipe costs: scans, iterations, templates, time, and of how many observations it is the best."""
+def _cleaning_entry(pipeline: CleaningPipeline, result: SurveyResult, columns: dict[str, np.ndarray]) -> dict[str, Any]:
+    """What one pipeline costs: scans, iterations, templates, time, and of how many observations it is the best."""
     setup = result.setup
     entry: dict[str, Any] = {
-        "steps": list(recipe.steps),
-        "scans_discarded": int(columns[f"discarded_{recipe.data_set}"].sum()),
-        "mean_iterations": float(columns[f"iterations_{recipe.data_set}"].mean()),
-        "mean_removed": float(columns[f"removed_{recipe.data_set}"].mean()),
+        "steps": list(pipeline.steps),
+        "scans_discarded": int(columns[f"discarded_{pipeline.data_set}"].sum()),
+        "mean_iterations": float(columns[f"iterations_{pipeline.data_set}"].mean()),
+        "mean_removed": float(columns[f"removed_{pipeline.data_set}"].mean()),
     }
-    if recipe.detectors is None:
-        entry["psd_over_white"] = _psd_over_white(result, setup.whole_recipes.index(recipe))
-    if recipe.data_set in result.flux_removed:
-        entry["point_source_flux_removed"] = result.flux_removed[recipe.data_set]
-    if setup.chooses and recipe.detectors is None:
-        place = setup.whole_recipes.index(recipe)
+    if pipeline.detectors is None:
+        entry["psd_over_white"] = _psd_over_white(result, setup.whole_pipelines.index(pipeline))
+    if pipeline.data_set in result.flux_removed:
+        entry["point_source_flux_removed"] = result.flux_removed[pipeline.data_set]
+    if setup.chooses and pipeline.detectors is None:
+        place = setup.whole_pipelines.index(pipeline)
         for target in TARGETS:
-            best = best_recipe(setup, columns, target)
+            best = best_pipeline(setup, columns, target)
             entry[f"best_for_{target}"] = float(np.mean(best[best >= 0] == place)) if (best >= 0).any() else 0.0
     return entry
 
@@ -351,7 +351,7 @@ def _cleaning_entry(recipe: Recipe, result: SurveyResult, columns: dict[str, np.
 def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float | None]:
     """Median PSD of the cleaned streams over its own level in the upper half of the band, at some frequencies.
 
-    That level is the instrument's noise as the recipe leaves it: templates of few detectors take some of it too. None
+    That level is the instrument's noise as the pipeline leaves it: templates of few detectors take some of it too. None
     where nothing is left of the streams, or no scan.
     """
     setup, coadds = result.setup, result.coadds
@@ -365,9 +365,9 @@ def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float | None]
     return {name: float(median[k] / white) if white > 0 else None for name, k in there.items()}
 
 
-def best_recipe(setup: Setup, columns: dict[str, np.ndarray], target: str) -> np.ndarray:
-    """Place (n_obs,) among the recipes for all detectors of the best one for a target, -1 without data."""
-    return best_places(np.array([columns[f"merit_{target}_{recipe.data_set}"] for recipe in setup.whole_recipes]))
+def best_pipeline(setup: Setup, columns: dict[str, np.ndarray], target: str) -> np.ndarray:
+    """Place (n_obs,) among the pipelines for all detectors of the best one for a target, -1 without data."""
+    return best_places(np.array([columns[f"merit_{target}_{pipeline.data_set}"] for pipeline in setup.whole_pipelines]))
 
 
 def _stopped_entry(result: SurveyResult) -> dict[str, Any]:

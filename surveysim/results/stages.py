@@ -28,12 +28,12 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
         megabytes = most * samples_per_scan(setup.raster) * setup.n_det * setup.stream_type.itemsize / 1e6
         stages["blocks"] = f"{len(setup.blocks)} an observation, {most} scans or fewer in {megabytes:.3g} MB of streams"
     stages |= {name: "streams" for name in STREAMS if getattr(scene, name) is not None}
-    stages["cleaning"] = ", ".join(recipe.label for recipe in setup.whole_recipes)
+    stages["cleaning"] = ", ".join(pipeline.label for pipeline in setup.whole_pipelines)
     stages["maps"] = f"{setup.geometry.n_x} x {setup.geometry.n_y} pixels"
     if scene.score:
         n_window = int(window_observations(scene).sum())
         stages["data sets"] = ", ".join(setup.data_sets)
-        stages["window"] = f"{scene.score.window.skies} skies through {n_window} observations"
+        stages["window"] = f"{scene.score.signal_sims.skies} skies through {n_window} observations"
         stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
         if can_forecast(setup):
             stages["forecast"] = "of each data set, beside its score"
@@ -52,14 +52,14 @@ def left_out(setup: Setup) -> dict[str, str]:
         reasons["opacity"] = "no atmosphere.site to know it of"
     if not any(section and section.coherence != "none" for section in (scene.photon, scene.excess)):
         reasons["overlap"] = "no noise that detectors share"
-    if scene.instrument.colours and not setup.subtracts_colours:
-        reasons["other bands"] = "no recipe subtracts them"
+    if scene.instrument.bands and not setup.subtracts_bands:
+        reasons["other bands"] = "no pipeline subtracts them"
     if scene.score is None:
-        reasons |= dict.fromkeys(("window", "forecast", "best recipe"), "no section [score] to need it")
+        reasons |= dict.fromkeys(("window", "forecast", "best pipeline"), "no section [score] to need it")
     elif not can_forecast(setup):
-        reasons["forecast"] = f"cleaning by {setup.recipes[0].label} is no projection"
+        reasons["forecast"] = f"cleaning by {setup.pipelines[0].label} is no projection"
     if scene.score and not setup.chooses:
-        reasons["best recipe"] = "no cleaning.compare to choose from"
+        reasons["best pipeline"] = "no cleaning.compare to choose from"
     if not scene.map.healpix_nside:
         reasons["HEALPix"] = "no map.healpix_nside"
     return reasons

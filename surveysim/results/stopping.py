@@ -28,7 +28,7 @@ _SHARE = 0.25  # of the variance that sign flips, or skies, may have in it
 
 
 @dataclass(frozen=True)
-class Limits:
+class StoppingCriteria:
     """What ends a run before its last observation: a relative error of sigma(A), a time since it was begun; or None."""
 
     target_error: float | None = None
@@ -43,7 +43,7 @@ class Limits:
             raise ValueError(f"time budget: found {budget:g} s; more than 0 s is expected")
 
 
-UNLIMITED = Limits()
+UNLIMITED = StoppingCriteria()
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Cost:
+class TimeToPrecision:
     """What an answer of a relative error takes: `seconds` of simulation, and what the scene needs."""
 
     relative_error: float
@@ -77,7 +77,7 @@ class Cost:
     skies: int
 
 
-def parsed_limits(target_error: str | None, time_budget: str | None) -> Limits:
+def parsed_limits(target_error: str | None, time_budget: str | None) -> StoppingCriteria:
     """Limits from texts such as "3%" or "0.03" and "60 s" or "2 min"; raises ValueError with found and expected."""
     parsed = []
     for name, text, unit in (("--target-error", target_error, ""), ("--time-budget", time_budget, "s")):
@@ -85,16 +85,16 @@ def parsed_limits(target_error: str | None, time_budget: str | None) -> Limits:
             parsed.append(None if text is None else to_float(text, unit))
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
-    return Limits(*parsed)
+    return StoppingCriteria(*parsed)
 
 
-def check_limits(setup: Setup, limits: Limits) -> None:
+def check_limits(setup: Setup, limits: StoppingCriteria) -> None:
     """Raise SceneError for a target that the scene has no score for."""
     if limits.target_error is not None and setup.scene.score is None:
         raise SceneError("score: missing; a target error is one of sigma(A), which needs it")
 
 
-def stopping_rule(setup: Setup, limits: Limits, begun: float) -> Callable[[CoAdds], bool]:
+def stopping_rule(setup: Setup, limits: StoppingCriteria, begun: float) -> Callable[[CoAdds], bool]:
     """Whether a run that was `begun` (by `perf_counter`) is to stop at these sums.
 
     The target is looked at where a run may end by it, the budget after every pair of directions.
@@ -122,7 +122,7 @@ def is_boundary(done: int) -> bool:
     return done >= FEWEST and done % (_SPACING * 2 ** max(0, done.bit_length() - 7)) == 0
 
 
-def stop_reason(setup: Setup, limits: Limits, done: int, found: Estimate | None) -> str:
+def stop_reason(setup: Setup, limits: StoppingCriteria, done: int, found: Estimate | None) -> str:
     """Which came first of a run's end: "all" observations, its "target" or its time "budget"."""
     if done == setup.scene.observations:
         return "all"
@@ -170,7 +170,9 @@ def error_parts(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -
     return ErrorParts(math.hypot(common, budget.weather), flips, budget.window, budget.population, each_s)
 
 
-def answer_cost(setup: Setup, done: int, workers: int, parts: ErrorParts, target: float = FINE_ERROR) -> Cost | None:
+def answer_cost(
+    setup: Setup, done: int, workers: int, parts: ErrorParts, target: float = FINE_ERROR
+) -> TimeToPrecision | None:
     """What an answer of this relative error would take, by the parts of the error of `done` observations.
 
     Errors from sign flips and window skies do not fall with observations: where they have more than a quarter of
@@ -181,12 +183,16 @@ def answer_cost(setup: Setup, done: int, workers: int, parts: ErrorParts, target
     if math.isnan(parts.observations):
         return None
     jackknives = _enough(score.jackknives, parts.flips / target)
-    skies = _enough(score.window.skies, parts.skies / target)
-    fixed = parts.flips**2 * score.jackknives / jackknives + parts.skies**2 * score.window.skies / skies + parts.rest**2
+    skies = _enough(score.signal_sims.skies, parts.skies / target)
+    fixed = (
+        parts.flips**2 * score.jackknives / jackknives
+        + parts.skies**2 * score.signal_sims.skies / skies
+        + parts.rest**2
+    )
     if fixed >= target**2:
         return None
     observations = 2 * max(1, math.ceil(done * parts.observations**2 / (target**2 - fixed) / 2))
-    return Cost(target, observations * parts.each_s / workers, observations, jackknives, skies)
+    return TimeToPrecision(target, observations * parts.each_s / workers, observations, jackknives, skies)
 
 
 def _enough(number: int, error: float) -> int:

@@ -5,12 +5,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from surveysim.runtime.interrupt_signals import held_back_signals
+from surveysim.runtime.interrupt_signals import defer_signals
 from surveysim.runtime.processes import in_processes
 from surveysim.runtime.serial import in_turn
 from surveysim.runtime.worker_loss import EngineError
 
-__all__ = ["KINDS", "SERIAL", "Engine", "EngineError", "default_workers", "held_back_signals", "ordered_map"]
+__all__ = ["KINDS", "SERIAL", "Engine", "EngineError", "default_workers", "defer_signals", "ordered_map"]
 
 KINDS = ("serial", "processes", "dask")
 

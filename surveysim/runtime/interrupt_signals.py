@@ -10,7 +10,7 @@ from types import ModuleType
 
 
 @contextmanager
-def held_back_signals() -> Iterator[None]:
+def defer_signals() -> Iterator[None]:
     """Let SIGINT and SIGTERM wait until the end of the block, so that what it changes is never half done."""
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -11,7 +11,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from surveysim.runtime.interrupt_signals import deaf_children, held_back_signals, without_script
+from surveysim.runtime.interrupt_signals import deaf_children, defer_signals, without_script
 from surveysim.runtime.worker_loss import LOSSES_ALLOWED, log, too_many_losses
 
 TAKEN_AHEAD = 2  # items that wait at a worker, so that it does not wait for the parent
@@ -67,7 +67,7 @@ def in_processes(job: Callable[[Any], Any], items: Sequence[Any], workers: int) 
 def _least_busy(crew: list[_Worker], job: Callable[[Any], Any], workers: int) -> _Worker | None:
     """The worker to give an item to, a new one while there are fewer than `workers`; None if all are busy."""
     if len(crew) < workers:
-        with held_back_signals():
+        with defer_signals():
             crew.append(_start(job))
         return crew[-1]
     worker = min(crew, key=lambda item: len(item.has))

@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 
 
-class Stage(IntEnum):
+class RandomPurpose(IntEnum):
     """What a stream of random numbers is for. Numbers are given once and never reused."""
 
     WEATHER = 0
@@ -28,7 +28,7 @@ class Stage(IntEnum):
 
 
 def generator(
-    seed: int, stage: Stage, observation: int = 0, realization: int = 0, block: int = 0
+    seed: int, stage: RandomPurpose, observation: int = 0, realization: int = 0, block: int = 0
 ) -> np.random.Generator:
     """The generator of one stage of one observation of one realization.
 

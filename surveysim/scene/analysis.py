@@ -42,7 +42,7 @@ class Cleaning(Section):
     observation together; the true ones with an error that lasts the survey, or without."""
     calibration_error: Annotated[float, *number(1e-9, 1)] | None = None
     """Needed by responsivities "survey", which alone use it: rms error of these, relative and log-normal."""
-    reach: Positive | None = None
+    neighbour_radius: Positive | None = None
     """Needed by "local": detectors within so many closest separations are neighbours."""
     order: Annotated[int, *whole(0, 20)] | None = None
     """Needed by "polynomial": order of the templates over the focal plane."""
@@ -54,7 +54,7 @@ class Cleaning(Section):
         named = {name for steps in (self.algorithm, *self.compare) for name in steps}
         for key, algorithm in (
             ("sigma_cut", "pca"),
-            ("reach", "local"),
+            ("neighbour_radius", "local"),
             ("order", "polynomial"),
             ("regions", "polynomial"),
         ):
@@ -95,15 +95,15 @@ class MapSection(Section):
     """Write the maps in HEALPix of this nside too."""
 
 
-class Window(Section):
-    """Flat-CMB skies that measure what cleaning takes from the signal."""
+class SignalSims(Section):
+    """Signal simulations: flat-CMB skies that measure the transfer function of cleaning."""
 
     skies: Annotated[int, *whole(2, 1000)]
     """How many skies."""
     observations: Annotated[int, *whole(1, 1_000_000)]
     """How many observations carry them, spread over the survey."""
     band_power_ukcmb2: PositiveBandPower = Field(alias="band_power")
-    """Their band power; the window does not depend on it."""
+    """Their band power; the transfer function does not depend on it."""
 
 
 class Reference(Section):
@@ -132,19 +132,19 @@ class Score(Section):
     """Highest multipole that is scored, a bin above `ell_min` or more."""
     jackknives: Annotated[int, *whole(2, 1000)]
     """Co-adds with random signs that measure the noise."""
-    white_above_hz: Frequency = Field(alias="white_above")
+    white_noise_above_hz: Frequency = Field(alias="white_noise_above")
     """The streams' level above this frequency is their white level."""
     mask_separation_f_lambda: Positive | None = None
     """Score also the array masked to detectors at least so many (f/#)lambda apart."""
-    simulated: tuple[Literal["uncorrelated", "white"], ...]
+    noise_only_sets: tuple[Literal["uncorrelated", "white"], ...]
     """Data sets made of each detector's measured spectrum without correlations, and of its white level."""
-    window: Window
+    signal_sims: SignalSims
     reference: Reference | None = None
 
     @model_validator(mode="after")
     def _range_and_sets(self) -> Self:
         if self.ell_max < self.ell_min + self.ell_bin:
             raise ValueError(f"ell_max: found {self.ell_max}; at least ell_min + ell_bin is expected")
-        if repeated := [name for name in self.simulated if self.simulated.count(name) > 1]:
-            raise ValueError(f"simulated: found {repeated[0]!r} more than once; different data sets are expected")
+        if repeated := [name for name in self.noise_only_sets if self.noise_only_sets.count(name) > 1]:
+            raise ValueError(f"noise_only_sets: found {repeated[0]!r} more than once; different data sets are expected")
         return self

@@ -36,7 +36,7 @@ class Atmosphere(Section):
     is no water.
     """
 
-    index: Index
+    spectral_index: Index
     """b of the power spectrum B2 sin(el)^(1 - b) alpha^-b of the layer; 11/3 is Kolmogorov's."""
     illuminated_aperture_m: Length = Field(alias="illuminated_aperture")
     """Diameter of the aperture that is lit: a pixel sees the layer through a top hat of it."""
@@ -56,9 +56,9 @@ class Atmosphere(Section):
     pwv_mm: Waters = Field(alias="pwv", default=(), json_schema_extra=_OF_SITE)
     """Quantiles of the precipitable water over the site at the zenith, from the driest to the wettest; ln PWV is linear
     in the probability between them. One value: the same water in all observations."""
-    fluctuation_probabilities: Probabilities = Field(default=(), json_schema_extra=_OF_SITE)
-    """Probabilities, between 0 and 1, of the quantiles `fluctuation`."""
-    fluctuation: Fluctuations = Field(default=(), json_schema_extra=_OF_SITE)
+    water_fluctuation_probabilities: Probabilities = Field(default=(), json_schema_extra=_OF_SITE)
+    """Probabilities, between 0 and 1, of the quantiles `water_fluctuation`."""
+    water_fluctuation: Fluctuations = Field(default=(), json_schema_extra=_OF_SITE)
     """Quantiles of (delta C / C)^2, the water's fractional fluctuations as an amplitude like B2. A site's are those of
     an index of 11/3: with another index this key is needed, or `b2`, beside which its ranks alone count."""
     wind_median_rad_s: SpeedExtent = Field(alias="wind_median", json_schema_extra=_OF_SITE)
@@ -74,24 +74,30 @@ class Atmosphere(Section):
         if not isinstance(data, dict):
             return data
         data, own = with_site(data), data
-        if "index" not in data:
+        if "spectral_index" not in data:
             return data
         try:
-            index = Fraction(str(data["index"])).limit_denominator(1000)
+            index = Fraction(str(data["spectral_index"])).limit_denominator(1000)
             power = f"rad({2 - index})"
         except (ValueError, ZeroDivisionError, OverflowError):
             index = power = None  # one error is enough: the index is refused by its own check
         of_water = power
-        if power and index > 0 and index != KOLMOGOROV and "fluctuation" in data and "fluctuation" not in own:
+        if (
+            power
+            and index > 0
+            and index != KOLMOGOROV
+            and "water_fluctuation" in data
+            and "water_fluctuation" not in own
+        ):
             if "b2" not in own:
                 raise ValueError(
-                    f"fluctuation: missing; those of site {data['site']!r} are amplitudes at an index of {KOLMOGOROV}: "
-                    f"with {index}, 'fluctuation' in {power} or 'b2' in mK2 {power} is expected"
+                    f"water_fluctuation: missing; those of site {data['site']!r} are amplitudes at an index of"
+                    f" {KOLMOGOROV}: with {index}, 'water_fluctuation' in {power} or 'b2' in mK2 {power} is expected"
                 )
             # B2 has quantiles of its own, of which each draw takes that of its rank: an amplitude's unit drops out.
             of_water = f"rad({2 - KOLMOGOROV})"
         found = {}
-        for name, unit in (("b2", f"mK2 {power}"), ("fluctuation", of_water)):
+        for name, unit in (("b2", f"mK2 {power}"), ("water_fluctuation", of_water)):
             try:
                 found |= {name: to_floats(data[name], unit) if power else ()} if name in data else {}
             except ValueError as error:
@@ -109,19 +115,19 @@ class Atmosphere(Section):
         elif self.site is None:
             raise ValueError("b2: missing; a distribution of B2, or a site that it follows from, is expected")
         if self.site is not None:
-            check_quantiles("fluctuation", self.fluctuation_probabilities, self.fluctuation)
+            check_quantiles("water_fluctuation", self.water_fluctuation_probabilities, self.water_fluctuation)
             check_knots("pwv_probabilities", self.pwv_probabilities, "pwv", self.pwv_mm)
             if len(self.pwv_mm) > 1 and (self.pwv_probabilities[0], self.pwv_probabilities[-1]) != (0, 1):
                 raise ValueError(
                     f"pwv_probabilities: found {shown(self.pwv_probabilities)}; 0 first and 1 last are expected, the"
                     " driest and the wettest water, or one value alone"
                 )
-            for key, values in (("pwv", self.pwv_mm), ("fluctuation", self.fluctuation)):
+            for key, values in (("pwv", self.pwv_mm), ("water_fluctuation", self.water_fluctuation)):
                 if not min(values) > 0:
                     raise ValueError(f"{key}: found {shown(values)}; values above 0 are expected")
-            if not FLUCTUATION_MIN <= min(self.fluctuation) <= max(self.fluctuation) <= FLUCTUATION_MAX:
+            if not FLUCTUATION_MIN <= min(self.water_fluctuation) <= max(self.water_fluctuation) <= FLUCTUATION_MAX:
                 raise ValueError(
-                    f"fluctuation: found {shown(self.fluctuation)}; values from {FLUCTUATION_MIN:g} to"
+                    f"water_fluctuation: found {shown(self.water_fluctuation)}; values from {FLUCTUATION_MIN:g} to"
                     f" {FLUCTUATION_MAX:g} are expected"
                 )
         if self.layer_height_m < self.illuminated_aperture_m:
@@ -134,6 +140,8 @@ class Atmosphere(Section):
                 f"outer_scale: found {self.outer_scale_m:g} m with an aperture of {self.illuminated_aperture_m:g} m; "
                 "no less than the aperture is expected"
             )
-        if self.index >= 4 and self.outer_scale_m is None:
-            raise ValueError(f"outer_scale: missing; an index of {self.index:g} (4 or more) needs an outer scale")
+        if self.spectral_index >= 4 and self.outer_scale_m is None:
+            raise ValueError(
+                f"outer_scale: missing; an index of {self.spectral_index:g} (4 or more) needs an outer scale"
+            )
         return self

@@ -40,7 +40,7 @@ class Layout(Section):
         return self
 
 
-class Colour(Section):
+class OtherBand(Section):
     """Another band of every pixel: its place in the spectrum and its noise, all of it white."""
 
     frequency_hz: BandFrequency = Field(alias="frequency")
@@ -70,7 +70,7 @@ class Instrument(Section):
     """One (f/#)lambda on the sky: the wavelength over the diameter of the aperture that is lit."""
     responsivity_scatter: Share
     """Scatter of the detectors' responsivities, relative and log-normal, fixed for the survey."""
-    camera_rotation_rad: AngleExtent = Field(alias="camera_rotation")
+    camera_rotation_range_rad: AngleExtent = Field(alias="camera_rotation_range")
     """Full range of the angle by which the camera is turned from one observation to the next."""
     horn_f_lambda: Annotated[float, *number(0.1, 20)] | None = None
     """Diameter of the pixels' horns in (f/#)lambda, no more than the pitch: sets taper and spill on the stop."""
@@ -84,7 +84,7 @@ class Instrument(Section):
     """Or `positions`."""
     positions: TableFile = None
     """Detectors in a table beside the scene, columns `x` and `y` with angular units. Or a `layout`."""
-    colours: tuple[Colour, ...] = ()
+    bands: tuple[OtherBand, ...] = ()
     """Any number of them, for "spectral" cleaning, which subtracts them from the band that is mapped."""
 
     @property

@@ -17,7 +17,7 @@ class Numerics(Section):
     """Of look-ups between the layer's lattice points."""
     screen_step: Annotated[float, *number(0.1, 10)] = 1.0
     """Lattice step of the layer, over the one that is chosen for the beam and the camera."""
-    stream_bytes: Memory = Field(alias="stream_memory", default=250e6)
+    max_block_bytes: Memory = Field(alias="max_block_memory", default=250e6)
     """The most that the streams of a block take, counted in single precision: larger observations are made in blocks
     of whole scans, each with random numbers of its own. A process holds up to ten times as much at its peak. Larger
     blocks are no faster; the default has room for scans of 6000 samples of 10,000 detectors."""

@@ -35,6 +35,19 @@ NAME, MAX_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]*", 100
 MAX_BYTES = 300_000  # of a scene file; with comments they have some 5 kB
 MAX_DEPTH = 20  # tables and lists within each other; scenes have 3
 MAX_ERRORS = 30  # lines of an error
+# Keys of scenes before version 0.4, and their names since then.
+RENAMED = {
+    "instrument.colours": "instrument.bands",
+    "instrument.camera_rotation": "instrument.camera_rotation_range",
+    "atmosphere.index": "atmosphere.spectral_index",
+    "atmosphere.fluctuation": "atmosphere.water_fluctuation",
+    "atmosphere.fluctuation_probabilities": "atmosphere.water_fluctuation_probabilities",
+    "cleaning.reach": "cleaning.neighbour_radius",
+    "score.white_above": "score.white_noise_above",
+    "score.simulated": "score.noise_only_sets",
+    "score.window": "score.signal_sims",
+    "numerics.stream_memory": "numerics.max_block_memory",
+}
 # A key of so many parts: the parser's time goes as their square.
 _PART = r"""(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)"""
 _LONG_KEY = re.compile(rf"(?<![\w\-.]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_DEPTH - 1}}}")
@@ -104,10 +117,10 @@ class Scene(Section):
         if self.atmosphere and self.atmosphere.site and self.instrument.bandwidth is None:
             raise ValueError("instrument.bandwidth: missing; the opacity of a site needs the width of the band")
         named = {name for steps in (self.cleaning.algorithm, *self.cleaning.compare) for name in steps}
-        if "spectral" in named and not self.instrument.colours:
-            raise ValueError("instrument.colours: missing; 'spectral' cleaning needs other bands of the pixels")
-        if self.instrument.colours and not (self.atmosphere and self.atmosphere.site):
-            raise ValueError("atmosphere.site: missing; how colours scale with each other is the opacity of a site")
+        if "spectral" in named and not self.instrument.bands:
+            raise ValueError("instrument.bands: missing; 'spectral' cleaning needs other bands of the pixels")
+        if self.instrument.bands and not (self.atmosphere and self.atmosphere.site):
+            raise ValueError("atmosphere.site: missing; the bands scale with each other by the opacity of a site")
         self._power_is_known()
         if not any((self.atmosphere, self.excess, self.photon, self.detector, self.sky)):
             raise ValueError("at least one of atmosphere, excess, photon, detector and sky is expected")
@@ -168,6 +181,8 @@ def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mappi
         _override(path, data, key, value)
     if isinstance(data.get("atmosphere"), dict):
         data["assumed"] += _assumed_of_site(data["atmosphere"])
+    if renamed := [f"{old} is now {new}" for old, new in RENAMED.items() if _holds(data, old)]:
+        raise SceneError(error_lines(path, renamed))
     if "name" not in data:
         data["name"] = _name_of(path)
     positions = data.get("instrument", {}).get("positions") if isinstance(data.get("instrument"), dict) else None
@@ -181,6 +196,12 @@ def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mappi
         found = error.errors(include_url=False, include_context=False)
         lines = [_error_line(item) for item in found[:MAX_ERRORS]]
         raise SceneError(error_lines(path, lines, len(found) - len(lines))) from None
+
+
+def _holds(data: Mapping[str, Any], key: str) -> bool:
+    """Whether a scene's content has a key `section.name`."""
+    section, name = key.split(".")
+    return isinstance(data.get(section), Mapping) and name in data[section]
 
 
 def _name_of(path: Path) -> str:

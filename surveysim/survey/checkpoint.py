@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mapmaker.files import whole_file
+from mapmaker.files import atomic_write
 from surveysim import __version__
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.text_files import one_line
@@ -43,7 +43,7 @@ def save_checkpoint(path: Path, coadds: CoAdds, identity: str) -> None:
     `identity` is the hash of the scene. Raises OSError that names the file where it can't be written.
     """
     content = _packed(coadds, {"scene": identity, "version": __version__, "seconds": coadds.seconds})
-    with whole_file(path) as partial, open(partial, "wb") as file:
+    with atomic_write(path) as partial, open(partial, "wb") as file:
         file.write((_MARK + sha256(content).hexdigest().encode()).ljust(_USER_BLOCK, b"\0"))
         file.write(content)
 
@@ -120,7 +120,7 @@ def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
     done = file["rows"].shape[0]
     if done > setup.scene.observations:
         raise ValueError(f"{done} observations, {setup.scene.observations} are in the survey")
-    n_freq, n_compared = samples_per_scan(setup.raster) // 2 + 1, len(setup.whole_recipes) - 1
+    n_freq, n_compared = samples_per_scan(setup.raster) // 2 + 1, len(setup.whole_pipelines) - 1
     shapes = {name: getattr(expected, name).shape for name in _ARRAYS}
     of_one = {"rows": (len(row_names(setup)),), "raw_psd": (n_freq,), "clean_psd": (n_freq,)}
     n_bin = 0 if setup.band is None else len(setup.band.rings.ell)

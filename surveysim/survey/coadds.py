@@ -12,7 +12,7 @@ from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.reduction.figure_of_merit import TARGETS, best_places
 from surveysim.reduction.observation import ObservationResult
 from surveysim.reduction.setup import Setup
-from surveysim.runtime.rng import Stage, generator
+from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.survey.kernels import add_signed
 
 ROW_FIELDS = (
@@ -87,12 +87,12 @@ def empty_coadds(setup: Setup) -> CoAdds:
     )
 
 
-def signs(setup: Setup, observation: int) -> np.ndarray:
+def jackknife_signs(setup: Setup, observation: int) -> np.ndarray:
     """Random signs (K,) of one observation in the sign-flipped co-adds: noise stays, the sky cancels."""
     score = setup.scene.score
     if score is None:
         return np.zeros(0)
-    rng = generator(setup.scene.seed, Stage.JACKKNIFE, observation)
+    rng = generator(setup.scene.seed, RandomPurpose.JACKKNIFE, observation)
     return 2.0 * rng.integers(0, 2, score.jackknives) - 1.0
 
 
@@ -105,7 +105,7 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
         raise ValueError(f"found observation {result.observation}; {coadds.done} is the next in order")
     _check_shapes(setup, coadds, result)
     weights = noise_weights(result.noise_mk2)
-    sign = signs(setup, result.observation)
+    sign = jackknife_signs(setup, result.observation)
     patch = setup.band.patch if setup.band else slice(0, 0)
     # All that could fail for want of memory comes before the first sum: none is left half done.
     sums = weights[:, None, None] * result.sums.astype(float)
@@ -152,14 +152,14 @@ def noise_weights(noise_mk2: np.ndarray) -> np.ndarray:
 def lost_scans(setup: Setup, coadds: CoAdds) -> np.ndarray:
     """Discarded scans (n_obs, n_set) of each observation so far, by data set.
 
-    The simulated sets lose the scans of the actual data, the optimal set those of the recipe that it takes.
+    The simulated sets lose the scans of the actual data, the optimal set those of the pipeline that it takes.
     """
     columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
-    counts = {recipe.data_set: columns[f"discarded_{recipe.data_set}"] for recipe in setup.recipes}
+    counts = {pipeline.data_set: columns[f"discarded_{pipeline.data_set}"] for pipeline in setup.pipelines}
     if setup.chooses:
-        whole = [recipe.data_set for recipe in setup.whole_recipes]
+        whole = [pipeline.data_set for pipeline in setup.whole_pipelines]
         best = best_places(np.array([columns[f"merit_{TARGETS[0]}_{name}"] for name in whole]))
-        # Without any merit the first recipe is taken.
+        # Without any merit the first pipeline is taken.
         counts[OPTIMAL] = np.array([counts[name] for name in whole])[np.maximum(best, 0), np.arange(len(best))]
     return np.stack([counts.get(name, counts[ACTUAL]) for name in setup.data_sets], axis=1)
 
@@ -185,15 +185,15 @@ def _row(result: ObservationResult) -> tuple[float, ...]:
         drawn = (weather.b2, weather.wind_speed_rad_s, weather.wind_angle_rad, weather.pwv_mm)
     conditions = (result.observation, *drawn, result.elevation_rad, result.white_mk2_hz)
     cleaning = (*result.discarded, *result.iterations, *result.removed)
-    merits = () if result.merits is None else result.merits.T.ravel()
-    return (*conditions, *cleaning, *merits, *result.noise_mk2)
+    figures_of_merit = () if result.figures_of_merit is None else result.figures_of_merit.T.ravel()
+    return (*conditions, *cleaning, *figures_of_merit, *result.noise_mk2)
 
 
 def row_names(setup: Setup) -> list[str]:
     """What the values of a row of `CoAdds.rows` are."""
-    of_recipes = [
-        f"{what}_{recipe.data_set}" for what in ("discarded", "iterations", "removed") for recipe in setup.recipes
+    of_pipelines = [
+        f"{what}_{pipeline.data_set}" for what in ("discarded", "iterations", "removed") for pipeline in setup.pipelines
     ]
-    whole = setup.whole_recipes if setup.chooses else ()
-    merits = [f"merit_{target}_{recipe.data_set}" for target in TARGETS for recipe in whole]
-    return [*ROW_FIELDS, *of_recipes, *merits, *(f"noise_mk2_{name}" for name in setup.data_sets)]
+    whole = setup.whole_pipelines if setup.chooses else ()
+    figures_of_merit = [f"merit_{target}_{pipeline.data_set}" for target in TARGETS for pipeline in whole]
+    return [*ROW_FIELDS, *of_pipelines, *figures_of_merit, *(f"noise_mk2_{name}" for name in setup.data_sets)]

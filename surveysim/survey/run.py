@@ -7,7 +7,7 @@ from time import monotonic
 
 from surveysim.reduction.observation import ObservationResult, observe
 from surveysim.reduction.setup import Setup, prepare, window_observations
-from surveysim.runtime.engine import SERIAL, Engine, held_back_signals, ordered_map
+from surveysim.runtime.engine import SERIAL, Engine, defer_signals, ordered_map
 from surveysim.scene.scene import Scene, scene_hash
 from surveysim.survey.checkpoint import check_streams, load_checkpoint, save_checkpoint
 from surveysim.survey.coadds import CoAdds, add_observation, empty_coadds
@@ -56,7 +56,7 @@ def run_observations(
         coadds = load_checkpoint(checkpoint, setup)
         if timestream_dir is not None:
             check_streams(timestream_dir, setup, coadds.done)
-    keeper = _Keeper(checkpoint, identity, coadds.done)
+    keeper = _CheckpointWriter(checkpoint, identity, coadds.done)
     left = () if stops(coadds) else range(coadds.done, setup.scene.observations)
     # Workers elsewhere may have another working directory.
     streams = None if timestream_dir is None else timestream_dir.absolute()
@@ -64,7 +64,7 @@ def run_observations(
     try:
         for result in results:
             # An observation is in the sums whole or not at all: a checkpoint may be made of them any time.
-            with held_back_signals():
+            with defer_signals():
                 add_observation(setup, coadds, result)
             progress(coadds)
             keeper.save_if_due(coadds)
@@ -82,7 +82,7 @@ def run_observations(
     return coadds
 
 
-class _Keeper:
+class _CheckpointWriter:
     """Saves the sums of a run to its checkpoint, if it has one: often, but for a small share of the time."""
 
     def __init__(self, path: Path | None, scene_hash: str, done: int):

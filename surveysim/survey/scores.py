@@ -8,6 +8,7 @@ import numpy as np
 from mapmaker.bandpower import BandPower, band_power, bin_weights, flat_band_power, score
 from mapmaker.binning import weighted_mean
 from mapmaker.spectrum import Annuli, map_psd
+from mapmaker.transfer_function import TransferFunction, signal_window
 from mapmaker.uncertainty import (
     ErrorBudget,
     information_shares,
@@ -17,7 +18,6 @@ from mapmaker.uncertainty import (
     student_factor,
     without_noise,
 )
-from mapmaker.window import Window, signal_window
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.scored_region import N_SECTORS
 from surveysim.reduction.setup import Setup
@@ -60,7 +60,7 @@ class DataSetScore:
     budget: ErrorBudget
     noise_psds: np.ndarray
     signal_psd: np.ndarray
-    window: Window
+    window: TransferFunction
     weights: np.ndarray
     bin_noise: np.ndarray
     kept: np.ndarray | float = 1.0
@@ -257,7 +257,7 @@ def _score(setup, name, n_det, psds, window, weights, bin_noise, kept, *, select
     return DataSetScore(name, n_det, band, budget, psds, signal, window, weights, bin_noise, kept)
 
 
-def _window_errors(window: Window) -> np.ndarray:
+def _window_errors(window: TransferFunction) -> np.ndarray:
     """Relative errors (n_bin,) of the window."""
     none = np.zeros_like(window.transmission)
     return np.divide(window.error, window.transmission, out=none, where=window.transmission > 0)
@@ -280,7 +280,7 @@ def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> n
 
 
 def flux_removed(setup: Setup, coadds: CoAdds) -> dict[str, float]:
-    """Share of a faint point source's flux that cleaning takes, by data set; empty where recipes are not compared.
+    """Share of a faint point source's flux that cleaning takes, by data set; empty where pipelines are not compared.
 
     At the sources' peaks, against the map binned without cleaning; the mean of the scans goes with it.
     """
@@ -294,8 +294,8 @@ def flux_removed(setup: Setup, coadds: CoAdds) -> dict[str, float]:
     return removed
 
 
-def _window(setup: Setup, coadds: CoAdds, place: int, rings: Annuli) -> Window:
-    skies = setup.scene.score.window.skies
+def _window(setup: Setup, coadds: CoAdds, place: int, rings: Annuli) -> TransferFunction:
+    skies = setup.scene.score.signal_sims.skies
     maps = weighted_mean(coadds.window[:skies, place], coadds.window_weight[place])
     psd = _psd(setup, maps, rings)
     return signal_window(psd[:, 1], psd[:, 0], rings.ell)

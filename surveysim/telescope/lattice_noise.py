@@ -27,7 +27,7 @@ _BATCH = 2**18
 
 
 @dataclass(frozen=True, eq=False)
-class TorusRoot:
+class CirculantFactor:
     """A root of the correlation of detectors: `amplitude` (n_q, n_r) float32 of the modes, flat `cells` (n_det,)."""
 
     amplitude: np.ndarray
@@ -52,7 +52,7 @@ class TorusRoot:
 
 
 @dataclass(frozen=True, eq=False)
-class Torus:
+class CirculantCorrelation:
     """Correlation C of detectors at some `cells` (n_det,) of a torus, by its eigenvalues `values` (n_q, n_r).
 
     They are 1 in the mean, as C is of a detector with itself.
@@ -61,10 +61,10 @@ class Torus:
     values: np.ndarray
     cells: np.ndarray
 
-    def factor(self, share: float = 1.0) -> TorusRoot:
+    def factor(self, share: float = 1.0) -> CirculantFactor:
         """A root of ``share C + (1 - share) I``."""
         amplitude = np.sqrt((share * self.values + (1 - share)) / self.values.size)
-        return TorusRoot(amplitude.astype(np.float32), self.cells)
+        return CirculantFactor(amplitude.astype(np.float32), self.cells)
 
     def times(self, columns: np.ndarray) -> np.ndarray:
         """C times columns (n_det, n_column), real or complex."""
@@ -90,13 +90,13 @@ class Torus:
 
 
 @dataclass(frozen=True, eq=False)
-class SharedNoise:
+class NoiseCorrelation:
     """Correlation of many detectors, as `torus` has it (None: none), times their `gain` (n_det,) on both sides.
 
     It stands for a matrix (n_det, n_det) where that is multiplied from the left.
     """
 
-    torus: Torus | None
+    torus: CirculantCorrelation | None
     gain: np.ndarray
 
     def __matmul__(self, columns: np.ndarray) -> np.ndarray:
@@ -105,7 +105,7 @@ class SharedNoise:
         return gain * (gain * columns if self.torus is None else self.torus.times(gain * columns))
 
 
-def embed(cells: np.ndarray, pitch_f_lambda: float, coherence: str, illumination: Illumination) -> Torus:
+def embed(cells: np.ndarray, pitch_f_lambda: float, coherence: str, illumination: Illumination) -> CirculantCorrelation:
     """The smallest torus that holds detectors at lattice places `cells` (n_det, 2), within `LARGEST_ERROR`.
 
     The axes of the lattice are 60 degrees apart; `coherence` and `illumination` are those of a correlation matrix.
@@ -121,7 +121,7 @@ def embed(cells: np.ndarray, pitch_f_lambda: float, coherence: str, illumination
         n_q, n_r = sizes = _sizes(span, room)
         seen = lags[:, 0] % n_q, lags[:, 1] % n_r
         values = _eigenvalues(coherence_at(_distance(sizes) * pitch_f_lambda, coherence, illumination), seen)
-        torus = Torus(values, places[:, 0] * n_r + places[:, 1])
+        torus = CirculantCorrelation(values, places[:, 0] * n_r + places[:, 1])
         error = float(np.abs(torus.correlation[seen] - wanted).max())
         if error <= LARGEST_ERROR:
             return torus

@@ -147,7 +147,7 @@ def _interpolated_coherence(separation: np.ndarray, illumination: Illumination) 
 
 
 @dataclass(frozen=True, eq=False)
-class Overlap:
+class DenseCorrelation:
     """A correlation C of detectors by its eigenvalues (n_det,) and eigenvectors (n_det, n_det)."""
 
     values: np.ndarray
@@ -163,7 +163,7 @@ class Overlap:
         return half @ half.T
 
 
-def overlap(correlation: np.ndarray) -> Overlap:
+def overlap(correlation: np.ndarray) -> DenseCorrelation:
     """The modes of a correlation matrix (n_det, n_det).
 
     Densely packed pixels share modes and make the matrix nearly singular, where Cholesky fails.
@@ -173,7 +173,7 @@ def overlap(correlation: np.ndarray) -> Overlap:
     limit = 1e-10 * max(values[-1], 1.0) * len(values)
     if not values[0] >= -limit:
         raise ValueError(f"correlation matrix has the eigenvalue {values[0]:.3g}; none below 0 is allowed")
-    return Overlap(np.clip(values, 0, None), vectors)
+    return DenseCorrelation(np.clip(values, 0, None), vectors)
 
 
 def correlation_factor(correlation: np.ndarray) -> np.ndarray:

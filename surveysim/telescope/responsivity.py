@@ -2,19 +2,19 @@
 
 import numpy as np
 
-from surveysim.runtime.rng import Stage, generator
+from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.scene import Scene
 
 
-def colour_responsivity(scene: Scene, n_det: int) -> np.ndarray:
+def band_responsivity(scene: Scene, n_det: int) -> np.ndarray:
     """Responsivity (n_colour, n_det) of the other bands' detectors, each with its own scatter."""
-    colours = range(1, len(scene.instrument.colours) + 1)
-    return np.array([true_responsivity(scene, n_det, colour) for colour in colours]).reshape(len(colours), n_det)
+    bands = range(1, len(scene.instrument.bands) + 1)
+    return np.array([true_responsivity(scene, n_det, colour) for colour in bands]).reshape(len(bands), n_det)
 
 
 def true_responsivity(scene: Scene, n_det: int, realization: int = 0) -> np.ndarray:
     """True responsivity (n_det,) of the mapped band's detectors, or of another band's by its `realization`."""
-    scatter = generator(scene.seed, Stage.RESPONSIVITY, realization=realization).standard_normal(n_det)
+    scatter = generator(scene.seed, RandomPurpose.RESPONSIVITY, realization=realization).standard_normal(n_det)
     # Log-normal, so that a large scatter never turns a detector's sign; relative, so that their mean is 1.
     responsivity = np.exp(scene.instrument.responsivity_scatter * scatter)
     return responsivity / responsivity.mean()
@@ -27,7 +27,7 @@ def assumed_responsivity(scene: Scene, true: np.ndarray) -> np.ndarray | None:
         return true
     if section.responsivities != "survey":
         return None
-    rngs = (generator(scene.seed, Stage.CALIBRATION, realization=band) for band in range(len(true)))
+    rngs = (generator(scene.seed, RandomPurpose.CALIBRATION, realization=band) for band in range(len(true)))
     error = np.array([rng.standard_normal(true.shape[1]) for rng in rngs])
     assumed = true * np.exp(section.calibration_error * error)  # log-normal, as the responsivities are
     return assumed / assumed.mean(axis=1, keepdims=True)

@@ -7,7 +7,7 @@ import numpy as np
 
 from mapmaker.chunks import row_chunks
 from surveysim.scene.noise_and_sky import Excess
-from surveysim.telescope.lattice_noise import TorusRoot
+from surveysim.telescope.lattice_noise import CirculantFactor
 
 
 def add_white(data_mk: np.ndarray, psd_mk2_hz: float, sample_rate_hz: float, rng: np.random.Generator) -> None:
@@ -22,12 +22,12 @@ def add_correlated_white(
     data_mk: np.ndarray,
     psd_mk2_hz: float,
     sample_rate_hz: float,
-    factor: np.ndarray | TorusRoot,
+    factor: np.ndarray | CirculantFactor,
     rng: np.random.Generator,
 ) -> None:
     """Add white noise of one-sided PSD `psd_mk2_hz` with correlation ``factor factor^T``, in place."""
     deviation = np.sqrt(psd_mk2_hz * sample_rate_hz / 2)
-    if isinstance(factor, TorusRoot):
+    if isinstance(factor, CirculantFactor):
         n_samp = data_mk.shape[1]
         for places, fields in factor.fields((n_samp + 1) // 2, rng):
             fields *= np.float32(deviation)
@@ -97,7 +97,7 @@ def add_excess(
     variance_mk2: float,
     n_scans: int,
     sample_rate_hz: float,
-    factor: np.ndarray | TorusRoot | None,
+    factor: np.ndarray | CirculantFactor | None,
     rng: np.random.Generator,
 ) -> None:
     """Add the excess low-frequency noise of some scans, correlated as ``factor factor^T`` (None: not), in place.
@@ -110,7 +110,7 @@ def add_excess(
     per_scan = n_samp // n_scans
     n = next_fast_len(2 * per_scan, real=True)
     psd = excess_psd(section, variance_mk2, per_scan, n, sample_rate_hz)
-    if isinstance(factor, TorusRoot):
+    if isinstance(factor, CirculantFactor):
         for first in range(0, n_samp, per_scan):
             _add_lattice_scan(data_mk[:, first : first + per_scan], psd, n, sample_rate_hz, factor, rng)
         return
@@ -126,7 +126,7 @@ def _add_lattice_scan(
     psd_mk2_hz: np.ndarray,
     n: int,
     sample_rate_hz: float,
-    root: TorusRoot,
+    root: CirculantFactor,
     rng: np.random.Generator,
 ) -> None:
     """Add the first samples of streams of n samples, each of whose frequencies is a field on the torus, in place."""

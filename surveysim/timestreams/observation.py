@@ -13,11 +13,11 @@ from mapmaker.kernels.pixels import add_sky
 from mapmaker.timestreams import Timestreams, scan_bounds
 from surveysim.atmosphere.weather import Weather, draw_weather
 from surveysim.reduction.setup import Setup, observation_path
-from surveysim.runtime.rng import Stage, generator
+from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.scene import scene_hash
-from surveysim.telescope.lattice_noise import Torus, TorusRoot
+from surveysim.telescope.lattice_noise import CirculantCorrelation, CirculantFactor
 from surveysim.telescope.noise_levels import WhiteLevels, white_levels
-from surveysim.telescope.pixel_coherence import Overlap
+from surveysim.telescope.pixel_coherence import DenseCorrelation
 from surveysim.telescope.pointing import Pointing, sky_vector
 from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.noise import add_correlated_white, add_excess, add_white, excess_variance
@@ -76,31 +76,33 @@ def draw_block(setup: Setup, observation: int, whole: Pointing, block: Block, wa
         _add_photon(setup, observation, block, levels, data)
     with watch("detector"):
         if setup.scene.detector:
-            rng = generator(setup.scene.seed, Stage.DETECTOR, observation, block=block.number)
+            rng = generator(setup.scene.seed, RandomPurpose.DETECTOR, observation, block=block.number)
             add_white(data, levels.detector_mk2_hz, setup.raster.sample_rate_hz, rng)
     return _timestreams(setup, observation, whole, pointing, block.first, data)
 
 
-def draw_colours(setup: Setup, observation: int, whole: Pointing, block: Block) -> np.ndarray:
+def draw_other_bands(setup: Setup, observation: int, whole: Pointing, block: Block) -> np.ndarray:
     """Streams of the other bands of the same detectors in one block, (n_colour, n_det, n_samp) [mK].
 
     The same layer as in the mapped band, times what each band makes of the water (section 3.3), and white noise of
-    their own. Excess noise and sky are in the mapped band alone. None where no recipe subtracts other bands. `whole`
+    their own. Excess noise and sky are in the mapped band alone. None where no pipeline subtracts other bands. `whole`
     points the observation.
     """
-    colours = setup.scene.instrument.colours if setup.subtracts_colours else ()
+    bands = setup.scene.instrument.bands if setup.subtracts_bands else ()
     n_samp = block.n_scans * samples_per_scan(setup.raster)
-    streams = np.zeros((len(colours), setup.n_det, n_samp), setup.stream_type)
-    if not colours:
+    streams = np.zeros((len(bands), setup.n_det, n_samp), setup.stream_type)
+    if not bands:
         return streams
     weather = observation_weather(setup, observation)
     layer = np.zeros(streams.shape[1:], streams.dtype)
     add_layer(setup, observation, whole, weather, layer, block=block)
     mapped = setup.water.response(weather.pwv_mm)
-    for number, (colour, data) in enumerate(zip(colours, streams, strict=True)):
-        scale = np.sqrt(setup.colour_waters[number].response(weather.pwv_mm) / mapped)
-        data += layer * (scale * setup.colour_responsivity[number]).astype(data.dtype)[:, None]
-        rng = generator(setup.scene.seed, Stage.DETECTOR, observation, realization=number + 1, block=block.number)
+    for number, (colour, data) in enumerate(zip(bands, streams, strict=True)):
+        scale = np.sqrt(setup.band_waters[number].response(weather.pwv_mm) / mapped)
+        data += layer * (scale * setup.band_responsivity[number]).astype(data.dtype)[:, None]
+        rng = generator(
+            setup.scene.seed, RandomPurpose.DETECTOR, observation, realization=number + 1, block=block.number
+        )
         add_white(data, colour.psd_mk2_hz, setup.raster.sample_rate_hz, rng)
     return streams
 
@@ -109,7 +111,7 @@ def observation_weather(setup: Setup, observation: int) -> Weather | None:
     """The weather drawn for one observation; None without an atmosphere."""
     if setup.scene.atmosphere is None:
         return None
-    rng = generator(setup.scene.seed, Stage.WEATHER, observation)
+    rng = generator(setup.scene.seed, RandomPurpose.WEATHER, observation)
     return draw_weather(setup.scene.atmosphere, setup.water, rng)
 
 
@@ -164,7 +166,7 @@ def add_layer(
     strips = setup.strips.at(float(sine.min()))
     motion = _layer_motion(setup, pointing, weather)
     trends = _trends(setup, observation, pointing, motion, strips, realization)
-    rng = generator(setup.scene.seed, Stage.ATMOSPHERE, observation, realization, block.number)
+    rng = generator(setup.scene.seed, RandomPurpose.ATMOSPHERE, observation, realization, block.number)
     scans = slice(block.first, block.end)
     add_atmosphere(
         data,
@@ -206,7 +208,7 @@ def _trends(
     slant = 1 / np.sin(pointing.elevation_rad)[:, None]
     boresight = np.stack([pointing.xi_rad[first], pointing.eta_rad[first]], axis=-1) * slant
     corner = boresight - _moved(motion[2], middle, begin) + tracks.corner_rad
-    rng = generator(setup.scene.seed, Stage.TREND, observation, realization)
+    rng = generator(setup.scene.seed, RandomPurpose.TREND, observation, realization)
     return draw_trends(swaths(strips, corner, tracks.direction, tracks.length_rad), rng)
 
 
@@ -222,14 +224,14 @@ def _add_excess(setup: Setup, observation: int, block: Block, weather: Weather |
     if section is None:
         return
     variance = excess_variance(section, None if weather is None else weather.b2)
-    rng = generator(setup.scene.seed, Stage.EXCESS, observation, block=block.number)
+    rng = generator(setup.scene.seed, RandomPurpose.EXCESS, observation, block=block.number)
     add_excess(data, section, variance, block.n_scans, setup.raster.sample_rate_hz, setup.excess_factor, rng)
 
 
 def _add_photon(setup: Setup, observation: int, block: Block, levels: WhiteLevels, data: np.ndarray) -> None:
     if setup.scene.photon is None:
         return
-    rng = generator(setup.scene.seed, Stage.PHOTON, observation, block=block.number)
+    rng = generator(setup.scene.seed, RandomPurpose.PHOTON, observation, block=block.number)
     noise = (data, levels.photon_mk2_hz, setup.raster.sample_rate_hz)
     if setup.photon_overlap is None:
         add_white(*noise, rng)
@@ -238,7 +240,7 @@ def _add_photon(setup: Setup, observation: int, block: Block, levels: WhiteLevel
 
 
 @lru_cache(maxsize=1)  # most scenes have one share for all observations
-def _shared_factor(pixels: Overlap | Torus, share: float) -> np.ndarray | TorusRoot:
+def _shared_factor(pixels: DenseCorrelation | CirculantCorrelation, share: float) -> np.ndarray | CirculantFactor:
     return pixels.factor(share)
 
 

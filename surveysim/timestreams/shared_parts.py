@@ -7,12 +7,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mapmaker.geometry import MapGeometry
-from surveysim.runtime.rng import Stage, generator
+from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.noise_and_sky import Excess, Photon
 from surveysim.scene.scene import Scene, SceneError
 from surveysim.telescope.focal_plane import Camera
-from surveysim.telescope.lattice_noise import Torus, embed
-from surveysim.telescope.pixel_coherence import MOST_DENSE, Overlap, correlation_matrix, overlap
+from surveysim.telescope.lattice_noise import CirculantCorrelation, embed
+from surveysim.telescope.pixel_coherence import MOST_DENSE, DenseCorrelation, correlation_matrix, overlap
 
 if TYPE_CHECKING:
     from surveysim.atmosphere.screen_simulation import SlantStrips
@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 # Eigenvectors of the correlations differ in their last bits, or in a degenerate space altogether, between
 # numbers of BLAS threads; a run must not depend on the machine's cores.
 @threadpool_limits.wrap(limits=1)
-def shared_noise(cam: Camera, section: Photon | Excess | None, name: str) -> Overlap | Torus | None:
+def shared_noise(
+    cam: Camera, section: Photon | Excess | None, name: str
+) -> DenseCorrelation | CirculantCorrelation | None:
     """What detectors share of a noise by overlap, None where they share nothing."""
     if section is None or section.coherence == "none":
         return None
@@ -47,7 +49,7 @@ def screen(scene: Scene):
     air = scene.atmosphere
     outer = math.inf if air.outer_scale_m is None else air.outer_scale_m / air.layer_height_m
     try:
-        return Screen(air.index, air.illuminated_aperture_m / air.layer_height_m, outer)
+        return Screen(air.spectral_index, air.illuminated_aperture_m / air.layer_height_m, outer)
     except ValueError as error:
         raise SceneError(f"atmosphere: {error}") from None
 
@@ -70,24 +72,24 @@ def scene_sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
     from surveysim.timestreams.sky import draw_sky
 
     instrument = scene.instrument
-    rng = generator(scene.seed, Stage.SKY)
+    rng = generator(scene.seed, RandomPurpose.SKY)
     return draw_sky(scene.sky, geometry, instrument.cmb_per_rj, instrument.beam_fwhm_rad, rng)
 
 
 def window_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
-    """The window's skies (n_sky, n_y, n_x), that of a point source last where recipes are compared."""
+    """The window's skies (n_sky, n_y, n_x), that of a point source last where pipelines are compared."""
     if scene.score is None:
         return None
     from surveysim.timestreams.sky import central_source, flat_cmb_sky
 
-    window, instrument = scene.score.window, scene.instrument
+    window, instrument = scene.score.signal_sims, scene.instrument
     skies = [
         flat_cmb_sky(
             geometry,
             window.band_power_ukcmb2,
             instrument.cmb_per_rj,
             instrument.beam_fwhm_rad,
-            generator(scene.seed, Stage.WINDOW_SKY, realization=sky),
+            generator(scene.seed, RandomPurpose.WINDOW_SKY, realization=sky),
         )
         for sky in range(window.skies)
     ]

@@ -5,7 +5,7 @@ import numpy as np
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry, pixel_centres, plane_offsets
 from mapmaker.spectrum import mode_ell
-from mapmaker.window import beam_window
+from mapmaker.transfer_function import beam_window
 from surveysim.scene.noise_and_sky import PointSource, Sky
 
 

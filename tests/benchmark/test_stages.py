@@ -11,8 +11,8 @@ from mapmaker.kernels.pixels import bin_samples
 from mapmaker.wind import measure_wind, scan_velocities
 from surveysim.reduction import noise_only_sets as sets
 from surveysim.reduction import observation as reduction
-from surveysim.reduction.cleaning_pipelines import Beside, Recipe, apply_recipe, measured_delays
-from surveysim.runtime.rng import Stage, generator
+from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline, measured_delays
+from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.survey.coadds import add_observation, empty_coadds
 from surveysim.timestreams import observation as stages
 from surveysim.timestreams.noise import add_white, hann_psd, white_level
@@ -20,7 +20,7 @@ from tests.benchmark.conftest import FLOOR, OBSERVATION
 
 
 def test_floor_normal_deviates(per_sample, lynx):
-    rng = generator(lynx.setup.scene.seed, Stage.DETECTOR, OBSERVATION)
+    rng = generator(lynx.setup.scene.seed, RandomPurpose.DETECTOR, OBSERVATION)
     per_sample(FLOOR, lambda: rng.standard_normal(lynx.data_mk.shape, dtype=np.float32))
 
 
@@ -57,7 +57,7 @@ def test_photon(per_sample, lynx):
 
 def test_detector(per_sample, lynx):
     data = np.zeros_like(lynx.data_mk)
-    rng = generator(lynx.setup.scene.seed, Stage.DETECTOR, OBSERVATION)
+    rng = generator(lynx.setup.scene.seed, RandomPurpose.DETECTOR, OBSERVATION)
     psd, rate = lynx.setup.scene.detector.psd_mk2_hz, lynx.setup.raster.sample_rate_hz
     per_sample("detector", lambda: add_white(data, psd, rate, rng))
 
@@ -78,12 +78,14 @@ def test_wind(per_sample, lynx):
 @pytest.mark.parametrize("algorithm", ["average", "planar", "quadratic", "polynomial", "wind", "pca", "local"])
 def test_cleaning(per_sample, lynx, algorithm):
     streams, rate = lynx.streams, lynx.setup.raster.sample_rate_hz
-    section = lynx.setup.scene.cleaning.model_copy(update={"sigma_cut": 3.0, "reach": 1.2, "order": 3, "regions": 1})
-    recipe = Recipe("actual", (algorithm,))
-    delays = measured_delays((Recipe("actual", ("wind",)),), streams, rate)
-    beside = Beside(delays, np.zeros((0, *streams.data_mk.shape), np.float32))
-    arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane, beside, rate)
-    per_sample(f"cleaning, {algorithm}", lambda: apply_recipe(section, recipe, *arguments))
+    section = lynx.setup.scene.cleaning.model_copy(
+        update={"sigma_cut": 3.0, "neighbour_radius": 1.2, "order": 3, "regions": 1}
+    )
+    pipeline = CleaningPipeline("actual", (algorithm,))
+    delays = measured_delays((CleaningPipeline("actual", ("wind",)),), streams, rate)
+    auxiliary = AuxiliaryData(delays, np.zeros((0, *streams.data_mk.shape), np.float32))
+    arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane, auxiliary, rate)
+    per_sample(f"cleaning, {algorithm}", lambda: apply_pipeline(section, pipeline, *arguments))
 
 
 def test_spectra(per_sample, lynx):
@@ -104,7 +106,7 @@ def test_binning(per_sample, lynx):
 def test_simulated_set(per_sample, lynx, name):
     setup, n_det = lynx.setup, len(lynx.data_mk)
     psd = np.tile(lynx.result.clean_psd, (n_det, 1))
-    white = white_level(psd, 150, setup.raster.sample_rate_hz, setup.scene.score.white_above_hz)
+    white = white_level(psd, 150, setup.raster.sample_rate_hz, setup.scene.score.white_noise_above_hz)
     rng = generator(setup.scene.seed, sets.SIMULATED[name], OBSERVATION)
     n_scans = setup.raster.n_scans
     per_sample(f"simulated set, {name}", lambda: sets.simulated_streams(setup, name, psd, white, n_scans, rng))

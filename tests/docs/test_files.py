@@ -30,7 +30,10 @@ RICH_SCENE = (
     SMALL_SCENE.replace("observations = 4\n", "observations = 34\n", 1)
     .replace('beam_fwhm = "60 arcsec"', 'beam_fwhm = "60 arcsec"\nbandwidth = 0.15')
     .replace("[atmosphere]", '[atmosphere]\nsite = "mauna_kea"')
-    .replace('algorithm = "average"', 'algorithm = "average"\ncompare = ["planar", ["average", "local"]]\nreach = 1.2')
+    .replace(
+        'algorithm = "average"',
+        'algorithm = "average"\ncompare = ["planar", ["average", "local"]]\nneighbour_radius = 1.2',
+    )
     .replace('pixel = "30 arcsec"', 'pixel = "30 arcsec"\nhealpix_nside = 1024')
     + '\n[score.reference]\nsource = "nowhere"\nvalues = { actual = "270 uK2" }\n'
 )

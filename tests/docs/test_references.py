@@ -15,6 +15,7 @@ from docs.generated_python import api_reference, markdown, module_reference
 from surveysim.cli.app import app
 from surveysim.cli.failures import EXIT_BROKEN_PIPE
 from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
+from surveysim.scene.scene import RENAMED
 from surveysim.studies.sweep.axes import REFERENCE
 from tests.docs.pages import PAGES, README, ROOT, Block, blocks
 from tests.docs.tables import documented
@@ -60,7 +61,7 @@ def test_rows_have_type_unit_range_and_default():
     assert rows["`interpolation`"].endswith('| text | `"nearest"`, `"linear"`, `"cubic"` | `"linear"` |')
     assert rows["`min_elevation`"].endswith('as `"40 deg"` | 5 deg to 90 deg | **required** |')
     assert rows["`layer_height`"].endswith("| 1 mm to 100000 km | the site's |")
-    assert rows["`stream_memory`"].endswith("| quantity in `byte` | 1 byte to 1e15 byte | `2.5e+08 byte` |")
+    assert rows["`max_block_memory`"].endswith("| quantity in `byte` | 1 byte to 1e15 byte | `2.5e+08 byte` |")
     assert {line.count("|") for line in rows.values()} == {6}
 
 
@@ -80,6 +81,11 @@ def test_keys_of_examples_are_documented(path):
 def test_unknown_keys_are_noticed():
     text = '[scan]\nspead = 1\n[sweep]\n"scan.spead" = [1]\n[sweep.both]\n"scan.speeed" = [1]\n[nothing]\nx = 1\n'
     assert keys_of(text) - all_keys().keys() == {"scan.spead", "scan.speeed", "nothing"}
+
+
+def test_renamed_keys_are_documented():
+    text = (ROOT / "docs" / "reference" / "keys.md").read_text()
+    assert dict(re.findall(r"^\| `([\w.]+)` \| `([\w.]+)` \|$", text, re.MULTILINE)) == RENAMED
 
 
 # ---------------------------------------------------------------- commands

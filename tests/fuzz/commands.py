@@ -62,7 +62,7 @@ SETTINGS = (
     "seed={a=1}",
     "seed=2003-10-28",
     "instrument.layout.dead=[1,2]",
-    "score.window.skies=1000",
+    "score.signal_sims.skies=1000",
     "scan.step=5 deg",
     "scan.duration=1e308 s",
     "sweep.x=1",

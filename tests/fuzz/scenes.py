@@ -34,7 +34,7 @@ RUN_SAMPLES, RUN_PIXELS = 2e5, 3e5  # a run of more is left out: it would be slo
 SITE = """\
 [atmosphere]
 site = "mauna_kea"
-index = "11/3"
+spectral_index = "11/3"
 illuminated_aperture = "8 m"
 """
 LOAD = """\
@@ -330,7 +330,7 @@ def small_enough() -> bool:
 
     setup = prepared(load_scene("scene.toml"))
     samples = setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)
-    skies = setup.scene.score.window.skies * setup.scene.score.jackknives if setup.scene.score else 1
+    skies = setup.scene.score.signal_sims.skies * setup.scene.score.jackknives if setup.scene.score else 1
     pixels = setup.geometry.n_x * setup.geometry.n_y * max(1, skies / 8)
     return (
         samples < RUN_SAMPLES and pixels < RUN_PIXELS and (setup.scene.sky is None or not setup.scene.sky.curved_lmax)

@@ -45,7 +45,7 @@ KEYS = (
     "",
     "sky.point_sources",
     "cleaning.algorithm",
-    "score.window.skies",
+    "score.signal_sims.skies",
     "title",
 )
 

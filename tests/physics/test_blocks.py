@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from surveysim.reduction.observation import transmissions
+from surveysim.reduction.observation import transfer_functions
 from surveysim.reduction.setup import prepare
 from surveysim.scene.scene import load_scene
 from surveysim.survey.run import run_observations
@@ -22,7 +22,7 @@ def surveys(tmp_path_factory):
     for memory, blocks in (("1 MB", 1), ("5 kB", 4)):
         # Enough atmosphere for detectors to be calibrated on: hardly a scan is discarded.
         settings = {"atmosphere.b2": "[2000, 5000, 10000] mK2 rad(-5/3)", "score.jackknives": 32}
-        settings |= {"observations": N_OBS, "numerics.stream_memory": memory}
+        settings |= {"observations": N_OBS, "numerics.max_block_memory": memory}
         setup = prepare(load_scene(path, settings))
         assert len(setup.blocks) == blocks
         found.append((setup, run_observations(setup, None)))
@@ -64,13 +64,13 @@ def test_scores_are_the_same(surveys):
         assert one.band.ell_eff == pytest.approx(many.band.ell_eff, rel=0.1)
 
 
-def test_one_block_tells_what_recipes_leave_of_a_source(tmp_path):
+def test_one_block_tells_what_pipelines_leave_of_a_source(tmp_path):
     """The block in the middle of the map stands for the observation: within a few per cent of a source's power."""
     path, found = tmp_path / "small.toml", []
     path.write_text(SMALL_SCENE)
     for memory, blocks in (("1 MB", 1), ("18 kB", 2)):
-        settings = {"cleaning.compare": ["planar"], "scan.scans": 8, "numerics.stream_memory": memory}
+        settings = {"cleaning.compare": ["planar"], "scan.scans": 8, "numerics.max_block_memory": memory}
         scene = load_scene(path, settings | {"atmosphere.b2": "[2000, 5000, 10000] mK2 rad(-5/3)"})
         assert len(prepare(scene).blocks) == blocks
-        found.append(transmissions(scene)[0, 1, 2:])
+        found.append(transfer_functions(scene)[0, 1, 2:])
     np.testing.assert_allclose(found[1], found[0], rtol=0.15)

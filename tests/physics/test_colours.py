@@ -5,27 +5,27 @@ import pytest
 
 from surveysim.api import run
 from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
-from surveysim.reduction.cleaning_pipelines import Beside, Recipe, apply_recipe
+from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline
 from surveysim.reduction.setup import observation_path, prepare
 from surveysim.results.results import summary
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import SceneError, load_scene
-from surveysim.timestreams.observation import draw_colours, draw_observation
+from surveysim.timestreams.observation import draw_observation, draw_other_bands
 
 SUZIE = "scenarios/suzie_ii.toml"
 
 
 def other_bands(setup, observation):
     """Streams of the other bands of an observation of one block."""
-    return draw_colours(setup, observation, observation_path(setup, observation)[1], setup.blocks[0])
+    return draw_other_bands(setup, observation, observation_path(setup, observation)[1], setup.blocks[0])
 
 
 def test_bands_see_one_layer_as_opacity_scales_it():
     """Without noise: streams of two bands are in the ratio of the responses to the water, times gains."""
     quiet = {"photon.psd": "0 mK2 / Hz", "detector.psd": "0 mK2 / Hz", "observations": 2}
     scene = load_scene(SUZIE, quiet)
-    colours = tuple(colour.model_copy(update={"psd_mk2_hz": 0.0}) for colour in scene.instrument.colours)
-    scene = scene.model_copy(update={"instrument": scene.instrument.model_copy(update={"colours": colours})})
+    bands = tuple(colour.model_copy(update={"psd_mk2_hz": 0.0}) for colour in scene.instrument.bands)
+    scene = scene.model_copy(update={"instrument": scene.instrument.model_copy(update={"bands": bands})})
     setup = prepare(scene)
     mapped, others = draw_observation(setup, 1), other_bands(setup, 1)
     pwv = mapped.attributes["pwv_mm"]
@@ -34,10 +34,10 @@ def test_bands_see_one_layer_as_opacity_scales_it():
         for frequency, width in ((143e9, 0.12), (221e9, 0.1), (355e9, 0.09))
     ]
     for number, other in enumerate(others):
-        scale = np.sqrt(response[number + 1] / response[0]) * setup.colour_responsivity[number] / setup.responsivity
+        scale = np.sqrt(response[number + 1] / response[0]) * setup.band_responsivity[number] / setup.responsivity
         np.testing.assert_allclose(other, mapped.data_mk * scale[:, None], rtol=2e-5, atol=1e-3)
     assert response[2] > 10 * response[0]  # the atmosphere is far brighter at 355 GHz
-    assert np.abs(setup.colour_responsivity[0] / setup.colour_responsivity[1] - 1).max() > 0.01
+    assert np.abs(setup.band_responsivity[0] / setup.band_responsivity[1] - 1).max() > 0.01
 
 
 @pytest.mark.slow
@@ -54,21 +54,21 @@ def test_residual_at_10_mhz_is_near_the_instrument_s_noise():
 def test_a_scan_discarded_in_one_band_is_in_all():
     scene = load_scene(SUZIE, {"observations": 1})
     setup = prepare(scene)
-    streams, colours = draw_observation(setup, 0), other_bands(setup, 0)
-    colours[1, 2, 10] = np.nan  # in the first scan
-    beside = Beside(np.zeros((4, 2)), colours)
-    arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane, beside, 5.0)
-    for recipe in (setup.recipes[0], Recipe("actual", ("spectral",))):
-        assert apply_recipe(scene.cleaning, recipe, *arguments).kept.tolist() == [False, True, True, True]
+    streams, bands = draw_observation(setup, 0), other_bands(setup, 0)
+    bands[1, 2, 10] = np.nan  # in the first scan
+    auxiliary = AuxiliaryData(np.zeros((4, 2)), bands)
+    arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane, auxiliary, 5.0)
+    for pipeline in (setup.pipelines[0], CleaningPipeline("actual", ("spectral",))):
+        assert apply_pipeline(scene.cleaning, pipeline, *arguments).kept.tolist() == [False, True, True, True]
 
 
 @pytest.mark.parametrize(
     "changes, words",
     [
-        ({"instrument.colours": []}, "instrument.colours: missing; 'spectral' cleaning needs other bands"),
+        ({"instrument.bands": []}, "instrument.bands: missing; 'spectral' cleaning needs other bands"),
         ({"atmosphere.site": "mars"}, "atmosphere.site: found 'mars'"),
-        ({"instrument.colours": [{"frequency": "500 GHz", "bandwidth": 0.1, "psd": "1 mK2 / Hz"}]}, "bands within"),
-        ({"instrument.colours": [{"frequency": "300 GHz", "psd": "1 mK2 / Hz"}]}, "colours.0.bandwidth: missing"),
+        ({"instrument.bands": [{"frequency": "500 GHz", "bandwidth": 0.1, "psd": "1 mK2 / Hz"}]}, "bands within"),
+        ({"instrument.bands": [{"frequency": "300 GHz", "psd": "1 mK2 / Hz"}]}, "bands.0.bandwidth: missing"),
     ],
 )
 def test_refused(changes, words):
@@ -79,7 +79,7 @@ def test_refused(changes, words):
 
 def test_blocks_of_all_bands_see_the_same_layer():
     """In each of several blocks too, subtracting the other bands takes the layer away."""
-    settings = {"observations": 2, "numerics.stream_memory": "200 kB"}
+    settings = {"observations": 2, "numerics.max_block_memory": "200 kB"}
     setup = prepare(load_scene(SUZIE, settings))
     assert len(setup.blocks) == 2  # two scans of 2000 samples of four pixels in three bands each
     left = run(load_scene(SUZIE, settings), engine=SERIAL)

@@ -12,7 +12,7 @@ from surveysim.forecasting.observing_conditions import conditions, population_dr
 from surveysim.reduction.setup import prepare
 from surveysim.results.control_variate import expectations, quoted_scores
 from surveysim.results.stopping import estimate_so_far
-from surveysim.runtime.rng import Stage, generator
+from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.survey.run import run_observations
 from tests.stopped import weather_scene
 
@@ -59,7 +59,7 @@ def test_the_population_has_the_moments_of_independent_draws(tmp_path):
     even = expected_weights(setup, model.noise(levels)).reshape(len(lists), -1).mean(axis=1)
     drawn = []
     for number in range(4000):
-        rng = generator(1, Stage.WEATHER, number, realization=2)
+        rng = generator(1, RandomPurpose.WEATHER, number, realization=2)
         drawn.append((number % setup.scene.observations, draw_weather(air, setup.water, rng)))
     random = expected_weights(setup, model.noise(conditions(setup, drawn)))
     error = random.std() / np.sqrt(len(random))
@@ -133,7 +133,7 @@ def test_errors_of_few_observations_are_right():
     for n_obs in (4, 8):
         bands = []
         for seed in range(24):
-            settings = {"observations": n_obs, "seed": 300 + seed, "score.simulated": []}
+            settings = {"observations": n_obs, "seed": 300 + seed, "score.noise_only_sets": []}
             setup = prepare(load_scene("scenarios/first_light.toml", settings))
             item = quoted_scores(setup, run_observations(setup, None), ("actual",))["actual"]
             bands.append([(band.sigma_ukcmb2, band.error_ukcmb2) for band in (item.band, item.plain_band)])

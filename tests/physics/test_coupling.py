@@ -9,7 +9,7 @@ from scipy import fft, ndimage
 from mapmaker.bandpower import estimate_amplitude, flat_band_power, flat_spectrum_psd
 from mapmaker.geometry import MapGeometry, boresight_pixels, sky_offsets
 from mapmaker.spectrum import annuli, coupled_psd, map_psd, mode_ell, neighbour_correlation, ring_mean, tukey_taper
-from mapmaker.window import beam_window, mode_pixel_window, pixel_window
+from mapmaker.transfer_function import beam_window, mode_pixel_window, pixel_window
 from surveysim.forecasting.forecast import forecast
 from surveysim.forecasting.noise_model import survey_models
 from surveysim.reduction.scored_region import flat_signal
@@ -220,7 +220,7 @@ def test_scans_take_the_modes_that_skies_lack(lynx, algorithm, allowed):
 @pytest.mark.parametrize("algorithm", ["none", "planar"])
 def test_the_forecast_interpolates_its_transmission(algorithm):
     """Bins of 500 against bins of 250, which know it at twice as many multipoles: within 1 % from ell = 1000."""
-    keys = {"observations": 4, "cleaning.algorithm": algorithm, "score.simulated": []}
+    keys = {"observations": 4, "cleaning.algorithm": algorithm, "score.noise_only_sets": []}
     coarse, fine = (load_scene(LYNX, {**keys, "score.ell_bin": width}) for width in (500, 250))
     rings = prepare(fine).band.rings
     known, cells = survey_models(fine)[0].signal_psd, rings.n_modes

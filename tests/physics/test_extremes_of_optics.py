@@ -29,7 +29,7 @@ WIDE = {
     "score.size": "36 arcmin",
     "score.ell_bin": 2000,
     "score.jackknives": 32,
-    "score.window.observations": 8,
+    "score.signal_sims.observations": 8,
 }
 BRIGHT = {"atmosphere.b2": "[400, 900, 2000] mK2 rad(-5/3)"}
 NO_AIR = (

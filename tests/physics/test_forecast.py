@@ -201,7 +201,7 @@ def test_frames_of_observations_are_those_of_the_scans(scene_of):
 # ---------------------------------------------------------------- whole surveys
 
 # An observation's weight is known to 12 %.
-WIDE = WIDE_PATCH | {"observations": 48, "score.window.observations": 20}
+WIDE = WIDE_PATCH | {"observations": 48, "score.signal_sims.observations": 20}
 BARE_EXCESS = ('b2 = [46, 580]\nvariance = "[2.05, 4.52] mK2"', 'b2 = [100]\nvariance = "[3] mK2"')
 
 
@@ -299,7 +299,9 @@ def test_pixels_do_not_smooth_noise_of_single_streams(scene_of, coherence):
 @pytest.mark.parametrize("algorithm", ["average", "planar", "quadratic"])
 def test_lynx_is_as_forecast(algorithm):
     """200 observations of the paper's survey: sigma(A) to 10 %, noise PSDs to 15 %, each with two errors beside."""
-    scene = load_scene(LYNX, {"observations": 200, "cleaning.algorithm": algorithm, "score.window.observations": 40})
+    scene = load_scene(
+        LYNX, {"observations": 200, "cleaning.algorithm": algorithm, "score.signal_sims.observations": 40}
+    )
     result = run(scene, engine=SERIAL)
     for name, item in forecast_agreement(result).items():
         assert abs(item.sigma) < 0.1 + 2 * item.sigma_error, (name, item)
@@ -320,7 +322,12 @@ def test_fits_take_from_lynx_what_is_forecast():
     scatter between bins; in the mean over 18 bins to 1 and 0.1 %. Noise, with observations and sign flips in common: in
     the mean over bins to 3 %.
     """
-    keys = {"observations": 40, "score.window.observations": 12, "score.window.skies": 4, "score.jackknives": 32}
+    keys = {
+        "observations": 40,
+        "score.signal_sims.observations": 12,
+        "score.signal_sims.skies": 4,
+        "score.jackknives": 32,
+    }
     keys |= {"score.ell_min": 500, "cleaning.max_iterations": 100_000}
     keys |= {"atmosphere.b2_probabilities": [0.5], "atmosphere.b2": "[280] mK2 rad(-5/3)"}
     known, scan, observation = (
@@ -356,7 +363,7 @@ def test_short_scans_are_as_forecast_whoever_knows_the_responsivities():
     20 observations know the ratio of forecast and simulation, which share their weather, to 3 %. All ways share
     weather, noise and skies.
     """
-    keys = {"observations": 20, "score.window.observations": 4, "cleaning.algorithm": "planar"}
+    keys = {"observations": 20, "score.signal_sims.observations": 4, "cleaning.algorithm": "planar"}
     ways = {"observation": {}, "survey": {"cleaning.calibration_error": 0.01}, "known": {}}
     sigma = {}
     for way, more in ways.items():
@@ -410,13 +417,13 @@ def test_white_noise_by_hand(scene_of):
         {"atmosphere__wind_median": "240 arcmin/s", "atmosphere__wind_log_scatter": 0.5},
         {"scan__step": "0 arcmin"},
         {"score__ell_min": 500, "score__ell_max": 2000, "score__ell_bin": 750},
-        {"instrument__camera_rotation": "0 deg"},
+        {"instrument__camera_rotation_range": "0 deg"},
         {"scan__duration": "2 s"},
         {"scan__speed": "60 arcmin/s"},
         {"scan__duration": "200 s", "scan__speed": "0.1 arcmin/s"},
         {"atmosphere__b2": "[0, 280, 980] mK2 rad(-5/3)"},
         {"atmosphere__outer_scale": "50 m"},
-        {"atmosphere__index": "2/3", "atmosphere__b2": "[100, 280, 980] mK2 rad(4/3)"},
+        {"atmosphere__spectral_index": "2/3", "atmosphere__b2": "[100, 280, 980] mK2 rad(4/3)"},
         {"photon__psd": "0 mK2/Hz", "detector__psd": "0 mK2/Hz"},
         {"photon__coherence": "intensity", "photon__coherent_fraction": 1.0, "photon__bose_fraction": 1.0},
         {"cleaning__algorithm": "quadratic", "score__mask_separation_f_lambda": 0.8},
@@ -434,7 +441,7 @@ def test_odd_scenes_end_finite(scene_of, change):
         (without_sections(SMALL_SCENE, "score"), {}, "score: missing"),
         (
             SMALL_SCENE,
-            {"cleaning__algorithm": "local", "cleaning__reach": 1.2},
+            {"cleaning__algorithm": "local", "cleaning__neighbour_radius": 1.2},
             "found 'local'; one of 'none', 'average'",
         ),
         (SMALL_SCENE, {"cleaning__algorithm": ["average", "planar"]}, "can be forecast"),

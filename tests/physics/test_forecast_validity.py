@@ -13,10 +13,15 @@ from surveysim.scene.scene import load_scene
 from tests.scenes import SMALL_SCENE, WIDE_PATCH
 
 # 24 observations know sigma(A) to 4 %.
-WIDE = WIDE_PATCH | {"observations": 24, "score.window.observations": 8}
+WIDE = WIDE_PATCH | {"observations": 24, "score.signal_sims.observations": 8}
 UNMASKED = SMALL_SCENE.replace("mask_separation_f_lambda = 1.3\n", "")
 SITED = SMALL_SCENE.replace('b2_probabilities = [0.25, 0.5, 0.75]\nb2 = "[100, 280, 980] mK2 rad(-5/3)"\n', "")
-FAST = {"scan.duration": "4 s", "scan.sample_rate": "30 Hz", "score.white_above": "8 Hz", "scan.turnaround": "1 s"}
+FAST = {
+    "scan.duration": "4 s",
+    "scan.sample_rate": "30 Hz",
+    "score.white_noise_above": "8 Hz",
+    "scan.turnaround": "1 s",
+}
 NARROW = {"scan.step": "1 arcmin", "scan.scans": 37}
 WITHIN, KNOWN = 0.1, 0.06  # of sigma(A): largest difference without a flag, and its largest standard error
 
@@ -45,7 +50,7 @@ CASES = {
             "scan.speed": "12 arcmin / s",
             "instrument.layout.rings": 9,
             "cleaning.algorithm": "planar",
-            "atmosphere.index": 3.2,
+            "atmosphere.spectral_index": 3.2,
             "atmosphere.b2": "[400, 900, 2000] mK2 rad(-1.2)",
         },
         "discarded scans",
@@ -56,7 +61,7 @@ CASES = {
             "scan.speed": "40 arcmin / s",
             "scan.duration": "1.5 s",
             "scan.sample_rate": "100 Hz",
-            "score.white_above": "25 Hz",
+            "score.white_noise_above": "25 Hz",
             "scan.scans": 25,
             "excess.band_limit": "2 Hz",
         },
@@ -64,7 +69,7 @@ CASES = {
     ),
     "b = 3.9, wind of 6 arcmin/s": Case(
         {
-            "atmosphere.index": 3.9,
+            "atmosphere.spectral_index": 3.9,
             "atmosphere.b2": "[400, 900, 2000] mK2 rad(-1.9)",
             "atmosphere.wind_median": "6 arcmin / s",
         },
@@ -90,7 +95,7 @@ CASES = {
             "scan.speed": "20 arcmin / s",
             "scan.duration": "2 s",
             "scan.sample_rate": "60 Hz",
-            "score.white_above": "15 Hz",
+            "score.white_noise_above": "15 Hz",
             "instrument.frequency": "280 GHz",
             "instrument.bandwidth": 0.2,
             "instrument.beam_fwhm": "46 arcsec",
@@ -105,12 +110,12 @@ CASES = {
     ),
     "90 GHz at 30 deg": Case({"instrument.frequency": "90 GHz", "fixed_pointing.elevation": "30 deg"}),
     "b = 2.5": Case(
-        {"atmosphere.index": 2.5, "atmosphere.b2": "[400, 900, 2000] mK2 rad(-0.5)"},
+        {"atmosphere.spectral_index": 2.5, "atmosphere.b2": "[400, 900, 2000] mK2 rad(-0.5)"},
         "stripes",  # seeds 11 to 13: -11 +- 3 %
     ),
     "b = 4.5 with an outer scale": Case(
         {
-            "atmosphere.index": 4.5,
+            "atmosphere.spectral_index": 4.5,
             "atmosphere.outer_scale": "500 m",
             "atmosphere.b2": "[1000, 3000, 10000] mK2 rad(-2.5)",
         }
@@ -130,13 +135,13 @@ CASES = {
             "excess.coherence": "none",
         }
     ),
-    "large dither, fixed camera": Case({"scan.dither": "12 arcmin", "instrument.camera_rotation": "0 deg"}),
+    "large dither, fixed camera": Case({"scan.dither": "12 arcmin", "instrument.camera_rotation_range": "0 deg"}),
     "slow scans, known responsivities": Case(
         {
             "scan.speed": "1 arcmin / s",
             "scan.duration": "40 s",
             "scan.sample_rate": "5 Hz",
-            "score.white_above": "1.2 Hz",
+            "score.white_noise_above": "1.2 Hz",
             "cleaning.responsivities": "known",
         }
     ),

@@ -15,7 +15,7 @@ from surveysim.scene.scene import load_scene
 from surveysim.timestreams.observation import observation_levels
 
 SCENE = Path(__file__).parents[2] / "scenarios" / "large_camera.toml"
-SETTINGS = {"observations": 1, "scan.scans": 3, "scan.step": "60 arcmin", "numerics.stream_memory": "100 MB"}
+SETTINGS = {"observations": 1, "scan.scans": 3, "scan.step": "60 arcmin", "numerics.max_block_memory": "100 MB"}
 
 
 @pytest.mark.slow

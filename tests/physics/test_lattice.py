@@ -18,7 +18,7 @@ from surveysim.scene.noise_and_sky import Excess
 from surveysim.scene.scene import SceneError, load_scene
 from surveysim.telescope import lattice_noise as lattice
 from surveysim.telescope.focal_plane import Camera, hexagon
-from surveysim.telescope.lattice_noise import LARGEST_ERROR, SharedNoise, TorusRoot, embed
+from surveysim.telescope.lattice_noise import LARGEST_ERROR, CirculantFactor, NoiseCorrelation, embed
 from surveysim.telescope.pixel_coherence import Illumination, correlation_matrix
 from surveysim.timestreams import shared_parts as parts
 from surveysim.timestreams.noise import add_correlated_white, add_excess, excess_psd, hann_psd
@@ -148,9 +148,9 @@ def test_products_are_those_of_the_matrix(kind):
         columns += 1j * rng.standard_normal(columns.shape)
     gain, matrix = rng.uniform(0.8, 1.2, len(cells)), implied(torus, cells)
     np.testing.assert_allclose(torus.times(columns), matrix @ columns, atol=1e-11)
-    shared = SharedNoise(torus, gain) @ columns
+    shared = NoiseCorrelation(torus, gain) @ columns
     np.testing.assert_allclose(shared, gain[:, None] * matrix * gain @ columns, atol=1e-11)
-    np.testing.assert_allclose(SharedNoise(None, gain) @ columns, gain[:, None] ** 2 * columns, rtol=1e-12)
+    np.testing.assert_allclose(NoiseCorrelation(None, gain) @ columns, gain[:, None] ** 2 * columns, rtol=1e-12)
 
 
 @pytest.mark.parametrize("algorithm", ["none", "average", "quadratic"])
@@ -159,7 +159,7 @@ def test_powers_of_a_forecast_are_those_of_the_matrix(algorithm):
     torus, rng = embed(cells, 0.7, "field", Illumination()), np.random.default_rng(7)
     gain = rng.uniform(0.8, 1.2, len(cells))
     cleaned = projected_array(FocalPlane(*positions.T, 1.0), 0.3, gain, algorithm)
-    matrix, shared = gain[:, None] * implied(torus, cells) * gain, SharedNoise(torus, gain)
+    matrix, shared = gain[:, None] * implied(torus, cells) * gain, NoiseCorrelation(torus, gain)
     assert stream_power(cleaned, shared) == pytest.approx(stream_power(cleaned, matrix), rel=1e-9)
     waves = cleaned.response(rng.standard_normal(6) + 1j * rng.standard_normal(6))
     np.testing.assert_allclose(matrix_power(waves, shared), matrix_power(waves, matrix), rtol=1e-9)
@@ -171,10 +171,10 @@ def test_powers_of_a_forecast_are_those_of_the_matrix(algorithm):
 def test_coverage_of_many_samples_is_that_of_some_of_them(path, monkeypatch):
     """One of four samples in time, counted four times: within the chance of where they fall."""
     ready = prepare(load_scene(path, {"scan.sample_rate": "40 Hz", "map.pixel": "60 arcsec", "score.ell_max": 10000}))
-    whole = conditions.mean_hits(ready, ready.recipes[0])
+    whole = conditions.mean_hits(ready, ready.pipelines[0])
     samples = ready.n_det * ready.raster.n_scans * 240
     monkeypatch.setattr(conditions, "_MOST_HIT_SAMPLES", samples / 4)
-    some = conditions.mean_hits(ready, ready.recipes[0])
+    some = conditions.mean_hits(ready, ready.pipelines[0])
     assert some.sum() == pytest.approx(whole.sum(), rel=0.02) and (some % 1 == 0).all()
     covered = whole > 20
     assert covered.sum() > 20
@@ -206,7 +206,7 @@ def test_forecasts_are_those_of_matrices(path, few_are_many):
         ("actual", "masked_7"), np.ones(scene.observations)
     )  # how many are discarded is tried on draws, which differ
     many = forecast(scene, kept)
-    assert isinstance(prepare(scene).excess_factor, TorusRoot)
+    assert isinstance(prepare(scene).excess_factor, CirculantFactor)
     with pytest.MonkeyPatch.context() as patch:
         for module in DENSE:
             patch.setattr(module, "MOST_DENSE", 1000)

@@ -13,7 +13,7 @@ from scipy.special import eval_legendre
 from mapmaker.geometry import MapGeometry, pixel_centres, plane_directions, wcs
 from mapmaker.kernels.pixels import add_sky
 from mapmaker.spectrum import annuli, coupled_psd, map_psd, mode_ell, mode_psd, ring_mean, tukey_taper
-from mapmaker.window import beam_window
+from mapmaker.transfer_function import beam_window
 from surveysim.reduction.setup import prepare
 from surveysim.scene.noise_and_sky import PointSource, Sky
 from surveysim.scene.scene import SceneError, load_scene

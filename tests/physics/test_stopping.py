@@ -21,8 +21,8 @@ def reference(tmp_path_factory):
     settings = {
         "observations": LONG,
         "score.jackknives": 384,
-        "score.window.skies": 24,
-        "score.window.observations": 300,
+        "score.signal_sims.skies": 24,
+        "score.signal_sims.observations": 300,
     }
     setup = prepare(weather_scene(tmp_path_factory.mktemp("long"), settings))
     found = estimate_so_far(setup, run_observations(setup, None))

@@ -9,7 +9,7 @@ from mapmaker.bandpower import estimate_amplitude, flat_band_power, flat_spectru
 from mapmaker.binning import weighted_mean
 from mapmaker.cleaning.templates import QUADRATIC, template_basis
 from mapmaker.spectrum import map_psd
-from mapmaker.window import beam_window, pixel_window
+from mapmaker.transfer_function import beam_window, pixel_window
 from surveysim.atmosphere.thin_screen import at_elevation, temporal_psd
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import Engine
@@ -41,7 +41,7 @@ def survey(tmp_path, keep=(), **overrides):
         "map.pixel": "20 arcsec",
         "score.size": "24 arcmin",
         "score.ell_bin": 1000,
-        "score.window.observations": 4,
+        "score.signal_sims.observations": 4,
         "instrument.responsivity_scatter": 0.0,
     }
     setup = prepare(load_scene(path, settings | overrides))
@@ -128,7 +128,7 @@ def test_removing_scan_means_leaves_the_window_that_geometry_gives(tmp_path):
     setup, coadds = survey(
         tmp_path,
         ("detector",),
-        **{"cleaning.algorithm": "none", "score.window.skies": 6, "score.window.observations": 24},
+        **{"cleaning.algorithm": "none", "score.signal_sims.skies": 6, "score.signal_sims.observations": 24},
     )
     window = score_survey(setup, coadds, ("actual",))["actual"].window
     # A scan of length L along x turns exp(i k x) into itself less its mean, sinc(k_x L / 2) exp(i k x_0); what
@@ -191,7 +191,10 @@ def test_stream_psds_add_up(tmp_path):
     scene, air = setup.scene, setup.scene.atmosphere
     frequency = np.arange(76) / 15
     elevation = scene.fixed_pointing.elevation_rad
-    amplitude, seen = 280 * np.sin(elevation) ** (1 - air.index), at_elevation(setup.strips.screen, np.sin(elevation))
+    amplitude, seen = (
+        280 * np.sin(elevation) ** (1 - air.spectral_index),
+        at_elevation(setup.strips.screen, np.sin(elevation)),
+    )
     wind, scan = air.wind_median_rad_s, setup.raster.speed_rad_s
     # The layer passes at the vector difference of wind and scan, at all angles alike.
     angles = (np.arange(24) + 0.5) * (2 * np.pi / 24)
@@ -246,7 +249,7 @@ def test_neighbours_share_the_white_noise_that_the_paper_measures():
 @pytest.mark.slow
 def test_lynx_gains_of_table_3():
     """The survey's gains, paper section 5.2: 1.6 and 1.7, and none left when neighbours are masked."""
-    scene = load_scene(LYNX, {"observations": 160, "score.window.observations": 40})
+    scene = load_scene(LYNX, {"observations": 160, "score.signal_sims.observations": 40})
     setup = prepare(scene)
     scores = score_survey(setup, run_observations(setup, None, engine=Engine(workers=2)))
     sigma = {name: item.band.sigma_ukcmb2 for name, item in scores.items()}

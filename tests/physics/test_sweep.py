@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mapmaker.bandpower import flat_spectrum_psd, score
-from mapmaker.window import Window
+from mapmaker.transfer_function import TransferFunction
 from surveysim import load_sweep, run_sweep
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.sweep.comparison import compare_runs
@@ -45,7 +45,7 @@ def toy_pair(weights, own, rng):
     shape = (weights.size, N_MODES.sum() // 2)
     common, *apart = (rng.normal(size=(*shape, 2)) @ [1, 1j] / np.sqrt(2) for _ in range(3))
     signs = rng.choice([-1.0, 1.0], size=(FLIPS, weights.size))
-    window = Window(ELL, np.ones(4), np.zeros((2, 4)))
+    window = TransferFunction(ELL, np.ones(4), np.zeros((2, 4)))
     items = []
     for noise in apart:
         modes = np.sqrt(weights)[:, None] * (np.sqrt(1 - own) * common + np.sqrt(own) * noise)
@@ -99,9 +99,7 @@ def assert_right(log_ratio, paired):
     n = len(log_ratio)
     tolerance = 3 * np.sqrt(2 / (n - 1) + 2 / (n * (FLIPS - 1)))
     # Of the logarithm, so that too large an error fails as well as one that is too small.
-    off = np.log(np.var(log_ratio, ddof=1) / np.mean(paired**2))
-    print("off", off, tolerance)
-    assert abs(off) < tolerance
+    assert abs(np.log(np.var(log_ratio, ddof=1) / np.mean(paired**2))) < tolerance
 
 
 @pytest.mark.slow
@@ -138,13 +136,11 @@ def test_paired_error_where_little_is_common(tmp_path, monkeypatch):
 def test_paired_error_in_varying_weather(tmp_path, monkeypatch, table, gained):
     """Twenty-four observations in the atmosphere, cleaned: weather and window are common too.
 
-    Weights with long tails scatter more from seed to seed than normal ones: the variance from n seeds is known to
-    sqrt(5 / n) for the kurtosis of 6 that is found.
+    Ratios of surveys that lose no scans have no long tails: an excess kurtosis of -0.5 +- 0.8 over 40 seeds.
     """
     monkeypatch.setattr("surveysim.studies.sweep.comparison.run_forecast", lambda setup, coadds: None)
-    n = 30
-    log_ratio, paired, independent = seeds_of(tmp_path, AIR, table, n)
-    assert np.log(np.var(log_ratio, ddof=1) / np.mean(paired**2)) == pytest.approx(0, abs=3 * np.sqrt(5 / n))
+    log_ratio, paired, independent = seeds_of(tmp_path, AIR, table, 30)
+    assert_right(log_ratio, paired)
     assert np.sqrt(np.mean(paired**2)) < np.sqrt(np.mean(independent**2)) / gained
 
 

@@ -211,9 +211,9 @@ def test_the_beam_in_the_layer_is_that_of_the_slant_distance(scene_of, elevation
     data = np.array([layer_alone(setup, 0, weather, None, k)[:, 0] for k in range(n_draw)], float)
     place = np.stack([setup.camera.focal_plane.x_rad, setup.camera.focal_plane.y_rad], axis=1)
     apart = np.linalg.norm(place[:, None] - place, axis=-1)
-    seen = Screen(air.index, air.illuminated_aperture_m / air.layer_height_m * sine)
+    seen = Screen(air.spectral_index, air.illuminated_aperture_m / air.layer_height_m * sine)
     found = np.square(data[:, :, None] - data[:, None]).mean(axis=0)
-    expected = 280 * sine ** (1 - air.index) * structure_function(seen, apart)
+    expected = 280 * sine ** (1 - air.spectral_index) * structure_function(seen, apart)
     far = apart > 1e-9
     # Pairs share detectors and the gradient: as one value, with the scatter of a square.
     ratio = found[far] / expected[far]
@@ -224,16 +224,16 @@ def test_the_beam_in_the_layer_is_that_of_the_slant_distance(scene_of, elevation
     a, b, c = next(t for t in others if len(set(t)) == 3 and np.allclose(place[t[0]] + place[t[2]], 2 * place[t[1]]))
     contrast = np.zeros(len(place))
     contrast[[a, b, c]] = 1, -2, 1
-    left = np.square(data @ contrast).mean() / (280 * sine ** (1 - air.index))
+    left = np.square(data @ contrast).mean() / (280 * sine ** (1 - air.spectral_index))
     assert left == pytest.approx(-0.5 * contrast @ structure_function(seen, apart) @ contrast, rel=0.25)
-    overhead = Screen(air.index, air.illuminated_aperture_m / air.layer_height_m)
+    overhead = Screen(air.spectral_index, air.illuminated_aperture_m / air.layer_height_m)
     assert left > 1.3 * -0.5 * contrast @ structure_function(overhead, apart) @ contrast
 
 
 def test_blocks_share_an_observation_s_trends(scene_of):
     """Two blocks and one: other draws within the scans, nearly the same slopes, of which trends are the most."""
     whole = prepare(scene_of(scan__scans=8))
-    parts = prepare(scene_of(scan__scans=8, numerics__stream_memory="18 kB"))
+    parts = prepare(scene_of(scan__scans=8, numerics__max_block_memory="18 kB"))
     assert len(whole.blocks) == 1 and len(parts.blocks) == 2
     one = layer_alone(whole)
     two = np.concatenate([layer_alone(parts, block=block) for block in parts.blocks], axis=1)

@@ -11,7 +11,7 @@ from surveysim.scene.atmosphere import Atmosphere
 
 N_DRAWS = 16000
 LYNX = {
-    "index": "11/3",
+    "spectral_index": "11/3",
     "layer_height": "1000 m",
     "illuminated_aperture": "8 m",
     "b2_probabilities": [0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875],

@@ -9,15 +9,15 @@ import numpy as np
 from mapmaker.cleaning import Cleaned, PcaOptions, TemplateOptions, WindOptions, clean, slowness
 from mapmaker.cleaning.templates import QUADRATIC, template_streams
 from mapmaker.timestreams import FocalPlane, Timestreams
+from mapmaker.transfer_function import beam_window
 from mapmaker.wind import scan_velocities
-from mapmaker.window import beam_window
 from surveysim.paper.measured_survey import MeasuredSurvey
 from surveysim.paper.measurement import WHITE_ABOVE_HZ, Measurement
 from surveysim.paper.published import published
 from surveysim.paper.statistics import described
 from surveysim.reduction.setup import Setup, observation_path
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
-from surveysim.runtime.rng import Stage, generator
+from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.noise import hann_psd
 from surveysim.timestreams.observation import add_sky_signal, draw_observation, observation_levels
@@ -309,7 +309,7 @@ def cleaning_cost(one: Example, name: str) -> Cost:
         SIGNAL_BAND_POWER_UKCMB2,
         instrument.cmb_per_rj,
         instrument.beam_fwhm_rad,
-        generator(setup.scene.seed, Stage.WINDOW_SKY),
+        generator(setup.scene.seed, RandomPurpose.WINDOW_SKY),
     )
     add_sky_signal(setup, pointing, sky, plain, setup.responsivity)
     base, both = one.clean(name), one.clean(name, plain)

@@ -9,7 +9,7 @@ from surveysim.results.results import SurveyResult
 from surveysim.survey.coadds import row_names
 from surveysim.survey.scores import DataSetScore, gain, rescore
 
-LOOKS = ("blue", "green", "vermilion", "purple", "orange", "sky")  # of the recipes, in their order
+LOOKS = ("blue", "green", "vermilion", "purple", "orange", "sky")  # of the pipelines, in their order
 OPTIMAL_LOOK = "black --"
 LOWEST_ELL = 500  # bins below it hold few modes, and of those little but the map's mean and gradient
 ARCMIN2_IN_SR = np.degrees(60.0) ** 2  # square arcminutes in a steradian: PSDs get plain numbers
@@ -20,12 +20,12 @@ FROM_ELL = r"Lowest multipole $\ell$ used"
 def map_psd_figure(result: SurveyResult) -> PaperFigure:
     """Figure 13: map noise PSDs by algorithm, the same over the windows, and the cumulative sensitivity.
 
-    Raises ValueError for a result that has no scores or compares no recipes.
+    Raises ValueError for a result that has no scores or compares no pipelines.
     """
     if not result.setup.chooses or not result.scores:
         found = result.unscored or "cleaning.compare is empty"
-        raise ValueError(f"found no scores of several recipes: {found}; a scored run that compares some is expected")
-    names = recipe_names(result)
+        raise ValueError(f"found no scores of several pipelines: {found}; a scored run that compares some is expected")
+    names = pipeline_names(result)
     return PaperFigure(
         number=13,
         title="Noise of the co-added map and sensitivity to a flat CMB band power",
@@ -40,9 +40,9 @@ def map_psd_figure(result: SurveyResult) -> PaperFigure:
     )
 
 
-def recipe_names(result: SurveyResult) -> dict[str, str]:
-    """Label and data set of every recipe for all detectors, and of the best of them for each observation."""
-    return {recipe.label: recipe.data_set for recipe in result.setup.whole_recipes} | {OPTIMAL: OPTIMAL}
+def pipeline_names(result: SurveyResult) -> dict[str, str]:
+    """Label and data set of every pipeline for all detectors, and of the best of them for each observation."""
+    return {pipeline.label: pipeline.data_set for pipeline in result.setup.whole_pipelines} | {OPTIMAL: OPTIMAL}
 
 
 def winners(result: SurveyResult, target: str, data_sets: tuple[str, ...]) -> dict[str, float]:
@@ -56,11 +56,11 @@ def winners(result: SurveyResult, target: str, data_sets: tuple[str, ...]) -> di
     missing = [name for name in wanted if name not in names]
     if missing:
         raise ValueError(f"found no {', '.join(missing)} in the rows; data sets that are compared are allowed")
-    merits = np.array(result.coadds.rows)[:, [names.index(name) for name in wanted]]
-    merits = merits[np.nan_to_num(merits).max(axis=1) > 0]
-    if len(merits) == 0:
+    figures_of_merit = np.array(result.coadds.rows)[:, [names.index(name) for name in wanted]]
+    figures_of_merit = figures_of_merit[np.nan_to_num(figures_of_merit).max(axis=1) > 0]
+    if len(figures_of_merit) == 0:
         raise ValueError("found no observation with a figure of merit; one or more is expected")
-    best = np.nanargmax(merits, axis=1)
+    best = np.nanargmax(figures_of_merit, axis=1)
     return {data_set: float(np.mean(best == place)) for place, data_set in enumerate(data_sets)}
 
 
@@ -148,11 +148,11 @@ def _starts(result: SurveyResult) -> np.ndarray:
 
 def _caption(result: SurveyResult, names: dict[str, str]) -> str:
     scene, first = result.setup.scene, next(iter(names))
-    recipes = {label: name for label, name in names.items() if label != OPTIMAL}
+    pipelines = {label: name for label, name in names.items() if label != OPTIMAL}
     own = result.scores[ACTUAL]
     against = {label: gain(result.scores[name], own) for label, name in names.items() if name != ACTUAL}
     ratios = ", ".join(f"{item.ratio:.3f} ± {item.error:.3f} ({label})" for label, item in against.items())
-    removed = {label: result.flux_removed[name] for label, name in recipes.items()}
+    removed = {label: result.flux_removed[name] for label, name in pipelines.items()}
     flux = _beside(removed, published()["cleaning"]["point_source_flux_removed"])
     return (
         f"{result.coadds.done} simulated observations of {scene.name}, co-added after each algorithm, and after the one"
@@ -162,16 +162,18 @@ def _caption(result: SurveyResult, names: dict[str, str]) -> str:
         f" the uncertainty that bins of one unit of ln l would have; bottom: from all data from a multipole up to"
         f" {scene.score.ell_max}, with Monte Carlo errors; right, of the ratio. In the scored range from"
         f" {scene.score.ell_min} it is {own.band.sigma_ukcmb2:.0f} ± {own.band.error_ukcmb2:.0f} uK_CMB^2 with {first},"
-        f" times {ratios}. Best for a flat CMB spectrum: {_shares(result, 'cmb', recipes)} %; for a point source:"
-        f" {_shares(result, 'point_source', recipes)} % of observations."
+        f" times {ratios}. Best for a flat CMB spectrum: {_shares(result, 'cmb', pipelines)} %; for a point source:"
+        f" {_shares(result, 'point_source', pipelines)} % of observations."
         f" Flux of a faint point source removed: {flux} %."
         f" The paper finds average, planar and optimal alike within errors, and quadratic subtraction less sensitive."
     )
 
 
-def _shares(result: SurveyResult, target: str, recipes: dict[str, str]) -> str:
-    best = winners(result, target, tuple(recipes.values()))
-    return _beside({label: best[name] for label, name in recipes.items()}, published()["cleaning"][f"optimal_{target}"])
+def _shares(result: SurveyResult, target: str, pipelines: dict[str, str]) -> str:
+    best = winners(result, target, tuple(pipelines.values()))
+    return _beside(
+        {label: best[name] for label, name in pipelines.items()}, published()["cleaning"][f"optimal_{target}"]
+    )
 
 
 def _beside(shares: dict[str, float], paper: dict[str, float]) -> str:

@@ -11,7 +11,7 @@ from surveysim.atmosphere.thin_screen import mean_removed_variance
 from surveysim.atmosphere.weather import b2_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
-from surveysim.runtime.rng import Stage, generator
+from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.sites import SITES, median_water_mm, water_mm
 from surveysim.telescope.raster import samples_per_scan
 
@@ -85,9 +85,10 @@ def _screen_caption(setup: Setup) -> str:
         f" the layer are angles times its height: a field of view of {_arcmin(field_rad):.1f} arcmin is only"
         f" {height * field_rad:.1f} m wide, and the median wind of {_arcmin(wind):.0f} arcmin/s is {height * wind:.1f}"
         f" m/s. The last panel is one realization of the layer's emission over {setup.scene.scan.duration_s:g} s, for"
-        f" b = {_fraction(air.index)} and the median B2 of {_median_b2(setup):.0f} mK^2"
-        f" rad^({_fraction(2 - air.index)}) (rms {seen_mk:.0f} mK, where the model's is {_expected_mk(setup):.0f} mK),"
-        f" seen by detectors at two edges of the field with the telescope at rest: nearly the same signal,"
+        f" b = {_fraction(air.spectral_index)} and the median B2 of {_median_b2(setup):.0f} mK^2"
+        f" rad^({_fraction(2 - air.spectral_index)}) (rms {seen_mk:.0f} mK, where the model's is"
+        f" {_expected_mk(setup):.0f} mK), seen by"
+        f" detectors at two edges of the field with the telescope at rest: nearly the same signal,"
         f" {_delay_s(setup):.2f} s later."
     )
 
@@ -179,7 +180,7 @@ def edge_streams(setup: Setup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     plane, pair = setup.camera.focal_plane, list(_edge_pair(setup))
     offsets = np.stack([plane.x_rad[pair], plane.y_rad[pair]], axis=-1)[None]
     data = np.zeros((2, n), np.float32)
-    wind, rng = np.array([[air.wind_median_rad_s, 0.0]]), generator(setup.scene.seed, Stage.ATMOSPHERE, DRAW)
+    wind, rng = np.array([[air.wind_median_rad_s, 0.0]]), generator(setup.scene.seed, RandomPurpose.ATMOSPHERE, DRAW)
     bounds, rest, sine = np.array([[0, n]]), np.zeros((1, 2)), sin(_elevation_rad(setup))
     amplitude, strips = np.array([sqrt(_median_b2(setup) / sine)]), setup.strips.at(sine)
     add_atmosphere(data, bounds, rate, offsets / sine, rest, wind / sine, amplitude, strips, rng)

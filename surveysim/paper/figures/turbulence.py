@@ -48,7 +48,7 @@ def correlation_figure(survey: MeasuredSurvey) -> PaperFigure:
         f"{described(survey)}, of which two in better and in worse weather than the median fitted B2 of {median:.0f}"
         f" mK^2 rad^(-5/3), each of the chi^2 closest to the {TYPICAL_CENTILE:.0f}th centile (which the paper's have)"
         f" among the quarter of trusted observations near a quartile of B2: {'; '.join(texts)};"
-        f" the layers drawn have b = {scene.atmosphere.index:.2f} at"
+        f" the layers drawn have b = {scene.atmosphere.spectral_index:.2f} at"
         f" {scene.atmosphere.layer_height_m:g} m. As C falls by about a thousandth of itself over the array while"
         f" gains scatter by percents, the profile of ln C is solved for together with the gains; it is shown times"
         f" the level of C, with errors from leaving out one scan at a time, less the low-frequency noise that pixels"
@@ -92,7 +92,7 @@ def without_overlap(survey: MeasuredSurvey, k: int) -> Profile:
 
 
 def _profile_panel(
-    survey: MeasuredSurvey, k: int, title: str, points: list[tuple[int, int]], name: str, beside: tuple[Series, ...]
+    survey: MeasuredSurvey, k: int, title: str, points: list[tuple[int, int]], name: str, auxiliary: tuple[Series, ...]
 ) -> Panel:
     profile, best = without_overlap(survey, k), survey.fits[k].best
     theory = np.log(survey.theory(k))
@@ -112,13 +112,13 @@ def _profile_panel(
     ]
     measured, error = level * profile.log_profile, level * error
     data = Series("measured", "points", arcmin, measured, "black", measured - error, measured + error)
-    ends = np.concatenate([end for series in (data, *beside) for end in (series.low, series.high)])
+    ends = np.concatenate([end for series in (data, *auxiliary) for end in (series.low, series.high)])
     margin = 0.2 * np.ptp(ends)
     return Panel(
         title=title,
         x_label="Separation of detectors [arcmin]",
         y_label=r"$C(\theta)$ less its mean [mK$^2$]",
-        series=(*lines, data, *beside),
+        series=(*lines, data, *auxiliary),
         y_range=(float(ends.min() - margin), float(ends.max() + margin)),
     )
 
@@ -167,8 +167,9 @@ def index_height_figure(survey: MeasuredSurvey) -> PaperFigure:
         f"{described(survey)}, {without_fit(survey)}. Every observation is fitted on the paper's grid of indices and"
         f" heights with its measured wind, or with the scene's median one where that is not known to"
         f" {100 * KNOWN:.0f} % ({int((~survey.wind_known).sum())} observations). All layers are drawn with"
-        f" b = {air.index:.2f} at {air.layer_height_m:g} m; the paper fits {paper['observations']} observations."
-        f" The paper's heights are uniform; these differ from that by chi^2 = {chi2:.1f} for {len(counts) - 1} degrees"
+        f" b = {air.spectral_index:.2f} at {air.layer_height_m:g} m; the paper fits"
+        f" {paper['observations']} observations. The"
+        f" paper's heights are uniform; these differ from that by chi^2 = {chi2:.1f} for {len(counts) - 1} degrees"
         f" of freedom, but with {100 * counts.max() / len(best):.0f} % at the commonest of {len(counts)} heights a"
         f" single observation hardly tells the height."
     )

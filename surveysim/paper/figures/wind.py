@@ -137,7 +137,7 @@ def _spread(survey: MeasuredSurvey) -> str:
 
 def _wind_panel(survey: MeasuredSurvey, edges: np.ndarray) -> Panel:
     paper = published()["wind_median_arcmin_s"].get(str(survey.band_ghz))
-    beside = "" if paper is None else f" (paper {paper:g})"
+    published_median = "" if paper is None else f" (paper {paper:g})"
     measured, drawn = _trusted(survey), survey.wind_drawn_arcmin_s
     return Panel(
         title=f"{survey.band_ghz} GHz",
@@ -145,7 +145,7 @@ def _wind_panel(survey: MeasuredSurvey, edges: np.ndarray) -> Panel:
         y_label=f"Share of observations per {BIN_ARCMIN_S:g} arcmin/s",
         series=(
             _share_steps(
-                f"measured and trusted ({len(measured)}): median {np.median(measured):.1f}{beside}",
+                f"measured and trusted ({len(measured)}): median {np.median(measured):.1f}{published_median}",
                 measured,
                 edges,
                 "blue",

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from PIL import Image
 
-from mapmaker.files import whole_file
+from mapmaker.files import atomic_write
 
 DPI = 150
 LONGEST = 80  # letters of a user's text in a figure
@@ -65,7 +65,7 @@ def save(figure: Figure, path: Path, full_colour: bool = False) -> None:
     if not full_colour:
         # Lines look the same in 256 colours and take a third of the space.
         image = image.quantize(256, dither=Image.Dither.NONE)
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         image.save(partial, "PNG", dpi=(DPI, DPI), optimize=True)
     # Parts of a figure refer to each other: megabytes of it would wait for a collection, and leave holes in memory.
     figure.clear()

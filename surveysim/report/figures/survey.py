@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from mapmaker.geometry import wcs
-from mapmaker.window import beam_window, pixel_window
+from mapmaker.transfer_function import beam_window, pixel_window
 from surveysim.forecasting.forecast import Forecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.reduction.setup import Setup
@@ -56,7 +56,7 @@ DEEPEST = 4  # the map is shown where its noise is at most this many times the l
 # Colours and dashes of the paper's figure `sim_noise`.
 LINES = {"actual": (BLACK, "-"), "uncorrelated": (VERMILION, ":"), "white": (GREEN, "--")}
 MASKED_LINE = (BLUE, "-.")
-# Of recipes that the scene compares with its own, and of the best one of each observation.
+# Of pipelines that the scene compares with its own, and of the best one of each observation.
 COMPARED = ((PURPLE, "-"), (ORANGE, "-"), (SKY, "-"), (PURPLE, "--"), (ORANGE, "--"), (SKY, "--"))
 OPTIMAL_LINE = (GREY, "-")
 
@@ -109,7 +109,7 @@ def timestream_psd(setup: Setup, coadds: CoAdds) -> Figure:
     figure, panels = _panels(len(groups), 4.9)
     for axes, (name, rows), (before, after) in zip(panels, groups.items(), pairs, strict=True):
         axes.plot(frequency, before, color=VERMILION, lw=1.8, label="before cleaning")
-        cleaned = f"after cleaning ({setup.recipes[0].label})"
+        cleaned = f"after cleaning ({setup.pipelines[0].label})"
         axes.plot(frequency, after, color=BLUE, lw=1.8, label=cleaned)
         _white_levels(axes, setup, coadds, rows)
         scaled = r"beam power at $\ell = 2\pi f$ / speed, arbitrary scale"
@@ -210,7 +210,7 @@ def windows(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast | 
     figure, (axes,) = _panels(1)
     _shade_scored(axes, setup)
     style = {"marker": "o", "ms": 3.5, "lw": 1, "capsize": 2}
-    labels = {recipe.data_set: f"cleaning ({recipe.label})" for recipe in setup.recipes}
+    labels = {pipeline.data_set: f"cleaning ({pipeline.label})" for pipeline in setup.pipelines}
     for item in {id(item.window): item for item in reversed(scores.values())}.values():
         colour, dashes, label, _ = _look(setup, item)
         label = f"{labels.get(item.name, label)}, {item.n_det} detectors"
@@ -308,7 +308,7 @@ def _weather_quarters(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
 
 
 def _b2_unit(setup: Setup) -> str:
-    exponent = Fraction(2 - setup.scene.atmosphere.index).limit_denominator(100)
+    exponent = Fraction(2 - setup.scene.atmosphere.spectral_index).limit_denominator(100)
     return rf"mK$^2$ rad$^{{{exponent}}}$"
 
 
@@ -360,7 +360,7 @@ def _look(setup: Setup, item: DataSetScore) -> tuple[str, str, str, float]:
         return *MASKED_LINE, rf"{_name(setup, item)}, $\times$ {item.n_det}/{setup.n_det}", item.n_det / setup.n_det
     if item.name == OPTIMAL:
         return *OPTIMAL_LINE, "the best of each observation", 1.0
-    compared = [recipe.data_set for recipe in setup.whole_recipes[1:]]
+    compared = [pipeline.data_set for pipeline in setup.whole_pipelines[1:]]
     if item.name in compared:
         return *COMPARED[compared.index(item.name) % len(COMPARED)], item.name, 1.0
     return *LINES[item.name], _name(setup, item), 1.0
@@ -373,7 +373,7 @@ def _is_masked(item: DataSetScore) -> bool:
 def _name(setup: Setup, item: DataSetScore) -> str:
     if _is_masked(item):
         return f"masked, {item.n_det} detectors"
-    return f"actual ({setup.recipes[0].label})" if item.name == ACTUAL and setup.chooses else item.name
+    return f"actual ({setup.pipelines[0].label})" if item.name == ACTUAL and setup.chooses else item.name
 
 
 def _shade_scored(axes: Axes, setup: Setup) -> None:
@@ -382,7 +382,7 @@ def _shade_scored(axes: Axes, setup: Setup) -> None:
 
 
 def _place_legend(setup: Setup, figure: Figure, axes: Axes) -> None:
-    """The legend in the axes, or below them where recipes are compared: that is too many for inside."""
+    """The legend in the axes, or below them where pipelines are compared: that is too many for inside."""
     if setup.chooses:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, **LEGEND)
     else:

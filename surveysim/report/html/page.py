@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mapmaker.files import whole_file
+from mapmaker.files import atomic_write
 from surveysim import __version__
 from surveysim.report.html.components import Page
 from surveysim.runtime.printable import printable, shortened
@@ -64,7 +64,7 @@ def write_report(directory: str | Path) -> Path:
     except Exception as error:  # files that others wrote, or that are damaged, can have anything in them
         reason = shortened(printable(f"{type(error).__name__} {error}"), LONGEST_REASON)
         raise NoResultsError(f"{directory}: results that can't be read ({reason}); {EXPECTED}") from None
-    with whole_file(directory / REPORT) as partial:
+    with atomic_write(directory / REPORT) as partial:
         partial.write_bytes(page)
     return directory / REPORT
 

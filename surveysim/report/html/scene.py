@@ -103,8 +103,8 @@ def _camera(camera: Values, n_det: int) -> Iterator[str]:
     if camera["positions"]:
         yield f"Positions come from the table {PurePath(camera['positions']).name}."
     yield f"Responsivities scatter by {_percent(camera['responsivity_scatter'])}."
-    if camera["camera_rotation_rad"]:
-        yield f"The camera turns within {_deg(camera['camera_rotation_rad'])}° from one observation to the next."
+    if camera["camera_rotation_range_rad"]:
+        yield f"The camera turns within {_deg(camera['camera_rotation_range_rad'])}° from one observation to the next."
     if camera["horn_f_lambda"] is not None:
         yield f"Horns are {short(camera['horn_f_lambda'])} (f/#)λ wide."
     if camera["edge_taper_db"] is not None:
@@ -113,20 +113,20 @@ def _camera(camera: Values, n_det: int) -> Iterator[str]:
         yield f"The efficiency from window to detector is {_percent(camera['efficiency'])}."
     if camera["polarizations"] is not None:
         yield f"Detectors take {plural(camera['polarizations'], 'polarization')}."
-    if camera["colours"]:
-        bands = joined([f"{short(colour['frequency_hz'] / 1e9)}" for colour in camera["colours"]])
+    if camera["bands"]:
+        bands = joined([f"{short(colour['frequency_hz'] / 1e9)}" for colour in camera["bands"]])
         yield f"Every pixel has further bands at {bands} GHz, which cleaning may subtract."
 
 
 def _atmosphere(air: Values) -> Iterator[str]:
-    index = Fraction(air["index"]).limit_denominator(1000)
+    index = Fraction(air["spectral_index"]).limit_denominator(1000)
     yield f"One frozen layer {short(air['layer_height_m'])} m above the telescope, seen through"
     yield f"{short(air['illuminated_aperture_m'])} m, with the spectrum B2 α^(-{index})."
     if air["outer_scale_m"] is not None:
         yield f"Its outer scale is {short(air['outer_scale_m'])} m."
     if air["site"]:
         yield f"Water and its fluctuations are those of {SITES.get(air['site'], air['site'])}."
-    unit = f"mK2 rad({Fraction(2 - air['index']).limit_denominator(1000)})"
+    unit = f"mK2 rad({Fraction(2 - air['spectral_index']).limit_denominator(1000)})"
     if air["b2"]:
         levels = ", ".join(short(100 * level) for level in air["b2_probabilities"])
         yield f"B2 is drawn for each observation, with the quantiles {_list(air['b2'])} {unit} at {levels} %."
@@ -199,7 +199,7 @@ def _cleaning(cleaning: Values) -> Iterator[str]:
     if not named.isdisjoint(TEMPLATE_CLEANINGS):
         yield _RESPONSIVITIES[cleaning["responsivities"]].format(error=cleaning["calibration_error"])
     yield f"Templates are iterated to {number(cleaning['tolerance'], 1)}, at most {cleaning['max_iterations']} times."
-    details = {"sigma_cut": "sigma", "reach": "closest separations", "order": "", "regions": ""}
+    details = {"sigma_cut": "sigma", "neighbour_radius": "closest separations", "order": "", "regions": ""}
     for key, unit in details.items():
         if cleaning[key] is not None:
             yield f"{key.replace('_', ' ').capitalize()}: {f'{short(cleaning[key])} {unit}'.strip()}."
@@ -223,9 +223,9 @@ def _score(score: Values, observations: int) -> Iterator[str]:
     edges = _percent(score["taper_fraction"])
     yield f"over {_arcmin(score['size_rad'])} square, with cosine edges on {edges} of each side."
     yield f"The noise is measured by {score['jackknives']} co-adds with random signs, the signal that is left by"
-    through = min(score["window"]["observations"], observations)
-    yield f"{score['window']['skies']} skies through {plural(through, 'observation')}."
-    beside = [SIMULATED[name] for name in score["simulated"]]
+    through = min(score["signal_sims"]["observations"], observations)
+    yield f"{score['signal_sims']['skies']} skies through {plural(through, 'observation')}."
+    beside = [SIMULATED[name] for name in score["noise_only_sets"]]
     if score["mask_separation_f_lambda"]:
         beside.append(f"an array masked to {short(score['mask_separation_f_lambda'])} (f/#)λ")
     if beside:

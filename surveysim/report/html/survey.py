@@ -304,7 +304,7 @@ def _answer_grid(summary: Content, scene: Content) -> Grid:
         "seconds": sum(run["stage_s"].values()) / run["workers"],
         "observations": summary["observations"],
         "jackknives": score["jackknives"],
-        "skies": score["window"]["skies"],
+        "skies": score["signal_sims"]["skies"],
     }
     rows, mark = [], 0
     known = [answer for answer in (here, *answers) if answer["relative_error"] is not None]
@@ -360,7 +360,8 @@ def _forecast_grid(summary: Content) -> Grid:
         off = quoted(times(item["sigma"], 100), times(item["sigma_error"], 100))
         cells = [cell(name), Cell(off, times(item["sigma"], 100))]
         if item["bins"]:
-            cells.append(measured(times(item["psd"], 100), times(item["psd_error"], 100)))
+            worst = quoted(times(item["psd"], 100), times(item["psd_error"], 100))
+            cells.append(Cell(worst, times(item["psd"], 100)))
             cells.append(Cell(count(item["worst_ell"]), item["worst_ell"]))
         else:
             cells += [Cell("")] * 2

@@ -287,7 +287,7 @@ def _agreement(summary: Content) -> Grid | None:
     rows = []
     for point in summary["points"]:
         if off := point.get("forecast_over_simulated"):
-            ratio = measured(times(off["sigma"], 100), times(off["sigma_error"], 100))
+            ratio = quoted_cell(times(off["sigma"], 100), times(off["sigma_error"], 100))
             rows.append((cell(_values(point, _keys(summary))), ratio))
     columns = ("point", "forecast over simulated, less 1 [%]")
     note = (

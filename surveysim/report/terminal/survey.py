@@ -42,7 +42,7 @@ def print_result(result: SurveyResult, directory: Path) -> None:
     console = Terminal()
     for line in stop_lines(result):
         console.say(f"{line}\n")
-    if len(result.setup.whole_recipes) > 1:
+    if len(result.setup.whole_pipelines) > 1:
         console.show(_cleaning_table(result))
     if result.scores:
         console.show(_score_table(result))
@@ -97,7 +97,7 @@ def agreement_lines(result: SurveyResult) -> list[str]:
     found = forecast_agreement(result)
     if not found:
         return []
-    off = ", ".join(f"{name} {100 * item.sigma:+.0f} +- {100 * item.sigma_error:.0f} %" for name, item in found.items())
+    off = ", ".join(f"{name} {percent_off(item.sigma, item.sigma_error)}" for name, item in found.items())
     lines = [f"  forecast of sigma(A) over simulated, less 1: {off}"]
     lines += [
         f"  forecast of {name}: sigma(A) is worse than {100 * GOOD_SIGMA:.0f} %"
@@ -118,13 +118,21 @@ def _psd_lines(found: dict[str, Agreement]) -> list[str]:
     where = f"from ell = {some.low_ell:.0f} to {some.high_ell:.0f}"
     if within == bins:
         return [f"  its noise PSDs: within {good} in all {bins} bins {where}, each known to {known} or better"]
-    name, worst = max(found.items(), key=lambda entry: abs(entry[1].psd) - 2 * entry[1].psd_error)
-    off = f"{name} by {100 * worst.psd:+.0f} +- {100 * worst.psd_error:.0f} % at ell = {worst.worst_ell:.0f}"
     line = f"  its noise PSDs: within {good} in {within} of {bins} bins {where}"
     line += f", {unknown} are not known to {known}" if unknown else ""
+    known_at_all = {name: item for name, item in found.items() if math.isfinite(item.psd_error)}
+    if not known_at_all:
+        return [line]
+    name, worst = max(known_at_all.items(), key=lambda entry: abs(entry[1].psd) - 2 * entry[1].psd_error)
     if abs(worst.psd) <= 2 * worst.psd_error:
         return [f"{line}; none is off by more than two standard errors"]
+    off = f"{name} by {percent_off(worst.psd, worst.psd_error)} at ell = {worst.worst_ell:.0f}"
     return [f"{line}; furthest beyond two standard errors, as one in twenty is by chance: {off}"]
+
+
+def percent_off(off: float, error: float) -> str:
+    """``+3 +- 5 %``, or ``+3 % +- unknown`` for an error that is NaN."""
+    return f"{100 * off:+.0f} % +- unknown" if math.isnan(error) else f"{100 * off:+.0f} +- {100 * error:.0f} %"
 
 
 def effect_lines(scores: "dict[str, DataSetForecast]", flagged: bool = False) -> list[str]:
@@ -175,7 +183,7 @@ def cost_lines(result: SurveyResult) -> list[str]:
         return []
     needs = [f"{cost.observations} observations"]
     needs += [f"{cost.jackknives} sign flips"] * (cost.jackknives > score.jackknives)
-    needs += [f"{cost.skies} window skies"] * (cost.skies > score.window.skies)
+    needs += [f"{cost.skies} window skies"] * (cost.skies > score.signal_sims.skies)
     time = f"{cost.seconds / 60:.2g} min" if cost.seconds >= 60 else f"{cost.seconds:.0f} s"
     percent = 100 * cost.relative_error
     return [f"  a {percent:g} % answer would take about {time} with {result.workers} worker(s) ({', '.join(needs)})"]
@@ -240,7 +248,9 @@ def _cells(row: Row, with_forecast: bool, with_reference: bool) -> list[str]:
 def _cleaning_table(result: SurveyResult) -> Table:
     """What each way of cleaning costs and leaves, and of how many observations it is the best."""
     table = Table(title=Text("Cleaning: what it costs, and what it leaves"))
-    entries = {recipe.label: summary(result)["cleaning"][recipe.data_set] for recipe in result.setup.whole_recipes}
+    entries = {
+        pipeline.label: summary(result)["cleaning"][pipeline.data_set] for pipeline in result.setup.whole_pipelines
+    }
     first = next(iter(entries.values()))
     shares = {"point_source_flux_removed": "flux removed", "best_for_cmb": "best: CMB"}
     shares["best_for_point_source"] = "best: source"

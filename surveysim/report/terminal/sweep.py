@@ -8,7 +8,7 @@ from rich.text import Text
 
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.report.terminal.layout import Terminal
-from surveysim.report.terminal.survey import print_warnings, where_line, with_unknown
+from surveysim.report.terminal.survey import percent_off, print_warnings, where_line, with_unknown
 from surveysim.studies.resources import SweepPlan
 from surveysim.studies.sweep.axes import Sweep
 from surveysim.studies.sweep.comparison import ESTIMATES, SURE, SweepResult
@@ -59,8 +59,7 @@ def _forecast_lines(result: SweepResult) -> list[str]:
     compared = [(point, *item.off) for point, item in both if item.off]
     if compared:
         point, off, error = max(compared, key=lambda entry: abs(entry[1]))
-        far = f"{100 * off:+.0f} +- {100 * error:.0f} %"
-        lines.append(f"forecast over simulated, less 1: at worst {far}, {point.label}")
+        lines.append(f"forecast over simulated, less 1: at worst {percent_off(off, error)}, {point.label}")
     if not result.simulated:
         lines.append("Forecasts are of the weather that the seed draws; a run quotes sigma(A) of all weather.")
     return lines + [f"! forecast of {point.label}: {sentence}" for point, item in both for sentence in item.flags]

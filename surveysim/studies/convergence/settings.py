@@ -28,16 +28,16 @@ def ladders(scene: Scene, most: int = SUB_SURVEY) -> tuple[Setting, ...]:
 def sub_survey(scene: Scene, most: int) -> dict[str, Any]:
     """Keys of a survey of at most so many observations, of which as large a part carries window skies."""
     wanted = min(scene.observations, most)
-    window = round(scene.score.window.observations * wanted / scene.observations)
-    return {"observations": wanted, "score.window.observations": max(2, window)}
+    window = round(scene.score.signal_sims.observations * wanted / scene.observations)
+    return {"observations": wanted, "score.signal_sims.observations": max(2, window)}
 
 
 def _sampling(scene: Scene, base: Mapping[str, Any]) -> list[Setting]:
-    score, key = scene.score, "score.window.observations"
-    flips, skies = sorted({*FLIPS, score.jackknives}), sorted({*SKIES, score.window.skies})
+    score, key = scene.score, "score.signal_sims.observations"
+    flips, skies = sorted({*FLIPS, score.jackknives}), sorted({*SKIES, score.signal_sims.skies})
     counts = {max(2, base["observations"] // part) for part in WINDOW_PARTS} | {base[key]}
     ladder = [("noise realizations", "score.jackknives", count, score.jackknives) for count in flips]
-    ladder += [("window skies", "score.window.skies", count, score.window.skies) for count in skies]
+    ladder += [("window skies", "score.signal_sims.skies", count, score.signal_sims.skies) for count in skies]
     ladder += [("window observations", key, count, base[key]) for count in sorted(counts)]
     return [Setting(knob, str(value), {key: value}, "sampling", value == own) for knob, key, value, own in ladder]
 

@@ -92,7 +92,7 @@ def elevation(scene: Scene) -> Outcome:
     higher = air.model_copy(update={"layer_height_m": air.layer_height_m / sine})
     here = one_layer(scene)
     there = one_layer(scene.model_copy(update={"fixed_pointing": overhead, "atmosphere": higher}))
-    expected = sine ** ((1 - air.index) / 2)
+    expected = sine ** ((1 - air.spectral_index) / 2)
     departure = np.abs(here / expected - there).max() / np.abs(there).max()
     return agrees(departure, 0.0, 2.0**-21, f"streams over those at the zenith: {expected:.5g}; departure from it")
 

@@ -77,7 +77,7 @@ _BASE = {
         "beam_fwhm": "60 arcsec",
         "f_lambda": "57 arcsec",
         "responsivity_scatter": 0.05,
-        "camera_rotation": "60 deg",
+        "camera_rotation_range": "60 deg",
         "layout": {"rings": 3, "pitch_f_lambda": 0.7},
     },
     "scan": {
@@ -90,7 +90,7 @@ _BASE = {
         "sample_rate": "10 Hz",
     },
     "atmosphere": {
-        "index": "11/3",
+        "spectral_index": "11/3",
         "layer_height": "1000 m",
         "illuminated_aperture": "8 m",
         "b2_probabilities": [0.5],

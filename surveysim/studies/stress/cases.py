@@ -24,7 +24,11 @@ _HOUR = {"scan.duration": "1 hour", "scan.speed": "0.02 arcmin / s", "scan.scans
 def _at_index(index: str, height: str) -> dict[str, Any]:
     # B2 in the unit of its index, such that 1000 m give some 17 mK.
     power = {"2/3": "4/3", "5/3": "1/3", "11/3": "-5/3", "14/3": "-8/3", "17/3": "-11/3", "20/3": "-14/3"}[index]
-    keys = {"atmosphere.index": index, "atmosphere.b2": f"[280] mK2 rad({power})", "atmosphere.layer_height": height}
+    keys = {
+        "atmosphere.spectral_index": index,
+        "atmosphere.b2": f"[280] mK2 rad({power})",
+        "atmosphere.layer_height": height,
+    }
     return keys | (_OUTER_SCALE if index in ("14/3", "17/3", "20/3") else {})
 
 
@@ -36,7 +40,11 @@ def _layer_cases() -> list[Case]:
         if (b, h) != ("20/3", "100 m")
     ]
     smooth = _at_index("20/3", "100 m") | {"atmosphere.outer_scale": "100 m"}
-    steepest = {"atmosphere.index": 10, "atmosphere.b2": "[280] mK2 rad(-8)", "atmosphere.outer_scale": "100 m"}
+    steepest = {
+        "atmosphere.spectral_index": 10,
+        "atmosphere.b2": "[280] mK2 rad(-8)",
+        "atmosphere.outer_scale": "100 m",
+    }
     still = "wind = scan velocity: streams are constant, exactly, and the mean takes all of them"
     turned = "only the difference counts: bit for bit as twice the speed in calm"
     return grid + [
@@ -308,8 +316,8 @@ _MAUNA_KEA = {
 
 def _score(**keys: Any) -> dict[str, Any]:
     score = {"size": "12 arcmin", "taper_fraction": 0.5, "ell_bin": 2000, "ell_min": 4000, "ell_max": 12_000}
-    score |= {"jackknives": 4, "white_above": "2.5 Hz", "simulated": []}
-    return score | {"window": {"skies": 2, "observations": 2, "band_power": "1000 uK2"}} | keys
+    score |= {"jackknives": 4, "white_noise_above": "2.5 Hz", "noise_only_sets": []}
+    return score | {"signal_sims": {"skies": 2, "observations": 2, "band_power": "1000 uK2"}} | keys
 
 
 CASES: tuple[Case, ...] = (

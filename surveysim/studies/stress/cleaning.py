@@ -177,7 +177,7 @@ def local(scene: Scene, places: str) -> Outcome:
     plane, options = FocalPlane(*_places(places).T, 3e-4), LocalOptions(1.2)
     data = planted(37, 0.0)
     left = clean("local", data, np.array([[0, N_SAMP]]), plane, options).data_mk
-    members = np.sum(neighbourhoods(plane, options.reach) < 37, axis=1)
+    members = np.sum(neighbourhoods(plane, options.neighbour_radius) < 37, axis=1)
     # A detector alone loses its mean; others lose their share of the template and the coefficient too.
     share = np.where(members > 1, (1 - 1 / members) * (1 - 2 / N_SAMP), 1 - 1 / N_SAMP)
     return agrees(left.var(), share.mean(), 4 * math.sqrt(2 / data.size), "variance left of white noise")

@@ -243,7 +243,7 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
 def _skies(setup: Setup) -> str:
     """Equal where windows are measured with the same skies: one seed, and one grid that they are drawn on."""
     scene = setup.scene
-    return sha256(f"{scene.seed} {scene.score.window} {setup.sky_geometry}".encode()).hexdigest()
+    return sha256(f"{scene.seed} {scene.score.signal_sims} {setup.sky_geometry}".encode()).hexdigest()
 
 
 # ---------------------------------------------------------------- comparison

@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mapmaker.bandpower import BandPower
-from mapmaker.files import whole_file
+from mapmaker.files import atomic_write
+from mapmaker.transfer_function import TransferFunction
 from mapmaker.uncertainty import ErrorBudget
-from mapmaker.window import Window
 from surveysim import __version__
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.runtime.text_files import one_line
@@ -78,7 +78,7 @@ def save_point(path: Path, result: PointResult, identity: str) -> None:
         "rest": {key: value for key, value in vars(result).items() if key != "scores"},
     }
     arrays = {f"{name}/{key}": array for name, item in result.scores.items() for key, array in _arrays(item).items()}
-    with whole_file(path) as partial, open(partial, "wb") as file:
+    with atomic_write(path) as partial, open(partial, "wb") as file:
         np.savez(file, meta=json.dumps(meta), **arrays)
 
 
@@ -192,7 +192,7 @@ def _check_point(result: PointResult, point: Point) -> None:
     if others := [name for name in result.scores if not names.fullmatch(name)]:
         raise ValueError(f"no data set of the scene: {others[0]}")
     n_bin = {len(item.signal_psd) for item in result.scores.values()}
-    n_obs, skies = point.scene.observations, score.window.skies
+    n_obs, skies = point.scene.observations, score.signal_sims.skies
     sizes = {"noise_psds": (score.jackknives, *n_bin), "window.deviations": (skies, *n_bin)}
     sizes |= dict.fromkeys(("weights", "control.weights"), (n_obs,))
     sizes |= dict.fromkeys(("bin_noise", "control.noise"), (n_obs, *n_bin))
@@ -217,7 +217,7 @@ def _check_noise(name: str, weights: np.ndarray, noise: np.ndarray, bin_weight: 
 
 def _data_sets(scene: Scene) -> re.Pattern[str]:
     """Names of a scene's data sets."""
-    names = [ACTUAL, OPTIMAL, *scene.score.simulated, *("+".join(steps) for steps in scene.cleaning.compare)]
+    names = [ACTUAL, OPTIMAL, *scene.score.noise_only_sets, *("+".join(steps) for steps in scene.cleaning.compare)]
     return re.compile("|".join([*map(re.escape, names), r"masked_\d+"]))
 
 
@@ -255,7 +255,7 @@ def _score(file: Any, name: str, numbers: dict[str, Any]) -> DataSetScore:
         n_det=numbers["n_det"],
         band=BandPower(**numbers["band"], **arrays("band.", _OF_BAND)),
         budget=ErrorBudget(**numbers["budget"]),
-        window=Window(**arrays("window.", _OF_WINDOW)),
+        window=TransferFunction(**arrays("window.", _OF_WINDOW)),
         control=Control(**numbers["control"], **arrays("control.", _OF_CONTROL)) if controlled else None,
         plain=BandPower(**numbers["plain"], **arrays("plain.", _OF_BAND)) if controlled else None,
         **arrays("", _OF_SET),

@@ -142,7 +142,7 @@ def _point_entry(result: SweepResult, number: int) -> dict[str, Any]:
         "forecast_flags": item.flags,
     }
     if item.off:
-        entry["forecast_over_simulated"] = dict(zip(("sigma", "sigma_error"), item.off, strict=True))
+        entry["forecast_over_simulated"] = known(dict(zip(("sigma", "sigma_error"), item.off, strict=True)))
     if item.discarded:
         entry |= {"discarded": item.discarded, "discarded_by_weather": item.discarded_by_weather}
     if item.unscored:

@@ -82,8 +82,8 @@ def test_every_number_has_both_bounds():
         ({"instrument.beam_fwhm": "2 deg", "score": None}, ""),
         ({"instrument.beam_fwhm": "2 deg"}, "score.ell_min: found 4000; multipoles that the beam lets through"),
         ({"score.taper_fraction": 0}, ""),
-        ({"score.jackknives": 2, "score.window.skies": 2}, ""),
-        ({"numerics.stream_memory": "1 byte"}, "numerics.stream_memory: found 1e-06 MB"),
+        ({"score.jackknives": 2, "score.signal_sims.skies": 2}, ""),
+        ({"numerics.max_block_memory": "1 byte"}, "numerics.max_block_memory: found 1e-06 MB"),
     ],
     ids=range(14),
 )
@@ -116,7 +116,7 @@ def test_the_fastest_wind_is_faster_than_all_that_are_drawn(small):
 @pytest.mark.parametrize(
     ("overrides", "key"),
     [
-        ({"score.window.skies": 1000, "scan.step": "1 deg"}, "score.window.skies"),
+        ({"score.signal_sims.skies": 1000, "scan.step": "1 deg"}, "score.signal_sims.skies"),
         ({"scan.step": "5 deg"}, "map.pixel"),
         ({"scan.step": "1 deg", "score.size": "3 deg", "map.pixel": "3 arcsec"}, "score.size"),
         ({"scan.scans": 100_000, "scan.step": "0 deg", "scan.duration": "60 s"}, "scan.sample_rate"),
@@ -133,7 +133,7 @@ def test_scenes_larger_than_the_machine_are_refused_before_they_are_made(small, 
 
 
 def test_skies_are_not_made_to_be_checked(small):
-    setup = prepare(load_scene(small, {"score.window.skies": 1000, "seed": 12}))
+    setup = prepare(load_scene(small, {"score.signal_sims.skies": 1000, "seed": 12}))
     assert not setup.made and setup.n_window_skies == 1000
 
 

@@ -44,8 +44,8 @@ def refused(call, scene, *arguments):
         ("title=2003-01-01", ("title: found 2003-01-01; a text in quotes is expected",)),
         ("atmosphere.b2_probabilities=0.5", ("b2_probabilities: found 0.5; a list is expected",)),
         ("atmosphere.b2=[]", ("b2: found 0 values for 3", "expected")),
-        ("atmosphere.index=true", ("index: found true",)),
-        ("atmosphere.index=1/0", ("index: found '1/0'; a number or a fraction like '11/3' is expected",)),
+        ("atmosphere.spectral_index=true", ("index: found true",)),
+        ("atmosphere.spectral_index=1/0", ("index: found '1/0'; a number or a fraction like '11/3' is expected",)),
         ("scan.speed=4 arcmin", ("scan.speed: found '4 arcmin'", "rad / s")),
         ("scan.speed=-4 arcmin/s", ("scan.speed: found", "0.001 arcsec / s or more")),
         ("scan.scans=nan", ("scan.scans: found nan; an integer is expected",)),
@@ -63,11 +63,11 @@ def refused(call, scene, *arguments):
         ("map.pixel=0.01 arcsec", ("map.pixel: found a map of", "16384 or less")),
         ("scan.sample_rate=9e8 Hz", ("scan.sample_rate: found", "1e+11 or less")),
         ("scan.sample_rate=2e7 Hz", ("scan.sample_rate: found 4.8e+08 samples", "1e+08 or less")),
-        ("numerics.stream_memory=4 kB", ("numerics.stream_memory: found 0.004 MB", "for one scan of 60 samples")),
+        ("numerics.max_block_memory=4 kB", ("numerics.max_block_memory: found 0.004 MB", "for one scan of 60 samples")),
         ("score.size=3 deg", ("score.size: found 180 arcmin", "or less is expected")),
         ("score.ell_max=30000", ("score.ell_max: found 30000", "21600 or less")),
         ("score.ell_bin=3", ("score.ell_bin: no Fourier mode", "expected")),
-        ("score.white_above=5 Hz", ("score.white_above: found 5 Hz", "the highest frequency of a scan")),
+        ("score.white_noise_above=5 Hz", ("score.white_noise_above: found 5 Hz", "the highest frequency of a scan")),
         ("instrument.beam_fwhm=5 deg", ("score.ell_min: found 4000", "beam")),
         ("excess.band_limit=0.1 Hz", ("excess.band_limit: found 0.1 Hz", "1 / scan.duration")),
         ("atmosphere.outer_scale=1 m", ("atmosphere.outer_scale: found 1 m with an aperture of 8 m",)),
@@ -149,7 +149,7 @@ def test_unreadable_scene(call, tmp_path, content, words):
     ],
 )
 def test_positions(call, scene, table, words):
-    before = 'camera_rotation = "60 deg"'
+    before = 'camera_rotation_range = "60 deg"'
     text = SMALL_SCENE.replace(before, f'{before}\npositions = "table.ecsv"')
     start, end = text.index("[instrument.layout]"), text.index("[scan]")
     scene.write_text(text[:start] + text[end:])

@@ -165,7 +165,7 @@ def test_odd_settings(capsys, handlers, tmp_path, setting):
 
 
 def test_settings_that_are_nested_as_scenes_are():
-    assert options.setting("score.window.skies=4") == ("score.window.skies", 4)
+    assert options.setting("score.signal_sims.skies=4") == ("score.signal_sims.skies", 4)
     assert options.setting("a.b.c.d.e.f.g.h.i.j=1")[1] == 1
     with pytest.raises(SceneError, match="found 11 names"):
         options.setting("a.b.c.d.e.f.g.h.i.j.k=1")

@@ -13,8 +13,8 @@ from surveysim.forecasting.observing_conditions import conditions, survey_draws
 from surveysim.forecasting.pilot import Kept, _pilot_size, _spread, predicted_kept
 from surveysim.forecasting.validity import compared_ell, resolution_ell
 from surveysim.reduction.setup import prepare
-from surveysim.report.terminal.survey import _psd_lines, agreement_lines, effect_lines
-from surveysim.results.agreement import GOOD_PSD, KNOWN, agreement
+from surveysim.report.terminal.survey import _psd_lines, agreement_lines, effect_lines, percent_off
+from surveysim.results.agreement import GOOD_PSD, KNOWN, _scatter, agreement
 from surveysim.results.results import forecast_agreement, summary
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import SceneError
@@ -146,7 +146,7 @@ def test_shares_are_interpolated_between_observations_of_a_pilot():
 def test_shares_of_many_observations_follow_the_weather(scene_of):
     setup = prepare(scene_of(observations=100, atmosphere__b2="[2, 10, 400] mK2 rad(-5/3)"))
     levels = conditions(setup, survey_draws(setup, 0, 100))
-    kept = predicted_kept(setup, setup.recipes, levels, np.ones(100))["actual"]
+    kept = predicted_kept(setup, setup.pipelines, levels, np.ones(100))["actual"]
     assert kept.share.shape == (100,) and kept.share.min() >= 0 and kept.share.max() <= 1
     order = np.argsort(levels.layer)
     assert kept.share[order][:25].mean() < kept.share[order][-25:].mean() - 0.5
@@ -240,6 +240,38 @@ def test_errors_leave_the_weather_out(scene_of):
     actual = forecast_agreement(wild)["actual"]
     plain = wild.scores["actual"].plain_band
     assert actual.sigma_error / (1 + actual.sigma) < plain.error_ukcmb2 / plain.sigma_ukcmb2
+
+
+def few(calm, weights):
+    """A score whose observations have these weights, and its forecast, which expects the same of each."""
+    ones = np.ones(len(weights))
+    expected = replace(calm.expected.scores["actual"], weights=ones, kept=Kept(ones))
+    return calm.setup, replace(calm.scores["actual"], weights=weights), expected
+
+
+def test_scatter_of_few_observations_is_that_of_a_mean_of_few_draws(calm, monkeypatch):
+    """8 observations without noise, 30 % off their forecasts, in 4000 draws: chi^2 per draw is 1, and 1.4 without
+    Student's factor. Squares of Student's t of 7 degrees of freedom scatter by twice their mean.
+    """
+    monkeypatch.setattr("surveysim.results.agreement.noise_parts", lambda *_: (0.0, 0.0))
+    n_draw, rng, chi2 = 4000, np.random.default_rng(7), []
+    for _ in range(n_draw):
+        item = few(calm, 1 + 0.3 * rng.standard_normal(8).clip(-3, 3))
+        chi2.append(np.log(item[1].weights.mean()) ** 2 / _scatter(*item) ** 2)
+    assert np.mean(chi2) == pytest.approx(1, abs=4 * 2 / np.sqrt(n_draw))
+
+
+def test_three_observations_do_not_tell_the_error(calm):
+    setup, item, expected = few(calm, np.array([0.9, 1.0, 1.2]))
+    found = agreement(setup, item, expected)
+    assert np.isfinite(found.sigma) and np.isnan(found.sigma_error) and np.isnan(found.psd_error)
+    assert found.unknown == found.bins > 0 and found.within == 0
+    assert percent_off(found.sigma, found.sigma_error) == f"{100 * found.sigma:+.0f} % +- unknown"
+    (line,) = _psd_lines({"actual": found})
+    assert line.endswith(
+        f"within 15 % in 0 of {found.bins} bins from ell = {found.low_ell:.0f} to"
+        f" {found.high_ell:.0f}, {found.bins} are not known to 7.5 %"
+    )
 
 
 def test_lines_say_what_is_known(calm):

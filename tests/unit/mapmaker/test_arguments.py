@@ -16,7 +16,7 @@ from mapmaker.geometry import boresight_pixels
 from mapmaker.gls import measure_noise
 from mapmaker.iterative import significant, subtract_sky
 from mapmaker.spectrum import mode_psd
-from mapmaker.window import pixel_window
+from mapmaker.transfer_function import pixel_window
 
 N_DET, N_SAMP, N_SCAN, SIDE = 19, 240, 3, 12
 PIXEL = 1e-4
@@ -184,7 +184,7 @@ TABLE = [
     (mm.PolynomialOptions, {"order": 1, "regions": 1, "tolerance": 1e-8, "max_iterations": 9},
      {"order": [-1, 1.5, 10**6, "1"], "regions": WRONG_SIZES}),
     (mm.PcaOptions, {"sigma_cut": 3.0}, {"sigma_cut": [*wrong_numbers(above=0), 1e200]}),
-    (mm.LocalOptions, {"reach": 1.2}, {"reach": wrong_numbers(above=1)}),
+    (mm.LocalOptions, {"neighbour_radius": 1.2}, {"neighbour_radius": wrong_numbers(above=1)}),
     (mm.WindOptions, {"slowness_s_rad": np.zeros((3, 2)), "sample_rate_hz": 9.0, "tolerance": 1e-8,
                       "max_iterations": 9},
      {"slowness_s_rad": wrong_arrays(np.zeros((3, 2))), "sample_rate_hz": wrong_numbers(above=0)}),

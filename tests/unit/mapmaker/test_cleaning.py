@@ -31,7 +31,7 @@ CHOSEN = dict.fromkeys(["none", *TEMPLATES], TEMPLATE_OPTIONS) | {
     "polynomial": PolynomialOptions(1, 2, 1e-8, 100),
     "wind": WindOptions(np.array([[20.0, -10.0], [15.0, 0.0], [-20.0, 10.0]]), 10.0, 1e-8, 100),
     "pca": PcaOptions(3.0),
-    "local": LocalOptions(reach=10.0),
+    "local": LocalOptions(neighbour_radius=10.0),
     "spectral": SpectralOptions(np.random.default_rng(7).standard_normal((2, 25, N_SAMP))),
 }
 FITTED = ["average", "planar", "quadratic", "polynomial", "wind"]

@@ -96,5 +96,5 @@ def test_one_place_has_no_neighbours():
 
 @pytest.mark.parametrize("reach", [1.0, 0.0, np.nan, np.inf])
 def test_options_out_of_range(reach):
-    with pytest.raises(ValueError, match="reach: found .*; a finite number above 1 is expected"):
+    with pytest.raises(ValueError, match="neighbour_radius: found .*; a finite number above 1 is expected"):
         LocalOptions(reach)

@@ -10,7 +10,7 @@ N_DET = 20
 BOUNDS = np.array([[0, 50], [50, 90], [95, 140]])
 AVERAGE = ("average", TemplateOptions(1e-8, 100))
 PLANAR = ("planar", TemplateOptions(1e-8, 100))
-LOCAL = ("local", LocalOptions(reach=5.0))
+LOCAL = ("local", LocalOptions(neighbour_radius=5.0))
 PCA = ("pca", PcaOptions(2.0))
 
 

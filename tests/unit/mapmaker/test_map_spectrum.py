@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapmaker.spectrum import annuli, map_psd, mode_ell, mode_psd, split_azimuth, tukey_taper
-from mapmaker.window import beam_window, pixel_window, signal_window
+from mapmaker.transfer_function import beam_window, pixel_window, signal_window
 
 PIXEL_RAD = np.radians(0.5 / 60)
 

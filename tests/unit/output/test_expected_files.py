@@ -21,7 +21,11 @@ from surveysim.runtime.engine import SERIAL
 from tests.scenes import SMALL_SCENE
 
 SWEEP = '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n'
-RICH = {"cleaning.compare": [["planar"], ["average", "local"]], "cleaning.reach": 1.2, "map.healpix_nside": 1024}
+RICH = {
+    "cleaning.compare": [["planar"], ["average", "local"]],
+    "cleaning.neighbour_radius": 1.2,
+    "map.healpix_nside": 1024,
+}
 
 
 @pytest.fixture
@@ -60,7 +64,7 @@ def test_settings_of_accuracy():
 
 
 @pytest.mark.parametrize(
-    "change", [{"seed": 12}, {"observations": 3}, {"name": "other"}, {"numerics.stream_memory": "1 GB"}]
+    "change", [{"seed": 12}, {"observations": 3}, {"name": "other"}, {"numerics.max_block_memory": "1 GB"}]
 )
 def test_results_of_other_scenes_differ(path, change):
     one, other = (of_run(prepare(load_scene(path, given)), True, False) for given in ({}, change))

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mapmaker.files import whole_file
+from mapmaker.files import atomic_write
 from surveysim import SceneError, load_scene, run
 from surveysim.api import forecast_sweep
 from surveysim.output import writer as outputs
@@ -117,11 +117,11 @@ def test_names_of_data_sets_are_checked_before_the_work(changed):
         with pytest.raises(SceneError, match=words):
             changed({"cleaning.compare": [steps]})
     assert changed({"cleaning.compare": [["average"] * 12]}).cleaning.compare
-    with pytest.raises(SceneError, match="simulated: found 'white' more than once"):
-        changed({"score.simulated": ["white", "uncorrelated", "white"]})
+    with pytest.raises(SceneError, match="noise_only_sets: found 'white' more than once"):
+        changed({"score.noise_only_sets": ["white", "uncorrelated", "white"]})
     for name in ("../white", "con ", "wei\u00df", "white/../..", "a" * 300):
-        with pytest.raises(SceneError, match="score.simulated"):
-            changed({"score.simulated": [name]})
+        with pytest.raises(SceneError, match="score.noise_only_sets"):
+            changed({"score.noise_only_sets": [name]})
         with pytest.raises(SceneError, match="cleaning.compare"):
             changed({"cleaning.compare": [[name]]})
 
@@ -237,7 +237,7 @@ def test_files_have_the_permissions_of_the_umask(result, tmp_path):
 def test_files_are_on_the_disk_before_they_have_their_name(tmp_path, monkeypatch):
     events = []
     monkeypatch.setattr(os, "fsync", lambda descriptor: events.append(sorted(map(str, os.listdir(tmp_path)))))
-    with whole_file(tmp_path / "a.txt") as partial:
+    with atomic_write(tmp_path / "a.txt") as partial:
         partial.write_text("whole")
     assert events == [[f"a.txt.{os.getpid()}.part"]] and files(tmp_path) == {"a.txt"}
 

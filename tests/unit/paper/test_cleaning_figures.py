@@ -21,7 +21,7 @@ from surveysim.paper.figures.cleaning import (
     timestream_figure,
     weather_examples,
 )
-from surveysim.paper.figures.maps import log_bin_sigma, map_psd_figure, recipe_names, winners
+from surveysim.paper.figures.maps import log_bin_sigma, map_psd_figure, pipeline_names, winners
 from surveysim.paper.measured_survey import MeasuredSurvey
 from surveysim.reduction.setup import prepare
 from surveysim.results.results import SurveyResult, survey_result
@@ -271,10 +271,10 @@ def test_bins_of_one_unit_of_ln_ell_add_up_to_the_score(result):
 
 def test_map_figure_draws_the_scores(result):
     figure = map_psd_figure(result)
-    assert recipe_names(result) == {"average": "actual", "planar": "planar", "optimal": "optimal"}
+    assert pipeline_names(result) == {"average": "actual", "planar": "planar", "optimal": "optimal"}
     noise, sensitivity, cumulative, ratio = figure.panels
     score, edges = result.setup.scene.score, result.setup.band.rings.edges_ell
-    for label, name in recipe_names(result).items():
+    for label, name in pipeline_names(result).items():
         item = result.scores[name]
         np.testing.assert_allclose(named(noise, label).y, item.noise_psd[1:] * 3437.7468**2)
         np.testing.assert_array_equal(named(sensitivity, label).y, log_bin_sigma(result, item)[1:])

@@ -257,8 +257,8 @@ def test_a_survey_without_a_score_is_said_for_each_item_of_its_run(scenarios, tm
     "old, new, words",
     [
         ("", "", "score: missing; Table 3 and figure 16 score the maps"),
-        ('["uncorrelated", "white"]', '["white"]', "score.simulated: found white; Table 3 and figure 16 need"),
-        ('["uncorrelated", "white"]', "[]", "score.simulated: found none; Table 3 and figure 16 need"),
+        ('["uncorrelated", "white"]', '["white"]', "score.noise_only_sets: found white; Table 3 and figure 16 need"),
+        ('["uncorrelated", "white"]', "[]", "score.noise_only_sets: found none; Table 3 and figure 16 need"),
         ("mask_separation_f_lambda = 1.3", "", "score.mask_separation_f_lambda: missing; Table 3"),
         ("mask_separation_f_lambda = 1.3", "mask_separation_f_lambda = 9", "lynx.toml: "),
     ],
@@ -278,7 +278,12 @@ def test_scenes_without_the_four_data_sets(tmp_path, asked, old, new, words):
         ("sds1", 'wind_median = "31', 'wind_median = "20', "sds1.toml: atmosphere: not that of 'lynx'"),
         ("lynx", "143 GHz", "600 GHz", "lynx.toml: atmosphere.site: found a band"),
         ("lynx", '"1000 m"', '"1234 m"', "lynx.toml: atmosphere: found index 3.667 and layer_height 1234 m"),
-        ("lynx", "[map]", '[numerics]\nstream_memory = "30 kB"\n\n[map]', "stream_memory: found 0.03 MB, which cuts"),
+        (
+            "lynx",
+            "[map]",
+            '[numerics]\nmax_block_memory = "30 kB"\n\n[map]',
+            "max_block_memory: found 0.03 MB, which cuts",
+        ),
     ],
 )
 def test_scenes_that_can_t_be_measured_together(scenarios, tmp_path, name, old, new, words):

@@ -1,4 +1,4 @@
-"""Recipes of a scene: their data sets, their windows, what they need, and how wrong ones are refused."""
+"""Pipelines of a scene: their data sets, their windows, what they need, and how wrong ones are refused."""
 
 import numpy as np
 import pytest
@@ -9,13 +9,13 @@ from surveysim.reduction import consistency as checks
 from surveysim.reduction.cleaning_pipelines import needed_detectors
 from surveysim.reduction.figure_of_merit import best_places
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import best_recipe
+from surveysim.results.results import best_pipeline
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import SceneError, load_scene
 from surveysim.survey.coadds import row_names
 from tests.scenes import SMALL_SCENE
 
-COMPARE = {"cleaning.compare": ["planar", ["average", "local"], "wind"], "cleaning.reach": 1.2}
+COMPARE = {"cleaning.compare": ["planar", ["average", "local"], "wind"], "cleaning.neighbour_radius": 1.2}
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def compared(path, tmp_path_factory, blank_figures):
 
 def test_data_sets_and_windows(path):
     setup = prepare(load_scene(path, COMPARE))
-    assert [recipe.label for recipe in setup.recipes] == ["average", "planar", "average+local", "wind", "average"]
+    assert [pipeline.label for pipeline in setup.pipelines] == ["average", "planar", "average+local", "wind", "average"]
     masked = f"masked_{len(setup.masked)}"
     sets = ("actual", "uncorrelated", "white", "planar", "average+local", "wind", "optimal", masked)
     assert setup.data_sets == sets
@@ -41,7 +41,7 @@ def test_data_sets_and_windows(path):
     assert [setup.window_of(name) for name in sets] == [0, 0, 0, 1, 2, 3, 4, 5]
 
 
-def test_one_recipe_is_no_choice(path):
+def test_one_pipeline_is_no_choice(path):
     setup = prepare(load_scene(path))
     assert not setup.chooses and "optimal" not in setup.data_sets
     assert len(setup.window_skies_mk) == 2  # no sky of point sources
@@ -51,7 +51,7 @@ def test_one_recipe_is_no_choice(path):
     "changes, words",
     [
         ({"cleaning.algorithm": "pca"}, "cleaning.sigma_cut: missing; 'pca' needs it"),
-        ({"cleaning.algorithm": ["average", "local"]}, "cleaning.reach: missing; 'local' needs it"),
+        ({"cleaning.algorithm": ["average", "local"]}, "cleaning.neighbour_radius: missing; 'local' needs it"),
         ({"cleaning.compare": ["polynomial"], "cleaning.order": 2}, "cleaning.regions: missing; 'polynomial' needs it"),
         ({"cleaning.compare": ["average"]}, "cleaning.compare: found 'average' more than once"),
         ({"cleaning.compare": ["median"]}, "cleaning.compare.0: found 'median'; one of 'none', 'average'"),
@@ -70,13 +70,13 @@ def test_refused(path, changes, words):
     assert words in str(caught.value)
 
 
-def test_a_recipe_that_discards_everything_never_wins(path):
+def test_a_pipeline_that_discards_everything_never_wins(path):
     """Local templates leave nothing to calibrate on: the average after them keeps no scan, and no window."""
-    scene = load_scene(path, {"cleaning.compare": [["local", "average"]], "cleaning.reach": 1.2})
+    scene = load_scene(path, {"cleaning.compare": [["local", "average"]], "cleaning.neighbour_radius": 1.2})
     result = run(scene, engine=SERIAL)
     columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
     assert columns["discarded_local+average"].sum() == 16
-    assert (best_recipe(result.setup, columns, "cmb") == 0).all()
+    assert (best_pipeline(result.setup, columns, "cmb") == 0).all()
     np.testing.assert_array_equal(columns["noise_mk2_optimal"], columns["noise_mk2_actual"])
 
 
@@ -104,9 +104,9 @@ def test_detectors_that_steps_need(path):
 def test_comparing_changes_nothing_of_the_actual_data(path, compared, tmp_path):
     run(load_scene(path), tmp_path, engine=SERIAL, figures=False)
     for name in ("actual", "white"):
-        alone, beside = (read_fits(folder / "maps" / f"{name}.fits") for folder in (tmp_path, compared[1]))
-        np.testing.assert_array_equal(alone.weighted_sum, beside.weighted_sum)
-        np.testing.assert_array_equal(alone.weight, beside.weight)
+        alone, auxiliary = (read_fits(folder / "maps" / f"{name}.fits") for folder in (tmp_path, compared[1]))
+        np.testing.assert_array_equal(alone.weighted_sum, auxiliary.weighted_sum)
+        np.testing.assert_array_equal(alone.weight, auxiliary.weight)
 
 
 def test_what_a_comparison_leaves_behind(compared):
@@ -115,18 +115,18 @@ def test_what_a_comparison_leaves_behind(compared):
     assert {path.stem for path in (out / "maps").iterdir()} == set(sets) == set(result.scores)
     assert (out / "figures" / "window.png").exists()
     columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
-    # Templates a scan: of the recipes' own kind.
+    # Templates a scan: of the pipelines' own kind.
     assert [columns[f"removed_{name}"].mean() for name in ("actual", "planar", "average+local")] == [1, 3, 2]
-    best = best_recipe(result.setup, columns, "cmb")
+    best = best_pipeline(result.setup, columns, "cmb")
     assert best.shape == (4,) and set(best) <= {0, 1, 2, 3}
 
 
 def test_the_optimal_map_is_each_observation_s_best(compared):
-    """Rebuilt from the co-adds' own rows: its noise is that of the best recipe in every observation."""
+    """Rebuilt from the co-adds' own rows: its noise is that of the best pipeline in every observation."""
     result, _ = compared
     columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
-    best = best_recipe(result.setup, columns, "cmb")
-    noise = np.array([columns[f"noise_mk2_{recipe.data_set}"] for recipe in result.setup.whole_recipes])
+    best = best_pipeline(result.setup, columns, "cmb")
+    noise = np.array([columns[f"noise_mk2_{pipeline.data_set}"] for pipeline in result.setup.whole_pipelines])
     np.testing.assert_array_equal(columns["noise_mk2_optimal"], noise[best, np.arange(4)])
 
 
@@ -142,5 +142,5 @@ def test_flux_at_the_peak_of_a_source(compared):
 
 
 def test_the_best_of_merits():
-    merits = np.array([[1.0, np.nan, 0.0, np.nan], [2.0, 1.0, 0.0, np.nan], [np.nan, 3.0, 0.0, np.nan]])
-    assert best_places(merits).tolist() == [1, 2, -1, -1]
+    figures_of_merit = np.array([[1.0, np.nan, 0.0, np.nan], [2.0, 1.0, 0.0, np.nan], [np.nan, 3.0, 0.0, np.nan]])
+    assert best_places(figures_of_merit).tolist() == [1, 2, -1, -1]

@@ -1,4 +1,4 @@
-"""Whose responsivities a scene cleans with: keys, draws, recipes, blocks, window skies and forecasts."""
+"""Whose responsivities a scene cleans with: keys, draws, pipelines, blocks, window skies and forecasts."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from surveysim.api import run
 from surveysim.forecasting.noise_model import noise_models
 from surveysim.forecasting.observing_conditions import conditions, fitted_courses, survey_draws
 from surveysim.reduction import observation as reduction
-from surveysim.reduction.cleaning_pipelines import Beside, apply_recipe
+from surveysim.reduction.cleaning_pipelines import AuxiliaryData, apply_pipeline
 from surveysim.reduction.fitted_modes import NO_COURSES
 from surveysim.reduction.mode_response import projected_array
 from surveysim.reduction.observation import observe
@@ -65,8 +65,8 @@ def test_keys_that_do_not_fit(setup_of, settings, words):
 
 @pytest.mark.parametrize("way", ["scan", "observation", "known"])
 def test_only_survey_uses_the_calibration_error(setup_of, way):
-    plain, beside = setup_of(**WAYS[way]), setup_of(**WAYS[way], cleaning__calibration_error=0.5)
-    np.testing.assert_array_equal(observe(beside, 0, True).sums, observe(plain, 0, True).sums)
+    plain, auxiliary = setup_of(**WAYS[way]), setup_of(**WAYS[way], cleaning__calibration_error=0.5)
+    np.testing.assert_array_equal(observe(auxiliary, 0, True).sums, observe(plain, 0, True).sums)
 
 
 def test_a_sweep_takes_all_settings(tmp_path):
@@ -85,7 +85,7 @@ def test_a_compared_cleaning_may_be_the_one_that_takes_them(setup_of):
 @pytest.mark.parametrize("name", TEMPLATE_CLEANINGS)
 def test_every_cleaning_runs_with_every_setting(setup_of, name, way):
     keys = {f"cleaning.{key}": value for key, value in KEYS.items()}
-    setup = setup_of(**WAYS[way], **keys, **LONG, cleaning__algorithm=name, score__simulated=[])
+    setup = setup_of(**WAYS[way], **keys, **LONG, cleaning__algorithm=name, score__noise_only_sets=[])
     found = observe(setup, 0, with_window=True)
     assert (found.iterations[0] == 0) == (way in ("survey", "known"))
     assert found.hits.any() and np.isfinite(found.sums).all() and found.window.any()
@@ -108,14 +108,14 @@ def test_the_calibration_is_the_true_one_with_its_error(setup_of):
 
 
 @pytest.mark.parametrize("place", [0, -1], ids=["all", "masked"])
-def test_a_recipe_knows_its_own_detectors(setup_of, place):
+def test_a_pipeline_knows_its_own_detectors(setup_of, place):
     """A signal times the true responsivities vanishes, of all detectors and of the masked ones."""
     setup = setup_of(**WAYS["known"])
-    recipe, plane = setup.recipes[place], setup.camera.focal_plane
+    pipeline, plane = setup.pipelines[place], setup.camera.focal_plane
     data = setup.responsivity[:, None] * np.random.default_rng(1).standard_normal(60)
-    beside = Beside(np.zeros((1, 2)), np.zeros((0, *data.shape)), setup.calibration)
+    auxiliary = AuxiliaryData(np.zeros((1, 2)), np.zeros((0, *data.shape)), setup.calibration)
     bounds, section = np.array([[0, 60]]), setup.scene.cleaning
-    left = apply_recipe(section, recipe, data[recipe.rows], bounds, plane.subset(recipe.rows), beside, 10.0)
+    left = apply_pipeline(section, pipeline, data[pipeline.rows], bounds, plane.subset(pipeline.rows), auxiliary, 10.0)
     assert left.kept.all() and np.abs(left.data_mk).max() < 1e-12
 
 
@@ -125,12 +125,14 @@ def test_other_bands_are_cleaned_with_their_own(setup_of):
     rng, n_det = np.random.default_rng(2), setup.n_det
     calibration = np.exp(0.1 * rng.standard_normal((2, n_det)))
     noise, bounds, found = rng.standard_normal((2, n_det, 60)), np.array([[0, 60]]), []
-    recipe, section = replace(setup.recipes[0], steps=("average", "spectral")), setup.scene.cleaning
+    pipeline, section = replace(setup.pipelines[0], steps=("average", "spectral")), setup.scene.cleaning
     for strength in (1.0, 1000.0):
         common = strength * np.sin(np.arange(60))
         mapped, other = noise + calibration[..., None] * common
-        beside = Beside(np.zeros((1, 2)), other[None], calibration)
-        found.append(apply_recipe(section, recipe, mapped, bounds, setup.camera.focal_plane, beside, 10.0).data_mk)
+        auxiliary = AuxiliaryData(np.zeros((1, 2)), other[None], calibration)
+        found.append(
+            apply_pipeline(section, pipeline, mapped, bounds, setup.camera.focal_plane, auxiliary, 10.0).data_mk
+        )
     np.testing.assert_allclose(found[1], found[0], atol=1e-9)
 
 
@@ -139,17 +141,17 @@ def test_other_bands_are_cleaned_with_their_own(setup_of):
 
 def test_a_fit_to_an_observation_needs_it_whole(setup_of):
     words = (
-        "numerics.stream_memory: found 0.009 MB, which cuts an observation into 2 blocks; cleaning.responsivities "
+        "numerics.max_block_memory: found 0.009 MB, which cuts an observation into 2 blocks; cleaning.responsivities "
         "'observation' needs it whole: 0.01728 MB or more is expected, or 'survey' in its place"
     )
     with pytest.raises(SceneError, match=words):
-        setup_of(**WAYS["observation"], numerics__stream_memory="9 kB")
+        setup_of(**WAYS["observation"], numerics__max_block_memory="9 kB")
     for way in ("survey", "known"):
-        assert len(setup_of(**WAYS[way], numerics__stream_memory="9 kB").blocks) == 2
+        assert len(setup_of(**WAYS[way], numerics__max_block_memory="9 kB").blocks) == 2
 
 
 def test_a_survey_has_one_calibration_however_it_is_cut(setup_of):
-    whole, cut = (setup_of(**WAYS["survey"], numerics__stream_memory=memory) for memory in ("1 MB", "5 kB"))
+    whole, cut = (setup_of(**WAYS["survey"], numerics__max_block_memory=memory) for memory in ("1 MB", "5 kB"))
     np.testing.assert_array_equal(cut.calibration, whole.calibration)
 
 
@@ -165,7 +167,7 @@ def test_workers_change_no_bit(setup_of, way):
 @pytest.mark.parametrize("way, again", [("scan", 3), ("observation", 4)])
 def test_window_skies_are_fitted_with_the_same_scans(setup_of, monkeypatch, way, again):
     """A scan that is lost without a sky is cleaned again only where it has a part in the others' responsivities."""
-    clean, cleaned = reduction.apply_recipe, []
+    clean, cleaned = reduction.apply_pipeline, []
 
     def lossy(*arguments):
         done = clean(*arguments)
@@ -176,21 +178,21 @@ def test_window_skies_are_fitted_with_the_same_scans(setup_of, monkeypatch, way,
         done.data_mk[:, :60] = 0
         return replace(done, kept=np.arange(4) > 0)
 
-    monkeypatch.setattr(reduction, "apply_recipe", lossy)
+    monkeypatch.setattr(reduction, "apply_pipeline", lossy)
     strong = {"atmosphere__b2": "[2000, 5000, 10000] mK2 rad(-5/3)"}  # so that no other scan is lost
     found = observe(setup_of(**WAYS[way], **strong, score__mask_separation_f_lambda=None), 0, with_window=True)
     assert cleaned == [4, again, again] and found.window.any()
 
 
 def test_a_fit_that_other_scans_share_with_the_sky_tells_nothing(setup_of, monkeypatch):
-    clean, cleaned = reduction.apply_recipe, []
+    clean, cleaned = reduction.apply_pipeline, []
 
     def lossy(*arguments):
         done = clean(*arguments)
         cleaned.append(len(done.kept))
         return done if len(cleaned) == 1 else replace(done, kept=np.arange(4) > 0)
 
-    monkeypatch.setattr(reduction, "apply_recipe", lossy)
+    monkeypatch.setattr(reduction, "apply_pipeline", lossy)
     found = observe(setup_of(**WAYS["observation"], score__mask_separation_f_lambda=None), 0, with_window=True)
     assert not found.window.any()
 
@@ -199,9 +201,9 @@ def test_a_fit_that_other_scans_share_with_the_sky_tells_nothing(setup_of, monke
 
 
 def _courses(setup):
-    recipe, levels = setup.recipes[0], conditions(setup, survey_draws(setup, 0, 4))
+    pipeline, levels = setup.pipelines[0], conditions(setup, survey_draws(setup, 0, 4))
     plane = setup.camera.focal_plane
-    return fitted_courses(setup, recipe, projected_array(plane, 0.0, setup.responsivity, recipe.steps[0]), levels)
+    return fitted_courses(setup, pipeline, projected_array(plane, 0.0, setup.responsivity, pipeline.steps[0]), levels)
 
 
 def test_what_a_forecast_takes_for_fitted(setup_of):

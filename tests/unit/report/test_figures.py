@@ -28,8 +28,8 @@ TINY = {
     "score.ell_min": 3000,
     "score.ell_max": 10000,
     "score.jackknives": 4,
-    "score.window.skies": 2,
-    "score.window.observations": 4,
+    "score.signal_sims.skies": 2,
+    "score.signal_sims.observations": 4,
 }
 CALM = {"atmosphere": None, "excess": None, "score": None, "cleaning.algorithm": "none", "observations": 1}
 

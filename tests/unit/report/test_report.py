@@ -219,7 +219,7 @@ def test_cleanings_beside_each_other(tmp_path):
     assert [row[0].text for row in rows_of(page, "cleaning-table")] == ["average", "planar"]
     assert "optimal: the best cleaning of each observation" in page.text
     assert "planar: planar subtraction in place of the scene's own" in page.text
-    assert "The optimal set takes for each observation the recipe" in page.text
+    assert "The optimal set takes for each observation the pipeline" in page.text
 
 
 def test_a_page_names_the_assumption_on_shared_photon_noise(tmp_path):

@@ -51,7 +51,7 @@ def test_noise_of_a_load_is_that_of_each_observation(path):
 
 @pytest.mark.slow
 def test_weather_is_that_of_its_distribution(tmp_path):
-    items = found(weather_scene(tmp_path, {"observations": 150, "score.window.observations": 40}))
+    items = found(weather_scene(tmp_path, {"observations": 150, "score.signal_sims.observations": 40}))
     for name, expected in (("first quartile", 500), ("median", 1000), ("third quartile", 2000)):
         item = items[f"B2, {name}"]
         assert item.expected == pytest.approx(expected) and item.unit == "mK2 rad(-5/3)" and item.kind == "drawn"

@@ -12,7 +12,15 @@ from surveysim import load_scene, run
 from surveysim.reduction.setup import prepare
 from surveysim.report.figures.run_time import time_figure
 from surveysim.report.terminal.survey import cost_lines, stop_lines, survey_lines
-from surveysim.results.stopping import FEWEST, UNLIMITED, Estimate, Limits, is_boundary, parsed_limits, stop_reason
+from surveysim.results.stopping import (
+    FEWEST,
+    UNLIMITED,
+    Estimate,
+    StoppingCriteria,
+    is_boundary,
+    parsed_limits,
+    stop_reason,
+)
 from surveysim.runtime.engine import SERIAL, Engine
 from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
 from tests.unit.cli.test_cli import refused
@@ -107,7 +115,7 @@ def test_boundaries_are_even_and_no_further_apart_than_an_eighth():
 def test_which_reason_came_first(scene):
     good, bad = (Estimate("plain", 100.0, error, 100.0, error) for error in (2.0, 9.0))
     setup = prepare(load_scene(scene))
-    both = Limits(0.03, 1.0)
+    both = StoppingCriteria(0.03, 1.0)
     assert stop_reason(setup, both, 32, good) == "target" and stop_reason(setup, both, 32, bad) == "budget"
     assert stop_reason(setup, both, 34, good) == "budget" == stop_reason(setup, both, 2, None)
     assert stop_reason(setup, both, 40, good) == "all" == stop_reason(setup, UNLIMITED, 40, None)
@@ -189,7 +197,7 @@ def test_the_cost_of_a_fine_answer_is_what_its_errors_add_up_to(forty, whole):
     common = np.sum(weights**2) / weights.sum() ** 2
     signs = budget.noise**2 / (1 + score.jackknives * common / (1 - common))
     of_observations = (budget.noise**2 - signs + budget.weather**2) * 40 / cost.observations
-    fixed = signs * score.jackknives / cost.jackknives + budget.window**2 * score.window.skies / cost.skies
+    fixed = signs * score.jackknives / cost.jackknives + budget.window**2 * score.signal_sims.skies / cost.skies
     # Observations come in pairs.
     assert fixed + of_observations + budget.population**2 == pytest.approx(1e-4, rel=4 / cost.observations)
     assert cost.seconds == pytest.approx(cost.observations * sum(result.coadds.seconds.values()) / 40)

@@ -11,7 +11,7 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from surveysim.runtime.dask_cluster import MOST_ITEMS, SCHEDULER_S, UNIT_S, on_cluster, run_unit, unit_size
-from surveysim.runtime.engine import SERIAL, Engine, EngineError, held_back_signals, ordered_map
+from surveysim.runtime.engine import SERIAL, Engine, EngineError, defer_signals, ordered_map
 
 TWO = Engine(workers=2)
 DASK = Engine("dask", workers=2)
@@ -159,7 +159,7 @@ def test_signals_wait_for_the_end_of_a_block(number):
     events = []
     previous = signal.signal(number, lambda *_: events.append("signal"))
     try:
-        with held_back_signals():
+        with defer_signals():
             signal.raise_signal(number)
             signal.raise_signal(number)
             events.append("block")
@@ -172,7 +172,7 @@ def test_signals_wait_for_the_end_of_a_block(number):
 
 def test_errors_leave_the_handlers_as_they_were():
     before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(ZeroDivisionError), held_back_signals():
+    with pytest.raises(ZeroDivisionError), defer_signals():
         raise ZeroDivisionError
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -182,7 +182,7 @@ def test_other_threads_hold_nothing_back():
     done = []
 
     def work():
-        with held_back_signals():
+        with defer_signals():
             done.append(True)
 
     thread = threading.Thread(target=work)

@@ -4,32 +4,32 @@ from itertools import combinations, product
 
 import numpy as np
 
-from surveysim.runtime.rng import Stage, generator
+from surveysim.runtime.rng import RandomPurpose, generator
 
 N_DRAWS = 4000
 
 
 def test_stages_have_numbers_of_their_own():
     # Members with one number would be aliases: in __members__, but not in the iteration.
-    assert len(Stage.__members__) == len({int(stage) for stage in Stage}) == len(list(Stage))
+    assert len(RandomPurpose.__members__) == len({int(stage) for stage in RandomPurpose}) == len(list(RandomPurpose))
 
 
 def test_numbers_of_stages_stay():
     """A number that moves changes every seeded result; new stages take new numbers."""
     names = ["WEATHER", "POINTING", "RESPONSIVITY", "ATMOSPHERE", "EXCESS", "PHOTON"]
     names += ["DETECTOR", "SKY", "UNCORRELATED", "WHITE", "WINDOW_SKY", "JACKKNIFE"]
-    assert {name: int(Stage[name]) for name in names} == {name: k for k, name in enumerate(names)}
+    assert {name: int(RandomPurpose[name]) for name in names} == {name: k for k, name in enumerate(names)}
 
 
 def test_one_key_gives_one_sequence():
-    first = generator(5, Stage.PHOTON, 3, 2).standard_normal(100)
-    np.testing.assert_array_equal(first, generator(5, Stage.PHOTON, 3, 2).standard_normal(100))
+    first = generator(5, RandomPurpose.PHOTON, 3, 2).standard_normal(100)
+    np.testing.assert_array_equal(first, generator(5, RandomPurpose.PHOTON, 3, 2).standard_normal(100))
 
 
 def test_draws_of_one_generator_move_no_other():
-    before = generator(5, Stage.EXCESS, 1).random(10)
-    generator(5, Stage.ATMOSPHERE, 1).random(12345)
-    np.testing.assert_array_equal(before, generator(5, Stage.EXCESS, 1).random(10))
+    before = generator(5, RandomPurpose.EXCESS, 1).random(10)
+    generator(5, RandomPurpose.ATMOSPHERE, 1).random(12345)
+    np.testing.assert_array_equal(before, generator(5, RandomPurpose.EXCESS, 1).random(10))
 
 
 def test_different_keys_give_independent_sequences():
@@ -37,10 +37,16 @@ def test_different_keys_give_independent_sequences():
 
     The correlation of n independent pairs has the standard deviation 1 / sqrt(n); 5 of these.
     """
-    keys = list(product((0, 1), (Stage.POINTING, Stage.EXCESS), (0, 1), (0, 1)))
-    keys += [(0, Stage.RESPONSIVITY, 1, 0), (0, Stage.POINTING, 2, 0), (0, Stage.POINTING, 0, 2)]
+    keys = list(product((0, 1), (RandomPurpose.POINTING, RandomPurpose.EXCESS), (0, 1), (0, 1)))
+    keys += [
+        (0, RandomPurpose.RESPONSIVITY, 1, 0),
+        (0, RandomPurpose.POINTING, 2, 0),
+        (0, RandomPurpose.POINTING, 0, 2),
+    ]
     # Blocks of an observation, of others, and numbers of other things in their place.
-    keys += [(0, Stage.EXCESS, 1, 0, block) for block in (1, 2, int(Stage.EXCESS))] + [(0, Stage.EXCESS, 0, 1, 1)]
+    keys += [(0, RandomPurpose.EXCESS, 1, 0, block) for block in (1, 2, int(RandomPurpose.EXCESS))] + [
+        (0, RandomPurpose.EXCESS, 0, 1, 1)
+    ]
     draws = np.array([generator(*key).standard_normal(N_DRAWS) for key in keys])
     correlation = np.corrcoef(draws)
     for i, j in combinations(range(len(keys)), 2):
@@ -50,6 +56,6 @@ def test_different_keys_give_independent_sequences():
 
 def test_the_first_block_has_the_key_of_the_observation():
     """What keeps observations of one block as they are; the sequence is numpy's for this key."""
-    found = generator(5, Stage.PHOTON, 3, 2, block=0).random(5)
+    found = generator(5, RandomPurpose.PHOTON, 3, 2, block=0).random(5)
     expected = np.random.Generator(np.random.SFC64(np.random.SeedSequence(5, spawn_key=(2, 3, 5)))).random(5)
     np.testing.assert_array_equal(found, expected)

@@ -27,12 +27,12 @@ def test_small_scene_in_internal_units(path):
     assert scene.field.ra_rad == pytest.approx(math.radians(132.3))
     assert scene.scan.speed_rad_s == pytest.approx(math.radians(4 / 60))
     assert scene.instrument.frequency_hz == 143e9
-    assert scene.atmosphere.index == pytest.approx(11 / 3)
+    assert scene.atmosphere.spectral_index == pytest.approx(11 / 3)
     assert scene.atmosphere.b2 == pytest.approx((100, 280, 980))
     assert scene.atmosphere.outer_scale_m is None
     assert scene.excess.variance_mk2 == pytest.approx((2.05, 4.52))
     assert scene.sky.point_sources[0].peak_mk == 5
-    assert scene.score.window.band_power_ukcmb2 == 1000
+    assert scene.score.signal_sims.band_power_ukcmb2 == 1000
 
 
 def test_small_scene_runs(path):
@@ -87,7 +87,7 @@ def test_equal_scenes_have_equal_hashes(path, tmp_path):
         ("atmosphere.outer_scale", "10 km"),
         ("score", None),
         ("cleaning.tolerance", 1.0000001e-8),
-        ("score.simulated", ["white", "uncorrelated"]),
+        ("score.noise_only_sets", ["white", "uncorrelated"]),
     ],
 )
 def test_different_scenes_have_different_hashes(path, key, value):

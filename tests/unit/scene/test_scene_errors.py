@@ -39,7 +39,7 @@ def check(path, overrides, key, found, allowed):
         ("typo", "atmosphere, cleaning"),
         ("scan.typo", "dither, duration"),
         ("instrument.layout.typo", "dead, field_of_view, pitch_f_lambda, rings"),
-        ("score.window.typo", "band_power, observations, skies"),
+        ("score.signal_sims.typo", "band_power, observations, skies"),
         ("scan.speed_rad_s", "speed"),  # names of the records are no keys of the file
     ],
 )
@@ -95,11 +95,11 @@ def test_wrong_units(path, key, found, unit):
 
 def test_unit_of_b2_follows_the_index(path):
     """B2 is in mK^2 rad^(2 - b)."""
-    overrides = {"atmosphere.index": "8/3", "atmosphere.b2": "[100, 280, 980] mK2 deg(-2/3)"}
+    overrides = {"atmosphere.spectral_index": "8/3", "atmosphere.b2": "[100, 280, 980] mK2 deg(-2/3)"}
     scene = load_scene(path, overrides)
     assert scene.atmosphere.b2 == pytest.approx([b * (180 / math.pi) ** (2 / 3) for b in (100, 280, 980)])
-    check(path, {"atmosphere.index": "8/3"}, "atmosphere.b2", "mK2 rad(-5/3)", "mK2 rad(-2/3)")
-    assert load_scene(path, {"atmosphere.index": 2, "atmosphere.b2": "[1, 2, 3] mK2"}).atmosphere.b2 == (
+    check(path, {"atmosphere.spectral_index": "8/3"}, "atmosphere.b2", "mK2 rad(-5/3)", "mK2 rad(-2/3)")
+    assert load_scene(path, {"atmosphere.spectral_index": 2, "atmosphere.b2": "[1, 2, 3] mK2"}).atmosphere.b2 == (
         1,
         2,
         3,
@@ -185,7 +185,7 @@ def test_values_out_of_range(path, key, found, allowed):
         ("excess.variance", "[1e-300, 1] mK2", "0, or 1e-12 mK2 or more, is expected of each"),
         ("detector.psd", "1e80 mK2 / Hz", "1e+12 mK2 / Hz or less"),
         ("sky.cmb_band_power", "1e80 uK2", "1e15 uK2 or less"),
-        ("score.window.band_power", "1e-30 uK2", "1e-6 uK2 or more"),
+        ("score.signal_sims.band_power", "1e-30 uK2", "1e-6 uK2 or more"),
         ("score.mask_separation_f_lambda", 1e-30, "greater than or equal to 0.000001"),
         ("map.pixel", "181 deg", "180 deg or less"),
     ],
@@ -213,7 +213,12 @@ def test_layers_beyond_any_use(path):
     for keys, key, found, allowed in (
         ({"b2": "[1, 2, 1e25] mK2 rad(-5/3)"}, "b2", "found (1.0, 2.0, 1e+25)", "0 or values from 1e-24 to 1e+24"),
         ({"b2": "[1e-300, 2, 3] mK2 rad(-5/3)"}, "b2", "found (1e-300, 2.0, 3.0)", "0 or values from 1e-24"),
-        ({"index": 21, "b2": "[1, 2, 3] mK2 rad(-19)"}, "index", "found 21", "less than or equal to 20"),
+        (
+            {"spectral_index": 21, "b2": "[1, 2, 3] mK2 rad(-19)"},
+            "spectral_index",
+            "found 21",
+            "less than or equal to 20",
+        ),
         ({"layer_height": "5 m"}, "layer_height", "found 5 m with an aperture of 8 m", "no less than the aperture"),
         ({"outer_scale": "5 m"}, "outer_scale", "found 5 m with an aperture of 8 m", "no less than the aperture"),
     ):
@@ -248,7 +253,7 @@ def test_quantities_that_are_not_finite(path, word, key, unit):
     [
         "instrument.responsivity_scatter",
         "instrument.layout.pitch_f_lambda",
-        "atmosphere.index",
+        "atmosphere.spectral_index",
         "atmosphere.wind_log_scatter",
         "photon.coherent_fraction",
         "cleaning.tolerance",
@@ -278,7 +283,7 @@ def test_excess_of_no_variance_is_refused_where_logarithms_are_taken(path):
 
 @pytest.mark.parametrize("text", ["1/0", "eleven thirds", "11/3/2"])
 def test_broken_index(path, text):
-    check(path, {"atmosphere.index": text}, "atmosphere.index", text, "")
+    check(path, {"atmosphere.spectral_index": text}, "atmosphere.spectral_index", text, "")
 
 
 @pytest.mark.parametrize("share", [0.1, 0.35, 0.6, 0.9])
@@ -305,7 +310,7 @@ def test_missing_file(tmp_path):
 
 @pytest.mark.parametrize("index, power", [(4, "-2"), ("13/3", "-7/3")])
 def test_steep_screens_need_an_outer_scale(path, index, power):
-    steep = {"atmosphere.index": index, "atmosphere.b2": f"[100, 280, 980] mK2 rad({power})"}
+    steep = {"atmosphere.spectral_index": index, "atmosphere.b2": f"[100, 280, 980] mK2 rad({power})"}
     check(path, steep, "atmosphere.outer_scale", "missing", "needs an outer scale")
     assert load_scene(path, steep | {"atmosphere.outer_scale": "5 km"}).atmosphere.outer_scale_m == 5000
 

@@ -27,9 +27,9 @@ def path(tmp_path):
         ({"atmosphere.pwv": "[1] mm", "atmosphere.pwv_probabilities": [0.5]}, "atmosphere.site: missing"),
         (SITE | {"atmosphere.pwv": "[1, 2] mm"}, "atmosphere.pwv: found 2 values for 5 pwv_probabilities"),
         (SITE | {"atmosphere.pwv": "[1, 2, 3, 4, 5] K"}, "atmosphere.pwv: found '1 K'"),
-        (SITE | {"atmosphere.fluctuation": "[1, 2, 3] mK2"}, "atmosphere.fluctuation: found '1 mK2'"),
+        (SITE | {"atmosphere.water_fluctuation": "[1, 2, 3] mK2"}, "atmosphere.water_fluctuation: found '1 mK2'"),
         (
-            SITE | {"atmosphere.fluctuation": "[0, 1, 2] rad(-5/3)"},
+            SITE | {"atmosphere.water_fluctuation": "[0, 1, 2] rad(-5/3)"},
             "fluctuation: found (0.0, 1.0, 2.0); values above 0",
         ),
         (
@@ -67,29 +67,29 @@ def test_noise_by_power_under_an_opaque_sky(path):
 
 def test_fluctuations_beyond_any_air(path):
     """Their key is named, as nobody wrote B2; beside a B2 that is given their order alone counts."""
-    changes = SITE | {"atmosphere.fluctuation": "[1e22, 1e23, 1e24] rad(-5/3)"}
+    changes = SITE | {"atmosphere.water_fluctuation": "[1e22, 1e23, 1e24] rad(-5/3)"}
     prepare(load_scene(path, changes))
     path.write_text(SMALL_SCENE.replace("b2_probabilities = [0.25, 0.5, 0.75]\n", "").replace(B2_LINE, ""))
-    with pytest.raises(SceneError, match=r"^atmosphere.fluctuation: found \(1e\+22, .* B2 above 1e\+24 mK\^2"):
+    with pytest.raises(SceneError, match=r"^atmosphere.water_fluctuation: found \(1e\+22, .* B2 above 1e\+24 mK\^2"):
         prepare(load_scene(path, changes))
 
 
 def test_another_index_needs_fluctuations_or_b2_of_its_own(path):
     """Amplitudes of a site are those of 11/3; one line says which keys it takes, whoever wrote none."""
     path.write_text(SMALL_SCENE.replace("b2_probabilities = [0.25, 0.5, 0.75]\n", "").replace(B2_LINE, ""))
-    steep = SITE | {"atmosphere.index": "8/3"}
+    steep = SITE | {"atmosphere.spectral_index": "8/3"}
     with pytest.raises(SceneError) as caught:
         load_scene(path, steep)
     assert str(caught.value) == (
-        f"{path}: atmosphere.fluctuation: missing; those of site 'mauna_kea' are amplitudes at an index of 11/3: "
-        "with 8/3, 'fluctuation' in rad(-2/3) or 'b2' in mK2 rad(-2/3) is expected"
+        f"{path}: atmosphere.water_fluctuation: missing; those of site 'mauna_kea' are amplitudes at an index of 11/3: "
+        "with 8/3, 'water_fluctuation' in rad(-2/3) or 'b2' in mK2 rad(-2/3) is expected"
     )
-    prepare(load_scene(path, steep | {"atmosphere.fluctuation": "[4e-5, 1e-4, 2e-4] rad(-2/3)"}))
+    prepare(load_scene(path, steep | {"atmosphere.water_fluctuation": "[4e-5, 1e-4, 2e-4] rad(-2/3)"}))
 
 
 def test_b2_of_another_index_keeps_the_ranks_of_the_site(path):
     """The water and its fluctuations rank the draws; a unit of theirs moves no rank."""
-    steep = {"atmosphere.index": "8/3", "atmosphere.b2": "[100, 280, 980] mK2 rad(-2/3)"}
+    steep = {"atmosphere.spectral_index": "8/3", "atmosphere.b2": "[100, 280, 980] mK2 rad(-2/3)"}
     one, other = (prepare(load_scene(path, SITE | keys)) for keys in ({}, steep))
     for number in range(4):
         assert observation_weather(one, number) == observation_weather(other, number)
@@ -104,12 +104,12 @@ def test_one_value_is_the_same_water_for_all(path):
 def test_a_site_gives_what_the_scene_leaves_out(path):
     scene = load_scene(path, SITE | {"atmosphere.pwv": "[0.6, 1, 1.5, 2, 3] mm"})
     assert scene.atmosphere.pwv_mm == (0.6, 1.0, 1.5, 2.0, 3.0) and scene.atmosphere.b2 == (100, 280, 980)
-    assert scene.atmosphere.fluctuation == (3.7e-6, 7.4e-6, 1.5e-5)
+    assert scene.atmosphere.water_fluctuation == (3.7e-6, 7.4e-6, 1.5e-5)
 
 
 def test_what_the_site_assumes_is_said_unless_the_scene_replaces_it(path):
     said = [line for line in load_scene(path, SITE).assumed if line.startswith("atmosphere.")]
     # The scene has its own wind and height; of the rest the site calibrates its fluctuations.
-    assert [line.split()[0] for line in said] == ["atmosphere.fluctuation"]
-    own = load_scene(path, SITE | {"atmosphere.fluctuation": "[3e-6, 9e-6, 2e-5] rad(-5/3)"})
+    assert [line.split()[0] for line in said] == ["atmosphere.water_fluctuation"]
+    own = load_scene(path, SITE | {"atmosphere.water_fluctuation": "[3e-6, 9e-6, 2e-5] rad(-5/3)"})
     assert not [line for line in own.assumed if line.startswith("atmosphere.")]

@@ -15,8 +15,7 @@ from surveysim.reduction.setup import prepare
 from surveysim.report.figures.convergence import accuracy_figure, pareto
 from surveysim.report.terminal.convergence import print_accuracy
 from surveysim.runtime.engine import SERIAL
-from surveysim.studies.convergence import Measured, Setting, measure_accuracy
-from surveysim.studies.convergence import settings as ladders
+from surveysim.studies.convergence import Measured, Setting, ladders, measure_accuracy
 from surveysim.studies.convergence.comparison import recommendations, slopes
 from surveysim.studies.convergence.runs import Task, run_task
 from surveysim.studies.convergence.settings import sub_survey
@@ -24,7 +23,7 @@ from surveysim.timestreams.observation import draw_observation
 from tests.pages import read_page, rows_of, value_of
 from tests.scenes import SMALL_SCENE, without_sections
 
-ACTUAL_ALONE = {"score.simulated": [], "score.mask_separation_f_lambda": None}  # others are not measured
+ACTUAL_ALONE = {"score.noise_only_sets": [], "score.mask_separation_f_lambda": None}  # others are not measured
 
 
 @pytest.fixture(scope="module")
@@ -79,9 +78,9 @@ def test_all_settings_of_ladders_are_keys_of_a_scene_and_own_ones_change_nothing
 
 
 def test_a_sub_survey_has_as_large_a_part_with_window_skies(path):
-    scene = load_scene(path, {"observations": 500, "score.window.observations": 100})
-    assert sub_survey(scene, 60) == {"observations": 60, "score.window.observations": 12}
-    assert sub_survey(scene, 1000) == {"observations": 500, "score.window.observations": 100}
+    scene = load_scene(path, {"observations": 500, "score.signal_sims.observations": 100})
+    assert sub_survey(scene, 60) == {"observations": 60, "score.signal_sims.observations": 12}
+    assert sub_survey(scene, 1000) == {"observations": 500, "score.signal_sims.observations": 100}
 
 
 @pytest.mark.parametrize(
@@ -102,7 +101,7 @@ def test_every_setting_has_a_row_with_a_score_or_a_reason(result, path):
         assert np.isfinite(row.sigma_ukcmb2) != row.note.startswith(("refused: ", "not scored: ")), row
     refused = {(row.setting.knob, row.setting.label) for row in result.rows if not np.isfinite(row.sigma_ukcmb2)}
     assert refused == {("observations", "0"), ("observations", "1"), ("sample rate", "5 Hz")}
-    assert "white_above" in of_knob(result.rows, "sample rate")["5 Hz"].note
+    assert "white_noise_above" in of_knob(result.rows, "sample rate")["5 Hz"].note
 
 
 def test_parts_of_a_survey_score_the_whole_of_it(result):

@@ -19,7 +19,7 @@ from tests.scenes import SCHEDULE, SMALL_SCENE, WHITE_NOISE_SCENE, without_secti
 
 ALWAYS = ["pointing", "detector", "cleaning", "maps"]
 SCORED = ["data sets", "window", "score", "forecast"]
-NO_CHOICE = {"best recipe": "no cleaning.compare to choose from"}
+NO_CHOICE = {"best pipeline": "no cleaning.compare to choose from"}
 NO_HEALPIX = {"HEALPix": "no map.healpix_nside"}
 FIXED = {"ephemerides": "a fixed elevation needs no astropy.coordinates"}
 NO_SITE = {"opacity": "no atmosphere.site to know it of"}
@@ -29,7 +29,7 @@ NO_SCORE = {
     "score": "no section [score]: no map PSDs, no sign-flipped maps",
     "window": "no section [score] to need it",
     "forecast": "no section [score] to need it",
-    "best recipe": "no section [score] to need it",
+    "best pipeline": "no section [score] to need it",
 }
 NO_EXCESS, NO_PHOTON = {"excess": "no section [excess]"}, {"photon": "no section [photon]"}
 NO_OVERLAP = {"overlap": "no noise that detectors share"}
@@ -39,7 +39,7 @@ AIR_OF_A_SITE = (
     + """
 [atmosphere]
 site = "mauna_kea"
-index = "11/3"
+spectral_index = "11/3"
 illuminated_aperture = "8 m"
 
 [own]"""
@@ -58,7 +58,7 @@ DOES = {
     "score": [(results, "quoted_scores")],
     "window": [(sky, "flat_cmb_sky"), (reduction, "_add_window")],
     "forecast": [(agreement, "forecast")],
-    "best recipe": [(reduction, "merits")],
+    "best pipeline": [(reduction, "figures_of_merit")],
     "HEALPix": [(outputs, "write_healpix")],
 }
 
@@ -153,7 +153,9 @@ def test_other_bands_are_drawn_only_where_subtracted(monkeypatch, algorithm, sub
     scene = load_scene(SUZIE, {"cleaning.algorithm": algorithm, "cleaning.compare": [], "observations": 2})
     ready, drawn = prepare(scene), []
     monkeypatch.setattr(
-        reduction, "draw_colours", lambda *arguments: drawn.append(observation.draw_colours(*arguments)) or drawn[-1]
+        reduction,
+        "draw_other_bands",
+        lambda *arguments: drawn.append(observation.draw_other_bands(*arguments)) or drawn[-1],
     )
     plan = make_plan(ready, 1)
     assert (plan.left_out.get("other bands") is None) == subtracted
@@ -165,7 +167,7 @@ def test_observations_of_several_blocks_are_measured_on_one(tmp_path, monkeypatc
     path = tmp_path / "scene.toml"
     path.write_text(SMALL_SCENE)
     whole = make_plan(prepare(load_scene(path)), 1)
-    ready = prepare(load_scene(path, {"numerics.stream_memory": "9 kB"}))
+    ready = prepare(load_scene(path, {"numerics.max_block_memory": "9 kB"}))
     drawn, draw = [], reduction.draw_block
     monkeypatch.setattr(reduction, "draw_block", lambda *args: drawn.append(args[3].n_scans) or draw(*args))
     found = make_plan(ready, 1)

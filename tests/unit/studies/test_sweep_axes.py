@@ -58,9 +58,15 @@ def test_every_combination_is_a_point(write):
 
 def test_points_are_the_scenes_with_those_keys(write):
     """The same scene as one without a sweep and with the keys set, by the hash of all that results depend on."""
-    path = write(SPEEDS + '"cleaning.algorithm" = [["average"], ["planar", "local"]]\n"cleaning.reach" = [2.0]\n')
+    path = write(
+        SPEEDS + '"cleaning.algorithm" = [["average"], ["planar", "local"]]\n"cleaning.neighbour_radius" = [2.0]\n'
+    )
     sweep = load_sweep(path, {"observations": 6})
-    settings = {"scan.speed": "4 arcmin / s", "cleaning.algorithm": ["planar", "local"], "cleaning.reach": 2.0}
+    settings = {
+        "scan.speed": "4 arcmin / s",
+        "cleaning.algorithm": ["planar", "local"],
+        "cleaning.neighbour_radius": 2.0,
+    }
     assert scene_hash(sweep.points[3].scene) == scene_hash(load_scene(path, {"observations": 6} | settings))
     assert sweep.points[3].scene.cleaning.algorithm == ("planar", "local")
     assert "cleaning.algorithm = planar+local" in sweep.points[3].label

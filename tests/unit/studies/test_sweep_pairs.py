@@ -23,7 +23,7 @@ MIXED = (
     .replace("observations = 4\n", "observations = 6\n", 1)
     .replace("mask_separation_f_lambda = 1.3\n", "")
     .replace('simulated = ["uncorrelated", "white"]', "simulated = []")
-    .replace("max_iterations = 100", "max_iterations = 100\nreach = 1.2")
+    .replace("max_iterations = 100", "max_iterations = 100\nneighbour_radius = 1.2")
     + '\n[sweep]\n"cleaning.algorithm" = ["average", "planar", ["average", "local"]]\n'
 )
 

@@ -12,7 +12,7 @@ from surveysim.api import forecast_sweep
 from surveysim.output.directory import RECORD
 from surveysim.output.lock import OutputError
 from surveysim.report.figures.sweep import _ticks, draw_sweep, sweep_figure
-from surveysim.report.terminal.sweep import best_line
+from surveysim.report.terminal.sweep import _forecast_lines, best_line
 from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.scene.scene import scene_hash
 from surveysim.studies.sweep.axes import Axis
@@ -230,6 +230,18 @@ def test_points_without_a_score_are_listed(write, levels, tmp_path):
     assert "best_probability" not in content["points"][1]
 
 
+def test_three_observations_do_not_tell_how_far_the_forecast_is_off(write, tmp_path):
+    result = run_sweep(write(WHITE + "\n[sweep]\nobservations = [3]\n"), tmp_path, engine=SERIAL)
+    off = result.points[0].off
+    assert np.isfinite(off[0]) and np.isnan(off[1])
+    said = f"forecast over simulated, less 1: at worst {100 * off[0]:+.0f} % +- unknown, observations = 3"
+    assert _forecast_lines(result)[0] == said
+    kept = json.loads((tmp_path / "summary.json").read_text())["points"][0]["forecast_over_simulated"]
+    assert kept == {"sigma": off[0], "sigma_error": None}
+    page = (tmp_path / "report.html").read_text()
+    assert "± unknown" in page[page.index('id="agreement-table"') :]
+
+
 def test_nothing_scored_at_all(write, tmp_path):
     result = run_sweep(write(WHITE + '\n[sweep]\nobservations = [1]\n"scan.scans" = [4]\n'), tmp_path, engine=SERIAL)
     assert result.comparison.best == () and not (tmp_path / "figures").exists()
@@ -280,7 +292,7 @@ def test_wrong_files_of_points(write, tmp_path, monkeypatch, kind, damage):
     if damage == "damaged":
         file.write_bytes(file.read_bytes()[:-100])
     if damage == "from another version":
-        for module in ("checkpoint", "point_files"):
+        for module in ("survey.checkpoint", "studies.sweep.point_store"):
             monkeypatch.setattr(f"surveysim.{module}.__version__", "0.0.1")
     sweep = load_sweep(path, {"scan.scans": 3} if damage == "from another scene" else {})
     if damage == "from another scene":

@@ -14,7 +14,7 @@ from surveysim.reduction.setup import prepare
 from surveysim.report.figures.sweep import sweep_figure
 from surveysim.report.terminal.survey import closing_line, print_result
 from surveysim.report.terminal.sweep import best_line, discard_lines, print_sweep
-from surveysim.results.results import best_recipe
+from surveysim.results.results import best_pipeline
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.sweep.comparison import compare, pairs
 from surveysim.survey import run as survey
@@ -77,13 +77,13 @@ def test_shares_by_data_set_and_weather(small, monkeypatch):
     assert all(remedy in line for remedy in REMEDIES)
 
 
-def test_the_optimal_set_loses_the_scans_of_the_best_recipe(small, monkeypatch):
-    """The actual data lose a scan of each observation; the other recipe, which loses none, is mostly the best."""
+def test_the_optimal_set_loses_the_scans_of_the_best_pipeline(small, monkeypatch):
+    """The actual data lose a scan of each observation; the other pipeline, which loses none, is mostly the best."""
     losing(monkeypatch, lambda scene, observation: 1)
     setup = prepare(small({"observations": 6, "cleaning.algorithm": "planar", "cleaning.compare": ["average"]}))
     coadds = run_observations(setup, None)
     columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
-    best = best_recipe(setup, columns, "cmb")
+    best = best_pipeline(setup, columns, "cmb")
     assert discards(setup, coadds).shares[OPTIMAL] == pytest.approx(np.mean(best == 0) / N_SCANS)
     kept = score_survey(setup, coadds)[OPTIMAL].kept
     assert kept == pytest.approx(1 - (best == 0) / N_SCANS) and (best == 1).any()

@@ -30,7 +30,7 @@ optics = "30 K"
 SITE = """
 [atmosphere]
 site = "mauna_kea"
-index = "11/3"
+spectral_index = "11/3"
 layer_height = "1000 m"
 illuminated_aperture = "8 m"
 wind_median = "31 arcmin / s"

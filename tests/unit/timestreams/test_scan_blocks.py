@@ -30,7 +30,7 @@ def setup_of(tmp_path):
         path.write_text(text)
         settings = {key.replace("__", "."): value for key, value in overrides.items()}
         if blocks > 1:
-            settings["numerics.stream_memory"] = CUTS[blocks]
+            settings["numerics.max_block_memory"] = CUTS[blocks]
         setup = prepare(load_scene(path, settings))
         assert len(setup.blocks) == blocks
         return setup
@@ -50,9 +50,11 @@ def test_blocks_hold_every_scan_once(n_scans, most):
 
 def test_a_scan_too_large_is_refused(setup_of):
     with pytest.raises(SceneError) as caught:
-        setup_of(numerics__stream_memory="4 kB")
+        setup_of(numerics__max_block_memory="4 kB")
     text = str(caught.value)
-    words = "numerics.stream_memory: found 0.004 MB; 0.00432 MB or more is expected, for one scan of 60 samples of 18 "
+    words = (
+        "numerics.max_block_memory: found 0.004 MB; 0.00432 MB or more is expected, for one scan of 60 samples of 18 "
+    )
     assert text.startswith(f"{words}det")
     assert "scan.duration" in text
     # What is drawn does not depend on the precision.
@@ -61,9 +63,9 @@ def test_a_scan_too_large_is_refused(setup_of):
 
 def test_wind_cleaning_needs_an_observation_whole(setup_of):
     long = {"scan__duration": "15 s", "cleaning__algorithm": "wind"}
-    with pytest.raises(SceneError, match="stream_memory: found 0.03 MB, which cuts an observation into 2 .* 'wind'"):
-        setup_of(numerics__stream_memory="30 kB", **long)
-    setup_of(numerics__stream_memory="44 kB", **long)
+    with pytest.raises(SceneError, match="max_block_memory: found 0.03 MB, which cuts an observation into 2 .* 'wind'"):
+        setup_of(numerics__max_block_memory="30 kB", **long)
+    setup_of(numerics__max_block_memory="44 kB", **long)
 
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
@@ -87,7 +89,7 @@ def _check_size(path, scene):
     many = path.stem == "large_camera"
     assert (n_det > MOST_DENSE) == (n_det > MOST_GRAM) == many
     # Four bytes a sample, and as many for each other band.
-    assert (4 * samples * (1 + len(scene.instrument.colours)) > scene.numerics.stream_bytes) == many
+    assert (4 * samples * (1 + len(scene.instrument.bands)) > scene.numerics.max_block_bytes) == many
 
 
 def test_layer_and_sky_do_not_depend_on_the_first_cut(setup_of):
@@ -123,7 +125,7 @@ def test_signal_and_hits_do_not_depend_on_the_cut(setup_of):
     """A sky without noise, a cleaning that does not depend on the data: sums agree to rounding, hits exactly."""
     text = without_sections(SMALL_SCENE, "atmosphere", "excess", "photon", "detector")
     found = [
-        observe(setup_of(text, blocks=n, cleaning__algorithm="none", score__simulated=[]), 0, with_window=True)
+        observe(setup_of(text, blocks=n, cleaning__algorithm="none", score__noise_only_sets=[]), 0, with_window=True)
         for n in (1, 2, 4)
     ]
     for cut in found[1:]:
@@ -138,8 +140,8 @@ def test_discarded_scans_are_counted_over_blocks(setup_of, monkeypatch):
     from surveysim.reduction import observation as reduction
 
     strong = {"atmosphere__b2": "[2000, 5000, 10000] mK2 rad(-5/3)"}  # so that no other scan is lost
-    whole = setup_of(blocks=2, score__simulated=["white"], **strong)
-    clean = reduction.apply_recipe
+    whole = setup_of(blocks=2, score__noise_only_sets=["white"], **strong)
+    clean = reduction.apply_pipeline
 
     def lossy(*arguments):
         done = clean(*arguments)
@@ -149,7 +151,7 @@ def test_discarded_scans_are_counted_over_blocks(setup_of, monkeypatch):
         return replace(done, kept=kept, removed=np.where(kept, done.removed, 0))
 
     everything = observe(whole, 0, with_window=False)
-    monkeypatch.setattr(reduction, "apply_recipe", lossy)
+    monkeypatch.setattr(reduction, "apply_pipeline", lossy)
     found = observe(whole, 0, with_window=False)
     assert everything.discarded == (0, 0) and found.discarded == (2, 2) and found.removed == (1.0, 1.0)
     actual, white = (whole.data_sets.index(name) for name in ("actual", "white"))

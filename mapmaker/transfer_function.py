@@ -9,7 +9,7 @@ from mapmaker.validation import number, pixel_side, plane_sides, reals
 
 
 @dataclass(frozen=True)
-class Window:
+class TransferFunction:
     """Share of the signal's power that is left, a bin of multipole, as measured with simulated skies."""
 
     ell: np.ndarray  # (n_bin,)
@@ -56,7 +56,7 @@ def mode_pixel_window(n_y: int, n_x: int, cell_rad: float, pixel_rad: float) -> 
     return np.outer(along_y, along_x)
 
 
-def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.ndarray) -> Window:
+def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.ndarray) -> TransferFunction:
     """Power transmission from the PSDs of the same skies with and without the losses, both (n_sky, n_bin).
 
     The ratio of the means over skies, not the mean of ratios: it is consistent and not ruled by skies that
@@ -82,4 +82,4 @@ def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.nd
     cleaned, reference = psd_cleaned.sum(axis=0), psd_reference.sum(axis=0)
     left_out = (cleaned - psd_cleaned) / (reference - psd_reference)
     deviations = np.sqrt((n_sky - 1) / n_sky) * (left_out - left_out.mean(axis=0))
-    return Window(ell, cleaned / reference, deviations)
+    return TransferFunction(ell, cleaned / reference, deviations)
