@@ -15,6 +15,7 @@ from docs.generated_python import api_reference, markdown, module_reference
 from surveysim.cli.app import app
 from surveysim.cli.failures import EXIT_BROKEN_PIPE
 from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
+from surveysim.scene.scene import RENAMED
 from surveysim.studies.sweep.axes import REFERENCE
 from tests.docs.pages import PAGES, README, ROOT, Block, blocks
 from tests.docs.tables import documented
@@ -80,6 +81,11 @@ def test_keys_of_examples_are_documented(path):
 def test_unknown_keys_are_noticed():
     text = '[scan]\nspead = 1\n[sweep]\n"scan.spead" = [1]\n[sweep.both]\n"scan.speeed" = [1]\n[nothing]\nx = 1\n'
     assert keys_of(text) - all_keys().keys() == {"scan.spead", "scan.speeed", "nothing"}
+
+
+def test_renamed_keys_are_documented():
+    text = (ROOT / "docs" / "reference" / "keys.md").read_text()
+    assert dict(re.findall(r"^\| `([\w.]+)` \| `([\w.]+)` \|$", text, re.MULTILINE)) == RENAMED
 
 
 # ---------------------------------------------------------------- commands
