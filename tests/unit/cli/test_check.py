@@ -7,7 +7,7 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from docs.reference import all_keys
+from docs.generated import all_keys
 from surveysim.reduction import resource_limits as limits
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare, window_observations
