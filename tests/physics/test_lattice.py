@@ -25,7 +25,7 @@ from surveysim.timestreams import shared_parts as parts
 from surveysim.timestreams.low_frequency import add_excess, excess_psd
 from surveysim.timestreams.noise import add_correlated_white
 from surveysim.timestreams.observation import draw_observation
-from tests.scenes import SMALL_SCENE
+from tests.scenes import write_scene
 
 RATE = 10.0
 DENSE = (conditions, limits, parts, response, setup)  # all that look at how many detectors have a matrix
@@ -197,9 +197,7 @@ def few_are_many(monkeypatch):
 
 @pytest.fixture
 def path(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
+    return write_scene(tmp_path)
 
 
 def test_forecasts_are_those_of_matrices(path, few_are_many):
