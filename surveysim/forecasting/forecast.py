@@ -62,16 +62,18 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
     setup = prepare(scene)
     if scene.score is None:
         raise SceneError("score: missing; a forecast says what a map is worth")
-    if not is_projection(setup.pipelines[0]):
+    if not is_projection(setup.analysis.pipelines[0]):
         allowed = ", ".join(map(repr, PROJECTIONS))
-        raise SceneError(f"cleaning.algorithm: found {setup.pipelines[0].label!r}; one of {allowed} can be forecast")
+        raise SceneError(
+            f"cleaning.algorithm: found {setup.analysis.pipelines[0].label!r}; one of {allowed} can be forecast"
+        )
     if not can_forecast(setup):
         raise SceneError(why_no_forecast(setup))
     models = survey_models(scene)
     if kept is None:
         levels = conditions(setup, survey_draws(setup, 0, scene.observations))
         weight = expected_weights(setup, _some_noise(setup, models[0], levels))
-        scans = predicted_kept(setup, tuple(filter(is_projection, setup.pipelines)), levels, weight)
+        scans = predicted_kept(setup, tuple(filter(is_projection, setup.analysis.pipelines)), levels, weight)
     else:
         levels = conditions(setup, survey_draws(setup, 0, len(next(iter(kept.values())))))
         scans = {name: Kept(share) for name, share in kept.items()}
@@ -80,7 +82,9 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
         if model.name == model.pipeline.data_set:  # the sets that follow share its detectors
             hits = mean_hits(setup, model.pipeline)
         found[model.name] = _scored(setup, model, levels, scans[model.pipeline.data_set], hits)
-    return Forecast(setup.band.rings.ell, {name: found[name] for name in setup.data_sets if name in found})
+    return Forecast(
+        setup.analysis.region.rings.ell, {name: found[name] for name in setup.analysis.data_sets if name in found}
+    )
 
 
 def can_forecast(setup: Setup) -> bool:
@@ -93,14 +97,14 @@ def why_no_forecast(setup: Setup) -> str | None:
     for item in present_components(setup.scene):
         if not item.forecast:
             return f"{item.name}: found a section without a closed form"
-    if not is_projection(setup.pipelines[0]):
-        return f"cleaning by {setup.pipelines[0].label} is no projection"
+    if not is_projection(setup.analysis.pipelines[0]):
+        return f"cleaning by {setup.analysis.pipelines[0].label} is no projection"
     return None
 
 
 def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hits: np.ndarray) -> DataSetForecast:
     """Weight and co-add observations in the conditions `levels`; score the map."""
-    scene, band, rings = setup.scene, setup.band, setup.band.rings
+    scene, band, rings = setup.scene, setup.analysis.region, setup.analysis.region.rings
     noise, taper, covered = _some_noise(setup, model, levels), band.taper**2, hits > 0
     if not taper[covered].any():
         raise SceneError(NOTHING_FOUND)
@@ -112,7 +116,7 @@ def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hit
     weight = expected_weights(setup, noise)
     # Hits go as the scans that are kept; the PSD of a survey as one over its observations.
     variance = (weight**2 * kept.share) @ noise / (weight @ kept.share) ** 2 * (len(noise) / scene.observations)
-    area = setup.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
+    area = setup.analysis.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
     psd = variance * area * (1e3 * scene.instrument.cmb_per_rj) ** 2
     signal = model.signal_psd
     score = band_power(psd, signal, rings.n_modes, band.selected, rings.ell, rings.edges_ell, 0.0)
@@ -126,20 +130,20 @@ def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hit
 def _some_noise(setup: Setup, model: NoiseModel, levels: Conditions) -> np.ndarray:
     """Noise variance a sample (n_draw, n_bin); raises SceneError where there is none in a scored multipole."""
     noise = model.noise(levels)
-    if not noise[:, setup.band.selected].all():
+    if not noise[:, setup.analysis.region.selected].all():
         raise SceneError(NOTHING_FOUND)
     return noise
 
 
 def expected_weights(setup: Setup, noise: np.ndarray) -> np.ndarray:
     """Weight (n_draw,) [1/mK^2] of observations whose noise a sample is (n_draw, n_bin): as a run measures it."""
-    band = setup.band
+    band = setup.analysis.region
     sky = _beamed_sky(setup)
     weight = band.rings.n_modes * (sky * band.selected / sky[band.selected].max()) ** 2
     return 1 / (noise @ weight / weight.sum())
 
 
 def _beamed_sky(setup: Setup) -> np.ndarray:
-    ell = setup.band.rings.ell
+    ell = setup.analysis.region.rings.ell
     # The lowest bin of a small map may hold nothing but ell = 0.
     return flat_spectrum_psd(np.maximum(ell, 1)) * beam_window(ell, setup.scene.instrument.beam_fwhm_rad)

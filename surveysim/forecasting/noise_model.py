@@ -114,17 +114,19 @@ def noise_models(setup: Setup, levels: Conditions) -> Iterator[NoiseModel]:
 
     Raises SceneError where cleaning can't be forecast.
     """
-    for pipeline in filter(is_projection, setup.pipelines):
+    for pipeline in filter(is_projection, setup.analysis.pipelines):
         arrays = _arrays(setup, pipeline, levels)
         spectrum = _spectrum(setup, fitted_courses(setup, pipeline, arrays[0], levels))
         n_det = len(arrays[0].place)
         responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
         transmission = _transmission(setup, spectrum, arrays, responses)
-        signal = left_signal(setup.scene, setup.geometry, setup.sky_geometry, setup.band, transmission)
+        signal = left_signal(
+            setup.scene, setup.analysis.geometry, setup.sky.geometry, setup.analysis.region, transmission
+        )
         correlations = noise_correlations(setup, pipeline)
         parts = _map_parts(setup, levels, spectrum, arrays, responses, correlations)
         yield NoiseModel(pipeline.data_set, pipeline, n_det, parts, signal)
-        if pipeline is setup.pipelines[0]:
+        if pipeline is setup.analysis.pipelines[0]:
             for name in setup.scene.score.noise_only_sets:
                 parts = _simulated_parts(setup, levels, spectrum, arrays, correlations, name)
                 yield NoiseModel(name, pipeline, n_det, parts, signal)
@@ -136,9 +138,9 @@ def is_projection(pipeline: CleaningPipeline) -> bool:
 
 
 def _spectrum(setup: Setup, courses: Courses) -> _Spectrum:
-    scene, lines = setup.scene, setup.raster
+    scene, lines = setup.scene, setup.observing.raster
     seconds = samples_per_scan(lines) / lines.sample_rate_hz
-    modes = ring_modes(setup.band.rings.ell)
+    modes = ring_modes(setup.analysis.region.rings.ell)
     rate = lines.sample_rate_hz
     at_hz = modes.wave.real.ravel() * lines.speed_rad_s / (2 * np.pi)
     at_hz -= rate * np.round(at_hz / rate)  # what samples can't tell apart
@@ -160,9 +162,9 @@ def _arrays(setup: Setup, pipeline: CleaningPipeline, levels: Conditions) -> lis
     plane = setup.camera.focal_plane.subset(pipeline.rows)
     angles = np.sort(np.mod(levels.angle, 2 * np.pi))
     chosen = angles[((np.arange(_ANGLES) + 0.5) * len(angles) / _ANGLES).astype(int)] if len(angles) > 1 else angles
-    responsivity, assumed = setup.responsivity[pipeline.rows], None
-    if setup.calibration is not None and pipeline.takes_responsivities:
-        assumed = setup.calibration[0, pipeline.rows]
+    responsivity, assumed = setup.camera.responsivity[pipeline.rows], None
+    if setup.analysis.calibration is not None and pipeline.takes_responsivities:
+        assumed = setup.analysis.calibration[0, pipeline.rows]
     try:
         return [projected_array(plane, angle, responsivity, pipeline.steps[0], assumed) for angle in np.unique(chosen)]
     except ValueError as error:
@@ -177,7 +179,7 @@ def _map_parts(
     responses: list[np.ndarray],
     correlations: NoiseCorrelations,
 ) -> _Parts:
-    rate, modes = setup.raster.sample_rate_hz, spectrum.modes
+    rate, modes = setup.observing.raster.sample_rate_hz, spectrum.modes
     window, nodes = spectrum.window, spectrum.nodes_hz
     flat = window.sums(spectrum.weight_hz[None], nodes, spectrum.at_hz)
     red = window.sums(spectrum.excess[None], spectrum.excess_hz, spectrum.at_hz)
@@ -192,7 +194,7 @@ def _map_parts(
     layer = _layer_noise(setup, levels, spectrum, arrays, responses)
     # Pixels smooth modes, and scatter over all modes the noise of streams that they take: a stream's whole white noise,
     # of which templates of few detectors leave little in modes that are longer than the array.
-    pixel = pixel_window(setup.band.rings.ell, setup.geometry.pixel_rad)
+    pixel = pixel_window(setup.analysis.region.rings.ell, setup.analysis.geometry.pixel_rad)
     scattered = modes.mean(flat) * rate / 2 * (1 - pixel)
     white = white * pixel + stream_power(arrays[0], None) * scattered
     shared = shared * pixel + stream_power(arrays[0], photon) * scattered
@@ -213,7 +215,7 @@ def _layer_noise(
     def noise(motion: complex) -> list[np.ndarray]:
         along = _along(layer, motion)
         sums = np.mean([spectrum.window.power_sums(gain, layer.power, along, spectrum.at_hz) for gain in gains], axis=0)
-        return [spectrum.modes.mean(item) * setup.raster.sample_rate_hz for item in sums]
+        return [spectrum.modes.mean(item) * setup.observing.raster.sample_rate_hz for item in sums]
 
     return _between_motions(setup, levels, noise)
 
@@ -246,7 +248,7 @@ def _between_motions(setup: Setup, levels: Conditions, noise: Callable[[complex]
     """
     from scipy.interpolate import RegularGridInterpolator
 
-    slowest = _SLOWEST * setup.raster.speed_rad_s
+    slowest = _SLOWEST * setup.observing.raster.speed_rad_s
 
     def place(motion: np.ndarray, sine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         logs = np.broadcast_to(np.log(sine)[:, None], motion.shape)
@@ -275,9 +277,9 @@ def _simulated_parts(
     name: str,
 ) -> _Parts:
     """Noise of the sets that take the measured PSDs of the cleaned streams: "uncorrelated" or "white"."""
-    rate = setup.raster.sample_rate_hz
+    rate = setup.observing.raster.sample_rate_hz
     seconds = spectrum.window.duration_s
-    n_samp = samples_per_scan(setup.raster)
+    n_samp = samples_per_scan(setup.observing.raster)
     lines = np.arange(1, (n_samp - 1) // 2 + 1) / seconds
     hann, nodes = hann_window(seconds, spectrum.window.courses), spectrum.nodes_hz
     window = spectrum.window

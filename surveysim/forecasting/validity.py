@@ -172,7 +172,7 @@ def _few_detectors(templates: int, n_det: int) -> Effect:
 
 def _uneven_coverage(setup: Setup, hits: np.ndarray) -> Effect:
     """Excess of the noise that the mean of 1 / hits makes over one with even hits: what ties multipoles together."""
-    weight, covered = setup.band.taper**2, hits > 0
+    weight, covered = setup.analysis.region.taper**2, hits > 0
     mean = np.average(hits[covered], weights=weight[covered])
     size = float(np.average(mean / hits[covered], weights=weight[covered]) - 1)
     missed = float(1 - weight[covered].sum() / weight.sum())
@@ -183,7 +183,7 @@ def _uneven_coverage(setup: Setup, hits: np.ndarray) -> Effect:
 
 def _weights(setup: Setup, grounds: Grounds) -> Effect:
     """Scatter of measured weights: a run corrects its effect for white maps and to first order."""
-    band = setup.band
+    band = setup.analysis.region
     modes = band.rings.n_modes
     measured = grounds.noise * np.sqrt(grounds.share * modes)
     scatter = np.sum(measured**2 / modes, axis=1) * 2 / np.sum(measured, axis=1) ** 2
@@ -199,7 +199,7 @@ def _weights(setup: Setup, grounds: Grounds) -> Effect:
 def _low_multipoles(setup: Setup, share: np.ndarray) -> Effect:
     """Share of the score from multipoles where the ends of scans and the edge of the map rule."""
     low, _ = compared_ell(setup)
-    size = float(share[setup.band.rings.edges_ell[:-1] < low].sum())
+    size = float(share[setup.analysis.region.rings.edges_ell[:-1] < low].sum())
     sentence = (
         f"Below ell = {low:.0f} the ends of scans, the map's edge and its gaps matter, which are approximated: "
         f"{_percent(size)} of sigma(A)^-2 is from there."

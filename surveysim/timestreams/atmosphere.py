@@ -7,11 +7,11 @@ import numpy as np
 from mapmaker.geometry import sky_offsets
 from mapmaker.timestreams import scan_bounds
 from surveysim.atmosphere.weather import Weather
-from surveysim.reduction.setup import Setup
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.telescope.pointing import Pointing, sky_vector
 from surveysim.timestreams.observed_block import ObservedBlock
 from surveysim.timestreams.scan_blocks import Block
+from surveysim.timestreams.simulation import Simulation
 
 if TYPE_CHECKING:
     from surveysim.atmosphere.scan_trends import Trends
@@ -24,7 +24,7 @@ def add_atmosphere(data_mk: np.ndarray, of: ObservedBlock) -> None:
 
 
 def add_layer(
-    setup: Setup,
+    setup: Simulation,
     observation: int,
     pointing: Pointing,
     weather: Weather,
@@ -41,7 +41,7 @@ def add_layer(
 
     block = block or Block(0, 0, len(pointing.elevation_rad))
     sine = np.sin(pointing.elevation_rad)
-    strips = setup.strips.at(float(sine.min()))
+    strips = setup.air.strips.at(float(sine.min()))
     motion = _layer_motion(setup, pointing, weather)
     trends = _trends(setup, observation, pointing, motion, strips, realization)
     rng = generator(setup.scene.seed, RandomPurpose.ATMOSPHERE, observation, realization, block.number)
@@ -49,7 +49,7 @@ def add_layer(
     add_screen(
         data,
         scan_bounds(pointing.scans(block.first, block.end).scan),
-        setup.raster.sample_rate_hz,
+        setup.observing.raster.sample_rate_hz,
         *(item[scans] for item in motion),
         # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
         np.sqrt(weather.b2 / sine[scans]),
@@ -59,7 +59,7 @@ def add_layer(
     )
 
 
-def _layer_motion(setup: Setup, pointing: Pointing, weather: Weather) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _layer_motion(setup: Simulation, pointing: Pointing, weather: Weather) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Offsets of the detectors (n_scan, n_det, 2), velocities of boresight and layer (n_scan, 2), over sin(el)."""
     slant = 1 / np.sin(pointing.elevation_rad)[:, None]
     offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad), axis=-1)
@@ -68,7 +68,7 @@ def _layer_motion(setup: Setup, pointing: Pointing, weather: Weather) -> tuple[n
 
 
 def _trends(
-    setup: Setup,
+    setup: Simulation,
     observation: int,
     pointing: Pointing,
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
@@ -80,7 +80,7 @@ def _trends(
     from surveysim.atmosphere.screen_simulation import scan_tracks
 
     bounds = scan_bounds(pointing.scan)
-    tracks = scan_tracks(bounds, setup.raster.sample_rate_hz, *motion, strips)
+    tracks = scan_tracks(bounds, setup.observing.raster.sample_rate_hz, *motion, strips)
     first, last = bounds[:, 0], bounds[:, 1] - 1
     begin, middle = pointing.time_s[first], (pointing.time_s[first] + pointing.time_s[last]) / 2
     slant = 1 / np.sin(pointing.elevation_rad)[:, None]

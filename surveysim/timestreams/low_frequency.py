@@ -16,7 +16,15 @@ def add_low_frequency_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
     section = setup.scene.excess
     variance = excess_variance(section, None if weather is None else weather.b2)
     rng = of.generator(RandomPurpose.EXCESS)
-    add_excess(data_mk, section, variance, of.block.n_scans, setup.raster.sample_rate_hz, setup.excess_factor, rng)
+    add_excess(
+        data_mk,
+        section,
+        variance,
+        of.block.n_scans,
+        setup.observing.raster.sample_rate_hz,
+        setup.camera.excess_factor,
+        rng,
+    )
 
 
 def excess_variance(section: Excess, b2: float | None) -> float:

@@ -8,7 +8,6 @@ import numpy as np
 
 from mapmaker.geometry import north_angle, plane_directions
 from mapmaker.timestreams import Timestreams
-from surveysim.reduction.setup import Setup, observation_path
 from surveysim.runtime.rng import RandomPurpose
 from surveysim.scene.scene import scene_hash
 from surveysim.telescope.pointing import Pointing
@@ -19,6 +18,7 @@ from surveysim.timestreams.noise import add_white
 from surveysim.timestreams.observed_block import ObservedBlock, observation_weather, observed_block
 from surveysim.timestreams.response import apply_response
 from surveysim.timestreams.scan_blocks import Block
+from surveysim.timestreams.simulation import Simulation, observation_path
 
 
 class Stopwatch:
@@ -37,21 +37,21 @@ class Stopwatch:
             self.seconds[stage] = self.seconds.get(stage, 0.0) + perf_counter() - start
 
 
-def draw_observation(setup: Setup, observation: int) -> Timestreams:
+def draw_observation(setup: Simulation, observation: int) -> Timestreams:
     """The time-streams of one observation, its blocks side by side, with the weather drawn for it in the attributes."""
-    (_, pointing), watch = observation_path(setup, observation), Stopwatch()
-    if len(setup.blocks) == 1:
-        return draw_block(setup, observation, pointing, setup.blocks[0], watch)
-    data = np.empty((setup.n_det, len(pointing.time_s)), setup.stream_type)
-    for block in setup.blocks:
-        data[:, setup.samples(block)] = draw_block(setup, observation, pointing, block, watch).data_mk
+    (_, pointing), watch = observation_path(setup.observing, observation), Stopwatch()
+    if len(setup.observing.blocks) == 1:
+        return draw_block(setup, observation, pointing, setup.observing.blocks[0], watch)
+    data = np.empty((setup.camera.n_det, len(pointing.time_s)), setup.stream_type)
+    for block in setup.observing.blocks:
+        data[:, setup.observing.samples(block)] = draw_block(setup, observation, pointing, block, watch).data_mk
     return _timestreams(setup, observation, pointing, pointing, 0, data)
 
 
-def draw_block(setup: Setup, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> Timestreams:
+def draw_block(setup: Simulation, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> Timestreams:
     """The time-streams of one block of an observation; `whole` points the observation."""
     of = observed_block(setup, observation, block, whole)
-    data = np.zeros((setup.n_det, len(of.pointing.time_s)), setup.stream_type)
+    data = np.zeros((setup.camera.n_det, len(of.pointing.time_s)), setup.stream_type)
     components = present_components(setup.scene)
     _add([item for item in components if item.through_response], data, of, watch)
     with watch("response"):
@@ -66,37 +66,34 @@ def _add(components: Sequence[StreamComponent], data: np.ndarray, of: ObservedBl
             item.add(data, of)
 
 
-def draw_other_bands(setup: Setup, observation: int, whole: Pointing, block: Block) -> np.ndarray:
+def draw_other_bands(setup: Simulation, observation: int, whole: Pointing, block: Block) -> np.ndarray:
     """Streams of the other bands of the same detectors in one block, (n_band, n_det, n_samp) [mK].
 
     Every band sees the layer of the mapped band, scaled by its response to water (section 3.3), and has white noise of
-    its own. Excess noise and sky are in the mapped band alone. The result has no band where no pipeline subtracts
-    them. `whole` points the observation.
+    its own. Excess noise and sky are in the mapped band alone. `whole` points the observation.
     """
-    bands = setup.scene.instrument.bands if setup.subtracts_bands else ()
-    n_samp = block.n_scans * samples_per_scan(setup.raster)
-    streams = np.zeros((len(bands), setup.n_det, n_samp), setup.stream_type)
-    if not bands:
-        return streams
+    bands = setup.scene.instrument.bands
+    n_samp = block.n_scans * samples_per_scan(setup.observing.raster)
+    streams = np.zeros((len(bands), setup.camera.n_det, n_samp), setup.stream_type)
     of = observed_block(setup, observation, block, whole)
     layer = np.zeros(streams.shape[1:], streams.dtype)
     add_layer(setup, observation, whole, of.weather, layer, block=block)
-    mapped = setup.water.response(of.weather.pwv_mm)
+    mapped = setup.air.water.response(of.weather.pwv_mm)
     for number, (band, data) in enumerate(zip(bands, streams, strict=True)):
         data[:] = layer
-        scale = np.sqrt(setup.band_waters[number].response(of.weather.pwv_mm) / mapped)
+        scale = np.sqrt(setup.air.band_waters[number].response(of.weather.pwv_mm) / mapped)
         apply_response(setup, data, band=number + 1, gain=scale)
         rng = of.generator(RandomPurpose.DETECTOR, realization=number + 1)
-        add_white(data, band.psd_mk2_hz, setup.raster.sample_rate_hz, rng)
+        add_white(data, band.psd_mk2_hz, setup.observing.raster.sample_rate_hz, rng)
     return streams
 
 
 def _timestreams(
-    setup: Setup, observation: int, whole: Pointing, pointing: Pointing, first: int, data: np.ndarray
+    setup: Simulation, observation: int, whole: Pointing, pointing: Pointing, first: int, data: np.ndarray
 ) -> Timestreams:
     """Streams that begin with the scan `first` of an observation, whose truth goes with all of them."""
     weather = observation_weather(setup, observation)
-    ra, dec = plane_directions(setup.geometry, pointing.xi_rad, pointing.eta_rad)
+    ra, dec = plane_directions(setup.sky.geometry, pointing.xi_rad, pointing.eta_rad)
     truth = {}
     if weather is not None:
         truth = {
@@ -105,7 +102,7 @@ def _timestreams(
             "wind_angle_deg": np.degrees(weather.wind_angle_rad),
             "layer_height_m": setup.scene.atmosphere.layer_height_m,
         }
-    if setup.water is not None:
+    if setup.air.water is not None:
         truth["pwv_mm"] = weather.pwv_mm
     attributes = {
         "scene": setup.scene.name,
@@ -113,13 +110,13 @@ def _timestreams(
         "seed": setup.scene.seed,
         "observation": observation,
         "start_mjd_utc": whole.start_mjd,
-        "sample_rate_hz": setup.raster.sample_rate_hz,
+        "sample_rate_hz": setup.observing.raster.sample_rate_hz,
         "elevation_deg": float(np.degrees(whole.elevation_rad.mean())),
         "camera_angle_deg": float(np.degrees(whole.array_angle_rad[0] - whole.parallactic_rad[0])),
         **truth,
     }
     # In the plane within a scan; a file has the position angle at the boresight, which meridians' convergence changes.
-    north = north_angle(setup.geometry, pointing.xi_rad, pointing.eta_rad)
+    north = north_angle(setup.sky.geometry, pointing.xi_rad, pointing.eta_rad)
     angle = pointing.array_angle_rad[pointing.scan] - north
     plane = setup.camera.focal_plane
     return Timestreams(data, pointing.time_s, ra, dec, angle, first + pointing.scan, plane, attributes)

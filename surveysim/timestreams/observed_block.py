@@ -6,11 +6,11 @@ from functools import cached_property
 import numpy as np
 
 from surveysim.atmosphere.weather import Weather, draw_weather
-from surveysim.reduction.setup import Setup
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.telescope.noise_levels import WhiteLevels, white_levels
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.scan_blocks import Block
+from surveysim.timestreams.simulation import Simulation
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class ObservedBlock:
         Weather of the observation; None without an atmosphere.
     """
 
-    setup: Setup
+    setup: Simulation
     observation: int
     block: Block
     whole: Pointing
@@ -46,25 +46,25 @@ class ObservedBlock:
         return generator(self.setup.scene.seed, purpose, self.observation, realization, self.block.number)
 
 
-def observed_block(setup: Setup, observation: int, block: Block, whole: Pointing) -> ObservedBlock:
+def observed_block(setup: Simulation, observation: int, block: Block, whole: Pointing) -> ObservedBlock:
     """Draw the weather of an observation that is pointed as `whole`, for one of its blocks."""
     return ObservedBlock(setup, observation, block, whole, observation_weather(setup, observation))
 
 
-def observation_weather(setup: Setup, observation: int) -> Weather | None:
+def observation_weather(setup: Simulation, observation: int) -> Weather | None:
     """The weather drawn for one observation; None without an atmosphere."""
     if setup.scene.atmosphere is None:
         return None
     rng = generator(setup.scene.seed, RandomPurpose.WEATHER, observation)
-    return draw_weather(setup.scene.atmosphere, setup.water, rng)
+    return draw_weather(setup.scene.atmosphere, setup.air.water, rng)
 
 
-def observation_levels(setup: Setup, observation: int) -> WhiteLevels:
+def observation_levels(setup: Simulation, observation: int) -> WhiteLevels:
     """Photon and detector noise of one observation, in its weather and at its elevation."""
     return _levels(setup, observation, observation_weather(setup, observation))
 
 
-def _levels(setup: Setup, observation: int, weather: Weather | None) -> WhiteLevels:
-    opacity = setup.water.opacity if setup.water else None
-    elevation = float(setup.angles.elevation_rad[observation].mean())
+def _levels(setup: Simulation, observation: int, weather: Weather | None) -> WhiteLevels:
+    opacity = setup.air.water.opacity if setup.air.water else None
+    elevation = float(setup.observing.angles.elevation_rad[observation].mean())
     return white_levels(setup.scene, opacity, weather.pwv_mm if weather else np.nan, elevation)

@@ -5,12 +5,12 @@ Every signal passes through here: the components of the streams, those of the ot
 
 import numpy as np
 
-from surveysim.reduction.setup import Setup
 from surveysim.telescope.pointing import Pointing
+from surveysim.timestreams.simulation import Simulation
 from surveysim.timestreams.sky import add_seen_sky
 
 
-def apply_response(setup: Setup, seen_mk: np.ndarray, band: int = 0, gain: float = 1.0) -> None:
+def apply_response(setup: Simulation, seen_mk: np.ndarray, band: int = 0, gain: float = 1.0) -> None:
     """Turn signals (n_det, n_samp) that the detectors see into their output, in place.
 
     Parameters
@@ -23,7 +23,7 @@ def apply_response(setup: Setup, seen_mk: np.ndarray, band: int = 0, gain: float
     seen_mk *= (gain * _responsivity(setup, band))[:, None].astype(seen_mk.dtype)
 
 
-def add_sky_signal(setup: Setup, pointing: Pointing, sky_mk: np.ndarray, data_mk: np.ndarray) -> None:
+def add_sky_signal(setup: Simulation, pointing: Pointing, sky_mk: np.ndarray, data_mk: np.ndarray) -> None:
     """Add the response to a sky (n_y, n_x) to streams (n_det, n_samp), in place.
 
     The look-up multiplies by the responsivity before it rounds to the type of the streams.
@@ -31,5 +31,5 @@ def add_sky_signal(setup: Setup, pointing: Pointing, sky_mk: np.ndarray, data_mk
     add_seen_sky(setup, pointing, sky_mk, data_mk, _responsivity(setup, band=0))
 
 
-def _responsivity(setup: Setup, band: int) -> np.ndarray:
-    return setup.band_responsivity[band - 1] if band else setup.responsivity
+def _responsivity(setup: Simulation, band: int) -> np.ndarray:
+    return setup.camera.band_responsivity[band - 1] if band else setup.camera.responsivity

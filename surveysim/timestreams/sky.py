@@ -3,17 +3,19 @@
 import numpy as np
 
 from mapmaker.kernels.pixels import add_sky
-from surveysim.reduction.setup import Setup
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.observed_block import ObservedBlock
+from surveysim.timestreams.simulation import Simulation
 
 
 def add_scene_sky(data_mk: np.ndarray, of: ObservedBlock) -> None:
     """Add the sky of the scene to streams (n_det, n_samp) of a block, in place."""
-    add_seen_sky(of.setup, of.pointing, of.setup.sky_mk, data_mk, np.ones(len(data_mk)))
+    add_seen_sky(of.setup, of.pointing, of.setup.sky.map_mk, data_mk, np.ones(len(data_mk)))
 
 
-def add_seen_sky(setup: Setup, pointing: Pointing, sky_mk: np.ndarray, data_mk: np.ndarray, gain: np.ndarray) -> None:
+def add_seen_sky(
+    setup: Simulation, pointing: Pointing, sky_mk: np.ndarray, data_mk: np.ndarray, gain: np.ndarray
+) -> None:
     """Add a sky (n_y, n_x), times the gain (n_det,) of each detector, to streams (n_det, n_samp), in place.
 
     Raises
@@ -21,7 +23,7 @@ def add_seen_sky(setup: Setup, pointing: Pointing, sky_mk: np.ndarray, data_mk: 
     ValueError
         For streams or gains of other samples or detectors than those of the pointing and the camera.
     """
-    grid, plane = setup.sky_geometry, setup.camera.focal_plane
+    grid, plane = setup.sky.geometry, setup.camera.focal_plane
     n_det, n_samp = len(plane.x_rad), len(pointing.xi_rad)
     if data_mk.shape != (n_det, n_samp) or gain.shape != (n_det,):
         raise ValueError(

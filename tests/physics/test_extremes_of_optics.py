@@ -88,7 +88,7 @@ def test_dense_pixels_under_the_atmosphere(scene_of):
 def test_one_detector(scene_of):
     keys = WIDE | {"instrument.layout.rings": 0}
     scene = scene_of(NO_AIR, keys)
-    assert prepare(scene).n_det == 1
+    assert prepare(scene).camera.n_det == 1
     check_survey(scene)
 
 

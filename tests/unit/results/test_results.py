@@ -161,7 +161,7 @@ def test_spectrum_table(finished):
     assert {f"{kind}_{name}" for kind in ("noise", "window", "signal") for name in SETS} <= set(table.colnames)
     assert str(table["noise_actual"].unit) == "uK2 sr"
     np.testing.assert_array_equal(table["noise_white"], result.scores["white"].noise_psd)
-    assert (np.diff(table["ell"]) > 0).all() and table["scored"].sum() == result.setup.band.selected.sum()
+    assert (np.diff(table["ell"]) > 0).all() and table["scored"].sum() == result.setup.analysis.region.selected.sum()
     assert (table["n_modes"] > 0).all()
 
 
@@ -194,7 +194,7 @@ def test_alternative_table(finished, content):
 @pytest.mark.parametrize("name", SETS)
 def test_maps(finished, name):
     result, folder = finished
-    coadds, s = result.coadds, result.setup.data_sets.index(name)
+    coadds, s = result.coadds, result.setup.analysis.data_sets.index(name)
     with fits.open(folder / "maps" / f"{name}.fits") as file:
         file.verify("exception")
         planes = {hdu.name.lower(): hdu for hdu in file}

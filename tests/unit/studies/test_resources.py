@@ -160,7 +160,7 @@ def test_other_bands_are_drawn_only_where_subtracted(monkeypatch, algorithm, sub
     )
     plan = make_plan(ready, 1)
     assert (plan.left_out.get("other bands") is None) == subtracted
-    assert drawn and all((len(streams) > 0) == subtracted for streams in drawn)
+    assert (len(drawn) > 0) == subtracted and all(len(streams) > 0 for streams in drawn)
 
 
 def test_observations_of_several_blocks_are_measured_on_one(tmp_path, monkeypatch):
@@ -186,7 +186,7 @@ def test_cost(tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text(SMALL_SCENE)
     few, many = (make_plan(prepare(load_scene(path, {"observations": n})), 1, 2.0) for n in (4, 400))
-    lines = prepare(load_scene(path)).raster
+    lines = prepare(load_scene(path)).observing.raster
     assert few.detector_samples == 4 * 18 * lines.n_scans * samples_per_scan(lines)
     assert many.detector_samples == 100 * few.detector_samples
     assert few.timestream_bytes == 4 * few.detector_samples

@@ -52,7 +52,7 @@ def test_a_component_is_drawn_planned_and_not_forecast_by_its_row_alone(scene, m
     for item in (row, without):
         monkeypatch.setattr(component, "COMPONENTS", (item,))
         streams[item] = draw_observation(setup, 0).data_mk
-    expected = setup.responsivity[:, None] if through_response else 1
+    expected = setup.camera.responsivity[:, None] if through_response else 1
     np.testing.assert_array_equal(streams[row], np.broadcast_to(np.float32(expected), streams[row].shape))
     assert not streams[without].any()
     assert stages_that_run(setup)["detector"] == "a constant for a test"
