@@ -22,7 +22,19 @@ ROWS = {
 
 
 def links(path: Path) -> list[str]:
-    return re.findall(r"\]\(([^)#]+)[^)]*\)", path.read_text(encoding="utf-8"))
+    return re.findall(r"\]\(([^)]+)\)", path.read_text(encoding="utf-8"))
+
+
+def headings(path: Path) -> set[str]:
+    """Anchors of a page's headings, as GitHub and Sphinx make them."""
+    found = re.findall(r"^#+ (.+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", text.lower()).replace(" ", "-") for text in found}
+
+
+def leads_somewhere(page: Path, link: str) -> bool:
+    path, _, anchor = link.partition("#")
+    target = page.parent / path
+    return target.exists() and (not anchor or anchor in headings(target))
 
 
 def test_readme_is_one_screen():
@@ -35,7 +47,12 @@ def test_readme_is_one_screen():
 @pytest.mark.parametrize("path", PAGES_AT_ROOT, ids=lambda path: path.stem)
 def test_links_lead_somewhere(path):
     there = [link for link in links(path) if not link.startswith("https://")]
-    assert there and [link for link in there if not (path.parent / link).exists()] == []
+    assert there and [link for link in there if not leads_somewhere(path, link)] == []
+
+
+def test_lost_headings_are_noticed():
+    assert leads_somewhere(README, "docs/validation/paper.md#table-3")
+    assert not leads_somewhere(README, "docs/validation/paper.md#table-33")
 
 
 def test_readme_has_the_scores_of_the_reference_run():

@@ -17,7 +17,7 @@ from surveysim.studies.resources import _windiest
 from surveysim.survey.coadds import add_observation, empty_coadds
 from surveysim.telescope.raster import samples_per_scan
 from tests.extremes_of_keys import bounds, extreme_overrides, is_number
-from tests.scenes import SMALL_SCENE
+from tests.scenes import write_scene
 
 FIRST_LIGHT = Path(__file__).parents[3] / "scenarios" / "first_light.toml"
 MOST_SECONDS, MOST_BYTES = 10.0, 3e9
@@ -27,9 +27,7 @@ EACH = 14  # of the extremes of keys that is tried; with 1, which takes a quarte
 
 @pytest.fixture
 def small(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
+    return write_scene(tmp_path)
 
 
 def refused_or_run(path, overrides) -> str:
