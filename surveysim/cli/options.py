@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from surveysim.scene.scene import SceneError
+from surveysim.runtime.errors import InputError, SceneError
 
 if TYPE_CHECKING:
     from surveysim.results.stopping import StoppingCriteria
@@ -73,7 +73,7 @@ def engine(kind: str, workers: int | None, scheduler: str | None) -> "Engine":
 
     try:
         return Engine(kind, workers, scheduler)
-    except ValueError as error:
+    except InputError as error:
         raise SceneError(f"--{error}") from None
 
 
@@ -83,5 +83,5 @@ def run_limits(target_error: str | None, time_budget: str | None) -> "StoppingCr
 
     try:
         return parsed_limits(target_error, time_budget)
-    except ValueError as error:
+    except InputError as error:
         raise SceneError(str(error)) from None

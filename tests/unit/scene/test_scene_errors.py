@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene
 from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections
 
 

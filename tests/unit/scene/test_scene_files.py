@@ -5,7 +5,8 @@ from time import perf_counter
 
 import pytest
 
-from surveysim.scene.scene import MAX_BYTES, SceneError, assumed_values, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import MAX_BYTES, assumed_values, load_scene
 from tests.scenes import SMALL_SCENE
 
 SECONDS = 5.0  # of a machine that has other work
