@@ -323,11 +323,19 @@ def report(
 @app.command()
 def check(scene: SceneFile, settings: Overrides = None) -> None:
     """Check a scene: errors only, each with file, key, what was found and what is allowed."""
+    from surveysim.reduction.resource_limits import said_of_size
+    from surveysim.reduction.setup import prepare
+
     if sweep := _sweep(scene, settings):
         say(f"{scene}: {sweep.name!r} is a sweep of {len(sweep.points)} points that can be run")
-        return
-    checked = _ready(scene, settings)
-    say(f"{scene}: {checked.name!r} is a scene that can be run")
+        large = said_of_size(sum(point.detector_samples for point in sweep.points))
+    else:
+        setup = prepare(_ready(scene, settings))
+        say(f"{scene}: {setup.scene.name!r} is a scene that can be run")
+        samples = setup.scene.observations * setup.n_det * setup.samples(setup.blocks[-1]).stop
+        large = said_of_size(samples, setup.geometry.n_x * setup.geometry.n_y)
+    if large:
+        say(large)
 
 
 @app.command()

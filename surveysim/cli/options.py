@@ -69,11 +69,15 @@ def numbers(option: str, given: list[int] | None, there: tuple[int, ...], everyt
 
 def engine(kind: str, workers: int | None, scheduler: str | None) -> "Engine":
     """What runs observations: by its kind, number of workers and scheduler."""
-    from surveysim.runtime.engine import Engine
+    from surveysim.runtime.addresses import address_of
+    from surveysim.runtime.engine import Engine, EngineError
 
     try:
-        return Engine(kind, workers, scheduler)
-    except InputError as error:
+        chosen = Engine(kind, workers, scheduler)
+        if scheduler is not None:
+            address_of(scheduler)
+        return chosen
+    except (InputError, EngineError) as error:
         raise SceneError(f"--{error}") from None
 
 

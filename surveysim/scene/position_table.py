@@ -3,6 +3,7 @@
 import csv
 import math
 import os
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ KEY = "instrument.positions"
 COLUMNS = ("x", "y")
 MAX_BYTES = 10_000_000  # some 200,000 detectors
 MAX_OFFSET_RAD = math.radians(15)  # from the boresight: the reach of a map
+_COMMAS = re.compile(r"""\s*#\s*delimiter:\s*(['"]),\1\s*(\s#.*)?""")
 
 
 def read_positions(path: Path) -> np.ndarray:
@@ -86,12 +88,10 @@ def _check_cells(lines: list[str]) -> None:
 
     Astropy skips what it takes for missing, and does not say in which row it found text.
     """
-    header = [line for line in lines if line.startswith("#")]
-    delimiter = "," if any(line.split() == ["#", "delimiter:", "','"] for line in header) else " "
+    delimiter = "," if any(map(_COMMAS.fullmatch, lines)) else " "
+    stripped = (line.strip() for line in lines)
     rows = csv.reader(
-        (line.strip() for line in lines if line.strip() and not line.startswith("#")),
-        delimiter=delimiter,
-        skipinitialspace=True,
+        (line for line in stripped if line and not line.startswith("#")), delimiter=delimiter, skipinitialspace=True
     )
     names: list[str] | None = None
     try:

@@ -24,7 +24,7 @@ from surveysim.telescope.pixel_coherence import Illumination, correlation_matrix
 from surveysim.timestreams import shared_parts as parts
 from surveysim.timestreams.noise import add_correlated_white, add_excess, excess_psd, hann_psd
 from surveysim.timestreams.observation import draw_observation
-from tests.scenes import SMALL_SCENE
+from tests.scenes import write_scene
 
 RATE = 10.0
 DENSE = (conditions, limits, parts, response, setup)  # all that look at how many detectors have a matrix
@@ -196,9 +196,7 @@ def few_are_many(monkeypatch):
 
 @pytest.fixture
 def path(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
+    return write_scene(tmp_path)
 
 
 def test_forecasts_are_those_of_matrices(path, few_are_many):

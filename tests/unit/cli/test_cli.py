@@ -317,6 +317,22 @@ def test_check(call, scene):
     assert sorted(path.name for path in scene.parent.iterdir()) == ["small.toml"]
 
 
+@pytest.mark.parametrize(
+    "settings, words",
+    [
+        (("observations=300000",), "with 1,296 million detector-samples: 'surveysim plan' says"),
+        (("map.pixel=0.5 arcsec", "scan.scans=2"), " and maps of "),
+        (("observations=200000",), ""),
+    ],
+)
+def test_check_says_that_a_scene_is_large(call, scene, settings, words):
+    """One with many samples, or a fine map, runs for minutes."""
+    code, out, error = call("check", scene, *(part for item in settings for part in ("--set", item)))
+    first, *more = out.splitlines()
+    assert (code, first, error) == (0, f"{scene}: 'small' is a scene that can be run", "")
+    assert len(more) == bool(words) and all(line.startswith("it is large, ") and words in line for line in more)
+
+
 def test_plan(call, tmp_path):
     path = tmp_path / "white.toml"
     path.write_text(WHITE_NOISE_SCENE)
