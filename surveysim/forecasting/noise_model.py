@@ -39,7 +39,8 @@ from surveysim.reduction.mode_response import (
 )
 from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup, prepare
-from surveysim.scene.scene import Scene, SceneError
+from surveysim.runtime.errors import InsufficientDataError, NotForecastableError
+from surveysim.scene.scene import Scene
 from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.noise import excess_psd
 from surveysim.timestreams.shared_parts import screen
@@ -105,14 +106,14 @@ class _Spectrum:
 
 @lru_cache(maxsize=1)
 def survey_models(scene: Scene) -> tuple[NoiseModel, ...]:
-    """Models of a scene's data sets, good for all weather that it may have; raises SceneError as `noise_models`."""
+    """Models of a scene's data sets, good for all weather that it may have; raises as `noise_models`."""
     return tuple(noise_models(prepare(scene), population(scene)[0]))
 
 
 def noise_models(setup: Setup, levels: Conditions) -> Iterator[NoiseModel]:
     """What the noise of each data set depends on, good for conditions within the range of `levels`.
 
-    Raises SceneError where cleaning can't be forecast.
+    Raises NotForecastableError where cleaning can't be forecast.
     """
     for pipeline in filter(is_projection, setup.pipelines):
         arrays = _arrays(setup, pipeline, levels)
@@ -165,8 +166,8 @@ def _arrays(setup: Setup, pipeline: CleaningPipeline, levels: Conditions) -> lis
         assumed = setup.calibration[0, pipeline.rows]
     try:
         return [projected_array(plane, angle, responsivity, pipeline.steps[0], assumed) for angle in np.unique(chosen)]
-    except ValueError as error:
-        raise SceneError(f"cleaning: {error}") from None
+    except InsufficientDataError as error:
+        raise NotForecastableError(f"cleaning: {error}") from None
 
 
 def _map_parts(
