@@ -10,11 +10,11 @@ import numpy as np
 
 from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
 from mapmaker.transfer_function import beam_window
+from surveysim.forecasting.mode_response import PROJECTIONS
 from surveysim.forecasting.noise_model import NoiseModel, is_projection, survey_models
 from surveysim.forecasting.observing_conditions import Conditions, conditions, mean_hits, survey_draws
 from surveysim.forecasting.pilot import Kept, predicted_kept
 from surveysim.forecasting.validity import Effect, Grounds, effects
-from surveysim.reduction.mode_response import PROJECTIONS
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.errors import NotForecastableError
 from surveysim.scene.scene import Scene

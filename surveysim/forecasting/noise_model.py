@@ -1,7 +1,7 @@
 """The noise of one observation's map in closed form, for any conditions that it may be made in.
 
-Every part of the streams is put through `surveysim.reduction.mode_response` and averaged over rings of multipole; what
-a flat sky keeps comes from the same array responses.
+Every component of the time-streams passes through `surveysim.forecasting.mode_response` and is averaged over annuli of
+multipole; the transfer function of the sky comes from the same array responses.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,16 +11,8 @@ from functools import lru_cache
 import numpy as np
 
 from mapmaker.transfer_function import pixel_window
-from surveysim.forecasting.observing_conditions import (
-    Conditions,
-    NoiseCorrelations,
-    fitted_courses,
-    noise_correlations,
-    population,
-)
-from surveysim.reduction.cleaning_pipelines import CleaningPipeline
-from surveysim.reduction.fitted_modes import Courses
-from surveysim.reduction.mode_response import (
+from surveysim.forecasting.fitted_modes import Courses
+from surveysim.forecasting.mode_response import (
     PROJECTIONS,
     Array,
     Layer,
@@ -37,6 +29,14 @@ from surveysim.reduction.mode_response import (
     scan_window,
     stream_power,
 )
+from surveysim.forecasting.observing_conditions import (
+    Conditions,
+    NoiseCorrelations,
+    fitted_courses,
+    noise_correlations,
+    population,
+)
+from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.errors import InsufficientDataError, NotForecastableError

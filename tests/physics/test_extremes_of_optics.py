@@ -9,7 +9,7 @@ import pytest
 
 from surveysim.api import run, simulate_observation
 from surveysim.forecasting.forecast import forecast
-from surveysim.reduction.mode_response import matrix_power, projected_array
+from surveysim.forecasting.mode_response import matrix_power, projected_array
 from surveysim.reduction.setup import prepare
 from surveysim.results.results import forecast_agreement
 from surveysim.runtime.engine import SERIAL

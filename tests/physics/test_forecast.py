@@ -13,11 +13,11 @@ from mapmaker.timestreams import FocalPlane
 from surveysim.api import run
 from surveysim.atmosphere.screen_simulation import StripCache, add_atmosphere, strip_step
 from surveysim.atmosphere.thin_screen import Screen
+from surveysim.forecasting import mode_response as response
 from surveysim.forecasting.forecast import forecast
+from surveysim.forecasting.mode_response import layer_gain, layer_waves, matrix_power, projected_array, scan_window
 from surveysim.forecasting.noise_model import noise_models
 from surveysim.forecasting.observing_conditions import conditions, survey_draws
-from surveysim.reduction import mode_response as response
-from surveysim.reduction.mode_response import layer_gain, layer_waves, matrix_power, projected_array, scan_window
 from surveysim.reduction.setup import observation_path, prepare
 from surveysim.results.results import forecast_agreement, summary
 from surveysim.runtime.engine import SERIAL
