@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from surveysim.scene.scene import SceneError
+from surveysim.runtime.errors import InputError, SceneError
 
 if TYPE_CHECKING:
     from surveysim.results.stopping import StoppingCriteria
@@ -77,7 +77,7 @@ def engine(kind: str, workers: int | None, scheduler: str | None) -> "Engine":
         if scheduler is not None:
             address_of(scheduler)
         return chosen
-    except (ValueError, EngineError) as error:
+    except (InputError, EngineError) as error:
         raise SceneError(f"--{error}") from None
 
 
@@ -87,5 +87,5 @@ def run_limits(target_error: str | None, time_budget: str | None) -> "StoppingCr
 
     try:
         return parsed_limits(target_error, time_budget)
-    except ValueError as error:
+    except InputError as error:
         raise SceneError(str(error)) from None

@@ -29,6 +29,7 @@ from surveysim.results.stopping import (
     stop_reason,
 )
 from surveysim.runtime.engine import SERIAL
+from surveysim.runtime.errors import InsufficientDataError
 from surveysim.runtime.provenance import made_by, now
 from surveysim.scene.scene import scene_hash
 from surveysim.survey.coadds import CoAdds, row_names
@@ -166,7 +167,7 @@ def survey_result(
             scores = quoted_scores(setup, coadds)
             ratios, others = _gains(setup, scores), _alternatives(setup, coadds, scores)
             removed = flux_removed(setup, coadds)
-        except ValueError as error:  # too few observations, or too few scans kept in them
+        except InsufficientDataError as error:  # too few observations, or too few scans kept in them
             scores, ratios, others, removed, unscored = {}, {}, [], {}, str(error)
     expected = run_forecast(setup, coadds) if scores else None
     found = scores, ratios, others, removed, expected
