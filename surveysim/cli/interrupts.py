@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 import typer
 
 from surveysim.runtime.printable import complain
-from surveysim.scene.scene import SceneError
+from surveysim.scene.errors import SceneError
 
 EXIT_FAILED = 1
 EXIT_WRONG_SCENE = 2
