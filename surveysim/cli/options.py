@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from surveysim.scene.errors import SceneError
+from surveysim.runtime.errors import InputError, SceneError
 from surveysim.scene.shipped import find_scene
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def engine(kind: str, workers: int | None, scheduler: str | None) -> "Engine":
         if scheduler is not None:
             address_of(scheduler)
         return chosen
-    except (ValueError, EngineError) as error:
+    except (InputError, EngineError) as error:
         raise SceneError(f"--{error}") from None
 
 
@@ -106,7 +106,7 @@ def run_limits(target_error: str | None, time_budget: str | None) -> "StoppingCr
 
     try:
         return parsed_limits(target_error, time_budget)
-    except ValueError as error:
+    except InputError as error:
         raise SceneError(str(error)) from None
 
 

@@ -23,6 +23,7 @@ from surveysim.cli.options import (
     sweep_of,
 )
 from surveysim.output.names import default_directory
+from surveysim.runtime.errors import InputError
 
 if TYPE_CHECKING:
     from surveysim.runtime.engine import Engine
@@ -142,7 +143,7 @@ def forecast(
     checked = ready_scene(scene, settings)
     try:
         found = forecast_scene(checked)
-    except ValueError as error:  # of a scene that can't be forecast
+    except InputError as error:  # of a scene that can't be forecast
         fail(f"{scene}: {error}")
     if out is not None:
         with claimed(out, of_forecast(checked), force) as place, replacing(place) as new:

@@ -10,8 +10,8 @@ from surveysim.cli import options
 from surveysim.cli.interrupts import EXIT_FAILED, report_resumable_exit, stopping
 from surveysim.cli.options import Force, Kind, NoFigures, Overrides, Quiet, Scheduler, Workers, fail, ready_scene
 from surveysim.output.names import default_directory
+from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.printable import complain
-from surveysim.scene.errors import SceneError
 from surveysim.scene.shipped import scene_folder
 
 
@@ -145,7 +145,7 @@ def paper(
     except EngineError as error:
         complain(str(error))
         raise typer.Exit(EXIT_FAILED) from None
-    except (ValueError, ArithmeticError) as error:
+    except InputError as error:
         if isinstance(error, SceneError):
             raise
         complain(" ".join(str(error).split()))

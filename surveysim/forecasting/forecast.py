@@ -10,13 +10,14 @@ import numpy as np
 
 from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
 from mapmaker.transfer_function import beam_window
+from surveysim.forecasting.mode_response import PROJECTIONS
 from surveysim.forecasting.noise_model import NoiseModel, is_projection, survey_models
 from surveysim.forecasting.observing_conditions import Conditions, conditions, mean_hits, survey_draws
 from surveysim.forecasting.pilot import Kept, predicted_kept
 from surveysim.forecasting.validity import Effect, Grounds, effects
-from surveysim.reduction.mode_response import PROJECTIONS
 from surveysim.reduction.setup import Setup, prepare
-from surveysim.scene.scene import Scene, SceneError
+from surveysim.runtime.errors import NotForecastableError
+from surveysim.scene.scene import Scene
 from surveysim.survey.discarded_scans import REMEDY
 
 NOTHING_FOUND = "score: found no noise in its multipoles or no scan across its patch; both are expected"
@@ -56,14 +57,17 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
     first observations: the forecast is then that of the survey as judged by them. By default it is predicted
     (`surveysim.forecasting.pilot`).
 
-    Raises SceneError for a scene that can't be run, has no [score], or a first cleaning that is none of `PROJECTIONS`.
+    Raises SceneError for a scene that can't be run, NotForecastableError for one without [score], with a first cleaning
+    that is none of `PROJECTIONS`, or without noise or scans to score.
     """
     setup = prepare(scene)
     if scene.score is None:
-        raise SceneError("score: missing; a forecast says what a map is worth")
+        raise NotForecastableError("score: missing; a forecast says what a map is worth")
     if not can_forecast(setup):
         allowed = ", ".join(map(repr, PROJECTIONS))
-        raise SceneError(f"cleaning.algorithm: found {setup.pipelines[0].label!r}; one of {allowed} can be forecast")
+        raise NotForecastableError(
+            f"cleaning.algorithm: found {setup.pipelines[0].label!r}; one of {allowed} can be forecast"
+        )
     models = survey_models(scene)
     if kept is None:
         levels = conditions(setup, survey_draws(setup, 0, scene.observations))
@@ -90,9 +94,9 @@ def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hit
     scene, band, rings = setup.scene, setup.band, setup.band.rings
     noise, taper, covered = _some_noise(setup, model, levels), band.taper**2, hits > 0
     if not taper[covered].any():
-        raise SceneError(NOTHING_FOUND)
+        raise NotForecastableError(NOTHING_FOUND)
     if not kept.share.any():
-        raise SceneError(
+        raise NotForecastableError(
             f"cleaning: found no scan that is kept, {'by a trial of a few' if kept.error else 'in this run'}; some are "
             f"expected. {REMEDY}"
         )
@@ -111,10 +115,10 @@ def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hit
 
 
 def _some_noise(setup: Setup, model: NoiseModel, levels: Conditions) -> np.ndarray:
-    """Noise variance a sample (n_draw, n_bin); raises SceneError where there is none in a scored multipole."""
+    """Noise variance a sample (n_draw, n_bin); NotForecastableError where a scored multipole has none."""
     noise = model.noise(levels)
     if not noise[:, setup.band.selected].all():
-        raise SceneError(NOTHING_FOUND)
+        raise NotForecastableError(NOTHING_FOUND)
     return noise
 
 

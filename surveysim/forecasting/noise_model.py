@@ -1,7 +1,7 @@
 """The noise of one observation's map in closed form, for any conditions that it may be made in.
 
-Every part of the streams is put through `surveysim.reduction.mode_response` and averaged over rings of multipole; what
-a flat sky keeps comes from the same array responses.
+Every component of the time-streams passes through `surveysim.forecasting.mode_response` and is averaged over annuli of
+multipole; the transfer function of the sky comes from the same array responses.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,16 +11,8 @@ from functools import lru_cache
 import numpy as np
 
 from mapmaker.transfer_function import pixel_window
-from surveysim.forecasting.observing_conditions import (
-    Conditions,
-    NoiseCorrelations,
-    fitted_courses,
-    noise_correlations,
-    population,
-)
-from surveysim.reduction.cleaning_pipelines import CleaningPipeline
-from surveysim.reduction.fitted_modes import Courses
-from surveysim.reduction.mode_response import (
+from surveysim.forecasting.fitted_modes import Courses
+from surveysim.forecasting.mode_response import (
     PROJECTIONS,
     Array,
     Layer,
@@ -37,9 +29,18 @@ from surveysim.reduction.mode_response import (
     scan_window,
     stream_power,
 )
+from surveysim.forecasting.observing_conditions import (
+    Conditions,
+    NoiseCorrelations,
+    fitted_courses,
+    noise_correlations,
+    population,
+)
+from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup, prepare
-from surveysim.scene.scene import Scene, SceneError
+from surveysim.runtime.errors import InsufficientDataError, NotForecastableError
+from surveysim.scene.scene import Scene
 from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.noise import excess_psd
 from surveysim.timestreams.shared_parts import screen
@@ -105,14 +106,14 @@ class _Spectrum:
 
 @lru_cache(maxsize=1)
 def survey_models(scene: Scene) -> tuple[NoiseModel, ...]:
-    """Models of a scene's data sets, good for all weather that it may have; raises SceneError as `noise_models`."""
+    """Models of a scene's data sets, good for all weather that it may have; raises as `noise_models`."""
     return tuple(noise_models(prepare(scene), population(scene)[0]))
 
 
 def noise_models(setup: Setup, levels: Conditions) -> Iterator[NoiseModel]:
     """What the noise of each data set depends on, good for conditions within the range of `levels`.
 
-    Raises SceneError where cleaning can't be forecast.
+    Raises NotForecastableError where cleaning can't be forecast.
     """
     for pipeline in filter(is_projection, setup.pipelines):
         arrays = _arrays(setup, pipeline, levels)
@@ -165,8 +166,8 @@ def _arrays(setup: Setup, pipeline: CleaningPipeline, levels: Conditions) -> lis
         assumed = setup.calibration[0, pipeline.rows]
     try:
         return [projected_array(plane, angle, responsivity, pipeline.steps[0], assumed) for angle in np.unique(chosen)]
-    except ValueError as error:
-        raise SceneError(f"cleaning: {error}") from None
+    except InsufficientDataError as error:
+        raise NotForecastableError(f"cleaning: {error}") from None
 
 
 def _map_parts(

@@ -12,9 +12,9 @@ from mapmaker.chunks import row_chunks
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.weather import Weather, draw_weather
+from surveysim.forecasting.fitted_modes import NO_COURSES, Courses, template_courses
+from surveysim.forecasting.mode_response import Array, layer_waves
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
-from surveysim.reduction.fitted_modes import NO_COURSES, Courses, template_courses
-from surveysim.reduction.mode_response import Array, layer_waves
 from surveysim.reduction.setup import Setup, observation_path, prepare
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.noise_and_sky import Excess, Photon

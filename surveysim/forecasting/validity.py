@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surveysim.forecasting.mode_response import PROJECTIONS
 from surveysim.forecasting.observing_conditions import Conditions
 from surveysim.forecasting.pilot import Kept
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
-from surveysim.reduction.mode_response import PROJECTIONS
 from surveysim.reduction.setup import Setup
 from surveysim.survey.discarded_scans import MOST_DISCARDED
 

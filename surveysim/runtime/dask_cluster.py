@@ -31,7 +31,7 @@ try:
 
     from surveysim.runtime import dask_scheduler as schedulers
 except ImportError:
-    raise EngineError("engine 'dask': distributed is not installed; pip install 'surveysim[cluster]'") from None
+    raise EngineError("engine 'dask': distributed is not installed; in the clone: pip install '.[cluster]'") from None
 
 UNIT_S = 0.5  # of work in a unit, which costs the scheduler and the way to a worker a few milliseconds
 SCHEDULER_S = 5e-3  # of work in a unit for each worker: at most 200 units a second come to the scheduler

@@ -18,11 +18,11 @@ from typing import Annotated, Any, Self
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
+from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.text_files import key_text, nested_deeper, one_line, read_text
 from surveysim.scene.analysis import Cleaning, MapSection, Score
 from surveysim.scene.atmosphere import Atmosphere
-from surveysim.scene.errors import SceneError
 from surveysim.scene.fields import Line, whole
 from surveysim.scene.instrument import Instrument
 from surveysim.scene.noise_and_sky import Detector, Excess, Photon, Sky
@@ -152,7 +152,7 @@ def read_scene(path: Path) -> tuple[str, dict]:
     """Text and unchecked content of a scene file; raises SceneError when it can't be read."""
     try:
         text = read_text(path, MAX_BYTES)
-    except ValueError as error:
+    except InputError as error:
         raise SceneError(f"{path}: {error}; a scene file (TOML) is expected") from None
     if match := _LONG_KEY.search(text):
         raise SceneError(f"{path}: found a key of {MAX_DEPTH} parts or more, {shown(match[0])}; fewer are expected")

@@ -13,16 +13,17 @@ from mapmaker.timestreams import FocalPlane
 from surveysim.api import run
 from surveysim.atmosphere.screen_simulation import StripCache, add_atmosphere, strip_step
 from surveysim.atmosphere.thin_screen import Screen
+from surveysim.forecasting import mode_response as response
 from surveysim.forecasting.forecast import forecast
+from surveysim.forecasting.mode_response import layer_gain, layer_waves, matrix_power, projected_array, scan_window
 from surveysim.forecasting.noise_model import noise_models
 from surveysim.forecasting.observing_conditions import conditions, survey_draws
-from surveysim.reduction import mode_response as response
-from surveysim.reduction.mode_response import layer_gain, layer_waves, matrix_power, projected_array, scan_window
 from surveysim.reduction.setup import observation_path, prepare
 from surveysim.results.results import forecast_agreement, summary
 from surveysim.runtime.engine import SERIAL
+from surveysim.runtime.errors import SceneError
 from surveysim.scene.noise_and_sky import Excess
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.scene.scene import load_scene
 from surveysim.scene.units import rj_to_cmb
 from surveysim.telescope.focal_plane import hexagon
 from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix

@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 from mapmaker.timestreams import FocalPlane
+from surveysim.forecasting import mode_response as response
 from surveysim.forecasting import observing_conditions as conditions
 from surveysim.forecasting.forecast import forecast
+from surveysim.forecasting.mode_response import matrix_power, projected_array, stream_power
 from surveysim.forecasting.noise_model import survey_models
-from surveysim.reduction import mode_response as response
 from surveysim.reduction import resource_limits as limits
 from surveysim.reduction import setup
-from surveysim.reduction.mode_response import matrix_power, projected_array, stream_power
 from surveysim.reduction.setup import prepare
+from surveysim.runtime.errors import SceneError
 from surveysim.scene.noise_and_sky import Excess
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.scene.scene import load_scene
 from surveysim.telescope import lattice_noise as lattice
 from surveysim.telescope.focal_plane import Camera, hexagon
 from surveysim.telescope.lattice_noise import LARGEST_ERROR, CirculantFactor, NoiseCorrelation, embed

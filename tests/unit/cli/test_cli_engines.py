@@ -60,4 +60,4 @@ def test_without_distributed(call, scene, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delitem(sys.modules, "surveysim.runtime.dask_cluster", raising=False)
     code, _, error = call("run", scene, "--out", scene.parent / "out", "--engine", "dask", "-q")
-    assert (code, error) == (1, "engine 'dask': distributed is not installed; pip install 'surveysim[cluster]'\n")
+    assert (code, error) == (1, "engine 'dask': distributed is not installed; in the clone: pip install '.[cluster]'\n")

@@ -7,16 +7,17 @@ import pytest
 
 from mapmaker.cleaning import TEMPLATE_CLEANINGS
 from surveysim.api import run
+from surveysim.forecasting.fitted_modes import NO_COURSES
+from surveysim.forecasting.mode_response import projected_array
 from surveysim.forecasting.noise_model import noise_models
 from surveysim.forecasting.observing_conditions import conditions, fitted_courses, survey_draws
 from surveysim.reduction import observation as reduction
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, apply_pipeline
-from surveysim.reduction.fitted_modes import NO_COURSES
-from surveysim.reduction.mode_response import projected_array
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL, Engine
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene
 from surveysim.studies.sweep.axes import load_sweep
 from tests.scenes import SMALL_SCENE
 

@@ -12,7 +12,7 @@ mean is removed: with w the transform of the map's taper along the scan, a strea
     H(f, f') = (w(f - f') - sinc(f' T) w(f))^2,
 
 normalised so that H adds up to 1 over f' if no mean is removed. Fitted responsivities take a course in time too
-(`surveysim.reduction.fitted_modes`), which goes from H as the mean does. All is in the scan's frame, whose x axis is
+(`surveysim.forecasting.fitted_modes`), which goes from H as the mean does. All is in the scan's frame, whose x axis is
 the direction of the scan; places in it are complex numbers x + i y.
 """
 
@@ -25,8 +25,8 @@ from mapmaker.cleaning.templates import AVERAGE, PLANAR, QUADRATIC, template_bas
 from mapmaker.spectrum import tukey
 from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.thin_screen import Screen, at_elevation, beam_transfer, power
-from surveysim.reduction.fitted_modes import NO_COURSES, Courses
-from surveysim.reduction.mode_kernels import windowed_sums
+from surveysim.forecasting.fitted_modes import NO_COURSES, Courses
+from surveysim.forecasting.mode_kernels import windowed_sums
 from surveysim.telescope.lattice_noise import NoiseCorrelation
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 

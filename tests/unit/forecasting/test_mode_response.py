@@ -10,8 +10,8 @@ from mapmaker.geometry import sky_offsets
 from mapmaker.spectrum import tukey
 from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.thin_screen import Screen, structure_function
-from surveysim.reduction.mode_kernels import windowed_sums
-from surveysim.reduction.mode_response import (
+from surveysim.forecasting.mode_kernels import windowed_sums
+from surveysim.forecasting.mode_response import (
     Layer,
     frequency_nodes,
     hann_window,

@@ -3,16 +3,14 @@
 import subprocess
 import sys
 
-from surveysim.scene.keys import all_keys as all_keys
 from surveysim.scene.keys import key_rows, scene_sections
-from surveysim.scene.keys import scene_keys as scene_keys
 
 
 def scene_reference() -> str:
     """Markdown: for each section of a scene a heading, what it is, and a table of its keys."""
     parts = []
     for section in scene_sections():
-        parts += [f"### {section.heading}", *section.introduction]
+        parts += [f"## {section.heading}", *section.introduction]
         rows = [
             f"| `{row.key.rpartition('.')[2]}` | {row.meaning} | {row.kind} | {row.allowed} | {row.default} |"
             for row in key_rows(section)

@@ -5,8 +5,8 @@ import pytest
 
 from mapmaker.spectrum import tukey
 from surveysim.atmosphere.thin_screen import Screen
-from surveysim.reduction.fitted_modes import NO_COURSES, Courses, expected_shares, template_courses
-from surveysim.reduction.mode_response import layer_waves, time_window
+from surveysim.forecasting.fitted_modes import NO_COURSES, Courses, expected_shares, template_courses
+from surveysim.forecasting.mode_response import layer_waves, time_window
 
 SECONDS, SAMPLES = 15.0, 150
 TIME = (np.arange(SAMPLES) - (SAMPLES - 1) / 2) / SAMPLES * SECONDS
