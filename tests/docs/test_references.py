@@ -10,11 +10,12 @@ import typer.main
 
 import mapmaker
 import surveysim
-from docs.generated import all_keys, command_reference, scene_keys, scene_reference, scene_sections
+from docs.generated import command_reference, scene_reference
 from docs.generated_python import api_reference, markdown, module_reference
 from surveysim.cli.app import app
 from surveysim.cli.failures import EXIT_BROKEN_PIPE
 from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
+from surveysim.scene.keys import all_keys, scene_keys, scene_sections
 from surveysim.scene.scene import RENAMED
 from surveysim.studies.sweep.axes import REFERENCE
 from tests.docs.pages import PAGES, README, ROOT, Block, blocks
