@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.errors import InsufficientDataError
 from mapmaker.uncertainty import ErrorBudget, noise_error_parts, transfer_function_error, weather_error
 from mapmaker.validation import reals
 
@@ -208,7 +209,7 @@ def score(
         As `flat_band_power`, for fewer than 2 realizations or observations, and for weights that are not positive.
     """
     if noise_psds_ukcmb2.ndim != 2 or len(noise_psds_ukcmb2) < 2:
-        raise ValueError(f"expected at least 2 noise realizations (K, n_bin), got {noise_psds_ukcmb2.shape}")
+        raise InsufficientDataError(f"expected at least 2 noise realizations (K, n_bin), got {noise_psds_ukcmb2.shape}")
     if signal_psd_relative_error.shape != mask.shape:
         raise ValueError(f"expected {mask.size} signal PSD errors, got {signal_psd_relative_error.shape}")
     noise_psd = noise_psds_ukcmb2.mean(axis=0)
@@ -248,9 +249,9 @@ def _selected(
     if mask.dtype != np.bool_ or not mask.any():
         raise ValueError("mask must be boolean and select at least one bin")
     if not (noise_psd[mask] > 0).all():
-        raise ValueError("the noise PSD must be positive in all selected bins")
+        raise InsufficientDataError("the noise PSD must be positive in all selected bins")
     if not ((n_modes[mask] > 0).all() and np.isfinite(n_modes[mask]).all()):
         raise ValueError("the number of modes must be positive and finite in all selected bins")
     if not (np.isfinite(signal_psd[mask]).all() and signal_psd[mask].any()):
-        raise ValueError("the signal PSD must be finite and not zero in all selected bins")
+        raise InsufficientDataError("the signal PSD must be finite and not zero in all selected bins")
     return noise_psd[mask], signal_psd[mask], n_modes[mask]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.errors import OutOfRangeError
 from mapmaker.kernels.pixels import plane_pixels
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.validation import MAX_PIXELS, argument_error, number, pixel_side, reals, whole
@@ -37,7 +38,7 @@ class MapGeometry:
         for name in ("n_x", "n_y"):
             whole(name, getattr(self, name), least=-(2**63), most=2**63 - 1)
         if not (self.n_x >= 1 and self.n_y >= 1 and int(self.n_x) * int(self.n_y) <= MAX_PIXELS):
-            raise ValueError(
+            raise OutOfRangeError(
                 f"found a map of {self.n_x} x {self.n_y} pixels; 1 to {MAX_PIXELS} pixels in all are expected"
             )
 
@@ -62,7 +63,9 @@ def mean_direction(ra_rad: np.ndarray, dec_rad: np.ndarray) -> tuple[float, floa
     x, y, z = (float(np.mean(item)) if item.size else math.nan for item in vectors)
     length = math.hypot(x, y, z)
     if not length > 1e-6:
-        raise ValueError(f"found {ra.size} directions whose mean vector has the length {length:.2g}; above 0 expected")
+        raise OutOfRangeError(
+            f"found {ra.size} directions whose mean vector has the length {length:.2g}; above 0 expected"
+        )
     # Twice: the remainder of a tiny negative angle is a whole turn, to rounding.
     return math.atan2(y, x) % math.tau % math.tau, math.atan2(z, math.hypot(x, y))
 
@@ -178,12 +181,12 @@ def check_nside(name: str, nside: int, pixel_rad: float) -> None:
     finest = finest_nside(pixel_rad)
     pixel = f"pixels of {math.degrees(pixel_rad) * 3600:.4g} arcsec"
     if not finest:
-        raise ValueError(f"{name}: found {nside} for {pixel}; no nside is wide enough for these")
+        raise OutOfRangeError(f"{name}: found {nside} for {pixel}; no nside is wide enough for these")
     whole(name, nside, least=1)
     if nside > finest:
-        raise ValueError(f"{name}: found {nside} for {pixel}; {finest} or less is expected, a finer map has holes")
+        raise OutOfRangeError(f"{name}: found {nside} for {pixel}; {finest} or less is expected, a finer map has holes")
     if nside & (nside - 1):
-        raise ValueError(f"{name}: found {nside}; a power of two is expected")
+        raise OutOfRangeError(f"{name}: found {nside}; a power of two is expected")
 
 
 def wcs_cards(geometry: MapGeometry) -> dict[str, tuple[str | int | float, str]]:

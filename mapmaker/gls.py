@@ -25,6 +25,7 @@ import numpy as np
 from scipy.fft import dct, idct
 
 from mapmaker.binning import BinnedMap
+from mapmaker.errors import InsufficientDataError
 from mapmaker.geometry import MapGeometry
 from mapmaker.iterative import StreamBlock, check_pixels, subtract_sky
 from mapmaker.validation import argument_error, band_edges, bounds_of_scans, number, reals, whole
@@ -129,12 +130,12 @@ def measure_noise(
         for column, band in zip(columns, band_slices(stop - start, sample_rate_hz, options.band_edges_hz), strict=True):
             column.append(modes[:, band])
     if not len(scan_bounds):
-        raise ValueError("scan_bounds: found no scan; one or more are expected")
+        raise InsufficientDataError("scan_bounds: found no scan; one or more are expected")
     amplitudes = [np.concatenate(column, axis=1) for column in columns]
     for b, n in enumerate(item.shape[1] for item in amplitudes):
         if n < 2:
             low, high = options.band_edges_hz[b : b + 2]
-            raise ValueError(f"the scans have {n} modes from {low} to {high} Hz; 2 or more are needed")
+            raise InsufficientDataError(f"the scans have {n} modes from {low} to {high} Hz; 2 or more are needed")
     if not all(np.isfinite(item).all() for item in amplitudes):
         raise argument_error("data_mk", "values that are not finite in scans", "finite ones are")
     left, modes = zip(*(_band_noise(item, options) for item in amplitudes), strict=True)
@@ -173,7 +174,7 @@ def _separable(left: np.ndarray, n_modes: np.ndarray) -> np.ndarray:
     """Level of the band times level of the detector, from variances (n_band, n_det) of so many modes a band."""
     level = left.mean(axis=1)
     if not (level > 0).all():
-        raise ValueError("found no detector with noise in a band; one or more are needed")
+        raise InsufficientDataError("found no detector with noise in a band; one or more are needed")
     return np.outer(level, n_modes @ (left / level[:, None]) / n_modes.sum())
 
 
@@ -237,7 +238,7 @@ def gls_map(
         right += _project(one, lambda start, stop, data=block.data_mk: data[:, start:stop].astype(float), n_pixel)
         scans.append(one)
     if not scans:
-        raise ValueError("found no observation with finite values; one or more are expected")
+        raise InsufficientDataError("found no observation with finite values; one or more are expected")
     return _solved(geometry, scans, right, discarded=discarded, options=options)
 
 

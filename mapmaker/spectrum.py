@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.errors import InsufficientDataError, OutOfRangeError
 from mapmaker.validation import MAX_PIXELS, argument_error, increasing, number, pixel_side, plane_sides, reals, whole
 
 
@@ -31,10 +32,10 @@ def tukey_taper(n_y: int, n_x: int, pixel_rad: float, *, size_rad: float, edge_f
     """
     _check_plane(n_y, n_x, pixel_rad)
     if not 0 <= number("edge_fraction", edge_fraction) <= 1:
-        raise ValueError(f"edge_fraction must be in [0, 1], got {edge_fraction}")
+        raise OutOfRangeError(f"edge_fraction must be in [0, 1], got {edge_fraction}")
     extent_rad = min(n_y, n_x) * pixel_rad
     if not 0 < number("size_rad", size_rad) <= extent_rad * (1 + 1e-9):
-        raise ValueError(f"size_rad must be in (0, {extent_rad}], the map's shorter side; got {size_rad}")
+        raise OutOfRangeError(f"size_rad must be in (0, {extent_rad}], the map's shorter side; got {size_rad}")
     return np.outer(tukey(n_y, pixel_rad, size_rad, edge_fraction), tukey(n_x, pixel_rad, size_rad, edge_fraction))
 
 
@@ -81,7 +82,9 @@ def annuli(n_y: int, n_x: int, pixel_rad: float, *, edges_ell: np.ndarray, taper
     cells = np.bincount(bin_of_mode, multiplicity, n_bin + 1)[:n_bin]
     if not cells.all():
         empty = int(np.argmin(cells))
-        raise ValueError(f"no Fourier mode of the map has {edges_ell[empty]} <= ell < {edges_ell[empty + 1]}")
+        raise InsufficientDataError(
+            f"no Fourier mode of the map has {edges_ell[empty]} <= ell < {edges_ell[empty + 1]}"
+        )
     ell_mean = np.bincount(bin_of_mode, multiplicity * ell, n_bin + 1)[:n_bin] / cells
     kept = np.sum(taper**2) ** 2 / (taper.size * np.sum(taper**4))
     return Annuli(edges_ell, ell_mean, cells * kept, bin_of_mode, multiplicity)
@@ -114,7 +117,7 @@ def split_azimuth(rings: Annuli, n_y: int, n_x: int, pixel_rad: float, *, n_sect
     bin_of_mode = np.where(inside, rings.bin_of_mode * n_sector + sector, n_bin * n_sector)
     cells = np.bincount(bin_of_mode, rings.multiplicity, n_bin * n_sector + 1)[:-1]
     if not cells.all():
-        raise ValueError(f"{n_sector} sectors leave one of the {n_bin} rings without modes in a sector")
+        raise InsufficientDataError(f"{n_sector} sectors leave one of the {n_bin} rings without modes in a sector")
     of_ring = cells.reshape(n_bin, n_sector)
     n_modes = rings.n_modes[:, None] * of_ring / of_ring.sum(axis=1, keepdims=True)
     ell = mode_ell(n_y, n_x, pixel_rad).ravel()

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.errors import InsufficientDataError
 from mapmaker.validation import number, pixel_side, plane_sides, reals
 
 
@@ -76,9 +77,9 @@ def measure_transfer_function(psd_cleaned: np.ndarray, psd_reference: np.ndarray
         )
     n_sky = len(psd_cleaned)
     if n_sky < 2:
-        raise ValueError(f"the error of a window needs at least 2 skies, got {n_sky}")
+        raise InsufficientDataError(f"the error of a window needs at least 2 skies, got {n_sky}")
     if not (psd_reference > 0).all():
-        raise ValueError("the reference skies must have power in every bin")
+        raise InsufficientDataError("the reference skies must have power in every bin")
     cleaned, reference = psd_cleaned.sum(axis=0), psd_reference.sum(axis=0)
     left_out = (cleaned - psd_cleaned) / (reference - psd_reference)
     deviations = np.sqrt((n_sky - 1) / n_sky) * (left_out - left_out.mean(axis=0))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.errors import InsufficientDataError
 from mapmaker.validation import reals
 
 FEWEST = 16  # observations whose own scatter tells how well they sample the weather
@@ -143,7 +144,7 @@ def ratio_error(information: np.ndarray, expected: np.ndarray) -> float:
     Raises ValueError for fewer than 2 observations or an expectation whose sum is not positive.
     """
     if expected.size < 2 or not expected.sum() > 0:
-        raise ValueError(f"expected at least 2 observations of a positive sum, got {expected}")
+        raise InsufficientDataError(f"expected at least 2 observations of a positive sum, got {expected}")
     ratio = information.sum() / expected.sum()
     return float(np.std(information - ratio * expected, ddof=1) * np.sqrt(expected.size) / information.sum())
 
@@ -189,6 +190,6 @@ def transfer_function_error(
 
 def _check_observations(observation_weights: np.ndarray) -> None:
     if observation_weights.ndim != 1 or observation_weights.size < 2:
-        raise ValueError(f"observations with data: found {observation_weights.size}; 2 or more are expected")
+        raise InsufficientDataError(f"observations with data: found {observation_weights.size}; 2 or more are expected")
     if not ((observation_weights > 0).all() and np.isfinite(observation_weights).all()):
-        raise ValueError("observation weights must be positive and finite")
+        raise InsufficientDataError("observation weights must be positive and finite")

@@ -22,6 +22,7 @@ from math import atan2, pi
 
 import numpy as np
 
+from mapmaker.errors import InsufficientDataError, OutOfRangeError
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.validation import bounds_of_scans, number, reals
 
@@ -127,7 +128,9 @@ def scan_velocities(streams: Timestreams) -> np.ndarray:
     velocity = []
     for start, stop in streams.scan_bounds:
         if stop - start < 2:
-            raise ValueError(f"scan: found a scan of one sample, {start}; 2 or more are expected for a velocity")
+            raise InsufficientDataError(
+                f"scan: found a scan of one sample, {start}; 2 or more are expected for a velocity"
+            )
         t = streams.time_s[start:stop] - streams.time_s[start:stop].mean()
         xi, eta = sky[:, start:stop] @ t / (t @ t)
         angle = angles[(start + stop) // 2]
@@ -173,13 +176,15 @@ def measure_wind(
 
 def _checked_velocity(bounds, velocity, rate, highest_hz) -> np.ndarray:
     if len(bounds) < _MIN_SCANS:
-        raise ValueError(f"{len(bounds)} scans found; at least {_MIN_SCANS} are needed")
+        raise InsufficientDataError(f"{len(bounds)} scans found; at least {_MIN_SCANS} are needed")
     length = np.diff(bounds, axis=1)
     if np.ptp(length):
         raise ValueError("scans of different lengths found; scans of one length are allowed")
     lowest = LEAST_CYCLES * number("sample_rate_hz", rate, above=0) / length[0, 0]
     if not lowest <= number("highest_hz", highest_hz) < rate / 2:
-        raise ValueError(f"highest_hz = {highest_hz} found; {lowest:.3g} to less than {rate / 2:.3g} Hz is allowed")
+        raise OutOfRangeError(
+            f"highest_hz = {highest_hz} found; {lowest:.3g} to less than {rate / 2:.3g} Hz is allowed"
+        )
     return reals("scan_velocity_rad_s", velocity, (len(bounds), 2)).astype(np.float64, copy=False)
 
 

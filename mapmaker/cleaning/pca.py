@@ -15,6 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mapmaker.cleaning.scans import Cleaned, Fit, checks_streams, clean_scans, has_dead
+from mapmaker.errors import InsufficientDataError
 from mapmaker.validation import number
 
 if TYPE_CHECKING:
@@ -63,7 +64,9 @@ def subtract_pca(data_mk, scan_bounds, focal_plane: FocalPlane, options: PcaOpti
     """
     needed = min_eigenvalues(options.sigma_cut)
     if len(data_mk) < needed:
-        raise ValueError(f"a cut at {options.sigma_cut} sigma needs at least {needed} detectors, got {len(data_mk)}")
+        raise InsufficientDataError(
+            f"a cut at {options.sigma_cut} sigma needs at least {needed} detectors, got {len(data_mk)}"
+        )
     return clean_scans(data_mk, scan_bounds, lambda block, scan: _project(block, options.sigma_cut))
 
 

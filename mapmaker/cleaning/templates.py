@@ -30,6 +30,7 @@ from mapmaker.cleaning.responsivity import (
     clean_templates,
 )
 from mapmaker.cleaning.scans import Cleaned, Fit, check_streams, checks_streams, clean_scans
+from mapmaker.errors import InsufficientDataError
 from mapmaker.validation import reals
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
     """
     n_det, n_par = len(focal_plane.x_rad), len(exponents)
     if n_det <= n_par:
-        raise ValueError(f"{n_par} templates need at least {n_par + 1} detectors, got {n_det}")
+        raise InsufficientDataError(f"{n_par} templates need at least {n_par + 1} detectors, got {n_det}")
     u, v = _scaled(focal_plane, focal_plane.x_rad, focal_plane.y_rad)
     row_of = {(0, 0): np.full(n_det, n_det**-0.5)}
     for a, b in exponents[1:]:
@@ -89,7 +90,7 @@ def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
         if norm > RANK_TOLERANCE:
             row_of[a, b] = row / norm
     if len(row_of) < n_par:
-        raise ValueError(
+        raise InsufficientDataError(
             f"the {n_det} detector positions support {len(row_of)} independent templates, need {n_par}: "
             "they lie on one line or conic, or too close to it"
         )

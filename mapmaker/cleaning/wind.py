@@ -24,6 +24,7 @@ import numpy as np
 from mapmaker.cleaning.responsivity import SCAN, Region, Responsivities, TemplateModel, check_fit, clean_templates
 from mapmaker.cleaning.scans import Cleaned, checks_streams
 from mapmaker.cleaning.templates import AVERAGE, template_basis
+from mapmaker.errors import OutOfRangeError
 from mapmaker.validation import number, reals
 
 if TYPE_CHECKING:
@@ -63,7 +64,9 @@ def slowness(wind_rad_s: np.ndarray, scan_velocity_rad_s: np.ndarray) -> np.ndar
     u = wind.astype(float) - reals("scan_velocity_rad_s", scan_velocity_rad_s, ("n_scan", 2), finite=False, empty=True)
     square = np.sum(u**2, axis=-1, keepdims=True)
     if not (np.isfinite(u).all() and square.all()):
-        raise ValueError("wind less scan velocity is zero or not finite; a finite velocity other than zero is allowed")
+        raise OutOfRangeError(
+            "wind less scan velocity is zero or not finite; a finite velocity other than zero is allowed"
+        )
     return u / square
 
 
@@ -89,7 +92,9 @@ def _view(block: np.ndarray, delay: np.ndarray) -> tuple[np.ndarray, Callable[[n
     n_samp = block.shape[1]
     longest = np.abs(delay).max()
     if longest > _LONGEST * n_samp:
-        raise ValueError(f"delays of up to {longest:.4g} samples found in a scan of {n_samp}; a quarter is allowed")
+        raise OutOfRangeError(
+            f"delays of up to {longest:.4g} samples found in a scan of {n_samp}; a quarter is allowed"
+        )
     pad = ceil(longest)
     turn = delay_phases(delay, n_samp + 2 * pad)
     rest = phase_shifted(np.pad(block, ((0, 0), (pad, pad)), mode="symmetric"), turn)

@@ -9,6 +9,7 @@ from importlib.resources import as_file, files
 
 import numpy as np
 
+from surveysim.runtime.errors import OutOfRangeError
 from surveysim.scene.sites import SITES
 
 
@@ -58,7 +59,7 @@ def band_opacity(site: str, frequency_hz: float, bandwidth: float) -> BandOpacit
     edge_ghz, pwv_mm, depth, temperature_k = _table(site)
     low, high = (frequency_hz * (1 + side * bandwidth / 2) / 1e9 for side in (-1, 1))
     if not (edge_ghz[0] <= low < high <= edge_ghz[-1]):
-        raise ValueError(
+        raise OutOfRangeError(
             f"found a band of {low:g} to {high:g} GHz; bands within {edge_ghz[0]:g} to {edge_ghz[-1]:g} GHz are allowed"
         )
     inside = np.diff(np.clip(edge_ghz, low, high))
@@ -73,7 +74,7 @@ def _table(site):
     from astropy.table import Table
 
     if site not in SITES:
-        raise ValueError(f"found site {site!r}; {', '.join(SITES)} are allowed")
+        raise OutOfRangeError(f"found site {site!r}; {', '.join(SITES)} are allowed")
     with as_file(files("surveysim.atmosphere") / "tables" / f"opacity_{site}.ecsv") as path:
         table = Table.read(path, format="ascii.ecsv")
     centre_ghz = np.asarray(table["frequency"])
@@ -121,5 +122,7 @@ def _allowed(band, pwv_mm):
     first, last = band.pwv_mm[0], band.pwv_mm[-1]
     wrong = ~((pwv_mm >= first) & (pwv_mm <= last))
     if wrong.any():
-        raise ValueError(f"found {pwv_mm[wrong].flat[0]:g} mm of water vapour; {first:g} to {last:g} mm is allowed")
+        raise OutOfRangeError(
+            f"found {pwv_mm[wrong].flat[0]:g} mm of water vapour; {first:g} to {last:g} mm is allowed"
+        )
     return pwv_mm

@@ -27,6 +27,7 @@ import scipy.fft
 from threadpoolctl import threadpool_limits
 
 from surveysim.atmosphere.thin_screen import LAG_MAX, structure_function, structure_slope
+from surveysim.runtime.errors import OutOfRangeError
 
 # Share of half a period that is bent to make the seam smooth, and the number of even powers fitted there.
 _SEAM = 0.25
@@ -117,7 +118,7 @@ def build_strip(screen, *, length_rad, half_width_rad, step_rad, precision="floa
     while strip.clipped_fraction > _CLIPPED_MAX:
         n_x *= 2
         if n_x > N_X_MAX:
-            raise ValueError(
+            raise OutOfRangeError(
                 f"no strip of {n_lane} lanes {step_rad:g} rad apart for {screen}: negative eigenvalues with"
                 f" {strip.clipped_fraction:.2g} of the variance found; at most {_CLIPPED_MAX:g} is allowed,"
                 " use a smaller outer scale or shorter scans"
@@ -134,13 +135,13 @@ def lanes(half_width_rad, step_rad, fewest):
 def check_points(n_x, n_lane, step_rad, screen):
     """Raise ValueError for strips with too many points, or longer than the structure function's table."""
     if n_x * n_lane > _MOST_POINTS or n_x * step_rad > 2.0 * LAG_MAX * screen.beam_rad:
-        raise ValueError(_too_large(n_x, n_lane, step_rad))
+        raise OutOfRangeError(_too_large(n_x, n_lane, step_rad))
 
 
 def check_elements(used, n_x, n_lane, step_rad):
     """Raise ValueError for too many elements in the covariance matrices of `used` frequencies."""
     if used * n_lane**2 > _MOST_ELEMENTS:
-        raise ValueError(_too_large(n_x, n_lane, step_rad))
+        raise OutOfRangeError(_too_large(n_x, n_lane, step_rad))
 
 
 def _too_large(n_x, n_lane, step_rad):

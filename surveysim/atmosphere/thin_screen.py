@@ -23,6 +23,8 @@ import numpy as np
 from scipy.special import j0, j1, kv
 from threadpoolctl import threadpool_limits
 
+from surveysim.runtime.errors import OutOfRangeError
+
 # In units of the beam: limits of the tabulated structure function, and where its two methods meet.
 _LAG_MIN, _LAG_JOIN, LAG_MAX = 1e-4, 1.5, 1e4
 # The disc's transfer is replaced by its average over an oscillation above this; the quarter makes the error
@@ -58,16 +60,16 @@ class Screen:
 
     def __post_init__(self):
         if not self.index > 0.0:
-            raise ValueError(f"spectral index b = {self.index:g} found; b > 0 is allowed")
+            raise OutOfRangeError(f"spectral index b = {self.index:g} found; b > 0 is allowed")
         if not (self.beam_rad > 0.0 and isfinite(self.beam_rad)):
-            raise ValueError(f"beam_rad = {self.beam_rad:g} found; a positive finite angle D/h is allowed")
+            raise OutOfRangeError(f"beam_rad = {self.beam_rad:g} found; a positive finite angle D/h is allowed")
         if self.index >= 4.0 and not isfinite(self.outer_scale_rad):
-            raise ValueError(
+            raise OutOfRangeError(
                 f"spectral index b = {self.index:g} found without an outer scale: differences of the field"
                 " would be infinite; b < 4 is allowed, or any b with a finite outer_scale_rad"
             )
         if not self.outer_scale_rad >= self.beam_rad:
-            raise ValueError(
+            raise OutOfRangeError(
                 f"outer_scale_rad = {self.outer_scale_rad:g} found; at least the beam, {self.beam_rad:g}, is allowed"
             )
 
@@ -114,7 +116,7 @@ def structure_function(screen, theta_rad):
     """
     lag = np.abs(np.asarray(theta_rad, dtype=float)) / screen.beam_rad
     if np.any(lag > LAG_MAX):
-        raise ValueError(f"angle of {lag.max():g} beams found; at most {LAG_MAX:g} is allowed")
+        raise OutOfRangeError(f"angle of {lag.max():g} beams found; at most {LAG_MAX:g} is allowed")
     spline, slope_min = _log_structure(*_in_beams(screen))
     x = np.log(np.maximum(lag, 1e-300))
     below = np.minimum(x - np.log(_LAG_MIN), 0.0)
@@ -176,7 +178,7 @@ def pencil_structure_function(index, theta_rad):
         For any other b.
     """
     if not 2.0 < index < 4.0:
-        raise ValueError(f"spectral index b = {index:g} found; a pencil beam allows 2 < b < 4")
+        raise OutOfRangeError(f"spectral index b = {index:g} found; a pencil beam allows 2 < b < 4")
     return _pencil_constant(index) * np.asarray(theta_rad, dtype=float) ** (index - 2.0)
 
 
@@ -312,7 +314,7 @@ def cross_psd(screen, f_hz, speed_rad_s, dy_rad):
     """
     f_hz = np.asarray(f_hz, dtype=float)
     if not (np.all(f_hz > 0.0) and speed_rad_s > 0.0):
-        raise ValueError("frequency or speed that is not positive found; only positive ones are allowed")
+        raise OutOfRangeError("frequency or speed that is not positive found; only positive ones are allowed")
     u_y, weight = _gauss_panels(
         np.concatenate([[0.0], np.geomspace(1e-7, 0.25, 60), np.arange(0.5, _ALPHA_Y_MAX, 0.25)]), 6
     )
@@ -340,7 +342,7 @@ def pencil_temporal_psd(index, f_hz, speed_rad_s):
         For any other b.
     """
     if not index > 1.0:
-        raise ValueError(f"spectral index b = {index:g} found; a pencil beam's PSD allows b > 1")
+        raise OutOfRangeError(f"spectral index b = {index:g} found; a pencil beam's PSD allows b > 1")
     constant = 2.0 * sqrt(pi) * gamma((index - 1.0) / 2.0) / gamma(index / 2.0)
     return constant / speed_rad_s * (np.asarray(f_hz, dtype=float) / speed_rad_s) ** (1.0 - index)
 

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from surveysim.atmosphere.opacity import BandOpacity
+from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.fields import B2_MAX
 
@@ -78,19 +79,19 @@ def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) ->
 
     try:
         opacity = band_opacity(atmosphere.site, frequency_hz, bandwidth)
-    except ValueError as error:
-        raise ValueError(f"atmosphere.site: {error}") from None
+    except OutOfRangeError as error:
+        raise SceneError(f"atmosphere.site: {error}") from None
     response = partial(fluctuation_factor_mk2, opacity)
     try:
         response(np.array(atmosphere.pwv_mm))
-    except ValueError as error:
-        raise ValueError(f"atmosphere.pwv: {error}") from None
+    except OutOfRangeError as error:
+        raise SceneError(f"atmosphere.pwv: {error}") from None
     share = (np.arange(_RANKS) + 0.5) / _RANKS
     seen = np.log(response(pwv_quantile(atmosphere, share)))
     drawn = np.log(log_quantile(atmosphere.water_fluctuation_probabilities, atmosphere.water_fluctuation, ndtri(share)))
     log_b2 = np.sort((seen[:, None] + drawn).ravel())
     if not atmosphere.b2 and not log_b2[-1] < math.log(B2_MAX):
-        raise ValueError(
+        raise SceneError(
             f"atmosphere.water_fluctuation: found {atmosphere.water_fluctuation}, which give B2 above"
             f" {B2_MAX:g} mK^2 with the site's water; smaller values are expected"
         )
@@ -154,12 +155,12 @@ def _weather(
     wind = atmosphere.wind_median_rad_s * math.exp(atmosphere.wind_log_scatter * speed)
     if atmosphere.wind_b2_exponent and b2 > 0:
         if not (median := float(b2_quantile(atmosphere, water, 0.0))) > 0:
-            raise ValueError("atmosphere.wind_b2_exponent: found with a median B2 of 0; one above 0 is expected")
+            raise SceneError("atmosphere.wind_b2_exponent: found with a median B2 of 0; one above 0 is expected")
         wind *= math.exp(min(atmosphere.wind_b2_exponent * (math.log(b2) - math.log(median)), LARGEST_LOG))
     # But for rounding of a quantile that is the bound itself.
     if not (b2 < B2_MAX * (1 + 1e-9) and wind < WIND_MAX_RAD_S):
         key = "b2" if atmosphere.b2 else "water_fluctuation"
-        raise ValueError(
+        raise SceneError(
             f"atmosphere.{key}: found distributions that give B2 = {b2:.3g} mK^2 and {wind:.3g} rad/s of wind; less"
             f" than {B2_MAX:g} and {WIND_MAX_RAD_S:g} are expected"
         )

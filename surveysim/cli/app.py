@@ -12,8 +12,9 @@ from surveysim.cli import options
 from surveysim.cli.interrupts import EXIT_FAILED, report_new_start, report_resumable_exit, stopping
 from surveysim.cli.options import Force, Kind, NoFigures, Overrides, Quiet, Reference, SceneFile, Scheduler, Workers
 from surveysim.output.names import default_directory
+from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.printable import complain, say
-from surveysim.scene.scene import MAX_NAME, NAME, Scene, SceneError, load_scene, read_scene
+from surveysim.scene.scene import MAX_NAME, NAME, Scene, load_scene, read_scene
 from surveysim.scene.units import shown
 
 if TYPE_CHECKING:
@@ -136,7 +137,7 @@ def forecast(
     checked = _ready(scene, settings)
     try:
         found = forecast_scene(checked)
-    except ValueError as error:  # of a scene that can't be forecast
+    except InputError as error:  # of a scene that can't be forecast
         _fail(f"{scene}: {error}")
     if out is not None:
         with claimed(out, of_forecast(checked), force) as place, replacing(place) as new:
@@ -288,7 +289,7 @@ def paper(
     except EngineError as error:
         complain(str(error))
         raise typer.Exit(EXIT_FAILED) from None
-    except (ValueError, ArithmeticError) as error:
+    except InputError as error:
         if isinstance(error, SceneError):
             raise
         complain(" ".join(str(error).split()))
@@ -322,11 +323,19 @@ def report(
 @app.command()
 def check(scene: SceneFile, settings: Overrides = None) -> None:
     """Check a scene: errors only, each with file, key, what was found and what is allowed."""
+    from surveysim.reduction.resource_limits import said_of_size
+    from surveysim.reduction.setup import prepare
+
     if sweep := _sweep(scene, settings):
         say(f"{scene}: {sweep.name!r} is a sweep of {len(sweep.points)} points that can be run")
-        return
-    checked = _ready(scene, settings)
-    say(f"{scene}: {checked.name!r} is a scene that can be run")
+        large = said_of_size(sum(point.detector_samples for point in sweep.points))
+    else:
+        setup = prepare(_ready(scene, settings))
+        say(f"{scene}: {setup.scene.name!r} is a scene that can be run")
+        samples = setup.scene.observations * setup.n_det * setup.samples(setup.blocks[-1]).stop
+        large = said_of_size(samples, setup.geometry.n_x * setup.geometry.n_y)
+    if large:
+        say(large)
 
 
 @app.command()

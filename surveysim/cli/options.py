@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from surveysim.scene.scene import SceneError
+from surveysim.runtime.errors import InputError, SceneError
 
 if TYPE_CHECKING:
     from surveysim.results.stopping import StoppingCriteria
@@ -69,11 +69,15 @@ def numbers(option: str, given: list[int] | None, there: tuple[int, ...], everyt
 
 def engine(kind: str, workers: int | None, scheduler: str | None) -> "Engine":
     """What runs observations: by its kind, number of workers and scheduler."""
-    from surveysim.runtime.engine import Engine
+    from surveysim.runtime.addresses import address_of
+    from surveysim.runtime.engine import Engine, EngineError
 
     try:
-        return Engine(kind, workers, scheduler)
-    except ValueError as error:
+        chosen = Engine(kind, workers, scheduler)
+        if scheduler is not None:
+            address_of(scheduler)
+        return chosen
+    except (InputError, EngineError) as error:
         raise SceneError(f"--{error}") from None
 
 
@@ -83,5 +87,5 @@ def run_limits(target_error: str | None, time_budget: str | None) -> "StoppingCr
 
     try:
         return parsed_limits(target_error, time_budget)
-    except ValueError as error:
+    except InputError as error:
         raise SceneError(str(error)) from None

@@ -26,7 +26,8 @@ from surveysim.forecasting.observing_conditions import (
 from surveysim.forecasting.pilot import KeptScans, predict_kept_scans
 from surveysim.forecasting.validity import EffectInputs, NeglectedEffect, neglected_effects
 from surveysim.reduction.setup import Setup, prepare
-from surveysim.scene.scene import Scene, SceneError
+from surveysim.runtime.errors import NotForecastableError
+from surveysim.scene.scene import Scene
 from surveysim.survey.discarded_scans import REMEDY
 
 NOTHING_FOUND = "score: found no noise in its multipoles or no scan across its patch; both are expected"
@@ -94,14 +95,19 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
     Raises
     ------
     SceneError
-        For a scene that can't be run, that has no [score], or whose first cleaning is not in `PROJECTIONS`.
+        For a scene that can't be run.
+    NotForecastableError
+        For a scene without [score], with a first cleaning that is not in `PROJECTIONS`, or without noise or scans to
+        score.
     """
     setup = prepare(scene)
     if scene.score is None:
-        raise SceneError("score: missing; a forecast says what a map is worth")
+        raise NotForecastableError("score: missing; a forecast says what a map is worth")
     if not can_forecast(setup):
         allowed = ", ".join(map(repr, PROJECTIONS))
-        raise SceneError(f"cleaning.algorithm: found {setup.pipelines[0].label!r}; one of {allowed} can be forecast")
+        raise NotForecastableError(
+            f"cleaning.algorithm: found {setup.pipelines[0].label!r}; one of {allowed} can be forecast"
+        )
     models = survey_models(scene)
     if kept is None:
         conditions = observing_conditions(setup, survey_draws(setup, 0, scene.observations))
@@ -130,9 +136,9 @@ def _scored(
     scene, band, rings = setup.scene, setup.band, setup.band.rings
     noise, taper, covered = _nonzero_noise(setup, model, conditions), band.taper**2, hits > 0
     if not taper[covered].any():
-        raise SceneError(NOTHING_FOUND)
+        raise NotForecastableError(NOTHING_FOUND)
     if not kept.share.any():
-        raise SceneError(
+        raise NotForecastableError(
             f"cleaning: found no scan that is kept, {'by a trial of a few' if kept.error else 'in this run'}; some are "
             f"expected. {REMEDY}"
         )
@@ -153,10 +159,10 @@ def _scored(
 
 
 def _nonzero_noise(setup: Setup, model: NoiseModel, conditions: ObservingConditions) -> np.ndarray:
-    """Noise variance a sample (n_draw, n_bin); raises SceneError where a scored multipole has none."""
+    """Noise variance a sample (n_draw, n_bin); raises NotForecastableError where a scored multipole has none."""
     noise = model.noise(conditions)
     if not noise[:, setup.band.selected].all():
-        raise SceneError(NOTHING_FOUND)
+        raise NotForecastableError(NOTHING_FOUND)
     return noise
 
 

@@ -48,7 +48,8 @@ from surveysim.forecasting.scan_apodization import ScanApodization, frequency_no
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup, prepare
-from surveysim.scene.scene import Scene, SceneError
+from surveysim.runtime.errors import InsufficientDataError, NotForecastableError
+from surveysim.scene.scene import Scene
 from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.noise import excess_psd
 from surveysim.timestreams.shared_parts import screen
@@ -123,13 +124,7 @@ class _ScanFrequencies:
 
 @lru_cache(maxsize=1)
 def survey_models(scene: Scene) -> tuple[NoiseModel, ...]:
-    """Noise models of a scene's data sets, valid for all weather of the scene.
-
-    Raises
-    ------
-    SceneError
-        As `noise_models`.
-    """
+    """Noise models of a scene's data sets, valid for all weather of the scene; raises as `noise_models`."""
     return tuple(noise_models(prepare(scene), population_conditions(scene)[0]))
 
 
@@ -142,7 +137,7 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
 
     Raises
     ------
-    SceneError
+    NotForecastableError
         Where the focal plane does not support the templates of the cleaning.
     """
     for pipeline in filter(is_projection, setup.pipelines):
@@ -209,8 +204,8 @@ def _arrays(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingCondi
             projected_array(plane, angle, responsivity=responsivity, algorithm=pipeline.steps[0], assumed=assumed)
             for angle in np.unique(chosen)
         ]
-    except ValueError as error:
-        raise SceneError(f"cleaning: {error}") from None
+    except InsufficientDataError as error:
+        raise NotForecastableError(f"cleaning: {error}") from None
 
 
 def _map_components(

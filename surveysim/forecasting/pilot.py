@@ -9,6 +9,7 @@ from surveysim.forecasting.observing_conditions import ObservingConditions
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.observation import kept_scans
 from surveysim.reduction.setup import Setup
+from surveysim.runtime.errors import InputError
 from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.scan_blocks import Block
 
@@ -84,7 +85,7 @@ def predict_kept_scans(
     pilot = replace(setup, blocks=(Block(0, 0, n_scans),), pipelines=fitted)
     try:
         found = np.array([kept_scans(pilot, int(order[place])).mean(axis=1) for place in places])
-    except ValueError:  # a layer that can't be drawn
+    except InputError:  # a layer that can't be drawn
         return unknown
     shares = {
         pipeline.data_set: _interpolate_shares(order, places, of, n_scans)

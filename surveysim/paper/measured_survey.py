@@ -20,6 +20,7 @@ from surveysim.atmosphere.turbulence_fit import (
 from surveysim.paper.measurement import Measurement, MeasurementJob, camera_pairs
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.engine import Engine, ordered_map
+from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pixel_coherence import mutual_coherence
 
@@ -101,7 +102,7 @@ class MeasuredSurvey:
 def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], None] = lambda: None) -> MeasuredSurvey:
     """Simulate, measure and fit every observation of scenes that share a camera; `progress` is called after each.
 
-    Raises SceneError for a scene that can't be run, ValueError for one without an atmosphere.
+    Raises SceneError for a scene that can't be run, SceneError for one without an atmosphere.
     """
     # No score: no map is co-added here, and no window sky needed.
     scenes = [scene.model_copy(update={"score": None}) for scene in scenes]
@@ -109,7 +110,7 @@ def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], N
     measurements, names = [], []
     for scene in scenes:
         if scene.atmosphere is None:
-            raise ValueError(f"scene {scene.name!r} has no [atmosphere]; one is expected to measure it")
+            raise SceneError(f"scene {scene.name!r} has no [atmosphere]; one is expected to measure it")
         for item in ordered_map(MeasurementJob(scene), range(scene.observations), engine):
             measurements.append(item)
             names.append(scene.name)

@@ -21,6 +21,7 @@ from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.wind import WindFit, measure_wind, scan_velocities
 from surveysim.atmosphere.weather import Weather
 from surveysim.reduction.setup import Setup, observation_path, prepare
+from surveysim.runtime.errors import InsufficientDataError
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.raster import samples_per_scan
@@ -153,7 +154,7 @@ def pair_noise(cleaned: Cleaned, bins: PairBins, sample_rate_hz: float) -> PairN
     is kept.
     """
     if not cleaned.kept.any():
-        raise ValueError("found no scan that is kept; one or more is expected")
+        raise InsufficientDataError("found no scan that is kept; one or more is expected")
     n_det, n_scan = len(cleaned.data_mk), len(cleaned.kept)
     scans = cleaned.data_mk.reshape(n_det, n_scan, -1)[:, cleaned.kept]
     spectrum, n = rfft(scans, axis=-1), scans.shape[-1]

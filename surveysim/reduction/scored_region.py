@@ -20,7 +20,8 @@ from mapmaker.spectrum import (
     tukey_taper,
 )
 from mapmaker.transfer_function import beam_window, mode_pixel_window
-from surveysim.scene.scene import Scene, SceneError
+from surveysim.runtime.errors import InsufficientDataError, SceneError
+from surveysim.scene.scene import Scene
 
 N_SECTORS = 3
 FAINTEST = 1e-100  # signal behind the beam whose square is still a number
@@ -147,7 +148,7 @@ def scored_region(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry
     padded = np.pad(taper, (0, n_pad - n))
     try:
         rings = annuli(n_pad, n_pad, geometry.pixel_rad, edges_ell=edges, taper=padded)
-    except ValueError as error:
+    except InsufficientDataError as error:
         raise SceneError(f"score.ell_bin: {error}; wider bins or a larger map are expected") from None
     selected = (edges[:-1] >= score.ell_min) & (edges[1:] <= score.ell_max)
     if not selected.any():
@@ -162,7 +163,7 @@ def scored_region(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry
     )
     try:
         sectors = split_azimuth(scored, n_pad, n_pad, geometry.pixel_rad, n_sector=N_SECTORS)
-    except ValueError:
+    except InsufficientDataError:
         sectors = None
     signal = flat_signal(scene, geometry, sky_geometry, padded)
     return ScoredRegion(

@@ -8,7 +8,7 @@ from mapmaker.uncertainty import ratio_error, student_factor, subtract_in_quadra
 from surveysim.forecasting.forecast import DataSetForecast, Forecast, can_forecast, forecast
 from surveysim.forecasting.validity import compared_ell
 from surveysim.reduction.setup import Setup
-from surveysim.scene.scene import SceneError
+from surveysim.runtime.errors import NotForecastableError
 from surveysim.survey.coadds import CoAdds, kept_shares
 from surveysim.survey.scores import DataSetScore, bin_errors, noise_parts
 
@@ -43,7 +43,7 @@ def run_forecast(setup: Setup, coadds: CoAdds) -> Forecast | None:
     """The forecast of a run's own observations and of the scans that it kept, None where the scene has none."""
     try:
         return forecast(setup.scene, kept_shares(setup, coadds)) if can_forecast(setup) else None
-    except SceneError:  # a finished run never fails for want of a forecast
+    except NotForecastableError:  # a finished run never fails for want of a forecast
         return None
 
 

@@ -17,7 +17,8 @@ from surveysim.forecasting.noise_model import NoiseModel, survey_models
 from surveysim.forecasting.observing_conditions import observing_conditions, population_conditions, survey_draws
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.setup import Setup, prepare
-from surveysim.scene.scene import Scene, SceneError
+from surveysim.runtime.errors import InputError, NotForecastableError
+from surveysim.scene.scene import Scene
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import Control, DataSetScore, controlled_score, score_survey
 
@@ -56,7 +57,7 @@ def controls(setup: Setup, coadds: CoAdds) -> dict[str, Control]:
     try:
         levels = observing_conditions(setup, survey_draws(setup, 0, coadds.done)) if expected else None
         return {name: _control(setup, item, item.model.noise(levels)) for name, item in expected.items()}
-    except ValueError:  # extremes that can't be forecast: a run never fails for want of one
+    except InputError:  # extremes that can't be forecast: a run never fails for want of one
         return {}
 
 
@@ -64,20 +65,20 @@ def known_expectations(setup: Setup) -> dict[str, Expectation]:
     """The `expectations` of a scene, empty where it has none."""
     try:
         return expectations(setup.scene) if can_forecast(setup) else {}
-    except ValueError:
+    except InputError:
         return {}
 
 
 @lru_cache(maxsize=1)
 def expectations(scene: Scene) -> dict[str, Expectation]:
-    """Forecasts of a scene's data sets in expectation over weather; raises SceneError where there are none."""
+    """Forecasts of a scene's data sets in expectation over weather; raises NotForecastableError without."""
     setup = prepare(scene)
     levels, n_lists = population_conditions(scene)
     found = {}
     for model in survey_models(scene):
         noise = model.noise(levels)
         if not noise[:, setup.band.selected].all():
-            raise SceneError("score: found no noise in its multipoles; some is expected")
+            raise NotForecastableError("score: found no noise in its multipoles; some is expected")
         parts = [_sigma(setup, model, _psd(setup, part)) for part in np.split(noise, n_lists)]
         error = np.std(parts, ddof=1) / np.sqrt(len(parts)) / np.mean(parts)
         psd = _psd(setup, noise)

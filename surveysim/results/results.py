@@ -29,6 +29,7 @@ from surveysim.results.stopping import (
     stop_reason,
 )
 from surveysim.runtime.engine import SERIAL
+from surveysim.runtime.errors import InsufficientDataError
 from surveysim.runtime.provenance import made_by, now
 from surveysim.scene.scene import scene_hash
 from surveysim.survey.coadds import CoAdds, row_names
@@ -166,7 +167,7 @@ def survey_result(
             scores = quoted_scores(setup, coadds)
             ratios, others = _gains(setup, scores), _alternatives(setup, coadds, scores)
             removed = flux_removed(setup, coadds)
-        except ValueError as error:  # too few observations, or too few scans kept in them
+        except InsufficientDataError as error:  # too few observations, or too few scans kept in them
             scores, ratios, others, removed, unscored = {}, {}, [], {}, str(error)
     expected = run_forecast(setup, coadds) if scores else None
     found = scores, ratios, others, removed, expected
@@ -273,7 +274,7 @@ def _alternative_row(
 
 
 def summary(result: SurveyResult) -> dict[str, Any]:
-    """The content of summary.json; its keys are stable (docs/files.md)."""
+    """The content of summary.json; its keys are stable (docs/reference/files.md)."""
     setup, coadds = result.setup, result.coadds
     columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
     samples = coadds.done * setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)

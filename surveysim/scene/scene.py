@@ -18,6 +18,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
+from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.text_files import key_text, nested_deeper, one_line, read_text
 from surveysim.scene.analysis import Cleaning, MapSection, Score
@@ -51,10 +52,6 @@ RENAMED = {
 # A key of so many parts: the parser's time goes as their square.
 _PART = r"""(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)"""
 _LONG_KEY = re.compile(rf"(?<![\w\-.]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_DEPTH - 1}}}")
-
-
-class SceneError(ValueError):
-    """A scene that can't be run; the text has one line for each error: file, key, found, allowed."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +152,7 @@ def read_scene(path: Path) -> tuple[str, dict]:
     """Text and unchecked content of a scene file; raises SceneError when it can't be read."""
     try:
         text = read_text(path, MAX_BYTES)
-    except ValueError as error:
+    except InputError as error:
         raise SceneError(f"{path}: {error}; a scene file (TOML) is expected") from None
     if match := _LONG_KEY.search(text):
         raise SceneError(f"{path}: found a key of {MAX_DEPTH} parts or more, {shown(match[0])}; fewer are expected")

@@ -21,6 +21,7 @@ from mapmaker.uncertainty import (
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.scored_region import N_SECTORS
 from surveysim.reduction.setup import Setup
+from surveysim.runtime.errors import InsufficientDataError
 from surveysim.survey.coadds import CoAdds, kept_shares, noise_weights
 
 PEAK = 0.8  # of the brightest pixel: what counts as a point source's peak
@@ -111,7 +112,7 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
     """
     kept = kept_shares(setup, coadds)
     if not kept[ACTUAL].any():
-        raise ValueError("cleaning discarded all scans; some scans of 2 or more observations are expected")
+        raise InsufficientDataError("cleaning discarded all scans; some scans of 2 or more observations are expected")
     windows = [_window(setup, coadds, place, setup.band.rings) for place in range(len(setup.windows))]
     weights = noise_weights(coadds.noise_mk2())
     scores = {}

@@ -7,7 +7,7 @@ from pathlib import Path
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
-from docs.reference import all_keys
+from docs.generated import all_keys
 from mapmaker.cleaning import CLEANERS
 
 _NAME = f"(?:{'|'.join(CLEANERS)})"

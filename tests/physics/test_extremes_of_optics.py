@@ -13,7 +13,8 @@ from surveysim.forecasting.mode_response import matrix_power, projected_array
 from surveysim.reduction.setup import prepare
 from surveysim.results.results import forecast_agreement
 from surveysim.runtime.engine import SERIAL
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene
 from surveysim.telescope.focal_plane import camera, hexagon
 from surveysim.telescope.pixel_coherence import correlation_matrix, lattice_sum
 from surveysim.timestreams.observation import observation_levels

@@ -22,8 +22,9 @@ from surveysim.forecasting.scan_apodization import scan_window
 from surveysim.reduction.setup import observation_path, prepare
 from surveysim.results.results import forecast_agreement, summary
 from surveysim.runtime.engine import SERIAL
+from surveysim.runtime.errors import SceneError
 from surveysim.scene.noise_and_sky import Excess
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.scene.scene import load_scene
 from surveysim.scene.units import rj_to_cmb
 from surveysim.telescope.focal_plane import hexagon
 from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix

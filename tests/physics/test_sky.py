@@ -15,8 +15,9 @@ from mapmaker.kernels.pixels import add_sky
 from mapmaker.spectrum import annuli, coupled_psd, map_psd, mode_ell, mode_psd, ring_mean, tukey_taper
 from mapmaker.transfer_function import beam_window
 from surveysim.reduction.setup import prepare
+from surveysim.runtime.errors import SceneError
 from surveysim.scene.noise_and_sky import PointSource, Sky
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.scene.scene import load_scene
 from surveysim.scene.units import rj_to_cmb
 from surveysim.timestreams.sky import (
     add_point_sources,

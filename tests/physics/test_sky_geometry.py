@@ -9,20 +9,19 @@ from mapmaker.geometry import boresight_pixels, pixel_indices
 from mapmaker.wind import scan_velocities
 from surveysim.reduction.consistency import MAX_AIRMASS_CHANGE, MAX_TURN_BEAMS
 from surveysim.reduction.setup import observation_path, prepare
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene
 from surveysim.telescope.pointing import SIDEREAL_RAD_S
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.sky import add_point_sources
-from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections
+from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections, write_scene
 
 LATITUDE = math.radians(19.8)
 
 
 @pytest.fixture
 def path(tmp_path):
-    file = tmp_path / "small.toml"
-    file.write_text(SMALL_SCENE)
-    return file
+    return write_scene(tmp_path)
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from surveysim.cli.main import main
-from tests.scenes import SMALL_SCENE
+from tests.scenes import write_scene
 
 
 @pytest.fixture
@@ -35,9 +35,7 @@ def blank_figures():
 
 @pytest.fixture
 def scene_file(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
+    return write_scene(tmp_path)
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from surveysim.atmosphere.thin_screen import mean_removed_variance
 from surveysim.atmosphere.weather import b2_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
+from surveysim.runtime.errors import SceneError
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.sites import SITES, median_water_mm, water_mm
 from surveysim.telescope.raster import samples_per_scan
@@ -69,7 +70,7 @@ def screen_figure(setup: Setup) -> PaperFigure:
     without an atmosphere.
     """
     if setup.scene.atmosphere is None:
-        raise ValueError(f"scene {setup.scene.name!r}: found no [atmosphere]; one is expected")
+        raise SceneError(f"scene {setup.scene.name!r}: found no [atmosphere]; one is expected")
     panels = (_side_panel(setup), _crossing_panel(setup), _layer_panel(setup), _emission_panel(setup))
     return PaperFigure(2, "The thin-screen model", _screen_caption(setup), panels, columns=2)
 

@@ -20,6 +20,7 @@ from mapmaker.cleaning.local import neighbourhoods
 from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.screen_simulation import StripCache
 from surveysim.reduction.setup import observation_path, prepare
+from surveysim.runtime.errors import InsufficientDataError
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.atmosphere import one_layer
 from surveysim.studies.stress.case import N_SAMP, QUANTUM, RATE_HZ, STIFF, TEMPLATES, Outcome, agrees
@@ -86,7 +87,7 @@ def _cleaned(algorithm: str, data: np.ndarray, plane: FocalPlane, n_samp: int = 
         options = replace(options, slowness_s_rad=np.zeros((len(bounds), 2)))
     cleaned = clean(algorithm, data, bounds, plane, options=options)
     if not cleaned.kept.all():
-        raise ValueError(f"{np.sum(~cleaned.kept)} of {len(bounds)} scans discarded")
+        raise InsufficientDataError(f"{np.sum(~cleaned.kept)} of {len(bounds)} scans discarded")
     return cleaned.data_mk
 
 

@@ -17,7 +17,7 @@ from surveysim.report.terminal.survey import _psd_lines, agreement_lines, effect
 from surveysim.results.agreement import GOOD_PSD, KNOWN, _scatter, agreement
 from surveysim.results.results import forecast_agreement, summary
 from surveysim.runtime.engine import SERIAL
-from surveysim.scene.scene import SceneError
+from surveysim.runtime.errors import SceneError
 from tests.scenes import SMALL_SCENE
 
 LYNX = Path(__file__).parents[3] / "scenarios" / "lynx.toml"

@@ -8,7 +8,7 @@ from astropy.io import fits
 
 from mapmaker.binning import BinnedMap, bin_map, coadd, half_difference, read_fits, write_fits
 from mapmaker.geometry import MapGeometry
-from tests.unit.mapmaker.test_mangled_streams import refused
+from tests.refusals import refused
 
 GEOMETRY = MapGeometry(*np.radians([0.0, -30.0]), np.radians(30 / 3600), 12, 9)
 RNG = np.random.default_rng(6)

@@ -30,7 +30,7 @@ from surveysim.survey.coadds import row_names
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import gain, rescore
 from surveysim.timestreams.noise import hann_psd
-from tests.scenes import SMALL_SCENE
+from tests.scenes import write_scene
 
 WIND_RAD_S = np.array([0.01, 0.0])
 N = 60  # samples of a scan
@@ -38,9 +38,7 @@ N = 60  # samples of a scan
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "small.toml"
-    path.write_text(SMALL_SCENE, encoding="utf-8")
-    return path
+    return write_scene(tmp_path_factory.mktemp("scene"))
 
 
 @pytest.fixture(scope="module")

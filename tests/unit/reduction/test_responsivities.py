@@ -16,7 +16,8 @@ from surveysim.reduction.cleaning_pipelines import AuxiliaryData, apply_pipeline
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL, Engine
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene
 from surveysim.studies.sweep.axes import load_sweep
 from tests.scenes import SMALL_SCENE
 

@@ -59,7 +59,7 @@ def scene_reference() -> str:
     """Markdown: for each section of a scene a heading, what it is, and a table of its keys."""
     parts, examples = [], _examples()
     for section in scene_sections():
-        parts += [f"### {section.heading}", *_introduction(section)]
+        parts += [f"## {section.heading}", *_introduction(section)]
         rows = [_row(name, item, section, examples) for name, item in section_keys(section).items()]
         head = "| key | what it is | type and unit | allowed | default |\n|---|---|---|---|---|"
         parts.append("\n".join([head, *rows]))
