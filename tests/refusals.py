@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene
 
 SECONDS = 5.0  # of a machine that has other work
 LONGEST_LINE, MOST_LINES = 400, 31

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from surveysim.atmosphere.weather import Water, draw_weather, fastest_wind
+from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.memory import machine_bytes
 from surveysim.runtime.rng import RandomPurpose, generator
-from surveysim.scene.scene import Scene, SceneError
+from surveysim.scene.scene import Scene
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.raster import Raster, samples_per_scan
 
@@ -52,7 +53,7 @@ def _check_strip(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, li
     cache = strips.at(sine)
     try:
         return check_strip(cache, longest)
-    except ValueError as error:
+    except OutOfRangeError as error:
         wind = math.degrees(wind_rad_s) * 60
         raise SceneError(
             f"atmosphere: {error} (tracks through the layer are up to {math.degrees(longest):.3g} deg long, in wind of"

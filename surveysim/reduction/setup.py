@@ -26,8 +26,9 @@ from surveysim.reduction.consistency import (
 )
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.scored_region import padded_side, patch_side
+from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
 from surveysim.scene.instrument import Instrument, OtherBand
-from surveysim.scene.scene import Scene, SceneError
+from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import Camera, camera, mask_by_separation
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.pointing import Schedule, schedule
@@ -60,7 +61,7 @@ def prepare(scene: Scene) -> Setup:
         return _prepare(scene)
     except SceneError:
         raise
-    except ValueError as error:
+    except InputError as error:
         raise SceneError(str(error)) from None
 
 
@@ -192,7 +193,7 @@ def _times(scene: Scene, lines: Raster) -> Schedule | None:
     numbers = plan.first_night, plan.nights, scene.observations
     try:
         return schedule(field_centre(scene), observing_site(scene), *numbers, *limits, duration_s(lines))
-    except ValueError as error:
+    except OutOfRangeError as error:
         raise SceneError(f"schedule: {error}") from None
 
 

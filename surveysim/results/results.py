@@ -29,6 +29,7 @@ from surveysim.results.stopping import (
     stop_reason,
 )
 from surveysim.runtime.engine import SERIAL
+from surveysim.runtime.errors import InsufficientDataError
 from surveysim.runtime.provenance import made_by, now
 from surveysim.scene.scene import scene_hash
 from surveysim.survey.coadds import CoAdds, row_names
@@ -166,7 +167,7 @@ def survey_result(
             scores = quoted_scores(setup, coadds)
             ratios, others = _gains(setup, scores), _alternatives(setup, coadds, scores)
             removed = flux_removed(setup, coadds)
-        except ValueError as error:  # too few observations, or too few scans kept in them
+        except InsufficientDataError as error:  # too few observations, or too few scans kept in them
             scores, ratios, others, removed, unscored = {}, {}, [], {}, str(error)
     expected = run_forecast(setup, coadds) if scores else None
     found = scores, ratios, others, removed, expected
@@ -251,8 +252,9 @@ def _alternative(setup: Setup, scores: dict[str, DataSetScore], weights: str, el
         if weights == "own":
             sigma[name] = rescore(setup, item, ell_min).band.sigma_ukcmb2
         else:
-            psds = (item.quoted_psd, item.signal_psd, modes, used, reference.quoted_psd)
-            sigma[name] = flat_band_power_fixed_weights(*psds)
+            sigma[name] = flat_band_power_fixed_weights(
+                item.quoted_psd, item.signal_psd, modes, used, weighting_noise_psd_ukcmb2=reference.quoted_psd
+            )
     return _alternative_row(setup, scores, weights, band, ell_min, sigma)
 
 

@@ -11,6 +11,7 @@ import pytest
 from astropy.table import Table
 
 from surveysim.cli import options
+from surveysim.runtime.errors import OutOfRangeError
 from surveysim.survey import run as survey
 from tests.scenes import SCHEDULE, SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
 from tests.unit.survey.test_interruption import COMMAND, assert_same_results
@@ -211,7 +212,7 @@ def test_full_disk(call, scene, monkeypatch):
 
 def test_failure_in_an_observation(call, scene, monkeypatch):
     def fail(*arguments):
-        raise ValueError("no strip\nis long enough")
+        raise OutOfRangeError("no strip\nis long enough")
 
     monkeypatch.setattr(survey, "observe", fail)
     code, _, error = call("run", scene, "--out", scene.parent / "out", "--workers", 1)
@@ -374,7 +375,7 @@ def test_new(call, scene, monkeypatch):
     assert "give [sweep] yours" in call("new", "ours", "--like", "yours")[1] and "[sweep]" not in out
     for arguments, words in (
         (("mine", "--like", "yours"), "exists"),
-        (("other", "--like", "nowhere"), "mine, ours, yours"),
+        (("other", "--like", "nowhere"), "mkidcam, ours, pixel_spacing_fixed_count"),
         (("../other", "--like", "mine"), "letters, digits"),
         (("..", "--like", "mine"), "none of the last two first"),  # no scene by this name could be run
         (("x" * 101, "--like", "mine"), "letters, digits"),

@@ -12,8 +12,8 @@ import pytest
 from surveysim.cli import interrupts, options
 from surveysim.cli.main import ended
 from surveysim.runtime.engine import EngineError
+from surveysim.runtime.errors import SceneError
 from surveysim.runtime.printable import LONGEST, MOST_LINES, printable, short_lines, shortened
-from surveysim.scene.scene import SceneError
 from tests.scenes import SMALL_SCENE, write_scene
 
 EVIL = "\x1b[31mred\x07\r\n\u202eevil\u2028\x9b1m\udc80"  # without NUL, which no argument has
@@ -29,7 +29,7 @@ def fail(monkeypatch, tmp_path, capsys, handlers):
             raise error
 
         before = set(tmp_path.iterdir())
-        monkeypatch.setattr("surveysim.cli.app.load_scene", load)
+        monkeypatch.setattr("surveysim.scene.scene.load_scene", load)
         monkeypatch.setattr("surveysim.studies.sweep.axes.is_sweep", lambda path: False)
         code = ended(["check", f"a{EVIL}.toml"])
         text = capsys.readouterr()

@@ -11,7 +11,8 @@ from surveysim.reduction.figure_of_merit import best_places
 from surveysim.reduction.setup import prepare
 from surveysim.results.results import best_pipeline
 from surveysim.runtime.engine import SERIAL
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene
 from surveysim.survey.coadds import row_names
 from tests.scenes import write_scene
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from surveysim.reduction.setup import prepare
+from surveysim.runtime.errors import SceneError
 from surveysim.scene.position_table import MAX_BYTES, read_positions
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.scene.scene import load_scene
 from tests.scenes import SMALL_SCENE
 
 HEAD = """\

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from surveysim.reduction.setup import prepare
-from surveysim.scene.scene import SceneError, load_scene, resolved, scene_hash
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene, resolved, scene_hash
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import score_survey
 from tests.scenes import SMALL_SCENE, write_scene

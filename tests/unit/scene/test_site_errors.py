@@ -3,7 +3,8 @@
 import pytest
 
 from surveysim.reduction.setup import prepare
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene
 from surveysim.timestreams.observed_block import observation_weather
 from tests.scenes import SMALL_SCENE, write_scene
 

@@ -8,7 +8,8 @@ import pytest
 from surveysim.forecasting import forecast as forecasting
 from surveysim.reduction.setup import prepare
 from surveysim.results.stages import stages_that_run
-from surveysim.scene.scene import Scene, SceneError, load_scene
+from surveysim.runtime.errors import NotForecastableError
+from surveysim.scene.scene import Scene, load_scene
 from surveysim.timestreams import component
 from surveysim.timestreams.component import COMPONENTS, present_components
 from surveysim.timestreams.observation import draw_observation
@@ -57,5 +58,5 @@ def test_a_component_is_drawn_planned_and_not_forecast_by_its_row_alone(scene, m
     assert not streams[without].any()
     assert stages_that_run(setup)["detector"] == "a constant for a test"
     assert "forecast" not in stages_that_run(setup)
-    with pytest.raises(SceneError, match="detector: found a section without a closed form"):
+    with pytest.raises(NotForecastableError, match="detector: found a section without a closed form"):
         forecasting.forecast(scene)
