@@ -183,7 +183,7 @@ def write_text(path: Path, text: str) -> Path:
 
 def _write_maps(directory: Path, result: SurveyResult) -> list[Path]:
     setup, coadds, written = result.setup, result.coadds, []
-    for s, name in enumerate(setup.analysis.data_sets):
+    for s, name in enumerate(setup.analysis.data_set_names):
         item = BinnedMap(setup.analysis.geometry, coadds.sums[s], coadds.weight[s], coadds.hits[s])
         header = {
             "SCENE": setup.scene.name,
@@ -219,7 +219,7 @@ def _score_table(result: SurveyResult) -> Table:
     rows = [vars(row) | {k: vars(row)[k] or nan for k, nan in unknown.items()} for row in score_rows(result)]
     reference = result.setup.scene.score.reference
     return Table(
-        columns={name: [row[name] for row in rows] for name in rows[0]},
+        columns={name: [row[name] for row in rows] for name in rows[0] if name != "kind"},
         units=dict.fromkeys(("sigma_ukcmb2", "error_ukcmb2", "plain_sigma_ukcmb2", *unknown), "uK2"),
         meta={"temperature": "CMB", "reference": reference.source if reference else "none"} | _part(result),
     )
@@ -290,7 +290,7 @@ def _observation_table(result: SurveyResult) -> Table:
     }
     units = {"start_mjd": "d", "wind_speed_rad_s": "rad / s", "wind_angle_rad": "rad", "pwv_mm": "mm"}
     units |= {"elevation_rad": "rad", "white_mk2_hz": "mK2 / Hz"}
-    units |= {f"noise_mk2_{name}": "mK2" for name in setup.analysis.data_sets}
+    units |= {f"noise_mk2_{name}": "mK2" for name in setup.analysis.data_set_names}
     if np.isnan(columns["pwv_mm"]).all():  # the scene has its own distribution of B2
         del columns["pwv_mm"], units["pwv_mm"]
     return Table(columns, units)
