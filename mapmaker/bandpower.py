@@ -34,12 +34,12 @@ class BandPower:
     """
 
     sigma_ukcmb2: float
-    error_ukcmb2: float  # standard error of sigma; NaN where it is unknown
+    error_ukcmb2: float
     ell_eff: float
     fwhm_ell: float
-    weight: np.ndarray  # (n_bin,) share of a bin in sigma^-2; sums to 1
-    ell: np.ndarray  # (n_bin,)
-    cumulative: np.ndarray  # (n_bin,) sigma of the selected bins from this ell up; inf where none
+    weight: np.ndarray
+    ell: np.ndarray
+    cumulative: np.ndarray
 
 
 def flat_spectrum_psd(ell: np.ndarray) -> np.ndarray:

@@ -25,11 +25,11 @@ class Annuli:
         2 for a mode whose complex conjugate `rfft2` leaves out, else 1; float64.
     """
 
-    edges_ell: np.ndarray  # (n_bin + 1,)
-    ell: np.ndarray  # (n_bin,) mean over the modes of the bin
-    n_modes: np.ndarray  # (n_bin,) independent real degrees of freedom
-    bin_of_mode: np.ndarray  # (n_y * (n_x // 2 + 1),) int64
-    multiplicity: np.ndarray  # (n_y * (n_x // 2 + 1),) float64
+    edges_ell: np.ndarray
+    ell: np.ndarray
+    n_modes: np.ndarray
+    bin_of_mode: np.ndarray
+    multiplicity: np.ndarray
 
 
 def tukey_taper(n_y: int, n_x: int, pixel_rad: float, *, size_rad: float, edge_fraction: float) -> np.ndarray:

@@ -22,9 +22,9 @@ class TransferFunction:
         Signed contribution of each sky to the error.
     """
 
-    ell: np.ndarray  # (n_bin,)
-    transmission: np.ndarray  # (n_bin,) power out / power in
-    deviations: np.ndarray  # (n_sky, n_bin) each sky's part of the error, with its sign
+    ell: np.ndarray
+    transmission: np.ndarray
+    deviations: np.ndarray
 
     @property
     def error(self) -> np.ndarray:
