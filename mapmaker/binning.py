@@ -28,8 +28,8 @@ from mapmaker.validation import (
     single_precision,
 )
 
-# Cards that a map's header may have, with values that leave its coordinates as `wcs_cards` states them: FK5 is ICRS
-# within 0.1 arcsec.
+# Optional cards of a map's header, with the values that do not change the coordinates of `wcs_cards`: FK5 agrees with
+# ICRS within 0.1 arcsec.
 _AS_BY_DEFAULT = {
     "CUNIT1": ("deg",),
     "CUNIT2": ("deg",),
@@ -107,7 +107,7 @@ def bin_map(
     kept = flags("kept", kept, (len(bounds),), empty=True)
     total, hits = np.zeros(n_pixel), np.zeros(n_pixel, np.int64)
     bin_samples(data, index, bounds, kept, total, hits)
-    # Sums tell it in less time than the samples: there are fewer pixels.
+    # The sums are checked instead of the samples, because there are fewer pixels.
     if not np.isfinite(total).all():
         raise argument_error(
             "data_mk", "values that are not finite in kept scans", "finite ones, or kept False for them, are"
@@ -242,7 +242,7 @@ def read_fits(path: str | Path) -> BinnedMap:
     try:
         with fits.open(path, memmap=False) as file:
             return _map_of(file)
-    except Exception as error:  # astropy has one of nearly every kind for a mangled file
+    except Exception as error:  # astropy raises nearly every kind of exception for a mangled file
         raise ValueError(f"{path}: not a whole map file ({one_line(error)})") from None
 
 
@@ -258,7 +258,7 @@ def _map_of(file) -> BinnedMap:
     weight, hits = planes["WEIGHT"], planes["HITS"]
     if not np.array_equal(hits, np.rint(hits)):
         raise argument_error("HITS", "numbers with fractions", "whole numbers are")
-    # Elsewhere, files of others have NaN where nothing was observed.
+    # Files of other programs may have NaN in unobserved pixels.
     signal = np.where((weight == 0) & np.isnan(planes["SIGNAL"]), 0.0, planes["SIGNAL"])
     with np.errstate(over="ignore", invalid="ignore"):  # the check finds what is not finite
         total = signal * weight
@@ -274,7 +274,7 @@ def _plane(name: str, image) -> np.ndarray:
 def _geometry_of(name: str, header, shape: tuple[int, int]) -> MapGeometry:
     """Read the geometry from a header; raises ValueError where it is not of square pixels about its centre."""
     n_y, n_x = shape
-    ra_deg = number("CRVAL1", header["CRVAL1"], least=-720, most=720)  # two turns: more is no right ascension
+    ra_deg = number("CRVAL1", header["CRVAL1"], least=-720, most=720)  # two turns at most
     dec_deg, pixel_deg = (number(key, header[key]) for key in ("CRVAL2", "CDELT2"))
     geometry = MapGeometry(*np.radians([ra_deg, dec_deg]).tolist(), float(np.radians(pixel_deg)), n_x, n_y)
     cards = wcs_cards(geometry)
@@ -331,6 +331,6 @@ def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
     table = fits.BinTableHDU.from_columns(columns)
     keywords = {"PIXTYPE": "HEALPIX", "ORDERING": "NESTED", "NSIDE": nside, "COORDSYS": "C"}
     table.header.update(keywords | {"INDXSCHM": "EXPLICIT", "OBJECT": "PARTIAL"})
-    # healpy's own writer wants the whole sphere in memory: 10 GB at nside 8192.
+    # healpy's writer needs the whole sphere in memory: 10 GB at nside 8192.
     with atomic_write(path) as partial:
         fits.HDUList([fits.PrimaryHDU(), table]).writeto(partial, overwrite=True)

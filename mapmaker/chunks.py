@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-# Samples that are worked on at once where detectors do not depend on each other: with what is made of them they stay
-# in a processor's cache, and take no more memory the more detectors there are.
+# Samples in a chunk of independent detectors: chunk and results fit in a processor's cache, and memory does not grow
+# with the number of detectors.
 CHUNK_SAMPLES = 2**18
 
 

@@ -13,11 +13,11 @@ from mapmaker.errors import InsufficientDataError
 from mapmaker.timestreams import FocalPlane
 from mapmaker.validation import argument_error, bounds_of_scans, reals
 
-# In units of the closest pair: pairs nearer than this are adjacent; the width of a bin of separation.
+# In units of the closest separation: limit of adjacent pairs, and width of a bin of separation.
 ADJACENT = 1.2
 BIN_WIDTH = 1.0
-# Eigenvalues of counts of pairs below this share of the largest are zero but for rounding: a bin of one pair among
-# those of thousands of detectors is above.
+# Eigenvalues of pair counts below this fraction of the largest are zero except for rounding; a bin of one pair among
+# thousands of detectors is above it.
 _ALIKE = 1e-12
 
 
@@ -123,7 +123,7 @@ def _profile_solution(first: np.ndarray, second: np.ndarray, bins: np.ndarray, n
     counts = sum(np.bincount(a * n + b, minlength=n * n) for a in columns for b in columns).reshape(n, n)
     values, vectors = np.linalg.eigh(counts.astype(float))
     told_apart = values > _ALIKE * values[-1]
-    # A level common to all bins is one of gains too; every other direction must be told apart.
+    # A level common to all bins is degenerate with the gains; every other direction must be determined.
     unused = n_det - len(np.union1d(first, second))
     if told_apart.sum() < n - 1 - unused:
         raise InsufficientDataError(

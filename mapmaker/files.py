@@ -26,7 +26,7 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Another process may be writing the same file; astropy would take a "~" in front for the home directory.
+    # Another process may write the same file; astropy would expand a leading "~" to the home directory.
     partial = path.absolute().with_name(f"{path.name}.{os.getpid()}.part")
     try:
         yield partial
@@ -93,7 +93,7 @@ def write_ecsv(
     ValueError
         For other columns, text with a line break, and a unit without a column.
     """
-    # Not astropy's writer: it imports tables, coordinates and half of the rest, longer than a small run takes.
+    # Not astropy's writer: its imports take longer than a small run.
     arrays = {name: np.asarray(values) for name, values in columns.items()}
     kinds = {name: _datatype(name, array) for name, array in arrays.items()}
     if len({array.size for array in arrays.values()}) > 1:
@@ -148,5 +148,5 @@ def _yaml_float(value: float) -> str:
     if not math.isfinite(value):
         return ".nan" if math.isnan(value) else f"{'-' * (value < 0)}.inf"
     mantissa, e, exponent = repr(value).partition("e")
-    # YAML 1.1 takes a number with an exponent but no point for text.
+    # YAML 1.1 reads a number with an exponent but without a point as text.
     return mantissa + (".0" if e and "." not in mantissa else "") + e + exponent

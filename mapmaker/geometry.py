@@ -10,11 +10,11 @@ from mapmaker.kernels.pixels import plane_pixels
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.validation import MAX_PIXELS, argument_error, number, pixel_side, reals, whole
 
-# Least side of a HEALPix pixel over a map pixel's. Below, HEALPix pixels within the map get no map pixel: 20 % of them
-# at 1, 6 % at 1.2, 0.2 % at sqrt(2), none at 1.5, over declinations and turns of the lattices.
+# Least ratio of the sides of a HEALPix and a map pixel. The fraction of HEALPix pixels within the map that get no map
+# pixel is 20 % at 1, 6 % at 1.2, 0.2 % at sqrt(2) and none at 1.5, for all declinations and rotations.
 _HEALPIX_SIDE = 1.5
-_FINEST_ORDER = 29  # of HEALPix, whose pixel numbers have 64 bits
-HORIZON = 1e-12  # cosine of the angle from the centre: less is rounding of a direction 90 degrees off
+_FINEST_ORDER = 29  # HEALPix pixel numbers have 64 bits
+HORIZON = 1e-12  # cosine of the angle from the centre: smaller values are rounding of 90 degrees
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def mean_direction(ra_rad: np.ndarray, dec_rad: np.ndarray) -> tuple[float, floa
         raise OutOfRangeError(
             f"found {ra.size} directions whose mean vector has the length {length:.2g}; above 0 expected"
         )
-    # Twice: the remainder of a tiny negative angle is a whole turn, to rounding.
+    # Twice, because the remainder of a tiny negative angle rounds to a full turn.
     return math.atan2(y, x) % math.tau % math.tau, math.atan2(z, math.hypot(x, y))
 
 

@@ -29,8 +29,8 @@ from mapmaker.geometry import MapGeometry
 from mapmaker.iterative import StreamBlock, check_pixels, subtract_sky
 from mapmaker.validation import argument_error, band_edges, bounds_of_scans, number, reals, whole
 
-# A detector with less than this share of the mean noise is dead, and one of which the modes leave no more than
-# rounding of float32 has no noise of its own: neither gets weight.
+# A detector with less than this fraction of the mean noise is dead; one whose residual from the modes is rounding of
+# float32 has no noise of its own. Neither gets weight.
 _DEAD, _EXPLAINED = 1e-10, 2.0**-46
 
 
@@ -195,7 +195,7 @@ def _band_noise(amplitudes: np.ndarray, options: GlsOptions) -> tuple[np.ndarray
     values, vectors = values[::-1], vectors[:, ::-1]
     n_mode = _count_modes(values, int(alive.sum()), n, options)
     values, vectors = values[:n_mode], vectors[:, :n_mode]
-    # Not the difference of powers, of which a strong atmosphere leaves no digits.
+    # Not the difference of powers, which a strong atmosphere would reduce to rounding.
     left = np.mean((scaled - vectors @ (vectors.T @ scaled)) ** 2, axis=1)
     white = np.where(alive & (left > _EXPLAINED), power * left, 0.0)
     return white, scale[:, None] * vectors * np.sqrt(values)
@@ -215,7 +215,7 @@ def _count_modes(values: np.ndarray, n_det: int, n: int, options: GlsOptions) ->
     The largest of these, for n vectors of n_det independent deviates of variance v, is ``v (1 + sqrt(n_det / n))^2``
     (Marchenko & Pastur 1967); v is the mean of the remaining eigenvalues.
     """
-    # With as many modes as vectors nothing would be left to be white.
+    # As many modes as vectors would leave no white noise.
     for k in range(min(options.max_modes, n // 2, n_det // 2)):
         left = n_det - k
         level = values[k:].sum() / left
@@ -334,7 +334,7 @@ def _weight_and_hits(scans: list[_Scans], n_pixel: int) -> tuple[np.ndarray, np.
             bands = band_slices(stop - start, one.noise.sample_rate_hz, one.noise.band_edges_hz)
             share = np.array([band.stop - band.start for band in bands]) / (stop - start)
             pixels = one.index[:, start:stop]
-            # The diagonal of N^-1 without the modes: the mean over all cosine modes, 0 for those in no band.
+            # Diagonal of N^-1 without the modes: the mean over all cosine modes, with 0 for those in no band.
             white = np.repeat(share @ one.noise.inverse_white, stop - start)
             weight += np.bincount(pixels.ravel(), white, n_pixel + 1)
             hits += np.bincount(pixels.ravel(), minlength=n_pixel + 1)

@@ -18,7 +18,7 @@ from mapmaker.geometry import MapGeometry
 from mapmaker.timestreams import FocalPlane
 from mapmaker.validation import MAX_PIXELS, bounds_of_scans, number, pixel_numbers, reals, whole
 
-# A normal deviate's standard deviation over its median absolute value.
+# Standard deviation of a normal deviate over its median absolute value.
 _SIGMA_OF_MEDIAN = 1.482602218505602
 
 
@@ -154,7 +154,7 @@ def iterate_map(
     for k in range(1, options.max_iterations + 1):
         item, fwhm_rad = _one_pass(geometry, observations(), clean_block, estimate)
         spared = estimate
-        # Once signal, always signal: a pixel on the threshold would go in and out for ever.
+        # A signal pixel stays one: at the threshold it would alternate for ever.
         signal |= significant(item, fwhm_rad, options.threshold, options.loss**k)
         estimate = np.where(signal, item.signal_mk, 0.0)
         change.append(_relative_change(estimate, spared, item.weight))
@@ -191,7 +191,7 @@ def significant(item: BinnedMap, fwhm_rad: float, threshold: float, floor: float
     number("floor", floor, least=0, most=1)
     sigma_pixels = fwhm_rad / np.sqrt(8 * np.log(2)) / item.geometry.pixel_rad
     total = gaussian_filter(item.weighted_sum.astype(float), sigma_pixels, mode="constant")
-    # The square of a Gaussian is one of 1 / sqrt(2) the width; its constant drops out with the scatter.
+    # The square of a Gaussian is a Gaussian of 1 / sqrt(2) the width; its constant cancels against the scatter.
     weight = gaussian_filter(item.weight.astype(float), sigma_pixels / np.sqrt(2), mode="constant")
     seen = item.weight > 0
     ratio = np.zeros(total.shape)
@@ -226,7 +226,7 @@ def _one_pass(geometry, blocks, clean_block, estimate) -> tuple[BinnedMap, float
         fwhm_rad = min(fwhm_rad, block.focal_plane.fwhm_rad)
     if total is None:
         raise InsufficientDataError("found no observation; one or more are expected")
-    # Binning what the pixels put into the streams gives the pixels again.
+    # Binning streams of the estimate gives the estimate again.
     return replace(total, weighted_sum=total.weighted_sum + estimate * total.weight), fwhm_rad
 
 

@@ -312,7 +312,7 @@ def coupled_psd(
     from scipy.fft import irfft2, rfft2
 
     correlation = irfft2(sky_psd, sky_shape, workers=1) * (cells_per_pixel / pixel_rad) ** 2
-    # Lags of both signs must not meet at the rim of the grid: zeros over half of each side keep them apart.
+    # Zero padding to twice the side separates lags of both signs at the edge of the grid.
     grow = tuple(1 + (2 * _extent(taper, axis) > n) for axis, n in enumerate(taper.shape))
     shape = tuple(n * factor for n, factor in zip(taper.shape, grow, strict=True))
     lags = [np.rint(np.fft.fftfreq(n, 1 / n)).astype(int) * cells_per_pixel for n in shape]

@@ -13,11 +13,11 @@ from mapmaker.validation import argument_error, flags, increasing, integers, num
 
 _PER_SAMPLE = ("time_s", "ra_deg", "dec_deg", "array_angle_deg", "scan")
 _PER_DETECTOR = ("x_arcmin", "y_arcmin")
-# Largest sizes: right ascensions and array angles may be unwrapped, by a hundred turns; beyond a quarter of a turn is
-# no declination, and no detector.
+# Largest absolute values: right ascensions and array angles may be unwrapped by a hundred turns; declinations and
+# detector offsets are at most a quarter of a turn.
 _QUARTER_RAD, _TURNS_RAD = math.pi / 2 * (1 + 1e-9), 200 * math.pi
 _LARGEST = {"ra_deg": 36e3, "dec_deg": 90.0, "array_angle_deg": 36e3, "x_arcmin": 5400.0, "y_arcmin": 5400.0}
-# Bytes that a compressed file holds of an array's: HDF5's filters leave a thousandth of zeros.
+# Largest compression: HDF5's filters compress zeros by a thousand.
 _MOST_COMPRESSED = 2000
 
 
@@ -262,7 +262,7 @@ def read_timestreams(path: str | Path) -> Timestreams:
             return _streams_of(file)
     except _Unfit as error:
         raise ValueError(f"{path}: {error}") from None
-    except Exception as error:  # h5py has one of nearly every kind for a mangled file
+    except Exception as error:  # h5py raises nearly every kind of exception for a mangled file
         raise ValueError(f"{path}: not a whole time-stream file ({one_line(error)})") from None
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from mapmaker.errors import InsufficientDataError
 from mapmaker.validation import reals
 
-FEWEST = 16  # observations whose own scatter tells how well they sample the weather
-_MODE_COUNT_DOF = 16  # realizations that a count of modes is worth as a measure of their scatter
+FEWEST = 16  # least number of observations whose scatter measures their sampling of the weather
+_MODE_COUNT_DOF = 16  # realizations with the same weight as the closed form of their scatter
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ from types import EllipsisType
 
 import numpy as np
 
-# Sides of a shape: a number, or the name of one that is free. A leading ... stands for any more axes.
+# Sides of a shape: a number, or a name for any length. A leading ... stands for any number of axes.
 Shape = Sequence[int | str | EllipsisType]
 _KINDS = {"biuf": "real numbers", "iuf": "real numbers", "iu": "integers", "b": "True and False"}
-_MOST_TEXT = 60  # letters of a wrong value in a message
-MAX_PIXELS = 2**31 - 1  # of a map: pixel numbers are int32, -1 off the map
+_MOST_TEXT = 60  # characters of a wrong value in a message
+MAX_PIXELS = 2**31 - 1  # pixel numbers of a map are int32, -1 off the map
 
 
 def argument_error(name: str, found: object, expected: str) -> ValueError:
@@ -71,7 +71,7 @@ def reals(
 @np.errstate(over="ignore", invalid="ignore")
 def _within(array: np.ndarray, least: float, above: float, most: float) -> bool:
     """Tell quickly whether values are certainly finite and within bounds."""
-    # A sum that is finite has finite terms; one that is not may have overflowed.
+    # A finite sum has finite terms; a sum that is not finite may have overflowed.
     if not math.isfinite(array.sum()):
         return False
     low = array.min() if max(least, above) > -math.inf else math.inf

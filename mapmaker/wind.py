@@ -37,8 +37,8 @@ from mapmaker.wind_checks import (
 from mapmaker.wind_delays import LOWEST_BIN, MIN_BINS, ROUNDS, Delays, measure_slowness, scan_spectra
 
 _MIN_DETECTORS, _MIN_SCANS = 7, 3
-HIGHEST_HZ, LEAST_CYCLES = 1.0, LOWEST_BIN + MIN_BINS  # of the band that is used, and in a scan
-_SHORTEST = 1e-3  # longest delay from the array's centre, in samples, that is none
+HIGHEST_HZ, LEAST_CYCLES = 1.0, LOWEST_BIN + MIN_BINS  # upper end of the band [Hz]; cycles of its lower end in a scan
+_SHORTEST = 1e-3  # delay from the array's centre, in samples, below which there is none
 _CERTAIN = 0.12  # largest relative error of a trusted wind
 _AGREE = 12.5  # chi^2 a degree of freedom that two groups of 9 scans exceed once in a thousand times
 _GOOD_FIT = 5.0  # largest reduced chi^2 of the pairs
@@ -188,7 +188,7 @@ def _groups(velocity: np.ndarray) -> list[np.ndarray]:
     return split if min(map(len, split)) >= _MIN_SCANS else [np.arange(len(velocity))]
 
 
-@np.errstate(divide="ignore", invalid="ignore", over="ignore")  # without any delay the wind is infinite
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")  # without delays the wind is infinite
 def _wind_fit(spectra, found: Delays, groups, velocity) -> WindFit:
     scan = np.array([np.mean(velocity[scans], axis=0) for scans in groups]) @ [1, 1j]
     whole = found.slowness[[scans[0] for scans in groups]] @ [1, 1j]

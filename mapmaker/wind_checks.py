@@ -16,7 +16,7 @@ _HANN = 1 + 2 * (4 / 9 + 1 / 36)  # variance of a mean over bins, raised by a Ha
 _NEIGHBOUR = 1.2  # pairs up to this many nearest separations apart are neighbours
 _GOOD_SHARE = 0.01  # departures by this fraction of the sinusoid do not count in a reduced chi^2
 # Limits of the residual of one layer: along the wind as a fraction of its signal and in standard deviations above the
-# noise; across the wind that of a Kolmogorov layer without a beam, which would lower it.
+# noise; across the wind the residual of a Kolmogorov layer without a beam, which would lower it.
 _ALONG_SHARE, _ALONG_SIGMA, _ACROSS_SHARE = 0.1, 2.5, 1.5
 
 
@@ -80,13 +80,13 @@ def pair_slopes(spectra: ScanSpectra, found: Delays) -> tuple[np.ndarray, np.nda
     whole = rest.sum(axis=0) / total
     less = (rest.sum(axis=0) - rest) / (total - norm)
     slope[used], error[used] = model[used] + whole, jackknife_error(less)
-    # A change of the sinusoid is common to all bins: only what is left of it can tell a bad fit.
+    # A change of the sinusoid is common to all bins: only the residuals from it measure the fit.
     root = np.sqrt(total)
     shape = root[:, None] * circle.T[used]
     project = np.eye(len(total)) - shape @ np.linalg.pinv(shape)
     left, scatter = project @ (root * whole), jackknife_error((root * less) @ project)
     floor = _GOOD_SHARE * np.abs(model).max() * root
-    # Pairs are counted in both directions: half of the bins are the other half again.
+    # Pairs are counted in both directions, so half of the bins repeat the others.
     return slope, error, float(np.sum(left**2 / (scatter**2 + floor**2)) / max(len(total) - 4, 1))
 
 

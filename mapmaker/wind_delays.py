@@ -13,7 +13,7 @@ MIN_BINS = 2
 _COHERENT = 0.2  # least mean relative cross-PSD: a quarter as much signal as noise
 _START_COHERENT = 0.5  # the same before delays are known: keeps phases from wrapping
 ROUNDS = 5
-_ROUNDING = 1e-14  # power of rounding in what a fit leaves, against the whole
+_ROUNDING = 1e-14  # power of rounding in the residual of a fit, relative to the whole
 
 
 @dataclass(frozen=True)

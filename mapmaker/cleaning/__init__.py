@@ -70,7 +70,7 @@ CLEANERS: dict[str, Cleaner] = {
     "local": subtract_local,
     "spectral": subtract_spectral,
 }
-# Each algorithm's record; "none" has nothing to choose and takes anything.
+# Record of each algorithm's options; "none" has none and accepts anything.
 OPTIONS: dict[str, type] = {
     "none": object,
     "average": TemplateOptions,
@@ -82,9 +82,9 @@ OPTIONS: dict[str, type] = {
     "local": LocalOptions,
     "spectral": SpectralOptions,
 }
-# Those that subtract templates times responsivities: their options say where these are from.
+# Algorithms that subtract templates times responsivities, with the source of the responsivities in their options.
 TEMPLATE_CLEANINGS = ("average", "planar", "quadratic", "polynomial", "wind")
-# How many templates each takes from the detectors, whatever its options: more detectors than these are needed.
+# Least number of templates of each algorithm; it needs more detectors than that.
 N_TEMPLATES = {
     "none": 0,
     "average": len(AVERAGE),

@@ -96,7 +96,7 @@ def _subtract(block: np.ndarray, index: np.ndarray) -> Fit:
         return Fit(None)
     n_det = len(block)
     padded = np.vstack([block, np.zeros(block.shape[1])])
-    # Summed, not averaged: the coefficient takes the factor up.
+    # A sum in place of the mean: the coefficient includes the factor.
     template = padded[index[:, 0]]
     for column in index.T[1:]:
         template += padded[column]

@@ -21,14 +21,14 @@ from mapmaker.validation import number
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
 
-# Directions with less than this share of the strongest detector's power hold rounding alone: that of float32
-# streams, which earlier cleaning leaves where it took a template, is at most a quarter of it.
+# Modes with less than this fraction of the strongest detector's power are rounding. Rounding of float32 streams, which
+# earlier cleaning leaves in place of a template, is at most a quarter of it.
 _ZERO = 2.0**-46
-# The Gram matrix rounds its small eigenvalues by some 1e-16 of the largest. Where they come closer to that than
-# this, the stream's own singular values are taken, for twice the time.
+# The Gram matrix rounds its small eigenvalues by some 1e-16 of the largest. Where they are below this fraction, the
+# singular values of the streams are used, which takes twice the time.
 _BURIED = 1e-11
-_MOST_SIGMA = 1e6  # more detectors than any camera has would be needed
-# Logarithms of equal eigenvalues differ by rounding, which is not to stand out.
+_MOST_SIGMA = 1e6  # larger cuts need more detectors than any camera has
+# Logarithms of equal eigenvalues differ by rounding, which must not count as outliers.
 _ROUNDING = 1e-9
 
 
@@ -117,7 +117,7 @@ def _spectrum(block: np.ndarray, across: bool) -> tuple[np.ndarray, np.ndarray]:
     Both have the same non-zero eigenvalues: the smaller matrix is faster.
     """
     eigenvalues, vectors = np.linalg.eigh(block @ block.T if across else block.T @ block)
-    # Of samples, the mean is a direction without power.
+    # For samples, the mean is a mode without power.
     if eigenvalues[0 if across else 1] > _BURIED * eigenvalues[-1]:
         return eigenvalues, vectors
     left, singular, right = np.linalg.svd(block, full_matrices=False)

@@ -23,10 +23,10 @@ from mapmaker.validation import whole
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
 
-# Extents and positions that differ by less than this fraction of the array's are equal: a lattice's rows are, but
-# for rounding.
+# Extents and positions that differ by less than this fraction of the array's are equal: rows of a lattice differ by
+# rounding.
 _EQUAL = 1e-6
-_MOST_ORDER = 200  # of 20,000 terms, which need as many detectors
+_MOST_ORDER = 200  # 20,000 terms, which need as many detectors
 
 
 @dataclass(frozen=True)

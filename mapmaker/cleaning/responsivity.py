@@ -29,15 +29,15 @@ from mapmaker.validation import argument_error, number, reals, whole
 
 SCAN, OBSERVATION = "scan", "observation"
 
-# Detectors up to which the Gram matrix is formed. At 300 it takes as long as the passes of ten iterations, 5 to 15 ns a
-# sample; at 600 it takes 15, at 1000 21, at 4000 86.
+# Largest number of detectors for which the Gram matrix is formed. For 300 it takes as long as the passes of ten
+# iterations, 5 to 15 ns a sample; for 600 as 15, for 1000 as 21, for 4000 as 86.
 MOST_GRAM = 600
 
-# Shares of the iteration's steps that fits take: to a scan as in the paper, to an observation as said above.
+# Fraction of each step that is taken: 1 for a scan as in the paper, 2/3 for an observation (see the module docstring).
 _STEPS = {SCAN: 1.0, OBSERVATION: 2 / 3}
 
 Responsivities = str | np.ndarray
-Blocks = Callable[[], Iterable[np.ndarray]]  # mean-removed streams (n_det, n) to fit to, made anew by each call
+Blocks = Callable[[], Iterable[np.ndarray]]  # mean-removed streams (n_det, n) for one pass of a fit
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.nda
         For streams of another number of detectors than `basis`.
     """
     n_det, c = basis.shape[1], np.ones(basis.shape[1])
-    # One type each: the loop is compiled for the first that comes.
+    # Fixed types: the kernel is compiled for those of the first call.
     tolerance, max_iterations = float(options.tolerance), int(options.max_iterations)
     step = _STEPS[options.responsivities]
     if n_det <= MOST_GRAM:

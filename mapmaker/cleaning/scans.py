@@ -84,7 +84,7 @@ def finite_scans(data_mk: np.ndarray, scan_bounds: np.ndarray) -> Iterator[tuple
     All blocks share their memory: a block is good until the next one is asked for.
     """
     n_det = len(data_mk)
-    # One scan's room for all: large arrays are slow to come by.
+    # One buffer for all scans: the allocation of large arrays is slow.
     room = np.empty(n_det * int(np.diff(scan_bounds, axis=1).max(initial=0)))
     for s, (start, stop) in enumerate(scan_bounds):
         block = room[: n_det * (stop - start)].reshape(n_det, stop - start)

@@ -34,8 +34,8 @@ from mapmaker.validation import reals
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
 
-# What a term must hold, of the array's radius, beside the terms before it: with less, detectors are on one line or
-# conic as nearly as their positions are known, and six digits of the template would be lost.
+# Least norm of a term orthogonal to the terms before it, in units of the array's radius. Below it, detectors lie on one
+# line or conic within the accuracy of their positions, and six digits of the template would be lost.
 RANK_TOLERANCE = 1e-6
 
 # Exponents (of x, of y) of the terms of S.
@@ -102,7 +102,7 @@ def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
             continue
         known = np.array(list(row_of.values()))
         row = before * (v if b else u)
-        for _ in range(2):  # the second takes what rounding left of the first
+        for _ in range(2):  # the second pass removes the rounding of the first
             row = row - known.T @ (known @ row)
         norm = np.linalg.norm(row)
         if norm > RANK_TOLERANCE:
@@ -225,5 +225,5 @@ def _subtract_regions(block: np.ndarray, c: np.ndarray, regions: tuple[Region, .
         templates, shapes = (region.basis / own) @ part, (region.basis * own).T
         for rows in row_chunks(*part.shape):
             part[rows] -= shapes[rows] @ templates
-        if not isinstance(region.rows, slice):  # a copy of some detectors
+        if not isinstance(region.rows, slice):  # `part` is a copy
             block[region.rows] = part

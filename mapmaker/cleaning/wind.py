@@ -29,9 +29,9 @@ from mapmaker.validation import number, reals
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
 
-# Longest delay from the array's centre, as a share of the scan: half of the samples are left to all detectors.
+# Longest delay from the array's centre, as a fraction of the scan: all detectors have at least half of the samples.
 _LONGEST = 0.25
-# A delay may pass the end of a scan by this fraction of a sample: by rounding.
+# Rounding by which a delay may pass the end of a scan, in samples.
 _ROUNDING = 1e-9
 
 
@@ -155,7 +155,7 @@ def delay_phases(delay: np.ndarray, n_samp: int) -> np.ndarray:
     whole = np.floor(delay).astype(np.int64)
     fraction = (delay - whole)[:, None]
     s = (1 - fraction) + fraction * circle[: n_samp + 1]
-    # At the Nyquist frequency, where S is zero for half a sample, a scan with its mirror image has nothing.
+    # S is zero at the Nyquist frequency for half a sample, where a scan with its mirror image has no power.
     s[:, -1] = 1.0
     s /= np.abs(s)
     return s * circle[whole[:, None] * np.arange(n_samp + 1) % (2 * n_samp)]

@@ -4,8 +4,7 @@ import numpy as np
 
 from mapmaker.kernels.compiled import njit
 
-# A detector with less than this fraction of the mean power is dead or stuck: what is left is rounding of
-# its mean.
+# A detector with less than this fraction of the mean power is dead or stuck: its power is rounding of its mean.
 DEAD_POWER = 1e-16
 
 

@@ -28,7 +28,7 @@ def njit(**options: Any) -> Callable[[Callable], Callable]:
 
 @cache
 def _say_once() -> None:
-    if parent_process() is None:  # which says it for its workers
+    if parent_process() is None:  # which warns for its workers
         logging.getLogger("mapmaker").warning(
             "no cache of compiled functions: every process compiles them anew; set NUMBA_CACHE_DIR to a directory that "
             "can be written"

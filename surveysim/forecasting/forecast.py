@@ -118,7 +118,7 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
         scans = {name: KeptScans(share) for name, share in kept.items()}
     found: dict[str, DataSetForecast] = {}
     for model in models:
-        if model.name == model.pipeline.data_set:  # the sets that follow share its detectors
+        if model.name == model.pipeline.data_set:  # the following sets have the same detectors
             hits = mean_hits(setup, model.pipeline)
         found[model.name] = _scored(setup, model, conditions, kept=scans[model.pipeline.data_set], hits=hits)
     return Forecast(setup.band.rings.ell, {name: found[name] for name in setup.data_sets if name in found})
@@ -143,7 +143,7 @@ def _scored(
             f"expected. {REMEDY}"
         )
     weight = expected_weights(setup, noise)
-    # Hits go as the scans that are kept; the PSD of a survey as one over its observations.
+    # Hits scale with the kept scans; the PSD of a survey scales as one over its observations.
     variance = (weight**2 * kept.share) @ noise / (weight @ kept.share) ** 2 * (len(noise) / scene.observations)
     area = setup.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
     psd = variance * area * (1e3 * scene.instrument.cmb_per_rj) ** 2
@@ -188,5 +188,5 @@ def expected_weights(setup: Setup, noise: np.ndarray) -> np.ndarray:
 
 def _beamed_sky(setup: Setup) -> np.ndarray:
     ell = setup.band.rings.ell
-    # The lowest bin of a small map may hold nothing but ell = 0.
+    # The lowest bin of a small map may contain only ell = 0.
     return flat_spectrum_psd(np.maximum(ell, 1)) * beam_window(ell, setup.scene.instrument.beam_fwhm_rad)

@@ -12,14 +12,14 @@ from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.setup import Setup
 from surveysim.survey.discarded_scans import MOST_DISCARDED
 
-LARGE = 0.1  # relative size from which on an effect is flagged
-MOST_TEMPLATES = 0.25  # for each detector from which on they are flagged
-MOST_UNEVEN = 0.25  # more noise, from which on coverage is flagged
-_RESOLUTIONS = 3.0  # of multipole, from which on a forecast is compared
-_BEAM_LEFT = 0.03  # of the power, up to where it is
+LARGE = 0.1  # relative size above which an effect is flagged
+MOST_TEMPLATES = 0.25  # templates a detector above which they are flagged
+MOST_UNEVEN = 0.25  # excess noise above which uneven coverage is flagged
+_RESOLUTIONS = 3.0  # of `resolution_ell`: lower end of compared multipoles
+_BEAM_LEFT = 0.03  # power in the beam: upper end of compared multipoles
 _PIXEL_REACH = 0.75  # of the map pixel's Nyquist multipole
-# Of the layer's noise, what forecasts lack: 20, 30, 32, 33 and 35 % of it were measured in surveys of 115 detectors in
-# which it is 30, 100, 57, 27 and 46 % of the noise.
+# Fraction of the layer's noise that forecasts lack. It was 20, 30, 32, 33 and 35 % in surveys of 115 detectors in which
+# the layer makes 30, 100, 57, 27 and 46 % of the noise.
 _STRIPES = 0.33
 _APPROXIMATE = {"wind": "shifted along the wind", "pca": "by principal components"}  # taken as average subtraction
 
@@ -92,7 +92,7 @@ def resolution_ell(setup: Setup) -> float:
     The length of the taper is that of a box with the same sum of squares.
     """
     score, scan = setup.scene.score, setup.scene.scan
-    # A cosine's square is 3/8 on average where it falls; the taper's edges are half its fraction each.
+    # The square of a cosine edge averages to 3/8; each edge has half of the taper's fraction.
     taper = score.size_rad * (1 - score.taper_fraction * 5 / 8)
     return 2 * np.pi / min(taper, scan.speed_rad_s * scan.duration_s)
 
