@@ -102,7 +102,7 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
     """
     setup = prepare(scene)
     if scene.score is None:
-        raise NotForecastableError("score: missing; a forecast says what a map is worth")
+        raise NotForecastableError("score: missing; a forecast predicts the score of a map")
     if not can_forecast(setup):
         allowed = ", ".join(map(repr, PROJECTIONS))
         raise NotForecastableError(
@@ -139,8 +139,8 @@ def _scored(
         raise NotForecastableError(NOTHING_FOUND)
     if not kept.share.any():
         raise NotForecastableError(
-            f"cleaning: found no scan that is kept, {'by a trial of a few' if kept.error else 'in this run'}; some are "
-            f"expected. {REMEDY}"
+            f"cleaning: rejected all scans {'of a pilot' if kept.error else 'of this run'}; at least one is needed."
+            f" {REMEDY}"
         )
     weight = expected_weights(setup, noise)
     # Hits scale with the kept scans; the PSD of a survey scales as one over its observations.
