@@ -103,7 +103,7 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
     """
     setup = prepare(scene)
     if scene.score is None:
-        raise NotForecastableError("score: missing; a forecast says what a map is worth")
+        raise NotForecastableError("score: missing; a forecast predicts the score of a map")
     if not is_projection(setup.analysis.pipelines[0]):
         allowed = ", ".join(map(repr, PROJECTIONS))
         raise NotForecastableError(
@@ -121,7 +121,7 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
         scans = {name: KeptScans(share) for name, share in kept.items()}
     found: dict[str, DataSetForecast] = {}
     for model in models:
-        if model.name == model.pipeline.data_set:  # the sets that follow share its detectors
+        if model.name == model.pipeline.data_set:  # the following sets have the same detectors
             hits = mean_hits(setup, model.pipeline)
         found[model.name] = _scored(setup, model, conditions, kept=scans[model.pipeline.data_set], hits=hits)
     return Forecast(
@@ -154,11 +154,11 @@ def _scored(
         raise NotForecastableError(NOTHING_FOUND)
     if not kept.share.any():
         raise NotForecastableError(
-            f"cleaning: found no scan that is kept, {'by a trial of a few' if kept.error else 'in this run'}; some are "
-            f"expected. {REMEDY}"
+            f"cleaning: rejected all scans {'of a pilot' if kept.error else 'of this run'}; at least one is needed."
+            f" {REMEDY}"
         )
     weight = expected_weights(setup, noise)
-    # Hits go as the scans that are kept; the PSD of a survey as one over its observations.
+    # Hits scale with the kept scans; the PSD of a survey scales as one over its observations.
     variance = (weight**2 * kept.share) @ noise / (weight @ kept.share) ** 2 * (len(noise) / scene.observations)
     area = setup.analysis.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
     psd = variance * area * (1e3 * scene.instrument.cmb_per_rj) ** 2
@@ -203,5 +203,5 @@ def expected_weights(setup: Setup, noise: np.ndarray) -> np.ndarray:
 
 def _beamed_sky(setup: Setup) -> np.ndarray:
     ell = setup.analysis.region.rings.ell
-    # The lowest bin of a small map may hold nothing but ell = 0.
+    # The lowest bin of a small map may contain only ell = 0.
     return flat_spectrum_psd(np.maximum(ell, 1)) * beam_window(ell, setup.scene.instrument.beam_fwhm_rad)

@@ -54,13 +54,13 @@ from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.low_frequency import excess_psd
 from surveysim.timestreams.shared_parts import screen
 
-_ANGLES = 3  # of the array against the scan that stand for all observations
-_SPEEDS, _DIRECTIONS = 5, 4  # of the layer against the scan
-_SINES = 3  # of the elevation
-_SLOWEST = 0.02  # relative speed that is told from none, in scan speeds
+_ANGLES = 3  # between array and scan that represent all observations
+_SPEEDS, _DIRECTIONS = 5, 4  # nodes of the layer's motion against the scan
+_SINES = 3  # nodes in elevation
+_SLOWEST = 0.02  # least relative speed of the table, in scan speeds
 
 
-# Of (n_draw, n_motion) complex [rad/s] and sines of elevations (n_draw,), to (n_draw, n_bin).
+# Maps motions (n_draw, n_motion), complex [rad/s], and sines of elevations (n_draw,) to noise (n_draw, n_bin).
 LayerNoise = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -173,7 +173,7 @@ def _spectrum(setup: Setup, fitted_modes: FittedModes) -> _ScanFrequencies:
     modes = ring_modes(setup.analysis.region.rings.ell)
     rate = lines.sample_rate_hz
     at_hz = modes.wave.real.ravel() * lines.speed_rad_s / (2 * np.pi)
-    at_hz -= rate * np.round(at_hz / rate)  # what samples can't tell apart
+    at_hz -= rate * np.round(at_hz / rate)  # aliases of the sample rate
     window = scan_window(
         seconds,
         speed_rad_s=lines.speed_rad_s,
@@ -184,7 +184,7 @@ def _spectrum(setup: Setup, fitted_modes: FittedModes) -> _ScanFrequencies:
     nodes, weight = frequency_nodes(window, max(1.1 * np.abs(at_hz).max(), 0.5 * rate))
     excess_hz, excess = np.zeros(0), np.zeros(0)
     if scene.excess:
-        # Lines of streams twice as long as a scan, as they are drawn: a steep spectrum is mostly the lowest.
+        # Lines of streams twice as long as a scan, as in the simulation: the lowest lines dominate a steep spectrum.
         n_samp = samples_per_scan(lines)
         psd = excess_psd(scene.excess, 1.0, n_samp, 2 * n_samp, rate)[1:]
         step = rate / (2 * n_samp)
@@ -232,13 +232,13 @@ def _map_components(
         parts.append([modes.mean(item) for item in (white * flat, shared * flat, own * red, low * red)])
     white, shared, own, low = np.mean(parts, axis=0) * rate / 2
     layer = _layer_noise(setup, conditions, spectrum, arrays=arrays, responses=responses)
-    # Pixels smooth modes, and scatter over all modes the noise of streams that they take: a stream's whole white noise,
-    # of which templates of few detectors leave little in modes that are longer than the array.
+    # Pixels attenuate modes, and alias the lost noise over all modes, at the white level of a stream. Templates of few
+    # detectors leave much less than that in modes that are longer than the array.
     pixel = pixel_window(setup.analysis.region.rings.ell, setup.analysis.geometry.pixel_rad)
     scattered = modes.mean(flat) * rate / 2 * (1 - pixel)
     white = white * pixel + stream_power(arrays[0], None) * scattered
     shared = shared * pixel + stream_power(arrays[0], photon) * scattered
-    # Excess is scattered across the scan, among modes of one frequency: what detectors do not share stays whole.
+    # Excess noise is aliased across the scan, among modes of one frequency: independent noise is unchanged.
     low = own + (low - own) * pixel
     return _NoiseComponents(white, shared, low, lambda motion, sine: layer(motion, sine) * pixel)
 
@@ -332,7 +332,7 @@ def _noise_only_components(
     hann, nodes = hann_window(seconds, spectrum.window.fitted_modes), spectrum.nodes_hz
     window = spectrum.window
     if name == "uncorrelated":
-        # Streams of a whole number of periods a scan: lines, without a mean.
+        # Streams periodic over a scan: lines, without a mean.
         both = np.concatenate([-lines, lines])
         through = window.at(spectrum.at_hz[:, None] - both) ** 2 / seconds
         to_modes = rate * (through[:, : len(lines)] + through[:, len(lines) :])
@@ -345,7 +345,7 @@ def _noise_only_components(
         """Bins of a two-sided PSD (n_line,) of the streams."""
         return spectrum.modes.mean(to_modes @ psd)
 
-    # The cleaned streams' own power does not depend on how the array is turned.
+    # The power of the cleaned streams does not depend on the array's angle.
     white, shared, low = (stream_power(arrays[0], item) for item in (None, *correlations))
     flat = in_bins(hann.sums(spectrum.weight_hz[None] / 2, nodes, lines))
     red = in_bins(hann.sums(spectrum.excess[None] / 2, spectrum.excess_hz, lines))
@@ -384,6 +384,6 @@ def _transmission(
     half = len(modes.share) // 2
     across[:, :half] = across[:, :half].conj()
     n_obs = setup.scene.observations
-    share = (n_obs // 2) / n_obs  # of scans along Dec
+    share = (n_obs // 2) / n_obs  # fraction of observations that scan along Dec
     both = (1 - share) * amplitude + share * across
     return modes.mean((both.real**2 + both.imag**2).ravel())

@@ -32,15 +32,15 @@ from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.shared_parts import screen, shared_noise
 from surveysim.timestreams.simulation import observation_path
 
-_NUMBERS = 5  # of a draw: four of the weather, and which observation it is
-_SHIFTS = 8  # of the lattice of draws: their scatter is the error of a mean over all
+_NUMBERS = 5  # random numbers of a draw: four of the weather, one for the observation
+_SHIFTS = 8  # random shifts of the lattice of draws; their scatter is the error of the mean
 _DRAWS_A_SHIFT = 256
-_HIT_SAMPLES = 3e7  # of the observations that stand for the coverage
+_HIT_SAMPLES = 3e7  # of the observations that represent the coverage
 _FEWEST_HITS, _MOST_HITS = 4, 48
-_MOST_HIT_SAMPLES = 3e7  # of one of them, of which larger ones have every so many in time
+_MOST_HIT_SAMPLES = 3e7  # of one of them; larger ones are thinned in time
 
 NoiseCorrelations = tuple[np.ndarray | NoiseCorrelation | None, np.ndarray | NoiseCorrelation | None]
-Draw = tuple[int, Weather | None]  # an observation's number, and a weather that it might have
+Draw = tuple[int, Weather | None]  # number of the observation, and its weather
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def population_draws(setup: Setup) -> list[list[Draw]]:
         list is unbiased, with an error far below that of as many independent draws.
     """
     air, n_obs = setup.scene.atmosphere, setup.scene.observations
-    rng = generator(setup.scene.seed, RandomPurpose.WEATHER, realization=1)  # that of the survey is 0
+    rng = generator(setup.scene.seed, RandomPurpose.WEATHER, realization=1)  # the survey is realization 0
     lists = []
     for shift in rng.random((_SHIFTS, _NUMBERS)):
         points = (shift + np.outer(np.arange(_DRAWS_A_SHIFT), _lattice_steps())) % 1
@@ -178,7 +178,7 @@ def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | 
         wind = np.exp(-1j * view.parallactic_rad) * (-weather.wind_rad_s[0] + 1j * weather.wind_rad_s[1])
     wind = wind * np.exp(-1j * view.turn_rad)
     speed = setup.observing.raster.speed_rad_s
-    # A scan back is a scan there in a frame that is turned by half a turn.
+    # A backward scan is a forward scan in a frame rotated by half a turn.
     shared = white.photon_mk2_hz * white.shared
     unshared = white.photon_mk2_hz - shared + white.detector_mk2_hz
     angle = view.array_angle_rad + view.turn_rad
@@ -221,7 +221,7 @@ def removed_modes(
     They are those of a layer that moves at the median speed of `levels`.
     """
     fits = {"scan": 1.0, "observation": 1 / setup.observing.raster.n_scans}
-    # PCA fits a mode to each scan, whatever is known of responsivities.
+    # PCA fits a mode to each scan, even with known responsivities.
     share = fits["scan"] if pipeline.uses("pca") else fits.get(setup.scene.cleaning.responsivities, 0.0)
     if setup.scene.atmosphere is None or not len(array.basis) or not share:
         return NO_FITTED_MODES
@@ -240,7 +240,7 @@ def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
     samples = len(plane.x_rad) * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
     every = max(1, int(samples // _MOST_HIT_SAMPLES))
     wanted = min(n_obs, int(np.clip(_HIT_SAMPLES / samples, _FEWEST_HITS, _MOST_HITS)))
-    # In pairs of both directions.
+    # In pairs of both scan directions.
     numbers = np.unique(np.minimum(2 * (np.arange(wanted) * n_obs // wanted // 2) + np.arange(wanted) % 2, n_obs - 1))
     hits = np.zeros(geometry.n_x * geometry.n_y)
     for number in numbers:

@@ -14,10 +14,10 @@ from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.scan_blocks import Block
 
 MOST_OBSERVATIONS = 32  # of a pilot
-MOST_SCANS = 6  # of each of so many
+MOST_SCANS = 6  # of each, for `MOST_OBSERVATIONS` of them
 _SAMPLES = 3e6  # detector-samples of a pilot: about a quarter of a second
-_FEWEST_OBSERVATIONS = 8  # a larger pilot than `_SAMPLES` rather than fewer, up to
-_MOST_SAMPLES = 5e7  # a few seconds
+_FEWEST_OBSERVATIONS = 8  # even where these have more than `_SAMPLES`
+_MOST_SAMPLES = 5e7  # of any pilot: a few seconds
 
 
 @dataclass(frozen=True)

@@ -120,7 +120,7 @@ def test_a_pilot_of_few_observations_takes_more_of_their_scans(scene_of):
 
 def test_a_forecast_without_a_kept_scan_says_how_it_knows(scene_of):
     lost = scene_of(cleaning__max_iterations=1)
-    with pytest.raises(SceneError, match="no scan that is kept, by a trial of a few; .*Remedy: cleaning.responsiv"):
+    with pytest.raises(SceneError, match="rejected all scans of a pilot; .*Remedy: cleaning.responsiv"):
         forecast(lost)
 
 
@@ -130,7 +130,7 @@ def test_known_responsivities_discard_nothing(scene_of, monkeypatch):
     # A pilot of more than a few seconds is not made: the share is said not to be known.
     monkeypatch.setattr("surveysim.forecasting.pilot._MOST_SAMPLES", 1e3)
     effect = effects_of(scene_of(**CALM))["discarded scans"]
-    assert effect.size is None and effect.flagged and "not known" in effect.sentence
+    assert effect.size is None and effect.flagged and "unknown" in effect.sentence
 
 
 def test_shares_are_interpolated_between_observations_of_a_pilot():
