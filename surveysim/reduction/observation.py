@@ -35,7 +35,7 @@ from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.observation import Stopwatch, draw_block, draw_other_bands
 from surveysim.timestreams.observed_block import observation_weather
-from surveysim.timestreams.response import add_sky_signal
+from surveysim.timestreams.response import write_sky_signal
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import observation_path
 
@@ -314,8 +314,7 @@ def _add_window(window: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
     setup, streams = part.setup, part.streams
     hits, signal = np.zeros(window.shape[-1], np.int64), np.empty_like(streams.data_mk)
     for s, sky in enumerate(skies_mk):
-        signal[:] = 0
-        add_sky_signal(setup, part.pointing, sky, signal)
+        write_sky_signal(setup, part.pointing, sky, signal)
         for pipeline, base in zip(setup.analysis.pipelines, part.cleaned, strict=True):
             rows, place = pipeline.rows, setup.analysis.windows.index(pipeline.data_set)
             scans = _cleaned_again(setup, pipeline, base.kept)
