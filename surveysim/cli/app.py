@@ -127,7 +127,7 @@ def forecast(
     from surveysim.output.directory import claimed, replacing
     from surveysim.output.expected_files import of_forecast
     from surveysim.output.writer import write_forecast
-    from surveysim.report.terminal.survey import print_forecast
+    from surveysim.report.terminal.forecast import print_forecast
 
     if sweep := _sweep(scene, settings, reference):
         directory = out or default_directory(f"{sweep.name}_forecast", options.settings(settings, reference))
@@ -215,7 +215,8 @@ def _run_extremes(directory: Path, force: bool, quiet: bool) -> bool:
     from surveysim.cli.progress import equal_work, progress_display
     from surveysim.output.directory import claimed, replacing
     from surveysim.output.expected_files import EXTREMES
-    from surveysim.report.terminal.stress import print_extremes, write_extremes
+    from surveysim.output.writer import write_extremes
+    from surveysim.report.terminal.stress import print_extremes
     from surveysim.studies.stress import CASES, run_case
 
     outcomes = []
@@ -235,8 +236,7 @@ def _run_extremes(directory: Path, force: bool, quiet: bool) -> bool:
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
     """Say what would run, what is left out, and what time, memory and disk it would take."""
     from surveysim.reduction.setup import prepare
-    from surveysim.report.terminal.survey import print_plan
-    from surveysim.report.terminal.sweep import print_sweep_plan
+    from surveysim.report.terminal.plan import print_plan, print_sweep_plan
     from surveysim.runtime.engine import default_workers
     from surveysim.studies.resources import make_plan, make_sweep_plan
 
@@ -294,7 +294,7 @@ def paper(
         complain(" ".join(str(error).split()))
         raise typer.Exit(EXIT_FAILED) from None
     if not quiet:
-        from surveysim.report.terminal.survey import print_paper
+        from surveysim.report.terminal.paper import print_paper
 
         print_paper(written)
     for line in failed:

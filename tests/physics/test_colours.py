@@ -7,7 +7,7 @@ from surveysim.api import run
 from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline
 from surveysim.reduction.setup import observation_path, prepare
-from surveysim.results.results import summary
+from surveysim.results.summary import summary
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import SceneError, load_scene
 from surveysim.timestreams.observation import draw_observation, draw_other_bands

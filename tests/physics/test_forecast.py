@@ -19,7 +19,8 @@ from surveysim.forecasting.observing_conditions import conditions, survey_draws
 from surveysim.reduction import mode_response as response
 from surveysim.reduction.mode_response import layer_gain, layer_waves, matrix_power, projected_array, scan_window
 from surveysim.reduction.setup import observation_path, prepare
-from surveysim.results.results import forecast_agreement, summary
+from surveysim.results.results import forecast_agreement
+from surveysim.results.summary import summary
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.noise_and_sky import Excess
 from surveysim.scene.scene import SceneError, load_scene

@@ -4,7 +4,8 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from surveysim.report.html.components import Block, Cell, Grid, Section, Text, cell, number
+from surveysim.report.html.components import Block, Cell, Grid, Section, Text, cell
+from surveysim.runtime.numbers import number
 from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, WEATHER_GROUPS, telling
 
 Content = Mapping[str, Any]  # of summary.json

@@ -1,12 +1,13 @@
 """A resolved scene in words: what was observed, with what, through which air, and what was made of it."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from fractions import Fraction
 from pathlib import PurePath
 from typing import Any
 
-from surveysim.report.html.components import UK2, joined, number, plural, short
+from surveysim.report.html.components import UK2, Block, Terms
+from surveysim.runtime.numbers import joined, number, plural, short
 
 CLEANINGS = {
     "none": "removal of each scan's mean",
@@ -56,6 +57,13 @@ def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
     }
     there = [term for term in tell if term not in optional or scene[optional[term]] is not None]
     return tuple((term, " ".join(tell[term]())) for term in there)
+
+
+def what_was_simulated(scene: Values, summary: Mapping[str, Any], n_det: int) -> tuple[Block, ...]:
+    """The scene in words, and every stage that is left out with its reason."""
+    left_out = summary.get("left_out") or dict.fromkeys(summary.get("stages_left_out", ()), "no such section")
+    terms = Terms(scene_terms(scene, n_det))
+    return (terms, Terms(tuple(left_out.items()), "Left out, and why")) if left_out else (terms,)
 
 
 def cleaning_words(steps: list[str]) -> str:

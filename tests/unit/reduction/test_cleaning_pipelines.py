@@ -9,7 +9,7 @@ from surveysim.reduction import consistency as checks
 from surveysim.reduction.cleaning_pipelines import needed_detectors
 from surveysim.reduction.figure_of_merit import best_places
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import best_pipeline
+from surveysim.results.summary import best_pipeline
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import SceneError, load_scene
 from surveysim.survey.coadds import row_names

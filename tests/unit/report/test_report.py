@@ -13,9 +13,9 @@ from surveysim import load_scene, run, run_sweep
 from surveysim.api import forecast_sweep
 from surveysim.report.figures.survey import TITLES
 from surveysim.report.html.captions import RUN
-from surveysim.report.html.components import as_known, count, duration, number, short, with_error
 from surveysim.report.html.page import NoResultsError, units, write_report
 from surveysim.runtime.engine import SERIAL
+from surveysim.runtime.numbers import as_known, count, duration, number, short, with_error
 from tests.pages import read_page, rows_of, value_of
 from tests.scenes import SCHEDULE, SMALL_SCENE, TURBULENT_SCENE, WHITE_NOISE_SCENE, without_sections
 
@@ -92,7 +92,7 @@ def test_the_score_table_has_the_numbers_of_the_summary(page, summary):
     rows = {row[0].text: row for row in rows_of(page, "score-table")}
     assert list(rows) == list(summary["scores"])
     for name, entry in summary["scores"].items():
-        _, sigma, forecast, published, ratio, detectors, ell_eff, fwhm = rows[name]
+        _, detectors, sigma, ell_eff, fwhm, forecast, published, ratio = rows[name]
         assert value_of(sigma) == entry["sigma_ukcmb2"] and value_of(forecast) == entry["forecast_ukcmb2"]
         assert sigma.text == printed(with_error(entry["sigma_ukcmb2"], entry["error_ukcmb2"]))
         assert [value_of(cell) for cell in (detectors, ell_eff, fwhm)] == [
@@ -104,7 +104,7 @@ def test_the_score_table_has_the_numbers_of_the_summary(page, summary):
             assert value_of(published) == entry["reference_ukcmb2"] and value_of(ratio) == entry["ratio_to_reference"]
         else:
             assert published.text == ratio.text == ""
-    assert sum(published.text != "" for _, _, _, published, *_ in rows.values()) == 2
+    assert sum(row[6].text != "" for row in rows.values()) == 2
     gains = {row[0].text: value_of(row[1]) for row in rows_of(page, "gain-table")}
     assert gains == {name: entry["ratio"] for name, entry in summary["gains"].items()}
 
@@ -149,7 +149,7 @@ def test_error_against_run_time(page, summary):
 
 
 def test_truth_stands_beside_what_was_measured(page, summary):
-    shown = [row for anchor in ("truth-table", "weather-table") for row in rows_of(page, anchor)]
+    shown = [row for anchor in ("closure-table", "weather-table") for row in rows_of(page, anchor)]
     by_name = {row[0].text: row for row in shown}
     assert len(by_name) == len(summary["truth"]) >= 7
     for item in summary["truth"]:
@@ -278,15 +278,15 @@ def test_page_of_a_sweep(sweep_file, tmp_path):
     result = run_sweep(sweep_file, tmp_path, engine=SERIAL)
     page, summary = read_page(tmp_path / "report.html"), json.loads((tmp_path / "summary.json").read_text())
     rows = rows_of(page, "point-table")
-    assert [row[0].text for row in rows] == [
-        f"{speed}, {cleaning}" for speed in ("3 arcmin/s", "4 arcmin/s") for cleaning in ("average", "planar")
+    assert [(row[0].text, row[1].text) for row in rows] == [
+        (speed, cleaning) for speed in ("3 arcmin/s", "4 arcmin/s") for cleaning in ("average", "planar")
     ]
     for row, point in zip(rows, summary["points"], strict=True):
-        sigma, forecast, ratio, independent, best, discarded, detectors = row[1:]
+        detectors, sigma, forecast, discarded, ratio, best = row[2:]
         assert value_of(sigma) == point["scores"]["actual"]["sigma_ukcmb2"] and value_of(detectors) == 18
         assert value_of(forecast) == point["forecast_ukcmb2"]["actual"] and value_of(best) == point["best_probability"]
-        assert value_of(discarded) == 100 * point["discarded"]["actual"]
-        assert value_of(ratio) == value_of(independent) == point["ratio"]
+        assert value_of(discarded) == point["discarded"]["actual"]
+        assert value_of(ratio) == point["ratio"]
     pairs = rows_of(page, "pair-table")
     for i, row in enumerate(pairs):
         for j, item in enumerate(row[1:]):
@@ -304,7 +304,7 @@ def test_page_of_a_sweep_by_forecast(sweep_file, tmp_path):
     forecast_sweep(sweep_file, tmp_path, figures=False)
     page = read_page(tmp_path / "report.html")
     assert "the best by forecast is scan.speed = " in page.text and page.all("img") == []
-    assert [len(row) for row in rows_of(page, "point-table")] == [4] * 4
+    assert [len(row) for row in rows_of(page, "point-table")] == [5] * 4
     assert not page.all("section", id="agreement-table")
 
 
@@ -314,7 +314,7 @@ def test_points_without_a_score_say_why(sweep_file, tmp_path):
     run_sweep(path, tmp_path / "out", engine=SERIAL, figures=False)
     page = read_page(tmp_path / "out" / "report.html")
     assert (
-        rows_of(page, "point-table")[0][1].text == "not scored"
+        rows_of(page, "point-table")[0][2].text == "not scored"
         and "observations = 1: observations with data: found 1" in page.text
     )
 

@@ -12,11 +12,12 @@ from astropy.wcs import WCS
 
 from surveysim import load_scene, run
 from surveysim.forecasting.forecast import forecast
-from surveysim.report.html.components import quoted
 from surveysim.report.terminal.survey import print_result
 from surveysim.results.control_variate import in_all_weather
-from surveysim.results.results import score_rows, summary
+from surveysim.results.results import score_rows
+from surveysim.results.summary import summary
 from surveysim.runtime.engine import SERIAL
+from surveysim.runtime.numbers import plain, quoted
 from surveysim.scene.scene import scene_hash
 from surveysim.survey.coadds import kept_shares
 from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
@@ -95,7 +96,7 @@ def test_one_estimate_is_quoted_everywhere(finished, content, capsys):
         result.expected.scores["actual"].band.sigma_ukcmb2 / best["plain_sigma_ukcmb2"]
     )
     print_result(result, folder)
-    shown = f"{best['sigma_ukcmb2']:.1f} +- {best['error_ukcmb2']:.1f}"
+    shown = plain(quoted(best["sigma_ukcmb2"], best["error_ukcmb2"]))
     assert shown in capsys.readouterr().out
     page = (folder / "report.html").read_text()
     assert page.count(quoted(best["sigma_ukcmb2"], best["error_ukcmb2"])) >= 3  # lead, key figures, table
@@ -123,7 +124,7 @@ def test_an_unknown_error_is_said_to_be_unknown(tmp_path, capsys):
     assert np.isnan(Table.read(tmp_path / "out" / "tables" / "scores.ecsv")["error_ukcmb2"]).all()
     print_result(result, tmp_path)
     out = capsys.readouterr().out
-    assert f"{content['best']['sigma_ukcmb2']:.1f} +- unknown" in out and "found 2 observations" in out
+    assert plain(quoted(content["best"]["sigma_ukcmb2"], None)) in out and "found 2 observations" in out
     assert "± unknown" in (tmp_path / "out" / "report.html").read_text()
 
 
