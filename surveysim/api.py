@@ -17,14 +17,8 @@ from surveysim.results.stopping import StoppingCriteria, check_limits, stopping_
 from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.scene.scene import Scene
 from surveysim.studies.sweep.axes import Sweep, load_sweep
-from surveysim.studies.sweep.comparison import (
-    SweepResult,
-    compare_forecasts,
-    compare_runs,
-    forecast_points,
-    of_one_kind,
-    run_points,
-)
+from surveysim.studies.sweep.comparison import compare_forecasts, compare_runs, forecast_points, of_one_kind, run_points
+from surveysim.studies.sweep.result import SweepResult
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.run import run_observations

@@ -5,6 +5,7 @@ co-added as in a run, with the weather that the scene's seed draws for them.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,11 @@ from surveysim.reduction.mode_response import PROJECTIONS
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.scene import Scene, SceneError
 from surveysim.survey.discarded_scans import REMEDY
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+
+    from surveysim.runtime.table import Table
 
 NOTHING_FOUND = "score: found no noise in its multipoles or no scan across its patch; both are expected"
 
@@ -47,6 +53,23 @@ class Forecast:
 
     ell: np.ndarray
     scores: dict[str, DataSetForecast]
+
+    def table(self) -> "QTable":
+        """Return sigma(A) of each data set with units."""
+        return self._table().quantities()
+
+    def _table(self) -> "Table":
+        from surveysim.forecasting.table import forecast_table
+
+        return forecast_table(self.scores)
+
+    def __repr__(self) -> str:
+        """A line above the table of scores."""
+        return f"Forecast of {len(self.scores)} data sets\n{self._table().text()}"
+
+    def _repr_html_(self) -> str:
+        """The table of scores."""
+        return self._table().html()
 
 
 def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecast:

@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from warnings import catch_warnings, simplefilter
 
-import numpy as np
-
 from mapmaker.binning import BinnedMap, write_fits, write_healpix
 from mapmaker.files import atomic_write, write_ecsv
 from surveysim.output.tables import forecast_spectra, run_tables
@@ -22,7 +20,7 @@ from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.table import Table
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import resolved, scene_hash
-from surveysim.studies.sweep.comparison import SweepResult, pairs
+from surveysim.studies.sweep.result import SweepResult, pairs
 from surveysim.studies.sweep.summary import sweep_summary
 from surveysim.studies.sweep.tables import pair_table, sweep_table
 
@@ -55,12 +53,7 @@ def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestre
 def _of_run(result: SurveyResult) -> Drawings:
     from surveysim.report.figures.survey import drawings
 
-    drawn = drawings(result.setup, result.coadds, result.scores, result.expected)
-    if result.estimate is not None and np.isfinite(result.estimate.relative_error):
-        from surveysim.report.figures.run_time import draw_time
-
-        drawn["run_time"] = lambda path: draw_time(path, result)
-    return drawn
+    return drawings(result)
 
 
 def write_sweep(directory: Path, result: SweepResult, figures: bool) -> None:

@@ -1,6 +1,7 @@
 """What a finished run says: the score table, gains, alternatives, and the summary of everything."""
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from surveysim.forecasting.forecast import DataSetForecast, Forecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL
@@ -20,11 +21,17 @@ from surveysim.results.stopping import (
     error_parts,
     stop_reason,
 )
+from surveysim.results.tables import score_table
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.strict_json import known
+from surveysim.runtime.table import Table
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.discarded_scans import Discards, discards
 from surveysim.survey.scores import DataSetScore, Gain, flux_removed, gain
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -87,6 +94,46 @@ class SurveyResult:
     def parts(self) -> ErrorParts | None:
         """What the error of the estimate is made of; None without a score."""
         return error_parts(self.setup, self.coadds, self.scores) if ACTUAL in self.scores else None
+
+    def table(self) -> "QTable":
+        """Return the score table with units, as tables/scores.ecsv has it; without rows where there is no score."""
+        return self._score_table().quantities()
+
+    def plot(self, figure: str = "map_psd") -> "Figure":
+        """Draw a figure of the run.
+
+        Parameters
+        ----------
+        figure : str
+            Name of the figure, as its file in figures/ has it: "map_psd", "map", "timestream_psd" and so on.
+
+        Raises
+        ------
+        ValueError
+            For a figure that the run has no results for.
+        """
+        from surveysim.report.figures.survey import survey_figures
+
+        found = survey_figures(self)
+        if figure not in found:
+            raise ValueError(f"figure: found {figure!r}; one of {', '.join(found) or 'none'} is expected")
+        return found[figure]()
+
+    def _score_table(self) -> Table:
+        score = self.setup.scene.score
+        source = score.reference.source if score and score.reference else ""
+        return score_table(score_entries(self), source)
+
+    def __repr__(self) -> str:
+        """A line on the run above its score table."""
+        scene = self.setup.scene
+        done = f"{self.coadds.done} of {scene.observations} observations, {self.setup.n_det} detectors"
+        told = self._score_table().text() if self.scores else f"not scored: {self.unscored or 'no section [score]'}"
+        return f"SurveyResult of {scene.name}: {done}\n{told}"
+
+    def _repr_html_(self) -> str:
+        """The score table."""
+        return self._score_table().html()
 
     def cost(self, target: float) -> TimeToPrecision | None:
         """What an answer to a relative error would take; None without a score, or where none is as good."""

@@ -61,10 +61,11 @@ def _reference_columns(rows: list[Content], source: str) -> list[Column]:
     published = _values(rows, "reference_ukcmb2")
     if not source:
         return [file_column("reference_ukcmb2", published, "uK2")]
-    ratios = [over_reference(row) for row in rows]
+    pairs = [over_reference(row) for row in rows]
+    ratios, errors = [ratio for ratio, _ in pairs], [error for _, error in pairs]
     return [
         column("reference_ukcmb2", published, source, short, unit="uK2"),
-        *quoted_columns(("ratio", "ratio_error"), *zip(*ratios, strict=True), "ratio", in_files=False),
+        *quoted_columns(("ratio", "ratio_error"), ratios, errors, "ratio", in_files=False),
     ]
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from surveysim.runtime.numbers import quoted
+from surveysim.runtime.numbers import plain, quoted
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -109,6 +109,17 @@ class Table:
             unit = self.units.get(name)
             made[name] = Quantity(values, unit) if unit else values
         return made
+
+    def text(self, most: int = 12) -> str:
+        """Return the columns for people as lines of ASCII text, headings first, with `most` rows at most."""
+        heads = tuple(item.heading for item in self.shown)
+        rows = [tuple(map(plain, row)) for row in (heads, *self.rows[:most])]
+        widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+        sides = [">" if item.is_numeric else "<" for item in self.shown]
+        looks = [f"{{:{side}{width}}}" for side, width in zip(sides, widths, strict=True)]
+        lines = ["  ".join(looks).format(*row).rstrip() for row in rows]
+        rest = len(self.rows) - most
+        return "\n".join([*lines, f"and {rest} more"] if rest > 0 else lines)
 
     def html(self) -> str:
         """Return the columns for people as an HTML table, for notebooks."""

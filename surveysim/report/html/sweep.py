@@ -14,7 +14,7 @@ from surveysim.report.html.provenance import provenance, sources
 from surveysim.report.html.scene import what_was_simulated
 from surveysim.runtime.numbers import count, duration, joined, number, plural, quoted, quoted_share
 from surveysim.studies.sweep.axes import value_text
-from surveysim.studies.sweep.comparison import ESTIMATES
+from surveysim.studies.sweep.result import ESTIMATES
 from surveysim.studies.sweep.tables import WITHHELD, chance_text, data_set_table, ratio_text, sweep_table, varied_keys
 from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, telling
 

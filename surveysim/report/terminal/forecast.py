@@ -4,7 +4,7 @@ from surveysim.forecasting.forecast import Forecast
 from surveysim.forecasting.table import forecast_table
 from surveysim.reduction.setup import prepare
 from surveysim.report.terminal.layout import Terminal
-from surveysim.report.terminal.survey import flagged_effects, print_warnings
+from surveysim.report.terminal.survey import effect_warnings, print_warnings
 from surveysim.report.terminal.tables import show_table
 from surveysim.results.control_variate import in_all_weather
 from surveysim.results.tables import effect_table
@@ -36,4 +36,4 @@ def print_forecast(scene: Scene, forecast: Forecast, verbose: bool = False) -> N
         drawn = f"the weather drawn is that of {scene.observations} observations"
         console.say(f"sigma(A) is for all weather, as a run quotes it; {drawn}.")
         show_table(console, effect_table({name: {"effects": found} for name, found in effects.items()}))
-    print_warnings(console, [f"the forecast may be off, {line}" for line in flagged_effects(effects)])
+    print_warnings(console, effect_warnings(effects))

@@ -112,17 +112,19 @@ def forecast_warnings(content: Content) -> list[str]:
         if abs(item["sigma"]) > GOOD_SIGMA + 2 * (math.inf if item["sigma_error"] is None else item["sigma_error"])
     ]
     effects = {name: item["effects"] for name, item in content.get("forecast", {}).items()}
-    return [*far, *(f"the forecast may be off, {line}" for line in flagged_effects(effects))]
+    return [*far, *effect_warnings(effects)]
 
 
-def flagged_effects(effects: Mapping[str, Sequence[Content]]) -> list[str]:
-    """Return a line for each effect by which forecasts may be off, with the data sets that have it."""
-    lines: dict[str, list[str]] = {}
+def effect_warnings(effects: Mapping[str, Sequence[Content]]) -> list[str]:
+    """Warn once of each flagged effect on forecasts, with the data sets that have it and the sentence of the first."""
+    names: dict[str, list[str]] = {}
+    sentences: dict[str, str] = {}
     for name, found in effects.items():
         for effect in found:
             if effect["flagged"]:
-                lines.setdefault(effect["sentence"], []).append(name)
-    return [f"{', '.join(names)}: {sentence}" for sentence, names in lines.items()]
+                names.setdefault(effect["name"], []).append(name)
+                sentences.setdefault(effect["name"], effect["sentence"])
+    return [f"the forecast may be off ({', '.join(names[key])}). {text}" for key, text in sentences.items()]
 
 
 def closing_line(content: Content) -> str:

@@ -6,8 +6,8 @@ from pathlib import Path
 from surveysim.report.terminal.layout import Terminal
 from surveysim.report.terminal.survey import print_warnings, where_line
 from surveysim.report.terminal.tables import show_table
-from surveysim.runtime.numbers import number, plain, quoted, quoted_share
-from surveysim.studies.sweep.comparison import ESTIMATES, SweepResult
+from surveysim.runtime.numbers import number, plain, plural, quoted, quoted_share
+from surveysim.studies.sweep.result import ESTIMATES, SweepResult
 from surveysim.studies.sweep.summary import sweep_summary
 from surveysim.studies.sweep.tables import chance_text, sweep_table
 from surveysim.survey.discarded_scans import percent, telling
@@ -61,9 +61,16 @@ def forecast_lines(result: SweepResult) -> Iterator[str]:
 
 
 def flag_lines(result: SweepResult) -> list[str]:
-    """Return a line for each flag of a point's forecast."""
-    both = zip(result.sweep.points, result.points, strict=True)
-    return [f"the forecast of {point.label} may be off: {sentence}" for point, item in both for sentence in item.flags]
+    """Return a line for each flag of forecasts, with the first point that has it and the number of others."""
+    labels: dict[str, list[str]] = {}
+    for point, item in zip(result.sweep.points, result.points, strict=True):
+        for sentence in item.flags:
+            labels.setdefault(sentence, []).append(point.label)
+    lines = []
+    for sentence, (first, *others) in labels.items():
+        more = f" and {plural(len(others), 'other point')}" if others else ""
+        lines.append(f"the forecast of {first}{more} may be off. {sentence}")
+    return lines
 
 
 def discard_lines(result: SweepResult) -> list[str]:

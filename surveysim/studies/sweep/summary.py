@@ -10,7 +10,7 @@ from surveysim.results.stages import left_out
 from surveysim.runtime.provenance import made_by, now
 from surveysim.runtime.strict_json import known
 from surveysim.scene.scene import scene_hash
-from surveysim.studies.sweep.comparison import Pair, SweepResult
+from surveysim.studies.sweep.result import Pair, SweepResult
 
 MATRIX_POINTS = 12  # as many columns fit on a page
 

@@ -9,7 +9,8 @@ from surveysim.results.tables import rounded_column
 from surveysim.runtime.numbers import number, quoted
 from surveysim.runtime.table import SIGMA, Column, Table, column, file_column, quoted_columns, share_text
 from surveysim.studies.sweep.axes import numbers_of, value_text
-from surveysim.studies.sweep.comparison import SURE, Pair
+from surveysim.studies.sweep.comparison import SURE
+from surveysim.studies.sweep.result import Pair
 from surveysim.survey.discarded_scans import telling
 
 Content = Mapping[str, Any]  # of summary.json

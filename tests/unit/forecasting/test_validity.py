@@ -13,7 +13,7 @@ from surveysim.forecasting.observing_conditions import conditions, survey_draws
 from surveysim.forecasting.pilot import Kept, _pilot_size, _spread, predicted_kept
 from surveysim.forecasting.validity import compared_ell, resolution_ell
 from surveysim.reduction.setup import prepare
-from surveysim.report.terminal.survey import flagged_effects, forecast_warnings
+from surveysim.report.terminal.survey import effect_warnings, forecast_warnings
 from surveysim.results.agreement import GOOD_PSD, KNOWN, _scatter, agreement
 from surveysim.results.results import forecast_agreement
 from surveysim.results.summary import summary
@@ -183,7 +183,7 @@ def test_a_good_forecast_has_no_flag(scene_of):
     found = forecast(scene_of(**{**LARGER, **bright}))
     assert not any(effect.flagged for effect in found.scores["actual"].effects)
     effects = {name: [vars(effect) for effect in item.effects] for name, item in found.scores.items()}
-    assert len(effects["actual"]) > 0 and flagged_effects(effects) == []
+    assert len(effects["actual"]) > 0 and effect_warnings(effects) == []
 
 
 def test_sizes_of_effects(scene_of):
@@ -281,7 +281,7 @@ def test_the_table_says_what_is_known(calm):
     found = list(forecast_agreement(calm).values())
     assert cells["within"] == tuple(str(item.within) for item in found) != cells["bins"]
     text = "\n".join(forecast_warnings(content))
-    assert "the forecast may be off, actual" in text and "Cleaning discarded" in text
+    assert "the forecast may be off (actual" in text and "Cleaning discarded" in text
 
 
 @pytest.mark.parametrize("off, error, warned", [(0.3, 0.15, False), (0.45, 0.15, True), (9.0, None, False)])

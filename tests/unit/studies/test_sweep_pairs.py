@@ -12,7 +12,8 @@ from surveysim import run_sweep
 from surveysim.report.terminal.sweep import best_line, print_sweep
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.numbers import plain, quoted
-from surveysim.studies.sweep.comparison import compare, compare_runs, pairs
+from surveysim.studies.sweep.comparison import compare, compare_runs
+from surveysim.studies.sweep.result import pairs
 from surveysim.survey.scores import error_modes
 from tests.pages import read_page, rows_of
 from tests.scenes import TURBULENT_SCENE, without_sections

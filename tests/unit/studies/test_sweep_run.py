@@ -465,3 +465,12 @@ def test_table_of_text_values(levels):
     )
     table = sweep_table(sweep_summary(replace(result, sweep=replace(result.sweep, points=points)), ()))
     assert table.in_files["cleaning.algorithm"].tolist() == ["planar+local"] * 3
+
+
+def test_a_sweep_in_a_notebook(levels):
+    """A few lines, the table of its points, and its figure."""
+    result, _ = levels
+    assert repr(result).startswith("SweepResult of ") and len(repr(result).splitlines()) == 2 + len(result.points)
+    found = result.table()
+    assert list(found["sigma_actual"].to_value("uK2")) == list(result.comparison.sigma_ukcmb2)
+    assert result._repr_html_().count("<tr>") == 1 + len(result.points) and len(result.plot().axes) == 2

@@ -16,7 +16,8 @@ from surveysim.report.terminal.survey import closing_line, print_result
 from surveysim.report.terminal.sweep import best_line, discard_lines, print_sweep
 from surveysim.results.summary import best_pipeline
 from surveysim.runtime.engine import SERIAL
-from surveysim.studies.sweep.comparison import compare, pairs
+from surveysim.studies.sweep.comparison import compare
+from surveysim.studies.sweep.result import pairs
 from surveysim.survey import run as survey
 from surveysim.survey.coadds import row_names
 from surveysim.survey.discarded_scans import Discards, competing, discards, sweep_warnings, telling, why_withheld
