@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.errors import InsufficientDataError
 from mapmaker.timestreams import FocalPlane
-from mapmaker.validation import bounds_of_scans, reals, wrong
+from mapmaker.validation import argument_error, bounds_of_scans, reals
 
 # In units of the closest pair: pairs nearer than this are adjacent; the width of a bin of separation.
 ADJACENT = 1.2
@@ -72,16 +73,18 @@ def pair_bins(focal_plane: FocalPlane) -> PairBins:
     """
     n_det = len(focal_plane.x_rad)
     if n_det < 3:
-        raise ValueError(f"found {n_det} detectors; 3 or more are expected for correlations against separation")
+        raise InsufficientDataError(
+            f"found {n_det} detectors; 3 or more are expected for correlations against separation"
+        )
     first, second = np.triu_indices(n_det, 1)
     apart = np.hypot(*(axis[first] - axis[second] for axis in (focal_plane.x_rad, focal_plane.y_rad)))
     pitch = apart.min()
     if not pitch > 1e-6 * apart.max():
-        raise ValueError("found two detectors in one place; different places are expected")
+        raise InsufficientDataError("found two detectors in one place; different places are expected")
     number = np.floor((apart / pitch - ADJACENT) / BIN_WIDTH + 1e-9).astype(int)
     distant = number >= 0
     if not distant.any():
-        raise ValueError("found adjacent pairs of detectors only; pairs further apart are expected")
+        raise InsufficientDataError("found adjacent pairs of detectors only; pairs further apart are expected")
     used, bins = np.unique(number[distant], return_inverse=True)
     number = np.where(distant, 0, -1)
     number[distant] = bins
@@ -103,7 +106,9 @@ def _profile_solution(first: np.ndarray, second: np.ndarray, bins: np.ndarray, n
     # A level common to all bins is one of gains too; every other direction must be told apart.
     unused = n_det - len(np.union1d(first, second))
     if told_apart.sum() < n - 1 - unused:
-        raise ValueError(f"found {n_det} detectors whose places can't tell correlations from gains; more are expected")
+        raise InsufficientDataError(
+            f"found {n_det} detectors whose places can't tell correlations from gains; more are expected"
+        )
     inverse = (vectors[n_det:, told_apart] / values[told_apart]) @ vectors[:, told_apart].T
     solution = sum(inverse[:, column] for column in columns)
     return solution - solution.mean(axis=0)
@@ -122,10 +127,10 @@ def scan_covariances(data_mk: np.ndarray, scan_bounds: np.ndarray) -> np.ndarray
         block -= block.mean(axis=1, keepdims=True)
         covariances.append(block @ block.T / (stop - start))
     if not covariances:
-        raise ValueError("scan_bounds: found no scan; one or more are expected")
+        raise InsufficientDataError("scan_bounds: found no scan; one or more are expected")
     found = np.array(covariances)
     if not np.isfinite(found).all():
-        raise wrong("data_mk", "values that are not finite in scans", "finite ones are")
+        raise argument_error("data_mk", "values that are not finite in scans", "finite ones are")
     return found
 
 

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.errors import OutOfRangeError
 from mapmaker.kernels.pixels import plane_pixels
 from mapmaker.timestreams import FocalPlane, Timestreams
-from mapmaker.validation import MAX_PIXELS, number, pixel_side, reals, whole, wrong
+from mapmaker.validation import MAX_PIXELS, argument_error, number, pixel_side, reals, whole
 
 # Least side of a HEALPix pixel over a map pixel's. Below, HEALPix pixels within the map get no map pixel: 20 % of them
 # at 1, 6 % at 1.2, 0.2 % at sqrt(2), none at 1.5, over declinations and turns of the lattices.
@@ -37,7 +38,7 @@ class MapGeometry:
         for name in ("n_x", "n_y"):
             whole(name, getattr(self, name), least=-(2**63), most=2**63 - 1)
         if not (self.n_x >= 1 and self.n_y >= 1 and int(self.n_x) * int(self.n_y) <= MAX_PIXELS):
-            raise ValueError(
+            raise OutOfRangeError(
                 f"found a map of {self.n_x} x {self.n_y} pixels; 1 to {MAX_PIXELS} pixels in all are expected"
             )
 
@@ -62,7 +63,9 @@ def mean_direction(ra_rad: np.ndarray, dec_rad: np.ndarray) -> tuple[float, floa
     x, y, z = (float(np.mean(item)) if item.size else math.nan for item in vectors)
     length = math.hypot(x, y, z)
     if not length > 1e-6:
-        raise ValueError(f"found {ra.size} directions whose mean vector has the length {length:.2g}; above 0 expected")
+        raise OutOfRangeError(
+            f"found {ra.size} directions whose mean vector has the length {length:.2g}; above 0 expected"
+        )
     # Twice: the remainder of a tiny negative angle is a whole turn, to rounding.
     return math.atan2(y, x) % math.tau % math.tau, math.atan2(z, math.hypot(x, y))
 
@@ -122,7 +125,7 @@ def pixel_indices(geometry: MapGeometry, streams: Timestreams) -> np.ndarray:
     """
     xi, eta = plane_offsets(geometry, streams.ra_rad, streams.dec_rad)
     angle = streams.array_angle_rad + north_angle(geometry, xi, eta)
-    return boresight_pixels(geometry, xi, eta, angle, streams.focal_plane)
+    return boresight_pixels(geometry, xi, eta, angle, plane=streams.focal_plane)
 
 
 def boresight_pixels(
@@ -130,6 +133,7 @@ def boresight_pixels(
     xi_rad: np.ndarray,
     eta_rad: np.ndarray,
     plane_angle_rad: np.ndarray,
+    *,
     plane: FocalPlane,
 ) -> np.ndarray:
     """Flat pixel index (n_det, n_samp) int32 for a boresight (n_samp,) in the tangent plane, -1 off the map.
@@ -157,7 +161,7 @@ def covering_geometry(ra0_rad: float, dec0_rad: float, pixel_rad: float, half_ex
 
     number("half_extent_rad", half_extent_rad, above=0, most=math.pi / 2)
     if half_extent_rad > MAX_PIXELS * pixel_side("pixel_rad", pixel_rad):
-        raise wrong("pixel_rad", pixel_rad, f"a side of {MAX_PIXELS} pixels or less is")
+        raise argument_error("pixel_rad", pixel_rad, f"a side of {MAX_PIXELS} pixels or less is")
     n = 2 * next_fast_len(int(np.ceil(half_extent_rad / pixel_rad)) + 1, real=True)
     return MapGeometry(ra0_rad, dec0_rad, pixel_rad, n, n)
 
@@ -177,12 +181,12 @@ def check_nside(name: str, nside: int, pixel_rad: float) -> None:
     finest = finest_nside(pixel_rad)
     pixel = f"pixels of {math.degrees(pixel_rad) * 3600:.4g} arcsec"
     if not finest:
-        raise ValueError(f"{name}: found {nside} for {pixel}; no nside is wide enough for these")
+        raise OutOfRangeError(f"{name}: found {nside} for {pixel}; no nside is wide enough for these")
     whole(name, nside, least=1)
     if nside > finest:
-        raise ValueError(f"{name}: found {nside} for {pixel}; {finest} or less is expected, a finer map has holes")
+        raise OutOfRangeError(f"{name}: found {nside} for {pixel}; {finest} or less is expected, a finer map has holes")
     if nside & (nside - 1):
-        raise ValueError(f"{name}: found {nside}; a power of two is expected")
+        raise OutOfRangeError(f"{name}: found {nside}; a power of two is expected")
 
 
 def wcs_cards(geometry: MapGeometry) -> dict[str, tuple[str | int | float, str]]:

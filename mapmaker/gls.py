@@ -25,9 +25,10 @@ import numpy as np
 from scipy.fft import dct, idct
 
 from mapmaker.binning import BinnedMap
+from mapmaker.errors import InsufficientDataError
 from mapmaker.geometry import MapGeometry
 from mapmaker.iterative import StreamBlock, check_pixels, subtract_sky
-from mapmaker.validation import band_edges, bounds_of_scans, number, reals, whole, wrong
+from mapmaker.validation import argument_error, band_edges, bounds_of_scans, number, reals, whole
 
 # A detector with less than this share of the mean noise is dead, and one of which the modes leave no more than
 # rounding of float32 has no noise of its own: neither gets weight.
@@ -129,14 +130,14 @@ def measure_noise(
         for column, band in zip(columns, band_slices(stop - start, sample_rate_hz, options.band_edges_hz), strict=True):
             column.append(modes[:, band])
     if not len(scan_bounds):
-        raise ValueError("scan_bounds: found no scan; one or more are expected")
+        raise InsufficientDataError("scan_bounds: found no scan; one or more are expected")
     amplitudes = [np.concatenate(column, axis=1) for column in columns]
     for b, n in enumerate(item.shape[1] for item in amplitudes):
         if n < 2:
             low, high = options.band_edges_hz[b : b + 2]
-            raise ValueError(f"the scans have {n} modes from {low} to {high} Hz; 2 or more are needed")
+            raise InsufficientDataError(f"the scans have {n} modes from {low} to {high} Hz; 2 or more are needed")
     if not all(np.isfinite(item).all() for item in amplitudes):
-        raise wrong("data_mk", "values that are not finite in scans", "finite ones are")
+        raise argument_error("data_mk", "values that are not finite in scans", "finite ones are")
     left, modes = zip(*(_band_noise(item, options) for item in amplitudes), strict=True)
     white = _separable(np.array(left), np.array([item.shape[1] for item in amplitudes]))
     return NoiseModel(options.band_edges_hz, white, modes, sample_rate_hz)
@@ -173,7 +174,7 @@ def _separable(left: np.ndarray, n_modes: np.ndarray) -> np.ndarray:
     """Level of the band times level of the detector, from variances (n_band, n_det) of so many modes a band."""
     level = left.mean(axis=1)
     if not (level > 0).all():
-        raise ValueError("found no detector with noise in a band; one or more are needed")
+        raise InsufficientDataError("found no detector with noise in a band; one or more are needed")
     return np.outer(level, n_modes @ (left / level[:, None]) / n_modes.sum())
 
 
@@ -192,7 +193,7 @@ def _count_modes(values: np.ndarray, n_det: int, n: int, options: GlsOptions) ->
     return min(options.max_modes, n // 2, n_det // 2)
 
 
-def weigh(noise: NoiseModel, scan_mk: np.ndarray) -> np.ndarray:
+def apply_inverse_noise(noise: NoiseModel, scan_mk: np.ndarray) -> np.ndarray:
     """``N^-1 d`` of one scan (n_det, n_samp), in 1/mK."""
     modes = dct(scan_mk, axis=1, norm="ortho")
     bands = band_slices(scan_mk.shape[1], noise.sample_rate_hz, noise.band_edges_hz)
@@ -206,6 +207,7 @@ def weigh(noise: NoiseModel, scan_mk: np.ndarray) -> np.ndarray:
 def gls_map(
     geometry: MapGeometry,
     observations: Iterable[StreamBlock],
+    *,
     sample_rate_hz: float,
     options: GlsOptions,
     sky_mk: np.ndarray | None = None,
@@ -236,20 +238,20 @@ def gls_map(
         right += _project(one, lambda start, stop, data=block.data_mk: data[:, start:stop].astype(float), n_pixel)
         scans.append(one)
     if not scans:
-        raise ValueError("found no observation with finite values; one or more are expected")
-    return _solved(geometry, scans, right, discarded, options)
+        raise InsufficientDataError("found no observation with finite values; one or more are expected")
+    return _solved(geometry, scans, right, discarded=discarded, options=options)
 
 
 def _project(scans: _Scans, stream, n_pixel: int) -> np.ndarray:
     """``P^T N^-1`` of the streams that `stream(start, stop)` gives, (n_pixel,)."""
     total = np.zeros(n_pixel + 1)
     for start, stop in scans.bounds:
-        weighed = weigh(scans.noise, stream(start, stop))
+        weighed = apply_inverse_noise(scans.noise, stream(start, stop))
         total += np.bincount(scans.index[:, start:stop].ravel(), weighed.ravel(), n_pixel + 1)
     return total[:-1]
 
 
-def _solved(geometry, scans: list[_Scans], right: np.ndarray, discarded: int, options: GlsOptions) -> GlsMap:
+def _solved(geometry, scans: list[_Scans], right: np.ndarray, *, discarded: int, options: GlsOptions) -> GlsMap:
     """The solution by conjugate gradients; pixels without a hit stay 0."""
     from scipy.sparse.linalg import LinearOperator, cg
 

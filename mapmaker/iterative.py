@@ -14,6 +14,7 @@ import numpy as np
 
 from mapmaker.binning import BinnedMap, bin_map, checked_map, coadd
 from mapmaker.cleaning import Cleaned
+from mapmaker.errors import InsufficientDataError
 from mapmaker.geometry import MapGeometry
 from mapmaker.timestreams import FocalPlane
 from mapmaker.validation import MAX_PIXELS, bounds_of_scans, number, pixel_numbers, reals, whole
@@ -164,11 +165,11 @@ def _one_pass(geometry, blocks, clean_block, estimate) -> tuple[BinnedMap, float
     for block in blocks:
         check_pixels(geometry, block)
         cleaned = clean_block(subtract_sky(block, estimate) if estimate.any() else block)
-        one = bin_map(geometry, cleaned.data_mk, block.index, block.scan_bounds, cleaned.kept)
+        one = bin_map(geometry, cleaned.data_mk, block.index, block.scan_bounds, kept=cleaned.kept)
         total = coadd([one], [block.weight]) if total is None else coadd([total, one], [1.0, block.weight])
         fwhm_rad = min(fwhm_rad, block.focal_plane.fwhm_rad)
     if total is None:
-        raise ValueError("found no observation; one or more are expected")
+        raise InsufficientDataError("found no observation; one or more are expected")
     # Binning what the pixels put into the streams gives the pixels again.
     return replace(total, weighted_sum=total.weighted_sum + estimate * total.weight), fwhm_rad
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.errors import InsufficientDataError
 from mapmaker.validation import number, pixel_side, plane_sides, reals
 
 
@@ -56,7 +57,7 @@ def mode_pixel_window(n_y: int, n_x: int, cell_rad: float, pixel_rad: float) -> 
     return np.outer(along_y, along_x)
 
 
-def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.ndarray) -> TransferFunction:
+def measure_transfer_function(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.ndarray) -> TransferFunction:
     """Power transmission from the PSDs of the same skies with and without the losses, both (n_sky, n_bin).
 
     The ratio of the means over skies, not the mean of ratios: it is consistent and not ruled by skies that
@@ -76,9 +77,9 @@ def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.nd
         )
     n_sky = len(psd_cleaned)
     if n_sky < 2:
-        raise ValueError(f"the error of a window needs at least 2 skies, got {n_sky}")
+        raise InsufficientDataError(f"the error of a window needs at least 2 skies, got {n_sky}")
     if not (psd_reference > 0).all():
-        raise ValueError("the reference skies must have power in every bin")
+        raise InsufficientDataError("the reference skies must have power in every bin")
     cleaned, reference = psd_cleaned.sum(axis=0), psd_reference.sum(axis=0)
     left_out = (cleaned - psd_cleaned) / (reference - psd_reference)
     deviations = np.sqrt((n_sky - 1) / n_sky) * (left_out - left_out.mean(axis=0))

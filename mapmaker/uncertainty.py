@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapmaker.errors import InsufficientDataError
 from mapmaker.validation import reals
 
 FEWEST = 16  # observations whose own scatter tells how well they sample the weather
@@ -36,6 +37,7 @@ def noise_error(
     noise_psds_ukcmb2: np.ndarray,
     weight: np.ndarray,
     observation_weights: np.ndarray,
+    *,
     n_modes: np.ndarray | None = None,
     correlation: np.ndarray | None = None,
 ) -> float:
@@ -43,13 +45,18 @@ def noise_error(
 
     The two `noise_error_parts` in quadrature; raises ValueError as they do.
     """
-    return float(np.hypot(*noise_error_parts(noise_psds_ukcmb2, weight, observation_weights, n_modes, correlation)))
+    return float(
+        np.hypot(
+            *noise_error_parts(noise_psds_ukcmb2, weight, observation_weights, n_modes=n_modes, correlation=correlation)
+        )
+    )
 
 
 def noise_error_parts(
     noise_psds_ukcmb2: np.ndarray,
     weight: np.ndarray,
     observation_weights: np.ndarray,
+    *,
     n_modes: np.ndarray | None = None,
     correlation: np.ndarray | None = None,
 ) -> tuple[float, float]:
@@ -137,7 +144,7 @@ def ratio_error(information: np.ndarray, expected: np.ndarray) -> float:
     Raises ValueError for fewer than 2 observations or an expectation whose sum is not positive.
     """
     if expected.size < 2 or not expected.sum() > 0:
-        raise ValueError(f"expected at least 2 observations of a positive sum, got {expected}")
+        raise InsufficientDataError(f"expected at least 2 observations of a positive sum, got {expected}")
     ratio = information.sum() / expected.sum()
     return float(np.std(information - ratio * expected, ddof=1) * np.sqrt(expected.size) / information.sum())
 
@@ -156,7 +163,7 @@ def weather_error(information: np.ndarray, common_noise: float = 0.0) -> float:
     scatter = ratio_error(information, np.ones(n_obs))
     if n_obs < FEWEST:
         return float("nan")
-    return without_noise(scatter, common_noise) * student_factor(n_obs)
+    return subtract_in_quadrature(scatter, common_noise) * student_factor(n_obs)
 
 
 def student_factor(n_draw: int) -> float:
@@ -164,12 +171,12 @@ def student_factor(n_draw: int) -> float:
     return float(np.sqrt((n_draw - 1) / (n_draw - 3))) if n_draw > 3 else float("nan")
 
 
-def without_noise(scatter: float, noise: float) -> float:
+def subtract_in_quadrature(scatter: float, noise: float) -> float:
     """A scatter less the part that noise has in it, in quadrature; 0 where noise alone is larger."""
     return float(np.sqrt(max(scatter**2 - noise**2, 0.0)))
 
 
-def window_error(
+def transfer_function_error(
     signal_psd_relative_error: np.ndarray, weight: np.ndarray, correlation: np.ndarray | None = None
 ) -> float:
     """Relative error of sigma from errors of the signal PSD, (n_bin,).
@@ -183,6 +190,6 @@ def window_error(
 
 def _check_observations(observation_weights: np.ndarray) -> None:
     if observation_weights.ndim != 1 or observation_weights.size < 2:
-        raise ValueError(f"observations with data: found {observation_weights.size}; 2 or more are expected")
+        raise InsufficientDataError(f"observations with data: found {observation_weights.size}; 2 or more are expected")
     if not ((observation_weights > 0).all() and np.isfinite(observation_weights).all()):
-        raise ValueError("observation weights must be positive and finite")
+        raise InsufficientDataError("observation weights must be positive and finite")

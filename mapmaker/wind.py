@@ -22,6 +22,7 @@ from math import atan2, pi
 
 import numpy as np
 
+from mapmaker.errors import InsufficientDataError, OutOfRangeError
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.validation import bounds_of_scans, number, reals
 
@@ -127,7 +128,9 @@ def scan_velocities(streams: Timestreams) -> np.ndarray:
     velocity = []
     for start, stop in streams.scan_bounds:
         if stop - start < 2:
-            raise ValueError(f"scan: found a scan of one sample, {start}; 2 or more are expected for a velocity")
+            raise InsufficientDataError(
+                f"scan: found a scan of one sample, {start}; 2 or more are expected for a velocity"
+            )
         t = streams.time_s[start:stop] - streams.time_s[start:stop].mean()
         xi, eta = sky[:, start:stop] @ t / (t @ t)
         angle = angles[(start + stop) // 2]
@@ -140,6 +143,7 @@ def measure_wind(
     data_mk: np.ndarray,
     scan_bounds: np.ndarray,
     focal_plane: FocalPlane,
+    *,
     sample_rate_hz: float,
     scan_velocity_rad_s: np.ndarray,
     highest_hz: float = HIGHEST_HZ,
@@ -160,7 +164,9 @@ def measure_wind(
     x, y = focal_plane.x_rad[live], focal_plane.y_rad[live]
     if live.sum() < _MIN_DETECTORS or np.linalg.matrix_rank(_quadratic(x, y)) < 6:
         return _nothing("too few live detectors")
-    spectra = _spectra(data_mk[live], scan_bounds, np.stack([x, y]), sample_rate_hz, highest_hz)
+    spectra = _spectra(
+        data_mk[live], scan_bounds, places_rad=np.stack([x, y]), rate=sample_rate_hz, highest_hz=highest_hz
+    )
     groups = _groups(velocity)
     found = _slowness(spectra, groups)
     if found is None or np.abs(found.slowness @ spectra.r_rad).max() * sample_rate_hz < _SHORTEST:
@@ -170,17 +176,19 @@ def measure_wind(
 
 def _checked_velocity(bounds, velocity, rate, highest_hz) -> np.ndarray:
     if len(bounds) < _MIN_SCANS:
-        raise ValueError(f"{len(bounds)} scans found; at least {_MIN_SCANS} are needed")
+        raise InsufficientDataError(f"{len(bounds)} scans found; at least {_MIN_SCANS} are needed")
     length = np.diff(bounds, axis=1)
     if np.ptp(length):
         raise ValueError("scans of different lengths found; scans of one length are allowed")
     lowest = LEAST_CYCLES * number("sample_rate_hz", rate, above=0) / length[0, 0]
     if not lowest <= number("highest_hz", highest_hz) < rate / 2:
-        raise ValueError(f"highest_hz = {highest_hz} found; {lowest:.3g} to less than {rate / 2:.3g} Hz is allowed")
+        raise OutOfRangeError(
+            f"highest_hz = {highest_hz} found; {lowest:.3g} to less than {rate / 2:.3g} Hz is allowed"
+        )
     return reals("scan_velocity_rad_s", velocity, (len(bounds), 2)).astype(np.float64, copy=False)
 
 
-def _spectra(data, bounds, places_rad, rate, highest_hz) -> _Spectra:
+def _spectra(data, bounds, *, places_rad, rate, highest_hz) -> _Spectra:
     n = int(bounds[0, 1] - bounds[0, 0])
     scans = np.stack([data[:, start:stop] for start, stop in bounds]).astype(np.float64)
     scans -= scans.mean(axis=2, keepdims=True)
@@ -231,12 +239,12 @@ def _slowness(spectra: _Spectra, groups: list[np.ndarray]) -> _Delays | None:
         if _band(aligned, _COHERENT) < _MIN_BINS:
             return None
         n_freq = max(_band(aligned, least), _MIN_BINS)
-        slowness, left_out = _regress(spectra.r_rad, aligned, slowness, groups, n_freq)
+        slowness, left_out = _regress(spectra.r_rad, aligned, slowness=slowness, groups=groups, n_freq=n_freq)
         aligned = _align(spectra, slowness, aligned.f_hz)
     return _Delays(aligned, n_freq, slowness, left_out)
 
 
-def _regress(r_rad, aligned: _Aligned, slowness, groups, n_freq) -> tuple[np.ndarray, np.ndarray]:
+def _regress(r_rad, aligned: _Aligned, *, slowness, groups, n_freq) -> tuple[np.ndarray, np.ndarray]:
     """Slowness of each scan's group, and the same without that scan, (n_scan, 2), from gradient against rate.
 
     The array's gradient is ``-s F`` and what does not follow the wind; the 2 x 2 covariances of the latter,

@@ -7,7 +7,7 @@ __version__ = "0.4.0"
 
 _PUBLIC = {
     "load_scene": "surveysim.scene.scene",
-    "SceneError": "surveysim.scene.scene",
+    "SceneError": "surveysim.runtime.errors",
     "simulate_observation": "surveysim.api",
     "run": "surveysim.api",
     "Engine": "surveysim.runtime.engine",

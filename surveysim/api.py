@@ -15,6 +15,7 @@ from surveysim.reduction.setup import prepare
 from surveysim.results.results import SurveyResult, survey_result
 from surveysim.results.stopping import StoppingCriteria, check_limits, stopping_rule
 from surveysim.runtime.engine import SERIAL, Engine
+from surveysim.runtime.errors import InputError
 from surveysim.scene.scene import Scene
 from surveysim.studies.sweep.axes import Sweep, load_sweep
 from surveysim.studies.sweep.comparison import compare_forecasts, compare_runs, forecast_points, of_one_kind, run_points
@@ -35,7 +36,7 @@ def simulate_observation(scene: Scene, observation: int) -> Timestreams:
     ValueError for an observation that it does not have.
     """
     if not 0 <= observation < scene.observations:
-        raise ValueError(f"observation: found {observation}; 0 to {scene.observations - 1} is expected")
+        raise InputError(f"observation: found {observation}; 0 to {scene.observations - 1} is expected")
     with threadpool_limits(1):  # the same bits as in a run
         return draw_observation(prepare(scene), observation)
 
@@ -72,7 +73,7 @@ def run(
     check_limits(setup, limits)
     workers = engine.workers_for(scene.observations)
     if save_timestreams and out is None:
-        raise ValueError("save_timestreams: found no output directory; one is expected")
+        raise InputError("save_timestreams: found no output directory; one is expected")
 
     def result_of(checkpoint: Path | None, streams: Path | None) -> SurveyResult:
         stops = stopping_rule(setup, limits, start)

@@ -1,5 +1,7 @@
 """A small scene with every stage, for tests that need one: a survey of it takes about a second."""
 
+from pathlib import Path
+
 SMALL_SCENE = """\
 title = "A small camera over a small field"
 seed = 11
@@ -90,6 +92,13 @@ skies = 2
 observations = 2
 band_power = "1000 uK2"
 """
+
+
+def write_scene(folder: Path, text: str = SMALL_SCENE) -> Path:
+    """Write a scene named small; returns its path."""
+    path = folder / "small.toml"
+    path.write_text(text)
+    return path
 
 
 def without_sections(text: str, *names: str) -> str:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.cleaning.scans import Cleaned, Fit, checks_streams, clean_scans, has_dead
+from mapmaker.errors import InsufficientDataError
 from mapmaker.validation import number
 
 if TYPE_CHECKING:
@@ -45,7 +46,9 @@ def neighbourhoods(focal_plane: FocalPlane, neighbour_radius: float) -> np.ndarr
     places = np.column_stack([focal_plane.x_rad, focal_plane.y_rad])
     apart = np.unique(places, axis=0)
     if len(apart) < 2:
-        raise ValueError(f"{len(places)} detectors at {len(apart)} place have no neighbours, at least 2 are needed")
+        raise InsufficientDataError(
+            f"{len(places)} detectors at {len(apart)} place have no neighbours, at least 2 are needed"
+        )
     closest = KDTree(apart).query(apart, k=2)[0][:, 1].min()
     most = min(MOST_NEIGHBOURS + 1, len(places))
     return KDTree(places).query(places, k=most, distance_upper_bound=neighbour_radius * closest)[1]

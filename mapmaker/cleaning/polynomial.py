@@ -17,6 +17,7 @@ import numpy as np
 from mapmaker.cleaning.responsivity import SCAN, Region, Responsivities, check_fit, clean_templates
 from mapmaker.cleaning.scans import Cleaned, checks_streams
 from mapmaker.cleaning.templates import polynomial_model, template_basis
+from mapmaker.errors import InsufficientDataError
 from mapmaker.validation import whole
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ def exponents(order: int) -> tuple[tuple[int, int], ...]:
 def focal_plane_regions(focal_plane: FocalPlane, regions: int) -> list[np.ndarray]:
     """Detectors by index, region by region; sizes differ by one at most. Raises ValueError for too few detectors."""
     if len(focal_plane.x_rad) < regions:
-        raise ValueError(f"{regions} regions need at least as many detectors, got {len(focal_plane.x_rad)}")
+        raise InsufficientDataError(f"{regions} regions need at least as many detectors, got {len(focal_plane.x_rad)}")
     places = np.stack([focal_plane.x_rad, focal_plane.y_rad], axis=1).astype(np.float64)
     places = np.rint((places - places.min(axis=0)) / (_EQUAL * (np.ptp(places, axis=0).max() or 1.0)))
     base, more = divmod(len(places), regions)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.cleaning.scans import Cleaned, Fit, checks_streams, clean_scans, has_dead
+from mapmaker.errors import InsufficientDataError
 from mapmaker.validation import reals
 
 if TYPE_CHECKING:
@@ -46,7 +47,9 @@ def subtract_spectral(data_mk, scan_bounds, focal_plane: FocalPlane, options: Sp
         raise ValueError(f"others_mk have the shape {others.shape}; (n_colour, {n_det}, {n_samp}) is expected")
     shortest = int(np.diff(scan_bounds, axis=1).min(initial=len(others) + 1))
     if shortest <= len(others):
-        raise ValueError(f"{len(others)} other bands need scans of {len(others) + 1} samples, got {shortest}")
+        raise InsufficientDataError(
+            f"{len(others)} other bands need scans of {len(others) + 1} samples, got {shortest}"
+        )
 
     def subtract(block: np.ndarray, scan: int) -> Fit:
         start, stop = scan_bounds[scan]

@@ -30,6 +30,7 @@ from mapmaker.cleaning.responsivity import (
     clean_templates,
 )
 from mapmaker.cleaning.scans import Cleaned, Fit, check_streams, checks_streams, clean_scans
+from mapmaker.errors import InsufficientDataError
 from mapmaker.validation import reals
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
     """
     n_det, n_par = len(focal_plane.x_rad), len(exponents)
     if n_det <= n_par:
-        raise ValueError(f"{n_par} templates need at least {n_par + 1} detectors, got {n_det}")
+        raise InsufficientDataError(f"{n_par} templates need at least {n_par + 1} detectors, got {n_det}")
     u, v = _scaled(focal_plane, focal_plane.x_rad, focal_plane.y_rad)
     row_of = {(0, 0): np.full(n_det, n_det**-0.5)}
     for a, b in exponents[1:]:
@@ -89,7 +90,7 @@ def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
         if norm > RANK_TOLERANCE:
             row_of[a, b] = row / norm
     if len(row_of) < n_par:
-        raise ValueError(
+        raise InsufficientDataError(
             f"the {n_det} detector positions support {len(row_of)} independent templates, need {n_par}: "
             "they lie on one line or conic, or too close to it"
         )
@@ -113,6 +114,7 @@ def template_streams(
     data_mk: np.ndarray,
     scan_bounds: np.ndarray,
     focal_plane: FocalPlane,
+    *,
     responsivity: np.ndarray,
     exponents,
     place_rad: tuple[float, float],
@@ -156,22 +158,22 @@ def subtract_average(data_mk, scan_bounds, focal_plane: FocalPlane, options: Tem
     The paper's average template, sum c^-1 d / sum c^-1, differs from the one-parameter polynomial's by a
     factor common to all detectors, which c takes up: c_i T_n is the same.
     """
-    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, AVERAGE)
+    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents=AVERAGE)
 
 
 @checks_streams
 def subtract_planar(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
     """Remove the mean and templates 1, x, y; arguments, result and errors as for `clean`."""
-    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, PLANAR)
+    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents=PLANAR)
 
 
 @checks_streams
 def subtract_quadratic(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
     """Remove the mean and templates 1, x, y, xy, x^2, y^2; arguments, result and errors as for `clean`."""
-    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, QUADRATIC)
+    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents=QUADRATIC)
 
 
-def _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents) -> Cleaned:
+def _subtract_templates(data_mk, scan_bounds, focal_plane, options, *, exponents) -> Cleaned:
     regions = (Region(slice(None), template_basis(focal_plane, exponents)),)
     return clean_templates(data_mk, scan_bounds, polynomial_model(regions), options)
 

@@ -24,6 +24,7 @@ import numpy as np
 from mapmaker.cleaning.responsivity import SCAN, Region, Responsivities, TemplateModel, check_fit, clean_templates
 from mapmaker.cleaning.scans import Cleaned, checks_streams
 from mapmaker.cleaning.templates import AVERAGE, template_basis
+from mapmaker.errors import OutOfRangeError
 from mapmaker.validation import number, reals
 
 if TYPE_CHECKING:
@@ -63,7 +64,9 @@ def slowness(wind_rad_s: np.ndarray, scan_velocity_rad_s: np.ndarray) -> np.ndar
     u = wind.astype(float) - reals("scan_velocity_rad_s", scan_velocity_rad_s, ("n_scan", 2), finite=False, empty=True)
     square = np.sum(u**2, axis=-1, keepdims=True)
     if not (np.isfinite(u).all() and square.all()):
-        raise ValueError("wind less scan velocity is zero or not finite; a finite velocity other than zero is allowed")
+        raise OutOfRangeError(
+            "wind less scan velocity is zero or not finite; a finite velocity other than zero is allowed"
+        )
     return u / square
 
 
@@ -89,10 +92,12 @@ def _view(block: np.ndarray, delay: np.ndarray) -> tuple[np.ndarray, Callable[[n
     n_samp = block.shape[1]
     longest = np.abs(delay).max()
     if longest > _LONGEST * n_samp:
-        raise ValueError(f"delays of up to {longest:.4g} samples found in a scan of {n_samp}; a quarter is allowed")
+        raise OutOfRangeError(
+            f"delays of up to {longest:.4g} samples found in a scan of {n_samp}; a quarter is allowed"
+        )
     pad = ceil(longest)
-    turn = phases(delay, n_samp + 2 * pad)
-    rest = turned(np.pad(block, ((0, 0), (pad, pad)), mode="symmetric"), turn)
+    turn = delay_phases(delay, n_samp + 2 * pad)
+    rest = phase_shifted(np.pad(block, ((0, 0), (pad, pad)), mode="symmetric"), turn)
     instant = np.arange(-pad, n_samp + pad) + delay[:, None]
     within = (instant >= -_ROUNDING) & (instant <= n_samp - 1 + _ROUNDING)
     common = rest[:, within.all(axis=0)]
@@ -100,14 +105,14 @@ def _view(block: np.ndarray, delay: np.ndarray) -> tuple[np.ndarray, Callable[[n
     rest -= mean
 
     def subtract(responsivity: np.ndarray) -> None:
-        template = turned(_mean_within(rest / responsivity[:, None], within)[None], turn.conj())
+        template = phase_shifted(_mean_within(rest / responsivity[:, None], within)[None], turn.conj())
         np.subtract(block, responsivity[:, None] * template[:, pad : pad + n_samp], out=block)
         np.subtract(block, block.mean(axis=1, keepdims=True), out=block)
 
     return common - mean, subtract
 
 
-def phases(delay: np.ndarray, n_samp: int) -> np.ndarray:
+def delay_phases(delay: np.ndarray, n_samp: int) -> np.ndarray:
     """S / |S| (n_det, n_samp + 1) for scans of n_samp samples with their mirror images, delays in samples.
 
     Multiplied with the transform it reads a stream `delay` (n_det,) samples later.
@@ -122,8 +127,8 @@ def phases(delay: np.ndarray, n_samp: int) -> np.ndarray:
     return s * circle[whole[:, None] * np.arange(n_samp + 1) % (2 * n_samp)]
 
 
-def turned(streams: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Streams (n_det, n_samp), or one of them for all, mirrored at their ends and with `phases` (n_det, n_samp + 1)."""
+def phase_shifted(streams: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Shift streams (n_det, n_samp), mirrored at their ends, by `delay_phases` (n_det, n_samp + 1)."""
     n_samp = streams.shape[1]
     spectrum = np.fft.rfft(np.concatenate([streams, streams[:, ::-1]], axis=1))
     return np.fft.irfft(spectrum * turn, 2 * n_samp)[:, :n_samp]

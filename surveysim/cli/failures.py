@@ -13,8 +13,8 @@ from typing import TextIO
 import typer
 
 from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE, asked_to_stop, cause
+from surveysim.runtime.errors import SceneError
 from surveysim.runtime.printable import printable, shortened
-from surveysim.scene.scene import SceneError
 
 EXIT_BROKEN_PIPE = 141  # as of a program that SIGPIPE ends: 128 and its number
 UsageError = typer.BadParameter.__bases__[0]  # its own name is private in some versions of typer

@@ -10,8 +10,8 @@ from typing import Any, NoReturn
 
 import typer
 
+from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.printable import complain
-from surveysim.scene.scene import SceneError
 
 EXIT_FAILED = 1
 EXIT_WRONG_SCENE = 2
@@ -73,7 +73,7 @@ def report_resumable_exit(scene: Path, directory: Path) -> Iterator[None]:
         _stopped(str(error), directory, EXIT_FAILED)
     except OSError as error:
         _stopped(cause(error, directory), directory, EXIT_FAILED)
-    except (ValueError, ArithmeticError) as error:
+    except InputError as error:
         _stopped(f"{scene}: an observation failed: {error}", directory, EXIT_FAILED)
 
 

@@ -13,8 +13,8 @@ from time import sleep
 from typing import Any
 
 from surveysim.runtime.engine import defer_signals
+from surveysim.runtime.errors import SceneError
 from surveysim.runtime.provenance import now
-from surveysim.scene.scene import SceneError
 
 LOCK = ".surveysim.lock"
 _READ_AGAIN_S, _TRIES = 0.1, 20  # of a lock that was made, but not yet written

@@ -6,7 +6,8 @@ from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surveysim.scene.scene import Origin, Scene, SceneError, scene_hash, scene_of
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import Origin, Scene, scene_hash, scene_of
 
 if TYPE_CHECKING:
     from surveysim.studies.sweep.axes import Sweep

@@ -20,6 +20,7 @@ from surveysim.atmosphere.turbulence_fit import (
 from surveysim.paper.measurement import Measurement, MeasurementJob, camera_pairs
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.engine import Engine, ordered_map
+from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pixel_coherence import mutual_coherence
 
@@ -101,7 +102,7 @@ class MeasuredSurvey:
 def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], None] = lambda: None) -> MeasuredSurvey:
     """Simulate, measure and fit every observation of scenes that share a camera; `progress` is called after each.
 
-    Raises SceneError for a scene that can't be run, ValueError for one without an atmosphere.
+    Raises SceneError for a scene that can't be run, SceneError for one without an atmosphere.
     """
     # No score: no map is co-added here, and no window sky needed.
     scenes = [scene.model_copy(update={"score": None}) for scene in scenes]
@@ -109,7 +110,7 @@ def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], N
     measurements, names = [], []
     for scene in scenes:
         if scene.atmosphere is None:
-            raise ValueError(f"scene {scene.name!r} has no [atmosphere]; one is expected to measure it")
+            raise SceneError(f"scene {scene.name!r} has no [atmosphere]; one is expected to measure it")
         for item in ordered_map(MeasurementJob(scene), range(scene.observations), engine):
             measurements.append(item)
             names.append(scene.name)
@@ -117,17 +118,24 @@ def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], N
     bins, air = camera_pairs(setup), scenes[0].atmosphere
     grid = correlation_grid(
         bins.theta_rad,
-        INDEX_GRID,
-        HEIGHT_GRID_M,
-        air.illuminated_aperture_m,
-        air.outer_scale_m,
-        TRACKS_RAD,
+        index=INDEX_GRID,
+        height_m=HEIGHT_GRID_M,
+        aperture_m=air.illuminated_aperture_m,
+        outer_scale_m=air.outer_scale_m,
+        track_rad=TRACKS_RAD,
         lowest_rad=min(float(item.elevation_rad.min()) for item in measurements),
     )
     overlap = shared_overlap(setup, bins)
     wind, seconds = air.wind_median_rad_s, scenes[0].scan.duration_s
     fits = tuple(
-        fit_turbulence(item.profile, bins, grid, known_track(item, wind, seconds), item.elevation_rad, overlap)
+        fit_turbulence(
+            item.profile,
+            bins,
+            grid,
+            track_rad=known_track(item, wind, seconds),
+            elevation_rad=item.elevation_rad,
+            overlap=overlap,
+        )
         for item in measurements
     )
     return MeasuredSurvey(setup, tuple(names), tuple(measurements), bins, grid, overlap, fits)

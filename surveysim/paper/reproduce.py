@@ -16,8 +16,9 @@ from surveysim.paper.manifest import earlier_runs, write_record
 from surveysim.paper.measured_survey import MeasuredSurvey, measure_survey
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import Engine
+from surveysim.runtime.errors import InputError, InsufficientDataError, SceneError
 from surveysim.runtime.text_files import one_line
-from surveysim.scene.scene import Scene, SceneError, load_scene
+from surveysim.scene.scene import Scene, load_scene
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -268,7 +269,7 @@ def _make(
     for name, make in makers:
         try:
             made[name] = make()
-        except ValueError as error:
+        except InputError as error:
             failed[name] = one_line(error)
 
 
@@ -278,7 +279,7 @@ def _write_scored(name: str, out: Path, run: Callable[[], "SurveyResult"]) -> li
 
     result = run()
     if result.unscored:
-        raise ValueError(result.unscored)
+        raise InsufficientDataError(result.unscored)
     if name == "table 3":
         return [
             _write_table(out / "table3.ecsv", score_figures.sensitivity_table(result)),
@@ -351,8 +352,6 @@ def _write_figure(out: Path, figure: "PaperFigure") -> list[Path]:
     table = picture.with_suffix(".ecsv")
     try:
         draw_figure(figure, picture)
-    except ValueError:  # of observations that give no figure
-        raise
     except Exception as error:  # matplotlib raises a wide range: of fonts, formulas, sizes
         undrawn(f"figure {figure.number}", error)
         return [_write_table(table, points_table(figure))]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surveysim.paper.measured_survey import MeasuredSurvey
+from surveysim.runtime.errors import InsufficientDataError
 
 RESAMPLES = 400
 SEED = 20100101
@@ -51,7 +52,7 @@ def centile_errors(values: np.ndarray, centiles: Sequence[float]) -> np.ndarray:
 
 def _some(values: np.ndarray) -> np.ndarray:
     if len(values) == 0:
-        raise ValueError("found no observation; at least one is expected")
+        raise InsufficientDataError("found no observation; at least one is expected")
     return np.asarray(values, dtype=float)
 
 
@@ -82,7 +83,7 @@ def quarters(values: np.ndarray) -> list[np.ndarray]:
     """
     known = np.isfinite(values)
     if known.sum() < 4:
-        raise ValueError(f"found {known.sum()} observations with a fit; 4 or more make quarters")
+        raise InsufficientDataError(f"found {known.sum()} observations with a fit; 4 or more make quarters")
     number = np.searchsorted(np.percentile(values[known], QUARTILES), values, side="right")
     return [known & (number == k) for k in range(4)]
 

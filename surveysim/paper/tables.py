@@ -12,6 +12,7 @@ from surveysim.paper.measured_survey import MeasuredSurvey
 from surveysim.paper.measurement import PAIR_CLEANINGS
 from surveysim.paper.published import published
 from surveysim.paper.statistics import QUARTILES, centile_errors, median_error, quarters
+from surveysim.runtime.errors import InsufficientDataError
 from surveysim.scene.sites import median_water_mm
 from surveysim.telescope.photon_noise import photon_noise
 
@@ -38,7 +39,7 @@ def amplitude_table(surveys: dict[str, MeasuredSurvey]) -> "Table":
     for band, survey in surveys.items():
         fitted = survey.b2_fitted[np.isfinite(survey.b2_fitted)]
         if not len(fitted):
-            raise ValueError(f"found no fit of B2 at {band} GHz; one or more is expected")
+            raise InsufficientDataError(f"found no fit of B2 at {band} GHz; one or more is expected")
         values, drawn = np.percentile(fitted, QUARTILES), np.percentile(survey.b2_drawn, QUARTILES)
         expected = b2_quantile(survey.setup.scene.atmosphere, survey.setup.water, ndtri(np.array(QUARTILES) / 100))
         found[band] = values, centile_errors(fitted, QUARTILES)

@@ -11,7 +11,8 @@ from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES
 from surveysim.atmosphere.weather import Water
 from surveysim.reduction.cleaning_pipelines import needed_detectors
 from surveysim.reduction.scored_region import FAINTEST, padded_side
-from surveysim.scene.scene import Scene, SceneError
+from surveysim.runtime.errors import OutOfRangeError, SceneError
+from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, Site, near_angles
@@ -234,7 +235,7 @@ def check_healpix(scene: Scene) -> None:
     if scene.map.healpix_nside is not None:
         try:
             check_nside("map.healpix_nside", scene.map.healpix_nside, scene.map.pixel_rad)
-        except ValueError as error:
+        except OutOfRangeError as error:
             raise SceneError(str(error)) from None
 
 

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from surveysim.atmosphere.weather import Water, draw_weather, fastest_wind
+from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.memory import machine_bytes
 from surveysim.runtime.rng import RandomPurpose, generator
-from surveysim.scene.scene import Scene, SceneError
+from surveysim.scene.scene import Scene
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.raster import Raster, samples_per_scan
 
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from surveysim.atmosphere.screen_simulation import SlantStrips
 
 PROGRAM_BYTES = 250e6  # Python and the libraries
+MANY_SAMPLES = 1e9  # of all detectors: of each, 0.07 to 6 microseconds of a core
+MANY_PIXELS = 4e6  # of a map: a minute for the skies and the score
 MOST_DRAWN = 1000  # observations whose weather is drawn to be checked
 
 
@@ -50,7 +53,7 @@ def _check_strip(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, li
     cache = strips.at(sine)
     try:
         return check_strip(cache, longest)
-    except ValueError as error:
+    except OutOfRangeError as error:
         wind = math.degrees(wind_rad_s) * 60
         raise SceneError(
             f"atmosphere: {error} (tracks through the layer are up to {math.degrees(longest):.3g} deg long, in wind of"
@@ -119,3 +122,12 @@ def check_memory(needed: Mapping[str, float]) -> None:
             f"{key}: found a scene that needs about {total / 1e9:.3g} GB of memory in one process, {most / 1e9:.3g} GB"
             f" of it because of this key; {there / 1e9:.3g} GB or less is expected, the memory of this machine"
         )
+
+
+def said_of_size(detector_samples: float, n_pixel: int = 0) -> str:
+    """A line about a survey that takes minutes or more; empty for others."""
+    if detector_samples < MANY_SAMPLES and n_pixel < MANY_PIXELS:
+        return ""
+    maps = f" and maps of {n_pixel / 1e6:.3g} million pixels" if n_pixel >= MANY_PIXELS else ""
+    size = f"{detector_samples / 1e6:,.0f} million detector-samples{maps}"
+    return f"it is large, with {size}: 'surveysim plan' says what time and memory it takes"

@@ -28,10 +28,11 @@ from surveysim.reduction.consistency import (
 )
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.scored_region import ScoredRegion, padded_side, patch_side, scored_region
+from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.instrument import Instrument, OtherBand
 from surveysim.scene.noise_and_sky import Excess, Photon
-from surveysim.scene.scene import Scene, SceneError
+from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import Camera, camera, mask_by_separation
 from surveysim.telescope.lattice_noise import CirculantCorrelation, CirculantFactor
 from surveysim.telescope.pixel_coherence import MOST_DENSE, DenseCorrelation
@@ -205,7 +206,7 @@ def prepare(scene: Scene) -> Setup:
         return _prepare(scene)
     except SceneError:
         raise
-    except ValueError as error:
+    except InputError as error:
         raise SceneError(str(error)) from None
 
 
@@ -334,7 +335,7 @@ def _times(scene: Scene, lines: Raster) -> Schedule | None:
     numbers = plan.first_night, plan.nights, scene.observations
     try:
         return schedule(_field(scene), _site(scene), *numbers, *limits, duration_s(lines))
-    except ValueError as error:
+    except OutOfRangeError as error:
         raise SceneError(f"schedule: {error}") from None
 
 

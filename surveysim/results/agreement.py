@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmaker.uncertainty import ratio_error, student_factor, without_noise
+from mapmaker.uncertainty import ratio_error, student_factor, subtract_in_quadrature
 from surveysim.forecasting.forecast import DataSetForecast, Forecast, can_forecast, forecast
 from surveysim.forecasting.validity import compared_ell
 from surveysim.reduction.setup import Setup
-from surveysim.scene.scene import SceneError
+from surveysim.runtime.errors import NotForecastableError
 from surveysim.survey.coadds import CoAdds, kept_shares
 from surveysim.survey.scores import DataSetScore, bin_errors, noise_parts
 
@@ -43,7 +43,7 @@ def run_forecast(setup: Setup, coadds: CoAdds) -> Forecast | None:
     """The forecast of a run's own observations and of the scans that it kept, None where the scene has none."""
     try:
         return forecast(setup.scene, kept_shares(setup, coadds)) if can_forecast(setup) else None
-    except SceneError:  # a finished run never fails for want of a forecast
+    except NotForecastableError:  # a finished run never fails for want of a forecast
         return None
 
 
@@ -88,7 +88,7 @@ def _scatter(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -
     some = kept > 0
     total = ratio_error((simulated.weights * kept)[some], (expected.weights * kept)[some])
     _, common = noise_parts(setup, simulated)
-    return without_noise(total, common) * student_factor(np.count_nonzero(some))
+    return subtract_in_quadrature(total, common) * student_factor(np.count_nonzero(some))
 
 
 def quoted_forecast(simulated: DataSetScore, expected: DataSetForecast) -> float:

@@ -23,6 +23,7 @@ from surveysim.results.stopping import (
 )
 from surveysim.results.tables import score_table
 from surveysim.runtime.engine import SERIAL
+from surveysim.runtime.errors import InsufficientDataError
 from surveysim.runtime.strict_json import known
 from surveysim.runtime.table import Table
 from surveysim.survey.coadds import CoAdds
@@ -161,7 +162,7 @@ def survey_result(
             scores = quoted_scores(setup, coadds)
             ratios, others = _gains(setup, scores), alternatives(setup, coadds, scores)
             removed = flux_removed(setup, coadds)
-        except ValueError as error:  # too few observations, or too few scans kept in them
+        except InsufficientDataError as error:  # too few observations, or too few scans kept in them
             scores, ratios, others, removed, unscored = {}, {}, [], {}, str(error)
     expected = run_forecast(setup, coadds) if scores else None
     found = scores, ratios, others, removed, expected

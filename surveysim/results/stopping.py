@@ -14,7 +14,8 @@ import numpy as np
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.setup import Setup, window_observations
 from surveysim.results.control_variate import quoted_scores
-from surveysim.scene.scene import Scene, SceneError
+from surveysim.runtime.errors import InputError, InsufficientDataError, SceneError
+from surveysim.scene.scene import Scene
 from surveysim.scene.units import to_float
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import DataSetScore, noise_parts
@@ -38,9 +39,9 @@ class StoppingCriteria:
         """Raise ValueError for an error that is not between 0 and 1 or a time that is not above 0."""
         target, budget = self.target_error, self.time_budget_s
         if target is not None and not 0 < target < 1:
-            raise ValueError(f"target error: found {target:g}; more than 0 and less than 100 % is expected")
+            raise InputError(f"target error: found {target:g}; more than 0 and less than 100 % is expected")
         if budget is not None and not 0 < budget < math.inf:
-            raise ValueError(f"time budget: found {budget:g} s; more than 0 s is expected")
+            raise InputError(f"time budget: found {budget:g} s; more than 0 s is expected")
 
 
 UNLIMITED = StoppingCriteria()
@@ -83,8 +84,8 @@ def parsed_limits(target_error: str | None, time_budget: str | None) -> Stopping
     for name, text, unit in (("--target-error", target_error, ""), ("--time-budget", time_budget, "s")):
         try:
             parsed.append(None if text is None else to_float(text, unit))
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
     return StoppingCriteria(*parsed)
 
 
@@ -134,7 +135,7 @@ def estimate_so_far(setup: Setup, coadds: CoAdds) -> Estimate | None:
     """The best estimate from the observations so far, None where there is none."""
     try:
         return best_estimate(quoted_scores(setup, coadds, (ACTUAL,)))
-    except ValueError:  # too few scans are kept so far
+    except InsufficientDataError:  # too few scans are kept so far
         return None
 
 

@@ -22,7 +22,7 @@ PSD_AT_HZ = (0.01, 0.1, 1.0)
 
 
 def summary(result: SurveyResult) -> dict[str, Any]:
-    """The content of summary.json; its keys are stable (docs/files.md)."""
+    """The content of summary.json; its keys are stable (docs/reference/files.md)."""
     setup, coadds = result.setup, result.coadds
     columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
     samples = coadds.done * setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)

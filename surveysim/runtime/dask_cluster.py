@@ -18,6 +18,7 @@ from uuid import uuid4
 from threadpoolctl import threadpool_limits
 
 from surveysim import __version__
+from surveysim.runtime.addresses import address_of
 from surveysim.runtime.interrupt_signals import deaf_children, without_script
 from surveysim.runtime.worker_loss import EngineError, log, too_many_losses
 
@@ -30,7 +31,7 @@ try:
 
     from surveysim.runtime import dask_scheduler as schedulers
 except ImportError:
-    raise EngineError("engine 'dask': distributed is not installed; pip install 'surveysim[cluster]'") from None
+    raise EngineError("engine 'dask': distributed is not installed; in the clone: pip install '.[cluster]'") from None
 
 UNIT_S = 0.5  # of work in a unit, which costs the scheduler and the way to a worker a few milliseconds
 SCHEDULER_S = 5e-3  # of work in a unit for each worker: at most 200 units a second come to the scheduler
@@ -188,7 +189,7 @@ def unit_size(each_s: float | None, workers: int, left: int) -> int:
 def workers_of(scheduler: str) -> int:
     """How many workers a scheduler has, at least 1; raises EngineError if it does not answer."""
     _say_losses_once()
-    return max(1, schedulers.workers_at(schedulers.address_of(scheduler)))
+    return max(1, schedulers.workers_at(address_of(scheduler)))
 
 
 @contextmanager
@@ -227,7 +228,7 @@ def _started(workers: int) -> LocalCluster:
 def _connected(scheduler: str) -> Client:
     """A client of a scheduler by its address or its file; raises EngineError if none answers."""
     _say_losses_once()
-    address, limit = schedulers.address_of(scheduler), schedulers.CONNECT_S
+    address, limit = address_of(scheduler), schedulers.CONNECT_S
     schedulers.workers_at(address)  # its own end is sure, which that of a client is not while it connects
     return schedulers.within(limit, address, lambda: Client(address, timeout=limit, set_as_default=False, **DIRECT))
 

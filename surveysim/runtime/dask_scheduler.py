@@ -1,14 +1,11 @@
-"""The scheduler of a dask cluster: its address, and whether one answers there, in bounded time."""
+"""The scheduler of a dask cluster: whether one answers at its address, in bounded time."""
 
 import asyncio
-import json
 import queue
-import re
 import socket
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
@@ -16,68 +13,15 @@ import distributed
 from distributed.core import rpc
 from distributed.security import Security
 
+from surveysim.runtime.addresses import SHOWN, shown
 from surveysim.runtime.interrupt_signals import deaf_children
 from surveysim.runtime.worker_loss import EngineError
 
 CONNECT_S = 10.0  # in which a scheduler has to answer
-PROTOCOLS = ("tcp", "tls")
-LARGEST_FILE = 1 << 20  # bytes; a scheduler's file has some hundreds
-
 _CONNECTING = 0.8  # of that until a connection is given up, so that its error is still heard
 _NO_SCHEDULER = "the answer is not that of a scheduler"
-_SHOWN = 100  # letters of an address or a reason in a message
-_EXPECTED = "tcp://host:port, tls://host:port or a scheduler's file is expected"
-_ADDRESS = re.compile(r".*://.*|[^/\\]+:\d+", re.DOTALL)
 
 Found = TypeVar("Found")
-
-
-def address_of(scheduler: str) -> str:
-    """The address ``protocol://host:port`` of a scheduler by its address, or by the path of its file.
-
-    Raises EngineError with one line for what is neither.
-    """
-    text = scheduler if _ADDRESS.fullmatch(scheduler) else _address_in(Path(scheduler))
-    return _checked(text if "://" in text else f"tcp://{text}")
-
-
-def _checked(address: str) -> str:
-    try:
-        parts = urlsplit(address)
-        port = parts.port
-    except ValueError as error:  # of a port out of range, or brackets without an address of IPv6
-        raise EngineError(f"scheduler: found {shown(address)} ({shown(error)}); {_EXPECTED}") from None
-    if parts.scheme not in PROTOCOLS:
-        raise EngineError(f"scheduler: found the protocol {shown(parts.scheme)}; {_EXPECTED}")
-    host = f"[{parts.hostname}]" if ":" in (parts.hostname or "") else parts.hostname
-    if not host or not port or address != f"{parts.scheme}://{parts.netloc}" or not _plain(parts.netloc):
-        raise EngineError(f"scheduler: found {shown(address)}; {_EXPECTED}")
-    return f"{parts.scheme}://{host}:{port}"
-
-
-def _plain(place: str) -> bool:
-    """Whether there is nothing but a host and a port: no user, no blanks, nothing unprintable."""
-    return place.isprintable() and not set(place) & set("@ ")
-
-
-def _address_in(path: Path) -> str:
-    """The address in a scheduler's file."""
-    try:
-        if not path.is_file() or path.stat().st_size > LARGEST_FILE:  # a pipe or a device might never end
-            raise ValueError
-        address = json.loads(path.read_text(encoding="utf-8"))["address"]
-        if not isinstance(address, str):
-            raise TypeError
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        found = f"{shown(path)}, which is neither an address nor a scheduler's file"
-        raise EngineError(f"scheduler: found {found}; {_EXPECTED}") from None
-    return address
-
-
-def shown(text: object) -> str:
-    """What was found, for a message of one line."""
-    short = str(text)
-    return repr(short if len(short) <= _SHOWN else f"{short[:_SHOWN]}...")
 
 
 def workers_at(address: str) -> int:
@@ -130,7 +74,7 @@ def reason(error: BaseException, other: str = "") -> str:
     if other and not isinstance(first, OSError):
         return other
     lines = str(getattr(first, "strerror", None) or first).splitlines()
-    return " ".join(lines[0].split())[:_SHOWN] if lines else type(first).__name__
+    return " ".join(lines[0].split())[:SHOWN] if lines else type(first).__name__
 
 
 def _asked(address: str) -> int:

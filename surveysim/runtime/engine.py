@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from surveysim.runtime.errors import InputError
 from surveysim.runtime.interrupt_signals import defer_signals
 from surveysim.runtime.processes import in_processes
 from surveysim.runtime.serial import in_turn
@@ -21,7 +22,7 @@ class Engine:
 
     `workers` is how many processes there are on this machine, None for one a core; a cluster that is reached through
     its `scheduler` (an address such as ``tcp://host:8786``, or the scheduler's file) has as many as it has.
-    Raises ValueError for what makes no sense.
+    Raises InputError for what makes no sense.
     """
 
     kind: str = "processes"
@@ -31,13 +32,13 @@ class Engine:
     def __post_init__(self) -> None:
         """Check the choice."""
         if self.kind not in KINDS:
-            raise ValueError(f"engine: found {self.kind!r}; {', '.join(KINDS)} are there")
+            raise InputError(f"engine: found {self.kind!r}; {', '.join(KINDS)} are there")
         if self.workers is not None and self.workers < 1:
-            raise ValueError(f"workers: found {self.workers}; 1 or more is expected")
+            raise InputError(f"workers: found {self.workers}; 1 or more is expected")
         if self.scheduler is not None and self.kind != "dask":
-            raise ValueError(f"scheduler: found one for the engine {self.kind!r}; only 'dask' has one")
+            raise InputError(f"scheduler: found one for the engine {self.kind!r}; only 'dask' has one")
         if self.scheduler is not None and self.workers is not None:
-            raise ValueError("workers: found a number beside a scheduler, which has workers of its own; one of the two")
+            raise InputError("workers: found a number beside a scheduler, which has workers of its own; one of the two")
 
     def workers_for(self, items: int) -> int:
         """How many workers so many items are for; asks the scheduler if there is one.

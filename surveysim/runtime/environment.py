@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -13,6 +14,8 @@ from surveysim.runtime.printable import complain
 
 log = logging.getLogger("surveysim")
 
+_OF_FLAGS = ("default", "default::BytesWarning", "error::BytesWarning")  # of -X dev, -b and -bb
+_SIZE = re.compile(r"[1-9][0-9]{1,3}")  # columns or lines
 _temporary_homes: list[str] = []
 
 
@@ -20,6 +23,7 @@ def settle() -> str | None:
     """Make streams, libraries and caches fit for a command; returns a line if caches do not outlive it."""
     open_streams()
     silence_libraries()
+    forget_sizes()
     return provide_caches()
 
 
@@ -41,7 +45,8 @@ def open_streams() -> None:
 
 def silence_libraries() -> None:
     """Let libraries warn and log nothing, here and in worker processes; this program's log goes to standard error."""
-    sys.warnoptions[:] = ["ignore"]  # worker processes are started with them
+    of_flags = [option for option in sys.warnoptions if option in _OF_FLAGS]  # which subprocess looks for
+    sys.warnoptions[:] = [*of_flags, "ignore"]  # worker processes are started with them
     os.environ["PYTHONWARNINGS"] = "ignore"
     warnings.resetwarnings()
     warnings.simplefilter("ignore")
@@ -51,6 +56,13 @@ def silence_libraries() -> None:
     # What is raised in a finalizer or in a thread can't be handled by anyone.
     sys.unraisablehook = _ignored
     threading.excepthook = _ignored
+
+
+def forget_sizes() -> None:
+    """Forget a size of the terminal that none has: rich and typer would write nothing, or fail."""
+    for name in ("COLUMNS", "LINES", "TERMINAL_WIDTH"):
+        if not _SIZE.fullmatch(os.environ.get(name, "")):
+            os.environ.pop(name, None)
 
 
 class _Lines(logging.Handler):

@@ -5,6 +5,7 @@ import stat
 from pathlib import Path
 from typing import Any
 
+from surveysim.runtime.errors import InputError
 from surveysim.runtime.printable import printable, shortened
 
 LONGEST_KEY = 100
@@ -13,7 +14,7 @@ LONGEST_KEY = 100
 def read_text(path: Path, most_bytes: int) -> str:
     """The text of a regular file in UTF-8, a byte order mark dropped.
 
-    Raises ValueError for anything else (folders, pipes and devices are not opened for reading), for more than
+    Raises InputError for anything else (folders, pipes and devices are not opened for reading), for more than
     `most_bytes`, and for another encoding.
     """
     return _decoded(_read_bytes(path, most_bytes))
@@ -24,12 +25,12 @@ def _read_bytes(path: Path, most_bytes: int) -> bytes:
         # Without waiting for somebody who writes into a pipe; the kind is that of the file that is open.
         with open(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb") as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise ValueError("found a pipe or a device, not a file")
+                raise InputError("found a pipe or a device, not a file")
             content = file.read(most_bytes + 1)
     except OSError as error:
-        raise ValueError(f"can't be read ({error.strerror})") from None
+        raise InputError(f"can't be read ({error.strerror})") from None
     if len(content) > most_bytes:
-        raise ValueError(f"found more than {most_bytes / 1e6:g} MB")
+        raise InputError(f"found more than {most_bytes / 1e6:g} MB")
     return content
 
 
@@ -38,7 +39,7 @@ def _decoded(content: bytes) -> str:
         return content.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise ValueError(f"line {line} is not UTF-8: found the byte 0x{content[error.start]:02x}") from None
+        raise InputError(f"line {line} is not UTF-8: found the byte 0x{content[error.start]:02x}") from None
 
 
 def key_text(text: str) -> str:

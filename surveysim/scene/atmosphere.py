@@ -5,6 +5,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from surveysim.runtime.errors import InputError
 from surveysim.scene.fields import (
     B2_MAX,
     B2_MIN,
@@ -100,7 +101,7 @@ class Atmosphere(Section):
         for name, unit in (("b2", f"mK2 {power}"), ("water_fluctuation", of_water)):
             try:
                 found |= {name: to_floats(data[name], unit) if power else ()} if name in data else {}
-            except ValueError as error:
+            except InputError as error:
                 raise ValueError(f"{name}: {error}") from None
         return data | found
 

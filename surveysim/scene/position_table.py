@@ -3,12 +3,14 @@
 import csv
 import math
 import os
+import re
 import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from surveysim.runtime.errors import InputError
 from surveysim.runtime.text_files import one_line, read_text
 from surveysim.scene.units import shown
 
@@ -16,6 +18,7 @@ KEY = "instrument.positions"
 COLUMNS = ("x", "y")
 MAX_BYTES = 10_000_000  # some 200,000 detectors
 MAX_OFFSET_RAD = math.radians(15)  # from the boresight: the reach of a map
+_COMMAS = re.compile(r"""\s*#\s*delimiter:\s*(['"]),\1\s*(\s#.*)?""")
 
 
 def read_positions(path: Path) -> np.ndarray:
@@ -27,12 +30,12 @@ def read_positions(path: Path) -> np.ndarray:
     """
     try:
         text = read_text(path, MAX_BYTES)
-    except ValueError as error:
-        raise ValueError(f"{KEY}: {path}: {_missing(path) or error}; an ECSV table is expected") from None
+    except InputError as error:
+        raise InputError(f"{KEY}: {path}: {_missing(path) or error}; an ECSV table is expected") from None
     try:
         return _positions(text)
-    except ValueError as error:
-        raise ValueError(f"{KEY}: {path}: {error}") from None
+    except InputError as error:
+        raise InputError(f"{KEY}: {path}: {error}") from None
 
 
 def _missing(path: Path) -> str:
@@ -43,20 +46,20 @@ def _positions(text: str) -> np.ndarray:
     table = _table(text.splitlines())
     columns = [_column(table, name) for name in COLUMNS]
     if not len(table):
-        raise ValueError("found no row; one row for each detector is expected")
+        raise InputError("found no row; one row for each detector is expected")
     positions = np.column_stack(columns)
     wrong = np.argwhere(~np.isfinite(positions) | (np.abs(positions) > MAX_OFFSET_RAD))
     if len(wrong):
         row, column = wrong[0]
         found = f"{table[COLUMNS[column]][row]} {table[COLUMNS[column]].unit}"
-        raise ValueError(
+        raise InputError(
             f"row {row + 1}, column {COLUMNS[column]!r}: found {shown(found)}; a finite offset from the boresight of up"
             f" to {math.degrees(MAX_OFFSET_RAD):g} deg is expected"
         )
     _, first, where = np.unique(positions, axis=0, return_index=True, return_inverse=True)
     again = np.flatnonzero(first[where.ravel()] != np.arange(len(positions)))
     if len(again):
-        raise ValueError(
+        raise InputError(
             f"row {again[0] + 1}: found the position of row {first[where.ravel()[again[0]]] + 1}; different positions"
             " are expected"
         )
@@ -69,28 +72,26 @@ def _table(lines: list[str]) -> Any:
 
     if not lines or not lines[0].startswith("# %ECSV"):
         found = shown(lines[0]) if lines else "an empty file"
-        raise ValueError(f"found {found}; '# %ECSV 1.0' is expected in the first line")
+        raise InputError(f"found {found}; '# %ECSV 1.0' is expected in the first line")
     _check_cells(lines)
     try:
         with warnings.catch_warnings(action="ignore"):  # of datatypes, which are checked
             table = Table.read(lines, format="ascii.ecsv")
     except Exception as error:  # astropy and yaml raise a wide range for broken tables
         reason = one_line(error) or type(error).__name__
-        raise ValueError(f"not an ECSV table with columns x and y in angular units ({reason})") from None
+        raise InputError(f"not an ECSV table with columns x and y in angular units ({reason})") from None
     return table
 
 
 def _check_cells(lines: list[str]) -> None:
-    """Raise ValueError for names of columns that are not x and y, and rows that are not two numbers each.
+    """Raise InputError for names of columns that are not x and y, and rows that are not two numbers each.
 
     Astropy skips what it takes for missing, and does not say in which row it found text.
     """
-    header = [line for line in lines if line.startswith("#")]
-    delimiter = "," if any(line.split() == ["#", "delimiter:", "','"] for line in header) else " "
+    delimiter = "," if any(map(_COMMAS.fullmatch, lines)) else " "
+    stripped = (line.strip() for line in lines)
     rows = csv.reader(
-        (line.strip() for line in lines if line.strip() and not line.startswith("#")),
-        delimiter=delimiter,
-        skipinitialspace=True,
+        (line for line in stripped if line and not line.startswith("#")), delimiter=delimiter, skipinitialspace=True
     )
     names: list[str] | None = None
     try:
@@ -100,28 +101,28 @@ def _check_cells(lines: list[str]) -> None:
                 _check_names(names)
                 continue
             if len(cells) != len(names):
-                raise ValueError(
+                raise InputError(
                     f"row {number}: found {len(cells)} cells, {shown(delimiter.join(cells))}; {len(names)} are expected"
                 )
             for name, cell in zip(names, cells, strict=True):
                 _check_number(number, name, cell)
     except csv.Error as error:
-        raise ValueError(f"not a table of cells ({one_line(error)})") from None
+        raise InputError(f"not a table of cells ({one_line(error)})") from None
     if names is None:
-        raise ValueError("found no row of column names; the names x and y and a row for each detector are expected")
+        raise InputError("found no row of column names; the names x and y and a row for each detector are expected")
 
 
 def _check_names(names: list[str]) -> None:
     other = [name for name in names if name not in COLUMNS]
     if other:
-        raise ValueError(
+        raise InputError(
             f"column {shown(other[0])}: unknown; only the columns x and y are allowed; leave out rows of detectors"
             " that do not work"
         )
     for name in COLUMNS:
         if names.count(name) != 1:
             found = "missing" if name not in names else "found more than once"
-            raise ValueError(f"column {name!r}: {found}; the columns x and y, each once, are expected")
+            raise InputError(f"column {name!r}: {found}; the columns x and y, each once, are expected")
 
 
 def _check_number(row: int, name: str, cell: str) -> None:
@@ -129,26 +130,26 @@ def _check_number(row: int, name: str, cell: str) -> None:
         float(cell if "_" not in cell and cell.isascii() else "no number")
     except ValueError:
         found = shown(cell) if cell else "an empty cell"
-        raise ValueError(f"row {row}, column {name!r}: found {found}; a number is expected") from None
+        raise InputError(f"row {row}, column {name!r}: found {found}; a number is expected") from None
 
 
 def _column(table: Any, name: str) -> np.ndarray:
-    """One column in radians; raises ValueError for a wrong type or unit, and masked cells."""
+    """One column in radians; raises InputError for a wrong type or unit, and masked cells."""
     if name not in table.colnames:
-        raise ValueError(f"column {name!r}: missing in the header; the columns x and y are expected")
+        raise InputError(f"column {name!r}: missing in the header; the columns x and y are expected")
     column = table[name]
     kind = getattr(getattr(column, "dtype", None), "kind", "")
     if kind not in "iuf" or getattr(column, "ndim", 0) != 1:
-        raise ValueError(f"column {name!r}: found datatype {getattr(column, 'dtype', '?')}; float64 is expected")
+        raise InputError(f"column {name!r}: found datatype {getattr(column, 'dtype', '?')}; float64 is expected")
     if column.unit is None:
-        raise ValueError(f"column {name!r}: found no unit; an angular one like arcsec is expected in the header")
+        raise InputError(f"column {name!r}: found no unit; an angular one like arcsec is expected in the header")
     masked = np.flatnonzero(np.broadcast_to(getattr(column, "mask", False), len(column)))
     if len(masked):
-        raise ValueError(f"row {masked[0] + 1}, column {name!r}: found an empty cell; a number is expected")
+        raise InputError(f"row {masked[0] + 1}, column {name!r}: found an empty cell; a number is expected")
     try:
         factor = float(column.unit.to("rad"))
     except Exception:  # of units that convert to no angle, or that astropy does not know
-        raise ValueError(
+        raise InputError(
             f"column {name!r}: found the unit {shown(str(column.unit))}; one of angle like arcsec is expected"
         ) from None
     return np.asarray(column, dtype=float) * factor

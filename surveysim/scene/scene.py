@@ -18,6 +18,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
+from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.text_files import key_text, nested_deeper, one_line, read_text
 from surveysim.scene.analysis import Cleaning, MapSection, Score
@@ -28,10 +29,10 @@ from surveysim.scene.noise_and_sky import Detector, Excess, Photon, Sky
 from surveysim.scene.numerics import Numerics
 from surveysim.scene.observing import MIN_SAMPLES, FieldSection, FixedPointing, Scan, Schedule
 from surveysim.scene.section import Section
+from surveysim.scene.shipped import MAX_NAME, NAME, find_scene
 from surveysim.scene.sites import sites_text
 from surveysim.scene.units import shown
 
-NAME, MAX_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]*", 100
 MAX_BYTES = 300_000  # of a scene file; with comments they have some 5 kB
 MAX_DEPTH = 20  # tables and lists within each other; scenes have 3
 MAX_ERRORS = 30  # lines of an error
@@ -51,10 +52,6 @@ RENAMED = {
 # A key of so many parts: the parser's time goes as their square.
 _PART = r"""(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)"""
 _LONG_KEY = re.compile(rf"(?<![\w\-.]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{MAX_DEPTH - 1}}}")
-
-
-class SceneError(ValueError):
-    """A scene that can't be run; the text has one line for each error: file, key, found, allowed."""
 
 
 @dataclass(frozen=True)
@@ -142,12 +139,12 @@ class Scene(Section):
 
 
 def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scene:
-    """Read and check a scene file; `overrides` maps dotted keys to values.
+    """Read and check a scene file, or a scene by its name (`find_scene`); `overrides` maps dotted keys to values.
 
     A table [sweep] is set aside: the scene is the one that its points start from (`surveysim.studies.sweep.axes`).
     Raises SceneError with one line for each error: file, key, what was found, what is allowed.
     """
-    path = Path(path)
+    path = find_scene(path)
     return scene_of(path, *read_scene(path), overrides or {})
 
 
@@ -155,7 +152,7 @@ def read_scene(path: Path) -> tuple[str, dict]:
     """Text and unchecked content of a scene file; raises SceneError when it can't be read."""
     try:
         text = read_text(path, MAX_BYTES)
-    except ValueError as error:
+    except InputError as error:
         raise SceneError(f"{path}: {error}; a scene file (TOML) is expected") from None
     if match := _LONG_KEY.search(text):
         raise SceneError(f"{path}: found a key of {MAX_DEPTH} parts or more, {shown(match[0])}; fewer are expected")

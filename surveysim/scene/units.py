@@ -9,6 +9,8 @@ import re
 from datetime import date, time
 from functools import lru_cache
 
+from surveysim.runtime.errors import InputError
+
 PLANCK_J_S = 6.62607015e-34
 BOLTZMANN_J_K = 1.380649e-23
 CMB_TEMPERATURE_K = 2.7255
@@ -36,14 +38,14 @@ def shown(value: object) -> str:
 def to_float(text: object, unit: str) -> float:
     """The number that a quantity such as ``"4 arcmin / s"``, one number and one unit, has in `unit`.
 
-    A bare number is refused unless `unit` is dimensionless. Raises ValueError with what was
+    A bare number is refused unless `unit` is dimensionless. Raises InputError with what was
     found and what is allowed.
     """
     if isinstance(text, bool) or not isinstance(text, int | float | str):
-        raise ValueError(f"found {shown(text)}; a quantity in {unit or 'plain numbers'} is expected")
+        raise InputError(f"found {shown(text)}; a quantity in {unit or 'plain numbers'} is expected")
     if isinstance(text, int | float):
         if unit:
-            raise ValueError(f"found the bare number {shown(text)}; a string with a unit like {unit!r} is expected")
+            raise InputError(f"found the bare number {shown(text)}; a string with a unit like {unit!r} is expected")
         try:
             return _finite(float(text), text)
         except OverflowError:  # of an integer
@@ -52,10 +54,10 @@ def to_float(text: object, unit: str) -> float:
     if match is None:
         if _NOT_FINITE.fullmatch(text):
             _finite(math.inf, text)
-        raise ValueError(f"found {shown(text)}; one number and one unit like {unit or '1'!r} are expected")
+        raise InputError(f"found {shown(text)}; one number and one unit like {unit or '1'!r} are expected")
     factor = _unit_factor(match["unit"] or "", unit)
     if factor is None:
-        raise ValueError(f"found {shown(text)}; a quantity in units like {unit or '1'!r} is expected")
+        raise InputError(f"found {shown(text)}; a quantity in units like {unit or '1'!r} is expected")
     return _finite(float(match["number"]) * factor, text)
 
 
@@ -75,34 +77,34 @@ def _unit_factor(found: str, unit: str) -> float | None:
 def to_floats(text: object, unit: str) -> tuple[float, ...]:
     """The numbers of a list of quantities: ``"[46, 100, 170] mK2 rad(-5/3)"`` or a TOML list.
 
-    Raises ValueError with what was found and what is allowed.
+    Raises InputError with what was found and what is allowed.
     """
     if isinstance(text, list | tuple):
         return tuple(to_float(item, unit) for item in text)
     match = _LIST.match(text) if isinstance(text, str) else None
     if match is None:
-        raise ValueError(f"found {shown(text)}; a list like '[1, 2, 3] {unit}' is expected")
+        raise InputError(f"found {shown(text)}; a list like '[1, 2, 3] {unit}' is expected")
     return tuple(to_float(f"{value.strip()} {match['unit']}", unit) for value in match["values"].split(","))
 
 
 def to_sky_angle(text: object) -> float:
     """Radians of ``"08h49m12s"``, ``"+44d50m24s"`` or any angular quantity.
 
-    Raises ValueError with what was found and what is allowed.
+    Raises InputError with what was found and what is allowed.
     """
     match = _SEXAGESIMAL.fullmatch(text) if isinstance(text, str) else None
     if match is None:
         return to_float(text, "rad")
     sign, whole, unit, minutes, seconds = match.groups()
     if int(minutes) >= 60 or float(seconds) >= 60:
-        raise ValueError(f"found {shown(text)}; minutes and seconds below 60 are expected")
+        raise InputError(f"found {shown(text)}; minutes and seconds below 60 are expected")
     degrees = (int(whole) + int(minutes) / 60 + float(seconds) / 3600) * (15 if unit == "h" else 1)
     return math.radians(-degrees if sign == "-" else degrees)
 
 
 def _finite(value: float, found: object) -> float:
     if not math.isfinite(value):
-        raise ValueError(f"found {shown(found)}; a finite number is expected")
+        raise InputError(f"found {shown(found)}; a finite number is expected")
     return value
 
 

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from mapmaker.timestreams import FocalPlane
+from surveysim.runtime.errors import SceneError
 from surveysim.scene.instrument import Instrument as InstrumentSection
 from surveysim.scene.position_table import read_positions
 from surveysim.telescope.pixel_coherence import Illumination, horn_taper_db, stop_efficiency
@@ -69,7 +70,7 @@ def camera(section: InstrumentSection) -> Camera:
     cam = Camera(plane, section.f_lambda_rad, illumination(section), pitch)
     closest = cam.closest_rad / section.f_lambda_rad
     if section.horn_f_lambda is not None and 0 < closest < section.horn_f_lambda * (1 - 1e-9):
-        raise ValueError(
+        raise SceneError(
             f"instrument.horn_f_lambda: found {section.horn_f_lambda:g}; {closest:.4g}, the closest pair's distance in "
             "(f/#)lambda, or less is expected"
         )
@@ -103,7 +104,7 @@ def _layout_positions(section: InstrumentSection) -> np.ndarray:
     # Pixels of that area lie within its radius and a pitch; a ring of the hexagon is at least 0.87 pitches further out.
     rings = int((radius + pitch) / (np.sqrt(0.75) * pitch)) + 1
     if rings > MAX_RINGS:
-        raise ValueError(
+        raise SceneError(
             f"instrument.layout.field_of_view: found {rings} rings in it; {MAX_RINGS} or fewer are expected"
         )
     count = max(1, round(np.pi * radius**2 / (np.sqrt(0.75) * pitch**2)))
@@ -127,11 +128,11 @@ def without(positions: np.ndarray, dead: tuple[int, ...]) -> np.ndarray:
     """Positions less the dead ones; raises ValueError for one that does not exist or appears twice."""
     wrong = [index for index in dead if not 0 <= index < len(positions)]
     if wrong or len(set(dead)) != len(dead):
-        raise ValueError(
+        raise SceneError(
             f"instrument.layout.dead: found {list(dead)}; different numbers from 0 to {len(positions) - 1} are expected"
         )
     if len(dead) == len(positions):
-        raise ValueError(f"instrument.layout.dead: found all {len(dead)} positions; one live detector is expected")
+        raise SceneError(f"instrument.layout.dead: found all {len(dead)} positions; one live detector is expected")
     return np.delete(positions, list(dead), axis=0)
 
 
@@ -141,7 +142,7 @@ def check_distinct(positions: np.ndarray) -> None:
         return
     distance, first, second = closest_pair(positions)
     if distance <= 1e-6 * float(np.ptp(positions, axis=0).max()):
-        raise ValueError(
+        raise SceneError(
             f"instrument: detectors {first} and {second} have one position; different positions are expected"
         )
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surveysim.runtime.errors import OutOfRangeError
 from surveysim.telescope.pixel_coherence import Illumination, coherence_at
 
 # Of any correlation that detectors have on the torus, which is 1 for one with itself. Neighbours share 0.5 of the field
@@ -126,7 +127,7 @@ def embed(cells: np.ndarray, pitch_f_lambda: float, coherence: str, illumination
         if error <= LARGEST_ERROR:
             return torus
         room *= _GROWTH
-    raise ValueError(
+    raise OutOfRangeError(
         f"found correlations off by {error:.2g} on a torus of {n_q} by {n_r} pixels {pitch_f_lambda:.3g} (f/#)lambda "
         f"apart; {LARGEST_ERROR:g} or less is expected: a larger pitch, a tapered illumination or coherence 'intensity'"
     )

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surveysim.atmosphere.opacity import BandOpacity, optical_depth
+from surveysim.runtime.errors import SceneError
 from surveysim.scene.fields import PSD_MAX_MK2_HZ
 from surveysim.scene.noise_and_sky import Photon
 from surveysim.scene.scene import Scene
@@ -47,7 +48,7 @@ def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, eleva
 def _check_level(key: str, psd_mk2_hz: float) -> None:
     """Raise ValueError for noise by power that is no level of a stream, as under an opaque sky."""
     if not psd_mk2_hz <= PSD_MAX_MK2_HZ:
-        raise ValueError(
+        raise SceneError(
             f"{key}: found power that is a noise of {psd_mk2_hz:.3g} mK2 / Hz above the atmosphere in this band;"
             f" {PSD_MAX_MK2_HZ:g} mK2 / Hz or less is expected"
         )

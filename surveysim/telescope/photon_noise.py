@@ -8,6 +8,7 @@ NEP^2 averaged over a time t has the variance NEP^2 / (2 t). Powers are those ab
 import math
 from dataclasses import dataclass
 
+from surveysim.runtime.errors import OutOfRangeError
 from surveysim.scene.units import BOLTZMANN_J_K, PLANCK_J_S, rj_to_cmb
 
 
@@ -87,13 +88,13 @@ def photon_noise(
 
 def _check(load_k, frequency_hz, bandwidth, efficiency, polarizations, transmission) -> None:
     if polarizations not in (1, 2):
-        raise ValueError(f"polarizations = {polarizations} found; 1 or 2 is allowed")
+        raise OutOfRangeError(f"polarizations = {polarizations} found; 1 or 2 is allowed")
     if not 0 <= load_k < math.inf:
-        raise ValueError(f"load_k = {load_k:g} found; a finite temperature of 0 K or more is allowed")
+        raise OutOfRangeError(f"load_k = {load_k:g} found; a finite temperature of 0 K or more is allowed")
     if not 0 < frequency_hz < math.inf:
-        raise ValueError(f"frequency_hz = {frequency_hz:g} found; a positive finite frequency is allowed")
+        raise OutOfRangeError(f"frequency_hz = {frequency_hz:g} found; a positive finite frequency is allowed")
     if not 0 < bandwidth < 2:
-        raise ValueError(f"bandwidth = {bandwidth:g} found; a share of the frequency between 0 and 2 is allowed")
+        raise OutOfRangeError(f"bandwidth = {bandwidth:g} found; a share of the frequency between 0 and 2 is allowed")
     for name, share in (("efficiency", efficiency), ("transmission", transmission)):
         if not 0 < share <= 1:
-            raise ValueError(f"{name} = {share:g} found; a share above 0 and up to 1 is allowed")
+            raise OutOfRangeError(f"{name} = {share:g} found; a share above 0 and up to 1 is allowed")

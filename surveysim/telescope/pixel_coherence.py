@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surveysim.runtime.errors import OutOfRangeError
+
 # Of the radius of a corrugated horn's aperture, the waist of the Gaussian beam it launches (Goldsmith 1998).
 _WAIST_PER_RADIUS = 0.6435
 # Beyond this exponent (174 dB) the stop's edge cuts off less than rounding.
@@ -33,7 +35,9 @@ class Illumination:
 
     def __post_init__(self):
         if not 0 <= self.edge_taper_db < math.inf:
-            raise ValueError(f"edge_taper_db = {self.edge_taper_db:g} found; a finite taper of 0 dB or more is allowed")
+            raise OutOfRangeError(
+                f"edge_taper_db = {self.edge_taper_db:g} found; a finite taper of 0 dB or more is allowed"
+            )
 
     @property
     def exponent(self) -> float:
@@ -52,7 +56,9 @@ def horn_taper_db(diameter_f_lambda: float) -> float:
     symmetric beam come close. Small angles. Raises ValueError unless the diameter is finite and 0 or more.
     """
     if not 0 <= diameter_f_lambda < math.inf:
-        raise ValueError(f"diameter_f_lambda = {diameter_f_lambda:g} found; a finite diameter of 0 or more is allowed")
+        raise OutOfRangeError(
+            f"diameter_f_lambda = {diameter_f_lambda:g} found; a finite diameter of 0 or more is allowed"
+        )
     waist = _WAIST_PER_RADIUS * diameter_f_lambda / 2
     return 10 / math.log(10) * 2 * (math.pi * waist / 2) ** 2
 
@@ -172,7 +178,7 @@ def overlap(correlation: np.ndarray) -> DenseCorrelation:
     values, vectors = np.linalg.eigh(correlation)
     limit = 1e-10 * max(values[-1], 1.0) * len(values)
     if not values[0] >= -limit:
-        raise ValueError(f"correlation matrix has the eigenvalue {values[0]:.3g}; none below 0 is allowed")
+        raise OutOfRangeError(f"correlation matrix has the eigenvalue {values[0]:.3g}; none below 0 is allowed")
     return DenseCorrelation(np.clip(values, 0, None), vectors)
 
 
@@ -195,7 +201,7 @@ def lattice_sum(pitch_f_lambda: float, coherence: str, illumination: Illuminatio
     Raises ValueError unless the pitch is positive and finite.
     """
     if not 0 < pitch_f_lambda < math.inf:
-        raise ValueError(f"pitch_f_lambda = {pitch_f_lambda:g} found; a positive finite pitch is allowed")
+        raise OutOfRangeError(f"pitch_f_lambda = {pitch_f_lambda:g} found; a positive finite pitch is allowed")
     if coherence == "none":
         return 0.0
     reach = math.ceil(pitch_f_lambda)

@@ -16,6 +16,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from surveysim.runtime.errors import OutOfRangeError
 from surveysim.telescope.raster import RasterPath
 
 DAY_S = 86400.0
@@ -159,7 +160,7 @@ def _half_window_s(dec_rad: np.ndarray, site: Site, max_hour_angle_rad: float, m
     """Time from transit to the limit in hour angle or elevation, (nights,) [s]; ValueError if too low."""
     highest = np.pi / 2 - np.abs(site.latitude_rad - dec_rad).min()
     if highest < min_elevation_rad:
-        raise ValueError(
+        raise OutOfRangeError(
             f"the field never rises above {np.degrees(highest):.2f} deg at this site; "
             f"the elevation limit is {np.degrees(min_elevation_rad):.2f} deg"
         )
@@ -175,7 +176,7 @@ def _check_room(n_observations: int, nights: int, half_window_s: np.ndarray, dur
     window_s = 2 * half_window_s.min()
     room = int(window_s // duration_s)
     if n_observations > nights * room:
-        raise ValueError(
+        raise OutOfRangeError(
             f"{n_observations} observations of {duration_s / 60:.1f} min do not fit into {nights} night(s): "
             f"the field can be observed for {window_s / 60:.1f} min a night, so {nights * room} would fit "
             f"({room} a night)"

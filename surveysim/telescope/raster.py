@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surveysim.runtime.errors import OutOfRangeError
 from surveysim.scene.observing import MIN_SAMPLES
 
 
@@ -52,7 +53,7 @@ def samples_per_scan(raster: Raster) -> int:
     # The small addition keeps a product such as 0.7 s * 10 Hz, a rounding below 7, from losing a sample.
     n = int(np.floor(raster.scan_s * raster.sample_rate_hz + 1e-6))
     if n < MIN_SAMPLES:
-        raise ValueError(
+        raise OutOfRangeError(
             f"a scan of {raster.scan_s:g} s at {raster.sample_rate_hz:g} Hz has {n} samples; "
             f"at least {MIN_SAMPLES} are needed"
         )

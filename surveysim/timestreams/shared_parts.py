@@ -7,9 +7,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mapmaker.geometry import MapGeometry
+from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.noise_and_sky import Excess, Photon
-from surveysim.scene.scene import Scene, SceneError
+from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.lattice_noise import CirculantCorrelation, embed
 from surveysim.telescope.pixel_coherence import MOST_DENSE, DenseCorrelation, correlation_matrix, overlap
@@ -38,7 +39,7 @@ def shared_noise(
         )
     try:
         return embed(cam.cells, cam.pitch_rad / cam.f_lambda_rad, section.coherence, cam.illumination)
-    except ValueError as error:
+    except OutOfRangeError as error:
         raise SceneError(f"{name}.coherence: {error}") from None
 
 
@@ -50,7 +51,7 @@ def screen(scene: Scene):
     outer = math.inf if air.outer_scale_m is None else air.outer_scale_m / air.layer_height_m
     try:
         return Screen(air.spectral_index, air.illuminated_aperture_m / air.layer_height_m, outer)
-    except ValueError as error:
+    except OutOfRangeError as error:
         raise SceneError(f"atmosphere: {error}") from None
 
 

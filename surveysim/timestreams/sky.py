@@ -6,6 +6,7 @@ from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry, pixel_centres, plane_offsets
 from mapmaker.spectrum import mode_ell
 from mapmaker.transfer_function import beam_window
+from surveysim.runtime.errors import OutOfRangeError
 from surveysim.scene.noise_and_sky import PointSource, Sky
 
 
@@ -96,7 +97,7 @@ def add_point_sources(
     for source in sources:
         x, y = plane_offsets(geometry, source.ra_rad, source.dec_rad)
         if not np.isfinite(x):
-            raise ValueError(f"{source} is 90 degrees or more from the map's centre; nearer ones are expected")
+            raise OutOfRangeError(f"{source} is 90 degrees or more from the map's centre; nearer ones are expected")
         total += source.peak_mk * np.exp(-((xi - x) ** 2 + (eta - y) ** 2) / (2 * sigma**2))
     return total.astype(np.float32)
 

@@ -11,7 +11,8 @@ from pathlib import Path
 from markdown_it import MarkdownIt
 
 ROOT = Path(__file__).parent.parent.parent
-PAGES = sorted((ROOT / "docs").glob("*.md"))
+README = ROOT / "README.md"
+PAGES = sorted((ROOT / "docs").rglob("*.md"))
 SHOWN = ("console", "text")  # for reading, as the guide says
 PROGRAM = ("mapmaker", "surveysim", "tests", "pyproject.toml")
 

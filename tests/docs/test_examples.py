@@ -5,11 +5,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from tests.docs.pages import PAGES, Block, blocks, follow, with_sections
+from tests.docs.pages import PAGES, README, Block, blocks, follow, with_sections
 
 pytestmark = pytest.mark.docs
 AT_ONCE = 2  # pages: much of each runs on one core
-WITH_EXAMPLES = [path for path in PAGES if any(block.language == "bash" for block in blocks(path))]
+WITH_EXAMPLES = [path for path in (*PAGES, README) if any(block.language == "bash" for block in blocks(path))]
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from tests.scenes import SMALL_SCENE
 from tests.unit.paper.test_reproduce import SCENE as PAPER_SCENE
 
 pytestmark = pytest.mark.docs
-PAGE = documented(ROOT / "docs" / "files.md")
+PAGE = documented(ROOT / "docs" / "reference" / "files.md")
 # Every optional thing at once.
 RICH_SCENE = (
     SMALL_SCENE.replace("observations = 4\n", "observations = 34\n", 1)

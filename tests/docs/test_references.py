@@ -8,17 +8,21 @@ from pathlib import Path
 import pytest
 import typer.main
 
-from docs.reference import all_keys, command_reference, scene_keys, scene_reference, scene_sections
+import mapmaker
+import surveysim
+from docs.generated import command_reference, scene_reference
+from docs.generated_python import api_reference, markdown, module_reference
 from surveysim.cli.app import app
 from surveysim.cli.failures import EXIT_BROKEN_PIPE
 from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
+from surveysim.scene.keys import all_keys, scene_keys, scene_sections
+from surveysim.scene.scene import RENAMED
 from surveysim.studies.sweep.axes import REFERENCE
-from tests.docs.pages import PAGES, ROOT, Block, blocks
+from tests.docs.pages import PAGES, README, ROOT, Block, blocks
 from tests.docs.tables import documented
 
 pytestmark = pytest.mark.docs
 SCENARIOS = sorted((ROOT / "scenarios").glob("*.toml"))
-README = ROOT / "README.md"
 
 
 def keys_of(text: str) -> set[str]:
@@ -42,7 +46,7 @@ def test_every_key_says_what_it_is():
 def test_every_key_is_in_the_reference():
     text = scene_reference()
     for section in scene_sections():
-        part = text.split(f"### {section.heading}\n")[1].partition("\n### ")[0]
+        part = text.split(f"## {section.heading}\n")[1].partition("\n## ")[0]
         listed = re.findall(r"^\| `(\w+)` \|", part, re.MULTILINE)
         above = f"{section.name}." if section.name else ""
         assert listed == [name.removeprefix(above) for name in all_keys() if name.rpartition(".")[0] == section.name]
@@ -80,6 +84,22 @@ def test_unknown_keys_are_noticed():
     assert keys_of(text) - all_keys().keys() == {"scan.spead", "scan.speeed", "nothing"}
 
 
+@pytest.mark.parametrize("path", [*PAGES, README], ids=lambda path: path.stem)
+def test_keys_and_modules_in_sentences_exist(path):
+    text = re.sub(r"(?ms)^## Renamed keys.*|^```.*?^```$", "", path.read_text())
+    named = re.findall(r"`([\w./]+)(?: = [^`]*)?`", text)
+    keys, sections = all_keys().keys(), {section.name for section in scene_sections()}
+    keys_named = {name for name in named if name.rpartition(".")[0] in sections - {""} and not name.endswith(".png")}
+    assert keys_named <= keys | sections
+    modules = {name for name in named if re.fullmatch(r"(?:surveysim|mapmaker)/.*\.(?:py|toml)", name)}
+    assert [name for name in modules if not (ROOT / name).is_file()] == []
+
+
+def test_renamed_keys_are_documented():
+    text = (ROOT / "docs" / "reference" / "keys.md").read_text()
+    assert dict(re.findall(r"^\| `([\w.]+)` \| `([\w.]+)` \|$", text, re.MULTILINE)) == RENAMED
+
+
 # ---------------------------------------------------------------- commands
 
 
@@ -113,8 +133,32 @@ def test_every_command_and_option_is_in_the_reference():
 
 
 def test_exit_codes():
-    codes = re.findall(r"^\| (\d+) \|", (ROOT / "docs" / "commands.md").read_text(), re.MULTILINE)
+    codes = re.findall(r"^\| (\d+) \|", (ROOT / "docs" / "reference" / "commands.md").read_text(), re.MULTILINE)
     assert list(map(int, codes)) == [0, EXIT_FAILED, EXIT_WRONG_SCENE, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE]
+
+
+# ---------------------------------------------------------------- Python
+
+
+@pytest.mark.parametrize("package", [mapmaker, surveysim])
+def test_every_public_name_is_in_the_reference(package):
+    part = api_reference().split(f"## {package.__name__}\n")[1].partition("\n## ")[0]
+    names = [name for name in package.__all__ if not name.startswith("_")]
+    assert re.findall(r"^### `\w+\.(\w+)`$", part, re.MULTILINE) == names
+
+
+def test_docstrings_become_lists():
+    text = "Add `x_y` [mK].\n\nParameters\n----------\nx_y : float\n    First.\nb : int\n"
+    lines = [line for line in markdown(text).splitlines() if line]
+    assert lines == [r"Add `x_y` \[mK\].", "**Parameters**", r"- x\_y : float", "  First.", "- b : int"]
+
+
+def test_every_module_is_in_the_reference():
+    text = module_reference()
+    for path in [*ROOT.glob("mapmaker/**/*.py"), *ROOT.glob("surveysim/**/*.py")]:
+        if not path.name.startswith("__"):
+            part = text.split(f"### `{path.parent.relative_to(ROOT)}/`\n")[1].partition("\n### ")[0]
+            assert re.search(rf"^\| `{re.escape(path.name)}` \| \S.* \|$", part, re.MULTILINE)
 
 
 # ---------------------------------------------------------------- the build
@@ -122,13 +166,13 @@ def test_exit_codes():
 
 def test_what_is_made_has_its_place():
     lines = re.findall(r'^    "(<!-- .* -->)"', (ROOT / "docs" / "conf.py").read_text(), re.MULTILINE)
-    assert len(lines) == 2
+    assert len(lines) == 4
     for line in lines:
         assert sum(line in path.read_text() for path in PAGES) == 1
 
 
 def test_tables_are_read():
-    found = documented(ROOT / "docs" / "files.md")
+    found = documented(ROOT / "docs" / "reference" / "files.md")
     assert found["`tables/map_psd.ecsv`"]["noise_<data set>"] == "uK2 sr"
     assert found["`tables/observations.ecsv`"]["wind_speed_rad_s"] == "rad / s"
     assert found["`tables/observations.ecsv`"]["wind_angle_rad"] == "rad"

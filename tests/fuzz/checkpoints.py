@@ -1,6 +1,5 @@
 """Mangled checkpoints, with the digest that they had or with one that fits them."""
 
-import contextlib
 import json
 from collections.abc import Callable
 from hashlib import sha256
@@ -10,44 +9,35 @@ from typing import Any
 
 import numpy as np
 
-from tests.fuzz.kept import copied, numbers, odd_array, resumed
+from tests.fuzz.kept import Base, copied, odd_array, resumed, stopped_and_whole
 from tests.fuzz.mangle import mangled_bytes, pick
 from tests.fuzz.outcomes import Outcome
 from tests.scenes import SMALL_SCENE
 
+NAME = "checkpoint.h5"
 USER_BLOCK = 512
 META = (None, [], {}, "x", -1, 1e400, {"scene": 1}, True, "\x1b[31m", "y" * 3000)
 
 
-def prepare(folder: Path) -> tuple[Path, dict[str, Any]]:
+def prepare(folder: Path) -> Base:
     """A run that was stopped after two of four observations, and the results of a whole one."""
     from surveysim.api import run
-    from surveysim.runtime.engine import SERIAL
     from surveysim.scene.scene import load_scene
-
-    stopped, whole = folder / "stopped", folder / "whole"
-    stopped.mkdir()
-    (stopped / "scene.toml").write_text(SMALL_SCENE)
-    scene = load_scene(stopped / "scene.toml")
 
     def stop(coadds: Any) -> None:
         if coadds.done == 2:
             raise KeyboardInterrupt
 
-    with contextlib.suppress(KeyboardInterrupt):
-        run(scene, stopped / "out", engine=SERIAL, figures=False, progress=stop)
-    run(scene, whole, engine=SERIAL, figures=False)
-    if not (stopped / "out" / "checkpoint.h5").exists():
-        raise AssertionError("the run that was stopped left no checkpoint")
-    return stopped, numbers(whole)
+    def go(scene: Path, out: Path, **options: Any) -> None:
+        run(load_scene(scene), out, **options)
+
+    return stopped_and_whole(folder, SMALL_SCENE, go, stop, NAME)
 
 
-def mangled(base: tuple[Path, dict[str, Any]], rng: np.random.Generator) -> tuple[str, Callable[[], Outcome]]:
+def mangled(base: Base, rng: np.random.Generator) -> tuple[str, Callable[[], Outcome]]:
     """A mangled checkpoint in the output directory."""
     stopped, whole = base
-    copied(stopped)
-    path = Path("out/checkpoint.h5")
-    raw = path.read_bytes()
+    path, raw = copied(stopped, NAME)
     how = int(rng.integers(6))
     good: bool | None = None
     if how == 0:
@@ -67,7 +57,7 @@ def mangled(base: tuple[Path, dict[str, Any]], rng: np.random.Generator) -> tupl
 
 def _same(raw: bytes) -> bool:
     """Whether the file still holds what it did: what fills its first block up carries nothing."""
-    now = Path("out/checkpoint.h5").read_bytes()
+    now = (Path("out") / NAME).read_bytes()
     return now[USER_BLOCK:] == raw[USER_BLOCK:] and now[:122] == raw[:122]
 
 

@@ -1,7 +1,9 @@
 """Runs that left files to go on from, for kinds that mangle these files."""
 
+import contextlib
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import numpy as np
 from tests.fuzz.outcomes import Outcome, call, outcome_of_end
 
 NUMBERS = ("scores", "gains", "scans_discarded", "points", "observations")
+Base = tuple[Path, dict[str, Any]]
 QUIET = ("--engine", "serial", "--no-figures", "-q", "--out", "out")
 
 
@@ -45,9 +48,29 @@ def resumed(whole: dict[str, Any], good: bool | None, refusals: tuple[int, ...] 
     return Outcome("silent", "accepted, with other results than a whole run")
 
 
-def copied(base: Path) -> None:
-    """Scene and output of a run that was stopped, in the working directory."""
+def stopped_and_whole(folder: Path, text: str, go: Callable[..., Any], stop: Callable[[Any], None], left: str) -> Base:
+    """A folder with a scene and the output of a command that was stopped, and the results of a whole one.
+
+    `go` runs a scene's file; `stop` raises KeyboardInterrupt where its progress is such; `left` has to be there then.
+    """
+    from surveysim.runtime.engine import SERIAL
+
+    scene, stopped, whole = folder / "stopped" / "scene.toml", folder / "stopped" / "out", folder / "whole"
+    scene.parent.mkdir()
+    scene.write_text(text)
+    with contextlib.suppress(KeyboardInterrupt):
+        go(scene, stopped, engine=SERIAL, figures=False, progress=stop)
+    go(scene, whole, engine=SERIAL, figures=False)
+    if not (stopped / left).exists():
+        raise AssertionError(f"the command that was stopped left no {left}")
+    return scene.parent, numbers(whole)
+
+
+def copied(base: Path, name: str) -> tuple[Path, bytes]:
+    """Scene and output of a command, in the working directory; returns path and content of a file in the output."""
     shutil.copytree(base, ".", dirs_exist_ok=True)
+    path = Path("out") / name
+    return path, path.read_bytes()
 
 
 def odd_array(array: np.ndarray, rng: np.random.Generator) -> tuple[str, np.ndarray, bool | None]:

@@ -1,6 +1,5 @@
 """Mangled files of a sweep's finished points."""
 
-import contextlib
 import io
 import json
 import zipfile
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.fuzz.kept import copied, numbers, odd_array, resumed
+from tests.fuzz.kept import Base, copied, odd_array, resumed, stopped_and_whole
 from tests.fuzz.mangle import mangled_bytes, pick
 from tests.fuzz.outcomes import Outcome
 from tests.scenes import SMALL_SCENE
@@ -18,37 +17,26 @@ from tests.scenes import SMALL_SCENE
 SMALLER = SMALL_SCENE.replace("observations = 4", "observations = 2")
 SWEEP = SMALLER.replace("mask_separation_f_lambda = 1.3\n", "").replace('["uncorrelated", "white"]', "[]")
 SWEEP += '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n'
+NAME = "points/000.npz"
 FOLDER = "a folder"
 VALUES = (None, [], {}, "x", -1, 0, 1e400, float("nan"), True, "\x1b[31m", [1], {"a": 1}, 10**30)
 
 
-def prepare(folder: Path) -> tuple[Path, dict[str, Any]]:
+def prepare(folder: Path) -> Base:
     """A sweep that was stopped after the first of two points, and the results of a whole one."""
     from surveysim.api import run_sweep
-    from surveysim.runtime.engine import SERIAL
-
-    stopped, whole = folder / "stopped", folder / "whole"
-    stopped.mkdir()
-    (stopped / "scene.toml").write_text(SWEEP)
 
     def stop(done: int) -> None:
         if done == 1:
             raise KeyboardInterrupt
 
-    with contextlib.suppress(KeyboardInterrupt):
-        run_sweep(stopped / "scene.toml", stopped / "out", engine=SERIAL, figures=False, progress=stop)
-    run_sweep(stopped / "scene.toml", whole, engine=SERIAL, figures=False)
-    if not (stopped / "out" / "points" / "000.npz").exists():
-        raise AssertionError("the sweep that was stopped left no point")
-    return stopped, numbers(whole)
+    return stopped_and_whole(folder, SWEEP, run_sweep, stop, NAME)
 
 
-def mangled(base: tuple[Path, dict[str, Any]], rng: np.random.Generator) -> tuple[str, Callable[[], Outcome]]:
+def mangled(base: Base, rng: np.random.Generator) -> tuple[str, Callable[[], Outcome]]:
     """A mangled point in the output directory."""
     stopped, whole = base
-    copied(stopped)
-    path = Path("out/points/000.npz")
-    raw = path.read_bytes()
+    path, raw = copied(stopped, NAME)
     how = int(rng.integers(8))
     good: bool | None = None
     if how == 0:

@@ -78,9 +78,8 @@ def prepare(folder: Path) -> Path:
 
 def mangled(base: Path, rng: np.random.Generator) -> tuple[str, Callable[[], Outcome]]:
     """A mangled summary, or record of the files, in the output directory."""
-    copied(base)
-    path = Path("out") / pick(rng, ("summary.json", "summary.json", RECORD))
-    text = path.read_text()
+    path, raw = copied(base, pick(rng, ("summary.json", "summary.json", RECORD)))
+    text = raw.decode()
     how = int(rng.integers(6))
     if how == 0:
         path.write_bytes(mangled_bytes(text.encode(), rng))

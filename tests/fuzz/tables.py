@@ -1,11 +1,12 @@
 """Mangled tables of detector positions: what is accepted equals what a simple reader finds, and nothing is left out."""
 
 import csv
-import re
 from collections.abc import Callable
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 from tests.fuzz.mangle import NUMBERS, mangled_bytes, mangled_tokens, pick
 from tests.fuzz.outcomes import Outcome, check, outcome_of_error
@@ -44,6 +45,8 @@ CELLS = (
     "\x1b[31m",
     *NUMBERS,
 )
+ADDED = ("", "   ", "#", "# note", "  # note: x", "# meta: {x: 1}", "\t", "\ufeff", "# ---")  # lines
+BEHIND = (" ", "\t", "  # note", "#", " # - {name: z}", ",", "\x0b", "\r")  # a line
 COLUMNS = ("dead", "z", "name", "masked", "X", "gain", "y", "x\x1b", "kept", "flag")
 
 
@@ -69,7 +72,7 @@ def table(columns: list[tuple[str, str, str]], rows: object, delimiter: str = " 
 
 def mangled(base: str, rng: np.random.Generator) -> tuple[str, Callable[[], Outcome]]:
     """A mangled table in the working directory."""
-    how = int(rng.integers(8))
+    how = int(rng.integers(9))
     columns, rows = [["x", "arcmin", "float64"], ["y", "arcmin", "float64"]], [list(row) for row in ROWS]
     raw = None
     if how == 0:
@@ -83,6 +86,8 @@ def mangled(base: str, rng: np.random.Generator) -> tuple[str, Callable[[], Outc
     elif how == 5:
         pick(rng, columns)[2] = pick(rng, KINDS)
     elif how == 6:
+        raw = laid_out(base, rng).encode()
+    elif how == 7:
         place = int(rng.integers(3))
         columns.insert(place, [pick(rng, COLUMNS), pick(rng, ("", "arcmin")), pick(rng, ("float64", "bool", "string"))])
         for row in rows:
@@ -107,6 +112,20 @@ def mangled(base: str, rng: np.random.Generator) -> tuple[str, Callable[[], Outc
     return repr(changed or "lines repeated or left out"), tried
 
 
+def laid_out(text: str, rng: np.random.Generator) -> str:
+    """A table with a line more, or something before or behind a line."""
+    lines = text.splitlines()
+    for _ in range(int(rng.integers(1, 3))):
+        action, place = int(rng.integers(3)), int(rng.integers(len(lines)))
+        if action == 0:
+            lines.insert(place, pick(rng, ADDED))
+        elif action == 1:
+            lines[place] += pick(rng, BEHIND)
+        else:
+            lines[place] = " " + lines[place]
+    return "\n".join(lines) + "\n"
+
+
 def tried() -> Outcome:
     """Read the table; compare it with the simple reader's."""
     from surveysim.telescope.focal_plane import read_positions
@@ -117,10 +136,10 @@ def tried() -> Outcome:
         return outcome_of_error(error, (ValueError,))
     check(np.isfinite(found).all() and len(found) > 0, "positions that are not finite, or none")
     try:
-        wanted = simply_read(Path("camera.ecsv").read_text(encoding="utf-8"))
-    except (Unreadable, UnicodeDecodeError, IndexError, KeyError, ValueError) as error:
+        wanted = simply_read(Path("camera.ecsv").read_text(encoding="utf-8-sig"))
+    except (Unreadable, UnicodeDecodeError, IndexError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
         return Outcome("silent", f"accepted as {found.tolist()}: {type(error).__name__} {error}"[:500])
-    rough = "float16" in Path("camera.ecsv").read_text(encoding="utf-8")
+    rough = "float16" in Path("camera.ecsv").read_text(encoding="utf-8-sig")
     near = found.shape == wanted.shape and np.allclose(found, wanted, rtol=1e-3 if rough else 1e-6, atol=1e-12)
     check(near, f"read as {found.tolist()}"[:500])
     return Outcome("right")
@@ -128,15 +147,13 @@ def tried() -> Outcome:
 
 def simply_read(text: str) -> np.ndarray:
     """Positions [rad] of a table of two columns of numbers; Unreadable for everything else."""
-    header = [line[1:].strip() for line in text.splitlines() if line.startswith("#")]
-    body = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    delimiter = "," if any(re.fullmatch(r"delimiter: ['\"]?,['\"]?", line) for line in header) else " "
-    names, *rows = list(csv.reader(body, delimiter=delimiter, skipinitialspace=True))
-    units = {}
-    for line in header:
-        if match := re.fullmatch(r"- \{(.*)\}", line):
-            facts = dict(part.strip().split(": ", 1) for part in match[1].split(",") if ": " in part)
-            units[facts["name"]] = facts.get("unit", "")
+    lines = [line.strip() for line in text.splitlines()]
+    header = yaml.safe_load("\n".join(line[1:].removeprefix(" ") for line in takewhile(_begins, lines) if line))
+    body = [line for line in lines if line and not line.startswith("#")]
+    if not isinstance(header, dict):
+        raise Unreadable("no header")
+    names, *rows = list(csv.reader(body, delimiter=header.get("delimiter", " "), skipinitialspace=True))
+    units = {column["name"]: str(column.get("unit") or "") for column in header["datatype"]}
     if sorted(names) != ["x", "y"] or sorted(units) != ["x", "y"]:
         raise Unreadable(f"columns {names}")
     if any(len(row) != 2 for row in rows):
@@ -144,3 +161,8 @@ def simply_read(text: str) -> np.ndarray:
     return np.array(
         [[float(row[names.index(name)]) * quantity(f"1 {units[name]}", "rad") for name in "xy"] for row in rows]
     )
+
+
+def _begins(line: str) -> bool:
+    """Whether a line is of the header, within which lines may be blank."""
+    return not line or line.startswith("#")

@@ -10,7 +10,7 @@ from surveysim.reduction.setup import prepare
 from surveysim.results.summary import summary
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
-from tests.scenes import SMALL_SCENE
+from tests.scenes import write_scene
 
 LYNX = "scenarios/lynx.toml"
 
@@ -63,8 +63,7 @@ def test_higher_orders_leave_less_on_large_scales(setup):
 
 
 def test_without_templates_only_the_scan_s_mean_is_lost(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
+    path = write_scene(tmp_path)
     scene = load_scene(path, {"cleaning.algorithm": "none", "cleaning.compare": ["average"]})
     none, average = transfer_functions(scene)
     ell = prepare(scene).band.rings.ell

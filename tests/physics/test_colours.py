@@ -9,7 +9,8 @@ from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeli
 from surveysim.reduction.setup import observation_path, prepare
 from surveysim.results.summary import summary
 from surveysim.runtime.engine import SERIAL
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene
 from surveysim.timestreams.observation import draw_observation, draw_other_bands
 
 SUZIE = "scenarios/suzie_ii.toml"

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surveysim.scene.scene import SceneError
+from surveysim.runtime.errors import SceneError
 from surveysim.studies.stress import CASES, Case, Outcome, base_scene, run_case
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")  # of numpy: none may reach a user

@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 from mapmaker.timestreams import FocalPlane
+from surveysim.forecasting import mode_response as response
 from surveysim.forecasting import observing_conditions as conditions
 from surveysim.forecasting.forecast import forecast
+from surveysim.forecasting.mode_response import matrix_power, projected_array, stream_power
 from surveysim.forecasting.noise_model import survey_models
-from surveysim.reduction import mode_response as response
 from surveysim.reduction import resource_limits as limits
 from surveysim.reduction import setup
-from surveysim.reduction.mode_response import matrix_power, projected_array, stream_power
 from surveysim.reduction.setup import prepare
+from surveysim.runtime.errors import SceneError
 from surveysim.scene.noise_and_sky import Excess
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.scene.scene import load_scene
 from surveysim.telescope import lattice_noise as lattice
 from surveysim.telescope.focal_plane import Camera, hexagon
 from surveysim.telescope.lattice_noise import LARGEST_ERROR, CirculantFactor, NoiseCorrelation, embed
@@ -23,7 +24,7 @@ from surveysim.telescope.pixel_coherence import Illumination, correlation_matrix
 from surveysim.timestreams import shared_parts as parts
 from surveysim.timestreams.noise import add_correlated_white, add_excess, excess_psd, hann_psd
 from surveysim.timestreams.observation import draw_observation
-from tests.scenes import SMALL_SCENE
+from tests.scenes import write_scene
 
 RATE = 10.0
 DENSE = (conditions, limits, parts, response, setup)  # all that look at how many detectors have a matrix
@@ -158,7 +159,7 @@ def test_powers_of_a_forecast_are_those_of_the_matrix(algorithm):
     cells, positions = array(4, 0.7)
     torus, rng = embed(cells, 0.7, "field", Illumination()), np.random.default_rng(7)
     gain = rng.uniform(0.8, 1.2, len(cells))
-    cleaned = projected_array(FocalPlane(*positions.T, 1.0), 0.3, gain, algorithm)
+    cleaned = projected_array(FocalPlane(*positions.T, 1.0), 0.3, responsivity=gain, algorithm=algorithm)
     matrix, shared = gain[:, None] * implied(torus, cells) * gain, NoiseCorrelation(torus, gain)
     assert stream_power(cleaned, shared) == pytest.approx(stream_power(cleaned, matrix), rel=1e-9)
     waves = cleaned.response(rng.standard_normal(6) + 1j * rng.standard_normal(6))
@@ -195,9 +196,7 @@ def few_are_many(monkeypatch):
 
 @pytest.fixture
 def path(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
+    return write_scene(tmp_path)
 
 
 def test_forecasts_are_those_of_matrices(path, few_are_many):

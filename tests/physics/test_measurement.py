@@ -16,7 +16,7 @@ from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from surveysim.timestreams.noise import low_frequency_variance
 from surveysim.timestreams.observation import draw_observation
-from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
+from tests.scenes import WHITE_NOISE_SCENE, write_scene
 
 ARCMIN = math.radians(1 / 60)
 LYNX = "scenarios/lynx.toml"
@@ -43,8 +43,7 @@ def test_white_noise_leaves_no_raw_variance_and_no_residual_in_the_map(tmp_path)
 
 def test_map_of_white_noise_is_white(tmp_path):
     """A common signal for the templates, far above; what cleaning leaves is white."""
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
+    path = write_scene(tmp_path)
     changes = {"scan.scans": 16, "scan.step": "0.5 arcmin", "instrument.responsivity_scatter": 0.0}
     setup = prepare(load_scene(path, changes))
     streams = draw_observation(setup, 0)
@@ -53,7 +52,7 @@ def test_map_of_white_noise_is_white(tmp_path):
     noise = rng.standard_normal(streams.data_mk.shape)
     streams.data_mk[:] = 30 * common + 5 * noise
     options = TemplateOptions(1e-8, 100)
-    cleaned = clean("average", streams.data_mk, streams.scan_bounds, streams.focal_plane, options)
+    cleaned = clean("average", streams.data_mk, streams.scan_bounds, streams.focal_plane, options=options)
     variance, white = map_variances(setup, streams, observation_path(setup, 0)[1], cleaned)
     # A few hundred pixels under the taper, of which an eighth of the modes are the highest.
     assert variance == pytest.approx(white, rel=0.25)

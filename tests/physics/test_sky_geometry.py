@@ -9,20 +9,19 @@ from mapmaker.geometry import boresight_pixels, pixel_indices
 from mapmaker.wind import scan_velocities
 from surveysim.reduction.consistency import MAX_AIRMASS_CHANGE, MAX_TURN_BEAMS
 from surveysim.reduction.setup import observation_path, prepare
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene
 from surveysim.telescope.pointing import SIDEREAL_RAD_S
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.sky import add_point_sources
-from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections
+from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections, write_scene
 
 LATITUDE = math.radians(19.8)
 
 
 @pytest.fixture
 def path(tmp_path):
-    file = tmp_path / "small.toml"
-    file.write_text(SMALL_SCENE)
-    return file
+    return write_scene(tmp_path)
 
 
 @pytest.fixture
@@ -40,7 +39,7 @@ def test_saved_streams_say_where_simulated_detectors_look(path, dec_deg):
     _, pointing = observation_path(setup, 1)
     streams = draw_observation(setup, 1)
     angle, plane = pointing.array_angle_rad[pointing.scan], setup.camera.focal_plane
-    expected = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane)
+    expected = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
     found = pixel_indices(setup.geometry, streams)
     # Rounding, 1e-15 rad, takes one in 10^11 samples to another pixel.
     np.testing.assert_array_equal(found, expected)

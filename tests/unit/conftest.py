@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from surveysim.cli.main import main
-from tests.scenes import SMALL_SCENE
+from tests.scenes import write_scene
 
 
 @pytest.fixture
@@ -28,16 +28,14 @@ def blank_figures():
         Image.new("RGB", (60, 40)).save(path)
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("survey", "run_time"):
+        for module in ("survey",):
             patch.setattr(f"surveysim.report.figures.{module}.save", save)
         yield
 
 
 @pytest.fixture
 def scene_file(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
+    return write_scene(tmp_path)
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from surveysim import SceneError, load_scene, run, simulate_observation
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.survey.run import run_observations
-from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
+from tests.scenes import WHITE_NOISE_SCENE, write_scene
 
 STAGES = ("atmosphere", "excess", "photon", "detector", "sky")
 ONE_B2 = {"excess.b2": [46], "excess.variance": "[2.05] mK2"}  # excess that needs no weather
@@ -19,9 +19,7 @@ ONE_B2 = {"excess.b2": [46], "excess.variance": "[2.05] mK2"}  # excess that nee
 
 @pytest.fixture
 def path(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
+    return write_scene(tmp_path)
 
 
 def streams(path, stages, observation=1, **overrides):

@@ -17,6 +17,7 @@ from surveysim.paper.published import published
 from surveysim.paper.statistics import described
 from surveysim.reduction.setup import Setup, observation_path
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
+from surveysim.runtime.errors import InsufficientDataError
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.noise import hann_psd
@@ -62,9 +63,11 @@ class Example:
     def clean(self, name: str, added_mk: np.ndarray | None = None) -> Cleaned:
         """Clean the streams, with a signal (n_det, n_samp) added to them; raises ValueError where no scan is kept."""
         data = self.streams.data_mk if added_mk is None else self.streams.data_mk + added_mk
-        cleaned = clean(name, data, self.streams.scan_bounds, self.streams.focal_plane, self._options(name))
+        cleaned = clean(name, data, self.streams.scan_bounds, self.streams.focal_plane, options=self._options(name))
         if not cleaned.kept.any():
-            raise ValueError(f"found no scan of observation {self.item.observation} kept by {name}; one is expected")
+            raise InsufficientDataError(
+                f"found no scan of observation {self.item.observation} kept by {name}; one is expected"
+            )
         return cleaned
 
     def psd(self, data_mk: np.ndarray, kept: np.ndarray) -> np.ndarray:
@@ -97,7 +100,9 @@ def weather_examples(survey: MeasuredSurvey) -> tuple[Example, ...]:
     first = np.array(survey.scene_of) == survey.scene_of[0]
     usable = np.flatnonzero(first & survey.wind_good & np.isfinite(survey.b2_fitted))
     if len(usable) < 2:
-        raise ValueError(f"found {len(usable)} observations with a trusted wind and a fit; two or more are expected")
+        raise InsufficientDataError(
+            f"found {len(usable)} observations with a trusted wind and a fit; two or more are expected"
+        )
     examples, log_b2 = [], np.log(survey.b2_fitted)
     for weather, centile in CENTILES.items():
         away = np.abs(log_b2[usable] - np.nanpercentile(log_b2, centile))
@@ -224,7 +229,9 @@ def template_psds(one: Example) -> np.ndarray:
     """PSDs (6, n_freq) [mK^2/Hz] of the terms of quadratic subtraction at `halfway_out`; errors as `Example.clean`."""
     plane, cleaned = one.streams.focal_plane, one.clean("quadratic")
     bounds, place = one.streams.scan_bounds, halfway_out(plane)
-    streams = template_streams(one.streams.data_mk, bounds, plane, cleaned.responsivity, QUADRATIC, place)
+    streams = template_streams(
+        one.streams.data_mk, bounds, plane, responsivity=cleaned.responsivity, exponents=QUADRATIC, place_rad=place
+    )
     return one.psd(streams, cleaned.kept)
 
 
@@ -315,9 +322,11 @@ def cleaning_cost(one: Example, name: str) -> Cost:
     base, both = one.clean(name), one.clean(name, plain)
     same = base.kept & both.kept & (base.removed == both.removed)
     if not same.any():
-        raise ValueError(f"found no scan in which {name} takes as many modes with a faint sky; one is expected")
+        raise InsufficientDataError(
+            f"found no scan in which {name} takes as many modes with a faint sky; one is expected"
+        )
     left = one.psd(both.data_mk - base.data_mk, same).mean(axis=0)
-    none = clean("none", plain, one.streams.scan_bounds, one.streams.focal_plane, None)
+    none = clean("none", plain, one.streams.scan_bounds, one.streams.focal_plane, options=None)
     whole = one.psd(none.data_mk, same).mean(axis=0)
     return Cost(_mean_psd(one, base), left / whole, float(base.removed[base.kept].mean()))
 

@@ -6,6 +6,7 @@ from surveysim.paper.published import published
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.results.results import SurveyResult
+from surveysim.runtime.errors import InsufficientDataError
 from surveysim.survey.coadds import row_names
 from surveysim.survey.scores import DataSetScore, gain, rescore
 
@@ -24,7 +25,9 @@ def map_psd_figure(result: SurveyResult) -> PaperFigure:
     """
     if not result.setup.chooses or not result.scores:
         found = result.unscored or "cleaning.compare is empty"
-        raise ValueError(f"found no scores of several pipelines: {found}; a scored run that compares some is expected")
+        raise InsufficientDataError(
+            f"found no scores of several pipelines: {found}; a scored run that compares some is expected"
+        )
     names = pipeline_names(result)
     return PaperFigure(
         number=13,
@@ -55,11 +58,13 @@ def winners(result: SurveyResult, target: str, data_sets: tuple[str, ...]) -> di
     wanted = [f"merit_{target}_{data_set}" for data_set in data_sets]
     missing = [name for name in wanted if name not in names]
     if missing:
-        raise ValueError(f"found no {', '.join(missing)} in the rows; data sets that are compared are allowed")
+        raise InsufficientDataError(
+            f"found no {', '.join(missing)} in the rows; data sets that are compared are allowed"
+        )
     figures_of_merit = np.array(result.coadds.rows)[:, [names.index(name) for name in wanted]]
     figures_of_merit = figures_of_merit[np.nan_to_num(figures_of_merit).max(axis=1) > 0]
     if len(figures_of_merit) == 0:
-        raise ValueError("found no observation with a figure of merit; one or more is expected")
+        raise InsufficientDataError("found no observation with a figure of merit; one or more is expected")
     best = np.nanargmax(figures_of_merit, axis=1)
     return {data_set: float(np.mean(best == place)) for place, data_set in enumerate(data_sets)}
 

@@ -11,6 +11,7 @@ from surveysim.atmosphere.thin_screen import mean_removed_variance
 from surveysim.atmosphere.weather import b2_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
+from surveysim.runtime.errors import SceneError
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.sites import SITES, median_water_mm, water_mm
 from surveysim.telescope.raster import samples_per_scan
@@ -69,7 +70,7 @@ def screen_figure(setup: Setup) -> PaperFigure:
     without an atmosphere.
     """
     if setup.scene.atmosphere is None:
-        raise ValueError(f"scene {setup.scene.name!r}: found no [atmosphere]; one is expected")
+        raise SceneError(f"scene {setup.scene.name!r}: found no [atmosphere]; one is expected")
     panels = (_side_panel(setup), _crossing_panel(setup), _layer_panel(setup), _emission_panel(setup))
     return PaperFigure(2, "The thin-screen model", _screen_caption(setup), panels, columns=2)
 
@@ -183,7 +184,17 @@ def edge_streams(setup: Setup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     wind, rng = np.array([[air.wind_median_rad_s, 0.0]]), generator(setup.scene.seed, RandomPurpose.ATMOSPHERE, DRAW)
     bounds, rest, sine = np.array([[0, n]]), np.zeros((1, 2)), sin(_elevation_rad(setup))
     amplitude, strips = np.array([sqrt(_median_b2(setup) / sine)]), setup.strips.at(sine)
-    add_atmosphere(data, bounds, rate, offsets / sine, rest, wind / sine, amplitude, strips, rng)
+    add_atmosphere(
+        data,
+        bounds,
+        sample_rate_hz=rate,
+        offsets_rad=offsets / sine,
+        velocity_rad_s=rest,
+        layer_velocity_rad_s=wind / sine,
+        amplitude_mk=amplitude,
+        strips=strips,
+        rng=rng,
+    )
     return np.arange(n) / rate, *(data - data.mean())
 
 

@@ -8,6 +8,7 @@ from surveysim.paper.measured_survey import MeasuredSurvey
 from surveysim.paper.published import published
 from surveysim.paper.statistics import QUARTILES, Binned, binned, cumulative, described, scale_to, without_fit
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
+from surveysim.runtime.errors import InsufficientDataError
 
 BAND_LOOKS = ("blue", "vermilion", "green", "purple")  # of the surveys, in their order
 B2_LABEL = r"$B_\nu^2$ [mK$^2$ rad$^{-5/3}$]"
@@ -69,7 +70,7 @@ def b2_water_figure(surveys: Sequence[MeasuredSurvey]) -> PaperFigure:
     panels, texts = [], []
     for survey in surveys:
         if survey.setup.water is None:
-            raise ValueError(f"found no site at {survey.band_ghz} GHz; one with water is expected")
+            raise InsufficientDataError(f"found no site at {survey.band_ghz} GHz; one with water is expected")
         fitted = np.isfinite(survey.b2_fitted)
         points = binned(survey.pwv_mm[fitted], survey.b2_fitted[fitted])
         model = survey.setup.water.response
@@ -123,7 +124,7 @@ def map_variance_figure(survey: MeasuredSurvey) -> PaperFigure:
     to_cmb = survey.setup.scene.instrument.cmb_per_rj**2
     whole = [item for item in survey.measurements if np.isfinite(item.map_mk2)]
     if not whole:
-        raise ValueError("found no map without gaps; one or more is expected")
+        raise InsufficientDataError("found no map without gaps; one or more is expected")
     residual = to_cmb * np.array([item.map_mk2 - item.map_white_mk2 for item in survey.measurements])
     left = residual[np.isfinite(residual)]
     white = to_cmb * float(np.median([item.map_white_mk2 for item in whole]))

@@ -10,6 +10,7 @@ from surveysim.paper.measurement import CORRELATION_EDGES, PAIR_CLEANINGS
 from surveysim.paper.published import published
 from surveysim.paper.statistics import described, median_error, quarters
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
+from surveysim.runtime.errors import InsufficientDataError
 
 PAIRS = {"adjacent": "adjacent_counts", "non-adjacent": "distant_counts"}
 WEATHER_LOOKS = {"all observations": "black", "lowest quarter of B2": "blue", "highest quarter of B2": "vermilion"}
@@ -71,7 +72,9 @@ def _counts(survey: MeasuredSurvey, cleaning: str, field: str, which: np.ndarray
     """Counts of pairs (n_obs, n_bin) by correlation coefficient, of those observations that have them."""
     items = [item for item, used in zip(pair_noises(survey, cleaning), which, strict=True) if used and item]
     if not items:
-        raise ValueError(f"found no observation with scans kept by {cleaning} subtraction; one or more is expected")
+        raise InsufficientDataError(
+            f"found no observation with scans kept by {cleaning} subtraction; one or more is expected"
+        )
     return np.array([getattr(item, field) for item in items])
 
 
@@ -176,7 +179,9 @@ def _lobes(survey: MeasuredSurvey) -> str:
 def _against_separation(survey: MeasuredSurvey, cleaning: str, which: np.ndarray, label: str, look: str) -> Series:
     items = [item for item, used in zip(pair_noises(survey, cleaning), which, strict=True) if used and item]
     if not items:
-        raise ValueError(f"found no observation with scans kept by {cleaning} subtraction; one or more is expected")
+        raise InsufficientDataError(
+            f"found no observation with scans kept by {cleaning} subtraction; one or more is expected"
+        )
     bins = survey.bins
     apart = np.append(bins.separation_rad[bins.adjacent].mean(), bins.theta_rad)
     values = np.array([np.append(item.adjacent_correlation, item.correlation) for item in items])

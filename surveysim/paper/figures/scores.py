@@ -9,6 +9,7 @@ from surveysim.paper.figures.maps import ARCMIN2_IN_SR, ELL, LOWEST_ELL
 from surveysim.paper.published import published
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.results.results import SurveyResult, score_rows
+from surveysim.runtime.errors import InsufficientDataError
 from surveysim.survey.scores import DataSetScore, bin_errors
 
 if TYPE_CHECKING:
@@ -56,7 +57,9 @@ def gain_table(result: SurveyResult) -> "Table":
 
 def _check(result: SurveyResult) -> None:
     if not result.scores:
-        raise ValueError(f"found no scores: {result.unscored or 'the scene has none'}; a scored run is expected")
+        raise InsufficientDataError(
+            f"found no scores: {result.unscored or 'the scene has none'}; a scored run is expected"
+        )
 
 
 def _kind(name: str) -> str:

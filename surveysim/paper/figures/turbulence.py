@@ -10,6 +10,7 @@ from surveysim.paper.measured_survey import KNOWN, MeasuredSurvey
 from surveysim.paper.published import published
 from surveysim.paper.statistics import described, without_fit
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
+from surveysim.runtime.errors import InsufficientDataError
 from surveysim.timestreams.observation import draw_observation
 
 TYPICAL_CENTILE = 30.0  # of chi^2, the paper's choice of examples
@@ -69,7 +70,7 @@ def typical_observations(survey: MeasuredSurvey) -> tuple[int, int]:
     first = np.array(survey.scene_of) == survey.scene_of[0]
     usable = np.flatnonzero(first & survey.wind_good & np.isfinite(smallest))
     if len(usable) == 0:
-        raise ValueError("found no observation with a wind to be trusted and a fit; one or more is expected")
+        raise InsufficientDataError("found no observation with a wind to be trusted and a fit; one or more is expected")
     target, log_b2 = np.nanpercentile(smallest, TYPICAL_CENTILE), np.log(survey.b2_fitted)
     low, middle, high = np.nanpercentile(log_b2, (25.0, 50.0, 75.0))
     chosen = []
@@ -158,7 +159,7 @@ def index_height_figure(survey: MeasuredSurvey) -> PaperFigure:
     """Figure 6: histograms of the best-fit index and of the best-fit height; raises ValueError without a fit."""
     best = np.array([fit.best for fit in survey.fits if fit is not None])
     if len(best) == 0:
-        raise ValueError("found no observation with a fit; one or more is expected")
+        raise InsufficientDataError("found no observation with a fit; one or more is expected")
     counts = np.bincount(best[:, 1], minlength=len(survey.grid.height_m))
     uniform = len(best) / len(counts)
     chi2 = float(np.sum((counts - uniform) ** 2) / uniform)

@@ -13,6 +13,7 @@ from surveysim.paper.published import published
 from surveysim.paper.statistics import described
 from surveysim.reduction.setup import Setup, observation_path
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
+from surveysim.runtime.errors import InsufficientDataError
 from surveysim.timestreams.observation import add_layer, draw_observation, observation_weather
 
 SECOND_LAYER_RAD = radians(120.0)  # direction of the second layer's wind from that of the first
@@ -61,7 +62,9 @@ def typical_observation(survey: MeasuredSurvey) -> int:
     first = np.array(survey.scene_of) == survey.scene_of[0]
     trusted = first & survey.wind_good
     if not trusted.any():
-        raise ValueError(f"found no wind to be trusted in scene {survey.scene_of[0]!r}; one or more is expected")
+        raise InsufficientDataError(
+            f"found no wind to be trusted in scene {survey.scene_of[0]!r}; one or more is expected"
+        )
     fair = trusted & (survey.b2_fitted > np.nanmedian(survey.b2_fitted))
     chosen = np.flatnonzero(fair if fair.any() else trusted)
     goodness = [survey.measurements[k].wind.goodness for k in chosen]
@@ -112,7 +115,9 @@ def wind_histogram_figure(surveys: Sequence[MeasuredSurvey]) -> PaperFigure:
     """
     for survey in surveys:
         if not survey.wind_good.any():
-            raise ValueError(f"found no wind to be trusted at {survey.band_ghz} GHz; one or more is expected")
+            raise InsufficientDataError(
+                f"found no wind to be trusted at {survey.band_ghz} GHz; one or more is expected"
+            )
     highest = max(max(_trusted(survey).max(), survey.wind_drawn_arcmin_s.max()) for survey in surveys)
     edges = np.arange(0.0, highest + BIN_ARCMIN_S, BIN_ARCMIN_S)
     panels = [_wind_panel(survey, edges) for survey in surveys]

@@ -3,13 +3,13 @@
 import os
 import sys
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from rich.cells import cell_len
 from rich.console import Console
 from rich.segment import Segment
-from rich.table import Table
+from rich.table import Column, Table
 
 from surveysim.runtime.printable import printable
 
@@ -51,10 +51,11 @@ class Terminal(Console):
         Words are never broken, nor are the cells of columns that are justified on the right: numbers.
         """
         for column in table.columns:
-            if column.justify == "right":
-                column.min_width = max((cell_len(str(cell)) for cell in column.cells), default=0)
-        wide = self.options.update(width=WIDEST)
-        fits = self.measure(table, options=wide).minimum <= self.width
+            column.min_width = _narrowest(column)
+        wide = self.measure(table, options=self.options.update(width=WIDEST))
+        fits = wide.minimum <= self.width
+        if fits and wide.maximum > self.width:
+            _narrow(table.columns, self.width - wide.minimum)
         if table.title and (not fits or cell_len(str(table.title)) > self.measure(table).maximum):
             self.say(str(table.title))
             table.title = None
@@ -68,3 +69,23 @@ class Terminal(Console):
                 if text := str(cell):
                     self.say(f"{column.header}: {text}")
         self.say("")
+
+
+def _narrowest(column: Column) -> int:
+    """Columns of a terminal that the longest word needs, or number."""
+    cells = [str(cell) for cell in column.cells]
+    words = [word for text in (str(column.header), *cells) for word in text.split()]
+    return max(map(cell_len, words + cells if column.justify == "right" else words), default=0)
+
+
+def _narrow(columns: Sequence[Column], free: int) -> None:
+    """Share what is free beyond the narrowest widths among columns that would be wider: rich would break words."""
+    wanted = {id(column): _widest(column) - column.min_width for column in columns}
+    for place, column in enumerate(sorted(columns, key=lambda column: wanted[id(column)])):
+        more = min(wanted[id(column)], free // (len(columns) - place))
+        column.width, free = column.min_width + more, free - more
+
+
+def _widest(column: Column) -> int:
+    lines = [line for text in (column.header, *column.cells) for line in str(text).split("\n")]
+    return max(map(cell_len, lines))

@@ -6,6 +6,7 @@ import numpy as np
 
 from mapmaker.uncertainty import ErrorBudget
 from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.runtime.errors import InputError
 from surveysim.runtime.memory import peak_bytes
 from surveysim.scene.scene import Scene
 from surveysim.studies.convergence.records import MUCH_FASTER, MUCH_WORSE, Measured, Recommendation, Setting, Slope
@@ -95,7 +96,7 @@ def forecast_row(scene: Scene, setting: Setting, reference_ukcmb2: float, refere
         forecast(scene)
         between = clocks()
         sigma = in_all_weather(prepare(scene), forecast(scene))[ACTUAL]
-    except ValueError as error:  # of a scene that can't be forecast
+    except InputError as error:  # of a scene that can't be forecast
         return Measured(setting, scene.observations, note=f"refused: {first_line(error)}")
     wall, cpu = clocks() - between
     ratio = sigma / reference_ukcmb2

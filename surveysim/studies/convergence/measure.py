@@ -9,7 +9,8 @@ import numpy as np
 
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL, Engine
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import InputError, SceneError
+from surveysim.scene.scene import load_scene
 from surveysim.studies.convergence.comparison import (
     forecast_row,
     ladder_rows,
@@ -42,7 +43,7 @@ def measure_accuracy(
     """
     if not 0 < reference_error < 1 or seeds < 1 or observations < 2:
         found = f"{reference_error}, {seeds} and {observations}"
-        raise ValueError(
+        raise InputError(
             f"reference error, seeds and observations: found {found}; between 0 and 1, 1 and 2 or more are expected"
         )
     start, given = perf_counter(), dict(overrides or {})

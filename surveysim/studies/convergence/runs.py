@@ -13,8 +13,9 @@ from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.results.control_variate import known_expectations, quoted_scores
 from surveysim.runtime.engine import Engine, ordered_map
+from surveysim.runtime.errors import InputError, InsufficientDataError, SceneError
 from surveysim.runtime.memory import peak_bytes
-from surveysim.scene.scene import Scene, SceneError, scene_hash
+from surveysim.scene.scene import Scene, scene_hash
 from surveysim.studies.convergence.records import OF_SCREEN, Setting
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.run import run_observations
@@ -64,7 +65,7 @@ def run_task(task: Task) -> Run:
         known_expectations(setup)
         start_s = perf_counter() - start
         marks = _marks(setup, task.counts)
-    except (ValueError, ArithmeticError, MemoryError) as error:
+    except (InputError, MemoryError) as error:
         return Run(note=f"refused: {first_line(error)}")
     peak = peak_bytes() / 1e6
     return Run(marks, start_s, peak, peak - before)
@@ -80,7 +81,7 @@ def _marks(setup: Setup, counts: Sequence[int]) -> dict[int, Mark]:
         before, found, note = clocks(), None, ""
         try:
             found = quoted_scores(setup, coadds, (ACTUAL,))[ACTUAL]
-        except ValueError as error:  # too few observations, or none with window skies
+        except InsufficientDataError as error:  # too few observations, or none with window skies
             note = f"not scored: {first_line(error)}"
         after = clocks()
         wall, cpu = after - began - scoring
@@ -148,11 +149,11 @@ def seeds_wanted(scene: Scene, own: Run, reference_error: float, most: int) -> i
     Raises ValueError without a score, and for fewer observations than tell its error.
     """
     if not own.scored(scene.observations):
-        raise ValueError(f"{scene.name}: {own.note or own.marks[scene.observations].note}")
+        raise InsufficientDataError(f"{scene.name}: {own.note or own.marks[scene.observations].note}")
     error = own.marks[scene.observations].score.budget.total
     if np.isnan(error):
         n_obs = scene.observations
-        raise ValueError(
+        raise InsufficientDataError(
             f"{scene.name}: found {n_obs} observations; as many as tell the error of sigma(A) are expected"
         )
     return min(most, ceil((error / reference_error) ** 2))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mapmaker.cleaning import TemplateOptions
+from surveysim.runtime.errors import InputError
 from surveysim.scene.scene import Scene, scene_of
 
 RATE_HZ = 10.0
@@ -58,7 +59,7 @@ def run_case(case: Case) -> Outcome:
     """What comes out of a case; a refusal (ValueError) is an outcome too, any other failure is raised."""
     try:
         outcome = case.check(base_scene(case.overrides))
-    except ValueError as error:
+    except InputError as error:
         refused = bool(case.refusal) and case.refusal in str(error)
         return Outcome(str(error), case.refusal or "an answer", 0.0, refused, "refused")
     if case.refusal:

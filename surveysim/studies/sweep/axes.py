@@ -19,9 +19,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from surveysim.reduction.setup import prepare
+from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.text_files import key_text
 from surveysim.scene.fields import LONGEST_LINE
-from surveysim.scene.scene import Origin, Scene, SceneError, allowed_keys, error_lines, read_scene, scene_hash, scene_of
+from surveysim.scene.scene import Origin, Scene, allowed_keys, error_lines, read_scene, scene_hash, scene_of
 from surveysim.scene.units import shown
 from surveysim.telescope.raster import samples_per_scan
 
@@ -143,7 +144,7 @@ def load_sweep(
     name = "sweep.reference" if reference is None else "--reference"
     try:
         chosen = _reference(name, _given_reference(content) if reference is None else reference, axes, points)
-    except ValueError as error:
+    except InputError as error:
         raise SceneError(f"{path}: {error}") from None
     if reference is not None and all(axis.name != REFERENCE for axis in axes):
         overrides[f"sweep.{REFERENCE}"] = chosen
@@ -207,7 +208,7 @@ def _axes(path: Path, content: Mapping[str, Any], overrides: Mapping[str, Any]) 
             continue
         try:
             axes.append(_axis(name, value))
-        except ValueError as error:
+        except InputError as error:
             wrong.append(str(error))
     if wrong:
         raise SceneError(error_lines(path, wrong))
@@ -215,7 +216,7 @@ def _axes(path: Path, content: Mapping[str, Any], overrides: Mapping[str, Any]) 
         raise SceneError(f"{path}: sweep: found {REFERENCE!r} alone; a key with a list of values is expected")
     try:
         _check_together(axes, overrides)
-    except ValueError as error:
+    except InputError as error:
         raise SceneError(f"{path}: {error}") from None
     return tuple(axes)
 
@@ -227,19 +228,19 @@ def _axis(name: str, value: Any) -> Axis:
     elif isinstance(value, dict) and value:
         lists = value
         if not name.isprintable() or not 0 < len(name) <= LONGEST_LINE:
-            raise ValueError(
+            raise InputError(
                 f"sweep: found the axis {shown(name)}; a name in one line, of printable letters, is expected"
             )
     else:
-        raise ValueError(f"{where}: found {shown(value)}; a list of values, or a table of keys with lists, is expected")
+        raise InputError(f"{where}: found {shown(value)}; a list of values, or a table of keys with lists, is expected")
     for key, items in lists.items():
         of_key = where if lists is not value else f"{where}.{key_text(key)}"
         _check_key(of_key, name, key)
         if not isinstance(items, list) or not items:
-            raise ValueError(f"{of_key}: found {shown(items)}; a list of one or more values is expected")
+            raise InputError(f"{of_key}: found {shown(items)}; a list of one or more values is expected")
     lengths = [len(items) for items in lists.values()]
     if len(set(lengths)) > 1:
-        raise ValueError(f"{where}: found lists of {' and '.join(map(str, lengths))} values; one length is expected")
+        raise InputError(f"{where}: found lists of {' and '.join(map(str, lengths))} values; one length is expected")
     return Axis(name, tuple(lists), tuple(zip(*lists.values(), strict=True)))
 
 
@@ -247,13 +248,13 @@ def _check_key(where: str, axis: str, key: str) -> None:
     """Raise ValueError unless it is a key of a scene that points may differ in."""
     *sections, last = key.split(".")
     if sections[:1] == ["sweep"] or key in COMMON:
-        raise ValueError(f"{where}: found {shown(key)}; a key that is not common to all points is expected")
+        raise InputError(f"{where}: found {shown(key)}; a key that is not common to all points is expected")
     allowed = allowed_keys(tuple(sections))
     if last not in allowed:
         if axis != key and key in allowed_keys(tuple(axis.split("."))):
-            raise ValueError(f'{where}: unknown key; a key with dots goes in quotes: "{axis}.{key}"')
+            raise InputError(f'{where}: unknown key; a key with dots goes in quotes: "{axis}.{key}"')
         names = ", ".join(f"{'.'.join([*sections, name])}" for name in allowed if name not in COMMON)
-        raise ValueError(f"{where}: unknown key{f'; allowed are {names}' if names else ' of a scene'}")
+        raise InputError(f"{where}: unknown key{f'; allowed are {names}' if names else ' of a scene'}")
 
 
 def _check_together(axes: Sequence[Axis], overrides: Mapping[str, Any]) -> None:
@@ -261,13 +262,13 @@ def _check_together(axes: Sequence[Axis], overrides: Mapping[str, Any]) -> None:
     seen: list[str] = []
     for key in (key for axis in axes for key in axis.keys):
         if other := next((other for other in seen if _overlap(key, other)), None):
-            raise ValueError(f"sweep: found {shown(key)} beside {shown(other)}; every key on one axis is expected")
+            raise InputError(f"sweep: found {shown(key)} beside {shown(other)}; every key on one axis is expected")
         if other := next((other for other in overrides if _overlap(key, other)), None):
-            raise ValueError(f"{other}: set, and on an axis of the sweep; a key that it leaves alone is expected")
+            raise InputError(f"{other}: set, and on an axis of the sweep; a key that it leaves alone is expected")
         seen.append(key)
     n_points = prod(len(axis.values) for axis in axes)
     if n_points > MAX_POINTS:
-        raise ValueError(f"sweep: found {n_points} points; {MAX_POINTS} or less are expected")
+        raise InputError(f"sweep: found {n_points} points; {MAX_POINTS} or less are expected")
 
 
 def _overlap(key: str, other: str) -> bool:
@@ -284,15 +285,15 @@ def _given_reference(content: Mapping[str, Any]) -> int | str | None:
 def _reference(name: str, given: int | str | None, axes: Sequence[Axis], points: Sequence[Point]) -> int:
     """Number of the reference point, by default the first; raises ValueError unless the text names one."""
     if isinstance(given, bool):
-        raise ValueError(f"{name}: found {shown(given)}; the number of a point, or its values, is expected")
+        raise InputError(f"{name}: found {shown(given)}; the number of a point, or its values, is expected")
     if given is None or isinstance(given, int):
         if not 0 <= (given or 0) < len(points):
-            raise ValueError(f"{name}: found {given}; the number of a point, 0 to {len(points) - 1}, is expected")
+            raise InputError(f"{name}: found {given}; the number of a point, 0 to {len(points) - 1}, is expected")
         return given or 0
     found = [point.number for point in points if _is_named(given, point, axes)]
     if len(found) != 1:
         others = f"that names {len(found)} points" if found else "that names no point"
-        raise ValueError(f"{name}: found {given!r}, {others}; as in {points[0].label!r}, one is expected")
+        raise InputError(f"{name}: found {given!r}, {others}; as in {points[0].label!r}, one is expected")
     return found[0]
 
 

@@ -15,6 +15,7 @@ from surveysim.reduction.setup import Setup, prepare
 from surveysim.results.agreement import agreement, quoted_forecast, run_forecast
 from surveysim.results.control_variate import quoted_scores
 from surveysim.runtime.engine import Engine, ordered_map
+from surveysim.runtime.errors import InputError, InsufficientDataError
 from surveysim.scene.scene import scene_hash
 from surveysim.studies.sweep.axes import Point, Sweep
 from surveysim.studies.sweep.point_store import (
@@ -76,8 +77,8 @@ class PointJob:
             coadds = run_observations(setup, checkpoint, resume=self.resume)
         except CheckpointError:
             raise
-        except (ValueError, ArithmeticError) as error:
-            raise ValueError(f"point ({point.label}): {error}") from None
+        except InputError as error:
+            raise InputError(f"point ({point.label}): {error}") from None
         scores, unscored = _scored(setup, coadds)
         lost = discards(setup, coadds)
         expected, sigma, off = run_forecast(setup, coadds) if scores else None, {}, []
@@ -99,7 +100,7 @@ def _scored(setup: Setup, coadds: CoAdds) -> tuple[dict[str, DataSetScore], str]
     """Scores by data set, or none and why."""
     try:
         return quoted_scores(setup, coadds), ""
-    except ValueError as error:  # too few observations, or too few scans kept in them
+    except InsufficientDataError as error:  # too few observations, or too few scans kept in them
         return {}, str(error)
 
 
@@ -160,7 +161,7 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
         start, found, reason = perf_counter(), None, ""
         try:
             found = forecast(point.scene)
-        except ValueError as error:  # of a scene that can't be forecast
+        except InputError as error:  # of a scene that can't be forecast
             reason = str(error)
         sigma = {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}
         told = sigma, [], _flags(found), _discarded(found), []

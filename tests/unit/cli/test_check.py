@@ -7,17 +7,18 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from docs.reference import all_keys
 from surveysim.reduction import resource_limits as limits
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare, window_observations
 from surveysim.runtime import memory
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.keys import all_keys
+from surveysim.scene.scene import load_scene
 from surveysim.studies.resources import _windiest
 from surveysim.survey.coadds import add_observation, empty_coadds
 from surveysim.telescope.raster import samples_per_scan
 from tests.extremes_of_keys import bounds, extreme_overrides, is_number
-from tests.scenes import SMALL_SCENE
+from tests.scenes import write_scene
 
 FIRST_LIGHT = Path(__file__).parents[3] / "scenarios" / "first_light.toml"
 MOST_SECONDS, MOST_BYTES = 10.0, 3e9
@@ -27,9 +28,7 @@ EACH = 14  # of the extremes of keys that is tried; with 1, which takes a quarte
 
 @pytest.fixture
 def small(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
+    return write_scene(tmp_path)
 
 
 def refused_or_run(path, overrides) -> str:

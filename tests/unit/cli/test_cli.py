@@ -11,6 +11,7 @@ import pytest
 from astropy.table import Table
 
 from surveysim.cli import options
+from surveysim.runtime.errors import OutOfRangeError
 from surveysim.survey import run as survey
 from tests.scenes import SCHEDULE, SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
 from tests.unit.survey.test_interruption import COMMAND, assert_same_results
@@ -211,7 +212,7 @@ def test_full_disk(call, scene, monkeypatch):
 
 def test_failure_in_an_observation(call, scene, monkeypatch):
     def fail(*arguments):
-        raise ValueError("no strip\nis long enough")
+        raise OutOfRangeError("no strip\nis long enough")
 
     monkeypatch.setattr(survey, "observe", fail)
     code, _, error = call("run", scene, "--out", scene.parent / "out", "--workers", 1)
@@ -316,6 +317,22 @@ def test_check(call, scene):
     assert sorted(path.name for path in scene.parent.iterdir()) == ["small.toml"]
 
 
+@pytest.mark.parametrize(
+    "settings, words",
+    [
+        (("observations=300000",), "with 1,296 million detector-samples: 'surveysim plan' says"),
+        (("map.pixel=0.5 arcsec", "scan.scans=2"), " and maps of "),
+        (("observations=200000",), ""),
+    ],
+)
+def test_check_says_that_a_scene_is_large(call, scene, settings, words):
+    """One with many samples, or a fine map, runs for minutes."""
+    code, out, error = call("check", scene, *(part for item in settings for part in ("--set", item)))
+    first, *more = out.splitlines()
+    assert (code, first, error) == (0, f"{scene}: 'small' is a scene that can be run", "")
+    assert len(more) == bool(words) and all(line.startswith("it is large, ") and words in line for line in more)
+
+
 def test_plan(call, tmp_path):
     path = tmp_path / "white.toml"
     path.write_text(WHITE_NOISE_SCENE)
@@ -358,7 +375,7 @@ def test_new(call, scene, monkeypatch):
     assert "give [sweep] yours" in call("new", "ours", "--like", "yours")[1] and "[sweep]" not in out
     for arguments, words in (
         (("mine", "--like", "yours"), "exists"),
-        (("other", "--like", "nowhere"), "mine, ours, yours"),
+        (("other", "--like", "nowhere"), "mkidcam, ours, pixel_spacing_fixed_count"),
         (("../other", "--like", "mine"), "letters, digits"),
         (("..", "--like", "mine"), "none of the last two first"),  # no scene by this name could be run
         (("x" * 101, "--like", "mine"), "letters, digits"),

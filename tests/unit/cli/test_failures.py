@@ -12,9 +12,9 @@ import pytest
 from surveysim.cli import interrupts, options
 from surveysim.cli.main import ended
 from surveysim.runtime.engine import EngineError
+from surveysim.runtime.errors import SceneError
 from surveysim.runtime.printable import LONGEST, MOST_LINES, printable, short_lines, shortened
-from surveysim.scene.scene import SceneError
-from tests.scenes import SMALL_SCENE
+from tests.scenes import SMALL_SCENE, write_scene
 
 EVIL = "\x1b[31mred\x07\r\n\u202eevil\u2028\x9b1m\udc80"  # without NUL, which no argument has
 
@@ -29,7 +29,7 @@ def fail(monkeypatch, tmp_path, capsys, handlers):
             raise error
 
         before = set(tmp_path.iterdir())
-        monkeypatch.setattr("surveysim.cli.app.load_scene", load)
+        monkeypatch.setattr("surveysim.scene.scene.load_scene", load)
         monkeypatch.setattr("surveysim.studies.sweep.axes.is_sweep", lambda path: False)
         code = ended(["check", f"a{EVIL}.toml"])
         text = capsys.readouterr()
@@ -156,8 +156,7 @@ def test_wrong_command_lines(capsys, handlers, arguments, words):
     ids=lambda text: ascii(text[:15]),
 )
 def test_odd_settings(capsys, handlers, tmp_path, setting):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
+    path = write_scene(tmp_path)
     assert ended(["check", str(path), "--set", setting]) == 2
     out, error = capsys.readouterr()
     assert out == "" and error[:-1].isprintable() and len(error) <= LONGEST + 1

@@ -16,7 +16,7 @@ from surveysim.cli.progress import (
 from surveysim.reduction.setup import prepare
 from surveysim.results.control_variate import quoted_scores
 from surveysim.survey.run import run_observations
-from tests.scenes import SMALL_SCENE
+from tests.scenes import write_scene
 
 
 class Clock:
@@ -114,8 +114,7 @@ def test_lines_off_a_terminal(capsys, monkeypatch):
 
 @pytest.mark.parametrize("n_obs, known", [(4, True), (3, False)])
 def test_the_score_so_far_is_the_one_that_is_quoted(tmp_path, n_obs, known):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
+    path = write_scene(tmp_path)
     scene = load_scene(path, {"observations": n_obs})
     setup = prepare(scene)
     coadds = run_observations(setup, None)

@@ -10,6 +10,7 @@ import pytest
 
 from mapmaker.binning import read_fits
 from mapmaker.timestreams import FocalPlane, Timestreams, read_timestreams, timestream_file, write_timestreams
+from tests.refusals import refused
 
 N_DET, N_SAMP = 4, 50
 RNG = np.random.default_rng(6)
@@ -38,15 +39,6 @@ def put(path, name, values, **options):
 def get(path, name):
     with h5py.File(path) as file:
         return file[name][()]
-
-
-def refused(read, path, words):
-    before = path.read_bytes() if path.is_file() else None
-    with pytest.raises(ValueError, match=words) as caught:
-        read(path)
-    text = str(caught.value)
-    assert text.startswith(f"{path}: ") and "\n" not in text and len(text) < len(str(path)) + 300
-    assert before is None or path.read_bytes() == before
 
 
 WRONG_VALUES = {

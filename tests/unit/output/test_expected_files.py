@@ -18,7 +18,7 @@ from surveysim.output.expected_files import (
 from surveysim.paper.reproduce import FIGURES, SCENES, TABLES
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL
-from tests.scenes import SMALL_SCENE
+from tests.scenes import SMALL_SCENE, write_scene
 
 SWEEP = '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n'
 RICH = {
@@ -30,9 +30,7 @@ RICH = {
 
 @pytest.fixture
 def path(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
+    return write_scene(tmp_path)
 
 
 def test_every_name_may_be_removed(path):

@@ -9,7 +9,7 @@ from surveysim.cli.options import setting
 from surveysim.output.scene_copy import SCENE_FILE, scene_files, sweep_files
 from surveysim.scene.scene import scene_hash
 from surveysim.studies.sweep.axes import sweep_hash
-from tests.scenes import SMALL_SCENE
+from tests.scenes import SMALL_SCENE, write_scene
 
 LAYOUT = "[instrument.layout]\nrings = 2\npitch_f_lambda = 0.7\ndead = [5]\n"
 TABLE = (
@@ -57,8 +57,7 @@ def test_the_same_scene(tmp_path, settings, name):
 @pytest.mark.parametrize("settings", [{"score": None}, {"sky": None, "seed": 5}, {"atmosphere.outer_scale": None}])
 def test_the_same_scene_without_a_part(tmp_path, settings):
     """Left out in Python, by None."""
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
+    path = write_scene(tmp_path)
     scene = load_scene(path, settings)
     assert scene_hash(load_scene(again(scene_files(scene), tmp_path / "elsewhere"))) == scene_hash(scene)
 
@@ -91,8 +90,7 @@ def test_a_table_comes_along(tmp_path):
 
 
 def test_a_scene_that_was_changed_in_python_has_no_file(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
+    path = write_scene(tmp_path)
     scene = load_scene(path)
     assert scene_files(scene.model_copy(update={"seed": 99})) == {}
     assert scene_files(scene.model_copy()).keys() == {SCENE_FILE}

@@ -23,15 +23,13 @@ from surveysim.report.html.page import NoResultsError, write_report
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.strict_json import strict_json
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
-from tests.scenes import SMALL_SCENE
+from tests.scenes import write_scene
 from tests.unit.studies.test_sweep_run import WHITE
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return load_scene(path)
+    return load_scene(write_scene(tmp_path_factory.mktemp("scene")))
 
 
 @pytest.fixture(scope="module")
@@ -104,8 +102,7 @@ def put(content, keys, value):
 
 @pytest.fixture
 def changed(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
+    path = write_scene(tmp_path)
     return lambda overrides: load_scene(path, overrides)
 
 

@@ -15,7 +15,7 @@ from surveysim.output.lock import OutputError
 from surveysim.paper.reproduce import FIGURES, TABLES, reproduce, wanted
 from surveysim.report.html.paper import Compared
 from surveysim.runtime.engine import SERIAL, Engine
-from surveysim.scene.scene import SceneError
+from surveysim.runtime.errors import SceneError
 from tests.pages import read_page, rows_of, value_of
 from tests.scenes import SMALL_SCENE, without_sections
 

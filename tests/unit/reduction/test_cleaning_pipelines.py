@@ -11,18 +11,17 @@ from surveysim.reduction.figure_of_merit import best_places
 from surveysim.reduction.setup import prepare
 from surveysim.results.summary import best_pipeline
 from surveysim.runtime.engine import SERIAL
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene
 from surveysim.survey.coadds import row_names
-from tests.scenes import SMALL_SCENE
+from tests.scenes import write_scene
 
 COMPARE = {"cleaning.compare": ["planar", ["average", "local"], "wind"], "cleaning.neighbour_radius": 1.2}
 
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    file = tmp_path_factory.mktemp("scene") / "small.toml"
-    file.write_text(SMALL_SCENE)
-    return file
+    return write_scene(tmp_path_factory.mktemp("scene"))
 
 
 @pytest.fixture(scope="module")

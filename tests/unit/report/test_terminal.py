@@ -1,5 +1,6 @@
 """Terminals of any width: no number is cut, and no text controls them."""
 
+import os
 import re
 
 import pytest
@@ -11,6 +12,7 @@ from surveysim.cli.progress import equal_work, progress_display
 from surveysim.forecasting.forecast import forecast
 from surveysim.report.terminal.forecast import print_forecast
 from surveysim.report.terminal.layout import Terminal
+from surveysim.runtime.environment import forget_sizes
 from surveysim.runtime.numbers import count, plain
 from surveysim.runtime.numbers import number as rounded
 from tests.scenes import SMALL_SCENE
@@ -42,6 +44,19 @@ def test_numbers_are_whole(monkeypatch, capsys, width):
     assert all(letter.isprintable() or letter == "\n" for letter in out) and "[red]" in out
 
 
+@pytest.mark.parametrize("columns", ["0", "00", "1", "-5", "", "wide", "²", "1000000", "9" * 5000])
+def test_columns_that_no_terminal_has(monkeypatch, capsys, columns):
+    """Nothing is lost or fails: tables are as wide as they are off a terminal."""
+    Terminal().show(table())
+    expected = capsys.readouterr().out
+    for name in ("COLUMNS", "LINES", "TERMINAL_WIDTH"):
+        monkeypatch.setenv(name, columns)
+    forget_sizes()
+    assert not {"COLUMNS", "LINES", "TERMINAL_WIDTH"} & os.environ.keys()
+    Terminal().show(table())
+    assert capsys.readouterr().out == expected != ""
+
+
 @pytest.mark.parametrize("width", WIDTHS)
 def test_tables_and_lines_fit(monkeypatch, capsys, width):
     monkeypatch.setenv("COLUMNS", str(width))
@@ -51,6 +66,22 @@ def test_tables_and_lines_fit(monkeypatch, capsys, width):
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= width
     assert " ".join(" ".join(lines).split()).endswith("20504.2 +- 1695.1 uK_CMB^2, of 12 of 300 observations in all")
+
+
+@pytest.mark.parametrize("width", range(30, 90))
+def test_words_of_headings_are_whole(monkeypatch, capsys, width):
+    """rich would shorten the widest column to "uncorre…" where others could be narrower."""
+    headings = ("weights", "ell min", "fwhm ell", "actual", "uncorrelated", "masked 36 scaled")
+    made = Table(title=Text("The same data scored otherwise"))
+    for heading in headings:
+        made.add_column(Text(heading), justify="left" if heading == "weights" else "right")
+    made.add_row("own and others'", "1000", "1269", "61329", "30147 +- 12", "41456")
+    monkeypatch.setenv("COLUMNS", str(width))
+    Terminal().show(made)
+    out = capsys.readouterr().out
+    assert "…" not in out and max(map(len, out.splitlines())) <= width
+    for word in ("uncorrelated", "30147 +- 12", "masked", "scaled", "weights", "others'", "61329"):
+        assert re.search(rf"(?<!\S){re.escape(word)}(?!\w)", out), out
 
 
 @pytest.mark.parametrize("long", [False, True])

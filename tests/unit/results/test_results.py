@@ -20,7 +20,7 @@ from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.numbers import plain, quoted
 from surveysim.scene.scene import scene_hash
 from surveysim.survey.coadds import kept_shares
-from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
+from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE, write_scene
 
 KEYS = {
     "scene", "title", "seed", "scene_sha256", "surveysim", "python", "packages", "observations", "detectors",
@@ -115,8 +115,7 @@ def test_a_forecast_alone_tells_what_a_run_quotes(finished):
 
 def test_an_unknown_error_is_said_to_be_unknown(tmp_path, capsys):
     """Two observations: None in JSON, NaN in tables, "unknown" on screen and in the report."""
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
+    path = write_scene(tmp_path)
     result = run(load_scene(path, {"observations": 2}), tmp_path / "out", engine=SERIAL, figures=False)
     content = json.loads((tmp_path / "out" / "summary.json").read_text(), parse_constant=pytest.fail)
     assert content["best"]["error_ukcmb2"] is content["stopped"]["relative_error"] is None
@@ -250,8 +249,7 @@ def _strict_json(text):
 )
 def test_runs_that_cannot_be_scored(tmp_path, capsys, setting, reason):
     """One observation, or all scans discarded: the maps are written, and it is said why there is no score."""
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
+    path = write_scene(tmp_path)
     result = run(load_scene(path, setting), tmp_path / "out", engine=SERIAL, figures=False)
     content = _strict_json((tmp_path / "out" / "summary.json").read_text())
     assert content["scores"] == {} and content["unscored"] == result.unscored
@@ -261,8 +259,7 @@ def test_runs_that_cannot_be_scored(tmp_path, capsys, setting, reason):
 
 
 def test_a_forced_run_replaces_an_earlier_one(tmp_path, blank_figures):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
+    path = write_scene(tmp_path)
     out = tmp_path / "out"
     run(load_scene(path), out, engine=SERIAL, save_timestreams=True)
     for name in ("notes.txt", "figures/mine.png", "tables/mine.ecsv"):
@@ -297,3 +294,15 @@ def test_half_written_files_of_a_killed_run_go(tmp_path):
         (out / name).write_text("half")
     run(load_scene(path), out, engine=SERIAL, resume=True, figures=False)
     assert [name for name in names + mine if (out / name).exists()] == mine
+
+
+@pytest.mark.parametrize("name", ["quoted_scores", "run_forecast"])
+def test_faults_in_scoring_are_no_refusals(scene_file, monkeypatch, name):
+    """An error of numpy passes on; a run that says "not scored" instead would hide it."""
+
+    def fail(*arguments):
+        return np.zeros(3) + np.zeros(4)
+
+    monkeypatch.setattr(f"surveysim.results.results.{name}", fail)
+    with pytest.raises(ValueError, match="broadcast"):
+        run(load_scene(scene_file), engine=SERIAL)

@@ -23,7 +23,7 @@ from surveysim.results.stopping import (
 )
 from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.runtime.numbers import plain, quoted
-from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
+from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE, write_scene
 from tests.unit.cli.test_cli import refused
 
 TARGET = 0.5  # which 32 observations of the small scene reach
@@ -31,9 +31,7 @@ TARGET = 0.5  # which 32 observations of the small scene reach
 
 @pytest.fixture
 def scene(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE.replace("observations = 4", "observations = 40", 1))
-    return path
+    return write_scene(tmp_path, SMALL_SCENE.replace("observations = 4", "observations = 40", 1))
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ import pytest
 from mapmaker.kernels import compiled
 from surveysim.runtime import environment
 from surveysim.runtime.printable import printable
-from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
+from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE, write_scene
 
 COMMAND = [sys.executable, "-m", "surveysim"]
 ROOT = Path(__file__).parents[3]
@@ -27,9 +27,7 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.fixture
 def scene(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
+    return write_scene(tmp_path)
 
 
 # ---------------------------------------------------------------- caches
@@ -208,6 +206,16 @@ def test_libraries_are_silent(monkeypatch, capsys):
             root.handlers[:] = kept
     assert sys.warnoptions == [os.environ["PYTHONWARNINGS"]] == ["ignore"]
     assert capsys.readouterr() == ("", printable("a worker\x1b is gone") + "\n")
+
+
+@pytest.mark.parametrize("flags", [["-X", "dev"], ["-b"], ["-bb"]], ids=" ".join)
+def test_flags_that_add_warnings(flags):
+    """Python takes them out of its options again when it starts a worker."""
+    code = "from surveysim.runtime.environment import silence_libraries; silence_libraries();"
+    code += "from subprocess import _args_from_interpreter_flags as a; print(*a())"
+    variables = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, *flags, "-c", code], env=variables, capture_output=True, text=True)
+    assert done.returncode == 0 and "-Wignore" in done.stdout and flags[-1] in done.stdout, done.stderr
 
 
 # ---------------------------------------------------------------- the first moment, and scripts

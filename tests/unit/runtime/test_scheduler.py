@@ -13,8 +13,9 @@ import pytest
 from distributed import LocalCluster
 
 from surveysim.runtime import dask_scheduler as scheduler
+from surveysim.runtime.addresses import address_of
 from surveysim.runtime.dask_cluster import on_cluster
-from surveysim.runtime.dask_scheduler import address_of, workers_at
+from surveysim.runtime.dask_scheduler import workers_at
 from surveysim.runtime.engine import Engine, EngineError
 
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from surveysim.reduction.setup import prepare
+from surveysim.runtime.errors import SceneError
 from surveysim.scene.position_table import MAX_BYTES, read_positions
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.scene.scene import load_scene
 from tests.scenes import SMALL_SCENE
 
 HEAD = """\
@@ -37,8 +38,18 @@ def refusal(path):
 
 @pytest.mark.parametrize(
     "text",
-    [TABLE, CSV, "\ufeff" + TABLE, TABLE.replace("\n", "\r\n"), TABLE.replace("0.0 0.0", "0 0")],
-    ids=["spaces", "commas", "byte order mark", "crlf", "integers"],
+    [
+        TABLE,
+        CSV,
+        CSV.replace("','", '","'),
+        CSV.replace("','", "','  # as of a spreadsheet"),
+        "\ufeff" + TABLE,
+        TABLE.replace("\n", "\r\n"),
+        TABLE.replace("0.0 0.0", "0 0"),
+        TABLE.replace("\n40", "\n\n40").replace("# ---\n", "# ---\n\n"),
+        TABLE.replace("float64}\n", "float64}  # offsets\n").replace("\n40", "\n# good\n  # as well\n  40"),
+    ],
+    ids=["spaces", "commas", "quoted", "noted", "byte order mark", "crlf", "integers", "blank lines", "comments"],
 )
 def test_tables_that_are_read(tmp_path, text):
     (path := tmp_path / "camera.ecsv").write_bytes(text.encode())

@@ -6,19 +6,18 @@ from pathlib import Path
 import pytest
 
 from surveysim.reduction.setup import prepare
-from surveysim.scene.scene import SceneError, load_scene, resolved, scene_hash
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene, resolved, scene_hash
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import score_survey
-from tests.scenes import SMALL_SCENE
+from tests.scenes import SMALL_SCENE, write_scene
 
 SCENARIOS = sorted((Path(__file__).parents[3] / "scenarios").glob("*.toml"))
 
 
 @pytest.fixture
 def path(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
+    return write_scene(tmp_path)
 
 
 def test_small_scene_in_internal_units(path):

@@ -4,30 +4,19 @@ import math
 
 import pytest
 
-from surveysim.scene.scene import SceneError, load_scene
-from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections
+from surveysim.scene.scene import load_scene
+from tests.refusals import scene_refusal
+from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections, write_scene
 
 
 @pytest.fixture
 def path(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
-
-
-def refusal(path, overrides=None):
-    """The text of the SceneError; the file's name is in each of its lines."""
-    with pytest.raises(SceneError) as caught:
-        load_scene(path, overrides)
-    assert not isinstance(caught.value.__cause__, Exception)
-    lines = str(caught.value).splitlines()
-    assert lines and all(line.startswith(f"{path}: ") for line in lines)
-    return str(caught.value)
+    return write_scene(tmp_path)
 
 
 def check(path, overrides, key, found, allowed):
     """What the text has to say; keys of checks across a section may be written `section: key` too."""
-    text = refusal(path, overrides)
+    text = scene_refusal(path, overrides)
     section, _, last = key.rpartition(".")
     assert f"{key}:" in text or (section and f"{section}: {last}:" in text), text
     assert found in text and allowed in text, text
@@ -68,7 +57,7 @@ def test_missing_sections(path, section):
 )
 def test_missing_keys(path, line):
     path.write_text(SMALL_SCENE.replace(line + "\n", "", 1))
-    text = refusal(path)
+    text = scene_refusal(path)
     assert f"{line.split()[0]}: missing; this key is expected" in text
 
 
@@ -154,7 +143,7 @@ def test_bare_lists(path, found):
     ],
 )
 def test_values_out_of_range(path, key, found, allowed):
-    text = refusal(path, {key: found})
+    text = scene_refusal(path, {key: found})
     assert f"{key}" in text and allowed in text
     assert str(found[0] if isinstance(found, list) else found) in text
 
@@ -262,7 +251,7 @@ def test_quantities_that_are_not_finite(path, word, key, unit):
     ],
 )
 def test_numbers_that_are_not_finite(path, key, value):
-    text = refusal(path, {key: value})
+    text = scene_refusal(path, {key: value})
     assert f"{key}: found {value}" in text
 
 
@@ -291,21 +280,21 @@ def test_truncated_file(path, share):
     """Cut in a line it is no TOML; cut between lines it lacks keys. Either way it says so."""
     cut = SMALL_SCENE.index("=", int(share * len(SMALL_SCENE))) + 1
     path.write_text(SMALL_SCENE[:cut])
-    assert "not a valid TOML file" in refusal(path)
+    assert "not a valid TOML file" in scene_refusal(path)
     path.write_text(SMALL_SCENE[: SMALL_SCENE.rindex("\n", 0, cut) + 1])
-    assert "missing" in refusal(path)
+    assert "missing" in scene_refusal(path)
 
 
 @pytest.mark.parametrize("raw", [b'title = "a" b', b"[scan\n", b"seed = 1\nseed = 2\n", b"\x00"])
 def test_bad_toml(path, raw):
     path.write_bytes(raw)
-    assert "not a valid TOML file" in refusal(path)
+    assert "not a valid TOML file" in scene_refusal(path)
 
 
 def test_missing_file(tmp_path):
-    text = refusal(tmp_path / "nowhere.toml")
+    text = scene_refusal(tmp_path / "nowhere.toml")
     assert "can't be read" in text and "expected" in text
-    assert "can't be read" in refusal(tmp_path)  # a folder
+    assert "can't be read" in scene_refusal(tmp_path)  # a folder
 
 
 @pytest.mark.parametrize("index, power", [(4, "-2"), ("13/3", "-7/3")])
@@ -349,15 +338,15 @@ def test_knots_come_in_pairs(path, key, found, shown):
 
 def test_two_focal_planes_or_none(path):
     for overrides in ({"instrument.positions": "table.ecsv"}, {"instrument.layout": None}):
-        text = refusal(path, overrides)
+        text = scene_refusal(path, overrides)
         assert "instrument: exactly one of 'layout' (a section) and 'positions' (an ECSV file) is expected" in text
 
 
 def test_two_ways_of_pointing_or_none(path):
-    text = refusal(path, {"fixed_pointing": None})
+    text = scene_refusal(path, {"fixed_pointing": None})
     assert "exactly one of the sections 'schedule' and 'fixed_pointing' is expected" in text
     path.write_text(SMALL_SCENE + SCHEDULE)
-    assert "exactly one of the sections 'schedule' and 'fixed_pointing' is expected" in refusal(path)
+    assert "exactly one of the sections 'schedule' and 'fixed_pointing' is expected" in scene_refusal(path)
     assert load_scene(path, {"fixed_pointing": None}).schedule.height_m == 4070
 
 
@@ -375,7 +364,7 @@ def test_too_few_samples_a_scan(path, duration, samples):
 
 def test_some_stage_is_needed(path):
     sections = ("atmosphere", "excess", "photon", "detector", "sky")
-    text = refusal(path, dict.fromkeys(sections))
+    text = scene_refusal(path, dict.fromkeys(sections))
     assert "at least one of atmosphere, excess, photon, detector and sky is expected" in text
     for only in ("atmosphere", "photon", "detector", "sky"):
         scene = load_scene(path, {name: None for name in sections if name != only})
@@ -391,7 +380,7 @@ def test_scored_range_holds_a_bin(path):
 
 
 def test_each_error_has_its_line(path):
-    text = refusal(path, {"scan.speed": 4, "scan.typo": 1, "cleaning.algorithm": "cubic"})
+    text = scene_refusal(path, {"scan.speed": 4, "scan.typo": 1, "cleaning.algorithm": "cubic"})
     assert len(text.splitlines()) == 3
 
 

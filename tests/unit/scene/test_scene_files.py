@@ -5,29 +5,15 @@ from time import perf_counter
 
 import pytest
 
-from surveysim.scene.scene import MAX_BYTES, SceneError, assumed_values, load_scene
-from tests.scenes import SMALL_SCENE
-
-SECONDS = 5.0  # of a machine that has other work
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import MAX_BYTES, assumed_values, load_scene
+from tests.refusals import SECONDS, scene_refusal
+from tests.scenes import SMALL_SCENE, write_scene
 
 
 @pytest.fixture
 def path(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
-
-
-def refusal(path, overrides=None):
-    """What a scene is refused with, less its path; lines are short, and there are few."""
-    start = perf_counter()
-    with pytest.raises(SceneError) as caught:
-        load_scene(path, overrides)
-    assert perf_counter() - start < SECONDS
-    lines = str(caught.value).splitlines()
-    assert len(lines) <= 31 and all(line.startswith(f"{path}: ") and line.isprintable() for line in lines)
-    assert all(len(line) - len(str(path)) < 400 for line in lines)
-    return "\n".join(line.removeprefix(f"{path}: ") for line in lines)
+    return write_scene(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +50,7 @@ def test_what_editors_leave_is_read(path, content):
 )  # fmt: skip
 def test_files_that_are_refused(path, content, words):
     path.write_bytes(content)
-    assert refusal(path).startswith(words)
+    assert scene_refusal(path).startswith(words)
 
 
 def test_files_that_are_no_files(tmp_path):
@@ -78,7 +64,7 @@ def test_files_that_are_no_files(tmp_path):
         ("nowhere.toml", "can't be read (No such file or directory)"),
         ("a.toml/b", "can't be read (No such file or directory)"),
     ):
-        assert refusal(tmp_path / name).startswith(words)
+        assert scene_refusal(tmp_path / name).startswith(words)
     with pytest.raises(SceneError, match="/dev/zero: found a pipe or a device"):
         load_scene("/dev/zero")
 
@@ -86,7 +72,7 @@ def test_files_that_are_no_files(tmp_path):
 @pytest.mark.parametrize("stem", ["my scene", "fürth", "-x", "y" * 150, "a;b", "🔭"])
 def test_files_whose_name_is_none_for_results_say_how_to_name_the_scene(path, stem):
     other = path.rename(path.with_name(f"{stem}.toml"))
-    text = refusal(other)
+    text = scene_refusal(other)
     assert text.startswith("name: missing, and the file's name ") and 'a line like name = "my_scene"' in text
     assert "--set name=my_scene" in text
     assert load_scene(other, {"name": "my_scene"}).name == "my_scene"
@@ -129,7 +115,7 @@ def test_files_whose_name_is_none_for_results_say_how_to_name_the_scene(path, st
     ids=range(28),
 )  # fmt: skip
 def test_values_that_are_refused(path, key, found, words):
-    text = refusal(path, {key: found})
+    text = scene_refusal(path, {key: found})
     assert words in text and (key in text or len(key) > 50)
 
 

@@ -3,9 +3,10 @@
 import pytest
 
 from surveysim.reduction.setup import prepare
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene
 from surveysim.timestreams.observation import observation_weather
-from tests.scenes import SMALL_SCENE
+from tests.scenes import SMALL_SCENE, write_scene
 
 B2_LINE = 'b2 = "[100, 280, 980] mK2 rad(-5/3)"\n'
 SITE = {"atmosphere.site": "mauna_kea", "instrument.bandwidth": 0.15}
@@ -13,9 +14,7 @@ SITE = {"atmosphere.site": "mauna_kea", "instrument.bandwidth": 0.15}
 
 @pytest.fixture
 def path(tmp_path):
-    file = tmp_path / "small.toml"
-    file.write_text(SMALL_SCENE)
-    return file
+    return write_scene(tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -21,16 +21,14 @@ from surveysim.studies.convergence.runs import Task, run_task
 from surveysim.studies.convergence.settings import sub_survey
 from surveysim.timestreams.observation import draw_observation
 from tests.pages import read_page, rows_of, value_of
-from tests.scenes import SMALL_SCENE, without_sections
+from tests.scenes import SMALL_SCENE, without_sections, write_scene
 
 ACTUAL_ALONE = {"score.noise_only_sets": [], "score.mask_separation_f_lambda": None}  # others are not measured
 
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
+    return write_scene(tmp_path_factory.mktemp("scene"))
 
 
 @pytest.fixture(scope="module")

@@ -17,16 +17,14 @@ from surveysim.scene.scene import scene_hash
 from surveysim.survey.checkpoint import _MARK, CheckpointError, check_streams, load_checkpoint, save_checkpoint
 from surveysim.survey.coadds import empty_coadds
 from surveysim.survey.run import run_observations
-from tests.scenes import SMALL_SCENE
+from tests.scenes import write_scene
 
 ARRAYS = ("sums", "weight", "hits", "flipped", "window", "window_weight")
 
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return load_scene(path)
+    return load_scene(write_scene(tmp_path_factory.mktemp("scene")))
 
 
 @pytest.fixture(scope="module")

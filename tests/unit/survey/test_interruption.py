@@ -18,7 +18,7 @@ from surveysim import load_scene
 from surveysim import run as run_scene
 from surveysim.output.lock import LOCK
 from surveysim.runtime.engine import SERIAL
-from tests.scenes import SMALL_SCENE
+from tests.scenes import SMALL_SCENE, write_scene
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes through /proc")
 
@@ -31,9 +31,7 @@ FAST = [*COMMAND[:2], "import surveysim.survey.run as s; s.CHECKPOINT_SECONDS = 
 
 @pytest.fixture
 def scene(tmp_path):
-    path = tmp_path / "small.toml"
-    path.write_text(SMALL_SCENE)
-    return path
+    return write_scene(tmp_path)
 
 
 @pytest.fixture(scope="module")

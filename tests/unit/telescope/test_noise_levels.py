@@ -8,7 +8,8 @@ from surveysim.atmosphere.opacity import band_opacity, optical_depth
 from surveysim.forecasting.forecast import forecast
 from surveysim.paper.published import published
 from surveysim.reduction.setup import prepare
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene
 from surveysim.telescope.noise_levels import WhiteLevels, shared_part, white_levels
 from surveysim.telescope.photon_noise import PhotonNoise, photon_noise, power_per_k
 from surveysim.telescope.pixel_coherence import horn_taper_db, stop_efficiency

@@ -10,7 +10,8 @@ from mapmaker.cleaning.responsivity import MOST_GRAM
 from mapmaker.timestreams import read_timestreams
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import observation_path, prepare
-from surveysim.scene.scene import SceneError, load_scene
+from surveysim.runtime.errors import SceneError
+from surveysim.scene.scene import load_scene
 from surveysim.studies.sweep.axes import load_sweep
 from surveysim.telescope.focal_plane import camera
 from surveysim.telescope.pixel_coherence import MOST_DENSE

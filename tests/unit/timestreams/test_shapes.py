@@ -9,13 +9,12 @@ from surveysim import load_scene
 from surveysim.reduction.setup import observation_path, prepare
 from surveysim.survey.coadds import add_observation, empty_coadds
 from surveysim.timestreams.observation import add_sky_signal
-from tests.scenes import SMALL_SCENE
+from tests.scenes import write_scene
 
 
 @pytest.fixture(scope="module")
 def setup(tmp_path_factory):
-    path = tmp_path_factory.mktemp("scene") / "small.toml"
-    path.write_text(SMALL_SCENE)
+    path = write_scene(tmp_path_factory.mktemp("scene"))
     return prepare(load_scene(path))
 
 

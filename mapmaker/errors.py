@@ -1,0 +1,16 @@
+"""Errors that input explains. Anything else, a plain ValueError or IndexError too, is a bug of the caller.
+
+Their text is one line for each thing that is wrong: its name, the value found, the values expected.
+"""
+
+
+class InputError(ValueError):
+    """Input that can't be used. Catch it to report a refusal; raise one of its subclasses where one fits."""
+
+
+class OutOfRangeError(InputError):
+    """A value outside the range of a model or a method."""
+
+
+class InsufficientDataError(InputError):
+    """Data that do not suffice for a result: too few detectors, scans, samples, modes, skies or observations."""
