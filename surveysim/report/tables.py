@@ -11,7 +11,7 @@ from surveysim.studies.stress import Case, Outcome
 
 MEMORY = "peak_mb is the most that a process held since it began, other settings before included; raised_mb its rise"
 LONGEST_CELL = 60  # letters of an extreme case's value on the terminal
-_PARTS = ("noise", "weather", "window", "population")
+_PARTS = {"noise": "noise", "weather": "weather", "window": "transfer_function", "population": "population"}
 
 
 def setting_rows(result: AccuracyResult) -> list[dict[str, Any]]:
@@ -21,7 +21,8 @@ def setting_rows(result: AccuracyResult) -> list[dict[str, Any]]:
         row = {name: vars(item.setting)[name] for name in ("knob", "label", "kind", "own")}
         row["setting"] = row.pop("label")
         row |= {name: value for name, value in vars(item).items() if name not in ("setting", "budget")}
-        row |= {f"{part}_error": math.nan if item.budget is None else vars(item.budget)[part] for part in _PARTS}
+        for part, name in _PARTS.items():
+            row[f"{name}_error"] = math.nan if item.budget is None else vars(item.budget)[part]
         rows.append(row)
     return rows
 
@@ -68,7 +69,7 @@ def setting_table(rows: Sequence[Mapping[str, Any]], meta: Mapping[str, Any] | N
         column("start_s", of["start_s"], "start [s]", number, unit="s"),
         column("peak_mb", of["peak_mb"], "peak [MB]", number, unit="Mbyte"),
         file_column("raised_mb", of["raised_mb"], "Mbyte"),
-        *(file_column(f"{part}_error", of[f"{part}_error"]) for part in _PARTS),
+        *(file_column(f"{name}_error", of[f"{name}_error"]) for name in _PARTS.values()),
         file_column("note", of["note"]),
     )
     own = tuple(place for place, is_own in enumerate(of["own"]) if is_own)

@@ -33,7 +33,7 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
     if scene.score:
         n_window = int(window_observations(scene).sum())
         stages["data sets"] = ", ".join(setup.data_sets)
-        stages["window"] = f"{scene.score.signal_sims.skies} skies through {n_window} observations"
+        stages["transfer function"] = f"{scene.score.signal_sims.skies} skies through {n_window} observations"
         stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
         if can_forecast(setup):
             stages["forecast"] = "of each data set, beside its score"
@@ -55,7 +55,7 @@ def left_out(setup: Setup) -> dict[str, str]:
     if scene.instrument.bands and not setup.subtracts_bands:
         reasons["other bands"] = "no pipeline subtracts them"
     if scene.score is None:
-        reasons |= dict.fromkeys(("window", "forecast", "best pipeline"), "no section [score] to need it")
+        reasons |= dict.fromkeys(("transfer function", "forecast", "best pipeline"), "no section [score] to need it")
     elif not can_forecast(setup):
         reasons["forecast"] = f"cleaning by {setup.pipelines[0].label} is no projection"
     if scene.score and not setup.chooses:

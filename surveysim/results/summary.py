@@ -16,6 +16,7 @@ from surveysim.runtime.provenance import made_by, now
 from surveysim.runtime.strict_json import known
 from surveysim.scene.scene import scene_hash
 from surveysim.survey.coadds import row_names
+from surveysim.survey.scores import DataSetScore
 from surveysim.telescope.raster import samples_per_scan
 
 PSD_AT_HZ = (0.01, 0.1, 1.0)
@@ -52,9 +53,9 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         content["unscored"] = result.unscored
     if result.scores:
         expected = result.expected.scores if result.expected else {}
-        content["best"] = known(vars(result.estimate))
+        content["estimate"] = known(vars(result.estimate))
         content["scores"] = score_entries(result)
-        content["error_budget"] = {name: known(vars(item.budget)) for name, item in result.scores.items()}
+        content["error_budget"] = {name: known(_budget_entry(item)) for name, item in result.scores.items()}
         agreements = forecast_agreement(result)
         content["forecast_over_simulated"] = {name: known(vars(item)) for name, item in agreements.items()}
         content["forecast"] = {name: _forecast_entry(item) for name, item in expected.items()}
@@ -62,10 +63,8 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         content["alternatives"] = result.alternatives
         if not np.isnan(setup.band.scored_correlation):
             content["bin_correlation"] = setup.band.scored_correlation
-        if result.fine_cost:
-            content["fine_answer"] = vars(result.fine_cost)
-        content["answers"] = [vars(cost) for cost in map(result.cost, TOLD_ERRORS) if cost]
-    content["truth"] = [vars(item) for item in truth(setup, coadds, result.scores, result.expected)]
+        content["time_to_precision"] = [vars(cost) for cost in map(result.cost, TOLD_ERRORS) if cost]
+    content["closure"] = [vars(item) for item in truth(setup, coadds, result.scores, result.expected)]
     content["run"] = {
         "date": now(),
         "engine": result.engine,
@@ -113,6 +112,17 @@ def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float | None]
     # The first bin holds what the scan's removed mean leaves, the last Nyquist's single mode.
     there = {name: k for name, k in bins.items() if 2 <= k < len(median) - 1}
     return {name: float(median[k] / white) if white > 0 else None for name, k in there.items()}
+
+
+def _budget_entry(item: DataSetScore) -> dict[str, float]:
+    """Relative errors of one data set's sigma(A), by their origin."""
+    budget = item.budget
+    return {
+        "noise": budget.noise,
+        "weather": budget.weather,
+        "transfer_function": budget.window,
+        "population": budget.population,
+    }
 
 
 def _stopped_entry(result: SurveyResult) -> dict[str, Any]:

@@ -156,7 +156,7 @@ def effect_table(forecasts: Content) -> Table:
 
 
 def closure_table(items: Sequence[Content], kind: str) -> Table:
-    """Return closure tests of one kind, "measured" or "drawn", from the entry `truth`."""
+    """Return closure tests of one kind, "measured" or "drawn", from the entry `closure`."""
     rows = [item for item in items if item["kind"] == kind]
     title = {"measured": "Measured from streams and maps", "drawn": "Weather drawn"}[kind]
     found, errors = _values(rows, "found"), _values(rows, "error")

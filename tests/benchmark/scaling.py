@@ -41,7 +41,7 @@ def measure(rings: int, rate_hz: float, scans: int) -> dict[str, float]:
         result = observe(setup, 0, True)
         cpu_s = process_time() - start_s
     samples = setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)
-    skies = result.seconds["window"] / sum(result.seconds.values())
+    skies = result.seconds["transfer_function"] / sum(result.seconds.values())
     return {
         "detectors": setup.n_det,
         "rate [Hz]": rate_hz,

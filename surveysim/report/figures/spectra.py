@@ -71,7 +71,7 @@ def map_psds(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast |
     return figure
 
 
-def windows(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast | None = None) -> Figure:
+def transfer_functions(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast | None = None) -> Figure:
     """Power transmission of cleaning (thin lines: forecast), for both arrays, of beam and pixel, and of all."""
     rings, first = setup.band.rings, next(iter(scores.values()))
     beam = beam_window(rings.ell, setup.scene.instrument.beam_fwhm_rad)

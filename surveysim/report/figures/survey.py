@@ -14,7 +14,7 @@ from surveysim.report.figures.layout import lay_out
 from surveysim.report.figures.observations import timestream_psd, weather
 from surveysim.report.figures.run_time import time_figure
 from surveysim.report.figures.sky_map import coadded_map
-from surveysim.report.figures.spectra import bin_weights, cumulative_sensitivity, map_psds, windows
+from surveysim.report.figures.spectra import bin_weights, cumulative_sensitivity, map_psds, transfer_functions
 from surveysim.report.figures.style import save
 from surveysim.results.results import SurveyResult
 
@@ -22,7 +22,7 @@ TITLES = {
     "timestream_psd": "time-streams before and after cleaning",
     "map": "co-added map and its noise",
     "map_psd": "PSDs of the maps",
-    "window": "what is left of the signal",
+    "transfer_function": "transfer functions",
     "cumulative_sensitivity": "cumulative sensitivity",
     "weights": "multipoles that the score comes from",
     "weather": "noise of each observation",
@@ -43,7 +43,7 @@ def survey_figures(result: SurveyResult) -> dict[str, Callable[[], Figure]]:
     made = {"timestream_psd": partial(timestream_psd, setup, coadds), "map": partial(coadded_map, setup, coadds)}
     if scores:
         made["map_psd"] = partial(map_psds, setup, scores, expected)
-        made["window"] = partial(windows, setup, scores, expected)
+        made["transfer_function"] = partial(transfer_functions, setup, scores, expected)
         made["cumulative_sensitivity"] = partial(cumulative_sensitivity, setup, scores)
         made["weights"] = partial(bin_weights, setup, scores)
     if (coadds.column("b2_mk2") > 0).any():

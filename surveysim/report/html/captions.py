@@ -44,7 +44,7 @@ RUN = {
         "Look for the distance from the actual line down to the uncorrelated one, which is what correlations between "
         "detectors cost, and from there to the white one, which is what low-frequency noise costs.",
     ),
-    "window": Caption(
+    "transfer_function": Caption(
         "What is left of the signal",
         "Power transmission of cleaning, beam and pixel against multipole.",
         "Across: multipole ℓ. Up: share of the signal's power that is left by cleaning (points with errors, from flat "

@@ -20,14 +20,14 @@ EFFECTS = "Sizes are relative to the noise PSD of the scored multipoles. Flagged
 
 def closure_blocks(summary: Content) -> Iterator[Block]:
     """Tables of all that the run allows to compare."""
-    kinds = {item["kind"] for item in summary.get("truth", [])}
+    kinds = {item["kind"] for item in summary.get("closure", [])}
     if "measured" in kinds:
-        yield grid(closure_table(summary["truth"], "measured"), MEASURED)
+        yield grid(closure_table(summary["closure"], "measured"), MEASURED)
     if agreements := summary.get("forecast_over_simulated"):
         yield grid(agreement_table(agreements), _agreement_note(agreements))
         yield grid(effect_table(summary["forecast"]), EFFECTS)
     if "drawn" in kinds:
-        yield grid(closure_table(summary["truth"], "drawn"), DRAWN)
+        yield grid(closure_table(summary["closure"], "drawn"), DRAWN)
 
 
 def _agreement_note(agreements: Content) -> str:

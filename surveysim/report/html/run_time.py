@@ -30,26 +30,25 @@ def time_blocks(summary: Content, scene: Content) -> Iterator[Block]:
     yield Text((text,))
     if summary.get("error_budget"):
         yield _budget_grid(summary)
-    if summary.get("answers") or summary.get("fine_answer"):
+    if summary.get("time_to_precision"):
         yield _answer_grid(summary, scene)
 
 
 def _budget_grid(summary: Content) -> Grid:
-    """Relative errors of sigma(A) as quoted, by what they come from."""
-    kinds = ("noise", "weather", "window", "population")
+    """Relative errors of sigma(A) as quoted, by origin."""
+    kinds = ("noise", "weather", "transfer_function", "population")
     rows = []
     for name, entry in summary["error_budget"].items():
         parts = [_share(entry[kind]) for kind in kinds]
         total = None if None in entry.values() else sum(value**2 for value in entry.values()) ** 0.5
         rows.append((cell(name), *parts, _share(total)))
-    columns = ("estimate", *(f"{kind} [%]" for kind in kinds), "in all [%]")
-    left = " that the forecast does not explain" if summary["best"]["kind"] == "controlled" else ""
+    columns = ("estimate", *(f"{kind.replace('_', ' ')} [%]" for kind in kinds), "in all [%]")
+    left = " that the forecast does not explain" if summary["estimate"]["kind"] == "controlled" else ""
     note = (
         f"Noise: its realizations; weather: the sample of observations, their weather and discarded scans{left};"
-        " window: skies that measure the signal; population: the sample of all weather that the forecast takes. Parts"
-        " add up in quadrature."
+        " transfer function: simulated skies; population: the forecast's sample of all weather. They add in quadrature."
     )
-    return Grid("budget-table", "Relative error of σ(A), by what it comes from", columns, tuple(rows), (note,))
+    return Grid("budget-table", "Relative error of σ(A), by origin", columns, tuple(rows), (note,))
 
 
 def _share(value: float | None) -> Cell:
@@ -58,7 +57,7 @@ def _share(value: float | None) -> Cell:
 
 def _answer_grid(summary: Content, scene: Content) -> Grid:
     score, run = scene["score"], summary["run"]
-    answers = summary.get("answers") or [summary["fine_answer"]]
+    answers = summary["time_to_precision"]
     here = {
         "relative_error": summary["stopped"]["relative_error"],
         "seconds": sum(run["stage_s"].values()) / run["workers"],
@@ -78,5 +77,5 @@ def _answer_grid(summary: Content, scene: Content) -> Grid:
         f"Times are those of simulating with {plural(run['workers'], 'worker')}, without starting and writing, "
         "extrapolated from this run's own errors and times."
     )
-    columns = ("error of σ(A)", "time", "observations", "sign flips", "window skies")
-    return Grid("answer-table", "What an answer costs", columns, tuple(rows), (note,), (mark,))
+    columns = ("error of σ(A)", "time", "observations", "sign flips", "simulated skies")
+    return Grid("answer-table", "Cost of a smaller error", columns, tuple(rows), (note,), (mark,))

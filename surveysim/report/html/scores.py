@@ -57,4 +57,4 @@ def _score_note(summary: Content) -> str:
     cleanings = [name for name in summary["scores"] if name not in DATA_SETS and name not in masked]
     known += [f"{name}: {cleaning_words(name.split('+'))} in place of the scene's own" for name in cleanings]
     errors = "Errors are Monte Carlo errors: noise, the sample of observations, and the signal window."
-    return f"{kind_sentence(summary['best'])} {errors} {'; '.join(known)}."
+    return f"{kind_sentence(summary['estimate'])} {errors} {'; '.join(known)}."

@@ -76,7 +76,7 @@ def _lead(summary: Content, scene: Content):
         why = summary.get("unscored") or "the scene has no section [score]"
         yield f"{plural(made, 'observation')} with {camera}, simulated, cleaned and mapped. There is no score: {why}."
         return
-    row, best = summary["scores"][ACTUAL], summary["best"]
+    row, best = summary["scores"][ACTUAL], summary["estimate"]
     sigma = f"σ(A) = {quoted(best['sigma_ukcmb2'], best['error_ukcmb2'])} {UK2}"
     text = f"{survey} with {camera}, cleaned by {cleaning_words(scene['cleaning']['algorithm'])}, measure the amplitude"
     text += f" of a flat CMB band power with an uncertainty of {sigma}."

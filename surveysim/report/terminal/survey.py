@@ -73,8 +73,8 @@ def _print_details(console: Terminal, result: SurveyResult, content: Content) ->
             show_table(console, agreement_table(content["forecast_over_simulated"]))
             show_table(console, effect_table(content["forecast"]))
     for kind in ("measured", "drawn"):
-        if any(item["kind"] == kind for item in content["truth"]):
-            show_table(console, closure_table(content["truth"], kind))
+        if any(item["kind"] == kind for item in content["closure"]):
+            show_table(console, closure_table(content["closure"], kind))
     if result.scores:
         setup = result.setup
         lines = method(setup.chooses, setup.scene.instrument.bandwidth, setup.band.scored_correlation)

@@ -112,7 +112,7 @@ def test_what_a_comparison_leaves_behind(compared):
     result, out = compared
     sets = result.setup.data_sets
     assert {path.stem for path in (out / "maps").iterdir()} == set(sets) == set(result.scores)
-    assert (out / "figures" / "window.png").exists()
+    assert (out / "figures" / "transfer_function.png").exists()
     columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
     # Templates a scan: of the pipelines' own kind.
     assert [columns[f"removed_{name}"].mean() for name in ("actual", "planar", "average+local")] == [1, 3, 2]

@@ -142,7 +142,7 @@ def test_sources_and_provenance(page, summary):
 def test_error_against_run_time(page, summary):
     rows = [[cell.text for cell in row] for row in rows_of(page, "answer-table")]
     (own,) = [row for row in rows if row[0].endswith("this run")]
-    assert own[2:] == ["4", "4", "2"] and len(rows) == 1 + len(summary["answers"])
+    assert own[2:] == ["4", "4", "2"] and len(rows) == 1 + len(summary["time_to_precision"])
     budget = {row[0].text: row for row in rows_of(page, "budget-table")}
     assert set(budget) == set(summary["error_budget"])
     assert value_of(budget["actual"][1]) == pytest.approx(100 * summary["error_budget"]["actual"]["noise"])
@@ -151,8 +151,8 @@ def test_error_against_run_time(page, summary):
 def test_truth_stands_beside_what_was_measured(page, summary):
     shown = [row for anchor in ("closure-table", "weather-table") for row in rows_of(page, anchor)]
     by_name = {row[0].text: row for row in shown}
-    assert len(by_name) == len(summary["truth"]) >= 7
-    for item in summary["truth"]:
+    assert len(by_name) == len(summary["closure"]) >= 7
+    for item in summary["closure"]:
         row = by_name[item["quantity"]]
         assert (value_of(row[2]), value_of(row[3])) == (item["expected"], item["found"])
 
@@ -331,11 +331,19 @@ def test_points_without_a_score_say_why(sweep_file, tmp_path):
         (lambda path: (path.mkdir(), (path / "summary.json").write_text('{"scores": ')), "summary.json: can't be read"),
         (lambda path: (path.mkdir(), (path / "summary.json").write_text("[1]")), "a JSON object is expected"),
         (
-            lambda path: (path.mkdir(), (path / "summary.json").write_text('{"scores": {}}')),
+            lambda path: (path.mkdir(), (path / "summary.json").write_text('{"surveysim": "0.4.1", "scores": {}}')),
             "scene.json: can't be read",
         ),
         (
-            lambda path: (path.mkdir(), [(path / f"{name}.json").write_text('{"scores": {}}') for name in NAMES]),
+            lambda path: (path.mkdir(), (path / "summary.json").write_text('{"surveysim": "0.3.0", "scores": {}}')),
+            "summary.json: written by surveysim 0.3.0; 0.4 or later is expected",
+        ),
+        (
+            lambda path: (path.mkdir(), (path / "summary.json").write_text('{"points": []}')),
+            "summary.json: written by surveysim of unknown version; 0.4 or later is expected",
+        ),
+        (
+            lambda path: (path.mkdir(), [(path / f"{name}.json").write_text(NOTHING_SCORED) for name in NAMES]),
             "results that can't be read (KeyError 'cleaning')",
         ),
     ],
@@ -350,6 +358,7 @@ def test_directories_without_results(call, tmp_path, prepare, words):
         write_report(out)
 
 
+NOTHING_SCORED = '{"surveysim": "0.4.0", "scores": {}}'
 NAMES = ("summary", "scene")
 
 # ---------------------------------------------------------------- numbers and units

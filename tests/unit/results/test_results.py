@@ -25,10 +25,10 @@ from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE, write_scene
 KEYS = {
     "scene", "title", "seed", "scene_sha256", "surveysim", "python", "packages", "observations", "detectors",
     "detector_samples", "stages_left_out", "scans", "scans_discarded", "mean_iterations", "scores", "run", "cleaning",
-    "files", "stopped", "stages", "left_out", "truth", "discarded", "discarded_by_weather", "warnings",
+    "files", "stopped", "stages", "left_out", "closure", "discarded", "discarded_by_weather", "warnings",
 }  # fmt: skip
 SCORED_KEYS = {
-    "best", "fine_answer", "answers", "forecast_over_simulated", "forecast", "error_budget", "gains",
+    "estimate", "time_to_precision", "forecast_over_simulated", "forecast", "error_budget", "gains",
     "alternatives", "bin_correlation",
 }  # fmt: skip
 SETS = ("actual", "uncorrelated", "white", "masked_7")
@@ -80,14 +80,14 @@ def test_summary(finished, content):
         }  # fmt: skip
         assert all(0 < value < math.inf for value in entry.values())
         assert 4000 < entry["ell_eff"] < 12000
-    assert set(content["run"]["stage_s"]) >= {"atmosphere", "cleaning", "binning", "window"}
+    assert set(content["run"]["stage_s"]) >= {"atmosphere", "cleaning", "binning", "transfer_function"}
     assert json.dumps(summary(result)["scores"]) == json.dumps(content["scores"])
 
 
 def test_one_estimate_is_quoted_everywhere(finished, content, capsys):
     """Summary, tables, screen and the report's headline; the plain value stands beside it."""
     result, folder = finished
-    best, row, item = content["best"], content["scores"]["actual"], result.scores["actual"]
+    best, row, item = content["estimate"], content["scores"]["actual"], result.scores["actual"]
     assert best["kind"] == "controlled" == content["stopped"]["estimate"]
     assert best["sigma_ukcmb2"] == row["sigma_ukcmb2"] == item.band.sigma_ukcmb2
     assert best["error_ukcmb2"] == row["error_ukcmb2"] == item.band.sigma_ukcmb2 * item.budget.total
@@ -118,12 +118,12 @@ def test_an_unknown_error_is_said_to_be_unknown(tmp_path, capsys):
     path = write_scene(tmp_path)
     result = run(load_scene(path, {"observations": 2}), tmp_path / "out", engine=SERIAL, figures=False)
     content = json.loads((tmp_path / "out" / "summary.json").read_text(), parse_constant=pytest.fail)
-    assert content["best"]["error_ukcmb2"] is content["stopped"]["relative_error"] is None
+    assert content["estimate"]["error_ukcmb2"] is content["stopped"]["relative_error"] is None
     assert content["scores"]["white"]["error_ukcmb2"] is content["gains"]["uncorrelated / white"]["error"] is None
     assert np.isnan(Table.read(tmp_path / "out" / "tables" / "scores.ecsv")["error_ukcmb2"]).all()
     print_result(result, tmp_path)
     out = capsys.readouterr().out
-    assert plain(quoted(content["best"]["sigma_ukcmb2"], None)) in out and "found 2 observations" in out
+    assert plain(quoted(content["estimate"]["sigma_ukcmb2"], None)) in out and "found 2 observations" in out
     assert "± unknown" in (tmp_path / "out" / "report.html").read_text()
 
 
@@ -159,7 +159,9 @@ def test_score_table(finished, content):
 def test_spectrum_table(finished):
     result, folder = finished
     table = Table.read(folder / "tables" / "map_psd.ecsv")
-    assert {f"{kind}_{name}" for kind in ("noise", "window", "signal") for name in SETS} <= set(table.colnames)
+    assert {f"{kind}_{name}" for kind in ("noise", "transfer_function", "signal") for name in SETS} <= set(
+        table.colnames
+    )
     assert str(table["noise_actual"].unit) == "uK2 sr"
     np.testing.assert_array_equal(table["noise_white"], result.scores["white"].noise_psd)
     assert (np.diff(table["ell"]) > 0).all() and table["scored"].sum() == result.setup.band.selected.sum()

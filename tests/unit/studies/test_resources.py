@@ -18,7 +18,7 @@ from surveysim.timestreams import shared_parts as parts
 from tests.scenes import SCHEDULE, SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
 
 ALWAYS = ["pointing", "detector", "cleaning", "maps"]
-SCORED = ["data sets", "window", "score", "forecast"]
+SCORED = ["data sets", "transfer function", "score", "forecast"]
 NO_CHOICE = {"best pipeline": "no cleaning.compare to choose from"}
 NO_HEALPIX = {"HEALPix": "no map.healpix_nside"}
 FIXED = {"ephemerides": "a fixed elevation needs no astropy.coordinates"}
@@ -27,7 +27,7 @@ NO_SKY = {"sky": "no section [sky]: noise alone"}
 NO_AIR = {"atmosphere": "no section [atmosphere]: no layer, no weather"}
 NO_SCORE = {
     "score": "no section [score]: no map PSDs, no sign-flipped maps",
-    "window": "no section [score] to need it",
+    "transfer function": "no section [score] to need it",
     "forecast": "no section [score] to need it",
     "best pipeline": "no section [score] to need it",
 }
@@ -56,7 +56,7 @@ DOES = {
     "ephemerides": [(setup, "schedule")],
     "opacity": [(setup, "site_water")],
     "score": [(results, "quoted_scores")],
-    "window": [(sky, "flat_cmb_sky"), (reduction, "_add_window")],
+    "transfer function": [(sky, "flat_cmb_sky"), (reduction, "_add_window")],
     "forecast": [(agreement, "forecast")],
     "best pipeline": [(reduction, "figures_of_merit")],
     "HEALPix": [(outputs, "write_healpix")],
