@@ -1,4 +1,4 @@
-"""What a run of a scene does: the stages that run, and those left out with the reason for each."""
+"""Stages of a run, and stages left out with their reasons."""
 
 from surveysim.forecasting.forecast import can_forecast
 from surveysim.reduction.setup import Setup, window_observations
@@ -14,12 +14,12 @@ SECTIONS_LEFT_OUT = {
 
 
 def absent_sections(scene: Scene) -> list[str]:
-    """Optional sections that the scene does not have."""
+    """Return the optional sections that the scene does not have."""
     return [name for name in (*STREAMS, "score") if getattr(scene, name) is None]
 
 
 def stages_that_run(setup: Setup) -> dict[str, str]:
-    """Every stage of a run of the scene, and what it does."""
+    """Return every stage of a run of the scene with its description."""
     scene = setup.scene
     scans = f"{scene.observations} observations of {setup.raster.n_scans} scans"
     stages = {"pointing": f"{scans}, {setup.n_det} detectors, {scene.scan.sample_rate_hz:g} Hz"}
@@ -36,30 +36,30 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
         stages["transfer function"] = f"{scene.score.signal_sims.skies} skies through {n_window} observations"
         stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
         if can_forecast(setup):
-            stages["forecast"] = "of each data set, beside its score"
+            stages["forecast"] = "closed form, for each data set"
     if scene.map.healpix_nside:
         stages["HEALPix"] = f"maps at nside {scene.map.healpix_nside}"
     return stages
 
 
 def left_out(setup: Setup) -> dict[str, str]:
-    """Every stage that a run of the scene leaves out, and why."""
+    """Return every stage that a run of the scene leaves out with its reason."""
     scene = setup.scene
     reasons = {name: f"no section [{name}]{SECTIONS_LEFT_OUT.get(name, '')}" for name in absent_sections(scene)}
     if scene.fixed_pointing:
         reasons["ephemerides"] = "a fixed elevation needs no astropy.coordinates"
     if setup.water is None:
-        reasons["opacity"] = "no atmosphere.site to know it of"
+        reasons["opacity"] = "no atmosphere.site"
     if not any(section and section.coherence != "none" for section in (scene.photon, scene.excess)):
-        reasons["overlap"] = "no noise that detectors share"
+        reasons["overlap"] = "no noise that is common to detectors"
     if scene.instrument.bands and not setup.subtracts_bands:
         reasons["other bands"] = "no pipeline subtracts them"
     if scene.score is None:
-        reasons |= dict.fromkeys(("transfer function", "forecast", "best pipeline"), "no section [score] to need it")
+        reasons |= dict.fromkeys(("transfer function", "forecast", "best pipeline"), "no section [score]")
     elif not can_forecast(setup):
         reasons["forecast"] = f"cleaning by {setup.pipelines[0].label} is no projection"
     if scene.score and not setup.chooses:
-        reasons["best pipeline"] = "no cleaning.compare to choose from"
+        reasons["best pipeline"] = "no cleaning.compare"
     if not scene.map.healpix_nside:
         reasons["HEALPix"] = "no map.healpix_nside"
     return reasons

@@ -24,7 +24,7 @@ TITLES = {
     "map_psd": "PSDs of the maps",
     "transfer_function": "transfer functions",
     "cumulative_sensitivity": "cumulative sensitivity",
-    "weights": "multipoles that the score comes from",
+    "weights": "weights of multipoles in the score",
     "weather": "noise of each observation",
 }
 RUN_TIME = "run_time"

@@ -1,4 +1,4 @@
-"""The page of a measurement of accuracy: what every knob gives and takes, the figure, the scene, provenance."""
+"""The page of a convergence study."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -26,13 +26,13 @@ PICTURE = "figures/accuracy.png"
 
 
 def accuracy_page(directory: Path, summary: Content, scene: Content) -> Page:
-    """The page of what `surveysim accuracy` left in a directory."""
+    """Return the page of a convergence study from its directory, summary.json and scene.json."""
     from astropy.table import Table
 
     table, found = Table.read(directory / "accuracy.ecsv", format="ascii.ecsv"), summary["accuracy"]
     rows = [dict(zip(table.colnames, row.as_void().tolist(), strict=True)) for row in table]
     scored = [row for row in rows if could_run(row)]
-    sections = [Section("settings", "What every knob gives and takes", tuple(_settings(rows, scored, found)))]
+    sections = [Section("settings", "Accuracy and cost of every setting", tuple(_settings(rows, scored, found)))]
     if PICTURE in summary["files"] and (directory / PICTURE).is_file():
         lines = (ACCURACY.shows, ACCURACY.look_for)
         drawn = picture(directory / PICTURE, ACCURACY.title, ACCURACY.alt, lines)
@@ -51,7 +51,7 @@ def accuracy_page(directory: Path, summary: Content, scene: Content) -> Page:
     if own is not None:
         key.append(("error of one run", percent(own["error_ukcmb2"] / own["sigma_ukcmb2"])))
     key += [("settings", count(len(rows))), ("run time", duration(summary["run"]["wall_s"]))]
-    title = f"{summary['title']}: what accuracy costs"
+    title = f"{summary['title']}: accuracy and its cost"
     lead = (*_lead(found), *warned(summary))
     return Page("surveysim accuracy", title, lead, tuple(key), tuple(sections))
 
@@ -87,12 +87,12 @@ def _slopes(found: Content) -> Iterator[Block]:
     if items:
         yield Listing(items, "Slopes in logarithms; that of a Monte Carlo is −0.5:")
     else:
-        yield Text(("Too few settings could be run to tell how errors fall with time.",))
+        yield Text(("Too few settings could be run to measure how errors fall with time.",))
 
 
 def _recommended(item: Content) -> str:
     has = "as the scene has it" if item["is_own"] else "not the scene's"
-    doubt = "" if item["resolved"] else "; its bias is not known to that, only not told from none"
+    doubt = "" if item["resolved"] else "; its bias is smaller than its error, but the error is larger than this limit"
     return f"{item['knob']} {item['label']}: {has}{doubt}."
 
 

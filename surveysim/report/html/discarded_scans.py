@@ -10,9 +10,9 @@ from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, WEATHER
 
 Content = Mapping[str, Any]  # of summary.json
 DISCARD_RULE = (
-    "Cleaning discards a scan whose templates it can't fit. Where it fits responsivities on the atmosphere, these are"
-    " scans that see it change little: in the calmest weather, hence the best data, or while they go along with the"
-    " wind at about its speed. A point of a sweep that loses more than"
+    "Cleaning discards a scan whose templates it cannot fit. If it fits responsivities to the atmosphere, these are"
+    " scans with little atmospheric signal: in the calmest weather, which gives the best data, or along the wind at"
+    " about its speed. A point of a sweep that loses more than"
     f" {100 * MOST_DISCARDED:g} % of them, or {100 * MOST_APART:g} % more than the point that loses least, has no"
     " probability of being the best."
 )

@@ -13,8 +13,8 @@ from surveysim.results.tables import alternative_table, cleaning_table, gain_tab
 Content = Mapping[str, Any]  # of summary.json and scene.json
 DATA_SETS = {
     "actual": "the survey itself",
-    "uncorrelated": "streams with each detector's measured spectrum in each observation, without correlations",
-    "white": "white streams at the measured level",
+    "uncorrelated": "noise with each detector's measured PSD in each observation, without correlations",
+    "white": "white noise at the measured level",
     OPTIMAL: "the best cleaning of each observation",
 }
 
@@ -38,7 +38,7 @@ def score_blocks(summary: Content, scene: Content) -> Iterator[Block]:
     compared = bool(scene["cleaning"]["compare"])
     yield Listing(
         method(compared, scene["instrument"]["bandwidth"], summary.get("bin_correlation", math.nan)),
-        "How it is scored, where the reference leaves it open:",
+        "Choices of the scoring that the reference leaves open:",
     )
 
 
@@ -56,5 +56,5 @@ def _score_note(summary: Content) -> str:
         known.append(f"{masked[0]}: the actual streams of an array masked by separation (scaled: times its share)")
     cleanings = [name for name in summary["scores"] if name not in DATA_SETS and name not in masked]
     known += [f"{name}: {cleaning_words(name.split('+'))} in place of the scene's own" for name in cleanings]
-    errors = "Errors are Monte Carlo errors: noise, the sample of observations, and the signal window."
+    errors = "Errors are Monte Carlo errors: noise, the sample of observations, and the transfer function."
     return f"{kind_sentence(summary['estimate'])} {errors} {'; '.join(known)}."

@@ -23,11 +23,11 @@ from surveysim.results.tables import over_reference
 from surveysim.runtime.numbers import as_known, count, duration, percent, plural, quoted, short
 
 Content = Mapping[str, Any]  # of summary.json and scene.json
-UNKNOWN = "Its error is unknown: so few observations do not tell how far theirs is typical."
+UNKNOWN = "Its error is unknown: there are too few observations to estimate it."
 
 
 def run_page(directory: Path, summary: Content, scene: Content) -> Page:
-    """The page of what a run left in a directory."""
+    """Return the page of a run from its directory, summary.json and scene.json."""
     pictures = run_pictures(directory, summary, scene)
     timing = [item for item in pictures if item.anchor == "figure-run_time"]
     others = tuple(item for item in pictures if item not in timing)
@@ -50,7 +50,7 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
 
 
 def run_pictures(directory: Path, summary: Content, scene: Content) -> list[Picture]:
-    """Figures that the run wrote and that are still there, with their captions."""
+    """Return the figures of the run that exist, with their captions."""
     facts = {"cleaning": cleaning_words(scene["cleaning"]["algorithm"]), "sky": _sky_fact(scene)}
     found = []
     for name, caption in RUN.items():
@@ -62,7 +62,7 @@ def run_pictures(directory: Path, summary: Content, scene: Content) -> list[Pict
 
 
 def _sky_fact(scene: Content) -> str:
-    return "" if scene["sky"] else "The streams hold no sky: all that is seen is noise."
+    return "" if scene["sky"] else "The time-streams have no sky: the map is noise alone."
 
 
 # ---------------------------------------------------------------- the result in a few lines
@@ -88,7 +88,7 @@ def _lead(summary: Content, scene: Content):
         text += f" The forecast in closed form is {as_known(row['forecast_ukcmb2'], row['error_ukcmb2'])} {UK2}."
     yield text
     if made < stopped["observations_of_survey"]:
-        yield f"Of the survey's observations {count(made)} were simulated; all numbers are for the whole survey."
+        yield f"{count(made)} of the survey's observations were simulated; all numbers are for the whole survey."
     plain = quoted(best["plain_sigma_ukcmb2"], best["plain_error_ukcmb2"])
     beside = f" Plain, it is {plain} {UK2}." if best["kind"] == "controlled" else ""
     yield f"{kind_sentence(best)}{beside}{' ' + UNKNOWN if best['error_ukcmb2'] is None else ''}"

@@ -1,4 +1,4 @@
-"""The page of a sweep: which point is best, the axes, all points, the figure, the scene, provenance."""
+"""The page of a sweep."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -24,7 +24,7 @@ MOST_NAMED = 4  # points in a note
 
 
 def sweep_page(directory: Path, summary: Content, scene: Content) -> Page:
-    """The page of what a sweep left in a directory."""
+    """Return the page of a sweep from its directory, summary.json and scene.json."""
     sections = [
         Section("axes", "What was varied", _axes(summary)),
         Section("points", "Points", tuple(_grids(summary))),
@@ -66,7 +66,7 @@ def _lead(summary: Content, scene: Content) -> Iterator[str]:
     if summary["kind"] == "simulated":
         yield (
             f"Every point has up to {plural(scene['observations'], 'observation')} with the same seed, hence the same"
-            " weather, noise and skies wherever the keys allow it. Ratios are therefore known better than the points."
+            " weather, noise and skies where the keys allow it. Ratios therefore have smaller errors than the points."
         )
     yield from warned(summary)
 
@@ -154,9 +154,7 @@ def _pair_grids(summary: Content) -> Iterator[Grid]:
         return
     names = {number: f"{number}: {_values(summary['points'][number], varied_keys(summary))}" for number in numbers}
     rows = tuple((cell(names[row]), *(_pair_cell(pairs, row, column) for column in numbers)) for row in numbers)
-    notes = [
-        "σ(A) of the row's point over that of the column's, with the error of the pair, which counts what both share."
-    ]
+    notes = ["σ(A) of the row's point over that of the column's, with the paired error."]
     if not all(pair["comparable"] for pair in pairs.values()):
         notes.append(
             f"*: not to be compared, as one loses more than {100 * MOST_DISCARDED:g} % of its scans or the two differ"

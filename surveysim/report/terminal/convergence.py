@@ -57,6 +57,6 @@ def recommended_lines(result: AccuracyResult) -> list[str]:
     lines = [f"Recommended, with a bias below {tolerated:.2g} % (a third of the scene's Monte Carlo error):"]
     for item in result.recommended:
         has = "as the scene has it" if item.is_own else "not the scene's"
-        doubt = "" if item.resolved else "; its bias is not known to that, only not told from none"
+        doubt = "" if item.resolved else "; its bias is smaller than its error, but the error is larger than this limit"
         lines.append(f"  {item.knob} {item.label}: {has}{doubt}")
     return lines

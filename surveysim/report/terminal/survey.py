@@ -78,7 +78,7 @@ def _print_details(console: Terminal, result: SurveyResult, content: Content) ->
     if result.scores:
         setup = result.setup
         lines = method(setup.chooses, setup.scene.instrument.bandwidth, setup.band.scored_correlation)
-        print_list(console, "Method, where the reference leaves it open:", lines)
+        print_list(console, "Choices of the scoring that the reference leaves open:", lines)
     print_list(console, "Assumed or calibrated in the scene:", result.setup.scene.assumed)
 
 
@@ -172,7 +172,7 @@ def cost_lines(result: SurveyResult) -> list[str]:
         return []
     needs = [f"{cost.observations} observations"]
     needs += [f"{cost.jackknives} sign flips"] * (cost.jackknives > score.jackknives)
-    needs += [f"{cost.skies} window skies"] * (cost.skies > score.signal_sims.skies)
+    needs += [f"{cost.skies} simulated skies"] * (cost.skies > score.signal_sims.skies)
     time = f"{cost.seconds / 60:.2g} min" if cost.seconds >= 60 else f"{cost.seconds:.0f} s"
     share = 100 * cost.relative_error
     return [f"  a {share:g} % answer would take about {time} with {result.workers} worker(s) ({', '.join(needs)})"]

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 MOST_PAIRED = 100  # points with a score, every pair of which is compared
 
 ESTIMATES = {  # kinds of sigma(A)
-    "controlled": "has the forecast as control variate, which takes out the luck of the weather",
-    "plain": "is of the weather that was drawn, which is common to all points",
+    "controlled": "has the forecast as control variate, which removes the chance of the weather sample",
+    "plain": "is for the weather drawn, which is common to all points",
 }
 
 
@@ -109,7 +109,7 @@ class SweepResult:
         if not self.simulated or comparison.competing[number] or not scored[number]:
             return ""
         if not np.isfinite(comparison.modes[number]).all():
-            return "its error is unknown, of too few observations"
+            return "its error is unknown, as there are too few observations"
         if scored.sum() == 1:
             return "no other point has a score"
         shares = actual_shares(self.points)

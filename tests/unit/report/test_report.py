@@ -119,7 +119,7 @@ def test_what_was_simulated_and_what_was_not(page, summary):
     terms = {item.one("dt").text: item.one("dd").text for block in page.all("dl") for item in block.all("div")}
     assert terms["sky"] == "no section [sky]: noise alone" and "Sky" not in terms
     assert {name: terms[name] for name in summary["left_out"]} == summary["left_out"]
-    assert terms["Observations"].startswith("4 observations of 4 scans of 6 s at 4 arcmin/s, 2 s a turn.")
+    assert terms["Observations"].startswith("4 observations of 4 scans of 6 s at 4 arcmin/s, turnarounds of 2 s.")
     assert "right ascension 08h 49m 12s, declination +44° 50′ 24″" in terms["Field"]
     assert "One frozen layer 1000 m above" in terms["Atmosphere"] and "(9.02 m/s in the layer)" in terms["Atmosphere"]
     assert "masked to 1.3 (f/#)λ" in terms["Score"] and terms["Cleaning"].startswith("Average subtraction.")

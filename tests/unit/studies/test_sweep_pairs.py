@@ -162,7 +162,7 @@ def test_unknown_errors_are_no_probabilities(write, tmp_path):
     assert np.isnan(found.error_ukcmb2).all() and np.isnan(found.best_probability).all()
     np.testing.assert_allclose(found.ratio, [1, 4, 1], rtol=1e-5)
     assert best_line(result).startswith("lowest: ") and "+- unknown" in best_line(result)
-    assert best_line(result).endswith("its error is unknown, of too few observations")
+    assert best_line(result).endswith("its error is unknown, as there are too few observations")
     json.loads((tmp_path / "summary.json").read_text(), parse_constant=pytest.fail)
     assert "± unknown" in read_page(tmp_path / "report.html").one("header").text
 
