@@ -13,12 +13,13 @@ OPTIMAL_METHOD = (
     "favours chance; the transfer function of each pipeline is measured on two observations."
 )
 METHOD = (
-    "Noise is measured from co-adds with random signs (jackknives); 1 / n_eff of the power of a sky in the time-streams "
-    "remains in them.",
+    "Noise is measured from co-adds with random signs (jackknives); they keep 1 / n_eff of the power of a sky in the "
+    "time-streams.",
     "Each data set weights its observations by their measured noise in the scored multipoles. That lowers the co-added "
     "noise by chance; this bias is corrected.",
     "sigma(A)^-2 is the sum over bins of n/2 (M/N)^2: every data set weights its bins by its own noise.",
-    "M is a flat spectrum after beam and pixels, convolved with the taper's power spectrum, times the transfer function.",
+    "M is a flat spectrum after beam and pixels, convolved with the taper's power spectrum, times the transfer "
+    "function.",
     "The noise-only sets have the transfer function of the actual data's cleaning; the masked array has its own.",
     "The noise-only sets take each detector's Hann-tapered PSD of the cleaned time-streams and are not cleaned again.",
     OPTIMAL_METHOD,

@@ -42,8 +42,8 @@ RUN = {
         "Shaded: the standard error of each bin. Thin lines: the forecast in closed form. The PSD of a masked array is "
         "multiplied by its share of the detectors. Grey line: a flat CMB spectrum with A = σ(A), as it appears in the "
         "map; grey area: the scored range.",
-        "The distance from the actual line down to the uncorrelated one is the cost of correlations between detectors; "
-        "the distance from there to the white one is the cost of low-frequency noise.",
+        "Look for the distance from the actual line down to the uncorrelated one, the cost of correlations between "
+        "detectors, and from there to the white one, the cost of low-frequency noise.",
     ),
     "transfer_function": Caption(
         "Transfer functions",

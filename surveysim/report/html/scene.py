@@ -175,9 +175,10 @@ def _photon(photon: Values) -> Iterator[str]:
 
 def _detector(detector: Values) -> Iterator[str]:
     if detector["psd_mk2_hz"] is not None:
-        yield f"White, {short(detector['psd_mk2_hz'])} mK2 / Hz, independent between detectors."
+        yield f"White, {short(detector['psd_mk2_hz'])} mK2 / Hz,"
     else:
-        yield f"White, a noise-equivalent power of {number(detector['nep_w_rthz'], 2)} W / Hz(1/2), independent between detectors."
+        yield f"White, a noise-equivalent power of {number(detector['nep_w_rthz'], 2)} W / Hz(1/2),"
+    yield "independent between detectors."
 
 
 def _sky(sky: Values) -> Iterator[str]:
@@ -222,7 +223,8 @@ def _map(scene: Values) -> Iterator[str]:
 def _numerics(numerics: Values) -> Iterator[str]:
     step = numerics["screen_step"]
     lattice = "the usual step" if step == 1 else f"{short(step)} times the usual step"
-    yield f"Time-streams are {numerics['precision']}; interpolation in the layer is {numerics['interpolation']}, at {lattice}."
+    yield f"Time-streams are {numerics['precision']};"
+    yield f"interpolation in the layer is {numerics['interpolation']}, at {lattice}."
 
 
 def _score(score: Values, observations: int) -> Iterator[str]:

@@ -210,7 +210,7 @@ def test_a_run_without_a_score_says_why(tmp_path, settings):
 
 def test_a_run_that_stopped_early_says_so(tmp_path):
     page = page_of(tmp_path, SMALL_SCENE, {"observations": 40}, time_budget_s=1e-3)
-    assert "Of the survey's observations 2 were simulated" in page.one("header").text
+    assert "2 of the survey's observations were simulated" in page.one("header").text
     assert "The run ended when the time budget of 1.0 ms was spent." in page.text
 
 
@@ -225,11 +225,14 @@ def test_cleanings_beside_each_other(tmp_path):
 def test_a_page_names_the_assumption_on_shared_photon_noise(tmp_path):
     text = without_sections(SMALL_SCENE, "score")
     field = page_of(tmp_path, text, {"observations": 1})
-    assert "share 10 % as far as the fields of overlapping beams are coherent (the hypothesis of Sayers" in field.text
+    assert (
+        "10 % of it common to neighbours as far as the fields of overlapping beams are coherent (hypothesis of Sayers"
+        in field.text
+    )
     keys = {"observations": 1, "photon.coherence": "intensity", "photon.bose_fraction": 0.69}
     shutil.rmtree(tmp_path / "out")
     bunching = page_of(tmp_path, text, keys)
-    assert "69 % of it bunching, of a load of which 10 % comes through the beam; neighbours share" in bunching.text
+    assert "69 % of it from bunching, 10 % of the load through the beam; neighbours share" in bunching.text
 
 
 def test_a_scene_of_a_site_in_words(tmp_path):
@@ -251,12 +254,12 @@ def test_a_scene_of_a_site_in_words(tmp_path):
         },
     )
     for words in (
-        "Water and its fluctuations are those of ALMA.",
-        "From the load of the site's water and 10 K of warm optics.",
-        "Neighbours share the bunching of what comes through the beam as far as the intensities of overlapping beams",
+        "Water and water fluctuations are those of ALMA.",
+        "From the load of the site's water and warm optics of 10 K.",
+        "Neighbours share its bunching part as far as the intensities of overlapping beams",
         "a noise-equivalent power of 3.0 × 10−17 W/Hz1/2",
         "Observed from latitude 19.8°, longitude −155.5°, 4070 m high, in 1 night from 2003-10-28",
-        "Horns are 0.6 (f/#)λ wide. The efficiency from window to detector is 30 %. Detectors take 2 polarizations.",
+        "Horns are 0.6 (f/#)λ wide. The efficiency from window to detector is 30 %. Detectors absorb 2 polarizations.",
         "Its outer scale is 2000 m.",
         "Average subtraction, then adaptive PCA.",
         "A CMB of flat band power, 1000 µK²CMB on the plane and 1 point source of 5 mK",

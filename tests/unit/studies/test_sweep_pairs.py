@@ -105,7 +105,7 @@ def test_a_reference_without_a_score_is_replaced_and_told(write, tmp_path):
 
 
 def test_many_points_have_no_pairs(levels, monkeypatch):
-    monkeypatch.setattr("surveysim.studies.sweep.comparison.MOST_PAIRED", 2)
+    monkeypatch.setattr("surveysim.studies.sweep.result.MOST_PAIRED", 2)
     assert pairs(levels) == []
 
 
