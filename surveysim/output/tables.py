@@ -40,7 +40,7 @@ def _survey_part(result: SurveyResult) -> dict[str, int]:
 
 def spectrum_table(result: SurveyResult) -> Table:
     """Return noise and signal PSDs of the map and the transfer function of each data set, by bin of multipoles."""
-    band, rings = result.setup.band, result.setup.band.rings
+    band, rings = result.setup.analysis.region, result.setup.analysis.region.rings
     columns = [
         file_column("ell", rings.ell),
         file_column("n_modes", rings.n_modes),
@@ -71,10 +71,10 @@ def _spectra(result: SurveyResult, name: str) -> Iterator[Column]:
 
 def timestream_table(result: SurveyResult) -> Table:
     """Return quantiles over observations of the time-streams' PSDs, before and after each cleaning."""
-    coadds, raster = result.coadds, result.setup.raster
+    coadds, raster = result.coadds, result.setup.observing.raster
     frequency = np.arange(len(coadds.raw_psd[0])) * raster.sample_rate_hz / samples_per_scan(raster)
     compared = np.array(coadds.compared_psd)
-    pipelines = enumerate(result.setup.whole_pipelines[1:])
+    pipelines = enumerate(result.setup.analysis.whole_pipelines[1:])
     psds_of = {"raw": coadds.raw_psd, "clean": coadds.clean_psd}
     psds_of |= {f"clean_{pipeline.data_set}": compared[:, place] for place, pipeline in pipelines}
     columns = [file_column("frequency", frequency, "Hz")]
@@ -89,13 +89,13 @@ def observation_table(result: SurveyResult) -> Table:
     """Return weather, pointing, discarded scans and map noise of each observation."""
     setup = result.setup
     units = {"wind_speed_rad_s": "rad / s", "wind_angle_rad": "rad", "pwv_mm": "mm", "elevation_rad": "rad"}
-    units |= {"white_mk2_hz": "mK2 / Hz"} | {f"noise_mk2_{name}": "mK2" for name in setup.data_sets}
+    units |= {"white_mk2_hz": "mK2 / Hz"} | {f"noise_mk2_{name}": "mK2" for name in setup.analysis.data_sets}
     columns = dict(zip(row_names(setup), np.array(result.coadds.rows).T, strict=True))
     if np.isnan(columns["pwv_mm"]).all():  # the scene has its own distribution of B2
         del columns["pwv_mm"]
     columns["observation"] = columns["observation"].astype(int)
     made = [file_column(name, values, units.get(name, "")) for name, values in columns.items()]
-    made.append(file_column("start_mjd", setup.angles.start_mjd[: result.coadds.done], "d"))
+    made.append(file_column("start_mjd", setup.observing.angles.start_mjd[: result.coadds.done], "d"))
     return Table("observations", "Observations", tuple(made))
 
 

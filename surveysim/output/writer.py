@@ -100,7 +100,7 @@ def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> 
         },
         "left_out": left_out(prepare(result.scene)),
         "warnings": [],
-        "detectors": prepare(result.scene).n_det,
+        "detectors": prepare(result.scene).camera.n_det,
         "run": {"date": now(), "workers": result.workers, "wall_s": result.wall_s},
     }
     write_summary(directory, content, written, partial(_of_accuracy, result) if figures else None)
@@ -186,8 +186,8 @@ def write_text(path: Path, text: str) -> Path:
 
 def _write_maps(directory: Path, result: SurveyResult) -> list[Path]:
     setup, coadds, written = result.setup, result.coadds, []
-    for s, name in enumerate(setup.data_sets):
-        item = BinnedMap(setup.geometry, coadds.sums[s], coadds.weight[s], coadds.hits[s])
+    for s, name in enumerate(setup.analysis.data_sets):
+        item = BinnedMap(setup.analysis.geometry, coadds.sums[s], coadds.weight[s], coadds.hits[s])
         header = {
             "SCENE": setup.scene.name,
             "DATASET": name,

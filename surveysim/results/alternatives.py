@@ -20,7 +20,7 @@ def alternatives(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) 
     """
     lowest = lowest_multipoles(setup)
     rows = [_alternative(setup, scores, weights, ell) for weights in ("own", "actual") for ell in lowest]
-    if setup.band.sectors is not None:
+    if setup.analysis.region.sectors is not None:
         sigma = {name: sector_sigma(setup, coadds, item) for name, item in scores.items()}
         ell_min = setup.scene.score.ell_min
         rows.append(_alternative_row(setup, scores, "own, 2-D", scores["actual"].band, ell_min, sigma))
@@ -39,7 +39,7 @@ def lowest_multipoles(setup: Setup) -> list[int]:
 def _alternative(setup: Setup, scores: dict[str, DataSetScore], weights: str, ell_min: int) -> dict[str, float | str]:
     reference = scores["actual"]
     band = rescore(setup, reference, ell_min).band
-    used, modes = band.weight > 0, setup.band.rings.n_modes
+    used, modes = band.weight > 0, setup.analysis.region.rings.n_modes
     sigma = {}
     for name, item in scores.items():
         if weights == "own":
@@ -61,6 +61,6 @@ def _alternative_row(
 ) -> dict[str, float | str]:
     row = {"weights": weights, "ell_min": ell_min, "ell_eff": band.ell_eff, "fwhm_ell": band.fwhm_ell}
     for name, item in scores.items():
-        share = item.n_det / setup.n_det
+        share = item.n_det / setup.camera.n_det
         row[f"{name}_scaled" if share < 1 else name] = share * sigma_ukcmb2[name]
     return row

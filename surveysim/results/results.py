@@ -128,7 +128,7 @@ class SurveyResult:
     def __repr__(self) -> str:
         """A line on the run above its score table."""
         scene = self.setup.scene
-        done = f"{self.coadds.done} of {scene.observations} observations, {self.setup.n_det} detectors"
+        done = f"{self.coadds.done} of {scene.observations} observations, {self.setup.camera.n_det} detectors"
         told = self._score_table().text() if self.scores else f"not scored: {self.unscored or 'no section [score]'}"
         return f"SurveyResult of {scene.name}: {done}\n{told}"
 
@@ -175,7 +175,7 @@ def score_rows(result: SurveyResult) -> list[Row]:
     rows = [_row(item, expected.get(name)) for name, item in result.scores.items()]
     for row in list(rows):
         if row.name.startswith("masked"):
-            share = row.n_det / result.setup.n_det
+            share = row.n_det / result.setup.camera.n_det
             scaled = {
                 name: None if value is None else share * value
                 for name, value in vars(row).items()
@@ -208,7 +208,7 @@ def _gains(setup: Setup, scores: dict[str, DataSetScore]) -> dict[str, Gain]:
     if {"uncorrelated", "white"} <= scores.keys():
         found["uncorrelated / white"] = gain(scores["uncorrelated"], scores["white"])
     if masked and "uncorrelated" in scores:
-        share = scores[masked].n_det / setup.n_det
+        share = scores[masked].n_det / setup.camera.n_det
         found[f"{masked}_scaled / uncorrelated"] = gain(scores[masked], scores["uncorrelated"], share)
     return found
 

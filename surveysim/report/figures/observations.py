@@ -24,7 +24,7 @@ from surveysim.report.figures.style import (
 )
 from surveysim.survey.coadds import CoAdds
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.observation import observation_levels
+from surveysim.timestreams.observed_block import observation_levels
 
 
 def timestream_psd(setup: Setup, coadds: CoAdds) -> Figure:
@@ -34,7 +34,7 @@ def timestream_psd(setup: Setup, coadds: CoAdds) -> Figure:
     where B2 does not vary.
     """
     scan, groups = setup.scene.scan, _weather_quarters(setup, coadds)
-    frequency = np.fft.rfftfreq(samples_per_scan(setup.raster), 1 / scan.sample_rate_hz)
+    frequency = np.fft.rfftfreq(samples_per_scan(setup.observing.raster), 1 / scan.sample_rate_hz)
     # Nothing is left at f = 0 once the mean is removed, and the Nyquist bin holds half as many modes.
     used = (frequency > 0) & (frequency < scan.sample_rate_hz / 2)
     frequency = frequency[used]
@@ -44,7 +44,7 @@ def timestream_psd(setup: Setup, coadds: CoAdds) -> Figure:
     figure, all_axes = panels(len(groups), 4.9)
     for axes, (name, rows), (before, after) in zip(all_axes, groups.items(), pairs, strict=True):
         axes.plot(frequency, before, color=VERMILION, lw=1.8, label="before cleaning")
-        cleaned = f"after cleaning ({setup.pipelines[0].label})"
+        cleaned = f"after cleaning ({setup.analysis.pipelines[0].label})"
         axes.plot(frequency, after, color=BLUE, lw=1.8, label=cleaned)
         _white_levels(axes, setup, coadds, rows)
         scaled = r"beam power at $\ell = 2\pi f$ / speed, arbitrary scale"
@@ -81,7 +81,7 @@ def weather(setup: Setup, coadds: CoAdds) -> Figure:
     if norm is not None:
         plain_ticks(bar.ax.yaxis)
     bar.ax.tick_params(labelsize=9)
-    band = " in the scored band" if setup.band else ""
+    band = " in the scored band" if setup.analysis.region else ""
     finish(axes, f"$B^2$ [{_b2_unit(setup)}]", f"Map noise{band} [mK$^2$ a sample]")
     plain_ticks(axes.yaxis)
     return figure

@@ -27,17 +27,17 @@ def coadded_map(setup: Setup, coadds: CoAdds) -> Figure:
     from astropy.visualization.wcsaxes import WCSAxes
 
     signal, noise = map_planes(setup, coadds)
-    rows = setup.band.patch if setup.band else slice(None)
+    rows = setup.analysis.region.patch if setup.analysis.region else slice(None)
     reach = np.nanpercentile(np.abs(signal[rows, rows]), 99.5)
     lowest = np.nanmin(noise)
-    side = three_digits(np.degrees(setup.geometry.pixel_rad) * 3600)
+    side = three_digits(np.degrees(setup.analysis.geometry.pixel_rad) * 3600)
     shown = (
         (signal, "Signal smoothed with the beam", "RdBu_r", -reach, reach, "both"),
         (noise, f"Noise of {side} arcsec pixels", "cividis_r", lowest, DEEPEST * lowest, "max"),
     )
     figure = new_figure(10, 4)
     for number, (image, label, colours, low, high, extend) in enumerate(shown, start=1):
-        axes = figure.add_subplot(1, 2, number, axes_class=WCSAxes, wcs=wcs(setup.geometry))
+        axes = figure.add_subplot(1, 2, number, axes_class=WCSAxes, wcs=wcs(setup.analysis.geometry))
         drawn = axes.imshow(image, origin="lower", cmap=colours, vmin=low, vmax=high, interpolation="nearest")
         _sky_axes(axes, setup)
         bar = figure.colorbar(drawn, ax=axes, extend=extend, fraction=0.046, pad=0.03)
@@ -52,7 +52,7 @@ def map_planes(setup: Setup, coadds: CoAdds) -> tuple[np.ndarray, np.ndarray]:
 
     instrument, weight = setup.scene.instrument, coadds.weight[0]
     to_ukcmb = 1e3 * instrument.cmb_per_rj
-    sigma = instrument.beam_fwhm_rad / np.sqrt(8 * np.log(2)) / setup.geometry.pixel_rad
+    sigma = instrument.beam_fwhm_rad / np.sqrt(8 * np.log(2)) / setup.analysis.geometry.pixel_rad
     # Sums and weights smoothed apart: noisy pixels count for less in their neighbours.
     total, spread = gaussian_filter(coadds.sums[0], sigma), gaussian_filter(weight, sigma)
     seen = spread > spread.max() / DEEPEST**2
@@ -68,8 +68,8 @@ def _sky_axes(axes: Axes, setup: Setup) -> None:
         coordinate.set_ticklabel(size=9, exclude_overlapping=True)
         coordinate.set_axislabel(label, fontsize=10)
     if setup.scene.score is not None:
-        side = setup.scene.score.size_rad / setup.geometry.pixel_rad
-        corner = [(n - side) / 2 - 0.5 for n in (setup.geometry.n_x, setup.geometry.n_y)]
+        side = setup.scene.score.size_rad / setup.analysis.geometry.pixel_rad
+        corner = [(n - side) / 2 - 0.5 for n in (setup.analysis.geometry.n_x, setup.analysis.geometry.n_y)]
         axes.add_patch(Rectangle(corner, side, side, fill=False, ec=BLACK, lw=1.2))
         x, y = (start + side / 40 for start in corner)
         axes.text(x, y, "scored", fontsize=8.5, bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 1.5})

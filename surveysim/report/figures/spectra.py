@@ -44,7 +44,7 @@ def map_psds(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast |
     The masked array's PSD is multiplied by its share of the detectors: the paper multiplies an amplitude by
     the root of it. Bands are the standard error of `bin_errors`; thin lines the forecast.
     """
-    rings, first = setup.band.rings, next(iter(scores.values()))
+    rings, first = setup.analysis.region.rings, next(iter(scores.values()))
     used = _usable(setup)
     ell = rings.ell[used]
     figure, (axes,) = panels(1)
@@ -73,13 +73,13 @@ def map_psds(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast |
 
 def transfer_functions(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast | None = None) -> Figure:
     """Power transmission of cleaning (thin lines: forecast), for both arrays, of beam and pixel, and of all."""
-    rings, first = setup.band.rings, next(iter(scores.values()))
+    rings, first = setup.analysis.region.rings, next(iter(scores.values()))
     beam = beam_window(rings.ell, setup.scene.instrument.beam_fwhm_rad)
     pixel = pixel_window(rings.ell, setup.scene.map.pixel_rad)
     figure, (axes,) = panels(1)
     _shade_scored(axes, setup)
     style = {"marker": "o", "ms": 3.5, "lw": 1, "capsize": 2}
-    labels = {pipeline.data_set: f"cleaning ({pipeline.label})" for pipeline in setup.pipelines}
+    labels = {pipeline.data_set: f"cleaning ({pipeline.label})" for pipeline in setup.analysis.pipelines}
     for item in {id(item.window): item for item in reversed(scores.values())}.values():
         colour, dashes, label, _ = _look(setup, item)
         label = f"{labels.get(item.name, label)}, {item.n_det} detectors"
@@ -104,7 +104,7 @@ def cumulative_sensitivity(setup: Setup, scores: dict[str, DataSetScore]) -> Fig
     Every bin from `LOWEST_ELL` up starts a range; bands are the Monte Carlo error of its uncertainty. The
     masked array's is multiplied by its share of the detectors, as in Table 3.
     """
-    score, edges = setup.scene.score, setup.band.rings.edges_ell
+    score, edges = setup.scene.score, setup.analysis.region.rings.edges_ell
     starts = edges[:-1][_usable(setup) & (edges[1:] <= score.ell_max)]
     figure, (axes,) = panels(1)
     for item in scores.values():
@@ -139,16 +139,20 @@ def bin_weights(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
 
 def _usable(setup: Setup) -> np.ndarray:
     """Bins (n_bin,) bool from `LOWEST_ELL` up, or from the scored range if that starts lower."""
-    return setup.band.rings.edges_ell[:-1] >= min(LOWEST_ELL, setup.scene.score.ell_min)
+    return setup.analysis.region.rings.edges_ell[:-1] >= min(LOWEST_ELL, setup.scene.score.ell_min)
 
 
 def _look(setup: Setup, item: DataSetScore) -> tuple[str, str, str, float]:
     """Colour, dashes, label and the factor that makes up for detectors left out."""
     if _is_masked(item):
-        return *MASKED_LINE, rf"{_name(setup, item)}, $\times$ {item.n_det}/{setup.n_det}", item.n_det / setup.n_det
+        return (
+            *MASKED_LINE,
+            rf"{_name(setup, item)}, $\times$ {item.n_det}/{setup.camera.n_det}",
+            item.n_det / setup.camera.n_det,
+        )
     if item.name == OPTIMAL:
         return *OPTIMAL_LINE, "the best of each observation", 1.0
-    compared = [pipeline.data_set for pipeline in setup.whole_pipelines[1:]]
+    compared = [pipeline.data_set for pipeline in setup.analysis.whole_pipelines[1:]]
     if item.name in compared:
         return *COMPARED[compared.index(item.name) % len(COMPARED)], item.name, 1.0
     return *LINES[item.name], _name(setup, item), 1.0
@@ -161,7 +165,9 @@ def _is_masked(item: DataSetScore) -> bool:
 def _name(setup: Setup, item: DataSetScore) -> str:
     if _is_masked(item):
         return f"masked, {item.n_det} detectors"
-    return f"actual ({setup.pipelines[0].label})" if item.name == ACTUAL and setup.chooses else item.name
+    return (
+        f"actual ({setup.analysis.pipelines[0].label})" if item.name == ACTUAL and setup.analysis.chooses else item.name
+    )
 
 
 def _shade_scored(axes: Axes, setup: Setup) -> None:
@@ -171,7 +177,7 @@ def _shade_scored(axes: Axes, setup: Setup) -> None:
 
 def _place_legend(setup: Setup, figure: Figure, axes: Axes) -> None:
     """The legend in the axes, or below them where pipelines are compared: that is too many for inside."""
-    if setup.chooses:
+    if setup.analysis.chooses:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, **LEGEND)
     else:
         legend(axes)

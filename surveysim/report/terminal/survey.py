@@ -62,7 +62,7 @@ def print_result(result: SurveyResult, directory: Path, verbose: bool = False) -
 
 def _print_details(console: Terminal, result: SurveyResult, content: Content) -> None:
     """Print tables and lines that the short output leaves to the report page."""
-    if len(result.setup.whole_pipelines) > 1:
+    if len(result.setup.analysis.whole_pipelines) > 1:
         show_table(console, cleaning_table(content["cleaning"]))
     if result.scores:
         for line in (*survey_lines(result), *cost_lines(result)):
@@ -77,7 +77,9 @@ def _print_details(console: Terminal, result: SurveyResult, content: Content) ->
             show_table(console, closure_table(content["closure"], kind))
     if result.scores:
         setup = result.setup
-        lines = method(setup.chooses, setup.scene.instrument.bandwidth, setup.band.scored_correlation)
+        lines = method(
+            setup.analysis.chooses, setup.scene.instrument.bandwidth, setup.analysis.region.scored_correlation
+        )
         print_list(console, "Choices of the scoring that the reference leaves open:", lines)
     print_list(console, "Assumed or calibrated in the scene:", result.setup.scene.assumed)
 
