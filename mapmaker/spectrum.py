@@ -221,8 +221,7 @@ def coupled_psd(
         If `sky_psd` is not on the half plane of `sky_shape`, if it or the taper is not finite or the PSD negative,
         or if cells per pixel are not a positive integer.
     """
-    sky_shape = tuple(whole("sky_shape", n, least=1) for n in sky_shape)
-    if len(sky_shape) != 2:
+    if len([whole("sky_shape", n, least=1) for n in sky_shape]) != 2:
         raise wrong("sky_shape", f"{len(sky_shape)} numbers", "two are")
     sky_psd = reals("sky_psd", sky_psd, (sky_shape[0], sky_shape[1] // 2 + 1), least=0)
     taper = _checked_taper(taper)

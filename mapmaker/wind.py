@@ -171,7 +171,7 @@ def measure_wind(
     return _wind_fit(spectra, found, groups, velocity)
 
 
-def _checked_velocity(bounds, velocity, rate, highest_hz) -> np.ndarray:
+def _checked_velocity(bounds: np.ndarray, velocity: np.ndarray, rate: float, highest_hz: float) -> np.ndarray:
     if len(bounds) < _MIN_SCANS:
         raise InsufficientDataError(f"{len(bounds)} scans found; at least {_MIN_SCANS} are needed")
     length = np.diff(bounds, axis=1)
@@ -185,7 +185,7 @@ def _checked_velocity(bounds, velocity, rate, highest_hz) -> np.ndarray:
     return reals("scan_velocity_rad_s", velocity, (len(bounds), 2)).astype(np.float64, copy=False)
 
 
-def _spectra(data, bounds, places_rad, rate, highest_hz) -> _Spectra:
+def _spectra(data: np.ndarray, bounds: np.ndarray, places_rad: np.ndarray, rate: float, highest_hz: float) -> _Spectra:
     n = int(bounds[0, 1] - bounds[0, 0])
     scans = np.stack([data[:, start:stop] for start, stop in bounds]).astype(np.float64)
     scans -= scans.mean(axis=2, keepdims=True)
@@ -241,7 +241,9 @@ def _slowness(spectra: _Spectra, groups: list[np.ndarray]) -> _Delays | None:
     return _Delays(aligned, n_freq, slowness, left_out)
 
 
-def _regress(r_rad, aligned: _Aligned, slowness, groups, n_freq) -> tuple[np.ndarray, np.ndarray]:
+def _regress(
+    r_rad: np.ndarray, aligned: _Aligned, slowness: np.ndarray, groups: list[np.ndarray], n_freq: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Slowness of each scan's group, and the same without that scan, (n_scan, 2), from gradient against rate.
 
     The array's gradient is ``-s F`` and what does not follow the wind; the 2 x 2 covariances of the latter,
@@ -268,7 +270,7 @@ def _regress(r_rad, aligned: _Aligned, slowness, groups, n_freq) -> tuple[np.nda
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")  # without any delay the wind is infinite
-def _wind_fit(spectra, found: _Delays, groups, velocity) -> WindFit:
+def _wind_fit(spectra: _Spectra, found: _Delays, groups: list[np.ndarray], velocity: np.ndarray) -> WindFit:
     scan = np.array([np.mean(velocity[scans], axis=0) for scans in groups]) @ [1, 1j]
     whole = found.slowness[[scans[0] for scans in groups]] @ [1, 1j]
     wind = complex(_wind(whole, scan))
@@ -342,7 +344,7 @@ def _several_layers(spectra: _Spectra, found: _Delays) -> bool:
     return bool((not_noise and along - noise > _ALONG_SHARE * signal_x) or across - noise > _ACROSS_SHARE * signal_y)
 
 
-def _disagreement(found: _Delays, groups, scan_velocity) -> float:
+def _disagreement(found: _Delays, groups: list[np.ndarray], scan_velocity: np.ndarray) -> float:
     """Chi^2 a degree of freedom of the difference between the winds of two groups; 0 for one group."""
     if len(groups) == 1:
         return 0.0
@@ -400,5 +402,6 @@ def _pair_sums(spectra: _Spectra, found: _Delays) -> tuple[np.ndarray, np.ndarra
 
 
 def _nothing(flag: str) -> WindFit:
-    nan, per_bin = float("nan"), np.full((2, N_PAIR_BINS), np.nan)
-    return WindFit(per_bin[0, :2], nan, nan, nan, nan, _CENTRES_RAD.copy(), *per_bin, per_bin[1, :2], nan, nan, flag)
+    nan = float("nan")
+    none, slopes, errors = np.full(2, nan), np.full(N_PAIR_BINS, nan), np.full(N_PAIR_BINS, nan)
+    return WindFit(none, nan, nan, nan, nan, _CENTRES_RAD.copy(), slopes, errors, none.copy(), nan, nan, flag)

@@ -38,7 +38,7 @@ class PcaOptions:
 
     sigma_cut: float  # standard deviations of log(eigenvalue) above the mean
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
         number("sigma_cut", self.sigma_cut, above=0, most=_MOST_SIGMA)
 
@@ -53,7 +53,7 @@ def least_eigenvalues(sigma_cut: float) -> int:
 
 @threadpool_limits.wrap(limits=1)  # small eigenproblems: more threads are slower and change the last bits
 @checks_streams
-def subtract_pca(data_mk, scan_bounds, focal_plane: FocalPlane, options: PcaOptions) -> Cleaned:
+def subtract_pca(data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: PcaOptions) -> Cleaned:
     """Remove the mean and the outstanding modes; arguments, result and errors as for `clean`.
 
     `removed` is the number of modes; responsivities are 1 and no iterations are counted. A scan of few samples may

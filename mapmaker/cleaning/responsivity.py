@@ -20,6 +20,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -82,7 +84,7 @@ def check_fit(tolerance: float, max_iterations: int, responsivities: Responsivit
         raise wrong("responsivities", "a zero", "finite numbers other than zero are")
 
 
-def clean_templates(data_mk: np.ndarray, scan_bounds: np.ndarray, model: TemplateModel, options) -> Cleaned:
+def clean_templates(data_mk: np.ndarray, scan_bounds: np.ndarray, model: TemplateModel, options: Any) -> Cleaned:
     """Subtract templates from each scan, with responsivities as `options.responsivities` says.
 
     options: a record with tolerance, max_iterations and responsivities. Other arguments, which fit each other, and
@@ -100,7 +102,7 @@ def clean_templates(data_mk: np.ndarray, scan_bounds: np.ndarray, model: Templat
     return clean_scans(data_mk, scan_bounds, lambda block, scan: _subtract(block, scan, model, c, iterations))
 
 
-def _fit_scan(block: np.ndarray, scan: int, model: TemplateModel, options) -> Fit:
+def _fit_scan(block: np.ndarray, scan: int, model: TemplateModel, options: Any) -> Fit:
     """Fit responsivities to one mean-removed scan, and subtract its templates in place."""
     streams, subtract = model.view(block, scan)
     c, iterations = fit_regions(lambda: (streams,), model.regions, options)
@@ -119,7 +121,7 @@ def _subtract(block: np.ndarray, scan: int, model: TemplateModel, c: np.ndarray 
 
 
 def _fit_observation(
-    data_mk: np.ndarray, scan_bounds: np.ndarray, model: TemplateModel, options
+    data_mk: np.ndarray, scan_bounds: np.ndarray, model: TemplateModel, options: Any
 ) -> tuple[np.ndarray | None, int]:
     """Responsivities of all scans that are finite and have no dead detector, None if not converged; iterations."""
 
@@ -131,19 +133,23 @@ def _fit_observation(
     return fit_regions(blocks, model.regions, options)
 
 
-def fit_regions(blocks: Blocks, regions: tuple[Region, ...], options) -> tuple[np.ndarray | None, int]:
+def _part_of(blocks: Blocks, rows: np.ndarray | slice) -> Iterator[np.ndarray]:
+    return (block[rows] for block in blocks())
+
+
+def fit_regions(blocks: Blocks, regions: tuple[Region, ...], options: Any) -> tuple[np.ndarray | None, int]:
     """c (n_det,) of all regions, None if one does not converge; iterations of the one that took longest, or failed."""
     c, most = np.empty(sum(region.basis.shape[1] for region in regions)), 0
     for region in regions:
         rows = region.rows
-        found, iterations = fit_responsivity(lambda rows=rows: (b[rows] for b in blocks()), region.basis, options)
+        found, iterations = fit_responsivity(partial(_part_of, blocks, rows), region.basis, options)
         if found is None:
             return None, iterations
         c[rows], most = found, max(most, iterations)
     return c, most
 
 
-def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.ndarray | None, int]:
+def fit_responsivity(blocks: Blocks, basis: np.ndarray, options: Any) -> tuple[np.ndarray | None, int]:
     """c (n_det,) of streams whose templates are those of `basis`, None if not converged, and iterations.
 
     c is held free of all rows of the basis but the first, the constant. By the Gram matrix, or by passes over the

@@ -85,7 +85,7 @@ def checks_streams(subtract: Subtract) -> Subtract:
     """A cleaning whose arguments are checked first, as `mapmaker.cleaning.clean` says."""
 
     @wraps(subtract)
-    def checked(data_mk, scan_bounds, focal_plane: FocalPlane, options: Any) -> Cleaned:
+    def checked(data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: Any) -> Cleaned:
         return subtract(*check_streams(data_mk, scan_bounds, focal_plane), focal_plane, options)
 
     return checked

@@ -28,14 +28,16 @@ class SpectralOptions:
 
     others_mk: np.ndarray
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Take real numbers of any type; raise ValueError for others and unless there is a band."""
         others = reals("others_mk", self.others_mk, ("n_colour", "n_det", "n_samp"), finite=False)
         object.__setattr__(self, "others_mk", others)
 
 
 @checks_streams
-def subtract_spectral(data_mk, scan_bounds, focal_plane: FocalPlane, options: SpectralOptions) -> Cleaned:
+def subtract_spectral(
+    data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: SpectralOptions
+) -> Cleaned:
     """Remove the mean and what each detector's other bands see too; arguments, result and errors as for `clean`.
 
     Raises ValueError for other streams of another shape and for scans of no more samples than bands. A scan in which

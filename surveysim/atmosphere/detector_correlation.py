@@ -1,6 +1,6 @@
 """Correlation between detectors that the thin screen predicts, for scans whose mean is removed (paper, section 3.2)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import inf, pi, sin
@@ -43,7 +43,7 @@ class CorrelationGrid:
     height_m: np.ndarray
     theta_rad: np.ndarray
     node_rad: np.ndarray
-    spline: object
+    spline: Callable[[np.ndarray], np.ndarray]
 
     def correlation(self, track_rad: np.ndarray, elevation_rad: np.ndarray) -> np.ndarray:
         """C (n_b, n_h, n_bin) per unit B2, the mean over scans with tracks (n_scan,) at elevations (n_scan,).

@@ -6,11 +6,15 @@ Tables of the `am` atmospheric model lie in ``tables/`` with the script that bui
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.resources import as_file, files
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.scene.sites import SITES
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,7 @@ class BandOpacity:
     temperature_k: float
 
     @cached_property
-    def spline(self):
+    def spline(self) -> "CubicSpline":
         """Cubic spline through the optical depths, against water [mm]."""
         from scipy.interpolate import CubicSpline
 
@@ -55,7 +59,7 @@ def band_opacity(site: str, frequency_hz: float, bandwidth: float) -> BandOpacit
 
 
 @cache
-def _table(site):
+def _table(site: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Cell edges (m + 1,) [GHz], PWV (n,) [mm], optical depth (m, n), temperature [K]."""
     from astropy.table import Table
 
@@ -71,7 +75,7 @@ def _table(site):
     return edge_ghz, pwv_mm, depth, table.meta["atmosphere_temperature"]
 
 
-def optical_depth(band: BandOpacity, pwv_mm) -> np.ndarray:
+def optical_depth(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:
     """Zenith optical depth at water columns of any shape [mm]: a cubic spline, for it is nearly a straight line.
 
     Raises ValueError outside the table.
@@ -79,12 +83,12 @@ def optical_depth(band: BandOpacity, pwv_mm) -> np.ndarray:
     return band.spline(_allowed(band, pwv_mm))
 
 
-def optical_depth_slope(band: BandOpacity, pwv_mm) -> np.ndarray:
+def optical_depth_slope(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:
     """Derivative of the zenith optical depth with the water column [1/mm], any shape; errors as `optical_depth`."""
     return band.spline(_allowed(band, pwv_mm), 1)
 
 
-def fluctuation_factor_mk2(band: BandOpacity, pwv_mm) -> np.ndarray:
+def fluctuation_factor_mk2(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:
     """Amplitude of constant fractional fluctuations of the water column in the band, squared [mK^2], any shape.
 
     ``(C d tau / dC)^2 B_atm^2``, in temperature above the atmosphere as noise and sky are: the emission changes by
@@ -95,7 +99,7 @@ def fluctuation_factor_mk2(band: BandOpacity, pwv_mm) -> np.ndarray:
     return (np.asarray(pwv_mm) * optical_depth_slope(band, pwv_mm) * band.temperature_k * 1e3) ** 2
 
 
-def _allowed(band, pwv_mm):
+def _allowed(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:
     pwv_mm = np.asarray(pwv_mm, dtype=float)
     first, last = band.pwv_mm[0], band.pwv_mm[-1]
     wrong = ~((pwv_mm >= first) & (pwv_mm <= last))

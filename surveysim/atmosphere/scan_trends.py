@@ -24,6 +24,7 @@ from math import ceil
 import numpy as np
 
 from surveysim.atmosphere import trend_kernels as kernels
+from surveysim.atmosphere.screen_simulation import StripCache
 from surveysim.atmosphere.thin_screen import Screen, structure_table
 
 # Of the points along a strip, over its length from -1 to 1 (Gauss and Legendre); across it they are at both edges and
@@ -57,7 +58,7 @@ class Swaths:
         return replace(self, **{name: getattr(self, name)[first:end] for name in names})
 
 
-def swaths(strips, corner_rad: np.ndarray, direction: np.ndarray, length_rad: np.ndarray) -> Swaths:
+def swaths(strips: StripCache, corner_rad: np.ndarray, direction: np.ndarray, length_rad: np.ndarray) -> Swaths:
     """Points of the strips of a `StripCache` that lie in the layer from a corner (n_scan, 2) on.
 
     `direction` (n_scan, 2), unit vectors along the strips, of which detectors see `length_rad` (n_scan,).

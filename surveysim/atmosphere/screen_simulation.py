@@ -8,13 +8,17 @@ lines: `surveysim.atmosphere.strip_factors` says how strips along them are made.
 
 from dataclasses import dataclass, field
 from math import ceil, log2, radians
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.fft
 
 from surveysim.atmosphere import screen_kernels as kernels
-from surveysim.atmosphere.strip_factors import build_strip, lanes, points_along
+from surveysim.atmosphere.strip_factors import Strip, build_strip, lanes, points_along
 from surveysim.atmosphere.thin_screen import Screen, at_elevation
+
+if TYPE_CHECKING:
+    from surveysim.atmosphere.scan_trends import Trends
 
 _STEP_MAX_RAD = radians(40.0 / 3600.0)
 _STEPS_PER_BEAM, _FEWEST_STEPS_PER_BEAM, _STEPS_PER_PAIR = 14, 4, 8
@@ -42,20 +46,20 @@ class StripCache:
     strips: dict = field(default_factory=dict, repr=False, compare=False)
 
     @property
-    def n_lane(self):
+    def n_lane(self) -> int:
         """Number of lanes of the strips."""
         return lanes(self.half_width_rad, self.step_rad, self._fewest_lanes)
 
     @property
-    def strip_half_width_rad(self):
+    def strip_half_width_rad(self) -> float:
         """Largest distance [rad] of a track from the strips' middle."""
         return 0.5 * (self.n_lane - 1) * self.step_rad
 
     @property
-    def _fewest_lanes(self):
+    def _fewest_lanes(self) -> int:
         return 4 if self.interpolation == "cubic" else 2
 
-    def strip_for(self, length_rad):
+    def strip_for(self, length_rad: float) -> Strip:
         """The strip for tracks up to `length_rad` long; raises ValueError as `build_strip` does."""
         n_x = points_along(length_rad, self.step_rad)
         if n_x not in self.strips:
@@ -84,7 +88,7 @@ class SlantStrips:
     precision: str = "float32"
     caches: dict = field(default_factory=dict, repr=False, compare=False)
 
-    def at(self, sine):
+    def at(self, sine: float) -> StripCache:
         """`StripCache` for an elevation of this sine, the least of an observation."""
         number = ceil(-_SLANTS * log2(sine) - 1e-9)
         if number not in self.caches:
@@ -96,7 +100,7 @@ class SlantStrips:
         return self.caches[number]
 
 
-def strip_step(screen, closest_rad):
+def strip_step(screen: Screen, closest_rad: float) -> float:
     """Lattice step [rad] for bilinear look-up by detectors `closest_rad` apart or more.
 
     A fourteenth of the beam, 40 arcsec at most. The first keeps the structure function: within 3 % at 0.67
@@ -115,7 +119,7 @@ def strip_step(screen, closest_rad):
 # ---------------------------------------------------------------- realizations
 
 
-def draw_strip(strip, rng):
+def draw_strip(strip: Strip, rng: np.random.Generator) -> np.ndarray:
     """One realization (n_lane, n_x) of unit amplitude, from one draw of 2 n_total + 1 normals.
 
     It has the type of the strip's columns. The structure function holds for points up to `strip.length_rad` apart;
@@ -149,7 +153,14 @@ class Tracks:
     corner_rad: np.ndarray
 
 
-def scan_tracks(scan_bounds, sample_rate_hz, offsets_rad, velocity_rad_s, layer_velocity_rad_s, strips):
+def scan_tracks(
+    scan_bounds: np.ndarray,
+    sample_rate_hz: float,
+    offsets_rad: np.ndarray,
+    velocity_rad_s: np.ndarray,
+    layer_velocity_rad_s: np.ndarray,
+    strips: StripCache,
+) -> Tracks:
     """Tracks of scans, given as to `add_atmosphere`, which raises the same errors."""
     motion = np.asarray(velocity_rad_s, dtype=float) - np.asarray(layer_velocity_rad_s, dtype=float)
     speed = np.hypot(*motion.T)
@@ -166,18 +177,18 @@ def scan_tracks(scan_bounds, sample_rate_hz, offsets_rad, velocity_rad_s, layer_
 
 
 def add_atmosphere(
-    data_mk,
-    scan_bounds,
-    sample_rate_hz,
-    offsets_rad,
-    velocity_rad_s,
-    layer_velocity_rad_s,
-    amplitude_mk,
-    strips,
-    rng,
+    data_mk: np.ndarray,
+    scan_bounds: np.ndarray,
+    sample_rate_hz: float,
+    offsets_rad: np.ndarray,
+    velocity_rad_s: np.ndarray,
+    layer_velocity_rad_s: np.ndarray,
+    amplitude_mk: np.ndarray,
+    strips: StripCache,
+    rng: np.random.Generator,
     *,
-    trends=None,
-):
+    trends: "Trends | None" = None,
+) -> None:
     """Add the emission of the moving layer to time streams, in place.
 
     data_mk (n_det, n_samp) float32 or float64 [mK]; scan_bounds (n_scan, 2) first sample and end of each

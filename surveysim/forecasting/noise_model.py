@@ -225,7 +225,7 @@ def _no_layer(motion: np.ndarray, sine: np.ndarray) -> np.ndarray:
 
 def _layer(setup: Setup, levels: Conditions, spectrum: _Spectrum) -> Layer:
     longest = np.abs(levels.motion).max() * spectrum.window.duration_s
-    return layer_waves(screen(setup.scene), longest, _sine_nodes(levels))
+    return layer_waves(screen(setup.scene), longest, _sine_nodes(levels).tolist())
 
 
 def _sine_nodes(levels: Conditions) -> np.ndarray:
@@ -300,7 +300,7 @@ def _simulated_parts(
     white, shared, low = (stream_power(arrays[0], item) for item in (None, *correlations))
     flat = in_bins(hann.sums(spectrum.weight_hz[None] / 2, nodes, lines))
     red = in_bins(hann.sums(spectrum.excess[None] / 2, spectrum.excess_hz, lines))
-    layer = _no_layer
+    layer: Callable[[np.ndarray, np.ndarray], np.ndarray] = _no_layer
     if setup.scene.atmosphere is not None:
         waves = _layer(setup, levels, spectrum)
         gain = np.mean([layer_stream_gain(array, waves) for array in arrays], axis=0)

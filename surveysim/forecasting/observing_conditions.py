@@ -84,7 +84,9 @@ def population_draws(setup: Setup) -> list[list[Draw]]:
     for shift in rng.random((_SHIFTS, _NUMBERS)):
         points = (shift + np.outer(np.arange(_DRAWS_A_SHIFT), _lattice_steps())) % 1
         numbers = np.minimum((points[:, -1] * n_obs).astype(int), n_obs - 1)
-        weather = [air and draw_weather(air, setup.water, _QuasiRandomDraws(point)) for point in points[:, :-1]]
+        weather = [
+            draw_weather(air, setup.water, _QuasiRandomDraws(point)) if air else None for point in points[:, :-1]
+        ]
         lists.append(list(zip(numbers.tolist(), weather, strict=True)))
     return lists
 
@@ -100,7 +102,7 @@ def _lattice_steps() -> np.ndarray:
 class _QuasiRandomDraws:
     """Numbers of a generator that are known beforehand, uniform in 0 to 1 and each used once."""
 
-    def __init__(self, uniform: np.ndarray):
+    def __init__(self, uniform: np.ndarray) -> None:
         self._left = iter(np.clip(uniform, 1e-12, 1 - 1e-12).tolist())
 
     def standard_normal(self, size: int) -> np.ndarray:
@@ -129,7 +131,8 @@ def conditions(setup: Setup, draws: Iterable[Draw]) -> Conditions:
     views = {number: _view(setup, number) for number in {number for number, _ in draws}}
     rows = [_row(setup, views[number], weather) for number, weather in draws]
     *levels, there, back = (np.array(column) for column in zip(*rows, strict=True))
-    return Conditions(*levels, np.stack([there, back], axis=1))
+    white, shared, excess, layer, sine, angle = levels
+    return Conditions(white, shared, excess, layer, sine, angle, np.stack([there, back], axis=1))
 
 
 def _view(setup: Setup, number: int) -> _View:
@@ -147,7 +150,7 @@ def _row(setup: Setup, view: _View, weather: Weather | None) -> tuple[float | co
     scene = setup.scene
     opacity = setup.water.opacity if setup.water else None
     white = white_levels(scene, opacity, weather.pwv_mm if weather else np.nan, view.elevation_rad)
-    excess = excess_variance(scene.excess, weather and weather.b2) if scene.excess else 0.0
+    excess = excess_variance(scene.excess, weather.b2 if weather else None) if scene.excess else 0.0
     layer, wind = 0.0, 0.0
     if weather is not None:
         layer = weather.b2 * view.slant

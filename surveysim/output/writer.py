@@ -51,7 +51,7 @@ def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestre
 def _of_run(result: SurveyResult) -> Drawings:
     from surveysim.report.figures.survey import drawings
 
-    drawn = drawings(result.setup, result.coadds, result.scores, result.expected)
+    drawn: Drawings = drawings(result.setup, result.coadds, result.scores, result.expected)
     if result.estimate is not None and np.isfinite(result.estimate.relative_error):
         from surveysim.report.figures.run_time import draw_time
 
@@ -244,7 +244,7 @@ def _spectrum_table(result: SurveyResult) -> Table:
     band, rings = result.setup.band, result.setup.band.rings
     columns = {"ell": rings.ell, "n_modes": rings.n_modes, "scored": band.selected}
     columns["correlation_with_next"] = np.append(band.correlation, np.nan)
-    units = {}
+    units: dict[str, str] = {}
     for name, item in result.scores.items():
         columns |= {
             f"noise_{name}": item.noise_psd,
@@ -272,7 +272,7 @@ def _timestream_table(result: SurveyResult) -> Table:
     table = Table({"frequency": frequency}, {"frequency": "Hz"}, {"comment": comment})
     compared = np.array(coadds.compared_psd)
     pipelines = enumerate(result.setup.whole_pipelines[1:])
-    psds_of = {"raw": coadds.raw_psd, "clean": coadds.clean_psd}
+    psds_of: dict[str, Sequence[np.ndarray] | np.ndarray] = {"raw": coadds.raw_psd, "clean": coadds.clean_psd}
     psds_of |= {f"clean_{pipeline.data_set}": compared[:, place] for place, pipeline in pipelines}
     for name, psds in psds_of.items():
         for label, level in (("q25", 25), ("median", 50), ("q75", 75)):

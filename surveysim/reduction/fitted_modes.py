@@ -33,7 +33,7 @@ class Courses:
     @property
     def odd(self) -> np.ndarray:
         """Whether each course (n,) is odd about the middle of a scan; the others are even."""
-        return self.degrees[:, ::2].any(axis=1)
+        return np.any(self.degrees[:, ::2], axis=1)
 
     def at(self, time_s: np.ndarray, duration_s: float) -> np.ndarray:
         """Values (n, n_time) [s^-1/2] at times from the middle of a scan."""

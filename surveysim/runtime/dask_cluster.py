@@ -4,7 +4,7 @@ import ctypes
 import logging
 import os
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -68,7 +68,7 @@ class Unit:
     items: bytes
     version: str
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple:
         return run_unit, (self.job, self.items, self.version)
 
 
@@ -81,19 +81,19 @@ def run_unit(job: bytes, items: bytes, version: str) -> Answers:
         error = EngineError(f"a worker has surveysim {__version__}; {version} is expected")
         return Answers([], error, 0.0)
     _keep_freed_memory()
-    job, items = loads(job), loads(items)
+    work, units = loads(job), loads(items)
     start, results = perf_counter(), []
     try:
         # A limit on threads is the process's: units of a worker of several threads would undo each other's.
         with _ONE_AT_A_TIME, threadpool_limits(1):
-            for item in items:
-                results.append(job(item))
+            for item in units:
+                results.append(work(item))
     except Exception as error:  # whatever it is, the parent decides
         return Answers(results, error, perf_counter() - start)
     return Answers(results, None, perf_counter() - start)
 
 
-def on_cluster(job: Callable[[Any], Any], items: Sequence[Any], engine: "Engine") -> Iterator[Any]:
+def on_cluster(job: Callable[[Any], Any], items: Sequence[Any], engine: "Engine") -> Generator[Any]:
     """`job(item)` for each item, in order, by the workers of the engine's scheduler, or processes of this machine.
 
     Raises what a job raises, and EngineError where the scheduler is gone or workers are lost again and again.
@@ -131,7 +131,7 @@ def _answers(client: Client, job: Callable[[Any], Any], items: Sequence[Any]) ->
 class _Watch:
     """Waits for answers of a cluster, but not for ever while it has no worker, or where its scheduler is silent."""
 
-    def __init__(self, client: Client):
+    def __init__(self, client: Client) -> None:
         self.client = client
         self.since: float | None = None  # there has been no worker
         self.said = 0.0

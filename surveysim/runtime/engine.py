@@ -1,7 +1,7 @@
 """Engines: ordered maps of observations over workers. Neither the results nor their order depend on them."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,7 +58,7 @@ class Engine:
 SERIAL = Engine("serial")
 
 
-def ordered_map(job: Callable[[Any], Any], items: Sequence[Any], engine: Engine) -> Iterator[Any]:
+def ordered_map(job: Callable[[Any], Any], items: Sequence[Any], engine: Engine) -> Generator[Any]:
     """`job(item)` for each item, in order.
 
     One BLAS thread a worker, so that sums do not depend on the machine's cores. At most a few items a worker are

@@ -3,7 +3,7 @@
 import multiprocessing
 import signal
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -29,7 +29,7 @@ class _Worker:
     has: list[int] = field(default_factory=list)
 
 
-def in_processes(job: Callable[[Any], Any], items: Sequence[Any], workers: int) -> Iterator[Any]:
+def in_processes(job: Callable[[Any], Any], items: Sequence[Any], workers: int) -> Generator[Any]:
     """`job(item)` for each item, in order, from so many worker processes.
 
     A worker that is gone has its items done again by a new one. Raises what a job raises, and EngineError for an
@@ -86,7 +86,8 @@ def _collect(crew: list[_Worker]) -> dict[int, Answer]:
     """(result, error) by number, of all workers that have one; waits for the first. Closes the pipes of the lost."""
     found = {}
     waiting = {worker.pipe: worker for worker in crew if worker.has}
-    for pipe in wait(list(waiting)):
+    ready: list[Any] = wait(list(waiting))
+    for pipe in ready:
         try:
             number, result, error = pipe.recv()
         except (EOFError, OSError):
@@ -132,7 +133,7 @@ def _work(job: Callable[[Any], Any], pipe: Connection) -> None:
         while True:
             number, item = pipe.recv()
             try:
-                answer = (number, job(item), None)
+                answer: tuple[int, Any, Exception | None] = (number, job(item), None)
             except Exception as error:  # whatever it is, the parent decides
                 answer = (number, None, error)
             pipe.send(answer)

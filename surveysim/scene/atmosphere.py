@@ -26,7 +26,7 @@ from surveysim.scene.sites import with_site
 from surveysim.scene.units import shown, to_floats
 
 KOLMOGOROV = Fraction(11, 3)  # the index that amplitudes of fluctuations in `sites.toml` belong to
-_OF_SITE = {"otherwise": "the site's"}
+_OF_SITE: Any = {"otherwise": "the site's"}
 
 
 class Atmosphere(Section):
@@ -97,7 +97,7 @@ class Atmosphere(Section):
                 )
             # B2 has quantiles of its own, of which each draw takes that of its rank: an amplitude's unit drops out.
             of_water = f"rad({2 - KOLMOGOROV})"
-        found = {}
+        found: dict[str, Any] = {}
         for name, unit in (("b2", f"mK2 {power}"), ("water_fluctuation", of_water)):
             try:
                 found |= {name: to_floats(data[name], unit) if power else ()} if name in data else {}

@@ -135,7 +135,7 @@ def _longitude(value: object) -> float:
     return angle
 
 
-def _date(value: object) -> str:
+def _date(value: Any) -> str:
     try:
         found = date.fromisoformat(value)
     except (TypeError, ValueError):

@@ -165,8 +165,8 @@ def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
     """The same data set scored from another lowest multipole."""
     low, high = setup.band.rings.edges_ell[:-1], setup.band.rings.edges_ell[1:]
     selected = (low >= ell_min) & (high <= setup.scene.score.ell_max)
-    of_set = item.name, item.n_det, item.noise_psds, item.window, item.weights, item.bin_noise, item.kept
-    plain = _score(setup, *of_set, selected=selected)
+    of_obs = item.weights, item.bin_noise, item.kept
+    plain = _score(setup, item.name, item.n_det, item.noise_psds, item.window, *of_obs, selected=selected)
     return plain if item.control is None else controlled_score(setup, plain, item.control)
 
 
@@ -211,7 +211,7 @@ def error_modes(items: Sequence[DataSetScore], skies: Sequence[Hashable]) -> np.
     for group in dict.fromkeys(groups):
         rows = [row if own == group else row[:0] for row, own in zip(window, groups, strict=True)]
         if groups.count(group) == 1:  # shared with nobody: one mode has it all
-            rows = [np.linalg.norm(row, keepdims=True) if len(row) else row for row in rows]
+            rows = [np.atleast_1d(np.linalg.norm(row)) if len(row) else row for row in rows]
         columns.append(_stacked(rows))
     return np.hstack(columns)
 
@@ -246,7 +246,18 @@ def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
     return stacked
 
 
-def _score(setup, name, n_det, psds, window, weights, bin_noise, kept, *, selected=None) -> DataSetScore:
+def _score(
+    setup: Setup,
+    name: str,
+    n_det: int,
+    psds: np.ndarray,
+    window: TransferFunction,
+    weights: np.ndarray,
+    bin_noise: np.ndarray,
+    kept: np.ndarray | float,
+    *,
+    selected: np.ndarray | None = None,
+) -> DataSetScore:
     rings, signal = setup.band.rings, setup.band.signal_psd * window.transmission
     selected = setup.band.selected if selected is None else selected
     of_bins = rings.n_modes, selected, weights[weights > 0], rings.ell, rings.edges_ell

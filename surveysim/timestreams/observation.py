@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 class Stopwatch:
     """Seconds spent in named stages."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
 
     @contextmanager
@@ -168,11 +168,14 @@ def add_layer(
     trends = _trends(setup, observation, pointing, motion, strips, realization)
     rng = generator(setup.scene.seed, RandomPurpose.ATMOSPHERE, observation, realization, block.number)
     scans = slice(block.first, block.end)
+    offsets, velocity, layer = (item[scans] for item in motion)
     add_atmosphere(
         data,
         scan_bounds(pointing.scans(block.first, block.end).scan),
         setup.raster.sample_rate_hz,
-        *(item[scans] for item in motion),
+        offsets,
+        velocity,
+        layer,
         # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
         np.sqrt(weather.b2 / sine[scans]),
         strips,

@@ -1,7 +1,7 @@
 """The page of a run: its result, what was simulated, scores, error against run time, figures, truth, provenance."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +96,7 @@ def what_was_simulated(scene: Content, summary: Content, n_det: int) -> tuple[Bl
 # ---------------------------------------------------------------- the result in a few lines
 
 
-def _lead(summary: Content, scene: Content):
+def _lead(summary: Content, scene: Content) -> Iterator[str]:
     camera = f"{plural(summary['detectors'], 'detector')} at {short(scene['instrument']['frequency_hz'] / 1e9)} GHz"
     stopped, made = summary["stopped"], summary["observations"]
     survey = plural(stopped["observations_of_survey"], "observation")
@@ -149,7 +149,7 @@ def _key_figures(summary: Content) -> tuple[tuple[str, str], ...]:
 # ---------------------------------------------------------------- scores
 
 
-def _scores(summary: Content, scene: Content):
+def _scores(summary: Content, scene: Content) -> Iterator[Block]:
     yield _score_grid(summary, scene)
     if summary.get("gains"):
         yield _gain_grid(summary, scene)
@@ -250,7 +250,7 @@ def _alternative_grid(rows: list[Content]) -> Grid:
 # ---------------------------------------------------------------- error against run time
 
 
-def _time(summary: Content, scene: Content):
+def _time(summary: Content, scene: Content) -> Iterator[Block]:
     run, stopped = summary["run"], summary["stopped"]
     each_s = sum(run["stage_s"].values()) / summary["observations"]
     ns = sum(run["stage_ns_per_detector_sample"].values())
@@ -306,7 +306,8 @@ def _answer_grid(summary: Content, scene: Content) -> Grid:
         "jackknives": score["jackknives"],
         "skies": score["signal_sims"]["skies"],
     }
-    rows, mark = [], 0
+    rows: list[tuple[Cell, ...]] = []
+    mark = 0
     known = [answer for answer in (here, *answers) if answer["relative_error"] is not None]
     for answer in sorted(known, key=lambda answer: -answer["relative_error"]):
         if answer is here:
@@ -325,7 +326,7 @@ def _answer_grid(summary: Content, scene: Content) -> Grid:
 # ---------------------------------------------------------------- truth
 
 
-def _truth(summary: Content):
+def _truth(summary: Content) -> Iterator[Block]:
     truth = summary.get("truth", [])
     columns = ("quantity", "unit", "put in", "came out", "ratio")
     if found := [item for item in truth if item["kind"] == "measured"]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.table import Table
 from rich.text import Text
@@ -13,7 +14,7 @@ from surveysim.studies.stress import Case, Outcome
 
 def write_extremes(path: Path, cases: Sequence[Case], outcomes: Sequence[Outcome]) -> None:
     """Write a row a case as ECSV: why its answer is known, what was expected and found, numbers or words."""
-    columns = {
+    columns: dict[str, list[Any]] = {
         "case": [case.name for case in cases],
         "why": [case.why for case in cases],
         "expected": [_line(outcome.expected) for outcome in outcomes],

@@ -56,9 +56,9 @@ def print_sweep(result: SweepResult, directory: Path) -> None:
 def _forecast_lines(result: SweepResult) -> list[str]:
     """Largest difference of a forecast from its simulation, and a line for each flag of a point's forecast."""
     lines, both = [], list(zip(result.sweep.points, result.points, strict=True))
-    compared = [(point, *item.off) for point, item in both if item.off]
+    compared = [(point, item.off) for point, item in both if item.off]
     if compared:
-        point, off, error = max(compared, key=lambda entry: abs(entry[1]))
+        point, (off, error) = max(compared, key=lambda entry: abs(entry[1][0]))
         lines.append(f"forecast over simulated, less 1: at worst {percent_off(off, error)}, {point.label}")
     if not result.simulated:
         lines.append("Forecasts are of the weather that the seed draws; a run quotes sigma(A) of all weather.")
@@ -119,7 +119,7 @@ def _sweep_table(result: SweepResult) -> Table:
     for heading in headings + ["best", "discarded"] * result.simulated:
         table.add_column(Text(heading), justify="right")
     for number, (point, item) in enumerate(zip(sweep.points, result.points, strict=True)):
-        cells = [Text(axis.labels[step]) for axis, step in zip(sweep.axes, point.place, strict=True)]
+        cells: list[Text | str] = [Text(axis.labels[step]) for axis, step in zip(sweep.axes, point.place, strict=True)]
         forecast = item.forecast_ukcmb2.get(ACTUAL)
         level = with_unknown(comparison.sigma_ukcmb2[number], comparison.error_ukcmb2[number])
         ratio = f"{comparison.ratio[number]:.3f}"

@@ -13,6 +13,7 @@ from surveysim.atmosphere.screen_simulation import add_atmosphere
 from surveysim.atmosphere.strip_factors import Strip
 from surveysim.atmosphere.thin_screen import Screen, structure_function
 from surveysim.reduction.setup import Setup, observation_path, prepare
+from surveysim.scene.analysis import Cleaning
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.case import N_SAMP, RATE_HZ, TEMPLATES, Outcome, agrees
 from surveysim.timestreams.observation import add_layer, draw_observation, observation_weather
@@ -55,7 +56,15 @@ def _moved(setup: Setup, scan_rad_s: np.ndarray, layer_rad_s: np.ndarray) -> np.
     offsets = np.stack([plane.x_rad, plane.y_rad], axis=-1)[None]
     rng = np.random.default_rng(3)
     add_atmosphere(
-        data, [(0, N_SAMP)], RATE_HZ, offsets, [scan_rad_s], [layer_rad_s], [17.0], setup.strips.at(1.0), rng
+        data,
+        np.array([(0, N_SAMP)]),
+        RATE_HZ,
+        offsets,
+        np.array([scan_rad_s]),
+        np.array([layer_rad_s]),
+        np.array([17.0]),
+        setup.strips.at(1.0),
+        rng,
     )
     return data
 
@@ -112,7 +121,7 @@ def no_air(scene: Scene) -> Outcome:
     return agrees(np.abs(found).max(), 0.0, 0.0, "difference of streams [mK]")
 
 
-def _none_of(scene: Scene):
+def _none_of(scene: Scene) -> Cleaning:
     return scene.cleaning.model_copy(update={"algorithm": ("none",)})
 
 

@@ -328,7 +328,8 @@ def _settings(axes: Iterable[Axis], place: tuple[int, ...]) -> dict[str, Any]:
 
 def _of_all(path: Path, labels: Sequence[str], job: Callable[[int], T]) -> list[T]:
     """`job(number)` of every point; raises SceneError with each of their errors once."""
-    done, wrong = [], {}
+    done: list[T] = []
+    wrong: dict[str, list[int]] = {}
     for number in range(len(labels)):
         try:
             done.append(job(number))
