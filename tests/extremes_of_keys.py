@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from docs.generated import all_keys
+from surveysim.scene.keys import all_keys
 from surveysim.scene.units import to_float
 
 POWER = {"instrument.bandwidth": 0.15, "instrument.efficiency": 0.2, "instrument.polarizations": 2}

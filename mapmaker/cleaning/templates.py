@@ -117,6 +117,7 @@ def template_streams(
     data_mk: np.ndarray,
     scan_bounds: np.ndarray,
     focal_plane: FocalPlane,
+    *,
     responsivity: np.ndarray,
     exponents: Sequence[tuple[int, int]],
     place_rad: tuple[float, float],
@@ -162,7 +163,7 @@ def subtract_average(
     The paper's average template, sum c^-1 d / sum c^-1, differs from the one-parameter polynomial's by a
     factor common to all detectors, which c takes up: c_i T_n is the same.
     """
-    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, AVERAGE)
+    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents=AVERAGE)
 
 
 @checks_streams
@@ -170,7 +171,7 @@ def subtract_planar(
     data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: TemplateOptions
 ) -> Cleaned:
     """Remove the mean and templates 1, x, y; arguments, result and errors as for `clean`."""
-    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, PLANAR)
+    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents=PLANAR)
 
 
 @checks_streams
@@ -178,7 +179,7 @@ def subtract_quadratic(
     data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: TemplateOptions
 ) -> Cleaned:
     """Remove the mean and templates 1, x, y, xy, x^2, y^2; arguments, result and errors as for `clean`."""
-    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, QUADRATIC)
+    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents=QUADRATIC)
 
 
 def _subtract_templates(
@@ -186,6 +187,7 @@ def _subtract_templates(
     scan_bounds: np.ndarray,
     focal_plane: FocalPlane,
     options: TemplateOptions,
+    *,
     exponents: Sequence[tuple[int, int]],
 ) -> Cleaned:
     regions = (Region(slice(None), template_basis(focal_plane, exponents)),)

@@ -6,7 +6,8 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-WITHOUT_NOTICES = {"-q", "--quiet", "--help"}
+WITHOUT_NOTICES = {"-q", "--quiet", "-h", "--help", "--version"}
+COMPLETION = "_SURVEYSIM_COMPLETE"  # set by a shell that asks for completions
 
 
 def main() -> NoReturn:
@@ -71,6 +72,8 @@ def _run(arguments: Sequence[str]) -> int:
     from surveysim.cli.interrupts import EXIT_WRONG_SCENE, listen
 
     command = get_command(app)
+    if COMPLETION in os.environ:
+        command.main(list(arguments), "surveysim")
     listen()
     try:
         with command.make_context("surveysim", list(arguments) or ["--help"]) as context:

@@ -2,33 +2,52 @@
 
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from surveysim.runtime.errors import InputError, SceneError
+from surveysim.scene.shipped import find_scene
 
 if TYPE_CHECKING:
     from surveysim.results.stopping import StoppingCriteria
     from surveysim.runtime.engine import Engine
+    from surveysim.scene.scene import Scene
+    from surveysim.studies.sweep.axes import Sweep
 
-SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="a scene file (TOML)")]
-Overrides = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="override one key")]
-Workers = Annotated[int | None, typer.Option(help="worker processes on this machine; one a core by default")]
-Kind = Annotated[str, typer.Option("--engine", help="what runs observations: serial, processes or dask")]
+DEEPEST = 9  # dots in a key
+
+
+def _scene_file(scene: Path | None) -> Path | None:
+    return scene and find_scene(scene)
+
+
+SCENE = typer.Argument(
+    metavar="SCENE", callback=_scene_file, help="A scene file (TOML), or a name such as lynx or first_light."
+)
+SceneFile = Annotated[Path, SCENE]
+Overrides = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace the value of a key; may be repeated.")
+]
+Workers = Annotated[
+    int | None, typer.Option(metavar="N", help="Worker processes on this machine; by default one per core.")
+]
+Kind = Annotated[
+    str, typer.Option("--engine", metavar="KIND", help="Where observations run: serial, processes or dask.")
+]
 Scheduler = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="of a dask cluster: tcp://host:port, or its scheduler's file")
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Dask scheduler: tcp://host:port, or the path of its scheduler file."),
 ]
 Force = Annotated[
-    bool, typer.Option("--force", help="replace other results, and files of yours by the same names, in the output")
+    bool, typer.Option("--force", help="Replace other results, and your files of the same names, in the output.")
 ]
-NoFigures = Annotated[bool, typer.Option("--no-figures", help="leave the figures out")]
+NoFigures = Annotated[bool, typer.Option("--no-figures", help="Draw no figures.")]
 Reference = Annotated[
     str | None,
-    typer.Option(metavar="POINT", help="of a sweep: the point that ratios are to, by its number or as 'KEY = VALUE'"),
+    typer.Option(metavar="POINT", help="Sweep point that ratios refer to: its number, or 'KEY = VALUE'."),
 ]
-DEEPEST = 9  # dots in a key
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print errors only")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 
 
 def settings(given: list[str] | None, reference: str | None = None) -> dict[str, Any]:
@@ -89,3 +108,32 @@ def run_limits(target_error: str | None, time_budget: str | None) -> "StoppingCr
         return parsed_limits(target_error, time_budget)
     except InputError as error:
         raise SceneError(str(error)) from None
+
+
+def ready_scene(path: Path, given: list[str] | None) -> "Scene":
+    """A scene that is checked and prepared; raises SceneError whose lines name the file."""
+    from surveysim.reduction.setup import prepare
+    from surveysim.scene.scene import load_scene
+
+    scene = load_scene(path, settings(given))
+    try:
+        prepare(scene)
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from None
+    return scene
+
+
+def sweep_of(path: Path, given: list[str] | None, reference: str | None = None) -> "Sweep | None":
+    """The sweep of a scene file that has one, checked and prepared; raises SceneError for a reference without one."""
+    from surveysim.studies.sweep.axes import is_sweep, load_sweep
+
+    if is_sweep(path):
+        return load_sweep(path, settings(given), point(reference))
+    if reference is not None:
+        fail(f"{path}: --reference: found a scene without [sweep]; points of a sweep are expected")
+    return None
+
+
+def fail(message: str) -> NoReturn:
+    """Raise SceneError, which ends the command with exit code 2 and this message."""
+    raise SceneError(message)

@@ -29,10 +29,10 @@ from surveysim.scene.noise_and_sky import Detector, Excess, Photon, Sky
 from surveysim.scene.numerics import Numerics
 from surveysim.scene.observing import MIN_SAMPLES, FieldSection, FixedPointing, Scan, Schedule
 from surveysim.scene.section import Section
+from surveysim.scene.shipped import MAX_NAME, NAME, find_scene
 from surveysim.scene.sites import sites_text
 from surveysim.scene.units import shown
 
-NAME, MAX_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]*", 100
 MAX_BYTES = 300_000  # of a scene file; with comments they have some 5 kB
 MAX_DEPTH = 20  # tables and lists within each other; scenes have 3
 MAX_ERRORS = 30  # lines of an error
@@ -139,12 +139,12 @@ class Scene(Section):
 
 
 def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scene:
-    """Read and check a scene file; `overrides` maps dotted keys to values.
+    """Read and check a scene file, or a scene by its name (`find_scene`); `overrides` maps dotted keys to values.
 
     A table [sweep] is set aside: the scene is the one that its points start from (`surveysim.studies.sweep.axes`).
     Raises SceneError with one line for each error: file, key, what was found, what is allowed.
     """
-    path = Path(path)
+    path = find_scene(path)
     return scene_of(path, *read_scene(path), overrides or {})
 
 

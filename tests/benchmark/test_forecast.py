@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surveysim.forecasting.forecast import forecast
-from surveysim.reduction.mode_kernels import windowed_sums
+from surveysim.forecasting.mode_kernels import windowed_sums
 from surveysim.reduction.setup import prepare
 from surveysim.scene.scene import load_scene
 

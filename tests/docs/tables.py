@@ -7,8 +7,8 @@ from pathlib import Path
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
-from docs.generated import all_keys
 from mapmaker.cleaning import CLEANERS
+from surveysim.scene.keys import all_keys
 
 _NAME = f"(?:{'|'.join(CLEANERS)})"
 _CLEANED = rf"actual|masked_\d+|{_NAME}(?:\+{_NAME})*"

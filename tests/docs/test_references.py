@@ -10,11 +10,12 @@ import typer.main
 
 import mapmaker
 import surveysim
-from docs.generated import all_keys, command_reference, scene_keys, scene_reference, scene_sections
+from docs.generated import command_reference, scene_reference
 from docs.generated_python import api_reference, markdown, module_reference
 from surveysim.cli.app import app
 from surveysim.cli.failures import EXIT_BROKEN_PIPE
 from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
+from surveysim.scene.keys import all_keys, scene_keys, scene_sections
 from surveysim.scene.scene import RENAMED
 from surveysim.studies.sweep.axes import REFERENCE
 from tests.docs.pages import PAGES, README, ROOT, Block, blocks
@@ -81,6 +82,17 @@ def test_keys_of_examples_are_documented(path):
 def test_unknown_keys_are_noticed():
     text = '[scan]\nspead = 1\n[sweep]\n"scan.spead" = [1]\n[sweep.both]\n"scan.speeed" = [1]\n[nothing]\nx = 1\n'
     assert keys_of(text) - all_keys().keys() == {"scan.spead", "scan.speeed", "nothing"}
+
+
+@pytest.mark.parametrize("path", [*PAGES, README], ids=lambda path: path.stem)
+def test_keys_and_modules_in_sentences_exist(path):
+    text = re.sub(r"(?ms)^## Renamed keys.*|^```.*?^```$", "", path.read_text())
+    named = re.findall(r"`([\w./]+)(?: = [^`]*)?`", text)
+    keys, sections = all_keys().keys(), {section.name for section in scene_sections()}
+    keys_named = {name for name in named if name.rpartition(".")[0] in sections - {""} and not name.endswith(".png")}
+    assert keys_named <= keys | sections
+    modules = {name for name in named if re.fullmatch(r"(?:surveysim|mapmaker)/.*\.(?:py|toml)", name)}
+    assert [name for name in modules if not (ROOT / name).is_file()] == []
 
 
 def test_renamed_keys_are_documented():

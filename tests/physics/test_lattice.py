@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from mapmaker.timestreams import FocalPlane
+from surveysim.forecasting import mode_response as response
 from surveysim.forecasting import observing_conditions as conditions
 from surveysim.forecasting.forecast import forecast
+from surveysim.forecasting.mode_response import matrix_power, projected_array, stream_power
 from surveysim.forecasting.noise_model import survey_models
-from surveysim.reduction import mode_response as response
 from surveysim.reduction import resource_limits as limits
 from surveysim.reduction import setup
-from surveysim.reduction.mode_response import matrix_power, projected_array, stream_power
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.noise_and_sky import Excess
@@ -159,7 +159,7 @@ def test_powers_of_a_forecast_are_those_of_the_matrix(algorithm):
     cells, positions = array(4, 0.7)
     torus, rng = embed(cells, 0.7, "field", Illumination()), np.random.default_rng(7)
     gain = rng.uniform(0.8, 1.2, len(cells))
-    cleaned = projected_array(FocalPlane(*positions.T, 1.0), 0.3, gain, algorithm)
+    cleaned = projected_array(FocalPlane(*positions.T, 1.0), 0.3, responsivity=gain, algorithm=algorithm)
     matrix, shared = gain[:, None] * implied(torus, cells) * gain, NoiseCorrelation(torus, gain)
     assert stream_power(cleaned, shared) == pytest.approx(stream_power(cleaned, matrix), rel=1e-9)
     waves = cleaned.response(rng.standard_normal(6) + 1j * rng.standard_normal(6))

@@ -153,7 +153,7 @@ def atmosphere_temperature_k(site: Site) -> float:
     return float(np.average(temperature_k(site, height), weights=vapour_density(site, height)))
 
 
-def configuration(site: Site, pwv_mm: float, first_ghz: float, last_ghz: float, step_ghz: float) -> str:
+def configuration(site: Site, pwv_mm: float, *, first_ghz: float, last_ghz: float, step_ghz: float) -> str:
     """The text of am's configuration file for a zenith spectrum of optical depth."""
     lines = [
         f"f {first_ghz} GHz {last_ghz} GHz {step_ghz} GHz",
@@ -170,7 +170,7 @@ def configuration(site: Site, pwv_mm: float, first_ghz: float, last_ghz: float, 
 
 
 def spectrum(
-    site: Site, pwv_mm: float, first_ghz: float = FIRST_GHZ, last_ghz: float = LAST_GHZ, step_ghz: float = STEP_GHZ
+    site: Site, pwv_mm: float, *, first_ghz: float = FIRST_GHZ, last_ghz: float = LAST_GHZ, step_ghz: float = STEP_GHZ
 ) -> tuple[np.ndarray, str]:
     """Zenith optical depth on am's grid, and the version of am."""
     import tempfile
@@ -179,7 +179,7 @@ def spectrum(
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "site.amc"
-        path.write_text(configuration(site, pwv_mm, first_ghz, last_ghz, step_ghz))
+        path.write_text(configuration(site, pwv_mm, first_ghz=first_ghz, last_ghz=last_ghz, step_ghz=step_ghz))
         model = am.Model(path, [])
         model.compute()
     return model.outputs["opacity"].values, model.summary().splitlines()[0].split("(")[0].strip("# ")

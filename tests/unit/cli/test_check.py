@@ -7,12 +7,12 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from docs.generated import all_keys
 from surveysim.reduction import resource_limits as limits
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare, window_observations
 from surveysim.runtime import memory
 from surveysim.runtime.errors import SceneError
+from surveysim.scene.keys import all_keys
 from surveysim.scene.scene import load_scene
 from surveysim.studies.resources import _windiest
 from surveysim.survey.coadds import add_observation, empty_coadds

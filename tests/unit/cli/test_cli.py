@@ -375,7 +375,7 @@ def test_new(call, scene, monkeypatch):
     assert "give [sweep] yours" in call("new", "ours", "--like", "yours")[1] and "[sweep]" not in out
     for arguments, words in (
         (("mine", "--like", "yours"), "exists"),
-        (("other", "--like", "nowhere"), "mine, ours, yours"),
+        (("other", "--like", "nowhere"), "mkidcam, ours, pixel_spacing_fixed_count"),
         (("../other", "--like", "mine"), "letters, digits"),
         (("..", "--like", "mine"), "none of the last two first"),  # no scene by this name could be run
         (("x" * 101, "--like", "mine"), "letters, digits"),

@@ -29,7 +29,7 @@ def fail(monkeypatch, tmp_path, capsys, handlers):
             raise error
 
         before = set(tmp_path.iterdir())
-        monkeypatch.setattr("surveysim.cli.app.load_scene", load)
+        monkeypatch.setattr("surveysim.scene.scene.load_scene", load)
         monkeypatch.setattr("surveysim.studies.sweep.axes.is_sweep", lambda path: False)
         code = ended(["check", f"a{EVIL}.toml"])
         text = capsys.readouterr()

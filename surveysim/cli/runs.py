@@ -1,0 +1,179 @@
+"""Commands on surveys: run, forecast, plan."""
+
+from pathlib import Path
+from time import process_time
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from surveysim.cli import options
+from surveysim.cli.interrupts import report_new_start, report_resumable_exit, stopping
+from surveysim.cli.options import (
+    Force,
+    Kind,
+    NoFigures,
+    Overrides,
+    Quiet,
+    Reference,
+    SceneFile,
+    Scheduler,
+    Workers,
+    fail,
+    ready_scene,
+    sweep_of,
+)
+from surveysim.output.names import default_directory
+from surveysim.runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from surveysim.runtime.engine import Engine
+    from surveysim.studies.sweep.axes import Sweep
+
+
+def run(
+    scene: SceneFile,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Output directory; by default outputs/<name>+<settings>.")
+    ] = None,
+    workers: Workers = None,
+    engine: Kind = "processes",
+    scheduler: Scheduler = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue from the checkpoint in the output.")] = False,
+    save_timestreams: Annotated[
+        bool, typer.Option("--save-timestreams", help="Write the time-streams of each observation to HDF5.")
+    ] = False,
+    no_figures: NoFigures = False,
+    target_error: Annotated[
+        str | None, typer.Option(metavar="ERROR", help='Stop at this relative error of sigma(A), such as "3%".')
+    ] = None,
+    time_budget: Annotated[
+        str | None, typer.Option(metavar="TIME", help='Stop after this time, such as "60 s".')
+    ] = None,
+    reference: Reference = None,
+    settings: Overrides = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate, clean, map and score a scene or a sweep."""
+    with_engine = options.engine(engine, workers, scheduler)
+    if sweep := sweep_of(scene, settings, reference):
+        _refuse_for_sweep(scene, save_timestreams, target_error, time_budget)
+        directory = out or default_directory(sweep.name, options.settings(settings, reference))
+        _run_sweep(sweep, directory, with_engine, resume, not no_figures, force, quiet)
+        return
+    limits = options.run_limits(target_error, time_budget)
+    checked = ready_scene(scene, settings)
+    if limits.target_error is not None and checked.score is None:
+        fail(f"{scene}: --target-error: found no [score]; the error is one of sigma(A), which needs it")
+    from surveysim.api import run as run_scene
+    from surveysim.cli.progress import equal_work, progress_display, score_so_far
+    from surveysim.report.terminal.survey import print_result
+
+    directory = out or default_directory(checked.name, options.settings(settings))
+    if resume and not quiet:
+        report_new_start(directory, "checkpoint", " observation")
+    work = equal_work(checked.observations)
+    with (
+        report_resumable_exit(scene, directory),
+        progress_display(checked.name, work, quiet, workers=with_engine.workers_for(len(work))) as show,
+    ):
+        progress = stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds)))
+        todo = (checked, directory, with_engine, resume, save_timestreams, not no_figures, progress)
+        result = run_scene(*todo, limits.target_error, limits.time_budget_s, force)
+    if not quiet:
+        print_result(result, directory)
+
+
+def _refuse_for_sweep(scene: Path, save_timestreams: bool, target_error: str | None, time_budget: str | None) -> None:
+    reasons = {
+        "--save-timestreams": save_timestreams and "which keeps none",
+        "--target-error": target_error is not None and "whose points are run whole",
+        "--time-budget": time_budget is not None and "whose points are run whole",
+    }
+    for option, reason in reasons.items():
+        if reason:
+            fail(f"{scene}: {option}: found a sweep, {reason}; a scene without [sweep] is expected")
+
+
+def _run_sweep(
+    sweep: "Sweep", directory: Path, engine: "Engine", resume: bool, figures: bool, force: bool, quiet: bool
+) -> None:
+    if resume and not quiet:
+        report_new_start(directory, "points", "")
+    from surveysim.api import run_sweep
+    from surveysim.cli.progress import progress_display
+    from surveysim.report.terminal.sweep import print_sweep
+
+    work = [point.detector_samples for point in sweep.points]
+    with (
+        report_resumable_exit(sweep.path, directory),
+        progress_display(sweep.name, work, quiet, "points", engine.workers_for(len(work))) as show,
+    ):
+        progress = stopping(lambda done: show(done, lambda: ""))
+        result = run_sweep(sweep, directory, engine, resume, figures, progress, force)
+    if not quiet:
+        print_sweep(result, directory)
+
+
+def forecast(
+    scene: SceneFile,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Output directory; by default outputs/<name>_forecast for a sweep, else none."
+        ),
+    ] = None,
+    no_figures: NoFigures = False,
+    reference: Reference = None,
+    settings: Overrides = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Predict the scores of a scene or a sweep within seconds."""
+    from surveysim.forecasting.forecast import forecast as forecast_scene
+    from surveysim.output.directory import claimed, replacing
+    from surveysim.output.expected_files import of_forecast
+    from surveysim.output.writer import write_forecast
+    from surveysim.report.terminal.survey import print_forecast
+
+    if sweep := sweep_of(scene, settings, reference):
+        directory = out or default_directory(f"{sweep.name}_forecast", options.settings(settings, reference))
+        _forecast_sweep(sweep, directory, not no_figures, force, quiet)
+        return
+    checked = ready_scene(scene, settings)
+    try:
+        found = forecast_scene(checked)
+    except InputError as error:  # of a scene that can't be forecast
+        fail(f"{scene}: {error}")
+    if out is not None:
+        with claimed(out, of_forecast(checked), force) as place, replacing(place) as new:
+            write_forecast(new, found)
+    if not quiet:
+        print_forecast(checked, found)
+
+
+def _forecast_sweep(sweep: "Sweep", directory: Path, figures: bool, force: bool, quiet: bool) -> None:
+    from surveysim.api import forecast_sweep
+    from surveysim.cli.progress import equal_work, progress_display
+    from surveysim.report.terminal.sweep import print_sweep
+
+    with progress_display(sweep.name, equal_work(len(sweep.points)), quiet, "points") as show:
+        result = forecast_sweep(sweep, directory, figures, stopping(lambda done: show(done, lambda: "")), force)
+    if not quiet:
+        print_sweep(result, directory)
+
+
+def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
+    """Predict run time, memory and disk space of a run."""
+    from surveysim.reduction.setup import prepare
+    from surveysim.report.terminal.survey import print_plan
+    from surveysim.report.terminal.sweep import print_sweep_plan
+    from surveysim.runtime.engine import default_workers
+    from surveysim.studies.resources import make_plan, make_sweep_plan
+
+    workers = options.engine("processes", workers, None).workers or default_workers()
+    if sweep := sweep_of(scene, settings):
+        print_sweep_plan(sweep, make_sweep_plan(sweep, workers, process_time()), workers)
+        return
+    checked = ready_scene(scene, settings)
+    print_plan(checked, make_plan(prepare(checked), workers, process_time()), workers)

@@ -1,0 +1,127 @@
+"""Commands on scenes and output directories: check, keys, new, report."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from surveysim.cli.options import Force, Overrides, SceneFile, fail, ready_scene, sweep_of
+from surveysim.runtime.printable import say
+from surveysim.scene.shipped import HERE, MAX_NAME, NAME, find_scene, scene_names
+from surveysim.scene.units import shown
+
+if TYPE_CHECKING:
+    from surveysim.scene.keys import KeyRow
+
+
+def check(scene: SceneFile, settings: Overrides = None) -> None:
+    """Check a scene or sweep without running it.
+
+    Each error is one line: file, key, the value found and the values allowed.
+    """
+    from surveysim.reduction.resource_limits import said_of_size
+    from surveysim.reduction.setup import prepare
+
+    if sweep := sweep_of(scene, settings):
+        say(f"{scene}: {sweep.name!r} is a sweep of {len(sweep.points)} points that can be run")
+        large = said_of_size(sum(point.detector_samples for point in sweep.points))
+    else:
+        setup = prepare(ready_scene(scene, settings))
+        say(f"{scene}: {setup.scene.name!r} is a scene that can be run")
+        samples = setup.scene.observations * setup.n_det * setup.samples(setup.blocks[-1]).stop
+        large = said_of_size(samples, setup.geometry.n_x * setup.geometry.n_y)
+    if large:
+        say(large)
+
+
+def keys(
+    section: Annotated[
+        str | None, typer.Argument(metavar="SECTION", help="A section such as scan, or a key such as scan.speed.")
+    ] = None,
+) -> None:
+    """List the keys of a scene: unit, range, default, meaning."""
+    from surveysim.scene.keys import key_rows, scene_sections
+
+    sections, found = scene_sections(), False
+    for each in sections:
+        rows = key_rows(each)
+        if section is not None and not _is_within(each.name, section):
+            rows = [row for row in rows if row.key == section]
+        if rows:
+            found = True
+            _print_keys(each.heading, each.introduction, rows)
+    if not found:
+        names = ", ".join(each.name for each in sections if each.name)
+        fail(f"keys: found {shown(section)}; a key or one of the sections {names} is expected")
+
+
+def _is_within(name: str, section: str) -> bool:
+    return f"{name}.".startswith(f"{section}.")
+
+
+def _print_keys(heading: str, introduction: Sequence[str], rows: "Sequence[KeyRow]") -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    from surveysim.report.terminal.layout import Terminal
+
+    console = Terminal()
+    console.say("\n".join(map(_plain, [heading, *introduction])))
+    table = Table()
+    for name in ("key", "type and unit", "range", "default", "meaning"):
+        table.add_column(name)
+    for row in rows:
+        table.add_row(*(Text(_plain(cell)) for cell in (row.key, row.kind, row.allowed, row.default, row.meaning)))
+    console.show(table)
+
+
+def _plain(text: str) -> str:
+    """Text without the marks of Markdown that keys are described with."""
+    return text.replace("`", "").replace("**", "")
+
+
+def new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the new scene.")],
+    like: Annotated[
+        str, typer.Option(metavar="SCENE", help="The scene to copy: a file, or a name such as lynx or first_light.")
+    ],
+) -> None:
+    """Copy a scene to scenarios/NAME.toml, to be edited."""
+    from surveysim.scene.scene import read_scene
+
+    source, target = find_scene(like), HERE / f"{name}.toml"
+    if not re.fullmatch(NAME, name) or len(name) > MAX_NAME:
+        fail(f"name: found {shown(name)}; letters, digits, '_', '.' and '-', none of the last two first, are expected")
+    if not source.is_file():
+        fail(f"{source}: no such scene; a file or one of {', '.join(scene_names())} is expected")
+    text, _ = read_scene(source)
+    target.parent.mkdir(exist_ok=True)
+    try:
+        with open(target, "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        fail(f"{target}: exists; another name is expected")
+    say(f"{target}: a copy of {source}; edit it, then: surveysim check {target}")
+    if "[sweep" in text:
+        say("it sweeps keys of its own; give [sweep] yours, or delete it")
+    if "[score.reference]" in text:
+        say("it compares with published numbers; delete [score.reference] and its gains for another survey")
+    if "[excess]" in text or "\nb2 = " in text:
+        say("excess noise and b2 are of its own band and site; delete [excess] and atmosphere.b2 for another")
+
+
+def report(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="An output directory of run, accuracy or paper.")],
+    force: Force = False,
+) -> None:
+    """Write report.html of an output directory again."""
+    from surveysim.output.directory import renewed
+    from surveysim.report.html.page import REPORT, NoResultsError, write_report
+
+    try:
+        with renewed(directory, REPORT, force):
+            say(write_report(directory))
+    except NoResultsError as error:
+        fail(str(error))

@@ -1,0 +1,257 @@
+"""Response of scans and cleaning to one Fourier mode of the map, in closed form.
+
+A scan at velocity v turns the map mode k into the frequency f = k.v / 2 pi of the streams; a detector at r sees it
+with the phase k.r. Cleaning that projects templates out of the detectors with a projector P has the array response
+
+    a = (1 - P)^H exp(i k.r),
+
+so streams with the cross-spectral matrix C(f) add the power a^H C(f) a to the mode. P contains the responsivities that
+cleaning assumes; where these differ from the true ones, part of the common signal remains. A scan is short and its
+mean is removed: with w the transform of the map's taper along the scan, power at f' leaks into the mode at f by
+
+    H(f, f') = (w(f - f') - sinc(f' T) w(f))^2,
+
+normalised so that H integrates to 1 over f' where no mean is removed (`surveysim.forecasting.scan_apodization`). Fits
+of responsivities remove modes in time as well (`surveysim.forecasting.fitted_modes`), which enter H in the same way as
+the mean. All quantities are in the frame of the scan, whose x axis is the scan direction; positions in it are complex
+numbers x + i y [rad].
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmaker.cleaning.templates import AVERAGE, PLANAR, QUADRATIC, template_basis
+from mapmaker.timestreams import FocalPlane
+from surveysim.atmosphere.thin_screen import Screen, at_elevation, beam_transfer, power
+from surveysim.telescope.lattice_noise import NoiseCorrelation
+from surveysim.telescope.pixel_coherence import MOST_DENSE
+
+# Templates of the cleaning algorithms that are a fixed projection once the responsivities are known. Two are so nearly:
+# the shifts of "wind" move templates by about a sample, and PCA removes about one mode, which is nearly the average.
+PROJECTIONS = {
+    "none": (),
+    "average": AVERAGE,
+    "planar": PLANAR,
+    "quadratic": QUADRATIC,
+    "wind": AVERAGE,
+    "pca": AVERAGE,
+}
+
+_NODES = 10  # of each eighth of a turn
+_RADII, _AZIMUTHS = 32, 16  # of the layer's wavevectors
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Map modes at some multipoles, over half a turn in azimuth.
+
+    Attributes
+    ----------
+    wave : (n_bin, n_angle)
+        Complex wavevectors k [rad^-1].
+    share : (n_angle,)
+        Quadrature weights of the azimuths; they sum to 1.
+    """
+
+    wave: np.ndarray
+    share: np.ndarray
+
+    @property
+    def turned(self) -> np.ndarray:
+        """Column (n_angle,) of the mode a quarter of a turn before each, or of its conjugate."""
+        return np.roll(np.arange(len(self.share)), len(self.share) // 2)
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """Average values (n_bin n_angle,) over azimuth, (n_bin,)."""
+        return values.reshape(self.wave.shape) @ self.share
+
+
+def ring_modes(ell: np.ndarray) -> Modes:
+    """Choose map modes at multipoles (n_bin,), densest along and across the scan, where the frequency is near 0."""
+    node, weight = np.polynomial.legendre.leggauss(_NODES)
+    root = (node + 1) / 2
+    angle, share = np.pi / 4 * root**2, np.pi / 4 * root * weight
+    eighths = [(0, 1), (np.pi / 2, -1), (np.pi / 2, 1), (np.pi, -1)]
+    angles = np.concatenate([(start + sign * angle)[::sign] for start, sign in eighths])
+    shares = np.concatenate([share[::sign] for _, sign in eighths])
+    return Modes(np.outer(ell, np.exp(1j * angles)), shares / np.pi)
+
+
+@dataclass(frozen=True)
+class ProjectedArray:
+    """Detectors in the frame of a scan, cleaned by one projection.
+
+    Attributes
+    ----------
+    place : (n_det,)
+        Complex positions [rad].
+    responsivity : (n_det,)
+        True responsivities.
+    assumed : (n_det,)
+        Responsivities that cleaning assumes.
+    basis : (n_par, n_det)
+        Orthonormal templates.
+    """
+
+    place: np.ndarray
+    responsivity: np.ndarray
+    assumed: np.ndarray
+    basis: np.ndarray
+
+    def cleaned(self, streams: np.ndarray) -> np.ndarray:
+        """Apply 1 - P to values (n_det, ...)."""
+        gain = self.assumed[:, None]
+        return streams - gain * (self.basis.T @ (self.basis @ (streams / gain)))
+
+    def response(self, wave: np.ndarray) -> np.ndarray:
+        """Array response a (n_det, n_mode) to modes (n_mode,)."""
+        phase = self.phases(wave)
+        gain = self.assumed[:, None]
+        return phase - (self.basis.T @ (self.basis @ (phase * gain))) / gain
+
+    def phases(self, wave: np.ndarray) -> np.ndarray:
+        """Phase factors exp(i k.r), (n_det, n_mode)."""
+        return np.exp(1j * (np.outer(self.place.real, wave.real) + np.outer(self.place.imag, wave.imag)))
+
+
+def projected_array(
+    plane: FocalPlane,
+    angle_rad: float,
+    *,
+    responsivity: np.ndarray,
+    algorithm: str,
+    assumed: np.ndarray | None = None,
+) -> ProjectedArray:
+    """Set up the detectors of a scan, cleaned by one algorithm.
+
+    Parameters
+    ----------
+    plane
+        Detector positions.
+    angle_rad
+        Position angle of the array's y axis from the scan direction.
+    responsivity : (n_det,)
+        True responsivities.
+    algorithm
+        A key of `PROJECTIONS`.
+    assumed : (n_det,), optional
+        Responsivities that cleaning assumes; the true ones by default.
+
+    Raises
+    ------
+    ValueError
+        For arrays whose positions do not support the templates, as `mapmaker.clean`.
+    """
+    # sky_vector of surveysim.telescope.pointing as complex numbers.
+    place = np.exp(-1j * angle_rad) * (-plane.x_rad + 1j * plane.y_rad)
+    exponents = PROJECTIONS[algorithm]
+    basis = template_basis(plane, exponents) if exponents else np.zeros((0, len(place)))
+    return ProjectedArray(place, responsivity, responsivity if assumed is None else assumed, basis)
+
+
+def matrix_power(response: np.ndarray, correlation: np.ndarray | NoiseCorrelation | None) -> np.ndarray:
+    """Power a^H K a / n_det of streams with unit PSD.
+
+    Parameters
+    ----------
+    response : (n_det, n_mode)
+        Array response a.
+    correlation
+        Correlation K between the detectors; None for independent ones.
+
+    Returns
+    -------
+    (n_mode,) array
+    """
+    spread = response if correlation is None else correlation @ response
+    return np.einsum("ij,ij->j", response.conj(), spread).real / len(response)
+
+
+def stream_power(array: ProjectedArray, correlation: np.ndarray | NoiseCorrelation | None) -> float:
+    """Mean PSD of the cleaned streams of detectors with unit PSD and a correlation (None: independent)."""
+    n_det = len(array.place)
+    if correlation is None and n_det > MOST_DENSE:
+        correlation = NoiseCorrelation(None, np.ones(n_det))
+    if isinstance(correlation, NoiseCorrelation):
+        return float(np.mean(correlation.gain**2)) - _projected_power(array, correlation) / n_det
+    matrix = np.eye(n_det) if correlation is None else correlation
+    once = array.cleaned(matrix)
+    return float(np.trace(array.cleaned(once.T)) / n_det)
+
+
+def _projected_power(array: ProjectedArray, correlation: NoiseCorrelation) -> float:
+    """Trace that cleaning removes from K: with ``P = U V^T``, the trace of ``P K + K P^T - P K P^T``."""
+    gain = array.assumed[:, None]
+    u, v = gain * array.basis.T, array.basis.T / gain
+    ku, kv = correlation @ u, correlation @ v
+    return float(2 * np.sum(v * ku) - np.sum((v.T @ kv) * (u.T @ u)))
+
+
+@dataclass(frozen=True)
+class LayerWaves:
+    """Wavevectors that represent the layer.
+
+    Attributes
+    ----------
+    alpha : (n_a,)
+        Complex wavevectors [cycles/rad].
+    power : (n_sine, n_a)
+        Variance of each at some elevations.
+    """
+
+    alpha: np.ndarray
+    power: np.ndarray
+
+
+def layer_waves(screen: Screen, longest_rad: float, sines: Sequence[float] = (1.0,)) -> LayerWaves:
+    """Represent the layer by wavevectors, per unit amplitude.
+
+    They range from well below one over the longest track to the cut-off by the beam. Still longer waves are slopes
+    along any track; their variance is added to the longest waves. For a steep spectrum without an outer scale they make
+    a third of the structure function.
+
+    Parameters
+    ----------
+    screen
+        The layer at the zenith.
+    longest_rad
+        Longest track.
+    sines
+        Sines of the elevations (n_sine,).
+    """
+    edge = np.geomspace(0.02 / longest_rad, 12 / (screen.beam_rad * min(sines)), _RADII)
+    # Every other radius starts between the azimuths of its neighbours.
+    angle = 2 * np.pi / _AZIMUTHS * (np.arange(_AZIMUTHS) + 0.5 * (np.arange(_RADII) % 2)[:, None])
+    power = np.array([_ring_power(at_elevation(screen, sine), edge) for sine in sines])
+    return LayerWaves((edge[:, None] * np.exp(1j * angle)).ravel(), np.repeat(power, _AZIMUTHS, axis=1))
+
+
+def _ring_power(screen: Screen, edge: np.ndarray) -> np.ndarray:
+    """Variance (n,) of one of the `_AZIMUTHS` wavevectors at each length (n,)."""
+    step, turn = np.log(edge[1] / edge[0]), 2 * np.pi / _AZIMUTHS
+    strength = power(screen, edge) * beam_transfer(edge * screen.beam_rad) ** 2 * edge**2 * step * turn
+    strength[0] += _slope(screen, edge[0] * np.exp(-step / 2)) / edge[0] ** 2 * turn
+    return strength
+
+
+def _slope(screen: Screen, alpha: float) -> float:
+    """Integrate alpha^3 P from 0 to `alpha`: the squared slope of the longest waves."""
+    if np.isinf(screen.outer_scale_rad):
+        return alpha ** (4 - screen.index) / (4 - screen.index)
+    below = np.geomspace(1e-3 * min(alpha, 1 / screen.outer_scale_rad), alpha, 200)
+    return float(np.trapezoid(power(screen, below) * below**4, np.log(below)))
+
+
+def layer_gain(array: ProjectedArray, response: np.ndarray, layer: LayerWaves) -> np.ndarray:
+    """Fraction of each wavevector's power that enters each mode, before the apodization: (n_mode, n_a)."""
+    seen = array.phases(2 * np.pi * layer.alpha) * array.responsivity[:, None]
+    amplitude = response.conj().T @ seen
+    return (amplitude.real**2 + amplitude.imag**2) / len(array.place)
+
+
+def layer_stream_gain(array: ProjectedArray, layer: LayerWaves) -> np.ndarray:
+    """Fraction of each wavevector's power in the mean PSD of the cleaned streams, (n_a,)."""
+    left = array.cleaned(array.phases(2 * np.pi * layer.alpha) * array.responsivity[:, None])
+    return np.mean(left.real**2 + left.imag**2, axis=0)

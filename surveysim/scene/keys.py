@@ -1,0 +1,186 @@
+"""All keys of a scene as the guide and the command `keys` list them: meaning, type, unit, range and default."""
+
+import json
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from surveysim.scene.scene import Scene
+from surveysim.scene.shipped import shipped_folder
+
+LONGEST_EXAMPLE = 44
+TYPES = {"integer": "integer", "number": "number", "string": "text", "array": "list", "object": "table"}
+
+
+@dataclass(frozen=True)
+class SceneSection:
+    """A section of a scene file: its dotted name ("" for the top), whether a list of them, its part of the schema."""
+
+    name: str
+    several: bool
+    required: bool
+    description: str
+    schema: Mapping[str, Any]
+
+    @property
+    def heading(self) -> str:
+        """As in the file."""
+        if not self.name:
+            return "Top of the file"
+        return f"`[[{self.name}]]`" if self.several else f"`[{self.name}]`"
+
+    @property
+    def introduction(self) -> tuple[str, ...]:
+        """Paragraphs about the section; none at the top of the file."""
+        if not self.name:
+            return ()
+        may = "Required." if self.required else "May be left out."
+        return self.schema["description"], f"{may} {self.description}".strip()
+
+
+@dataclass(frozen=True)
+class KeyRow:
+    """A row of the list of keys, in Markdown: dotted name, meaning, type and unit, allowed values, default."""
+
+    key: str
+    meaning: str
+    kind: str
+    allowed: str
+    default: str
+
+
+@cache
+def scene_sections() -> tuple[SceneSection, ...]:
+    """All sections in the order of the schema, each before those within it."""
+    schema = Scene.model_json_schema()
+    return tuple(_walk(schema, SceneSection("", False, True, "", schema)))
+
+
+def all_keys() -> dict[str, dict[str, Any]]:
+    """All keys of a scene by their dotted names, with what the schema says of each."""
+    return {
+        f"{section.name}.{name}".lstrip("."): item
+        for section in scene_sections()
+        for name, item in section_keys(section).items()
+    }
+
+
+def section_keys(section: SceneSection) -> dict[str, dict[str, Any]]:
+    """The keys of a section that are no sections themselves, each with what the schema says of it."""
+    keys = {name: _flat(item) for name, item in section.schema["properties"].items()}
+    return {name: item for name, item in keys.items() if not _reference(item)}
+
+
+def key_rows(section: SceneSection) -> list[KeyRow]:
+    """Rows of the keys of a section, in the order of the schema."""
+    required, keys = section.schema.get("required", ()), section_keys(section)
+    return [_row(f"{section.name}.{name}".lstrip("."), item, name in required) for name, item in keys.items()]
+
+
+# ---------------------------------------------------------------- the schema
+
+
+def _walk(schema: Mapping[str, Any], section: SceneSection) -> Iterator[SceneSection]:
+    yield section
+    for name, item in section.schema["properties"].items():
+        flat = _flat(item)
+        if found := _reference(flat):
+            inner = schema["$defs"][found.rpartition("/")[2]]
+            full = f"{section.name}.{name}".lstrip(".")
+            required = name in section.schema.get("required", ())
+            description = flat.get("description", "")
+            yield from _walk(schema, SceneSection(full, flat.get("type") == "array", required, description, inner))
+
+
+def _flat(item: Mapping[str, Any]) -> dict[str, Any]:
+    """What the schema says of a key, that it may be left out said by its default alone."""
+    rest = {key: value for key, value in item.items() if key != "anyOf"}
+    for choice in item.get("anyOf", ()):
+        if choice.get("type") != "null":
+            rest = choice | rest
+    return rest
+
+
+def _reference(item: Mapping[str, Any]) -> str:
+    return item.get("$ref") or item.get("items", {}).get("$ref", "")
+
+
+def _row(key: str, item: Mapping[str, Any], required: bool) -> KeyRow:
+    example = _examples().get(key) or (json.dumps(item["examples"][0]) if "examples" in item else "")
+    kind = _type(item) + (f", as `{example}`" if example else "")
+    meaning = " ".join(item.get("description", "").split())  # a row is a line
+    return KeyRow(key, meaning, kind, _allowed(item), _default(item, required))
+
+
+def _type(item: Mapping[str, Any]) -> str:
+    if "enum" in item and item.get("type") == "string":
+        return "text"
+    kinds = item["type"] if isinstance(item["type"], list) else [item["type"]]
+    if "unit" in item and "string" in kinds:
+        name = "quantities" if "array" in kinds else "quantity"
+    else:
+        name = " or ".join(TYPES[kind] for kind in kinds)
+    if item["type"] == "array":
+        of = item["items"]["type"]
+        name += f" of {TYPES[of]}s" if isinstance(of, str) else " of texts or lists"
+    return name + (f" in `{item['unit']}`" if "unit" in item else "")
+
+
+def _allowed(item: Mapping[str, Any]) -> str:
+    inner = item.get("items", {})
+    choices = item.get("enum") or inner.get("enum") or inner.get("items", {}).get("enum")
+    if choices and all(isinstance(choice, int) for choice in choices):
+        return f"{choices[0]}, {choices[1]}, {choices[2]}, ... {choices[-1]}"
+    if choices:
+        return ", ".join(f"`{json.dumps(choice)}`" for choice in choices)
+    low, high = item.get("at_least", item.get("minimum")), item.get("at_most", item.get("maximum"))
+    if low is not None and high is not None:
+        return f"{_number(low)} to {_number(high)}"
+    words = {"above {}": item.get("exclusiveMinimum"), "{} or more": low}
+    words |= {"below {}": item.get("exclusiveMaximum"), "up to {}": high}
+    return ", ".join(text.format(_number(value)) for text, value in words.items() if value is not None)
+
+
+def _number(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:.7g}"
+
+
+def _default(item: Mapping[str, Any], required: bool) -> str:
+    if "otherwise" in item:
+        return item["otherwise"]
+    if required:
+        return "**required**"
+    if item["default"] in (None, []):
+        return "none"
+    return f"`{item['default']:g} {item['unit']}`" if "unit" in item else f"`{json.dumps(item['default'])}`"
+
+
+# ---------------------------------------------------------------- examples
+
+
+def scene_keys(content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Dotted names and values of all keys of a scene file, its [sweep] aside."""
+    names = {section.name for section in scene_sections()}
+    tables = [("", content)]
+    while tables:
+        section, table = tables.pop(0)
+        for name, value in table.items():
+            full = f"{section}.{name}".lstrip(".")
+            if full in names:
+                tables += [(full, item) for item in (value if isinstance(value, list) else [value])]
+            elif full != "sweep":
+                yield full, value
+
+
+@cache
+def _examples() -> dict[str, str]:
+    """A short value of each key that the scenes that ship use, first of lynx."""
+    found: dict[str, str] = {}
+    for path in sorted(shipped_folder().glob("*.toml"), key=lambda path: (path.stem != "lynx", path.stem)):
+        for key, value in scene_keys(tomllib.loads(path.read_text(encoding="utf-8"))):
+            text = json.dumps(value)
+            if key not in found and len(text) <= LONGEST_EXAMPLE:
+                found[key] = text
+    return found

@@ -1,0 +1,44 @@
+"""Scenes by name: in the current directory, in its folder scenarios/, or shipped with the program."""
+
+import re
+from pathlib import Path
+
+NAME, MAX_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]*", 100
+HERE = Path("scenarios")
+
+
+def shipped_folder() -> Path:
+    """Folder of the scenes that ship: within the installed package, or beside the package in a clone."""
+    package = Path(__file__).parents[1]
+    inside = package / "scenarios"
+    return inside if inside.is_dir() else package.parent / "scenarios"
+
+
+def scene_folder() -> Path:
+    """The folder scenarios/ of the current directory if there is one, or else that of the scenes that ship."""
+    return HERE if HERE.is_dir() else shipped_folder()
+
+
+def scene_names() -> list[str]:
+    """Names of the scenes in scenarios/ and of those that ship, in alphabetical order."""
+    return sorted({path.stem for folder in (HERE, shipped_folder()) for path in folder.glob("*.toml")})
+
+
+def find_scene(scene: str | Path) -> Path:
+    """Find the file of a scene.
+
+    Parameters
+    ----------
+    scene
+        Path of a scene file, or the name of a scene without ``.toml``. A file of that name in the current directory
+        comes first, then one in its folder scenarios/, then the scenes that ship.
+
+    Returns
+    -------
+    Path of the file; the argument itself where no file is found.
+    """
+    name, path = str(scene), Path(scene)
+    if not re.fullmatch(NAME, name) or len(name) > MAX_NAME or path.is_file():
+        return path
+    places = (folder / f"{name}.toml" for folder in (Path(), HERE, shipped_folder()))
+    return next((place for place in places if place.is_file()), path)

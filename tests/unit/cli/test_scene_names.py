@@ -1,0 +1,140 @@
+"""Scenes by name, the list of keys, version, help and completion."""
+
+import os
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+import typer.main
+
+from surveysim import __version__
+from surveysim.cli.app import app
+from surveysim.scene.keys import all_keys, key_rows, scene_sections
+from surveysim.scene.scene import load_scene
+from surveysim.scene.shipped import find_scene, scene_names, shipped_folder
+from tests.entry import COMMAND
+from tests.scenes import SMALL_SCENE
+
+COMMANDS = typer.main.get_command(app).commands
+SCENARIOS = Path(__file__).parents[3] / "scenarios"
+
+
+@pytest.fixture
+def empty(tmp_path, monkeypatch):
+    """A current directory outside the clone."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+# ---------------------------------------------------------------- names
+
+
+def test_scenes_that_ship_are_found_by_name(empty):
+    assert find_scene("lynx") == shipped_folder() / "lynx.toml"
+    assert load_scene("lynx") == load_scene(SCENARIOS / "lynx.toml")
+    assert scene_names() == sorted(path.stem for path in SCENARIOS.glob("*.toml"))
+
+
+def test_files_here_come_before_scenes_that_ship(empty):
+    """A file of that very name, then with .toml, then in scenarios/."""
+    Path("scenarios").mkdir()
+    for path in ("scenarios/lynx.toml", "lynx.toml", "lynx"):
+        Path(path).write_text(SMALL_SCENE)
+        assert find_scene("lynx") == Path(path)
+    Path("lynx").unlink()
+    Path("lynx").mkdir()  # a folder is no scene
+    assert find_scene("lynx") == Path("lynx.toml")
+
+
+@pytest.mark.parametrize("name", ["nowhere", "lynx.toml", "./lynx", "..", "x" * 5000, "a\0b", ""])
+def test_paths_and_unknown_names_stay(empty, name):
+    assert find_scene(name) == Path(name)
+
+
+def test_commands_take_names(empty, call):
+    assert call("check", "first_light") == (
+        0,
+        f"{shipped_folder() / 'first_light.toml'}: 'first_light' is a scene that can be run\n",
+        "",
+    )
+    code, out, _ = call("new", "mine", "--like", "lynx")
+    assert code == 0 and Path("scenarios/mine.toml").read_text() == (SCENARIOS / "lynx.toml").read_text()
+    assert call("check", "mine")[:2] == (0, f"{Path('scenarios/mine.toml')}: 'mine' is a scene that can be run\n")
+    code, _, error = call("check", "nowhere")
+    assert code == 2 and error.startswith("nowhere: can't be read")
+
+
+# ---------------------------------------------------------------- keys
+
+
+def test_all_keys_are_listed(call, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    code, out, error = call("keys")
+    assert (code, error) == (0, "")
+    listed = re.findall(r"^│ ([a-z0-9_.]+) +│", out, re.MULTILINE)
+    assert listed == list(all_keys()) and len(listed) > 90
+    row = next(line for line in out.splitlines() if "│ scan.speed " in line)
+    cells = [cell.strip() for cell in row.strip("│").split("│")]
+    assert cells[:4] == [
+        "scan.speed",
+        'quantity in rad / s, as "4 arcmin / s"',
+        "0.001 arcsec / s to 360 deg / s",
+        "required",
+    ]
+    assert cells[4] == all_keys()["scan.speed"]["description"]
+    assert "`" not in out and "**" not in out
+
+
+def test_keys_of_a_section(call, monkeypatch):
+    """With the sections within it, and no others."""
+    monkeypatch.setenv("COLUMNS", "400")
+    _, out, _ = call("keys", "score")
+    listed = re.findall(r"^│ ([a-z0-9_.]+) +│", out, re.MULTILINE)
+    assert listed == [key for key in all_keys() if key.startswith("score.")]
+    assert {"score.size", "score.signal_sims.skies"} <= set(listed) and "[score]" in out
+    _, out, _ = call("keys", "score.size")
+    assert re.findall(r"^│ ([a-z0-9_.]+) +│", out, re.MULTILINE) == ["score.size"]
+    code, out, error = call("keys", "scor")
+    assert (code, out) == (2, "") and "keys: found 'scor'" in error and "score" in error
+
+
+def test_rows_hold_one_line_each():
+    for section in scene_sections():
+        for row in key_rows(section):
+            assert row.meaning.endswith(".") and row.kind and row.default
+            assert "\n" not in "".join((row.meaning, row.kind, row.allowed, row.default))
+
+
+# ---------------------------------------------------------------- version, help, completion
+
+
+def test_version(call):
+    assert call("--version") == (0, f"surveysim {__version__}\n", "")
+
+
+@pytest.mark.parametrize("name", [None, *COMMANDS])
+def test_short_and_long_help_are_the_same(call, name):
+    words = [] if name is None else [name]
+    code, out, _ = call(*words, "-h")
+    assert code == 0 and call(*words, "--help") == (0, out, "")
+    assert "<bool>" not in out and "<int>" not in out and "╭" not in out
+
+
+def test_summaries_of_commands_are_whole(call):
+    out = call("--help")[1]
+    for name, command in COMMANDS.items():
+        summary = command.help.partition("\n")[0]
+        assert f"  {name.ljust(10)}{summary}\n" in out
+
+
+def test_shells_complete_commands_and_write_nothing(empty):
+    """As bash asks for it."""
+    environment = os.environ | {
+        "_SURVEYSIM_COMPLETE": "complete_bash",
+        "COMP_WORDS": "surveysim fo",
+        "COMP_CWORD": "1",
+        "HOME": str(empty),
+    }
+    done = subprocess.run(COMMAND, env=environment, cwd=empty, capture_output=True, text=True, timeout=60)
+    assert done.stdout.split() == ["forecast"] and not list(empty.glob("**/.*rc"))
