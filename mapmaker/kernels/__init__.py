@@ -1,1 +1,1 @@
-"""Numba loops, each short, each with a slow twin in tests/naive.py."""
+"""Numba kernels, each short, and each with a slow reference implementation in tests/naive.py."""

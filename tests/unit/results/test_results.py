@@ -161,7 +161,7 @@ def test_spectrum_table(finished):
     assert {f"{kind}_{name}" for kind in ("noise", "window", "signal") for name in SETS} <= set(table.colnames)
     assert str(table["noise_actual"].unit) == "uK2 sr"
     np.testing.assert_array_equal(table["noise_white"], result.scores["white"].noise_psd)
-    assert (np.diff(table["ell"]) > 0).all() and table["scored"].sum() == result.setup.band.selected.sum()
+    assert (np.diff(table["ell"]) > 0).all() and table["scored"].sum() == result.setup.analysis.region.selected.sum()
     assert (table["n_modes"] > 0).all()
 
 
@@ -194,7 +194,7 @@ def test_alternative_table(finished, content):
 @pytest.mark.parametrize("name", SETS)
 def test_maps(finished, name):
     result, folder = finished
-    coadds, s = result.coadds, result.setup.data_sets.index(name)
+    coadds, s = result.coadds, result.setup.analysis.data_sets.index(name)
     with fits.open(folder / "maps" / f"{name}.fits") as file:
         file.verify("exception")
         planes = {hdu.name.lower(): hdu for hdu in file}
@@ -222,7 +222,7 @@ def test_white_noise_run(tmp_path):
     result = run(load_scene(path), tmp_path / "out", engine=SERIAL, figures=False)
     content = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert set(content) == KEYS and content["scores"] == {} and result.scores == {}
-    assert content["stages_left_out"] == ["atmosphere", "excess", "photon", "sky", "score"]
+    assert content["stages_left_out"] == ["atmosphere", "excess", "sky", "photon", "score"]
     assert sorted(p.name for p in (tmp_path / "out" / "tables").iterdir()) == [
         "observations.ecsv",
         "timestream_psd.ecsv",

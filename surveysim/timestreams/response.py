@@ -1,0 +1,35 @@
+"""Response of the detectors: from the signal that they see to the streams at their output.
+
+Every signal passes through here: the components of the streams, those of the other bands, and simulated signals.
+"""
+
+import numpy as np
+
+from surveysim.telescope.pointing import Pointing
+from surveysim.timestreams.simulation import Simulation
+from surveysim.timestreams.sky import add_seen_sky
+
+
+def apply_response(setup: Simulation, seen_mk: np.ndarray, band: int = 0, gain: float = 1.0) -> None:
+    """Turn signals (n_det, n_samp) that the detectors see into their output, in place.
+
+    Parameters
+    ----------
+    band
+        0 for the mapped band, 1 for the first of the other bands.
+    gain
+        Common factor of all detectors.
+    """
+    seen_mk *= (gain * _responsivity(setup, band))[:, None].astype(seen_mk.dtype)
+
+
+def add_sky_signal(setup: Simulation, pointing: Pointing, sky_mk: np.ndarray, data_mk: np.ndarray) -> None:
+    """Add the response to a sky (n_y, n_x) to streams (n_det, n_samp), in place.
+
+    The look-up multiplies by the responsivity before it rounds to the type of the streams.
+    """
+    add_seen_sky(setup, pointing, sky_mk, data_mk, _responsivity(setup, band=0))
+
+
+def _responsivity(setup: Simulation, band: int) -> np.ndarray:
+    return setup.camera.band_responsivity[band - 1] if band else setup.camera.responsivity
