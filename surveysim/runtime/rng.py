@@ -1,6 +1,6 @@
-"""Random generators keyed by what they are for: (seed, realization, observation, stage), and by the block of it.
+"""Random generators keyed by seed, realization, observation and purpose, and by block.
 
-Leaving a stage out, changing the number of workers, resuming or re-ordering moves no other draw.
+Draws of one purpose do not depend on other stages, on the number of workers, or on the order of observations.
 """
 
 from enum import IntEnum
@@ -9,7 +9,7 @@ import numpy as np
 
 
 class RandomPurpose(IntEnum):
-    """What a stream of random numbers is for. Numbers are given once and never reused."""
+    """Purpose of a stream of random numbers; its number is part of the key and never reused."""
 
     WEATHER = 0
     POINTING = 1
@@ -28,11 +28,18 @@ class RandomPurpose(IntEnum):
 
 
 def generator(
-    seed: int, stage: RandomPurpose, observation: int = 0, realization: int = 0, block: int = 0
+    seed: int, purpose: RandomPurpose, observation: int = 0, *, realization: int = 0, block: int = 0
 ) -> np.random.Generator:
-    """The generator of one stage of one observation of one realization.
+    """Make the random generator of one purpose in one observation and realization.
 
-    Blocks of an observation beyond the first have keys that are longer, and so no other's.
+    Parameters
+    ----------
+    seed
+        Seed of the scene.
+    purpose
+        Purpose of the random numbers.
+    observation, realization, block
+        Indices from 0. Block 0 is not part of the key.
     """
-    key = (realization, observation, int(stage), *((block,) if block else ()))
+    key = (realization, observation, int(purpose), *((block,) if block else ()))
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=key)))

@@ -1,4 +1,4 @@
-"""One item after the other, in this process."""
+"""Engine "serial": one item after the other, in this process."""
 
 from collections.abc import Callable, Generator, Iterable
 from typing import Any
@@ -7,7 +7,7 @@ from threadpoolctl import threadpool_limits
 
 
 def in_turn(job: Callable[[Any], Any], items: Iterable[Any]) -> Generator[Any]:
-    """`job(item)` for each item, in order; raises what a job raises."""
+    """Yield ``job(item)`` for each item, in order."""
     for item in items:
         with threadpool_limits(1):
             result = job(item)
