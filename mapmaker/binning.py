@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mapmaker.errors import InputError
 from mapmaker.files import atomic_write, one_line, regular_file
 from mapmaker.geometry import (
     MapGeometry,
@@ -234,7 +235,7 @@ def read_fits(path: str | Path) -> BinnedMap:
 
     Raises
     ------
-    ValueError
+    InputError
         In one line that names the file: for one that is unreadable, truncated or no regular file, for planes whose
         shapes or WCS differ or do not fit `MapGeometry`, and for other units or invalid values.
     """
@@ -245,7 +246,7 @@ def read_fits(path: str | Path) -> BinnedMap:
         with fits.open(path, memmap=False) as file:
             return _map_of(file)
     except Exception as error:  # astropy raises nearly every kind of exception for a mangled file
-        raise ValueError(f"{path}: not a whole map file ({one_line(error)})") from None
+        raise InputError(f"{path}: not a whole map file ({one_line(error)})") from None
 
 
 def _map_of(file: Any) -> BinnedMap:
