@@ -108,9 +108,9 @@ def test_simulated_set(per_sample, lynx, name):
     setup, n_det = lynx.setup, len(lynx.data_mk)
     psd = np.tile(lynx.result.clean_psd, (n_det, 1))
     white = white_level(psd, 150, setup.observing.raster.sample_rate_hz, setup.scene.score.white_noise_above_hz)
-    rng = generator(setup.scene.seed, sets.SIMULATED[name], OBSERVATION)
+    rng = generator(setup.scene.seed, sets.NOISE_ONLY_SETS[name].purpose, OBSERVATION)
     n_scans = setup.observing.raster.n_scans
-    per_sample(f"simulated set, {name}", lambda: sets.simulated_streams(setup, name, psd, white, n_scans, rng))
+    per_sample(f"simulated set, {name}", lambda: sets.NOISE_ONLY_SETS[name].draw(setup, psd, white, n_scans, rng))
 
 
 def test_window_of_one_sky(per_sample, lynx):
