@@ -35,7 +35,7 @@ class NoiseOnlySet:
 
 
 def mean_removed(data: np.ndarray, n_scans: int) -> np.ndarray:
-    """Streams (n_det, n_samp) of equal scans side by side, less the mean of each scan."""
+    """Subtract the mean of each scan from streams (n_det, n_samp) of equal scans."""
     scans = data.reshape(len(data), n_scans, -1)
     return (scans - scans.mean(axis=-1, keepdims=True)).reshape(data.shape)
 
@@ -51,11 +51,20 @@ def add_simulated(
     white: np.ndarray,
     watch: Stopwatch,
 ) -> None:
-    """Add the maps of section 5.2's simulated sets, in the scans that the actual data keep.
+    """Add the maps of the noise-only sets (section 5.2), in the scans that the actual data keep.
 
-    `maps` holds sums and hits by data set, which grow in place; `kept_scans` of each block (n_pipeline, n_scan). `psd`
-    (n_det, n_freq) and `white` (n_det,), measured on the cleaned streams [mK^2/Hz], are all that the sets need of them:
-    detectors are taken some at a time.
+    Detectors are drawn some at a time.
+
+    Parameters
+    ----------
+    maps
+        Sums and hits by data set, changed in place.
+    kept_scans
+        Kept scans (n_pipeline, n_scan) of each block.
+    psd : (n_det, n_freq)
+        PSDs measured on the cleaned streams [mK^2/Hz].
+    white : (n_det,)
+        White levels measured on the cleaned streams [mK^2/Hz].
     """
     plane = setup.camera.focal_plane
     for block, kept in zip(setup.observing.blocks, kept_scans, strict=True):
