@@ -28,6 +28,7 @@ from surveysim.reduction.cleaning_pipelines import (
     auxiliary_data,
 )
 from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
+from surveysim.reduction.map_noise import map_noise
 from surveysim.reduction.noise_only_sets import add_simulated, mean_removed
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.scene import Scene
@@ -293,28 +294,6 @@ def _mean_psd(blocks: list[tuple[int, np.ndarray]]) -> np.ndarray:
     """Average PSDs (n_freq,) of blocks, weighted by their numbers of scans; 0 without a scan."""
     n_scans = max(1, sum(n for n, _ in blocks))
     return sum(psd * (n / n_scans) for n, psd in blocks)
-
-
-def map_noise(setup: Setup, total: np.ndarray, hits: np.ndarray) -> tuple[float, np.ndarray]:
-    """Measure the noise variance per sample of the map of one observation.
-
-    With a score it is measured in the scored multipoles, with the weights of a flat band power:
-    ``sum M^2 |FT(T S)|^2 / (sum M^2 sum T^2 H)`` for sums S and hits H under the taper T. For white noise it is the
-    variance of a sample. It includes correlations between detectors, which the PSD of a time-stream does not. Without a
-    score it is the mean of ``S^2 / H`` over hit pixels.
-
-    Returns
-    -------
-    noise : float [mK^2]
-        Infinite without a hit.
-    bin_noise : (n_bin,) array [mK^2]
-        The same in each multipole bin; empty without a score.
-    """
-    if setup.analysis.region is None:
-        hit = hits > 0
-        return float(np.mean(total[hit].astype(float) ** 2 / hits[hit])) if hit.any() else np.inf, np.zeros(0)
-    rows = setup.analysis.region.patch
-    return setup.analysis.region.noise(total[rows, rows], hits[rows, rows])
 
 
 def _some(kept: np.ndarray) -> np.ndarray:

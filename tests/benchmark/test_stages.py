@@ -13,6 +13,7 @@ from mapmaker.wind import measure_wind, scan_velocities
 from surveysim.reduction import noise_only_sets as sets
 from surveysim.reduction import observation as reduction
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline, measured_delays
+from surveysim.reduction.map_noise import map_noise
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.survey.coadds import add_observation, empty_coadds
 from surveysim.timestreams.atmosphere import add_atmosphere
@@ -123,7 +124,7 @@ def test_window_of_one_sky(per_sample, lynx):
 def test_weights(per_sample, lynx):
     """The noise of the maps of all data sets."""
     maps = list(zip(lynx.result.sums, lynx.result.hits, strict=True))
-    per_sample("weights", lambda: [reduction.map_noise(lynx.setup, *item) for item in maps])
+    per_sample("weights", lambda: [map_noise(lynx.setup, *item) for item in maps])
 
 
 def test_coadds(per_sample, lynx):
