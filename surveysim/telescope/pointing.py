@@ -1,9 +1,8 @@
-"""When a field is observed, and how the sky lies over the telescope then.
+"""Schedule of a survey and pointing of its observations.
 
-Directions come from astropy (ICRS to AltAz, no refraction). UT1 is taken equal to UTC and the pole as
-unmoved. That is never wrong by more than 0.9 s, 14 arcsec of hour angle, and a survey needs no better. In
-return no table of the Earth's rotation is read (a second at every start) or fetched, future dates work like
-past ones, and the numbers do not depend on which table is installed.
+Directions come from astropy (ICRS to AltAz, no refraction). UT1 is set to UTC and polar motion to 0, with an error of
+at most 0.9 s or 14 arcsec of hour angle. No table of the Earth's rotation is then read (a second at every start) or
+downloaded, future dates work like past ones, and the result does not depend on the installed table.
 """
 
 import math
@@ -33,7 +32,7 @@ STEP_DOWN_RAD = 3e-4  # along the vertical through the field; the angle does not
 
 @dataclass(frozen=True)
 class Site:
-    """Where the telescope stands: geodetic latitude and longitude (east positive), height."""
+    """Geodetic latitude, longitude (east positive) and height of the telescope."""
 
     latitude_rad: float
     longitude_rad: float
@@ -42,7 +41,7 @@ class Site:
 
 @dataclass(frozen=True)
 class FieldCentre:
-    """ICRS direction of the field's centre."""
+    """ICRS direction of the centre of the field."""
 
     ra_rad: float
     dec_rad: float
