@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.errors import OutOfRangeError
-from mapmaker.kernels.pixels import plane_pixels
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.validation import MAX_PIXELS, number, pixel_side, reals, whole, wrong
 
@@ -141,6 +140,8 @@ def boresight_pixels(
     the boresight plus `north_angle`. Detector offsets are added in the plane. Where the boresight is NaN, behind the
     plane, samples are off the map. Raises ValueError for arrays of different lengths or that are no numbers.
     """
+    from mapmaker.kernels.pixels import plane_pixels
+
     xi_rad = reals("xi_rad", xi_rad, ("n_samp",), finite=False)
     eta_rad = reals("eta_rad", eta_rad, xi_rad.shape, finite=False)
     plane_angle_rad = reals("plane_angle_rad", plane_angle_rad, xi_rad.shape, finite=False)

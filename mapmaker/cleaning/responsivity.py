@@ -24,7 +24,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, finite_scans, has_dead
-from mapmaker.kernels.cleaning import correlate, hold, iterate_responsivity, relax
 from mapmaker.validation import number, reals, whole, wrong
 
 SCAN, OBSERVATION = "scan", "observation"
@@ -149,6 +148,8 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.nda
     c is held free of all rows of the basis but the first, the constant. By the Gram matrix, or by passes over the
     streams. Raises ValueError for streams of other detectors than those of `basis`.
     """
+    from mapmaker.kernels.cleaning import iterate_responsivity
+
     n_det, c = basis.shape[1], np.ones(basis.shape[1])
     # One type each: the loop is compiled for the first that comes.
     limits = (float(options.tolerance), int(options.max_iterations), _STEPS[options.responsivities])
@@ -176,6 +177,8 @@ def _iterate_by_passes(
     c: np.ndarray,
 ) -> tuple[bool, int]:
     """`iterate_responsivity` without the Gram matrix, with c held free of all rows of the basis but the first."""
+    from mapmaker.kernels.cleaning import correlate, hold, relax
+
     if all(map(has_dead, blocks())):
         return False, 0
     power = np.empty((len(basis), len(basis)))

@@ -37,10 +37,13 @@ from surveysim.telescope.focal_plane import Camera, camera, mask_by_separation
 from surveysim.telescope.lattice_noise import CirculantCorrelation, CirculantFactor
 from surveysim.telescope.pixel_coherence import MOST_DENSE, DenseCorrelation
 from surveysim.telescope.pointing import (
+    Directions,
     FieldCentre,
     Pointing,
     Schedule,
     Site,
+    hour_angle_dec,
+    near_hour_angle_dec,
     observation_pointing,
     schedule,
     survey_angles,
@@ -67,7 +70,7 @@ class Angles:
 class Setup:
     """A scene made ready: nothing here depends on the observation but the angles' rows.
 
-    `times` when observations begin, None at a fixed elevation; `responsivity` (n_det,), the true one; `calibration`
+    `responsivity` (n_det,), the true one; `calibration`
     (1 + n_colour, n_det), responsivities that cleaning takes as known in the mapped band and the others, or None where
     it fits them; `pipelines` all ways of cleaning, those of the masked array last; `masked` indices of the detectors
     that it keeps, or None; `strips` the atmosphere's strips or None; `water` what the band makes of the site's water,
@@ -79,7 +82,6 @@ class Setup:
     camera: Camera
     raster: Raster
     blocks: tuple[Block, ...]
-    times: Schedule | None
     geometry: MapGeometry
     sky_geometry: MapGeometry
     pipelines: tuple[CleaningPipeline, ...]
@@ -102,7 +104,9 @@ class Setup:
     @property
     def angles(self) -> Angles:
         """When observations begin, and their angles."""
-        return self._once("angles", lambda: _angles(self.scene, self.times, mid_times(self.raster)))
+        return self._once(
+            "angles", lambda: _angles(self.scene, _times(self.scene, self.raster), mid_times(self.raster))
+        )
 
     @property
     def band(self) -> ScoredRegion | None:
@@ -229,7 +233,7 @@ def _prepare(scene: Scene) -> Setup:
     ways = pipelines(scene.cleaning, masked)
     n_det = len(cam.focal_plane.x_rad)
     responsivity, of_bands = true_responsivity(scene, n_det), band_responsivity(scene, n_det)
-    times, water = _times(scene, lines), _water(scene, scene.instrument)
+    times, water = _times(scene, lines, near_hour_angle_dec), _water(scene, scene.instrument)
     lowest = _lowest(scene, cam, times, mid_times(lines))
     check_levels(scene, water, lowest)
     check_sources(scene, sky_geometry)
@@ -238,7 +242,6 @@ def _prepare(scene: Scene) -> Setup:
         camera=cam,
         raster=lines,
         blocks=_blocks(scene, cam, lines, ways),
-        times=times,
         geometry=geometry,
         sky_geometry=sky_geometry,
         pipelines=ways,
@@ -326,7 +329,7 @@ def _geometry(scene: Scene, cam: Camera, pixel_rad: float) -> MapGeometry:
     return covering_geometry(scene.field.ra_rad, scene.field.dec_rad, pixel_rad, reach(scene, cam))
 
 
-def _times(scene: Scene, lines: Raster) -> Schedule | None:
+def _times(scene: Scene, lines: Raster, directions: Directions = hour_angle_dec) -> Schedule | None:
     """When observations begin; None at a fixed elevation. Raises SceneError for nights that do not hold them."""
     plan = scene.schedule
     if plan is None:
@@ -334,7 +337,7 @@ def _times(scene: Scene, lines: Raster) -> Schedule | None:
     limits = plan.max_hour_angle_rad, plan.min_elevation_rad
     numbers = plan.first_night, plan.nights, scene.observations
     try:
-        return schedule(_field(scene), _site(scene), *numbers, *limits, duration_s(lines))
+        return schedule(_field(scene), _site(scene), *numbers, *limits, duration_s(lines), directions)
     except OutOfRangeError as error:
         raise SceneError(f"schedule: {error}") from None
 
