@@ -23,7 +23,7 @@ from surveysim.cli.options import (
     sweep_of,
 )
 from surveysim.output.names import default_directory
-from surveysim.runtime.errors import InputError
+from surveysim.runtime.errors import NotForecastableError
 
 if TYPE_CHECKING:
     from surveysim.runtime.engine import Engine
@@ -78,8 +78,18 @@ def run(
         progress_display(checked.name, work, quiet, workers=with_engine.workers_for(len(work))) as show,
     ):
         progress = stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds)))
-        todo = (checked, directory, with_engine, resume, save_timestreams, not no_figures, progress)
-        result = run_scene(*todo, limits.target_error, limits.time_budget_s, force)
+        result = run_scene(
+            checked,
+            directory,
+            engine=with_engine,
+            resume=resume,
+            save_timestreams=save_timestreams,
+            figures=not no_figures,
+            progress=progress,
+            target_error=limits.target_error,
+            time_budget_s=limits.time_budget_s,
+            force=force,
+        )
     if not quiet:
         print_result(result, directory)
 
@@ -110,7 +120,9 @@ def _run_sweep(
         progress_display(sweep.name, work, quiet, "points", engine.workers_for(len(work))) as show,
     ):
         progress = stopping(lambda done: show(done, lambda: ""))
-        result = run_sweep(sweep, directory, engine, resume, figures, progress, force)
+        result = run_sweep(
+            sweep, directory, engine=engine, resume=resume, figures=figures, progress=progress, force=force
+        )
     if not quiet:
         print_sweep(result, directory)
 
@@ -130,10 +142,7 @@ def forecast(
     quiet: Quiet = False,
 ) -> None:
     """Predict the scores of a scene or a sweep within seconds."""
-    from surveysim.forecasting.forecast import forecast as forecast_scene
-    from surveysim.output.directory import claimed, replacing
-    from surveysim.output.expected_files import of_forecast
-    from surveysim.output.writer import write_forecast
+    from surveysim.api import forecast as forecast_scene
     from surveysim.report.terminal.survey import print_forecast
 
     if sweep := sweep_of(scene, settings, reference):
@@ -142,12 +151,9 @@ def forecast(
         return
     checked = ready_scene(scene, settings)
     try:
-        found = forecast_scene(checked)
-    except InputError as error:  # of a scene that can't be forecast
+        found = forecast_scene(checked, out, force=force)
+    except NotForecastableError as error:
         fail(f"{scene}: {error}")
-    if out is not None:
-        with claimed(out, of_forecast(checked), force) as place, replacing(place) as new:
-            write_forecast(new, found)
     if not quiet:
         print_forecast(checked, found)
 
@@ -158,22 +164,23 @@ def _forecast_sweep(sweep: "Sweep", directory: Path, figures: bool, force: bool,
     from surveysim.report.terminal.sweep import print_sweep
 
     with progress_display(sweep.name, equal_work(len(sweep.points)), quiet, "points") as show:
-        result = forecast_sweep(sweep, directory, figures, stopping(lambda done: show(done, lambda: "")), force)
+        progress = stopping(lambda done: show(done, lambda: ""))
+        result = forecast_sweep(sweep, directory, figures=figures, progress=progress, force=force)
     if not quiet:
         print_sweep(result, directory)
 
 
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
     """Predict run time, memory and disk space of a run."""
-    from surveysim.reduction.setup import prepare
+    from surveysim.api import plan as plan_scene
+    from surveysim.api import plan_sweep
     from surveysim.report.terminal.survey import print_plan
     from surveysim.report.terminal.sweep import print_sweep_plan
     from surveysim.runtime.engine import default_workers
-    from surveysim.studies.resources import make_plan, make_sweep_plan
 
     workers = options.engine("processes", workers, None).workers or default_workers()
     if sweep := sweep_of(scene, settings):
-        print_sweep_plan(sweep, make_sweep_plan(sweep, workers, process_time()), workers)
+        print_sweep_plan(sweep, plan_sweep(sweep, workers, start_s=process_time()), workers)
         return
     checked = ready_scene(scene, settings)
-    print_plan(checked, make_plan(prepare(checked), workers, process_time()), workers)
+    print_plan(checked, plan_scene(checked, workers, start_s=process_time()), workers)

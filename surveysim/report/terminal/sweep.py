@@ -9,9 +9,9 @@ from rich.text import Text
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.report.terminal.layout import Terminal
 from surveysim.report.terminal.survey import percent_off, print_warnings, where_line, with_unknown
-from surveysim.studies.resources import SweepPlan
 from surveysim.studies.sweep.axes import Sweep
 from surveysim.studies.sweep.comparison import ESTIMATES, SURE, SweepResult
+from surveysim.studies.sweep.plan import SweepPlan
 from surveysim.survey.discarded_scans import percent, telling
 
 
