@@ -50,7 +50,7 @@ _PUBLIC = {
     "coupled_psd": "spectrum",
     "ring_mean": "spectrum",
     "neighbour_correlation": "spectrum",
-    "signal_window": "transfer_function",
+    "measure_transfer_function": "transfer_function",
     "beam_window": "transfer_function",
     "mode_pixel_window": "transfer_function",
     "flat_spectrum_psd": "bandpower",

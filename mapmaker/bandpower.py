@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.errors import InsufficientDataError
-from mapmaker.uncertainty import ErrorBudget, noise_error_parts, weather_error, window_error
+from mapmaker.uncertainty import ErrorBudget, noise_error_parts, transfer_function_error, weather_error
 from mapmaker.validation import reals
 
 
@@ -65,6 +65,7 @@ def flat_band_power_fixed_weights(
     signal_psd: np.ndarray,
     n_modes: np.ndarray,
     mask: np.ndarray,
+    *,
     weighting_noise_psd_ukcmb2: np.ndarray,
 ) -> float:
     """Uncertainty of A when bins are weighted for another data set's noise `R`, in uK_CMB^2.
@@ -81,6 +82,7 @@ def flat_band_power_fixed_weights(
 
 def estimate_amplitude(
     psd_ukcmb2: np.ndarray,
+    *,
     noise_psd_ukcmb2: np.ndarray,
     signal_psd: np.ndarray,
     n_modes: np.ndarray,
@@ -106,6 +108,7 @@ def band_power(
     signal_psd: np.ndarray,
     n_modes: np.ndarray,
     mask: np.ndarray,
+    *,
     ell: np.ndarray,
     edges_ell: np.ndarray,
     relative_error: float,
@@ -163,27 +166,47 @@ def _crossing(ell: np.ndarray, above: np.ndarray, inside: int, step: int) -> flo
 def score(
     noise_psds_ukcmb2: np.ndarray,
     signal_psd: np.ndarray,
+    *,
     signal_psd_relative_error: np.ndarray,
     n_modes: np.ndarray,
     mask: np.ndarray,
     observation_weights: np.ndarray,
     ell: np.ndarray,
     edges_ell: np.ndarray,
-    *,
     information: np.ndarray | None = None,
     correlation: np.ndarray | None = None,
 ) -> tuple[BandPower, ErrorBudget]:
-    """Band power of a survey and its error from K sign-flip realizations of the noise.
+    """Band power of a survey and its error from sign-flip realizations of the noise.
 
-    `noise_psds_ukcmb2` (K, n_bin) are PSDs of `sum_i s_ki w_i m_i / sum_i w_i`: the same observations m_i,
-    weights w_i (n_obs,) that are their inverse variances up to a factor, and independent random signs s_ki.
-    `information` is that of all observations made, 0 for one whose data were all rejected: their `information_shares`
-    (by default the weights, for equal data). `correlation` (n_bin - 1,) is that of the noise of each
-    bin's PSD with the next (`mapmaker.spectrum.neighbour_correlation`), none by default. sigma follows from the mean
-    over K; the parts of its error are those of `noise_error`, `weather_error` and `window_error`. The division by a
-    noisy N leaves sigma low by a relative `sum_b (3/2 g_b - g_b^2) e_b^2`, where e_b is the relative error of N_b and g
-    the normalised weight: below the error of sigma itself.
-    Raises ValueError as `flat_band_power`, and for fewer than 2 realizations or observations or a bad weight.
+    sigma follows from the mean PSD of the realizations. The division by a noisy N biases sigma low by a relative `sum_b
+    (3/2 g_b - g_b^2) e_b^2`, where e_b is the relative error of N_b and g the normalised weight; this is less than the
+    error of sigma.
+
+    Parameters
+    ----------
+    noise_psds_ukcmb2 : (K, n_bin)
+        PSDs of `sum_i s_ki w_i m_i / sum_i w_i`: the same observations m_i with random signs s_ki.
+    signal_psd, signal_psd_relative_error : (n_bin,)
+    n_modes, mask : (n_bin,)
+    observation_weights : (n_obs,)
+        Weights w_i: inverse variances up to a factor.
+    ell : (n_bin,)
+    edges_ell : (n_bin + 1,)
+    information : optional
+        `information_shares` of all observations made, 0 for those rejected; by default the weights, for equal data.
+    correlation : (n_bin - 1,), optional
+        Correlation between the noise of neighbouring bins (`mapmaker.spectrum.neighbour_correlation`).
+
+    Returns
+    -------
+    BandPower
+    ErrorBudget
+        Parts of the error: `noise_error_parts`, `weather_error` and `transfer_function_error`.
+
+    Raises
+    ------
+    ValueError
+        As `flat_band_power`, for fewer than 2 realizations or observations, and for weights that are not positive.
     """
     if noise_psds_ukcmb2.ndim != 2 or len(noise_psds_ukcmb2) < 2:
         raise InsufficientDataError(f"expected at least 2 noise realizations (K, n_bin), got {noise_psds_ukcmb2.shape}")
@@ -191,13 +214,17 @@ def score(
         raise ValueError(f"expected {mask.size} signal PSD errors, got {signal_psd_relative_error.shape}")
     noise_psd = noise_psds_ukcmb2.mean(axis=0)
     weight = bin_weights(noise_psd, signal_psd, n_modes, mask)
-    signs, common = noise_error_parts(noise_psds_ukcmb2, weight, observation_weights, n_modes, correlation)
+    signs, common = noise_error_parts(
+        noise_psds_ukcmb2, weight, observation_weights, n_modes=n_modes, correlation=correlation
+    )
     budget = ErrorBudget(
         noise=float(np.hypot(signs, common)),
         weather=weather_error(observation_weights if information is None else information, common),
-        window=window_error(signal_psd_relative_error, weight, correlation),
+        window=transfer_function_error(signal_psd_relative_error, weight, correlation),
     )
-    return band_power(noise_psd, signal_psd, n_modes, mask, ell, edges_ell, budget.total), budget
+    return band_power(
+        noise_psd, signal_psd, n_modes, mask, ell=ell, edges_ell=edges_ell, relative_error=budget.total
+    ), budget
 
 
 def _information(noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mapmaker.files import atomic_write, regular_file, short
+from mapmaker.files import atomic_write, one_line, regular_file
 from mapmaker.geometry import (
     MapGeometry,
     check_nside,
@@ -17,6 +17,7 @@ from mapmaker.geometry import (
     wcs_cards,
 )
 from mapmaker.validation import (
+    argument_error,
     bounds_of_scans,
     flags,
     integers,
@@ -24,7 +25,6 @@ from mapmaker.validation import (
     pixel_numbers,
     reals,
     single_precision,
-    wrong,
 )
 
 # Cards that a map's header may have, with values that leave its coordinates as `wcs_cards` states them: FK5 is ICRS
@@ -71,7 +71,7 @@ def weighted_mean(weighted_sum: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def bin_map(
-    geometry: MapGeometry, data_mk: np.ndarray, index: np.ndarray, bounds: np.ndarray, kept: np.ndarray
+    geometry: MapGeometry, data_mk: np.ndarray, index: np.ndarray, bounds: np.ndarray, *, kept: np.ndarray
 ) -> BinnedMap:
     """Bin the kept scans of (n_det, n_samp) streams, each sample with weight 1.
 
@@ -90,7 +90,9 @@ def bin_map(
     bin_samples(data, index, bounds, kept, total, hits)
     # Sums tell it in less time than the samples: there are fewer pixels.
     if not np.isfinite(total).all():
-        raise wrong("data_mk", "values that are not finite in kept scans", "finite ones, or kept False for them, are")
+        raise argument_error(
+            "data_mk", "values that are not finite in kept scans", "finite ones, or kept False for them, are"
+        )
     shape = (geometry.n_y, geometry.n_x)
     return BinnedMap(geometry, total.reshape(shape), hits.reshape(shape).astype(float), hits.reshape(shape), HITS_UNIT)
 
@@ -122,7 +124,7 @@ def half_difference(one: BinnedMap, other: BinnedMap) -> BinnedMap:
     that one of them lacks are not observed. Raises ValueError as `coadd`, and for weights of two units.
     """
     if one.weight_unit != other.weight_unit:
-        raise wrong("weight_unit", f"{one.weight_unit!r} and {other.weight_unit!r}", "maps of one unit are")
+        raise argument_error("weight_unit", f"{one.weight_unit!r} and {other.weight_unit!r}", "maps of one unit are")
     both = coadd([one, other], [1.0, 1.0])
     seen = (one.weight > 0) & (other.weight > 0)
     scale = np.sqrt(one.weight * other.weight, out=np.zeros(seen.shape), where=seen)
@@ -143,7 +145,7 @@ def checked_map(item: BinnedMap, name: str = "map") -> BinnedMap:
     """
     shape = (item.geometry.n_y, item.geometry.n_x)
     if item.weight_unit not in (HITS_UNIT, INVERSE_VARIANCE_UNIT):
-        raise wrong(f"{name}.weight_unit", item.weight_unit, f"{HITS_UNIT!r} or {INVERSE_VARIANCE_UNIT!r} is")
+        raise argument_error(f"{name}.weight_unit", item.weight_unit, f"{HITS_UNIT!r} or {INVERSE_VARIANCE_UNIT!r} is")
     return replace(
         item,
         weighted_sum=reals(f"{name}.weighted_sum", item.weighted_sum, shape),
@@ -172,7 +174,7 @@ def write_fits(path: str | Path, item: BinnedMap, header: Mapping[str, object]) 
             images[0].header[key] = value
         except (TypeError, ValueError, AttributeError) as error:
             raise ValueError(
-                f"header: found {key!r}: {value!r:.60}; a card of FITS is expected ({short(error)})"
+                f"header: found {key!r}: {value!r:.60}; a card of FITS is expected ({one_line(error)})"
             ) from None
     for name, data, unit in planes:
         image = fits.ImageHDU(data, header=base, name=name)
@@ -200,7 +202,7 @@ def read_fits(path: str | Path) -> BinnedMap:
         with fits.open(path, memmap=False) as file:
             return _map_of(file)
     except Exception as error:  # astropy has one of nearly every kind for a mangled file
-        raise ValueError(f"{path}: not a whole map file ({short(error)})") from None
+        raise ValueError(f"{path}: not a whole map file ({one_line(error)})") from None
 
 
 def _map_of(file) -> BinnedMap:
@@ -208,13 +210,13 @@ def _map_of(file) -> BinnedMap:
     geometry = _geometry_of("SIGNAL", file["SIGNAL"].header, planes["SIGNAL"].shape)
     for name in ("WEIGHT", "HITS"):
         if not same_geometry(_geometry_of(name, file[name].header, planes[name].shape), geometry):
-            raise wrong(name, f"other coordinates or the shape {planes[name].shape}", "those of SIGNAL are")
+            raise argument_error(name, f"other coordinates or the shape {planes[name].shape}", "those of SIGNAL are")
     units = {name: str(file[name].header.get("BUNIT", "")).strip() for name in planes}
     if units["SIGNAL"] != "mK":
-        raise wrong("SIGNAL", f"the unit {units['SIGNAL']!r}", "'mK' is")
+        raise argument_error("SIGNAL", f"the unit {units['SIGNAL']!r}", "'mK' is")
     weight, hits = planes["WEIGHT"], planes["HITS"]
     if not np.array_equal(hits, np.rint(hits)):
-        raise wrong("HITS", "numbers with fractions", "whole numbers are")
+        raise argument_error("HITS", "numbers with fractions", "whole numbers are")
     # Elsewhere, files of others have NaN where nothing was observed.
     signal = np.where((weight == 0) & np.isnan(planes["SIGNAL"]), 0.0, planes["SIGNAL"])
     with np.errstate(over="ignore", invalid="ignore"):  # the check finds what is not finite
@@ -224,7 +226,7 @@ def _map_of(file) -> BinnedMap:
 
 def _plane(name: str, image) -> np.ndarray:
     if image.data is None or not hasattr(image, "shape"):
-        raise wrong(name, type(image).__name__, "an image is")
+        raise argument_error(name, type(image).__name__, "an image is")
     return reals(name, image.data, ("n_y", "n_x"), finite=name == "HITS").astype(float)
 
 
@@ -239,12 +241,14 @@ def _geometry_of(name: str, header, shape: tuple[int, int]) -> MapGeometry:
         wanted, found = cards[key][0], header.get(key)
         same = found == wanted if isinstance(wanted, str) else bool(np.isclose(number(key, found), wanted, 1e-9))
         if not same:
-            raise wrong(f"{name}: {key}", found, f"{wanted} is")
+            raise argument_error(f"{name}: {key}", found, f"{wanted} is")
     for key, allowed in _AS_BY_DEFAULT.items():
         if key in header and header[key] not in allowed:
-            raise wrong(f"{name}: {key}", header[key], f"{allowed[0]} or no such card is")
+            raise argument_error(f"{name}: {key}", header[key], f"{allowed[0]} or no such card is")
     for key in filter(_TURNS_OR_DISTORTS.fullmatch, header):
-        raise wrong(name, f"coordinates that {key} turns, shears or distorts", "none of CD, PC, PV, CROTA and SIP is")
+        raise argument_error(
+            name, f"coordinates that {key} turns, shears or distorts", "none of CD, PC, PV, CROTA and SIP is"
+        )
     return geometry
 
 

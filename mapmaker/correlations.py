@@ -11,7 +11,7 @@ import numpy as np
 
 from mapmaker.errors import InsufficientDataError
 from mapmaker.timestreams import FocalPlane
-from mapmaker.validation import bounds_of_scans, reals, wrong
+from mapmaker.validation import argument_error, bounds_of_scans, reals
 
 # In units of the closest pair: pairs nearer than this are adjacent; the width of a bin of separation.
 ADJACENT = 1.2
@@ -130,7 +130,7 @@ def scan_covariances(data_mk: np.ndarray, scan_bounds: np.ndarray) -> np.ndarray
         raise InsufficientDataError("scan_bounds: found no scan; one or more are expected")
     found = np.array(covariances)
     if not np.isfinite(found).all():
-        raise wrong("data_mk", "values that are not finite in scans", "finite ones are")
+        raise argument_error("data_mk", "values that are not finite in scans", "finite ones are")
     return found
 
 

@@ -45,7 +45,7 @@ def regular_file(path: str | Path, kind: str) -> None:
         raise ValueError(f"{path}: not a whole {kind} ({found})")
 
 
-def short(error: BaseException) -> str:
+def one_line(error: BaseException) -> str:
     """An error's text in one line of 200 letters or less."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= 200 else f"{text[:197]}..."

@@ -7,7 +7,7 @@ import numpy as np
 
 from mapmaker.errors import OutOfRangeError
 from mapmaker.timestreams import FocalPlane, Timestreams
-from mapmaker.validation import MAX_PIXELS, number, pixel_side, reals, whole, wrong
+from mapmaker.validation import MAX_PIXELS, argument_error, number, pixel_side, reals, whole
 
 # Least side of a HEALPix pixel over a map pixel's. Below, HEALPix pixels within the map get no map pixel: 20 % of them
 # at 1, 6 % at 1.2, 0.2 % at sqrt(2), none at 1.5, over declinations and turns of the lattices.
@@ -124,7 +124,7 @@ def pixel_indices(geometry: MapGeometry, streams: Timestreams) -> np.ndarray:
     """
     xi, eta = plane_offsets(geometry, streams.ra_rad, streams.dec_rad)
     angle = streams.array_angle_rad + north_angle(geometry, xi, eta)
-    return boresight_pixels(geometry, xi, eta, angle, streams.focal_plane)
+    return boresight_pixels(geometry, xi, eta, angle, plane=streams.focal_plane)
 
 
 def boresight_pixels(
@@ -132,6 +132,7 @@ def boresight_pixels(
     xi_rad: np.ndarray,
     eta_rad: np.ndarray,
     plane_angle_rad: np.ndarray,
+    *,
     plane: FocalPlane,
 ) -> np.ndarray:
     """Flat pixel index (n_det, n_samp) int32 for a boresight (n_samp,) in the tangent plane, -1 off the map.
@@ -161,7 +162,7 @@ def covering_geometry(ra0_rad: float, dec0_rad: float, pixel_rad: float, half_ex
 
     number("half_extent_rad", half_extent_rad, above=0, most=math.pi / 2)
     if half_extent_rad > MAX_PIXELS * pixel_side("pixel_rad", pixel_rad):
-        raise wrong("pixel_rad", pixel_rad, f"a side of {MAX_PIXELS} pixels or less is")
+        raise argument_error("pixel_rad", pixel_rad, f"a side of {MAX_PIXELS} pixels or less is")
     n = 2 * next_fast_len(int(np.ceil(half_extent_rad / pixel_rad)) + 1, real=True)
     return MapGeometry(ra0_rad, dec0_rad, pixel_rad, n, n)
 

@@ -28,7 +28,7 @@ from mapmaker.binning import BinnedMap
 from mapmaker.errors import InsufficientDataError
 from mapmaker.geometry import MapGeometry
 from mapmaker.iterative import StreamBlock, check_pixels, subtract_sky
-from mapmaker.validation import band_edges, bounds_of_scans, number, reals, whole, wrong
+from mapmaker.validation import argument_error, band_edges, bounds_of_scans, number, reals, whole
 
 # A detector with less than this share of the mean noise is dead, and one of which the modes leave no more than
 # rounding of float32 has no noise of its own: neither gets weight.
@@ -137,7 +137,7 @@ def measure_noise(
             low, high = options.band_edges_hz[b : b + 2]
             raise InsufficientDataError(f"the scans have {n} modes from {low} to {high} Hz; 2 or more are needed")
     if not all(np.isfinite(item).all() for item in amplitudes):
-        raise wrong("data_mk", "values that are not finite in scans", "finite ones are")
+        raise argument_error("data_mk", "values that are not finite in scans", "finite ones are")
     left, modes = zip(*(_band_noise(item, options) for item in amplitudes), strict=True)
     white = _separable(np.array(left), np.array([item.shape[1] for item in amplitudes]))
     return NoiseModel(options.band_edges_hz, white, modes, sample_rate_hz)
@@ -193,7 +193,7 @@ def _count_modes(values: np.ndarray, n_det: int, n: int, options: GlsOptions) ->
     return min(options.max_modes, n // 2, n_det // 2)
 
 
-def weigh(noise: NoiseModel, scan_mk: np.ndarray) -> np.ndarray:
+def apply_inverse_noise(noise: NoiseModel, scan_mk: np.ndarray) -> np.ndarray:
     """``N^-1 d`` of one scan (n_det, n_samp), in 1/mK."""
     modes = dct(scan_mk, axis=1, norm="ortho")
     bands = band_slices(scan_mk.shape[1], noise.sample_rate_hz, noise.band_edges_hz)
@@ -207,6 +207,7 @@ def weigh(noise: NoiseModel, scan_mk: np.ndarray) -> np.ndarray:
 def gls_map(
     geometry: MapGeometry,
     observations: Iterable[StreamBlock],
+    *,
     sample_rate_hz: float,
     options: GlsOptions,
     sky_mk: np.ndarray | None = None,
@@ -238,19 +239,19 @@ def gls_map(
         scans.append(one)
     if not scans:
         raise InsufficientDataError("found no observation with finite values; one or more are expected")
-    return _solved(geometry, scans, right, discarded, options)
+    return _solved(geometry, scans, right, discarded=discarded, options=options)
 
 
 def _project(scans: _Scans, stream, n_pixel: int) -> np.ndarray:
     """``P^T N^-1`` of the streams that `stream(start, stop)` gives, (n_pixel,)."""
     total = np.zeros(n_pixel + 1)
     for start, stop in scans.bounds:
-        weighed = weigh(scans.noise, stream(start, stop))
+        weighed = apply_inverse_noise(scans.noise, stream(start, stop))
         total += np.bincount(scans.index[:, start:stop].ravel(), weighed.ravel(), n_pixel + 1)
     return total[:-1]
 
 
-def _solved(geometry, scans: list[_Scans], right: np.ndarray, discarded: int, options: GlsOptions) -> GlsMap:
+def _solved(geometry, scans: list[_Scans], right: np.ndarray, *, discarded: int, options: GlsOptions) -> GlsMap:
     """The solution by conjugate gradients; pixels without a hit stay 0."""
     from scipy.sparse.linalg import LinearOperator, cg
 

@@ -165,7 +165,7 @@ def _one_pass(geometry, blocks, clean_block, estimate) -> tuple[BinnedMap, float
     for block in blocks:
         check_pixels(geometry, block)
         cleaned = clean_block(subtract_sky(block, estimate) if estimate.any() else block)
-        one = bin_map(geometry, cleaned.data_mk, block.index, block.scan_bounds, cleaned.kept)
+        one = bin_map(geometry, cleaned.data_mk, block.index, block.scan_bounds, kept=cleaned.kept)
         total = coadd([one], [block.weight]) if total is None else coadd([total, one], [1.0, block.weight])
         fwhm_rad = min(fwhm_rad, block.focal_plane.fwhm_rad)
     if total is None:

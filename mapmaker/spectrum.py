@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.errors import InsufficientDataError, OutOfRangeError
-from mapmaker.validation import MAX_PIXELS, increasing, number, pixel_side, plane_sides, reals, whole, wrong
+from mapmaker.validation import MAX_PIXELS, argument_error, increasing, number, pixel_side, plane_sides, reals, whole
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Annuli:
     multiplicity: np.ndarray  # (n_y * (n_x // 2 + 1),) float64
 
 
-def tukey_taper(n_y: int, n_x: int, pixel_rad: float, size_rad: float, edge_fraction: float) -> np.ndarray:
+def tukey_taper(n_y: int, n_x: int, pixel_rad: float, *, size_rad: float, edge_fraction: float) -> np.ndarray:
     """Separable cosine-edged taper (n_y, n_x) on a centred square of side `size_rad`, zero outside.
 
     `edge_fraction` is the share of the side taken by the two cosine edges: 0 is a box, 1 a Hann taper.
@@ -60,7 +60,7 @@ def mode_ell(n_y: int, n_x: int, pixel_rad: float) -> np.ndarray:
     return np.hypot(k_y[:, None], k_x)
 
 
-def annuli(n_y: int, n_x: int, pixel_rad: float, edges_ell: np.ndarray, taper: np.ndarray) -> Annuli:
+def annuli(n_y: int, n_x: int, pixel_rad: float, *, edges_ell: np.ndarray, taper: np.ndarray) -> Annuli:
     """Sort the Fourier modes of a map into bins of multipole and count the degrees of freedom of each bin.
 
     A full plane has as many real degrees of freedom as cells. The taper T correlates modes: the squared
@@ -98,11 +98,11 @@ def _check_plane(n_y: int, n_x: int, pixel_rad: float) -> None:
 def _checked_taper(taper: np.ndarray, shape: tuple = ("n_y", "n_x")) -> np.ndarray:
     taper = reals("taper", taper, shape)
     if not taper.any():
-        raise wrong("taper", "zeros alone", "a taper that hides a part of the map is")
+        raise argument_error("taper", "zeros alone", "a taper that hides a part of the map is")
     return taper
 
 
-def split_azimuth(rings: Annuli, n_y: int, n_x: int, pixel_rad: float, n_sector: int) -> Annuli:
+def split_azimuth(rings: Annuli, n_y: int, n_x: int, pixel_rad: float, *, n_sector: int) -> Annuli:
     """The same rings cut into sectors by the angle between a mode and the nearer map axis, 0 to 45 degrees.
 
     Scans along the axes make the noise anisotropic with just this symmetry. Bin b of `rings` becomes bins
@@ -182,7 +182,9 @@ def ring_mean(values: np.ndarray, rings: Annuli) -> np.ndarray:
     """
     values = reals("values", values, (...,))
     if values.size != rings.bin_of_mode.size:
-        raise wrong("values", f"{values.size} values", f"{rings.bin_of_mode.size}, one a mode of the annuli, are")
+        raise argument_error(
+            "values", f"{values.size} values", f"{rings.bin_of_mode.size}, one a mode of the annuli, are"
+        )
     return _ring_mean(values, rings)
 
 
@@ -193,7 +195,7 @@ def _ring_mean(values: np.ndarray, rings: Annuli) -> np.ndarray:
 
 
 def coupled_psd(
-    sky_psd: np.ndarray, sky_shape: tuple[int, int], taper: np.ndarray, pixel_rad: float, cells_per_pixel: int = 1
+    sky_psd: np.ndarray, sky_shape: tuple[int, int], taper: np.ndarray, pixel_rad: float, *, cells_per_pixel: int = 1
 ) -> np.ndarray:
     """Expectation of `mode_psd` over Gaussian skies: their PSD convolved with the taper's power spectrum.
 
@@ -223,7 +225,7 @@ def coupled_psd(
     """
     sky_shape = tuple(whole("sky_shape", n, least=1) for n in sky_shape)
     if len(sky_shape) != 2:
-        raise wrong("sky_shape", f"{len(sky_shape)} numbers", "two are")
+        raise argument_error("sky_shape", f"{len(sky_shape)} numbers", "two are")
     sky_psd = reals("sky_psd", sky_psd, (sky_shape[0], sky_shape[1] // 2 + 1), least=0)
     taper = _checked_taper(taper)
     pixel_side("pixel_rad", pixel_rad)

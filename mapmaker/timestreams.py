@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mapmaker.files import atomic_write, regular_file, short
-from mapmaker.validation import flags, increasing, integers, number, reals, signed, single_precision, wrong
+from mapmaker.files import atomic_write, one_line, regular_file
+from mapmaker.validation import argument_error, flags, increasing, integers, number, reals, signed, single_precision
 
 _PER_SAMPLE = ("time_s", "ra_deg", "dec_deg", "array_angle_deg", "scan")
 _PER_DETECTOR = ("x_arcmin", "y_arcmin")
@@ -46,11 +46,11 @@ class FocalPlane:
 
         Raises ValueError for none, and for an index or flags that do not fit the detectors.
         """
-        rows = chosen(detectors, len(self.x_rad))
+        rows = detector_rows(detectors, len(self.x_rad))
         return FocalPlane(self.x_rad[rows], self.y_rad[rows], self.fwhm_rad)
 
 
-def chosen(detectors: np.ndarray | slice, n_det: int) -> np.ndarray | slice:
+def detector_rows(detectors: np.ndarray | slice, n_det: int) -> np.ndarray | slice:
     """Rows of some of `n_det` detectors; raises ValueError for an index or flags that do not fit them."""
     if isinstance(detectors, slice):
         return detectors
@@ -106,7 +106,7 @@ class Timestreams:
     def subset(self, detectors: np.ndarray | slice) -> "Timestreams":
         """The streams of some detectors, given and refused as by `FocalPlane.subset`."""
         plane = self.focal_plane.subset(detectors)
-        return replace(self, data_mk=self.data_mk[chosen(detectors, len(self.data_mk))], focal_plane=plane)
+        return replace(self, data_mk=self.data_mk[detector_rows(detectors, len(self.data_mk))], focal_plane=plane)
 
 
 def scan_bounds(scan: np.ndarray) -> np.ndarray:
@@ -122,7 +122,7 @@ def scan_bounds(scan: np.ndarray) -> np.ndarray:
     inside = scan[start] >= 0
     numbers, counts = np.unique(scan[start[inside]], return_counts=True)
     if (counts > 1).any():
-        raise wrong(
+        raise argument_error(
             "scan", f"scan {numbers[counts > 1][0]} in {counts.max()} pieces", "contiguous samples of a scan are"
         )
     return np.column_stack([start[inside], stop[inside]])
@@ -179,9 +179,9 @@ def _begin(file, part: Timestreams, n_samp: int) -> None:
     file.attrs["fwhm_arcsec"] = np.degrees(part.focal_plane.fwhm_rad) * 3600
     for name, value in part.attributes.items():
         if name == "fwhm_arcsec":
-            raise wrong("attributes", name, "the beam in focal_plane.fwhm_rad, and other names here, are")
+            raise argument_error("attributes", name, "the beam in focal_plane.fwhm_rad, and other names here, are")
         if np.asarray(value).dtype.kind not in "biufSU":
-            raise wrong(f"attributes[{name!r}]", type(value).__name__, "numbers and texts are")
+            raise argument_error(f"attributes[{name!r}]", type(value).__name__, "numbers and texts are")
         file.attrs[name] = value
 
 
@@ -207,7 +207,7 @@ def read_timestreams(path: str | Path) -> Timestreams:
     except _Unfit as error:
         raise ValueError(f"{path}: {error}") from None
     except Exception as error:  # h5py has one of nearly every kind for a mangled file
-        raise ValueError(f"{path}: not a whole time-stream file ({short(error)})") from None
+        raise ValueError(f"{path}: not a whole time-stream file ({one_line(error)})") from None
 
 
 class _Unfit(ValueError):
@@ -224,7 +224,7 @@ def _streams_of(file) -> Timestreams:
         data = reals("data", file["data"][()], file["data"].shape, finite=False)
         return Timestreams(data, file["time_s"][()], *columns.values(), file["scan"][()], plane, attributes)
     except ValueError as error:
-        raise _Unfit(short(error)) from None
+        raise _Unfit(one_line(error)) from None
 
 
 def _radians(name: str, values: object) -> np.ndarray:

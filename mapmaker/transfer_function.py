@@ -57,7 +57,7 @@ def mode_pixel_window(n_y: int, n_x: int, cell_rad: float, pixel_rad: float) -> 
     return np.outer(along_y, along_x)
 
 
-def signal_window(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.ndarray) -> TransferFunction:
+def measure_transfer_function(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.ndarray) -> TransferFunction:
     """Power transmission from the PSDs of the same skies with and without the losses, both (n_sky, n_bin).
 
     The ratio of the means over skies, not the mean of ratios: it is consistent and not ruled by skies that

@@ -37,6 +37,7 @@ def noise_error(
     noise_psds_ukcmb2: np.ndarray,
     weight: np.ndarray,
     observation_weights: np.ndarray,
+    *,
     n_modes: np.ndarray | None = None,
     correlation: np.ndarray | None = None,
 ) -> float:
@@ -44,13 +45,18 @@ def noise_error(
 
     The two `noise_error_parts` in quadrature; raises ValueError as they do.
     """
-    return float(np.hypot(*noise_error_parts(noise_psds_ukcmb2, weight, observation_weights, n_modes, correlation)))
+    return float(
+        np.hypot(
+            *noise_error_parts(noise_psds_ukcmb2, weight, observation_weights, n_modes=n_modes, correlation=correlation)
+        )
+    )
 
 
 def noise_error_parts(
     noise_psds_ukcmb2: np.ndarray,
     weight: np.ndarray,
     observation_weights: np.ndarray,
+    *,
     n_modes: np.ndarray | None = None,
     correlation: np.ndarray | None = None,
 ) -> tuple[float, float]:
@@ -157,7 +163,7 @@ def weather_error(information: np.ndarray, common_noise: float = 0.0) -> float:
     scatter = ratio_error(information, np.ones(n_obs))
     if n_obs < FEWEST:
         return float("nan")
-    return without_noise(scatter, common_noise) * student_factor(n_obs)
+    return subtract_in_quadrature(scatter, common_noise) * student_factor(n_obs)
 
 
 def student_factor(n_draw: int) -> float:
@@ -165,12 +171,12 @@ def student_factor(n_draw: int) -> float:
     return float(np.sqrt((n_draw - 1) / (n_draw - 3))) if n_draw > 3 else float("nan")
 
 
-def without_noise(scatter: float, noise: float) -> float:
+def subtract_in_quadrature(scatter: float, noise: float) -> float:
     """A scatter less the part that noise has in it, in quadrature; 0 where noise alone is larger."""
     return float(np.sqrt(max(scatter**2 - noise**2, 0.0)))
 
 
-def window_error(
+def transfer_function_error(
     signal_psd_relative_error: np.ndarray, weight: np.ndarray, correlation: np.ndarray | None = None
 ) -> float:
     """Relative error of sigma from errors of the signal PSD, (n_bin,).

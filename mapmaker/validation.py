@@ -18,7 +18,7 @@ _MOST_TEXT = 60  # letters of a wrong value in a message
 MAX_PIXELS = 2**31 - 1  # of a map: pixel numbers are int32, -1 off the map
 
 
-def wrong(name: str, found: object, expected: str) -> ValueError:
+def argument_error(name: str, found: object, expected: str) -> ValueError:
     """The error of an argument, to be raised: its name, what was found, what is expected."""
     text = str(found)
     return ValueError(f"{name}: found {text[:_MOST_TEXT]}{'...' * (len(text) > _MOST_TEXT)}; {expected} expected")
@@ -47,8 +47,8 @@ def reals(
     if finite and array.size and not _within(array, least, above, most):
         fits = np.isfinite(array) & (array >= least) & (array > above) & (array <= most)
         if not fits.all():
-            expected = f"{_range('finite numbers', least, above, most)} are"
-            raise wrong(name, f"{array[~fits][0]} {_place(fits)}", expected)
+            expected = f"{_range('finite numbers', least=least, above=above, most=most)} are"
+            raise argument_error(name, f"{array[~fits][0]} {_place(fits)}", expected)
     return array
 
 
@@ -77,7 +77,9 @@ def integers(
     if array.size and not (least <= (low := int(array.min())) and (high := int(array.max())) <= most):
         fits = (array >= least) & (array <= most)
         found = low if low < least else high
-        raise wrong(name, f"{found} {_place(fits)}", f"{_range('integers', least, -math.inf, most)} are")
+        raise argument_error(
+            name, f"{found} {_place(fits)}", f"{_range('integers', least=least, above=-math.inf, most=most)} are"
+        )
     return array if array.dtype in (np.int32, np.int64) else array.astype(np.int64)
 
 
@@ -100,10 +102,12 @@ def number(
     """A finite real number within bounds."""
     array = _plain(name, value, "iuf") if not isinstance(value, float) else value
     if np.ndim(array):
-        raise wrong(name, f"the shape {np.shape(array)}", "one number is")
+        raise argument_error(name, f"the shape {np.shape(array)}", "one number is")
     found = float(array)
     if not (math.isfinite(found) and least <= found <= most and above < found < below):
-        raise wrong(name, found, f"{_range('a finite number', least, above, most, below)} is")
+        raise argument_error(
+            name, found, f"{_range('a finite number', least=least, above=above, most=most, below=below)} is"
+        )
     return found
 
 
@@ -114,7 +118,11 @@ def whole(name: str, value: object, *, least: int, most: int | float = math.inf)
     except TypeError:
         found = None
     if found is None or isinstance(value, bool | np.bool_) or not least <= found <= most:
-        raise wrong(name, repr(value) if found is None else found, f"{_range('an integer', least, -math.inf, most)} is")
+        raise argument_error(
+            name,
+            repr(value) if found is None else found,
+            f"{_range('an integer', least=least, above=-math.inf, most=most)} is",
+        )
     return found
 
 
@@ -128,14 +136,14 @@ def plane_sides(n_y: object, n_x: object) -> None:
     whole("n_y", n_y, least=1, most=MAX_PIXELS)
     whole("n_x", n_x, least=1, most=MAX_PIXELS)
     if int(n_y) * int(n_x) > MAX_PIXELS:
-        raise wrong("n_y, n_x", f"{n_y} x {n_x} cells", f"{MAX_PIXELS} cells in all or less are")
+        raise argument_error("n_y, n_x", f"{n_y} x {n_x} cells", f"{MAX_PIXELS} cells in all or less are")
 
 
 def increasing(name: str, value: object, *, fewest: int, least: float = -math.inf) -> np.ndarray:
     """Finite numbers (n,), `fewest` or more, that increase from `least` or more."""
     array = reals(name, value, ("n",), least=least).astype(np.float64, copy=False)
     if len(array) < fewest:
-        raise wrong(name, f"{len(array)} numbers", f"{fewest} or more are")
+        raise argument_error(name, f"{len(array)} numbers", f"{fewest} or more are")
     _check_increase(name, array)
     return array
 
@@ -144,14 +152,16 @@ def _check_increase(name: str, array: np.ndarray) -> None:
     rises = np.diff(array) > 0
     if not rises.all():
         place = int(np.argmin(rises))
-        raise wrong(name, f"{array[place]:.9g} before {array[place + 1]:.9g} {_place(rises)}", "increasing numbers are")
+        raise argument_error(
+            name, f"{array[place]:.9g} before {array[place + 1]:.9g} {_place(rises)}", "increasing numbers are"
+        )
 
 
 def band_edges(name: str, value: object) -> np.ndarray:
     """Edges (n + 1,) of bands that increase from 0 or more; the last may be infinite."""
     array = reals(name, value, ("n_band + 1",), finite=False).astype(np.float64, copy=False)
     if len(array) < 2:
-        raise wrong(name, f"{len(array)} edges", "2 or more are")
+        raise argument_error(name, f"{len(array)} edges", "2 or more are")
     reals(name, array[:-1], ("n_band",), least=0)
     _check_increase(name, array)
     return array
@@ -166,7 +176,7 @@ def bounds_of_scans(value: object, n_samp: int) -> np.ndarray:
     bad = (bounds[:, 0] < 0) | (bounds[:, 0] >= bounds[:, 1]) | (bounds[:, 1] > n_samp)
     if bad.any():
         scan = int(np.argmax(bad))
-        raise wrong(
+        raise argument_error(
             name,
             f"{bounds[scan].tolist()} of scan {scan}",
             f"[start, stop) with 0 <= start < stop <= {n_samp}, the number of samples, is",
@@ -175,7 +185,9 @@ def bounds_of_scans(value: object, n_samp: int) -> np.ndarray:
     overlap = ordered[1:, 0] < ordered[:-1, 1]
     if overlap.any():
         first = int(np.argmax(overlap))
-        raise wrong(name, f"scans {ordered[first].tolist()} and {ordered[first + 1].tolist()}", "scans apart are")
+        raise argument_error(
+            name, f"scans {ordered[first].tolist()} and {ordered[first + 1].tolist()}", "scans apart are"
+        )
     return bounds
 
 
@@ -185,7 +197,7 @@ def single_precision(name: str, array: np.ndarray) -> np.ndarray:
         with np.errstate(over="raise"):
             return array.astype(np.float32, copy=False)
     except FloatingPointError:
-        raise wrong(
+        raise argument_error(
             name, f"numbers up to {np.abs(array).max():.3g}", "numbers that single precision holds are"
         ) from None
 
@@ -199,7 +211,7 @@ def signed(name: str, value: object, array: np.ndarray) -> np.ndarray:
     """The integers of `value`; raises ValueError for the largest of an unsigned type: a -1 that was stored in it."""
     kind = np.asarray(value).dtype
     if kind.kind == "u" and array.max() == np.iinfo(kind).max:
-        raise wrong(name, f"{array.max()}, which is -1 in the type {kind}", "a type with a sign is")
+        raise argument_error(name, f"{array.max()}, which is -1 in the type {kind}", "a type with a sign is")
     return array
 
 
@@ -207,18 +219,18 @@ def _plain(name: str, value: object, kinds: str) -> np.ndarray:
     """A numpy array of some kinds of types, in the machine's byte order."""
     expected = f"{_KINDS[kinds]} are"
     if np.ma.is_masked(value):
-        raise wrong(name, "masked values", f"{_KINDS[kinds]} without a mask are")
+        raise argument_error(name, "masked values", f"{_KINDS[kinds]} without a mask are")
     if (unit := getattr(value, "unit", None)) is not None:
-        raise wrong(name, f"a quantity in {unit or 'no unit'}", f"plain numbers in the unit of {name} are")
+        raise argument_error(name, f"a quantity in {unit or 'no unit'}", f"plain numbers in the unit of {name} are")
     try:
         array = np.asarray(value)
     except (ValueError, TypeError):  # rows of several lengths
-        raise wrong(name, type(value).__name__, f"an array of {expected}") from None
+        raise argument_error(name, type(value).__name__, f"an array of {expected}") from None
     if not array.size and array.dtype == np.float64:  # numpy's type of an empty list
         array = array.astype({"iu": np.int64, "b": bool}.get(kinds, np.float64))
     if array.dtype.kind not in kinds:
         found = repr(value) if isinstance(value, str | bytes | None) else f"the type {array.dtype}"
-        raise wrong(name, found, expected)
+        raise argument_error(name, found, expected)
     return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
@@ -228,9 +240,9 @@ def _check_shape(name: str, array: np.ndarray, shape: Shape, empty: bool) -> Non
     fits = len(tail) == len(sides) and (len(sides) < len(shape) or array.ndim == len(sides))
     if not fits or any(side != found for side, found in zip(sides, tail, strict=True) if not isinstance(side, str)):
         text = ", ".join("..." if side is ... else str(side) for side in shape)
-        raise wrong(name, f"the shape {array.shape}", f"({text}{',' * (len(shape) == 1)}) is")
+        raise argument_error(name, f"the shape {array.shape}", f"({text}{',' * (len(shape) == 1)}) is")
     if not (array.size or empty):
-        raise wrong(name, f"the shape {array.shape}, without a value", "one or more are")
+        raise argument_error(name, f"the shape {array.shape}, without a value", "one or more are")
 
 
 def _place(fits: np.ndarray) -> str:
@@ -239,7 +251,7 @@ def _place(fits: np.ndarray) -> str:
     return f"at [{', '.join(map(str, place))}]" if place else ""
 
 
-def _range(what: str, least: float, above: float, most: float, below: float = math.inf) -> str:
+def _range(what: str, *, least: float, above: float, most: float, below: float = math.inf) -> str:
     bounds = ((least, "of at least"), (above, "above"), (most, "of at most"), (below, "below"))
     parts = [f"{word} {bound:.10g}" for bound, word in bounds if abs(bound) < 2**63 - 1]
     return " ".join([what, " and ".join(parts)]).rstrip()

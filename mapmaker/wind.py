@@ -143,6 +143,7 @@ def measure_wind(
     data_mk: np.ndarray,
     scan_bounds: np.ndarray,
     focal_plane: FocalPlane,
+    *,
     sample_rate_hz: float,
     scan_velocity_rad_s: np.ndarray,
     highest_hz: float = HIGHEST_HZ,
@@ -163,7 +164,9 @@ def measure_wind(
     x, y = focal_plane.x_rad[live], focal_plane.y_rad[live]
     if live.sum() < _MIN_DETECTORS or np.linalg.matrix_rank(_quadratic(x, y)) < 6:
         return _nothing("too few live detectors")
-    spectra = _spectra(data_mk[live], scan_bounds, np.stack([x, y]), sample_rate_hz, highest_hz)
+    spectra = _spectra(
+        data_mk[live], scan_bounds, places_rad=np.stack([x, y]), rate=sample_rate_hz, highest_hz=highest_hz
+    )
     groups = _groups(velocity)
     found = _slowness(spectra, groups)
     if found is None or np.abs(found.slowness @ spectra.r_rad).max() * sample_rate_hz < _SHORTEST:
@@ -185,7 +188,7 @@ def _checked_velocity(bounds, velocity, rate, highest_hz) -> np.ndarray:
     return reals("scan_velocity_rad_s", velocity, (len(bounds), 2)).astype(np.float64, copy=False)
 
 
-def _spectra(data, bounds, places_rad, rate, highest_hz) -> _Spectra:
+def _spectra(data, bounds, *, places_rad, rate, highest_hz) -> _Spectra:
     n = int(bounds[0, 1] - bounds[0, 0])
     scans = np.stack([data[:, start:stop] for start, stop in bounds]).astype(np.float64)
     scans -= scans.mean(axis=2, keepdims=True)
@@ -236,12 +239,12 @@ def _slowness(spectra: _Spectra, groups: list[np.ndarray]) -> _Delays | None:
         if _band(aligned, _COHERENT) < _MIN_BINS:
             return None
         n_freq = max(_band(aligned, least), _MIN_BINS)
-        slowness, left_out = _regress(spectra.r_rad, aligned, slowness, groups, n_freq)
+        slowness, left_out = _regress(spectra.r_rad, aligned, slowness=slowness, groups=groups, n_freq=n_freq)
         aligned = _align(spectra, slowness, aligned.f_hz)
     return _Delays(aligned, n_freq, slowness, left_out)
 
 
-def _regress(r_rad, aligned: _Aligned, slowness, groups, n_freq) -> tuple[np.ndarray, np.ndarray]:
+def _regress(r_rad, aligned: _Aligned, *, slowness, groups, n_freq) -> tuple[np.ndarray, np.ndarray]:
     """Slowness of each scan's group, and the same without that scan, (n_scan, 2), from gradient against rate.
 
     The array's gradient is ``-s F`` and what does not follow the wind; the 2 x 2 covariances of the latter,

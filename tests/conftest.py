@@ -15,7 +15,7 @@ def keep(module, name):
     setattr(module, name, lru_cache(maxsize=KEPT)(getattr(module, name).__wrapped__))
 
 
-keep(conditions, "population")
+keep(conditions, "population_conditions")
 
 import surveysim.forecasting.noise_model as noise_model  # noqa: E402
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from mapmaker.cleaning.local import LocalOptions, subtract_local
-from mapmaker.cleaning.pca import PcaOptions, least_eigenvalues, subtract_pca
+from mapmaker.cleaning.pca import PcaOptions, min_eigenvalues, subtract_pca
 from mapmaker.cleaning.polynomial import PolynomialOptions, exponents, subtract_polynomial
 from mapmaker.cleaning.scans import Cleaned, live_detectors
 from mapmaker.cleaning.spectral import SpectralOptions, subtract_spectral
@@ -102,13 +102,13 @@ def detectors_needed(name: str, options: Any) -> int:
     """How many detectors the named algorithm needs with these options; errors as for `clean`."""
     _check(name, options)
     if name == "pca":
-        return least_eigenvalues(options.sigma_cut)
+        return min_eigenvalues(options.sigma_cut)
     if name == "polynomial":
         return options.regions * (len(exponents(options.order)) + 1)
     return N_TEMPLATES[name] + 1
 
 
-def clean(name: str, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: Any) -> Cleaned:
+def clean(name: str, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, *, options: Any) -> Cleaned:
     """Clean one observation with the named algorithm; the input is left as it is.
 
     data_mk: (n_det, n_samp) [mK], float32 or other real numbers, which become float64. scan_bounds: (n_scan, 2)
@@ -142,7 +142,7 @@ def clean_in_order(
         _check(*step)
     done: list[Cleaned] = []
     for name, options in steps:
-        done.append(clean(name, done[-1].data_mk if done else data_mk, scan_bounds, focal_plane, options))
+        done.append(clean(name, done[-1].data_mk if done else data_mk, scan_bounds, focal_plane, options=options))
     kept = np.all([item.kept for item in done], axis=0)
     fitted = [item for (name, _), item in zip(steps, done, strict=True) if name in TEMPLATE_CLEANINGS]
     return Cleaned(

@@ -43,7 +43,7 @@ class PcaOptions:
         number("sigma_cut", self.sigma_cut, above=0, most=_MOST_SIGMA)
 
 
-def least_eigenvalues(sigma_cut: float) -> int:
+def min_eigenvalues(sigma_cut: float) -> int:
     """How many numbers it takes for one to lie more than `sigma_cut` standard deviations above their mean.
 
     One apart from n - 1 equal ones lies sqrt(n - 1) above it, and none lies further.
@@ -54,7 +54,7 @@ def least_eigenvalues(sigma_cut: float) -> int:
 @threadpool_limits.wrap(limits=1)  # small eigenproblems: more threads are slower and change the last bits
 @checks_streams
 def subtract_pca(data_mk, scan_bounds, focal_plane: FocalPlane, options: PcaOptions) -> Cleaned:
-    """Remove the mean and the outstanding modes; arguments, result and errors as for `clean`.
+    """Remove the mean and the outlier modes; arguments, result and errors as for `clean`.
 
     `removed` is the number of modes; responsivities are 1 and no iterations are counted. A scan of few samples may
     have too few eigenvalues for any to stand out, and then loses its mean alone; one of enough samples that has too
@@ -62,7 +62,7 @@ def subtract_pca(data_mk, scan_bounds, focal_plane: FocalPlane, options: PcaOpti
     rest, is discarded. Raises ValueError for too few detectors. Sayers et al. (2010), "Adaptive Principal Component
     Analysis (PCA)".
     """
-    needed = least_eigenvalues(options.sigma_cut)
+    needed = min_eigenvalues(options.sigma_cut)
     if len(data_mk) < needed:
         raise InsufficientDataError(
             f"a cut at {options.sigma_cut} sigma needs at least {needed} detectors, got {len(data_mk)}"
@@ -70,7 +70,7 @@ def subtract_pca(data_mk, scan_bounds, focal_plane: FocalPlane, options: PcaOpti
     return clean_scans(data_mk, scan_bounds, lambda block, scan: _project(block, options.sigma_cut))
 
 
-def outstanding(eigenvalues: np.ndarray, sigma_cut: float) -> int:
+def count_outliers(eigenvalues: np.ndarray, sigma_cut: float) -> int:
     """How many of the positive eigenvalues, in rising order, are cut from the upper end."""
     logarithm = np.log(eigenvalues)
     n_left = len(logarithm)
@@ -85,7 +85,7 @@ def outstanding(eigenvalues: np.ndarray, sigma_cut: float) -> int:
 
 
 def _project(block: np.ndarray, sigma_cut: float) -> Fit:
-    """Project the outstanding modes out of one mean-removed scan, in place."""
+    """Project the outlier modes out of one mean-removed scan, in place."""
     if has_dead(block):
         return Fit(None)
     n_det, n_samp = block.shape
@@ -93,9 +93,9 @@ def _project(block: np.ndarray, sigma_cut: float) -> Fit:
     eigenvalues, vectors = _spectrum(block, across)
     most = min(n_det, n_samp - 1)
     rank = int(np.sum(eigenvalues[len(eigenvalues) - most :] > _ZERO * np.square(block).sum(axis=1).max()))
-    if rank < least_eigenvalues(sigma_cut) <= most:
+    if rank < min_eigenvalues(sigma_cut) <= most:
         return Fit(None)
-    n_modes = outstanding(eigenvalues[len(eigenvalues) - rank :], sigma_cut)
+    n_modes = count_outliers(eigenvalues[len(eigenvalues) - rank :], sigma_cut)
     modes = vectors[:, len(eigenvalues) - n_modes :]
     block -= modes @ (modes.T @ block) if across else (block @ modes) @ modes.T
     return Fit(np.ones(n_det), 0, n_modes)

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, finite_scans, has_dead
-from mapmaker.validation import number, reals, whole, wrong
+from mapmaker.validation import argument_error, number, reals, whole
 
 SCAN, OBSERVATION = "scan", "observation"
 
@@ -78,7 +78,7 @@ def check_fit(tolerance: float, max_iterations: int, responsivities: Responsivit
             )
         return
     if not reals("responsivities", responsivities, ("n_det",)).all():
-        raise wrong("responsivities", "a zero", "finite numbers other than zero are")
+        raise argument_error("responsivities", "a zero", "finite numbers other than zero are")
 
 
 def clean_templates(data_mk: np.ndarray, scan_bounds: np.ndarray, model: TemplateModel, options) -> Cleaned:
@@ -96,7 +96,9 @@ def clean_templates(data_mk: np.ndarray, scan_bounds: np.ndarray, model: Templat
         c, iterations = np.asarray(asked, dtype=np.float64), 0
     else:
         raise ValueError(f"{len(asked)} responsivities found for {len(data_mk)} detectors; one a detector is expected")
-    return clean_scans(data_mk, scan_bounds, lambda block, scan: _subtract(block, scan, model, c, iterations))
+    return clean_scans(
+        data_mk, scan_bounds, lambda block, scan: _subtract(block, scan, model, c=c, iterations=iterations)
+    )
 
 
 def _fit_scan(block: np.ndarray, scan: int, model: TemplateModel, options) -> Fit:
@@ -109,7 +111,7 @@ def _fit_scan(block: np.ndarray, scan: int, model: TemplateModel, options) -> Fi
     return Fit(c, iterations, model.n_templates)
 
 
-def _subtract(block: np.ndarray, scan: int, model: TemplateModel, c: np.ndarray | None, iterations: int) -> Fit:
+def _subtract(block: np.ndarray, scan: int, model: TemplateModel, *, c: np.ndarray | None, iterations: int) -> Fit:
     """Subtract the templates of known responsivities (None: the fit failed) from one mean-removed scan, in place."""
     if c is None or has_dead(block):
         return Fit(None, iterations)
@@ -152,7 +154,8 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.nda
 
     n_det, c = basis.shape[1], np.ones(basis.shape[1])
     # One type each: the loop is compiled for the first that comes.
-    limits = (float(options.tolerance), int(options.max_iterations), _STEPS[options.responsivities])
+    tolerance, max_iterations = float(options.tolerance), int(options.max_iterations)
+    step = _STEPS[options.responsivities]
     if n_det <= MOST_GRAM:
         products = (block @ block.T for block in blocks())
         gram = next(products, None)
@@ -161,23 +164,26 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.nda
         if gram is None:
             return None, 0
         if gram.shape != (n_det, n_det):
-            raise wrong("blocks", f"{len(gram)} detectors", f"{n_det}, those of basis, are")
-        converged, iterations = iterate_responsivity(gram, basis, basis[1:], *limits, c)
+            raise argument_error("blocks", f"{len(gram)} detectors", f"{n_det}, those of basis, are")
+        converged, iterations = iterate_responsivity(gram, basis, basis[1:], tolerance, max_iterations, step, c)
     else:
-        converged, iterations = _iterate_by_passes(blocks, basis, *limits, c)
+        converged, iterations = _iterate_by_passes(
+            blocks, basis, tolerance=tolerance, max_iterations=max_iterations, step=step, c=c
+        )
     return (c if converged else None), iterations
 
 
 def _iterate_by_passes(
     blocks: Blocks,
     basis: np.ndarray,
+    *,
     tolerance: float,
     max_iterations: int,
     step: float,
     c: np.ndarray,
 ) -> tuple[bool, int]:
     """`iterate_responsivity` without the Gram matrix, with c held free of all rows of the basis but the first."""
-    from mapmaker.kernels.cleaning import correlate, hold, relax
+    from mapmaker.kernels.cleaning import correlate, project_out, relax
 
     if all(map(has_dead, blocks())):
         return False, 0
@@ -188,7 +194,7 @@ def _iterate_by_passes(
         correlate(basis, weighted, sum((weighted @ block) @ block.T for block in blocks()), power, c)
         if not np.isfinite(c).all() or not c.all():
             return False, iteration
-        hold(basis[1:], c)
+        project_out(basis[1:], c)
         relax(step, previous, c)
         if np.abs(c / previous - 1).mean() < tolerance:
             return True, iteration

@@ -114,6 +114,7 @@ def template_streams(
     data_mk: np.ndarray,
     scan_bounds: np.ndarray,
     focal_plane: FocalPlane,
+    *,
     responsivity: np.ndarray,
     exponents,
     place_rad: tuple[float, float],
@@ -157,22 +158,22 @@ def subtract_average(data_mk, scan_bounds, focal_plane: FocalPlane, options: Tem
     The paper's average template, sum c^-1 d / sum c^-1, differs from the one-parameter polynomial's by a
     factor common to all detectors, which c takes up: c_i T_n is the same.
     """
-    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, AVERAGE)
+    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents=AVERAGE)
 
 
 @checks_streams
 def subtract_planar(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
     """Remove the mean and templates 1, x, y; arguments, result and errors as for `clean`."""
-    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, PLANAR)
+    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents=PLANAR)
 
 
 @checks_streams
 def subtract_quadratic(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
     """Remove the mean and templates 1, x, y, xy, x^2, y^2; arguments, result and errors as for `clean`."""
-    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, QUADRATIC)
+    return _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents=QUADRATIC)
 
 
-def _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents) -> Cleaned:
+def _subtract_templates(data_mk, scan_bounds, focal_plane, options, *, exponents) -> Cleaned:
     regions = (Region(slice(None), template_basis(focal_plane, exponents)),)
     return clean_templates(data_mk, scan_bounds, polynomial_model(regions), options)
 

@@ -96,8 +96,8 @@ def _view(block: np.ndarray, delay: np.ndarray) -> tuple[np.ndarray, Callable[[n
             f"delays of up to {longest:.4g} samples found in a scan of {n_samp}; a quarter is allowed"
         )
     pad = ceil(longest)
-    turn = phases(delay, n_samp + 2 * pad)
-    rest = turned(np.pad(block, ((0, 0), (pad, pad)), mode="symmetric"), turn)
+    turn = delay_phases(delay, n_samp + 2 * pad)
+    rest = phase_shifted(np.pad(block, ((0, 0), (pad, pad)), mode="symmetric"), turn)
     instant = np.arange(-pad, n_samp + pad) + delay[:, None]
     within = (instant >= -_ROUNDING) & (instant <= n_samp - 1 + _ROUNDING)
     common = rest[:, within.all(axis=0)]
@@ -105,14 +105,14 @@ def _view(block: np.ndarray, delay: np.ndarray) -> tuple[np.ndarray, Callable[[n
     rest -= mean
 
     def subtract(responsivity: np.ndarray) -> None:
-        template = turned(_mean_within(rest / responsivity[:, None], within)[None], turn.conj())
+        template = phase_shifted(_mean_within(rest / responsivity[:, None], within)[None], turn.conj())
         np.subtract(block, responsivity[:, None] * template[:, pad : pad + n_samp], out=block)
         np.subtract(block, block.mean(axis=1, keepdims=True), out=block)
 
     return common - mean, subtract
 
 
-def phases(delay: np.ndarray, n_samp: int) -> np.ndarray:
+def delay_phases(delay: np.ndarray, n_samp: int) -> np.ndarray:
     """S / |S| (n_det, n_samp + 1) for scans of n_samp samples with their mirror images, delays in samples.
 
     Multiplied with the transform it reads a stream `delay` (n_det,) samples later.
@@ -127,8 +127,8 @@ def phases(delay: np.ndarray, n_samp: int) -> np.ndarray:
     return s * circle[whole[:, None] * np.arange(n_samp + 1) % (2 * n_samp)]
 
 
-def turned(streams: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Streams (n_det, n_samp), or one of them for all, mirrored at their ends and with `phases` (n_det, n_samp + 1)."""
+def phase_shifted(streams: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Shift streams (n_det, n_samp), mirrored at their ends, by `delay_phases` (n_det, n_samp + 1)."""
     n_samp = streams.shape[1]
     spectrum = np.fft.rfft(np.concatenate([streams, streams[:, ::-1]], axis=1))
     return np.fft.irfft(spectrum * turn, 2 * n_samp)[:, :n_samp]

@@ -53,7 +53,7 @@ def correlate(basis, weighted, product, power, responsivity):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def hold(held, responsivity):
+def project_out(held, responsivity):
     """Remove the components along the rows of held from c, then scale c to mean 1."""
     n_held, n_det = held.shape
     for k in range(n_held):
@@ -103,7 +103,7 @@ def iterate_responsivity(gram, basis, held, tolerance, max_iterations, step, res
         correlate(basis, weighted, product, power, responsivity)
         if not np.all(np.isfinite(responsivity)) or np.any(responsivity == 0.0):
             return False, iteration
-        hold(held, responsivity)
+        project_out(held, responsivity)
         relax(step, previous, responsivity)
         change = 0.0
         for i in range(n_det):

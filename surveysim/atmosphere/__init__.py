@@ -1,1 +1,1 @@
-"""The Kolmogorov-Taylor thin screen: closed forms, realizations, opacity and weather."""
+"""Kolmogorov-Taylor thin screen: closed forms, realizations, opacity and weather."""

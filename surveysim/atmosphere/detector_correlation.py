@@ -1,4 +1,4 @@
-"""Correlation between detectors that the thin screen predicts, for scans whose mean is removed (paper, section 3.2)."""
+"""Correlation between detectors that the thin screen predicts for mean-removed scans (paper, section 3.2)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,11 +15,25 @@ OUTER_SCALE_M = 10_000.0
 
 
 def scan_correlation(screen: Screen, theta_rad: np.ndarray, track_rad: float) -> np.ndarray:
-    """C(theta) [1] of two detectors `theta_rad` (n,) apart over a scan, the mean of each removed, per unit amplitude.
+    """Correlation C(theta) between two detectors over a mean-removed scan, per unit amplitude.
 
-    The layer moves by `track_rad` during the scan. With D the structure function, which has beam and height
-    in it, ``C = int_0^1 (1 - x) D(|r + x L|) dx - D(r) / 2``, averaged over the angle between r and L; at r = 0 it is
-    the variance of a scan about its mean.
+    With the structure function D, which includes beam and height, and the track L of the layer during the scan,
+
+        C = int_0^1 (1 - x) D(|r + x L|) dx - D(r) / 2,
+
+    averaged over the angle between r and L. At r = 0 it is the variance of a scan about its mean.
+
+    Parameters
+    ----------
+    screen
+    theta_rad : (n,)
+        Separations |r|.
+    track_rad
+        Length |L| of the track.
+
+    Returns
+    -------
+    (n,) array
     """
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     x = (0.5 * (node + 1.0)) ** 2  # resolves the small lags
@@ -32,11 +46,20 @@ def scan_correlation(screen: Screen, theta_rad: np.ndarray, track_rad: float) ->
 
 @dataclass(frozen=True)
 class CorrelationGrid:
-    """C(theta) on a grid of indices (n_b,), heights (n_h,) [m] and tracks, per unit amplitude.
+    """C(theta) on a grid of spectral indices, heights and tracks, per unit amplitude.
 
-    `theta_rad` (n_bin,). `spline` is that of a layer at the zenith, cubic in ln track, with values (n_b, n_h, n_track,
-    n_node + 1): ln C(0), then the ratios C(theta) / C(0) at separations `node_rad` (n_node,). At other elevations it is
-    the same layer in angles over sin(el).
+    Attributes
+    ----------
+    index : (n_b,)
+        Spectral indices b.
+    height_m : (n_h,)
+    theta_rad : (n_bin,)
+        Separations of the result.
+    node_rad : (n_node,)
+        Separations of the table.
+    spline
+        Cubic spline in ln(track) for a layer at the zenith, with values (n_b, n_h, n_track, n_node + 1): ln C(0), then
+        the ratios C(theta) / C(0). At other elevations the layer is the same in angles over sin(el).
     """
 
     index: np.ndarray
@@ -46,9 +69,17 @@ class CorrelationGrid:
     spline: object
 
     def correlation(self, track_rad: np.ndarray, elevation_rad: np.ndarray) -> np.ndarray:
-        """C (n_b, n_h, n_bin) per unit B2, the mean over scans with tracks (n_scan,) at elevations (n_scan,).
+        """Mean C over the scans of an observation, per unit B2.
 
-        NaN for tracks and separations off the grid.
+        Parameters
+        ----------
+        track_rad, elevation_rad : (n_scan,)
+            Track of the layer during each scan, and elevation.
+
+        Returns
+        -------
+        (n_b, n_h, n_bin) array
+            NaN for tracks and separations outside the grid.
         """
         from scipy.interpolate import CubicSpline
 
@@ -63,18 +94,30 @@ class CorrelationGrid:
 
 def correlation_grid(
     theta_rad: np.ndarray,
+    *,
     index: Sequence[float],
     height_m: Sequence[float],
     aperture_m: float,
     outer_scale_m: float | None,
     track_rad: np.ndarray,
-    *,
     lowest_rad: float = pi / 2,
 ) -> CorrelationGrid:
-    """Tabulate C(theta) for every index and height; `track_rad` (n,) are the knots of its spline, increasing.
+    """Tabulate C(theta) for every index and height.
 
-    Elevations from `lowest_rad` on are allowed. Without an outer scale, indices of 4 and more have one of
-    `OUTER_SCALE_M`: they need one.
+    Parameters
+    ----------
+    theta_rad : (n_bin,)
+        Separations.
+    index : (n_b,)
+        Spectral indices; those of 4 and more need an outer scale, which is `OUTER_SCALE_M` by default.
+    height_m : (n_h,)
+    aperture_m
+    outer_scale_m
+        None for no outer scale.
+    track_rad : (n_track,)
+        Knots of the spline, increasing.
+    lowest_rad
+        Lowest elevation of the observations.
     """
     from scipy.interpolate import CubicSpline
 

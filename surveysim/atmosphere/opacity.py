@@ -1,6 +1,6 @@
-"""Optical depth of a site's zenith against water vapour, averaged over a band, and the noise it scales.
+"""Band-averaged optical depth of a site's zenith against water vapour, and the atmospheric noise that scales with it.
 
-Tables of the `am` atmospheric model lie in ``tables/`` with the script that builds them.
+Tables of the `am` atmospheric model are in ``tables/``, with the script that builds them.
 """
 
 import re
@@ -16,9 +16,19 @@ from surveysim.scene.sites import SITES
 
 @dataclass(frozen=True)
 class BandOpacity:
-    """A site seen through a top-hat band: zenith optical depth (n,) at columns of water vapour (n,) [mm].
+    """Opacity of a site in a top-hat band.
 
-    `temperature_k` is the physical temperature of the water vapour, `bandwidth` the width over the centre.
+    Attributes
+    ----------
+    site
+    frequency_hz, bandwidth
+        Centre of the band, and its width over the centre.
+    pwv_mm : (n,)
+        Columns of precipitable water vapour.
+    optical_depth : (n,)
+        Zenith optical depth at these columns.
+    temperature_k
+        Physical temperature of the water vapour.
     """
 
     site: str
@@ -30,7 +40,7 @@ class BandOpacity:
 
     @cached_property
     def spline(self):
-        """Cubic spline through the optical depths, against water [mm]."""
+        """Cubic spline of the optical depth against water vapour [mm]."""
         from scipy.interpolate import CubicSpline
 
         return CubicSpline(self.pwv_mm, self.optical_depth)
@@ -38,10 +48,14 @@ class BandOpacity:
 
 @cache
 def band_opacity(site: str, frequency_hz: float, bandwidth: float) -> BandOpacity:
-    """Average a site's table over a top-hat band: -ln of the mean transmission.
+    """Average a site's opacity table over a top-hat band: -ln of the mean transmission.
 
-    Cells at the band's edges count by the part that lies inside. Raises ValueError for a site without a
-    table, and for a band that is empty or leaves the table.
+    Cells at the edges of the band are weighted by the part inside it.
+
+    Raises
+    ------
+    ValueError
+        For a site without a table, and for a band that is empty or extends beyond the table.
     """
     edge_ghz, pwv_mm, depth, temperature_k = _table(site)
     low, high = (frequency_hz * (1 + side * bandwidth / 2) / 1e9 for side in (-1, 1))
@@ -57,7 +71,7 @@ def band_opacity(site: str, frequency_hz: float, bandwidth: float) -> BandOpacit
 
 @cache
 def _table(site):
-    """Cell edges (m + 1,) [GHz], PWV (n,) [mm], optical depth (m, n), temperature [K]."""
+    """Read cell edges (m + 1,) [GHz], PWV (n,) [mm], optical depth (m, n) and temperature [K] of a site."""
     if site not in SITES:
         raise OutOfRangeError(f"found site {site!r}; {', '.join(SITES)} are allowed")
     text = (files("surveysim.atmosphere") / "tables" / f"opacity_{site}.ecsv").read_text(encoding="utf-8")
@@ -72,25 +86,33 @@ def _table(site):
 
 
 def optical_depth(band: BandOpacity, pwv_mm) -> np.ndarray:
-    """Zenith optical depth at water columns of any shape [mm]: a cubic spline, for it is nearly a straight line.
+    """Interpolate the zenith optical depth at water columns of any shape [mm].
 
-    Raises ValueError outside the table.
+    Raises
+    ------
+    ValueError
+        Outside the table.
     """
     return band.spline(_allowed(band, pwv_mm))
 
 
 def optical_depth_slope(band: BandOpacity, pwv_mm) -> np.ndarray:
-    """Derivative of the zenith optical depth with the water column [1/mm], any shape; errors as `optical_depth`."""
+    """Derivative of the zenith optical depth with the water column [1/mm], of any shape; raises as `optical_depth`."""
     return band.spline(_allowed(band, pwv_mm), 1)
 
 
 def fluctuation_factor_mk2(band: BandOpacity, pwv_mm) -> np.ndarray:
-    """Amplitude of constant fractional fluctuations of the water column in the band, squared [mK^2], any shape.
+    """Squared amplitude of fluctuations of the water column by its own size [mK^2], for columns of any shape [mm].
 
-    ``(C d tau / dC)^2 B_atm^2``, in temperature above the atmosphere as noise and sky are: the emission changes by
-    B_atm d(1 - exp(-tau)), and what is measured is over the transmission exp(-tau), at any elevation. The brightness of
-    the atmosphere is its temperature, Rayleigh-Jeans. B2 is proportional to it. It stands for ``(C d eps / dC)^2
-    B_atm^2`` of section 3.3, where the paper's eps is 1 - exp(tau). Errors as `optical_depth`.
+    It is ``(C d tau / dC)^2 B_atm^2``, to which B2 is proportional, in temperature above the atmosphere: the emission
+    changes by B_atm d(1 - exp(-tau)), and the measured signal is divided by the transmission exp(-tau), at any
+    elevation. B_atm is the Rayleigh-Jeans brightness of the atmosphere. The factor replaces ``(C d eps / dC)^2
+    B_atm^2`` of section 3.3, where the paper has eps = 1 - exp(tau).
+
+    Raises
+    ------
+    ValueError
+        As `optical_depth`.
     """
     return (np.asarray(pwv_mm) * optical_depth_slope(band, pwv_mm) * band.temperature_k * 1e3) ** 2
 

@@ -1,21 +1,24 @@
 """Low-order trends of the layer, drawn jointly for all scans of an observation.
 
-Where the spectrum is steep, a scan is hardly more than a straight line, and its slope is much that of the scan before:
-the air is another, but most of the slope comes from scales far above a scan's. Strips
-(`surveysim.atmosphere.screen_simulation`) are drawn scan by scan and know nothing of each other. So for every scan four
-trends are defined, contrasts between the field's values at 5 x 3 lattice points of its strip: slope along, gradient
-across, curvature along, and the product of both places. (Neighbouring scans share a thousandth of the curvature
-across.) Their covariance over all scans follows from the structure function between the points, in one frame of the
-layer, and one draw gives all scans' trends t. A strip T is then conditioned on its own (kriging),
+For a steep spectrum a scan is nearly a straight line whose slope resembles that of the scan before: most of it comes
+from scales far above a scan's. Strips (`surveysim.atmosphere.screen_simulation`) are drawn independently for each scan.
+Four trends are therefore defined for every scan, contrasts t = w T between the values T of the field at 5 x 3 points of
+its strip: slope along, gradient across, curvature along, and the product of both coordinates. (Neighbouring scans share
+1e-3 of the curvature across.) Their covariance follows from the structure function D between the points of all scans,
+in one frame of the layer,
 
-    T + K C^-1 (t - w T),
+    C_st = -1/2 w_s D(r_s - r_t) w_t^T,
 
-with w T the trends that it was drawn with, C their covariance and K that of the field with them. Since w T and t have
-one distribution, the strip's own stays exactly as it was, and the trends' joint distribution is that of the layer. The
-smaller scales of different scans are independent. The mean of a scan is left as it is: every cleaning removes it.
+and one draw gives the trends t of all scans. Each strip is conditioned on its trends (kriging),
 
-Covariances are exact within a group of nine scans and between neighbouring groups; of longer observations, a group is
-drawn given the one before, so that the time it takes goes with the number of scans.
+    T -> T + K C^-1 (t - w T),
+
+with C the covariance of the strip's trends and K that of the field with them. Since w T and t have the same
+distribution, the distribution of a strip is unchanged, and the joint distribution of the trends is that of the layer.
+Smaller scales of different scans are independent. The mean of a scan is unchanged: every cleaning removes it.
+
+Covariances are exact within a group of nine scans and between neighbouring groups. In longer observations a group is
+drawn given the one before, so the time is proportional to the number of scans.
 """
 
 from dataclasses import dataclass, replace
@@ -31,16 +34,27 @@ from surveysim.atmosphere.thin_screen import Screen, structure_table
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(5)
 _GROUP = 9
 # Steps, in beams, of the grid between which a strip's change is cubic: it is as smooth as the structure function, which
-# has a term in r^(b + 1). Trends are then given to 1 % of their standard deviation, to 10 % at b = 2/3.
+# has a term in r^(b + 1). ScanTrends are then given to 1 % of their standard deviation, to 10 % at b = 2/3.
 _COARSE, _COARSE_ROUGH = 1.0 / 3.0, 1.0 / 12.0
 
 
 @dataclass(frozen=True)
-class Swaths:
-    """Points of the strips of n_scan scans, lattices of `step_rad`, and the trends that the field has there.
+class StripPoints:
+    """Points of the strips of n_scan scans, and the trends of the field at them.
 
-    `lane`, `column` (n_scan, 15): lattice points; `place_rad` (n_scan, 15, 2): their places in the layer; `weight`
-    (n_scan, 4, 15): weights of the field's values in each trend; `used` (n_scan,): columns that detectors see.
+    Attributes
+    ----------
+    screen
+    step_rad
+        Lattice step.
+    lane, column : (n_scan, 15)
+        Lattice points.
+    place_rad : (n_scan, 15, 2)
+        Their positions in the layer.
+    weight : (n_scan, 4, 15)
+        Weights of the field's values in each trend.
+    used : (n_scan,)
+        Columns that detectors see.
     """
 
     screen: Screen
@@ -51,16 +65,24 @@ class Swaths:
     weight: np.ndarray
     used: np.ndarray
 
-    def scans(self, first: int, end: int) -> "Swaths":
-        """Those of scans `first` to `end - 1`, counted from 0 again."""
+    def scans(self, first: int, end: int) -> "StripPoints":
+        """Select scans `first` to `end - 1`."""
         names = ("lane", "column", "place_rad", "weight", "used")
         return replace(self, **{name: getattr(self, name)[first:end] for name in names})
 
 
-def swaths(strips, corner_rad: np.ndarray, direction: np.ndarray, length_rad: np.ndarray) -> Swaths:
-    """Points of the strips of a `StripCache` that lie in the layer from a corner (n_scan, 2) on.
+def strip_points(strips, corner_rad: np.ndarray, direction: np.ndarray, length_rad: np.ndarray) -> StripPoints:
+    """Choose the points of strips that define the trends.
 
-    `direction` (n_scan, 2), unit vectors along the strips, of which detectors see `length_rad` (n_scan,).
+    Parameters
+    ----------
+    strips : StripCache
+    corner_rad : (n_scan, 2)
+        First point of each strip in the layer.
+    direction : (n_scan, 2)
+        Unit vectors along the strips.
+    length_rad : (n_scan,)
+        Length of the strips that detectors see.
     """
     end = length_rad / strips.step_rad
     column = np.repeat(np.rint(np.outer(end, 0.5 * (_NODES + 1.0))).astype(np.int64), 3, axis=1)
@@ -75,30 +97,45 @@ def swaths(strips, corner_rad: np.ndarray, direction: np.ndarray, length_rad: np
     place = corner_rad[:, None] + strips.step_rad * (
         column[..., None] * direction[:, None] + lane[..., None] * across[:, None]
     )
-    return Swaths(strips.screen, strips.step_rad, lane, column, place, weight, np.ceil(end).astype(np.int64) + 4)
+    return StripPoints(strips.screen, strips.step_rad, lane, column, place, weight, np.ceil(end).astype(np.int64) + 4)
 
 
 @dataclass(frozen=True)
-class Trends:
-    """Trends (n_scan, 4) that the strips of some scans are to have, per unit amplitude.
+class ScanTrends:
+    """Trends that the strips of some scans are conditioned on, per unit amplitude.
 
-    `table` is the `structure_table` of the screen.
+    Attributes
+    ----------
+    points
+    value : (n_scan, 4)
+        Trends t.
+    table
+        `structure_table` of the screen.
     """
 
-    swaths: Swaths
+    points: StripPoints
     value: np.ndarray
     table: tuple[np.ndarray, np.ndarray]
 
-    def scans(self, first: int, end: int) -> "Trends":
-        """Those of scans `first` to `end - 1`, counted from 0 again."""
-        return replace(self, value=self.value[first:end], swaths=self.swaths.scans(first, end))
+    def scans(self, first: int, end: int) -> "ScanTrends":
+        """Select scans `first` to `end - 1`."""
+        return replace(self, value=self.value[first:end], points=self.points.scans(first, end))
 
     def impose(self, scan: int, strip: np.ndarray) -> None:
-        """Give a strip (n_lane, n_x) of unit amplitude the trends of a scan, in place.
+        """Condition a strip on the trends of a scan, in place.
 
-        Raises ValueError for a strip that lacks one of the scan's points.
+        Parameters
+        ----------
+        scan
+        strip : (n_lane, n_x)
+            Realization of unit amplitude.
+
+        Raises
+        ------
+        ValueError
+            For a strip that lacks one of the scan's points.
         """
-        item = self.swaths
+        item = self.points
         lane, column, step = item.lane[scan], item.column[scan], item.step_rad
         if not (lane.min() >= 0 and lane.max() < len(strip) and column.min() >= 0 and column.max() < strip.shape[1]):
             raise ValueError(
@@ -113,7 +150,7 @@ class Trends:
         kernels.add_covariances(strip, used, lane, column, weight, step, stride, cells, *self.table)
 
 
-def draw_trends(item: Swaths, rng: np.random.Generator) -> Trends:
-    """Trends of consecutive scans, from one draw of four normals a scan."""
+def draw_trends(item: StripPoints, rng: np.random.Generator) -> ScanTrends:
+    """Draw the trends of consecutive scans, four normals a scan."""
     normals, table = rng.standard_normal(item.weight.shape[:2]), structure_table(item.screen)
-    return Trends(item, kernels.draw_trends(item.place_rad, item.weight, normals, _GROUP, *table), table)
+    return ScanTrends(item, kernels.draw_trends(item.place_rad, item.weight, normals, _GROUP, *table), table)

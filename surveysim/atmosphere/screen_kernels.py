@@ -1,4 +1,4 @@
-"""Loops of the atmospheric screen: a strip's Fourier modes, and look-up along detector tracks."""
+"""Kernels of the atmospheric screen: Fourier modes of a strip, and look-up along detector tracks."""
 
 import numpy as np
 
@@ -9,8 +9,14 @@ from mapmaker.kernels.compiled import njit
 def combine_columns(columns, start, normals, modes):
     """Sum the factors of every frequency with their random amplitudes.
 
-    columns (n_total, n_lane), start (n_freq + 1,), normals (2 n_total,) as real and imaginary parts in turn;
-    writes modes (n_lane, n_freq), complex.
+    Parameters
+    ----------
+    columns : (n_total, n_lane)
+    start : (n_freq + 1,)
+    normals : (2 n_total,)
+        Real and imaginary parts in turn.
+    modes : (n_lane, n_freq)
+        Complex output.
     """
     n_lane = columns.shape[1]
     real = np.empty(n_lane, columns.dtype)
@@ -45,9 +51,27 @@ def _check_inside(data, start, stop, strip, x0, y0, dx):
 def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
     """Add bilinear look-ups in a strip to the samples start:stop of every detector.
 
-    data (n_det, n_samp), changed in place; strip (n_lane, n_x), both at least 2; detector d is at x0[d] + n
-    dx along the strip and at lane coordinate y0[d], in lattice steps, n counted from `start`; dx >= 0.
-    Raises IndexError for samples or detectors outside the data, ValueError when a track leaves the strip.
+    Detector d is at x0[d] + n dx along the strip and at the lane coordinate y0[d], with n counted from `start`.
+
+    Parameters
+    ----------
+    data : (n_det, n_samp)
+        Changed in place.
+    start, stop
+    strip : (n_lane, n_x)
+        Both sides at least 2.
+    x0, y0 : (n_det,)
+        In lattice steps.
+    dx
+        In lattice steps, at least 0.
+    amplitude
+
+    Raises
+    ------
+    IndexError
+        For samples or detectors outside the data.
+    ValueError
+        Where a track leaves the strip.
     """
     _check_inside(data, start, stop, strip, x0, y0, dx)
     n_lane, n_x = strip.shape
@@ -78,7 +102,7 @@ def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
 
 @njit(cache=True, nogil=True)
 def add_screen_nearest(data, start, stop, strip, x0, y0, dx, amplitude):
-    """`add_screen` with the nearest lattice point, the higher one halfway."""
+    """As `add_screen`, with the nearest lattice point, the higher one for ties."""
     _check_inside(data, start, stop, strip, x0, y0, dx)
     for d in range(data.shape[0]):
         row = strip[int(y0[d] + 0.5)]
@@ -88,9 +112,10 @@ def add_screen_nearest(data, start, stop, strip, x0, y0, dx, amplitude):
 
 @njit(cache=True, nogil=True)
 def add_screen_cubic(data, start, stop, strip, x0, y0, dx, amplitude):
-    """`add_screen` with the cubic through the four nearest points, in both directions.
+    """As `add_screen`, with the cubic through the four nearest points in both directions.
 
-    Near an edge they are the four outermost; strip (n_lane, n_x), both at least 4, or else raises IndexError.
+    Near an edge the four outermost points are used. The strip has at least 4 lanes and points, or else IndexError is
+    raised.
     """
     _check_inside(data, start, stop, strip, x0, y0, dx)
     n_lane, n_x = strip.shape
@@ -116,7 +141,7 @@ def add_screen_cubic(data, start, stop, strip, x0, y0, dx, amplitude):
 
 @njit(cache=True, nogil=True)
 def _cubic_weights(x, weight):
-    """Write the weights (4,) that the values at 0, 1, 2 and 3 have at x: Lagrange's, exact for cubics."""
+    """Write the Lagrange weights (4,) of the values at 0, 1, 2 and 3 for the position x; exact for cubics."""
     a, b, c, d = x, x - 1.0, x - 2.0, x - 3.0
     weight[0] = -b * c * d / 6.0
     weight[1] = a * c * d / 2.0

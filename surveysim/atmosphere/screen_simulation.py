@@ -1,9 +1,8 @@
 """Realizations of the thin screen: one random strip of the layer for every scan.
 
-Strips know nothing of each other; the trends that scans share are given to them by `surveysim.atmosphere.scan_trends`.
-
-In the frame of the moving layer all detectors of a scan at constant velocity follow straight parallel
-lines: `surveysim.atmosphere.strip_factors` says how strips along them are made.
+In the frame of the moving layer all detectors of a scan at constant velocity follow parallel straight lines;
+`surveysim.atmosphere.strip_factors` builds strips along them. Strips are independent of each other;
+`surveysim.atmosphere.scan_trends` conditions them on the trends that scans share.
 """
 
 from dataclasses import dataclass, field
@@ -24,9 +23,21 @@ LOOK_UPS = {"nearest": "add_screen_nearest", "linear": "add_screen", "cubic": "a
 
 @dataclass(frozen=True)
 class StripCache:
-    """Strips of one screen and width, made when first asked for, in lengths of powers of two.
+    """Strips of one screen and width, built on first use, with lengths of powers of two.
 
-    They are drawn with `precision`, "float32" or "float64", and looked up by `interpolation`, one of `LOOK_UPS`.
+    Attributes
+    ----------
+    screen
+    half_width_rad
+        Largest distance of a track from the middle.
+    step_rad
+        Lattice step.
+    interpolation
+        A key of `LOOK_UPS`.
+    precision
+        "float32" or "float64".
+    strips
+        Strips by number of points along them.
     """
 
     screen: Screen
@@ -43,7 +54,7 @@ class StripCache:
 
     @property
     def strip_half_width_rad(self):
-        """Largest distance [rad] of a track from the strips' middle."""
+        """Largest distance of a track from the middle of the strips [rad]."""
         return 0.5 * (self.n_lane - 1) * self.step_rad
 
     @property
@@ -51,24 +62,41 @@ class StripCache:
         return 4 if self.interpolation == "cubic" else 2
 
     def strip_for(self, length_rad):
-        """The strip for tracks up to `length_rad` long; raises ValueError as `build_strip` does."""
+        """Strip for tracks up to `length_rad` long; raises ValueError as `build_strip`."""
         n_x = points_along(length_rad, self.step_rad)
         if n_x not in self.strips:
             self.strips[n_x] = build_strip(
-                self.screen, length_rad, self.half_width_rad, self.step_rad, self.precision, self._fewest_lanes
+                self.screen,
+                length_rad=length_rad,
+                half_width_rad=self.half_width_rad,
+                step_rad=self.step_rad,
+                precision=self.precision,
+                fewest_lanes=self._fewest_lanes,
             )
         return self.strips[n_x]
 
 
 @dataclass(frozen=True)
 class SlantStrips:
-    """Strips of one screen for a layer that is seen at any elevation.
+    """Strips of one screen for a layer seen at any elevation.
 
-    A layer at the height h is h / sin(el) away, so that on the sky it is a smaller copy of itself at the zenith, beam
-    and outer scale too: with angles over sin(el), strips of the screen at the zenith serve all elevations. They need
-    to be 1 / sin(el) wider, and have lattices as much coarser; elevations come in classes of 19 % in 1 / sin(el), each
-    with the strips of its lowest. `half_width_rad` and `closest_rad` between detectors are on the sky; `scale` is the
-    factor of `strip_step`.
+    The distance of a layer at the height h is h / sin(el), so on the sky it is a smaller copy of the layer at the
+    zenith, including beam and outer scale. With angles over sin(el), strips of the screen at the zenith serve all
+    elevations; they are wider by 1 / sin(el), with a coarser lattice by the same factor. Elevations are sorted into
+    classes of 19 % in 1 / sin(el), which use the strips of their lowest elevation.
+
+    Attributes
+    ----------
+    screen
+        The layer at the zenith.
+    half_width_rad, closest_rad
+        Half width of the focal plane and closest separation of detectors, on the sky.
+    scale
+        Factor on `strip_step`.
+    interpolation, precision
+        As in `StripCache`.
+    caches
+        Strips by class of elevation.
     """
 
     screen: Screen
@@ -80,7 +108,7 @@ class SlantStrips:
     caches: dict = field(default_factory=dict, repr=False, compare=False)
 
     def at(self, sine):
-        """`StripCache` for an elevation of this sine, the least of an observation."""
+        """`StripCache` for the lowest elevation of an observation, given by its sine."""
         number = ceil(-_SLANTS * log2(sine) - 1e-9)
         if number not in self.caches:
             slant = 2.0 ** (number / _SLANTS)
@@ -92,15 +120,14 @@ class SlantStrips:
 
 
 def strip_step(screen, closest_rad):
-    """Lattice step [rad] for bilinear look-up by detectors `closest_rad` apart or more.
+    """Lattice step for bilinear look-up by detectors at least `closest_rad` apart [rad].
 
-    A fourteenth of the beam, 40 arcsec at most. The first keeps the structure function: within 3 % at 0.67
-    arcmin and above for b >= 2, 0.2 % for b = 11/3. The second is for what is left after a quadratic in an 8
-    arcmin field of view has been removed: at b = 11/3 within 5 % of its variance from 1000 m up and 10 % at
-    375 m, where a share of the wide beam alone would not do. For b < 2 the beam's sharp edge makes the field
-    rough on every scale: at b = 2/3 and 1000 m the structure function is 22 % low at 0.67 arcmin and within 3 %
-    only from 4 arcmin up. Detectors that are far apart do with an eighth of their separation, up to a quarter of
-    the beam.
+    The step is a fourteenth of the beam and at most 40 arcsec. The first limit preserves the structure function: within
+    3 % at 0.67 arcmin and above for b >= 2, 0.2 % for b = 11/3. The second preserves the residual of a quadratic in an
+    8 arcmin field of view: at b = 11/3 its variance is within 5 % from 1000 m up and 10 % at 375 m. For b < 2 the sharp
+    edge of the beam makes the field rough on every scale: at b = 2/3 and 1000 m the structure function is 22 % low at
+    0.67 arcmin, and within 3 % only from 4 arcmin up. For detectors that are far apart an eighth of their separation
+    suffices, up to a quarter of the beam.
     """
     wide = closest_rad / _STEPS_PER_PAIR
     step = max(screen.beam_rad / _STEPS_PER_BEAM, min(wide, screen.beam_rad / _FEWEST_STEPS_PER_BEAM))
@@ -111,10 +138,14 @@ def strip_step(screen, closest_rad):
 
 
 def draw_strip(strip, rng):
-    """One realization (n_lane, n_x) of unit amplitude, from one draw of 2 n_total + 1 normals.
+    """Draw one realization of a strip, of unit amplitude.
 
-    It has the type of the strip's columns. The structure function holds for points up to `strip.length_rad` apart;
-    lattice points are strip.step_rad apart.
+    It takes one draw of 2 n_total + 1 normals. The structure function holds for points up to `strip.length_rad` apart.
+
+    Returns
+    -------
+    (n_lane, n_x) array
+        Of the type of the strip's columns; lattice points are `strip.step_rad` apart.
     """
     from scipy.fft import irfft
 
@@ -134,10 +165,18 @@ def draw_strip(strip, rng):
 class Tracks:
     """Tracks of n_scan scans over their strips, in the frame of the layer.
 
-    `motion_rad_s` (n_scan, 2): velocity of the boresight against the layer; `direction` (n_scan, 2): unit vector along
-    it and along the strip; `length_rad` (n_scan,): part of the strip that detectors see; `x_rad`, `y_rad` (n_scan,
-    n_det): first place of each detector on the strip; `corner_rad` (n_scan, 2): the strip's first point, relative to
-    the first place of the boresight.
+    Attributes
+    ----------
+    motion_rad_s : (n_scan, 2)
+        Velocity of the boresight against the layer.
+    direction : (n_scan, 2)
+        Unit vector along it and along the strip.
+    length_rad : (n_scan,)
+        Length of the strip that detectors see.
+    x_rad, y_rad : (n_scan, n_det)
+        First position of each detector on the strip.
+    corner_rad : (n_scan, 2)
+        First point of the strip, relative to the first position of the boresight.
     """
 
     motion_rad_s: np.ndarray
@@ -148,8 +187,8 @@ class Tracks:
     corner_rad: np.ndarray
 
 
-def scan_tracks(scan_bounds, sample_rate_hz, offsets_rad, velocity_rad_s, layer_velocity_rad_s, strips):
-    """Tracks of scans, given as to `add_atmosphere`, which raises the same errors."""
+def scan_tracks(scan_bounds, *, sample_rate_hz, offsets_rad, velocity_rad_s, layer_velocity_rad_s, strips):
+    """Tracks of scans over their strips; parameters and errors as for `add_atmosphere`."""
     motion = np.asarray(velocity_rad_s, dtype=float) - np.asarray(layer_velocity_rad_s, dtype=float)
     speed = np.hypot(*motion.T)
     direction = np.where(speed[:, None] > 0.0, motion, [1.0, 0.0]) / np.where(speed > 0.0, speed, 1.0)[:, None]
@@ -167,6 +206,7 @@ def scan_tracks(scan_bounds, sample_rate_hz, offsets_rad, velocity_rad_s, layer_
 def add_atmosphere(
     data_mk,
     scan_bounds,
+    *,
     sample_rate_hz,
     offsets_rad,
     velocity_rad_s,
@@ -174,26 +214,48 @@ def add_atmosphere(
     amplitude_mk,
     strips,
     rng,
-    *,
     trends=None,
 ):
-    """Add the emission of the moving layer to time streams, in place.
+    """Add the emission of the moving layer to time-streams, in place.
 
-    data_mk (n_det, n_samp) float32 or float64 [mK]; scan_bounds (n_scan, 2) first sample and end of each
-    scan; offsets_rad (n_scan, n_det, 2) detectors' offsets (xi, eta) from the boresight; velocity_rad_s and
-    layer_velocity_rad_s (n_scan, 2) velocities of boresight and layer (xi, eta); amplitude_mk (n_scan,)
-    sqrt(B2); strips a `StripCache`. Angles and speeds are those of a layer at the zenith: at an elevation el
-    all are 1 / sin(el) larger than on the sky, and the amplitude is sqrt(B2 / sin(el)).
+    Angles and speeds are those of a layer at the zenith: at the elevation el they are larger than on the sky by 1 /
+    sin(el), and the amplitude is sqrt(B2 / sin(el)). The common offset of a scan's streams is arbitrary, as the mean of
+    each scan is removed. Without relative motion the streams are constant.
 
-    Every scan has a strip of its own, with the trends that `trends`, `Trends` of these scans, gives it; without them
-    the scans are independent of each other, like scans of different nights. The common offset of a scan's streams is
-    arbitrary, as the mean of each scan is removed. Without relative motion the streams are constant. Raises ValueError
-    when a detector lies outside the strip's width.
+    Parameters
+    ----------
+    data_mk : (n_det, n_samp)
+        Streams, float32 or float64.
+    scan_bounds : (n_scan, 2)
+        First sample and end of each scan.
+    sample_rate_hz
+    offsets_rad : (n_scan, n_det, 2)
+        Offsets (xi, eta) of the detectors from the boresight.
+    velocity_rad_s, layer_velocity_rad_s : (n_scan, 2)
+        Velocities (xi, eta) of boresight and layer.
+    amplitude_mk : (n_scan,)
+        sqrt(B2).
+    strips : StripCache
+    rng
+    trends : ScanTrends, optional
+        Trends that the scans share. Without them the scans are independent, like those of different nights.
+
+    Raises
+    ------
+    ValueError
+        Where a detector is outside the width of the strip.
     """
     from surveysim.atmosphere import screen_kernels
 
     add_layer = getattr(screen_kernels, LOOK_UPS[strips.interpolation])
-    tracks = scan_tracks(scan_bounds, sample_rate_hz, offsets_rad, velocity_rad_s, layer_velocity_rad_s, strips)
+    tracks = scan_tracks(
+        scan_bounds,
+        sample_rate_hz=sample_rate_hz,
+        offsets_rad=offsets_rad,
+        velocity_rad_s=velocity_rad_s,
+        layer_velocity_rad_s=layer_velocity_rad_s,
+        strips=strips,
+    )
     step = strips.step_rad
     rows = zip(scan_bounds, amplitude_mk, tracks.motion_rad_s, tracks.length_rad, strict=True)
     for scan, ((start, stop), amplitude, motion, length) in enumerate(rows):

@@ -1,24 +1,22 @@
 """Factors of random strips of the layer, from which realizations are drawn.
 
-In the frame of the moving layer all detectors of a scan at constant velocity follow straight parallel
-lines. A scan therefore needs a strip of the layer that is long along the relative velocity (x) and as wide
-as the focal plane (y): `n_lane` lanes of `n_x` lattice points.
-
-The field has stationary increments but, without an outer scale, no finite variance, and much of its
-gradient comes from scales beyond any box. Intrinsic circulant embedding along x (Stein 2002, J. Comput.
-Graph. Stat. 11, 587) deals with both: with D the structure function, the covariance
+In the frame of the moving layer, all detectors of a scan at constant velocity follow parallel straight lines. A scan
+needs a strip that is long along the relative velocity (x) and as wide as the focal plane (y): `n_lane` lanes of `n_x`
+lattice points. The field has stationary increments, but without an outer scale no finite variance. Intrinsic circulant
+embedding along x (Stein 2002, J. Comput. Graph. Stat. 11, 587) handles both: with D the structure function, the
+covariance
 
     C(x, dy) = -(D(r) - a x^2) / 2,   r^2 = x^2 + dy^2,   a = D'(L/2) / L,
 
-continued with period L = n_x step has zero slope at the seam x = L/2; an independent linear ramp along x,
-of slope variance a, gives back what a x^2 took away. The higher odd derivatives jump at the seam and would
-put negative power at high frequencies, where the beam leaves almost none; so C is made smooth and even
-about the seam over its last quarter. The structure function on the lattice is then exact up to the seam's
-beginning, and longer tracks are not allowed.
+continued with the period L = n_x step has zero slope at the seam x = L/2, and an independent linear ramp along x with
+the slope variance a restores a x^2. Higher odd derivatives jump at the seam, which would give negative power at high
+frequencies; C is therefore made smooth and even about the seam over its last quarter. The structure function on the
+lattice is exact up to there, and longer tracks are refused.
 
-A Fourier transform along x turns C into one small matrix per frequency, whose eigenvectors are the factors
-kept in `Strip`. At zero frequency C is positive for contrasts between lanes alone, so the constant is
-projected out: a common offset of a strip is of no consequence, since the mean of every scan is removed.
+A Fourier transform along x gives one small matrix per frequency, C(k) = V diag(lambda) V^T, and a strip is the inverse
+transform of V sqrt(lambda) z with normal z, plus the ramp; `Strip` holds V sqrt(lambda). At k = 0, C is positive for
+contrasts between lanes only, so the constant is projected out: it does not matter, as the mean of every scan is
+removed.
 """
 
 from dataclasses import dataclass
@@ -48,12 +46,23 @@ _MOST_POINTS, _MOST_ELEMENTS = 2**24, 10**8
 
 @dataclass(frozen=True)
 class Strip:
-    """Factors of strips of one size, per unit amplitude; made once and drawn from many times.
+    """Factors of strips of one size, per unit amplitude; built once and drawn from many times.
 
-    columns (n_total, n_lane) float32 or float64: eigenvectors scaled to the standard deviation of each part of a mode
-    in an unnormalized DFT; those of frequency k are rows start[k]:start[k + 1], and no frequency above
-    n_freq has any. ramp_std [1/rad] is the standard deviation of the slope along x. clipped_fraction is the
-    share of the variance of neighbour differences in negative eigenvalues, which were set to zero.
+    Attributes
+    ----------
+    step_rad
+        Lattice step.
+    n_x, n_lane
+        Points along and across the strip.
+    ramp_std
+        Standard deviation of the slope along x [1/rad].
+    columns : (n_total, n_lane)
+        Eigenvectors, scaled to the standard deviation of each part of a mode in an unnormalized DFT; float32 or
+        float64.
+    start : (n_freq + 1,)
+        Rows start[k]:start[k + 1] of `columns` belong to frequency k; higher frequencies have none.
+    clipped_fraction
+        Fraction of the variance of neighbour differences in negative eigenvalues, which were set to zero.
     """
 
     step_rad: float
@@ -66,28 +75,46 @@ class Strip:
 
     @property
     def length_rad(self):
-        """Longest track [rad] for which the structure function is exact."""
+        """Longest track for which the structure function is exact [rad]."""
         return 0.5 * (1.0 - _SEAM) * self.n_x * self.step_rad
 
     @property
     def half_width_rad(self):
-        """Largest distance [rad] of a track from the strip's middle."""
+        """Largest distance of a track from the middle of the strip [rad]."""
         return 0.5 * (self.n_lane - 1) * self.step_rad
 
 
 @threadpool_limits.wrap(limits=1)  # eigenvectors differ in their last bits between numbers of BLAS threads
-def build_strip(screen, length_rad, half_width_rad, step_rad, precision="float32", fewest_lanes=2):
-    """Factors of a strip for tracks up to `length_rad` long within +-`half_width_rad` of its middle.
+def build_strip(screen, *, length_rad, half_width_rad, step_rad, precision="float32", fewest_lanes=2):
+    """Build the factors of a strip.
 
-    The period is the smallest power of two of steps that holds the length, doubled as long as more than 1e-5
-    of the variance of neighbour differences has negative eigenvalues: that happens where the field is smooth
-    over the period, on tracks of a few beams or for b > 5. Raises ValueError when no period does, and for strips
-    too long or too wide to hold.
+    The period is the smallest power of two of steps that contains the length. It is doubled while negative eigenvalues
+    have more than 1e-5 of the variance of neighbour differences. This happens where the field is smooth over the
+    period: on tracks of a few beams, or for b > 5.
+
+    Parameters
+    ----------
+    screen
+    length_rad
+        Longest track.
+    half_width_rad
+        Largest distance of a track from the middle.
+    step_rad
+        Lattice step.
+    precision
+        "float32" or "float64".
+    fewest_lanes
+        Least number of lanes.
+
+    Raises
+    ------
+    ValueError
+        Where no period is long enough, and for strips too large to hold.
     """
     n_lane = lanes(half_width_rad, step_rad, fewest_lanes)
     n_x = points_along(length_rad, step_rad)
     check_points(n_x, n_lane, step_rad, screen)
-    strip = _factorize(screen, n_x, n_lane, step_rad, precision)
+    strip = _factorize(screen, n_x=n_x, n_lane=n_lane, step_rad=step_rad, precision=precision)
     while strip.clipped_fraction > _CLIPPED_MAX:
         n_x *= 2
         if n_x > N_X_MAX:
@@ -96,23 +123,23 @@ def build_strip(screen, length_rad, half_width_rad, step_rad, precision="float32
                 f" {strip.clipped_fraction:.2g} of the variance found; at most {_CLIPPED_MAX:g} is allowed,"
                 " use a smaller outer scale or shorter scans"
             )
-        strip = _factorize(screen, n_x, n_lane, step_rad, precision)
+        strip = _factorize(screen, n_x=n_x, n_lane=n_lane, step_rad=step_rad, precision=precision)
     return strip
 
 
 def lanes(half_width_rad, step_rad, fewest):
-    """Number of lanes of a strip of a half width, `fewest` or more."""
+    """Number of lanes of a strip with a half width, at least `fewest`."""
     return max(fewest, ceil(2.0 * half_width_rad / step_rad) + 1)
 
 
 def check_points(n_x, n_lane, step_rad, screen):
-    """Raise ValueError for strips too long for the structure function, or of too many points."""
+    """Raise ValueError for strips with too many points, or longer than the structure function's table."""
     if n_x * n_lane > _MOST_POINTS or n_x * step_rad > 2.0 * LAG_MAX * screen.beam_rad:
         raise OutOfRangeError(_too_large(n_x, n_lane, step_rad))
 
 
 def check_elements(used, n_x, n_lane, step_rad):
-    """Raise ValueError for too many elements of the covariances of `used` frequencies."""
+    """Raise ValueError for too many elements in the covariance matrices of `used` frequencies."""
     if used * n_lane**2 > _MOST_ELEMENTS:
         raise OutOfRangeError(_too_large(n_x, n_lane, step_rad))
 
@@ -126,17 +153,17 @@ def _too_large(n_x, n_lane, step_rad):
 
 
 def points_along(length_rad, step_rad):
-    """Smallest power of two of lattice points whose half, without the seam, is longer than the length."""
+    """Smallest power of two of lattice points whose half, without the seam, exceeds the length."""
     return max(_N_X_MIN, 2 ** ceil(log2(2.0 / (1.0 - _SEAM) * (length_rad / step_rad + 1.0))))
 
 
 def longest_track(n_x, step_rad):
-    """Length [rad] of tracks for which a strip is made of so many points, and not of fewer."""
+    """Longest track [rad] for which a strip gets exactly this power of two of points."""
     return (0.5 * (1.0 - _SEAM) * n_x - 1.5) * step_rad
 
 
-def _factorize(screen, n_x, n_lane, step_rad, precision):
-    """Strip of a given size, whatever its clipped fraction."""
+def _factorize(screen, *, n_x, n_lane, step_rad, precision):
+    """Build a strip of a given size, whatever its clipped fraction."""
     ramp_variance, density = lane_spectra(screen, n_x, n_lane, step_rad)
     total = 2.0 * float(structure_function(screen, step_rad))
     value, vector, share = _eigen_modes(density, n_x, step_rad, used_modes(screen, density, n_x, step_rad))
@@ -163,7 +190,15 @@ def _factorize(screen, n_x, n_lane, step_rad, precision):
 
 
 def lane_spectra(screen, n_x, n_lane, step_rad):
-    """Ramp variance [1/rad^2], and spectra (n_x/2 + 1, n_lane): DFT along x of C, lanes 0, 1, ... apart."""
+    """Spectra of the covariance along x.
+
+    Returns
+    -------
+    ramp_variance
+        [1/rad^2].
+    density : (n_x // 2 + 1, n_lane)
+        DFT along x of C for lanes 0, 1, ... apart.
+    """
     half = 0.5 * n_x * step_rad
     ramp_variance = max(0.0, float(structure_slope(screen, half)) / (2.0 * half))
     x = step_rad * np.arange(n_x // 2 + 1)
@@ -173,10 +208,9 @@ def lane_spectra(screen, n_x, n_lane, step_rad):
 
 
 def _smooth_seam(covariance):
-    """Covariance (n_x/2 + 1, n_lane) made smooth and even about its last row, the seam.
+    """Make the covariance (n_x/2 + 1, n_lane) smooth and even about its last row, the seam.
 
-    Over the last _SEAM of its length it goes over into the best-fitting polynomial that is even about the
-    seam.
+    Over the last `_SEAM` of its length it changes into the best-fitting polynomial that is even about the seam.
     """
     n = int(_SEAM * (covariance.shape[0] - 1))
     s = np.arange(n, -1, -1.0) / n  # 1 where the change begins, 0 at the seam
@@ -190,14 +224,14 @@ def _smooth_seam(covariance):
 
 
 def _weights(n_x):
-    """Weights (n_x/2 + 1,) of frequencies in a variance, and in that of the difference of neighbours along x."""
+    """Weights (n_x/2 + 1,) of frequencies in the variance, and in the variance of neighbour differences along x."""
     weight = np.full(n_x // 2 + 1, 2.0 / n_x)
     weight[[0, -1]] = 1.0 / n_x
     return weight, weight * (2.0 * np.sin(pi * np.arange(n_x // 2 + 1) / n_x)) ** 2
 
 
 def used_modes(screen, density, n_x, step_rad):
-    """How many frequencies, from 0 on, could matter of spectra (n_x/2 + 1, n_lane)."""
+    """Count the frequencies, from 0 on, that are not negligible in spectra (n_x/2 + 1, n_lane)."""
     weight, along = _weights(n_x)
     # No eigenvalue exceeds its matrix' largest absolute row sum.
     bound = np.abs(density).sum(axis=1) * (along + weight)
@@ -210,10 +244,10 @@ def used_modes(screen, density, n_x, step_rad):
 
 
 def _eigen_modes(density, n_x, step_rad, used):
-    """Eigenvalues (used, n_lane), eigenvectors (used, n_lane, n_lane) and shares (used, n_lane).
+    """Eigenvalues (used, n_lane), eigenvectors (used, n_lane, n_lane) and variance fractions (used, n_lane).
 
-    A mode's share is what it adds to the variance of the difference of neighbours along x plus of that
-    across; without the ramp all shares add to 2 D(step). Raises ValueError where the matrices would be too large.
+    The fraction of a mode is its contribution to the variance of neighbour differences along x plus across; without the
+    ramp they add up to 2 D(step). Raises ValueError where the matrices would be too large.
     """
     n_lane = density.shape[1]
     check_elements(used, n_x, n_lane, step_rad)

@@ -1,4 +1,4 @@
-"""Whether strips of the layer can be made, foreseen before any is drawn, by the rules that make them."""
+"""Check, before any draw, that strips of the layer can be built."""
 
 from functools import lru_cache
 from math import ceil
@@ -21,11 +21,27 @@ _MOST_WORK, _FEWEST_LANES = 1e8, 4
 
 
 def check_strip(strips: StripCache, length_rad: float) -> int:
-    """Raise ValueError where a strip for tracks up to `length_rad` long, or shorter ones, can't be made.
+    """Check that strips for tracks up to a length can be built.
 
-    Gives back the size of all frequencies' matrices, in elements. Strips come in powers of two of points, and one that
-    is too smooth for its length takes the next: where the longest can be made, so can shorter ones, but for those of
-    more points than that goes up to, of which the longest is tried too.
+    Strips have a power of two of points; where a strip is too smooth for its length, the next power is used. If the
+    longest strip can be built, so can shorter ones. The exception is strips with more points than the next power
+    allows; the longest of these is tried as well.
+
+    Parameters
+    ----------
+    strips
+    length_rad
+        Longest track.
+
+    Returns
+    -------
+    int
+        Elements of the covariance matrices of all frequencies.
+
+    Raises
+    ------
+    ValueError
+        Where a strip can't be built.
     """
     n_lane, step = strips.n_lane, strips.step_rad
     n_x = points_along(length_rad, step)
@@ -33,29 +49,36 @@ def check_strip(strips: StripCache, length_rad: float) -> int:
     used = _used(strips.screen, n_x, n_lane, step)
     check_elements(used, n_x, n_lane, step)
     for size in sorted({n_x, min(n_x, N_X_MAX)}):
-        _try(strips.screen, size, n_lane, step, used, strips.precision)
+        _try(strips.screen, n_x=size, n_lane=n_lane, step_rad=step, used=used, precision=strips.precision)
     return used * n_lane**2
 
 
 @lru_cache(maxsize=32)  # points of a sweep have layers alike
 def _used(screen: Screen, n_x: int, n_lane: int, step_rad: float) -> int:
-    """Frequencies whose matrices are made, or all where these are few."""
+    """Count the frequencies whose matrices are built; all, where these are few."""
     if _work(n_x // 2 + 1, n_lane) <= _MOST_WORK:
         return n_x // 2 + 1
     return used_modes(screen, lane_spectra(screen, n_x, n_lane, step_rad)[1], n_x, step_rad)
 
 
 @lru_cache(maxsize=32)
-def _try(screen: Screen, n_x: int, n_lane: int, step_rad: float, used: int, precision: str) -> None:
-    """Make a strip, or where its eigenvectors take long one of its first few lanes alone.
+def _try(screen: Screen, *, n_x: int, n_lane: int, step_rad: float, used: int, precision: str) -> None:
+    """Build a strip, or its first few lanes where the eigenvectors of all would take long.
 
-    If those are too smooth, so is the whole: matrices of a few lanes lie within those of all, and no eigenvalue of
-    theirs is less than the least of these (Cauchy).
+    If those are too smooth, so is the whole: the matrices of a few lanes are submatrices of the full ones, so their
+    eigenvalues are bounded by the smallest of these (Cauchy interlacing).
     """
     lanes = n_lane
     while lanes > _FEWEST_LANES and _work(used, lanes) > _MOST_WORK:
         lanes = max(_FEWEST_LANES, ceil(lanes / 2))
-    build_strip(screen, longest_track(n_x, step_rad), 0.5 * (lanes - 1) * step_rad, step_rad, precision, lanes)
+    build_strip(
+        screen,
+        length_rad=longest_track(n_x, step_rad),
+        half_width_rad=0.5 * (lanes - 1) * step_rad,
+        step_rad=step_rad,
+        precision=precision,
+        fewest_lanes=lanes,
+    )
 
 
 def _work(used: int, lanes: int) -> int:

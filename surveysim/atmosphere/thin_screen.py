@@ -1,19 +1,18 @@
 """Closed forms and quadratures of the thin-screen atmosphere (paper, section on the Kolmogorov-Taylor model).
 
-A flat layer of emission fluctuations with the isotropic two-dimensional power spectrum
+A flat layer of emission fluctuations has the isotropic two-dimensional power spectrum
 
     P(alpha) = B2 sin(el)^(1 - b) (alpha^2 + alpha_0^2)^(-b/2),    alpha_0 = 1 / outer_scale_rad,
 
-alpha in cycles per radian, two-sided density in mK^2 rad^2. Without an outer scale alpha_0 = 0 and the
-spectrum is the pure power law alpha^-b. Mind the convention: alpha_0 is one over the outer scale, without a
-factor 2 pi. The telescope sees the layer in its near field, through a uniform disc of angular diameter D/h.
-Every function here is per unit amplitude, B2 sin(el)^(1 - b) = 1, so results scale with that amplitude.
+with alpha in cycles per radian and a two-sided density in mK^2 rad^2. Without an outer scale alpha_0 = 0, and the
+spectrum is the power law alpha^-b. Note that alpha_0 is one over the outer scale, without a factor 2 pi. The telescope
+sees the layer in its near field, through a uniform disc of angular diameter D/h. Every function here is per unit
+amplitude, B2 sin(el)^(1 - b) = 1; results scale with the amplitude.
 
-At the elevation el the layer is h / sin(el) away: the disc is D sin(el) / h wide, and the outer scale shrinks as much.
-In angles over sin(el) it is the layer at the zenith, with the amplitude B2 / sin(el).
+At the elevation el the distance of the layer is h / sin(el): the disc has the width D sin(el) / h, and the outer scale
+shrinks by the same factor. In angles over sin(el) the layer is that at the zenith, with the amplitude B2 / sin(el).
 
-Angles are small compared with a radian in the paper; a large outer scale may exceed one, and the layer
-stays flat.
+The paper takes angles to be small compared with a radian. A large outer scale may exceed one; the layer stays flat.
 """
 
 from dataclasses import dataclass, replace
@@ -37,10 +36,22 @@ _ALPHA_Y_MAX = 300.25
 
 @dataclass(frozen=True)
 class Screen:
-    """A thin layer as one telescope sees it: spectral index b, disc diameter D/h and outer scale.
+    """Thin layer as seen by one telescope.
 
-    Raises ValueError where no structure function exists: b <= 0, or b >= 4 without an outer scale; and for an
-    outer scale smaller than the beam, where a thin layer has no meaning.
+    Attributes
+    ----------
+    index
+        Spectral index b.
+    beam_rad
+        Angular diameter D/h of the disc.
+    outer_scale_rad
+        Outer scale; infinite for none.
+
+    Raises
+    ------
+    ValueError
+        Where no structure function exists (b <= 0, or b >= 4 without an outer scale), and for an outer scale smaller
+        than the beam, for which the layer is not thin.
     """
 
     index: float
@@ -64,17 +75,17 @@ class Screen:
 
 
 def at_elevation(screen, sine):
-    """The screen at the zenith as it is seen, in angles on the sky, at an elevation of this sine."""
+    """Scale a screen at the zenith to an elevation with the given sine."""
     return replace(screen, beam_rad=screen.beam_rad * sine, outer_scale_rad=screen.outer_scale_rad * sine)
 
 
 def power(screen, alpha):
-    """Two-dimensional power spectrum of the layer without the beam [rad^2] at alpha [1/rad], any shape."""
+    """Two-dimensional power spectrum of the layer without the beam [rad^2], at alpha [1/rad] of any shape."""
     return (np.square(alpha) + screen.outer_scale_rad**-2.0) ** (-screen.index / 2.0)
 
 
 def beam_transfer(alpha_d):
-    """Transfer of a uniform disc, 2 J1(pi alpha D) / (pi alpha D); `alpha_d` is alpha times D."""
+    """Transfer function 2 J1(pi alpha D) / (pi alpha D) of a uniform disc; `alpha_d` is alpha times D."""
     argument = pi * np.maximum(np.abs(alpha_d), 1e-9)
     return 2.0 * j1(argument) / argument
 
@@ -83,11 +94,25 @@ def beam_transfer(alpha_d):
 
 
 def structure_function(screen, theta_rad):
-    """Structure function with the beam, <(T(r + theta) - T(r))^2> [1], at angles `theta_rad` of any shape.
+    """Structure function <(T(r + theta) - T(r))^2> with the beam.
 
-    D = 4 pi int alpha P beam^2 (1 - J0(2 pi alpha theta)) d alpha, from a cubic spline in log-log through a
-    quadrature good to about 1e-6. Below 1e-4 of the beam it continues as a power law.
-    Raises ValueError beyond 1e4 beams.
+    D = 4 pi int alpha P beam^2 (1 - J0(2 pi alpha theta)) d alpha, from a cubic spline in log-log through a quadrature
+    with an accuracy of about 1e-6. Below 1e-4 of the beam it continues as a power law.
+
+    Parameters
+    ----------
+    screen
+    theta_rad : any shape
+
+    Returns
+    -------
+    array
+        Of the shape of `theta_rad`, per unit amplitude.
+
+    Raises
+    ------
+    ValueError
+        Beyond 1e4 beams.
     """
     lag = np.abs(np.asarray(theta_rad, dtype=float)) / screen.beam_rad
     if np.any(lag > LAG_MAX):
@@ -109,10 +134,15 @@ def structure_slope(screen, theta_rad):
 
 
 def structure_table(screen):
-    """The structure function as loops evaluate it: coefficients (n, 4) of cubics, and scale (5,).
+    """Tabulate the structure function for `surveysim.atmosphere.trend_kernels.structure`.
 
-    As `surveysim.atmosphere.trend_kernels.structure` takes them; within 1e-7 of `structure_function`, and beyond 1e4
-    beams a power law.
+    The table agrees with `structure_function` within 1e-7; beyond 1e4 beams it continues as a power law.
+
+    Returns
+    -------
+    coefficients : (n, 4)
+        Cubics in the logarithm of the angle.
+    scale : (5,)
     """
     coefficients, scale = _table_in_beams(*_in_beams(screen))
     return coefficients * screen.beam_rad ** (screen.index - 2.0), np.append(screen.beam_rad, scale)
@@ -120,7 +150,7 @@ def structure_table(screen):
 
 @lru_cache(maxsize=64)
 def _table_in_beams(index, outer_scale):
-    """`structure_table` for a beam of 1: scale (4,) without the beam."""
+    """Compute `structure_table` for a beam of 1; scale (4,) without the beam."""
     from scipy.interpolate import CubicSpline
 
     spline, slope_min = _log_structure(index, outer_scale)
@@ -131,16 +161,21 @@ def _table_in_beams(index, outer_scale):
 
 
 def _in_beams(screen):
-    """Index and outer scale in units of the beam, on which the shape of the structure function depends."""
+    """Index and outer scale in units of the beam, which determine the shape of the structure function."""
     # Rounded, so that one aperture at many heights is one shape.
     return screen.index, float(f"{screen.outer_scale_rad / screen.beam_rad:.12g}")
 
 
 def pencil_structure_function(index, theta_rad):
-    """Structure function of the pure power law without a beam, 2 < b < 4 [1].
+    """Structure function of the power law without a beam, for 2 < b < 4.
 
-    D = 4 pi (2 pi theta)^(b-2) pi / (2^p Gamma((p+1)/2)^2 sin(pi (p-1)/2)), p = b - 1; about 300.6
-    theta^(5/3) for b = 11/3. Raises ValueError for any other b.
+    D = 4 pi (2 pi theta)^(b-2) pi / (2^p Gamma((p+1)/2)^2 sin(pi (p-1)/2)), p = b - 1; about 300.6 theta^(5/3) for
+    b = 11/3.
+
+    Raises
+    ------
+    ValueError
+        For any other b.
     """
     if not 2.0 < index < 4.0:
         raise OutOfRangeError(f"spectral index b = {index:g} found; a pencil beam allows 2 < b < 4")
@@ -157,7 +192,9 @@ def _pencil_constant(index):
 @lru_cache(maxsize=64)
 @threadpool_limits.wrap(limits=1)  # what is kept must not depend on who asked first, with how many threads
 def _log_structure(index, outer_scale):
-    """Spline of ln D against ln(theta / beam) for a beam of 1 and an outer scale in beams; slope at its lower end."""
+    """Spline of ln D against ln(theta / beam) for a beam of 1 and an outer scale in beams, and its slope at the lower
+    end.
+    """
     from scipy.interpolate import CubicSpline
 
     screen = Screen(index, 1.0, outer_scale)
@@ -172,7 +209,7 @@ def _log_structure(index, outer_scale):
 
 
 def _structure_near(screen, lag):
-    """Spectral quadrature for lags up to a few beams (in beams)."""
+    """Integrate the spectrum for lags up to a few beams (in beams)."""
     b, scale = screen.index, screen.beam_rad ** (screen.index - 2.0)
     u0 = screen.beam_rad / screen.outer_scale_rad
     u_min = 1e-3 * min(u0, 1.0) if u0 > 0.0 else 1e-3
@@ -187,7 +224,7 @@ def _structure_near(screen, lag):
 
 
 def _structure_tail(b, lag):
-    """What lies above _ALPHA_AVERAGED, where beam^2 averages to 4 / (pi^4 u^3)."""
+    """Integrate above _ALPHA_AVERAGED, where beam^2 averages to 4 / (pi^4 u^3)."""
     x_min = _ALPHA_AVERAGED * lag
     x_max = np.maximum(x_min, 20.0)
     node, weight = np.polynomial.legendre.leggauss(300)
@@ -198,10 +235,10 @@ def _structure_tail(b, lag):
 
 
 def _structure_far(screen, lag):
-    """Structure function but for a constant, lags above a beam (in beams).
+    """Structure function up to a constant, for lags above a beam (in beams).
 
-    There the beam only averages the pencil beam's structure function over the separations of two points of
-    the disc (the disc's autocorrelation), which is smooth.
+    At these lags the beam averages the structure function of a pencil beam over the separations of two points of the
+    disc (the autocorrelation of the disc); the average is smooth.
     """
     node, weight = np.polynomial.legendre.leggauss(24)
     root = 0.5 * (node + 1.0)  # s = 1 - root^2, for the overlap vanishes as (1 - s)^(3/2)
@@ -213,7 +250,7 @@ def _structure_far(screen, lag):
 
 
 def _pencil_difference(screen, lag):
-    """Pencil beam's structure function but for a constant, for any allowed b, in units of the beam."""
+    """Structure function of a pencil beam up to a constant, for any allowed b, in units of the beam."""
     if isfinite(screen.outer_scale_rad):
         mu, argument = screen.index / 2.0 - 1.0, lag * screen.beam_rad
         alpha_0 = 1.0 / screen.outer_scale_rad
@@ -232,7 +269,7 @@ def _one_minus_j0(x):
 
 
 def _gauss_panels(edges, order):
-    """Nodes and weights of Gauss-Legendre quadrature of one order on each panel between `edges`."""
+    """Nodes and weights of Gauss-Legendre quadrature on each panel between `edges`."""
     node, weight = np.polynomial.legendre.leggauss(order)
     half = 0.5 * np.diff(edges)
     return (edges[:-1] + half)[:, None].repeat(order, 1).ravel() + np.outer(half, node).ravel(), np.outer(
@@ -244,16 +281,36 @@ def _gauss_panels(edges, order):
 
 
 def temporal_psd(screen, f_hz, speed_rad_s):
-    """One-sided PSD of one beam's time stream under frozen flow [1/Hz], at `f_hz` > 0 of any shape."""
+    """One-sided PSD of the time stream of one beam under frozen flow [1/Hz], at `f_hz` > 0 of any shape."""
     return cross_psd(screen, f_hz, speed_rad_s, 0.0)
 
 
 def cross_psd(screen, f_hz, speed_rad_s, dy_rad):
-    """One-sided cross-PSD of two beams `dy_rad` apart across the wind [1/Hz], at `f_hz` > 0 of any shape.
+    """One-sided cross-PSD of two beams under frozen flow, separated across the wind.
 
-    S(f, dy) = (2/w) int P beam^2 cos(2 pi alpha_y dy) d alpha_y over both signs, alpha_x = f/w; real, since
-    along the wind only a phase 2 pi f dx / w would be added. Good to 1e-5 for b = 11/3 (0.3 % for b = 2/3)
-    up to f = 30 w / beam. Raises ValueError for frequencies that are not positive.
+    S(f, dy) = (2/w) int P beam^2 cos(2 pi alpha_y dy) d alpha_y over both signs, with alpha_x = f/w. It is real: a
+    separation along the wind adds only a phase 2 pi f dx / w. The accuracy is 1e-5 for b = 11/3 (0.3 % for b = 2/3) up
+    to f = 30 w / beam.
+
+    Parameters
+    ----------
+    screen
+    f_hz : any shape
+        Positive frequencies.
+    speed_rad_s
+        Speed w of the layer.
+    dy_rad
+        Separation across the wind.
+
+    Returns
+    -------
+    array
+        Of the shape of `f_hz` [1/Hz].
+
+    Raises
+    ------
+    ValueError
+        For frequencies or a speed that are not positive.
     """
     f_hz = np.asarray(f_hz, dtype=float)
     if not (np.all(f_hz > 0.0) and speed_rad_s > 0.0):
@@ -275,9 +332,14 @@ def _transverse_integral(screen, u_x, u_y, weight):
 
 
 def pencil_temporal_psd(index, f_hz, speed_rad_s):
-    """One-sided temporal PSD of the pure power law without a beam [1/Hz], b > 1.
+    """One-sided temporal PSD of the power law without a beam [1/Hz], for b > 1.
 
     S = (2/w) (f/w)^(1-b) sqrt(pi) Gamma((b-1)/2) / Gamma(b/2).
+
+    Raises
+    ------
+    ValueError
+        For any other b.
     """
     if not index > 1.0:
         raise OutOfRangeError(f"spectral index b = {index:g} found; a pencil beam's PSD allows b > 1")
@@ -286,7 +348,7 @@ def pencil_temporal_psd(index, f_hz, speed_rad_s):
 
 
 def mean_removed_variance(screen, speed_rad_s, duration_s):
-    """Variance of a scan's time stream about the scan's own mean [1]: int_0^1 (1 - x) D(x w T) dx."""
+    """Variance of a scan's time stream about the mean of the scan: int_0^1 (1 - x) D(x w T) dx."""
     node, weight = np.polynomial.legendre.leggauss(96)
     root = 0.5 * (node + 1.0)  # x = root^2 resolves the small lags
     x = root * root

@@ -1,4 +1,4 @@
-"""Loops of the trends that scans share: their covariance, joint draws, and the change of a strip to its trend."""
+"""Kernels of the trends that scans share: their covariance, joint draws, and the conditioning of strips on them."""
 
 import numpy as np
 
@@ -10,10 +10,16 @@ _DETERMINED = 1e-9
 
 @njit(cache=True, nogil=True)
 def structure(squared, coefficients, scale):
-    """Structure function at one squared distance, by the table of `surveysim.atmosphere.thin_screen.structure_table`.
+    """Structure function at one squared distance, from `surveysim.atmosphere.thin_screen.structure_table`.
 
-    coefficients (n, 4) of cubics in the logarithm of the distance in beams; scale (5,): beam, logarithm at which the
-    table begins and its step, powers at its lower and its upper end, with which the function goes on.
+    Parameters
+    ----------
+    squared
+        Squared distance [rad^2].
+    coefficients : (n, 4)
+        Cubics in the logarithm of the distance in beams.
+    scale : (5,)
+        Beam, logarithm of the distance at which the table begins, its step, and the powers below and above the table.
     """
     if squared <= 0.0:
         return 0.0
@@ -30,7 +36,7 @@ def structure(squared, coefficients, scale):
 
 @njit(cache=True, nogil=True)
 def _in_cell(x, c):
-    """Cubic (4,) at x from the beginning of its cell."""
+    """Evaluate a cubic (4,) at x from the beginning of its cell."""
     return ((c[0] * x + c[1]) * x + c[2]) * x + c[3]
 
 
@@ -59,7 +65,8 @@ def _add_covariance(out, row, column, place_a, weight_a, place_b, weight_b, coef
 def _factorize(matrix, size):
     """Replace the lower triangle of matrix[:size, :size] by its Cholesky factor.
 
-    Columns of rows that earlier ones determine are zero, so that a singular matrix has a factor too.
+    Columns of rows that are linear combinations of earlier ones are set to zero, so that a singular matrix has a
+    factor.
     """
     for j in range(size):
         pivot = matrix[j, j]
@@ -77,10 +84,23 @@ def _factorize(matrix, size):
 
 @njit(cache=True, nogil=True)
 def draw_trends(place, weight, normals, group, coefficients, scale):
-    """Trends (n_scan, n_trend) of consecutive scans from normals of that shape.
+    """Draw the trends of consecutive scans in groups, each given the group before.
 
-    place (n_scan, n_point, 2), weight (n_scan, n_trend, n_point). Scans are drawn in groups of `group`, each given the
-    group before: covariances within a group and between neighbouring groups are exact.
+    Covariances within a group and between neighbouring groups are exact.
+
+    Parameters
+    ----------
+    place : (n_scan, n_point, 2)
+    weight : (n_scan, n_trend, n_point)
+    normals : (n_scan, n_trend)
+    group
+        Scans in a group.
+    coefficients, scale
+        As in `structure`.
+
+    Returns
+    -------
+    (n_scan, n_trend) array
     """
     n_scan, n_trend = normals.shape
     trends = np.empty((n_scan, n_trend))
@@ -113,10 +133,24 @@ def draw_trends(place, weight, normals, group, coefficients, scale):
 
 @njit(cache=True, nogil=True)
 def point_weights(strip, lane, column, place, weight, trend, coefficients, scale):
-    """Weights (n_point,) of the field's covariance with the points that change a strip's trends to `trend`.
+    """Weights w^T C^-1 (t - w T) of the field's covariance with the points, which change a strip's trends to t.
 
-    strip (n_lane, n_x) holds the points at lane (n_point,) and column (n_point,); place (n_point, 2), weight (n_trend,
-    n_point), trend (n_trend,). They are w^T C^-1 (t - w T), with C the covariance of the trends.
+    Parameters
+    ----------
+    strip : (n_lane, n_x)
+    lane, column : (n_point,)
+        Points on the strip.
+    place : (n_point, 2)
+    weight : (n_trend, n_point)
+        w.
+    trend : (n_trend,)
+        t.
+    coefficients, scale
+        As in `structure`.
+
+    Returns
+    -------
+    (n_point,) array
     """
     n_trend, n_point = weight.shape
     factor = np.empty((n_trend, n_trend))
@@ -142,9 +176,19 @@ def point_weights(strip, lane, column, place, weight, trend, coefficients, scale
 def add_covariances(strip, used, lane, column, weight, step, stride, cells, coefficients, scale):
     """Add the field's covariance with weighted points, -1/2 sum_i weight_i D, to the first `used` columns of a strip.
 
-    strip (n_lane, n_x), changed in place, `step` apart; points at lane (n_point,) and column (n_point,). The sum is
-    evaluated every `stride` columns and at `cells` + 1 lines across, one more beyond each end, and is cubic between. It
-    has the constant that leaves the strip's level near 0, where single precision is finest.
+    The sum is evaluated every `stride` columns and at `cells` + 1 lines across, with one more beyond each end, and is
+    cubic in between. A constant keeps the level of the strip near 0, where single precision is finest.
+
+    Parameters
+    ----------
+    strip : (n_lane, n_x)
+        Changed in place; points are `step` apart.
+    used
+    lane, column, weight : (n_point,)
+        Points on the strip and their weights.
+    step, stride, cells
+    coefficients, scale
+        As in `structure`.
     """
     n_lane = strip.shape[0]
     across = (n_lane - 1) / cells
@@ -183,7 +227,7 @@ def add_covariances(strip, used, lane, column, weight, step, stride, cells, coef
 
 @njit(cache=True, nogil=True)
 def _centred_weights(x, weight):
-    """Write the weights (4,) that the values at -1, 0, 1 and 2 have at x: Lagrange's, exact for cubics."""
+    """Write the Lagrange weights (4,) of the values at -1, 0, 1 and 2 for the position x; exact for cubics."""
     a, b, c, d = x + 1.0, x, x - 1.0, x - 2.0
     weight[0] = -b * c * d / 6.0
     weight[1] = a * c * d / 2.0

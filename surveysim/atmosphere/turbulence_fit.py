@@ -1,4 +1,4 @@
-"""Amplitude, index and height of the turbulent layer from the correlation of detectors (paper, section 3.2)."""
+"""Fit of amplitude, spectral index and height of the turbulent layer to detector correlations (paper, section 3.2)."""
 
 from dataclasses import dataclass
 
@@ -17,9 +17,15 @@ TRACKS_RAD = np.geomspace(3e-4, 1.5, 24)
 
 @dataclass(frozen=True)
 class TurbulenceFit:
-    """Fits of one observation at every grid point: `b2` [mK^2 rad^(2-b)] at zenith and `chi2`, (n_b, n_h).
+    """Fits of one observation at every grid point of spectral index and height.
 
-    `best` is the grid point (i_b, i_h) of the smallest chi^2.
+    Attributes
+    ----------
+    b2 : (n_b, n_h)
+        Amplitude at the zenith [mK^2 rad^(2-b)].
+    chi2 : (n_b, n_h)
+    best : (int, int)
+        Grid point of the smallest chi^2.
     """
 
     b2: np.ndarray
@@ -31,16 +37,31 @@ def fit_turbulence(
     profile: Profile,
     bins: PairBins,
     grid: CorrelationGrid,
+    *,
     track_rad: np.ndarray,
     elevation_rad: np.ndarray,
     overlap: np.ndarray | None,
 ) -> TurbulenceFit | None:
-    """Fit every grid point to one observation; None where the profile or the track of a scan can't be used.
+    """Fit every grid point to the correlation profile of one observation.
 
-    `track_rad` (n_scan,): how far the layer moves during each scan; `elevation_rad` (n_scan,). Adjacent pairs are left
-    out. The level of C gives B2; its shape, free of gains, gives chi^2, with jackknife errors over scans. `overlap`
-    (n_bin,) is the coherence of pixels of each separation: low-frequency noise that they share through it has an
-    amplitude of its own in the fit, for it does not end with the adjacent pairs.
+    Adjacent pairs are excluded. The level of C gives B2. Its shape, which does not depend on gains, gives chi^2, with
+    jackknife errors over scans.
+
+    Parameters
+    ----------
+    profile, bins
+        Measured profile and its pair bins.
+    grid
+    track_rad, elevation_rad : (n_scan,)
+        Track of the layer during each scan, and elevation.
+    overlap : (n_bin,), optional
+        Coherence of pixels at each separation. Low-frequency noise that pixels share through it has a free amplitude in
+        the fit, because it extends beyond adjacent pairs.
+
+    Returns
+    -------
+    TurbulenceFit or None
+        None where the profile, or the track of a scan, can't be used.
     """
     theory = grid.correlation(track_rad, elevation_rad)
     if not (np.isfinite(profile.log_level) and (theory > 0.0).all()):
@@ -56,20 +77,30 @@ def fit_turbulence(
 def fitted_profile(
     profile: Profile, log_theory: np.ndarray, overlap: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Theory (..., n_bin) of ln C as `fit_turbulence` compares it with a profile, and the profile's errors (n_bin,).
+    """Fit predictions of ln C to a profile with a free offset and a free amplitude of `overlap`.
 
-    An offset and an amplitude of `overlap` (n_bin,) are fitted to what is between the two; errors from leaving out
-    one scan at a time.
+    Parameters
+    ----------
+    profile
+    log_theory : (..., n_bin)
+        Predicted ln C.
+    overlap : (n_bin,), optional
+
+    Returns
+    -------
+    fit : (..., n_bin)
+    error : (n_bin,)
+        Errors of the profile, from a jackknife over scans.
     """
     n_scan = len(profile.scan_profiles)
     weight = 1.0 / np.maximum((n_scan - 1) * profile.scan_profiles.var(axis=0), 1e-30)
     ignored = np.ones((1, len(weight))) if overlap is None else np.stack([np.ones(len(weight)), overlap])
-    left = _left_over(profile.log_profile - log_theory, ignored, weight)
+    left = _fit_residuals(profile.log_profile - log_theory, ignored, weight)
     return profile.log_profile - left, weight**-0.5
 
 
-def _left_over(residual: np.ndarray, ignored: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Residuals (..., n_bin) less their weighted fit by the shapes `ignored` (n_shape, n_bin)."""
+def _fit_residuals(residual: np.ndarray, ignored: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Subtract the weighted fit of the shapes `ignored` (n_shape, n_bin) from residuals (..., n_bin)."""
     scaled = np.sqrt(weight)
     basis = np.linalg.qr((ignored * scaled).T)[0]
     whitened = residual * scaled

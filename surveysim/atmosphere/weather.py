@@ -1,4 +1,4 @@
-"""The weather of one observation: water, B2 and wind drawn from the survey's distributions."""
+"""Weather of one observation: water vapour, B2 and wind drawn from the survey's distributions."""
 
 import math
 from collections.abc import Callable
@@ -19,9 +19,16 @@ _RANKS = 400  # of water and of fluctuations, for the quantiles of their product
 
 @dataclass(frozen=True)
 class Weather:
-    """One draw: B2 at zenith [mK^2 rad^(2-b) of the screen's index], the wind in azimuth-elevation axes, the water.
+    """Weather of one observation.
 
-    `pwv_mm` is the zenith column of precipitable water, NaN without a site.
+    Attributes
+    ----------
+    b2
+        Amplitude at the zenith [mK^2 rad^(2-b)].
+    wind_speed_rad_s, wind_angle_rad
+        Angular velocity of the layer in azimuth-elevation axes.
+    pwv_mm
+        Zenith column of precipitable water vapour; NaN without a site.
     """
 
     b2: float
@@ -31,7 +38,7 @@ class Weather:
 
     @property
     def wind_rad_s(self) -> tuple[float, float]:
-        """Angular velocity of the layer along azimuth (on the sky) and elevation."""
+        """Angular velocity of the layer along azimuth (on the sky) and elevation [rad/s]."""
         return (
             self.wind_speed_rad_s * math.cos(self.wind_angle_rad),
             self.wind_speed_rad_s * math.sin(self.wind_angle_rad),
@@ -40,10 +47,16 @@ class Weather:
 
 @dataclass(frozen=True)
 class Water:
-    """What a band makes of a site's water, by its `opacity`.
+    """Response of a band to the water vapour of a site.
 
-    `response`: (C d tau / dC)^2 B_atm^2 [mK^2] against PWV [mm] (section 3.3). `log_b2` (n,): quantiles of ln B2 that
-    follow from it and the distributions of water and fluctuations, at the normal levels `level` (n,).
+    Attributes
+    ----------
+    opacity
+    response
+        (C d tau / dC)^2 B_atm^2 [mK^2] as a function of PWV [mm] (paper, section 3.3).
+    log_b2, level : (n,)
+        Quantiles of ln B2 that follow from the distributions of water and fluctuations, and their standard normal
+        levels.
     """
 
     opacity: BandOpacity
@@ -53,7 +66,13 @@ class Water:
 
 
 def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) -> Water:
-    """The water of a scene's site in a band; raises ValueError, with the key, where its opacities do not reach."""
+    """Response of a band to the water vapour of a scene's site.
+
+    Raises
+    ------
+    ValueError
+        Where the opacity table does not cover the band or the water, with the key of the scene.
+    """
     from scipy.special import ndtri
 
     from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
@@ -81,24 +100,32 @@ def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) ->
 
 
 def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: np.random.Generator) -> Weather:
-    """One observation's weather. Wind speeds are log-normal about their median, directions uniform.
+    """Draw the weather of one observation.
 
-    Without a site B2 comes from its own quantiles. With one it is the fractional fluctuation of the water times
-    what the band makes of it, (delta C / C)^2 (C d tau / dC)^2 B_atm^2, PWV and fluctuation drawn independently
-    (section 3.3); quantiles of B2 beside a site replace those that follow, each draw keeping its rank. With
-    `wind_b2_exponent` the median wind goes as that power of B2 over its median. Raises ValueError for a draw that is
-    no number for a stream: tails of quantiles that lie close together rise without limit.
+    Wind speeds are log-normal about their median, directions uniform. Without a site, B2 is drawn from its quantiles.
+    With a site it is (delta C / C)^2 (C d tau / dC)^2 B_atm^2, with PWV and fractional fluctuation drawn independently
+    (paper, section 3.3); if the scene has quantiles of B2 too, they replace the resulting distribution, and each draw
+    keeps its rank. With `wind_b2_exponent` the median wind scales with that power of B2 over its median.
+
+    Raises
+    ------
+    ValueError
+        For a draw too large for a stream: extrapolated tails of closely spaced quantiles have no bound.
     """
     level, speed = rng.standard_normal(2)
     angle = rng.uniform(0, 2 * math.pi)
-    return _weather(atmosphere, water, level, speed, angle, rng.random())
+    return _weather(atmosphere, water, level=level, speed=speed, angle=angle, share=rng.random())
 
 
 def fastest_wind(atmosphere: Atmosphere, water: Water | None, n_observations: int) -> float:
-    """Wind [rad/s] that none of so many observations exceeds, but for a chance of a millionth.
+    """Wind speed that no observation of a survey exceeds, with a probability of all but 1e-6 [rad/s].
 
-    Raises ValueError as `draw_weather` where B2 or the wind may be no number for a stream. Inf where the wind has no
-    bound: it goes as a negative power of a B2 that may be 0.
+    It is infinite for a negative power of a B2 that may be 0.
+
+    Raises
+    ------
+    ValueError
+        As `draw_weather`.
     """
     if atmosphere.wind_b2_exponent < 0 and water is None and min(atmosphere.b2) == 0:
         return math.inf
@@ -106,15 +133,19 @@ def fastest_wind(atmosphere: Atmosphere, water: Water | None, n_observations: in
 
     beyond = -float(ndtri(1e-6 / (2 * n_observations)))
     extremes = [
-        _weather(atmosphere, water, level, beyond, 0.0, share) for level in (-beyond, beyond) for share in (0.0, 1.0)
+        _weather(atmosphere, water, level=level, speed=beyond, angle=0.0, share=share)
+        for level in (-beyond, beyond)
+        for share in (0.0, 1.0)
     ]
     return max(weather.wind_speed_rad_s for weather in extremes)
 
 
 def _weather(
-    atmosphere: Atmosphere, water: Water | None, level: float, speed: float, angle: float, share: float
+    atmosphere: Atmosphere, water: Water | None, *, level: float, speed: float, angle: float, share: float
 ) -> Weather:
-    """Weather at normal levels of B2 (or fluctuations) and wind, at an angle, and with a share of drier water."""
+    """Weather at standard normal levels of B2 (or fluctuation) and wind speed, a wind angle and a probability of drier
+    water.
+    """
     pwv = math.nan
     if water is not None:
         pwv = float(pwv_quantile(atmosphere, share))
@@ -137,25 +168,25 @@ def _weather(
 
 
 def b2_quantile(atmosphere: Atmosphere, water: Water | None, normal_level: np.ndarray) -> np.ndarray:
-    """B2 of a scene at a level of the standard normal distribution: its own quantiles, else those of its site."""
+    """B2 at standard normal levels, from the scene's quantiles or else from those of its site."""
     if atmosphere.b2:
         return log_quantile(atmosphere.b2_probabilities, atmosphere.b2, normal_level)
     return np.exp(np.minimum(np.interp(normal_level, water.level, water.log_b2), LARGEST_LOG))
 
 
 def pwv_quantile(atmosphere: Atmosphere, probability: np.ndarray) -> np.ndarray:
-    """PWV [mm] with this probability below it: ln PWV is linear in it between the knots, from 0 to 1.
+    """PWV [mm] below which the given probability lies: ln PWV is linear in probability between the quantiles.
 
-    Unlike B2 it has no tails: tables of opacity end, and the outermost quantiles are the driest and the wettest water.
+    Unlike B2 it has no tails, because opacity tables are finite: the outermost quantiles are the extremes.
     """
     return np.exp(np.interp(probability, atmosphere.pwv_probabilities, np.log(atmosphere.pwv_mm)))
 
 
 def log_quantile(probabilities: tuple[float, ...], values: tuple[float, ...], normal_level: np.ndarray) -> np.ndarray:
-    """The value at a level of the standard normal distribution, given its quantiles.
+    """Value at standard normal levels, from quantiles at some probabilities.
 
-    Its logarithm is linear in the normal level between the quantiles; beyond them it goes on with the slope
-    between the outermost two, a log-normal tail.
+    The logarithm is linear in the normal level between the quantiles. Beyond them it has the slope between the
+    outermost two, a log-normal tail.
     """
     from scipy.special import ndtri
 

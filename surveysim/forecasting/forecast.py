@@ -1,7 +1,12 @@
-"""The noise of a survey's map without a Monte Carlo: closed forms for every part of the streams.
+"""Forecast of the noise of a survey's map without a Monte Carlo.
 
-Each observation's noise in a map mode is that of `surveysim.forecasting.noise_model`; observations are weighted and
-co-added as in a run, with the weather that the scene's seed draws for them.
+Each observation's noise in a map mode follows from `surveysim.forecasting.noise_model`. Observations are weighted and
+co-added as in a run, in the weather that the scene's seed draws for them: with weights w_i, fractions k_i of kept scans
+and the noise N_ib a sample,
+
+    N_b = A (n_obs / n_survey) sum_i w_i^2 k_i N_ib / (sum_i w_i k_i)^2,
+
+where A converts the variance a sample to the PSD of the tapered map: pixel area times the mean of 1 / hits.
 """
 
 from dataclasses import dataclass
@@ -12,9 +17,14 @@ from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
 from mapmaker.transfer_function import beam_window
 from surveysim.forecasting.mode_response import PROJECTIONS
 from surveysim.forecasting.noise_model import NoiseModel, is_projection, survey_models
-from surveysim.forecasting.observing_conditions import Conditions, conditions, mean_hits, survey_draws
-from surveysim.forecasting.pilot import Kept, predicted_kept
-from surveysim.forecasting.validity import Effect, Grounds, effects
+from surveysim.forecasting.observing_conditions import (
+    ObservingConditions,
+    mean_hits,
+    observing_conditions,
+    survey_draws,
+)
+from surveysim.forecasting.pilot import KeptScans, predict_kept_scans
+from surveysim.forecasting.validity import EffectInputs, NeglectedEffect, neglected_effects
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.errors import NotForecastableError
 from surveysim.scene.scene import Scene
@@ -25,10 +35,26 @@ NOTHING_FOUND = "score: found no noise in its multipoles or no scan across its p
 
 @dataclass(frozen=True)
 class DataSetForecast:
-    """One data set's forecast: `noise_psd` [uK_CMB^2 sr], `signal_psd` [sr] and `transmission`, (n_bin,).
+    """Forecast of one data set.
 
-    `weights` (n_obs,) [1/mK^2 a sample] of its observations and the scans that are `kept` of them; `effects` are those
-    that it neglects, and where it is out of its range.
+    Attributes
+    ----------
+    name, n_det
+        Data set and its number of detectors.
+    band
+        Band power and its uncertainty.
+    noise_psd : (n_bin,)
+        [uK_CMB^2 sr].
+    signal_psd : (n_bin,)
+        Expected PSD of a flat spectrum of unit band power [sr].
+    transmission : (n_bin,)
+        Transfer function of scans and cleaning.
+    weights : (n_obs,)
+        Inverse noise variance a sample of each observation [1/mK^2].
+    kept
+        Scans that cleaning keeps.
+    effects
+        Effects that the forecast neglects, with flags where it is out of its range.
     """
 
     name: str
@@ -38,13 +64,15 @@ class DataSetForecast:
     signal_psd: np.ndarray
     transmission: np.ndarray
     weights: np.ndarray
-    kept: Kept
-    effects: tuple[Effect, ...]
+    kept: KeptScans
+    effects: tuple[NeglectedEffect, ...]
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Forecasts by data set, in bins around `ell` (n_bin,); without the best of each observation and no projections."""
+    """Forecasts by data set, in bins around `ell` (n_bin,), without best-of-observation sets and without
+    non-projections.
+    """
 
     ell: np.ndarray
     scores: dict[str, DataSetForecast]
@@ -53,12 +81,24 @@ class Forecast:
 def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecast:
     """Forecast the data sets of a scene.
 
-    `kept` holds, by the data set of each pipeline, the share of scans (n_obs,) that a run kept of each of the survey's
-    first observations: the forecast is then that of the survey as judged by them. By default it is predicted
-    (`surveysim.forecasting.pilot`).
+    Parameters
+    ----------
+    scene
+    kept : dict of (n_obs,), optional
+        For the data set of each pipeline, the fraction of scans that a run kept of each of the survey's first
+        observations. By default the fractions are predicted by `surveysim.forecasting.pilot`.
 
-    Raises SceneError for a scene that can't be run, NotForecastableError for one without [score], with a first cleaning
-    that is none of `PROJECTIONS`, or without noise or scans to score.
+    Returns
+    -------
+    Forecast
+
+    Raises
+    ------
+    SceneError
+        For a scene that can't be run.
+    NotForecastableError
+        For a scene without [score], with a first cleaning that is not in `PROJECTIONS`, or without noise or scans to
+        score.
     """
     setup = prepare(scene)
     if scene.score is None:
@@ -70,29 +110,31 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
         )
     models = survey_models(scene)
     if kept is None:
-        levels = conditions(setup, survey_draws(setup, 0, scene.observations))
-        weight = expected_weights(setup, _some_noise(setup, models[0], levels))
-        scans = predicted_kept(setup, tuple(filter(is_projection, setup.pipelines)), levels, weight)
+        conditions = observing_conditions(setup, survey_draws(setup, 0, scene.observations))
+        weight = expected_weights(setup, _nonzero_noise(setup, models[0], conditions))
+        scans = predict_kept_scans(setup, tuple(filter(is_projection, setup.pipelines)), conditions, weight)
     else:
-        levels = conditions(setup, survey_draws(setup, 0, len(next(iter(kept.values())))))
-        scans = {name: Kept(share) for name, share in kept.items()}
+        conditions = observing_conditions(setup, survey_draws(setup, 0, len(next(iter(kept.values())))))
+        scans = {name: KeptScans(share) for name, share in kept.items()}
     found: dict[str, DataSetForecast] = {}
     for model in models:
         if model.name == model.pipeline.data_set:  # the sets that follow share its detectors
             hits = mean_hits(setup, model.pipeline)
-        found[model.name] = _scored(setup, model, levels, scans[model.pipeline.data_set], hits)
+        found[model.name] = _scored(setup, model, conditions, kept=scans[model.pipeline.data_set], hits=hits)
     return Forecast(setup.band.rings.ell, {name: found[name] for name in setup.data_sets if name in found})
 
 
 def can_forecast(setup: Setup) -> bool:
-    """Whether a prepared scene has a score and its first cleaning can be forecast."""
+    """Tell whether a prepared scene has a score and a first cleaning that can be forecast."""
     return setup.scene.score is not None and is_projection(setup.pipelines[0])
 
 
-def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hits: np.ndarray) -> DataSetForecast:
-    """Weight and co-add observations in the conditions `levels`; score the map."""
+def _scored(
+    setup: Setup, model: NoiseModel, conditions: ObservingConditions, *, kept: KeptScans, hits: np.ndarray
+) -> DataSetForecast:
+    """Weight and co-add the observations, and score the map."""
     scene, band, rings = setup.scene, setup.band, setup.band.rings
-    noise, taper, covered = _some_noise(setup, model, levels), band.taper**2, hits > 0
+    noise, taper, covered = _nonzero_noise(setup, model, conditions), band.taper**2, hits > 0
     if not taper[covered].any():
         raise NotForecastableError(NOTHING_FOUND)
     if not kept.share.any():
@@ -106,24 +148,38 @@ def _scored(setup: Setup, model: NoiseModel, levels: Conditions, kept: Kept, hit
     area = setup.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
     psd = variance * area * (1e3 * scene.instrument.cmb_per_rj) ** 2
     signal = model.signal_psd
-    score = band_power(psd, signal, rings.n_modes, band.selected, rings.ell, rings.edges_ell, 0.0)
-    layer = model.layer_noise(levels)
-    grounds = Grounds(model.pipeline, model.n_det, levels, kept, weight, noise, layer, score.weight, hits)
+    score = band_power(
+        psd, signal, rings.n_modes, band.selected, ell=rings.ell, edges_ell=rings.edges_ell, relative_error=0.0
+    )
+    layer = model.layer_noise(conditions)
+    inputs = EffectInputs(model.pipeline, model.n_det, conditions, kept, weight, noise, layer, score.weight, hits)
     passed = signal / band.signal_psd
-    found = effects(setup, grounds)
+    found = neglected_effects(setup, inputs)
     return DataSetForecast(model.name, model.n_det, score, psd, signal, passed, weight, kept, found)
 
 
-def _some_noise(setup: Setup, model: NoiseModel, levels: Conditions) -> np.ndarray:
-    """Noise variance a sample (n_draw, n_bin); NotForecastableError where a scored multipole has none."""
-    noise = model.noise(levels)
+def _nonzero_noise(setup: Setup, model: NoiseModel, conditions: ObservingConditions) -> np.ndarray:
+    """Noise variance a sample (n_draw, n_bin); raises NotForecastableError where a scored multipole has none."""
+    noise = model.noise(conditions)
     if not noise[:, setup.band.selected].all():
         raise NotForecastableError(NOTHING_FOUND)
     return noise
 
 
 def expected_weights(setup: Setup, noise: np.ndarray) -> np.ndarray:
-    """Weight (n_draw,) [1/mK^2] of observations whose noise a sample is (n_draw, n_bin): as a run measures it."""
+    """Expected weights of observations, as a run measures them on their maps.
+
+    Parameters
+    ----------
+    setup
+    noise : (n_draw, n_bin)
+        Noise variance a sample [mK^2].
+
+    Returns
+    -------
+    (n_draw,) array
+        [1/mK^2].
+    """
     band = setup.band
     sky = _beamed_sky(setup)
     weight = band.rings.n_modes * (sky * band.selected / sky[band.selected].max()) ** 2

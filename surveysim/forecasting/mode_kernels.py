@@ -1,4 +1,4 @@
-"""Loop of the forecast: what a scan's time window makes of the layer's spectrum."""
+"""Kernel of the noise forecast: spectral leakage of waves into map modes by the apodization of a scan."""
 
 import numpy as np
 
@@ -7,11 +7,32 @@ from mapmaker.kernels.compiled import njit
 
 @njit(cache=True, nogil=True)
 def windowed_sums(strength, power, frequency, at, transfer, per_step, mean, share, own, lost):
-    """Sum E[(w(f_k - f_a) - m_a w(f_k) - l_aj o_kj)^2] strength_ka power_pa over a, (n_p, n_k).
+    """Sum the leakage E[(w(f_k - f_a) - m_a w(f_k) - l_aj o_kj)^2] strength_ka power_pa over a.
 
-    The expectation takes j with the probability share_j, or none. strength (n_k, n_a), or (1, n_a) for all k alike;
-    power (n_p, n_a); frequency (n_a,) and at (n_k,) [Hz]; transfer (n,) is w at steps of 1 / per_step [Hz] from 0, even
-    and taken as 0 beyond its end; mean (n_a,); share (n,), own (n_k, n), lost (n_a, n).
+    The expectation takes the fitted mode j with the probability share_j, or none.
+
+    Parameters
+    ----------
+    strength : (n_k, n_a), or (1, n_a) for all k alike
+    power : (n_p, n_a)
+    frequency : (n_a,)
+        Frequencies f_a of the waves [Hz].
+    at : (n_k,)
+        Frequencies f_k of the map modes [Hz].
+    transfer : (n,)
+        w at steps of 1 / per_step [Hz] from 0; w is even, and 0 beyond the table.
+    per_step : float
+    mean : (n_a,)
+        Components m of the waves along the scan's mean.
+    share : (n,)
+    own : (n_k, n)
+        Components o of the map modes along the fitted modes.
+    lost : (n_a, n)
+        Components l of the waves along the fitted modes.
+
+    Returns
+    -------
+    (n_p, n_k) array
     """
     n_a, last = frequency.size, transfer.size - 1
     total = np.zeros((power.shape[0], at.size))

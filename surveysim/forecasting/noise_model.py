@@ -1,7 +1,19 @@
-"""The noise of one observation's map in closed form, for any conditions that it may be made in.
+"""Closed form of the noise in the map of one observation, for any observing conditions.
 
-Every component of the time-streams passes through `surveysim.forecasting.mode_response` and is averaged over annuli of
-multipole; the transfer function of the sky comes from the same array responses.
+The noise variance of a sample in the multipole bin b is a sum over the components of the time-streams,
+
+    N_b = n_w W_b + n_s S_b + V E_b + B2 sin(el)^(1 - b) L_b(v, sin el)   [mK^2],
+
+with the levels of `ObservingConditions`: independent (n_w) and shared (n_s) white noise, variance V of the excess
+noise, amplitude of the layer and its velocities v against the scan. A component with the detector correlation K and the
+PSD P(f) has the coefficient, averaged over the modes k of the annulus,
+
+    rate / 2 < p_b (a^H K a / n_det) int H(f, f') P(f') df' + (1 - p_b) (its power in the cleaned streams) >,
+
+with the array response a and the leakage H of `surveysim.forecasting.mode_response` and the pixel window p_b: pixels
+attenuate modes, and alias noise over all of them. For the layer the integral is a sum over its wavevectors alpha, at
+f' = alpha.v, weighted by |a^H (r exp(2 pi i alpha.r))|^2 for responsivities r. The same a give the transfer function of
+the sky. The spectrum of the layer is equation 2 of Sayers et al. (2010).
 """
 
 from collections.abc import Callable, Iterator
@@ -11,31 +23,28 @@ from functools import lru_cache
 import numpy as np
 
 from mapmaker.transfer_function import pixel_window
-from surveysim.forecasting.fitted_modes import Courses
+from surveysim.forecasting.fitted_modes import FittedModes
 from surveysim.forecasting.mode_response import (
     PROJECTIONS,
-    Array,
-    Layer,
+    LayerWaves,
     Modes,
-    ScanApodization,
-    frequency_nodes,
-    hann_window,
+    ProjectedArray,
     layer_gain,
     layer_stream_gain,
     layer_waves,
     matrix_power,
     projected_array,
     ring_modes,
-    scan_window,
     stream_power,
 )
 from surveysim.forecasting.observing_conditions import (
-    Conditions,
     NoiseCorrelations,
-    fitted_courses,
+    ObservingConditions,
     noise_correlations,
-    population,
+    population_conditions,
+    removed_modes,
 )
+from surveysim.forecasting.scan_apodization import ScanApodization, frequency_nodes, hann_window, scan_window
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup, prepare
@@ -56,9 +65,8 @@ LayerNoise = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
-class _Parts:
-    """Noise variance a sample in each bin (n_bin,) of unit levels; `layer` that of motions (n_draw, 2)
-    against it at elevations with sines (n_draw,)."""
+class _NoiseComponents:
+    """Noise variance a sample in each bin (n_bin,) per unit level; `layer` as `LayerNoise`."""
 
     white: np.ndarray
     shared: np.ndarray
@@ -68,31 +76,41 @@ class _Parts:
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """The noise of one data set in any conditions, and the `signal_psd` (n_bin,) [sr] that its scans and cleaning leave
-    of a flat spectrum of unit band power.
+    """Noise of one data set as a function of the observing conditions.
+
+    Attributes
+    ----------
+    name, pipeline
+        Data set, and the cleaning pipeline that it results from.
+    n_det
+        Number of detectors.
+    parts
+        Noise per unit level.
+    signal_psd : (n_bin,)
+        PSD that scans and cleaning leave of a flat spectrum of unit band power [sr].
     """
 
     name: str
     pipeline: CleaningPipeline
     n_det: int
-    parts: _Parts
+    parts: _NoiseComponents
     signal_psd: np.ndarray
 
-    def noise(self, levels: Conditions) -> np.ndarray:
-        """Noise variance a sample [mK^2] of every draw, (n_draw, n_bin)."""
+    def noise(self, conditions: ObservingConditions) -> np.ndarray:
+        """Noise variance a sample in each bin, (n_draw, n_bin) [mK^2]."""
         parts = self.parts
-        flat = ((levels.white, parts.white), (levels.shared, parts.shared), (levels.excess, parts.excess))
-        return sum(np.outer(*part) for part in flat) + self.layer_noise(levels)
+        flat = ((conditions.white, parts.white), (conditions.shared, parts.shared), (conditions.excess, parts.excess))
+        return sum(np.outer(*part) for part in flat) + self.layer_noise(conditions)
 
-    def layer_noise(self, levels: Conditions) -> np.ndarray:
-        """The layer's part of `noise`, (n_draw, n_bin)."""
-        return levels.layer[:, None] * self.parts.layer(levels.motion, levels.sine)
+    def layer_noise(self, conditions: ObservingConditions) -> np.ndarray:
+        """Contribution of the layer to `noise`, (n_draw, n_bin) [mK^2]."""
+        return conditions.layer[:, None] * self.parts.layer(conditions.motion, conditions.sine)
 
 
 @dataclass(frozen=True)
-class _Spectrum:
-    """What is known of frequencies: the scored modes' (n_mode,) as samples hold them, nodes and weights (n,), and the
-    lines of the excess noise (n_line,) with the variance that each adds to one of unit variance.
+class _ScanFrequencies:
+    """Scored modes (n_mode,) with their aliased frequencies, quadrature nodes and weights (n,), and the lines of the
+    excess noise (n_line,) with their variances for unit total variance.
     """
 
     modes: Modes
@@ -106,44 +124,61 @@ class _Spectrum:
 
 @lru_cache(maxsize=1)
 def survey_models(scene: Scene) -> tuple[NoiseModel, ...]:
-    """Models of a scene's data sets, good for all weather that it may have; raises as `noise_models`."""
-    return tuple(noise_models(prepare(scene), population(scene)[0]))
+    """Noise models of a scene's data sets, valid for all weather of the scene; raises as `noise_models`."""
+    return tuple(noise_models(prepare(scene), population_conditions(scene)[0]))
 
 
-def noise_models(setup: Setup, levels: Conditions) -> Iterator[NoiseModel]:
-    """What the noise of each data set depends on, good for conditions within the range of `levels`.
+def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[NoiseModel]:
+    """Build the noise model of each data set, valid within the range of some observing conditions.
 
-    Raises NotForecastableError where cleaning can't be forecast.
+    Yields
+    ------
+    NoiseModel
+
+    Raises
+    ------
+    NotForecastableError
+        Where the focal plane does not support the templates of the cleaning.
     """
     for pipeline in filter(is_projection, setup.pipelines):
-        arrays = _arrays(setup, pipeline, levels)
-        spectrum = _spectrum(setup, fitted_courses(setup, pipeline, arrays[0], levels))
+        arrays = _arrays(setup, pipeline, conditions)
+        spectrum = _spectrum(setup, removed_modes(setup, pipeline, arrays[0], conditions))
         n_det = len(arrays[0].place)
         responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
         transmission = _transmission(setup, spectrum, arrays, responses)
         signal = left_signal(setup.scene, setup.geometry, setup.sky_geometry, setup.band, transmission)
         correlations = noise_correlations(setup, pipeline)
-        parts = _map_parts(setup, levels, spectrum, arrays, responses, correlations)
+        parts = _map_components(
+            setup, conditions, spectrum, arrays=arrays, responses=responses, correlations=correlations
+        )
         yield NoiseModel(pipeline.data_set, pipeline, n_det, parts, signal)
         if pipeline is setup.pipelines[0]:
             for name in setup.scene.score.noise_only_sets:
-                parts = _simulated_parts(setup, levels, spectrum, arrays, correlations, name)
+                parts = _noise_only_components(
+                    setup, conditions, spectrum, arrays=arrays, correlations=correlations, name=name
+                )
                 yield NoiseModel(name, pipeline, n_det, parts, signal)
 
 
 def is_projection(pipeline: CleaningPipeline) -> bool:
-    """Whether a pipeline is, nearly at least, a projection that does not depend on the data."""
+    """Tell whether a pipeline is (nearly) a projection that does not depend on the data."""
     return len(pipeline.steps) == 1 and pipeline.steps[0] in PROJECTIONS
 
 
-def _spectrum(setup: Setup, courses: Courses) -> _Spectrum:
+def _spectrum(setup: Setup, fitted_modes: FittedModes) -> _ScanFrequencies:
     scene, lines = setup.scene, setup.raster
     seconds = samples_per_scan(lines) / lines.sample_rate_hz
     modes = ring_modes(setup.band.rings.ell)
     rate = lines.sample_rate_hz
     at_hz = modes.wave.real.ravel() * lines.speed_rad_s / (2 * np.pi)
     at_hz -= rate * np.round(at_hz / rate)  # what samples can't tell apart
-    window = scan_window(seconds, lines.speed_rad_s, scene.score.size_rad, scene.score.taper_fraction, courses)
+    window = scan_window(
+        seconds,
+        speed_rad_s=lines.speed_rad_s,
+        size_rad=scene.score.size_rad,
+        taper_fraction=scene.score.taper_fraction,
+        fitted_modes=fitted_modes,
+    )
     nodes, weight = frequency_nodes(window, max(1.1 * np.abs(at_hz).max(), 0.5 * rate))
     excess_hz, excess = np.zeros(0), np.zeros(0)
     if scene.excess:
@@ -153,31 +188,35 @@ def _spectrum(setup: Setup, courses: Courses) -> _Spectrum:
         step = rate / (2 * n_samp)
         positive = step * np.arange(1, n_samp + 1)
         excess_hz, excess = np.concatenate([-positive, positive]), np.tile(psd * step, 2)
-    return _Spectrum(modes, at_hz, window, nodes, weight, excess_hz, excess)
+    return _ScanFrequencies(modes, at_hz, window, nodes, weight, excess_hz, excess)
 
 
-def _arrays(setup: Setup, pipeline: CleaningPipeline, levels: Conditions) -> list[Array]:
-    """The pipeline's detectors at angles to the scan that stand for all observations."""
+def _arrays(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingConditions) -> list[ProjectedArray]:
+    """Set up the pipeline's detectors at a few angles to the scan, which represent all observations."""
     plane = setup.camera.focal_plane.subset(pipeline.rows)
-    angles = np.sort(np.mod(levels.angle, 2 * np.pi))
+    angles = np.sort(np.mod(conditions.angle, 2 * np.pi))
     chosen = angles[((np.arange(_ANGLES) + 0.5) * len(angles) / _ANGLES).astype(int)] if len(angles) > 1 else angles
     responsivity, assumed = setup.responsivity[pipeline.rows], None
     if setup.calibration is not None and pipeline.takes_responsivities:
         assumed = setup.calibration[0, pipeline.rows]
     try:
-        return [projected_array(plane, angle, responsivity, pipeline.steps[0], assumed) for angle in np.unique(chosen)]
+        return [
+            projected_array(plane, angle, responsivity=responsivity, algorithm=pipeline.steps[0], assumed=assumed)
+            for angle in np.unique(chosen)
+        ]
     except InsufficientDataError as error:
         raise NotForecastableError(f"cleaning: {error}") from None
 
 
-def _map_parts(
+def _map_components(
     setup: Setup,
-    levels: Conditions,
-    spectrum: _Spectrum,
-    arrays: list[Array],
+    conditions: ObservingConditions,
+    spectrum: _ScanFrequencies,
+    *,
+    arrays: list[ProjectedArray],
     responses: list[np.ndarray],
     correlations: NoiseCorrelations,
-) -> _Parts:
+) -> _NoiseComponents:
     rate, modes = setup.raster.sample_rate_hz, spectrum.modes
     window, nodes = spectrum.window, spectrum.nodes_hz
     flat = window.sums(spectrum.weight_hz[None], nodes, spectrum.at_hz)
@@ -190,7 +229,7 @@ def _map_parts(
         own = matrix_power(response * array.responsivity[:, None], None)
         parts.append([modes.mean(item) for item in (white * flat, shared * flat, own * red, low * red)])
     white, shared, own, low = np.mean(parts, axis=0) * rate / 2
-    layer = _layer_noise(setup, levels, spectrum, arrays, responses)
+    layer = _layer_noise(setup, conditions, spectrum, arrays=arrays, responses=responses)
     # Pixels smooth modes, and scatter over all modes the noise of streams that they take: a stream's whole white noise,
     # of which templates of few detectors leave little in modes that are longer than the array.
     pixel = pixel_window(setup.band.rings.ell, setup.geometry.pixel_rad)
@@ -199,51 +238,58 @@ def _map_parts(
     shared = shared * pixel + stream_power(arrays[0], photon) * scattered
     # Excess is scattered across the scan, among modes of one frequency: what detectors do not share stays whole.
     low = own + (low - own) * pixel
-    return _Parts(white, shared, low, lambda motion, sine: layer(motion, sine) * pixel)
+    return _NoiseComponents(white, shared, low, lambda motion, sine: layer(motion, sine) * pixel)
 
 
 def _layer_noise(
-    setup: Setup, levels: Conditions, spectrum: _Spectrum, arrays: list[Array], responses: list[np.ndarray]
+    setup: Setup,
+    conditions: ObservingConditions,
+    spectrum: _ScanFrequencies,
+    *,
+    arrays: list[ProjectedArray],
+    responses: list[np.ndarray],
 ) -> LayerNoise:
-    """Noise variance a sample of a layer of unit amplitude, between nodes of its motion."""
+    """Tabulate the noise variance a sample of a layer of unit amplitude against its motion."""
     if setup.scene.atmosphere is None:
         return _no_layer
-    layer = _layer(setup, levels, spectrum)
+    layer = _layer(setup, conditions, spectrum)
     gains = [layer_gain(array, response, layer) for array, response in zip(arrays, responses, strict=True)]
 
     def noise(motion: complex) -> list[np.ndarray]:
-        along = _along(layer, motion)
+        along = _stream_frequencies(layer, motion)
         sums = np.mean([spectrum.window.power_sums(gain, layer.power, along, spectrum.at_hz) for gain in gains], axis=0)
         return [spectrum.modes.mean(item) * setup.raster.sample_rate_hz for item in sums]
 
-    return _between_motions(setup, levels, noise)
+    return _interpolate_motions(setup, conditions, noise)
 
 
 def _no_layer(motion: np.ndarray, sine: np.ndarray) -> np.ndarray:
     return np.zeros((len(motion), 1))
 
 
-def _layer(setup: Setup, levels: Conditions, spectrum: _Spectrum) -> Layer:
-    longest = np.abs(levels.motion).max() * spectrum.window.duration_s
-    return layer_waves(screen(setup.scene), longest, _sine_nodes(levels))
+def _layer(setup: Setup, conditions: ObservingConditions, spectrum: _ScanFrequencies) -> LayerWaves:
+    longest = np.abs(conditions.motion).max() * spectrum.window.duration_s
+    return layer_waves(screen(setup.scene), longest, _sine_nodes(conditions))
 
 
-def _sine_nodes(levels: Conditions) -> np.ndarray:
-    """Sines of elevations that hold those of all observations."""
-    first, last = levels.sine.min(), levels.sine.max()
+def _sine_nodes(conditions: ObservingConditions) -> np.ndarray:
+    """Choose sines of elevations that bracket those of all observations."""
+    first, last = conditions.sine.min(), conditions.sine.max()
     return np.linspace(first, last * (1 + 1e-6), _SINES if last > 1.01 * first else 2)
 
 
-def _along(layer: Layer, motion: complex) -> np.ndarray:
-    """Frequency [Hz] that each wavevector of the layer has in the streams."""
+def _stream_frequencies(layer: LayerWaves, motion: complex) -> np.ndarray:
+    """Frequency [Hz] of each wavevector of the layer in the streams."""
     return (layer.alpha * np.conj(motion)).real
 
 
-def _between_motions(setup: Setup, levels: Conditions, noise: Callable[[complex], list[np.ndarray]]) -> LayerNoise:
-    """Means over motions of `noise`, between a few speeds, directions and elevations that hold those of `levels`.
+def _interpolate_motions(
+    setup: Setup, conditions: ObservingConditions, noise: Callable[[complex], list[np.ndarray]]
+) -> LayerNoise:
+    """Tabulate `noise` at a few speeds, directions and elevations, and interpolate its mean over the motions of a draw.
 
-    `noise` of a motion is (n_bin,) at each elevation of `_sine_nodes`. Mirrored directions count as one: the array
-    stands at many angles to them. Whatever lies outside counts as the nearest inside.
+    `noise` of a motion is (n_bin,) at each elevation of `_sine_nodes`. Mirrored directions are taken as one, because
+    the array has many angles to them. Conditions outside the table take the nearest value.
     """
     from scipy.interpolate import RegularGridInterpolator
 
@@ -253,11 +299,11 @@ def _between_motions(setup: Setup, levels: Conditions, noise: Callable[[complex]
         logs = np.broadcast_to(np.log(sine)[:, None], motion.shape)
         return np.log(np.maximum(np.abs(motion), slowest)), np.abs(np.angle(motion)), logs
 
-    speed, turn, _ = place(levels.motion, levels.sine)
+    speed, turn, _ = place(conditions.motion, conditions.sine)
     speeds = np.linspace(speed.min(), speed.max() + 1e-6, _SPEEDS if np.ptp(speed) > 1e-3 else 2)
     turns = np.linspace(turn.min(), turn.max() + 1e-6, _DIRECTIONS if np.ptp(turn) > 1e-3 else 2)
     table = np.array([[noise(np.exp(s + 1j * t)) for t in turns] for s in speeds])
-    nodes = speeds, turns, np.log(_sine_nodes(levels))
+    nodes = speeds, turns, np.log(_sine_nodes(conditions))
     logs = RegularGridInterpolator(nodes, np.log(np.maximum(table, 1e-300)))
 
     def between(motion: np.ndarray, sine: np.ndarray) -> np.ndarray:
@@ -267,20 +313,21 @@ def _between_motions(setup: Setup, levels: Conditions, noise: Callable[[complex]
     return between
 
 
-def _simulated_parts(
+def _noise_only_components(
     setup: Setup,
-    levels: Conditions,
-    spectrum: _Spectrum,
-    arrays: list[Array],
+    conditions: ObservingConditions,
+    spectrum: _ScanFrequencies,
+    *,
+    arrays: list[ProjectedArray],
     correlations: NoiseCorrelations,
     name: str,
-) -> _Parts:
-    """Noise of the sets that take the measured PSDs of the cleaned streams: "uncorrelated" or "white"."""
+) -> _NoiseComponents:
+    """Components of the data sets "uncorrelated" and "white", simulated from the PSDs of the cleaned streams."""
     rate = setup.raster.sample_rate_hz
     seconds = spectrum.window.duration_s
     n_samp = samples_per_scan(setup.raster)
     lines = np.arange(1, (n_samp - 1) // 2 + 1) / seconds
-    hann, nodes = hann_window(seconds, spectrum.window.courses), spectrum.nodes_hz
+    hann, nodes = hann_window(seconds, spectrum.window.fitted_modes), spectrum.nodes_hz
     window = spectrum.window
     if name == "uncorrelated":
         # Streams of a whole number of periods a scan: lines, without a mean.
@@ -302,30 +349,35 @@ def _simulated_parts(
     red = in_bins(hann.sums(spectrum.excess[None] / 2, spectrum.excess_hz, lines))
     layer = _no_layer
     if setup.scene.atmosphere is not None:
-        waves = _layer(setup, levels, spectrum)
+        waves = _layer(setup, conditions, spectrum)
         gain = np.mean([layer_stream_gain(array, waves) for array in arrays], axis=0)
 
         def noise(motion: complex) -> list[np.ndarray]:
-            return [in_bins(psd) for psd in hann.power_sums(gain[None], waves.power, _along(waves, motion), lines)]
+            return [
+                in_bins(psd)
+                for psd in hann.power_sums(gain[None], waves.power, _stream_frequencies(waves, motion), lines)
+            ]
 
-        layer = _between_motions(setup, levels, noise)
-    return _Parts(white * flat, shared * flat, low * red, layer)
+        layer = _interpolate_motions(setup, conditions, noise)
+    return _NoiseComponents(white * flat, shared * flat, low * red, layer)
 
 
-def _transmission(setup: Setup, spectrum: _Spectrum, arrays: list[Array], responses: list[np.ndarray]) -> np.ndarray:
-    """Share (n_bin,) of a mode's power that scans and cleaning leave in the co-added map.
+def _transmission(
+    setup: Setup, spectrum: _ScanFrequencies, arrays: list[ProjectedArray], responses: list[np.ndarray]
+) -> np.ndarray:
+    """Transfer function (n_bin,) of scans and cleaning for the co-added map.
 
-    Amplitudes of all observations are averaged before they are squared: what scans along one direction lose, those
-    along the other keep.
+    Amplitudes of all observations are averaged before they are squared: scans along one direction keep modes that
+    scans along the other lose.
     """
     modes = spectrum.modes
     wave = modes.wave.ravel()
     kept = [
-        np.einsum("ij,ij->j", response.conj(), array.seen(wave) * array.responsivity[:, None])
+        np.einsum("ij,ij->j", response.conj(), array.phases(wave) * array.responsivity[:, None])
         / array.responsivity.sum()
         for array, response in zip(arrays, responses, strict=True)
     ]
-    amplitude = (np.mean(kept, axis=0) * spectrum.window.passed(spectrum.at_hz)).reshape(modes.wave.shape)
+    amplitude = (np.mean(kept, axis=0) * spectrum.window.signal_amplitude(spectrum.at_hz)).reshape(modes.wave.shape)
     across = amplitude[:, modes.turned]
     half = len(modes.share) // 2
     across[:, :half] = across[:, :half].conj()

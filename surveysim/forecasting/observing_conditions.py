@@ -1,5 +1,9 @@
-"""What forecasts take from observations: levels of noise and what detectors share of it, the array's angle, its motion
-against the layer, what fits take from scans, coverage."""
+"""Observing conditions that a noise forecast depends on.
+
+They are noise levels, detector correlations, the array's angle, the motion of the layer against the scan, the modes in
+time that responsivity fits remove, and hit counts. Expectations over the weather are means over rank-one lattices with
+random shifts (Roberts 2018); the scatter over the shifts is their error.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -12,8 +16,8 @@ from mapmaker.chunks import row_chunks
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.weather import Weather, draw_weather
-from surveysim.forecasting.fitted_modes import NO_COURSES, Courses, template_courses
-from surveysim.forecasting.mode_response import Array, layer_waves
+from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes, template_modes
+from surveysim.forecasting.mode_response import ProjectedArray, layer_waves
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.setup import Setup, observation_path, prepare
 from surveysim.runtime.rng import RandomPurpose, generator
@@ -39,10 +43,23 @@ Draw = tuple[int, Weather | None]  # an observation's number, and a weather that
 
 
 @dataclass(frozen=True)
-class Conditions:
-    """Levels of draws: (n_draw,) `white` and `shared` photon and detector noise [mK^2/Hz], `excess` [mK^2],
-    `layer` (B2 at its elevation), `sine` of that elevation; `angle` (n_draw,) the array's against the scan; `motion`
-    (n_draw, 2) complex, against the layer, there and back [rad/s].
+class ObservingConditions:
+    """Observing conditions of some draws of observation and weather.
+
+    Attributes
+    ----------
+    white, shared : (n_draw,)
+        PSDs of independent and of shared photon and detector noise [mK^2/Hz].
+    excess : (n_draw,)
+        Variance of the excess noise [mK^2].
+    layer : (n_draw,)
+        Amplitude B2 sin(el)^(1 - b) of the layer.
+    sine : (n_draw,)
+        Sine of the elevation.
+    angle : (n_draw,)
+        Position angle of the array from the scan direction [rad].
+    motion : (n_draw, 2)
+        Complex velocity of forward and backward scans against the layer [rad/s].
     """
 
     white: np.ndarray
@@ -55,9 +72,9 @@ class Conditions:
 
 
 @dataclass(frozen=True)
-class _View:
-    """How an observation sees: mean of sin(elevation)^(1 - index) and elevation of the scans, the sky's and the array's
-    angle in the middle, and how far its scans are turned from RA.
+class _ObservationGeometry:
+    """Pointing of an observation: mean of sin(el)^(1 - b), elevation, parallactic and array angle, scan direction from
+    RA.
     """
 
     slant: float
@@ -68,15 +85,18 @@ class _View:
 
 
 def survey_draws(setup: Setup, first: int, end: int) -> list[Draw]:
-    """Observations `first` to `end - 1` in the weather that the scene's seed draws for them."""
+    """Draws of observations `first` to `end - 1` in the weather of the scene's seed."""
     return [(number, observation_weather(setup, number)) for number in range(first, end)]
 
 
 def population_draws(setup: Setup) -> list[list[Draw]]:
-    """Observations spread over the survey in weather spread over its distribution: several lists of one kind.
+    """Draws of observations and weather that sample their whole distribution evenly.
 
-    Each is a rank-one lattice in all random numbers of the weather, with a random shift of its own: means over a list
-    are without bias, and far closer to the expectation than those over as many independent draws.
+    Returns
+    -------
+    list of lists of (int, Weather or None)
+        Each list is a rank-one lattice in all random numbers of the weather with its own random shift. The mean over a
+        list is unbiased, with an error far below that of as many independent draws.
     """
     air, n_obs = setup.scene.atmosphere, setup.scene.observations
     rng = generator(setup.scene.seed, RandomPurpose.WEATHER, realization=1)  # that of the survey is 0
@@ -90,7 +110,7 @@ def population_draws(setup: Setup) -> list[list[Draw]]:
 
 
 def _lattice_steps() -> np.ndarray:
-    """Powers of the inverse root of x^(d + 1) = x + 1: multiples of them fill the unit cube evenly (Roberts 2018)."""
+    """Generating vector: powers of the inverse root of x^(d + 1) = x + 1 (Roberts 2018)."""
     root = 2.0
     for _ in range(60):
         root = (1 + root) ** (1 / (_NUMBERS + 1))
@@ -98,7 +118,7 @@ def _lattice_steps() -> np.ndarray:
 
 
 class _QuasiRandomDraws:
-    """Numbers of a generator that are known beforehand, uniform in 0 to 1 and each used once."""
+    """Generator interface to given uniform numbers, each used once."""
 
     def __init__(self, uniform: np.ndarray):
         self._left = iter(np.clip(uniform, 1e-12, 1 - 1e-12).tolist())
@@ -116,23 +136,23 @@ class _QuasiRandomDraws:
 
 
 @lru_cache(maxsize=1)
-def population(scene: Scene) -> tuple[Conditions, int]:
-    """Conditions of all `population_draws` of a scene, one list after the other, and how many lists there are."""
+def population_conditions(scene: Scene) -> tuple[ObservingConditions, int]:
+    """Observing conditions of all `population_draws` of a scene, list after list, and the number of lists."""
     setup = prepare(scene)
     lists = population_draws(setup)
-    return conditions(setup, chain.from_iterable(lists)), len(lists)
+    return observing_conditions(setup, chain.from_iterable(lists)), len(lists)
 
 
-def conditions(setup: Setup, draws: Iterable[Draw]) -> Conditions:
-    """Conditions of some observations in some weather."""
+def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingConditions:
+    """Compute the observing conditions of some draws."""
     draws = list(draws)
     views = {number: _view(setup, number) for number in {number for number, _ in draws}}
-    rows = [_row(setup, views[number], weather) for number, weather in draws]
+    rows = [_condition_row(setup, views[number], weather) for number, weather in draws]
     *levels, there, back = (np.array(column) for column in zip(*rows, strict=True))
-    return Conditions(*levels, np.stack([there, back], axis=1))
+    return ObservingConditions(*levels, np.stack([there, back], axis=1))
 
 
-def _view(setup: Setup, number: int) -> _View:
+def _view(setup: Setup, number: int) -> _ObservationGeometry:
     _, pointing = observation_path(setup, number)
     middle = len(pointing.elevation_rad) // 2
     air, slant = setup.scene.atmosphere, 0.0
@@ -140,10 +160,12 @@ def _view(setup: Setup, number: int) -> _View:
         slant = np.mean(np.sin(pointing.elevation_rad) ** (1 - air.spectral_index))
     elevation = float(setup.angles.elevation_rad[number].mean())
     turn = number % 2 * np.pi / 2  # scans along Dec
-    return _View(slant, elevation, pointing.parallactic_rad[middle], pointing.array_angle_rad[middle], turn)
+    return _ObservationGeometry(
+        slant, elevation, pointing.parallactic_rad[middle], pointing.array_angle_rad[middle], turn
+    )
 
 
-def _row(setup: Setup, view: _View, weather: Weather | None) -> tuple[float | complex, ...]:
+def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | None) -> tuple[float | complex, ...]:
     scene = setup.scene
     opacity = setup.water.opacity if setup.water else None
     white = white_levels(scene, opacity, weather.pwv_mm if weather else np.nan, view.elevation_rad)
@@ -163,14 +185,21 @@ def _row(setup: Setup, view: _View, weather: Weather | None) -> tuple[float | co
 
 
 def noise_correlations(setup: Setup, pipeline: CleaningPipeline) -> NoiseCorrelations:
-    """Correlation of the shared photon noise and of the excess noise, this with responsivities; None without."""
+    """Detector correlations of the shared photon noise and of the excess noise.
+
+    Returns
+    -------
+    photon, excess
+        (n_det, n_det) matrices, or `NoiseCorrelation` for large arrays; None where the scene has no such noise.
+        `excess` includes the responsivities.
+    """
     gain, scene = setup.responsivity[pipeline.rows], setup.scene
-    photon = _correlation(setup, pipeline, scene.photon, "photon", np.ones(len(gain)))
-    return photon, _correlation(setup, pipeline, scene.excess, "excess", gain)
+    photon = _correlation(setup, pipeline, section=scene.photon, name="photon", gain=np.ones(len(gain)))
+    return photon, _correlation(setup, pipeline, section=scene.excess, name="excess", gain=gain)
 
 
 def _correlation(
-    setup: Setup, pipeline: CleaningPipeline, section: Photon | Excess | None, name: str, gain: np.ndarray
+    setup: Setup, pipeline: CleaningPipeline, *, section: Photon | Excess | None, name: str, gain: np.ndarray
 ) -> np.ndarray | NoiseCorrelation | None:
     if section is None:
         return None
@@ -183,25 +212,28 @@ def _correlation(
     return matrix
 
 
-def fitted_courses(setup: Setup, pipeline: CleaningPipeline, array: Array, levels: Conditions) -> Courses:
-    """Courses that scans lose to what a pipeline fits to them, in a layer that passes as fast as in half of
-    `levels`.
+def removed_modes(
+    setup: Setup, pipeline: CleaningPipeline, array: ProjectedArray, levels: ObservingConditions
+) -> FittedModes:
+    """Find the modes in time that the responsivity fits of a pipeline remove from scans.
+
+    They are those of a layer that moves at the median speed of `levels`.
     """
     fits = {"scan": 1.0, "observation": 1 / setup.raster.n_scans}
     # PCA fits a mode to each scan, whatever is known of responsivities.
     share = fits["scan"] if pipeline.uses("pca") else fits.get(setup.scene.cleaning.responsivities, 0.0)
     if setup.scene.atmosphere is None or not len(array.basis) or not share:
-        return NO_COURSES
+        return NO_FITTED_MODES
     seconds = samples_per_scan(setup.raster) / setup.raster.sample_rate_hz
     motion = np.median(np.abs(levels.motion))
     layer = layer_waves(screen(setup.scene), motion * seconds, [np.median(levels.sine)])
-    common = array.seen(2 * np.pi * layer.alpha).mean(axis=0)
+    common = array.phases(2 * np.pi * layer.alpha).mean(axis=0)
     power = layer.power[0] * (common.real**2 + common.imag**2)
-    return template_courses((layer.alpha * motion).real, power, seconds).less(share)
+    return template_modes((layer.alpha * motion).real, power, seconds).scaled(share)
 
 
 def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
-    """Mean hits of one observation on the scored patch (n, n), from some observations spread over the survey."""
+    """Mean hits of one observation on the scored patch (n, n), from a sample of observations over the survey."""
     n_obs, geometry = setup.scene.observations, setup.geometry
     plane: FocalPlane = setup.camera.focal_plane.subset(pipeline.rows)
     samples = len(plane.x_rad) * setup.raster.n_scans * samples_per_scan(setup.raster)
@@ -215,7 +247,7 @@ def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
         angle = pointing.array_angle_rad[pointing.scan[::every]]
         boresight = pointing.xi_rad[::every], pointing.eta_rad[::every], angle
         for rows in row_chunks(len(plane.x_rad), len(angle)):
-            index = boresight_pixels(geometry, *boresight, plane.subset(rows)).ravel()
+            index = boresight_pixels(geometry, *boresight, plane=plane.subset(rows)).ravel()
             hits += np.bincount(index[index >= 0], minlength=len(hits))
     patch = setup.band.patch
     return hits.reshape(geometry.n_y, geometry.n_x)[patch, patch] * every / len(numbers)

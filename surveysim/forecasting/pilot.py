@@ -1,11 +1,11 @@
-"""A pilot of a survey: a few scans drawn and cleaned, which tell how many scans cleaning discards."""
+"""Pilot of a survey: a few scans are simulated and cleaned to predict the fraction of scans that cleaning rejects."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mapmaker.cleaning.responsivity import OBSERVATION
-from surveysim.forecasting.observing_conditions import Conditions
+from surveysim.forecasting.observing_conditions import ObservingConditions
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.observation import kept_scans
 from surveysim.reduction.setup import Setup
@@ -21,10 +21,16 @@ _MOST_SAMPLES = 5e7  # a few seconds
 
 
 @dataclass(frozen=True)
-class Kept:
-    """Share of its scans that each observation keeps, (n_obs,), and the standard error of `discarded`.
+class KeptScans:
+    """Scans that cleaning keeps.
 
-    The error is 0 where all scans were counted, and infinite where the share is not known and taken as 1.
+    Attributes
+    ----------
+    share : (n_obs,)
+        Fraction of its scans that each observation keeps.
+    error
+        Standard error of `discarded`: 0 where all scans were counted, infinite where the fraction is unknown and set to
+        1.
     """
 
     share: np.ndarray
@@ -32,23 +38,37 @@ class Kept:
 
     @property
     def discarded(self) -> float:
-        """Share of the survey's scans that is discarded."""
+        """Fraction of the survey's scans that is discarded."""
         return float(1 - self.share.mean())
 
 
-def predicted_kept(
-    setup: Setup, pipelines: tuple[CleaningPipeline, ...], levels: Conditions, weight: np.ndarray
-) -> dict[str, Kept]:
-    """Scans that cleaning keeps of observations in the conditions `levels`, predicted by a pilot, by data set.
+def predict_kept_scans(
+    setup: Setup, pipelines: tuple[CleaningPipeline, ...], conditions: ObservingConditions, weight: np.ndarray
+) -> dict[str, KeptScans]:
+    """Predict the scans that cleaning keeps, by data set, with a pilot.
 
-    Observations are put in the order of the layer's strength. The pilot takes every so many of them, half by their
-    number and half by the `weight` (n_obs,) that they have in the map: scans are lost in calm weather, whose
-    observations weigh most. Between those of the pilot the share is interpolated.
+    Observations are sorted by the amplitude of the layer. The pilot takes them at equal steps, half in number and half
+    in `weight`: scans are rejected in calm weather, whose observations have the largest weights. Between the
+    observations of the pilot the fraction is interpolated. Pipelines without responsivity fits keep all scans. Where
+    the pilot would take more than a few seconds, or can't be drawn, the fraction is unknown. Draws are those of the
+    scene's seed.
 
-    Pipelines that fit no responsivities keep all scans. Where a pilot would take longer than a few seconds, or can't be
-    drawn, the share is not known. The draws are those of the scene's seed.
+    Parameters
+    ----------
+    setup
+    pipelines
+        Pipelines of the forecast.
+    conditions
+        Observing conditions of the observations.
+    weight : (n_obs,)
+        Weights of the observations in the map.
+
+    Returns
+    -------
+    dict of KeptScans
+        By data set of each pipeline.
     """
-    whole = Kept(np.ones(len(weight)))
+    whole = KeptScans(np.ones(len(weight)))
     fitted = tuple(pipeline for pipeline in pipelines if pipeline.takes_responsivities)
     if setup.scene.atmosphere is None or setup.calibration is not None or not fitted:
         return {pipeline.data_set: whole for pipeline in pipelines}
@@ -58,7 +78,7 @@ def predicted_kept(
     n_scans, n_pilot = _pilot_size(setup, len(weight))
     if n_scans * n_pilot * _scan_samples(setup) > _MOST_SAMPLES:
         return unknown
-    order = np.argsort(levels.layer, kind="stable")
+    order = np.argsort(conditions.layer, kind="stable")
     importance = np.cumsum(weight[order] / weight.sum() + 1 / len(weight)) / 2
     places = np.unique(np.searchsorted(importance, (np.arange(n_pilot) + 0.5) / n_pilot))
     places = np.minimum(places, len(weight) - 1)
@@ -68,7 +88,8 @@ def predicted_kept(
     except InputError:  # a layer that can't be drawn
         return unknown
     shares = {
-        pipeline.data_set: _spread(order, places, of, n_scans) for pipeline, of in zip(fitted, found.T, strict=True)
+        pipeline.data_set: _interpolate_shares(order, places, of, n_scans)
+        for pipeline, of in zip(fitted, found.T, strict=True)
     }
     return {pipeline.data_set: shares.get(pipeline.data_set, whole) for pipeline in pipelines}
 
@@ -78,7 +99,7 @@ def _scan_samples(setup: Setup) -> int:
 
 
 def _pilot_size(setup: Setup, n_obs: int) -> tuple[int, int]:
-    """Scans of an observation and observations of a pilot: those that are fitted together are all in."""
+    """Numbers of scans an observation and of observations in a pilot; scans that share one fit are all included."""
     scans, most = _SAMPLES / _scan_samples(setup), min(MOST_OBSERVATIONS, n_obs)
     n_scans = int(np.clip(scans / most, 1, MOST_SCANS * MOST_OBSERVATIONS / most))
     if setup.scene.cleaning.responsivities == OBSERVATION:
@@ -87,10 +108,10 @@ def _pilot_size(setup: Setup, n_obs: int) -> tuple[int, int]:
     return min(n_scans, setup.raster.n_scans), min(n_pilot, n_obs)
 
 
-def _spread(order: np.ndarray, places: np.ndarray, found: np.ndarray, n_scans: int) -> Kept:
-    """Shares of all observations from those `found` of the pilot's `n_scans` scans each.
+def _interpolate_shares(order: np.ndarray, places: np.ndarray, found: np.ndarray, n_scans: int) -> KeptScans:
+    """Interpolate the kept fractions `found` in the pilot's observations, of `n_scans` scans each, to all observations.
 
-    The scatter is that of neighbours, whose weather is alike, and no less than one scan of all.
+    The error follows from the scatter of neighbours, whose weather is similar, and is at least one scan of all.
     """
     share = np.empty(len(order))
     share[order] = np.interp(np.arange(len(order)), places, found)
@@ -98,4 +119,4 @@ def _spread(order: np.ndarray, places: np.ndarray, found: np.ndarray, n_scans: i
     stands_for = np.diff(edges) / len(order)
     scatter = np.sqrt(np.mean(np.diff(found) ** 2) / 2) if len(found) > 1 else 0.5
     error = max(scatter * np.linalg.norm(stands_for), 1 / (n_scans * len(found)))
-    return Kept(share, float(error))
+    return KeptScans(share, float(error))

@@ -118,17 +118,24 @@ def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], N
     bins, air = camera_pairs(setup), scenes[0].atmosphere
     grid = correlation_grid(
         bins.theta_rad,
-        INDEX_GRID,
-        HEIGHT_GRID_M,
-        air.illuminated_aperture_m,
-        air.outer_scale_m,
-        TRACKS_RAD,
+        index=INDEX_GRID,
+        height_m=HEIGHT_GRID_M,
+        aperture_m=air.illuminated_aperture_m,
+        outer_scale_m=air.outer_scale_m,
+        track_rad=TRACKS_RAD,
         lowest_rad=min(float(item.elevation_rad.min()) for item in measurements),
     )
     overlap = shared_overlap(setup, bins)
     wind, seconds = air.wind_median_rad_s, scenes[0].scan.duration_s
     fits = tuple(
-        fit_turbulence(item.profile, bins, grid, known_track(item, wind, seconds), item.elevation_rad, overlap)
+        fit_turbulence(
+            item.profile,
+            bins,
+            grid,
+            track_rad=known_track(item, wind, seconds),
+            elevation_rad=item.elevation_rad,
+            overlap=overlap,
+        )
         for item in measurements
     )
     return MeasuredSurvey(setup, tuple(names), tuple(measurements), bins, grid, overlap, fits)

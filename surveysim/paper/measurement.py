@@ -101,7 +101,7 @@ def measure(setup: Setup, streams: Timestreams, observation: int) -> Measurement
     _, pointing = observation_path(setup, observation)
     bounds, rate = streams.scan_bounds, setup.raster.sample_rate_hz
     velocity = scan_velocities(streams)
-    wind = measure_wind(streams.data_mk, bounds, streams.focal_plane, rate, velocity)
+    wind = measure_wind(streams.data_mk, bounds, streams.focal_plane, sample_rate_hz=rate, scan_velocity_rad_s=velocity)
     seconds = samples_per_scan(setup.raster) / rate
     cleaned = {name: _clean(setup, streams, name) for name in supported_cleanings(setup)}
     variance, white = map_variances(setup, streams, pointing, cleaned["average"])
@@ -124,7 +124,7 @@ def measure(setup: Setup, streams: Timestreams, observation: int) -> Measurement
 def _clean(setup: Setup, streams: Timestreams, name: str) -> Cleaned:
     section = setup.scene.cleaning
     options = TemplateOptions(section.tolerance, section.max_iterations, setup.responsivities)
-    return clean(name, streams.data_mk, streams.scan_bounds, streams.focal_plane, options)
+    return clean(name, streams.data_mk, streams.scan_bounds, streams.focal_plane, options=options)
 
 
 def camera_pairs(setup: Setup) -> PairBins:
@@ -208,8 +208,8 @@ def map_variances(setup: Setup, streams: Timestreams, pointing: Pointing, cleane
     """
     geometry, plane = setup.geometry, streams.focal_plane
     angle = pointing.array_angle_rad[pointing.scan]
-    index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, angle, plane)
-    item = bin_map(geometry, cleaned.data_mk, index, streams.scan_bounds, cleaned.kept)
+    index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
+    item = bin_map(geometry, cleaned.data_mk, index, streams.scan_bounds, kept=cleaned.kept)
     signal = np.divide(item.weighted_sum, item.hits, out=np.zeros(item.hits.shape), where=item.hits > 0)
     taper, high, share = _map_modes(geometry, setup.scene.scan.step_rad * (setup.raster.n_scans - 1))
     if np.sum(taper**2 * (item.hits == 0)) > UNHIT_MAX * np.sum(taper**2):
@@ -226,7 +226,7 @@ def _map_modes(geometry: MapGeometry, covered_rad: float) -> tuple[np.ndarray, n
     ell = mode_ell(n_y, n_x, geometry.pixel_rad)
     cells = mode_multiplicity(n_y, n_x).reshape(ell.shape)
     return (
-        tukey_taper(n_y, n_x, geometry.pixel_rad, side, 0.5),
+        tukey_taper(n_y, n_x, geometry.pixel_rad, size_rad=side, edge_fraction=0.5),
         ell > WHITE_FROM * np.pi / geometry.pixel_rad,
         cells / cells.sum(),
     )

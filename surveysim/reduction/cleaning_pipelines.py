@@ -159,7 +159,13 @@ def measured_delays(pipelines: tuple[CleaningPipeline, ...], streams: Timestream
     if not any(pipeline.uses("wind") for pipeline in pipelines):
         return none
     velocity = scan_velocities(streams)
-    wind = measure_wind(streams.data_mk, streams.scan_bounds, streams.focal_plane, sample_rate_hz, velocity)
+    wind = measure_wind(
+        streams.data_mk,
+        streams.scan_bounds,
+        streams.focal_plane,
+        sample_rate_hz=sample_rate_hz,
+        scan_velocity_rad_s=velocity,
+    )
     if wind.flag:
         return none
     found, plane = slowness(wind.velocity_rad_s, velocity), streams.focal_plane

@@ -50,7 +50,7 @@ def add_simulated(
         for rows in row_chunks(setup.n_det, len(pointing.time_s)):
             with watch("pixels"):
                 some = plane.subset(rows)
-                index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, some)
+                index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=some)
             for name, rng in zip(names, rngs, strict=True):
                 with watch("simulated sets"):
                     data = simulated_streams(setup, name, psd[rows], white[rows], block.n_scans, rng)

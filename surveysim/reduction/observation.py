@@ -218,7 +218,7 @@ def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch
     pointing, plane = whole.scans(block.first, block.end), streams.focal_plane
     with watch("pixels"):
         angle = pointing.array_angle_rad[pointing.scan]
-        index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane)
+        index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
     with watch("wind"):
         bands = draw_other_bands(setup, observation, whole, block)
         rate = setup.raster.sample_rate_hz

@@ -141,22 +141,28 @@ def scored_region(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry
         return None
     n = patch_side(score.size_rad, geometry)
     first = (geometry.n_x - n) // 2
-    taper = tukey_taper(n, n, geometry.pixel_rad, score.size_rad, score.taper_fraction)
+    taper = tukey_taper(n, n, geometry.pixel_rad, size_rad=score.size_rad, edge_fraction=score.taper_fraction)
     n_pad = padded_side(score.size_rad, geometry)
     edges = np.arange(0, score.ell_max + score.ell_bin, score.ell_bin)
     edges = edges[edges <= max(score.ell_max, score.ell_min + score.ell_bin)].astype(float)
     padded = np.pad(taper, (0, n_pad - n))
     try:
-        rings = annuli(n_pad, n_pad, geometry.pixel_rad, edges, padded)
+        rings = annuli(n_pad, n_pad, geometry.pixel_rad, edges_ell=edges, taper=padded)
     except InsufficientDataError as error:
         raise SceneError(f"score.ell_bin: {error}; wider bins or a larger map are expected") from None
     selected = (edges[:-1] >= score.ell_min) & (edges[1:] <= score.ell_max)
     if not selected.any():
         raise SceneError(f"score.ell_bin: found {score.ell_bin}; a bin within ell_min to ell_max is expected")
     weight = _mode_weight(scene, mode_ell(n_pad, n_pad, geometry.pixel_rad), rings)
-    scored = annuli(n_pad, n_pad, geometry.pixel_rad, np.append(edges[:-1][selected], edges[1:][selected][-1]), padded)
+    scored = annuli(
+        n_pad,
+        n_pad,
+        geometry.pixel_rad,
+        edges_ell=np.append(edges[:-1][selected], edges[1:][selected][-1]),
+        taper=padded,
+    )
     try:
-        sectors = split_azimuth(scored, n_pad, n_pad, geometry.pixel_rad, N_SECTORS)
+        sectors = split_azimuth(scored, n_pad, n_pad, geometry.pixel_rad, n_sector=N_SECTORS)
     except InsufficientDataError:
         sectors = None
     signal = flat_signal(scene, geometry, sky_geometry, padded)
@@ -190,7 +196,9 @@ def flat_signal(
     ell = mode_ell(*shape, sky_geometry.pixel_rad)
     sky = flat_spectrum_psd(ell) * beam_window(ell, scene.instrument.beam_fwhm_rad) * transmission(ell)
     sky *= mode_pixel_window(*shape, sky_geometry.pixel_rad, geometry.pixel_rad)
-    return coupled_psd(sky, shape, padded_taper, geometry.pixel_rad, round(geometry.pixel_rad / sky_geometry.pixel_rad))
+    return coupled_psd(
+        sky, shape, padded_taper, geometry.pixel_rad, cells_per_pixel=round(geometry.pixel_rad / sky_geometry.pixel_rad)
+    )
 
 
 def left_signal(

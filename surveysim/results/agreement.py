@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapmaker.uncertainty import ratio_error, student_factor, without_noise
+from mapmaker.uncertainty import ratio_error, student_factor, subtract_in_quadrature
 from surveysim.forecasting.forecast import DataSetForecast, Forecast, can_forecast, forecast
 from surveysim.forecasting.validity import compared_ell
 from surveysim.reduction.setup import Setup
@@ -88,7 +88,7 @@ def _scatter(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -
     some = kept > 0
     total = ratio_error((simulated.weights * kept)[some], (expected.weights * kept)[some])
     _, common = noise_parts(setup, simulated)
-    return without_noise(total, common) * student_factor(np.count_nonzero(some))
+    return subtract_in_quadrature(total, common) * student_factor(np.count_nonzero(some))
 
 
 def quoted_forecast(simulated: DataSetScore, expected: DataSetForecast) -> float:

@@ -14,7 +14,7 @@ from mapmaker.bandpower import bin_weights, flat_band_power
 from mapmaker.uncertainty import information_shares
 from surveysim.forecasting.forecast import Forecast, can_forecast, expected_weights
 from surveysim.forecasting.noise_model import NoiseModel, survey_models
-from surveysim.forecasting.observing_conditions import conditions, population, survey_draws
+from surveysim.forecasting.observing_conditions import observing_conditions, population_conditions, survey_draws
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.errors import InputError, NotForecastableError
@@ -55,7 +55,7 @@ def controls(setup: Setup, coadds: CoAdds) -> dict[str, Control]:
     """Control variates by data set, those of the observations in `coadds`; empty where there is no forecast."""
     expected = known_expectations(setup)
     try:
-        levels = conditions(setup, survey_draws(setup, 0, coadds.done)) if expected else None
+        levels = observing_conditions(setup, survey_draws(setup, 0, coadds.done)) if expected else None
         return {name: _control(setup, item, item.model.noise(levels)) for name, item in expected.items()}
     except InputError:  # extremes that can't be forecast: a run never fails for want of one
         return {}
@@ -73,7 +73,7 @@ def known_expectations(setup: Setup) -> dict[str, Expectation]:
 def expectations(scene: Scene) -> dict[str, Expectation]:
     """Forecasts of a scene's data sets in expectation over weather; raises NotForecastableError without."""
     setup = prepare(scene)
-    levels, n_lists = population(scene)
+    levels, n_lists = population_conditions(scene)
     found = {}
     for model in survey_models(scene):
         noise = model.noise(levels)
@@ -93,7 +93,7 @@ def in_all_weather(setup: Setup, found: Forecast) -> dict[str, float]:
 
     A forecast itself is of the weather that the scene's seed draws for its observations.
     """
-    levels, band = conditions(setup, survey_draws(setup, 0, setup.scene.observations)), setup.band
+    levels, band = observing_conditions(setup, survey_draws(setup, 0, setup.scene.observations)), setup.band
     controlled = {}
     for name, item in known_expectations(setup).items():
         psd = found.scores[name].noise_psd * _control(setup, item, item.model.noise(levels)).factor

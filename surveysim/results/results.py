@@ -252,8 +252,9 @@ def _alternative(setup: Setup, scores: dict[str, DataSetScore], weights: str, el
         if weights == "own":
             sigma[name] = rescore(setup, item, ell_min).band.sigma_ukcmb2
         else:
-            psds = (item.quoted_psd, item.signal_psd, modes, used, reference.quoted_psd)
-            sigma[name] = flat_band_power_fixed_weights(*psds)
+            sigma[name] = flat_band_power_fixed_weights(
+                item.quoted_psd, item.signal_psd, modes, used, weighting_noise_psd_ukcmb2=reference.quoted_psd
+            )
     return _alternative_row(setup, scores, weights, band, ell_min, sigma)
 
 

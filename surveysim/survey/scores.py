@@ -8,7 +8,7 @@ import numpy as np
 from mapmaker.bandpower import BandPower, band_power, bin_weights, flat_band_power, score
 from mapmaker.binning import weighted_mean
 from mapmaker.spectrum import Annuli, map_psd
-from mapmaker.transfer_function import TransferFunction, signal_window
+from mapmaker.transfer_function import TransferFunction, measure_transfer_function
 from mapmaker.uncertainty import (
     ErrorBudget,
     information_shares,
@@ -16,7 +16,7 @@ from mapmaker.uncertainty import (
     noise_error_parts,
     ratio_error,
     student_factor,
-    without_noise,
+    subtract_in_quadrature,
 )
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.scored_region import N_SECTORS
@@ -136,12 +136,18 @@ def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> Data
     rings, selected = setup.band.rings, item.band.weight > 0
     _, common = noise_parts(setup, item)
     off = ratio_error(item.information, replace(item, control=control).expected)
-    off = without_noise(off, common) * student_factor(len(item.weights))
+    off = subtract_in_quadrature(off, common) * student_factor(len(item.weights))
     budget = replace(item.budget, weather=off, population=control.population)
     plain = replace(item.budget, weather=float(np.hypot(off, control.sampling))).total
     quoted = replace(item, budget=budget, control=control)
     band = band_power(
-        quoted.quoted_psd, item.signal_psd, rings.n_modes, selected, rings.ell, rings.edges_ell, budget.total
+        quoted.quoted_psd,
+        item.signal_psd,
+        rings.n_modes,
+        selected,
+        ell=rings.ell,
+        edges_ell=rings.edges_ell,
+        relative_error=budget.total,
     )
     return replace(quoted, band=band, plain=replace(item.band, error_ukcmb2=item.band.sigma_ukcmb2 * plain))
 
@@ -149,16 +155,16 @@ def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> Data
 def noise_parts(setup: Setup, item: DataSetScore) -> tuple[float, float]:
     """Relative errors of the plain sigma from its noise: what more sign flips take away, and what they share."""
     used = item.weights[item.weights > 0]
-    of_bins = setup.band.rings.n_modes, setup.band.correlation
-    return noise_error_parts(item.noise_psds, item.plain_band.weight, used, *of_bins)
+    of_bins = {"n_modes": setup.band.rings.n_modes, "correlation": setup.band.correlation}
+    return noise_error_parts(item.noise_psds, item.plain_band.weight, used, **of_bins)
 
 
 def bin_errors(setup: Setup, item: DataSetScore) -> np.ndarray:
     """Relative standard errors (n_bin,) of the plain noise PSD, for each bin by itself."""
     used = item.weights[item.weights > 0]
-    of_bins = setup.band.rings.n_modes, setup.band.correlation
+    of_bins = {"n_modes": setup.band.rings.n_modes, "correlation": setup.band.correlation}
     alone = np.eye(len(setup.band.rings.ell))
-    return np.array([noise_error(item.noise_psds, weight, used, *of_bins) for weight in alone])
+    return np.array([noise_error(item.noise_psds, weight, used, **of_bins) for weight in alone])
 
 
 def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
@@ -249,12 +255,21 @@ def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
 def _score(setup, name, n_det, psds, window, weights, bin_noise, kept, *, selected=None) -> DataSetScore:
     rings, signal = setup.band.rings, setup.band.signal_psd * window.transmission
     selected = setup.band.selected if selected is None else selected
-    of_bins = rings.n_modes, selected, weights[weights > 0], rings.ell, rings.edges_ell
     shares = information_shares(
         weights, kept, bin_noise, bin_weights(psds.mean(axis=0), signal, rings.n_modes, selected)
     )
-    of_data = {"information": shares, "correlation": setup.band.correlation}
-    band, budget = score(psds, signal, _window_errors(window), *of_bins, **of_data)
+    band, budget = score(
+        psds,
+        signal,
+        signal_psd_relative_error=_window_errors(window),
+        n_modes=rings.n_modes,
+        mask=selected,
+        observation_weights=weights[weights > 0],
+        ell=rings.ell,
+        edges_ell=rings.edges_ell,
+        information=shares,
+        correlation=setup.band.correlation,
+    )
     return DataSetScore(name, n_det, band, budget, psds, signal, window, weights, bin_noise, kept)
 
 
@@ -299,7 +314,7 @@ def _window(setup: Setup, coadds: CoAdds, place: int, rings: Annuli) -> Transfer
     skies = setup.scene.score.signal_sims.skies
     maps = weighted_mean(coadds.window[:skies, place], coadds.window_weight[place])
     psd = _psd(setup, maps, rings)
-    return signal_window(psd[:, 1], psd[:, 0], rings.ell)
+    return measure_transfer_function(psd[:, 1], psd[:, 0], rings.ell)
 
 
 def _psd(setup: Setup, patches: np.ndarray, rings: Annuli) -> np.ndarray:

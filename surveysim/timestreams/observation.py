@@ -24,7 +24,7 @@ from surveysim.timestreams.noise import add_correlated_white, add_excess, add_wh
 from surveysim.timestreams.scan_blocks import Block
 
 if TYPE_CHECKING:
-    from surveysim.atmosphere.scan_trends import Trends
+    from surveysim.atmosphere.scan_trends import ScanTrends
     from surveysim.atmosphere.screen_simulation import StripCache
 
 
@@ -164,19 +164,21 @@ def add_layer(
     block = block or Block(0, 0, len(pointing.elevation_rad))
     sine = np.sin(pointing.elevation_rad)
     strips = setup.strips.at(float(sine.min()))
-    motion = _layer_motion(setup, pointing, weather)
+    motion = offsets, velocity, layer_velocity = _layer_motion(setup, pointing, weather)
     trends = _trends(setup, observation, pointing, motion, strips, realization)
     rng = generator(setup.scene.seed, RandomPurpose.ATMOSPHERE, observation, realization, block.number)
     scans = slice(block.first, block.end)
     add_atmosphere(
         data,
         scan_bounds(pointing.scans(block.first, block.end).scan),
-        setup.raster.sample_rate_hz,
-        *(item[scans] for item in motion),
+        sample_rate_hz=setup.raster.sample_rate_hz,
+        offsets_rad=offsets[scans],
+        velocity_rad_s=velocity[scans],
+        layer_velocity_rad_s=layer_velocity[scans],
         # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
-        np.sqrt(weather.b2 / sine[scans]),
-        strips,
-        rng,
+        amplitude_mk=np.sqrt(weather.b2 / sine[scans]),
+        strips=strips,
+        rng=rng,
         trends=trends.scans(block.first, block.end),
     )
 
@@ -196,20 +198,28 @@ def _trends(
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
     strips: "StripCache",
     realization: int,
-) -> "Trends":
+) -> "ScanTrends":
     """Trends of the layer in all scans of an observation."""
-    from surveysim.atmosphere.scan_trends import draw_trends, swaths
+    from surveysim.atmosphere.scan_trends import draw_trends, strip_points
     from surveysim.atmosphere.screen_simulation import scan_tracks
 
     bounds = scan_bounds(pointing.scan)
-    tracks = scan_tracks(bounds, setup.raster.sample_rate_hz, *motion, strips)
+    offsets, velocity, layer_velocity = motion
+    tracks = scan_tracks(
+        bounds,
+        sample_rate_hz=setup.raster.sample_rate_hz,
+        offsets_rad=offsets,
+        velocity_rad_s=velocity,
+        layer_velocity_rad_s=layer_velocity,
+        strips=strips,
+    )
     first, last = bounds[:, 0], bounds[:, 1] - 1
     begin, middle = pointing.time_s[first], (pointing.time_s[first] + pointing.time_s[last]) / 2
     slant = 1 / np.sin(pointing.elevation_rad)[:, None]
     boresight = np.stack([pointing.xi_rad[first], pointing.eta_rad[first]], axis=-1) * slant
-    corner = boresight - _moved(motion[2], middle, begin) + tracks.corner_rad
+    corner = boresight - _moved(layer_velocity, middle, begin) + tracks.corner_rad
     rng = generator(setup.scene.seed, RandomPurpose.TREND, observation, realization)
-    return draw_trends(swaths(strips, corner, tracks.direction, tracks.length_rad), rng)
+    return draw_trends(strip_points(strips, corner, tracks.direction, tracks.length_rad), rng)
 
 
 def _moved(velocity_rad_s: np.ndarray, middle_s: np.ndarray, begin_s: np.ndarray) -> np.ndarray:

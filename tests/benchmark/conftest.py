@@ -57,7 +57,7 @@ def lynx(pytestconfig) -> Prepared:
     _, pointing = observation_path(setup, OBSERVATION)
     streams = draw_observation(setup, OBSERVATION)
     angle = pointing.array_angle_rad[pointing.scan]
-    index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, streams.focal_plane)
+    index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=streams.focal_plane)
     result = observe(setup, OBSERVATION, with_window=True)
     return Prepared(setup, pointing, streams, index, result)
 

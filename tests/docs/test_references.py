@@ -84,6 +84,17 @@ def test_unknown_keys_are_noticed():
     assert keys_of(text) - all_keys().keys() == {"scan.spead", "scan.speeed", "nothing"}
 
 
+@pytest.mark.parametrize("path", [*PAGES, README], ids=lambda path: path.stem)
+def test_keys_and_modules_in_sentences_exist(path):
+    text = re.sub(r"(?ms)^## Renamed keys.*|^```.*?^```$", "", path.read_text())
+    named = re.findall(r"`([\w./]+)(?: = [^`]*)?`", text)
+    keys, sections = all_keys().keys(), {section.name for section in scene_sections()}
+    keys_named = {name for name in named if name.rpartition(".")[0] in sections - {""} and not name.endswith(".png")}
+    assert keys_named <= keys | sections
+    modules = {name for name in named if re.fullmatch(r"(?:surveysim|mapmaker)/.*\.(?:py|toml)", name)}
+    assert [name for name in modules if not (ROOT / name).is_file()] == []
+
+
 def test_renamed_keys_are_documented():
     text = (ROOT / "docs" / "reference" / "keys.md").read_text()
     assert dict(re.findall(r"^\| `([\w.]+)` \| `([\w.]+)` \|$", text, re.MULTILINE)) == RENAMED

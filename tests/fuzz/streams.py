@@ -272,12 +272,12 @@ def _mapped(streams: Any) -> Outcome:
 
     try:
         cleaned = mm.clean(
-            "average", streams.data_mk, streams.scan_bounds, streams.focal_plane, mm.TemplateOptions(1e-8, 100)
+            "average", streams.data_mk, streams.scan_bounds, streams.focal_plane, options=mm.TemplateOptions(1e-8, 100)
         )
         centre = mm.mean_direction(streams.ra_rad, streams.dec_rad)
         geometry = mm.covering_geometry(*centre, np.radians(20 / 3600), np.radians(0.2))
         index = mm.pixel_indices(geometry, streams)
-        item = mm.bin_map(geometry, cleaned.data_mk, index, streams.scan_bounds, cleaned.kept)
+        item = mm.bin_map(geometry, cleaned.data_mk, index, streams.scan_bounds, kept=cleaned.kept)
     except Exception as error:
         return outcome_of_error(error, (ValueError,))
     check(np.isfinite(item.signal_mk).all(), "a map that is not finite")

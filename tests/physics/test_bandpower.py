@@ -10,7 +10,7 @@ from scipy import fft
 
 from mapmaker.bandpower import estimate_amplitude, flat_band_power, flat_spectrum_psd, score
 from mapmaker.spectrum import annuli, map_psd, mode_ell, neighbour_correlation, tukey_taper
-from mapmaker.uncertainty import noise_error, window_error
+from mapmaker.uncertainty import noise_error, transfer_function_error
 
 PIXEL_RAD = np.radians(20 / 3600)
 N_PIX = 96
@@ -38,8 +38,8 @@ def test_white_noise_level_and_mode_count(edge_fraction, size_pix):
     fall into the next bin, takes up to 6 % off the variance (3 % off the scatter).
     """
     n_maps = 600
-    taper = tukey_taper(N_PIX, N_PIX, PIXEL_RAD, size_pix * PIXEL_RAD, edge_fraction)
-    rings = annuli(N_PIX, N_PIX, PIXEL_RAD, np.array([1000.0, 10000.0, 20000.0, 30000.0]), taper)
+    taper = tukey_taper(N_PIX, N_PIX, PIXEL_RAD, size_rad=size_pix * PIXEL_RAD, edge_fraction=edge_fraction)
+    rings = annuli(N_PIX, N_PIX, PIXEL_RAD, edges_ell=np.array([1000.0, 10000.0, 20000.0, 30000.0]), taper=taper)
     maps = 3 * np.random.default_rng(1).normal(size=(n_maps, N_PIX, N_PIX))
     psd = map_psd(maps, taper, PIXEL_RAD, rings) / (9 * PIXEL_RAD**2)
     expected = psd_relative_error(rings.n_modes)
@@ -48,8 +48,8 @@ def test_white_noise_level_and_mode_count(edge_fraction, size_pix):
 
 
 def test_unhit_pixels_around_the_taper_change_nothing():
-    taper = tukey_taper(N_PIX, N_PIX, PIXEL_RAD, 64 * PIXEL_RAD, 0.5)
-    rings = annuli(N_PIX, N_PIX, PIXEL_RAD, EDGES, taper)
+    taper = tukey_taper(N_PIX, N_PIX, PIXEL_RAD, size_rad=64 * PIXEL_RAD, edge_fraction=0.5)
+    rings = annuli(N_PIX, N_PIX, PIXEL_RAD, edges_ell=EDGES, taper=taper)
     maps = np.random.default_rng(2).normal(size=(2, N_PIX, N_PIX))
     maps[1] = np.where(taper > 0, maps[0], 0)
     psd = map_psd(maps, taper, PIXEL_RAD, rings)
@@ -64,8 +64,8 @@ def test_errors_of_a_sum_over_bins_that_share_modes(ruling):
     know a variance to 3.7 %.
     """
     n_maps = 1500
-    taper = tukey_taper(N_PIX, N_PIX, PIXEL_RAD, SIDE_RAD, 1.0)
-    rings = annuli(N_PIX, N_PIX, PIXEL_RAD, EDGES, taper)
+    taper = tukey_taper(N_PIX, N_PIX, PIXEL_RAD, size_rad=SIDE_RAD, edge_fraction=1.0)
+    rings = annuli(N_PIX, N_PIX, PIXEL_RAD, edges_ell=EDGES, taper=taper)
     psd = map_psd(np.random.default_rng(9).normal(size=(n_maps, N_PIX, N_PIX)), taper, PIXEL_RAD, rings)
     relative, n_bin = psd / psd.mean(axis=0), len(rings.ell)
     weight = np.full(n_bin, (1 - ruling) / (n_bin - 1))
@@ -73,18 +73,25 @@ def test_errors_of_a_sum_over_bins_that_share_modes(ruling):
     weight /= weight.sum()
     found, correlation = (relative @ weight).var(ddof=1), neighbour_correlation(taper, rings)
     tolerance = 4 * np.sqrt(2 / n_maps)
-    assert window_error(relative.std(axis=0, ddof=1), weight, correlation) ** 2 == pytest.approx(found, rel=tolerance)
+    assert transfer_function_error(relative.std(axis=0, ddof=1), weight, correlation) ** 2 == pytest.approx(
+        found, rel=tolerance
+    )
     # Realizations of one and the same PSD leave the mode counts alone: 16 of 16 + K - 1 parts of the variance.
     still = np.ones((2, n_bin))
-    counted = noise_error(still, weight, np.ones(1000), rings.n_modes, correlation) ** 2 * 17 / 16 / (0.999 / 2 + 1e-3)
+    counted = (
+        noise_error(still, weight, np.ones(1000), n_modes=rings.n_modes, correlation=correlation) ** 2
+        * 17
+        / 16
+        / (0.999 / 2 + 1e-3)
+    )
     assert counted == pytest.approx(found, rel=tolerance + 0.03)
 
 
 def test_narrow_bins_share_their_information():
     """Bins narrower than the taper's resolution scatter by less than 2 / n, a smooth sum by 2 / sum n."""
     n_maps = 1500
-    taper = tukey_taper(N_PIX, N_PIX, PIXEL_RAD, SIDE_RAD, 1.0)
-    rings = annuli(N_PIX, N_PIX, PIXEL_RAD, np.arange(4000.0, 16001.0, 500.0), taper)
+    taper = tukey_taper(N_PIX, N_PIX, PIXEL_RAD, size_rad=SIDE_RAD, edge_fraction=1.0)
+    rings = annuli(N_PIX, N_PIX, PIXEL_RAD, edges_ell=np.arange(4000.0, 16001.0, 500.0), taper=taper)
     psd = map_psd(np.random.default_rng(3).normal(size=(n_maps, N_PIX, N_PIX)), taper, PIXEL_RAD, rings)
     relative = psd / psd.mean(axis=0)
     assert np.mean(relative.var(axis=0) * rings.n_modes / 2) < 0.9
@@ -97,8 +104,8 @@ def test_narrow_bins_share_their_information():
 def test_known_spectrum_comes_back(edge_fraction):
     """A flat spectrum within the error of 600 maps; a Hann taper adds 2/3 (2 pi / (side ell))^2."""
     n_maps = 600
-    taper = tukey_taper(N_PIX, N_PIX, PIXEL_RAD, SIDE_RAD, edge_fraction)
-    rings = annuli(N_PIX, N_PIX, PIXEL_RAD, EDGES, taper)
+    taper = tukey_taper(N_PIX, N_PIX, PIXEL_RAD, size_rad=SIDE_RAD, edge_fraction=edge_fraction)
+    rings = annuli(N_PIX, N_PIX, PIXEL_RAD, edges_ell=EDGES, taper=taper)
     maps = gaussian_maps(lambda ell: flat_spectrum_psd(np.maximum(ell, 500)), n_maps, np.random.default_rng(4))
     within_bin = annuli_mean(lambda ell: flat_spectrum_psd(np.maximum(ell, 500)), rings)
     ratio = map_psd(maps, taper, PIXEL_RAD, rings).mean(axis=0) / within_bin
@@ -121,8 +128,8 @@ def test_scatter_of_the_amplitude_is_the_score(edge_fraction):
     range.
     """
     n_maps, rng = 800, np.random.default_rng(5)
-    taper = tukey_taper(N_PIX, N_PIX, PIXEL_RAD, SIDE_RAD, edge_fraction)
-    rings = annuli(N_PIX, N_PIX, PIXEL_RAD, EDGES, taper)
+    taper = tukey_taper(N_PIX, N_PIX, PIXEL_RAD, size_rad=SIDE_RAD, edge_fraction=edge_fraction)
+    rings = annuli(N_PIX, N_PIX, PIXEL_RAD, edges_ell=EDGES, taper=taper)
     mask = rings.ell > 5000
     noise_psd = np.full(rings.ell.size, 1e-5)
     signal_psd = annuli_mean(flat_spectrum_psd, rings)
@@ -130,7 +137,9 @@ def test_scatter_of_the_amplitude_is_the_score(edge_fraction):
     sky = gaussian_maps(lambda ell: 0.2 * sigma * flat_spectrum_psd(np.maximum(ell, 500)), n_maps, rng)
     maps = sky + np.sqrt(1e-5) / PIXEL_RAD * rng.normal(size=sky.shape)
     psd = map_psd(maps, taper, PIXEL_RAD, rings)
-    amplitude = estimate_amplitude(psd, noise_psd, signal_psd, rings.n_modes, mask)
+    amplitude = estimate_amplitude(
+        psd, noise_psd_ukcmb2=noise_psd, signal_psd=signal_psd, n_modes=rings.n_modes, mask=mask
+    )
     np.testing.assert_allclose(amplitude.std(), sigma, rtol=3 / np.sqrt(2 * n_maps) + 0.03)
     np.testing.assert_allclose(amplitude.mean(), 0.2 * sigma, atol=3.5 * sigma / np.sqrt(n_maps))
 
@@ -163,7 +172,16 @@ def test_error_of_the_score_is_its_scatter_over_surveys(weather_varies):
         if weather_varies:
             weights = np.exp(0.8 * rng.normal(size=60))
         psds = toy_survey(weights, 16, noise_psd, n_modes, rng)
-        result, budget = score(psds, signal, np.zeros(4), n_modes, ell > 0, weights, ell, edges)
+        result, budget = score(
+            psds,
+            signal,
+            signal_psd_relative_error=np.zeros(4),
+            n_modes=n_modes,
+            mask=ell > 0,
+            observation_weights=weights,
+            ell=ell,
+            edges_ell=edges,
+        )
         log_sigma[i] = np.log(result.sigma_ukcmb2)
         variance[i] = budget.total**2 if weather_varies else budget.noise**2
     np.testing.assert_allclose(log_sigma.std(), np.sqrt(variance.mean()), rtol=3 / np.sqrt(2 * n_surveys))

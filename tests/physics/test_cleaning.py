@@ -48,7 +48,7 @@ def test_planted_polynomials_vanish(name, dtype, level):
     data = (1e3 * c[:, None] * (shapes @ _amplitudes(rng, N_PAR[name]))).astype(dtype)
     # float32 input is in the model only to its own rounding
     tolerance = 1e-13 if dtype is np.float64 else 1e-8
-    cleaned = clean(name, data, ONE_SCAN, focal_plane, TemplateOptions(tolerance, 100))
+    cleaned = clean(name, data, ONE_SCAN, focal_plane, options=TemplateOptions(tolerance, 100))
     assert cleaned.kept.all()
     assert np.abs(cleaned.data_mk).max() < level * np.abs(data).max()
     np.testing.assert_allclose(cleaned.responsivity[0], c, rtol=1e-6 if dtype is np.float32 else 1e-11)
@@ -65,7 +65,7 @@ def test_responsivity_gradient_is_left_at_second_order(slope):
     focal_plane = _focal_plane(rng)
     shapes, amplitude = _shapes(focal_plane, 3), _amplitudes(rng, 3)
     data = (1 + slope * shapes[:, 1])[:, None] * (shapes @ amplitude)
-    left = clean("planar", data, ONE_SCAN, focal_plane, OPTIONS).data_mk
+    left = clean("planar", data, ONE_SCAN, focal_plane, options=OPTIONS).data_mk
     assert left.std() < slope * amplitude[1:].std()
     assert left.std() > 0.05 * slope * amplitude[1:].std()
 
@@ -80,7 +80,7 @@ def test_orthogonal_signal_is_untouched(name):
     signal -= shapes @ np.linalg.lstsq(shapes, signal, rcond=None)[0]
     courses = np.vstack([np.ones(N_SAMP), amplitude]).T
     signal -= (courses @ np.linalg.lstsq(courses, signal.T, rcond=None)[0]).T
-    cleaned = clean(name, shapes @ amplitude + signal, ONE_SCAN, focal_plane, OPTIONS)
+    cleaned = clean(name, shapes @ amplitude + signal, ONE_SCAN, focal_plane, options=OPTIONS)
     np.testing.assert_allclose(cleaned.responsivity, 1, rtol=1e-12)
     np.testing.assert_allclose(cleaned.data_mk, signal, atol=1e-11)
 
@@ -92,7 +92,7 @@ def test_subtraction_is_a_projection(name):
     focal_plane = _focal_plane(rng)
     shapes = _shapes(focal_plane, N_PAR[name])
     data = 30 * (shapes @ _amplitudes(rng, N_PAR[name])) + rng.standard_normal((N_DET, N_SAMP))
-    cleaned = clean(name, data, ONE_SCAN, focal_plane, OPTIONS)
+    cleaned = clean(name, data, ONE_SCAN, focal_plane, options=OPTIONS)
     c = cleaned.responsivity[0]
     basis = np.linalg.qr(shapes)[0]
     project = np.eye(N_DET) - (c[:, None] * basis) @ (basis / c[:, None]).T
@@ -106,8 +106,8 @@ def test_float32_streams_under_a_thousandfold_atmosphere():
     rng = np.random.default_rng(4)
     focal_plane = _focal_plane(rng)
     data = 1e3 * (_shapes(focal_plane, 6) @ _amplitudes(rng, 6)) + rng.standard_normal((N_DET, N_SAMP))
-    double = clean("quadratic", data, ONE_SCAN, focal_plane, OPTIONS).data_mk
-    single = clean("quadratic", data.astype(np.float32), ONE_SCAN, focal_plane, OPTIONS).data_mk
+    double = clean("quadratic", data, ONE_SCAN, focal_plane, options=OPTIONS).data_mk
+    single = clean("quadratic", data.astype(np.float32), ONE_SCAN, focal_plane, options=OPTIONS).data_mk
     assert double.std() < 1.01
     assert np.abs(single - double).max() < 1e-3
 
@@ -124,7 +124,7 @@ def test_white_noise_loses_the_removed_degrees_of_freedom(name):
     bounds = N_SAMP * (np.arange(n_scan)[:, None] + np.array([0, 1]))
     common = np.hstack([_shapes(focal_plane, 1) @ _amplitudes(rng, 1) for _ in range(n_scan)])
     data = 10 * common + rng.standard_normal((N_DET, n_scan * N_SAMP))
-    cleaned = clean(name, data, bounds, focal_plane, OPTIONS)
+    cleaned = clean(name, data, bounds, focal_plane, options=OPTIONS)
     expected = (1 - N_PAR[name] / N_DET) * (1 - 2 / N_SAMP)
     assert cleaned.kept.all()
     assert abs(cleaned.data_mk.var() / expected - 1) < 4 * np.sqrt(2 / data.size)
@@ -145,7 +145,7 @@ def test_converges_in_five_to_ten_iterations(name):
         shapes = _shapes(focal_plane, 1)
         c = 1 + 0.05 * rng.standard_normal((N_DET, 1))
         data = c * (shapes @ _amplitudes(rng, 1)) + rng.standard_normal((N_DET, N_SAMP))
-        cleaned = clean(name, data.astype(np.float32), ONE_SCAN, focal_plane, OPTIONS)
+        cleaned = clean(name, data.astype(np.float32), ONE_SCAN, focal_plane, options=OPTIONS)
         assert cleaned.kept.all()
         steps.append(cleaned.iterations[0])
     assert min(steps) >= 5 and max(steps) <= 10
@@ -164,6 +164,6 @@ def test_why_responsivities_are_held():
     c = np.ones(N_DET)
     converged, _ = iterate_responsivity(data @ data.T, basis, basis[:0], 1e-8, 100, 1.0, c)
     literal = data - (basis * c).T @ ((basis / c) @ data)
-    held = clean("planar", data, ONE_SCAN, focal_plane, OPTIONS)
+    held = clean("planar", data, ONE_SCAN, focal_plane, options=OPTIONS)
     assert not converged and held.kept.all() and held.iterations[0] <= 10
     assert abs(held.data_mk.var() - literal.var()) < 0.01

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapmaker.cleaning import LocalOptions, PcaOptions, WindOptions, clean
-from mapmaker.cleaning.wind import phases, turned
+from mapmaker.cleaning.wind import delay_phases, phase_shifted
 from mapmaker.timestreams import FocalPlane
 
 RATE_HZ = 10.0
@@ -30,7 +30,7 @@ def test_planted_signal_delayed_by_whole_samples_vanishes(dtype, level):
     c = 1 + 0.05 * rng.standard_normal((len(delay), 1))
     data = (100 * c * np.stack([common[5 - d : 5 - d + N_SAMP] for d in delay])).astype(dtype)
     options = _wind([100.0, 0.0], 1e-13 if dtype is np.float64 else 1e-8)
-    cleaned = clean("wind", data, ONE_SCAN, _row(delay), options)
+    cleaned = clean("wind", data, ONE_SCAN, _row(delay), options=options)
     assert cleaned.kept.all()
     assert np.abs(cleaned.data_mk).max() < level * np.abs(data).max()
     ratio = cleaned.responsivity[0] / c[:, 0]
@@ -51,7 +51,7 @@ def test_planted_wave_with_any_delay_is_removed_to_the_phase_of_the_interpolatio
     t = np.arange(N_SAMP)
     w = 2 * np.pi * f_hz / RATE_HZ
     data = np.cos(w * (t - delay[:, None]) + 0.4) + 0.5 * np.sin(0.5 * w * (t - delay[:, None]))
-    cleaned = clean("wind", data, ONE_SCAN, _row(delay), _wind([100.0, 0.0], 1e-8))
+    cleaned = clean("wind", data, ONE_SCAN, _row(delay), options=_wind([100.0, 0.0], 1e-8))
     part = np.linspace(0, 1, 101)
     error = np.abs(np.angle(1 - part + part * np.exp(1j * w)) - part * w).max()
     assert cleaned.kept.all()
@@ -70,7 +70,7 @@ def test_power_spectrum_of_a_shifted_white_stream_is_unchanged():
     delay = np.full(n_stream, 0.5)
     delay[::2] = rng.uniform(-1, 1, n_stream // 2)
     white = rng.standard_normal((n_stream, n_samp))
-    shifted = turned(white, phases(delay, n_samp))
+    shifted = phase_shifted(white, delay_phases(delay, n_samp))
     power = np.mean(np.abs(np.fft.rfft(shifted)) ** 2, axis=0)[:-1] / n_samp
     error = np.full(len(power), 1 / np.sqrt(n_stream))
     error[0] *= np.sqrt(2)
@@ -92,7 +92,7 @@ def test_wind_leaves_white_noise_white():
     slow = np.hstack([np.cos(2 * np.pi * (t - delay[:, None]) / N_SAMP + phase) for phase in range(n_scan)])
     data = 30 * slow + rng.standard_normal((N_DET, n_scan * N_SAMP))
     options = WindOptions(np.full((n_scan, 2), [100.0, 0.0]), RATE_HZ, 1e-8, 100)
-    cleaned = clean("wind", data, bounds, _row(delay), options)
+    cleaned = clean("wind", data, bounds, _row(delay), options=options)
     assert cleaned.kept.all()
     blocks = cleaned.data_mk.reshape(N_DET, n_scan, N_SAMP)
     power = np.mean(np.abs(np.fft.rfft(blocks)) ** 2, axis=(0, 1))[5:-1] / N_SAMP
@@ -110,7 +110,7 @@ def test_leading_mode_is_the_average_template():
     rng = np.random.default_rng(4)
     data, common = _noisy_common(rng, 3.0)
     plane = _row(rng.uniform(-1, 1, N_DET))
-    left = clean("pca", data, ONE_SCAN, plane, PcaOptions(3.0))
+    left = clean("pca", data, ONE_SCAN, plane, options=PcaOptions(3.0))
     taken = (data - data.mean(axis=1, keepdims=True)) - left.data_mk
     assert left.removed[0] == 1
     assert np.linalg.matrix_rank(taken, rtol=1e-10) == 1
@@ -124,7 +124,7 @@ def test_pca_takes_the_noise_of_its_mode():
     left = []
     for _ in range(20):
         data, common = _noisy_common(rng, 10.0)
-        cleaned = clean("pca", data, ONE_SCAN, _row(rng.uniform(-1, 1, N_DET)), PcaOptions(3.0))
+        cleaned = clean("pca", data, ONE_SCAN, _row(rng.uniform(-1, 1, N_DET)), options=PcaOptions(3.0))
         assert cleaned.removed[0] == 1
         left.append(cleaned.data_mk.var())
     expected = (1 - 1 / N_DET) * (1 - 2 / N_SAMP)
@@ -143,6 +143,6 @@ def test_local_templates_take_their_share_of_white_noise():
     plane = FocalPlane(2e-4 * place.real, 2e-4 * place.imag, 3e-4)
     data = rng.standard_normal((len(steps), 40 * N_SAMP))
     bounds = N_SAMP * (np.arange(40)[:, None] + np.array([0, 1]))
-    left = clean("local", data, bounds, plane, LocalOptions()).data_mk[inner]
+    left = clean("local", data, bounds, plane, options=LocalOptions()).data_mk[inner]
     expected = (6 / 7) * (1 - 2 / N_SAMP)
     assert abs(left.var() / expected - 1) < 2 * 4 * np.sqrt(2 / left.size)

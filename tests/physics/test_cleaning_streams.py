@@ -53,12 +53,14 @@ def typical(setup):
 
 
 def _clean(name, streams, options):
-    return clean(name, streams.data_mk, streams.scan_bounds, streams.focal_plane, options)
+    return clean(name, streams.data_mk, streams.scan_bounds, streams.focal_plane, options=options)
 
 
 def _wind_options(streams, sign=1.0):
     velocity = scan_velocities(streams)
-    fit = measure_wind(streams.data_mk, streams.scan_bounds, streams.focal_plane, RATE_HZ, velocity)
+    fit = measure_wind(
+        streams.data_mk, streams.scan_bounds, streams.focal_plane, sample_rate_hz=RATE_HZ, scan_velocity_rad_s=velocity
+    )
     return WindOptions(sign * slowness(fit.velocity_rad_s, velocity), RATE_HZ, 1e-8, 100)
 
 

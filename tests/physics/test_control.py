@@ -8,7 +8,7 @@ from surveysim import load_scene
 from surveysim.atmosphere.weather import draw_weather
 from surveysim.forecasting.forecast import expected_weights
 from surveysim.forecasting.noise_model import noise_models
-from surveysim.forecasting.observing_conditions import conditions, population_draws
+from surveysim.forecasting.observing_conditions import observing_conditions, population_draws
 from surveysim.reduction.setup import prepare
 from surveysim.results.control_variate import expectations, quoted_scores
 from surveysim.results.stopping import estimate_so_far
@@ -54,14 +54,14 @@ def test_the_population_has_the_moments_of_independent_draws(tmp_path):
     setup = prepare(weather_scene(tmp_path))
     air = setup.scene.atmosphere
     lists = population_draws(setup)
-    levels = conditions(setup, [draw for part in lists for draw in part])
+    levels = observing_conditions(setup, [draw for part in lists for draw in part])
     model = next(noise_models(setup, levels))
     even = expected_weights(setup, model.noise(levels)).reshape(len(lists), -1).mean(axis=1)
     drawn = []
     for number in range(4000):
         rng = generator(1, RandomPurpose.WEATHER, number, realization=2)
         drawn.append((number % setup.scene.observations, draw_weather(air, setup.water, rng)))
-    random = expected_weights(setup, model.noise(conditions(setup, drawn)))
+    random = expected_weights(setup, model.noise(observing_conditions(setup, drawn)))
     error = random.std() / np.sqrt(len(random))
     assert even.mean() == pytest.approx(random.mean(), abs=4 * error)
     # As many independent draws as a list has would scatter so much; eight lists know their scatter to a quarter.

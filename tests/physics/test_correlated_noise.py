@@ -120,7 +120,7 @@ def test_white_noise_below_a_common_sky_has_no_excess(setup, name, red):
     scans = white_streams(setup.n_det, 5.0, rng) + setup.responsivity[:, None, None] * common
     bounds = np.arange(N_SCAN)[:, None] * N + [0, N]
     options = TemplateOptions(1e-8, 100)
-    cleaned = clean(name, scans.reshape(setup.n_det, -1), bounds, setup.camera.focal_plane, options)
+    cleaned = clean(name, scans.reshape(setup.n_det, -1), bounds, setup.camera.focal_plane, options=options)
     assert cleaned.kept.all()
     found = pair_noise(cleaned, camera_pairs(setup), RATE_HZ)
     basis = template_basis(setup.camera.focal_plane, PAIR_CLEANINGS[name])

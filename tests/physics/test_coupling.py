@@ -71,8 +71,12 @@ def test_coupled_psd_is_the_mean_over_skies():
     n, n_sky = 48, 200
     psd = flat_modes(4 * n, FWHM / 3)
     rng = np.random.default_rng(3)
-    for taper in (tukey_taper(n, n, 1.0, n, 0.5), tukey_taper(n, n, 1.0, n // 2, 0.5), np.ones((n, n))):
-        rings = annuli(n, n, FWHM / 3, np.array([300.0, 1500, 3000, 6000, 12000]), taper)
+    for taper in (
+        tukey_taper(n, n, 1.0, size_rad=n, edge_fraction=0.5),
+        tukey_taper(n, n, 1.0, size_rad=n // 2, edge_fraction=0.5),
+        np.ones((n, n)),
+    ):
+        rings = annuli(n, n, FWHM / 3, edges_ell=np.array([300.0, 1500, 3000, 6000, 12000]), taper=taper)
         found = map_psd(patches(psd, n_sky, 4 * n, rng)[:, :n, :n], taper, 1.0, rings)
         expected = ring_mean(coupled_psd(psd, (4 * n, 4 * n), taper, 1.0), rings)
         error = found.std(axis=0) / np.sqrt(n_sky)
@@ -100,12 +104,12 @@ def test_coupled_psd_is_a_convolution(sky_shape, shape, cells):
     transform = np.einsum("aAy,bBx,yx->abAB", *wave, taper)
     area = np.prod(sky_shape) * (pixel / cells) ** 2
     expected = np.einsum("abAB,AB->ab", np.abs(transform) ** 2, whole) * pixel**2 / (area * np.sum(taper**2))
-    found = coupled_psd(half, sky_shape, taper, pixel, cells)
+    found = coupled_psd(half, sky_shape, taper, pixel, cells_per_pixel=cells)
     np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
 def test_white_noise_stays_white():
-    taper = tukey_taper(20, 16, 1.0, 12, 0.7)
+    taper = tukey_taper(20, 16, 1.0, size_rad=12, edge_fraction=0.7)
     np.testing.assert_allclose(coupled_psd(np.full((20, 9), 3.0), (20, 16), taper, 1.0), 3.0, rtol=1e-12)
 
 
@@ -113,9 +117,9 @@ def test_coupled_psd_refuses():
     with pytest.raises(ValueError, match=r"sky_psd: found the shape \(4, 4\); \(4, 3\) is expected"):
         coupled_psd(np.ones((4, 4)), (4, 4), np.ones((2, 2)), 1.0)
     with pytest.raises(ValueError, match="cells_per_pixel: found 1.5; an integer of at least 1 and of at most"):
-        coupled_psd(np.ones((4, 3)), (4, 4), np.ones((2, 2)), 1.0, 1.5)
+        coupled_psd(np.ones((4, 3)), (4, 4), np.ones((2, 2)), 1.0, cells_per_pixel=1.5)
     with pytest.raises(ValueError, match="annuli are for 12"):
-        rings = annuli(4, 4, 1.0, np.array([1.0, 4.0]), np.ones((4, 4)))
+        rings = annuli(4, 4, 1.0, edges_ell=np.array([1.0, 4.0]), taper=np.ones((4, 4)))
         neighbour_correlation(np.ones((4, 6)), rings)
 
 
@@ -186,7 +190,7 @@ def scanned_maps(setup, view, algorithm):
         left = left - left.mean(axis=2, keepdims=True)
         if algorithm == "average":
             left = left - left.mean(axis=0)
-        pixel = boresight_pixels(setup.geometry, *at, setup.camera.focal_plane).ravel()
+        pixel = boresight_pixels(setup.geometry, *at, plane=setup.camera.focal_plane).ravel()
         sums += [np.bincount(pixel, streams.ravel(), n * n) for streams in (seen, left)]
         hits += np.bincount(pixel, minlength=n * n)
     return (sums / np.maximum(hits, 1)).reshape(2, n, n)[:, setup.band.patch, setup.band.patch]
@@ -243,7 +247,12 @@ def test_neighbouring_bins_correlate(lynx):
     assert (np.abs(found - expected) < 4.5 / np.sqrt(n_map)).all()
     assert found[1:].mean() == pytest.approx(expected[1:].mean(), abs=4 / np.sqrt(n_map * len(found)))
     # Against bins that are wide beside the taper's resolution little is left.
-    wide = annuli(*band.padded_taper.shape, lynx.geometry.pixel_rad, np.array([2000.0, 7000, 12000]), band.padded_taper)
+    wide = annuli(
+        *band.padded_taper.shape,
+        lynx.geometry.pixel_rad,
+        edges_ell=np.array([2000.0, 7000, 12000]),
+        taper=band.padded_taper,
+    )
     assert neighbour_correlation(band.padded_taper, wide)[0] < 0.07
 
 
@@ -263,7 +272,9 @@ def test_amplitude_of_a_sky_is_its_own(lynx):
     tests = {}
     for name, signal in (("coupled", band.signal_psd), ("closed", closed_form(band.rings.ell, pixel))):
         # `estimate_amplitude` takes the noise off, which these skies do not have.
-        tests[name] = estimate_amplitude(psds + noise, noise, signal, band.rings.n_modes, band.selected)
+        tests[name] = estimate_amplitude(
+            psds + noise, noise_psd_ukcmb2=noise, signal_psd=signal, n_modes=band.rings.n_modes, mask=band.selected
+        )
     error = tests["coupled"].std() / np.sqrt(len(psds))
     assert error < 2
     assert tests["coupled"].mean() == pytest.approx(1000, abs=3.5 * error)

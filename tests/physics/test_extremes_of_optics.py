@@ -144,7 +144,7 @@ def test_mean_of_an_ideal_array_has_the_lattice_s_noise(pitch):
 def test_forecast_of_the_common_mode_is_the_lattice_s(scene_of):
     """The same from the array response at a wave so long that the array sees no phase."""
     cam = camera(scene_of(NO_AIR, {"instrument.layout.rings": 12}).instrument)
-    array = projected_array(cam.focal_plane, 0.3, np.ones(len(cam.focal_plane.x_rad)), "none")
+    array = projected_array(cam.focal_plane, 0.3, responsivity=np.ones(len(cam.focal_plane.x_rad)), algorithm="none")
     correlation = correlation_matrix(cam.positions_f_lambda, "intensity")
     response = array.response(np.array([1.0 + 0.5j]))
     ratio = matrix_power(response, correlation) / matrix_power(response, None)

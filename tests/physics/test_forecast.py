@@ -15,9 +15,10 @@ from surveysim.atmosphere.screen_simulation import StripCache, add_atmosphere, s
 from surveysim.atmosphere.thin_screen import Screen
 from surveysim.forecasting import mode_response as response
 from surveysim.forecasting.forecast import forecast
-from surveysim.forecasting.mode_response import layer_gain, layer_waves, matrix_power, projected_array, scan_window
+from surveysim.forecasting.mode_response import layer_gain, layer_waves, matrix_power, projected_array
 from surveysim.forecasting.noise_model import noise_models
-from surveysim.forecasting.observing_conditions import conditions, survey_draws
+from surveysim.forecasting.observing_conditions import observing_conditions, survey_draws
+from surveysim.forecasting.scan_apodization import scan_window
 from surveysim.reduction.setup import observation_path, prepare
 from surveysim.results.results import forecast_agreement, summary
 from surveysim.runtime.engine import SERIAL
@@ -57,8 +58,8 @@ class Scans:
         self.gain = np.exp(0.05 * np.random.default_rng(3).standard_normal(19))
         self.gain /= self.gain.mean()
         self.left = naive.cleaning_matrix(x, y, self.gain, {"none": -1, "average": 0, "planar": 1}[algorithm])
-        self.array = projected_array(self.plane, angle_rad, self.gain, algorithm)
-        self.window = scan_window(SAMPLES / RATE, SPEED, SIZE, 0.5)
+        self.array = projected_array(self.plane, angle_rad, responsivity=self.gain, algorithm=algorithm)
+        self.window = scan_window(SAMPLES / RATE, speed_rad_s=SPEED, size_rad=SIZE, taper_fraction=0.5)
         self.wave = np.array([3000, 6000 * np.exp(0.6j), 1500j, 5000 * np.exp(1.52j), 4000 * np.exp(2.2j), 9000j])
         self.at_hz = self.wave.real * SPEED / (2 * np.pi)
         self.response = self.array.response(self.wave)
@@ -102,13 +103,13 @@ def test_layer_in_a_mode_is_that_of_drawn_screens(monkeypatch, algorithm, back):
     add_atmosphere(
         data,
         np.column_stack([starts, starts + SAMPLES]),
-        RATE,
-        np.broadcast_to(offsets, (draws, 19, 2)),
-        np.tile([sign * SPEED, 0.0], (draws, 1)),
-        np.tile(wind, (draws, 1)),
-        np.ones(draws),
-        cache,
-        np.random.default_rng(4),
+        sample_rate_hz=RATE,
+        offsets_rad=np.broadcast_to(offsets, (draws, 19, 2)),
+        velocity_rad_s=np.tile([sign * SPEED, 0.0], (draws, 1)),
+        layer_velocity_rad_s=np.tile(wind, (draws, 1)),
+        amplitude_mk=np.ones(draws),
+        strips=cache,
+        rng=np.random.default_rng(4),
     )
     streams = (data * scans.gain[:, None]).astype(float).reshape(19, draws, SAMPLES)
     found = scans.power(streams[..., ::sign])  # in reversed time a scan back is one there
@@ -140,7 +141,7 @@ def test_a_layer_at_its_slant_distance_leaves_more(algorithm, at_60, at_45):
     """
     setup = prepare(load_scene("scenarios/lynx.toml", {"observations": 40, "cleaning.algorithm": algorithm}))
     sines = np.sin(np.radians([45, 60, 90]))
-    levels = replace(conditions(setup, survey_draws(setup, 0, 40)), sine=np.resize(sines, 40))
+    levels = replace(observing_conditions(setup, survey_draws(setup, 0, 40)), sine=np.resize(sines, 40))
     layer = next(noise_models(setup, levels)).parts.layer
     left = [layer(levels.motion, np.full(40, sine))[:, setup.band.selected].sum() for sine in sines]
     assert left[0] / left[2] == pytest.approx(at_45, rel=0.04)
@@ -186,7 +187,7 @@ def test_photon_noise_in_a_mode_is_that_of_drawn_streams(coherence):
 def test_frames_of_observations_are_those_of_the_scans(scene_of):
     """Motion against the layer and the array's places, turned so that the scan goes along x; back is half a turn on."""
     setup = prepare(scene_of())
-    levels = conditions(setup, survey_draws(setup, 0, setup.scene.observations))
+    levels = observing_conditions(setup, survey_draws(setup, 0, setup.scene.observations))
     for number in range(4):
         _, pointing = observation_path(setup, number)
         weather = observation_weather(setup, number)
@@ -195,7 +196,9 @@ def test_frames_of_observations_are_those_of_the_scans(scene_of):
         along = pointing.velocity_rad_s[:2] @ [1, 1j] / setup.raster.speed_rad_s
         np.testing.assert_allclose(levels.motion[number], relative[:2] / along, rtol=1e-9)
         offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad[:1]), axis=-1) @ [1, 1j]
-        place = projected_array(setup.camera.focal_plane, levels.angle[number], setup.responsivity, "none").place
+        place = projected_array(
+            setup.camera.focal_plane, levels.angle[number], responsivity=setup.responsivity, algorithm="none"
+        ).place
         np.testing.assert_allclose(place, offsets[0] / along[0], atol=1e-12)
 
 

@@ -159,7 +159,7 @@ def test_powers_of_a_forecast_are_those_of_the_matrix(algorithm):
     cells, positions = array(4, 0.7)
     torus, rng = embed(cells, 0.7, "field", Illumination()), np.random.default_rng(7)
     gain = rng.uniform(0.8, 1.2, len(cells))
-    cleaned = projected_array(FocalPlane(*positions.T, 1.0), 0.3, gain, algorithm)
+    cleaned = projected_array(FocalPlane(*positions.T, 1.0), 0.3, responsivity=gain, algorithm=algorithm)
     matrix, shared = gain[:, None] * implied(torus, cells) * gain, NoiseCorrelation(torus, gain)
     assert stream_power(cleaned, shared) == pytest.approx(stream_power(cleaned, matrix), rel=1e-9)
     waves = cleaned.response(rng.standard_normal(6) + 1j * rng.standard_normal(6))

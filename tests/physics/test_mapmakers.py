@@ -56,7 +56,7 @@ def blocks(n, rng, white_mk, atmosphere_mk, sky=None, slow_mk=0.0):
     for observation in range(n):
         xi, eta = raster(observation)
         angle = np.full(len(xi), 0.2 + 0.7 * observation)
-        index = boresight_pixels(GEOMETRY, xi, eta, angle, plane)
+        index = boresight_pixels(GEOMETRY, xi, eta, angle, plane=plane)
         east, north = sky_offsets(plane, angle[:1])
         course = np.concatenate([red_course(rng, 8 / 3, ()) for _ in range(N_SCAN)]) * atmosphere_mk
         data = gains()[:, None] * course + white_mk * rng.standard_normal(index.shape)
@@ -77,14 +77,14 @@ def red_course(rng, index, shape):
 
 
 def averaged(block):
-    return clean("average", block.data_mk, block.scan_bounds, block.focal_plane, AVERAGE)
+    return clean("average", block.data_mk, block.scan_bounds, block.focal_plane, options=AVERAGE)
 
 
 def binned(items, cleaning=None):
     maps = []
     for b in items:
         data = b.data_mk if cleaning is None else cleaning(b).data_mk
-        maps.append(bin_map(GEOMETRY, data, b.index, BOUNDS, np.ones(N_SCAN, bool)))
+        maps.append(bin_map(GEOMETRY, data, b.index, BOUNDS, kept=np.ones(N_SCAN, bool)))
     return coadd(maps, [1.0] * len(maps))
 
 
@@ -134,8 +134,8 @@ def test_noise_is_not_fed_back():
     assert variance(IterationOptions(threshold=0.01, loss=0.0, max_iterations=5)) > 1.05
 
 
-TAPER = tukey_taper(108, 108, GEOMETRY.pixel_rad, 24 * ARCMIN, 0.5)
-RINGS = annuli(108, 108, GEOMETRY.pixel_rad, np.array([2000, 4000, 7000, 12000.0]), TAPER)
+TAPER = tukey_taper(108, 108, GEOMETRY.pixel_rad, size_rad=24 * ARCMIN, edge_fraction=0.5)
+RINGS = annuli(108, 108, GEOMETRY.pixel_rad, edges_ell=np.array([2000, 4000, 7000, 12000.0]), taper=TAPER)
 N_DRAW = 4
 
 
@@ -168,7 +168,7 @@ def average_map(items):
 
 
 def likelihood_map(items):
-    return gls_map(GEOMETRY, items, RATE, GLS).map.signal_mk
+    return gls_map(GEOMETRY, items, sample_rate_hz=RATE, options=GLS).map.signal_mk
 
 
 @lru_cache(maxsize=1)
@@ -218,7 +218,7 @@ def test_white_noise_alone_gives_the_hit_weighted_map():
     ratio = noise_ratio(lambda items: binned(items).signal_mk, atmosphere_mk=0.0)[1:]
     assert (ratio > 0.98).all() and (ratio < 1 + 8 / (N_SAMP * 0.4 * ARCMIN * ell)).all(), ratio
     items = blocks(2, np.random.default_rng(20), 2.0, 0.0)
-    result, plain = gls_map(GEOMETRY, items, RATE, GLS).map, binned(items)
+    result, plain = gls_map(GEOMETRY, items, sample_rate_hz=RATE, options=GLS).map, binned(items)
     np.testing.assert_array_equal(result.hits, plain.hits)
     seen = plain.hits > 20
     # A pixel's 20 or more samples are of several detectors: their levels' scatter of 4 % averages.

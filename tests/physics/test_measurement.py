@@ -52,7 +52,7 @@ def test_map_of_white_noise_is_white(tmp_path):
     noise = rng.standard_normal(streams.data_mk.shape)
     streams.data_mk[:] = 30 * common + 5 * noise
     options = TemplateOptions(1e-8, 100)
-    cleaned = clean("average", streams.data_mk, streams.scan_bounds, streams.focal_plane, options)
+    cleaned = clean("average", streams.data_mk, streams.scan_bounds, streams.focal_plane, options=options)
     variance, white = map_variances(setup, streams, observation_path(setup, 0)[1], cleaned)
     # A few hundred pixels under the taper, of which an eighth of the modes are the highest.
     assert variance == pytest.approx(white, rel=0.25)

@@ -35,7 +35,7 @@ SCREENS = [
 
 
 def survey_strip(screen, length_rad=SCAN_RAD):
-    return build_strip(screen, length_rad, HALF_WIDTH, strip_step(screen, 0.0))
+    return build_strip(screen, length_rad=length_rad, half_width_rad=HALF_WIDTH, step_rad=strip_step(screen, 0.0))
 
 
 def lattice_structure(strip):
@@ -211,13 +211,13 @@ def draw_streams(screen, n_scan, n_samp, rate_hz, offsets_rad, velocity, layer_v
     add_atmosphere(
         data,
         bounds,
-        rate_hz,
-        np.broadcast_to(offsets_rad, (n_scan, *np.shape(offsets_rad))),
-        np.broadcast_to(velocity, (n_scan, 2)),
-        np.broadcast_to(layer_velocity, (n_scan, 2)),
-        np.full(n_scan, amplitude),
-        strips,
-        np.random.default_rng(seed),
+        sample_rate_hz=rate_hz,
+        offsets_rad=np.broadcast_to(offsets_rad, (n_scan, *np.shape(offsets_rad))),
+        velocity_rad_s=np.broadcast_to(velocity, (n_scan, 2)),
+        layer_velocity_rad_s=np.broadcast_to(layer_velocity, (n_scan, 2)),
+        amplitude_mk=np.full(n_scan, amplitude),
+        strips=strips,
+        rng=np.random.default_rng(seed),
     )
     return data.reshape(len(offsets_rad), n_scan, n_samp).transpose(1, 0, 2)
 
@@ -294,7 +294,9 @@ def test_detector_outside_the_strip():
 
 
 def test_draws_depend_on_the_generator_alone():
-    strip = build_strip(KOLMOGOROV, 30.0 * ARCMIN, HALF_WIDTH, strip_step(KOLMOGOROV, 0.0))
+    strip = build_strip(
+        KOLMOGOROV, length_rad=30.0 * ARCMIN, half_width_rad=HALF_WIDTH, step_rad=strip_step(KOLMOGOROV, 0.0)
+    )
     one, two = np.random.default_rng(8), np.random.default_rng(8)
     np.testing.assert_array_equal(draw_strip(strip, one), draw_strip(strip, two))
     two.standard_normal(2 * len(strip.columns) + 1, dtype=np.float32)

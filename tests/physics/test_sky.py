@@ -71,7 +71,7 @@ def test_flat_sky_has_the_spectrum():
     assert skies.shape == (n_sky, 320, 384) and skies.dtype == np.float32
     taper = np.ones((320, 384))
     edges = np.array([500, 1000, 2000, 4000, 8000, 12000, 15000, 18000.0])
-    rings = annuli(320, 384, GEOMETRY.pixel_rad, edges, taper)
+    rings = annuli(320, 384, GEOMETRY.pixel_rad, edges_ell=edges, taper=taper)
     psd = map_psd(skies, taper, GEOMETRY.pixel_rad, rings).mean(axis=0)
     ell = mode_ell(320, 384, GEOMETRY.pixel_rad).ravel()
     model = expected_psd(ell)
@@ -301,8 +301,8 @@ def test_curved_sky_has_the_power_of_the_flat_one_on_a_small_field():
     """
     lmax, n, n_sky, pixel = 4400, 216, 6, ARCMIN
     g = MapGeometry(2.3, 0.78, pixel, n, n)
-    taper = np.pad(tukey_taper(n, n, pixel, n * pixel, 0.5), (0, n))
-    rings = annuli(2 * n, 2 * n, pixel, np.array([1500.0, 3000, 4200]), taper)
+    taper = np.pad(tukey_taper(n, n, pixel, size_rad=n * pixel, edge_fraction=0.5), (0, n))
+    rings = annuli(2 * n, 2 * n, pixel, edges_ell=np.array([1500.0, 3000, 4200]), taper=taper)
     rng = np.random.default_rng(5)
     skies = [curved_cmb_sky(g, BAND_POWER, CMB_PER_RJ, FWHM, lmax, rng) for _ in range(n_sky)]
     psds = map_psd(np.pad(skies, ((0, 0), (0, n), (0, n))), taper, pixel, rings)

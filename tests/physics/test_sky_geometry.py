@@ -39,7 +39,7 @@ def test_saved_streams_say_where_simulated_detectors_look(path, dec_deg):
     _, pointing = observation_path(setup, 1)
     streams = draw_observation(setup, 1)
     angle, plane = pointing.array_angle_rad[pointing.scan], setup.camera.focal_plane
-    expected = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane)
+    expected = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
     found = pixel_indices(setup.geometry, streams)
     # Rounding, 1e-15 rad, takes one in 10^11 samples to another pixel.
     np.testing.assert_array_equal(found, expected)

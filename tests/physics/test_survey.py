@@ -169,7 +169,10 @@ def test_a_flat_cmb_comes_back_with_its_band_power(tmp_path):
         # weighted by the sky's own variance, and its expectation is taken off.
         modes, selected = band.rings.n_modes, band.selected & (band.rings.ell < 9000)
         sky = power * score.signal_psd
-        found.append(power + estimate_amplitude(psd, sky, score.signal_psd, modes, selected))
+        found.append(
+            power
+            + estimate_amplitude(psd, noise_psd_ukcmb2=sky, signal_psd=score.signal_psd, n_modes=modes, mask=selected)
+        )
         spread.append(power * np.sqrt(2 / modes[selected].sum()))
     # Cosmic variance of four fields, and 1 % for the windows, each of two skies.
     assert np.mean(found) == pytest.approx(power, abs=4 * np.mean(spread) / 2 + 0.01 * power)

@@ -52,7 +52,16 @@ def toy_pair(weights, own, rng):
         power = np.abs(signs @ modes / weights.sum()) ** 2
         psds = 1e-5 * np.stack([part.mean(axis=1) for part in np.split(power, np.cumsum(N_MODES // 2)[:-1], 1)], 1)
         signal = flat_spectrum_psd(ELL)
-        band, budget = score(psds, signal, np.zeros(4), N_MODES, ELL > 0, weights, ELL, EDGES)
+        band, budget = score(
+            psds,
+            signal,
+            signal_psd_relative_error=np.zeros(4),
+            n_modes=N_MODES,
+            mask=ELL > 0,
+            observation_weights=weights,
+            ell=ELL,
+            edges_ell=EDGES,
+        )
         noise = np.repeat(1 / weights[:, None], 4, axis=1)
         items.append(DataSetScore("actual", 100, band, budget, psds, signal, window, weights, noise))
     return items

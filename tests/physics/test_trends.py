@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surveysim.atmosphere.scan_trends import draw_trends, swaths
+from surveysim.atmosphere.scan_trends import draw_trends, strip_points
 from surveysim.atmosphere.screen_simulation import StripCache, add_atmosphere, scan_tracks, strip_step
 from surveysim.atmosphere.thin_screen import Screen, structure_function
 from surveysim.atmosphere.weather import Weather
@@ -60,14 +60,21 @@ def drawn(wind, speed, n_draw, n_scan=N_SCAN, offsets=(0j,), seed=1):
     sign = 1.0 - 2.0 * (np.arange(n_scan) % 2)
     velocity = np.stack([speed * sign, np.zeros(n_scan)], axis=1)
     layer = np.tile([wind.real, wind.imag], (n_scan, 1))
-    motion = bounds, RATE, np.broadcast_to(place, (n_scan, *place.shape)), velocity, layer
-    tracks = scan_tracks(*motion, strips)
+    motion = {
+        "sample_rate_hz": RATE,
+        "offsets_rad": np.broadcast_to(place, (n_scan, *place.shape)),
+        "velocity_rad_s": velocity,
+        "layer_velocity_rad_s": layer,
+        "strips": strips,
+    }
+    tracks = scan_tracks(bounds, **motion)
     begin = np.stack([places_of[:, 0].real, places_of[:, 0].imag], axis=1)
-    item = swaths(strips, begin + tracks.corner_rad, tracks.direction, tracks.length_rad)
+    item = strip_points(strips, begin + tracks.corner_rad, tracks.direction, tracks.length_rad)
     rng, streams = np.random.default_rng(seed), []
     for _ in range(n_draw):
         data = np.zeros((len(offsets), n_scan * N_SAMP), np.float32)
-        add_atmosphere(data, *motion, np.ones(n_scan), strips, rng, trends=draw_trends(item, rng))
+        trends = draw_trends(item, rng)
+        add_atmosphere(data, bounds, **motion, amplitude_mk=np.ones(n_scan), rng=rng, trends=trends)
         streams.append(data.reshape(len(offsets), n_scan, N_SAMP))
     return np.array(streams, float)
 

@@ -41,7 +41,15 @@ def focal_plane():
 @pytest.fixture(scope="module")
 def grid():
     bins = pair_bins(focal_plane())
-    return bins, correlation_grid(bins.theta_rad, INDEX_GRID, HEIGHT_GRID_M, 8.0, None, TRACKS_RAD, lowest_rad=LOWEST)
+    return bins, correlation_grid(
+        bins.theta_rad,
+        index=INDEX_GRID,
+        height_m=HEIGHT_GRID_M,
+        aperture_m=8.0,
+        outer_scale_m=None,
+        track_rad=TRACKS_RAD,
+        lowest_rad=LOWEST,
+    )
 
 
 @pytest.mark.parametrize("index", [2 / 3, 2.0, 11 / 3, 14 / 3])
@@ -93,13 +101,13 @@ def realizations(layer, n_scan, seed, amplitude=1.0, plane=None, closest_rad=0.0
     add_atmosphere(
         data,
         bounds,
-        N_SAMP / SECONDS,
-        offsets,
-        np.zeros((n_scan, 2)),
-        velocity,
-        np.full(n_scan, amplitude),
-        strips,
-        np.random.default_rng(seed + 1),
+        sample_rate_hz=N_SAMP / SECONDS,
+        offsets_rad=offsets,
+        velocity_rad_s=np.zeros((n_scan, 2)),
+        layer_velocity_rad_s=velocity,
+        amplitude_mk=np.full(n_scan, amplitude),
+        strips=strips,
+        rng=np.random.default_rng(seed + 1),
     )
     return data, bounds
 
@@ -172,7 +180,9 @@ def test_an_exact_profile_gives_back_its_grid_point(grid, i_b, i_h):
     elevation = np.full(18, math.radians(50))
     track = np.full(18, TRACK)
     theory = 280 * table.correlation(track, elevation)[i_b, i_h]
-    fit = fit_turbulence(exact_profile(bins, theory), bins, table, track, elevation, None)
+    fit = fit_turbulence(
+        exact_profile(bins, theory), bins, table, track_rad=track, elevation_rad=elevation, overlap=None
+    )
     assert fit.best == (i_b, i_h) and fit.chi2[fit.best] == pytest.approx(0, abs=1e-9)
     assert fit.b2[i_b, i_h] == pytest.approx(280, rel=1e-9)
 
@@ -183,8 +193,8 @@ def test_noise_shared_by_overlap_does_not_pass_for_turbulence(grid):
     theory = 280 * table.correlation(track, zenith)[KOLMOGOROV, 3]
     overlap = bins.mean(mutual_coherence(bins.separation_rad / (57.14 / 60 * ARCMIN)))
     profile = exact_profile(bins, theory + 4.0 * overlap)
-    plain = fit_turbulence(profile, bins, table, track, zenith, None)
-    fit = fit_turbulence(profile, bins, table, track, zenith, overlap)
+    plain = fit_turbulence(profile, bins, table, track_rad=track, elevation_rad=zenith, overlap=None)
+    fit = fit_turbulence(profile, bins, table, track_rad=track, elevation_rad=zenith, overlap=overlap)
     # ln(C + e) is not quite ln C + e / C: the rest is a few per cent of the overlap's own pattern.
     assert fit.chi2[KOLMOGOROV, 3] < 0.01 * plain.chi2[KOLMOGOROV, 3]
     assert fit.best[0] == KOLMOGOROV
@@ -195,22 +205,34 @@ def test_what_can_not_be_fitted(grid):
     zenith = np.full(3, math.pi / 2)
     nothing = np.full(len(bins.count), np.nan)
     blank = Profile(nothing, np.nan, nothing, np.tile(nothing, (3, 1)), np.nan)
-    assert fit_turbulence(blank, bins, table, np.full(3, TRACK), zenith, None) is None
+    assert fit_turbulence(blank, bins, table, track_rad=np.full(3, TRACK), elevation_rad=zenith, overlap=None) is None
     profile = exact_profile(bins, table.correlation(np.full(3, TRACK), zenith)[KOLMOGOROV, 3], 3)
     for track in (np.nan, 0.0, 1e-5, 10.0):
         with np.errstate(divide="ignore"):
-            assert fit_turbulence(profile, bins, table, np.full(3, track), zenith, None) is None
+            assert (
+                fit_turbulence(profile, bins, table, track_rad=np.full(3, track), elevation_rad=zenith, overlap=None)
+                is None
+            )
 
 
 def test_a_scene_s_outer_scale_is_in_the_fit(grid):
     """Theory with an outer scale of 2 km, fitted with it and without: B2 comes back, or at half of it."""
     bins, table = grid
     zenith, track = np.full(18, math.pi / 2), np.full(18, TRACK)
-    bounded = correlation_grid(bins.theta_rad, [11 / 3], [1000.0], 8.0, 2000.0, TRACKS_RAD)
+    bounded = correlation_grid(
+        bins.theta_rad, index=[11 / 3], height_m=[1000.0], aperture_m=8.0, outer_scale_m=2000.0, track_rad=TRACKS_RAD
+    )
     theory = 280 * scan_correlation(Screen(11 / 3, 8e-3, 2.0), bins.theta_rad, TRACK)
     profile = exact_profile(bins, theory)
-    assert fit_turbulence(profile, bins, bounded, track, zenith, None).b2[0, 0] == pytest.approx(280, rel=1e-3)
-    assert 0.4 < fit_turbulence(profile, bins, table, track, zenith, None).b2[KOLMOGOROV, 3] / 280 < 0.6
+    assert fit_turbulence(profile, bins, bounded, track_rad=track, elevation_rad=zenith, overlap=None).b2[
+        0, 0
+    ] == pytest.approx(280, rel=1e-3)
+    assert (
+        0.4
+        < fit_turbulence(profile, bins, table, track_rad=track, elevation_rad=zenith, overlap=None).b2[KOLMOGOROV, 3]
+        / 280
+        < 0.6
+    )
 
 
 @pytest.mark.parametrize("outer_scale, low, high", [(math.inf, 0.025, -0.007), (0.3, 0.13, -0.037)])
@@ -249,7 +271,7 @@ def test_planted_turbulence_comes_back(grid):
     for observation in range(60):
         data, bounds = realizations(layer, 18, 50 + 2 * observation, math.sqrt(280))
         profile = correlation_profile(scan_covariances(data, bounds), bins)
-        fit = fit_turbulence(profile, bins, table, track, zenith, None)
+        fit = fit_turbulence(profile, bins, table, track_rad=track, elevation_rad=zenith, overlap=None)
         found.append((math.log(fit.b2[KOLMOGOROV, 3] / 280), INDEX_GRID[fit.chi2[:, 3].argmin()]))
     (level, index), (spread, scatter) = np.mean(found, axis=0), np.std(found, axis=0, ddof=1)
     # The mean of the logarithm lies below that of B2 by half its variance.

@@ -49,7 +49,13 @@ def measured(name, n):
     for i in range(n):
         streams = draw_observation(setup, i)
         fits.append(
-            measure_wind(streams.data_mk, streams.scan_bounds, streams.focal_plane, RATE, scan_velocities(streams))
+            measure_wind(
+                streams.data_mk,
+                streams.scan_bounds,
+                streams.focal_plane,
+                sample_rate_hz=RATE,
+                scan_velocity_rad_s=scan_velocities(streams),
+            )
         )
         _, pointing = observation_path(setup, i)
         angle = math.radians(streams.attributes["wind_angle_deg"])
@@ -121,9 +127,23 @@ def layers(winds, n, b2, noise=True):
             layer = np.stack(sky_vector(pointing.parallactic_rad, *moving), axis=-1) / sine
             amplitude = np.sqrt(b2 / sine[:, 0])
             bounds, scan = streams.scan_bounds, pointing.velocity_rad_s / sine
-            add_atmosphere(data, bounds, RATE, offsets, scan, layer, amplitude, strips.at(sine.min()), rng)
+            add_atmosphere(
+                data,
+                bounds,
+                sample_rate_hz=RATE,
+                offsets_rad=offsets,
+                velocity_rad_s=scan,
+                layer_velocity_rad_s=layer,
+                amplitude_mk=amplitude,
+                strips=strips.at(sine.min()),
+                rng=rng,
+            )
         velocity = scan_velocities(streams)
-        fits.append(measure_wind(data, streams.scan_bounds, streams.focal_plane, RATE, velocity))
+        fits.append(
+            measure_wind(
+                data, streams.scan_bounds, streams.focal_plane, sample_rate_hz=RATE, scan_velocity_rad_s=velocity
+            )
+        )
     return fits
 
 

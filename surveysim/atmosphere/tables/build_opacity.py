@@ -152,7 +152,7 @@ def atmosphere_temperature_k(site):
     return float(np.average(temperature_k(site, height), weights=vapour_density(site, height)))
 
 
-def configuration(site, pwv_mm, first_ghz, last_ghz, step_ghz):
+def configuration(site, pwv_mm, *, first_ghz, last_ghz, step_ghz):
     """The text of am's configuration file for a zenith spectrum of optical depth."""
     lines = [
         f"f {first_ghz} GHz {last_ghz} GHz {step_ghz} GHz",
@@ -168,7 +168,7 @@ def configuration(site, pwv_mm, first_ghz, last_ghz, step_ghz):
     return "\n".join(lines) + "\n"
 
 
-def spectrum(site, pwv_mm, first_ghz=FIRST_GHZ, last_ghz=LAST_GHZ, step_ghz=STEP_GHZ):
+def spectrum(site, pwv_mm, *, first_ghz=FIRST_GHZ, last_ghz=LAST_GHZ, step_ghz=STEP_GHZ):
     """Zenith optical depth on am's grid, and the version of am."""
     import tempfile
 
@@ -176,7 +176,7 @@ def spectrum(site, pwv_mm, first_ghz=FIRST_GHZ, last_ghz=LAST_GHZ, step_ghz=STEP
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "site.amc"
-        path.write_text(configuration(site, pwv_mm, first_ghz, last_ghz, step_ghz))
+        path.write_text(configuration(site, pwv_mm, first_ghz=first_ghz, last_ghz=last_ghz, step_ghz=step_ghz))
         model = am.Model(path, [])
         model.compute()
     return model.outputs["opacity"].values, model.summary().splitlines()[0].split("(")[0].strip("# ")

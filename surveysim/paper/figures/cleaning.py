@@ -63,7 +63,7 @@ class Example:
     def clean(self, name: str, added_mk: np.ndarray | None = None) -> Cleaned:
         """Clean the streams, with a signal (n_det, n_samp) added to them; raises ValueError where no scan is kept."""
         data = self.streams.data_mk if added_mk is None else self.streams.data_mk + added_mk
-        cleaned = clean(name, data, self.streams.scan_bounds, self.streams.focal_plane, self._options(name))
+        cleaned = clean(name, data, self.streams.scan_bounds, self.streams.focal_plane, options=self._options(name))
         if not cleaned.kept.any():
             raise InsufficientDataError(
                 f"found no scan of observation {self.item.observation} kept by {name}; one is expected"
@@ -229,7 +229,9 @@ def template_psds(one: Example) -> np.ndarray:
     """PSDs (6, n_freq) [mK^2/Hz] of the terms of quadratic subtraction at `halfway_out`; errors as `Example.clean`."""
     plane, cleaned = one.streams.focal_plane, one.clean("quadratic")
     bounds, place = one.streams.scan_bounds, halfway_out(plane)
-    streams = template_streams(one.streams.data_mk, bounds, plane, cleaned.responsivity, QUADRATIC, place)
+    streams = template_streams(
+        one.streams.data_mk, bounds, plane, responsivity=cleaned.responsivity, exponents=QUADRATIC, place_rad=place
+    )
     return one.psd(streams, cleaned.kept)
 
 
@@ -324,7 +326,7 @@ def cleaning_cost(one: Example, name: str) -> Cost:
             f"found no scan in which {name} takes as many modes with a faint sky; one is expected"
         )
     left = one.psd(both.data_mk - base.data_mk, same).mean(axis=0)
-    none = clean("none", plain, one.streams.scan_bounds, one.streams.focal_plane, None)
+    none = clean("none", plain, one.streams.scan_bounds, one.streams.focal_plane, options=None)
     whole = one.psd(none.data_mk, same).mean(axis=0)
     return Cost(_mean_psd(one, base), left / whole, float(base.removed[base.kept].mean()))
 

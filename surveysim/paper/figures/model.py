@@ -184,7 +184,17 @@ def edge_streams(setup: Setup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     wind, rng = np.array([[air.wind_median_rad_s, 0.0]]), generator(setup.scene.seed, RandomPurpose.ATMOSPHERE, DRAW)
     bounds, rest, sine = np.array([[0, n]]), np.zeros((1, 2)), sin(_elevation_rad(setup))
     amplitude, strips = np.array([sqrt(_median_b2(setup) / sine)]), setup.strips.at(sine)
-    add_atmosphere(data, bounds, rate, offsets / sine, rest, wind / sine, amplitude, strips, rng)
+    add_atmosphere(
+        data,
+        bounds,
+        sample_rate_hz=rate,
+        offsets_rad=offsets / sine,
+        velocity_rad_s=rest,
+        layer_velocity_rad_s=wind / sine,
+        amplitude_mk=amplitude,
+        strips=strips,
+        rng=rng,
+    )
     return np.arange(n) / rate, *(data - data.mean())
 
 

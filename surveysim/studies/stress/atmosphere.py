@@ -22,7 +22,7 @@ def layer(scene: Scene) -> Outcome:
     """How far the structure function of the strips of an observation is from the quadrature, at worst."""
     setup = prepare(scene)
     streams = draw_observation(setup, 0)
-    cleaned = clean("average", streams.data_mk, streams.scan_bounds, streams.focal_plane, TEMPLATES)
+    cleaned = clean("average", streams.data_mk, streams.scan_bounds, streams.focal_plane, options=TEMPLATES)
     if not (np.isfinite(streams.data_mk).all() and np.isfinite(cleaned.data_mk).all()):
         return Outcome("streams that are not finite", 0.0, 0.0, False)
     worst = max(_departure(setup.strips.screen, strip) for strip in _strips(setup))
@@ -55,7 +55,15 @@ def _moved(setup: Setup, scan_rad_s: np.ndarray, layer_rad_s: np.ndarray) -> np.
     offsets = np.stack([plane.x_rad, plane.y_rad], axis=-1)[None]
     rng = np.random.default_rng(3)
     add_atmosphere(
-        data, [(0, N_SAMP)], RATE_HZ, offsets, [scan_rad_s], [layer_rad_s], [17.0], setup.strips.at(1.0), rng
+        data,
+        [(0, N_SAMP)],
+        sample_rate_hz=RATE_HZ,
+        offsets_rad=offsets,
+        velocity_rad_s=[scan_rad_s],
+        layer_velocity_rad_s=[layer_rad_s],
+        amplitude_mk=[17.0],
+        strips=setup.strips.at(1.0),
+        rng=rng,
     )
     return data
 

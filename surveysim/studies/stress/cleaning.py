@@ -85,7 +85,7 @@ def _cleaned(algorithm: str, data: np.ndarray, plane: FocalPlane, n_samp: int = 
     options = ALGORITHMS[algorithm]
     if algorithm == "wind":
         options = replace(options, slowness_s_rad=np.zeros((len(bounds), 2)))
-    cleaned = clean(algorithm, data, bounds, plane, options)
+    cleaned = clean(algorithm, data, bounds, plane, options=options)
     if not cleaned.kept.all():
         raise InsufficientDataError(f"{np.sum(~cleaned.kept)} of {len(bounds)} scans discarded")
     return cleaned.data_mk
@@ -133,7 +133,7 @@ def one_detector(scene: Scene) -> Outcome:
     """A single detector keeps all but its mean."""
     plane = prepare(scene).camera.focal_plane
     data = planted(1, 100.0)
-    left = clean("none", data, np.array([[0, N_SAMP]]), plane, None).data_mk
+    left = clean("none", data, np.array([[0, N_SAMP]]), plane, options=None).data_mk
     return agrees(np.abs(left - (data - data.mean())).max(), 0.0, 0.0, "difference from the data less their mean")
 
 
@@ -144,7 +144,7 @@ def spectral(scene: Scene) -> Outcome:
     layer = STIFF * rng.standard_normal((len(plane.x_rad), N_SAMP))
     noise, other = rng.standard_normal((2, *layer.shape))
     options = SpectralOptions((3.0 * layer + other)[None])
-    left = clean("spectral", layer + noise, np.array([[0, N_SAMP]]), plane, options).data_mk
+    left = clean("spectral", layer + noise, np.array([[0, N_SAMP]]), plane, options=options).data_mk
     # A mean and a coefficient each take a degree of freedom; a third of the other band's noise is added.
     expected = (1 - 2 / N_SAMP) * (1 + 1 / 9)
     return agrees(left.var(), expected, 4 * expected * math.sqrt(2 / left.size), "variance left")
@@ -157,7 +157,7 @@ def equal_modes(scene: Scene, singular: np.ndarray, expected: int) -> Outcome:
     left = np.linalg.qr(rng.standard_normal((n_det, n_det)))[0]
     course = rng.standard_normal((N_SAMP, n_det))
     right = np.linalg.qr(course - course.mean(axis=0))[0]
-    cleaned = clean("pca", left * singular @ right.T, np.array([[0, N_SAMP]]), plane, PcaOptions(3.0))
+    cleaned = clean("pca", left * singular @ right.T, np.array([[0, N_SAMP]]), plane, options=PcaOptions(3.0))
     return agrees(float(cleaned.removed[0]), expected, 0.0, "modes removed")
 
 
@@ -177,7 +177,7 @@ def local(scene: Scene, places: str) -> Outcome:
     """What the means of neighbours leave of white noise."""
     plane, options = FocalPlane(*_places(places).T, 3e-4), LocalOptions(1.2)
     data = planted(37, 0.0)
-    left = clean("local", data, np.array([[0, N_SAMP]]), plane, options).data_mk
+    left = clean("local", data, np.array([[0, N_SAMP]]), plane, options=options).data_mk
     members = np.sum(neighbourhoods(plane, options.neighbour_radius) < 37, axis=1)
     # A detector alone loses its mean; others lose their share of the template and the coefficient too.
     share = np.where(members > 1, (1 - 1 / members) * (1 - 2 / N_SAMP), 1 - 1 / N_SAMP)

@@ -90,7 +90,9 @@ def _blocks(scene: Scene, ratio: float) -> tuple[Setup, StreamBlock]:
 def unhit(scene: Scene) -> Outcome:
     """A map with pixels that no sample hits."""
     setup, block = _blocks(scene, 0.0)
-    item = bin_map(setup.geometry, block.data_mk, block.index, block.scan_bounds, np.ones(len(block.scan_bounds), bool))
+    item = bin_map(
+        setup.geometry, block.data_mk, block.index, block.scan_bounds, kept=np.ones(len(block.scan_bounds), bool)
+    )
     finite = np.isfinite(item.signal_mk).all() and not item.signal_mk[item.hits == 0].any()
     return agrees(float(finite), 1.0, 0.0, f"finite, and 0 in {np.sum(item.hits == 0)} pixels without a hit")
 
@@ -100,6 +102,6 @@ def likelihood_map(scene: Scene) -> Outcome:
     maps = []
     for ratio in (1e3, STIFF):
         setup, block = _blocks(scene, ratio)
-        found = gls_map(setup.geometry, [block], RATE_HZ, GlsOptions())
+        found = gls_map(setup.geometry, [block], sample_rate_hz=RATE_HZ, options=GlsOptions())
         maps.append(found.map.signal_mk[found.map.hits > 0])
     return agrees(np.std(maps[1] - maps[0]) / np.std(maps[0]), 0.0, 1e-2, "change of the map over its noise")

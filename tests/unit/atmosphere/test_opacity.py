@@ -177,5 +177,7 @@ def test_table_is_what_am_computes(site):
     pytest.importorskip("am")
     setup = build_opacity.SITES[site]
     pwv = setup.pwv_mm[6]
-    direct = build_opacity.cell_optical_depth(build_opacity.spectrum(setup, pwv, 224, 227)[0], build_opacity.CELL_STEPS)
+    direct = build_opacity.cell_optical_depth(
+        build_opacity.spectrum(setup, pwv, first_ghz=224, last_ghz=227)[0], build_opacity.CELL_STEPS
+    )
     np.testing.assert_allclose(read(site)[f"pwv_{pwv:g}"][144:147], direct, rtol=1.5e-3)

@@ -1,4 +1,4 @@
-"""Trends that scans share: the loops against dense algebra, and strips that have the trends they are given."""
+"""ScanTrends that scans share: the loops against dense algebra, and strips that have the trends they are given."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surveysim.atmosphere import trend_kernels as kernels
-from surveysim.atmosphere.scan_trends import draw_trends, swaths
+from surveysim.atmosphere.scan_trends import draw_trends, strip_points
 from surveysim.atmosphere.screen_simulation import StripCache, draw_strip, strip_step
 from surveysim.atmosphere.thin_screen import LAG_MAX, Screen, structure_function, structure_slope, structure_table
 from tests import naive
@@ -21,11 +21,11 @@ def cache(screen=SCREENS[0], half_width=HALF_WIDTH):
 
 
 def scans(strips, n_scan, seed=1, spread=200 * ARCMIN):
-    """Swaths of scans from anywhere in a square, in any direction, 30 to 90 arcmin long."""
+    """StripPoints of scans from anywhere in a square, in any direction, 30 to 90 arcmin long."""
     rng = np.random.default_rng(seed)
     angle = rng.uniform(0, 2 * math.pi, n_scan)
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return swaths(strips, rng.uniform(0, spread, (n_scan, 2)), direction, rng.uniform(30, 90, n_scan) * ARCMIN)
+    return strip_points(strips, rng.uniform(0, spread, (n_scan, 2)), direction, rng.uniform(30, 90, n_scan) * ARCMIN)
 
 
 def dense(item):
@@ -89,7 +89,7 @@ def test_covariances_hold_within_a_group_and_to_the_one_before():
 def test_scans_over_the_same_air_have_the_same_trends():
     strips = cache()
     corner, direction = np.zeros((12, 2)), np.tile([1.0, 0.0], (12, 1))
-    item = swaths(strips, corner, direction, np.full(12, 60 * ARCMIN))
+    item = strip_points(strips, corner, direction, np.full(12, 60 * ARCMIN))
     value = draw_trends(item, np.random.default_rng(3)).value
     assert np.isfinite(value).all() and (np.abs(value[0]) > 0).all()
     assert (np.ptp(value, axis=0) < 1e-3 * np.abs(value[0])).all()
@@ -136,7 +136,7 @@ def test_a_strip_changes_by_kriging(screen):
 def test_scans_without_length_or_width():
     """One detector at rest against the layer: all points are one, no trend is left, and nothing changes."""
     strips = cache(half_width=0.0)
-    item = swaths(strips, np.zeros((2, 2)), np.tile([1.0, 0.0], (2, 1)), np.zeros(2))
+    item = strip_points(strips, np.zeros((2, 2)), np.tile([1.0, 0.0], (2, 1)), np.zeros(2))
     trends = draw_trends(item, np.random.default_rng(8))
     before = draw_strip(strips.strip_for(0.0), np.random.default_rng(9))
     after = before.copy()
@@ -148,6 +148,6 @@ def test_a_strip_that_lacks_a_point_is_refused():
     strips = cache()
     trends = draw_trends(scans(strips, 1), np.random.default_rng(4))
     strip = draw_strip(strips.strip_for(90 * ARCMIN), np.random.default_rng(5))
-    for short in (strip[:-1], strip[:, : trends.swaths.column.max()]):
+    for short in (strip[:-1], strip[:, : trends.points.column.max()]):
         with pytest.raises(ValueError, match="found a strip of .* or more is expected"):
             trends.impose(0, np.ascontiguousarray(short))

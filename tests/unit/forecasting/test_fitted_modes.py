@@ -1,12 +1,13 @@
-"""Courses that a fit takes from a scan in time: closed forms against quadrature and draws."""
+"""FittedModes that a fit takes from a scan in time: closed forms against quadrature and draws."""
 
 import numpy as np
 import pytest
 
 from mapmaker.spectrum import tukey
 from surveysim.atmosphere.thin_screen import Screen
-from surveysim.forecasting.fitted_modes import NO_COURSES, Courses, expected_shares, template_courses
-from surveysim.forecasting.mode_response import layer_waves, time_window
+from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes, expected_mode_shares, template_modes
+from surveysim.forecasting.mode_response import layer_waves
+from surveysim.forecasting.scan_apodization import time_window
 
 SECONDS, SAMPLES = 15.0, 150
 TIME = (np.arange(SAMPLES) - (SAMPLES - 1) / 2) / SAMPLES * SECONDS
@@ -34,30 +35,30 @@ def test_expected_shares_are_those_of_draws(variance):
     draws = 100_000
     z = np.random.default_rng(2).standard_normal((draws, len(variance))) ** 2 * variance
     share = z / z.sum(axis=1, keepdims=True)
-    found = expected_shares(np.array(variance))
+    found = expected_mode_shares(np.array(variance))
     assert found.sum() == pytest.approx(1, rel=1e-12)
     np.testing.assert_allclose(found, share.mean(axis=0), atol=4 * 0.5 / np.sqrt(draws))
 
 
 def test_components_of_waves_are_integrals():
-    courses = Courses(np.full(5, 0.2), np.eye(5))
+    fitted_modes = FittedModes(np.full(5, 0.2), np.eye(5))
     frequency = np.array([-0.9, -0.05, 0.0, 0.02, 0.31, 2.2])
     time = (np.arange(40_000) + 0.5) / 40_000 * SECONDS - SECONDS / 2
-    shapes = courses.at(time, SECONDS)
+    shapes = fitted_modes.at(time, SECONDS)
     np.testing.assert_allclose(shapes @ shapes.T * SECONDS / 40_000, np.eye(5), atol=1e-6)
-    np.testing.assert_array_equal(courses.odd, [True, False, True, False, True])
-    for f, found in zip(frequency, courses.of_waves(frequency, SECONDS), strict=True):
-        wave = np.where(courses.odd[:, None], np.sin(2 * np.pi * f * time), np.cos(2 * np.pi * f * time))
+    np.testing.assert_array_equal(fitted_modes.odd, [True, False, True, False, True])
+    for f, found in zip(frequency, fitted_modes.wave_components(frequency, SECONDS), strict=True):
+        wave = np.where(fitted_modes.odd[:, None], np.sin(2 * np.pi * f * time), np.cos(2 * np.pi * f * time))
         np.testing.assert_allclose(found, np.sum(wave * shapes, axis=1) * SECONDS / 40_000, atol=1e-6)
 
 
 def test_courses_of_a_layer_are_those_of_drawn_templates():
     """The expected projector onto the template, 3000 draws: a share by a share of at most a half to 4 sigma and 2 %."""
-    courses = template_courses(*_layer(), SECONDS)
-    assert 0.93 < courses.share.sum() < 1 and 0.6 < courses.share.max() < 0.8
-    shapes = courses.at(TIME, SECONDS) * np.sqrt(SECONDS / SAMPLES)
+    fitted_modes = template_modes(*_layer(), SECONDS)
+    assert 0.93 < fitted_modes.share.sum() < 1 and 0.6 < fitted_modes.share.max() < 0.8
+    shapes = fitted_modes.at(TIME, SECONDS) * np.sqrt(SECONDS / SAMPLES)
     found = np.mean((_templates(3000) @ shapes.T) ** 2, axis=0)
-    np.testing.assert_allclose(found, courses.share, atol=0.02 + 4 * 0.5 / np.sqrt(3000))
+    np.testing.assert_allclose(found, fitted_modes.share, atol=0.02 + 4 * 0.5 / np.sqrt(3000))
 
 
 def test_noise_of_a_mode_is_what_scans_less_templates_leave():
@@ -74,29 +75,30 @@ def test_noise_of_a_mode_is_what_scans_less_templates_leave():
     strength = np.full((1, len(nodes)), nodes[1] - nodes[0])
     step = SECONDS / SAMPLES
     expected, plain = (
-        time_window(SECONDS, taper, step, courses).sums(strength, nodes, at_hz)
-        for courses in (template_courses(*_layer(), SECONDS), NO_COURSES)
+        time_window(SECONDS, taper, step, fitted_modes).sums(strength, nodes, at_hz)
+        for fitted_modes in (template_modes(*_layer(), SECONDS), NO_FITTED_MODES)
     )
     np.testing.assert_allclose(found, expected, rtol=4 * np.sqrt(2 / draws) + 0.02)
     assert expected[2] < 0.8 * plain[2] and expected[4] > 0.98 * plain[4]
 
 
 def test_passed_is_what_templates_leave_of_a_wave():
-    """The mean of 3000 templates, to 4 sigma of at most 0.3 / sqrt(3000); courses that few scans lose are left out."""
-    courses, taper = template_courses(*_layer(), SECONDS), tukey(SAMPLES, 1.0, SAMPLES, 0.5)
-    window = time_window(SECONDS, taper, SECONDS / SAMPLES, courses)
+    """The mean of 3000 templates, to 4 sigma of at most 0.3 / sqrt(3000); modes that few scans lose are left out."""
+    fitted_modes, taper = template_modes(*_layer(), SECONDS), tukey(SAMPLES, 1.0, SAMPLES, 0.5)
+    window = time_window(SECONDS, taper, SECONDS / SAMPLES, fitted_modes)
     templates = _templates(3000)
     for f in (0.0, 0.03, 0.11, -0.2):
         wave = np.exp(2j * np.pi * f * TIME)
         left = np.sum((wave - wave.mean()) * taper * wave.conj())
         left = (left - np.mean((templates @ wave) * (templates @ (taper * wave.conj())))) / taper.sum()
-        assert window.passed(f) == pytest.approx(left.real, abs=0.03)
+        assert window.signal_amplitude(f) == pytest.approx(left.real, abs=0.03)
 
 
 def test_a_fit_to_many_scans_takes_as_little_of_each():
-    courses = template_courses(*_layer(), SECONDS)
+    fitted_modes = template_modes(*_layer(), SECONDS)
     taper, step, f = tukey(SAMPLES, 1.0, SAMPLES, 0.5), SECONDS / SAMPLES, np.array([0.05])
     none, shared, all_of_it = (
-        time_window(SECONDS, taper, step, item).passed(f)[0] for item in (NO_COURSES, courses.less(1 / 18), courses)
+        time_window(SECONDS, taper, step, item).signal_amplitude(f)[0]
+        for item in (NO_FITTED_MODES, fitted_modes.scaled(1 / 18), fitted_modes)
     )
     assert none - shared == pytest.approx((none - all_of_it) / 18, rel=1e-9)

@@ -12,19 +12,16 @@ from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.thin_screen import Screen, structure_function
 from surveysim.forecasting.mode_kernels import windowed_sums
 from surveysim.forecasting.mode_response import (
-    Layer,
-    frequency_nodes,
-    hann_window,
+    LayerWaves,
     layer_gain,
     layer_stream_gain,
     layer_waves,
     matrix_power,
     projected_array,
     ring_modes,
-    scan_window,
     stream_power,
-    time_window,
 )
+from surveysim.forecasting.scan_apodization import frequency_nodes, hann_window, scan_window, time_window
 from surveysim.telescope.focal_plane import hexagon
 from surveysim.telescope.pointing import sky_vector
 from surveysim.timestreams.noise import draw_from_psd
@@ -78,20 +75,20 @@ def test_transfer_is_the_transform_of_the_taper():
 
 def test_squared_transfer_has_unit_integral():
     """Parseval: white noise goes through whole when no mean is removed."""
-    for window in (scan_window(15.0, 1e-3, 0.012, 0.5), hann_window(15.0)):
+    for window in (scan_window(15.0, speed_rad_s=1e-3, size_rad=0.012, taper_fraction=0.5), hann_window(15.0)):
         frequency = np.linspace(-2, 2, 80_001)
         assert np.sum(window.at(frequency) ** 2) * (frequency[1] - frequency[0]) == pytest.approx(1, abs=2e-3)
 
 
 def test_scan_shorter_than_the_map_cuts_its_taper():
     """A taper over 40 scans is flat along one: the window is that of a box."""
-    window = scan_window(10.0, 1e-3, 0.4, 0.5)
+    window = scan_window(10.0, speed_rad_s=1e-3, size_rad=0.4, taper_fraction=0.5)
     frequency = np.array([0.0, 0.03, 0.05, 0.15, 0.26])
     np.testing.assert_allclose(window.at(frequency), np.sqrt(10.0) * np.sinc(frequency * 10.0), atol=0.02)
 
 
 def test_nodes_integrate_to_the_band():
-    nodes, weight = frequency_nodes(scan_window(15.0, 1e-3, 0.012, 0.5), 5.0)
+    nodes, weight = frequency_nodes(scan_window(15.0, speed_rad_s=1e-3, size_rad=0.012, taper_fraction=0.5), 5.0)
     assert weight.sum() == pytest.approx(10.0, rel=1e-2)
     assert (np.diff(nodes) > 0).all()
     np.testing.assert_allclose(nodes, -nodes[::-1])
@@ -129,7 +126,7 @@ def test_passed_is_what_the_mean_leaves_of_a_wave():
     for f in (0.0, 0.05, 0.11, 0.7):
         wave = np.exp(2j * np.pi * f * time)
         left = np.sum((wave - wave.mean()) * taper * wave.conj()) / taper.sum()
-        assert window.passed(f) == pytest.approx(left.real, abs=3e-3)
+        assert window.signal_amplitude(f) == pytest.approx(left.real, abs=3e-3)
 
 
 # ---------------------------------------------------------------- rings
@@ -160,7 +157,7 @@ def test_turned_is_a_quarter_of_a_turn_before():
 
 def test_places_are_the_sky_offsets():
     plane, angle = camera(), np.radians(23.0)
-    array = projected_array(plane, angle, np.ones(19), "none")
+    array = projected_array(plane, angle, responsivity=np.ones(19), algorithm="none")
     xi, eta = sky_offsets(plane, np.array([angle]))
     np.testing.assert_allclose(array.place, (xi + 1j * eta)[0], atol=1e-12)
     np.testing.assert_allclose(array.place, np.array(sky_vector(angle, plane.x_rad, plane.y_rad)).T @ [1, 1j])
@@ -170,10 +167,10 @@ def test_places_are_the_sky_offsets():
 def test_response_is_the_adjoint_of_the_cleaning(algorithm):
     plane, wave = camera(), waves()
     gain = responsivities(19)
-    array = projected_array(plane, 0.7, gain, algorithm)
+    array = projected_array(plane, 0.7, responsivity=gain, algorithm=algorithm)
     left = naive.cleaning_matrix(plane.x_rad, plane.y_rad, gain, ORDERS[algorithm])
     seen = np.array([[np.exp(1j * (k * np.conj(r)).real) for k in wave] for r in array.place])
-    np.testing.assert_allclose(array.seen(wave), seen, atol=1e-12)
+    np.testing.assert_allclose(array.phases(wave), seen, atol=1e-12)
     np.testing.assert_allclose(array.response(wave), left.conj().T @ seen, atol=1e-9)
     streams = np.random.default_rng(8).standard_normal((19, 30))
     np.testing.assert_allclose(array.cleaned(streams), left @ streams, atol=1e-9)
@@ -191,13 +188,13 @@ def test_cleaned_is_what_the_map_maker_leaves(algorithm):
     powers = [(i, j) for i in range(3) for j in range(3 - i) if i + j <= ORDERS[algorithm]]
     shapes = np.array([(plane.x_rad / 1e-4) ** i * (plane.y_rad / 1e-4) ** j for i, j in powers]).T
     gain += 1 - shapes @ np.linalg.lstsq(shapes, gain)[0]
-    array = projected_array(plane, 0.0, gain, algorithm)
+    array = projected_array(plane, 0.0, responsivity=gain, algorithm=algorithm)
     rng = np.random.default_rng(9)
     time = 2 * np.pi * (np.arange(n) + 0.5) / n
     common = np.sin(time)
     rest = 1e-3 * rng.standard_normal((19, 12)) @ np.cos(np.outer(np.arange(5, 17), time))
     data = gain[:, None] * common + rest
-    result = clean(algorithm, data, np.array([[0, n]]), plane, TemplateOptions(1e-12, 500))
+    result = clean(algorithm, data, np.array([[0, n]]), plane, options=TemplateOptions(1e-12, 500))
     assert result.kept.all()
     expected = array.cleaned(rest)
     np.testing.assert_allclose(result.data_mk, expected, atol=1e-2 * expected.std())
@@ -206,13 +203,13 @@ def test_cleaned_is_what_the_map_maker_leaves(algorithm):
 def test_powers_are_those_of_dense_matrices():
     plane, wave = camera(), waves()
     gain = responsivities(19)
-    array = projected_array(plane, 1.1, gain, "planar")
+    array = projected_array(plane, 1.1, responsivity=gain, algorithm="planar")
     left = naive.cleaning_matrix(plane.x_rad, plane.y_rad, gain, 1)
     root = np.random.default_rng(10).standard_normal((19, 19))
     matrix = root @ root.T / 19
     response = array.response(wave)
     for given, dense in ((None, np.eye(19)), (matrix, matrix)):
-        expected = [(e.conj() @ left @ dense @ left.T @ e).real / 19 for e in array.seen(wave).T]
+        expected = [(e.conj() @ left @ dense @ left.T @ e).real / 19 for e in array.phases(wave).T]
         np.testing.assert_allclose(matrix_power(response, given), expected, rtol=1e-9)
         assert stream_power(array, given) == pytest.approx(np.trace(left @ dense @ left.T) / 19, rel=1e-12)
 
@@ -222,13 +219,13 @@ def test_layer_gain_is_the_double_sum(algorithm):
     plane, wave = camera(1), waves(3)
     gain = responsivities(7)
     algorithm = "average" if algorithm == "quadratic" else algorithm  # of seven, six templates leave next to nothing
-    array = projected_array(plane, 0.4, gain, algorithm)
+    array = projected_array(plane, 0.4, responsivity=gain, algorithm=algorithm)
     left = naive.cleaning_matrix(plane.x_rad, plane.y_rad, gain, ORDERS[algorithm])
-    layer = Layer(waves(4) / 10, np.ones((1, 4)))
+    layer = LayerWaves(waves(4) / 10, np.ones((1, 4)))
     expected = naive.layer_gain(array.place, gain, left, wave, layer.alpha)
     found = layer_gain(array, array.response(wave), layer)
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * expected.max())
-    streams = left @ (gain[:, None] * array.seen(2 * np.pi * layer.alpha))
+    streams = left @ (gain[:, None] * array.phases(2 * np.pi * layer.alpha))
     np.testing.assert_allclose(layer_stream_gain(array, layer), np.mean(np.abs(streams) ** 2, axis=0), atol=1e-12)
 
 
@@ -237,15 +234,15 @@ def test_wrong_responsivities_are_those_of_the_projection_alone(algorithm):
     """Detectors see with the true ones; 1 - P, and so the response, holds those that cleaning assumes."""
     plane, wave, gain = camera(1), waves(3), responsivities(7)
     assumed = gain * np.exp(0.2 * np.random.default_rng(12).standard_normal(7))
-    array = projected_array(plane, 0.4, gain, algorithm, assumed)
+    array = projected_array(plane, 0.4, responsivity=gain, algorithm=algorithm, assumed=assumed)
     left = naive.cleaning_matrix(plane.x_rad, plane.y_rad, assumed, ORDERS[algorithm])
-    np.testing.assert_allclose(array.response(wave), left.conj().T @ array.seen(wave), atol=1e-9)
-    layer = Layer(waves(4) / 10, np.ones((1, 4)))
+    np.testing.assert_allclose(array.response(wave), left.conj().T @ array.phases(wave), atol=1e-9)
+    layer = LayerWaves(waves(4) / 10, np.ones((1, 4)))
     expected = naive.layer_gain(array.place, gain, left, wave, layer.alpha)
     found = layer_gain(array, array.response(wave), layer)
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * expected.max())
     # Of a layer that all detectors see alike, the error times the layer is left.
-    flat = Layer(np.array([1e-9 + 0j]), np.ones((1, 1)))
+    flat = LayerWaves(np.array([1e-9 + 0j]), np.ones((1, 1)))
     rms = np.sqrt(np.mean((left @ gain) ** 2))
     assert np.sqrt(layer_stream_gain(array, flat)[0]) == pytest.approx(rms, rel=1e-6)
     assert stream_power(array, None) == pytest.approx(np.trace(left @ left.T) / 7, rel=1e-12)

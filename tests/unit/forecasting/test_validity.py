@@ -9,8 +9,8 @@ import pytest
 from surveysim import load_scene, run
 from surveysim.forecasting.forecast import expected_weights, forecast
 from surveysim.forecasting.noise_model import survey_models
-from surveysim.forecasting.observing_conditions import conditions, survey_draws
-from surveysim.forecasting.pilot import Kept, _pilot_size, _spread, predicted_kept
+from surveysim.forecasting.observing_conditions import observing_conditions, survey_draws
+from surveysim.forecasting.pilot import KeptScans, _interpolate_shares, _pilot_size, predict_kept_scans
 from surveysim.forecasting.validity import compared_ell, resolution_ell
 from surveysim.reduction.setup import prepare
 from surveysim.report.terminal.survey import _psd_lines, agreement_lines, effect_lines, percent_off
@@ -90,7 +90,7 @@ def test_runs_compare_with_the_forecast_of_the_scans_that_they_kept(calm):
     counts = np.array([row[7] for row in calm.coadds.rows])
     kept = 1 - counts / setup.raster.n_scans
     assert 0.05 < 1 - kept.mean() < 0.95 and expected.kept.discarded == pytest.approx(1 - kept.mean())
-    levels = conditions(setup, survey_draws(setup, 0, 12))
+    levels = observing_conditions(setup, survey_draws(setup, 0, 12))
     noise = survey_models(setup.scene)[0].noise(levels)
     weight = expected_weights(setup, noise)
     whole = forecast(setup.scene, {name: np.ones(12) for name in ("actual", "masked_7")}).scores["actual"]
@@ -135,22 +135,22 @@ def test_known_responsivities_discard_nothing(scene_of, monkeypatch):
 
 def test_shares_are_interpolated_between_observations_of_a_pilot():
     """Observations 2, 0, 1, 3, 4 by their layer, of which the first, the fourth and the last are in the pilot."""
-    kept = _spread(np.array([2, 0, 1, 3, 4]), np.array([0, 3, 4]), np.array([0.25, 1.0, 1.0]), 4)
+    kept = _interpolate_shares(np.array([2, 0, 1, 3, 4]), np.array([0, 3, 4]), np.array([0.25, 1.0, 1.0]), 4)
     np.testing.assert_allclose(kept.share, [0.5, 0.75, 0.25, 1, 1])
     # They stand for 2, 2 and 1 of five; their scatter is that of neighbours.
     assert kept.error == pytest.approx(np.sqrt(0.75**2 / 4) * np.sqrt(2**2 + 2**2 + 1) / 5)
     # As if one scan of the pilot more or less were lost, where all of them are kept.
-    assert _spread(np.arange(5), np.array([0, 3, 4]), np.ones(3), 4).error == pytest.approx(1 / 12)
+    assert _interpolate_shares(np.arange(5), np.array([0, 3, 4]), np.ones(3), 4).error == pytest.approx(1 / 12)
 
 
 def test_shares_of_many_observations_follow_the_weather(scene_of):
     setup = prepare(scene_of(observations=100, atmosphere__b2="[2, 10, 400] mK2 rad(-5/3)"))
-    levels = conditions(setup, survey_draws(setup, 0, 100))
-    kept = predicted_kept(setup, setup.pipelines, levels, np.ones(100))["actual"]
+    levels = observing_conditions(setup, survey_draws(setup, 0, 100))
+    kept = predict_kept_scans(setup, setup.pipelines, levels, np.ones(100))["actual"]
     assert kept.share.shape == (100,) and kept.share.min() >= 0 and kept.share.max() <= 1
     order = np.argsort(levels.layer)
     assert kept.share[order][:25].mean() < kept.share[order][-25:].mean() - 0.5
-    assert Kept(np.array([1.0, 0.5])).discarded == 0.25
+    assert KeptScans(np.array([1.0, 0.5])).discarded == 0.25
 
 
 # ---------------------------------------------------------------- effects
@@ -211,7 +211,7 @@ def test_only_bins_that_are_known_can_be_good(calm):
     scatter = 1 + 0.02 * rng.standard_normal((64, len(item.signal_psd)))
     psds = scatter / scatter.mean(axis=0)
     sure = replace(item, noise_psds=psds, weights=weights)
-    kept = Kept(np.ones(400))
+    kept = KeptScans(np.ones(400))
     expected = replace(calm.expected.scores["actual"], noise_psd=np.ones(psds.shape[1]), weights=weights, kept=kept)
     found = agreement(setup, sure, expected)
     assert found.bins == found.within > 2 and found.unknown == 0
@@ -245,7 +245,7 @@ def test_errors_leave_the_weather_out(scene_of):
 def few(calm, weights):
     """A score whose observations have these weights, and its forecast, which expects the same of each."""
     ones = np.ones(len(weights))
-    expected = replace(calm.expected.scores["actual"], weights=ones, kept=Kept(ones))
+    expected = replace(calm.expected.scores["actual"], weights=ones, kept=KeptScans(ones))
     return calm.setup, replace(calm.scores["actual"], weights=weights), expected
 
 

@@ -30,10 +30,10 @@ INDEX = RNG.integers(-1, SIDE * SIDE, DATA.shape).astype(np.int32)
 INDEX[0, 0] = INDEX[-1, -1] = 3  # on the map
 KEPT = np.ones(N_SCAN, bool)
 TEMPLATES = mm.TemplateOptions(1e-6, 100)
-TAPER = mm.tukey_taper(SIDE, SIDE, PIXEL, SIDE * PIXEL, 0.5)
+TAPER = mm.tukey_taper(SIDE, SIDE, PIXEL, size_rad=SIDE * PIXEL, edge_fraction=0.5)
 EDGES = np.array([3000.0, 10000.0, 25000.0])
-RINGS = mm.annuli(SIDE, SIDE, PIXEL, EDGES, TAPER)
-MAP = mm.bin_map(GEOMETRY, DATA, INDEX, BOUNDS, KEPT)
+RINGS = mm.annuli(SIDE, SIDE, PIXEL, edges_ell=EDGES, taper=TAPER)
+MAP = mm.bin_map(GEOMETRY, DATA, INDEX, BOUNDS, kept=KEPT)
 BLOCK = mm.StreamBlock(DATA, INDEX, BOUNDS, PLANE, 1.0)
 GLS = mm.GlsOptions(band_edges_hz=(0.0, np.inf), max_modes=1)
 BINS = {"signal_psd": np.ones(3), "n_modes": np.full(3, 9.0), "mask": np.ones(3, bool)}
@@ -194,7 +194,7 @@ TABLE = [
      {"data_mk": WRONG_STREAMS, "index": [INDEX[:, :-1], INDEX.astype(float), INDEX - 2], "scan_bounds": WRONG_BOUNDS,
       "weight": wrong_numbers(least=0)}),
     (mm.iterate_map, {"geometry": GEOMETRY, "observations": lambda: [BLOCK],
-                      "clean_block": lambda b: mm.clean("none", b.data_mk, b.scan_bounds, PLANE, None),
+                      "clean_block": lambda b: mm.clean("none", b.data_mk, b.scan_bounds, PLANE, options=None),
                       "options": mm.IterationOptions(max_iterations=1)},
      {"observations": [lambda: [], lambda: [replace(BLOCK, index=INDEX + SIDE * SIDE)]]}),
     (mm.IterationOptions, {"threshold": 5.0, "loss": 0.2, "tolerance": 1e-3, "max_iterations": 9},
@@ -250,7 +250,8 @@ TABLE = [
       for of, name in ((mm.beam_window, "fwhm_rad"), (pixel_window, "pixel_rad"))],
     (mm.mode_pixel_window, {"n_y": 8, "n_x": 8, "cell_rad": PIXEL, "pixel_rad": PIXEL},
      {"n_y": WRONG_SIZES, "n_x": WRONG_SIZES, "cell_rad": wrong_pixels(), "pixel_rad": wrong_pixels()}),
-    (mm.signal_window, {"psd_cleaned": np.ones((3, 4)), "psd_reference": np.ones((3, 4)), "ell": np.ones(4)},
+    (mm.measure_transfer_function,
+     {"psd_cleaned": np.ones((3, 4)), "psd_reference": np.ones((3, 4)), "ell": np.ones(4)},
      {"psd_cleaned": wrong_arrays(np.ones((3, 4)), least=0), "psd_reference": wrong_arrays(np.ones((3, 4)), least=0),
       "ell": wrong_arrays(np.ones(4))}),
     (mm.flat_spectrum_psd, {"ell": np.ones(3)}, {"ell": [[np.nan], [-1.0], "ab", [1j], None, [np.inf]]}),
@@ -305,10 +306,10 @@ def test_every_public_function_has_a_row():
 def test_other_real_types_are_converted(kind):
     """The same map from the same numbers, whatever their type and the order of their bytes."""
     data = np.rint(8 * RNG.standard_normal(DATA.shape)) % 50
-    expected = mm.bin_map(GEOMETRY, data, INDEX, BOUNDS, KEPT).weighted_sum
-    found = mm.bin_map(GEOMETRY, data.astype(kind), INDEX.astype(">i8"), BOUNDS.astype(">u2"), KEPT)
+    expected = mm.bin_map(GEOMETRY, data, INDEX, BOUNDS, kept=KEPT).weighted_sum
+    found = mm.bin_map(GEOMETRY, data.astype(kind), INDEX.astype(">i8"), BOUNDS.astype(">u2"), kept=KEPT)
     np.testing.assert_array_equal(found.weighted_sum, expected)
-    cleaned = mm.clean("none", data.astype(kind), BOUNDS.tolist(), PLANE, None)
+    cleaned = mm.clean("none", data.astype(kind), BOUNDS.tolist(), PLANE, options=None)
     assert cleaned.data_mk.dtype == (np.float32 if kind in (">f4", "<f4") else np.float64)
     assert cleaned.data_mk.dtype.isnative
     np.testing.assert_allclose(cleaned.data_mk.mean(axis=1), 0, atol=1e-5)
@@ -320,7 +321,7 @@ def test_values_that_are_not_used_may_be_anything():
     data[4, 3] = np.inf
     index = INDEX.copy()
     index[4, 3] = -1  # off the map
-    found = mm.bin_map(GEOMETRY, data, index, BOUNDS, np.array([True, False, True]))
+    found = mm.bin_map(GEOMETRY, data, index, BOUNDS, kept=np.array([True, False, True]))
     assert np.isfinite(found.weighted_sum).all() and found.hits.sum() == (index[:, np.r_[0:80, 160:240]] >= 0).sum()
 
 
@@ -333,12 +334,12 @@ def test_unsigned_pixels_in_a_map_that_has_the_largest():
     """Pixel 255 of a larger map is what -1 becomes in 8 bits."""
     large = replace(GEOMETRY, n_x=20, n_y=20)
     with pytest.raises(ValueError, match="index: found 255, which is -1 in the type uint8"):
-        mm.bin_map(large, DATA, INDEX.astype(np.uint8), BOUNDS, KEPT)
+        mm.bin_map(large, DATA, INDEX.astype(np.uint8), BOUNDS, kept=KEPT)
 
 
 def test_no_scans_make_an_empty_map():
     for bounds in ([], np.zeros((0, 2)), np.zeros((0, 2), int)):
-        assert not mm.bin_map(GEOMETRY, DATA, INDEX, bounds, []).hits.any()
+        assert not mm.bin_map(GEOMETRY, DATA, INDEX, bounds, kept=[]).hits.any()
 
 
 def test_quantities_are_refused():
@@ -348,7 +349,7 @@ def test_quantities_are_refused():
     with pytest.raises(ValueError, match="fwhm_rad: found a quantity in arcmin; plain numbers in the unit of fwhm_rad"):
         mm.FocalPlane([0.0], [0.0], 1 * u.arcmin)
     with pytest.raises(ValueError, match="data_mk: found a quantity in K"):
-        mm.bin_map(GEOMETRY, DATA * u.K, INDEX, BOUNDS, KEPT)
+        mm.bin_map(GEOMETRY, DATA * u.K, INDEX, BOUNDS, kept=KEPT)
 
 
 @pytest.mark.parametrize(
@@ -356,6 +357,6 @@ def test_quantities_are_refused():
 )
 def test_options_of_any_type_of_number(tolerance, most):
     """The loop is compiled for one."""
-    expected = mm.clean("average", DATA, BOUNDS, PLANE, mm.TemplateOptions(float(tolerance), 100))
-    found = mm.clean("average", DATA, BOUNDS, PLANE, mm.TemplateOptions(tolerance, most))
+    expected = mm.clean("average", DATA, BOUNDS, PLANE, options=mm.TemplateOptions(float(tolerance), 100))
+    found = mm.clean("average", DATA, BOUNDS, PLANE, options=mm.TemplateOptions(tolerance, most))
     np.testing.assert_array_equal(found.data_mk, expected.data_mk)

@@ -13,7 +13,13 @@ from mapmaker.bandpower import (
     score,
     weight_fwhm,
 )
-from mapmaker.uncertainty import information_shares, noise_error, noise_error_parts, weather_error, window_error
+from mapmaker.uncertainty import (
+    information_shares,
+    noise_error,
+    noise_error_parts,
+    transfer_function_error,
+    weather_error,
+)
 
 EDGES = np.arange(1000.0, 12001.0, 500.0)
 ELL = (EDGES[:-1] + EDGES[1:]) / 2
@@ -40,36 +46,42 @@ def test_equal_bins_average_down():
 
 def test_unselected_bins_may_hold_anything():
     noise = np.where(MASK, NOISE, np.nan)
-    result = band_power(noise, SIGNAL, N_MODES, MASK, ELL, EDGES, 0.0)
+    result = band_power(noise, SIGNAL, N_MODES, MASK, ell=ELL, edges_ell=EDGES, relative_error=0.0)
     assert result.sigma_ukcmb2 == flat_band_power(NOISE, SIGNAL, N_MODES, MASK)
     assert (result.weight[~MASK] == 0).all()
 
 
 def test_fixed_weights_reduce_to_the_optimum_and_never_beat_it():
     best = flat_band_power(NOISE, SIGNAL, N_MODES, MASK)
-    same = flat_band_power_fixed_weights(NOISE, SIGNAL, N_MODES, MASK, 7 * NOISE)
+    same = flat_band_power_fixed_weights(NOISE, SIGNAL, N_MODES, MASK, weighting_noise_psd_ukcmb2=7 * NOISE)
     np.testing.assert_allclose(same, best)
     rng = np.random.default_rng(1)
     for _ in range(50):
         other = NOISE * np.exp(rng.normal(size=NOISE.size))
-        assert flat_band_power_fixed_weights(NOISE, SIGNAL, N_MODES, MASK, other) > best
+        assert flat_band_power_fixed_weights(NOISE, SIGNAL, N_MODES, MASK, weighting_noise_psd_ukcmb2=other) > best
 
 
 def test_fixed_weights_by_hand():
     """Bins of N = (1, 2), M = 1, n = 2 weighted equally (R = 1): A = (A_1 + A_2) / 2 of variance 5 / 4."""
     ones = np.ones(2)
-    sigma = flat_band_power_fixed_weights(np.array([1.0, 2.0]), ones, 2 * ones, ones > 0, ones)
+    sigma = flat_band_power_fixed_weights(
+        np.array([1.0, 2.0]), ones, 2 * ones, ones > 0, weighting_noise_psd_ukcmb2=ones
+    )
     np.testing.assert_allclose(sigma, np.sqrt(5) / 2)
 
 
 def test_amplitude_of_exact_psds():
     amplitude = np.array([[0.0, 3.0], [-2.0, 1e4]])
     psd = NOISE + amplitude[..., None] * SIGNAL
-    np.testing.assert_allclose(estimate_amplitude(psd, NOISE, SIGNAL, N_MODES, MASK), amplitude, atol=1e-9)
+    np.testing.assert_allclose(
+        estimate_amplitude(psd, noise_psd_ukcmb2=NOISE, signal_psd=SIGNAL, n_modes=N_MODES, mask=MASK),
+        amplitude,
+        atol=1e-9,
+    )
 
 
 def test_band_power_is_consistent():
-    result = band_power(NOISE, SIGNAL, N_MODES, MASK, ELL, EDGES, 0.02)
+    result = band_power(NOISE, SIGNAL, N_MODES, MASK, ell=ELL, edges_ell=EDGES, relative_error=0.02)
     first = np.argmax(MASK)
     np.testing.assert_allclose(result.weight.sum(), 1)
     np.testing.assert_allclose(result.ell_eff, np.average(ELL, weights=N_MODES * MASK * (SIGNAL / NOISE) ** 2))
@@ -83,7 +95,7 @@ def test_band_power_is_consistent():
 
 def test_nothing_is_left_above_the_last_selected_bin():
     below = np.arange(ELL.size) < 10
-    result = band_power(NOISE, SIGNAL, N_MODES, below, ELL, EDGES, 0.0)
+    result = band_power(NOISE, SIGNAL, N_MODES, below, ell=ELL, edges_ell=EDGES, relative_error=0.0)
     assert np.isinf(result.cumulative[~below]).all()
 
 
@@ -126,7 +138,7 @@ def test_error_parts_by_hand():
     weather = weather_error(np.repeat([1.0, 3.0], 10))
     np.testing.assert_allclose(weather, np.sqrt(20 / 19 / 20 / 4 * 19 / 17))
     assert np.isnan(weather_error(np.arange(1.0, 16.0)))
-    np.testing.assert_allclose(window_error(np.array([0.3, 0.4]), np.array([0.5, 0.5])), 0.25)
+    np.testing.assert_allclose(transfer_function_error(np.array([0.3, 0.4]), np.array([0.5, 0.5])), 0.25)
 
 
 def test_counted_modes_stand_in_for_a_scatter_of_few_realizations():
@@ -135,7 +147,7 @@ def test_counted_modes_stand_in_for_a_scatter_of_few_realizations():
     n_modes, common = np.array([10.0, 30.0]), 6 / 16
     counted = (0.25**2 * 2 / 10 + 0.75**2 * 2 / 30) * 16 / 17
     psds = np.ones((2, 2))  # no scatter at all
-    signs, shared = noise_error_parts(psds, weight, weights, n_modes)
+    signs, shared = noise_error_parts(psds, weight, weights, n_modes=n_modes)
     np.testing.assert_allclose([signs**2, shared**2], [counted * (1 - common) / 2, counted * common])
     assert noise_error(psds, weight, weights) == 0
 
@@ -157,9 +169,18 @@ def test_score_joins_its_parts():
     rng = np.random.default_rng(2)
     psds = NOISE * rng.chisquare(N_MODES, size=(8, NOISE.size)) / N_MODES
     weights, errors = rng.uniform(1, 2, 30), np.full(NOISE.size, 0.1)
-    result, budget = score(psds, SIGNAL, errors, N_MODES, MASK, weights, ELL, EDGES)
+    result, budget = score(
+        psds,
+        SIGNAL,
+        signal_psd_relative_error=errors,
+        n_modes=N_MODES,
+        mask=MASK,
+        observation_weights=weights,
+        ell=ELL,
+        edges_ell=EDGES,
+    )
     assert result.sigma_ukcmb2 == flat_band_power(psds.mean(axis=0), SIGNAL, N_MODES, MASK)
-    signs, common = noise_error_parts(psds, result.weight, weights, N_MODES)
+    signs, common = noise_error_parts(psds, result.weight, weights, n_modes=N_MODES)
     assert budget.noise == pytest.approx(np.hypot(signs, common))
     assert budget.weather == weather_error(weights, common)
     np.testing.assert_allclose(budget.window, 0.1 * np.sqrt(np.sum(result.weight**2)))
@@ -185,21 +206,21 @@ def test_bad_bins_are_rejected(noise, signal, n_modes, mask, message):
     with pytest.raises(ValueError, match=message):
         flat_band_power(noise, signal, n_modes, mask)
     with pytest.raises(ValueError, match=message):
-        flat_band_power_fixed_weights(noise, signal, n_modes, mask, noise)
+        flat_band_power_fixed_weights(noise, signal, n_modes, mask, weighting_noise_psd_ukcmb2=noise)
     with pytest.raises(ValueError, match=message):
-        estimate_amplitude(noise, noise, signal, n_modes, mask)
+        estimate_amplitude(noise, noise_psd_ukcmb2=noise, signal_psd=signal, n_modes=n_modes, mask=mask)
 
 
 def test_the_weighting_noise_is_checked_too():
     with pytest.raises(ValueError, match="noise PSD must be positive"):
-        flat_band_power_fixed_weights(NOISE, SIGNAL, N_MODES, MASK, 0 * NOISE)
+        flat_band_power_fixed_weights(NOISE, SIGNAL, N_MODES, MASK, weighting_noise_psd_ukcmb2=0 * NOISE)
 
 
 def test_other_shapes_are_rejected():
     with pytest.raises(ValueError, match="psd_ukcmb2"):
-        estimate_amplitude(np.ones((3, 2)), NOISE, SIGNAL, N_MODES, MASK)
+        estimate_amplitude(np.ones((3, 2)), noise_psd_ukcmb2=NOISE, signal_psd=SIGNAL, n_modes=N_MODES, mask=MASK)
     with pytest.raises(ValueError, match="one edge more"):
-        band_power(NOISE, SIGNAL, N_MODES, MASK, ELL, ELL, 0.0)
+        band_power(NOISE, SIGNAL, N_MODES, MASK, ell=ELL, edges_ell=ELL, relative_error=0.0)
 
 
 @pytest.mark.parametrize(
@@ -214,7 +235,16 @@ def test_other_shapes_are_rejected():
 )
 def test_score_rejects_too_little(psds, errors, weights, message):
     with pytest.raises(ValueError, match=message):
-        score(psds, SIGNAL, errors, N_MODES, MASK, weights, ELL, EDGES)
+        score(
+            psds,
+            SIGNAL,
+            signal_psd_relative_error=errors,
+            n_modes=N_MODES,
+            mask=MASK,
+            observation_weights=weights,
+            ell=ELL,
+            edges_ell=EDGES,
+        )
 
 
 def test_information_shares_are_what_sigma_answers_to():

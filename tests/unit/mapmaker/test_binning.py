@@ -126,7 +126,7 @@ def random_map(rng, geometry=GEOMETRY):
 def test_bin_map(rng):
     data = rng.standard_normal((N_DET, N_SAMP)).astype(np.float32)
     index = rng.integers(-1, GEOMETRY.n_x * GEOMETRY.n_y, data.shape).astype(np.int32)
-    found = bin_map(GEOMETRY, data, index, BOUNDS, KEPT)
+    found = bin_map(GEOMETRY, data, index, BOUNDS, kept=KEPT)
     total, hits = naive.bin_samples(data, index, BOUNDS, KEPT, GEOMETRY.n_x * GEOMETRY.n_y)
     assert found.geometry == GEOMETRY
     np.testing.assert_array_equal(found.hits, hits.reshape(GEOMETRY.n_y, GEOMETRY.n_x))

@@ -65,7 +65,7 @@ def _outside():
 
 def test_none_removes_the_scan_mean_only():
     data = _data()
-    cleaned = clean("none", data, BOUNDS, _focal_plane(), None)
+    cleaned = clean("none", data, BOUNDS, _focal_plane(), options=None)
     for start, stop in BOUNDS:
         scan = data[:, start:stop]
         np.testing.assert_allclose(cleaned.data_mk[:, start:stop], scan - scan.mean(axis=1, keepdims=True))
@@ -78,7 +78,7 @@ def test_none_removes_the_scan_mean_only():
 def test_keeps_type_input_and_gaps(name, dtype):
     data = _data(dtype=dtype)
     before = data.copy()
-    cleaned = clean(name, data, BOUNDS, _focal_plane(), CHOSEN[name])
+    cleaned = clean(name, data, BOUNDS, _focal_plane(), options=CHOSEN[name])
     assert cleaned.data_mk.dtype == dtype and cleaned.data_mk.shape == data.shape
     assert cleaned.kept.all() and cleaned.responsivity.shape == (3, 25)
     np.testing.assert_array_equal(data, before)
@@ -88,7 +88,7 @@ def test_keeps_type_input_and_gaps(name, dtype):
 def test_average_is_the_paper_s_own_equations():
     """Its template has another common factor; converged to rounding, c_i T_n is the same to rounding."""
     data = _data()
-    cleaned = clean("average", data, BOUNDS, _focal_plane(), TemplateOptions(1e-14, 100))
+    cleaned = clean("average", data, BOUNDS, _focal_plane(), options=TemplateOptions(1e-14, 100))
     for s, (start, stop) in enumerate(BOUNDS):
         expected, c = naive.average_cleaning(data[:, start:stop], 1e-14, 100)
         np.testing.assert_allclose(cleaned.data_mk[:, start:stop], expected, atol=1e-12)
@@ -99,7 +99,7 @@ def test_average_is_the_paper_s_own_equations():
 @pytest.mark.parametrize("name", TEMPLATES)
 def test_equals_the_loop_over_samples(name):
     data, focal_plane = _data(), _focal_plane()
-    cleaned = clean(name, data, BOUNDS, focal_plane, TEMPLATE_OPTIONS)
+    cleaned = clean(name, data, BOUNDS, focal_plane, options=TEMPLATE_OPTIONS)
     for s, (start, stop) in enumerate(BOUNDS):
         scan = data[:, start:stop]
         shapes = _shapes(focal_plane, name)
@@ -113,9 +113,9 @@ def test_equals_the_loop_over_samples(name):
 @pytest.mark.parametrize("name", CLEANERS)
 def test_scan_with_a_value_not_finite_is_discarded(name, bad):
     data = _data(dtype=np.float32)
-    good = clean(name, data, BOUNDS, _focal_plane(), CHOSEN[name])
+    good = clean(name, data, BOUNDS, _focal_plane(), options=CHOSEN[name])
     data[7, 60] = bad
-    cleaned = clean(name, data, BOUNDS, _focal_plane(), CHOSEN[name])
+    cleaned = clean(name, data, BOUNDS, _focal_plane(), options=CHOSEN[name])
     np.testing.assert_array_equal(cleaned.kept, [True, False, True])
     assert np.isnan(cleaned.responsivity[1]).all() and cleaned.iterations[1] == 0 and cleaned.removed[1] == 0
     expected = good.data_mk.copy()
@@ -126,7 +126,7 @@ def test_scan_with_a_value_not_finite_is_discarded(name, bad):
 def test_value_not_finite_outside_scans_does_not_matter():
     data = _data()
     data[:, _outside()] = np.nan
-    cleaned = clean("planar", data, BOUNDS, _focal_plane(), TEMPLATE_OPTIONS)
+    cleaned = clean("planar", data, BOUNDS, _focal_plane(), options=TEMPLATE_OPTIONS)
     assert cleaned.kept.all() and np.isfinite(cleaned.data_mk).all()
 
 
@@ -135,7 +135,7 @@ def test_value_not_finite_outside_scans_does_not_matter():
 def test_scan_with_a_dead_detector_is_discarded(name, stuck_at_mk):
     data = _data()
     data[3, 50:90] = stuck_at_mk
-    cleaned = clean(name, data, BOUNDS, _focal_plane(), CHOSEN[name])
+    cleaned = clean(name, data, BOUNDS, _focal_plane(), options=CHOSEN[name])
     np.testing.assert_array_equal(cleaned.kept, [True, False, True])
     np.testing.assert_array_equal(cleaned.data_mk[:, 50:90], 0)
     assert np.isfinite(cleaned.data_mk).all() and cleaned.iterations[1] == 0
@@ -145,14 +145,14 @@ def test_scan_with_a_dead_detector_is_discarded(name, stuck_at_mk):
 def test_all_zero_scan_is_discarded(name):
     data = _data()
     data[:, 50:90] = 0
-    cleaned = clean(name, data, BOUNDS, _focal_plane(), CHOSEN[name])
+    cleaned = clean(name, data, BOUNDS, _focal_plane(), options=CHOSEN[name])
     np.testing.assert_array_equal(cleaned.kept, [True, False, True])
     np.testing.assert_array_equal(cleaned.data_mk[:, 50:90], 0)
 
 
 @pytest.mark.parametrize("name", FITTED)
 def test_unconverged_scans_are_discarded_and_counted(name):
-    cleaned = clean(name, _data(), BOUNDS, _focal_plane(), replace(CHOSEN[name], max_iterations=1))
+    cleaned = clean(name, _data(), BOUNDS, _focal_plane(), options=replace(CHOSEN[name], max_iterations=1))
     assert (~cleaned.kept).sum() == 3
     np.testing.assert_array_equal(cleaned.iterations, 1)
     np.testing.assert_array_equal(cleaned.removed, 0)
@@ -164,7 +164,7 @@ def test_unconverged_scans_are_discarded_and_counted(name):
 def test_templates_taken_are_counted(name):
     taken = {"none": 0, "average": 1, "planar": 3, "quadratic": 6, "polynomial": 6, "wind": 1, "pca": 1, "local": 1}
     taken["spectral"] = 2  # one for each other band
-    cleaned = clean(name, _data(), BOUNDS, _focal_plane(), CHOSEN[name])
+    cleaned = clean(name, _data(), BOUNDS, _focal_plane(), options=CHOSEN[name])
     np.testing.assert_array_equal(cleaned.removed, taken[name])
     assert (cleaned.iterations > 0).all() == (name in FITTED)
 
@@ -172,7 +172,7 @@ def test_templates_taken_are_counted(name):
 @pytest.mark.parametrize("name", CLEANERS)
 def test_observation_without_scans(name):
     options = replace(CHOSEN["wind"], slowness_s_rad=np.zeros((0, 2))) if name == "wind" else CHOSEN[name]
-    cleaned = clean(name, _data(), BOUNDS[:0], _focal_plane(), options)
+    cleaned = clean(name, _data(), BOUNDS[:0], _focal_plane(), options=options)
     assert len(cleaned.kept) == 0 and not cleaned.data_mk.any()
 
 
@@ -185,10 +185,10 @@ def test_detectors_needed(name):
     needed = detectors_needed(name, CHOSEN[name])
     assert needed > N_TEMPLATES[name]
     assert needed == {"none": 1, "planar": 4, "quadratic": 7, "polynomial": 8, "pca": 11}.get(name, 2)
-    clean(name, _data(n_det=needed), BOUNDS, _focal_plane(needed), CHOSEN[name])
+    clean(name, _data(n_det=needed), BOUNDS, _focal_plane(needed), options=CHOSEN[name])
     if name != "none":
         with pytest.raises(ValueError, match="at least"):
-            clean(name, _data(n_det=needed - 1), BOUNDS, _focal_plane(needed - 1), CHOSEN[name])
+            clean(name, _data(n_det=needed - 1), BOUNDS, _focal_plane(needed - 1), options=CHOSEN[name])
 
 
 def test_tables_name_the_same_algorithms():
@@ -198,23 +198,23 @@ def test_tables_name_the_same_algorithms():
 @pytest.mark.parametrize(("name", "n_par"), [("average", 1), ("planar", 3), ("quadratic", 6)])
 def test_too_few_detectors(name, n_par):
     with pytest.raises(ValueError, match=f"at least {n_par + 1} detectors, got {n_par}"):
-        clean(name, _data(n_det=n_par), BOUNDS, _focal_plane(n_par), TEMPLATE_OPTIONS)
-    clean(name, _data(n_det=n_par + 1), BOUNDS, _focal_plane(n_par + 1), TEMPLATE_OPTIONS)
+        clean(name, _data(n_det=n_par), BOUNDS, _focal_plane(n_par), options=TEMPLATE_OPTIONS)
+    clean(name, _data(n_det=n_par + 1), BOUNDS, _focal_plane(n_par + 1), options=TEMPLATE_OPTIONS)
 
 
 def test_detectors_on_a_line_do_not_support_planes():
     x = np.linspace(-1e-3, 1e-3, 25)
     line = FocalPlane(x_rad=x, y_rad=0.3 * x + 1e-4, fwhm_rad=1e-4)
     with pytest.raises(ValueError, match="support 2 independent templates, need 3"):
-        clean("planar", _data(), BOUNDS, line, TEMPLATE_OPTIONS)
-    assert clean("average", _data(), BOUNDS, line, TEMPLATE_OPTIONS).kept.all()
+        clean("planar", _data(), BOUNDS, line, options=TEMPLATE_OPTIONS)
+    assert clean("average", _data(), BOUNDS, line, options=TEMPLATE_OPTIONS).kept.all()
 
 
 def test_detectors_on_a_circle_do_not_support_quadratics():
     angle = np.linspace(0, 6, 25)
     circle = FocalPlane(x_rad=1e-3 * np.cos(angle), y_rad=1e-3 * np.sin(angle), fwhm_rad=1e-4)
     with pytest.raises(ValueError, match="support 5 independent templates, need 6"):
-        clean("quadratic", _data(), BOUNDS, circle, TEMPLATE_OPTIONS)
+        clean("quadratic", _data(), BOUNDS, circle, options=TEMPLATE_OPTIONS)
 
 
 @pytest.mark.parametrize("exponents", [PLANAR, QUADRATIC])
@@ -261,17 +261,17 @@ def test_bad_arguments_say_what_was_found():
     with pytest.raises(
         ValueError, match="'cubic', allowed: none, average, planar, quadratic, polynomial, wind, pca, local, spectral"
     ):
-        clean("cubic", data, BOUNDS, focal_plane, TEMPLATE_OPTIONS)
+        clean("cubic", data, BOUNDS, focal_plane, options=TEMPLATE_OPTIONS)
     with pytest.raises(ValueError, match="options of 'pca' must be PcaOptions, got TemplateOptions"):
-        clean("pca", data, BOUNDS, focal_plane, TEMPLATE_OPTIONS)
+        clean("pca", data, BOUNDS, focal_plane, options=TEMPLATE_OPTIONS)
     with pytest.raises(ValueError, match="'cubic', allowed"):
         detectors_needed("cubic", TEMPLATE_OPTIONS)
     with pytest.raises(ValueError, match=r"data_mk: found the shape \(24, 150\); \(25, n_samp\) is expected"):
-        clean("planar", data[:24], BOUNDS, focal_plane, TEMPLATE_OPTIONS)
+        clean("planar", data[:24], BOUNDS, focal_plane, options=TEMPLATE_OPTIONS)
     with pytest.raises(ValueError, match="data_mk: found the type complex128; real numbers are expected"):
-        clean("planar", data.astype(complex), BOUNDS, focal_plane, TEMPLATE_OPTIONS)
+        clean("planar", data.astype(complex), BOUNDS, focal_plane, options=TEMPLATE_OPTIONS)
     with pytest.raises(ValueError, match=r"scan_bounds: found the shape \(2,\); \(n_scan, 2\) is expected"):
-        clean("planar", data, BOUNDS[0], focal_plane, TEMPLATE_OPTIONS)
+        clean("planar", data, BOUNDS[0], focal_plane, options=TEMPLATE_OPTIONS)
     for wrong in ([5, 5], [-1, 5], [100, 151]):
         with pytest.raises(ValueError, match="0 <= start < stop <= 150, the number of samples, is expected"):
-            clean("planar", data, np.array([wrong]), focal_plane, TEMPLATE_OPTIONS)
+            clean("planar", data, np.array([wrong]), focal_plane, options=TEMPLATE_OPTIONS)

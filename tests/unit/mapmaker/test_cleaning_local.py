@@ -23,7 +23,7 @@ def _hexagons(rings, turn_rad=0.3):
 
 
 def _clean(data, plane, reach=1.2):
-    return clean("local", data, np.array([[0, data.shape[1]]]), plane, LocalOptions(reach))
+    return clean("local", data, np.array([[0, data.shape[1]]]), plane, options=LocalOptions(reach))
 
 
 @pytest.mark.parametrize("reach", [1.2, 1.8, 6.0])

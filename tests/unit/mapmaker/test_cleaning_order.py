@@ -29,7 +29,7 @@ def _data(dtype=np.float64):
 def test_one_step_is_that_step(step):
     found, expected = (
         clean_in_order([step], _data(), BOUNDS, _plane()),
-        clean(step[0], _data(), BOUNDS, _plane(), step[1]),
+        clean(step[0], _data(), BOUNDS, _plane(), options=step[1]),
     )
     for name in ("data_mk", "kept", "responsivity", "iterations", "removed"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
@@ -40,8 +40,8 @@ def test_steps_follow_each_other(dtype):
     data = _data(dtype)
     before = data.copy()
     found = clean_in_order([PLANAR, LOCAL], data, BOUNDS, _plane())
-    first = clean(PLANAR[0], data, BOUNDS, _plane(), PLANAR[1])
-    second = clean(LOCAL[0], first.data_mk, BOUNDS, _plane(), LOCAL[1])
+    first = clean(PLANAR[0], data, BOUNDS, _plane(), options=PLANAR[1])
+    second = clean(LOCAL[0], first.data_mk, BOUNDS, _plane(), options=LOCAL[1])
     np.testing.assert_array_equal(data, before)
     np.testing.assert_array_equal(found.data_mk, second.data_mk)
     np.testing.assert_array_equal(found.responsivity, first.responsivity)
@@ -52,7 +52,7 @@ def test_steps_follow_each_other(dtype):
 
 def test_responsivity_is_that_of_the_step_that_fits_one():
     found = clean_in_order([("none", None), AVERAGE], _data(), BOUNDS, _plane())
-    alone = clean(AVERAGE[0], _data(), BOUNDS, _plane(), AVERAGE[1])
+    alone = clean(AVERAGE[0], _data(), BOUNDS, _plane(), options=AVERAGE[1])
     np.testing.assert_allclose(found.responsivity, alone.responsivity, rtol=1e-11)
     np.testing.assert_array_equal(found.removed, alone.removed)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapmaker.cleaning import PcaOptions, TemplateOptions, clean
-from mapmaker.cleaning.pca import least_eigenvalues, outstanding
+from mapmaker.cleaning.pca import count_outliers, min_eigenvalues
 from mapmaker.timestreams import FocalPlane
 from tests import naive
 
@@ -27,7 +27,7 @@ def _modes(singular, n_det, n_samp, seed=0):
 
 
 def _clean(data):
-    return clean("pca", data, np.array([[0, data.shape[1]]]), _focal_plane(len(data)), OPTIONS)
+    return clean("pca", data, np.array([[0, data.shape[1]]]), _focal_plane(len(data)), options=OPTIONS)
 
 
 @pytest.mark.parametrize("n_samp", [20, 39, 40, 41, 150])
@@ -75,20 +75,20 @@ def test_equal_eigenvalues_are_cut_together_or_not_at_all():
 
 
 def test_rounding_of_equal_eigenvalues_does_not_stand_out():
-    assert outstanding(np.concatenate([np.ones(40), [1 + 1e-12]]), 3.0) == 0
+    assert count_outliers(np.concatenate([np.ones(40), [1 + 1e-12]]), 3.0) == 0
 
 
 def test_low_eigenvalues_are_never_cut():
-    assert outstanding(np.exp(np.concatenate([[-20.0], np.linspace(-0.1, 0.1, 50)])), 3.0) == 0
+    assert count_outliers(np.exp(np.concatenate([[-20.0], np.linspace(-0.1, 0.1, 50)])), 3.0) == 0
 
 
 @pytest.mark.parametrize("sigma_cut", [0.5, 1.3, 2.2, 3.1, 4.5])
 def test_least_number_of_which_one_can_stand_out(sigma_cut):
-    n = least_eigenvalues(sigma_cut)
+    n = min_eigenvalues(sigma_cut)
     one = np.exp(np.concatenate([np.zeros(n), [5.0]]))
-    assert outstanding(one[1:], sigma_cut) == 1
-    assert outstanding(one[2:], sigma_cut) == 0
-    assert least_eigenvalues(3.0) == 11
+    assert count_outliers(one[1:], sigma_cut) == 1
+    assert count_outliers(one[2:], sigma_cut) == 0
+    assert min_eigenvalues(3.0) == 11
 
 
 def test_too_few_samples_for_an_outlier_lose_their_mean_alone():
@@ -122,9 +122,9 @@ def test_scan_whose_noise_is_lost_to_rounding_is_discarded():
 def test_after_cleaning_in_float32_what_it_took_does_not_count():
     """Quadratic templates leave 34 of 40 directions; rounding in the others is no small eigenvalue."""
     plane, bounds = _focal_plane(40), np.array([[0, 150]])
-    once = clean("quadratic", _under(30.0, np.float32), bounds, plane, TemplateOptions(1e-8, 100))
+    once = clean("quadratic", _under(30.0, np.float32), bounds, plane, options=TemplateOptions(1e-8, 100))
     assert once.kept.all()
-    again = clean("pca", once.data_mk, bounds, plane, OPTIONS)
+    again = clean("pca", once.data_mk, bounds, plane, options=OPTIONS)
     assert again.kept.all() and again.removed[0] == 0
 
 

@@ -42,8 +42,8 @@ def test_exponents_are_all_terms_up_to_the_order():
 
 @pytest.mark.parametrize(("name", "order"), [("average", 0), ("planar", 1), ("quadratic", 2)])
 def test_one_region_is_the_named_algorithm(name, order):
-    expected = clean(name, _data(), BOUNDS, _plane(), TemplateOptions(1e-8, 100))
-    found = clean("polynomial", _data(), BOUNDS, _plane(), _options(order, 1))
+    expected = clean(name, _data(), BOUNDS, _plane(), options=TemplateOptions(1e-8, 100))
+    found = clean("polynomial", _data(), BOUNDS, _plane(), options=_options(order, 1))
     np.testing.assert_allclose(found.data_mk, expected.data_mk, atol=1e-11)
     np.testing.assert_allclose(found.responsivity, expected.responsivity, rtol=1e-11)
     np.testing.assert_array_equal(found.iterations, expected.iterations)
@@ -52,7 +52,7 @@ def test_one_region_is_the_named_algorithm(name, order):
 
 def test_third_order_equals_the_loop_over_samples():
     plane, data = _plane(), _data()
-    cleaned = clean("polynomial", data, BOUNDS, plane, _options(3, 1))
+    cleaned = clean("polynomial", data, BOUNDS, plane, options=_options(3, 1))
     shapes = np.stack([(plane.x_rad / 1e-3) ** a * (plane.y_rad / 1e-3) ** b for a, b in exponents(3)], axis=1)
     for s, (start, stop) in enumerate(BOUNDS):
         expected, c, steps = naive.template_cleaning(data[:, start:stop], shapes, True, 1e-8, 100)
@@ -65,9 +65,9 @@ def test_regions_are_cleaned_each_on_its_own():
     plane, data = _plane(), _data()
     first = focal_plane_regions(plane, 3)[0]
     data[first] += 3 * np.random.default_rng(2).standard_normal((len(first), 90))
-    cleaned = clean("polynomial", data, BOUNDS, plane, _options(1, 3))
+    cleaned = clean("polynomial", data, BOUNDS, plane, options=_options(1, 3))
     parts = [
-        (region, clean("planar", data[region], BOUNDS, plane.subset(region), TemplateOptions(1e-8, 100)))
+        (region, clean("planar", data[region], BOUNDS, plane.subset(region), options=TemplateOptions(1e-8, 100)))
         for region in focal_plane_regions(plane, 3)
     ]
     for region, part in parts:
@@ -115,7 +115,7 @@ def test_planted_polynomials_vanish(order, regions, dtype, level):
         course[0] *= 10
         data[region] = shapes @ course
     options = _options(order, regions, 1e-13 if dtype is np.float64 else 1e-8)
-    cleaned = clean("polynomial", data.astype(dtype), BOUNDS, plane, options)
+    cleaned = clean("polynomial", data.astype(dtype), BOUNDS, plane, options=options)
     assert cleaned.kept.all()
     assert np.abs(cleaned.data_mk).max() < level * np.abs(data).max()
 
@@ -125,7 +125,7 @@ def test_one_region_unconverged_discards_the_scan():
     last = focal_plane_regions(plane, 2)[1]
     data[last, 50:] -= data[last, 50:] @ np.full((40, 40), 1 / 40)
     data[last[0], 50:] = 7.0
-    cleaned = clean("polynomial", data, BOUNDS, plane, _options(0, 2))
+    cleaned = clean("polynomial", data, BOUNDS, plane, options=_options(0, 2))
     np.testing.assert_array_equal(cleaned.kept, [True, False])
     assert not cleaned.data_mk[:, 50:].any() and np.isnan(cleaned.responsivity[1]).all()
 
@@ -134,9 +134,9 @@ def test_one_region_unconverged_discards_the_scan():
 def test_every_region_needs_more_detectors_than_terms(order, regions, needed):
     options = _options(order, regions)
     assert detectors_needed("polynomial", options) == needed
-    clean("polynomial", _data(needed), BOUNDS, _plane(needed), options)
+    clean("polynomial", _data(needed), BOUNDS, _plane(needed), options=options)
     with pytest.raises(ValueError, match="detectors, got"):
-        clean("polynomial", _data(needed - 1), BOUNDS, _plane(needed - 1), options)
+        clean("polynomial", _data(needed - 1), BOUNDS, _plane(needed - 1), options=options)
 
 
 def test_more_regions_than_detectors():

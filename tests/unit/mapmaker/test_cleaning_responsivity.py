@@ -58,7 +58,7 @@ def test_every_cleaning_takes_every_responsivity(name, asked):
     data = _data().astype(np.float32)
     before = data.copy()
     options = replace(OPTIONS[name], responsivities=_gains() if asked == "known" else asked)
-    found = clean(name, data, BOUNDS, PLANE, options)
+    found = clean(name, data, BOUNDS, PLANE, options=options)
     np.testing.assert_array_equal(data, before)
     assert found.kept.all() and found.data_mk.dtype == np.float32
     alike = (found.responsivity == found.responsivity[0]).all()
@@ -77,7 +77,7 @@ def test_one_fit_to_all_scans_is_the_loop_over_their_samples(name, most, monkeyp
     """It ends where the paper's own iteration would, on all scans side by side."""
     monkeypatch.setattr(module, "MOST_GRAM", most)
     data, shapes = _data(2), _shapes(ORDERS[name])
-    found = clean(name, data, BOUNDS, PLANE, replace(TEMPLATES, responsivities="observation"))
+    found = clean(name, data, BOUNDS, PLANE, options=replace(TEMPLATES, responsivities="observation"))
     expected, c, _ = naive.template_cleaning(_scans(data), shapes, name != "average", 1e-12, 1000)
     np.testing.assert_allclose(_scans(found.data_mk), expected, atol=1e-7)
     np.testing.assert_allclose(found.responsivity[0] / found.responsivity[0].mean(), c / c.mean(), rtol=1e-8)
@@ -89,7 +89,9 @@ def test_one_fit_finds_responsivities_within_their_noise():
     for seed in range(20):
         data = _data(seed=seed)
         common = _scans(np.tile(data.mean(axis=0), (2, 1)))[0]
-        c = clean("average", data, BOUNDS, PLANE, replace(TEMPLATES, responsivities="observation")).responsivity[0]
+        c = clean(
+            "average", data, BOUNDS, PLANE, options=replace(TEMPLATES, responsivities="observation")
+        ).responsivity[0]
         error = 1 / np.sqrt(np.sum(common**2) - common.size / N_DET)  # less the noise of the mean
         misses.append((c / c.mean() - _gains() / _gains().mean()) / error)
     assert np.std(misses) == pytest.approx(np.sqrt(1 - 1 / N_DET), rel=4 / np.sqrt(2 * 500))
@@ -98,7 +100,7 @@ def test_one_fit_finds_responsivities_within_their_noise():
 @pytest.mark.parametrize("name", ["average", "planar", "quadratic", "polynomial"])
 def test_known_responsivities_leave_nothing_of_the_templates(name):
     order = ORDERS.get(name, 1)
-    found = clean(name, _data(order, noise=0.0), BOUNDS, PLANE, replace(OPTIONS[name], responsivities=_gains()))
+    found = clean(name, _data(order, noise=0.0), BOUNDS, PLANE, options=replace(OPTIONS[name], responsivities=_gains()))
     assert np.abs(found.data_mk).max() < 1e-12
 
 
@@ -106,7 +108,7 @@ def test_known_responsivities_leave_nothing_of_the_templates(name):
 def test_given_responsivities_are_a_projection(name):
     """Right ones or wrong ones: each scan less its mean, times 1 - P."""
     data, c = _data(2), np.exp(0.3 * np.random.default_rng(4).standard_normal(N_DET))
-    found = clean(name, data, BOUNDS, PLANE, replace(TEMPLATES, responsivities=c))
+    found = clean(name, data, BOUNDS, PLANE, options=replace(TEMPLATES, responsivities=c))
     left = naive.cleaning_matrix(PLANE.x_rad, PLANE.y_rad, c, ORDERS[name])
     np.testing.assert_allclose(_scans(found.data_mk), left @ _scans(data), atol=1e-10)
 
@@ -117,7 +119,7 @@ def test_an_error_of_the_responsivities_leaves_as_much_of_the_template(name, n_p
     data, left = _data(0, noise=0.0), []
     for seed in range(40):
         wrong = _gains() * (1 + 0.01 * np.random.default_rng(100 + seed).standard_normal(N_DET))
-        left.append(_scans(clean(name, data, BOUNDS, PLANE, replace(TEMPLATES, responsivities=wrong)).data_mk))
+        left.append(_scans(clean(name, data, BOUNDS, PLANE, options=replace(TEMPLATES, responsivities=wrong)).data_mk))
     expected = 0.01 * np.sqrt(1 - n_par / N_DET) * _scans(data).std()
     assert np.std(left) == pytest.approx(expected, rel=4 / np.sqrt(2 * 40 * (N_DET - n_par)))
 
@@ -126,8 +128,8 @@ def test_an_error_of_the_responsivities_leaves_as_much_of_the_template(name, n_p
 def test_weak_templates_are_fitted_to_all_scans_alone(name):
     """A template as weak as its own noise: no scan has what it takes, all together have it in some thirty steps."""
     data = _data(strength=0.2)
-    each = clean(name, data, BOUNDS, PLANE, TemplateOptions(1e-8, 100))
-    together = clean(name, data, BOUNDS, PLANE, TemplateOptions(1e-8, 100, "observation"))
+    each = clean(name, data, BOUNDS, PLANE, options=TemplateOptions(1e-8, 100))
+    together = clean(name, data, BOUNDS, PLANE, options=TemplateOptions(1e-8, 100, "observation"))
     assert each.kept.sum() < N_SCAN / 2
     assert together.kept.all() and (together.iterations < 40).all()
 
@@ -139,25 +141,27 @@ def test_a_bad_scan_has_no_part_in_the_fit(name, bad, most, monkeypatch):
     monkeypatch.setattr(module, "MOST_GRAM", most)
     data, options = _data(), replace(OPTIONS[name], responsivities="observation")
     data[3, BOUNDS[2, 0] : BOUNDS[2, 1]] = bad
-    found = clean(name, data, BOUNDS, PLANE, options)
+    found = clean(name, data, BOUNDS, PLANE, options=options)
     good = np.arange(N_SCAN) != 2
     np.testing.assert_array_equal(found.kept, good)
     if name == "wind":
         options = replace(options, slowness_s_rad=options.slowness_s_rad[good])
-    others = clean(name, data, BOUNDS[good], PLANE, options)
+    others = clean(name, data, BOUNDS[good], PLANE, options=options)
     np.testing.assert_array_equal(found.data_mk, others.data_mk)
     np.testing.assert_array_equal(found.responsivity[good], others.responsivity)
 
 
 @pytest.mark.parametrize("name", TEMPLATE_CLEANINGS)
 def test_a_fit_that_does_not_converge_discards_all_scans(name):
-    found = clean(name, _data(), BOUNDS, PLANE, replace(OPTIONS[name], max_iterations=1, responsivities="observation"))
+    found = clean(
+        name, _data(), BOUNDS, PLANE, options=replace(OPTIONS[name], max_iterations=1, responsivities="observation")
+    )
     assert not found.kept.any() and (found.iterations == 1).all() and not found.data_mk.any()
 
 
 def test_no_good_scan_is_no_fit():
     data = np.full((N_DET, BOUNDS[-1, 1]), np.nan)
-    found = clean("average", data, BOUNDS, PLANE, replace(TEMPLATES, responsivities="observation"))
+    found = clean("average", data, BOUNDS, PLANE, options=replace(TEMPLATES, responsivities="observation"))
     assert not found.kept.any()
 
 
@@ -185,4 +189,4 @@ def test_bad_responsivities(make, wrong, words):
 
 def test_responsivities_of_other_detectors():
     with pytest.raises(ValueError, match="24 responsivities found for 25 detectors"):
-        clean("average", _data(), BOUNDS, PLANE, replace(TEMPLATES, responsivities=np.ones(24)))
+        clean("average", _data(), BOUNDS, PLANE, options=replace(TEMPLATES, responsivities=np.ones(24)))

@@ -25,7 +25,7 @@ def streams(seed=1, noise=0.0):
 
 def test_a_layer_that_all_bands_see_goes_entirely():
     data, others = streams()
-    cleaned = clean("spectral", data, BOUNDS, focal_plane(), SpectralOptions(others[:1]))
+    cleaned = clean("spectral", data, BOUNDS, focal_plane(), options=SpectralOptions(others[:1]))
     assert cleaned.kept.all() and cleaned.removed.tolist() == [1, 1]
     for start, stop in BOUNDS:
         assert np.abs(cleaned.data_mk[:, start:stop]).max() < 1e-9 * np.abs(data).max()
@@ -33,7 +33,7 @@ def test_a_layer_that_all_bands_see_goes_entirely():
 
 def test_what_is_left_is_orthogonal_to_the_other_bands():
     data, others = streams(noise=1.0)
-    cleaned = clean("spectral", data, BOUNDS, focal_plane(), SpectralOptions(others))
+    cleaned = clean("spectral", data, BOUNDS, focal_plane(), options=SpectralOptions(others))
     for start, stop in BOUNDS:
         left, seen = cleaned.data_mk[:, start:stop], others[:, :, start:stop]
         seen = seen - seen.mean(axis=2, keepdims=True)
@@ -43,7 +43,7 @@ def test_what_is_left_is_orthogonal_to_the_other_bands():
 
 def test_the_least_squares_fit_of_each_detector_by_itself():
     data, others = streams(noise=1.0)
-    cleaned = clean("spectral", data, BOUNDS, focal_plane(), SpectralOptions(others))
+    cleaned = clean("spectral", data, BOUNDS, focal_plane(), options=SpectralOptions(others))
     start, stop = BOUNDS[1]
     for i in range(N_DET):
         own = data[i, start:stop] - data[i, start:stop].mean()
@@ -56,7 +56,7 @@ def test_white_noise_loses_one_degree_of_freedom_a_band():
     """Of 300 samples, less their mean, two bands take two: variance falls by 2 / 299, to 5 sqrt(2 / N)."""
     rng = np.random.default_rng(2)
     data, others = rng.standard_normal((N_DET, N_SAMP)), rng.standard_normal((2, N_DET, N_SAMP))
-    cleaned = clean("spectral", data, BOUNDS, focal_plane(), SpectralOptions(others))
+    cleaned = clean("spectral", data, BOUNDS, focal_plane(), options=SpectralOptions(others))
     ratio = []
     for start, stop in BOUNDS:
         ratio.append(
@@ -69,7 +69,7 @@ def test_white_noise_loses_one_degree_of_freedom_a_band():
 def test_a_scan_with_a_broken_band_is_discarded():
     data, others = streams(noise=1.0)
     others[1, 2, 350] = np.nan
-    cleaned = clean("spectral", data, BOUNDS, focal_plane(), SpectralOptions(others))
+    cleaned = clean("spectral", data, BOUNDS, focal_plane(), options=SpectralOptions(others))
     assert cleaned.kept.tolist() == [True, False] and not cleaned.data_mk[:, 310:610].any()
 
 
@@ -77,7 +77,7 @@ def test_a_scan_that_another_band_has_lost_is_discarded():
     """A scan of zeros, as cleaning leaves one that it discards, says nothing of the atmosphere."""
     data, others = streams(noise=1.0)
     others[0, :, 310:610] = 0
-    cleaned = clean("spectral", data, BOUNDS, focal_plane(), SpectralOptions(others))
+    cleaned = clean("spectral", data, BOUNDS, focal_plane(), options=SpectralOptions(others))
     assert cleaned.kept.tolist() == [True, False]
 
 
@@ -86,6 +86,6 @@ def test_errors():
     with pytest.raises(ValueError, match=r"\(n_colour, n_det, n_samp\) is expected"):
         SpectralOptions(others[0])
     with pytest.raises(ValueError, match=r"\(n_colour, 5, 620\) is expected"):
-        clean("spectral", data, BOUNDS, focal_plane(), SpectralOptions(others[:, :4]))
+        clean("spectral", data, BOUNDS, focal_plane(), options=SpectralOptions(others[:, :4]))
     with pytest.raises(ValueError, match="2 other bands need scans of 3 samples, got 2"):
-        clean("spectral", data, np.array([[0, 2]]), focal_plane(), SpectralOptions(others))
+        clean("spectral", data, np.array([[0, 2]]), focal_plane(), options=SpectralOptions(others))

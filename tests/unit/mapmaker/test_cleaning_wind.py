@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapmaker.cleaning import TemplateOptions, WindOptions, clean, slowness
-from mapmaker.cleaning.wind import phases, turned
+from mapmaker.cleaning.wind import delay_phases, phase_shifted
 from mapmaker.timestreams import FocalPlane
 from tests import naive
 
@@ -33,7 +33,7 @@ def _options(slowness_s_rad, tolerance=1e-14):
 def test_equals_the_loop_over_detectors():
     data, plane = _data(), _focal_plane()
     options = _options([[200, -120], [0, 90], [-310, 60]])
-    cleaned = clean("wind", data, BOUNDS, plane, options)
+    cleaned = clean("wind", data, BOUNDS, plane, options=options)
     assert cleaned.kept.all()
     r = np.stack([plane.x_rad - plane.x_rad.mean(), plane.y_rad - plane.y_rad.mean()])
     for s, (start, stop) in enumerate(BOUNDS):
@@ -46,8 +46,8 @@ def test_equals_the_loop_over_detectors():
 
 def test_without_slowness_it_is_average_subtraction():
     data, plane = _data(), _focal_plane()
-    found = clean("wind", data, BOUNDS, plane, _options(np.zeros((3, 2)), 1e-8))
-    expected = clean("average", data, BOUNDS, plane, TemplateOptions(1e-8, 100))
+    found = clean("wind", data, BOUNDS, plane, options=_options(np.zeros((3, 2)), 1e-8))
+    expected = clean("average", data, BOUNDS, plane, options=TemplateOptions(1e-8, 100))
     np.testing.assert_allclose(found.data_mk, expected.data_mk, atol=1e-11)
     np.testing.assert_allclose(found.responsivity, expected.responsivity, rtol=1e-11)
     np.testing.assert_array_equal(found.iterations, expected.iterations)
@@ -58,22 +58,22 @@ def test_without_slowness_it_is_average_subtraction():
 def test_shift_is_the_appendix_s(delay, n_samp):
     stream = np.random.default_rng(2).standard_normal(n_samp)
     expected = naive.shifted_stream(np.concatenate([stream, stream[::-1]]), delay)[:n_samp]
-    found = turned(stream[None], phases(np.array([delay]), n_samp))
+    found = phase_shifted(stream[None], delay_phases(np.array([delay]), n_samp))
     np.testing.assert_allclose(found[0], expected, atol=1e-12)
 
 
 def test_shift_and_its_conjugate_are_inverse():
     """On the periodic stream, mirror image and all: half a sample, where |S| is zero at Nyquist, included."""
     stream = np.random.default_rng(3).standard_normal(2 * 50)
-    turn = phases(np.array([0.5, -2.5, 0.3]), 50)
+    turn = delay_phases(np.array([0.5, -2.5, 0.3]), 50)
     np.testing.assert_allclose(np.abs(turn), 1, rtol=1e-14)
     back = np.fft.irfft(np.fft.rfft(np.fft.irfft(np.fft.rfft(stream) * turn, 100)) * turn.conj(), 100)
     np.testing.assert_allclose(back, np.tile(stream, (3, 1)), atol=1e-13)
 
 
 def test_dtype_is_kept():
-    cleaned = clean("wind", _data().astype(np.float32), BOUNDS, _focal_plane(), _options([[200, 0]] * 3, 1e-8))
-    double = clean("wind", _data(), BOUNDS, _focal_plane(), _options([[200, 0]] * 3, 1e-8))
+    cleaned = clean("wind", _data().astype(np.float32), BOUNDS, _focal_plane(), options=_options([[200, 0]] * 3, 1e-8))
+    double = clean("wind", _data(), BOUNDS, _focal_plane(), options=_options([[200, 0]] * 3, 1e-8))
     assert cleaned.data_mk.dtype == np.float32
     np.testing.assert_allclose(cleaned.data_mk, double.data_mk, atol=1e-4)
 
@@ -93,14 +93,14 @@ def test_delays_of_a_quarter_of_a_scan_are_the_longest():
     """The second scan has 41 samples: 10.25."""
     data, plane = _data(), _focal_plane()
     reach = np.abs(plane.x_rad - plane.x_rad.mean()).max() * RATE_HZ
-    clean("wind", data, BOUNDS, plane, _options([[0, 0], [10.2 / reach, 0], [0, 0]]))
+    clean("wind", data, BOUNDS, plane, options=_options([[0, 0], [10.2 / reach, 0], [0, 0]]))
     with pytest.raises(ValueError, match="delays of up to 10.3 samples found in a scan of 41; a quarter is allowed"):
-        clean("wind", data, BOUNDS, plane, _options([[0, 0], [-10.3 / reach, 0], [0, 0]]))
+        clean("wind", data, BOUNDS, plane, options=_options([[0, 0], [-10.3 / reach, 0], [0, 0]]))
 
 
 def test_one_slowness_a_scan():
     with pytest.raises(ValueError, match="2 slownesses found for 3 scans"):
-        clean("wind", _data(), BOUNDS, _focal_plane(), _options(np.zeros((2, 2))))
+        clean("wind", _data(), BOUNDS, _focal_plane(), options=_options(np.zeros((2, 2))))
 
 
 @pytest.mark.parametrize(

@@ -169,7 +169,7 @@ def test_numbers_of_a_large_map(rng):
     g = MapGeometry(*LYNX, ARCSEC / 100, 46_340, 46_340)
     column, row = np.array([0, 46_339, 46_339, 5]), np.array([0, 46_339, 0, 46_338])
     xi, eta = (g.n_x / 2 - 0.5 - column) * g.pixel_rad, (row + 0.5 - g.n_y / 2) * g.pixel_rad
-    index = boresight_pixels(g, xi, eta, np.zeros(4), FocalPlane(np.zeros(1), np.zeros(1), 1e-4))
+    index = boresight_pixels(g, xi, eta, np.zeros(4), plane=FocalPlane(np.zeros(1), np.zeros(1), 1e-4))
     np.testing.assert_array_equal(index[0], row * 46_340 + column)
     for n_x, n_y in ((50_000, 50_000), (2**16, 2**15), (0, 10), (10, -1)):
         with pytest.raises(ValueError, match=f"found a map of {n_x} x {n_y} pixels; 1 to 2147483647"):
@@ -212,7 +212,7 @@ def test_pixels_follow_the_offsets(rng):
     inside = (column >= 0) & (column < g.n_x) & (row >= 0) & (row < g.n_y)
     expected = np.where(inside, row * g.n_x + column, -1)
     assert inside.any() and not inside.all()
-    np.testing.assert_array_equal(boresight_pixels(g, xi, eta, angle, plane), expected)
+    np.testing.assert_array_equal(boresight_pixels(g, xi, eta, angle, plane=plane), expected)
 
 
 @pytest.mark.parametrize("half_extent_px", [0.3, 1, 10.2, 21.5, 36, 60, 61.01, 500])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapmaker.geometry import MapGeometry
-from mapmaker.gls import GlsOptions, NoiseModel, band_slices, gls_map, measure_noise, weigh
+from mapmaker.gls import GlsOptions, NoiseModel, apply_inverse_noise, band_slices, gls_map, measure_noise
 from mapmaker.iterative import StreamBlock
 from mapmaker.timestreams import FocalPlane
 from tests import naive
@@ -59,21 +59,23 @@ def test_weighing_is_the_inverse_covariance(n_mode):
     noise = model(rng, n_mode=n_mode)
     scan = rng.standard_normal((5, 12))
     expected = (dense_inverse(noise, 12) @ scan.ravel()).reshape(5, 12)
-    np.testing.assert_allclose(weigh(noise, scan), expected, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(apply_inverse_noise(noise, scan), expected, rtol=1e-10, atol=1e-12)
 
 
 def test_the_mean_of_a_scan_has_no_information():
     rng = np.random.default_rng(2)
     noise, scan = model(rng), rng.standard_normal((5, 12))
-    np.testing.assert_allclose(weigh(noise, scan + np.arange(5)[:, None]), weigh(noise, scan), atol=1e-12)
-    np.testing.assert_allclose(weigh(noise, scan).sum(axis=1), 0, atol=1e-12)
+    np.testing.assert_allclose(
+        apply_inverse_noise(noise, scan + np.arange(5)[:, None]), apply_inverse_noise(noise, scan), atol=1e-12
+    )
+    np.testing.assert_allclose(apply_inverse_noise(noise, scan).sum(axis=1), 0, atol=1e-12)
 
 
 def test_map_is_the_dense_solution():
     """Two observations, scans of two lengths, samples off the map and a pixel without a hit."""
     rng = np.random.default_rng(3)
     blocks = [small_block(rng), small_block(rng)]
-    result = gls_map(GEOMETRY, iter(blocks), RATE, TIGHT)
+    result = gls_map(GEOMETRY, iter(blocks), sample_rate_hz=RATE, options=TIGHT)
     scans = []
     for block in blocks:
         noise = measure_noise(block.data_mk, block.scan_bounds, RATE, TIGHT)
@@ -96,7 +98,7 @@ def test_even_white_noise_gives_the_binned_map():
     scans = data.reshape(5, 4, 12)
     # Equal measured levels of all detectors.
     data /= np.sqrt(np.mean(np.var(scans, axis=2), axis=1))[:, None]
-    result = gls_map(GEOMETRY, [StreamBlock(data, index, bounds, plane(5))], RATE, options)
+    result = gls_map(GEOMETRY, [StreamBlock(data, index, bounds, plane(5))], sample_rate_hz=RATE, options=options)
     binned = np.bincount(index.ravel(), data.ravel()) / 20
     np.testing.assert_allclose(result.map.signal_mk.ravel(), binned - binned.mean(), atol=1e-10)
     np.testing.assert_array_equal(result.map.hits, 20)
@@ -109,7 +111,7 @@ def test_weight_is_that_of_the_white_noise():
     options = GlsOptions(band_edges_hz=(0.0, np.inf), max_modes=0)
     block = StreamBlock(data, index, np.arange(4)[:, None] * 12 + [0, 12], plane(5))
     levels = measure_noise(data, block.scan_bounds, RATE, options).white_mk2[0]
-    result = gls_map(GEOMETRY, [block], RATE, options)
+    result = gls_map(GEOMETRY, [block], sample_rate_hz=RATE, options=options)
     np.testing.assert_allclose(result.map.weight, 4 * np.sum(1 / levels) * 11 / 12, rtol=1e-12)
 
 
@@ -122,9 +124,11 @@ def test_a_sky_known_beforehand_does_not_disturb_the_noise():
     bounds = np.arange(8)[:, None] * 12 + [0, 12]
     alone = StreamBlock(noise, index, bounds, plane(5))
     both = StreamBlock(noise + sky.ravel()[index], index, bounds, plane(5))
-    expected = gls_map(GEOMETRY, [alone], RATE, TIGHT).map.signal_mk + sky - sky.mean()
-    np.testing.assert_allclose(gls_map(GEOMETRY, [both], RATE, TIGHT, sky).map.signal_mk, expected, atol=1e-9)
-    assert np.abs(gls_map(GEOMETRY, [both], RATE, TIGHT).map.signal_mk - expected).max() > 1e-3
+    expected = gls_map(GEOMETRY, [alone], sample_rate_hz=RATE, options=TIGHT).map.signal_mk + sky - sky.mean()
+    np.testing.assert_allclose(
+        gls_map(GEOMETRY, [both], sample_rate_hz=RATE, options=TIGHT, sky_mk=sky).map.signal_mk, expected, atol=1e-9
+    )
+    assert np.abs(gls_map(GEOMETRY, [both], sample_rate_hz=RATE, options=TIGHT).map.signal_mk - expected).max() > 1e-3
 
 
 def test_scans_that_are_not_finite_are_left_out():
@@ -132,12 +136,12 @@ def test_scans_that_are_not_finite_are_left_out():
     block = small_block(rng)
     rest = StreamBlock(block.data_mk.copy(), block.index, block.scan_bounds[1:], block.focal_plane)
     block.data_mk[2, 3] = np.nan
-    result, expected = (gls_map(GEOMETRY, [b], RATE, TIGHT) for b in (block, rest))
+    result, expected = (gls_map(GEOMETRY, [b], sample_rate_hz=RATE, options=TIGHT) for b in (block, rest))
     assert (result.discarded, expected.discarded) == (1, 0)
     np.testing.assert_array_equal(result.map.signal_mk, expected.map.signal_mk)
     block.data_mk[:] = np.inf
     with pytest.raises(ValueError, match="found no observation with finite"):
-        gls_map(GEOMETRY, [block], RATE, TIGHT)
+        gls_map(GEOMETRY, [block], sample_rate_hz=RATE, options=TIGHT)
 
 
 def test_a_dead_detector_is_left_out():
@@ -146,16 +150,21 @@ def test_a_dead_detector_is_left_out():
     block.data_mk[3] = 5.0
     live = np.arange(7) != 3
     rest = StreamBlock(block.data_mk[live], block.index[live], block.scan_bounds, plane(6))
-    result, expected = (gls_map(GEOMETRY, [b], RATE, TIGHT) for b in (block, rest))
+    result, expected = (gls_map(GEOMETRY, [b], sample_rate_hz=RATE, options=TIGHT) for b in (block, rest))
     np.testing.assert_allclose(result.map.signal_mk, expected.map.signal_mk, atol=1e-10)
     block.data_mk[:] = 5.0
     with pytest.raises(ValueError, match="found no detector with noise"):
-        gls_map(GEOMETRY, [block], RATE, TIGHT)
+        gls_map(GEOMETRY, [block], sample_rate_hz=RATE, options=TIGHT)
 
 
 def test_iterations_are_bounded():
     block = small_block(np.random.default_rng(9))
-    result = gls_map(GEOMETRY, [block], RATE, GlsOptions(band_edges_hz=EDGES, max_iterations=2, tolerance=1e-12))
+    result = gls_map(
+        GEOMETRY,
+        [block],
+        sample_rate_hz=RATE,
+        options=GlsOptions(band_edges_hz=EDGES, max_iterations=2, tolerance=1e-12),
+    )
     assert result.iterations == 2 and not result.converged
     assert result.residual > 1e-12
 

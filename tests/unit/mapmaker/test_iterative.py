@@ -26,7 +26,7 @@ def block(sky, seed=0, weight=1.0):
 
 def halved(item, kept=(True, True)):
     """A cleaning that takes half of everything."""
-    whole = clean("none", item.data_mk, item.scan_bounds, item.focal_plane, TemplateOptions(1e-8, 1))
+    whole = clean("none", item.data_mk, item.scan_bounds, item.focal_plane, options=TemplateOptions(1e-8, 1))
     return replace(whole, data_mk=item.data_mk / 2, kept=np.array(kept))
 
 
@@ -63,7 +63,7 @@ def test_a_map_without_signal_is_that_of_one_cleaning():
     item = block(np.zeros((5, 6)))
     noisy = StreamBlock(rng.standard_normal((3, 45)), item.index, BOUNDS, item.focal_plane)
     result = iterate_map(GEOMETRY, lambda: [noisy], halved, IterationOptions(threshold=20.0))
-    once = bin_map(GEOMETRY, noisy.data_mk / 2, noisy.index, BOUNDS, np.ones(2, bool))
+    once = bin_map(GEOMETRY, noisy.data_mk / 2, noisy.index, BOUNDS, kept=np.ones(2, bool))
     np.testing.assert_array_equal(result.map.signal_mk, once.signal_mk)
     assert result.converged and result.iterations == 1 and result.change == (0.0,)
     assert not result.estimate_mk.any()
@@ -104,7 +104,7 @@ def test_observations_have_their_weights():
     one, two = block(bright_sky(), 1, weight=3.0), block(2 * bright_sky(), 2, weight=0.5)
     options = IterationOptions(max_iterations=1)
     result = iterate_map(GEOMETRY, lambda: [one, two], halved, options)
-    maps = [bin_map(GEOMETRY, b.data_mk / 2, b.index, BOUNDS, np.ones(2, bool)) for b in (one, two)]
+    maps = [bin_map(GEOMETRY, b.data_mk / 2, b.index, BOUNDS, kept=np.ones(2, bool)) for b in (one, two)]
     total = 3 * maps[0].weighted_sum + 0.5 * maps[1].weighted_sum
     np.testing.assert_allclose(result.map.weighted_sum, total, rtol=1e-14)
     np.testing.assert_array_equal(result.map.hits, maps[0].hits + maps[1].hits)
@@ -114,7 +114,7 @@ def test_discarded_scans_are_not_in_the_map():
     item = block(bright_sky())
     options = IterationOptions(max_iterations=2)
     result = iterate_map(GEOMETRY, lambda: [item], lambda b: halved(b, (False, True)), options)
-    alone = bin_map(GEOMETRY, item.data_mk, item.index, BOUNDS, np.array([False, True]))
+    alone = bin_map(GEOMETRY, item.data_mk, item.index, BOUNDS, kept=np.array([False, True]))
     np.testing.assert_array_equal(result.map.hits, alone.hits)
 
 

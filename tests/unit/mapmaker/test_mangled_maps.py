@@ -193,7 +193,7 @@ def test_unit_of_weights_survives(unit, tmp_path):
 
 def test_unit_of_weights_follows_their_content():
     index = np.zeros((1, 4), np.int32)
-    binned = bin_map(GEOMETRY, np.ones((1, 4)), index, np.array([[0, 4]]), np.array([True]))
+    binned = bin_map(GEOMETRY, np.ones((1, 4)), index, np.array([[0, 4]]), kept=np.array([True]))
     assert binned.weight_unit == "count" and coadd([binned], [0.2]).weight_unit == "mK-2"
 
 

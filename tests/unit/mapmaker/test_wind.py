@@ -49,7 +49,7 @@ def rng():
 def test_planted_delay_whatever_the_spectrum(rng, speed, slope):
     plane = hexagon()
     data = fronts(plane, DIRECTION / (speed * ARCMIN), rng, slope)
-    fit = measure_wind(data, BOUNDS, plane, RATE, AT_REST)
+    fit = measure_wind(data, BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=AT_REST)
     # What is left is of the second order in the delay over the array: 2 arcmin at 12 arcmin/s are a sixth of a second.
     assert fit.speed_rad_s == pytest.approx(speed * ARCMIN, rel=2e-3)
     assert fit.velocity_rad_s == pytest.approx(speed * ARCMIN * DIRECTION, rel=4e-3)
@@ -77,14 +77,14 @@ def test_one_plane_wave(rng):
     slowness = DIRECTION / (31 * ARCMIN)
     t = (np.arange(SAMPLES) + 0.5) / RATE - (slowness @ [plane.x_rad, plane.y_rad])[:, None]
     data = np.hstack([np.cos(2 * np.pi * 0.24 * t + phase) for phase in rng.uniform(0, 6, SCANS)])
-    fit = measure_wind(data, BOUNDS, plane, RATE, AT_REST, 0.3)
+    fit = measure_wind(data, BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=AT_REST, highest_hz=0.3)
     assert fit.velocity_rad_s == pytest.approx(31 * ARCMIN * DIRECTION, rel=2e-3)
 
 
 def test_slopes_lie_on_the_sinusoid(rng):
     plane = hexagon()
     slowness = DIRECTION / (31 * ARCMIN)
-    fit = measure_wind(fronts(plane, slowness, rng), BOUNDS, plane, RATE, AT_REST)
+    fit = measure_wind(fronts(plane, slowness, rng), BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=AT_REST)
     assert fit.sinusoid == pytest.approx(2 * np.pi * slowness, rel=4e-3)
     used = np.isfinite(fit.slope)
     assert used.sum() >= N_PAIR_BINS // 2
@@ -101,7 +101,13 @@ def test_slopes_are_those_of_each_pair(rng):
     """Delays that bend over the array, against a loop over pairs: a bin has the mean of dt / r, weighted by r^2."""
     plane = hexagon()
     late = 4e-3 * (plane.x_rad / ARCMIN) ** 3
-    fit = measure_wind(fronts(plane, DIRECTION / (31 * ARCMIN), rng, late_s=late), BOUNDS, plane, RATE, AT_REST)
+    fit = measure_wind(
+        fronts(plane, DIRECTION / (31 * ARCMIN), rng, late_s=late),
+        BOUNDS,
+        plane,
+        sample_rate_hz=RATE,
+        scan_velocity_rad_s=AT_REST,
+    )
     # What the sinusoid leaves of the delays, so that the width of a bin does not matter.
     rest = late + (DIRECTION / (31 * ARCMIN) - fit.sinusoid / (2 * np.pi)) @ [plane.x_rad, plane.y_rad]
     total, weight = np.zeros((2, N_PAIR_BINS))
@@ -129,7 +135,7 @@ def test_scan_velocity_is_added_to_the_layers(rng):
     wind, scan = 31 * ARCMIN * DIRECTION, alternating(4)
     relative = wind - scan
     slowness = relative / np.sum(relative**2, axis=1, keepdims=True)
-    fit = measure_wind(fronts(plane, slowness, rng), BOUNDS, plane, RATE, scan)
+    fit = measure_wind(fronts(plane, slowness, rng), BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=scan)
     assert fit.velocity_rad_s == pytest.approx(wind, rel=4e-3)
     assert fit.flag == ""
 
@@ -139,7 +145,7 @@ def test_scans_that_disagree_are_flagged(rng):
     # The same layer in all scans, as if the boresight rested: no wind has these delays.
     data = fronts(plane, DIRECTION / (31 * ARCMIN), rng)
     data += 0.01 * data.std() * rng.standard_normal(data.shape)
-    fit = measure_wind(data, BOUNDS, plane, RATE, alternating(4))
+    fit = measure_wind(data, BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=alternating(4))
     assert fit.flag == "forward and backward scans disagree"
 
 
@@ -148,7 +154,7 @@ def test_wind_near_the_scan_speed_is_flagged(rng):
     wind, scan = 9 * ARCMIN * DIRECTION, alternating(5)
     relative = wind - scan
     slowness = relative / np.sum(relative**2, axis=1, keepdims=True)
-    fit = measure_wind(fronts(plane, slowness, rng), BOUNDS, plane, RATE, scan)
+    fit = measure_wind(fronts(plane, slowness, rng), BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=scan)
     assert fit.speed_rad_s == pytest.approx(9 * ARCMIN, rel=0.05)
     assert fit.flag == "wind not far above the scan speed"
 
@@ -157,7 +163,10 @@ def test_two_speeds_are_flagged(rng):
     plane = hexagon()
     data = fronts(plane, DIRECTION / (31 * ARCMIN), rng) + fronts(plane, DIRECTION / (12 * ARCMIN), rng)
     data += 0.02 * data.std() * rng.standard_normal(data.shape)
-    assert measure_wind(data, BOUNDS, plane, RATE, AT_REST).flag == "more than one layer"
+    assert (
+        measure_wind(data, BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=AT_REST).flag
+        == "more than one layer"
+    )
 
 
 @pytest.mark.slow
@@ -167,7 +176,7 @@ def test_two_directions_are_flagged(rng):
     for _ in range(5):
         data = sum(fronts(plane, (DIRECTION + side * across) / (31 * ARCMIN), rng) for side in (-1.7, 1.7))
         data += 0.02 * data.std() * rng.standard_normal(data.shape)
-        found.append(measure_wind(data, BOUNDS, plane, RATE, AT_REST).flag)
+        found.append(measure_wind(data, BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=AT_REST).flag)
     assert set(found) <= {"more than one layer", "delays too uncertain"}
     assert "more than one layer" in found
 
@@ -176,12 +185,18 @@ def test_detectors_in_wrong_places_are_flagged(rng):
     plane = hexagon()
     order = rng.permutation(len(plane.x_rad))
     data = fronts(plane, DIRECTION / (31 * ARCMIN), rng)[order]
-    assert measure_wind(data, BOUNDS, plane, RATE, AT_REST).flag != ""
+    assert measure_wind(data, BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=AT_REST).flag != ""
 
 
 def test_noise_alone_has_no_wind(rng):
     plane = hexagon()
-    fit = measure_wind(rng.standard_normal((len(plane.x_rad), SCANS * SAMPLES)), BOUNDS, plane, RATE, AT_REST)
+    fit = measure_wind(
+        rng.standard_normal((len(plane.x_rad), SCANS * SAMPLES)),
+        BOUNDS,
+        plane,
+        sample_rate_hz=RATE,
+        scan_velocity_rad_s=AT_REST,
+    )
     assert fit.flag == "no coherent delay"
     assert np.isnan([*fit.velocity_rad_s, fit.speed_rad_s, fit.angle_rad, fit.goodness, *fit.slope]).all()
 
@@ -189,28 +204,38 @@ def test_noise_alone_has_no_wind(rng):
 def test_one_stream_in_all_detectors_has_no_wind(rng):
     plane = hexagon()
     data = fronts(plane, np.zeros(2), rng)
-    assert measure_wind(data, BOUNDS, plane, RATE, AT_REST).flag == "no coherent delay"
+    assert (
+        measure_wind(data, BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=AT_REST).flag == "no coherent delay"
+    )
 
 
 def test_constant_streams_are_flagged():
     plane = hexagon()
     data = np.full((len(plane.x_rad), SCANS * SAMPLES), 5.0, np.float32)
-    assert measure_wind(data, BOUNDS, plane, RATE, AT_REST).flag == "too few live detectors"
+    assert (
+        measure_wind(data, BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=AT_REST).flag
+        == "too few live detectors"
+    )
 
 
 def test_detectors_on_a_line_are_flagged(rng):
     plane = FocalPlane(np.arange(10) * ARCMIN, np.arange(10) * 2 * ARCMIN, ARCMIN)
     data = fronts(plane, DIRECTION / (31 * ARCMIN), rng)
-    assert measure_wind(data, BOUNDS, plane, RATE, AT_REST).flag == "too few live detectors"
+    assert (
+        measure_wind(data, BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=AT_REST).flag
+        == "too few live detectors"
+    )
 
 
 def test_gains_and_dead_detectors_make_no_difference(rng):
     plane = hexagon()
     data = fronts(plane, DIRECTION / (31 * ARCMIN), rng)
-    alive = measure_wind(data[1:], BOUNDS, plane.subset(np.arange(1, len(data))), RATE, AT_REST)
+    alive = measure_wind(
+        data[1:], BOUNDS, plane.subset(np.arange(1, len(data))), sample_rate_hz=RATE, scan_velocity_rad_s=AT_REST
+    )
     data *= np.exp(0.5 * rng.standard_normal(len(data)))[:, None]
     data[0, BOUNDS[2, 0] : BOUNDS[2, 1]] = 7
-    fit = measure_wind(data, BOUNDS, plane, RATE, AT_REST)
+    fit = measure_wind(data, BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=AT_REST)
     assert fit.velocity_rad_s == pytest.approx(alive.velocity_rad_s, rel=1e-9)
 
 
@@ -246,7 +271,7 @@ def test_not_a_number_in_the_data(rng):
     data = rng.standard_normal((len(plane.x_rad), SCANS * SAMPLES))
     data[4, 100] = math.nan
     with pytest.raises(ValueError, match=r"data_mk: found nan at \[4, 100\]"):
-        measure_wind(data, BOUNDS, plane, RATE, AT_REST)
+        measure_wind(data, BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=AT_REST)
 
 
 def test_scan_velocities_across_zero_right_ascension():

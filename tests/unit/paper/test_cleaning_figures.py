@@ -83,14 +83,14 @@ def test_template_streams_are_the_terms_at_the_place():
         common = amplitudes[0] + np.outer(u, amplitudes[1]) + np.outer(v, amplitudes[2])
         data[:, start:stop] += (gains[:, None] * common)[:, start:stop]
     place = (x.mean() + 0.5e-3, y.mean() - 0.25e-3)
-    found = template_streams(data, bounds, plane, c, PLANAR, place)
+    found = template_streams(data, bounds, plane, responsivity=c, exponents=PLANAR, place_rad=place)
     expected = amplitudes * np.array([[1.0], [0.5], [-0.25]])
     for start, stop in bounds:
         np.testing.assert_allclose(found[:, start:stop], expected[:, start:stop], atol=1e-12)
     assert not found[:, 40:45].any() and not found[:, 85:].any()
     # Of higher orders it has none; a discarded scan is 0.
     c[1] = np.nan
-    found = template_streams(data, bounds, plane, c, QUADRATIC, place)
+    found = template_streams(data, bounds, plane, responsivity=c, exponents=QUADRATIC, place_rad=place)
     np.testing.assert_allclose(found[:3, :40], expected[:, :40], atol=1e-11)
     assert np.abs(found[3:]).max() < 1e-11 and not found[:, 45:].any()
 
@@ -98,7 +98,14 @@ def test_template_streams_are_the_terms_at_the_place():
 def test_template_streams_of_detectors_on_a_line_are_refused():
     line = FocalPlane(np.linspace(0, 1e-3, 9), np.zeros(9), 1e-4)
     with pytest.raises(ValueError, match="they lie on one line"):
-        template_streams(np.ones((9, 20)), np.array([[0, 20]]), line, np.ones((1, 9)), PLANAR, (0.0, 0.0))
+        template_streams(
+            np.ones((9, 20)),
+            np.array([[0, 20]]),
+            line,
+            responsivity=np.ones((1, 9)),
+            exponents=PLANAR,
+            place_rad=(0.0, 0.0),
+        )
 
 
 def test_templates_halfway_out_have_an_eighth_of_the_power_of_the_edge(setup, measured):

@@ -7,10 +7,10 @@ import pytest
 
 from mapmaker.cleaning import TEMPLATE_CLEANINGS
 from surveysim.api import run
-from surveysim.forecasting.fitted_modes import NO_COURSES
+from surveysim.forecasting.fitted_modes import NO_FITTED_MODES
 from surveysim.forecasting.mode_response import projected_array
 from surveysim.forecasting.noise_model import noise_models
-from surveysim.forecasting.observing_conditions import conditions, fitted_courses, survey_draws
+from surveysim.forecasting.observing_conditions import observing_conditions, removed_modes, survey_draws
 from surveysim.reduction import observation as reduction
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, apply_pipeline
 from surveysim.reduction.observation import observe
@@ -202,17 +202,22 @@ def test_a_fit_that_other_scans_share_with_the_sky_tells_nothing(setup_of, monke
 
 
 def _courses(setup):
-    pipeline, levels = setup.pipelines[0], conditions(setup, survey_draws(setup, 0, 4))
+    pipeline, levels = setup.pipelines[0], observing_conditions(setup, survey_draws(setup, 0, 4))
     plane = setup.camera.focal_plane
-    return fitted_courses(setup, pipeline, projected_array(plane, 0.0, setup.responsivity, pipeline.steps[0]), levels)
+    return removed_modes(
+        setup,
+        pipeline,
+        projected_array(plane, 0.0, responsivity=setup.responsivity, algorithm=pipeline.steps[0]),
+        levels,
+    )
 
 
 def test_what_a_forecast_takes_for_fitted(setup_of):
     scan, observation = (_courses(setup_of(**WAYS[way])) for way in ("scan", "observation"))
     assert 0.9 < scan.share.sum() < 1
     np.testing.assert_allclose(observation.share, scan.share / 4)  # of four scans
-    assert _courses(setup_of(**WAYS["survey"])) is _courses(setup_of(**WAYS["known"])) is NO_COURSES
-    assert _courses(setup_of(cleaning__algorithm="none")) is NO_COURSES
+    assert _courses(setup_of(**WAYS["survey"])) is _courses(setup_of(**WAYS["known"])) is NO_FITTED_MODES
+    assert _courses(setup_of(cleaning__algorithm="none")) is NO_FITTED_MODES
     # PCA fits a mode to each scan whatever templates take.
     np.testing.assert_allclose(_courses(setup_of(**PCA)).share, scan.share)
 
@@ -223,7 +228,7 @@ def test_a_survey_s_error_leaves_a_part_of_the_layer(setup_of):
     for error in (None, 1e-6, 0.05, 0.1):
         way = WAYS["known"] if error is None else WAYS["survey"] | {"cleaning.calibration_error": error}
         setup = setup_of(**way)
-        levels = conditions(setup, survey_draws(setup, 0, 4))
+        levels = observing_conditions(setup, survey_draws(setup, 0, 4))
         model = next(noise_models(setup, levels))
         noise.append(model.parts.layer(levels.motion, levels.sine))
     known, least, some, twice = noise
