@@ -14,6 +14,7 @@ from surveysim.output.lock import OutputError
 from surveysim.report.figures.sweep import _ticks, draw_sweep, sweep_figure
 from surveysim.report.terminal.sweep import _forecast_lines, best_line
 from surveysim.runtime.engine import SERIAL, Engine
+from surveysim.runtime.errors import InputError
 from surveysim.scene.scene import scene_hash
 from surveysim.studies.sweep.axes import Axis
 from surveysim.studies.sweep.comparison import compare, compare_runs, forecast_points, probability_of_lowest
@@ -333,11 +334,11 @@ def test_failures_name_their_point(write, monkeypatch):
 
     def fail(setup, *rest):
         if setup.scene.scan.speed_rad_s > 0.001:
-            raise ValueError("no strip is long enough")
+            raise InputError("no strip is long enough")
         return observe(setup, *rest)
 
     monkeypatch.setattr(survey, "observe", fail)
-    with pytest.raises(ValueError, match=r"point \(scan.speed = 4 arcmin / s\): no strip is long enough"):
+    with pytest.raises(InputError, match=r"point \(scan.speed = 4 arcmin / s\): no strip is long enough"):
         run_sweep(write(WHITE + SPEEDS), engine=SERIAL)
 
 
