@@ -10,6 +10,7 @@ from importlib.resources import files
 
 import numpy as np
 
+from surveysim.atmosphere.cubic_spline import CubicSpline
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.scene.sites import SITES
 
@@ -41,8 +42,6 @@ class BandOpacity:
     @cached_property
     def spline(self):
         """Cubic spline of the optical depth against water vapour [mm]."""
-        from scipy.interpolate import CubicSpline
-
         return CubicSpline(self.pwv_mm, self.optical_depth)
 
 

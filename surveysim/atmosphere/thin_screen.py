@@ -23,6 +23,7 @@ import numpy as np
 from scipy.special import j0, j1, kv
 from threadpoolctl import threadpool_limits
 
+from surveysim.atmosphere.cubic_spline import CubicSpline
 from surveysim.runtime.errors import OutOfRangeError
 
 # In units of the beam: limits of the tabulated structure function, and where its two methods meet.
@@ -151,8 +152,6 @@ def structure_table(screen):
 @lru_cache(maxsize=64)
 def _table_in_beams(index, outer_scale):
     """Compute `structure_table` for a beam of 1; scale (4,) without the beam."""
-    from scipy.interpolate import CubicSpline
-
     spline, slope_min = _log_structure(index, outer_scale)
     knot = spline.x
     values = CubicSpline(knot, np.exp(spline(knot)))
@@ -195,8 +194,6 @@ def _log_structure(index, outer_scale):
     """Spline of ln D against ln(theta / beam) for a beam of 1 and an outer scale in beams, and its slope at the lower
     end.
     """
-    from scipy.interpolate import CubicSpline
-
     screen = Screen(index, 1.0, outer_scale)
     lag = np.geomspace(_LAG_MIN, LAG_MAX, 801)
     near = np.append(lag[lag < _LAG_JOIN], _LAG_JOIN)
