@@ -1,6 +1,6 @@
 """Cleaning, map-making and map spectra for bolometer arrays: arrays in, arrays out.
 
-Knows detector positions, time-streams and maps, and nothing of scenes, weather or random numbers.
+The package takes detector positions, time-streams and maps. It knows nothing of scenes, weather or random numbers.
 """
 
 from importlib import import_module

@@ -1,8 +1,8 @@
-"""Uncertainty that a map's noise puts on a flat CMB band power: the score of a survey.
+"""Uncertainty of a flat CMB band power from the noise of a map: the score of a survey.
 
-Symbols: a bin b of multipole holds `n_b` real degrees of freedom; the noise map has the PSD `N_b` and a sky
-of flat band power `ell (ell + 1) C_ell / 2 pi = A` adds `A M_b`. `A` is in uK_CMB^2, PSDs in uK_CMB^2 sr, `M`
-in sr. All per-bin arrays are (n_bin,), `mask` is a boolean (n_bin,) that selects bins.
+Symbols: a bin b of multipole has `n_b` real degrees of freedom; the noise map has the PSD `N_b`, and a sky of flat band
+power `ell (ell + 1) C_ell / 2 pi = A` adds `A M_b`. `A` is in uK_CMB^2, PSDs in uK_CMB^2 sr, `M` in sr. All per-bin
+arrays are (n_bin,); `mask` is a boolean (n_bin,) array that selects bins.
 """
 
 from dataclasses import dataclass
@@ -16,21 +16,48 @@ from mapmaker.validation import reals
 
 @dataclass(frozen=True)
 class BandPower:
-    """Uncertainty of a flat band power from noise alone, and which multipoles it comes from."""
+    """Uncertainty of a flat band power from noise alone, and the multipoles that it comes from.
+
+    Attributes
+    ----------
+    sigma_ukcmb2
+        Uncertainty of the band power.
+    error_ukcmb2
+        Standard error of `sigma_ukcmb2`; NaN where unknown.
+    ell_eff, fwhm_ell
+        Mean multipole and full width at half maximum of the weight `n/2 (M/N)^2`.
+    weight : (n_bin,)
+        Contribution of each bin to sigma^-2; sums to 1.
+    ell : (n_bin,)
+    cumulative : (n_bin,)
+        Uncertainty from the selected bins at this multipole and above; infinite where there are none.
+    """
 
     sigma_ukcmb2: float
-    error_ukcmb2: float  # standard error of sigma; NaN where it is unknown
+    error_ukcmb2: float
     ell_eff: float
     fwhm_ell: float
-    weight: np.ndarray  # (n_bin,) share of a bin in sigma^-2; sums to 1
-    ell: np.ndarray  # (n_bin,)
-    cumulative: np.ndarray  # (n_bin,) sigma of the selected bins from this ell up; inf where none
+    weight: np.ndarray
+    ell: np.ndarray
+    cumulative: np.ndarray
 
 
 def flat_spectrum_psd(ell: np.ndarray) -> np.ndarray:
-    """PSD on the sky of a flat spectrum of unit band power, `2 pi / (ell (ell + 1))`, in uK^2 sr per uK^2.
+    """PSD on the sky of a flat spectrum of unit band power, `2 pi / (ell (ell + 1))`.
 
-    0 at ell = 0: the sky has no mean. Raises ValueError for multipoles that are negative or not finite.
+    Parameters
+    ----------
+    ell : any shape
+
+    Returns
+    -------
+    array
+        In uK^2 sr per uK^2; 0 at ell = 0, because the sky has no mean.
+
+    Raises
+    ------
+    ValueError
+        For multipoles that are negative or not finite.
     """
     ell = reals("ell", ell, (...,), least=0, empty=True).astype(np.float64, copy=False)
     return 2 * np.pi / np.where(ell > 0, ell * (ell + 1), np.inf)
@@ -39,12 +66,27 @@ def flat_spectrum_psd(ell: np.ndarray) -> np.ndarray:
 def flat_band_power(
     noise_psd_ukcmb2: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray
 ) -> float:
-    """Uncertainty of A with every bin weighted optimally, in uK_CMB^2: `sigma^-2 = sum n/2 (M/N)^2`.
+    """Uncertainty of A with optimally weighted bins: `sigma^-2 = sum n/2 (M/N)^2`.
 
-    A bin's PSD has the variance `2/n N^2` while noise dominates, so `P_b - N_b = A M_b` measures A in each
-    bin and inverse-variance weights combine them.
-    Raises ValueError for shapes that differ, no selected bin, or selected noise or mode counts that are not
-    positive.
+    While noise dominates, the PSD of a bin has the variance `2/n N^2`; `P_b - N_b = A M_b` measures A in each bin, and
+    inverse-variance weights combine the bins.
+
+    Parameters
+    ----------
+    noise_psd_ukcmb2, signal_psd, n_modes : (n_bin,)
+        `N` [uK_CMB^2 sr], `M` [sr] and `n`.
+    mask : (n_bin,)
+        Selected bins.
+
+    Returns
+    -------
+    float
+        [uK_CMB^2].
+
+    Raises
+    ------
+    ValueError
+        For shapes that differ, no selected bin, or selected noise or mode counts that are not positive.
     """
     return float(_information(noise_psd_ukcmb2, signal_psd, n_modes, mask).sum() ** -0.5)
 
@@ -52,9 +94,9 @@ def flat_band_power(
 def bin_weights(
     noise_psd_ukcmb2: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray
 ) -> np.ndarray:
-    """Share (n_bin,) of each bin in sigma^-2, 0 for one that is not selected; they sum to 1.
+    """Contribution (n_bin,) of each bin to sigma^-2: 0 for bins that are not selected; sums to 1.
 
-    Raises ValueError as `flat_band_power`.
+    Parameters and errors are those of `flat_band_power`.
     """
     information = _information(noise_psd_ukcmb2, signal_psd, n_modes, mask)
     return information / information.sum()
@@ -68,11 +110,27 @@ def flat_band_power_fixed_weights(
     *,
     weighting_noise_psd_ukcmb2: np.ndarray,
 ) -> float:
-    """Uncertainty of A when bins are weighted for another data set's noise `R`, in uK_CMB^2.
+    """Uncertainty of A when the bins are weighted for the noise `R` of another data set.
 
-    `A = sum w (P - N) / sum w M` with `w = n M / R^2` has `sigma^2 = sum w^2 N^2 2/n / (sum w M)^2`; it
-    equals `flat_band_power` for R = N and is never smaller. Raises ValueError as `flat_band_power`, for both
-    noise PSDs.
+    `A = sum w (P - N) / sum w M` with `w = n M / R^2` has `sigma^2 = sum w^2 N^2 2/n / (sum w M)^2`. It equals
+    `flat_band_power` for R = N, and is never smaller.
+
+    Parameters
+    ----------
+    noise_psd_ukcmb2, signal_psd, n_modes, mask : (n_bin,)
+        As for `flat_band_power`.
+    weighting_noise_psd_ukcmb2 : (n_bin,)
+        `R`.
+
+    Returns
+    -------
+    float
+        [uK_CMB^2].
+
+    Raises
+    ------
+    ValueError
+        As `flat_band_power`, for both noise PSDs.
     """
     noise, signal, modes = _selected(noise_psd_ukcmb2, signal_psd, n_modes, mask)
     weighting = _selected(weighting_noise_psd_ukcmb2, signal_psd, n_modes, mask)[0]
@@ -88,11 +146,26 @@ def estimate_amplitude(
     n_modes: np.ndarray,
     mask: np.ndarray,
 ) -> np.ndarray:
-    """Band power A of maps, in uK_CMB^2: `sum w (P - N) / sum w M`, `w = n M / N^2`.
+    """Estimate the band power of maps: `A = sum w (P - N) / sum w M` with `w = n M / N^2`.
 
-    `psd_ukcmb2` is (..., n_bin), the result (...). Its standard deviation is `flat_band_power` while noise
-    dominates.
-    Raises ValueError as `flat_band_power`.
+    While noise dominates, its standard deviation is `flat_band_power`.
+
+    Parameters
+    ----------
+    psd_ukcmb2 : (..., n_bin)
+        PSDs `P` of the maps.
+    noise_psd_ukcmb2, signal_psd, n_modes, mask : (n_bin,)
+        As for `flat_band_power`.
+
+    Returns
+    -------
+    (...) array
+        [uK_CMB^2].
+
+    Raises
+    ------
+    ValueError
+        As `flat_band_power`.
     """
     noise, signal, modes = _selected(noise_psd_ukcmb2, signal_psd, n_modes, mask)
     psd_ukcmb2, mask = reals("psd_ukcmb2", psd_ukcmb2, (..., "n_bin"), finite=False), np.asarray(mask)
@@ -113,11 +186,24 @@ def band_power(
     edges_ell: np.ndarray,
     relative_error: float,
 ) -> BandPower:
-    """`flat_band_power`, the multipoles it comes from and its error (`relative_error` 0 for a closed form).
+    """Uncertainty of A, its own error, and the multipoles that it comes from.
 
-    `ell_eff` is the mean of `ell` and `fwhm_ell` the width of the weight `n/2 (M/N)^2`; `cumulative` is the
-    paper's cumulative sensitivity to a flat band power from all data above ell (figure `map_psd_ave_plane`,
-    bottom). `edges_ell` is (n_bin + 1,). Raises ValueError as `flat_band_power`.
+    `cumulative` is the paper's cumulative sensitivity to a flat band power from all data above ell (figure
+    `map_psd_ave_plane`, bottom).
+
+    Parameters
+    ----------
+    noise_psd_ukcmb2, signal_psd, n_modes, mask : (n_bin,)
+        As for `flat_band_power`.
+    ell : (n_bin,)
+    edges_ell : (n_bin + 1,)
+    relative_error
+        Relative error of sigma; 0 for a closed form.
+
+    Raises
+    ------
+    ValueError
+        As `flat_band_power`.
     """
     information = _information(noise_psd_ukcmb2, signal_psd, n_modes, mask)
     if ell.shape != mask.shape or edges_ell.shape != (mask.size + 1,):
@@ -141,9 +227,15 @@ def band_power(
 def weight_fwhm(weight: np.ndarray, edges_ell: np.ndarray, mask: np.ndarray) -> float:
     """Full width at half maximum, in ell, of a weight known in bins.
 
-    The weight per unit ell is interpolated linearly between bin centres and constant from the outermost
-    centres to the edges of the selected range. The width goes from the first to the last multipole above half
-    of the maximum; an edge of the range counts as a crossing, since a sharp cut is one.
+    The weight per unit ell is interpolated linearly between bin centres, and is constant from the outermost centres to
+    the edges of the selected range. The width extends from the first to the last multipole above half of the maximum;
+    an edge of the range counts as a crossing.
+
+    Parameters
+    ----------
+    weight : (n_bin,)
+    edges_ell : (n_bin + 1,)
+    mask : (n_bin,)
     """
     selected = np.flatnonzero(mask)
     bins = slice(selected[0], selected[-1] + 1)
@@ -156,7 +248,7 @@ def weight_fwhm(weight: np.ndarray, edges_ell: np.ndarray, mask: np.ndarray) -> 
 
 
 def _crossing(ell: np.ndarray, above: np.ndarray, inside: int, step: int) -> float:
-    """Where `above` falls to zero between point `inside` and its neighbour, or the end of the range."""
+    """Multipole at which `above` crosses zero between point `inside` and its neighbour, or the end of the range."""
     outside = inside + step
     if not 0 <= outside < ell.size:
         return ell[inside]
@@ -228,7 +320,7 @@ def score(
 
 
 def _information(noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """`n/2 (M/N)^2` of selected bins, zero in the others, (n_bin,)."""
+    """Contribution `n/2 (M/N)^2` of the selected bins, zero in the others, (n_bin,)."""
     noise, signal, modes = _selected(noise_psd, signal_psd, n_modes, mask)
     information = np.zeros(np.shape(mask))
     information[np.asarray(mask)] = modes / 2 * (signal / noise) ** 2
@@ -238,7 +330,7 @@ def _information(noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndar
 def _selected(
     noise_psd: np.ndarray, signal_psd: np.ndarray, n_modes: np.ndarray, mask: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Noise, signal and modes of the selected bins; raises ValueError as `flat_band_power`."""
+    """Noise, signal and modes of the selected bins; raises as `flat_band_power`."""
     noise_psd = reals("noise_psd_ukcmb2", noise_psd, (...,), finite=False)
     signal_psd = reals("signal_psd", signal_psd, (...,), finite=False)
     n_modes = reals("n_modes", n_modes, (...,), finite=False)

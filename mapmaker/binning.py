@@ -1,4 +1,4 @@
-"""Binned maps: sums and hits per pixel, co-adding, FITS and HEALPix out."""
+"""Binned maps: sums and hits per pixel, co-adding, FITS and HEALPix files."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -27,8 +27,8 @@ from mapmaker.validation import (
     single_precision,
 )
 
-# Cards that a map's header may have, with values that leave its coordinates as `wcs_cards` states them: FK5 is ICRS
-# within 0.1 arcsec.
+# Optional cards of a map's header, with the values that do not change the coordinates of `wcs_cards`: FK5 agrees with
+# ICRS within 0.1 arcsec.
 _AS_BY_DEFAULT = {
     "CUNIT1": ("deg",),
     "CUNIT2": ("deg",),
@@ -48,9 +48,16 @@ HITS_UNIT, INVERSE_VARIANCE_UNIT = "count", "mK-2"  # of weights, as FITS writes
 
 @dataclass(frozen=True)
 class BinnedMap:
-    """A map: `weighted_sum` [mK * weight], `weight` and `hits`, each (n_y, n_x).
+    """Map on square pixels.
 
-    `weight_unit`: "count" where weights are hits, as `bin_map` makes them, or "mK-2" for inverse variances.
+    Attributes
+    ----------
+    geometry
+    weighted_sum : (n_y, n_x)
+        [mK times the unit of the weight].
+    weight, hits : (n_y, n_x)
+    weight_unit
+        "count" for weights that are hits, as from `bin_map`; "mK-2" for inverse variances.
     """
 
     geometry: MapGeometry
@@ -61,23 +68,36 @@ class BinnedMap:
 
     @property
     def signal_mk(self) -> np.ndarray:
-        """The map in mK, 0 where nothing was observed."""
+        """Map (n_y, n_x) in mK; 0 in unobserved pixels."""
         return weighted_mean(self.weighted_sum, self.weight)
 
 
 def weighted_mean(weighted_sum: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """`weighted_sum / weight`, 0 where the weight is 0; leading axes broadcast."""
+    """Divide `weighted_sum` by `weight`, 0 where the weight is 0; leading axes broadcast."""
     return np.divide(weighted_sum, weight, out=np.zeros_like(weighted_sum), where=weight > 0)
 
 
 def bin_map(
     geometry: MapGeometry, data_mk: np.ndarray, index: np.ndarray, bounds: np.ndarray, *, kept: np.ndarray
 ) -> BinnedMap:
-    """Bin the kept scans of (n_det, n_samp) streams, each sample with weight 1.
+    """Bin the kept scans of time-streams, with weight 1 for each sample.
 
-    `index` is what `geometry.pixel_indices` gives; `bounds` (n_scan, 2); `kept` (n_scan,) bool. Raises ValueError for
-    shapes and types that do not fit each other, pixels outside the map, scans outside the streams or overlapping, and
-    values on the map that are not finite in kept scans.
+    Parameters
+    ----------
+    geometry
+    data_mk : (n_det, n_samp)
+    index : (n_det, n_samp)
+        Pixels from `pixel_indices`; -1 off the map.
+    bounds : (n_scan, 2)
+        Scans [start, stop).
+    kept : (n_scan,)
+        Flags of the scans to bin.
+
+    Raises
+    ------
+    ValueError
+        For shapes and types that do not match, pixels outside the map, scans outside the streams or overlapping, and
+        values on the map that are not finite in kept scans.
     """
     from mapmaker.kernels.pixels import bin_samples
 
@@ -88,7 +108,7 @@ def bin_map(
     kept = flags("kept", kept, (len(bounds),), empty=True)
     total, hits = np.zeros(n_pixel), np.zeros(n_pixel, np.int64)
     bin_samples(data, index, bounds, kept, total, hits)
-    # Sums tell it in less time than the samples: there are fewer pixels.
+    # The sums are checked instead of the samples, because there are fewer pixels.
     if not np.isfinite(total).all():
         raise argument_error(
             "data_mk", "values that are not finite in kept scans", "finite ones, or kept False for them, are"
@@ -98,11 +118,19 @@ def bin_map(
 
 
 def coadd(maps: Sequence[BinnedMap], weights: Sequence[float]) -> BinnedMap:
-    """The sum of maps of one geometry, each with its weight.
+    """Co-add maps of one geometry.
 
-    Weights are 1/mK^2 a sample for maps whose weights are hits, and plain numbers for those that have inverse variances
-    already. Raises ValueError when there is no map, the geometries differ, weights are not one a map, finite and 0 or
-    more, or a map as `checked_map`.
+    Parameters
+    ----------
+    maps
+    weights : (n_map,)
+        Inverse variances a sample [1/mK^2] for maps whose weights are hits; plain factors for maps whose weights are
+        inverse variances.
+
+    Raises
+    ------
+    ValueError
+        For no map, different geometries, and weights that are not finite and at least 0; and as `checked_map`.
     """
     if not maps:
         raise ValueError("found no map; one or more are expected")
@@ -117,11 +145,16 @@ def coadd(maps: Sequence[BinnedMap], weights: Sequence[float]) -> BinnedMap:
 
 
 def half_difference(one: BinnedMap, other: BinnedMap) -> BinnedMap:
-    """The noise that the co-add of two maps has, from their difference: no sky, whatever their weights.
+    """Noise map of the co-add of two maps, from their difference.
 
-    Of maps of the weights V and W, ``(m_V - m_W) sqrt(V W) / (V + W)`` has the variance of the co-add,
-    ``1 / (V + W)``, where weights are inverse variances up to a factor; the sky, which both see alike, is gone. Pixels
-    that one of them lacks are not observed. Raises ValueError as `coadd`, and for weights of two units.
+    For maps of the weights V and W, ``(m_V - m_W) sqrt(V W) / (V + W)`` has the variance of the co-add, ``1 / (V +
+    W)``, if weights are inverse variances up to a factor. The sky, which is the same in both, cancels. Pixels that one
+    map lacks are unobserved.
+
+    Raises
+    ------
+    ValueError
+        As `coadd`, and for weights of different units.
     """
     if one.weight_unit != other.weight_unit:
         raise argument_error("weight_unit", f"{one.weight_unit!r} and {other.weight_unit!r}", "maps of one unit are")
@@ -138,10 +171,13 @@ def half_difference(one: BinnedMap, other: BinnedMap) -> BinnedMap:
 
 
 def checked_map(item: BinnedMap, name: str = "map") -> BinnedMap:
-    """The map, its planes in the machine's types.
+    """Check a map and convert its planes to native types.
 
-    Raises ValueError for planes of another shape than the geometry's, sums that are not finite, weights and hits that
-    are not finite and 0 or more, and units of weights other than the two of `BinnedMap`.
+    Raises
+    ------
+    ValueError
+        For planes of another shape than the geometry's, sums that are not finite, weights and hits that are not finite
+        and at least 0, and unknown units of weights.
     """
     shape = (item.geometry.n_y, item.geometry.n_x)
     if item.weight_unit not in (HITS_UNIT, INVERSE_VARIANCE_UNIT):
@@ -157,7 +193,10 @@ def checked_map(item: BinnedMap, name: str = "map") -> BinnedMap:
 def write_fits(path: str | Path, item: BinnedMap, header: Mapping[str, object]) -> None:
     """Write signal, weight and hits as image extensions with one WCS, atomically.
 
-    Raises ValueError for a map as `checked_map`, values beyond single precision and a header that FITS cannot hold.
+    Raises
+    ------
+    ValueError
+        As `checked_map`, for values beyond single precision, and for a header that FITS cannot hold.
     """
     from astropy.io import fits
 
@@ -185,15 +224,18 @@ def write_fits(path: str | Path, item: BinnedMap, header: Mapping[str, object]) 
 
 
 def _integers(hits: np.ndarray) -> type:
-    """The smaller type of the integers of FITS that holds all hits."""
+    """Smaller integer type of FITS that holds all hits."""
     return np.int32 if hits.max(initial=0) < 2**31 else np.int64
 
 
 def read_fits(path: str | Path) -> BinnedMap:
-    """Read a map as `write_fits` writes them: compressed, scaled and integer images are converted.
+    """Read a map in the format of `write_fits`; compressed, scaled and integer images are converted.
 
-    Raises ValueError, in one line that names the file, for one that is unreadable, truncated or no regular file, and
-    for planes whose shapes or WCS differ or are not of `MapGeometry`, whose units are others, or with values of no map.
+    Raises
+    ------
+    ValueError
+        In one line that names the file: for one that is unreadable, truncated or no regular file, for planes whose
+        shapes or WCS differ or do not fit `MapGeometry`, and for other units or invalid values.
     """
     from astropy.io import fits
 
@@ -201,7 +243,7 @@ def read_fits(path: str | Path) -> BinnedMap:
     try:
         with fits.open(path, memmap=False) as file:
             return _map_of(file)
-    except Exception as error:  # astropy has one of nearly every kind for a mangled file
+    except Exception as error:  # astropy raises nearly every kind of exception for a mangled file
         raise ValueError(f"{path}: not a whole map file ({one_line(error)})") from None
 
 
@@ -217,7 +259,7 @@ def _map_of(file) -> BinnedMap:
     weight, hits = planes["WEIGHT"], planes["HITS"]
     if not np.array_equal(hits, np.rint(hits)):
         raise argument_error("HITS", "numbers with fractions", "whole numbers are")
-    # Elsewhere, files of others have NaN where nothing was observed.
+    # Files of other programs may have NaN in unobserved pixels.
     signal = np.where((weight == 0) & np.isnan(planes["SIGNAL"]), 0.0, planes["SIGNAL"])
     with np.errstate(over="ignore", invalid="ignore"):  # the check finds what is not finite
         total = signal * weight
@@ -231,9 +273,9 @@ def _plane(name: str, image) -> np.ndarray:
 
 
 def _geometry_of(name: str, header, shape: tuple[int, int]) -> MapGeometry:
-    """The geometry that a header states; raises ValueError where it is none of square pixels about its centre."""
+    """Read the geometry from a header; raises ValueError where it is not of square pixels about its centre."""
     n_y, n_x = shape
-    ra_deg = number("CRVAL1", header["CRVAL1"], least=-720, most=720)  # two turns: more is no right ascension
+    ra_deg = number("CRVAL1", header["CRVAL1"], least=-720, most=720)  # two turns at most
     dec_deg, pixel_deg = (number(key, header[key]) for key in ("CRVAL2", "CDELT2"))
     geometry = MapGeometry(*np.radians([ra_deg, dec_deg]).tolist(), float(np.radians(pixel_deg)), n_x, n_y)
     cards = wcs_cards(geometry)
@@ -253,10 +295,21 @@ def _geometry_of(name: str, header, shape: tuple[int, int]) -> MapGeometry:
 
 
 def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
-    """Write the map re-binned to HEALPix (partial sky, nested): signal, weight and hits, atomically.
+    """Write a map re-binned to HEALPix (partial sky, nested): signal, weight and hits, atomically.
 
-    Each tangent-plane pixel goes to the HEALPix pixel of its centre; weights add. Raises ValueError for a map as
-    `checked_map`, and for an `nside` that is no power of two or above `finest_nside`, which would leave holes.
+    Each tangent-plane pixel goes to the HEALPix pixel of its centre; weights add.
+
+    Parameters
+    ----------
+    path
+    item
+    nside
+        A power of two up to `finest_nside`; a larger one would leave holes.
+
+    Raises
+    ------
+    ValueError
+        As `checked_map`, and for an `nside` that is not allowed.
     """
     check_nside("nside", nside, item.geometry.pixel_rad)
     import healpy
@@ -279,6 +332,6 @@ def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
     table = fits.BinTableHDU.from_columns(columns)
     keywords = {"PIXTYPE": "HEALPIX", "ORDERING": "NESTED", "NSIDE": nside, "COORDSYS": "C"}
     table.header.update(keywords | {"INDXSCHM": "EXPLICIT", "OBJECT": "PARTIAL"})
-    # healpy's own writer wants the whole sphere in memory: 10 GB at nside 8192.
+    # healpy's writer needs the whole sphere in memory: 10 GB at nside 8192.
     with atomic_write(path) as partial:
         fits.HDUList([fits.PrimaryHDU(), table]).writeto(partial, overwrite=True)

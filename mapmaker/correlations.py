@@ -1,8 +1,8 @@
 """Correlations between detectors: covariance of every pair, and its profile with separation (paper, section 3.2).
 
-The signal of the atmosphere is so nearly the same in all detectors that its correlation falls by a part in a
-thousand over the array, while gains differ by percents. The profile is therefore solved for together with the
-detectors' gains: ``ln C_ij = ln g_i + ln g_j + p(separation of i and j)``, linear least squares over pairs.
+The signal of the atmosphere is so similar in all detectors that its correlation falls by only a part in a thousand over
+the array, while gains differ by percents. The profile is therefore solved for together with the detectors' gains, by
+linear least squares over pairs: ``ln C_ij = ln g_i + ln g_j + p(separation of i and j)``.
 """
 
 from dataclasses import dataclass
@@ -13,21 +13,29 @@ from mapmaker.errors import InsufficientDataError
 from mapmaker.timestreams import FocalPlane
 from mapmaker.validation import argument_error, bounds_of_scans, reals
 
-# In units of the closest pair: pairs nearer than this are adjacent; the width of a bin of separation.
+# In units of the closest separation: limit of adjacent pairs, and width of a bin of separation.
 ADJACENT = 1.2
 BIN_WIDTH = 1.0
-# Eigenvalues of counts of pairs below this share of the largest are zero but for rounding: a bin of one pair among
-# those of thousands of detectors is above.
+# Eigenvalues of pair counts below this fraction of the largest are zero except for rounding; a bin of one pair among
+# thousands of detectors is above it.
 _ALIKE = 1e-12
 
 
 @dataclass(frozen=True)
 class PairBins:
-    """Pairs of detectors by separation, adjacent ones apart.
+    """Pairs of detectors in bins of separation, with adjacent pairs apart.
 
-    `first`, `second`, `separation_rad` (n_pair,) of all pairs; `bin` (n_pair,), -1 for adjacent pairs;
-    `theta_rad` (n_bin,) root mean square separation, as correlations fall nearly with its square; `count`
-    (n_bin,); `solve` (n_bin, n_distant): the profile of ln C of the pairs that are not adjacent.
+    Attributes
+    ----------
+    first, second, separation_rad : (n_pair,)
+        Detectors and separation of each pair.
+    bin : (n_pair,)
+        Bin of each pair; -1 for adjacent pairs.
+    theta_rad : (n_bin,)
+        Root mean square separation, because correlations fall nearly with its square.
+    count : (n_bin,)
+    solve : (n_bin, n_distant)
+        Matrix from ln C of pairs that are not adjacent to the profile.
     """
 
     first: np.ndarray
@@ -40,22 +48,31 @@ class PairBins:
 
     @property
     def adjacent(self) -> np.ndarray:
-        """Which pairs are adjacent, (n_pair,) bool."""
+        """Flags (n_pair,) of adjacent pairs."""
         return self.bin < 0
 
     def mean(self, per_pair: np.ndarray) -> np.ndarray:
-        """Means over the pairs of each bin, (n_bin,), of values (n_pair,)."""
+        """Average values (n_pair,) over the pairs of each bin, (n_bin,)."""
         distant = ~self.adjacent
         return np.bincount(self.bin[distant], per_pair[distant]) / self.count
 
 
 @dataclass(frozen=True)
 class Profile:
-    """Correlation against separation of one observation.
+    """Correlation against separation in one observation; the last three are NaN where an average C_ij is not positive.
 
-    `covariance_mk2` (n_bin,) and `adjacent_mk2`: plain means of C_ij; `log_profile` (n_bin,): ln C less its mean
-    over bins, free of gains, of which `scan_profiles` (n_scan, n_bin) leave out one scan each; `log_level`: mean
-    of ln C over pairs. The last three are NaN where an average C_ij is not positive.
+    Attributes
+    ----------
+    covariance_mk2 : (n_bin,)
+        Means of C_ij.
+    adjacent_mk2
+        Mean of C_ij over adjacent pairs.
+    log_profile : (n_bin,)
+        ln C less its mean over bins, independent of gains.
+    scan_profiles : (n_scan, n_bin)
+        The same with one scan left out.
+    log_level
+        Mean of ln C over pairs.
     """
 
     covariance_mk2: np.ndarray
@@ -66,10 +83,13 @@ class Profile:
 
 
 def pair_bins(focal_plane: FocalPlane) -> PairBins:
-    """Sort the pairs of a focal plane by separation.
+    """Sort the pairs of a focal plane into bins of separation.
 
-    Raises ValueError for fewer than three detectors, for two in one place, for arrays without a pair that is not
-    adjacent, and for those whose positions can't tell a profile from gains.
+    Raises
+    ------
+    ValueError
+        For fewer than three detectors, two detectors at one position, arrays with adjacent pairs only, and positions
+        that can't separate a profile from gains.
     """
     n_det = len(focal_plane.x_rad)
     if n_det < 3:
@@ -95,7 +115,7 @@ def pair_bins(focal_plane: FocalPlane) -> PairBins:
 
 
 def _profile_solution(first: np.ndarray, second: np.ndarray, bins: np.ndarray, n_det: int) -> np.ndarray:
-    """Matrix (n_bin, n_pair) that takes ln C to the profile with mean 0, whatever the gains."""
+    """Matrix (n_bin, n_pair) from ln C to the profile with mean 0, independent of gains."""
     n_bin = bins.max() + 1
     n = n_det + n_bin
     # Three ones a pair: the normal equations count pairs, which is exact, and thousands of detectors fit in memory.
@@ -103,7 +123,7 @@ def _profile_solution(first: np.ndarray, second: np.ndarray, bins: np.ndarray, n
     counts = sum(np.bincount(a * n + b, minlength=n * n) for a in columns for b in columns).reshape(n, n)
     values, vectors = np.linalg.eigh(counts.astype(float))
     told_apart = values > _ALIKE * values[-1]
-    # A level common to all bins is one of gains too; every other direction must be told apart.
+    # A level common to all bins is degenerate with the gains; every other direction must be determined.
     unused = n_det - len(np.union1d(first, second))
     if told_apart.sum() < n - 1 - unused:
         raise InsufficientDataError(
@@ -115,10 +135,22 @@ def _profile_solution(first: np.ndarray, second: np.ndarray, bins: np.ndarray, n
 
 
 def scan_covariances(data_mk: np.ndarray, scan_bounds: np.ndarray) -> np.ndarray:
-    """C_ij of each scan [mK^2], its mean removed: (n_scan, n_det, n_det) of streams (n_det, n_samp).
+    """Covariance C_ij of each mean-removed scan.
 
-    Raises ValueError for arrays that do not fit each other, without a scan, and for values in a scan that are not
-    finite.
+    Parameters
+    ----------
+    data_mk : (n_det, n_samp)
+    scan_bounds : (n_scan, 2)
+
+    Returns
+    -------
+    (n_scan, n_det, n_det) array
+        [mK^2].
+
+    Raises
+    ------
+    ValueError
+        For arrays that do not match, no scan, and values in a scan that are not finite.
     """
     data_mk = reals("data_mk", data_mk, ("n_det", "n_samp"), finite=False)
     covariances = []
@@ -135,9 +167,19 @@ def scan_covariances(data_mk: np.ndarray, scan_bounds: np.ndarray) -> np.ndarray
 
 
 def correlation_profile(covariances_mk2: np.ndarray, bins: PairBins) -> Profile:
-    """Profile of correlation against separation of one observation, from `scan_covariances`.
+    """Profile of correlation against separation.
 
-    Raises ValueError for covariances of other detectors than the bins' or that are not finite.
+    Parameters
+    ----------
+    covariances_mk2 : (n_scan, n_det, n_det)
+        From `scan_covariances`.
+    bins
+        Pairs of the same detectors.
+
+    Raises
+    ------
+    ValueError
+        For covariances of other detectors, and for values that are not finite.
     """
     n_det = int(bins.second.max()) + 1
     covariances_mk2 = reals("covariances_mk2", covariances_mk2, ("n_scan", n_det, n_det))

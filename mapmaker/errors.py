@@ -5,7 +5,10 @@ Their text is one line for each thing that is wrong: its name, the value found, 
 
 
 class InputError(ValueError):
-    """Input that can't be used. Catch it to report a refusal; raise one of its subclasses where one fits."""
+    """Input that can't be used.
+
+    Catch it to report a refusal; raise one of its subclasses where one applies.
+    """
 
 
 class OutOfRangeError(InputError):

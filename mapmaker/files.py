@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and tables in ECSV."""
+"""Atomic writing of files, and tables in ECSV."""
 
 import errno
 import math
@@ -15,14 +15,18 @@ _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ01234567
 
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[Path]:
-    """A path to write to, which takes the name `path` if the block succeeds and is removed if it fails.
+    """Context manager for a path to write to, which is renamed to `path` if the block succeeds and removed if it fails.
 
-    Makes the folders that lead to it. It is on the disk when it takes the name. Raises OSError with number, reason and
-    `path` where it can't be written.
+    Parent folders are created. The file is flushed to the disk before it is renamed.
+
+    Raises
+    ------
+    OSError
+        With number, reason and `path` where the file can't be written.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Another process may be writing the same file; astropy would take a "~" in front for the home directory.
+    # Another process may write the same file; astropy would expand a leading "~" to the home directory.
     partial = path.absolute().with_name(f"{path.name}.{os.getpid()}.part")
     try:
         yield partial
@@ -39,27 +43,27 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
 
 
 def regular_file(path: str | Path, kind: str) -> None:
-    """Raise ValueError for what is no regular file: reading a pipe or a device may never end."""
+    """Raise InputError unless `path` is a regular file: reading a pipe or a device may never end."""
     if not Path(path).is_file():
         found = "no regular file" if Path(path).exists() else "no such file"
         raise ValueError(f"{path}: not a whole {kind} ({found})")
 
 
 def one_line(error: BaseException) -> str:
-    """An error's text in one line of 200 letters or less."""
+    """Text of an error in one line of at most 200 characters."""
     text = " ".join(str(error).split()) or type(error).__name__
     return text if len(text) <= 200 else f"{text[:197]}..."
 
 
 def _failure(error: OSError) -> tuple[int, str]:
-    """Number and reason of an error in writing: numpy has none of a full disk, HDF5 in its text alone."""
+    """Number and reason of an error in writing: numpy has none for a full disk, HDF5 has it in its text only."""
     told = re.search(r"errno = (\d+)", str(error))
     number = error.errno or (int(told[1]) if told else 0)
     return (number, os.strerror(number)) if number else (errno.EIO, "not written whole, as on a full disk")
 
 
 def _to_disk(path: Path) -> None:
-    """Wait until a file is on the disk: a name that outlives a loss of power must not be that of an empty file."""
+    """Flush a file to the disk: a name that survives a loss of power must not belong to an empty file."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -72,11 +76,24 @@ def write_ecsv(
 ) -> None:
     """Write columns of equal length as an ECSV 1.0 table (Astropy Proposal for Enhancement 6), atomically.
 
-    `columns` are 1-D and of bool, integers, floats or text; `units` names those that have one; `meta` holds
-    text, numbers, bool, None and lists of them. Every number is read back with the same bits.
-    Raises ValueError for other columns, text with a line break in one, and a unit of a column that is not there.
+    Numbers are read back with the same bits.
+
+    Parameters
+    ----------
+    path
+    columns
+        1-D columns of bool, integers, floats or text, by name.
+    units
+        Units of the columns that have one.
+    meta
+        Text, numbers, bool, None and lists of them.
+
+    Raises
+    ------
+    ValueError
+        For other columns, text with a line break, and a unit without a column.
     """
-    # Not astropy's writer: it imports tables, coordinates and half of the rest, longer than a small run takes.
+    # Not astropy's writer: its imports take longer than a small run.
     arrays = {name: np.asarray(values) for name, values in columns.items()}
     kinds = {name: _datatype(name, array) for name, array in arrays.items()}
     if len({array.size for array in arrays.values()}) > 1:
@@ -97,7 +114,7 @@ def write_ecsv(
 
 
 def _datatype(name: str, array: np.ndarray) -> str:
-    """The ECSV name of a column's type."""
+    """ECSV name of a column's type."""
     if array.ndim != 1 or array.dtype.kind not in "biufU":
         raise ValueError(
             f"column {name}: found {array.ndim} dimensions of {array.dtype}; one of bool, numbers or text is expected"
@@ -112,7 +129,7 @@ def _cell(text: str) -> str:
 
 
 def _yaml(value: object) -> str:
-    """A value in YAML's flow style."""
+    """Format a value in YAML's flow style."""
     if isinstance(value, str):
         plain = (c if " " <= c <= "~" and c not in '"\\' else f"\\U{ord(c):08x}" for c in value)
         return f'"{"".join(plain)}"'
@@ -131,5 +148,5 @@ def _yaml_float(value: float) -> str:
     if not math.isfinite(value):
         return ".nan" if math.isnan(value) else f"{'-' * (value < 0)}.inf"
     mantissa, e, exponent = repr(value).partition("e")
-    # YAML 1.1 takes a number with an exponent but no point for text.
+    # YAML 1.1 reads a number with an exponent but without a point as text.
     return mantissa + (".0" if e and "." not in mantissa else "") + e + exponent

@@ -1,4 +1,4 @@
-"""Map geometry: the tangent plane of a field, its pixels, and where the detectors look."""
+"""Map geometry: the tangent plane of a field, its pixels, and the directions of detectors in it."""
 
 import math
 from dataclasses import dataclass
@@ -9,19 +9,30 @@ from mapmaker.errors import OutOfRangeError
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.validation import MAX_PIXELS, argument_error, number, pixel_side, reals, whole
 
-# Least side of a HEALPix pixel over a map pixel's. Below, HEALPix pixels within the map get no map pixel: 20 % of them
-# at 1, 6 % at 1.2, 0.2 % at sqrt(2), none at 1.5, over declinations and turns of the lattices.
+# Least ratio of the sides of a HEALPix and a map pixel. The fraction of HEALPix pixels within the map that get no map
+# pixel is 20 % at 1, 6 % at 1.2, 0.2 % at sqrt(2) and none at 1.5, for all declinations and rotations.
 _HEALPIX_SIDE = 1.5
-_FINEST_ORDER = 29  # of HEALPix, whose pixel numbers have 64 bits
-HORIZON = 1e-12  # cosine of the angle from the centre: less is rounding of a direction 90 degrees off
+_FINEST_ORDER = 29  # HEALPix pixel numbers have 64 bits
+HORIZON = 1e-12  # cosine of the angle from the centre: smaller values are rounding of 90 degrees
 
 
 @dataclass(frozen=True)
 class MapGeometry:
-    """Square pixels of a tangent plane; map arrays are (n_y, n_x), row 0 south, column 0 east.
+    """Square pixels on a tangent plane; map arrays are (n_y, n_x), with row 0 south and column 0 east.
 
-    Raises ValueError for more pixels than their numbers hold, `MAX_PIXELS`, or less than one, for a centre that is no
-    direction, and for pixels that are not positive and smaller than a quarter of a turn.
+    Attributes
+    ----------
+    ra0_rad, dec0_rad
+        Centre, where the plane touches the sky.
+    pixel_rad
+        Side of a pixel.
+    n_x, n_y
+
+    Raises
+    ------
+    ValueError
+        For fewer than 1 or more than `MAX_PIXELS` pixels, a centre that is no direction, and pixels that are not
+        positive and smaller than a quarter of a turn.
     """
 
     ra0_rad: float
@@ -43,7 +54,7 @@ class MapGeometry:
 
 
 def same_geometry(one: MapGeometry, other: MapGeometry) -> bool:
-    """Whether two geometries are one but for the rounding of degrees in a file, and whole turns of right ascension."""
+    """Compare two geometries up to the rounding of degrees in a file and full turns of right ascension."""
     turn = abs(math.remainder(one.ra0_rad - other.ra0_rad, 2 * math.pi))
     rest = [(g.dec0_rad, g.pixel_rad) for g in (one, other)]
     sizes_agree = (one.n_x, one.n_y) == (other.n_x, other.n_y)
@@ -51,10 +62,24 @@ def same_geometry(one: MapGeometry, other: MapGeometry) -> bool:
 
 
 def mean_direction(ra_rad: np.ndarray, dec_rad: np.ndarray) -> tuple[float, float]:
-    """Right ascension (0 to 2 pi) and declination [rad] of the mean of directions, as a centre of their map.
+    """Mean of directions, for use as the centre of their map.
 
-    The direction of the mean unit vector: right across RA 0 and at a pole, where means of the angles are not.
-    Raises ValueError for directions that are not finite, for none, and for those that cancel.
+    It is the direction of the mean unit vector, which is right across RA 0 and at a pole, where means of angles are
+    not.
+
+    Parameters
+    ----------
+    ra_rad, dec_rad : any shape
+
+    Returns
+    -------
+    ra_rad, dec_rad : float
+        Right ascension (0 to 2 pi) and declination.
+
+    Raises
+    ------
+    ValueError
+        For directions that are not finite, for none, and for those that cancel.
     """
     ra = reals("ra_rad", ra_rad, (...,), empty=True)
     dec = reals("dec_rad", dec_rad, ra.shape, empty=True)
@@ -65,12 +90,12 @@ def mean_direction(ra_rad: np.ndarray, dec_rad: np.ndarray) -> tuple[float, floa
         raise OutOfRangeError(
             f"found {ra.size} directions whose mean vector has the length {length:.2g}; above 0 expected"
         )
-    # Twice: the remainder of a tiny negative angle is a whole turn, to rounding.
+    # Twice, because the remainder of a tiny negative angle rounds to a full turn.
     return math.atan2(y, x) % math.tau % math.tau, math.atan2(z, math.hypot(x, y))
 
 
 def plane_offsets(geometry: MapGeometry, ra_rad: np.ndarray, dec_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gnomonic (xi east, eta north) [rad] of directions; NaN from 90 degrees off the centre on, where there is none."""
+    """Gnomonic offsets (xi east, eta north) [rad] of directions; NaN from 90 degrees off the centre on."""
     delta = ra_rad - geometry.ra0_rad
     sin0, cos0 = np.sin(geometry.dec0_rad), np.cos(geometry.dec0_rad)
     sin, cos = np.sin(dec_rad), np.cos(dec_rad)
@@ -80,7 +105,7 @@ def plane_offsets(geometry: MapGeometry, ra_rad: np.ndarray, dec_rad: np.ndarray
 
 
 def plane_directions(geometry: MapGeometry, xi_rad: np.ndarray, eta_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Right ascension (0 to 2 pi) and declination [rad] of points of the tangent plane."""
+    """Right ascension (0 to 2 pi) and declination [rad] of points in the tangent plane."""
     sin0, cos0 = np.sin(geometry.dec0_rad), np.cos(geometry.dec0_rad)
     depth = cos0 - eta_rad * sin0
     ra = geometry.ra0_rad + np.arctan2(xi_rad, depth)
@@ -89,10 +114,11 @@ def plane_directions(geometry: MapGeometry, xi_rad: np.ndarray, eta_rad: np.ndar
 
 
 def north_angle(geometry: MapGeometry, xi_rad: np.ndarray, eta_rad: np.ndarray) -> np.ndarray:
-    """Angle [rad] of true north in the tangent plane at its points, from the plane's north (eta) through its east (xi).
+    """Angle of true north in the tangent plane, from the plane's north (eta) through its east (xi) [rad].
 
-    A position angle at a point plus this is the angle in the plane. Meridians are straight lines there that meet in
-    the pole at ``(0, cot dec0)``, so the angle is exact: -xi tan(dec0) near the centre, to first order.
+    A position angle at a point plus this angle is the angle in the plane. Meridians are straight lines in the plane,
+    which meet at the pole ``(0, cot dec0)``, so the result is exact. To first order it is -xi tan(dec0) near the
+    centre.
     """
     sin0, cos0 = np.sin(geometry.dec0_rad), np.cos(geometry.dec0_rad)
     return np.arctan2(-xi_rad * sin0, cos0 - eta_rad * sin0)
@@ -106,21 +132,39 @@ def pixel_centres(geometry: MapGeometry) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sky_offsets(plane: FocalPlane, array_angle_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets (n_angle, n_det) [rad] of the detectors from the boresight, east and north.
+    """Offsets of the detectors from the boresight, east and north.
 
-    In the frame from whose north `array_angle_rad` (n_angle,) counts: the sky at the boresight, or the tangent plane.
+    Parameters
+    ----------
+    plane
+    array_angle_rad : (n_angle,)
+        Position angle of the array's y axis, from the north of the sky at the boresight or of the tangent plane.
+
+    Returns
+    -------
+    east, north : (n_angle, n_det)
+        [rad].
     """
     cos, sin = np.cos(array_angle_rad)[:, None], np.sin(array_angle_rad)[:, None]
     return -plane.x_rad * cos + plane.y_rad * sin, plane.x_rad * sin + plane.y_rad * cos
 
 
 def pixel_indices(geometry: MapGeometry, streams: Timestreams) -> np.ndarray:
-    """Flat pixel index (n_det, n_samp) int32 of every sample, -1 off the map.
+    """Flat pixel index of every sample.
 
-    `streams` is a `Timestreams`, which has checked its values.
-    The array angle of streams is the position angle at the boresight. Detectors lie where that puts them on the sky
-    but for the plane's stretch, the square of the boresight's angle from the centre times their offset: 0.02 arcsec
-    for a detector 4 arcmin out and a boresight 30 arcmin off, 2 arcmin for one 30 arcmin out and 15 degrees off.
+    The array angle of streams is the position angle at the boresight. Detectors are placed in the plane; its stretch
+    moves them by the square of the boresight's angle from the centre times their offset: 0.02 arcsec for a detector 4
+    arcmin out and a boresight 30 arcmin off, 2 arcmin for one 30 arcmin out and 15 degrees off.
+
+    Parameters
+    ----------
+    geometry
+    streams
+
+    Returns
+    -------
+    (n_det, n_samp) array
+        int32; -1 off the map.
     """
     xi, eta = plane_offsets(geometry, streams.ra_rad, streams.dec_rad)
     angle = streams.array_angle_rad + north_angle(geometry, xi, eta)
@@ -135,11 +179,29 @@ def boresight_pixels(
     *,
     plane: FocalPlane,
 ) -> np.ndarray:
-    """Flat pixel index (n_det, n_samp) int32 for a boresight (n_samp,) in the tangent plane, -1 off the map.
+    """Flat pixel index of every sample for a boresight in the tangent plane.
 
-    `plane_angle_rad` (n_samp,) is the angle of the array's y axis from the plane's north, eta: the position angle at
-    the boresight plus `north_angle`. Detector offsets are added in the plane. Where the boresight is NaN, behind the
-    plane, samples are off the map. Raises ValueError for arrays of different lengths or that are no numbers.
+    Detector offsets are added in the plane.
+
+    Parameters
+    ----------
+    geometry
+    xi_rad, eta_rad : (n_samp,)
+        Boresight; samples where it is NaN, behind the plane, are off the map.
+    plane_angle_rad : (n_samp,)
+        Angle of the array's y axis from the plane's north, eta: position angle at the boresight plus `north_angle`.
+    plane
+        Detector positions.
+
+    Returns
+    -------
+    (n_det, n_samp) array
+        int32; -1 off the map.
+
+    Raises
+    ------
+    ValueError
+        For arrays of different lengths, or that are not real numbers.
     """
     from mapmaker.kernels.pixels import plane_pixels
 
@@ -154,9 +216,12 @@ def boresight_pixels(
 
 
 def covering_geometry(ra0_rad: float, dec0_rad: float, pixel_rad: float, half_extent_rad: float) -> MapGeometry:
-    """A square geometry that reaches `half_extent_rad` on each side, its size good for FFTs.
+    """Square geometry that extends `half_extent_rad` to each side of its centre, with a size suited to FFTs.
 
-    Raises ValueError for an extent that is not positive or beyond 90 degrees, and as `MapGeometry`.
+    Raises
+    ------
+    ValueError
+        For an extent that is not positive or beyond 90 degrees, and as `MapGeometry`.
     """
     number("half_extent_rad", half_extent_rad, above=0, most=math.pi / 2)
     if half_extent_rad > MAX_PIXELS * pixel_side("pixel_rad", pixel_rad):
@@ -178,17 +243,22 @@ def fast_length(n: int) -> int:
 
 
 def finest_nside(pixel_rad: float) -> int:
-    """Largest nside (a power of two) of a HEALPix map that a map of pixels of this side [rad] fills without holes.
+    """Largest nside (a power of two) of a HEALPix map that a map of these pixels fills without holes.
 
-    Sides of its pixels, ``sqrt(pi / 3) / nside``, are 1.5 of the map's or more. 0 for pixels that none is wide enough
-    for. Raises ValueError for pixels that are not positive.
+    The side of HEALPix pixels, ``sqrt(pi / 3) / nside``, must be at least 1.5 times that of the map's. 0 where no nside
+    is coarse enough.
+
+    Raises
+    ------
+    ValueError
+        For pixels that are not positive.
     """
     most = math.sqrt(math.pi / 3) / (_HEALPIX_SIDE * pixel_side("pixel_rad", pixel_rad))
     return 2 ** min(math.floor(math.log2(most)), _FINEST_ORDER) if most >= 1 else 0
 
 
 def check_nside(name: str, nside: int, pixel_rad: float) -> None:
-    """Raise ValueError unless a map of pixels of this side [rad] fills a HEALPix map of `nside`, a power of two."""
+    """Raise ValueError unless a map of pixels of this side fills a HEALPix map of `nside`, a power of two."""
     finest = finest_nside(pixel_rad)
     pixel = f"pixels of {math.degrees(pixel_rad) * 3600:.4g} arcsec"
     if not finest:
@@ -201,7 +271,7 @@ def check_nside(name: str, nside: int, pixel_rad: float) -> None:
 
 
 def wcs_cards(geometry: MapGeometry) -> dict[str, tuple[str | int | float, str]]:
-    """Value and comment of every FITS keyword of the geometry's world coordinates (RA---TAN, DEC--TAN; degrees)."""
+    """Value and comment of every FITS keyword of the world coordinates (RA---TAN, DEC--TAN; degrees)."""
     ra_deg, dec_deg, pixel_deg = (
         math.degrees(angle) for angle in (geometry.ra0_rad, geometry.dec0_rad, geometry.pixel_rad)
     )
@@ -225,7 +295,7 @@ def wcs_cards(geometry: MapGeometry) -> dict[str, tuple[str | int | float, str]]
 
 
 def wcs(geometry: MapGeometry):
-    """The astropy WCS (RA---TAN, DEC--TAN) of the geometry."""
+    """Astropy WCS (RA---TAN, DEC--TAN) of the geometry."""
     from astropy.wcs import WCS
 
     return WCS({keyword: value for keyword, (value, _) in wcs_cards(geometry).items()})

@@ -1,20 +1,19 @@
-"""Maximum-likelihood maps: the noise of streams measured as white levels and correlated modes, and inverted.
+"""Maximum-likelihood maps, with the noise measured as white levels and correlated modes.
 
-The map m solves ``(P^T N^-1 P) m = P^T N^-1 d`` for pointing P and streams d, with nothing taken out of the
-streams beforehand: modes that the atmosphere shares among the detectors weigh little, and so do those of low
-frequency, but what they hold of the sky is not lost. For any symmetric N^-1 the map's expectation is the sky.
+The map m solves ``(P^T N^-1 P) m = P^T N^-1 d`` for pointing P and streams d, which are not cleaned beforehand: modes
+that the atmosphere shares among the detectors, and low frequencies, get low weights, but their sky signal is not lost.
+For any symmetric N^-1 the expectation of the map is the sky.
 
-The noise of each scan is taken for stationary and independent of the other scans. N is block diagonal in the
-discrete cosine transform of the scan, which is the Fourier transform of the scan followed by its mirror image:
-a circulant approximation without the step between the end of a scan and its beginning, which in red noise would
-leak a power of f^-2 over all frequencies. In each band of frequency ``N_b = w_b diag(r) + V_b V_b^T``, the leading
-eigenvectors of the measured covariance and what is left of its diagonal (Duenner et al. 2013 do the like),
-inverted by Woodbury's identity. Phases between detectors are not kept: a pattern that drifts over the array takes
-two modes. The mean of a scan has no information.
+The noise of a scan is assumed stationary and independent of the other scans. N is block diagonal in the discrete cosine
+transform of the scan, which is the Fourier transform of the scan followed by its mirror image: a circulant
+approximation without the step between the end of a scan and its beginning, which for red noise would leak a power of
+f^-2 over all frequencies. In each frequency band ``N_b = w_b diag(r) + V_b V_b^T``, with the leading eigenvectors of
+the measured covariance and the residual of its diagonal (similar to Duenner et al. 2013), inverted by Woodbury's
+identity. Phases between detectors are not modelled: a pattern that drifts over the array takes two modes. The mean of a
+scan has no weight.
 
-The streams whose noise is measured are those that are mapped, and every number that is fitted to them takes a
-little of the sky with it. The model is therefore kept small: one level w_b a band, one r a detector, and only
-modes that are beyond doubt.
+The noise is measured in the streams that are mapped, so every fitted number removes a little of the sky. The model is
+therefore small: one level w_b a band, one r a detector, and only modes that are significant beyond doubt.
 """
 
 from collections.abc import Iterable
@@ -30,18 +29,27 @@ from mapmaker.geometry import MapGeometry
 from mapmaker.iterative import StreamBlock, check_pixels, subtract_sky
 from mapmaker.validation import argument_error, band_edges, bounds_of_scans, number, reals, whole
 
-# A detector with less than this share of the mean noise is dead, and one of which the modes leave no more than
-# rounding of float32 has no noise of its own: neither gets weight.
+# A detector with less than this fraction of the mean noise is dead; one whose residual from the modes is rounding of
+# float32 has no noise of its own. Neither gets weight.
 _DEAD, _EXPLAINED = 1e-10, 2.0**-46
 
 
 @dataclass(frozen=True)
 class GlsOptions:
-    """How the noise is modelled and the map is solved for.
+    """Options of the noise model and of the solution.
 
-    `band_edges_hz` (n_band + 1,): what lies outside has no information. A band has the modes whose eigenvalue,
-    in the correlation matrix, is above `eigenvalue_cut` times the largest that uncorrelated noise would show,
-    `max_modes` at most. `tolerance`: residual of the normal equations over their right-hand side.
+    Attributes
+    ----------
+    band_edges_hz : (n_band + 1,)
+        Frequency bands; other frequencies get no weight.
+    max_modes
+        Largest number of modes in a band.
+    eigenvalue_cut
+        A mode is kept if its eigenvalue, in the correlation matrix, exceeds this times the largest eigenvalue of
+        uncorrelated noise.
+    tolerance
+        Residual of the normal equations over their right-hand side.
+    max_iterations
     """
 
     band_edges_hz: tuple[float, ...] = (0.0, 0.1, 0.2, 0.4, 0.8, 1.6, np.inf)
@@ -51,7 +59,7 @@ class GlsOptions:
     max_iterations: int = 300
 
     def __post_init__(self):
-        """Raise ValueError for values out of range."""
+        """Raise OutOfRangeError or ValueError for values out of range."""
         band_edges("band_edges_hz", self.band_edges_hz)
         whole("max_modes", self.max_modes, least=0)
         whole("max_iterations", self.max_iterations, least=1, most=2**31 - 1)
@@ -61,10 +69,18 @@ class GlsOptions:
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Noise covariance of one cosine mode, ``diag(white) + modes modes^T``, in each band [mK^2, a sample].
+    """Noise covariance of one cosine mode, ``diag(white) + modes modes^T``, in each band.
 
-    `white_mk2` (n_band, n_det), 0 for a dead detector, which gets no weight; `modes_mk` of each band
-    (n_det, n_mode). A mode of frequency f and noise of one-sided PSD p [mK^2/Hz] has the variance p rate / 2.
+    A mode of frequency f and noise of one-sided PSD p [mK^2/Hz] has the variance p rate / 2.
+
+    Attributes
+    ----------
+    band_edges_hz : (n_band + 1,)
+    white_mk2 : (n_band, n_det)
+        0 for a dead detector, which gets no weight.
+    modes_mk
+        (n_det, n_mode) of each band.
+    sample_rate_hz
     """
 
     band_edges_hz: tuple[float, ...]
@@ -74,33 +90,42 @@ class NoiseModel:
 
     @cached_property
     def inverse_white(self) -> np.ndarray:
-        """Inverse of the levels (n_band, n_det) [1/mK^2]."""
+        """Inverse white levels (n_band, n_det) [1/mK^2]; 0 for dead detectors."""
         return np.divide(1.0, self.white_mk2, out=np.zeros_like(self.white_mk2), where=self.white_mk2 > 0)
 
     @cached_property
     def inverse_modes(self) -> tuple[np.ndarray, ...]:
-        """U (n_det, n_mode) [1/mK] of each band: ``N^-1 = diag(inverse_white) - U U^T``, Woodbury's identity."""
+        """U (n_det, n_mode) [1/mK] of each band in Woodbury's identity ``N^-1 = diag(inverse_white) - U U^T``."""
         return tuple(_woodbury(row, modes) for row, modes in zip(self.inverse_white, self.modes_mk, strict=True))
 
 
 @dataclass(frozen=True)
 class GlsMap:
-    """The map and how it was solved for.
+    """Maximum-likelihood map, and the convergence of its solution.
 
-    `map`: weights are those of the white noise alone [1/mK^2]. A constant added to all pixels of the map is not
-    determined; its weighted mean is 0. `residual` of the normal equations over their right-hand side.
+    Attributes
+    ----------
+    map
+        Its weights are those of the white noise alone [1/mK^2]. A constant over all pixels is undetermined; the
+        weighted mean is 0.
+    iterations
+    residual
+        Residual of the normal equations over their right-hand side.
+    converged
+    discarded
+        Scans with values that are not finite.
     """
 
     map: BinnedMap
     iterations: int
     residual: float
     converged: bool
-    discarded: int  # scans with values that are not finite
+    discarded: int
 
 
 @dataclass(frozen=True)
 class _Scans:
-    """What the solution keeps of an observation; off the map the index is the number of pixels."""
+    """Pointing and noise of an observation; off the map the index is the number of pixels."""
 
     index: np.ndarray
     bounds: np.ndarray
@@ -116,10 +141,19 @@ def _woodbury(inverse_white: np.ndarray, modes: np.ndarray) -> np.ndarray:
 def measure_noise(
     data_mk: np.ndarray, scan_bounds: np.ndarray, sample_rate_hz: float, options: GlsOptions
 ) -> NoiseModel:
-    """The noise of one observation's streams (n_det, n_samp), from all its scans (n_scan, 2) together.
+    """Measure the noise of one observation from all its scans together; sky signal counts as noise.
 
-    A sky signal in the streams counts as noise. Raises ValueError where a band holds fewer than 2 modes of the
-    scans, and where no detector has noise in a band.
+    Parameters
+    ----------
+    data_mk : (n_det, n_samp)
+    scan_bounds : (n_scan, 2)
+    sample_rate_hz
+    options
+
+    Raises
+    ------
+    ValueError
+        Where a band has fewer than 2 modes of the scans, or no detector with noise.
     """
     data_mk = reals("data_mk", data_mk, ("n_det", "n_samp"), finite=False)
     scan_bounds = bounds_of_scans(scan_bounds, data_mk.shape[1])
@@ -144,17 +178,14 @@ def measure_noise(
 
 
 def band_slices(n_samp: int, sample_rate_hz: float, band_edges_hz: tuple[float, ...]) -> list[slice]:
-    """The cosine modes of a scan that each band holds; mode k has the frequency ``k rate / (2 n_samp)``.
-
-    Mode 0, the mean, is in no band.
-    """
+    """Cosine modes of a scan in each band; mode k has the frequency ``k rate / (2 n_samp)``, mode 0 is in no band."""
     frequency = np.arange(n_samp) * sample_rate_hz / (2 * n_samp)
     edges = np.maximum(np.searchsorted(frequency, band_edges_hz), 1)
     return [slice(int(low), int(high)) for low, high in zip(edges[:-1], edges[1:], strict=True)]
 
 
 def _band_noise(amplitudes: np.ndarray, options: GlsOptions) -> tuple[np.ndarray, np.ndarray]:
-    """What the modes leave of the variances (n_det,), and the modes (n_det, n_mode), from amplitudes (n_det, n)."""
+    """Residual variances (n_det,) and modes (n_det, n_mode) of one band, from amplitudes (n_det, n)."""
     n_det, n = amplitudes.shape
     power = np.mean(amplitudes**2, axis=1)
     alive = power > _DEAD * power.mean()
@@ -164,14 +195,14 @@ def _band_noise(amplitudes: np.ndarray, options: GlsOptions) -> tuple[np.ndarray
     values, vectors = values[::-1], vectors[:, ::-1]
     n_mode = _count_modes(values, int(alive.sum()), n, options)
     values, vectors = values[:n_mode], vectors[:, :n_mode]
-    # Not the difference of powers, of which a strong atmosphere leaves no digits.
+    # Not the difference of powers, which a strong atmosphere would reduce to rounding.
     left = np.mean((scaled - vectors @ (vectors.T @ scaled)) ** 2, axis=1)
     white = np.where(alive & (left > _EXPLAINED), power * left, 0.0)
     return white, scale[:, None] * vectors * np.sqrt(values)
 
 
 def _separable(left: np.ndarray, n_modes: np.ndarray) -> np.ndarray:
-    """Level of the band times level of the detector, from variances (n_band, n_det) of so many modes a band."""
+    """Approximate variances (n_band, n_det) by a level of the band times one of the detector."""
     level = left.mean(axis=1)
     if not (level > 0).all():
         raise InsufficientDataError("found no detector with noise in a band; one or more are needed")
@@ -179,12 +210,12 @@ def _separable(left: np.ndarray, n_modes: np.ndarray) -> np.ndarray:
 
 
 def _count_modes(values: np.ndarray, n_det: int, n: int, options: GlsOptions) -> int:
-    """How many leading eigenvalues stand above what noise without correlations would show.
+    """Count the leading eigenvalues that exceed those of uncorrelated noise.
 
-    Its largest, for n vectors of n_det independent deviates of variance v, is ``v (1 + sqrt(n_det / n))^2``
-    (Marchenko & Pastur 1967); v is the mean of the eigenvalues that are left.
+    The largest of these, for n vectors of n_det independent deviates of variance v, is ``v (1 + sqrt(n_det / n))^2``
+    (Marchenko & Pastur 1967); v is the mean of the remaining eigenvalues.
     """
-    # With as many modes as vectors nothing would be left to be white.
+    # As many modes as vectors would leave no white noise.
     for k in range(min(options.max_modes, n // 2, n_det // 2)):
         left = n_det - k
         level = values[k:].sum() / left
@@ -194,7 +225,7 @@ def _count_modes(values: np.ndarray, n_det: int, n: int, options: GlsOptions) ->
 
 
 def apply_inverse_noise(noise: NoiseModel, scan_mk: np.ndarray) -> np.ndarray:
-    """``N^-1 d`` of one scan (n_det, n_samp), in 1/mK."""
+    """Compute ``N^-1 d`` of one scan (n_det, n_samp) [1/mK]."""
     modes = dct(scan_mk, axis=1, norm="ortho")
     bands = band_slices(scan_mk.shape[1], noise.sample_rate_hz, noise.band_edges_hz)
     weighed = np.zeros_like(modes)
@@ -212,12 +243,29 @@ def gls_map(
     options: GlsOptions,
     sky_mk: np.ndarray | None = None,
 ) -> GlsMap:
-    """The maximum-likelihood map of observations, each with the noise measured from its own streams.
+    """Maximum-likelihood map of observations, each with the noise measured from its own streams.
 
-    The streams are read once, one observation at a time; their indices are kept. `sky_mk` (n_y, n_x), an earlier
-    map, is taken out of the streams before their noise is measured: needed where the sky is not faint against
-    the noise. The blocks' weights are not used. Scans with values that are not finite are discarded. Raises
-    ValueError without an observation, for pixels or a sky that are not of the map, and as `measure_noise`.
+    The streams are read once, one observation at a time; their indices are kept. The blocks' weights are not used.
+    Scans with values that are not finite are discarded.
+
+    Parameters
+    ----------
+    geometry
+    observations
+    sample_rate_hz
+    options
+    sky_mk : (n_y, n_x), optional
+        Earlier map, subtracted from the streams before their noise is measured; needed unless the sky is faint compared
+        with the noise.
+
+    Returns
+    -------
+    GlsMap
+
+    Raises
+    ------
+    ValueError
+        For no observation, pixels or a sky of another map, and as `measure_noise`.
     """
     number("sample_rate_hz", sample_rate_hz, above=0)
     if sky_mk is not None:
@@ -243,7 +291,7 @@ def gls_map(
 
 
 def _project(scans: _Scans, stream, n_pixel: int) -> np.ndarray:
-    """``P^T N^-1`` of the streams that `stream(start, stop)` gives, (n_pixel,)."""
+    """Compute ``P^T N^-1`` of the streams `stream(start, stop)`, (n_pixel,)."""
     total = np.zeros(n_pixel + 1)
     for start, stop in scans.bounds:
         weighed = apply_inverse_noise(scans.noise, stream(start, stop))
@@ -252,7 +300,7 @@ def _project(scans: _Scans, stream, n_pixel: int) -> np.ndarray:
 
 
 def _solved(geometry, scans: list[_Scans], right: np.ndarray, *, discarded: int, options: GlsOptions) -> GlsMap:
-    """The solution by conjugate gradients; pixels without a hit stay 0."""
+    """Solve by conjugate gradients; pixels without a hit stay 0."""
     from scipy.sparse.linalg import LinearOperator, cg
 
     n_pixel = len(right)
@@ -279,14 +327,14 @@ def _solved(geometry, scans: list[_Scans], right: np.ndarray, *, discarded: int,
 
 
 def _weight_and_hits(scans: list[_Scans], n_pixel: int) -> tuple[np.ndarray, np.ndarray]:
-    """Weight of the white noise alone [1/mK^2] and hits of each pixel."""
+    """Weight of the white noise alone [1/mK^2] and hits, of each pixel."""
     weight, hits = np.zeros(n_pixel + 1), np.zeros(n_pixel + 1, np.int64)
     for one in scans:
         for start, stop in one.bounds:
             bands = band_slices(stop - start, one.noise.sample_rate_hz, one.noise.band_edges_hz)
             share = np.array([band.stop - band.start for band in bands]) / (stop - start)
             pixels = one.index[:, start:stop]
-            # The diagonal of N^-1 without the modes: the mean over all cosine modes, 0 for those in no band.
+            # Diagonal of N^-1 without the modes: the mean over all cosine modes, with 0 for those in no band.
             white = np.repeat(share @ one.noise.inverse_white, stop - start)
             weight += np.bincount(pixels.ravel(), white, n_pixel + 1)
             hits += np.bincount(pixels.ravel(), minlength=n_pixel + 1)

@@ -1,10 +1,9 @@
-"""Iterative map-making: what cleaning takes from bright sources is put back.
+"""Iterative map-making, which restores the signal that cleaning removes from bright sources.
 
-A template fitted to the detectors holds a little of every bright source, and cleaning takes it out of the map.
-The map's own bright part is therefore subtracted from the streams, the rest is cleaned, and the bright part is
-added back, until it stands still: Enoch et al. (2006), section on iterative mapping; Sayers et al. (2010) point
-to it. Only significant pixels are subtracted: a map of noise that goes round the loop brings back
-the noise that cleaning took out.
+A template fitted to the detectors contains a little of every bright source, which cleaning removes from the map. The
+bright part of the map is therefore subtracted from the streams, the rest is cleaned, and the bright part is added back,
+until it converges: Enoch et al. (2006), section on iterative mapping, to which Sayers et al. (2010) refer. Only
+significant pixels are subtracted: otherwise the iteration would restore the noise that cleaning removed.
 """
 
 from collections.abc import Callable, Iterable
@@ -19,18 +18,30 @@ from mapmaker.geometry import MapGeometry
 from mapmaker.timestreams import FocalPlane
 from mapmaker.validation import MAX_PIXELS, bounds_of_scans, number, pixel_numbers, reals, whole
 
-# A normal deviate's standard deviation over its median absolute value.
+# Standard deviation of a normal deviate over its median absolute value.
 _SIGMA_OF_MEDIAN = 1.482602218505602
 
 
 @dataclass(frozen=True)
 class StreamBlock:
-    """One observation for a map-maker.
+    """Observation for a map-maker.
 
-    `data_mk` (n_det, n_samp) float32 or float64 [mK]; `index` (n_det, n_samp) flat pixel, -1 off the map;
-    `scan_bounds` (n_scan, 2) [start, stop); `weight` inverse noise variance a sample [1/mK^2].
-    Data of other real types become float64. Raises ValueError for arrays that do not fit each other or the focal plane,
-    and for weights that are not finite and 0 or more.
+    Attributes
+    ----------
+    data_mk : (n_det, n_samp)
+        float32 or float64; other real types become float64.
+    index : (n_det, n_samp)
+        Flat pixel of each sample, -1 off the map.
+    scan_bounds : (n_scan, 2)
+        Scans [start, stop).
+    focal_plane
+    weight
+        Inverse noise variance a sample [1/mK^2].
+
+    Raises
+    ------
+    ValueError
+        For arrays that do not match each other or the focal plane, and weights that are not finite and at least 0.
     """
 
     data_mk: np.ndarray
@@ -54,18 +65,25 @@ class StreamBlock:
 
 
 def check_pixels(geometry: MapGeometry, block: StreamBlock) -> None:
-    """Raise ValueError for a block with pixels that the map does not have."""
+    """Raise ValueError for a block with pixels outside the map."""
     pixel_numbers(block.index, block.data_mk.shape, geometry.n_y * geometry.n_x)
 
 
 @dataclass(frozen=True)
 class IterationOptions:
-    """What counts as signal and when the iteration ends.
+    """Definition of signal, and convergence.
 
-    `threshold`: signal-to-noise ratio, either sign, of the beam-smoothed map above which pixels are subtracted
-    from the streams. `loss`: after pass k, pixels below ``loss^k`` of the brightest are not, whatever their noise:
-    what cleaning takes from a bright source it leaves as a negative ring, less by that share with every pass.
-    `tolerance`: change of the signal over the signal, root of the weighted squares.
+    Attributes
+    ----------
+    threshold
+        Signal-to-noise ratio, of either sign, of the beam-smoothed map above which pixels are subtracted from the
+        streams.
+    loss
+        After pass k, pixels below ``loss^k`` of the brightest are not subtracted, whatever their noise. Cleaning
+        leaves a bright source a negative ring, which shrinks by this factor with every pass.
+    tolerance
+        Relative change of the signal, root of the weighted squares.
+    max_iterations
     """
 
     threshold: float = 5.0
@@ -83,12 +101,24 @@ class IterationOptions:
 
 @dataclass(frozen=True)
 class IteratedMap:
-    """The map and how it was reached; `estimate_mk` (n_y, n_x) is the signal that the last cleaning was spared."""
+    """Result of iterative map-making.
+
+    Attributes
+    ----------
+    map
+    estimate_mk : (n_y, n_x)
+        Signal that was subtracted before the last cleaning.
+    iterations
+        Passes over the observations.
+    change
+        Relative change of the signal after each pass; the first is 1, or 0 where no pixel is significant.
+    converged
+    """
 
     map: BinnedMap
     estimate_mk: np.ndarray
-    iterations: int  # passes over the observations
-    change: tuple[float, ...]  # of the signal, after each pass; the first is 1, or 0 where no pixel is significant
+    iterations: int
+    change: tuple[float, ...]
     converged: bool
 
 
@@ -98,12 +128,24 @@ def iterate_map(
     clean_block: Callable[[StreamBlock], Cleaned],
     options: IterationOptions,
 ) -> IteratedMap:
-    """Clean and bin the observations until the map's significant part stands still.
+    """Clean and bin the observations until the significant part of the map converges.
 
-    `observations()` gives all blocks anew at each pass, one at a time, so that they need not be held together.
-    `clean_block` cleans one block. The signal is subtracted with unit responsivity: what a detector's own
-    departs from 1 is cleaned as before, and averages out over detectors. A map that has no significant pixel is
-    converged after one pass. Raises ValueError without an observation or for an index that does not fit the data.
+    The signal is subtracted with unit responsivity: the residual from a detector's own is cleaned as before, and
+    averages out over detectors. A map without significant pixels converges after one pass.
+
+    Parameters
+    ----------
+    geometry
+    observations
+        Function that returns all blocks for one pass, one at a time.
+    clean_block
+        Function that cleans one block.
+    options
+
+    Raises
+    ------
+    ValueError
+        For no observation, and for an index that does not match the data.
     """
     estimate = np.zeros((geometry.n_y, geometry.n_x))
     signal = np.zeros(estimate.shape, bool)
@@ -112,7 +154,7 @@ def iterate_map(
     for k in range(1, options.max_iterations + 1):
         item, fwhm_rad = _one_pass(geometry, observations(), clean_block, estimate)
         spared = estimate
-        # Once signal, always signal: a pixel on the threshold would go in and out for ever.
+        # A signal pixel stays one: at the threshold it would alternate for ever.
         signal |= significant(item, fwhm_rad, options.threshold, options.loss**k)
         estimate = np.where(signal, item.signal_mk, 0.0)
         change.append(_relative_change(estimate, spared, item.weight))
@@ -123,13 +165,24 @@ def iterate_map(
 
 
 def significant(item: BinnedMap, fwhm_rad: float, threshold: float, floor: float) -> np.ndarray:
-    """Pixels (n_y, n_x) bool where the beam-smoothed map departs from 0 by `threshold` sigma or more.
+    """Find the pixels where the beam-smoothed map differs significantly from 0.
 
-    Of these, only those where its ratio to the noise is at least `floor` times the largest.
+    The statistic is the matched filter of a point source in white noise, ``G * S / sqrt(G^2 * W)``, for sums S, weights
+    W and a Gaussian G. Its sigma is 1.4826 times the median of its absolute values over observed pixels, which includes
+    correlated noise and is insensitive to sources on less than half of the map.
 
-    The matched filter of a point source in white noise, ``G * S / sqrt(G^2 * W)`` for sums S, weights W and a
-    Gaussian G; sigma is its own scatter over observed pixels, 1.4826 times the median of its size, so that
-    correlated noise is counted and sources on less than half of the map are not.
+    Parameters
+    ----------
+    item
+    fwhm_rad
+    threshold
+        Least significance in sigma.
+    floor
+        Least ratio to the largest statistic.
+
+    Returns
+    -------
+    (n_y, n_x) bool array
     """
     from scipy.ndimage import gaussian_filter
 
@@ -138,7 +191,7 @@ def significant(item: BinnedMap, fwhm_rad: float, threshold: float, floor: float
     number("floor", floor, least=0, most=1)
     sigma_pixels = fwhm_rad / np.sqrt(8 * np.log(2)) / item.geometry.pixel_rad
     total = gaussian_filter(item.weighted_sum.astype(float), sigma_pixels, mode="constant")
-    # The square of a Gaussian is one of 1 / sqrt(2) the width; its constant drops out with the scatter.
+    # The square of a Gaussian is a Gaussian of 1 / sqrt(2) the width; its constant cancels against the scatter.
     weight = gaussian_filter(item.weight.astype(float), sigma_pixels / np.sqrt(2), mode="constant")
     seen = item.weight > 0
     ratio = np.zeros(total.shape)
@@ -148,9 +201,12 @@ def significant(item: BinnedMap, fwhm_rad: float, threshold: float, floor: float
 
 
 def subtract_sky(block: StreamBlock, sky_mk: np.ndarray) -> StreamBlock:
-    """The block less a map (n_y, n_x) [mK] as its pixels see it; samples off the map are left as they are.
+    """Subtract a map (n_y, n_x) [mK] from the streams; samples off the map are unchanged.
 
-    Raises ValueError for a map that is not finite or has not all pixels of the block.
+    Raises
+    ------
+    ValueError
+        For a map that is not finite, or lacks pixels of the block.
     """
     sky_mk = reals("sky_mk", sky_mk, ("n_y", "n_x"))
     pixel_numbers(block.index, block.data_mk.shape, sky_mk.size)
@@ -160,7 +216,7 @@ def subtract_sky(block: StreamBlock, sky_mk: np.ndarray) -> StreamBlock:
 
 
 def _one_pass(geometry, blocks, clean_block, estimate) -> tuple[BinnedMap, float]:
-    """The co-added map with the estimate added back, and the narrowest beam."""
+    """Co-added map with the estimate added back, and the narrowest beam."""
     total, fwhm_rad = None, np.inf
     for block in blocks:
         check_pixels(geometry, block)
@@ -170,7 +226,7 @@ def _one_pass(geometry, blocks, clean_block, estimate) -> tuple[BinnedMap, float
         fwhm_rad = min(fwhm_rad, block.focal_plane.fwhm_rad)
     if total is None:
         raise InsufficientDataError("found no observation; one or more are expected")
-    # Binning what the pixels put into the streams gives the pixels again.
+    # Binning streams of the estimate gives the estimate again.
     return replace(total, weighted_sum=total.weighted_sum + estimate * total.weight), fwhm_rad
 
 

@@ -1,4 +1,4 @@
-"""Power spectral density of maps: taper, 2-D and azimuthally binned, its expectation, and the modes of a bin."""
+"""PSDs of maps: tapers, 2-D and azimuthally averaged PSDs, their expectation and degrees of freedom."""
 
 from dataclasses import dataclass
 
@@ -10,25 +10,49 @@ from mapmaker.validation import MAX_PIXELS, argument_error, increasing, number, 
 
 @dataclass(frozen=True)
 class Annuli:
-    """Rings of constant multipole on the half plane of `rfft2`.
+    """Annuli of multipole on the half plane of `rfft2`; bin b holds `edges_ell[b] <= ell < edges_ell[b + 1]`.
 
-    Bin b holds `edges_ell[b] <= ell < edges_ell[b + 1]`. `bin_of_mode` is the bin of each flattened
-    half-plane mode, `n_bin` for a mode outside all bins.
-    `multiplicity` is 2 for a mode whose complex conjugate `rfft2` leaves out, else 1.
+    Attributes
+    ----------
+    edges_ell : (n_bin + 1,)
+    ell : (n_bin,)
+        Mean over the modes of the bin.
+    n_modes : (n_bin,)
+        Independent real degrees of freedom.
+    bin_of_mode : (n_y * (n_x // 2 + 1),)
+        Bin of each flattened half-plane mode, int64; `n_bin` for modes outside all bins.
+    multiplicity : (n_y * (n_x // 2 + 1),)
+        2 for a mode whose complex conjugate `rfft2` leaves out, else 1; float64.
     """
 
-    edges_ell: np.ndarray  # (n_bin + 1,)
-    ell: np.ndarray  # (n_bin,) mean over the modes of the bin
-    n_modes: np.ndarray  # (n_bin,) independent real degrees of freedom
-    bin_of_mode: np.ndarray  # (n_y * (n_x // 2 + 1),) int64
-    multiplicity: np.ndarray  # (n_y * (n_x // 2 + 1),) float64
+    edges_ell: np.ndarray
+    ell: np.ndarray
+    n_modes: np.ndarray
+    bin_of_mode: np.ndarray
+    multiplicity: np.ndarray
 
 
 def tukey_taper(n_y: int, n_x: int, pixel_rad: float, *, size_rad: float, edge_fraction: float) -> np.ndarray:
-    """Separable cosine-edged taper (n_y, n_x) on a centred square of side `size_rad`, zero outside.
+    """Separable cosine-edged taper on a centred square, zero outside.
 
-    `edge_fraction` is the share of the side taken by the two cosine edges: 0 is a box, 1 a Hann taper.
-    Raises ValueError for an edge fraction outside [0, 1] or a square that is larger than the map.
+    Parameters
+    ----------
+    n_y, n_x
+        Pixels of the map.
+    pixel_rad
+    size_rad
+        Side of the square.
+    edge_fraction
+        Fraction of the side in the two cosine edges: 0 is a box, 1 a Hann taper.
+
+    Returns
+    -------
+    (n_y, n_x) array
+
+    Raises
+    ------
+    ValueError
+        For an edge fraction outside [0, 1], or a square larger than the map.
     """
     _check_plane(n_y, n_x, pixel_rad)
     if not 0 <= number("edge_fraction", edge_fraction) <= 1:
@@ -40,7 +64,7 @@ def tukey_taper(n_y: int, n_x: int, pixel_rad: float, *, size_rad: float, edge_f
 
 
 def tukey(n: int, pixel_rad: float, size_rad: float, edge_fraction: float) -> np.ndarray:
-    """Cosine-edged taper (n,) at steps of `pixel_rad`, `size_rad` wide about their middle; see `tukey_taper`."""
+    """Cosine-edged taper (n,) in steps of `pixel_rad` with the full width `size_rad`; see `tukey_taper`."""
     from_centre = np.abs(np.arange(n) - (n - 1) / 2) * pixel_rad / (size_rad / 2)
     inside = from_centre <= 1
     if edge_fraction == 0:
@@ -52,7 +76,10 @@ def tukey(n: int, pixel_rad: float, size_rad: float, edge_fraction: float) -> np
 def mode_ell(n_y: int, n_x: int, pixel_rad: float) -> np.ndarray:
     """Multipole `ell = |k|` of each mode of `rfft2`, (n_y, n_x // 2 + 1).
 
-    Raises ValueError for sides that are not positive integers and pixels that are not positive.
+    Raises
+    ------
+    ValueError
+        For sides that are not positive integers, and pixels that are not positive.
     """
     _check_plane(n_y, n_x, pixel_rad)
     k_y = 2 * np.pi * np.fft.fftfreq(n_y, pixel_rad)
@@ -61,15 +88,26 @@ def mode_ell(n_y: int, n_x: int, pixel_rad: float) -> np.ndarray:
 
 
 def annuli(n_y: int, n_x: int, pixel_rad: float, *, edges_ell: np.ndarray, taper: np.ndarray) -> Annuli:
-    """Sort the Fourier modes of a map into bins of multipole and count the degrees of freedom of each bin.
+    """Sort the Fourier modes of a map into bins of multipole and count their degrees of freedom.
 
-    A full plane has as many real degrees of freedom as cells. The taper T correlates modes: the squared
-    correlation of one mode with all modes adds up to `N_pix sum T^4 / (sum T^2)^2`, so a bin that is wide
-    against the taper's resolution holds `n = cells (sum T^2)^2 / (N_pix sum T^4)`, and the relative variance
-    of its PSD is 2 / n for stationary isotropic noise. A bin no wider than that scatters less than 2 / n by
-    itself, but its correlation with its neighbours makes up for it in any smooth sum over bins, which is what
-    a band power is.
-    Raises ValueError for edges that do not increase, a bin without modes or a taper of another shape.
+    A full plane has as many real degrees of freedom as cells. The taper T correlates modes: the squared correlations of
+    one mode with all modes add up to `N_pix sum T^4 / (sum T^2)^2`. A bin that is wide against the taper's resolution
+    therefore has `n = cells (sum T^2)^2 / (N_pix sum T^4)`, and its PSD the relative variance 2 / n for stationary
+    isotropic noise. A narrower bin scatters less than 2 / n, but its correlation with neighbours compensates for that
+    in any smooth sum over bins, such as a band power.
+
+    Parameters
+    ----------
+    n_y, n_x, pixel_rad
+        Pixels of the map, and their side.
+    edges_ell : (n_bin + 1,)
+        Increasing edges of the bins.
+    taper : (n_y, n_x)
+
+    Raises
+    ------
+    ValueError
+        For edges that do not increase, a bin without modes, or a taper of another shape.
     """
     edges_ell = increasing("edges_ell", edges_ell, fewest=2)
     _check_plane(n_y, n_x, pixel_rad)
@@ -103,11 +141,15 @@ def _checked_taper(taper: np.ndarray, shape: tuple = ("n_y", "n_x")) -> np.ndarr
 
 
 def split_azimuth(rings: Annuli, n_y: int, n_x: int, pixel_rad: float, *, n_sector: int) -> Annuli:
-    """The same rings cut into sectors by the angle between a mode and the nearer map axis, 0 to 45 degrees.
+    """Split annuli into sectors of the angle between a mode and the nearer map axis, 0 to 45 degrees.
 
-    Scans along the axes make the noise anisotropic with just this symmetry. Bin b of `rings` becomes bins
-    `b n_sector` to `b n_sector + n_sector - 1`; `edges_ell` stay those of the rings.
-    Raises ValueError for a sector without modes.
+    Scans along the axes make the noise anisotropic with this symmetry. Bin b becomes bins `b n_sector` to
+    `b n_sector + n_sector - 1`; `edges_ell` are unchanged.
+
+    Raises
+    ------
+    ValueError
+        For a sector without modes.
     """
     n_bin = rings.ell.size
     k_y, k_x = np.fft.fftfreq(n_y, pixel_rad)[:, None], np.fft.rfftfreq(n_x, pixel_rad)[None, :]
@@ -126,7 +168,7 @@ def split_azimuth(rings: Annuli, n_y: int, n_x: int, pixel_rad: float, *, n_sect
 
 
 def mode_multiplicity(n_y: int, n_x: int) -> np.ndarray:
-    """Full-plane cells of each flattened half-plane mode of `rfft2`: columns 0 and Nyquist hold both signs of k_y."""
+    """Full-plane cells of each flattened half-plane mode of `rfft2`: columns 0 and Nyquist have both signs of k_y."""
     of_column = np.full(n_x // 2 + 1, 2.0)
     of_column[0] = 1
     if n_x % 2 == 0:
@@ -135,12 +177,26 @@ def mode_multiplicity(n_y: int, n_x: int) -> np.ndarray:
 
 
 def mode_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> np.ndarray:
-    """2-D PSD of tapered maps on the half plane of `rfft2`, in mK^2 rad^2 (any map unit squared).
+    """2-D PSD of tapered maps on the half plane of `rfft2`.
 
-    `map_mk` is (..., n_y, n_x), zero where nothing was observed; the result is (..., n_y, n_x // 2 + 1).
-    Divided by `sum T^2`, so that white noise of variance s^2 a pixel has the PSD s^2 pixel_rad^2, whatever
-    the taper.
-    Raises ValueError if the taper does not have the map's shape, and for values that are not finite.
+    It is normalised by `sum T^2`: white noise of variance s^2 a pixel has the PSD s^2 pixel_rad^2 for any taper.
+
+    Parameters
+    ----------
+    map_mk : (..., n_y, n_x)
+        Maps, zero in unobserved pixels.
+    taper : (n_y, n_x)
+    pixel_rad
+
+    Returns
+    -------
+    (..., n_y, n_x // 2 + 1) array
+        [mK^2 rad^2], or the squared unit of the map.
+
+    Raises
+    ------
+    ValueError
+        For a taper of another shape than the map, and values that are not finite.
     """
     return _psd(*_checked_map(map_mk, taper, pixel_rad), pixel_rad)
 
@@ -159,10 +215,25 @@ def _psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float) -> np.ndarray:
 
 
 def map_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float, rings: Annuli) -> np.ndarray:
-    """Azimuthal mean of the PSD of tapered maps: (..., n_y, n_x) in mK to (..., n_bin) in mK^2 rad^2.
+    """Azimuthally averaged PSD of tapered maps, normalised as `mode_psd`.
 
-    Normalised as `mode_psd`. Raises ValueError if taper or annuli do not fit the map, and for values that are not
-    finite.
+    Parameters
+    ----------
+    map_mk : (..., n_y, n_x)
+    taper : (n_y, n_x)
+    pixel_rad
+    rings
+        Annuli of the map.
+
+    Returns
+    -------
+    (..., n_bin) array
+        [mK^2 rad^2].
+
+    Raises
+    ------
+    ValueError
+        For a taper or annuli of another map, and values that are not finite.
     """
     map_mk, taper = _checked_map(map_mk, taper, pixel_rad)
     n_bin = rings.ell.size
@@ -176,9 +247,12 @@ def map_psd(map_mk: np.ndarray, taper: np.ndarray, pixel_rad: float, rings: Annu
 
 
 def ring_mean(values: np.ndarray, rings: Annuli) -> np.ndarray:
-    """Mean over the modes of each bin (n_bin,) of values on the half plane of `rfft2`, flattened or not.
+    """Average values on the half plane of `rfft2`, flattened or not, over the modes of each bin: (n_bin,).
 
-    Raises ValueError for another number of values than the annuli have modes, and for values that are not finite.
+    Raises
+    ------
+    ValueError
+        For another number of values than modes, and values that are not finite.
     """
     values = reals("values", values, (...,))
     if values.size != rings.bin_of_mode.size:
@@ -197,31 +271,36 @@ def _ring_mean(values: np.ndarray, rings: Annuli) -> np.ndarray:
 def coupled_psd(
     sky_psd: np.ndarray, sky_shape: tuple[int, int], taper: np.ndarray, pixel_rad: float, *, cells_per_pixel: int = 1
 ) -> np.ndarray:
-    """Expectation of `mode_psd` over Gaussian skies: their PSD convolved with the taper's power spectrum.
+    """Expectation of `mode_psd` over Gaussian skies: their PSD convolved with the power spectrum of the taper.
 
-    A taper couples neighbouring modes, which lifts a steep spectrum: ``<P(k)> = sum_k' S(k') |T(k - k')|^2 / (L^2 sum
-    T^2)`` over the modes k' of a sky of area L^2. The sum is taken in real space, where it is exact: the taper's
+    A taper couples neighbouring modes, which raises a steep spectrum: ``<P(k)> = sum_k' S(k') |T(k - k')|^2 / (L^2 sum
+    T^2)`` over the modes k' of a sky of area L^2. The sum is evaluated exactly in real space: the taper's
     autocorrelation times the correlation function of the sky.
 
     Parameters
     ----------
-    sky_psd : (N_y, N_x // 2 + 1) PSD S of the sky in the map, on the half plane of `rfft2` of a periodic grid: beam and
-        pixel window included, 0 for the mean. The grid is best several times as large as the taper: modes longer than
-        its period are left out.
-    sky_shape : (N_y, N_x) cells of that grid.
-    taper : (n_y, n_x), on the map's pixels.
-    pixel_rad : side of a map's pixel.
-    cells_per_pixel : cells of the sky's grid along the side of a pixel.
+    sky_psd : (N_y, N_x // 2 + 1)
+        PSD S of the sky in the map, on the half plane of `rfft2` of a periodic grid: beam and pixel window included, 0
+        for the mean. The grid should be several times as large as the taper, as it lacks modes longer than its period.
+    sky_shape : (N_y, N_x)
+        Cells of that grid.
+    taper : (n_y, n_x)
+        Taper on the map's pixels.
+    pixel_rad
+        Side of a map pixel.
+    cells_per_pixel
+        Cells of the sky's grid along the side of a pixel.
 
     Returns
     -------
-    (n_y, n_x // 2 + 1), in the unit of `sky_psd`; `ring_mean` gives bins of multipole.
+    (n_y, n_x // 2 + 1) array
+        In the unit of `sky_psd`; `ring_mean` averages it in bins of multipole.
 
     Raises
     ------
     ValueError
-        If `sky_psd` is not on the half plane of `sky_shape`, if it or the taper is not finite or the PSD negative,
-        or if cells per pixel are not a positive integer.
+        For a `sky_psd` that is not on the half plane of `sky_shape`, is negative or not finite; for a taper that is not
+        finite; and for `cells_per_pixel` that is not a positive integer.
     """
     sky_shape = tuple(whole("sky_shape", n, least=1) for n in sky_shape)
     if len(sky_shape) != 2:
@@ -233,7 +312,7 @@ def coupled_psd(
     from scipy.fft import irfft2, rfft2
 
     correlation = irfft2(sky_psd, sky_shape, workers=1) * (cells_per_pixel / pixel_rad) ** 2
-    # Lags of both signs must not meet at the rim of the grid: zeros over half of each side keep them apart.
+    # Zero padding to twice the side separates lags of both signs at the edge of the grid.
     grow = tuple(1 + (2 * _extent(taper, axis) > n) for axis, n in enumerate(taper.shape))
     shape = tuple(n * factor for n, factor in zip(taper.shape, grow, strict=True))
     lags = [np.rint(np.fft.fftfreq(n, 1 / n)).astype(int) * cells_per_pixel for n in shape]
@@ -245,19 +324,32 @@ def coupled_psd(
 
 
 def _extent(taper: np.ndarray, axis: int) -> int:
-    """Rows (or columns) from the first to the last that the taper does not hide."""
+    """Rows (or columns) from the first to the last with a non-zero taper."""
     seen = np.flatnonzero(taper.any(axis=1 - axis))
     return int(seen[-1] - seen[0] + 1)
 
 
 def neighbour_correlation(taper: np.ndarray, rings: Annuli) -> np.ndarray:
-    """Correlation of the PSD's noise between each bin and the next, (n_bin - 1,).
+    """Correlation of the PSD's noise between each bin and the next.
 
-    The taper T correlates modes by r, the transform of T^2 over its sum, so the PSDs of white noise in the bins a and b
-    have the covariance ``2 sum_ka sum_kb |r(ka - kb)|^2`` over the numbers of their modes, here summed in real space.
-    Noise whose PSD changes little over the taper's resolution has the same. `taper` is (n_y, n_x), as of the map that
-    `rings` are for.
-    Raises ValueError if the annuli are for another map.
+    The taper T correlates modes by r, the transform of T^2 over its sum. The PSDs of white noise in the bins a and b
+    have the covariance ``2 sum_ka sum_kb |r(ka - kb)|^2`` over the product of their numbers of modes, evaluated in real
+    space. It holds for any noise whose PSD changes little over the taper's resolution.
+
+    Parameters
+    ----------
+    taper : (n_y, n_x)
+    rings
+        Annuli of the same map.
+
+    Returns
+    -------
+    (n_bin - 1,) array
+
+    Raises
+    ------
+    ValueError
+        For annuli of another map.
     """
     taper = _checked_taper(taper)
     n_y, n_x = taper.shape

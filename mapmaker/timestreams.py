@@ -1,4 +1,4 @@
-"""Time-streams of one observation and the focal plane that recorded them; HDF5 in and out."""
+"""Time-streams of one observation and its focal plane; HDF5 input and output."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -13,11 +13,11 @@ from mapmaker.validation import argument_error, flags, increasing, integers, num
 
 _PER_SAMPLE = ("time_s", "ra_deg", "dec_deg", "array_angle_deg", "scan")
 _PER_DETECTOR = ("x_arcmin", "y_arcmin")
-# Largest sizes: right ascensions and array angles may be unwrapped, by a hundred turns; beyond a quarter of a turn is
-# no declination, and no detector.
+# Largest absolute values: right ascensions and array angles may be unwrapped by a hundred turns; declinations and
+# detector offsets are at most a quarter of a turn.
 _QUARTER_RAD, _TURNS_RAD = math.pi / 2 * (1 + 1e-9), 200 * math.pi
 _LARGEST = {"ra_deg": 36e3, "dec_deg": 90.0, "array_angle_deg": 36e3, "x_arcmin": 5400.0, "y_arcmin": 5400.0}
-# Bytes that a compressed file holds of an array's: HDF5's filters leave a thousandth of zeros.
+# Largest compression: HDF5's filters compress zeros by a thousand.
 _MOST_COMPRESSED = 2000
 
 
@@ -25,10 +25,19 @@ _MOST_COMPRESSED = 2000
 class FocalPlane:
     """Detectors in the array frame.
 
-    `x_rad`, `y_rad` (n_det,): offsets from the boresight; at array angle a the y axis lies at position
-    angle a and the x axis 90 degrees clockwise of it as seen on the sky. `fwhm_rad`: Gaussian beam.
-    Raises ValueError for offsets that are not finite, not as many or none, and for a beam that is not
-    between 0 and half a turn.
+    At the array angle a, the y axis has the position angle a, and the x axis is 90 degrees clockwise of it on the sky.
+
+    Attributes
+    ----------
+    x_rad, y_rad : (n_det,)
+        Offsets from the boresight.
+    fwhm_rad
+        Full width at half maximum of the Gaussian beam.
+
+    Raises
+    ------
+    ValueError
+        For offsets that are not finite, of different number or none, and a beam outside 0 to half a turn.
     """
 
     x_rad: np.ndarray
@@ -42,16 +51,19 @@ class FocalPlane:
         _set(self, x_rad=x, y_rad=y, fwhm_rad=fwhm)
 
     def subset(self, detectors: np.ndarray | slice) -> "FocalPlane":
-        """The focal plane of some detectors, given by index, by a flag each or by a slice.
+        """Focal plane of some detectors, given by index, by a flag each, or by a slice.
 
-        Raises ValueError for none, and for an index or flags that do not fit the detectors.
+        Raises
+        ------
+        ValueError
+            For none, and for an index or flags that do not match the detectors.
         """
         rows = detector_rows(detectors, len(self.x_rad))
         return FocalPlane(self.x_rad[rows], self.y_rad[rows], self.fwhm_rad)
 
 
 def detector_rows(detectors: np.ndarray | slice, n_det: int) -> np.ndarray | slice:
-    """Rows of some of `n_det` detectors; raises ValueError for an index or flags that do not fit them."""
+    """Rows of some of `n_det` detectors; raises as `FocalPlane.subset`."""
     if isinstance(detectors, slice):
         return detectors
     if np.asarray(detectors).dtype == bool:
@@ -60,7 +72,7 @@ def detector_rows(detectors: np.ndarray | slice, n_det: int) -> np.ndarray | sli
 
 
 def _set(record: object, **values: object) -> None:
-    """Give a record that is being made the values that its arguments stand for."""
+    """Set fields of a frozen record during its construction."""
     for name, value in values.items():
         object.__setattr__(record, name, value)
 
@@ -69,12 +81,27 @@ def _set(record: object, **values: object) -> None:
 class Timestreams:
     """Time-streams of one observation.
 
-    `data_mk` (n_det, n_samp) mK Rayleigh-Jeans, float32 or float64; `time_s`, `ra_rad`, `dec_rad`
-    (boresight), `array_angle_rad` (position angle of the array's y axis at the boresight, from north through
-    east) and `scan` (n_samp,), `scan` -1 outside scans and the samples of one scan contiguous;
-    `attributes` hold units, seed and truth.
-    Data of other real types become float64. Raises ValueError for shapes or types that do not fit, pointing that is not
-    finite or no direction, times that do not increase, and scans as `scan_bounds`. Data may be NaN.
+    Attributes
+    ----------
+    data_mk : (n_det, n_samp)
+        [mK Rayleigh-Jeans], float32 or float64; other real types become float64. NaN is allowed.
+    time_s : (n_samp,)
+        Increasing.
+    ra_rad, dec_rad : (n_samp,)
+        Boresight.
+    array_angle_rad : (n_samp,)
+        Position angle of the array's y axis at the boresight, from north through east.
+    scan : (n_samp,)
+        Number of the scan, -1 outside scans; the samples of one scan are contiguous.
+    focal_plane
+    attributes
+        Units, seed and true values of a simulation.
+
+    Raises
+    ------
+    ValueError
+        For shapes or types that do not match, pointing that is not finite or no direction, times that do not increase,
+        and scans as `scan_bounds`.
     """
 
     data_mk: np.ndarray
@@ -104,16 +131,29 @@ class Timestreams:
         return scan_bounds(self.scan)
 
     def subset(self, detectors: np.ndarray | slice) -> "Timestreams":
-        """The streams of some detectors, given and refused as by `FocalPlane.subset`."""
+        """Streams of some detectors; argument and errors as for `FocalPlane.subset`."""
         plane = self.focal_plane.subset(detectors)
         return replace(self, data_mk=self.data_mk[detector_rows(detectors, len(self.data_mk))], focal_plane=plane)
 
 
 def scan_bounds(scan: np.ndarray) -> np.ndarray:
-    """First and one-past-last sample of each scan, (n_scan, 2) int64, from scan numbers (n_samp,), negative outside.
+    """First and one-past-last sample of each scan.
 
-    Raises ValueError for numbers that are not integers, for a scan in pieces (a number that comes back), and for the
-    largest number of an unsigned type: a -1 that was stored in it.
+    Parameters
+    ----------
+    scan : (n_samp,)
+        Scan numbers, negative outside scans.
+
+    Returns
+    -------
+    (n_scan, 2) array
+        int64.
+
+    Raises
+    ------
+    ValueError
+        For numbers that are not integers, a scan whose samples are not contiguous, and the largest number of an
+        unsigned type, which stands for a stored -1.
     """
     scan = signed("scan", scan, integers("scan", scan, ("n_samp",)))
     edges = np.flatnonzero(np.diff(scan)) + 1
@@ -129,9 +169,12 @@ def scan_bounds(scan: np.ndarray) -> np.ndarray:
 
 
 def write_timestreams(path: str | Path, streams: Timestreams) -> None:
-    """Write one observation to HDF5, atomically (a partial file never has the final name).
+    """Write one observation to HDF5, atomically.
 
-    Raises ValueError for attributes other than numbers and texts, and for data beyond single precision.
+    Raises
+    ------
+    ValueError
+        For attributes other than numbers and texts, and data beyond single precision.
     """
     with timestream_file(path, streams.data_mk.shape[1]) as add:
         add(streams)
@@ -139,10 +182,19 @@ def write_timestreams(path: str | Path, streams: Timestreams) -> None:
 
 @contextmanager
 def timestream_file(path: str | Path, n_samp: int) -> Iterator[Callable[[Timestreams], None]]:
-    """An HDF5 file of one observation of `n_samp` samples, which it is given in parts, in order of time.
+    """Context manager for an HDF5 file of one observation, written in parts in order of time.
 
-    It has its name, as from `write_timestreams`, once it is whole: raises ValueError where the parts have another
-    number of samples in all or differ in their detectors, and as `write_timestreams`.
+    The file gets its name when it is complete.
+
+    Yields
+    ------
+    callable
+        Adds a part, a `Timestreams`.
+
+    Raises
+    ------
+    ValueError
+        Where the parts do not have `n_samp` samples in all or have different detectors, and as `write_timestreams`.
     """
     import h5py
 
@@ -169,7 +221,7 @@ def timestream_file(path: str | Path, n_samp: int) -> Iterator[Callable[[Timestr
 
 
 def _begin(file, part: Timestreams, n_samp: int) -> None:
-    """Write what does not depend on time, and make room for the rest."""
+    """Write the data sets that do not depend on time, and allocate the others."""
     data = file.create_dataset("data", (len(part.data_mk), n_samp), np.float32)
     data.attrs["unit"] = "mK (Rayleigh-Jeans)"
     for name, values in _sample_columns(part).items():
@@ -186,7 +238,7 @@ def _begin(file, part: Timestreams, n_samp: int) -> None:
 
 
 def _sample_columns(streams: Timestreams) -> dict[str, np.ndarray]:
-    """`_PER_SAMPLE` as a file has them."""
+    """`_PER_SAMPLE` in the units of a file."""
     angles = (np.degrees(angle) for angle in (streams.ra_rad, streams.dec_rad, streams.array_angle_rad))
     return dict(zip(_PER_SAMPLE, (streams.time_s, *angles, streams.scan), strict=True))
 
@@ -194,9 +246,13 @@ def _sample_columns(streams: Timestreams) -> dict[str, np.ndarray]:
 def read_timestreams(path: str | Path) -> Timestreams:
     """Read one observation from HDF5; integers and big-endian numbers are converted.
 
-    Raises ValueError, in one line that names the file, for one that is unreadable, truncated or no regular file, that
-    lacks a data set, and whose shapes, types or values are not those of `Timestreams`. Data sets in other files
-    are not read.
+    Data sets stored in other files are not read.
+
+    Raises
+    ------
+    ValueError
+        In one line that names the file: for one that is unreadable, truncated, no regular file or lacks a data set, and
+        for shapes, types or values that `Timestreams` refuses.
     """
     import h5py
 
@@ -206,12 +262,12 @@ def read_timestreams(path: str | Path) -> Timestreams:
             return _streams_of(file)
     except _Unfit as error:
         raise ValueError(f"{path}: {error}") from None
-    except Exception as error:  # h5py has one of nearly every kind for a mangled file
+    except Exception as error:  # h5py raises nearly every kind of exception for a mangled file
         raise ValueError(f"{path}: not a whole time-stream file ({one_line(error)})") from None
 
 
 class _Unfit(ValueError):
-    """A file that can be read but has not what it should."""
+    """Readable file without the expected content."""
 
 
 def _streams_of(file) -> Timestreams:

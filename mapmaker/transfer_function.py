@@ -1,4 +1,4 @@
-"""What is lost of a sky signal's power on its way into the map: beam, pixel, scans and cleaning."""
+"""Transfer functions: power that a sky signal loses by beam, pixel, scans and cleaning."""
 
 import math
 from dataclasses import dataclass
@@ -11,43 +11,68 @@ from mapmaker.validation import number, pixel_side, plane_sides, reals
 
 @dataclass(frozen=True)
 class TransferFunction:
-    """Share of the signal's power that is left, a bin of multipole, as measured with simulated skies."""
+    """Transfer function of the signal's power in bins of multipole, measured with simulated skies.
 
-    ell: np.ndarray  # (n_bin,)
-    transmission: np.ndarray  # (n_bin,) power out / power in
-    deviations: np.ndarray  # (n_sky, n_bin) each sky's part of the error, with its sign
+    Attributes
+    ----------
+    ell : (n_bin,)
+    transmission : (n_bin,)
+        Power out over power in.
+    deviations : (n_sky, n_bin)
+        Signed contribution of each sky to the error.
+    """
+
+    ell: np.ndarray
+    transmission: np.ndarray
+    deviations: np.ndarray
 
     @property
     def error(self) -> np.ndarray:
-        """Standard error of the transmission, (n_bin,): the deviations, being independent, in quadrature."""
+        """Standard error of the transmission, (n_bin,): the independent deviations in quadrature."""
         return np.linalg.norm(self.deviations, axis=0)
 
 
 def beam_window(ell: np.ndarray, fwhm_rad: float) -> np.ndarray:
-    """Power transmission `B_ell^2 = exp(-ell^2 s^2)` of a Gaussian beam, `s = fwhm / sqrt(8 ln 2)`.
+    """Beam window function `B_ell^2 = exp(-ell^2 s^2)` of a Gaussian beam, `s = fwhm / sqrt(8 ln 2)`.
 
-    Raises ValueError for multipoles or a beam that are not finite, and for a negative beam.
+    Raises
+    ------
+    ValueError
+        For multipoles or a beam that are not finite, and for a negative beam.
     """
     number("fwhm_rad", fwhm_rad, least=0, most=math.pi)
     return np.exp(-(reals("ell", ell, (...,), empty=True) ** 2) * fwhm_rad**2 / (8 * np.log(2)))
 
 
 def pixel_window(ell: np.ndarray, pixel_rad: float) -> np.ndarray:
-    """Power transmission of square pixels: `sinc^2(k_x p / 2) sinc^2(k_y p / 2)` averaged over azimuth.
-
-    `ell` has any shape. Equal steps over the period of a smooth function converge exponentially: 32 are exact
-    to rounding for all multipoles that a map of such pixels can hold.
+    """Window function of square pixels: `sinc^2(k_x p / 2) sinc^2(k_y p / 2)` averaged over azimuth, for `ell` of any
+    shape.
     """
     number("pixel_rad", pixel_rad, least=0, below=math.pi / 2)
+    # Equal steps over the period of a smooth function converge exponentially: 32 are exact to rounding.
     azimuth = (np.arange(32) + 0.5) * (np.pi / 2 / 32)
     cycles = reals("ell", ell, (...,), empty=True).astype(np.float64)[..., None] * pixel_rad / (2 * np.pi)
     return np.mean((np.sinc(cycles * np.cos(azimuth)) * np.sinc(cycles * np.sin(azimuth))) ** 2, axis=-1)
 
 
 def mode_pixel_window(n_y: int, n_x: int, cell_rad: float, pixel_rad: float) -> np.ndarray:
-    """Power transmission of square pixels on the half plane of `rfft2`, (n_y, n_x // 2 + 1), cells `cell_rad` wide.
+    """Window function of square pixels on the half plane of `rfft2`.
 
-    Raises ValueError for sides that are not positive integers, and for cells or pixels that are not positive.
+    Parameters
+    ----------
+    n_y, n_x, cell_rad
+        Cells of the grid, and their side.
+    pixel_rad
+        Side of a pixel.
+
+    Returns
+    -------
+    (n_y, n_x // 2 + 1) array
+
+    Raises
+    ------
+    ValueError
+        For sides that are not positive integers, and cells or pixels that are not positive.
     """
     plane_sides(n_y, n_x)
     pixel_side("cell_rad", cell_rad)
@@ -58,14 +83,23 @@ def mode_pixel_window(n_y: int, n_x: int, cell_rad: float, pixel_rad: float) -> 
 
 
 def measure_transfer_function(psd_cleaned: np.ndarray, psd_reference: np.ndarray, ell: np.ndarray) -> TransferFunction:
-    """Power transmission from the PSDs of the same skies with and without the losses, both (n_sky, n_bin).
+    """Transfer function from the PSDs of the same skies with and without losses.
 
-    The ratio of the means over skies, not the mean of ratios: it is consistent and not ruled by skies that
-    happen to be faint. The error is the delete-one jackknife over skies, `(n - 1) / n sum_i (r_i - mean
-    r)^2`, in which the sample variance common to both PSDs cancels; `sqrt((n - 1) / n) (r_i - mean r)` are the
-    deviations. `ell` is (n_bin,).
-    Raises ValueError for fewer than 2 skies, shapes that differ, values that are not finite, negative power or a
-    reference without power.
+    It is the ratio of the means over skies, which is consistent and not dominated by faint skies, unlike the mean of
+    ratios. The error is the delete-one jackknife over skies, `(n - 1) / n sum_i (r_i - mean r)^2`, in which the sample
+    variance common to both PSDs cancels; the deviations are `sqrt((n - 1) / n) (r_i - mean r)`.
+
+    Parameters
+    ----------
+    psd_cleaned, psd_reference : (n_sky, n_bin)
+        PSDs with and without losses.
+    ell : (n_bin,)
+
+    Raises
+    ------
+    ValueError
+        For fewer than 2 skies, shapes that differ, values that are not finite, negative power, or a reference without
+        power.
     """
     psd_cleaned = reals("psd_cleaned", psd_cleaned, (...,), least=0)
     psd_reference = reals("psd_reference", psd_reference, (...,), least=0)

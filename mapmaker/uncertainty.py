@@ -1,6 +1,7 @@
-"""Errors of sigma(A), parts and all: noise realizations, the observations' weather, the signal window.
+"""Error of sigma(A) and its parts: noise realizations, weather of the observations, transfer function.
 
-Symbols as in `mapmaker.bandpower`: per-bin arrays are (n_bin,), `weight` or g is each bin's share in sigma^-2.
+Symbols as in `mapmaker.bandpower`: per-bin arrays are (n_bin,); `weight` or g is the contribution of each bin to
+sigma^-2.
 """
 
 from dataclasses import dataclass
@@ -10,16 +11,24 @@ import numpy as np
 from mapmaker.errors import InsufficientDataError
 from mapmaker.validation import reals
 
-FEWEST = 16  # observations whose own scatter tells how well they sample the weather
-_MODE_COUNT_DOF = 16  # realizations that a count of modes is worth as a measure of their scatter
+FEWEST = 16  # least number of observations whose scatter measures their sampling of the weather
+_MODE_COUNT_DOF = 16  # realizations with the same weight as the closed form of their scatter
 
 
 @dataclass(frozen=True)
 class ErrorBudget:
-    """Relative standard errors of sigma; NaN for a part that the data do not tell.
+    """Relative standard errors of sigma; NaN for a part that the data do not determine.
 
-    `noise` of the noise realizations, `weather` of the sample of observations (the weather that they had and the scans
-    that they lost), `window` of the signal window, `population` of an expectation over weather that sigma is scaled to.
+    Attributes
+    ----------
+    noise
+        From the finite number of noise realizations.
+    weather
+        From the sample of observations: their weather, and the scans they lost.
+    window
+        From the transfer function of the signal.
+    population
+        From an expectation over weather that sigma is scaled to.
     """
 
     noise: float
@@ -29,7 +38,7 @@ class ErrorBudget:
 
     @property
     def total(self) -> float:
-        """The parts, being independent, in quadrature."""
+        """Sum of the independent parts in quadrature."""
         return float(np.linalg.norm([self.noise, self.weather, self.window, self.population]))
 
 
@@ -41,9 +50,9 @@ def noise_error(
     n_modes: np.ndarray | None = None,
     correlation: np.ndarray | None = None,
 ) -> float:
-    """Relative error of sigma from the finite number of noise realizations (K, n_bin) and of observations.
+    """Relative error of sigma from the finite numbers of noise realizations and of observations.
 
-    The two `noise_error_parts` in quadrature; raises ValueError as they do.
+    It is the sum in quadrature of the two `noise_error_parts`, which documents parameters and errors.
     """
     return float(
         np.hypot(
@@ -60,26 +69,43 @@ def noise_error_parts(
     n_modes: np.ndarray | None = None,
     correlation: np.ndarray | None = None,
 ) -> tuple[float, float]:
-    """Relative errors of sigma from its noise: the part that more realizations take away, and the part they share.
+    """Relative errors of sigma from its noise: the part that more realizations reduce, and the part common to all of
+    them.
 
-    Response of sigma: `sigma^-2 = sum n/2 (M/N)^2` gives `d ln sigma = sum_b g_b dN_b / N_b`, g the
-    normalised `weight`. So each realization has a response `r_k`, and the error of sigma is that of the mean
-    of r_k.
+    From `sigma^-2 = sum n/2 (M/N)^2` follows `d ln sigma = sum_b g_b dN_b / N_b`. Each realization k has a response
+    r_k, and the error of sigma is that of the mean of r_k.
 
-    The realizations share their observations. In a Fourier mode let observation i add the complex Gaussian
-    a_i of variance v_i, and `z_k = sum_i s_ki a_i`. Then `<|z_k|^2> = V = sum v_i` and, by Wick's theorem,
-    the powers have `cov(|z_k|^2, |z_l|^2) = |<z_k z_l*>|^2 = (sum_i s_ki s_li v_i)^2`: V^2 for k = l and on
-    average over signs `sum v_i^2` for k != l. With inverse-variance weights `v_i ~ w_i^2 / w_i = w_i`, so two
-    realizations correlate by `c = 1 / n_eff`, `n_eff = (sum w)^2 / sum w^2`, and
-    `var(mean r) = var(r) (1 - c) / K + var(r) c`: more signs cannot replace more observations.
+    The realizations have the same observations. In a Fourier mode let observation i add the complex Gaussian a_i of
+    variance v_i, and `z_k = sum_i s_ki a_i` with signs s_ki. Then `<|z_k|^2> = V = sum v_i`, and by Wick's theorem the
+    powers have `cov(|z_k|^2, |z_l|^2) = |<z_k z_l*>|^2 = (sum_i s_ki s_li v_i)^2`: V^2 for k = l and, averaged over
+    signs, `sum v_i^2` for k != l. With inverse-variance weights `v_i ~ w_i^2 / w_i = w_i`, two realizations correlate
+    by `c = 1 / n_eff`, `n_eff = (sum w)^2 / sum w^2`, and `var(mean r) = var(r) (1 - c) / K + var(r) c`: more
+    realizations cannot replace more observations.
 
-    A few realizations know var(r) badly, to `sqrt(2 / (K - 1))`. Modes of noise that is alike in all directions have
-    `var(r) = sum_b g_b^2 2 / n_b`. With `n_modes` (n_bin,) this closed form and the scatter of the realizations are
-    averaged, as if the closed form were the scatter of 16 more; without, the scatter is all there is. The `correlation`
-    (n_bin - 1,) of bins with the next leaves each bin `2 / n_b` less what it shares with its neighbours, which a wide
-    sum has again: a sum that one bin rules has less. Within the K the common part does not show: `<s^2> = var(r)
-    (1 - c)`.
-    Raises ValueError for fewer than 2 observations or a weight that is not positive.
+    A few realizations determine var(r) only to `sqrt(2 / (K - 1))`. For isotropic noise `var(r) = sum_b g_b^2 2 / n_b`.
+    With `n_modes`, this closed form is averaged with the scatter of the realizations, with the weight of 16 more. The
+    `correlation` of neighbouring bins lowers the variance of a single bin to `2 / n_b` less its shared part, which a
+    wide sum regains. The common part does not show within the K realizations: `<s^2> = var(r) (1 - c)`.
+
+    Parameters
+    ----------
+    noise_psds_ukcmb2 : (K, n_bin)
+    weight : (n_bin,)
+        g.
+    observation_weights : (n_obs,)
+        Inverse variances w_i, up to a factor.
+    n_modes : (n_bin,), optional
+    correlation : (n_bin - 1,), optional
+        Correlation of each bin with the next.
+
+    Returns
+    -------
+    signs, common : float
+
+    Raises
+    ------
+    ValueError
+        For fewer than 2 observations, or a weight that is not positive.
     """
     _check_observations(observation_weights)
     used = weight > 0
@@ -93,7 +119,7 @@ def noise_error_parts(
 
 
 def _counted_variance(weight: np.ndarray, n_modes: np.ndarray, correlation: np.ndarray | None) -> float:
-    """Variance of the weighted sum of relative errors of bins whose wide sums have 2 / n of each."""
+    """Variance of the weighted sum of the bins' relative errors, from their numbers of modes."""
     used = weight > 0
     single = np.zeros(weight.shape)
     single[used] = weight[used] * np.sqrt(2 / n_modes[used])
@@ -104,7 +130,7 @@ def _counted_variance(weight: np.ndarray, n_modes: np.ndarray, correlation: np.n
 
 
 def _variance_of_sum(deviations: np.ndarray, correlation: np.ndarray | None) -> float:
-    """Of (n_bin,) terms with these standard deviations, each of which correlates with the next alone."""
+    """Variance of the sum of (n_bin,) terms with these standard deviations, each correlated with the next only."""
     alone = float(deviations @ deviations)
     if correlation is None:
         return alone
@@ -114,14 +140,33 @@ def _variance_of_sum(deviations: np.ndarray, correlation: np.ndarray | None) -> 
 def information_shares(
     weights: np.ndarray, data: np.ndarray | float, noise: np.ndarray, bin_weight: np.ndarray
 ) -> np.ndarray:
-    """How much each of (n_obs,) observations has of a survey's information: sigma answers to it; they sum to 1.
+    """Contribution of each observation to the information of a survey.
 
-    An observation of the weight w_i a sample, a share d_i of all `data` and the `noise` variance v_ib a sample
-    (n_obs, n_bin) adds to the co-added `N_b = sum w^2 d v_b / (sum w d)^2`. Of more or less of it, d ln sigma is minus
-    its ``2 w d / sum(w d) - sum_b g_b w^2 d v_b / sum(w^2 d v_b)``, g the `bin_weight` (n_bin,). With w = 1 / v in all
-    bins that is ``w d``; one that is noisy where its weight is not measured has less, even less than none. Noise counts
-    in bins and observations that have a weight. Raises ValueError for other shapes, for fewer than 2 observations with
-    data, and for weights, data or noise that are negative or not finite.
+    An observation with the weight w_i a sample, the fraction d_i of all data and the noise variance v_ib a sample adds
+    to the co-added `N_b = sum w^2 d v_b / (sum w d)^2`. For a small change of its data, -d ln sigma is ``2 w d / sum(w
+    d) - sum_b g_b w^2 d v_b / sum(w^2 d v_b)``. For w = 1 / v in all bins this is ``w d``; observations with excess
+    noise in bins where the weight is not measured contribute less, possibly less than nothing.
+
+    Parameters
+    ----------
+    weights : (n_obs,)
+        w.
+    data : (n_obs,) or scalar
+        d.
+    noise : (n_obs, n_bin)
+        v; used in bins and observations with a weight.
+    bin_weight : (n_bin,)
+        g.
+
+    Returns
+    -------
+    (n_obs,) array
+        Contributions, which sum to 1.
+
+    Raises
+    ------
+    ValueError
+        For other shapes, fewer than 2 observations with data, and values that are negative or not finite.
     """
     weights, bin_weight = (
         reals("weights", weights, ("n_obs",), least=0),
@@ -137,11 +182,20 @@ def information_shares(
 
 
 def ratio_error(information: np.ndarray, expected: np.ndarray) -> float:
-    """Relative error of `sum(information) / sum(expected)` over (n_obs,) observations that are independent draws.
+    """Relative error of `sum(information) / sum(expected)` over observations that are independent draws.
 
-    To first order the ratio r changes by `(x_i - r y_i) / sum y` for each draw, so its relative variance is
-    `n / (n - 1) sum (x_i - r y_i)^2 / (sum x)^2`: none where the two are proportional.
-    Raises ValueError for fewer than 2 observations or an expectation whose sum is not positive.
+    To first order, each draw changes the ratio r by `(x_i - r y_i) / sum y`. The relative variance is
+    `n / (n - 1) sum (x_i - r y_i)^2 / (sum x)^2`: zero where the two are proportional.
+
+    Parameters
+    ----------
+    information, expected : (n_obs,)
+        x and y.
+
+    Raises
+    ------
+    ValueError
+        For fewer than 2 observations, or an expectation whose sum is not positive.
     """
     if expected.size < 2 or not expected.sum() > 0:
         raise InsufficientDataError(f"expected at least 2 observations of a positive sum, got {expected}")
@@ -150,14 +204,24 @@ def ratio_error(information: np.ndarray, expected: np.ndarray) -> float:
 
 
 def weather_error(information: np.ndarray, common_noise: float = 0.0) -> float:
-    """Relative error of sigma from the weather of (n_obs,) observations, judged by their own scatter; NaN below 16.
+    """Relative error of sigma from the weather of its observations, estimated from their scatter.
 
-    `information` is what sigma has of each (`information_shares`): its weight, with equal data and noise that changes
-    alike in all bins. A sum of n independent draws has the relative variance `CV^2 / n`. It is measured with noise,
-    which is in the error of sigma already: its variance `common_noise` squared (`noise_error_parts`) is taken off. The
-    deviation of a mean over its estimated error is Student's t, hence the `student_factor`. Few observations rarely
-    hold the best nights, so below `FEWEST` the error is unknown; a long tail of weights makes it too small above, too.
-    Raises ValueError for fewer than 2 observations.
+    A sum of n independent draws has the relative variance `CV^2 / n`. The variance of its measurement noise, which is
+    part of the error of sigma already, is subtracted. The deviation of a mean over its estimated error follows
+    Student's t, hence `student_factor`. Few observations rarely include the best nights: below `FEWEST` the error is
+    NaN. A long tail of weights makes it too small above, too.
+
+    Parameters
+    ----------
+    information : (n_obs,)
+        Contribution of each observation (`information_shares`).
+    common_noise
+        Common part of `noise_error_parts`.
+
+    Raises
+    ------
+    ValueError
+        For fewer than 2 observations.
     """
     n_obs = information.size
     scatter = ratio_error(information, np.ones(n_obs))
@@ -167,22 +231,27 @@ def weather_error(information: np.ndarray, common_noise: float = 0.0) -> float:
 
 
 def student_factor(n_draw: int) -> float:
-    """Standard deviation of Student's t of n_draw draws: of a mean's error over its estimate; NaN below 4 draws."""
+    """Standard deviation of Student's t for a mean of `n_draw` draws; NaN for fewer than 4."""
     return float(np.sqrt((n_draw - 1) / (n_draw - 3))) if n_draw > 3 else float("nan")
 
 
 def subtract_in_quadrature(scatter: float, noise: float) -> float:
-    """A scatter less the part that noise has in it, in quadrature; 0 where noise alone is larger."""
+    """Subtract the noise from a scatter in quadrature; 0 where the noise is larger."""
     return float(np.sqrt(max(scatter**2 - noise**2, 0.0)))
 
 
 def transfer_function_error(
     signal_psd_relative_error: np.ndarray, weight: np.ndarray, correlation: np.ndarray | None = None
 ) -> float:
-    """Relative error of sigma from errors of the signal PSD, (n_bin,).
+    """Relative error of sigma from errors of the signal PSD: `d ln sigma = -sum_b g_b dM_b / M_b`.
 
-    `d ln sigma = -sum_b g_b dM_b / M_b`, g the normalised `weight`. Errors of neighbours have the `correlation`
-    (n_bin - 1,) that the map's taper gives them, and are independent by default: `sqrt(sum (g e)^2)`.
+    Parameters
+    ----------
+    signal_psd_relative_error, weight : (n_bin,)
+        Relative errors of M, and g.
+    correlation : (n_bin - 1,), optional
+        Correlation of the errors of neighbouring bins by the map's taper. Without it they are independent:
+        `sqrt(sum (g e)^2)`.
     """
     errors = np.where(weight > 0, weight * signal_psd_relative_error, 0.0)
     return float(np.sqrt(_variance_of_sum(errors, correlation)))

@@ -1,7 +1,7 @@
-"""Checks of arguments: each public function makes them once, before it computes anything.
+"""Checks of arguments, which each public function makes once, before it computes anything.
 
-A check returns its argument as loops need it, in the machine's byte order and of a type that they are compiled for, or
-raises ValueError with the name, what was found and what is expected. Loops themselves test no index.
+A check returns its argument in native byte order and in a type that kernels are compiled for, or raises ValueError with
+the name, the value found and the values expected. Kernels do not check indices.
 """
 
 import math
@@ -11,15 +11,15 @@ from types import EllipsisType
 
 import numpy as np
 
-# Sides of a shape: a number, or the name of one that is free. A leading ... stands for any more axes.
+# Sides of a shape: a number, or a name for any length. A leading ... stands for any number of axes.
 Shape = Sequence[int | str | EllipsisType]
 _KINDS = {"biuf": "real numbers", "iuf": "real numbers", "iu": "integers", "b": "True and False"}
-_MOST_TEXT = 60  # letters of a wrong value in a message
-MAX_PIXELS = 2**31 - 1  # of a map: pixel numbers are int32, -1 off the map
+_MOST_TEXT = 60  # characters of a wrong value in a message
+MAX_PIXELS = 2**31 - 1  # pixel numbers of a map are int32, -1 off the map
 
 
 def argument_error(name: str, found: object, expected: str) -> ValueError:
-    """The error of an argument, to be raised: its name, what was found, what is expected."""
+    """Error of an argument: its name, the value found, the values expected."""
     text = str(found)
     return ValueError(f"{name}: found {text[:_MOST_TEXT]}{'...' * (len(text) > _MOST_TEXT)}; {expected} expected")
 
@@ -35,10 +35,26 @@ def reals(
     most: float = math.inf,
     empty: bool = False,
 ) -> np.ndarray:
-    """An array of real numbers, float32 where it is and float64 otherwise.
+    """Convert to an array of real numbers: float32 if it is, else float64.
 
-    Bounds are those of values; without `finite`, infinities and NaN pass, and there are no bounds. Raises ValueError
-    for other shapes and types (complex, text, objects, masked values, quantities with a unit) and values out of bounds.
+    Parameters
+    ----------
+    name
+        Name of the argument in messages.
+    value
+    shape
+    finite
+        If False, infinities and NaN are allowed, and there are no bounds.
+    least, above, most
+        Bounds of the values.
+    empty
+        Allow arrays without a value.
+
+    Raises
+    ------
+    ValueError
+        For other shapes and types (complex, text, objects, masked values, quantities with a unit), and values out of
+        bounds.
     """
     array = _plain(name, value, "biuf")
     if array.dtype not in (np.float32, np.float64):
@@ -54,8 +70,8 @@ def reals(
 
 @np.errstate(over="ignore", invalid="ignore")
 def _within(array: np.ndarray, least: float, above: float, most: float) -> bool:
-    """Whether values are surely finite and within bounds, in as few passes as that takes."""
-    # A sum that is finite has finite terms; one that is not may have overflowed.
+    """Tell quickly whether values are certainly finite and within bounds."""
+    # A finite sum has finite terms; a sum that is not finite may have overflowed.
     if not math.isfinite(array.sum()):
         return False
     low = array.min() if max(least, above) > -math.inf else math.inf
@@ -71,7 +87,7 @@ def integers(
     most: int = 2**63 - 1,
     empty: bool = False,
 ) -> np.ndarray:
-    """An array of integers, int32 where it is and int64 otherwise; errors as `reals`."""
+    """Convert to an array of integers: int32 if it is, else int64; parameters and errors as for `reals`."""
     array = _plain(name, value, "iu")
     _check_shape(name, array, shape, empty)
     if array.size and not (least <= (low := int(array.min())) and (high := int(array.max())) <= most):
@@ -84,7 +100,7 @@ def integers(
 
 
 def flags(name: str, value: object, shape: Shape, *, empty: bool = False) -> np.ndarray:
-    """An array of True and False, never of numbers, which might be meant as indices; errors as `reals`."""
+    """Check an array of True and False; numbers, which might be indices, are refused; errors as for `reals`."""
     array = _plain(name, value, "b")
     _check_shape(name, array, shape, empty)
     return array
@@ -99,7 +115,7 @@ def number(
     most: float = math.inf,
     below: float = math.inf,
 ) -> float:
-    """A finite real number within bounds."""
+    """Check a finite real number within bounds."""
     array = _plain(name, value, "iuf") if not isinstance(value, float) else value
     if np.ndim(array):
         raise argument_error(name, f"the shape {np.shape(array)}", "one number is")
@@ -112,7 +128,7 @@ def number(
 
 
 def whole(name: str, value: object, *, least: int, most: int | float = math.inf) -> int:
-    """An integer within bounds."""
+    """Check an integer within bounds."""
     try:
         found = operator.index(value)
     except TypeError:
@@ -127,12 +143,12 @@ def whole(name: str, value: object, *, least: int, most: int | float = math.inf)
 
 
 def pixel_side(name: str, value: object) -> float:
-    """The side of a pixel [rad]: from what rounding of directions leaves of it, to a quarter of a turn."""
+    """Check the side of a pixel [rad]: above the rounding of directions, below a quarter of a turn."""
     return number(name, value, least=1e-12, below=math.pi / 2)
 
 
 def plane_sides(n_y: object, n_x: object) -> None:
-    """Raise ValueError for sides of a plane that are no integers, or more cells in all than a map may have."""
+    """Raise ValueError for sides of a plane that are no integers, or too many cells for a map."""
     whole("n_y", n_y, least=1, most=MAX_PIXELS)
     whole("n_x", n_x, least=1, most=MAX_PIXELS)
     if int(n_y) * int(n_x) > MAX_PIXELS:
@@ -140,7 +156,7 @@ def plane_sides(n_y: object, n_x: object) -> None:
 
 
 def increasing(name: str, value: object, *, fewest: int, least: float = -math.inf) -> np.ndarray:
-    """Finite numbers (n,), `fewest` or more, that increase from `least` or more."""
+    """Check at least `fewest` finite numbers (n,) that increase from `least` or more."""
     array = reals(name, value, ("n",), least=least).astype(np.float64, copy=False)
     if len(array) < fewest:
         raise argument_error(name, f"{len(array)} numbers", f"{fewest} or more are")
@@ -158,7 +174,7 @@ def _check_increase(name: str, array: np.ndarray) -> None:
 
 
 def band_edges(name: str, value: object) -> np.ndarray:
-    """Edges (n + 1,) of bands that increase from 0 or more; the last may be infinite."""
+    """Check edges (n + 1,) of bands that increase from 0 or more; the last may be infinite."""
     array = reals(name, value, ("n_band + 1",), finite=False).astype(np.float64, copy=False)
     if len(array) < 2:
         raise argument_error(name, f"{len(array)} edges", "2 or more are")
@@ -168,7 +184,9 @@ def band_edges(name: str, value: object) -> np.ndarray:
 
 
 def bounds_of_scans(value: object, n_samp: int) -> np.ndarray:
-    """First and one-past-last samples of scans, (n_scan, 2) int64: none empty, outside the samples or overlapping."""
+    """Check first and one-past-last samples of scans, (n_scan, 2) int64: not empty, within the samples, not
+    overlapping.
+    """
     name = "scan_bounds"
     if np.size(value) == 0 and np.shape(value) in ((0,), (0, 2)):
         return np.zeros((0, 2), np.int64)
@@ -192,7 +210,7 @@ def bounds_of_scans(value: object, n_samp: int) -> np.ndarray:
 
 
 def single_precision(name: str, array: np.ndarray) -> np.ndarray:
-    """Float32 of real numbers; raises ValueError for finite ones that it cannot hold."""
+    """Convert to float32; raises ValueError for finite numbers beyond its range."""
     try:
         with np.errstate(over="raise"):
             return array.astype(np.float32, copy=False)
@@ -203,12 +221,14 @@ def single_precision(name: str, array: np.ndarray) -> np.ndarray:
 
 
 def pixel_numbers(value: object, shape: tuple[int, ...], n_pixel: int) -> np.ndarray:
-    """Flat pixels of samples, of the data's shape: -1, off the map, to `n_pixel` - 1."""
+    """Check flat pixels of samples, of the data's shape: -1 (off the map) to `n_pixel` - 1."""
     return signed("index", value, integers("index", value, shape, least=-1, most=n_pixel - 1))
 
 
 def signed(name: str, value: object, array: np.ndarray) -> np.ndarray:
-    """The integers of `value`; raises ValueError for the largest of an unsigned type: a -1 that was stored in it."""
+    """Return the integers of `value`; raises ValueError for the largest of an unsigned type, which stands for a stored
+    -1.
+    """
     kind = np.asarray(value).dtype
     if kind.kind == "u" and array.max() == np.iinfo(kind).max:
         raise argument_error(name, f"{array.max()}, which is -1 in the type {kind}", "a type with a sign is")
@@ -216,7 +236,7 @@ def signed(name: str, value: object, array: np.ndarray) -> np.ndarray:
 
 
 def _plain(name: str, value: object, kinds: str) -> np.ndarray:
-    """A numpy array of some kinds of types, in the machine's byte order."""
+    """Convert to a numpy array of some kinds of types, in native byte order."""
     expected = f"{_KINDS[kinds]} are"
     if np.ma.is_masked(value):
         raise argument_error(name, "masked values", f"{_KINDS[kinds]} without a mask are")
@@ -246,7 +266,7 @@ def _check_shape(name: str, array: np.ndarray, shape: Shape, empty: bool) -> Non
 
 
 def _place(fits: np.ndarray) -> str:
-    """Where the first value is that does not fit."""
+    """Index of the first value that does not fit, as text."""
     place = np.unravel_index(int(np.argmin(fits)), fits.shape)
     return f"at [{', '.join(map(str, place))}]" if place else ""
 

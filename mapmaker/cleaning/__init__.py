@@ -1,4 +1,4 @@
-"""Removal of the atmosphere from the streams, scan by scan: every algorithm behind one table."""
+"""Removal of the atmosphere from time-streams, scan by scan: one table of all cleaning algorithms."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ __all__ = [
 
 
 class Cleaner(Protocol):
-    """What every algorithm offers; `options` is the algorithm's own frozen record.
+    """Signature of a cleaning algorithm; `options` is the algorithm's own frozen record.
 
-    Each begins with `checks_streams` of `mapmaker.cleaning.scans`.
+    Each is decorated with `checks_streams` of `mapmaker.cleaning.scans`.
     """
 
     def __call__(self, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: Any) -> Cleaned:
@@ -70,7 +70,7 @@ CLEANERS: dict[str, Cleaner] = {
     "local": subtract_local,
     "spectral": subtract_spectral,
 }
-# Each algorithm's record; "none" has nothing to choose and takes anything.
+# Record of each algorithm's options; "none" has none and accepts anything.
 OPTIONS: dict[str, type] = {
     "none": object,
     "average": TemplateOptions,
@@ -82,9 +82,9 @@ OPTIONS: dict[str, type] = {
     "local": LocalOptions,
     "spectral": SpectralOptions,
 }
-# Those that subtract templates times responsivities: their options say where these are from.
+# Algorithms that subtract templates times responsivities, with the source of the responsivities in their options.
 TEMPLATE_CLEANINGS = ("average", "planar", "quadratic", "polynomial", "wind")
-# How many templates each takes from the detectors, whatever its options: more detectors than these are needed.
+# Least number of templates of each algorithm; it needs more detectors than that.
 N_TEMPLATES = {
     "none": 0,
     "average": len(AVERAGE),
@@ -99,7 +99,7 @@ N_TEMPLATES = {
 
 
 def detectors_needed(name: str, options: Any) -> int:
-    """How many detectors the named algorithm needs with these options; errors as for `clean`."""
+    """Number of detectors that an algorithm needs with these options; errors as for `clean`."""
     _check(name, options)
     if name == "pca":
         return min_eigenvalues(options.sigma_cut)
@@ -109,17 +109,34 @@ def detectors_needed(name: str, options: Any) -> int:
 
 
 def clean(name: str, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, *, options: Any) -> Cleaned:
-    """Clean one observation with the named algorithm; the input is left as it is.
+    """Clean one observation with an algorithm; the input is unchanged.
 
-    data_mk: (n_det, n_samp) [mK], float32 or other real numbers, which become float64. scan_bounds: (n_scan, 2)
-    [start, stop), scans apart. options: the algorithm's record in `OPTIONS`, for average, planar and quadratic
-    `TemplateOptions`. For a subset of the detectors, take `Timestreams.subset`. A scan with a value that is not finite,
-    or whose iteration does not converge or that has a dead detector, is discarded: `kept` is False and its samples are
-    0. (With "none" a dead detector is no different from others; `live_detectors` finds the others.) Scans that share
-    one fit of responsivities, made without those that are not finite or have a dead detector, are all discarded if it
-    does not converge. Raises ValueError for an unknown name, for options of another algorithm, for shapes, types or
-    bounds that do not fit, and for focal planes that do not support the templates.
-    Sayers et al. (2010), section on atmospheric noise removal.
+    A scan is discarded (`kept` is False and its samples are 0) for a value that is not finite, a dead detector, or an
+    iteration that does not converge. With "none", dead detectors are not checked; `live_detectors` finds them. Scans
+    that share one fit of responsivities are all discarded if it does not converge; scans that are not finite or have a
+    dead detector are excluded from the fit. Source: Sayers et al. (2010), section on atmospheric noise removal.
+
+    Parameters
+    ----------
+    name
+        A key of `CLEANERS`.
+    data_mk : (n_det, n_samp)
+        float32; other real types become float64.
+    scan_bounds : (n_scan, 2)
+        Scans [start, stop), which do not overlap.
+    focal_plane
+    options
+        The algorithm's record in `OPTIONS`.
+
+    Returns
+    -------
+    Cleaned
+
+    Raises
+    ------
+    ValueError
+        For an unknown name, options of another algorithm, shapes, types or bounds that do not match, and focal planes
+        that do not support the templates.
     """
     _check(name, options)
     return CLEANERS[name](data_mk, scan_bounds, focal_plane, options)
@@ -128,11 +145,22 @@ def clean(name: str, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: 
 def clean_in_order(
     steps: Sequence[tuple[str, Any]], data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane
 ) -> Cleaned:
-    """Clean with several algorithms, (name, options) each, one after the other.
+    """Clean one observation with several algorithms in turn.
 
-    A scan is kept that every step keeps: once discarded it is 0, and stays so. `responsivity` is that of the first
-    step with templates, 1 if none has them; `iterations` and `removed` are sums. Other arguments and errors as for
-    `clean`; raises ValueError for no steps.
+    A scan is kept if every step keeps it: once discarded it is 0. `responsivity` is that of the first step with
+    templates, 1 without one; `iterations` and `removed` are sums.
+
+    Parameters
+    ----------
+    steps
+        (name, options) of each algorithm.
+    data_mk, scan_bounds, focal_plane
+        As for `clean`.
+
+    Raises
+    ------
+    ValueError
+        For no steps, and as `clean`.
     """
     if not len(steps):
         raise ValueError("no cleaning steps found; one or more are expected")

@@ -1,10 +1,10 @@
-"""Cleaning with localized templates: each detector's mean with its neighbours.
+"""Cleaning with localized templates: the mean of each detector and its neighbours.
 
-Sayers et al. (2010), "Adjacent Bolometer Correlations": noise that only near detectors have in common is taken for
-"the data from a bolometer and the <= 6 bolometers that are adjacent to it". To be used before or after an algorithm
-that removes what the whole array has in common. Since a detector is part of its own template, a good part of its own
-signal goes too: of white noise a share of 1 / (1 + number of neighbours). Before, the templates take the common signal
-with them, and an algorithm that fits responsivities to it finds none: it discards such scans.
+Sayers et al. (2010), "Adjacent Bolometer Correlations": the templates of noise that only near detectors have in common
+are "the data from a bolometer and the <= 6 bolometers that are adjacent to it". The algorithm is meant to run before or
+after one that removes the common signal of the array. A detector is part of its own template, so part of its own signal
+is removed: of white noise a fraction 1 / (1 + number of neighbours). If it runs first, the templates include the common
+signal, and an algorithm that fits responsivities to that finds none: it discards the scans.
 """
 
 from __future__ import annotations
@@ -26,9 +26,15 @@ MOST_NEIGHBOURS = 6
 
 @dataclass(frozen=True)
 class LocalOptions:
-    """Which detectors are neighbours."""
+    """Options of localized cleaning.
 
-    neighbour_radius: float = 1.2  # in units of the closest separation of two detectors
+    Attributes
+    ----------
+    neighbour_radius
+        Largest distance of neighbours, in units of the closest separation of two detectors.
+    """
+
+    neighbour_radius: float = 1.2
 
     def __post_init__(self):
         """Raise ValueError for a value out of range."""
@@ -36,10 +42,23 @@ class LocalOptions:
 
 
 def neighbourhoods(focal_plane: FocalPlane, neighbour_radius: float) -> np.ndarray:
-    """Each detector and its 6 or fewer nearest neighbours, (n_det, <= 7) by index; n_det stands for none.
+    """Each detector and its nearest neighbours, at most 6.
 
-    neighbour_radius: in units of the closest separation, detectors at one place apart. Raises ValueError for fewer than
-    two places.
+    Parameters
+    ----------
+    focal_plane
+    neighbour_radius
+        In units of the closest separation of two detectors at different positions.
+
+    Returns
+    -------
+    (n_det, <= 7) array
+        Detectors by index; n_det stands for none.
+
+    Raises
+    ------
+    ValueError
+        For fewer than two positions.
     """
     from scipy.spatial import KDTree
 
@@ -58,10 +77,14 @@ def neighbourhoods(focal_plane: FocalPlane, neighbour_radius: float) -> np.ndarr
 def subtract_local(data_mk, scan_bounds, focal_plane: FocalPlane, options: LocalOptions) -> Cleaned:
     """Remove the mean and the localized templates; arguments, result and errors as for `clean`.
 
-    Each detector's template is the mean of its own and its neighbours' streams, as they are before any is cleaned,
-    and goes with the coefficient that fits it best. A detector without neighbours loses its mean alone.
-    Responsivities are 1 and no iterations are made. Raises ValueError for fewer than two places in the array.
+    Each detector's template is the mean of its own and its neighbours' streams before cleaning, with the best-fitting
+    coefficient. A detector without neighbours loses its mean alone. Responsivities are 1, without iterations. Source:
     Sayers et al. (2010), "Adjacent Bolometer Correlations".
+
+    Raises
+    ------
+    ValueError
+        For fewer than two positions in the array.
     """
     index = neighbourhoods(focal_plane, options.neighbour_radius)
     return clean_scans(data_mk, scan_bounds, lambda block, scan: _subtract(block, index))
@@ -73,7 +96,7 @@ def _subtract(block: np.ndarray, index: np.ndarray) -> Fit:
         return Fit(None)
     n_det = len(block)
     padded = np.vstack([block, np.zeros(block.shape[1])])
-    # Summed, not averaged: the coefficient takes the factor up.
+    # A sum in place of the mean: the coefficient includes the factor.
     template = padded[index[:, 0]]
     for column in index.T[1:]:
         template += padded[column]

@@ -1,8 +1,8 @@
-"""Cleaning by adaptive principal component analysis.
+"""Cleaning by adaptive principal component analysis (Sayers et al. 2010, section of that name).
 
-Sayers et al. (2010), "Adaptive Principal Component Analysis (PCA)". The eigenvectors of each scan's covariance whose
-eigenvalues stand out in the logarithm are projected out. Eigenvalues that are zero but for rounding, of fewer samples
-than detectors or of an earlier cleaning, have no part in the distribution.
+The eigenvectors of each scan's covariance whose log-eigenvalues are outliers are projected out. Eigenvalues that are
+zero except for rounding, because of fewer samples than detectors or of an earlier cleaning, are not counted in the
+distribution.
 """
 
 from __future__ import annotations
@@ -21,22 +21,28 @@ from mapmaker.validation import number
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
 
-# Directions with less than this share of the strongest detector's power hold rounding alone: that of float32
-# streams, which earlier cleaning leaves where it took a template, is at most a quarter of it.
+# Modes with less than this fraction of the strongest detector's power are rounding. Rounding of float32 streams, which
+# earlier cleaning leaves in place of a template, is at most a quarter of it.
 _ZERO = 2.0**-46
-# The Gram matrix rounds its small eigenvalues by some 1e-16 of the largest. Where they come closer to that than
-# this, the stream's own singular values are taken, for twice the time.
+# The Gram matrix rounds its small eigenvalues by some 1e-16 of the largest. Where they are below this fraction, the
+# singular values of the streams are used, which takes twice the time.
 _BURIED = 1e-11
-_MOST_SIGMA = 1e6  # more detectors than any camera has would be needed
-# Logarithms of equal eigenvalues differ by rounding, which is not to stand out.
+_MOST_SIGMA = 1e6  # larger cuts need more detectors than any camera has
+# Logarithms of equal eigenvalues differ by rounding, which must not count as outliers.
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class PcaOptions:
-    """Which eigenvalues stand out; the paper takes 3."""
+    """Options of PCA cleaning.
 
-    sigma_cut: float  # standard deviations of log(eigenvalue) above the mean
+    Attributes
+    ----------
+    sigma_cut
+        Standard deviations of log(eigenvalue) above the mean from which on an eigenvalue is an outlier; 3 in the paper.
+    """
+
+    sigma_cut: float
 
     def __post_init__(self):
         """Raise ValueError for a value out of range."""
@@ -44,9 +50,9 @@ class PcaOptions:
 
 
 def min_eigenvalues(sigma_cut: float) -> int:
-    """How many numbers it takes for one to lie more than `sigma_cut` standard deviations above their mean.
+    """Least number of values of which one can be more than `sigma_cut` standard deviations above their mean.
 
-    One apart from n - 1 equal ones lies sqrt(n - 1) above it, and none lies further.
+    One value apart from n - 1 equal ones is sqrt(n - 1) above the mean, and none can be further.
     """
     return floor(sigma_cut**2) + 2
 
@@ -56,11 +62,15 @@ def min_eigenvalues(sigma_cut: float) -> int:
 def subtract_pca(data_mk, scan_bounds, focal_plane: FocalPlane, options: PcaOptions) -> Cleaned:
     """Remove the mean and the outlier modes; arguments, result and errors as for `clean`.
 
-    `removed` is the number of modes; responsivities are 1 and no iterations are counted. A scan of few samples may
-    have too few eigenvalues for any to stand out, and then loses its mean alone; one of enough samples that has too
-    few above rounding, because the atmosphere buries the noise (at some 10^7 times it) or earlier cleaning took the
-    rest, is discarded. Raises ValueError for too few detectors. Sayers et al. (2010), "Adaptive Principal Component
-    Analysis (PCA)".
+    `removed` is the number of modes; responsivities are 1, without iterations. In a scan of few samples there may be
+    too few eigenvalues for an outlier; it loses its mean alone. A scan with enough samples but too few eigenvalues
+    above rounding is discarded: the atmosphere exceeds the noise by some 10^7, or earlier cleaning removed the others.
+    Source: Sayers et al. (2010), "Adaptive Principal Component Analysis (PCA)".
+
+    Raises
+    ------
+    ValueError
+        For too few detectors.
     """
     needed = min_eigenvalues(options.sigma_cut)
     if len(data_mk) < needed:
@@ -71,7 +81,7 @@ def subtract_pca(data_mk, scan_bounds, focal_plane: FocalPlane, options: PcaOpti
 
 
 def count_outliers(eigenvalues: np.ndarray, sigma_cut: float) -> int:
-    """How many of the positive eigenvalues, in rising order, are cut from the upper end."""
+    """Count the outliers at the upper end of positive eigenvalues in rising order."""
     logarithm = np.log(eigenvalues)
     n_left = len(logarithm)
     while n_left > 0:
@@ -102,12 +112,12 @@ def _project(block: np.ndarray, sigma_cut: float) -> Fit:
 
 
 def _spectrum(block: np.ndarray, across: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues in rising order, and modes (columns) of the detectors if `across`, of the samples if not.
+    """Eigenvalues in rising order, and modes (columns) of the detectors if `across`, else of the samples.
 
-    Detectors and samples have the same non-zero eigenvalues: the smaller matrix is the faster.
+    Both have the same non-zero eigenvalues: the smaller matrix is faster.
     """
     eigenvalues, vectors = np.linalg.eigh(block @ block.T if across else block.T @ block)
-    # Of samples, the mean is a direction without power.
+    # For samples, the mean is a mode without power.
     if eigenvalues[0 if across else 1] > _BURIED * eigenvalues[-1]:
         return eigenvalues, vectors
     left, singular, right = np.linalg.svd(block, full_matrices=False)

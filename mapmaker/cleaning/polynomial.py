@@ -1,10 +1,10 @@
-"""Cleaning with polynomial templates of any order, on the whole focal plane or on regions of it.
+"""Cleaning with polynomial templates of any order, on the whole focal plane or in regions of it.
 
-Sayers et al. (2010) take orders 0, 1 and 2 over 8 arcmin ("Higher-Order Template Subtraction"); larger fields of view
-need higher orders or sub-regions. Each region has templates and responsivities of its own.
+Sayers et al. (2010) use orders 0, 1 and 2 over 8 arcmin ("Higher-Order Template Subtraction"); larger fields of view
+need higher orders or regions. Each region has its own templates and responsivities.
 
-Regions are cut as a k-d tree is: a set of detectors is split across the wider of its extents in x and y, until there
-are as many sets as asked for, whose sizes differ by one detector at most.
+Regions are cut as in a k-d tree: a set of detectors is split across the larger of its extents in x and y, until there
+are enough sets; their sizes differ by one detector at most.
 """
 
 from __future__ import annotations
@@ -23,19 +23,29 @@ from mapmaker.validation import whole
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
 
-# Extents and positions that differ by less than this fraction of the array's are equal: a lattice's rows are, but
-# for rounding.
+# Extents and positions that differ by less than this fraction of the array's are equal: rows of a lattice differ by
+# rounding.
 _EQUAL = 1e-6
-_MOST_ORDER = 200  # of 20,000 terms, which need as many detectors
+_MOST_ORDER = 200  # 20,000 terms, which need as many detectors
 
 
 @dataclass(frozen=True)
 class PolynomialOptions:
-    """Highest power of the terms, number of regions, and the rest as in `TemplateOptions`."""
+    """Options of polynomial cleaning.
+
+    Attributes
+    ----------
+    order
+        Highest degree of the terms.
+    regions
+        Number of regions.
+    tolerance, max_iterations, responsivities
+        As in `TemplateOptions`; convergence is tested in each region.
+    """
 
     order: int
     regions: int
-    tolerance: float  # mean fractional change of c_i in a region
+    tolerance: float
     max_iterations: int
     responsivities: Responsivities = SCAN
 
@@ -47,12 +57,18 @@ class PolynomialOptions:
 
 
 def exponents(order: int) -> tuple[tuple[int, int], ...]:
-    """Exponents (of x, of y) of all terms up to the order, the lowest first."""
+    """Exponents (of x, of y) of all terms up to the order, lowest first."""
     return tuple((total - b, b) for total in range(order + 1) for b in range(total + 1))
 
 
 def focal_plane_regions(focal_plane: FocalPlane, regions: int) -> list[np.ndarray]:
-    """Detectors by index, region by region; sizes differ by one at most. Raises ValueError for too few detectors."""
+    """Split the detectors into regions, by index; their sizes differ by one at most.
+
+    Raises
+    ------
+    ValueError
+        For fewer detectors than regions.
+    """
     if len(focal_plane.x_rad) < regions:
         raise InsufficientDataError(f"{regions} regions need at least as many detectors, got {len(focal_plane.x_rad)}")
     places = np.stack([focal_plane.x_rad, focal_plane.y_rad], axis=1).astype(np.float64)
@@ -76,11 +92,15 @@ def _split(places: np.ndarray, members: np.ndarray, sizes: list[int]) -> list[np
 def subtract_polynomial(data_mk, scan_bounds, focal_plane: FocalPlane, options: PolynomialOptions) -> Cleaned:
     """Remove the mean and all templates x^a y^b, a + b <= order, in each region.
 
-    Arguments, result and errors as for `clean`. Above order 0 responsivities have the mean 1 in each region: they
-    compare detectors of one region only. `iterations` is that of the region that took longest, `removed` counts the
-    templates of all regions; a fit fails if that of one region does. With one region, orders
-    0, 1 and 2 are average, planar and quadratic subtraction. Raises ValueError if a region does not support the
-    templates.
+    Arguments, result and errors are those of `clean`. Above order 0, responsivities have the mean 1 in each region:
+    they compare detectors of one region only. `iterations` is that of the slowest region, `removed` counts the
+    templates of all regions; a fit fails if it fails in one region. With one region, orders 0, 1 and 2 are average,
+    planar and quadratic subtraction.
+
+    Raises
+    ------
+    ValueError
+        If a region does not support the templates.
     """
     regions = tuple(
         Region(rows, template_basis(focal_plane.subset(rows), exponents(options.order)))

@@ -1,19 +1,19 @@
-"""Responsivities of template cleaning: fitted to each scan, fitted to all scans of an observation together, or given.
+"""Responsivities for template cleaning: fitted to each scan, fitted to all scans of an observation, or given.
 
 Sayers et al. (2010) fit them to each scan ("Average Template Subtraction"). A scan that is short, or in calm weather,
-holds too little atmosphere for that: the iteration does not converge, and the scan is discarded. Of all scans of an
-observation, each less its means, the Gram matrices add up: one c_i follows from more atmosphere, while each scan keeps
-templates of its own. A camera that is calibrated elsewhere needs no fit.
+has too little atmosphere for that: the iteration does not converge, and the scan is discarded. The Gram matrices of all
+mean-removed scans of an observation add up: one c_i follows from more atmosphere, while each scan keeps its own
+templates. A camera that is calibrated elsewhere needs no fit.
 
-Near its end, a step of the paper's iteration turns an error e of ln c into -M e, where the eigenvalues of M are between
-0 and 1, and the nearer to 1 the more of the template is noise: in calm weather it goes on for hundreds of steps, forth
-and back. The fit to an observation takes 2/3 of each step. It leaves e (1 - 2/3) - 2/3 M e, a third of e or less
-whatever the weather, and ends at the same c within some thirty steps.
+Near convergence, a step of the paper's iteration turns an error e of ln c into -M e, with eigenvalues of M between 0
+and 1 that approach 1 as noise dominates the template: in calm weather it oscillates for hundreds of steps. The fit to
+an observation takes 2/3 of each step. It leaves e (1 - 2/3) - 2/3 M e, at most a third of e in any weather, and
+converges to the same c within some thirty steps.
 
-The iteration needs the streams only through their Gram matrix G_ij = sum_n d_in d_jn, so it runs on G alone. The Gram
-matrix is formed in float64 whatever the streams' type: in float32 it would limit c to about 1e-7, short of the
-tolerance of 1e-8. Of many detectors, whose G takes longer to form than the iteration passes over the streams, G is
-never formed: what it does to a template is two products with each scan.
+The iteration needs only the Gram matrix G_ij = sum_n d_in d_jn of the streams. It is formed in float64 whatever the
+streams' type: in float32 it would limit c to about 1e-7, above the tolerance of 1e-8. For many detectors G takes longer
+to form than the iteration takes to pass over the streams; then G is never formed, and its product with a template is
+two products with each scan.
 """
 
 from __future__ import annotations
@@ -28,21 +28,27 @@ from mapmaker.validation import argument_error, number, reals, whole
 
 SCAN, OBSERVATION = "scan", "observation"
 
-# Detectors up to which the Gram matrix is formed. At 300 it takes as long as the passes of ten iterations, 5 to 15 ns a
-# sample; at 600 it takes 15, at 1000 21, at 4000 86.
+# Largest number of detectors for which the Gram matrix is formed. For 300 it takes as long as the passes of ten
+# iterations, 5 to 15 ns a sample; for 600 as 15, for 1000 as 21, for 4000 as 86.
 MOST_GRAM = 600
 
-# Shares of the iteration's steps that fits take: to a scan as in the paper, to an observation as said above.
+# Fraction of each step that is taken: 1 for a scan as in the paper, 2/3 for an observation (see the module docstring).
 _STEPS = {SCAN: 1.0, OBSERVATION: 2 / 3}
 
 Responsivities = str | np.ndarray
-Blocks = Callable[[], Iterable[np.ndarray]]  # mean-removed streams (n_det, n) to fit to, made anew by each call
+Blocks = Callable[[], Iterable[np.ndarray]]  # mean-removed streams (n_det, n) for one pass of a fit
 
 
 @dataclass(frozen=True)
 class Region:
-    """Detectors that share templates: `rows`, an index into the streams, and `basis` (n_par, n_det) of
-    `template_basis`.
+    """Detectors that share templates.
+
+    Attributes
+    ----------
+    rows
+        Index into the streams.
+    basis : (n_par, n_det)
+        Orthonormal template shapes of `template_basis`.
     """
 
     rows: np.ndarray | slice
@@ -51,11 +57,15 @@ class Region:
 
 @dataclass(frozen=True)
 class TemplateModel:
-    """Templates of regions that cover all detectors, and how a scan shows them.
+    """Templates of regions that cover all detectors, and their view of a scan.
 
-    `view` takes a mean-removed scan (n_det, n_samp) and its number. It returns the mean-removed streams (n_det, n) in
-    which all detectors see a template at one time, and a function of c (n_det,) that subtracts the templates from the
-    scan, in place.
+    Attributes
+    ----------
+    regions
+    view
+        Function of a mean-removed scan (n_det, n_samp) and its number. It returns the mean-removed streams (n_det, n)
+        in which all detectors see a template at one time, and a function of c (n_det,) that subtracts the templates
+        from the scan, in place.
     """
 
     regions: tuple[Region, ...]
@@ -63,7 +73,7 @@ class TemplateModel:
 
     @property
     def n_templates(self) -> int:
-        """Templates of all regions."""
+        """Number of templates of all regions."""
         return sum(len(region.basis) for region in self.regions)
 
 
@@ -82,10 +92,24 @@ def check_fit(tolerance: float, max_iterations: int, responsivities: Responsivit
 
 
 def clean_templates(data_mk: np.ndarray, scan_bounds: np.ndarray, model: TemplateModel, options) -> Cleaned:
-    """Subtract templates from each scan, with responsivities as `options.responsivities` says.
+    """Subtract templates from each scan, with the responsivities that `options.responsivities` selects.
 
-    options: a record with tolerance, max_iterations and responsivities. Other arguments, which fit each other, and
-    result as for `mapmaker.cleaning.clean`. Raises ValueError for given responsivities of another number of detectors.
+    Parameters
+    ----------
+    data_mk, scan_bounds
+        Checked arguments of `mapmaker.cleaning.clean`.
+    model
+    options
+        Record with tolerance, max_iterations and responsivities.
+
+    Returns
+    -------
+    Cleaned
+
+    Raises
+    ------
+    ValueError
+        For given responsivities of another number of detectors.
     """
     asked = options.responsivities
     if isinstance(asked, str) and asked == SCAN:
@@ -122,7 +146,7 @@ def _subtract(block: np.ndarray, scan: int, model: TemplateModel, *, c: np.ndarr
 def _fit_observation(
     data_mk: np.ndarray, scan_bounds: np.ndarray, model: TemplateModel, options
 ) -> tuple[np.ndarray | None, int]:
-    """Responsivities of all scans that are finite and have no dead detector, None if not converged; iterations."""
+    """Fit responsivities to all scans that are finite and have no dead detector; None if not converged; iterations."""
 
     def blocks() -> Iterator[np.ndarray]:
         for scan, block in finite_scans(data_mk, scan_bounds):
@@ -133,7 +157,15 @@ def _fit_observation(
 
 
 def fit_regions(blocks: Blocks, regions: tuple[Region, ...], options) -> tuple[np.ndarray | None, int]:
-    """c (n_det,) of all regions, None if one does not converge; iterations of the one that took longest, or failed."""
+    """Fit the responsivities of all regions.
+
+    Returns
+    -------
+    c : (n_det,) or None
+        None if one region does not converge.
+    iterations : int
+        Those of the region that took longest, or failed.
+    """
     c, most = np.empty(sum(region.basis.shape[1] for region in regions)), 0
     for region in regions:
         rows = region.rows
@@ -145,15 +177,34 @@ def fit_regions(blocks: Blocks, regions: tuple[Region, ...], options) -> tuple[n
 
 
 def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.ndarray | None, int]:
-    """c (n_det,) of streams whose templates are those of `basis`, None if not converged, and iterations.
+    """Fit responsivities to streams, by the Gram matrix or by passes over the streams.
 
-    c is held free of all rows of the basis but the first, the constant. By the Gram matrix, or by passes over the
-    streams. Raises ValueError for streams of other detectors than those of `basis`.
+    c is kept orthogonal to all rows of the basis but the first, the constant.
+
+    Parameters
+    ----------
+    blocks
+        Function that returns the mean-removed streams (n_det, n) for one pass.
+    basis : (n_par, n_det)
+        Template shapes.
+    options
+        Record with tolerance, max_iterations and responsivities.
+
+    Returns
+    -------
+    c : (n_det,) or None
+        None if not converged.
+    iterations : int
+
+    Raises
+    ------
+    ValueError
+        For streams of another number of detectors than `basis`.
     """
     from mapmaker.kernels.cleaning import iterate_responsivity
 
     n_det, c = basis.shape[1], np.ones(basis.shape[1])
-    # One type each: the loop is compiled for the first that comes.
+    # Fixed types: the kernel is compiled for those of the first call.
     tolerance, max_iterations = float(options.tolerance), int(options.max_iterations)
     step = _STEPS[options.responsivities]
     if n_det <= MOST_GRAM:
@@ -182,7 +233,7 @@ def _iterate_by_passes(
     step: float,
     c: np.ndarray,
 ) -> tuple[bool, int]:
-    """`iterate_responsivity` without the Gram matrix, with c held free of all rows of the basis but the first."""
+    """Run `iterate_responsivity` without the Gram matrix, with c orthogonal to all rows of the basis but the first."""
     from mapmaker.kernels.cleaning import correlate, project_out, relax
 
     if all(map(has_dead, blocks())):

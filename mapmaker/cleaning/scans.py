@@ -1,4 +1,4 @@
-"""What every cleaning algorithm shares: one observation taken scan by scan, and its result."""
+"""Scan-by-scan cleaning of one observation, common to all algorithms, and its result."""
 
 from __future__ import annotations
 
@@ -18,17 +18,31 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Cleaned:
-    """One observation after cleaning."""
+    """One observation after cleaning.
 
-    data_mk: np.ndarray  # (n_det, n_samp), type of the input; 0 in discarded scans and outside scans
-    kept: np.ndarray  # (n_scan,) bool; False: not converged, not finite, or a dead detector
-    responsivity: np.ndarray  # (n_scan, n_det) c_i, fitted or given, 1 where none is used; nan where discarded
-    iterations: np.ndarray  # (n_scan,) int64; 0 where none was made, all alike where all scans share one fit
-    removed: np.ndarray  # (n_scan,) int64, templates or modes taken from each stream; 0 where discarded
+    Attributes
+    ----------
+    data_mk : (n_det, n_samp)
+        In the type of the input; 0 in discarded scans and outside scans.
+    kept : (n_scan,)
+        Flags; False for scans that did not converge, are not finite or have a dead detector.
+    responsivity : (n_scan, n_det)
+        c_i, fitted or given; 1 where none is used, NaN in discarded scans.
+    iterations : (n_scan,)
+        0 where there are none, equal where all scans share one fit.
+    removed : (n_scan,)
+        Templates or modes removed from each stream; 0 in discarded scans.
+    """
+
+    data_mk: np.ndarray
+    kept: np.ndarray
+    responsivity: np.ndarray
+    iterations: np.ndarray
+    removed: np.ndarray
 
 
 class Fit(NamedTuple):
-    """What was taken from one scan: c_i (n_det,), or None to discard it; iterations; number of templates."""
+    """Result of one scan: c_i (n_det,), or None to discard it; iterations; number of removed templates."""
 
     responsivity: np.ndarray | None
     iterations: int = 0
@@ -36,9 +50,18 @@ class Fit(NamedTuple):
 
 
 def clean_scans(data_mk: np.ndarray, scan_bounds: np.ndarray, subtract: Callable[[np.ndarray, int], Fit]) -> Cleaned:
-    """Apply `subtract`, (block, scan number) -> Fit, in place to each scan, in float64 and with means removed.
+    """Apply `subtract` in place to each scan, in float64 and with means removed.
 
-    Other arguments, which fit each other, and result as for `mapmaker.cleaning.clean`.
+    Parameters
+    ----------
+    data_mk, scan_bounds
+        Checked arguments of `mapmaker.cleaning.clean`.
+    subtract
+        Function of a block (n_det, n) and the number of the scan.
+
+    Returns
+    -------
+    Cleaned
     """
     n_det, n_scan = len(data_mk), len(scan_bounds)
     cleaned_mk = np.zeros_like(data_mk, order="C")
@@ -61,7 +84,7 @@ def finite_scans(data_mk: np.ndarray, scan_bounds: np.ndarray) -> Iterator[tuple
     All blocks share their memory: a block is good until the next one is asked for.
     """
     n_det = len(data_mk)
-    # One scan's room for all: large arrays are slow to come by.
+    # One buffer for all scans: the allocation of large arrays is slow.
     room = np.empty(n_det * int(np.diff(scan_bounds, axis=1).max(initial=0)))
     for s, (start, stop) in enumerate(scan_bounds):
         block = room[: n_det * (stop - start)].reshape(n_det, stop - start)
@@ -73,7 +96,7 @@ def finite_scans(data_mk: np.ndarray, scan_bounds: np.ndarray) -> Iterator[tuple
 
 
 def has_dead(block: np.ndarray) -> bool:
-    """Whether a detector of the mean-removed scan (n_det, n_samp) has next to no power."""
+    """Tell whether a detector of the mean-removed scan (n_det, n_samp) has next to no power."""
     power = np.einsum("in,in->i", block, block)
     return bool(power.min() <= DEAD_POWER * power.mean())
 
@@ -82,7 +105,7 @@ Subtract = Callable[[np.ndarray, np.ndarray, "FocalPlane", Any], Cleaned]
 
 
 def checks_streams(subtract: Subtract) -> Subtract:
-    """A cleaning whose arguments are checked first, as `mapmaker.cleaning.clean` says."""
+    """Decorate a cleaning algorithm so that its arguments are checked first, as for `mapmaker.cleaning.clean`."""
 
     @wraps(subtract)
     def checked(data_mk, scan_bounds, focal_plane: FocalPlane, options: Any) -> Cleaned:
@@ -94,16 +117,29 @@ def checks_streams(subtract: Subtract) -> Subtract:
 def check_streams(
     data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Streams in float32 or float64 and bounds in int64; raises ValueError for those that do not fit each other."""
+    """Convert streams to float32 or float64 and bounds to int64; raises ValueError for those that do not match."""
     data = reals("data_mk", data_mk, (len(focal_plane.x_rad), "n_samp"), finite=False)
     return data, bounds_of_scans(scan_bounds, data.shape[1])
 
 
 def live_detectors(data_mk: np.ndarray, scan_bounds: np.ndarray) -> np.ndarray:
-    """Detectors (n_det,) bool that are of use: finite, and not dead, in more than half of the scans.
+    """Find the detectors that are finite and not dead in more than half of the scans.
 
-    One dead detector is enough for most cleanings to discard a scan. Dead is one with next to no power about its mean.
-    Raises ValueError for streams (n_det, n_samp) and scans (n_scan, 2) that do not fit each other.
+    A dead detector has next to no power about its mean; one is enough for most algorithms to discard a scan.
+
+    Parameters
+    ----------
+    data_mk : (n_det, n_samp)
+    scan_bounds : (n_scan, 2)
+
+    Returns
+    -------
+    (n_det,) bool array
+
+    Raises
+    ------
+    ValueError
+        For arrays that do not match.
     """
     data = reals("data_mk", data_mk, ("n_det", "n_samp"), finite=False)
     bounds = bounds_of_scans(scan_bounds, data.shape[1])

@@ -1,10 +1,10 @@
-"""Cleaning by colours: what a pixel's other bands see too is the atmosphere.
+"""Spectral cleaning: subtraction of the atmosphere that a pixel's other bands see.
 
 Sayers et al. (2010), "Prospects": cameras with several bands a pixel (SuZIE, MKIDCam) subtract first the spatial, then
-the spectral common mode. The other bands' streams, cleaned of the spatial one like these, are fitted to each detector's
-own stream, scan by scan, and subtracted; the coefficients take up how the opacity scales between the bands, and gains.
-A band whose atmosphere is much brighter has a small coefficient and adds little noise. Sky signal in the other bands
-is subtracted with their atmosphere.
+the spectral common mode. The streams of the other bands, after the same spatial cleaning, are fitted to each detector's
+stream, scan by scan, and subtracted. The coefficients include the ratio of opacities between the bands, and gains. A
+band with a much brighter atmosphere has a small coefficient and adds little noise. Sky signal in the other bands is
+subtracted together with their atmosphere.
 """
 
 from __future__ import annotations
@@ -24,22 +24,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SpectralOptions:
-    """The other bands' streams of the same detectors: `others_mk` (n_colour, n_det, n_samp) [mK]."""
+    """Options of spectral cleaning.
+
+    Attributes
+    ----------
+    others_mk : (n_colour, n_det, n_samp)
+        Streams of the same detectors in the other bands.
+    """
 
     others_mk: np.ndarray
 
     def __post_init__(self):
-        """Take real numbers of any type; raise ValueError for others and unless there is a band."""
+        """Convert real numbers of any type; raise ValueError for others, and for no band."""
         others = reals("others_mk", self.others_mk, ("n_colour", "n_det", "n_samp"), finite=False)
         object.__setattr__(self, "others_mk", others)
 
 
 @checks_streams
 def subtract_spectral(data_mk, scan_bounds, focal_plane: FocalPlane, options: SpectralOptions) -> Cleaned:
-    """Remove the mean and what each detector's other bands see too; arguments, result and errors as for `clean`.
+    """Remove the mean and the fit of each detector's other bands; arguments, result and errors as for `clean`.
 
-    Raises ValueError for other streams of another shape and for scans of no more samples than bands. A scan in which
-    another band has a value that is not finite or a dead detector is discarded.
+    A scan in which another band has a value that is not finite or a dead detector is discarded.
+
+    Raises
+    ------
+    ValueError
+        For other bands' streams of another shape, and for scans of no more samples than bands.
     """
     others = options.others_mk
     if others.shape[1:] != data_mk.shape:

@@ -1,16 +1,14 @@
 """Cleaning with polynomial templates over the focal plane: none, average, planar, quadratic.
 
-Sayers et al. (2010), "Average Template Subtraction" and "Higher-Order Template Subtraction". Each scan is
-modelled as d_n = C S p_n: S holds the polynomial terms at the detector positions, C = diag(c) the relative
-responsivities. c and the templates T_n = S p_n are found in turn until c stands still, and c_i T_in is
-subtracted.
+Sayers et al. (2010), "Average Template Subtraction" and "Higher-Order Template Subtraction". Each scan is modelled as
+d_n = C S p_n: S are the polynomial terms at the detector positions, C = diag(c) the relative responsivities. c and the
+templates T_n = S p_n are solved for alternately until c converges, and c_i T_in is subtracted.
 
-With more than the constant term, a gradient of c over the array and a share of the common signal in the
-gradient template are the same data to first order: (1 + a x) p_0 = p_0 + (a p_0) x. The iteration as the
-paper states it drifts along these directions for 10^2 to 10^5 steps, and hardly a scan would pass 1e-8 in
-100 steps. c is therefore held free of the non-constant template shapes, and the templates carry those
-components; what this leaves behind is of second order, a times the atmosphere's own gradient. Average
-subtraction has no such direction and is the paper's as it stands.
+With more than the constant term, a gradient of c over the array is degenerate to first order with a fraction of the
+common signal in the gradient template: (1 + a x) p_0 = p_0 + (a p_0) x. The iteration of the paper drifts along these
+directions for 10^2 to 10^5 steps, and hardly any scan would reach 1e-8 in 100 steps. c is therefore kept orthogonal to
+the non-constant template shapes, and the templates contain those components; the residual is of second order, a times
+the atmosphere's own gradient. Average subtraction has no such direction and is as in the paper.
 """
 
 from __future__ import annotations
@@ -36,8 +34,8 @@ from mapmaker.validation import reals
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
 
-# What a term must hold, of the array's radius, beside the terms before it: with less, detectors are on one line or
-# conic as nearly as their positions are known, and six digits of the template would be lost.
+# Least norm of a term orthogonal to the terms before it, in units of the array's radius. Below it, detectors lie on one
+# line or conic within the accuracy of their positions, and six digits of the template would be lost.
 RANK_TOLERANCE = 1e-6
 
 # Exponents (of x, of y) of the terms of S.
@@ -48,13 +46,19 @@ QUADRATIC = (*PLANAR, (1, 1), (2, 0), (0, 2))
 
 @dataclass(frozen=True)
 class TemplateOptions:
-    """When the responsivities have converged, and what they are fitted to.
+    """Options of template cleaning; the paper takes 1e-8 within 100 iterations.
 
-    The paper takes 1e-8 within 100 iterations. responsivities: "scan", as the paper, one fit a scan; "observation", one
-    fit to all scans of the streams together; or known ones (n_det,), of which a common factor does not matter.
+    Attributes
+    ----------
+    tolerance
+        Mean fractional change of c_i at convergence.
+    max_iterations
+    responsivities
+        "scan" for one fit to each scan, as in the paper; "observation" for one fit to all scans of the streams; or
+        known responsivities (n_det,), up to a common factor.
     """
 
-    tolerance: float  # mean fractional change of c_i
+    tolerance: float
     max_iterations: int
     responsivities: Responsivities = SCAN
 
@@ -64,14 +68,28 @@ class TemplateOptions:
 
 
 def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
-    """Orthonormal rows (n_par, n_det) that span x^a y^b at the detectors, for (a, b) in exponents.
+    """Orthonormal basis of the polynomials x^a y^b at the detectors.
 
-    Exponents hold whole degrees, rising from (0, 0); in each, x^a y^b comes after y times all that precede
-    x^a y^(b-1). Row k spans with those before it the first k + 1 terms; the first is constant. (S^T S)^-1 S^T is then
-    the transpose. Neither normal equations nor high powers are formed: each row is
-    an earlier one times x or y, less its part along all earlier ones (Arnoldi's process; Brubeck et al. 2021, SIAM
-    Review 63, 405), which keeps all digits at any order. Raises ValueError if there are not more detectors than terms
-    or if the positions, to a millionth of the array's radius, cannot tell the terms apart.
+    Row k and those before it span the first k + 1 terms; the first is constant. (S^T S)^-1 S^T is then the transpose.
+    Neither normal equations nor high powers are formed: each row is an earlier one times x or y, orthogonalised against
+    all earlier ones (Arnoldi's process; Brubeck et al. 2021, SIAM Review 63, 405), which keeps all digits at any order.
+
+    Parameters
+    ----------
+    focal_plane
+    exponents
+        (a, b) of each term: complete degrees, rising from (0, 0); in each, x^a y^b follows y times all terms that
+        precede x^a y^(b-1).
+
+    Returns
+    -------
+    (n_par, n_det) array
+
+    Raises
+    ------
+    ValueError
+        For no more detectors than terms, and positions that do not separate the terms, to a millionth of the array's
+        radius.
     """
     n_det, n_par = len(focal_plane.x_rad), len(exponents)
     if n_det <= n_par:
@@ -84,7 +102,7 @@ def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
             continue
         known = np.array(list(row_of.values()))
         row = before * (v if b else u)
-        for _ in range(2):  # the second takes what rounding left of the first
+        for _ in range(2):  # the second pass removes the rounding of the first
             row = row - known.T @ (known @ row)
         norm = np.linalg.norm(row)
         if norm > RANK_TOLERANCE:
@@ -98,14 +116,14 @@ def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
 
 
 def _scaled(focal_plane: FocalPlane, x_rad, y_rad) -> tuple[np.ndarray, np.ndarray]:
-    """Places from the array's centre, in units of its radius."""
+    """Positions from the array's centre, in units of its radius."""
     x, y = np.asarray(focal_plane.x_rad, dtype=np.float64), np.asarray(focal_plane.y_rad, dtype=np.float64)
     scale = np.hypot(x - x.mean(), y - y.mean()).max() or 1.0
     return (np.asarray(x_rad) - x.mean()) / scale, (np.asarray(y_rad) - y.mean()) / scale
 
 
 def _shapes(focal_plane: FocalPlane, exponents, x_rad, y_rad) -> np.ndarray:
-    """x^a y^b (n_place, n_par) at some places, from the array's centre in units of its radius."""
+    """Terms x^a y^b (n_place, n_par) at some positions, from the array's centre in units of its radius."""
     u, v = _scaled(focal_plane, x_rad, y_rad)
     return np.stack([u**a * v**b for a, b in exponents], axis=1)
 
@@ -119,13 +137,32 @@ def template_streams(
     exponents,
     place_rad: tuple[float, float],
 ) -> np.ndarray:
-    """What each term x^a y^b adds to the template at one place of the focal plane, (n_par, n_samp) float64 [mK].
+    """Contribution of each term x^a y^b to the template at one position of the focal plane.
 
-    That is p_n = (S^T S)^-1 S^T C^-1 d_n of each scan, its means removed, times the terms at `place_rad`, an (x, y) in
-    the frame of the focal plane; terms count from the mean position of the detectors. responsivity: (n_scan, n_det),
-    that of `Cleaned`; discarded scans and samples outside scans are 0. Raises ValueError as `template_basis`, and for
-    arrays that do not fit each other.
-    Sayers et al. (2010), "Higher-Order Template Subtraction".
+    It is p_n = (S^T S)^-1 S^T C^-1 d_n of each mean-removed scan, times the terms at `place_rad`, relative to the mean
+    position of the detectors. Source: Sayers et al. (2010), "Higher-Order Template Subtraction".
+
+    Parameters
+    ----------
+    data_mk : (n_det, n_samp)
+    scan_bounds : (n_scan, 2)
+    focal_plane
+    responsivity : (n_scan, n_det)
+        As in `Cleaned`.
+    exponents
+        (a, b) of each term, as for `template_basis`.
+    place_rad
+        Position (x, y) in the frame of the focal plane.
+
+    Returns
+    -------
+    (n_par, n_samp) array
+        float64 [mK]; 0 in discarded scans and outside scans.
+
+    Raises
+    ------
+    ValueError
+        As `template_basis`, and for arrays that do not match.
     """
     data_mk, bounds = check_streams(data_mk, scan_bounds, focal_plane)
     responsivity = reals("responsivity", responsivity, (len(bounds), len(data_mk)), finite=False, empty=True)
@@ -143,10 +180,9 @@ def template_streams(
 
 @checks_streams
 def subtract_mean(data_mk, scan_bounds, focal_plane: FocalPlane, options: object) -> Cleaned:
-    """Remove each detector's mean in each scan, nothing else.
+    """Remove each detector's mean in each scan only; arguments, result and errors as for `clean`.
 
-    The options are ignored: there is nothing to choose. Arguments, result and errors as for `clean`;
-    responsivities are 1 and no iterations are made.
+    The options are ignored. Responsivities are 1, without iterations.
     """
     return clean_scans(data_mk, scan_bounds, lambda block, scan: Fit(np.ones(len(block))))
 
@@ -155,8 +191,8 @@ def subtract_mean(data_mk, scan_bounds, focal_plane: FocalPlane, options: object
 def subtract_average(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
     """Remove the mean and the common signal; arguments, result and errors as for `clean`.
 
-    The paper's average template, sum c^-1 d / sum c^-1, differs from the one-parameter polynomial's by a
-    factor common to all detectors, which c takes up: c_i T_n is the same.
+    The paper's average template, sum c^-1 d / sum c^-1, differs from the one-parameter polynomial by a factor common to
+    all detectors, which c includes: c_i T_n is the same.
     """
     return _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents=AVERAGE)
 
@@ -179,7 +215,7 @@ def _subtract_templates(data_mk, scan_bounds, focal_plane, options, *, exponents
 
 
 def polynomial_model(regions: tuple[Region, ...]) -> TemplateModel:
-    """Templates that all detectors of a region see at the same time."""
+    """Template model in which all detectors of a region see the templates at the same time."""
     return TemplateModel(regions, lambda block, scan: (block, lambda c: _subtract_regions(block, c, regions)))
 
 
@@ -189,5 +225,5 @@ def _subtract_regions(block: np.ndarray, c: np.ndarray, regions: tuple[Region, .
         templates, shapes = (region.basis / own) @ part, (region.basis * own).T
         for rows in row_chunks(*part.shape):
             part[rows] -= shapes[rows] @ templates
-        if not isinstance(region.rows, slice):  # a copy of some detectors
+        if not isinstance(region.rows, slice):  # `part` is a copy
             block[region.rows] = part

@@ -1,15 +1,14 @@
-"""Cleaning of a layer that the wind carries: average subtraction of streams brought to rest.
+"""Cleaning of a layer that moves with the wind: average subtraction of aligned streams.
 
 Sayers et al. (2010), "Wind Model" and "Appendix Material". A frozen layer reaches a detector at r later by r . s, with
-the slowness s of `slowness`. With each stream read that much later, the average template is found and fitted; what is
-subtracted from the stream as it was is c_i T(t - r_i . s), the template delayed again.
+the slowness s of `slowness`. The streams are shifted by these delays, and the average template is fitted to them; the
+template is shifted back by each detector's delay, and c_i T(t - r_i . s) is subtracted.
 
-The shift is the appendix's: a linear interpolation, S in frequency, divided by |S|. Power spectra stay as they are
-since S / |S| has the modulus 1; its phase is that of the delay at low frequencies, and off by half a sample's at most.
+The shift is the appendix's: a linear interpolation, S in frequency, divided by |S|. Power spectra are unchanged because
+S / |S| has modulus 1. Its phase is that of the delay at low frequencies, and differs by half a sample at most.
 
-Beyond its ends a scan goes on as its mirror image, from which the interpolation takes what it needs there. Neither c
-nor the template rests on these samples: c is fitted where every stream is within the scan, and the template is at each
-instant the mean of those detectors that then have data.
+Beyond its ends a scan continues as its mirror image. Neither c nor the template depends on these samples: c is fitted
+where every stream is within the scan, and the template is at each time the mean of the detectors that have data.
 """
 
 from __future__ import annotations
@@ -30,19 +29,28 @@ from mapmaker.validation import number, reals
 if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
 
-# Longest delay from the array's centre, as a share of the scan: half of the samples are left to all detectors.
+# Longest delay from the array's centre, as a fraction of the scan: all detectors have at least half of the samples.
 _LONGEST = 0.25
-# A delay may pass the end of a scan by this fraction of a sample: by rounding.
+# Rounding by which a delay may pass the end of a scan, in samples.
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class WindOptions:
-    """Time that the layer takes over the array, and the rest as in `TemplateOptions`."""
+    """Options of wind cleaning.
 
-    slowness_s_rad: np.ndarray  # (n_scan, 2) along the array's x and y [s/rad]
+    Attributes
+    ----------
+    slowness_s_rad : (n_scan, 2)
+        Time that the layer takes per angle, along the array's x and y [s/rad].
+    sample_rate_hz
+    tolerance, max_iterations, responsivities
+        As in `TemplateOptions`.
+    """
+
+    slowness_s_rad: np.ndarray
     sample_rate_hz: float
-    tolerance: float  # mean fractional change of c_i
+    tolerance: float
     max_iterations: int
     responsivities: Responsivities = SCAN
 
@@ -54,11 +62,24 @@ class WindOptions:
 
 
 def slowness(wind_rad_s: np.ndarray, scan_velocity_rad_s: np.ndarray) -> np.ndarray:
-    """Slowness u / |u|^2 (n_scan, 2) [s/rad] of a layer, with u = wind - scan velocity [rad/s] in the array frame.
+    """Slowness u / |u|^2 of a layer, with u = wind - scan velocity in the array frame.
 
-    wind_rad_s: (2,), `mapmaker.wind.WindFit.velocity_rad_s`. scan_velocity_rad_s: (n_scan, 2),
-    `mapmaker.wind.scan_velocities`. Raises ValueError for a layer at rest and for values that are not finite, such
-    as those of a wind that could not be measured.
+    Parameters
+    ----------
+    wind_rad_s : (2,)
+        `mapmaker.wind.WindFit.velocity_rad_s`.
+    scan_velocity_rad_s : (n_scan, 2)
+        `mapmaker.wind.scan_velocities`.
+
+    Returns
+    -------
+    (n_scan, 2) array
+        [s/rad].
+
+    Raises
+    ------
+    ValueError
+        For a layer at rest, and for values that are not finite, such as a wind that could not be measured.
     """
     wind = reals("wind_rad_s", wind_rad_s, (2,), finite=False)
     u = wind.astype(float) - reals("scan_velocity_rad_s", scan_velocity_rad_s, ("n_scan", 2), finite=False, empty=True)
@@ -72,11 +93,14 @@ def slowness(wind_rad_s: np.ndarray, scan_velocity_rad_s: np.ndarray) -> np.ndar
 
 @checks_streams
 def subtract_wind(data_mk, scan_bounds, focal_plane: FocalPlane, options: WindOptions) -> Cleaned:
-    """Remove the mean and the common signal that passes with the wind.
+    """Remove the mean and the common signal that moves with the wind; arguments, result and errors as for `clean`.
 
-    Arguments, result and errors as for `clean`; with no slowness it is average subtraction. Raises ValueError too
-    for slownesses that do not fit the scans in number, or whose delays from the array's centre exceed a quarter of
-    a scan. Sayers et al. (2010), "Wind Model".
+    With zero slowness it is average subtraction. Source: Sayers et al. (2010), "Wind Model".
+
+    Raises
+    ------
+    ValueError
+        For slownesses of another number of scans, and delays from the array's centre above a quarter of a scan.
     """
     if len(options.slowness_s_rad) != len(scan_bounds):
         raise ValueError(f"{len(options.slowness_s_rad)} slownesses found for {len(scan_bounds)} scans; one a scan")
@@ -88,7 +112,7 @@ def subtract_wind(data_mk, scan_bounds, focal_plane: FocalPlane, options: WindOp
 
 
 def _view(block: np.ndarray, delay: np.ndarray) -> tuple[np.ndarray, Callable[[np.ndarray], None]]:
-    """The view of `TemplateModel` of one mean-removed scan: its streams at rest where all are within the scan."""
+    """Align one mean-removed scan, for `TemplateModel`: its streams where all are within the scan."""
     n_samp = block.shape[1]
     longest = np.abs(delay).max()
     if longest > _LONGEST * n_samp:
@@ -113,15 +137,25 @@ def _view(block: np.ndarray, delay: np.ndarray) -> tuple[np.ndarray, Callable[[n
 
 
 def delay_phases(delay: np.ndarray, n_samp: int) -> np.ndarray:
-    """S / |S| (n_det, n_samp + 1) for scans of n_samp samples with their mirror images, delays in samples.
+    """Phase factors S / |S| that advance streams by some delays.
 
-    Multiplied with the transform it reads a stream `delay` (n_det,) samples later.
+    Parameters
+    ----------
+    delay : (n_det,)
+        In samples.
+    n_samp
+        Samples of a scan without its mirror image.
+
+    Returns
+    -------
+    (n_det, n_samp + 1) array
+        Factors for the transform of a scan with its mirror image.
     """
     circle = np.exp(1j * np.pi * np.arange(2 * n_samp) / n_samp)
     whole = np.floor(delay).astype(np.int64)
     fraction = (delay - whole)[:, None]
     s = (1 - fraction) + fraction * circle[: n_samp + 1]
-    # At the Nyquist frequency, where S is zero for half a sample, a scan with its mirror image has nothing.
+    # S is zero at the Nyquist frequency for half a sample, where a scan with its mirror image has no power.
     s[:, -1] = 1.0
     s /= np.abs(s)
     return s * circle[whole[:, None] * np.arange(n_samp + 1) % (2 * n_samp)]
@@ -135,7 +169,7 @@ def phase_shifted(streams: np.ndarray, turn: np.ndarray) -> np.ndarray:
 
 
 def _mean_within(streams: np.ndarray, within: np.ndarray) -> np.ndarray:
-    """Mean over the detectors that are within the scan; where none is, the nearest mean."""
+    """Mean over the detectors that are within the scan; the nearest mean where none is."""
     count = within.sum(axis=0)
     some = np.flatnonzero(count)
     total = np.einsum("in,in->n", streams, within)[some[0] : some[-1] + 1]

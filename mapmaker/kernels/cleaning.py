@@ -1,4 +1,4 @@
-"""Kernel of the template cleaning: responsivities from the Gram matrix of one scan."""
+"""Kernels of template cleaning: responsivities from the Gram matrix of one scan."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from mapmaker.kernels.compiled import njit
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def _has_dead(gram):
-    """Whether a detector has next to no power."""
+    """Tell whether a detector has next to no power."""
     n_det = len(gram)
     least = gram[0, 0]
     total = 0.0
@@ -34,7 +34,7 @@ def _apply_gram(weighted, gram, product):
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def correlate(basis, weighted, product, power, responsivity):
-    """Write c_i = sum_n T_in d_in / sum_n T_in^2; power is (n_par, n_par) workspace for sum_n p_n p_n^T."""
+    """Write c_i = sum_n T_in d_in / sum_n T_in^2; `power` is (n_par, n_par) workspace for sum_n p_n p_n^T."""
     n_par, n_det = basis.shape
     for k in range(n_par):
         for m in range(n_par):
@@ -54,7 +54,7 @@ def correlate(basis, weighted, product, power, responsivity):
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def project_out(held, responsivity):
-    """Remove the components along the rows of held from c, then scale c to mean 1."""
+    """Remove the components of c along the rows of `held`, then scale c to mean 1."""
     n_held, n_det = held.shape
     for k in range(n_held):
         component = 0.0
@@ -68,7 +68,7 @@ def project_out(held, responsivity):
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def relax(step, previous, responsivity):
-    """Take only a share `step` of the way from the previous c."""
+    """Take only the fraction `step` of an update from the previous c (under-relaxation)."""
     if step != 1.0:
         for i in range(responsivity.size):
             responsivity[i] = previous[i] + step * (responsivity[i] - previous[i])
@@ -76,16 +76,32 @@ def relax(step, previous, responsivity):
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def iterate_responsivity(gram, basis, held, tolerance, max_iterations, step, responsivity):
-    """Iterate templates and responsivities of one scan on its Gram matrix, never on the stream.
+    """Iterate templates and responsivities of one scan on its Gram matrix, without the streams.
 
-    gram: (n_det, n_det) float64, sum_n d_in d_jn of the mean-removed scan [mK^2]. basis: (n_par, n_det) float64,
-    orthonormal rows that span the template shapes. held: (n_held, n_det) float64, orthonormal rows, each of zero sum,
-    along which c is kept zero (0 rows: the paper's iteration as it stands). step: share of each update that is taken,
-    1 in the paper. responsivity: (n_det,) float64, in: first guess, out: c_i. Returns (converged, iterations):
-    converged when the mean fractional change of c falls below tolerance within max_iterations. A dead detector (0
-    iterations) or a vanishing or non-finite c_i end it unconverged. Sayers et al. (2010), sections "Average Template
-    Subtraction" and "Higher-Order Template Subtraction": with B = basis / c, sum_n T_in d_in = sum_k basis_ki (B G)_ki
-    and sum_n T_in^2 = basis_i^T (B G B^T) basis_i.
+    With B = basis / c, sum_n T_in d_in = sum_k basis_ki (B G)_ki and sum_n T_in^2 = basis_i^T (B G B^T) basis_i.
+    Source: Sayers et al. (2010), "Average Template Subtraction" and "Higher-Order Template Subtraction".
+
+    Parameters
+    ----------
+    gram : (n_det, n_det)
+        G = sum_n d_in d_jn of the mean-removed scan, float64 [mK^2].
+    basis : (n_par, n_det)
+        Orthonormal rows that span the template shapes, float64.
+    held : (n_held, n_det)
+        Orthonormal rows of zero sum along which c is kept zero, float64; no rows for the paper's iteration.
+    tolerance
+        Mean fractional change of c at convergence.
+    max_iterations
+    step
+        Fraction of each update that is taken; 1 in the paper.
+    responsivity : (n_det,)
+        First guess of c; replaced by the result, float64.
+
+    Returns
+    -------
+    converged : bool
+        False after `max_iterations`, for a dead detector (0 iterations), and for c_i that vanish or are not finite.
+    iterations : int
     """
     n_par, n_det = basis.shape
     if _has_dead(gram):

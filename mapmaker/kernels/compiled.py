@@ -1,4 +1,4 @@
-"""Compiled functions, their cache left out where there is no directory that can be written for it."""
+"""Compilation of kernels, without a cache where no directory for it is writable."""
 
 import logging
 from collections.abc import Callable
@@ -12,7 +12,8 @@ import numba
 def njit(**options: Any) -> Callable[[Callable], Callable]:
     """`numba.njit` with these options; without `cache` where numba finds no place for one.
 
-    Numba looks at NUMBA_CACHE_DIR, beside the module and in the user's cache directory, and would refuse the import.
+    Numba looks at NUMBA_CACHE_DIR, the module's directory and the user's cache directory, and would else fail the
+    import.
     """
 
     def compiled(function: Callable) -> Callable:
@@ -27,7 +28,7 @@ def njit(**options: Any) -> Callable[[Callable], Callable]:
 
 @cache
 def _say_once() -> None:
-    if parent_process() is None:  # which says it for its workers
+    if parent_process() is None:  # which warns for its workers
         logging.getLogger("mapmaker").warning(
             "no cache of compiled functions: every process compiles them anew; set NUMBA_CACHE_DIR to a directory that "
             "can be written"

@@ -1,4 +1,4 @@
-"""Loops from pointing to pixels and from time-streams to maps."""
+"""Kernels from pointing to pixels, and from time-streams to maps."""
 
 import numpy as np
 
@@ -7,10 +7,22 @@ from mapmaker.kernels.compiled import njit
 
 @njit(cache=True, nogil=True)
 def plane_pixels(column, row, cos, sin, x_rad, y_rad, n_x, n_y):
-    """Flat pixel index (n_det, n_samp) int32, -1 off the map.
+    """Flat pixel index of every sample; -1 off the map.
 
-    `column`, `row`, `cos`, `sin` (n_samp,) are the boresight in pixels and the array angle's cosine
-    and sine over the pixel size; `x_rad`, `y_rad` (n_det,) the detectors in the array frame.
+    Parameters
+    ----------
+    column, row : (n_samp,)
+        Boresight in pixels.
+    cos, sin : (n_samp,)
+        Cosine and sine of the array angle, over the pixel size.
+    x_rad, y_rad : (n_det,)
+        Detectors in the array frame.
+    n_x, n_y
+
+    Returns
+    -------
+    (n_det, n_samp) array
+        int32.
     """
     n_det, n_samp = x_rad.size, column.size
     index = np.empty((n_det, n_samp), np.int32)
@@ -39,10 +51,18 @@ def bin_samples(data, index, bounds, kept, weighted_sum, hits):
 
 @njit(cache=True, nogil=True)
 def add_sky(data, sky, column, row, cos, sin, x_rad, y_rad, gain):
-    """Add the bilinear look-up of `sky` (n_y, n_x) along every detector's track to `data`, in place.
+    """Add the bilinear look-up of a sky along every detector's track, in place.
 
-    `column`, `row` (n_samp,) are the boresight in sky pixels, counted from pixel centres; `cos`, `sin`
-    as in `plane_pixels`; `gain` (n_det,) multiplies. Nothing is added off the sky.
+    Parameters
+    ----------
+    data : (n_det, n_samp)
+        Changed in place; nothing is added off the sky.
+    sky : (n_y, n_x)
+    column, row : (n_samp,)
+        Boresight in sky pixels, counted from pixel centres.
+    cos, sin, x_rad, y_rad
+        As in `plane_pixels`.
+    gain : (n_det,)
     """
     n_y, n_x = sky.shape
     for d in range(data.shape[0]):

@@ -10,7 +10,7 @@ import numpy as np
 from surveysim.atmosphere.thin_screen import Screen, structure_function
 
 _ORIENTATIONS, _NODES = 8, 32
-_SEPARATIONS = 13  # of a grid, from none on
+_SEPARATIONS = 13  # of the table, from 0 on
 OUTER_SCALE_M = 10_000.0
 
 
@@ -88,7 +88,7 @@ class CorrelationGrid:
         at_nodes = (np.exp(values[..., :1]) / sine[:, None] * values[..., 1:]).mean(axis=2)
         if not np.isfinite(at_nodes).all():
             return np.full((*at_nodes.shape[:2], len(self.theta_rad)), np.nan)
-        # An observation's elevations are nearly one.
+        # The elevations of an observation are nearly equal.
         return CubicSpline(self.node_rad, at_nodes, axis=-1, extrapolate=False)(self.theta_rad / sine.mean())
 
 

@@ -29,12 +29,12 @@ import numpy as np
 from surveysim.atmosphere import trend_kernels as kernels
 from surveysim.atmosphere.thin_screen import Screen, structure_table
 
-# Of the points along a strip, over its length from -1 to 1 (Gauss and Legendre); across it they are at both edges and
-# in the middle. Slopes of scans of 4 to 17 beams correlate as those of all their samples within 0.001 at b = 11/3.
+# Gauss-Legendre nodes of the points along a strip, from -1 to 1; across it they are at both edges and in the middle.
+# Slopes of scans of 4 to 17 beams correlate as those of all their samples within 0.001 at b = 11/3.
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(5)
 _GROUP = 9
-# Steps, in beams, of the grid between which a strip's change is cubic: it is as smooth as the structure function, which
-# has a term in r^(b + 1). ScanTrends are then given to 1 % of their standard deviation, to 10 % at b = 2/3.
+# Steps, in beams, of the grid that a strip's change is interpolated on (cubic). It is as smooth as the structure
+# function, which has a term in r^(b + 1). Trends are imposed to 1 % of their standard deviation, 10 % at b = 2/3.
 _COARSE, _COARSE_ROUGH = 1.0 / 3.0, 1.0 / 12.0
 
 
@@ -92,7 +92,7 @@ def strip_points(strips, corner_rad: np.ndarray, direction: np.ndarray, length_r
     share = np.repeat(_NODE_WEIGHTS, 3) / (3.0 * _NODE_WEIGHTS.sum())
     weight = np.stack([x, y, 1.5 * x**2 - 0.5, x * y], axis=1) * share
     weight -= weight.sum(axis=-1, keepdims=True) * share
-    weight[np.abs(weight).max(axis=-1) < 1e-9] = 0.0  # points that are one, but for rounding
+    weight[np.abs(weight).max(axis=-1) < 1e-9] = 0.0  # coincident points, except for rounding
     across = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     place = corner_rad[:, None] + strips.step_rad * (
         column[..., None] * direction[:, None] + lane[..., None] * across[:, None]

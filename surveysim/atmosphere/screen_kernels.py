@@ -87,14 +87,13 @@ def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
         near, far = strip[lane, first : first + n_cell], strip[lane + 1, first : first + n_cell]
         for m in range(n_cell):
             row[m] = lower * near[m] + upper * far[m]
-        # A last sample that rounds up to the end has weight zero here.
+        # A last sample that rounds up to the end has zero weight here.
         row[n_cell] = row[n_cell - 1]
         samples = data[d, start:stop]
         x_first = x0[d] - first
         for n in range(n_samp):
             x = x_first + n * dx
-            # Through 32 bits, which convert fast, to unsigned, which spares numba's test for negative
-            # indices.
+            # Via int32, which converts fast, to unsigned, which avoids numba's check for negative indices.
             m = np.uint64(np.int32(x))
             value = row[m]
             samples[n] += value + strip.dtype.type(x - m) * (row[m + np.uint64(1)] - value)

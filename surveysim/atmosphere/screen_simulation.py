@@ -155,7 +155,7 @@ def draw_strip(strip, rng):
     real = strip.columns.dtype
     modes = np.empty((strip.n_lane, len(strip.start) - 1), np.result_type(real, np.complex64))
     combine_columns(strip.columns, strip.start, normals, modes)
-    # The inverse transform takes the modes above as zero, and only the real parts of the real modes.
+    # The inverse transform sets higher modes to zero, and uses only the real parts of the real modes.
     layer = irfft(modes, n=strip.n_x, axis=1, overwrite_x=True)
     layer += np.arange(strip.n_x, dtype=real) * real.type(normals[-1] * strip.ramp_std * strip.step_rad)
     return layer

@@ -29,18 +29,18 @@ from threadpoolctl import threadpool_limits
 from surveysim.atmosphere.thin_screen import LAG_MAX, structure_function, structure_slope
 from surveysim.runtime.errors import OutOfRangeError
 
-# Share of half a period that is bent to make the seam smooth, and the number of even powers fitted there.
+# Fraction of half a period that is changed to make the seam smooth, and the number of even powers fitted there.
 _SEAM = 0.25
 _SEAM_TERMS = 4
-# Modes that add less than this share to the differences between lattice neighbours are left out; all that are left
-# out, of which long strips have very many, add no more than the second.
+# Modes that contribute less than the first fraction to the differences between lattice neighbours are omitted; all
+# omitted modes, of which long strips have many, contribute at most the second.
 _NEGLIGIBLE, _NEGLIGIBLE_SUM = 1e-9, 1e-3
-# Negative power looks like roughness: it hardly changes the structure function, but 2e-4 of it adds 7 % to
-# what a quadratic in the field of view leaves at 1000 m, and 7e-4 adds 40 % at 375 m. The spline of the
-# structure function must be as smooth for the same reason.
+# Negative power acts as roughness: it hardly changes the structure function, but a fraction of 2e-4 raises the residual
+# of a quadratic in the field of view by 7 % at 1000 m, and 7e-4 by 40 % at 375 m. For the same reason the spline of the
+# structure function must be as smooth.
 _CLIPPED_MAX = 1e-5
 _N_X_MIN, N_X_MAX = 32, 2**17
-# Lattice points, and elements of all frequencies' matrices, that a few gigabytes hold.
+# Largest numbers of lattice points and of elements in all matrices: a few gigabytes.
 _MOST_POINTS, _MOST_ELEMENTS = 2**24, 10**8
 
 
@@ -84,7 +84,7 @@ class Strip:
         return 0.5 * (self.n_lane - 1) * self.step_rad
 
 
-@threadpool_limits.wrap(limits=1)  # eigenvectors differ in their last bits between numbers of BLAS threads
+@threadpool_limits.wrap(limits=1)  # the last bits of eigenvectors depend on the number of BLAS threads
 def build_strip(screen, *, length_rad, half_width_rad, step_rad, precision="float32", fewest_lanes=2):
     """Build the factors of a strip.
 
@@ -236,7 +236,7 @@ def used_modes(screen, density, n_x, step_rad):
     # No eigenvalue exceeds its matrix' largest absolute row sum.
     bound = np.abs(density).sum(axis=1) * (along + weight)
     used = 1 + int(np.flatnonzero(bound[1:] > 1e-2 * _NEGLIGIBLE * bound[1:].sum()).max()) + 1
-    # The sum of bounds is far above the total where a strip is long and its field red.
+    # For long strips and red spectra the sum of bounds is far above the total.
     share = along * density[:, 0] + 2.0 * weight * (density[:, 0] - density[:, 1])
     total = 2.0 * float(structure_function(screen, step_rad))
     above = np.flatnonzero(np.cumsum(share[::-1])[::-1] > _NEGLIGIBLE_SUM * total)

@@ -16,7 +16,7 @@ from surveysim.atmosphere.strip_factors import (
 )
 from surveysim.atmosphere.thin_screen import Screen
 
-# Operations of eigenvectors that take a second at most, and the fewest lanes that tell rough from smooth.
+# Operations for eigenvectors that take a second at most, and the least number of lanes that shows smoothness.
 _MOST_WORK, _FEWEST_LANES = 1e8, 4
 
 
@@ -53,7 +53,7 @@ def check_strip(strips: StripCache, length_rad: float) -> int:
     return used * n_lane**2
 
 
-@lru_cache(maxsize=32)  # points of a sweep have layers alike
+@lru_cache(maxsize=32)  # points of a sweep have similar layers
 def _used(screen: Screen, n_x: int, n_lane: int, step_rad: float) -> int:
     """Count the frequencies whose matrices are built; all, where these are few."""
     if _work(n_x // 2 + 1, n_lane) <= _MOST_WORK:
@@ -82,5 +82,5 @@ def _try(screen: Screen, *, n_x: int, n_lane: int, step_rad: float, used: int, p
 
 
 def _work(used: int, lanes: int) -> int:
-    # Small matrices take no less time each than those of some dozen lanes.
+    # Small matrices take as long as those of a dozen lanes.
     return used * lanes**2 * max(lanes, 12)

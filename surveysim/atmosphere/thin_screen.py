@@ -26,10 +26,10 @@ from threadpoolctl import threadpool_limits
 from surveysim.atmosphere.cubic_spline import CubicSpline
 from surveysim.runtime.errors import OutOfRangeError
 
-# In units of the beam: limits of the tabulated structure function, and where its two methods meet.
+# In units of the beam: limits of the tabulated structure function, and the lag at which its two methods meet.
 _LAG_MIN, _LAG_JOIN, LAG_MAX = 1e-4, 1.5, 1e4
-# The disc's transfer is replaced by its average over an oscillation above this; the quarter makes the error
-# of the first order vanish.
+# Above this the disc's transfer function is replaced by its average over an oscillation; the quarter cancels the
+# first-order error.
 _ALPHA_AVERAGED = 200.25
 # End of the quadrature over alpha_y.
 _ALPHA_Y_MAX = 300.25
@@ -161,7 +161,7 @@ def _table_in_beams(index, outer_scale):
 
 def _in_beams(screen):
     """Index and outer scale in units of the beam, which determine the shape of the structure function."""
-    # Rounded, so that one aperture at many heights is one shape.
+    # Rounded, so that one aperture at many heights gives one shape.
     return screen.index, float(f"{screen.outer_scale_rad / screen.beam_rad:.12g}")
 
 
@@ -189,7 +189,7 @@ def _pencil_constant(index):
 
 
 @lru_cache(maxsize=64)
-@threadpool_limits.wrap(limits=1)  # what is kept must not depend on who asked first, with how many threads
+@threadpool_limits.wrap(limits=1)  # cached values must not depend on the number of threads
 def _log_structure(index, outer_scale):
     """Spline of ln D against ln(theta / beam) for a beam of 1 and an outer scale in beams, and its slope at the lower
     end.
@@ -215,7 +215,7 @@ def _structure_near(screen, lag):
     )
     density = weight * u * (u * u + u0 * u0) ** (-b / 2.0) * beam_transfer(u) ** 2
     integral = _one_minus_j0(2.0 * pi * np.multiply.outer(lag, u)) @ density
-    # Below u_min 1 - J0 is (pi u lag)^2; with an outer scale nothing is left there.
+    # Below u_min 1 - J0 is (pi u lag)^2; with an outer scale there is no power.
     head = (pi * lag) ** 2 * u_min ** (4.0 - b) / (4.0 - b) if u0 == 0.0 else 0.0
     return 4.0 * pi * scale * (integral + head + _structure_tail(b, lag))
 
@@ -238,7 +238,7 @@ def _structure_far(screen, lag):
     disc (the autocorrelation of the disc); the average is smooth.
     """
     node, weight = np.polynomial.legendre.leggauss(24)
-    root = 0.5 * (node + 1.0)  # s = 1 - root^2, for the overlap vanishes as (1 - s)^(3/2)
+    root = 0.5 * (node + 1.0)  # s = 1 - root^2, because the overlap vanishes as (1 - s)^(3/2)
     s = 1.0 - root * root
     overlap = (np.arccos(s) - s * np.sqrt(1.0 - s * s)) * s * root * weight
     phi = (np.arange(24) + 0.5) * pi / 24.0

@@ -4,7 +4,7 @@ import numpy as np
 
 from mapmaker.kernels.compiled import njit
 
-# Variance of a trend that the earlier ones leave open, over its own: less counts as none.
+# Conditional variance of a trend given the earlier ones, over its own variance, below which it counts as zero.
 _DETERMINED = 1e-9
 
 

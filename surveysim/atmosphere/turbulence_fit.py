@@ -11,7 +11,7 @@ from surveysim.atmosphere.detector_correlation import CorrelationGrid
 INDEX_GRID = tuple(2 / 3 + 0.5 * k for k in range(13))
 HEIGHT_GRID_M = (375.0, 500.0, 750.0, 1000.0, 1500.0, 2000.0, 3000.0, 4000.0, 6000.0)
 KOLMOGOROV = 6  # 11/3 in INDEX_GRID
-# Of layers that move by an arcminute to those that move by a radian and a half during a scan.
+# From layers that move by an arcminute to those that move by 1.5 rad during a scan.
 TRACKS_RAD = np.geomspace(3e-4, 1.5, 24)
 
 

@@ -13,8 +13,8 @@ from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.fields import B2_MAX
 
 WIND_MAX_RAD_S = 1e3
-LARGEST_LOG = 700.0  # whose exponential is a number
-_RANKS = 400  # of water and of fluctuations, for the quantiles of their product
+LARGEST_LOG = 700.0  # its exponential is finite
+_RANKS = 400  # quantiles of water and of fluctuations, from which those of their product follow
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def _weather(
         if not (median := float(b2_quantile(atmosphere, water, 0.0))) > 0:
             raise SceneError("atmosphere.wind_b2_exponent: found with a median B2 of 0; one above 0 is expected")
         wind *= math.exp(min(atmosphere.wind_b2_exponent * (math.log(b2) - math.log(median)), LARGEST_LOG))
-    # But for rounding of a quantile that is the bound itself.
+    # The margin is rounding of a quantile at the bound.
     if not (b2 < B2_MAX * (1 + 1e-9) and wind < WIND_MAX_RAD_S):
         key = "b2" if atmosphere.b2 else "water_fluctuation"
         raise SceneError(
@@ -195,5 +195,5 @@ def log_quantile(probabilities: tuple[float, ...], values: tuple[float, ...], no
     levels, logs = ndtri(probabilities), np.log(values)
     slope = (logs[-1] - logs[0]) / (levels[-1] - levels[0])
     beyond = np.minimum(normal_level - levels[0], 0) + np.maximum(normal_level - levels[-1], 0)
-    # Draws beyond `B2_MAX` are refused; until then they stay numbers.
+    # Draws beyond `B2_MAX` are refused later, and must be finite here.
     return np.exp(np.clip(np.interp(normal_level, levels, logs) + slope * beyond, -LARGEST_LOG, LARGEST_LOG))

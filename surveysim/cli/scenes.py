@@ -30,8 +30,10 @@ def check(scene: SceneFile, settings: Overrides = None) -> None:
     else:
         setup = prepare(ready_scene(scene, settings))
         say(f"{scene}: {setup.scene.name!r} is a scene that can be run")
-        samples = setup.scene.observations * setup.n_det * setup.samples(setup.blocks[-1]).stop
-        large = said_of_size(samples, setup.geometry.n_x * setup.geometry.n_y)
+        samples = (
+            setup.scene.observations * setup.camera.n_det * setup.observing.samples(setup.observing.blocks[-1]).stop
+        )
+        large = said_of_size(samples, setup.analysis.geometry.n_x * setup.analysis.geometry.n_y)
     if large:
         say(large)
 

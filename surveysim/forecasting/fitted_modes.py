@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_DEGREES = 8  # of 1 and more: a Kolmogorov layer has 1e-3 of its power beyond
-_LEAST_SHARE = 0.03  # of scans: fitted_modes that fewer lose are left out, some 5 % in all
+_DEGREES = 8  # Legendre polynomials: a Kolmogorov layer has 1e-3 of its power in higher degrees
+_LEAST_SHARE = 0.03  # modes that fewer scans lose are omitted, some 5 % in all
 
 
 @dataclass(frozen=True)

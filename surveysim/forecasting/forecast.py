@@ -29,6 +29,7 @@ from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.errors import NotForecastableError
 from surveysim.scene.scene import Scene
 from surveysim.survey.discarded_scans import REMEDY
+from surveysim.timestreams.component import present_components
 
 NOTHING_FOUND = "score: found no noise in its multipoles or no scan across its patch; both are expected"
 
@@ -102,50 +103,64 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
     """
     setup = prepare(scene)
     if scene.score is None:
-        raise NotForecastableError("score: missing; a forecast says what a map is worth")
-    if not can_forecast(setup):
+        raise NotForecastableError("score: missing; a forecast predicts the score of a map")
+    if not is_projection(setup.analysis.pipelines[0]):
         allowed = ", ".join(map(repr, PROJECTIONS))
         raise NotForecastableError(
-            f"cleaning.algorithm: found {setup.pipelines[0].label!r}; one of {allowed} can be forecast"
+            f"cleaning.algorithm: found {setup.analysis.pipelines[0].label!r}; one of {allowed} can be forecast"
         )
+    if reason := why_no_forecast(setup):
+        raise NotForecastableError(reason)
     models = survey_models(scene)
     if kept is None:
         conditions = observing_conditions(setup, survey_draws(setup, 0, scene.observations))
         weight = expected_weights(setup, _nonzero_noise(setup, models[0], conditions))
-        scans = predict_kept_scans(setup, tuple(filter(is_projection, setup.pipelines)), conditions, weight)
+        scans = predict_kept_scans(setup, tuple(filter(is_projection, setup.analysis.pipelines)), conditions, weight)
     else:
         conditions = observing_conditions(setup, survey_draws(setup, 0, len(next(iter(kept.values())))))
         scans = {name: KeptScans(share) for name, share in kept.items()}
     found: dict[str, DataSetForecast] = {}
     for model in models:
-        if model.name == model.pipeline.data_set:  # the sets that follow share its detectors
+        if model.name == model.pipeline.data_set:  # the following sets have the same detectors
             hits = mean_hits(setup, model.pipeline)
         found[model.name] = _scored(setup, model, conditions, kept=scans[model.pipeline.data_set], hits=hits)
-    return Forecast(setup.band.rings.ell, {name: found[name] for name in setup.data_sets if name in found})
+    return Forecast(
+        setup.analysis.region.rings.ell, {name: found[name] for name in setup.analysis.data_set_names if name in found}
+    )
 
 
 def can_forecast(setup: Setup) -> bool:
-    """Tell whether a prepared scene has a score and a first cleaning that can be forecast."""
-    return setup.scene.score is not None and is_projection(setup.pipelines[0])
+    """Tell whether a prepared scene has a score, and closed forms for its components and its first cleaning."""
+    return setup.scene.score is not None and why_no_forecast(setup) is None
+
+
+def why_no_forecast(setup: Setup) -> str | None:
+    """Name a component or a cleaning that has no closed form; None where all have one."""
+    for item in present_components(setup.scene):
+        if not item.forecast:
+            return f"{item.name}: found a section without a closed form"
+    if not is_projection(setup.analysis.pipelines[0]):
+        return f"cleaning by {setup.analysis.pipelines[0].label} is no projection"
+    return None
 
 
 def _scored(
     setup: Setup, model: NoiseModel, conditions: ObservingConditions, *, kept: KeptScans, hits: np.ndarray
 ) -> DataSetForecast:
     """Weight and co-add the observations, and score the map."""
-    scene, band, rings = setup.scene, setup.band, setup.band.rings
+    scene, band, rings = setup.scene, setup.analysis.region, setup.analysis.region.rings
     noise, taper, covered = _nonzero_noise(setup, model, conditions), band.taper**2, hits > 0
     if not taper[covered].any():
         raise NotForecastableError(NOTHING_FOUND)
     if not kept.share.any():
         raise NotForecastableError(
-            f"cleaning: found no scan that is kept, {'by a trial of a few' if kept.error else 'in this run'}; some are "
-            f"expected. {REMEDY}"
+            f"cleaning: rejected all scans {'of a pilot' if kept.error else 'of this run'}; at least one is needed."
+            f" {REMEDY}"
         )
     weight = expected_weights(setup, noise)
-    # Hits go as the scans that are kept; the PSD of a survey as one over its observations.
+    # Hits scale with the kept scans; the PSD of a survey scales as one over its observations.
     variance = (weight**2 * kept.share) @ noise / (weight @ kept.share) ** 2 * (len(noise) / scene.observations)
-    area = setup.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
+    area = setup.analysis.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
     psd = variance * area * (1e3 * scene.instrument.cmb_per_rj) ** 2
     signal = model.signal_psd
     score = band_power(
@@ -161,7 +176,7 @@ def _scored(
 def _nonzero_noise(setup: Setup, model: NoiseModel, conditions: ObservingConditions) -> np.ndarray:
     """Noise variance a sample (n_draw, n_bin); raises NotForecastableError where a scored multipole has none."""
     noise = model.noise(conditions)
-    if not noise[:, setup.band.selected].all():
+    if not noise[:, setup.analysis.region.selected].all():
         raise NotForecastableError(NOTHING_FOUND)
     return noise
 
@@ -180,13 +195,13 @@ def expected_weights(setup: Setup, noise: np.ndarray) -> np.ndarray:
     (n_draw,) array
         [1/mK^2].
     """
-    band = setup.band
+    band = setup.analysis.region
     sky = _beamed_sky(setup)
     weight = band.rings.n_modes * (sky * band.selected / sky[band.selected].max()) ** 2
     return 1 / (noise @ weight / weight.sum())
 
 
 def _beamed_sky(setup: Setup) -> np.ndarray:
-    ell = setup.band.rings.ell
-    # The lowest bin of a small map may hold nothing but ell = 0.
+    ell = setup.analysis.region.rings.ell
+    # The lowest bin of a small map may contain only ell = 0.
     return flat_spectrum_psd(np.maximum(ell, 1)) * beam_window(ell, setup.scene.instrument.beam_fwhm_rad)

@@ -39,7 +39,7 @@ PROJECTIONS = {
     "pca": AVERAGE,
 }
 
-_NODES = 10  # of each eighth of a turn
+_NODES = 10  # quadrature nodes in each eighth of a turn
 _RADII, _AZIMUTHS = 32, 16  # of the layer's wavevectors
 
 
@@ -144,7 +144,7 @@ def projected_array(
     ValueError
         For arrays whose positions do not support the templates, as `mapmaker.clean`.
     """
-    # sky_vector of surveysim.telescope.pointing as complex numbers.
+    # As sky_vector of surveysim.telescope.pointing, in complex numbers.
     place = np.exp(-1j * angle_rad) * (-plane.x_rad + 1j * plane.y_rad)
     exponents = PROJECTIONS[algorithm]
     basis = template_basis(plane, exponents) if exponents else np.zeros((0, len(place)))

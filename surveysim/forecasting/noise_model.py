@@ -51,16 +51,16 @@ from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.errors import InsufficientDataError, NotForecastableError
 from surveysim.scene.scene import Scene
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.noise import excess_psd
+from surveysim.timestreams.low_frequency import excess_psd
 from surveysim.timestreams.shared_parts import screen
 
-_ANGLES = 3  # of the array against the scan that stand for all observations
-_SPEEDS, _DIRECTIONS = 5, 4  # of the layer against the scan
-_SINES = 3  # of the elevation
-_SLOWEST = 0.02  # relative speed that is told from none, in scan speeds
+_ANGLES = 3  # between array and scan that represent all observations
+_SPEEDS, _DIRECTIONS = 5, 4  # nodes of the layer's motion against the scan
+_SINES = 3  # nodes in elevation
+_SLOWEST = 0.02  # least relative speed of the table, in scan speeds
 
 
-# Of (n_draw, n_motion) complex [rad/s] and sines of elevations (n_draw,), to (n_draw, n_bin).
+# Maps motions (n_draw, n_motion), complex [rad/s], and sines of elevations (n_draw,) to noise (n_draw, n_bin).
 LayerNoise = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
@@ -140,19 +140,21 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
     NotForecastableError
         Where the focal plane does not support the templates of the cleaning.
     """
-    for pipeline in filter(is_projection, setup.pipelines):
+    for pipeline in filter(is_projection, setup.analysis.pipelines):
         arrays = _arrays(setup, pipeline, conditions)
         spectrum = _spectrum(setup, removed_modes(setup, pipeline, arrays[0], conditions))
         n_det = len(arrays[0].place)
         responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
         transmission = _transmission(setup, spectrum, arrays, responses)
-        signal = left_signal(setup.scene, setup.geometry, setup.sky_geometry, setup.band, transmission)
+        signal = left_signal(
+            setup.scene, setup.analysis.geometry, setup.sky.geometry, setup.analysis.region, transmission
+        )
         correlations = noise_correlations(setup, pipeline)
         parts = _map_components(
             setup, conditions, spectrum, arrays=arrays, responses=responses, correlations=correlations
         )
         yield NoiseModel(pipeline.data_set, pipeline, n_det, parts, signal)
-        if pipeline is setup.pipelines[0]:
+        if pipeline is setup.analysis.pipelines[0]:
             for name in setup.scene.score.noise_only_sets:
                 parts = _noise_only_components(
                     setup, conditions, spectrum, arrays=arrays, correlations=correlations, name=name
@@ -166,12 +168,12 @@ def is_projection(pipeline: CleaningPipeline) -> bool:
 
 
 def _spectrum(setup: Setup, fitted_modes: FittedModes) -> _ScanFrequencies:
-    scene, lines = setup.scene, setup.raster
+    scene, lines = setup.scene, setup.observing.raster
     seconds = samples_per_scan(lines) / lines.sample_rate_hz
-    modes = ring_modes(setup.band.rings.ell)
+    modes = ring_modes(setup.analysis.region.rings.ell)
     rate = lines.sample_rate_hz
     at_hz = modes.wave.real.ravel() * lines.speed_rad_s / (2 * np.pi)
-    at_hz -= rate * np.round(at_hz / rate)  # what samples can't tell apart
+    at_hz -= rate * np.round(at_hz / rate)  # aliases of the sample rate
     window = scan_window(
         seconds,
         speed_rad_s=lines.speed_rad_s,
@@ -182,7 +184,7 @@ def _spectrum(setup: Setup, fitted_modes: FittedModes) -> _ScanFrequencies:
     nodes, weight = frequency_nodes(window, max(1.1 * np.abs(at_hz).max(), 0.5 * rate))
     excess_hz, excess = np.zeros(0), np.zeros(0)
     if scene.excess:
-        # Lines of streams twice as long as a scan, as they are drawn: a steep spectrum is mostly the lowest.
+        # Lines of streams twice as long as a scan, as in the simulation: the lowest lines dominate a steep spectrum.
         n_samp = samples_per_scan(lines)
         psd = excess_psd(scene.excess, 1.0, n_samp, 2 * n_samp, rate)[1:]
         step = rate / (2 * n_samp)
@@ -196,9 +198,9 @@ def _arrays(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingCondi
     plane = setup.camera.focal_plane.subset(pipeline.rows)
     angles = np.sort(np.mod(conditions.angle, 2 * np.pi))
     chosen = angles[((np.arange(_ANGLES) + 0.5) * len(angles) / _ANGLES).astype(int)] if len(angles) > 1 else angles
-    responsivity, assumed = setup.responsivity[pipeline.rows], None
-    if setup.calibration is not None and pipeline.takes_responsivities:
-        assumed = setup.calibration[0, pipeline.rows]
+    responsivity, assumed = setup.camera.responsivity[pipeline.rows], None
+    if setup.analysis.calibration is not None and pipeline.takes_responsivities:
+        assumed = setup.analysis.calibration[0, pipeline.rows]
     try:
         return [
             projected_array(plane, angle, responsivity=responsivity, algorithm=pipeline.steps[0], assumed=assumed)
@@ -217,7 +219,7 @@ def _map_components(
     responses: list[np.ndarray],
     correlations: NoiseCorrelations,
 ) -> _NoiseComponents:
-    rate, modes = setup.raster.sample_rate_hz, spectrum.modes
+    rate, modes = setup.observing.raster.sample_rate_hz, spectrum.modes
     window, nodes = spectrum.window, spectrum.nodes_hz
     flat = window.sums(spectrum.weight_hz[None], nodes, spectrum.at_hz)
     red = window.sums(spectrum.excess[None], spectrum.excess_hz, spectrum.at_hz)
@@ -230,13 +232,13 @@ def _map_components(
         parts.append([modes.mean(item) for item in (white * flat, shared * flat, own * red, low * red)])
     white, shared, own, low = np.mean(parts, axis=0) * rate / 2
     layer = _layer_noise(setup, conditions, spectrum, arrays=arrays, responses=responses)
-    # Pixels smooth modes, and scatter over all modes the noise of streams that they take: a stream's whole white noise,
-    # of which templates of few detectors leave little in modes that are longer than the array.
-    pixel = pixel_window(setup.band.rings.ell, setup.geometry.pixel_rad)
+    # Pixels attenuate modes, and alias the lost noise over all modes, at the white level of a stream. Templates of few
+    # detectors leave much less than that in modes that are longer than the array.
+    pixel = pixel_window(setup.analysis.region.rings.ell, setup.analysis.geometry.pixel_rad)
     scattered = modes.mean(flat) * rate / 2 * (1 - pixel)
     white = white * pixel + stream_power(arrays[0], None) * scattered
     shared = shared * pixel + stream_power(arrays[0], photon) * scattered
-    # Excess is scattered across the scan, among modes of one frequency: what detectors do not share stays whole.
+    # Excess noise is aliased across the scan, among modes of one frequency: independent noise is unchanged.
     low = own + (low - own) * pixel
     return _NoiseComponents(white, shared, low, lambda motion, sine: layer(motion, sine) * pixel)
 
@@ -258,7 +260,7 @@ def _layer_noise(
     def noise(motion: complex) -> list[np.ndarray]:
         along = _stream_frequencies(layer, motion)
         sums = np.mean([spectrum.window.power_sums(gain, layer.power, along, spectrum.at_hz) for gain in gains], axis=0)
-        return [spectrum.modes.mean(item) * setup.raster.sample_rate_hz for item in sums]
+        return [spectrum.modes.mean(item) * setup.observing.raster.sample_rate_hz for item in sums]
 
     return _interpolate_motions(setup, conditions, noise)
 
@@ -293,7 +295,7 @@ def _interpolate_motions(
     """
     from scipy.interpolate import RegularGridInterpolator
 
-    slowest = _SLOWEST * setup.raster.speed_rad_s
+    slowest = _SLOWEST * setup.observing.raster.speed_rad_s
 
     def place(motion: np.ndarray, sine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         logs = np.broadcast_to(np.log(sine)[:, None], motion.shape)
@@ -323,14 +325,14 @@ def _noise_only_components(
     name: str,
 ) -> _NoiseComponents:
     """Components of the data sets "uncorrelated" and "white", simulated from the PSDs of the cleaned streams."""
-    rate = setup.raster.sample_rate_hz
+    rate = setup.observing.raster.sample_rate_hz
     seconds = spectrum.window.duration_s
-    n_samp = samples_per_scan(setup.raster)
+    n_samp = samples_per_scan(setup.observing.raster)
     lines = np.arange(1, (n_samp - 1) // 2 + 1) / seconds
     hann, nodes = hann_window(seconds, spectrum.window.fitted_modes), spectrum.nodes_hz
     window = spectrum.window
     if name == "uncorrelated":
-        # Streams of a whole number of periods a scan: lines, without a mean.
+        # Streams periodic over a scan: lines, without a mean.
         both = np.concatenate([-lines, lines])
         through = window.at(spectrum.at_hz[:, None] - both) ** 2 / seconds
         to_modes = rate * (through[:, : len(lines)] + through[:, len(lines) :])
@@ -343,7 +345,7 @@ def _noise_only_components(
         """Bins of a two-sided PSD (n_line,) of the streams."""
         return spectrum.modes.mean(to_modes @ psd)
 
-    # The cleaned streams' own power does not depend on how the array is turned.
+    # The power of the cleaned streams does not depend on the array's angle.
     white, shared, low = (stream_power(arrays[0], item) for item in (None, *correlations))
     flat = in_bins(hann.sums(spectrum.weight_hz[None] / 2, nodes, lines))
     red = in_bins(hann.sums(spectrum.excess[None] / 2, spectrum.excess_hz, lines))
@@ -382,6 +384,6 @@ def _transmission(
     half = len(modes.share) // 2
     across[:, :half] = across[:, :half].conj()
     n_obs = setup.scene.observations
-    share = (n_obs // 2) / n_obs  # of scans along Dec
+    share = (n_obs // 2) / n_obs  # fraction of observations that scan along Dec
     both = (1 - share) * amplitude + share * across
     return modes.mean((both.real**2 + both.imag**2).ravel())

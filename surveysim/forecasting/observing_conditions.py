@@ -19,7 +19,7 @@ from surveysim.atmosphere.weather import Weather, draw_weather
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes, template_modes
 from surveysim.forecasting.mode_response import ProjectedArray, layer_waves
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
-from surveysim.reduction.setup import Setup, observation_path, prepare
+from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.noise_and_sky import Excess, Photon
 from surveysim.scene.scene import Scene
@@ -27,19 +27,20 @@ from surveysim.telescope.lattice_noise import NoiseCorrelation
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.pixel_coherence import MOST_DENSE, correlation_matrix
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.noise import excess_variance
-from surveysim.timestreams.observation import observation_weather
+from surveysim.timestreams.low_frequency import excess_variance
+from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.shared_parts import screen, shared_noise
+from surveysim.timestreams.simulation import observation_path
 
-_NUMBERS = 5  # of a draw: four of the weather, and which observation it is
-_SHIFTS = 8  # of the lattice of draws: their scatter is the error of a mean over all
+_NUMBERS = 5  # random numbers of a draw: four of the weather, one for the observation
+_SHIFTS = 8  # random shifts of the lattice of draws; their scatter is the error of the mean
 _DRAWS_A_SHIFT = 256
-_HIT_SAMPLES = 3e7  # of the observations that stand for the coverage
+_HIT_SAMPLES = 3e7  # of the observations that represent the coverage
 _FEWEST_HITS, _MOST_HITS = 4, 48
-_MOST_HIT_SAMPLES = 3e7  # of one of them, of which larger ones have every so many in time
+_MOST_HIT_SAMPLES = 3e7  # of one of them; larger ones are thinned in time
 
 NoiseCorrelations = tuple[np.ndarray | NoiseCorrelation | None, np.ndarray | NoiseCorrelation | None]
-Draw = tuple[int, Weather | None]  # an observation's number, and a weather that it might have
+Draw = tuple[int, Weather | None]  # number of the observation, and its weather
 
 
 @dataclass(frozen=True)
@@ -99,12 +100,12 @@ def population_draws(setup: Setup) -> list[list[Draw]]:
         list is unbiased, with an error far below that of as many independent draws.
     """
     air, n_obs = setup.scene.atmosphere, setup.scene.observations
-    rng = generator(setup.scene.seed, RandomPurpose.WEATHER, realization=1)  # that of the survey is 0
+    rng = generator(setup.scene.seed, RandomPurpose.WEATHER, realization=1)  # the survey is realization 0
     lists = []
     for shift in rng.random((_SHIFTS, _NUMBERS)):
         points = (shift + np.outer(np.arange(_DRAWS_A_SHIFT), _lattice_steps())) % 1
         numbers = np.minimum((points[:, -1] * n_obs).astype(int), n_obs - 1)
-        weather = [air and draw_weather(air, setup.water, _QuasiRandomDraws(point)) for point in points[:, :-1]]
+        weather = [air and draw_weather(air, setup.air.water, _QuasiRandomDraws(point)) for point in points[:, :-1]]
         lists.append(list(zip(numbers.tolist(), weather, strict=True)))
     return lists
 
@@ -153,12 +154,12 @@ def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingCondit
 
 
 def _view(setup: Setup, number: int) -> _ObservationGeometry:
-    _, pointing = observation_path(setup, number)
+    _, pointing = observation_path(setup.observing, number)
     middle = len(pointing.elevation_rad) // 2
     air, slant = setup.scene.atmosphere, 0.0
     if air is not None:
         slant = np.mean(np.sin(pointing.elevation_rad) ** (1 - air.spectral_index))
-    elevation = float(setup.angles.elevation_rad[number].mean())
+    elevation = float(setup.observing.angles.elevation_rad[number].mean())
     turn = number % 2 * np.pi / 2  # scans along Dec
     return _ObservationGeometry(
         slant, elevation, pointing.parallactic_rad[middle], pointing.array_angle_rad[middle], turn
@@ -167,7 +168,7 @@ def _view(setup: Setup, number: int) -> _ObservationGeometry:
 
 def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | None) -> tuple[float | complex, ...]:
     scene = setup.scene
-    opacity = setup.water.opacity if setup.water else None
+    opacity = setup.air.water.opacity if setup.air.water else None
     white = white_levels(scene, opacity, weather.pwv_mm if weather else np.nan, view.elevation_rad)
     excess = excess_variance(scene.excess, weather and weather.b2) if scene.excess else 0.0
     layer, wind = 0.0, 0.0
@@ -176,8 +177,8 @@ def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | 
         # Azimuth and elevation on the sky, then in the frame of the scan.
         wind = np.exp(-1j * view.parallactic_rad) * (-weather.wind_rad_s[0] + 1j * weather.wind_rad_s[1])
     wind = wind * np.exp(-1j * view.turn_rad)
-    speed = setup.raster.speed_rad_s
-    # A scan back is a scan there in a frame that is turned by half a turn.
+    speed = setup.observing.raster.speed_rad_s
+    # A backward scan is a forward scan in a frame rotated by half a turn.
     shared = white.photon_mk2_hz * white.shared
     unshared = white.photon_mk2_hz - shared + white.detector_mk2_hz
     angle = view.array_angle_rad + view.turn_rad
@@ -193,7 +194,7 @@ def noise_correlations(setup: Setup, pipeline: CleaningPipeline) -> NoiseCorrela
         (n_det, n_det) matrices, or `NoiseCorrelation` for large arrays; None where the scene has no such noise.
         `excess` includes the responsivities.
     """
-    gain, scene = setup.responsivity[pipeline.rows], setup.scene
+    gain, scene = setup.camera.responsivity[pipeline.rows], setup.scene
     photon = _correlation(setup, pipeline, section=scene.photon, name="photon", gain=np.ones(len(gain)))
     return photon, _correlation(setup, pipeline, section=scene.excess, name="excess", gain=gain)
 
@@ -203,7 +204,7 @@ def _correlation(
 ) -> np.ndarray | NoiseCorrelation | None:
     if section is None:
         return None
-    if setup.n_det > MOST_DENSE:
+    if setup.camera.n_det > MOST_DENSE:
         torus = shared_noise(setup.camera, section, name)
         return NoiseCorrelation(torus and replace(torus, cells=torus.cells[pipeline.rows]), gain)
     place = setup.camera.positions_f_lambda[pipeline.rows]
@@ -219,12 +220,12 @@ def removed_modes(
 
     They are those of a layer that moves at the median speed of `levels`.
     """
-    fits = {"scan": 1.0, "observation": 1 / setup.raster.n_scans}
-    # PCA fits a mode to each scan, whatever is known of responsivities.
+    fits = {"scan": 1.0, "observation": 1 / setup.observing.raster.n_scans}
+    # PCA fits a mode to each scan, even with known responsivities.
     share = fits["scan"] if pipeline.uses("pca") else fits.get(setup.scene.cleaning.responsivities, 0.0)
     if setup.scene.atmosphere is None or not len(array.basis) or not share:
         return NO_FITTED_MODES
-    seconds = samples_per_scan(setup.raster) / setup.raster.sample_rate_hz
+    seconds = samples_per_scan(setup.observing.raster) / setup.observing.raster.sample_rate_hz
     motion = np.median(np.abs(levels.motion))
     layer = layer_waves(screen(setup.scene), motion * seconds, [np.median(levels.sine)])
     common = array.phases(2 * np.pi * layer.alpha).mean(axis=0)
@@ -234,20 +235,20 @@ def removed_modes(
 
 def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
     """Mean hits of one observation on the scored patch (n, n), from a sample of observations over the survey."""
-    n_obs, geometry = setup.scene.observations, setup.geometry
+    n_obs, geometry = setup.scene.observations, setup.analysis.geometry
     plane: FocalPlane = setup.camera.focal_plane.subset(pipeline.rows)
-    samples = len(plane.x_rad) * setup.raster.n_scans * samples_per_scan(setup.raster)
+    samples = len(plane.x_rad) * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
     every = max(1, int(samples // _MOST_HIT_SAMPLES))
     wanted = min(n_obs, int(np.clip(_HIT_SAMPLES / samples, _FEWEST_HITS, _MOST_HITS)))
-    # In pairs of both directions.
+    # In pairs of both scan directions.
     numbers = np.unique(np.minimum(2 * (np.arange(wanted) * n_obs // wanted // 2) + np.arange(wanted) % 2, n_obs - 1))
     hits = np.zeros(geometry.n_x * geometry.n_y)
     for number in numbers:
-        _, pointing = observation_path(setup, int(number))
+        _, pointing = observation_path(setup.observing, int(number))
         angle = pointing.array_angle_rad[pointing.scan[::every]]
         boresight = pointing.xi_rad[::every], pointing.eta_rad[::every], angle
         for rows in row_chunks(len(plane.x_rad), len(angle)):
             index = boresight_pixels(geometry, *boresight, plane=plane.subset(rows)).ravel()
             hits += np.bincount(index[index >= 0], minlength=len(hits))
-    patch = setup.band.patch
+    patch = setup.analysis.region.patch
     return hits.reshape(geometry.n_y, geometry.n_x)[patch, patch] * every / len(numbers)

@@ -14,10 +14,10 @@ from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.scan_blocks import Block
 
 MOST_OBSERVATIONS = 32  # of a pilot
-MOST_SCANS = 6  # of each of so many
+MOST_SCANS = 6  # of each, for `MOST_OBSERVATIONS` of them
 _SAMPLES = 3e6  # detector-samples of a pilot: about a quarter of a second
-_FEWEST_OBSERVATIONS = 8  # a larger pilot than `_SAMPLES` rather than fewer, up to
-_MOST_SAMPLES = 5e7  # a few seconds
+_FEWEST_OBSERVATIONS = 8  # even where these have more than `_SAMPLES`
+_MOST_SAMPLES = 5e7  # of any pilot: a few seconds
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def predict_kept_scans(
     """
     whole = KeptScans(np.ones(len(weight)))
     fitted = tuple(pipeline for pipeline in pipelines if pipeline.takes_responsivities)
-    if setup.scene.atmosphere is None or setup.calibration is not None or not fitted:
+    if setup.scene.atmosphere is None or setup.analysis.calibration is not None or not fitted:
         return {pipeline.data_set: whole for pipeline in pipelines}
     unknown = {
         pipeline.data_set: replace(whole, error=np.inf) if pipeline in fitted else whole for pipeline in pipelines
@@ -82,7 +82,11 @@ def predict_kept_scans(
     importance = np.cumsum(weight[order] / weight.sum() + 1 / len(weight)) / 2
     places = np.unique(np.searchsorted(importance, (np.arange(n_pilot) + 0.5) / n_pilot))
     places = np.minimum(places, len(weight) - 1)
-    pilot = replace(setup, blocks=(Block(0, 0, n_scans),), pipelines=fitted)
+    pilot = replace(
+        setup,
+        observing=replace(setup.observing, blocks=(Block(0, 0, n_scans),)),
+        analysis=replace(setup.analysis, pipelines=fitted),
+    )
     try:
         found = np.array([kept_scans(pilot, int(order[place])).mean(axis=1) for place in places])
     except InputError:  # a layer that can't be drawn
@@ -95,7 +99,7 @@ def predict_kept_scans(
 
 
 def _scan_samples(setup: Setup) -> int:
-    return setup.n_det * samples_per_scan(setup.raster)
+    return setup.camera.n_det * samples_per_scan(setup.observing.raster)
 
 
 def _pilot_size(setup: Setup, n_obs: int) -> tuple[int, int]:
@@ -103,9 +107,9 @@ def _pilot_size(setup: Setup, n_obs: int) -> tuple[int, int]:
     scans, most = _SAMPLES / _scan_samples(setup), min(MOST_OBSERVATIONS, n_obs)
     n_scans = int(np.clip(scans / most, 1, MOST_SCANS * MOST_OBSERVATIONS / most))
     if setup.scene.cleaning.responsivities == OBSERVATION:
-        n_scans = setup.raster.n_scans
+        n_scans = setup.observing.raster.n_scans
     n_pilot = int(np.clip(scans / n_scans, _FEWEST_OBSERVATIONS, MOST_OBSERVATIONS))
-    return min(n_scans, setup.raster.n_scans), min(n_pilot, n_obs)
+    return min(n_scans, setup.observing.raster.n_scans), min(n_pilot, n_obs)
 
 
 def _interpolate_shares(order: np.ndarray, places: np.ndarray, found: np.ndarray, n_scans: int) -> KeptScans:

@@ -12,14 +12,14 @@ from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.setup import Setup
 from surveysim.survey.discarded_scans import MOST_DISCARDED
 
-LARGE = 0.1  # relative size from which on an effect is flagged
-MOST_TEMPLATES = 0.25  # for each detector from which on they are flagged
-MOST_UNEVEN = 0.25  # more noise, from which on coverage is flagged
-_RESOLUTIONS = 3.0  # of multipole, from which on a forecast is compared
-_BEAM_LEFT = 0.03  # of the power, up to where it is
+LARGE = 0.1  # relative size above which an effect is flagged
+MOST_TEMPLATES = 0.25  # templates a detector above which they are flagged
+MOST_UNEVEN = 0.25  # excess noise above which uneven coverage is flagged
+_RESOLUTIONS = 3.0  # of `resolution_ell`: lower end of compared multipoles
+_BEAM_LEFT = 0.03  # power in the beam: upper end of compared multipoles
 _PIXEL_REACH = 0.75  # of the map pixel's Nyquist multipole
-# Of the layer's noise, what forecasts lack: 20, 30, 32, 33 and 35 % of it were measured in surveys of 115 detectors in
-# which it is 30, 100, 57, 27 and 46 % of the noise.
+# Fraction of the layer's noise that forecasts lack. It was 20, 30, 32, 33 and 35 % in surveys of 115 detectors in which
+# the layer makes 30, 100, 57, 27 and 46 % of the noise.
 _STRIPES = 0.33
 _APPROXIMATE = {"wind": "shifted along the wind", "pca": "by principal components"}  # taken as average subtraction
 
@@ -92,7 +92,7 @@ def resolution_ell(setup: Setup) -> float:
     The length of the taper is that of a box with the same sum of squares.
     """
     score, scan = setup.scene.score, setup.scene.scan
-    # A cosine's square is 3/8 on average where it falls; the taper's edges are half its fraction each.
+    # The square of a cosine edge averages to 3/8; each edge has half of the taper's fraction.
     taper = score.size_rad * (1 - score.taper_fraction * 5 / 8)
     return 2 * np.pi / min(taper, scan.speed_rad_s * scan.duration_s)
 
@@ -127,7 +127,9 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
         if inputs.pipeline.steps != ("none",):
             yield _stripes(inputs)
         if (name := inputs.pipeline.label) in _APPROXIMATE:
-            sentence = f"Cleaning {_APPROXIMATE[name]} is taken as average subtraction: the difference is not known."
+            sentence = (
+                f"Cleaning {_APPROXIMATE[name]} is approximated by average subtraction, with an unknown difference."
+            )
             yield NeglectedEffect("cleaning", None, sentence, True)
     if templates := len(PROJECTIONS[inputs.pipeline.label]):
         yield _few_detectors(templates, inputs.n_det)
@@ -139,13 +141,13 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
 def _discarded(kept: KeptScans) -> NeglectedEffect:
     share, error = kept.discarded, kept.error
     if np.isinf(error):
-        sentence = "The share of scans that cleaning discards is not known: a trial of a few would be too large."
+        sentence = "The fraction of scans that cleaning discards is unknown: a pilot would be too large."
         return NeglectedEffect("discarded scans", None, sentence, True)
     if error == 0:
-        sentence = f"Cleaning discarded {_percent(share)} of the scans; the noise counts on those that were kept."
+        sentence = f"Cleaning discarded {_percent(share)} of the scans; the noise is that of the kept scans."
     else:
         known = f"{100 * share:.1f} +- {100 * error:.1f} %"
-        sentence = f"Cleaning discards {known} of the scans, by a trial of a few; the noise counts on the others."
+        sentence = f"Cleaning discards {known} of the scans, by a pilot; the noise is that of the kept scans."
     return NeglectedEffect("discarded scans", share, sentence, share > MOST_DISCARDED)
 
 
@@ -164,7 +166,7 @@ def _repeated_layer(setup: Setup, inputs: EffectInputs) -> NeglectedEffect:
         slow = travel < 2 * setup.camera.radius_rad
         size = float(parts[slow].sum())
         where = f"In {_percent(slow.mean())} of the observations consecutive scans see the same part of the layer"
-    sentence = f"{where}, which is taken as independent: {_percent(size)} of the noise."
+    sentence = f"{where}, which the forecast takes as independent: {_percent(size)} of the noise."
     return NeglectedEffect("scans that share air", size, sentence, size > LARGE)
 
 
@@ -173,8 +175,8 @@ def _stripes(inputs: EffectInputs) -> NeglectedEffect:
     layer = float(inputs.layer_share.sum())
     size = _STRIPES * layer
     sentence = (
-        f"After cleaning {_percent(layer)} of the noise is the layer's, which makes stripes of one and two steps:"
-        f" they are neglected, about {_percent(size)} of the noise."
+        f"After cleaning the layer makes {_percent(layer)} of the noise; its stripes with periods of one and two raster"
+        f" steps are neglected, about {_percent(size)} of the noise."
     )
     return NeglectedEffect("stripes", size, sentence, size > LARGE)
 
@@ -187,34 +189,34 @@ def _few_detectors(templates: int, n_det: int) -> NeglectedEffect:
     """
     size = templates / n_det
     sentence = (
-        f"Templates ({templates} for {n_det} detectors) take {_percent(size)} of each stream's own noise, and what they"
-        " leave of the signal differs by as much between detectors: the mean is taken."
+        f"Templates ({templates} for {n_det} detectors) remove {_percent(size)} of each stream's own noise, and the"
+        " transfer function differs by as much between detectors; the forecast takes the mean."
     )
     return NeglectedEffect("few detectors", size, sentence, size > MOST_TEMPLATES)
 
 
 def _uneven_coverage(setup: Setup, hits: np.ndarray) -> NeglectedEffect:
     """Excess of the mean of 1 / hits over that of uniform coverage, which couples multipoles."""
-    weight, covered = setup.band.taper**2, hits > 0
+    weight, covered = setup.analysis.region.taper**2, hits > 0
     mean = np.average(hits[covered], weights=weight[covered])
     size = float(np.average(mean / hits[covered], weights=weight[covered]) - 1)
     missed = float(1 - weight[covered].sum() / weight.sum())
-    sentence = f"Hits differ over the map: {_percent(size)} more noise than with even hits, taken as alike at all ell"
-    sentence += f"; {_percent(missed)} of the map has none." if missed > 0 else "."
+    sentence = f"Uneven coverage raises the noise by {_percent(size)}, which the forecast takes as equal at all ell"
+    sentence += f"; {_percent(missed)} of the map has no hits." if missed > 0 else "."
     return NeglectedEffect("uneven coverage", size, sentence, size > MOST_UNEVEN or missed > LARGE)
 
 
 def _weights(setup: Setup, inputs: EffectInputs) -> NeglectedEffect:
     """Noise from the scatter of measured weights, beyond the first-order correction that a run makes."""
-    band = setup.band
+    band = setup.analysis.region
     modes = band.rings.n_modes
     measured = inputs.noise * np.sqrt(inputs.share * modes)
     scatter = np.sum(measured**2 / modes, axis=1) * 2 / np.sum(measured, axis=1) ** 2
     mean = float(np.average(scatter, weights=inputs.weight))
     size = abs(mean - band.noise_scatter) + mean**2
     sentence = (
-        f"An observation's weight is measured on its own map, to {_percent(np.sqrt(mean))}: "
-        f"beyond what a run corrects, {_percent(size)} of the noise."
+        f"The weight of an observation is measured on its own map, to {_percent(np.sqrt(mean))}; "
+        f"beyond the correction of a run this adds {_percent(size)} to the noise."
     )
     return NeglectedEffect("weights", size, sentence, size > LARGE)
 
@@ -222,10 +224,10 @@ def _weights(setup: Setup, inputs: EffectInputs) -> NeglectedEffect:
 def _low_multipoles(setup: Setup, share: np.ndarray) -> NeglectedEffect:
     """Fraction of the score from multipoles at which scan ends and the map's edge dominate."""
     low, _ = compared_ell(setup)
-    size = float(share[setup.band.rings.edges_ell[:-1] < low].sum())
+    size = float(share[setup.analysis.region.rings.edges_ell[:-1] < low].sum())
     sentence = (
-        f"Below ell = {low:.0f} the ends of scans, the map's edge and its gaps matter, which are approximated: "
-        f"{_percent(size)} of sigma(A)^-2 is from there."
+        f"Below ell = {low:.0f} the ends of scans, the map's edge and its gaps matter, which are approximated; "
+        f"{_percent(size)} of sigma(A)^-2 comes from there."
     )
     return NeglectedEffect("low multipoles", size, sentence, size > LARGE)
 

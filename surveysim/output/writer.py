@@ -100,7 +100,7 @@ def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> 
         },
         "left_out": left_out(prepare(result.scene)),
         "warnings": [],
-        "detectors": prepare(result.scene).n_det,
+        "detectors": prepare(result.scene).camera.n_det,
         "run": {"date": now(), "workers": result.workers, "wall_s": result.wall_s},
     }
     write_summary(directory, content, written, partial(_of_accuracy, result) if figures else None)
@@ -183,8 +183,8 @@ def write_text(path: Path, text: str) -> Path:
 
 def _write_maps(directory: Path, result: SurveyResult) -> list[Path]:
     setup, coadds, written = result.setup, result.coadds, []
-    for s, name in enumerate(setup.data_sets):
-        item = BinnedMap(setup.geometry, coadds.sums[s], coadds.weight[s], coadds.hits[s])
+    for s, name in enumerate(setup.analysis.data_set_names):
+        item = BinnedMap(setup.analysis.geometry, coadds.sums[s], coadds.weight[s], coadds.hits[s])
         header = {
             "SCENE": setup.scene.name,
             "DATASET": name,
@@ -219,7 +219,7 @@ def _score_table(result: SurveyResult) -> Table:
     rows = [vars(row) | {k: vars(row)[k] or nan for k, nan in unknown.items()} for row in score_rows(result)]
     reference = result.setup.scene.score.reference
     return Table(
-        columns={name: [row[name] for row in rows] for name in rows[0]},
+        columns={name: [row[name] for row in rows] for name in rows[0] if name != "kind"},
         units=dict.fromkeys(("sigma_ukcmb2", "error_ukcmb2", "plain_sigma_ukcmb2", *unknown), "uK2"),
         meta={"temperature": "CMB", "reference": reference.source if reference else "none"} | _part(result),
     )
@@ -241,7 +241,7 @@ def _alternative_table(result: SurveyResult) -> Table:
 
 
 def _spectrum_table(result: SurveyResult) -> Table:
-    band, rings = result.setup.band, result.setup.band.rings
+    band, rings = result.setup.analysis.region, result.setup.analysis.region.rings
     columns = {"ell": rings.ell, "n_modes": rings.n_modes, "scored": band.selected}
     columns["correlation_with_next"] = np.append(band.correlation, np.nan)
     units = {}
@@ -265,13 +265,13 @@ def _spectrum_table(result: SurveyResult) -> Table:
 
 def _timestream_table(result: SurveyResult) -> Table:
     coadds = result.coadds
-    rate = result.setup.raster.sample_rate_hz
+    rate = result.setup.observing.raster.sample_rate_hz
     n_freq = len(coadds.raw_psd[0])
-    frequency = np.arange(n_freq) * rate / samples_per_scan(result.setup.raster)
+    frequency = np.arange(n_freq) * rate / samples_per_scan(result.setup.observing.raster)
     comment = "quantiles over observations of the mean PSD over detectors"
     table = Table({"frequency": frequency}, {"frequency": "Hz"}, {"comment": comment})
     compared = np.array(coadds.compared_psd)
-    pipelines = enumerate(result.setup.whole_pipelines[1:])
+    pipelines = enumerate(result.setup.analysis.whole_pipelines[1:])
     psds_of = {"raw": coadds.raw_psd, "clean": coadds.clean_psd}
     psds_of |= {f"clean_{pipeline.data_set}": compared[:, place] for place, pipeline in pipelines}
     for name, psds in psds_of.items():
@@ -286,11 +286,11 @@ def _observation_table(result: SurveyResult) -> Table:
     columns = dict(zip(row_names(setup), np.array(result.coadds.rows).T, strict=True))
     columns |= {
         "observation": columns["observation"].astype(int),
-        "start_mjd": setup.angles.start_mjd[: result.coadds.done],
+        "start_mjd": setup.observing.angles.start_mjd[: result.coadds.done],
     }
     units = {"start_mjd": "d", "wind_speed_rad_s": "rad / s", "wind_angle_rad": "rad", "pwv_mm": "mm"}
     units |= {"elevation_rad": "rad", "white_mk2_hz": "mK2 / Hz"}
-    units |= {f"noise_mk2_{name}": "mK2" for name in setup.data_sets}
+    units |= {f"noise_mk2_{name}": "mK2" for name in setup.analysis.data_set_names}
     if np.isnan(columns["pwv_mm"]).all():  # the scene has its own distribution of B2
         del columns["pwv_mm"], units["pwv_mm"]
     return Table(columns, units)

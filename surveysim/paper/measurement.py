@@ -17,16 +17,18 @@ from mapmaker.cleaning.templates import AVERAGE, QUADRATIC, template_basis
 from mapmaker.correlations import PairBins, Profile, correlation_profile, pair_bins, scan_covariances
 from mapmaker.geometry import MapGeometry, boresight_pixels
 from mapmaker.spectrum import mode_ell, mode_multiplicity, mode_psd, tukey_taper
+from mapmaker.stream_psd import hann_psd, low_frequency_variance, white_level
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.wind import WindFit, measure_wind, scan_velocities
 from surveysim.atmosphere.weather import Weather
-from surveysim.reduction.setup import Setup, observation_path, prepare
+from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.errors import InsufficientDataError
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.noise import hann_psd, low_frequency_variance, white_level
-from surveysim.timestreams.observation import draw_observation, observation_weather
+from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.observed_block import observation_weather
+from surveysim.timestreams.simulation import observation_path
 
 # Multipoles, of the highest that the map's pixels hold along an axis, where no atmosphere is left in a map.
 WHITE_FROM = 0.6
@@ -98,11 +100,11 @@ class MeasurementJob:
 
 def measure(setup: Setup, streams: Timestreams, observation: int) -> Measurement:
     """Measure the streams of one observation of a scene with an atmosphere."""
-    _, pointing = observation_path(setup, observation)
-    bounds, rate = streams.scan_bounds, setup.raster.sample_rate_hz
+    _, pointing = observation_path(setup.observing, observation)
+    bounds, rate = streams.scan_bounds, setup.observing.raster.sample_rate_hz
     velocity = scan_velocities(streams)
     wind = measure_wind(streams.data_mk, bounds, streams.focal_plane, sample_rate_hz=rate, scan_velocity_rad_s=velocity)
-    seconds = samples_per_scan(setup.raster) / rate
+    seconds = samples_per_scan(setup.observing.raster) / rate
     cleaned = {name: _clean(setup, streams, name) for name in supported_cleanings(setup)}
     variance, white = map_variances(setup, streams, pointing, cleaned["average"])
     bins = camera_pairs(setup)
@@ -123,7 +125,7 @@ def measure(setup: Setup, streams: Timestreams, observation: int) -> Measurement
 
 def _clean(setup: Setup, streams: Timestreams, name: str) -> Cleaned:
     section = setup.scene.cleaning
-    options = TemplateOptions(section.tolerance, section.max_iterations, setup.responsivities)
+    options = TemplateOptions(section.tolerance, section.max_iterations, setup.analysis.responsivities)
     return clean(name, streams.data_mk, streams.scan_bounds, streams.focal_plane, options=options)
 
 
@@ -140,10 +142,10 @@ def _pairs(x: bytes, y: bytes, fwhm_rad: float) -> PairBins:
 
 def raw_variance(setup: Setup, streams: Timestreams) -> float:
     """Variance [mK^2] of mean-removed scans below 1 Hz less the white level's share, mean over detectors (Table 2)."""
-    rate, n_scans = setup.raster.sample_rate_hz, setup.raster.n_scans
+    rate, n_scans = setup.observing.raster.sample_rate_hz, setup.observing.raster.n_scans
     low = low_frequency_variance(streams.data_mk, n_scans, rate, LOW_FREQUENCY_HZ)
     psd = hann_psd(streams.data_mk, n_scans, np.ones(n_scans, bool), rate)
-    white = white_level(psd, samples_per_scan(setup.raster), rate, WHITE_ABOVE_HZ)
+    white = white_level(psd, samples_per_scan(setup.observing.raster), rate, WHITE_ABOVE_HZ)
     return float(np.mean(low - white * LOW_FREQUENCY_HZ))
 
 
@@ -206,12 +208,12 @@ def map_variances(setup: Setup, streams: Timestreams, pointing: Pointing, cleane
     Over the middle of the map, under a cosine taper; the white part is the level of the highest multipoles.
     NaN for a map with gaps.
     """
-    geometry, plane = setup.geometry, streams.focal_plane
+    geometry, plane = setup.analysis.geometry, streams.focal_plane
     angle = pointing.array_angle_rad[pointing.scan]
     index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
     item = bin_map(geometry, cleaned.data_mk, index, streams.scan_bounds, kept=cleaned.kept)
     signal = np.divide(item.weighted_sum, item.hits, out=np.zeros(item.hits.shape), where=item.hits > 0)
-    taper, high, share = _map_modes(geometry, setup.scene.scan.step_rad * (setup.raster.n_scans - 1))
+    taper, high, share = _map_modes(geometry, setup.scene.scan.step_rad * (setup.observing.raster.n_scans - 1))
     if np.sum(taper**2 * (item.hits == 0)) > UNHIT_MAX * np.sum(taper**2):
         return np.nan, np.nan  # gaps would count as quiet sky
     psd = mode_psd(signal, taper, geometry.pixel_rad) / geometry.pixel_rad**2

@@ -173,7 +173,7 @@ def _check(path: Path, scene: Scene, first: Scene) -> None:
     unscored = _prepared(path, scene.model_copy(update={"score": None}))
     if scene.atmosphere is None:
         raise SceneError(f"{path}: [atmosphere] is missing; this command measures it")
-    if (found := len(prepare(unscored).blocks)) > 1:
+    if (found := len(prepare(unscored).observing.blocks)) > 1:
         memory = f"{scene.numerics.max_block_bytes / 1e6:.4g} MB"
         raise SceneError(
             f"{path}: numerics.max_block_memory: found {memory}, which cuts observations into {found} blocks; "

@@ -41,7 +41,7 @@ def amplitude_table(surveys: dict[str, MeasuredSurvey]) -> "Table":
         if not len(fitted):
             raise InsufficientDataError(f"found no fit of B2 at {band} GHz; one or more is expected")
         values, drawn = np.percentile(fitted, QUARTILES), np.percentile(survey.b2_drawn, QUARTILES)
-        expected = b2_quantile(survey.setup.scene.atmosphere, survey.setup.water, ndtri(np.array(QUARTILES) / 100))
+        expected = b2_quantile(survey.setup.scene.atmosphere, survey.setup.air.water, ndtri(np.array(QUARTILES) / 100))
         found[band] = values, centile_errors(fitted, QUARTILES)
         name = "Bolocam" if band in ("143", "268") else "ACBAR"
         for k, paper in enumerate(published()["table1"][band]):

@@ -6,6 +6,7 @@ import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry, check_nside, plane_offsets
+from mapmaker.stream_psd import highest_frequency
 from mapmaker.transfer_function import beam_window
 from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES
 from surveysim.atmosphere.weather import Water
@@ -17,7 +18,6 @@ from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, Site, near_angles
 from surveysim.telescope.raster import Raster, samples_per_scan
-from surveysim.timestreams.noise import highest_frequency
 
 MAX_REACH_RAD = math.radians(15)
 MAX_SIDE_PIXELS = 16_384
@@ -293,7 +293,7 @@ def check_sky(scene: Scene, geometry: MapGeometry) -> None:
 
 def sky_coefficients(lmax: int, geometry: MapGeometry) -> int:
     """Coefficients of a sky on the sphere up to a multipole, of the orders that reach a field."""
-    from surveysim.timestreams.sky import highest_order
+    from surveysim.timestreams.sky_maps import highest_order
 
     return (lmax + 1) * (highest_order(geometry, lmax) + 1)
 

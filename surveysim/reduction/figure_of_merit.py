@@ -23,7 +23,7 @@ def figures_of_merit(
     ``sum n B^2 T / N`` over all bins, its squared signal to noise. N is the noise of the map in each bin, T
     (n_pipeline, 2, n_bin) what the pipeline leaves of the signal's power, n the modes of a bin.
     """
-    band, rings = setup.band, setup.band.rings
+    band, rings = setup.analysis.region, setup.analysis.region.rings
     rows = band.patch
     noise = np.array([band.ring_noise(total[rows, rows], hits[rows, rows]) for total, hits in maps])
     beam = beam_window(rings.ell, setup.scene.instrument.beam_fwhm_rad)

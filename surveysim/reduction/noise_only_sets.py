@@ -42,15 +42,15 @@ def add_simulated(
     detectors are taken some at a time.
     """
     plane = setup.camera.focal_plane
-    for block, kept in zip(setup.blocks, kept_scans, strict=True):
+    for block, kept in zip(setup.observing.blocks, kept_scans, strict=True):
         pointing = whole.scans(block.first, block.end)
         angle, bounds = pointing.array_angle_rad[pointing.scan], scan_bounds(pointing.scan)
         names = setup.scene.score.noise_only_sets
         rngs = [generator(setup.scene.seed, SIMULATED[name], observation, block=block.number) for name in names]
-        for rows in row_chunks(setup.n_det, len(pointing.time_s)):
+        for rows in row_chunks(setup.camera.n_det, len(pointing.time_s)):
             with watch("pixels"):
                 some = plane.subset(rows)
-                index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=some)
+                index = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=some)
             for name, rng in zip(names, rngs, strict=True):
                 with watch("simulated sets"):
                     data = simulated_streams(setup, name, psd[rows], white[rows], block.n_scans, rng)
@@ -65,7 +65,7 @@ def simulated_streams(
 
     Uncorrelated between detectors; the mean of each scan is removed, as cleaning does.
     """
-    rate, n = setup.raster.sample_rate_hz, samples_per_scan(setup.raster)
+    rate, n = setup.observing.raster.sample_rate_hz, samples_per_scan(setup.observing.raster)
     if name == "uncorrelated":
         streams = draw_from_psd(psd[:, None, :], (len(psd), n_scans), n, rate, rng)
         return streams.reshape(len(psd), -1).astype(setup.stream_type, copy=False)

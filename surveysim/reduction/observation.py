@@ -17,6 +17,7 @@ from mapmaker.cleaning import Cleaned
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
+from mapmaker.stream_psd import hann_power, hann_scale, white_level
 from mapmaker.timestreams import Timestreams, timestream_file
 from surveysim.atmosphere.weather import Weather
 from surveysim.reduction.cleaning_pipelines import (
@@ -28,19 +29,15 @@ from surveysim.reduction.cleaning_pipelines import (
 )
 from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
 from surveysim.reduction.noise_only_sets import add_simulated, mean_removed
-from surveysim.reduction.setup import Setup, observation_path, prepare
+from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.noise import hann_power, hann_scale, white_level
-from surveysim.timestreams.observation import (
-    Stopwatch,
-    add_sky_signal,
-    draw_block,
-    draw_other_bands,
-    observation_weather,
-)
+from surveysim.timestreams.observation import Stopwatch, draw_block, draw_other_bands
+from surveysim.timestreams.observed_block import observation_weather
+from surveysim.timestreams.response import write_sky_signal
 from surveysim.timestreams.scan_blocks import Block
+from surveysim.timestreams.simulation import observation_path
 
 REFERENCE = (0, 1)  # observations that tell what pipelines leave of a signal: one along each direction
 
@@ -122,27 +119,27 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
 
     With a `path`, its time-streams before cleaning are written there.
     """
-    watch, (_, pointing) = Stopwatch(), observation_path(setup, observation)
+    watch, (_, pointing) = Stopwatch(), observation_path(setup.observing, observation)
     sums = _empty_sums(setup, with_window)
     with nullcontext(_let_go) if path is None else timestream_file(path, len(pointing.time_s)) as save:
-        for block in setup.blocks:
+        for block in setup.observing.blocks:
             _add_block(sums, setup, observation, pointing, block, save, watch)
     kept = np.concatenate(sums.kept, axis=1)
     psd = sums.power / max(1, kept[0].sum()) * _psd_scale(setup)
     white = np.full(1, np.nan)
     if setup.scene.score:
-        n, rate = samples_per_scan(setup.raster), setup.raster.sample_rate_hz
+        n, rate = samples_per_scan(setup.observing.raster), setup.observing.raster.sample_rate_hz
         white = white_level(psd, n, rate, setup.scene.score.white_noise_above_hz)
         add_simulated(sums.maps, sums.kept, setup, observation, pointing, psd=psd, white=white, watch=watch)
     maps = {name: _plane(setup, *item) for name, item in sums.maps.items()}
     worth, best = None, 0
-    if setup.chooses:
+    if setup.analysis.chooses:
         with watch("choice"):
-            of_pipelines = [maps[pipeline.data_set] for pipeline in setup.whole_pipelines]
+            of_pipelines = [maps[pipeline.data_set] for pipeline in setup.analysis.whole_pipelines]
             worth = figures_of_merit(setup, transfer_functions(setup.scene), of_pipelines)
         best = max(0, int(best_places(worth[:, 0])))
-        maps[OPTIMAL] = maps[setup.whole_pipelines[best].data_set]
-    ordered = [maps[name] for name in setup.data_sets]
+        maps[OPTIMAL] = maps[setup.analysis.whole_pipelines[best].data_set]
+    ordered = [maps[name] for name in setup.analysis.data_set_names]
     total, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
     with watch("weights"):
         noise, of_bins = (np.array(part) for part in zip(*(map_noise(setup, *item) for item in ordered), strict=True))
@@ -171,8 +168,8 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
 
 def kept_scans(setup: Setup, observation: int) -> np.ndarray:
     """Scans that each pipeline keeps of an observation, (n_pipeline, n_scan) bool of the setup's blocks."""
-    _, pointing = observation_path(setup, observation)
-    parts = (_reduce(setup, observation, pointing, block, Stopwatch()) for block in setup.blocks)
+    _, pointing = observation_path(setup.observing, observation)
+    parts = (_reduce(setup, observation, pointing, block, Stopwatch()) for block in setup.observing.blocks)
     return np.concatenate([[item.kept for item in part.cleaned] for part in parts], axis=1)
 
 
@@ -181,11 +178,11 @@ def _let_go(streams: Timestreams) -> None:
 
 
 def _empty_sums(setup: Setup, with_window: bool) -> _Sums:
-    n_pixel = setup.geometry.n_y * setup.geometry.n_x
-    names = [name for name in setup.data_sets if name != OPTIMAL]
+    n_pixel = setup.analysis.geometry.n_y * setup.analysis.geometry.n_x
+    names = [name for name in setup.analysis.data_set_names if name != OPTIMAL]
     maps = {name: (np.zeros(n_pixel), np.zeros(n_pixel, np.int64)) for name in names}
-    power = np.zeros((setup.n_det, samples_per_scan(setup.raster) // 2 + 1))
-    return _Sums(maps, _empty_window(setup) if with_window else None, power)
+    power = np.zeros((setup.camera.n_det, samples_per_scan(setup.observing.raster) // 2 + 1))
+    return _Sums(maps, _empty_window(setup, setup.analysis.n_signal_skies) if with_window else None, power)
 
 
 def _add_block(
@@ -202,14 +199,14 @@ def _add_block(
     save(part.streams)
     with watch("spectra"):
         _add_spectra(sums, part)
-    for pipeline, item in zip(setup.pipelines, part.cleaned, strict=True):
+    for pipeline, item in zip(setup.analysis.pipelines, part.cleaned, strict=True):
         with watch("binning"):
             _bin(part, item.data_mk, pipeline, item.kept, *sums.maps[pipeline.data_set])
     for name in ("kept", "iterations", "removed"):
         getattr(sums, name).append(np.array([getattr(item, name) for item in part.cleaned]))
     if sums.window is not None:
         with watch("window"):
-            _add_window(sums.window, part)
+            _add_window(sums.window, part, setup.analysis.signal_skies_mk)
 
 
 def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> _Part:
@@ -218,16 +215,24 @@ def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch
     pointing, plane = whole.scans(block.first, block.end), streams.focal_plane
     with watch("pixels"):
         angle = pointing.array_angle_rad[pointing.scan]
-        index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
+        index = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
     with watch("wind"):
-        bands = draw_other_bands(setup, observation, whole, block)
-        rate = setup.raster.sample_rate_hz
-        auxiliary = auxiliary_data(setup.pipelines, streams, bands, setup.calibration, rate)
+        bands = _other_bands(setup, observation, whole, block)
+        rate = setup.observing.raster.sample_rate_hz
+        auxiliary = auxiliary_data(setup.analysis.pipelines, streams, bands, setup.analysis.calibration, rate)
     cleaned, everyone = [], np.ones(block.n_scans, bool)
-    for pipeline in setup.pipelines:
+    for pipeline in setup.analysis.pipelines:
         with watch("cleaning" if pipeline.steps == setup.scene.cleaning.algorithm else f"cleaning {pipeline.label}"):
             cleaned.append(_clean(setup, pipeline, streams, streams.data_mk[pipeline.rows], auxiliary, everyone))
     return _Part(setup, observation, block, pointing, streams, index, auxiliary, tuple(cleaned))
+
+
+def _other_bands(setup: Setup, observation: int, whole: Pointing, block: Block) -> np.ndarray:
+    """Draw the other bands where a pipeline subtracts them; (0, n_det, n_samp) elsewhere."""
+    if setup.analysis.subtracts_bands:
+        return draw_other_bands(setup, observation, whole, block)
+    samples = setup.observing.samples(block)
+    return np.zeros((0, setup.camera.n_det, samples.stop - samples.start), setup.stream_type)
 
 
 def _clean(
@@ -239,14 +244,14 @@ def _clean(
     scans: np.ndarray,
 ) -> Cleaned:
     """Clean some scans (n_scan,) bool of the streams of a pipeline's detectors; the result knows of no others."""
-    plane, rate = streams.focal_plane.subset(pipeline.rows), setup.raster.sample_rate_hz
+    plane, rate = streams.focal_plane.subset(pipeline.rows), setup.observing.raster.sample_rate_hz
     auxiliary = replace(auxiliary, delays_s_rad=auxiliary.delays_s_rad[scans])
     return apply_pipeline(setup.scene.cleaning, pipeline, data_mk, streams.scan_bounds[scans], plane, auxiliary, rate)
 
 
 def _add_spectra(sums: _Sums, part: _Part) -> None:
     data, n_scans, scale = part.streams.data_mk, part.block.n_scans, _psd_scale(part.setup)
-    actual, *others = part.cleaned[: len(part.setup.whole_pipelines)]
+    actual, *others = part.cleaned[: len(part.setup.analysis.whole_pipelines)]
     sums.power += hann_power(actual.data_mk, n_scans, actual.kept)
     everyone = np.ones(n_scans, bool)
     raw = [hann_power(mean_removed(data[rows], n_scans), n_scans, everyone) for rows in row_chunks(*data.shape)]
@@ -256,7 +261,9 @@ def _add_spectra(sums: _Sums, part: _Part) -> None:
 
 
 def _psd_scale(setup: Setup) -> float:
-    return hann_scale(samples_per_scan(setup.raster), setup.raster.sample_rate_hz, setup.stream_type)
+    return hann_scale(
+        samples_per_scan(setup.observing.raster), setup.observing.raster.sample_rate_hz, setup.stream_type
+    )
 
 
 def _mean_psd(blocks: list[tuple[int, np.ndarray]]) -> np.ndarray:
@@ -273,11 +280,11 @@ def map_noise(setup: Setup, total: np.ndarray, hits: np.ndarray) -> tuple[float,
     variance v a sample has v. It counts correlations between detectors, which a time-stream PSD can't
     see. Without a score: the mean of ``S^2 / H`` over hit pixels, and no bins.
     """
-    if setup.band is None:
+    if setup.analysis.region is None:
         hit = hits > 0
         return float(np.mean(total[hit].astype(float) ** 2 / hits[hit])) if hit.any() else np.inf, np.zeros(0)
-    rows = setup.band.patch
-    return setup.band.noise(total[rows, rows], hits[rows, rows])
+    rows = setup.analysis.region.patch
+    return setup.analysis.region.noise(total[rows, rows], hits[rows, rows])
 
 
 def _some(kept: np.ndarray) -> np.ndarray:
@@ -293,24 +300,23 @@ def _bin(
 
 
 def _plane(setup: Setup, total: np.ndarray, hits: np.ndarray) -> Map:
-    shape = (setup.geometry.n_y, setup.geometry.n_x)
+    shape = (setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
     kind = np.int32 if hits.max() < 2**31 else np.int64
     return total.reshape(shape).astype(setup.stream_type), hits.reshape(shape).astype(kind)
 
 
-def _empty_window(setup: Setup) -> np.ndarray:
-    return np.zeros((len(setup.window_skies_mk), len(setup.windows), 2, setup.geometry.n_y * setup.geometry.n_x))
+def _empty_window(setup: Setup, n_sky: int) -> np.ndarray:
+    return np.zeros((n_sky, len(setup.analysis.windows), 2, setup.analysis.geometry.n_y * setup.analysis.geometry.n_x))
 
 
-def _add_window(window: np.ndarray, part: _Part) -> None:
-    """Add the signal of each window sky without and with cleaning, the difference that it makes to the cleaned data."""
+def _add_window(window: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
+    """Add the signal of each sky without and with cleaning, the difference that it makes to the cleaned data."""
     setup, streams = part.setup, part.streams
     hits, signal = np.zeros(window.shape[-1], np.int64), np.empty_like(streams.data_mk)
-    for s, sky in enumerate(setup.window_skies_mk):
-        signal[:] = 0
-        add_sky_signal(setup, part.pointing, sky, signal, setup.responsivity)
-        for pipeline, base in zip(setup.pipelines, part.cleaned, strict=True):
-            rows, place = pipeline.rows, setup.windows.index(pipeline.data_set)
+    for s, sky in enumerate(skies_mk):
+        write_sky_signal(setup, part.pointing, sky, signal)
+        for pipeline, base in zip(setup.analysis.pipelines, part.cleaned, strict=True):
+            rows, place = pipeline.rows, setup.analysis.windows.index(pipeline.data_set)
             scans = _cleaned_again(setup, pipeline, base.kept)
             both = _clean(setup, pipeline, streams, streams.data_mk[rows] + signal[rows], part.auxiliary, scans)
             kept = base.kept.copy()
@@ -337,11 +343,14 @@ def _window_maps(setup: Setup, window: np.ndarray | None, best: int) -> np.ndarr
     """Window skies as maps of the scored patch, those of the optimal set taken from the pipeline that is best."""
     if window is None:
         return None
-    maps, patch = window.reshape(*window.shape[:3], setup.geometry.n_y, setup.geometry.n_x), setup.band.patch
+    maps, patch = (
+        window.reshape(*window.shape[:3], setup.analysis.geometry.n_y, setup.analysis.geometry.n_x),
+        setup.analysis.region.patch,
+    )
     maps = maps[..., patch, patch].astype(setup.stream_type)
-    if setup.chooses:
-        chosen = setup.windows.index(setup.whole_pipelines[best].data_set)
-        maps[:, setup.windows.index(OPTIMAL)] = maps[:, chosen]
+    if setup.analysis.chooses:
+        chosen = setup.analysis.windows.index(setup.analysis.whole_pipelines[best].data_set)
+        maps[:, setup.analysis.windows.index(OPTIMAL)] = maps[:, chosen]
     return maps
 
 
@@ -353,21 +362,21 @@ def transfer_functions(scene: Scene) -> np.ndarray:
     discards all their scans.
     """
     setup = prepare(scene)
-    middle = setup.blocks[len(setup.blocks) // 2]
-    setup = replace(setup, made=setup.made | {"window_skies_mk": setup.window_skies_mk[[0, -1]]})
-    everywhere = np.ones_like(setup.band.taper)
-    powers = np.zeros((len(setup.whole_pipelines), len(TARGETS), 2, len(setup.band.rings.ell)))
+    middle = setup.observing.blocks[len(setup.observing.blocks) // 2]
+    skies = setup.analysis.signal_skies_mk[[0, -1]]
+    everywhere = np.ones_like(setup.analysis.region.taper)
+    powers = np.zeros((len(setup.analysis.whole_pipelines), len(TARGETS), 2, len(setup.analysis.region.rings.ell)))
     for observation in REFERENCE:
-        maps = _window_maps(setup, _window_alone(setup, observation % scene.observations, middle), 0)
-        for r, pipeline in enumerate(setup.whole_pipelines):
-            place = setup.windows.index(pipeline.data_set)
+        maps = _window_maps(setup, _window_alone(setup, observation % scene.observations, middle, skies), 0)
+        for r, pipeline in enumerate(setup.analysis.whole_pipelines):
+            place = setup.analysis.windows.index(pipeline.data_set)
             for s, state in np.ndindex(powers.shape[1:3]):
-                powers[r, s, state] += setup.band.ring_noise(maps[s, place, state], everywhere)
+                powers[r, s, state] += setup.analysis.region.ring_noise(maps[s, place, state], everywhere)
     return np.divide(powers[:, :, 1], powers[:, :, 0], out=np.zeros_like(powers[:, :, 0]), where=powers[:, :, 0] > 0)
 
 
-def _window_alone(setup: Setup, observation: int, block: Block) -> np.ndarray:
-    """The window skies of one block of an observation, and nothing else of it."""
-    window, (_, pointing) = _empty_window(setup), observation_path(setup, observation)
-    _add_window(window, _reduce(setup, observation, pointing, block, Stopwatch()))
+def _window_alone(setup: Setup, observation: int, block: Block, skies_mk: np.ndarray) -> np.ndarray:
+    """Simulate signals in one block of an observation, and nothing else of it."""
+    window, (_, pointing) = _empty_window(setup, len(skies_mk)), observation_path(setup.observing, observation)
+    _add_window(window, _reduce(setup, observation, pointing, block, Stopwatch()), skies_mk)
     return window

@@ -57,7 +57,7 @@ def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) 
     ratio = expected.band.sigma_ukcmb2 / simulated.plain_band.sigma_ukcmb2
     error = ratio * float(np.linalg.norm([simulated.budget.noise, simulated.budget.window, scatter]))
     low, high = compared_ell(setup)
-    edges = setup.band.rings.edges_ell
+    edges = setup.analysis.region.rings.edges_ell
     bins = np.flatnonzero((edges[:-1] >= low) & (edges[1:] <= high))
     if not len(bins):
         return Agreement(sigma=ratio - 1, sigma_error=error)

@@ -45,7 +45,7 @@ def _white(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
     known = np.isfinite(measured)
     if known.sum() < 2 or setup.scene.score is None:
         return []
-    opacity = setup.water.opacity if setup.water else None
+    opacity = setup.air.water.opacity if setup.air.water else None
     conditions = zip(coadds.column("pwv_mm")[known], coadds.column("elevation_rad")[known], strict=True)
     levels = [white_levels(setup.scene, opacity, *item) for item in conditions]
     set_to = float(np.mean([item.photon_mk2_hz + item.detector_mk2_hz for item in levels]))
@@ -78,13 +78,13 @@ def _weather(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
     air = setup.scene.atmosphere
     if air is None:
         return []
-    b2 = b2_quantile(air, setup.water, ndtri(np.array(QUARTILES)))
+    b2 = b2_quantile(air, setup.air.water, ndtri(np.array(QUARTILES)))
     unit = f"mK2 rad({Fraction(2 - air.spectral_index).limit_denominator(1000)})"
     rows = [_quartile("B2", unit, k, value, coadds.column("b2_mk2")) for k, value in enumerate(b2)]
     wind = np.degrees(coadds.column("wind_speed_rad_s")) * 60
     if air.wind_b2_exponent == 0:  # else its median depends on B2
         rows.append(_quartile("wind", "arcmin / s", 1, float(np.degrees(air.wind_median_rad_s)) * 60, wind))
-    if setup.water is not None:
+    if setup.air.water is not None:
         water = zip(range(len(QUARTILES)), pwv_quantile(air, np.array(QUARTILES)), strict=True)
         rows += [_quartile("water", "mm", k, value, coadds.column("pwv_mm")) for k, value in water]
     return rows

@@ -77,12 +77,14 @@ def expectations(scene: Scene) -> dict[str, Expectation]:
     found = {}
     for model in survey_models(scene):
         noise = model.noise(levels)
-        if not noise[:, setup.band.selected].all():
+        if not noise[:, setup.analysis.region.selected].all():
             raise NotForecastableError("score: found no noise in its multipoles; some is expected")
         parts = [_sigma(setup, model, _psd(setup, part)) for part in np.split(noise, n_lists)]
         error = np.std(parts, ddof=1) / np.sqrt(len(parts)) / np.mean(parts)
         psd = _psd(setup, noise)
-        of_bins = bin_weights(psd, model.signal_psd, setup.band.rings.n_modes, setup.band.selected)
+        of_bins = bin_weights(
+            psd, model.signal_psd, setup.analysis.region.rings.n_modes, setup.analysis.region.selected
+        )
         shares = information_shares(expected_weights(setup, noise), 1.0, noise, of_bins)
         found[model.name] = Expectation(model, psd, float(error), float(shares.std() / shares.mean()))
     return found
@@ -93,7 +95,7 @@ def in_all_weather(setup: Setup, found: Forecast) -> dict[str, float]:
 
     A forecast itself is of the weather that the scene's seed draws for its observations.
     """
-    levels, band = observing_conditions(setup, survey_draws(setup, 0, setup.scene.observations)), setup.band
+    levels, band = observing_conditions(setup, survey_draws(setup, 0, setup.scene.observations)), setup.analysis.region
     controlled = {}
     for name, item in known_expectations(setup).items():
         psd = found.scores[name].noise_psd * _control(setup, item, item.model.noise(levels)).factor
@@ -108,7 +110,7 @@ def _psd(setup: Setup, noise: np.ndarray) -> np.ndarray:
 
 
 def _sigma(setup: Setup, model: NoiseModel, psd: np.ndarray) -> float:
-    return flat_band_power(psd, model.signal_psd, setup.band.rings.n_modes, setup.band.selected)
+    return flat_band_power(psd, model.signal_psd, setup.analysis.region.rings.n_modes, setup.analysis.region.selected)
 
 
 def _control(setup: Setup, expected: Expectation, noise: np.ndarray) -> Control:

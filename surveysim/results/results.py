@@ -9,6 +9,7 @@ from mapmaker.bandpower import BandPower, flat_band_power_fixed_weights
 from surveysim.forecasting.forecast import DataSetForecast, Forecast
 from surveysim.forecasting.validity import resolution_ell
 from surveysim.reduction.cleaning_pipelines import ACTUAL, CleaningPipeline
+from surveysim.reduction.data_set import DataSetKind
 from surveysim.reduction.figure_of_merit import TARGETS, best_places
 from surveysim.reduction.setup import Setup
 from surveysim.results.agreement import Agreement, agreement, quoted_forecast, run_forecast
@@ -87,6 +88,7 @@ class Row:
     """
 
     name: str
+    kind: DataSetKind
     n_det: int
     sigma_ukcmb2: float
     error_ukcmb2: float
@@ -179,8 +181,8 @@ def score_rows(result: SurveyResult) -> list[Row]:
     expected = result.expected.scores if result.expected else {}
     rows = [_row(item, expected.get(name)) for name, item in result.scores.items()]
     for row in list(rows):
-        if row.name.startswith("masked"):
-            share = row.n_det / result.setup.n_det
+        if row.kind is DataSetKind.MASKED:
+            share = row.n_det / result.setup.camera.n_det
             scaled = {
                 name: None if value is None else share * value
                 for name, value in vars(row).items()
@@ -195,7 +197,7 @@ def score_rows(result: SurveyResult) -> list[Row]:
 def _row(item: DataSetScore, expected: DataSetForecast | None) -> Row:
     band, sigma = item.band, quoted_forecast(item, expected) if expected else None
     levels = band.sigma_ukcmb2, band.error_ukcmb2, item.plain_band.sigma_ukcmb2
-    return Row(item.name, item.n_det, *levels, band.ell_eff, band.fwhm_ell, sigma, None)
+    return Row(item.name, item.kind, item.n_det, *levels, band.ell_eff, band.fwhm_ell, sigma, None)
 
 
 def forecast_agreement(result: SurveyResult) -> dict[str, Agreement]:
@@ -206,14 +208,14 @@ def forecast_agreement(result: SurveyResult) -> dict[str, Agreement]:
 
 def _gains(setup: Setup, scores: dict[str, DataSetScore]) -> dict[str, Gain]:
     """Ratios of uncertainties between data sets, with the error of each pair."""
-    masked = next((name for name in scores if name.startswith("masked")), None)
+    masked = next((name for name, item in scores.items() if item.kind is DataSetKind.MASKED), None)
     found = {}
     if {"actual", "uncorrelated"} <= scores.keys():
         found["actual / uncorrelated"] = gain(scores["actual"], scores["uncorrelated"])
     if {"uncorrelated", "white"} <= scores.keys():
         found["uncorrelated / white"] = gain(scores["uncorrelated"], scores["white"])
     if masked and "uncorrelated" in scores:
-        share = scores[masked].n_det / setup.n_det
+        share = scores[masked].n_det / setup.camera.n_det
         found[f"{masked}_scaled / uncorrelated"] = gain(scores[masked], scores["uncorrelated"], share)
     return found
 
@@ -227,7 +229,7 @@ def _alternatives(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore])
     """
     lowest = _lowest_multipoles(setup)
     rows = [_alternative(setup, scores, weights, ell) for weights in ("own", "actual") for ell in lowest]
-    if setup.band.sectors is not None:
+    if setup.analysis.region.sectors is not None:
         sigma = {name: sector_sigma(setup, coadds, item) for name, item in scores.items()}
         ell_min = setup.scene.score.ell_min
         rows.append(_alternative_row(setup, scores, "own, 2-D", scores["actual"].band, ell_min, sigma))
@@ -246,7 +248,7 @@ def _lowest_multipoles(setup: Setup) -> list[int]:
 def _alternative(setup: Setup, scores: dict[str, DataSetScore], weights: str, ell_min: int) -> dict[str, float | str]:
     reference = scores["actual"]
     band = rescore(setup, reference, ell_min).band
-    used, modes = band.weight > 0, setup.band.rings.n_modes
+    used, modes = band.weight > 0, setup.analysis.region.rings.n_modes
     sigma = {}
     for name, item in scores.items():
         if weights == "own":
@@ -268,7 +270,7 @@ def _alternative_row(
 ) -> dict[str, float | str]:
     row = {"weights": weights, "ell_min": ell_min, "ell_eff": band.ell_eff, "fwhm_ell": band.fwhm_ell}
     for name, item in scores.items():
-        share = item.n_det / setup.n_det
+        share = item.n_det / setup.camera.n_det
         row[f"{name}_scaled" if share < 1 else name] = share * sigma_ukcmb2[name]
     return row
 
@@ -277,7 +279,9 @@ def summary(result: SurveyResult) -> dict[str, Any]:
     """The content of summary.json; its keys are stable (docs/reference/files.md)."""
     setup, coadds = result.setup, result.coadds
     columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
-    samples = coadds.done * setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)
+    samples = (
+        coadds.done * setup.camera.n_det * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
+    )
     content: dict[str, Any] = {
         "scene": setup.scene.name,
         "title": setup.scene.title,
@@ -285,18 +289,20 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "scene_sha256": scene_hash(setup.scene),
         **made_by(),
         "observations": coadds.done,
-        "detectors": setup.n_det,
+        "detectors": setup.camera.n_det,
         "detector_samples": samples,
         "stages_left_out": absent_sections(setup.scene),
         "stages": stages_that_run(setup),
         "left_out": left_out(setup),
-        "scans": coadds.done * setup.raster.n_scans,
+        "scans": coadds.done * setup.observing.raster.n_scans,
         "scans_discarded": int(columns[f"discarded_{ACTUAL}"].sum()),
         "discarded": result.discards.shares,
         "discarded_by_weather": result.discards.by_weather,
         "warnings": result.discards.warnings,
         "mean_iterations": float(columns[f"iterations_{ACTUAL}"].mean()),
-        "cleaning": {pipeline.data_set: _cleaning_entry(pipeline, result, columns) for pipeline in setup.pipelines},
+        "cleaning": {
+            pipeline.data_set: _cleaning_entry(pipeline, result, columns) for pipeline in setup.analysis.pipelines
+        },
         "stopped": _stopped_entry(result),
         "scores": {},
     }
@@ -312,8 +318,8 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         content["forecast"] = {name: _forecast_entry(item) for name, item in expected.items()}
         content["gains"] = {name: known(vars(item)) for name, item in result.gains.items()}
         content["alternatives"] = result.alternatives
-        if not np.isnan(setup.band.scored_correlation):
-            content["bin_correlation"] = setup.band.scored_correlation
+        if not np.isnan(setup.analysis.region.scored_correlation):
+            content["bin_correlation"] = setup.analysis.region.scored_correlation
         if result.fine_cost:
             content["fine_answer"] = vars(result.fine_cost)
         content["answers"] = [vars(cost) for cost in map(result.cost, TOLD_ERRORS) if cost]
@@ -339,11 +345,11 @@ def _cleaning_entry(pipeline: CleaningPipeline, result: SurveyResult, columns: d
         "mean_removed": float(columns[f"removed_{pipeline.data_set}"].mean()),
     }
     if pipeline.detectors is None:
-        entry["psd_over_white"] = _psd_over_white(result, setup.whole_pipelines.index(pipeline))
+        entry["psd_over_white"] = _psd_over_white(result, setup.analysis.whole_pipelines.index(pipeline))
     if pipeline.data_set in result.flux_removed:
         entry["point_source_flux_removed"] = result.flux_removed[pipeline.data_set]
-    if setup.chooses and pipeline.detectors is None:
-        place = setup.whole_pipelines.index(pipeline)
+    if setup.analysis.chooses and pipeline.detectors is None:
+        place = setup.analysis.whole_pipelines.index(pipeline)
         for target in TARGETS:
             best = best_pipeline(setup, columns, target)
             entry[f"best_for_{target}"] = float(np.mean(best[best >= 0] == place)) if (best >= 0).any() else 0.0
@@ -360,7 +366,7 @@ def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float | None]
     psds = coadds.clean_psd if place == 0 else [psd[place - 1] for psd in coadds.compared_psd]
     median = np.median([psd for psd in psds if psd.any()] or [np.zeros(len(psds[0]))], axis=0)
     white = median[len(median) // 2 : -1].mean()
-    step = setup.raster.sample_rate_hz / samples_per_scan(setup.raster)
+    step = setup.observing.raster.sample_rate_hz / samples_per_scan(setup.observing.raster)
     bins = {f"{hz:g} Hz": round(hz / step) for hz in PSD_AT_HZ}
     # The first bin holds what the scan's removed mean leaves, the last Nyquist's single mode.
     there = {name: k for name, k in bins.items() if 2 <= k < len(median) - 1}
@@ -369,7 +375,9 @@ def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float | None]
 
 def best_pipeline(setup: Setup, columns: dict[str, np.ndarray], target: str) -> np.ndarray:
     """Place (n_obs,) among the pipelines for all detectors of the best one for a target, -1 without data."""
-    return best_places(np.array([columns[f"merit_{target}_{pipeline.data_set}"] for pipeline in setup.whole_pipelines]))
+    return best_places(
+        np.array([columns[f"merit_{target}_{pipeline.data_set}"] for pipeline in setup.analysis.whole_pipelines])
+    )
 
 
 def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
@@ -395,7 +403,7 @@ def _forecast_entry(item: DataSetForecast) -> dict[str, Any]:
     return {"discarded": item.kept.discarded, "effects": [vars(effect) for effect in item.effects]}
 
 
-def _score_entry(row: Row) -> dict[str, float | None]:
+def _score_entry(row: Row) -> dict[str, float | str | None]:
     entry = known({key: value for key, value in vars(row).items() if key != "name" and value is not None})
     if row.reference_ukcmb2 is not None:
         entry["ratio_to_reference"] = row.sigma_ukcmb2 / row.reference_ukcmb2

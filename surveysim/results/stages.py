@@ -1,38 +1,39 @@
 """What a run of a scene does: the stages that run, and those left out with the reason for each."""
 
-from surveysim.forecasting.forecast import can_forecast
+from surveysim.forecasting.forecast import can_forecast, why_no_forecast
 from surveysim.reduction.setup import Setup, window_observations
 from surveysim.scene.scene import Scene
 from surveysim.telescope.raster import samples_per_scan
+from surveysim.timestreams.component import COMPONENTS, present_components
 
-STREAMS = ("atmosphere", "excess", "photon", "detector", "sky")  # sections that make time-streams
-SECTIONS_LEFT_OUT = {
-    "atmosphere": ": no layer, no weather",
-    "sky": ": noise alone",
-    "score": ": no map PSDs, no sign-flipped maps",
-}
+# Optional sections, and the consequence of leaving each out.
+OPTIONAL = {item.name: item.absence for item in COMPONENTS} | {"score": ": no map PSDs, no sign-flipped maps"}
 
 
 def absent_sections(scene: Scene) -> list[str]:
-    """Optional sections that the scene does not have."""
-    return [name for name in (*STREAMS, "score") if getattr(scene, name) is None]
+    """List the optional sections that the scene does not have."""
+    return [name for name in OPTIONAL if getattr(scene, name) is None]
 
 
 def stages_that_run(setup: Setup) -> dict[str, str]:
     """Every stage of a run of the scene, and what it does."""
     scene = setup.scene
-    scans = f"{scene.observations} observations of {setup.raster.n_scans} scans"
-    stages = {"pointing": f"{scans}, {setup.n_det} detectors, {scene.scan.sample_rate_hz:g} Hz"}
-    if len(setup.blocks) > 1:
-        most = max(block.n_scans for block in setup.blocks)
-        megabytes = most * samples_per_scan(setup.raster) * setup.n_det * setup.stream_type.itemsize / 1e6
-        stages["blocks"] = f"{len(setup.blocks)} an observation, {most} scans or fewer in {megabytes:.3g} MB of streams"
-    stages |= {name: "streams" for name in STREAMS if getattr(scene, name) is not None}
-    stages["cleaning"] = ", ".join(pipeline.label for pipeline in setup.whole_pipelines)
-    stages["maps"] = f"{setup.geometry.n_x} x {setup.geometry.n_y} pixels"
+    scans = f"{scene.observations} observations of {setup.observing.raster.n_scans} scans"
+    stages = {"pointing": f"{scans}, {setup.camera.n_det} detectors, {scene.scan.sample_rate_hz:g} Hz"}
+    if len(setup.observing.blocks) > 1:
+        most = max(block.n_scans for block in setup.observing.blocks)
+        megabytes = (
+            most * samples_per_scan(setup.observing.raster) * setup.camera.n_det * setup.stream_type.itemsize / 1e6
+        )
+        stages["blocks"] = (
+            f"{len(setup.observing.blocks)} an observation, {most} scans or fewer in {megabytes:.3g} MB of streams"
+        )
+    stages |= {item.name: item.sentence for item in present_components(scene)}
+    stages["cleaning"] = ", ".join(pipeline.label for pipeline in setup.analysis.whole_pipelines)
+    stages["maps"] = f"{setup.analysis.geometry.n_x} x {setup.analysis.geometry.n_y} pixels"
     if scene.score:
         n_window = int(window_observations(scene).sum())
-        stages["data sets"] = ", ".join(setup.data_sets)
+        stages["data sets"] = ", ".join(setup.analysis.data_set_names)
         stages["window"] = f"{scene.score.signal_sims.skies} skies through {n_window} observations"
         stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
         if can_forecast(setup):
@@ -45,20 +46,20 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
 def left_out(setup: Setup) -> dict[str, str]:
     """Every stage that a run of the scene leaves out, and why."""
     scene = setup.scene
-    reasons = {name: f"no section [{name}]{SECTIONS_LEFT_OUT.get(name, '')}" for name in absent_sections(scene)}
+    reasons = {name: f"no section [{name}]{OPTIONAL[name]}" for name in absent_sections(scene)}
     if scene.fixed_pointing:
         reasons["ephemerides"] = "a fixed elevation needs no astropy.coordinates"
-    if setup.water is None:
+    if setup.air.water is None:
         reasons["opacity"] = "no atmosphere.site to know it of"
     if not any(section and section.coherence != "none" for section in (scene.photon, scene.excess)):
         reasons["overlap"] = "no noise that detectors share"
-    if scene.instrument.bands and not setup.subtracts_bands:
+    if scene.instrument.bands and not setup.analysis.subtracts_bands:
         reasons["other bands"] = "no pipeline subtracts them"
     if scene.score is None:
         reasons |= dict.fromkeys(("window", "forecast", "best pipeline"), "no section [score] to need it")
     elif not can_forecast(setup):
-        reasons["forecast"] = f"cleaning by {setup.pipelines[0].label} is no projection"
-    if scene.score and not setup.chooses:
+        reasons["forecast"] = why_no_forecast(setup)
+    if scene.score and not setup.analysis.chooses:
         reasons["best pipeline"] = "no cleaning.compare to choose from"
     if not scene.map.healpix_nside:
         reasons["HEALPix"] = "no map.healpix_nside"

@@ -17,7 +17,7 @@ from surveysim.results.stages import left_out, stages_that_run
 from surveysim.runtime.memory import peak_bytes
 from surveysim.survey.coadds import CoAdds, add_observation, empty_coadds
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.observation import observation_weather
+from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.scan_blocks import Block
 
 # Drawing figures takes about twice as long as it takes to start, half as long again with those of a score, and
@@ -71,13 +71,13 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
     n_window = int(window_observations(scene).sum())
     parallel = min(workers, scene.observations, os.cpu_count() or 1)
     with threadpool_limits(1):  # as in a run
-        measured = _measure(setup) if len(setup.blocks) == 1 else _measure_block(setup)
+        measured = _measure(setup) if len(setup.observing.blocks) == 1 else _measure_block(setup)
     observing_s = (scene.observations - n_window) * measured.plain_s + n_window * measured.window_s
     # Sums are made by the first process, which else waits for the workers.
     summing_s = scene.observations * measured.adding_s
     working_s = observing_s + summing_s if parallel == 1 else max(observing_s / parallel, summing_s)
     figures_s = start_s * (SCORE_FIGURE_STARTS if scene.score else FIGURE_STARTS)
-    samples = setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)
+    samples = setup.camera.n_det * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
     coadds = empty_coadds(setup)
     maps = coadds.sums.nbytes + coadds.weight.nbytes + coadds.hits.nbytes
     return Plan(
@@ -107,16 +107,21 @@ def _measure(setup: Setup) -> _Measured:
 def _measure_block(setup: Setup) -> _Measured:
     """The same from one block, which holds as much as any, and from one more of a single scan, once caches are warm."""
     carries = window_observations(setup.scene)
-    most = max(block.n_scans for block in setup.blocks)
-    block, scan = (replace(setup, blocks=(Block(0, 0, n),)) for n in (most, 1))
+    most = max(block.n_scans for block in setup.observing.blocks)
+    block, scan = (_of_one_block(setup, n) for n in (most, 1))
     which = _windiest(setup), bool(carries.any())
     block_s, result = _timed(observe, block, *which)
     scan_s, timed = _timed(observe, scan, *which)
     total = sum(timed.seconds.values())
     once_s, skies_s = (scan_s * sum(timed.seconds.get(name, 0.0) for name in names) / total for names in (ONCE, SKIES))
-    window_s = once_s + (scan_s - once_s) * setup.raster.n_scans
+    window_s = once_s + (scan_s - once_s) * setup.observing.raster.n_scans
     first_s = max(0.0, block_s - once_s - (scan_s - once_s) * most)
-    return _with_sums(setup, result, first_s, window_s - skies_s * setup.raster.n_scans, window_s)
+    return _with_sums(setup, result, first_s, window_s - skies_s * setup.observing.raster.n_scans, window_s)
+
+
+def _of_one_block(setup: Setup, n_scans: int) -> Setup:
+    """Replace the blocks of a setup by one of some scans."""
+    return replace(setup, observing=replace(setup.observing, blocks=(Block(0, 0, n_scans),)))
 
 
 def _with_sums(setup: Setup, result: ObservationResult, first_s: float, plain_s: float, window_s: float) -> _Measured:

@@ -120,11 +120,11 @@ def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
     done = file["rows"].shape[0]
     if done > setup.scene.observations:
         raise ValueError(f"{done} observations, {setup.scene.observations} are in the survey")
-    n_freq, n_compared = samples_per_scan(setup.raster) // 2 + 1, len(setup.whole_pipelines) - 1
+    n_freq, n_compared = samples_per_scan(setup.observing.raster) // 2 + 1, len(setup.analysis.whole_pipelines) - 1
     shapes = {name: getattr(expected, name).shape for name in _ARRAYS}
     of_one = {"rows": (len(row_names(setup)),), "raw_psd": (n_freq,), "clean_psd": (n_freq,)}
-    n_bin = 0 if setup.band is None else len(setup.band.rings.ell)
-    of_one |= {"bin_noise": (len(setup.data_sets), n_bin), "compared_psd": (n_compared, n_freq)}
+    n_bin = 0 if setup.analysis.region is None else len(setup.analysis.region.rings.ell)
+    of_one |= {"bin_noise": (len(setup.analysis.data_set_names), n_bin), "compared_psd": (n_compared, n_freq)}
     shapes |= {name: (done, *of_one[name]) if done else (0,) for name in _LISTS}
     types = {name: getattr(expected, name).dtype for name in _ARRAYS}
     for name, shape in shapes.items():
@@ -153,7 +153,7 @@ def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     if len(arrays["rows"]):
         columns = dict(zip(row_names(setup), arrays["rows"].T, strict=True))
         _check_rows(columns, setup)
-        noise = np.column_stack([columns[f"noise_mk2_{name}"] for name in setup.data_sets])
+        noise = np.column_stack([columns[f"noise_mk2_{name}"] for name in setup.analysis.data_set_names])
         _check_noise(noise, arrays["bin_noise"])
 
 
@@ -168,7 +168,7 @@ def _check_rows(columns: Mapping[str, np.ndarray], setup: Setup) -> None:
     if not np.array_equal(columns["observation"], np.arange(len(columns["observation"]))):
         raise ValueError("rows are not those of the first observations in order")
     for name, column in columns.items():
-        if name.startswith("discarded_") and not ((column >= 0) & (column <= setup.raster.n_scans)).all():
+        if name.startswith("discarded_") and not ((column >= 0) & (column <= setup.observing.raster.n_scans)).all():
             raise ValueError(f"{name} has other values than numbers of scans")
         if name.startswith(("noise_mk2_", "b2_mk2", "pwv_mm", "wind_speed")) and (column < 0).any():
             raise ValueError(f"{name} has negative values")
@@ -176,10 +176,13 @@ def _check_rows(columns: Mapping[str, np.ndarray], setup: Setup) -> None:
 
 def check_streams(directory: Path, setup: Setup, done: int) -> None:
     """Raise CheckpointError for kept time-streams of the first `done` observations that are not those of the scene."""
-    identity, n_samp = scene_hash(setup.scene), setup.raster.n_scans * samples_per_scan(setup.raster)
+    identity, n_samp = (
+        scene_hash(setup.scene),
+        setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster),
+    )
     for number in range(done):
         path = directory / f"{number:04d}.h5"
-        if path.exists() and not _is_stream(path, (setup.n_det, n_samp), identity, number):
+        if path.exists() and not _is_stream(path, (setup.camera.n_det, n_samp), identity, number):
             raise CheckpointError(
                 f"{path}: not the time-streams of observation {number} of this scene; start anew with --force, or "
                 "write elsewhere with --out"

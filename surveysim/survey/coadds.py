@@ -71,12 +71,12 @@ class CoAdds:
 
 def empty_coadds(setup: Setup) -> CoAdds:
     """Sums over no observation."""
-    n_set, n_window = len(setup.data_sets), len(setup.windows)
-    shape = (setup.geometry.n_y, setup.geometry.n_x)
+    n_set, n_window = len(setup.analysis.data_set_names), len(setup.analysis.windows)
+    shape = (setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
     n_flip = n_sky = n = 0
     if setup.scene.score:
-        n_flip, n_sky = setup.scene.score.jackknives, setup.n_window_skies
-        n = len(setup.band.taper)
+        n_flip, n_sky = setup.scene.score.jackknives, setup.analysis.n_signal_skies
+        n = len(setup.analysis.region.taper)
     return CoAdds(
         sums=np.zeros((n_set, *shape)),
         weight=np.zeros((n_set, *shape)),
@@ -106,7 +106,7 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
     _check_shapes(setup, coadds, result)
     weights = noise_weights(result.noise_mk2)
     sign = jackknife_signs(setup, result.observation)
-    patch = setup.band.patch if setup.band else slice(0, 0)
+    patch = setup.analysis.region.patch if setup.analysis.region else slice(0, 0)
     # All that could fail for want of memory comes before the first sum: none is left half done.
     sums = weights[:, None, None] * result.sums.astype(float)
     hits = weights[:, None, None] * result.hits
@@ -129,8 +129,8 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
 
 def _check_shapes(setup: Setup, coadds: CoAdds, result: ObservationResult) -> None:
     """Raise ValueError for shapes that do not fit: results come from other processes, sums from files."""
-    planes = (len(setup.data_sets), setup.geometry.n_y, setup.geometry.n_x)
-    n_flip, n = (setup.scene.score.jackknives, len(setup.band.taper)) if setup.scene.score else (0, 0)
+    planes = (len(setup.analysis.data_set_names), setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
+    n_flip, n = (setup.scene.score.jackknives, len(setup.analysis.region.taper)) if setup.scene.score else (0, 0)
     found = {
         "sums": (result.sums.shape, planes),
         "hits": (result.hits.shape, planes),
@@ -155,25 +155,25 @@ def lost_scans(setup: Setup, coadds: CoAdds) -> np.ndarray:
     The simulated sets lose the scans of the actual data, the optimal set those of the pipeline that it takes.
     """
     columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
-    counts = {pipeline.data_set: columns[f"discarded_{pipeline.data_set}"] for pipeline in setup.pipelines}
-    if setup.chooses:
-        whole = [pipeline.data_set for pipeline in setup.whole_pipelines]
+    counts = {pipeline.data_set: columns[f"discarded_{pipeline.data_set}"] for pipeline in setup.analysis.pipelines}
+    if setup.analysis.chooses:
+        whole = [pipeline.data_set for pipeline in setup.analysis.whole_pipelines]
         best = best_places(np.array([columns[f"merit_{TARGETS[0]}_{name}"] for name in whole]))
         # Without any merit the first pipeline is taken.
         counts[OPTIMAL] = np.array([counts[name] for name in whole])[np.maximum(best, 0), np.arange(len(best))]
-    return np.stack([counts.get(name, counts[ACTUAL]) for name in setup.data_sets], axis=1)
+    return np.stack([counts.get(name, counts[ACTUAL]) for name in setup.analysis.data_set_names], axis=1)
 
 
 def kept_shares(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
     """Share (n_obs,) of its scans that is kept of each observation so far, by data set."""
-    kept = 1 - lost_scans(setup, coadds) / setup.raster.n_scans
-    return dict(zip(setup.data_sets, kept.T, strict=True))
+    kept = 1 - lost_scans(setup, coadds) / setup.observing.raster.n_scans
+    return dict(zip(setup.analysis.data_set_names, kept.T, strict=True))
 
 
 def _add_window(setup: Setup, coadds: CoAdds, result: ObservationResult, weights: np.ndarray) -> None:
-    patch = setup.band.patch
-    for place, name in enumerate(setup.windows):
-        data_set = setup.data_sets.index(name)
+    patch = setup.analysis.region.patch
+    for place, name in enumerate(setup.analysis.windows):
+        data_set = setup.analysis.data_set_names.index(name)
         coadds.window[:, place] += weights[data_set] * result.window[:, place]
         coadds.window_weight[place] += weights[data_set] * result.hits[data_set][patch, patch]
 
@@ -192,8 +192,15 @@ def _row(result: ObservationResult) -> tuple[float, ...]:
 def row_names(setup: Setup) -> list[str]:
     """What the values of a row of `CoAdds.rows` are."""
     of_pipelines = [
-        f"{what}_{pipeline.data_set}" for what in ("discarded", "iterations", "removed") for pipeline in setup.pipelines
+        f"{what}_{pipeline.data_set}"
+        for what in ("discarded", "iterations", "removed")
+        for pipeline in setup.analysis.pipelines
     ]
-    whole = setup.whole_pipelines if setup.chooses else ()
+    whole = setup.analysis.whole_pipelines if setup.analysis.chooses else ()
     figures_of_merit = [f"merit_{target}_{pipeline.data_set}" for target in TARGETS for pipeline in whole]
-    return [*ROW_FIELDS, *of_pipelines, *figures_of_merit, *(f"noise_mk2_{name}" for name in setup.data_sets)]
+    return [
+        *ROW_FIELDS,
+        *of_pipelines,
+        *figures_of_merit,
+        *(f"noise_mk2_{name}" for name in setup.analysis.data_set_names),
+    ]

@@ -19,6 +19,7 @@ from mapmaker.uncertainty import (
     subtract_in_quadrature,
 )
 from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.reduction.data_set import DataSetKind
 from surveysim.reduction.scored_region import N_SECTORS
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InsufficientDataError
@@ -56,6 +57,7 @@ class DataSetScore:
     """
 
     name: str
+    kind: DataSetKind
     n_det: int
     band: BandPower
     budget: ErrorBudget
@@ -113,16 +115,18 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
     kept = kept_shares(setup, coadds)
     if not kept[ACTUAL].any():
         raise InsufficientDataError("cleaning discarded all scans; some scans of 2 or more observations are expected")
-    windows = [_window(setup, coadds, place, setup.band.rings) for place in range(len(setup.windows))]
+    windows = [
+        _window(setup, coadds, place, setup.analysis.region.rings) for place in range(len(setup.analysis.windows))
+    ]
     weights = noise_weights(coadds.noise_mk2())
     scores = {}
-    for s, name in enumerate(setup.data_sets):
+    for s, item in enumerate(setup.analysis.data_sets):
+        name = item.name
         if names is None or name in names:
-            n_det = len(setup.masked) if name.startswith("masked") else setup.n_det
-            psds = _noise_psds(setup, coadds, s, setup.band.rings)
-            window = windows[setup.window_of(name)]
+            psds = _noise_psds(setup, coadds, s, setup.analysis.region.rings)
+            window = windows[setup.analysis.window_of(name)]
             of_observations = weights[:, s], np.array(coadds.bin_noise)[:, s], kept[name]
-            scores[name] = _score(setup, name, n_det, psds, window, *of_observations)
+            scores[name] = _score(setup, item, psds, window, *of_observations)
     return scores
 
 
@@ -133,7 +137,7 @@ def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> Data
     as that of a mean of few draws: unknown for fewer than 4. The plain one has besides the weather that happened to be
     drawn.
     """
-    rings, selected = setup.band.rings, item.band.weight > 0
+    rings, selected = setup.analysis.region.rings, item.band.weight > 0
     _, common = noise_parts(setup, item)
     off = ratio_error(item.information, replace(item, control=control).expected)
     off = subtract_in_quadrature(off, common) * student_factor(len(item.weights))
@@ -155,35 +159,35 @@ def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> Data
 def noise_parts(setup: Setup, item: DataSetScore) -> tuple[float, float]:
     """Relative errors of the plain sigma from its noise: what more sign flips take away, and what they share."""
     used = item.weights[item.weights > 0]
-    of_bins = {"n_modes": setup.band.rings.n_modes, "correlation": setup.band.correlation}
+    of_bins = {"n_modes": setup.analysis.region.rings.n_modes, "correlation": setup.analysis.region.correlation}
     return noise_error_parts(item.noise_psds, item.plain_band.weight, used, **of_bins)
 
 
 def bin_errors(setup: Setup, item: DataSetScore) -> np.ndarray:
     """Relative standard errors (n_bin,) of the plain noise PSD, for each bin by itself."""
     used = item.weights[item.weights > 0]
-    of_bins = {"n_modes": setup.band.rings.n_modes, "correlation": setup.band.correlation}
-    alone = np.eye(len(setup.band.rings.ell))
+    of_bins = {"n_modes": setup.analysis.region.rings.n_modes, "correlation": setup.analysis.region.correlation}
+    alone = np.eye(len(setup.analysis.region.rings.ell))
     return np.array([noise_error(item.noise_psds, weight, used, **of_bins) for weight in alone])
 
 
 def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
     """The same data set scored from another lowest multipole."""
-    low, high = setup.band.rings.edges_ell[:-1], setup.band.rings.edges_ell[1:]
+    low, high = setup.analysis.region.rings.edges_ell[:-1], setup.analysis.region.rings.edges_ell[1:]
     selected = (low >= ell_min) & (high <= setup.scene.score.ell_max)
-    of_set = item.name, item.n_det, item.noise_psds, item.window, item.weights, item.bin_noise, item.kept
-    plain = _score(setup, *of_set, selected=selected)
+    of_set = item.noise_psds, item.window, item.weights, item.bin_noise, item.kept
+    plain = _score(setup, item, *of_set, selected=selected)
     return plain if item.control is None else controlled_score(setup, plain, item.control)
 
 
 def sector_sigma(setup: Setup, coadds: CoAdds, item: DataSetScore) -> float:
     """sigma(A) [uK_CMB^2] of the scored range with modes weighted by their direction too (`split_azimuth`)."""
-    sectors = setup.band.sectors
-    noise = _noise_psds(setup, coadds, setup.data_sets.index(item.name), sectors).mean(axis=0)
+    sectors = setup.analysis.region.sectors
+    noise = _noise_psds(setup, coadds, setup.analysis.data_set_names.index(item.name), sectors).mean(axis=0)
     if item.control is not None:
-        noise = noise * np.repeat(item.control.factor[setup.band.selected], N_SECTORS)
-    window = _window(setup, coadds, setup.window_of(item.name), sectors)
-    signal = setup.band.sector_psd * window.transmission
+        noise = noise * np.repeat(item.control.factor[setup.analysis.region.selected], N_SECTORS)
+    window = _window(setup, coadds, setup.analysis.window_of(item.name), sectors)
+    signal = setup.analysis.region.sector_psd * window.transmission
     return flat_band_power(noise, signal, sectors.n_modes, np.ones(len(noise), bool))
 
 
@@ -252,9 +256,9 @@ def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
     return stacked
 
 
-def _score(setup, name, n_det, psds, window, weights, bin_noise, kept, *, selected=None) -> DataSetScore:
-    rings, signal = setup.band.rings, setup.band.signal_psd * window.transmission
-    selected = setup.band.selected if selected is None else selected
+def _score(setup, item, psds, window, weights, bin_noise, kept, *, selected=None) -> DataSetScore:
+    rings, signal = setup.analysis.region.rings, setup.analysis.region.signal_psd * window.transmission
+    selected = setup.analysis.region.selected if selected is None else selected
     shares = information_shares(
         weights, kept, bin_noise, bin_weights(psds.mean(axis=0), signal, rings.n_modes, selected)
     )
@@ -268,9 +272,9 @@ def _score(setup, name, n_det, psds, window, weights, bin_noise, kept, *, select
         ell=rings.ell,
         edges_ell=rings.edges_ell,
         information=shares,
-        correlation=setup.band.correlation,
+        correlation=setup.analysis.region.correlation,
     )
-    return DataSetScore(name, n_det, band, budget, psds, signal, window, weights, bin_noise, kept)
+    return DataSetScore(item.name, item.kind, item.n_det, band, budget, psds, signal, window, weights, bin_noise, kept)
 
 
 def _window_errors(window: TransferFunction) -> np.ndarray:
@@ -286,13 +290,13 @@ def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> n
     the co-added PSD where they are measured and raises it elsewhere (`Band.mode_chance`); this bias is corrected.
     The PSD of a survey goes as one over its observations: of a part it is scaled to the whole.
     """
-    patch = setup.band.patch
+    patch = setup.analysis.region.patch
     maps = weighted_mean(coadds.flipped[:, data_set], coadds.weight[data_set][patch, patch])
     to_ukcmb = 1e3 * setup.scene.instrument.cmb_per_rj
     whole = coadds.done / setup.scene.observations
     weights = noise_weights(coadds.noise_mk2()[:, data_set])
     independent = 1 - np.sum(weights**2) / np.sum(weights) ** 2  # a single observation can't be favoured
-    return _psd(setup, maps, rings) * (to_ukcmb**2 * (1 + independent * setup.band.chance(rings)) * whole)
+    return _psd(setup, maps, rings) * (to_ukcmb**2 * (1 + independent * setup.analysis.region.chance(rings)) * whole)
 
 
 def flux_removed(setup: Setup, coadds: CoAdds) -> dict[str, float]:
@@ -300,10 +304,10 @@ def flux_removed(setup: Setup, coadds: CoAdds) -> dict[str, float]:
 
     At the sources' peaks, against the map binned without cleaning; the mean of the scans goes with it.
     """
-    if not setup.chooses:
+    if not setup.analysis.chooses:
         return {}
     removed = {}
-    for place, name in enumerate(setup.windows):
+    for place, name in enumerate(setup.analysis.windows):
         without, cleaned = weighted_mean(coadds.window[-1, place], coadds.window_weight[place])
         peak = without > PEAK * without.max()
         removed[name] = 1 - float(cleaned[peak].sum() / without[peak].sum())
@@ -318,5 +322,5 @@ def _window(setup: Setup, coadds: CoAdds, place: int, rings: Annuli) -> Transfer
 
 
 def _psd(setup: Setup, patches: np.ndarray, rings: Annuli) -> np.ndarray:
-    band = setup.band
-    return map_psd(band.pad(patches), band.padded_taper, setup.geometry.pixel_rad, rings)
+    band = setup.analysis.region
+    return map_psd(band.pad(patches), band.padded_taper, setup.analysis.geometry.pixel_rad, rings)

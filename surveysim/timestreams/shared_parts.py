@@ -70,7 +70,7 @@ def scene_sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
     """The sky (n_y, n_x) that all streams see; None without one."""
     if scene.sky is None:
         return None
-    from surveysim.timestreams.sky import draw_sky
+    from surveysim.timestreams.sky_maps import draw_sky
 
     instrument = scene.instrument
     rng = generator(scene.seed, RandomPurpose.SKY)
@@ -81,7 +81,7 @@ def window_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
     """The window's skies (n_sky, n_y, n_x), that of a point source last where pipelines are compared."""
     if scene.score is None:
         return None
-    from surveysim.timestreams.sky import central_source, flat_cmb_sky
+    from surveysim.timestreams.sky_maps import central_source, flat_cmb_sky
 
     window, instrument = scene.score.signal_sims, scene.instrument
     skies = [

@@ -12,11 +12,13 @@ from threadpoolctl import threadpool_limits
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import Timestreams
 from surveysim.reduction.observation import ObservationResult, observe
-from surveysim.reduction.setup import Setup, observation_path, prepare
+from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.observed_block import ObservedBlock, observed_block
 from surveysim.timestreams.scan_blocks import Block
+from surveysim.timestreams.simulation import observation_path
 
 OBSERVATION = 0
 FLOOR = "floor: normal deviates"
@@ -36,7 +38,11 @@ class Prepared:
 
     @property
     def block(self) -> Block:
-        return self.setup.blocks[0]
+        return self.setup.observing.blocks[0]
+
+    @property
+    def observed_block(self) -> ObservedBlock:
+        return observed_block(self.setup, OBSERVATION, self.block, self.pointing)
 
     @property
     def data_mk(self) -> np.ndarray:
@@ -54,10 +60,10 @@ def one_thread():
 def lynx(pytestconfig) -> Prepared:
     """One observation of the Lynx survey: 115 detectors, 18 scans of 150 samples."""
     setup = prepare(load_scene(pytestconfig.rootpath / "scenarios" / "lynx.toml", {}))
-    _, pointing = observation_path(setup, OBSERVATION)
+    _, pointing = observation_path(setup.observing, OBSERVATION)
     streams = draw_observation(setup, OBSERVATION)
     angle = pointing.array_angle_rad[pointing.scan]
-    index = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=streams.focal_plane)
+    index = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, streams.focal_plane)
     result = observe(setup, OBSERVATION, with_window=True)
     return Prepared(setup, pointing, streams, index, result)
 

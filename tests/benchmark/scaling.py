@@ -36,17 +36,17 @@ def measure(rings: int, rate_hz: float, scans: int) -> dict[str, float]:
     settings |= {"scan.step": f"{300 / scans} arcmin", "observations": 1}
     with threadpool_limits(1):
         setup = prepare(load_scene(SCENE, settings))
-        observe(replace(setup, blocks=(Block(0, 0, 1),)), 0, True)
+        observe(replace(setup, observing=replace(setup.observing, blocks=(Block(0, 0, 1),))), 0, True)
         start_s = process_time()
         result = observe(setup, 0, True)
         cpu_s = process_time() - start_s
-    samples = setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)
+    samples = setup.camera.n_det * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
     skies = result.seconds["window"] / sum(result.seconds.values())
     return {
-        "detectors": setup.n_det,
+        "detectors": setup.camera.n_det,
         "rate [Hz]": rate_hz,
         "scans": scans,
-        "blocks": len(setup.blocks),
+        "blocks": len(setup.observing.blocks),
         "iterations": result.iterations[0],
         "10^6 samples": samples / 1e6,
         "CPU [s]": cpu_s,

@@ -8,14 +8,18 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
+from mapmaker.stream_psd import hann_psd, white_level
 from mapmaker.wind import measure_wind, scan_velocities
 from surveysim.reduction import noise_only_sets as sets
 from surveysim.reduction import observation as reduction
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline, measured_delays
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.survey.coadds import add_observation, empty_coadds
-from surveysim.timestreams import observation as stages
-from surveysim.timestreams.noise import add_white, hann_psd, white_level
+from surveysim.timestreams.atmosphere import add_atmosphere
+from surveysim.timestreams.low_frequency import add_low_frequency_noise
+from surveysim.timestreams.noise import add_white
+from surveysim.timestreams.observation import Stopwatch
+from surveysim.timestreams.photon import add_photon_noise
 from tests.benchmark.conftest import FLOOR, OBSERVATION
 
 
@@ -26,7 +30,7 @@ def test_floor_normal_deviates(per_sample, lynx):
 
 def test_floor_fft_pair(per_sample, lynx):
     """As many and as long transforms as the excess noise takes, forth and back."""
-    n_scans = lynx.setup.raster.n_scans
+    n_scans = lynx.setup.observing.raster.n_scans
     n = next_fast_len(2 * lynx.data_mk.shape[1] // n_scans, real=True)
     data = np.ones((len(lynx.data_mk), n_scans, n), np.float32)
     per_sample("floor: FFT pair", lambda: irfft(rfft(data), n))
@@ -38,47 +42,43 @@ def test_floor_copy(per_sample, lynx):
 
 
 def test_atmosphere(per_sample, lynx):
-    weather = stages.observation_weather(lynx.setup, OBSERVATION)
-    data = np.zeros_like(lynx.data_mk)
-    per_sample("atmosphere", lambda: stages.add_layer(lynx.setup, OBSERVATION, lynx.pointing, weather, data))
+    data, block = np.zeros_like(lynx.data_mk), lynx.observed_block
+    per_sample("atmosphere", lambda: add_atmosphere(data, block))
 
 
 def test_excess(per_sample, lynx):
-    weather = stages.observation_weather(lynx.setup, OBSERVATION)
-    data = np.zeros_like(lynx.data_mk)
-    per_sample("excess", lambda: stages._add_excess(lynx.setup, OBSERVATION, lynx.block, weather, data))
+    data, block = np.zeros_like(lynx.data_mk), lynx.observed_block
+    per_sample("excess", lambda: add_low_frequency_noise(data, block))
 
 
 def test_photon(per_sample, lynx):
-    data = np.zeros_like(lynx.data_mk)
-    levels = stages.observation_levels(lynx.setup, OBSERVATION)
-    per_sample("photon", lambda: stages._add_photon(lynx.setup, OBSERVATION, lynx.block, levels, data))
+    data, block = np.zeros_like(lynx.data_mk), lynx.observed_block
+    per_sample("photon", lambda: add_photon_noise(data, block))
 
 
 def test_detector(per_sample, lynx):
     data = np.zeros_like(lynx.data_mk)
     rng = generator(lynx.setup.scene.seed, RandomPurpose.DETECTOR, OBSERVATION)
-    psd, rate = lynx.setup.scene.detector.psd_mk2_hz, lynx.setup.raster.sample_rate_hz
+    psd, rate = lynx.setup.scene.detector.psd_mk2_hz, lynx.setup.observing.raster.sample_rate_hz
     per_sample("detector", lambda: add_white(data, psd, rate, rng))
 
 
 def test_pixels(per_sample, lynx):
     pointing, streams = lynx.pointing, lynx.streams
     boresight = (pointing.xi_rad, pointing.eta_rad, pointing.array_angle_rad[pointing.scan])
-    per_sample("pixels", lambda: boresight_pixels(lynx.setup.geometry, *boresight, plane=streams.focal_plane))
+    per_sample("pixels", lambda: boresight_pixels(lynx.setup.analysis.geometry, *boresight, streams.focal_plane))
 
 
 def test_wind(per_sample, lynx):
-    streams, rate = lynx.streams, lynx.setup.raster.sample_rate_hz
+    streams, rate = lynx.streams, lynx.setup.observing.raster.sample_rate_hz
     velocity = scan_velocities(streams)
-    arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane)
-    options = {"sample_rate_hz": rate, "scan_velocity_rad_s": velocity}
-    per_sample("wind, measured", lambda: measure_wind(*arguments, **options))
+    arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane, rate, velocity)
+    per_sample("wind, measured", lambda: measure_wind(*arguments))
 
 
 @pytest.mark.parametrize("algorithm", ["average", "planar", "quadratic", "polynomial", "wind", "pca", "local"])
 def test_cleaning(per_sample, lynx, algorithm):
-    streams, rate = lynx.streams, lynx.setup.raster.sample_rate_hz
+    streams, rate = lynx.streams, lynx.setup.observing.raster.sample_rate_hz
     section = lynx.setup.scene.cleaning.model_copy(
         update={"sigma_cut": 3.0, "neighbour_radius": 1.2, "order": 3, "regions": 1}
     )
@@ -90,13 +90,13 @@ def test_cleaning(per_sample, lynx, algorithm):
 
 
 def test_spectra(per_sample, lynx):
-    n_scans, rate = lynx.setup.raster.n_scans, lynx.setup.raster.sample_rate_hz
+    n_scans, rate = lynx.setup.observing.raster.n_scans, lynx.setup.observing.raster.sample_rate_hz
     kept = np.ones(n_scans, bool)
     per_sample("Hann spectra", lambda: hann_psd(lynx.data_mk, n_scans, kept, rate))
 
 
 def test_binning(per_sample, lynx):
-    n_pixel = lynx.setup.geometry.n_y * lynx.setup.geometry.n_x
+    n_pixel = lynx.setup.analysis.geometry.n_y * lynx.setup.analysis.geometry.n_x
     bounds = lynx.streams.scan_bounds
     kept = np.ones(len(bounds), bool)
     total, hits = np.zeros(n_pixel), np.zeros(n_pixel, np.int64)
@@ -107,18 +107,17 @@ def test_binning(per_sample, lynx):
 def test_simulated_set(per_sample, lynx, name):
     setup, n_det = lynx.setup, len(lynx.data_mk)
     psd = np.tile(lynx.result.clean_psd, (n_det, 1))
-    white = white_level(psd, 150, setup.raster.sample_rate_hz, setup.scene.score.white_noise_above_hz)
+    white = white_level(psd, 150, setup.observing.raster.sample_rate_hz, setup.scene.score.white_noise_above_hz)
     rng = generator(setup.scene.seed, sets.SIMULATED[name], OBSERVATION)
-    n_scans = setup.raster.n_scans
+    n_scans = setup.observing.raster.n_scans
     per_sample(f"simulated set, {name}", lambda: sets.simulated_streams(setup, name, psd, white, n_scans, rng))
 
 
 def test_window_of_one_sky(per_sample, lynx):
     """A sky through the streams of the whole and the masked array, with cleaning and without."""
-    setup = replace(lynx.setup, made=lynx.setup.made | {"window_skies_mk": lynx.setup.window_skies_mk[:1]})
-    part = reduction._reduce(setup, OBSERVATION, lynx.pointing, lynx.block, stages.Stopwatch())
-    window = reduction._empty_window(setup)
-    per_sample("window, one sky", lambda: reduction._add_window(window, part))
+    part = reduction._reduce(lynx.setup, OBSERVATION, lynx.pointing, lynx.block, Stopwatch())
+    window, skies = reduction._empty_window(lynx.setup, 1), lynx.setup.analysis.signal_skies_mk[:1]
+    per_sample("window, one sky", lambda: reduction._add_window(window, part, skies))
 
 
 def test_weights(per_sample, lynx):

@@ -329,9 +329,9 @@ def small_enough() -> bool:
     from surveysim.telescope.raster import samples_per_scan
 
     setup = prepared(load_scene("scene.toml"))
-    samples = setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster)
+    samples = setup.camera.n_det * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
     skies = setup.scene.score.signal_sims.skies * setup.scene.score.jackknives if setup.scene.score else 1
-    pixels = setup.geometry.n_x * setup.geometry.n_y * max(1, skies / 8)
+    pixels = setup.analysis.geometry.n_x * setup.analysis.geometry.n_y * max(1, skies / 8)
     return (
         samples < RUN_SAMPLES and pixels < RUN_PIXELS and (setup.scene.sky is None or not setup.scene.sky.curved_lmax)
     )

@@ -24,7 +24,7 @@ def surveys(tmp_path_factory):
         settings = {"atmosphere.b2": "[2000, 5000, 10000] mK2 rad(-5/3)", "score.jackknives": 32}
         settings |= {"observations": N_OBS, "numerics.max_block_memory": memory}
         setup = prepare(load_scene(path, settings))
-        assert len(setup.blocks) == blocks
+        assert len(setup.observing.blocks) == blocks
         found.append((setup, run_observations(setup, None)))
     return found
 
@@ -71,6 +71,6 @@ def test_one_block_tells_what_pipelines_leave_of_a_source(tmp_path):
     for memory, blocks in (("1 MB", 1), ("18 kB", 2)):
         settings = {"cleaning.compare": ["planar"], "scan.scans": 8, "numerics.max_block_memory": memory}
         scene = load_scene(path, settings | {"atmosphere.b2": "[2000, 5000, 10000] mK2 rad(-5/3)"})
-        assert len(prepare(scene).blocks) == blocks
+        assert len(prepare(scene).observing.blocks) == blocks
         found.append(transfer_functions(scene)[0, 1, 2:])
     np.testing.assert_allclose(found[1], found[0], rtol=0.15)

@@ -23,24 +23,25 @@ def setup():
 def test_noise_of_white_maps_in_bins(setup):
     """Sums of H samples of variance 9 have it in every bin, to sqrt(2 / n) of its modes."""
     rng = np.random.default_rng(1)
-    n = len(setup.band.taper)
+    n = len(setup.analysis.region.taper)
     hits = rng.integers(5, 30, (n, n))
     found = np.mean(
-        [setup.band.ring_noise(3 * np.sqrt(hits) * rng.standard_normal((n, n)), hits) for _ in range(40)], axis=0
+        [setup.analysis.region.ring_noise(3 * np.sqrt(hits) * rng.standard_normal((n, n)), hits) for _ in range(40)],
+        axis=0,
     )
-    error = 9 * np.sqrt(2 / setup.band.rings.n_modes / 40)
+    error = 9 * np.sqrt(2 / setup.analysis.region.rings.n_modes / 40)
     # Bins narrower than the taper's resolution scatter less than their modes say, and share them.
     assert (np.abs(found - 9) < 5 * error).all()
-    assert np.isinf(setup.band.ring_noise(np.zeros((n, n)), np.zeros((n, n), int))).all()
+    assert np.isinf(setup.analysis.region.ring_noise(np.zeros((n, n)), np.zeros((n, n), int))).all()
 
 
 def test_merit_falls_with_noise_and_with_what_is_taken_of_the_signal(setup):
     """A flat band power's goes as (T / N)^2, a source's as T / N."""
     rng = np.random.default_rng(2)
-    shape = (setup.geometry.n_y, setup.geometry.n_x)
+    shape = (setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
     hits = np.full(shape, 10)
     total = rng.standard_normal(shape)
-    transmission = np.ones((3, 2, len(setup.band.rings.ell)))
+    transmission = np.ones((3, 2, len(setup.analysis.region.rings.ell)))
     transmission[2] = 0.5
     found = figures_of_merit(setup, transmission, [(total, hits), (2 * total, hits), (total, hits)])
     np.testing.assert_allclose(found[1] / found[0], [1 / 16, 1 / 4], rtol=1e-12)
@@ -49,7 +50,7 @@ def test_merit_falls_with_noise_and_with_what_is_taken_of_the_signal(setup):
 
 def test_higher_orders_leave_less_on_large_scales(setup):
     transmission = transfer_functions(setup.scene)
-    ell = setup.band.rings.ell
+    ell = setup.analysis.region.rings.ell
     large, small = (ell > 1500) & (ell < 3500), ell > 9000
     for signal in (0, 1):
         average, planar, quadratic = transmission[:, signal]
@@ -58,7 +59,7 @@ def test_higher_orders_leave_less_on_large_scales(setup):
         assert (transmission[:, signal][:, small].mean(axis=1) > 0.85).all() and (transmission[:, signal] < 1.1).all()
     assert (transmission[:, 1][:, small] > 0.85).all()
     # What is left of n modes that lose a share f of one sky scatters by 2 sqrt(f / n): the product of both, twice.
-    scatter = 2 * np.sqrt(0.15 / setup.band.rings.n_modes[small])
+    scatter = 2 * np.sqrt(0.15 / setup.analysis.region.rings.n_modes[small])
     assert (transmission[:, 0][:, small] > 0.85 - 3 * scatter).all()
 
 
@@ -66,7 +67,7 @@ def test_without_templates_only_the_scan_s_mean_is_lost(tmp_path):
     path = write_scene(tmp_path)
     scene = load_scene(path, {"cleaning.algorithm": "none", "cleaning.compare": ["average"]})
     none, average = transfer_functions(scene)
-    ell = prepare(scene).band.rings.ell
+    ell = prepare(scene).analysis.region.rings.ell
     high = ell > 3000  # scans of 24 arcmin, whose means take little of that
     assert (none[:, high].mean(axis=1) > 0.85).all()
     # For a point source in every bin: each loses its share of a template of 18 detectors.

@@ -17,9 +17,11 @@ from mapmaker.cleaning import (
     slowness,
 )
 from mapmaker.wind import measure_wind, scan_velocities
-from surveysim.reduction.setup import observation_path, prepare
+from surveysim.reduction.setup import prepare
 from surveysim.telescope.pointing import sky_vector
-from surveysim.timestreams.observation import draw_observation, observation_weather
+from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.observed_block import observation_weather
+from surveysim.timestreams.simulation import observation_path
 
 LYNX = Path(__file__).parents[2] / "scenarios" / "lynx.toml"
 RATE_HZ = 10.0
@@ -129,7 +131,7 @@ def test_scans_that_go_along_with_the_wind_hold_nothing_to_fit_to():
     """Bad weather, wind at the speed of short scans and along them: one fit a scan loses every second scan, those."""
     point = surveysim.load_sweep(LYNX.with_name("prime_cam_280.toml"), {"instrument.layout.field_of_view": "8 arcmin"})
     setup = prepare(point.points[0].scene)
-    weather, (_, pointing) = observation_weather(setup, 5), observation_path(setup, 5)
+    weather, (_, pointing) = observation_weather(setup, 5), observation_path(setup.observing, 5)
     layer = np.stack(sky_vector(pointing.parallactic_rad, *weather.wind_rad_s), axis=-1)
     relative = np.linalg.norm(pointing.velocity_rad_s - layer, axis=-1) / np.linalg.norm(layer, axis=-1)
     along = relative < 0.1

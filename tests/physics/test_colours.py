@@ -6,19 +6,22 @@ import pytest
 from surveysim.api import run
 from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline
-from surveysim.reduction.setup import observation_path, prepare
+from surveysim.reduction.setup import prepare
 from surveysim.results.results import summary
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
 from surveysim.timestreams.observation import draw_observation, draw_other_bands
+from surveysim.timestreams.simulation import observation_path
 
 SUZIE = "scenarios/suzie_ii.toml"
 
 
 def other_bands(setup, observation):
     """Streams of the other bands of an observation of one block."""
-    return draw_other_bands(setup, observation, observation_path(setup, observation)[1], setup.blocks[0])
+    return draw_other_bands(
+        setup, observation, observation_path(setup.observing, observation)[1], setup.observing.blocks[0]
+    )
 
 
 def test_bands_see_one_layer_as_opacity_scales_it():
@@ -35,10 +38,14 @@ def test_bands_see_one_layer_as_opacity_scales_it():
         for frequency, width in ((143e9, 0.12), (221e9, 0.1), (355e9, 0.09))
     ]
     for number, other in enumerate(others):
-        scale = np.sqrt(response[number + 1] / response[0]) * setup.band_responsivity[number] / setup.responsivity
+        scale = (
+            np.sqrt(response[number + 1] / response[0])
+            * setup.camera.band_responsivity[number]
+            / setup.camera.responsivity
+        )
         np.testing.assert_allclose(other, mapped.data_mk * scale[:, None], rtol=2e-5, atol=1e-3)
     assert response[2] > 10 * response[0]  # the atmosphere is far brighter at 355 GHz
-    assert np.abs(setup.band_responsivity[0] / setup.band_responsivity[1] - 1).max() > 0.01
+    assert np.abs(setup.camera.band_responsivity[0] / setup.camera.band_responsivity[1] - 1).max() > 0.01
 
 
 @pytest.mark.slow
@@ -59,7 +66,7 @@ def test_a_scan_discarded_in_one_band_is_in_all():
     bands[1, 2, 10] = np.nan  # in the first scan
     auxiliary = AuxiliaryData(np.zeros((4, 2)), bands)
     arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane, auxiliary, 5.0)
-    for pipeline in (setup.pipelines[0], CleaningPipeline("actual", ("spectral",))):
+    for pipeline in (setup.analysis.pipelines[0], CleaningPipeline("actual", ("spectral",))):
         assert apply_pipeline(scene.cleaning, pipeline, *arguments).kept.tolist() == [False, True, True, True]
 
 
@@ -82,7 +89,7 @@ def test_blocks_of_all_bands_see_the_same_layer():
     """In each of several blocks too, subtracting the other bands takes the layer away."""
     settings = {"observations": 2, "numerics.max_block_memory": "200 kB"}
     setup = prepare(load_scene(SUZIE, settings))
-    assert len(setup.blocks) == 2  # two scans of 2000 samples of four pixels in three bands each
+    assert len(setup.observing.blocks) == 2  # two scans of 2000 samples of four pixels in three bands each
     left = run(load_scene(SUZIE, settings), engine=SERIAL)
     whole = run(load_scene(SUZIE, {"observations": 2}), engine=SERIAL)
     ratio = [np.mean(item.coadds.clean_psd) / np.mean(item.coadds.raw_psd) for item in (left, whole)]

@@ -60,7 +60,7 @@ def test_the_population_has_the_moments_of_independent_draws(tmp_path):
     drawn = []
     for number in range(4000):
         rng = generator(1, RandomPurpose.WEATHER, number, realization=2)
-        drawn.append((number % setup.scene.observations, draw_weather(air, setup.water, rng)))
+        drawn.append((number % setup.scene.observations, draw_weather(air, setup.air.water, rng)))
     random = expected_weights(setup, model.noise(observing_conditions(setup, drawn)))
     error = random.std() / np.sqrt(len(random))
     assert even.mean() == pytest.approx(random.mean(), abs=4 * error)

@@ -23,11 +23,14 @@ from surveysim.paper.measurement import (
     supported_cleanings,
 )
 from surveysim.paper.tables import correlated_noise_table
-from surveysim.reduction.setup import observation_path, prepare
+from surveysim.reduction.setup import prepare
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix
-from surveysim.timestreams.noise import draw_from_psd, excess_psd, excess_variance
-from surveysim.timestreams.observation import draw_observation, observation_weather
+from surveysim.timestreams.low_frequency import excess_psd, excess_variance
+from surveysim.timestreams.noise import draw_from_psd
+from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.observed_block import observation_weather
+from surveysim.timestreams.simulation import observation_path
 from tests.scenes import SMALL_SCENE
 from tests.surveys import ARCMIN, fit, named, of_b2
 
@@ -68,7 +71,7 @@ def as_cleaned(scans: np.ndarray, kept=None) -> Cleaned:
 def pair_weights(setup) -> np.ndarray:
     """A with tr(A S) the mean over adjacent pairs of a covariance S."""
     bins = camera_pairs(setup)
-    weights = np.zeros((setup.n_det, setup.n_det))
+    weights = np.zeros((setup.camera.n_det, setup.camera.n_det))
     weights[bins.first[bins.adjacent], bins.second[bins.adjacent]] = 0.5 / bins.adjacent.sum()
     return weights + weights.T
 
@@ -82,10 +85,10 @@ def sampling_error(weights: np.ndarray, low: np.ndarray, high: np.ndarray, n_sca
 def test_planted_covariance_comes_back(setup):
     """4 mK^2 up to 1 Hz, 0.5 of it shared by neighbours, on white noise of 5 mK^2/Hz of which 6 % is."""
     rng, overlap = np.random.default_rng(1), correlation_matrix(setup.camera.positions_f_lambda, "field")
-    weights, mean = pair_weights(setup), np.eye(setup.n_det) / setup.n_det
+    weights, mean = pair_weights(setup), np.eye(setup.camera.n_det) / setup.camera.n_det
     shared = float(np.sum(weights * overlap))
     assert shared == pytest.approx(0.506, abs=0.001)
-    white = 0.88 * np.eye(setup.n_det) + 0.12 * overlap
+    white = 0.88 * np.eye(setup.camera.n_det) + 0.12 * overlap
     low = np.where(np.arange(N // 2 + 1) <= LOW_MODES, 4.0, 0.0)
     scans = streams(correlation_factor(overlap), low, rng)
     scans = scans + streams(correlation_factor(white), np.full(N // 2 + 1, 5.0), rng)
@@ -117,17 +120,17 @@ def test_white_noise_below_a_common_sky_has_no_excess(setup, name, red):
     if red:
         shape = np.maximum(np.arange(n_freq), 1.0) ** (-8 / 3)
     common = streams(np.ones((1, 1)), 5e4 * shape, rng)
-    scans = white_streams(setup.n_det, 5.0, rng) + setup.responsivity[:, None, None] * common
+    scans = white_streams(setup.camera.n_det, 5.0, rng) + setup.camera.responsivity[:, None, None] * common
     bounds = np.arange(N_SCAN)[:, None] * N + [0, N]
     options = TemplateOptions(1e-8, 100)
-    cleaned = clean(name, scans.reshape(setup.n_det, -1), bounds, setup.camera.focal_plane, options=options)
+    cleaned = clean(name, scans.reshape(setup.camera.n_det, -1), bounds, setup.camera.focal_plane, options=options)
     assert cleaned.kept.all()
     found = pair_noise(cleaned, camera_pairs(setup), RATE_HZ)
     basis = template_basis(setup.camera.focal_plane, PAIR_CLEANINGS[name])
-    left = 5 * (np.eye(setup.n_det) - basis.T @ basis)
+    left = 5 * (np.eye(setup.camera.n_det) - basis.T @ basis)
     for weights, low, white in (
         (pair_weights(setup), found.adjacent_mk2, found.adjacent_white_mk2),
-        (np.eye(setup.n_det) / setup.n_det, found.variance_mk2, found.white_mk2),
+        (np.eye(setup.camera.n_det) / setup.camera.n_det, found.variance_mk2, found.white_mk2),
     ):
         expected, bound = np.sum(weights * left), 3 * sampling_error(weights, left, left)
         taken = abs(expected) / (2 * LOW_MODES) if red else 0.0
@@ -137,7 +140,7 @@ def test_white_noise_below_a_common_sky_has_no_excess(setup, name, red):
 
 def test_every_pair_is_counted_once_where_its_correlation_lies(setup):
     rng, bins = np.random.default_rng(3), camera_pairs(setup)
-    found = pair_noise(as_cleaned(white_streams(setup.n_det, 5.0, rng)), bins, RATE_HZ)
+    found = pair_noise(as_cleaned(white_streams(setup.camera.n_det, 5.0, rng)), bins, RATE_HZ)
     assert found.adjacent_counts.sum() == bins.adjacent.sum() > 20
     assert found.distant_counts.sum() == (~bins.adjacent).sum() > 80
     # 1200 degrees of freedom: coefficients within 4.5 / sqrt(1200) = 0.13 of 0, five bins on either side; half below.
@@ -145,7 +148,7 @@ def test_every_pair_is_counted_once_where_its_correlation_lies(setup):
     assert counts[:34].sum() == counts[46:].sum() == 0
     assert counts[:40].sum() == pytest.approx(counts.sum() / 2, abs=4 * np.sqrt(counts.sum()) / 2)
     # All alike but for rounding: one everywhere.
-    same = np.repeat(white_streams(1, 5.0, rng), setup.n_det, axis=0)
+    same = np.repeat(white_streams(1, 5.0, rng), setup.camera.n_det, axis=0)
     found = pair_noise(as_cleaned(same), bins, RATE_HZ)
     assert found.adjacent_counts[-1] == bins.adjacent.sum() and found.distant_counts[-1] == (~bins.adjacent).sum()
     np.testing.assert_allclose([found.adjacent_correlation, *found.correlation], 1.0, rtol=1e-6)
@@ -153,7 +156,7 @@ def test_every_pair_is_counted_once_where_its_correlation_lies(setup):
 
 def test_discarded_scans_do_not_count(setup):
     rng, bins = np.random.default_rng(4), camera_pairs(setup)
-    scans = white_streams(setup.n_det, 5.0, rng)
+    scans = white_streams(setup.camera.n_det, 5.0, rng)
     kept = np.arange(N_SCAN) % 3 > 0
     holes = np.where(kept[:, None], scans, 0.0)
     some = pair_noise(as_cleaned(holes, kept), bins, RATE_HZ)
@@ -169,7 +172,7 @@ def test_cleanings_that_the_camera_does_not_support_are_left_out(setup, tmp_path
     path = tmp_path / "six.toml"
     path.write_text(SMALL_SCENE.replace("rings = 2", "rings = 1"), encoding="utf-8")
     six = prepare(load_scene(path).model_copy(update={"score": None}))
-    assert six.n_det == 6
+    assert six.camera.n_det == 6
     assert list(measure(six, draw_observation(six, 0), 0).pair_noise) == ["average"]
 
 
@@ -181,9 +184,9 @@ def test_the_thin_screen_says_what_average_subtraction_leaves():
     setup = prepare(scene)
     bins, ratio = camera_pairs(setup), []
     for number in range(24):
-        weather, (_, pointing) = observation_weather(setup, number), observation_path(setup, number)
+        weather, (_, pointing) = observation_weather(setup, number), observation_path(setup.observing, number)
         data = draw_observation(setup, number).data_mk
-        scans = (data - data.mean(axis=0)).reshape(setup.n_det, -1, N)
+        scans = (data - data.mean(axis=0)).reshape(setup.camera.n_det, -1, N)
         found = pair_noise(as_cleaned(scans), bins, RATE_HZ)
         model = residual_by_track(setup, "average", np.sin(pointing.elevation_rad).mean())
         predicted = weather.b2 * model(np.log(weather.wind_speed_rad_s * 15.0))

@@ -13,8 +13,9 @@ from mapmaker.transfer_function import beam_window, mode_pixel_window, pixel_win
 from surveysim.forecasting.forecast import forecast
 from surveysim.forecasting.noise_model import survey_models
 from surveysim.reduction.scored_region import flat_signal
-from surveysim.reduction.setup import observation_path, prepare
+from surveysim.reduction.setup import prepare
 from surveysim.scene.scene import load_scene
+from surveysim.timestreams.simulation import observation_path
 
 LYNX = Path(__file__).parents[2] / "scenarios" / "lynx.toml"
 FWHM = np.radians(1 / 60)
@@ -149,12 +150,14 @@ def test_what_cleaning_leaves_does_not_depend_on_the_skies_size(algorithm):
     scene = load_scene(LYNX, {"observations": 20, "cleaning.algorithm": algorithm})
     setup = prepare(scene)
     share = forecast(scene).scores["actual"].transmission
-    small, ell = setup.sky_geometry, setup.band.rings.ell
+    small, ell = setup.sky.geometry, setup.analysis.region.rings.ell
     large = MapGeometry(small.ra0_rad, small.dec0_rad, small.pixel_rad, 3 * small.n_x, 3 * small.n_y)
 
     def signal(sky_geometry, transmission):
-        modes = flat_signal(scene, setup.geometry, sky_geometry, setup.band.padded_taper, transmission)
-        return ring_mean(modes, setup.band.rings)
+        modes = flat_signal(
+            scene, setup.analysis.geometry, sky_geometry, setup.analysis.region.padded_taper, transmission
+        )
+        return ring_mean(modes, setup.analysis.region.rings)
 
     def left(at):
         """Falls as it does between bins, and at least as the square below."""
@@ -178,10 +181,10 @@ def test_coupling_lowers_sigma_of_lynx(lynx):
 
 def scanned_maps(setup, view, algorithm):
     """Patches (2, n, n) of a sky, cells as of the sky grid, seen by two observations: as it is, and cleaned."""
-    n, cell, middle = setup.geometry.n_x, setup.sky_geometry.pixel_rad, len(view) / 2 - 0.5
+    n, cell, middle = setup.analysis.geometry.n_x, setup.sky.geometry.pixel_rad, len(view) / 2 - 0.5
     sums, hits = np.zeros((2, n * n)), np.zeros(n * n)
     for observation in (0, 13):
-        path = observation_path(setup, observation)[1]
+        path = observation_path(setup.observing, observation)[1]
         at = path.xi_rad, path.eta_rad, path.array_angle_rad[path.scan]
         east, north = (offset.T for offset in sky_offsets(setup.camera.focal_plane, at[2]))
         places = [middle + (at[1] + north) / cell, middle - (at[0] + east) / cell]
@@ -190,10 +193,10 @@ def scanned_maps(setup, view, algorithm):
         left = left - left.mean(axis=2, keepdims=True)
         if algorithm == "average":
             left = left - left.mean(axis=0)
-        pixel = boresight_pixels(setup.geometry, *at, plane=setup.camera.focal_plane).ravel()
+        pixel = boresight_pixels(setup.analysis.geometry, *at, plane=setup.camera.focal_plane).ravel()
         sums += [np.bincount(pixel, streams.ravel(), n * n) for streams in (seen, left)]
         hits += np.bincount(pixel, minlength=n * n)
-    return (sums / np.maximum(hits, 1)).reshape(2, n, n)[:, setup.band.patch, setup.band.patch]
+    return (sums / np.maximum(hits, 1)).reshape(2, n, n)[:, setup.analysis.region.patch, setup.analysis.region.patch]
 
 
 @pytest.mark.parametrize(("algorithm", "allowed"), [("none", 0.03), ("average", 1e-3)])
@@ -226,7 +229,7 @@ def test_the_forecast_interpolates_its_transmission(algorithm):
     """Bins of 500 against bins of 250, which know it at twice as many multipoles: within 1 % from ell = 1000."""
     keys = {"observations": 4, "cleaning.algorithm": algorithm, "score.noise_only_sets": []}
     coarse, fine = (load_scene(LYNX, {**keys, "score.ell_bin": width}) for width in (500, 250))
-    rings = prepare(fine).band.rings
+    rings = prepare(fine).analysis.region.rings
     known, cells = survey_models(fine)[0].signal_psd, rings.n_modes
     pairs = (known * cells).reshape(-1, 2).sum(axis=1) / cells.reshape(-1, 2).sum(axis=1)
     found = survey_models(coarse)[0].signal_psd

@@ -17,7 +17,7 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.focal_plane import camera, hexagon
 from surveysim.telescope.pixel_coherence import correlation_matrix, lattice_sum
-from surveysim.timestreams.observation import observation_levels
+from surveysim.timestreams.observed_block import observation_levels
 from tests.scenes import SMALL_SCENE, without_sections
 
 # A patch wide enough for few observations, in weather that keeps all scans.
@@ -89,7 +89,7 @@ def test_dense_pixels_under_the_atmosphere(scene_of):
 def test_one_detector(scene_of):
     keys = WIDE | {"instrument.layout.rings": 0}
     scene = scene_of(NO_AIR, keys)
-    assert prepare(scene).n_det == 1
+    assert prepare(scene).camera.n_det == 1
     check_survey(scene)
 
 

@@ -19,7 +19,7 @@ from surveysim.forecasting.mode_response import layer_gain, layer_waves, matrix_
 from surveysim.forecasting.noise_model import noise_models
 from surveysim.forecasting.observing_conditions import observing_conditions, survey_draws
 from surveysim.forecasting.scan_apodization import scan_window
-from surveysim.reduction.setup import observation_path, prepare
+from surveysim.reduction.setup import prepare
 from surveysim.results.results import forecast_agreement, summary
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
@@ -29,8 +29,10 @@ from surveysim.scene.units import rj_to_cmb
 from surveysim.telescope.focal_plane import hexagon
 from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix
 from surveysim.telescope.pointing import sky_vector
-from surveysim.timestreams.noise import add_correlated_white, add_excess, excess_psd
-from surveysim.timestreams.observation import observation_weather
+from surveysim.timestreams.low_frequency import add_excess, excess_psd
+from surveysim.timestreams.noise import add_correlated_white
+from surveysim.timestreams.observed_block import observation_weather
+from surveysim.timestreams.simulation import observation_path
 from tests import naive
 from tests.scenes import SMALL_SCENE, WIDE_PATCH, without_sections
 
@@ -143,7 +145,7 @@ def test_a_layer_at_its_slant_distance_leaves_more(algorithm, at_60, at_45):
     sines = np.sin(np.radians([45, 60, 90]))
     levels = replace(observing_conditions(setup, survey_draws(setup, 0, 40)), sine=np.resize(sines, 40))
     layer = next(noise_models(setup, levels)).parts.layer
-    left = [layer(levels.motion, np.full(40, sine))[:, setup.band.selected].sum() for sine in sines]
+    left = [layer(levels.motion, np.full(40, sine))[:, setup.analysis.region.selected].sum() for sine in sines]
     assert left[0] / left[2] == pytest.approx(at_45, rel=0.04)
     assert left[1] / left[2] == pytest.approx(at_60, rel=0.04)
 
@@ -189,15 +191,15 @@ def test_frames_of_observations_are_those_of_the_scans(scene_of):
     setup = prepare(scene_of())
     levels = observing_conditions(setup, survey_draws(setup, 0, setup.scene.observations))
     for number in range(4):
-        _, pointing = observation_path(setup, number)
+        _, pointing = observation_path(setup.observing, number)
         weather = observation_weather(setup, number)
         layer = np.array([sky_vector(angle, *weather.wind_rad_s) for angle in pointing.parallactic_rad]) @ [1, 1j]
         relative = pointing.velocity_rad_s @ [1, 1j] - layer
-        along = pointing.velocity_rad_s[:2] @ [1, 1j] / setup.raster.speed_rad_s
+        along = pointing.velocity_rad_s[:2] @ [1, 1j] / setup.observing.raster.speed_rad_s
         np.testing.assert_allclose(levels.motion[number], relative[:2] / along, rtol=1e-9)
         offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad[:1]), axis=-1) @ [1, 1j]
         place = projected_array(
-            setup.camera.focal_plane, levels.angle[number], responsivity=setup.responsivity, algorithm="none"
+            setup.camera.focal_plane, levels.angle[number], responsivity=setup.camera.responsivity, algorithm="none"
         ).place
         np.testing.assert_allclose(place, offsets[0] / along[0], atol=1e-12)
 

@@ -12,7 +12,7 @@ from astropy.table import Table
 
 from surveysim.reduction.setup import prepare
 from surveysim.scene.scene import load_scene
-from surveysim.timestreams.observation import observation_levels
+from surveysim.timestreams.observed_block import observation_levels
 
 SCENE = Path(__file__).parents[2] / "scenarios" / "large_camera.toml"
 SETTINGS = {"observations": 1, "scan.scans": 3, "scan.step": "60 arcmin", "numerics.max_block_memory": "100 MB"}

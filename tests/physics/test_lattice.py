@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from mapmaker.stream_psd import hann_psd
 from mapmaker.timestreams import FocalPlane
 from surveysim.forecasting import mode_response as response
 from surveysim.forecasting import observing_conditions as conditions
@@ -22,7 +23,8 @@ from surveysim.telescope.focal_plane import Camera, hexagon
 from surveysim.telescope.lattice_noise import LARGEST_ERROR, CirculantFactor, NoiseCorrelation, embed
 from surveysim.telescope.pixel_coherence import Illumination, correlation_matrix
 from surveysim.timestreams import shared_parts as parts
-from surveysim.timestreams.noise import add_correlated_white, add_excess, excess_psd, hann_psd
+from surveysim.timestreams.low_frequency import add_excess, excess_psd
+from surveysim.timestreams.noise import add_correlated_white
 from surveysim.timestreams.observation import draw_observation
 from tests.scenes import write_scene
 
@@ -172,10 +174,10 @@ def test_powers_of_a_forecast_are_those_of_the_matrix(algorithm):
 def test_coverage_of_many_samples_is_that_of_some_of_them(path, monkeypatch):
     """One of four samples in time, counted four times: within the chance of where they fall."""
     ready = prepare(load_scene(path, {"scan.sample_rate": "40 Hz", "map.pixel": "60 arcsec", "score.ell_max": 10000}))
-    whole = conditions.mean_hits(ready, ready.pipelines[0])
-    samples = ready.n_det * ready.raster.n_scans * 240
+    whole = conditions.mean_hits(ready, ready.analysis.pipelines[0])
+    samples = ready.camera.n_det * ready.observing.raster.n_scans * 240
     monkeypatch.setattr(conditions, "_MOST_HIT_SAMPLES", samples / 4)
-    some = conditions.mean_hits(ready, ready.pipelines[0])
+    some = conditions.mean_hits(ready, ready.analysis.pipelines[0])
     assert some.sum() == pytest.approx(whole.sum(), rel=0.02) and (some % 1 == 0).all()
     covered = whole > 20
     assert covered.sum() > 20
@@ -205,7 +207,7 @@ def test_forecasts_are_those_of_matrices(path, few_are_many):
         ("actual", "masked_7"), np.ones(scene.observations)
     )  # how many are discarded is tried on draws, which differ
     many = forecast(scene, kept)
-    assert isinstance(prepare(scene).excess_factor, CirculantFactor)
+    assert isinstance(prepare(scene).camera.excess_factor, CirculantFactor)
     with pytest.MonkeyPatch.context() as patch:
         for module in DENSE:
             patch.setattr(module, "MOST_DENSE", 1000)
@@ -253,5 +255,5 @@ def test_tables_of_many_detectors_share_nothing(path, few_are_many):
     ):
         prepare(load_scene(path, table))
     alone = load_scene(path, table | {"photon.coherence": "none", "excess.coherence": "none"})
-    assert prepare(alone).excess_factor is None and prepare(alone).photon_overlap is None
+    assert prepare(alone).camera.excess_factor is None and prepare(alone).camera.photon_correlation is None
     assert set(forecast(alone).scores) == {"actual", "uncorrelated", "white", "masked_7"}

@@ -8,14 +8,15 @@ from scipy.special import ndtri
 from scipy.stats import norm
 
 from mapmaker.cleaning import TemplateOptions, clean
+from mapmaker.stream_psd import low_frequency_variance
 from surveysim.paper.measured_survey import measure_survey
 from surveysim.paper.measurement import map_variances, raw_variance
 from surveysim.paper.recovery import recovery_table
-from surveysim.reduction.setup import observation_path, prepare
+from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
-from surveysim.timestreams.noise import low_frequency_variance
 from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.simulation import observation_path
 from tests.scenes import WHITE_NOISE_SCENE, write_scene
 
 ARCMIN = math.radians(1 / 60)
@@ -37,7 +38,7 @@ def test_white_noise_leaves_no_raw_variance_and_no_residual_in_the_map(tmp_path)
     path.write_text(WHITE_NOISE_SCENE)
     setup = prepare(load_scene(path, {"scan.scans": 20, "scan.duration": "15 s"}))
     streams = draw_observation(setup, 0)
-    n_low = 2 * 15 * 20 * setup.n_det  # sines and cosines below 1 Hz
+    n_low = 2 * 15 * 20 * setup.camera.n_det  # sines and cosines below 1 Hz
     assert raw_variance(setup, streams) == pytest.approx(0, abs=4 * 2.5 * math.sqrt(2 / n_low + 2 / (2.4 * n_low)))
 
 
@@ -48,15 +49,15 @@ def test_map_of_white_noise_is_white(tmp_path):
     setup = prepare(load_scene(path, changes))
     streams = draw_observation(setup, 0)
     rng = np.random.default_rng(3)
-    common = np.repeat(np.cumsum(rng.standard_normal(streams.data_mk.shape[1]))[None], setup.n_det, axis=0)
+    common = np.repeat(np.cumsum(rng.standard_normal(streams.data_mk.shape[1]))[None], setup.camera.n_det, axis=0)
     noise = rng.standard_normal(streams.data_mk.shape)
     streams.data_mk[:] = 30 * common + 5 * noise
     options = TemplateOptions(1e-8, 100)
     cleaned = clean("average", streams.data_mk, streams.scan_bounds, streams.focal_plane, options=options)
-    variance, white = map_variances(setup, streams, observation_path(setup, 0)[1], cleaned)
+    variance, white = map_variances(setup, streams, observation_path(setup.observing, 0)[1], cleaned)
     # A few hundred pixels under the taper, of which an eighth of the modes are the highest.
     assert variance == pytest.approx(white, rel=0.25)
-    pixel, detectors = (30 / 60) ** 2, streams.data_mk.shape[1] * setup.n_det
+    pixel, detectors = (30 / 60) ** 2, streams.data_mk.shape[1] * setup.camera.n_det
     covered = 24 * (7.5 + 2.7)  # arcmin^2: scans of 24 arcmin, 16 steps and the camera
     assert white == pytest.approx(25 * covered / pixel / detectors, rel=0.5)
 

@@ -10,21 +10,13 @@ import math
 import numpy as np
 import pytest
 
+from mapmaker.stream_psd import hann_psd, highest_frequency, white_level
 from surveysim.scene.noise_and_sky import Excess
 from surveysim.telescope.focal_plane import hexagon
 from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix, mutual_coherence
-from surveysim.timestreams.noise import (
-    add_correlated_white,
-    add_excess,
-    add_white,
-    draw_from_psd,
-    excess_psd,
-    excess_variance,
-    hann_psd,
-    highest_frequency,
-    photon_correlation,
-    white_level,
-)
+from surveysim.timestreams.low_frequency import add_excess, excess_psd, excess_variance
+from surveysim.timestreams.noise import add_correlated_white, add_white, draw_from_psd
+from surveysim.timestreams.photon import photon_correlation
 
 RATE = 10.0
 HANN = 1 + 2 * (4 / 9 + 1 / 36)

@@ -19,7 +19,7 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.noise_and_sky import PointSource, Sky
 from surveysim.scene.scene import load_scene
 from surveysim.scene.units import rj_to_cmb
-from surveysim.timestreams.sky import (
+from surveysim.timestreams.sky_maps import (
     add_point_sources,
     curved_cmb_sky,
     draw_sky,
@@ -262,7 +262,7 @@ def test_orders_that_are_left_out_do_not_reach_the_field(monkeypatch, pixel_arcm
 
     few, order = sky(), highest_order(g, lmax)
     assert order < lmax
-    monkeypatch.setattr("surveysim.timestreams.sky.highest_order", lambda *_: min(lmax, 2 * order))
+    monkeypatch.setattr("surveysim.timestreams.sky_maps.highest_order", lambda *_: min(lmax, 2 * order))
     # The numbers of lower orders are drawn first, so they stay.
     many = sky()
     np.testing.assert_allclose(few, many, atol=3e-6 * many.std())

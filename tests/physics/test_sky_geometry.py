@@ -8,12 +8,13 @@ import pytest
 from mapmaker.geometry import boresight_pixels, pixel_indices
 from mapmaker.wind import scan_velocities
 from surveysim.reduction.consistency import MAX_AIRMASS_CHANGE, MAX_TURN_BEAMS
-from surveysim.reduction.setup import observation_path, prepare
+from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.pointing import SIDEREAL_RAD_S
 from surveysim.timestreams.observation import draw_observation
-from surveysim.timestreams.sky import add_point_sources
+from surveysim.timestreams.simulation import observation_path
+from surveysim.timestreams.sky_maps import add_point_sources
 from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections, write_scene
 
 LATITUDE = math.radians(19.8)
@@ -36,16 +37,16 @@ def dated(tmp_path):
 def test_saved_streams_say_where_simulated_detectors_look(path, dec_deg):
     """`mapmaker` finds each sample in the pixel that it was simulated in, from boresight and position angle alone."""
     setup = prepare(load_scene(path, {"field.ra": "359.99 deg", "field.dec": f"{dec_deg} deg", "sky": None}))
-    _, pointing = observation_path(setup, 1)
+    _, pointing = observation_path(setup.observing, 1)
     streams = draw_observation(setup, 1)
     angle, plane = pointing.array_angle_rad[pointing.scan], setup.camera.focal_plane
-    expected = boresight_pixels(setup.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
-    found = pixel_indices(setup.geometry, streams)
+    expected = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
+    found = pixel_indices(setup.analysis.geometry, streams)
     # Rounding, 1e-15 rad, takes one in 10^11 samples to another pixel.
     np.testing.assert_array_equal(found, expected)
     turned = np.abs(streams.array_angle_rad - angle).max()
     # Meridians converge by xi tan(dec), and towards the pole by more.
-    converged = np.abs(pointing.xi_rad * np.tan(setup.geometry.dec0_rad)).max()
+    converged = np.abs(pointing.xi_rad * np.tan(setup.analysis.geometry.dec0_rad)).max()
     assert turned == 0 if dec_deg == 0 else turned > 0.9 * converged
 
 
@@ -53,11 +54,11 @@ def test_saved_streams_say_where_simulated_detectors_look(path, dec_deg):
 def test_scan_velocities_of_saved_streams(path, dec_deg):
     """In the array's frame, from boresight and position angles alone; planes about two centres differ by 1e-5 here."""
     setup = prepare(load_scene(path, {"field.ra": "359.99 deg", "field.dec": f"{dec_deg} deg", "sky": None}))
-    _, pointing = observation_path(setup, 1)
+    _, pointing = observation_path(setup.observing, 1)
     (xi, eta), angle = pointing.velocity_rad_s.T, pointing.array_angle_rad
     expected = -xi * np.cos(angle) + eta * np.sin(angle), xi * np.sin(angle) + eta * np.cos(angle)
     found = scan_velocities(draw_observation(setup, 1)).T
-    np.testing.assert_allclose(found, expected, atol=3e-5 * setup.raster.speed_rad_s)
+    np.testing.assert_allclose(found, expected, atol=3e-5 * setup.observing.raster.speed_rad_s)
 
 
 @pytest.mark.parametrize(
@@ -79,7 +80,7 @@ def test_no_sky_has_a_source_behind_its_plane(path):
     (source,) = setup.scene.sky.point_sources
     behind = source.model_copy(update={"ra_rad": source.ra_rad + math.pi, "dec_rad": -source.dec_rad})
     with pytest.raises(ValueError, match="90 degrees or more from the map's centre"):
-        add_point_sources(setup.sky_mk, setup.sky_geometry, (behind,), 3e-4)
+        add_point_sources(setup.sky.map_mk, setup.sky.geometry, (behind,), 3e-4)
 
 
 def turn_of_half_a_scan(elevation_rad, dec_rad, duration_s):
@@ -93,7 +94,7 @@ def test_scans_in_which_the_sky_turns_are_refused(dated):
     keys = {"field.dec": "21.8 deg", "observations": 1, "schedule.first_night": "2000-01-01", "scan.scans": 1}
     setup = prepare(load_scene(dated, keys))
     # The one observation is at transit, 2 degrees from the zenith.
-    elevation = setup.angles.elevation_rad[0, 0]
+    elevation = setup.observing.angles.elevation_rad[0, 0]
     assert elevation == pytest.approx(math.radians(88), abs=math.radians(0.02))
     one_s = turn_of_half_a_scan(elevation, setup.scene.field.dec_rad, 1.0)
     allowed_s = MAX_TURN_BEAMS * setup.scene.instrument.beam_fwhm_rad / setup.camera.radius_rad / one_s
@@ -113,7 +114,7 @@ def test_scans_in_which_the_airmass_changes_are_refused(dated):
     """From ``cot(el) cos(lat) sin(az) w t / 2`` of 2 % on, with the azimuth of the spherical triangle."""
     keys = {"field.dec": "0 deg", "observations": 2, "schedule.max_hour_angle": "5 hourangle", "scan.scans": 1}
     keys |= {"schedule.min_elevation": "15 deg", "scan.speed": "1 arcsec / s"}
-    up = prepare(load_scene(dated, keys | {"scan.duration": "100 s"})).angles.elevation_rad[:, 0]
+    up = prepare(load_scene(dated, keys | {"scan.duration": "100 s"})).observing.angles.elevation_rad[:, 0]
     # In the middle of the two halves of the window: the lower of these two decides.
     rates = [SIDEREAL_RAD_S * math.cos(LATITUDE) * math.sin(_azimuth(el)) / math.tan(el) for el in up]
     allowed_s = 2 * MAX_AIRMASS_CHANGE / max(rates)

@@ -17,7 +17,7 @@ from surveysim.scene.scene import load_scene
 from surveysim.scene.units import rj_to_cmb
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import score_survey
-from surveysim.timestreams.noise import excess_psd, excess_variance
+from surveysim.timestreams.low_frequency import excess_psd, excess_variance
 from surveysim.timestreams.observation import draw_observation
 from tests.scenes import SMALL_SCENE
 
@@ -57,7 +57,7 @@ def without_section(text, name):
 
 def test_white_streams_give_the_map_noise_of_their_hits(tmp_path):
     setup, coadds = survey(tmp_path, ("detector",), **{"cleaning.algorithm": "none"})
-    white = setup.scene.detector.psd_mk2_hz * setup.raster.sample_rate_hz / 2
+    white = setup.scene.detector.psd_mk2_hz * setup.observing.raster.sample_rate_hz / 2
     # The removed mean takes 1 / n of each scan's variance.
     variance = white * (1 - 1 / 75)
     signal = weighted_mean(coadds.sums[0], coadds.weight[0])
@@ -66,7 +66,7 @@ def test_white_streams_give_the_map_noise_of_their_hits(tmp_path):
     # over pixels has sqrt(2 / n_pix) of error.
     deep = hits > 20
     scaled = np.mean(signal[deep] ** 2 * hits[deep]) / variance
-    assert scaled == pytest.approx(1 + setup.band.noise_scatter, abs=4 * np.sqrt(2 / deep.sum()))
+    assert scaled == pytest.approx(1 + setup.analysis.region.noise_scatter, abs=4 * np.sqrt(2 / deep.sum()))
     # And 1 / sqrt(hits) pixel by pixel: the lower and upper half in hits agree.
     half = hits > np.median(hits[deep])
     low, high = deep & ~half, deep & half
@@ -77,12 +77,12 @@ def test_white_streams_give_the_map_noise_of_their_hits(tmp_path):
 def test_band_power_of_white_noise_against_its_closed_form(tmp_path):
     setup, coadds = survey(tmp_path, ("detector",), **{"cleaning.algorithm": "none", "score.jackknives": 24})
     score = score_survey(setup, coadds, ("actual",))["actual"]
-    band, scale = setup.band, (1e3 * rj_to_cmb(143e9, 0.0)) ** 2
-    variance = setup.scene.detector.psd_mk2_hz * setup.raster.sample_rate_hz / 2 * (1 - 1 / 75)
+    band, scale = setup.analysis.region, (1e3 * rj_to_cmb(143e9, 0.0)) ** 2
+    variance = setup.scene.detector.psd_mk2_hz * setup.observing.raster.sample_rate_hz / 2 * (1 - 1 / 75)
     hits = coadds.hits[0][band.patch, band.patch]
     taper2 = band.taper**2
     assert hits[band.taper > 0.01].min() > 0
-    pixel = setup.geometry.pixel_rad
+    pixel = setup.analysis.geometry.pixel_rad
     noise = scale * variance * pixel**2 * np.sum(taper2[hits > 0] / hits[hits > 0]) / taper2.sum()
     ell = band.rings.ell
     signal = flat_spectrum_psd(ell) * beam_window(ell, np.radians(1 / 60)) * pixel_window(ell, pixel)
@@ -95,7 +95,9 @@ def test_band_power_of_white_noise_against_its_closed_form(tmp_path):
 def test_the_measured_noise_scatters_as_the_band_says(tmp_path):
     """The variance that chance gives weights, which scores give back: over white maps of even coverage."""
     (tmp_path / "scene.toml").write_text(SMALL_SCENE)
-    band = prepare(load_scene(tmp_path / "scene.toml", {"score.size": "24 arcmin", "map.pixel": "20 arcsec"})).band
+    band = prepare(
+        load_scene(tmp_path / "scene.toml", {"score.size": "24 arcmin", "map.pixel": "20 arcsec"})
+    ).analysis.region
     rng, hits, n_maps = np.random.default_rng(6), np.full(band.taper.shape, 100), 3000
     noise = [band.noise(10 * rng.standard_normal(hits.shape), hits)[0] for _ in range(n_maps)]
     assert np.mean(noise) == pytest.approx(1, abs=4 * np.sqrt(band.noise_scatter / n_maps))
@@ -106,7 +108,9 @@ def test_the_measured_noise_scatters_as_the_band_says(tmp_path):
 def test_what_weights_take_by_chance_is_known_in_every_bin(tmp_path):
     """Co-adds of white maps with weights measured on themselves, corrected, have the noise of ideal weights."""
     (tmp_path / "scene.toml").write_text(SMALL_SCENE)
-    band = prepare(load_scene(tmp_path / "scene.toml", {"score.size": "24 arcmin", "map.pixel": "30 arcsec"})).band
+    band = prepare(
+        load_scene(tmp_path / "scene.toml", {"score.size": "24 arcmin", "map.pixel": "30 arcsec"})
+    ).analysis.region
     rng, n_obs, n_co = np.random.default_rng(8), 20, 300
     hits, powers = np.full(band.taper.shape, 100.0), []
     for _ in range(n_co):
@@ -133,7 +137,7 @@ def test_removing_scan_means_leaves_the_window_that_geometry_gives(tmp_path):
     window = score_survey(setup, coadds, ("actual",))["actual"].window
     # A scan of length L along x turns exp(i k x) into itself less its mean, sinc(k_x L / 2) exp(i k x_0); what
     # stays in phase is 1 - sinc^2. Half of the scans run along x, half along y; W is the azimuthal mean.
-    length = setup.raster.speed_rad_s * setup.raster.scan_s
+    length = setup.observing.raster.speed_rad_s * setup.observing.raster.scan_s
     azimuth = (np.arange(3600) + 0.5) * (2 * np.pi / 3600)
     for ell, found, error in zip(window.ell, window.transmission, window.error, strict=True):
         along = [np.sinc(ell * f(azimuth) * length / (2 * np.pi)) ** 2 for f in (np.cos, np.sin)]
@@ -161,9 +165,9 @@ def test_a_flat_cmb_comes_back_with_its_band_power(tmp_path):
             },
         )
         score = score_survey(setup, coadds, ("actual",))["actual"]
-        band = setup.band
+        band = setup.analysis.region
         patch = weighted_mean(coadds.sums[0], coadds.weight[0])[band.patch, band.patch]
-        psd = map_psd(band.pad(patch), band.padded_taper, setup.geometry.pixel_rad, band.rings)
+        psd = map_psd(band.pad(patch), band.padded_taper, setup.analysis.geometry.pixel_rad, band.rings)
         psd *= (1e3 * rj_to_cmb(143e9, 0.0)) ** 2
         # The noise is next to nothing, and sign flips of 8 observations would hold an eighth of the sky: bins are
         # weighted by the sky's own variance, and its expectation is taken off.
@@ -196,9 +200,9 @@ def test_stream_psds_add_up(tmp_path):
     elevation = scene.fixed_pointing.elevation_rad
     amplitude, seen = (
         280 * np.sin(elevation) ** (1 - air.spectral_index),
-        at_elevation(setup.strips.screen, np.sin(elevation)),
+        at_elevation(setup.air.strips.screen, np.sin(elevation)),
     )
-    wind, scan = air.wind_median_rad_s, setup.raster.speed_rad_s
+    wind, scan = air.wind_median_rad_s, setup.observing.raster.speed_rad_s
     # The layer passes at the vector difference of wind and scan, at all angles alike.
     angles = (np.arange(24) + 0.5) * (2 * np.pi / 24)
     speeds = np.hypot(wind - scan * np.cos(angles), scan * np.sin(angles))
@@ -218,7 +222,7 @@ def test_excess_after_quadratic_cleaning_is_that_of_table_2():
     """Adjacent covariance 0.8, 1.1, 1.9, 5.8 mK^2 and the fraction 0.46 +- 0.03 of the paper's Table 2."""
     setup = prepare(load_scene(LYNX))
     section = setup.scene.excess
-    overlap = setup.excess_factor @ setup.excess_factor.T
+    overlap = setup.camera.excess_factor @ setup.camera.excess_factor.T
     templates = template_basis(setup.camera.focal_plane, QUADRATIC)
     kept = np.eye(len(overlap)) - templates.T @ templates
     left = kept @ overlap @ kept

@@ -13,9 +13,11 @@ from surveysim.atmosphere.scan_trends import draw_trends, strip_points
 from surveysim.atmosphere.screen_simulation import StripCache, add_atmosphere, scan_tracks, strip_step
 from surveysim.atmosphere.thin_screen import Screen, structure_function
 from surveysim.atmosphere.weather import Weather
-from surveysim.reduction.setup import observation_path, prepare
+from surveysim.reduction.setup import prepare
 from surveysim.scene.scene import load_scene
-from surveysim.timestreams.observation import add_layer, observation_weather
+from surveysim.timestreams.atmosphere import add_layer
+from surveysim.timestreams.observed_block import observation_weather
+from surveysim.timestreams.simulation import observation_path
 from tests.scenes import SMALL_SCENE
 
 ARCMIN = math.radians(1 / 60)
@@ -172,9 +174,9 @@ def scene_of(tmp_path):
 
 
 def layer_alone(setup, observation=0, weather=None, block=None, realization=0):
-    pointing = observation_path(setup, observation)[1]
-    n_scan = block.n_scans if block else setup.raster.n_scans
-    data = np.zeros((setup.n_det, n_scan * (len(pointing.time_s) // setup.raster.n_scans)), np.float32)
+    pointing = observation_path(setup.observing, observation)[1]
+    n_scan = block.n_scans if block else setup.observing.raster.n_scans
+    data = np.zeros((setup.camera.n_det, n_scan * (len(pointing.time_s) // setup.observing.raster.n_scans)), np.float32)
     weather = weather or observation_weather(setup, observation)
     add_layer(setup, observation, pointing, weather, data, realization, block)
     return data
@@ -183,7 +185,7 @@ def layer_alone(setup, observation=0, weather=None, block=None, realization=0):
 def test_an_observation_s_slopes_are_those_of_its_places_on_the_sky(scene_of):
     """Boresight, wind, elevation and the turning sky: the closed form at the places that the pointing says."""
     n_draw, setup = 250, prepare(scene_of(scan__scans=6))
-    weather, pointing = Weather(1.0, 12 * ARCMIN, 0.8, math.nan), observation_path(setup, 1)[1]
+    weather, pointing = Weather(1.0, 12 * ARCMIN, 0.8, math.nan), observation_path(setup.observing, 1)[1]
     sine = np.sin(pointing.elevation_rad)
     n_samp = len(pointing.time_s) // 6
     wind = weather.wind_rad_s
@@ -196,7 +198,9 @@ def test_an_observation_s_slopes_are_those_of_its_places_on_the_sky(scene_of):
     time = np.arange(n_samp) - (n_samp - 1) / 2
     fit = np.kron(np.eye(6), time / (time @ time))
     flat = place.ravel()
-    expected = fit @ structure_function(setup.strips.screen, np.abs(flat[:, None] - flat)) @ fit.T / -2 / sine.mean()
+    expected = (
+        fit @ structure_function(setup.air.strips.screen, np.abs(flat[:, None] - flat)) @ fit.T / -2 / sine.mean()
+    )
     centre = np.argmin(np.hypot(setup.camera.focal_plane.x_rad, setup.camera.focal_plane.y_rad))
     data = np.array([layer_alone(setup, 1, weather, None, k)[centre] for k in range(n_draw)], float)
     slope = data.reshape(n_draw, 6, n_samp) @ time / (time @ time)
@@ -241,9 +245,9 @@ def test_blocks_share_an_observation_s_trends(scene_of):
     """Two blocks and one: other draws within the scans, nearly the same slopes, of which trends are the most."""
     whole = prepare(scene_of(scan__scans=8))
     parts = prepare(scene_of(scan__scans=8, numerics__max_block_memory="18 kB"))
-    assert len(whole.blocks) == 1 and len(parts.blocks) == 2
+    assert len(whole.observing.blocks) == 1 and len(parts.observing.blocks) == 2
     one = layer_alone(whole)
-    two = np.concatenate([layer_alone(parts, block=block) for block in parts.blocks], axis=1)
+    two = np.concatenate([layer_alone(parts, block=block) for block in parts.observing.blocks], axis=1)
     slopes_of = []
     for data in (one, two):
         scans = data.mean(axis=0).reshape(8, -1)

@@ -14,10 +14,11 @@ import surveysim
 from mapmaker.geometry import sky_offsets
 from mapmaker.wind import measure_wind, scan_velocities
 from surveysim.atmosphere.screen_simulation import add_atmosphere
-from surveysim.reduction.setup import observation_path, prepare
+from surveysim.reduction.setup import prepare
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.telescope.pointing import sky_vector
 from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.simulation import observation_path
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 ARCMIN = math.radians(1 / 60)
@@ -57,7 +58,7 @@ def measured(name, n):
                 scan_velocity_rad_s=scan_velocities(streams),
             )
         )
-        _, pointing = observation_path(setup, i)
+        _, pointing = observation_path(setup.observing, i)
         angle = math.radians(streams.attributes["wind_angle_deg"])
         drawn = streams.attributes["wind_speed_arcmin_s"] * ARCMIN * np.array([math.cos(angle), math.sin(angle)])
         sky = sky_vector(pointing.parallactic_rad[0], *drawn)
@@ -69,7 +70,7 @@ def measured(name, n):
 def test_scan_velocities_are_those_of_the_raster():
     setup = prepare(scene("lynx"))
     for observation in (0, 1):
-        _, pointing = observation_path(setup, observation)
+        _, pointing = observation_path(setup.observing, observation)
         found = scan_velocities(draw_observation(setup, observation)) @ [1, 1j]
         expected = to_array(pointing.array_angle_rad, *pointing.velocity_rad_s.T)
         assert np.abs(found - expected).max() < 1e-3 * np.abs(expected).max()
@@ -111,11 +112,11 @@ def layers(winds, n, b2, noise=True):
     excess = full.excess.model_copy(update={"b2": (1.0,), "variance_mk2": (6.0,)})
     without = full.cleaning.model_copy(update={"algorithm": ("none",)})
     still = prepare(full.model_copy(update={"atmosphere": None, "score": None, "cleaning": without, "excess": excess}))
-    strips = prepare(full).strips
+    strips = prepare(full).air.strips
     fits = []
     for i in range(n):
         streams = draw_observation(still, i)
-        _, pointing = observation_path(still, i)
+        _, pointing = observation_path(still.observing, i)
         data = streams.data_mk if noise else np.zeros_like(streams.data_mk)
         rng = generator(full.seed, RandomPurpose.ATMOSPHERE, i)
         sine = np.sin(pointing.elevation_rad)[:, None]

@@ -85,7 +85,7 @@ def test_observations_that_are_not_there(path, observation):
 def test_two_workers_give_the_same_bits(path):
     """Of observations in two blocks; those in one are compared where runs reach a target."""
     setup = prepare(load_scene(path, {"numerics.max_block_memory": "9 kB"}))
-    assert len(setup.blocks) == 2
+    assert len(setup.observing.blocks) == 2
     one, two = (run_observations(setup, None, Engine(workers=workers)) for workers in (1, 2))
     arrays = ("sums", "weight", "hits", "flipped", "window", "window_weight", "rows", "raw_psd", "clean_psd")
     for name in arrays:

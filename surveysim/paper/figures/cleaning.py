@@ -8,6 +8,7 @@ import numpy as np
 
 from mapmaker.cleaning import Cleaned, PcaOptions, TemplateOptions, WindOptions, clean, slowness
 from mapmaker.cleaning.templates import QUADRATIC, template_streams
+from mapmaker.stream_psd import hann_psd
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.transfer_function import beam_window
 from mapmaker.wind import scan_velocities
@@ -15,14 +16,16 @@ from surveysim.paper.measured_survey import MeasuredSurvey
 from surveysim.paper.measurement import WHITE_ABOVE_HZ, Measurement
 from surveysim.paper.published import published
 from surveysim.paper.statistics import described
-from surveysim.reduction.setup import Setup, observation_path
+from surveysim.reduction.setup import Setup
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.runtime.errors import InsufficientDataError
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.noise import hann_psd
-from surveysim.timestreams.observation import add_sky_signal, draw_observation, observation_levels
-from surveysim.timestreams.sky import flat_cmb_sky
+from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.observed_block import observation_levels
+from surveysim.timestreams.response import write_sky_signal
+from surveysim.timestreams.simulation import observation_path
+from surveysim.timestreams.sky_maps import flat_cmb_sky
 
 CENTILES = {"good": 25.0, "poor": 75.0}  # of B2
 ALGORITHMS = ("none", "average", "wind", "planar", "quadratic")
@@ -72,24 +75,24 @@ class Example:
 
     def psd(self, data_mk: np.ndarray, kept: np.ndarray) -> np.ndarray:
         """PSDs (n, n_freq) [mK^2/Hz] of streams, the mean over kept scans, at `frequencies`."""
-        raster = self.setup.raster
+        raster = self.setup.observing.raster
         return hann_psd(data_mk, raster.n_scans, kept, raster.sample_rate_hz)[:, 1 : 1 + len(frequencies(self.setup))]
 
     def _options(self, name: str) -> Any:
         section = self.setup.scene.cleaning
-        template = (section.tolerance, section.max_iterations, self.setup.responsivities)
+        template = (section.tolerance, section.max_iterations, self.setup.analysis.responsivities)
         if name == "pca":
             return PcaOptions(PCA_SIGMA_CUT)
         if name == "wind":
             delays = slowness(self.item.wind.velocity_rad_s, scan_velocities(self.streams))
-            return WindOptions(delays, self.setup.raster.sample_rate_hz, *template)
+            return WindOptions(delays, self.setup.observing.raster.sample_rate_hz, *template)
         return TemplateOptions(*template)
 
 
 def frequencies(setup: Setup) -> np.ndarray:
     """Frequencies [Hz] of a scan's modes between zero and Nyquist's, which hold less than others."""
-    n = samples_per_scan(setup.raster)
-    return np.arange(1, (n + 1) // 2) * (setup.raster.sample_rate_hz / n)
+    n = samples_per_scan(setup.observing.raster)
+    return np.arange(1, (n + 1) // 2) * (setup.observing.raster.sample_rate_hz / n)
 
 
 def weather_examples(survey: MeasuredSurvey) -> tuple[Example, ...]:
@@ -308,17 +311,17 @@ def cleaning_cost(one: Example, name: str) -> Cost:
     The signal is what a faint CMB sky adds to the cleaned streams, over the sky's own streams less their means. A scan
     in which the sky changes the number of modes has a difference that is not its own, and is left out.
     """
-    setup, plain = one.setup, np.zeros_like(one.streams.data_mk)
-    _, pointing = observation_path(setup, one.item.observation)
+    setup, plain = one.setup, np.empty_like(one.streams.data_mk)
+    _, pointing = observation_path(setup.observing, one.item.observation)
     instrument = setup.scene.instrument
     sky = flat_cmb_sky(
-        setup.sky_geometry,
+        setup.sky.geometry,
         SIGNAL_BAND_POWER_UKCMB2,
         instrument.cmb_per_rj,
         instrument.beam_fwhm_rad,
         generator(setup.scene.seed, RandomPurpose.WINDOW_SKY),
     )
-    add_sky_signal(setup, pointing, sky, plain, setup.responsivity)
+    write_sky_signal(setup, pointing, sky, plain)
     base, both = one.clean(name), one.clean(name, plain)
     same = base.kept & both.kept & (base.removed == both.removed)
     if not same.any():

@@ -23,7 +23,7 @@ def map_psd_figure(result: SurveyResult) -> PaperFigure:
 
     Raises ValueError for a result that has no scores or compares no pipelines.
     """
-    if not result.setup.chooses or not result.scores:
+    if not result.setup.analysis.chooses or not result.scores:
         found = result.unscored or "cleaning.compare is empty"
         raise InsufficientDataError(
             f"found no scores of several pipelines: {found}; a scored run that compares some is expected"
@@ -45,7 +45,9 @@ def map_psd_figure(result: SurveyResult) -> PaperFigure:
 
 def pipeline_names(result: SurveyResult) -> dict[str, str]:
     """Label and data set of every pipeline for all detectors, and of the best of them for each observation."""
-    return {pipeline.label: pipeline.data_set for pipeline in result.setup.whole_pipelines} | {OPTIMAL: OPTIMAL}
+    return {pipeline.label: pipeline.data_set for pipeline in result.setup.analysis.whole_pipelines} | {
+        OPTIMAL: OPTIMAL
+    }
 
 
 def winners(result: SurveyResult, target: str, data_sets: tuple[str, ...]) -> dict[str, float]:
@@ -73,13 +75,13 @@ def winners(result: SurveyResult, target: str, data_sets: tuple[str, ...]) -> di
 
 
 def _psd_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
-    used, rings = _usable(result), result.setup.band.rings
+    used, rings = _usable(result), result.setup.analysis.region.rings
     psds = {label: ARCMIN2_IN_SR * result.scores[name].noise_psd[used] for label, name in names.items()}
     return _panel("noise", ELL, r"Map PSD [$\mu$K$_\mathrm{CMB}^2$ arcmin$^2$]", _lines(rings.ell[used], psds))
 
 
 def _sensitivity_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
-    used, rings = _usable(result), result.setup.band.rings
+    used, rings = _usable(result), result.setup.analysis.region.rings
     sigmas = {label: log_bin_sigma(result, result.scores[name])[used] for label, name in names.items()}
     y_label = r"$\sigma(A)$ of $\Delta\ln\ell = 1$ [$\mu$K$_\mathrm{CMB}^2$]"
     return _panel("noise over windows", ELL, y_label, _lines(rings.ell[used], sigmas))
@@ -90,7 +92,7 @@ def log_bin_sigma(result: SurveyResult, item: DataSetScore) -> np.ndarray:
 
     ``N / M (2 dlnell / n)^(1/2)``: noise PSD over that of unit band power behind all windows, n modes in the bin.
     """
-    rings = result.setup.band.rings
+    rings = result.setup.analysis.region.rings
     # d ln ell as d ell / ell: the lowest bin starts at 0, where the logarithm has no value.
     width = np.diff(rings.edges_ell) / rings.ell
     return item.quoted_psd / item.signal_psd * np.sqrt(2 * width / rings.n_modes)
@@ -139,13 +141,13 @@ def _panel(title: str, x_label: str, y_label: str, series: list[Series], y_log: 
 
 def _usable(result: SurveyResult) -> np.ndarray:
     """Bins (n_bin,) bool from `LOWEST_ELL` up to the end of the scored range."""
-    edges = result.setup.band.rings.edges_ell
+    edges = result.setup.analysis.region.rings.edges_ell
     return (edges[:-1] >= LOWEST_ELL) & (edges[1:] <= result.setup.scene.score.ell_max)
 
 
 def _starts(result: SurveyResult) -> np.ndarray:
     """Lowest multipoles of the ranges that are scored, one at each usable bin's lower edge."""
-    return result.setup.band.rings.edges_ell[:-1][_usable(result)]
+    return result.setup.analysis.region.rings.edges_ell[:-1][_usable(result)]
 
 
 # ---------------------------------------------------------------- caption

@@ -177,13 +177,13 @@ def edge_streams(setup: Setup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     is removed.
     """
     air, rate = setup.scene.atmosphere, setup.scene.scan.sample_rate_hz
-    n = samples_per_scan(setup.raster)
+    n = samples_per_scan(setup.observing.raster)
     plane, pair = setup.camera.focal_plane, list(_edge_pair(setup))
     offsets = np.stack([plane.x_rad[pair], plane.y_rad[pair]], axis=-1)[None]
     data = np.zeros((2, n), np.float32)
     wind, rng = np.array([[air.wind_median_rad_s, 0.0]]), generator(setup.scene.seed, RandomPurpose.ATMOSPHERE, DRAW)
     bounds, rest, sine = np.array([[0, n]]), np.zeros((1, 2)), sin(_elevation_rad(setup))
-    amplitude, strips = np.array([sqrt(_median_b2(setup) / sine)]), setup.strips.at(sine)
+    amplitude, strips = np.array([sqrt(_median_b2(setup) / sine)]), setup.air.strips.at(sine)
     add_atmosphere(
         data,
         bounds,
@@ -210,18 +210,18 @@ def _delay_s(setup: Setup) -> float:
 
 
 def _elevation_rad(setup: Setup) -> float:
-    return float(np.median(setup.angles.elevation_rad))
+    return float(np.median(setup.observing.angles.elevation_rad))
 
 
 def _median_b2(setup: Setup) -> float:
-    return float(b2_quantile(setup.scene.atmosphere, setup.water, np.zeros(1))[0])
+    return float(b2_quantile(setup.scene.atmosphere, setup.air.water, np.zeros(1))[0])
 
 
 def _expected_mk(setup: Setup) -> float:
     """Rms [mK] of a scan about its mean in many realizations."""
     speed, duration = setup.scene.atmosphere.wind_median_rad_s, setup.scene.scan.duration_s
     sine = sin(_elevation_rad(setup))
-    variance = mean_removed_variance(setup.strips.screen, speed / sine, duration)
+    variance = mean_removed_variance(setup.air.strips.screen, speed / sine, duration)
     return sqrt(_median_b2(setup) / sine * variance)
 
 

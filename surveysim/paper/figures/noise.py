@@ -69,11 +69,11 @@ def b2_water_figure(surveys: Sequence[MeasuredSurvey]) -> PaperFigure:
     """
     panels, texts = [], []
     for survey in surveys:
-        if survey.setup.water is None:
+        if survey.setup.air.water is None:
             raise InsufficientDataError(f"found no site at {survey.band_ghz} GHz; one with water is expected")
         fitted = np.isfinite(survey.b2_fitted)
         points = binned(survey.pwv_mm[fitted], survey.b2_fitted[fitted])
-        model = survey.setup.water.response
+        model = survey.setup.air.water.response
         factor = scale_to(points.median, model(points.x))
         water = np.geomspace(points.x[0], points.x[-1], 60)
         line = Series("constant fractional fluctuations, scaled", "line", water, factor * model(water), "vermilion")

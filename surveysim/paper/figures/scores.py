@@ -86,7 +86,7 @@ def data_set_psd_figure(result: SurveyResult) -> PaperFigure:
         series=(*lines, _flat_band_power(result)),
         x_log=True,
         y_log=True,
-        x_range=(float(LOWEST_ELL), float(result.setup.band.rings.edges_ell[-1])),
+        x_range=(float(LOWEST_ELL), float(result.setup.analysis.region.rings.edges_ell[-1])),
         y_range=(
             0.7 * min(float(np.nanmin(series.low)) for series in lines if series.low is not None),
             1.5 * max(float(np.nanmax(series.high)) for series in lines if series.high is not None),
@@ -96,11 +96,11 @@ def data_set_psd_figure(result: SurveyResult) -> PaperFigure:
 
 
 def _share(result: SurveyResult, item: DataSetScore) -> float:
-    return item.n_det / result.setup.n_det
+    return item.n_det / result.setup.camera.n_det
 
 
 def _used(result: SurveyResult) -> np.ndarray:
-    return result.setup.band.rings.edges_ell[:-1] >= LOWEST_ELL
+    return result.setup.analysis.region.rings.edges_ell[:-1] >= LOWEST_ELL
 
 
 def _noise_series(result: SurveyResult, name: str, item: DataSetScore) -> list[Series]:
@@ -108,8 +108,8 @@ def _noise_series(result: SurveyResult, name: str, item: DataSetScore) -> list[S
     used, share = _used(result), _share(result, item)
     relative = bin_errors(result.setup, item)[used]
     y = np.sqrt(share * ARCMIN2_IN_SR * item.noise_psd[used])
-    ell, look = result.setup.band.rings.ell[used], LOOKS[_kind(name)]
-    label = name if share == 1 else rf"masked, $\times$ ({item.n_det}/{result.setup.n_det})$^{{1/2}}$"
+    ell, look = result.setup.analysis.region.rings.ell[used], LOOKS[_kind(name)]
+    label = name if share == 1 else rf"masked, $\times$ ({item.n_det}/{result.setup.camera.n_det})$^{{1/2}}$"
     # Of a root the relative error is half that of the power.
     ends = y * (1 - relative / 2), y * (1 + relative / 2)
     return [Series("", "band", ell, y, look.split()[0], *ends), Series(label, "line", ell, y, look)]
@@ -119,14 +119,14 @@ def _flat_band_power(result: SurveyResult) -> Series:
     used, own = _used(result), result.scores["actual"]
     power = own.band.sigma_ukcmb2 * own.signal_psd[used] * ARCMIN2_IN_SR
     label = rf"flat CMB of {own.band.sigma_ukcmb2:.0f} $\mu$K$_\mathrm{{CMB}}^2$ in the map"
-    return Series(label, "line", result.setup.band.rings.ell[used], np.sqrt(power), FLAT_LOOK)
+    return Series(label, "line", result.setup.analysis.region.rings.ell[used], np.sqrt(power), FLAT_LOOK)
 
 
 def _caption(result: SurveyResult) -> str:
     score = result.setup.scene.score
     ratios = ", ".join(f"{name} {item.ratio:.2f} ± {item.error:.2f}" for name, item in result.gains.items())
     paper = ", ".join(f"{value:g}" for value in published()["gains"].values())
-    at = int(np.flatnonzero(result.setup.band.selected)[-1])
+    at = int(np.flatnonzero(result.setup.analysis.region.selected)[-1])
     noise = {_kind(name): np.sqrt(_share(result, item) * item.noise_psd[at]) for name, item in result.scores.items()}
     ends = ", ".join(f"{noise['actual'] / value:.2f} ({kind})" for kind, value in noise.items() if kind != "actual")
     return (

@@ -11,10 +11,14 @@ from surveysim.paper.measured_survey import MeasuredSurvey
 from surveysim.paper.measurement import measure
 from surveysim.paper.published import published
 from surveysim.paper.statistics import described
-from surveysim.reduction.setup import Setup, observation_path
+from surveysim.reduction.setup import Setup
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.runtime.errors import InsufficientDataError
-from surveysim.timestreams.observation import add_layer, draw_observation, observation_weather
+from surveysim.timestreams.atmosphere import add_layer
+from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.observed_block import observation_weather
+from surveysim.timestreams.response import apply_response
+from surveysim.timestreams.simulation import observation_path
 
 SECOND_LAYER_RAD = radians(120.0)  # direction of the second layer's wind from that of the first
 BIN_ARCMIN_S = 5.0
@@ -74,12 +78,12 @@ def typical_observation(survey: MeasuredSurvey) -> int:
 def two_layers(setup: Setup, observation: int) -> WindFit:
     """The wind measured in an observation to which a second layer of equal amplitude and speed is added."""
     streams = draw_observation(setup, observation)
-    _, pointing = observation_path(setup, observation)
+    _, pointing = observation_path(setup.observing, observation)
     weather = observation_weather(setup, observation)
     turned = replace(weather, wind_angle_rad=weather.wind_angle_rad + SECOND_LAYER_RAD)
     extra = np.zeros_like(streams.data_mk)
     add_layer(setup, observation, pointing, turned, extra, realization=1)
-    extra *= setup.responsivity[:, None].astype(extra.dtype)
+    apply_response(setup, extra)
     return measure(setup, replace(streams, data_mk=streams.data_mk + extra), observation).wind
 
 

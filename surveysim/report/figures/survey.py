@@ -18,6 +18,7 @@ from mapmaker.geometry import wcs
 from mapmaker.transfer_function import beam_window, pixel_window
 from surveysim.forecasting.forecast import Forecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
+from surveysim.reduction.data_set import DataSetKind
 from surveysim.reduction.setup import Setup
 from surveysim.report.figures.style import (
     BLACK,
@@ -38,7 +39,7 @@ from surveysim.report.figures.style import (
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import DataSetScore, bin_errors, rescore
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams.observation import observation_levels
+from surveysim.timestreams.observed_block import observation_levels
 
 TITLES = {
     "timestream_psd": "time-streams before and after cleaning",
@@ -99,7 +100,7 @@ def timestream_psd(setup: Setup, coadds: CoAdds) -> Figure:
     where B2 does not vary.
     """
     scan, groups = setup.scene.scan, _weather_quarters(setup, coadds)
-    frequency = np.fft.rfftfreq(samples_per_scan(setup.raster), 1 / scan.sample_rate_hz)
+    frequency = np.fft.rfftfreq(samples_per_scan(setup.observing.raster), 1 / scan.sample_rate_hz)
     # Nothing is left at f = 0 once the mean is removed, and the Nyquist bin holds half as many modes.
     used = (frequency > 0) & (frequency < scan.sample_rate_hz / 2)
     frequency = frequency[used]
@@ -109,7 +110,7 @@ def timestream_psd(setup: Setup, coadds: CoAdds) -> Figure:
     figure, panels = _panels(len(groups), 4.9)
     for axes, (name, rows), (before, after) in zip(panels, groups.items(), pairs, strict=True):
         axes.plot(frequency, before, color=VERMILION, lw=1.8, label="before cleaning")
-        cleaned = f"after cleaning ({setup.pipelines[0].label})"
+        cleaned = f"after cleaning ({setup.analysis.pipelines[0].label})"
         axes.plot(frequency, after, color=BLUE, lw=1.8, label=cleaned)
         _white_levels(axes, setup, coadds, rows)
         scaled = r"beam power at $\ell = 2\pi f$ / speed, arbitrary scale"
@@ -134,17 +135,17 @@ def coadded_map(setup: Setup, coadds: CoAdds) -> Figure:
     from astropy.visualization.wcsaxes import WCSAxes
 
     signal, noise = _map_planes(setup, coadds)
-    rows = setup.band.patch if setup.band else slice(None)
+    rows = setup.analysis.region.patch if setup.analysis.region else slice(None)
     reach = np.nanpercentile(np.abs(signal[rows, rows]), 99.5)
     lowest = np.nanmin(noise)
-    side = _short(np.degrees(setup.geometry.pixel_rad) * 3600)
+    side = _short(np.degrees(setup.analysis.geometry.pixel_rad) * 3600)
     shown = (
         (signal, "Signal smoothed with the beam", "RdBu_r", -reach, reach, "both"),
         (noise, f"Noise of {side} arcsec pixels", "cividis_r", lowest, DEEPEST * lowest, "max"),
     )
     figure = new_figure(10, 4)
     for number, (image, label, colours, low, high, extend) in enumerate(shown, start=1):
-        axes = figure.add_subplot(1, 2, number, axes_class=WCSAxes, wcs=wcs(setup.geometry))
+        axes = figure.add_subplot(1, 2, number, axes_class=WCSAxes, wcs=wcs(setup.analysis.geometry))
         drawn = axes.imshow(image, origin="lower", cmap=colours, vmin=low, vmax=high, interpolation="nearest")
         _sky_axes(axes, setup)
         bar = figure.colorbar(drawn, ax=axes, extend=extend, fraction=0.046, pad=0.03)
@@ -159,7 +160,7 @@ def _map_planes(setup: Setup, coadds: CoAdds) -> tuple[np.ndarray, np.ndarray]:
 
     instrument, weight = setup.scene.instrument, coadds.weight[0]
     to_ukcmb = 1e3 * instrument.cmb_per_rj
-    sigma = instrument.beam_fwhm_rad / np.sqrt(8 * np.log(2)) / setup.geometry.pixel_rad
+    sigma = instrument.beam_fwhm_rad / np.sqrt(8 * np.log(2)) / setup.analysis.geometry.pixel_rad
     # Sums and weights smoothed apart: noisy pixels count for less in their neighbours.
     total, spread = gaussian_filter(coadds.sums[0], sigma), gaussian_filter(weight, sigma)
     seen = spread > spread.max() / DEEPEST**2
@@ -175,7 +176,7 @@ def map_psds(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast |
     The masked array's PSD is multiplied by its share of the detectors: the paper multiplies an amplitude by
     the root of it. Bands are the standard error of `bin_errors`; thin lines the forecast.
     """
-    rings, first = setup.band.rings, next(iter(scores.values()))
+    rings, first = setup.analysis.region.rings, next(iter(scores.values()))
     used = _usable(setup)
     ell = rings.ell[used]
     figure, (axes,) = _panels(1)
@@ -204,13 +205,13 @@ def map_psds(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast |
 
 def windows(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast | None = None) -> Figure:
     """Power transmission of cleaning (thin lines: forecast), for both arrays, of beam and pixel, and of all."""
-    rings, first = setup.band.rings, next(iter(scores.values()))
+    rings, first = setup.analysis.region.rings, next(iter(scores.values()))
     beam = beam_window(rings.ell, setup.scene.instrument.beam_fwhm_rad)
     pixel = pixel_window(rings.ell, setup.scene.map.pixel_rad)
     figure, (axes,) = _panels(1)
     _shade_scored(axes, setup)
     style = {"marker": "o", "ms": 3.5, "lw": 1, "capsize": 2}
-    labels = {pipeline.data_set: f"cleaning ({pipeline.label})" for pipeline in setup.pipelines}
+    labels = {pipeline.data_set: f"cleaning ({pipeline.label})" for pipeline in setup.analysis.pipelines}
     for item in {id(item.window): item for item in reversed(scores.values())}.values():
         colour, dashes, label, _ = _look(setup, item)
         label = f"{labels.get(item.name, label)}, {item.n_det} detectors"
@@ -235,7 +236,7 @@ def cumulative_sensitivity(setup: Setup, scores: dict[str, DataSetScore]) -> Fig
     Every bin from `LOWEST_ELL` up starts a range; bands are the Monte Carlo error of its uncertainty. The
     masked array's is multiplied by its share of the detectors, as in Table 3.
     """
-    score, edges = setup.scene.score, setup.band.rings.edges_ell
+    score, edges = setup.scene.score, setup.analysis.region.rings.edges_ell
     starts = edges[:-1][_usable(setup) & (edges[1:] <= score.ell_max)]
     figure, (axes,) = _panels(1)
     for item in scores.values():
@@ -289,7 +290,7 @@ def weather(setup: Setup, coadds: CoAdds) -> Figure:
     if norm is not None:
         plain_ticks(bar.ax.yaxis)
     bar.ax.tick_params(labelsize=9)
-    band = " in the scored band" if setup.band else ""
+    band = " in the scored band" if setup.analysis.region else ""
     finish(axes, f"$B^2$ [{_b2_unit(setup)}]", f"Map noise{band} [mK$^2$ a sample]")
     plain_ticks(axes.yaxis)
     return figure
@@ -323,7 +324,7 @@ def _span(increasing: np.ndarray) -> str:
 
 def _usable(setup: Setup) -> np.ndarray:
     """Bins (n_bin,) bool from `LOWEST_ELL` up, or from the scored range if that starts lower."""
-    return setup.band.rings.edges_ell[:-1] >= min(LOWEST_ELL, setup.scene.score.ell_min)
+    return setup.analysis.region.rings.edges_ell[:-1] >= min(LOWEST_ELL, setup.scene.score.ell_min)
 
 
 def _white_levels(axes: Axes, setup: Setup, coadds: CoAdds, rows: np.ndarray) -> None:
@@ -347,8 +348,8 @@ def _sky_axes(axes: Axes, setup: Setup) -> None:
         coordinate.set_ticklabel(size=9, exclude_overlapping=True)
         coordinate.set_axislabel(label, fontsize=10)
     if setup.scene.score is not None:
-        side = setup.scene.score.size_rad / setup.geometry.pixel_rad
-        corner = [(n - side) / 2 - 0.5 for n in (setup.geometry.n_x, setup.geometry.n_y)]
+        side = setup.scene.score.size_rad / setup.analysis.geometry.pixel_rad
+        corner = [(n - side) / 2 - 0.5 for n in (setup.analysis.geometry.n_x, setup.analysis.geometry.n_y)]
         axes.add_patch(Rectangle(corner, side, side, fill=False, ec=BLACK, lw=1.2))
         x, y = (start + side / 40 for start in corner)
         axes.text(x, y, "scored", fontsize=8.5, bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 1.5})
@@ -357,23 +358,29 @@ def _sky_axes(axes: Axes, setup: Setup) -> None:
 def _look(setup: Setup, item: DataSetScore) -> tuple[str, str, str, float]:
     """Colour, dashes, label and the factor that makes up for detectors left out."""
     if _is_masked(item):
-        return *MASKED_LINE, rf"{_name(setup, item)}, $\times$ {item.n_det}/{setup.n_det}", item.n_det / setup.n_det
+        return (
+            *MASKED_LINE,
+            rf"{_name(setup, item)}, $\times$ {item.n_det}/{setup.camera.n_det}",
+            item.n_det / setup.camera.n_det,
+        )
     if item.name == OPTIMAL:
         return *OPTIMAL_LINE, "the best of each observation", 1.0
-    compared = [pipeline.data_set for pipeline in setup.whole_pipelines[1:]]
+    compared = [pipeline.data_set for pipeline in setup.analysis.whole_pipelines[1:]]
     if item.name in compared:
         return *COMPARED[compared.index(item.name) % len(COMPARED)], item.name, 1.0
     return *LINES[item.name], _name(setup, item), 1.0
 
 
 def _is_masked(item: DataSetScore) -> bool:
-    return item.name.startswith("masked")  # its mask may keep all detectors
+    return item.kind is DataSetKind.MASKED
 
 
 def _name(setup: Setup, item: DataSetScore) -> str:
     if _is_masked(item):
         return f"masked, {item.n_det} detectors"
-    return f"actual ({setup.pipelines[0].label})" if item.name == ACTUAL and setup.chooses else item.name
+    return (
+        f"actual ({setup.analysis.pipelines[0].label})" if item.name == ACTUAL and setup.analysis.chooses else item.name
+    )
 
 
 def _shade_scored(axes: Axes, setup: Setup) -> None:
@@ -383,7 +390,7 @@ def _shade_scored(axes: Axes, setup: Setup) -> None:
 
 def _place_legend(setup: Setup, figure: Figure, axes: Axes) -> None:
     """The legend in the axes, or below them where pipelines are compared: that is too many for inside."""
-    if setup.chooses:
+    if setup.analysis.chooses:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, **LEGEND)
     else:
         legend(axes)

@@ -3,10 +3,12 @@
 import math
 from collections.abc import Callable, Iterator
 from fractions import Fraction
+from functools import partial
 from pathlib import PurePath
 from typing import Any
 
 from surveysim.report.html.components import UK2, joined, number, plural, short
+from surveysim.timestreams.component import COMPONENTS, StreamComponent
 
 CLEANINGS = {
     "none": "removal of each scan's mean",
@@ -32,30 +34,20 @@ Values = dict[str, Any]
 
 def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
     """Terms and what is said of each, from the content of scene.json; stages that the scene leaves out have none."""
+    components = [item for item in COMPONENTS if scene.get(item.name) is not None]
     tell: dict[str, Callable[[], Iterator[str]]] = {
         "Field": lambda: _field(scene),
         "Observations": lambda: _observations(scene),
         "Camera": lambda: _camera(scene["instrument"], n_det),
-        "Atmosphere": lambda: _atmosphere(scene["atmosphere"]),
-        "Excess noise": lambda: _excess(scene["excess"]),
-        "Photon noise": lambda: _photon(scene["photon"]),
-        "Detector noise": lambda: _detector(scene["detector"]),
-        "Sky": lambda: _sky(scene["sky"]),
+        **{item.title: partial(_component, item, scene[item.name]) for item in components},
         "Cleaning": lambda: _cleaning(scene["cleaning"]),
         "Map": lambda: _map(scene),
         "Score": lambda: _score(scene["score"], scene["observations"]),
         "Numerics": lambda: _numerics(scene["numerics"]),
     }
-    optional = {
-        "Atmosphere": "atmosphere",
-        "Excess noise": "excess",
-        "Photon noise": "photon",
-        "Detector noise": "detector",
-        "Sky": "sky",
-        "Score": "score",
-    }
-    there = [term for term in tell if term not in optional or scene[optional[term]] is not None]
-    return tuple((term, " ".join(tell[term]())) for term in there)
+    if scene["score"] is None:
+        del tell["Score"]
+    return tuple((term, " ".join(words())) for term, words in tell.items())
 
 
 def cleaning_words(steps: list[str]) -> str:
@@ -116,6 +108,14 @@ def _camera(camera: Values, n_det: int) -> Iterator[str]:
     if camera["bands"]:
         bands = joined([f"{short(colour['frequency_hz'] / 1e9)}" for colour in camera["bands"]])
         yield f"Every pixel has further bands at {bands} GHz, which cleaning may subtract."
+
+
+def _component(item: StreamComponent, section: Values) -> Iterator[str]:
+    """Describe a component by its parameters, or by its one sentence."""
+    if item.name in _COMPONENTS:
+        yield from _COMPONENTS[item.name](section)
+    else:
+        yield f"{item.sentence[0].upper()}{item.sentence[1:]}."
 
 
 def _atmosphere(air: Values) -> Iterator[str]:
@@ -179,6 +179,14 @@ def _sky(sky: Values) -> Iterator[str]:
     peaks = _list([source["peak_mk"] for source in sources])
     yield f"and {plural(len(sources), 'point source')} of {peaks} mK (Rayleigh-Jeans)." if sources else "alone."
 
+
+_COMPONENTS: dict[str, Callable[[Values], Iterator[str]]] = {
+    "atmosphere": _atmosphere,
+    "excess": _excess,
+    "sky": _sky,
+    "photon": _photon,
+    "detector": _detector,
+}
 
 _RESPONSIVITIES = {
     "scan": "Responsivities are fitted to each scan.",

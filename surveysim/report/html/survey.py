@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
+from surveysim.reduction.data_set import DataSetKind
 from surveysim.report.html.captions import RUN
 from surveysim.report.html.components import (
     UK2,
@@ -190,7 +191,7 @@ def _score_grid(summary: Content, scene: Content) -> Grid:
 def _score_notes(summary: Content) -> tuple[str, ...]:
     """What the data sets are, and what errors are."""
     known = [f"{name}: {DATA_SETS[name]}" for name in summary["scores"] if name in DATA_SETS]
-    masked = [name for name in summary["scores"] if name.startswith("masked")]
+    masked = [name for name, row in summary["scores"].items() if row["kind"] == DataSetKind.MASKED]
     if masked:
         known.append(f"{masked[0]}: the actual streams of an array masked by separation (scaled: times its share)")
     cleanings = [name for name in summary["scores"] if name not in DATA_SETS and name not in masked]

@@ -42,7 +42,7 @@ def print_result(result: SurveyResult, directory: Path) -> None:
     console = Terminal()
     for line in stop_lines(result):
         console.say(f"{line}\n")
-    if len(result.setup.whole_pipelines) > 1:
+    if len(result.setup.analysis.whole_pipelines) > 1:
         console.show(_cleaning_table(result))
     if result.scores:
         console.show(_score_table(result))
@@ -53,7 +53,9 @@ def print_result(result: SurveyResult, directory: Path) -> None:
             console.show(_alternative_table(result))
         console.say("\nMethod, where the reference leaves it open:")
         setup = result.setup
-        for line in method(setup.chooses, setup.scene.instrument.bandwidth, setup.band.scored_correlation):
+        for line in method(
+            setup.analysis.chooses, setup.scene.instrument.bandwidth, setup.analysis.region.scored_correlation
+        ):
             console.say(f"  - {line}")
     if result.unscored:
         console.say(f"Not scored: {result.unscored}")
@@ -249,7 +251,8 @@ def _cleaning_table(result: SurveyResult) -> Table:
     """What each way of cleaning costs and leaves, and of how many observations it is the best."""
     table = Table(title=Text("Cleaning: what it costs, and what it leaves"))
     entries = {
-        pipeline.label: summary(result)["cleaning"][pipeline.data_set] for pipeline in result.setup.whole_pipelines
+        pipeline.label: summary(result)["cleaning"][pipeline.data_set]
+        for pipeline in result.setup.analysis.whole_pipelines
     }
     first = next(iter(entries.values()))
     shares = {"point_source_flux_removed": "flux removed", "best_for_cmb": "best: CMB"}

@@ -12,10 +12,13 @@ from mapmaker.cleaning import clean
 from surveysim.atmosphere.screen_simulation import add_atmosphere
 from surveysim.atmosphere.strip_factors import Strip
 from surveysim.atmosphere.thin_screen import Screen, structure_function
-from surveysim.reduction.setup import Setup, observation_path, prepare
+from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.case import N_SAMP, RATE_HZ, TEMPLATES, Outcome, agrees
-from surveysim.timestreams.observation import add_layer, draw_observation, observation_weather
+from surveysim.timestreams.atmosphere import add_layer
+from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.observed_block import observation_weather
+from surveysim.timestreams.simulation import observation_path
 
 
 def layer(scene: Scene) -> Outcome:
@@ -25,14 +28,14 @@ def layer(scene: Scene) -> Outcome:
     cleaned = clean("average", streams.data_mk, streams.scan_bounds, streams.focal_plane, options=TEMPLATES)
     if not (np.isfinite(streams.data_mk).all() and np.isfinite(cleaned.data_mk).all()):
         return Outcome("streams that are not finite", 0.0, 0.0, False)
-    worst = max(_departure(setup.strips.screen, strip) for strip in _strips(setup))
+    worst = max(_departure(setup.air.strips.screen, strip) for strip in _strips(setup))
     # Modes that are left out may add 1e-3 to the differences along and across together.
     return agrees(worst, 0.0, 2e-3, "relative departure of the structure function")
 
 
 def _strips(setup: Setup) -> Iterator[Strip]:
     """All strips that a setup has made."""
-    for cache in setup.strips.caches.values():
+    for cache in setup.air.strips.caches.values():
         yield from cache.strips.values()
 
 
@@ -51,7 +54,7 @@ def _departure(screen: Screen, strip: Strip) -> float:
 def _moved(setup: Setup, scan_rad_s: np.ndarray, layer_rad_s: np.ndarray) -> np.ndarray:
     """Streams (n_det, N_SAMP) float32 of one scan under the layer alone, one draw for all velocities."""
     plane = setup.camera.focal_plane
-    data = np.zeros((setup.n_det, N_SAMP), np.float32)
+    data = np.zeros((setup.camera.n_det, N_SAMP), np.float32)
     offsets = np.stack([plane.x_rad, plane.y_rad], axis=-1)[None]
     rng = np.random.default_rng(3)
     add_atmosphere(
@@ -62,7 +65,7 @@ def _moved(setup: Setup, scan_rad_s: np.ndarray, layer_rad_s: np.ndarray) -> np.
         velocity_rad_s=[scan_rad_s],
         layer_velocity_rad_s=[layer_rad_s],
         amplitude_mk=[17.0],
-        strips=setup.strips.at(1.0),
+        strips=setup.air.strips.at(1.0),
         rng=rng,
     )
     return data
@@ -86,9 +89,9 @@ def opposite(scene: Scene) -> Outcome:
 def one_layer(scene: Scene, b2: float = 0.0) -> np.ndarray:
     """The layer alone of the first observation, at the scene's B2 or another."""
     setup = prepare(scene)
-    path, pointing = observation_path(setup, 0)
+    path, pointing = observation_path(setup.observing, 0)
     weather = observation_weather(setup, 0)
-    data = np.zeros((setup.n_det, len(path.time_s)), np.float32)
+    data = np.zeros((setup.camera.n_det, len(path.time_s)), np.float32)
     add_layer(setup, 0, pointing, replace(weather, b2=b2 or weather.b2), data)
     return data
 

@@ -19,13 +19,15 @@ from mapmaker.cleaning import (
 from mapmaker.cleaning.local import neighbourhoods
 from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.screen_simulation import StripCache
-from surveysim.reduction.setup import observation_path, prepare
+from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import InsufficientDataError
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.atmosphere import one_layer
 from surveysim.studies.stress.case import N_SAMP, QUANTUM, RATE_HZ, STIFF, TEMPLATES, Outcome, agrees
+from surveysim.timestreams.atmosphere import add_layer
 from surveysim.timestreams.noise import add_white
-from surveysim.timestreams.observation import add_layer, observation_weather
+from surveysim.timestreams.observed_block import observation_weather
+from surveysim.timestreams.simulation import observation_path
 
 ALGORITHMS: dict[str, Any] = {
     "average": TEMPLATES,
@@ -45,17 +47,17 @@ def stiff(scene: Scene, algorithm: str) -> Outcome:
     values of up to some three standard deviations.
     """
     setup = prepare(scene)
-    _, pointing = observation_path(setup, 0)
+    _, pointing = observation_path(setup.observing, 0)
     weather = observation_weather(setup, 0)
-    scale = STIFF / np.std(_mean_removed(one_layer(scene, 1.0), setup.raster.n_scans))
+    scale = STIFF / np.std(_mean_removed(one_layer(scene, 1.0), setup.observing.raster.n_scans))
     strong = replace(weather, b2=scale**2)
-    caches = {number: _in_float64(cache) for number, cache in setup.strips.caches.items()}
-    fine = replace(setup, strips=replace(setup.strips, caches=caches))
+    caches = {number: _in_float64(cache) for number, cache in setup.air.strips.caches.items()}
+    fine = replace(setup, air=replace(setup.air, strips=replace(setup.air.strips, caches=caches)))
     left = []
     for one, dtype in ((setup, np.float32), (fine, np.float64)):
-        data = np.zeros((setup.n_det, len(pointing.scan)), dtype)
+        data = np.zeros((setup.camera.n_det, len(pointing.scan)), dtype)
         add_layer(one, 0, pointing, strong, data)
-        data *= setup.responsivity[:, None].astype(np.float32)
+        data *= setup.camera.responsivity[:, None].astype(np.float32)
         add_white(data, 2 / RATE_HZ, RATE_HZ, np.random.default_rng(1))
         left.append(_cleaned(algorithm, data, setup.camera.focal_plane).astype(float))
     lost = float(np.std(left[0] - left[1]))

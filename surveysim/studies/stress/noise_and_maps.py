@@ -10,14 +10,16 @@ from mapmaker.binning import bin_map
 from mapmaker.correlations import correlation_profile, pair_bins, scan_covariances
 from mapmaker.gls import GlsOptions, gls_map
 from mapmaker.iterative import StreamBlock
+from mapmaker.stream_psd import low_frequency_variance
 from mapmaker.timestreams import FocalPlane
-from surveysim.reduction.setup import Setup, observation_path, prepare
+from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.case import N_SAMP, RATE_HZ, STIFF, Outcome, agrees
 from surveysim.studies.stress.cleaning import planted
 from surveysim.telescope.pixel_coherence import correlation_factor
-from surveysim.timestreams.noise import add_excess, low_frequency_variance
+from surveysim.timestreams.low_frequency import add_excess
 from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.simulation import observation_path
 
 
 def excess(scene: Scene) -> Outcome:
@@ -78,10 +80,10 @@ def pairs(scene: Scene, places: np.ndarray) -> Outcome:
 
 def _blocks(scene: Scene, ratio: float) -> tuple[Setup, StreamBlock]:
     setup = prepare(scene)
-    path, _ = observation_path(setup, 0)
-    n_det, n_pix = setup.n_det, setup.geometry.n_x * setup.geometry.n_y
-    bounds = np.arange(setup.raster.n_scans)[:, None] * N_SAMP + [0, N_SAMP]
-    data = planted(n_det, ratio, n_scans=setup.raster.n_scans)
+    path, _ = observation_path(setup.observing, 0)
+    n_det, n_pix = setup.camera.n_det, setup.analysis.geometry.n_x * setup.analysis.geometry.n_y
+    bounds = np.arange(setup.observing.raster.n_scans)[:, None] * N_SAMP + [0, N_SAMP]
+    data = planted(n_det, ratio, n_scans=setup.observing.raster.n_scans)
     # A tenth of the map is enough to be crossed often; the rest stays without a hit.
     index = np.random.default_rng(9).integers(0, n_pix // 10, data.shape)
     return setup, StreamBlock(data, index, bounds, setup.camera.focal_plane)
@@ -91,7 +93,11 @@ def unhit(scene: Scene) -> Outcome:
     """A map with pixels that no sample hits."""
     setup, block = _blocks(scene, 0.0)
     item = bin_map(
-        setup.geometry, block.data_mk, block.index, block.scan_bounds, kept=np.ones(len(block.scan_bounds), bool)
+        setup.analysis.geometry,
+        block.data_mk,
+        block.index,
+        block.scan_bounds,
+        kept=np.ones(len(block.scan_bounds), bool),
     )
     finite = np.isfinite(item.signal_mk).all() and not item.signal_mk[item.hits == 0].any()
     return agrees(float(finite), 1.0, 0.0, f"finite, and 0 in {np.sum(item.hits == 0)} pixels without a hit")
@@ -102,6 +108,6 @@ def likelihood_map(scene: Scene) -> Outcome:
     maps = []
     for ratio in (1e3, STIFF):
         setup, block = _blocks(scene, ratio)
-        found = gls_map(setup.geometry, [block], sample_rate_hz=RATE_HZ, options=GlsOptions())
+        found = gls_map(setup.analysis.geometry, [block], sample_rate_hz=RATE_HZ, options=GlsOptions())
         maps.append(found.map.signal_mk[found.map.hits > 0])
     return agrees(np.std(maps[1] - maps[0]) / np.std(maps[0]), 0.0, 1e-2, "change of the map over its noise")

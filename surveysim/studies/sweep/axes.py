@@ -147,8 +147,13 @@ def load_sweep(
         if scene.score is None:
             raise SceneError("score: missing; a sweep compares scores")
         setup = prepare(scene)
-        samples = setup.n_det * setup.raster.n_scans * samples_per_scan(setup.raster) * scene.observations
-        return Point(number, places[number], labels[number], settings[number], scene, setup.n_det, samples)
+        samples = (
+            setup.camera.n_det
+            * setup.observing.raster.n_scans
+            * samples_per_scan(setup.observing.raster)
+            * scene.observations
+        )
+        return Point(number, places[number], labels[number], settings[number], scene, setup.camera.n_det, samples)
 
     points = tuple(_of_all(path, labels, point))
     name = "sweep.reference" if reference is None else "--reference"

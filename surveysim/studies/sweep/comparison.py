@@ -159,7 +159,14 @@ class PointJob:
             off = [found.sigma, found.sigma_error]
         told = sigma, off, _flags(expected)
         result = PointResult(
-            setup.n_det, scores, *told, lost.shares, lost.by_weather, _skies(setup), unscored, perf_counter() - start
+            setup.camera.n_det,
+            scores,
+            *told,
+            lost.shares,
+            lost.by_weather,
+            _skies(setup),
+            unscored,
+            perf_counter() - start,
         )
         if self.directory is not None:
             save_point(point_file(self.directory, point.number), result, scene_hash(point.scene))
@@ -244,7 +251,7 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
 def _skies(setup: Setup) -> str:
     """Equal where windows are measured with the same skies: one seed, and one grid that they are drawn on."""
     scene = setup.scene
-    return sha256(f"{scene.seed} {scene.score.signal_sims} {setup.sky_geometry}".encode()).hexdigest()
+    return sha256(f"{scene.seed} {scene.score.signal_sims} {setup.sky.geometry}".encode()).hexdigest()
 
 
 # ---------------------------------------------------------------- comparison

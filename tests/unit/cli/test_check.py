@@ -41,9 +41,10 @@ def refused_or_run(path, overrides) -> str:
         assert perf_counter() - start < MOST_SECONDS
         return str(error)
     assert perf_counter() - start < MOST_SECONDS
-    skies, lmax = setup.n_window_skies, scene.sky.curved_lmax if scene.sky else None
+    skies, lmax = setup.analysis.n_signal_skies, scene.sky.curved_lmax if scene.sky else None
     if (
-        setup.n_det * scene.scan.scans * samples_per_scan(setup.raster) * max(1, skies / 10) > MOST_WORK
+        setup.camera.n_det * scene.scan.scans * samples_per_scan(setup.observing.raster) * max(1, skies / 10)
+        > MOST_WORK
         or (lmax or 0) > 5000
     ):
         return ""
@@ -103,7 +104,7 @@ def test_weather_of_many_observations_is_bounded(small):
 
 def test_the_fastest_wind_is_faster_than_all_that_are_drawn(small):
     from surveysim.atmosphere.weather import fastest_wind
-    from surveysim.timestreams.observation import observation_weather
+    from surveysim.timestreams.observed_block import observation_weather
 
     setup = prepare(load_scene(small, {"observations": 300, "atmosphere.wind_b2_exponent": 0.3}))
     drawn = max(observation_weather(setup, number).wind_speed_rad_s for number in range(300))
@@ -133,7 +134,8 @@ def test_scenes_larger_than_the_machine_are_refused_before_they_are_made(small, 
 
 def test_skies_are_not_made_to_be_checked(small):
     setup = prepare(load_scene(small, {"score.signal_sims.skies": 1000, "seed": 12}))
-    assert not setup.made and setup.n_window_skies == 1000
+    assert not {"signal_skies_mk", "region"} & vars(setup.analysis).keys()
+    assert "map_mk" not in vars(setup.sky) and setup.analysis.n_signal_skies == 1000
 
 
 @pytest.mark.slow

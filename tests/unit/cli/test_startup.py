@@ -31,7 +31,7 @@ UNWANTED = (
     "scipy.spatial",
     "scipy.stats",
     "surveysim.atmosphere.screen_simulation",
-    "surveysim.timestreams.sky",
+    "surveysim.timestreams.sky_maps",
 )
 
 

@@ -88,7 +88,7 @@ def test_runs_compare_with_the_forecast_of_the_scans_that_they_kept(calm):
     """The noise of each observation, weighted and co-added by hand with its kept scans."""
     setup, expected = calm.setup, calm.expected.scores["actual"]
     counts = np.array([row[7] for row in calm.coadds.rows])
-    kept = 1 - counts / setup.raster.n_scans
+    kept = 1 - counts / setup.observing.raster.n_scans
     assert 0.05 < 1 - kept.mean() < 0.95 and expected.kept.discarded == pytest.approx(1 - kept.mean())
     levels = observing_conditions(setup, survey_draws(setup, 0, 12))
     noise = survey_models(setup.scene)[0].noise(levels)
@@ -120,7 +120,7 @@ def test_a_pilot_of_few_observations_takes_more_of_their_scans(scene_of):
 
 def test_a_forecast_without_a_kept_scan_says_how_it_knows(scene_of):
     lost = scene_of(cleaning__max_iterations=1)
-    with pytest.raises(SceneError, match="no scan that is kept, by a trial of a few; .*Remedy: cleaning.responsiv"):
+    with pytest.raises(SceneError, match="rejected all scans of a pilot; .*Remedy: cleaning.responsiv"):
         forecast(lost)
 
 
@@ -130,7 +130,7 @@ def test_known_responsivities_discard_nothing(scene_of, monkeypatch):
     # A pilot of more than a few seconds is not made: the share is said not to be known.
     monkeypatch.setattr("surveysim.forecasting.pilot._MOST_SAMPLES", 1e3)
     effect = effects_of(scene_of(**CALM))["discarded scans"]
-    assert effect.size is None and effect.flagged and "not known" in effect.sentence
+    assert effect.size is None and effect.flagged and "unknown" in effect.sentence
 
 
 def test_shares_are_interpolated_between_observations_of_a_pilot():
@@ -146,7 +146,7 @@ def test_shares_are_interpolated_between_observations_of_a_pilot():
 def test_shares_of_many_observations_follow_the_weather(scene_of):
     setup = prepare(scene_of(observations=100, atmosphere__b2="[2, 10, 400] mK2 rad(-5/3)"))
     levels = observing_conditions(setup, survey_draws(setup, 0, 100))
-    kept = predict_kept_scans(setup, setup.pipelines, levels, np.ones(100))["actual"]
+    kept = predict_kept_scans(setup, setup.analysis.pipelines, levels, np.ones(100))["actual"]
     assert kept.share.shape == (100,) and kept.share.min() >= 0 and kept.share.max() <= 1
     order = np.argsort(levels.layer)
     assert kept.share[order][:25].mean() < kept.share[order][-25:].mean() - 0.5
@@ -215,7 +215,7 @@ def test_only_bins_that_are_known_can_be_good(calm):
     expected = replace(calm.expected.scores["actual"], noise_psd=np.ones(psds.shape[1]), weights=weights, kept=kept)
     found = agreement(setup, sure, expected)
     assert found.bins == found.within > 2 and found.unknown == 0
-    edges = setup.band.rings.edges_ell
+    edges = setup.analysis.region.rings.edges_ell
     place = int(np.flatnonzero(edges[:-1] >= found.low_ell)[1])
     off = np.ones(psds.shape[1])
     off[place] += GOOD_PSD + 0.02

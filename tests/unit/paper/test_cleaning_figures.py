@@ -8,6 +8,7 @@ import pytest
 
 from mapmaker.cleaning import Cleaned
 from mapmaker.cleaning.templates import PLANAR, QUADRATIC, template_streams
+from mapmaker.stream_psd import hann_psd
 from mapmaker.timestreams import FocalPlane
 from surveysim.paper.figures import cleaning as cleaning_figures
 from surveysim.paper.figures.cleaning import (
@@ -29,7 +30,6 @@ from surveysim.scene.scene import load_scene
 from surveysim.survey.coadds import row_names
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import gain, rescore
-from surveysim.timestreams.noise import hann_psd
 from tests.scenes import write_scene
 
 WIND_RAD_S = np.array([0.01, 0.0])
@@ -111,7 +111,7 @@ def test_template_streams_of_detectors_on_a_line_are_refused():
 def test_templates_halfway_out_have_an_eighth_of_the_power_of_the_edge(setup, measured):
     """(1 + x / R) cos: the gradient at x = R / 2 cos 45 deg has the square of 1 / 8^(1/2) of the constant's power."""
     one = weather_examples(measured)[0]
-    plane, n_scans = one.streams.focal_plane, setup.raster.n_scans
+    plane, n_scans = one.streams.focal_plane, setup.observing.raster.n_scans
     from_centre = plane.x_rad - plane.x_rad.mean()
     radius = np.hypot(from_centre, plane.y_rad - plane.y_rad.mean()).max()
     wave = np.cos(2 * np.pi * 5 * (np.arange(N * n_scans) + 0.5) / N)
@@ -151,8 +151,8 @@ def test_streams_before_and_after_cleaning(setup, measured):
     good, poor = weather_examples(measured)
     for one, panel, part in zip((good, poor), figure.panels[:2], figure.panels[2:], strict=True):
         assert part.series == panel.series and part.y_range[1] < panel.y_range[1]
-        scans = one.streams.data_mk.reshape(setup.n_det, 4, N).astype(float)
-        flat = (scans - scans.mean(axis=-1, keepdims=True)).reshape(setup.n_det, -1)
+        scans = one.streams.data_mk.reshape(setup.camera.n_det, 4, N).astype(float)
+        flat = (scans - scans.mean(axis=-1, keepdims=True)).reshape(setup.camera.n_det, -1)
         raw = hann_psd(flat, 4, np.ones(4, bool), 10.0).mean(axis=0)[1:30]
         np.testing.assert_allclose(named(panel, "before cleaning").y, raw, rtol=1e-4)
         low = {name: named(panel, name).y[:3].sum() for name in ("before", "average", "planar", "quadratic")}
@@ -268,17 +268,17 @@ def test_winners_are_counted(result):
 
 
 def test_bins_of_one_unit_of_ln_ell_add_up_to_the_score(result):
-    rings, item = result.setup.band.rings, result.scores["planar"]
+    rings, item = result.setup.analysis.region.rings, result.scores["planar"]
     width = np.diff(rings.edges_ell) / rings.ell
     information = width / log_bin_sigma(result, item) ** 2
-    np.testing.assert_allclose(information[result.setup.band.selected].sum() ** -0.5, item.band.sigma_ukcmb2)
+    np.testing.assert_allclose(information[result.setup.analysis.region.selected].sum() ** -0.5, item.band.sigma_ukcmb2)
 
 
 def test_map_figure_draws_the_scores(result):
     figure = map_psd_figure(result)
     assert pipeline_names(result) == {"average": "actual", "planar": "planar", "optimal": "optimal"}
     noise, sensitivity, cumulative, ratio = figure.panels
-    score, edges = result.setup.scene.score, result.setup.band.rings.edges_ell
+    score, edges = result.setup.scene.score, result.setup.analysis.region.rings.edges_ell
     for label, name in pipeline_names(result).items():
         item = result.scores[name]
         np.testing.assert_allclose(named(noise, label).y, item.noise_psd[1:] * 3437.7468**2)

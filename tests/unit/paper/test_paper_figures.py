@@ -32,11 +32,12 @@ from surveysim.paper.statistics import (
     quarters,
     scale_to,
 )
-from surveysim.reduction.setup import observation_path, prepare
+from surveysim.reduction.setup import prepare
 from surveysim.results.results import survey_result
 from surveysim.scene.scene import load_scene
 from surveysim.scene.units import rj_to_cmb
 from surveysim.survey.run import run_observations
+from surveysim.timestreams.simulation import observation_path
 from tests.scenes import SMALL_SCENE
 from tests.surveys import ARCMIN, N_SCAN, falls, fit, measured, named, of_b2, survey, wind
 
@@ -146,15 +147,17 @@ def test_the_second_layer_is_seen_with_the_responsivities(setup, monkeypatch):
         data += 7.0
 
     truth = Weather(280.0, 1.0, 0.3, np.nan)
-    streams = SimpleNamespace(data_mk=np.ones((setup.n_det, 5), np.float32))
+    streams = SimpleNamespace(data_mk=np.ones((setup.camera.n_det, 5), np.float32))
     monkeypatch.setattr(wind_figures, "draw_observation", lambda *_: streams)
     monkeypatch.setattr(wind_figures, "observation_weather", lambda *_: truth)
     monkeypatch.setattr(wind_figures, "add_layer", layer)
     monkeypatch.setattr(wind_figures, "replace", lambda record, **new: SimpleNamespace(**{**vars(record), **new}))
     monkeypatch.setattr(wind_figures, "measure", lambda _, data, number: SimpleNamespace(wind=(data.data_mk, number)))
     data, number = wind_figures.two_layers(setup, 1)
-    np.testing.assert_allclose(data, np.tile(1.0 + 7.0 * setup.responsivity[:, None], 5), rtol=1e-6)
-    assert number == 1 and seen["realization"] == 1 and seen["start"] == observation_path(setup, 1)[1].start_mjd
+    np.testing.assert_allclose(data, np.tile(1.0 + 7.0 * setup.camera.responsivity[:, None], 5), rtol=1e-6)
+    assert (
+        number == 1 and seen["realization"] == 1 and seen["start"] == observation_path(setup.observing, 1)[1].start_mjd
+    )
     assert seen["weather"].b2 == 280.0 and seen["weather"].wind_speed_rad_s == 1.0
     np.testing.assert_allclose(seen["weather"].wind_angle_rad, 0.3 + np.radians(120.0))
 
@@ -242,11 +245,11 @@ def test_correlations_are_shown_without_overlap_on_the_scale_of_their_level(prof
 
 def test_adjacent_pairs_are_free_of_gains(setup):
     bins, rng = camera_pairs(setup), np.random.default_rng(3)
-    gains = np.exp(0.05 * rng.standard_normal(setup.n_det))
+    gains = np.exp(0.05 * rng.standard_normal(setup.camera.n_det))
     shape = np.append(1e-3 * np.arange(len(bins.count)), 0.0)  # the last for adjacent pairs, of bin -1
     shape -= shape[:-1].mean()
     excess = 0.01 * np.array([1.0, 2.0, 4.0, 3.0])
-    covariances = np.zeros((N_SCAN, setup.n_det, setup.n_det))
+    covariances = np.zeros((N_SCAN, setup.camera.n_det, setup.camera.n_det))
     for scan, above in zip(covariances, excess, strict=True):
         shape[-1] = above
         scan[bins.first, bins.second] = 300.0 * gains[bins.first] * gains[bins.second] * np.exp(shape[bins.bin])
@@ -318,7 +321,7 @@ def test_distribution_of_b2_and_the_papers_quartiles(setup):
 
 
 def test_b2_against_water_follows_the_response_that_it_is_made_of(setup):
-    water = replace(setup, water=SimpleNamespace(response=lambda pwv: 100.0 * pwv**2))
+    water = replace(setup, air=replace(setup.air, water=SimpleNamespace(response=lambda pwv: 100.0 * pwv**2)))
     pwv = np.linspace(0.5, 3.5, 121)
     whole = of_b2(water, 0.25 * 100.0 * pwv**2, pwv=pwv)
     figure = b2_water_figure([whole, whole])
@@ -372,14 +375,14 @@ def result(tmp_path_factory):
 def test_noise_of_data_sets_is_an_amplitude_of_all_detectors(result):
     figure = data_set_psd_figure(result)
     (panel,) = figure.panels
-    used = result.setup.band.rings.edges_ell[:-1] >= 500
+    used = result.setup.analysis.region.rings.edges_ell[:-1] >= 500
     to_arcmin2 = np.degrees(60.0) ** 2
     masked = next(name for name in result.scores if name.startswith("masked"))
-    share = result.scores[masked].n_det / result.setup.n_det
+    share = result.scores[masked].n_det / result.setup.camera.n_det
     for name, label, factor in (("actual", "actual", 1.0), ("white", "white", 1.0), (masked, "masked", share)):
         line = next(series for series in panel.series if series.kind == "line" and label in series.label)
         np.testing.assert_allclose(line.y**2, factor * to_arcmin2 * result.scores[name].noise_psd[used])
-        np.testing.assert_array_equal(line.x, result.setup.band.rings.ell[used])
+        np.testing.assert_array_equal(line.x, result.setup.analysis.region.rings.ell[used])
     bands = [series for series in panel.series if series.kind == "band"]
     assert len(bands) == 4 and all((band.low < band.high).all() for band in bands)
     own = result.scores["actual"]

@@ -32,18 +32,28 @@ def compared(path, tmp_path_factory, blank_figures):
 
 def test_data_sets_and_windows(path):
     setup = prepare(load_scene(path, COMPARE))
-    assert [pipeline.label for pipeline in setup.pipelines] == ["average", "planar", "average+local", "wind", "average"]
-    masked = f"masked_{len(setup.masked)}"
+    assert [pipeline.label for pipeline in setup.analysis.pipelines] == [
+        "average",
+        "planar",
+        "average+local",
+        "wind",
+        "average",
+    ]
+    masked = f"masked_{len(setup.analysis.masked)}"
     sets = ("actual", "uncorrelated", "white", "planar", "average+local", "wind", "optimal", masked)
-    assert setup.data_sets == sets
-    assert setup.windows == ("actual", "planar", "average+local", "wind", "optimal", masked)
-    assert [setup.window_of(name) for name in sets] == [0, 0, 0, 1, 2, 3, 4, 5]
+    assert setup.analysis.data_set_names == sets
+    kinds = ["actual", "noise-only", "noise-only", "alternative", "alternative", "alternative", "optimal", "masked"]
+    assert [item.kind for item in setup.analysis.data_sets] == kinds
+    n_det = setup.camera.n_det
+    assert [item.n_det for item in setup.analysis.data_sets] == [n_det] * 7 + [len(setup.analysis.masked)]
+    assert setup.analysis.windows == ("actual", "planar", "average+local", "wind", "optimal", masked)
+    assert [setup.analysis.window_of(name) for name in sets] == [0, 0, 0, 1, 2, 3, 4, 5]
 
 
 def test_one_pipeline_is_no_choice(path):
     setup = prepare(load_scene(path))
-    assert not setup.chooses and "optimal" not in setup.data_sets
-    assert len(setup.window_skies_mk) == 2  # no sky of point sources
+    assert not setup.analysis.chooses and "optimal" not in setup.analysis.data_set_names
+    assert len(setup.analysis.signal_skies_mk) == 2  # no sky of point sources
 
 
 @pytest.mark.parametrize(
@@ -110,7 +120,7 @@ def test_comparing_changes_nothing_of_the_actual_data(path, compared, tmp_path):
 
 def test_what_a_comparison_leaves_behind(compared):
     result, out = compared
-    sets = result.setup.data_sets
+    sets = result.setup.analysis.data_set_names
     assert {path.stem for path in (out / "maps").iterdir()} == set(sets) == set(result.scores)
     assert (out / "figures" / "window.png").exists()
     columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
@@ -125,7 +135,7 @@ def test_the_optimal_map_is_each_observation_s_best(compared):
     result, _ = compared
     columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
     best = best_pipeline(result.setup, columns, "cmb")
-    noise = np.array([columns[f"noise_mk2_{pipeline.data_set}"] for pipeline in result.setup.whole_pipelines])
+    noise = np.array([columns[f"noise_mk2_{pipeline.data_set}"] for pipeline in result.setup.analysis.whole_pipelines])
     np.testing.assert_array_equal(columns["noise_mk2_optimal"], noise[best, np.arange(4)])
 
 

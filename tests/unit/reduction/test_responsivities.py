@@ -79,7 +79,7 @@ def test_a_sweep_takes_all_settings(tmp_path):
 
 def test_a_compared_cleaning_may_be_the_one_that_takes_them(setup_of):
     setup = setup_of(**WAYS["known"], **PCA, cleaning__compare=["average"])
-    assert setup.calibration is not None
+    assert setup.analysis.calibration is not None
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -98,23 +98,23 @@ def test_the_calibration_is_the_true_one_with_its_error(setup_of):
     for seed in range(7):
         keys = {"seed": seed, "instrument__layout__rings": 6}
         known, survey = setup_of(**keys, **WAYS["known"]), setup_of(**keys, **WAYS["survey"])
-        np.testing.assert_array_equal(known.calibration[0], known.responsivity)
-        np.testing.assert_array_equal(survey.responsivity, known.responsivity)
-        assert survey.calibration[0].mean() == pytest.approx(1)
-        errors.append(np.log(survey.calibration[0] / survey.responsivity))
+        np.testing.assert_array_equal(known.analysis.calibration[0], known.camera.responsivity)
+        np.testing.assert_array_equal(survey.camera.responsivity, known.camera.responsivity)
+        assert survey.analysis.calibration[0].mean() == pytest.approx(1)
+        errors.append(np.log(survey.analysis.calibration[0] / survey.camera.responsivity))
     errors = np.array(errors)
     assert errors.std(axis=1).mean() == pytest.approx(0.02, rel=4 / np.sqrt(2 * errors.size))
     assert np.abs(np.corrcoef(errors)[0, 1:]).max() < 4 / np.sqrt(errors.shape[1])
-    assert setup_of(**WAYS["scan"]).calibration is None and setup_of(**WAYS["observation"]).calibration is None
+    assert all(setup_of(**WAYS[way]).analysis.calibration is None for way in ("scan", "observation"))
 
 
 @pytest.mark.parametrize("place", [0, -1], ids=["all", "masked"])
 def test_a_pipeline_knows_its_own_detectors(setup_of, place):
     """A signal times the true responsivities vanishes, of all detectors and of the masked ones."""
     setup = setup_of(**WAYS["known"])
-    pipeline, plane = setup.pipelines[place], setup.camera.focal_plane
-    data = setup.responsivity[:, None] * np.random.default_rng(1).standard_normal(60)
-    auxiliary = AuxiliaryData(np.zeros((1, 2)), np.zeros((0, *data.shape)), setup.calibration)
+    pipeline, plane = setup.analysis.pipelines[place], setup.camera.focal_plane
+    data = setup.camera.responsivity[:, None] * np.random.default_rng(1).standard_normal(60)
+    auxiliary = AuxiliaryData(np.zeros((1, 2)), np.zeros((0, *data.shape)), setup.analysis.calibration)
     bounds, section = np.array([[0, 60]]), setup.scene.cleaning
     left = apply_pipeline(section, pipeline, data[pipeline.rows], bounds, plane.subset(pipeline.rows), auxiliary, 10.0)
     assert left.kept.all() and np.abs(left.data_mk).max() < 1e-12
@@ -123,10 +123,10 @@ def test_a_pipeline_knows_its_own_detectors(setup_of, place):
 def test_other_bands_are_cleaned_with_their_own(setup_of):
     """What all detectors see in all bands vanishes: each band is cleaned with the responsivities that are its own."""
     setup = setup_of(**WAYS["known"])
-    rng, n_det = np.random.default_rng(2), setup.n_det
+    rng, n_det = np.random.default_rng(2), setup.camera.n_det
     calibration = np.exp(0.1 * rng.standard_normal((2, n_det)))
     noise, bounds, found = rng.standard_normal((2, n_det, 60)), np.array([[0, 60]]), []
-    pipeline, section = replace(setup.pipelines[0], steps=("average", "spectral")), setup.scene.cleaning
+    pipeline, section = replace(setup.analysis.pipelines[0], steps=("average", "spectral")), setup.scene.cleaning
     for strength in (1.0, 1000.0):
         common = strength * np.sin(np.arange(60))
         mapped, other = noise + calibration[..., None] * common
@@ -148,12 +148,12 @@ def test_a_fit_to_an_observation_needs_it_whole(setup_of):
     with pytest.raises(SceneError, match=words):
         setup_of(**WAYS["observation"], numerics__max_block_memory="9 kB")
     for way in ("survey", "known"):
-        assert len(setup_of(**WAYS[way], numerics__max_block_memory="9 kB").blocks) == 2
+        assert len(setup_of(**WAYS[way], numerics__max_block_memory="9 kB").observing.blocks) == 2
 
 
 def test_a_survey_has_one_calibration_however_it_is_cut(setup_of):
     whole, cut = (setup_of(**WAYS["survey"], numerics__max_block_memory=memory) for memory in ("1 MB", "5 kB"))
-    np.testing.assert_array_equal(cut.calibration, whole.calibration)
+    np.testing.assert_array_equal(cut.analysis.calibration, whole.analysis.calibration)
 
 
 @pytest.mark.slow
@@ -202,12 +202,12 @@ def test_a_fit_that_other_scans_share_with_the_sky_tells_nothing(setup_of, monke
 
 
 def _courses(setup):
-    pipeline, levels = setup.pipelines[0], observing_conditions(setup, survey_draws(setup, 0, 4))
+    pipeline, levels = setup.analysis.pipelines[0], observing_conditions(setup, survey_draws(setup, 0, 4))
     plane = setup.camera.focal_plane
     return removed_modes(
         setup,
         pipeline,
-        projected_array(plane, 0.0, responsivity=setup.responsivity, algorithm=pipeline.steps[0]),
+        projected_array(plane, 0.0, responsivity=setup.camera.responsivity, algorithm=pipeline.steps[0]),
         levels,
     )
 

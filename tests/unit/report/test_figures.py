@@ -107,7 +107,7 @@ def test_a_mask_may_keep_all_detectors():
     setup = prepare(load_scene(LYNX, TINY | {"instrument.layout.pitch_f_lambda": 1.4}))
     found = score_survey(setup, run_observations(setup, None))
     figure = figures.map_psds(setup, found)
-    assert found["masked_19"].n_det == setup.n_det == 19
+    assert found["masked_19"].n_det == setup.camera.n_det == 19
     np.testing.assert_allclose(_curve(figure, "masked, 19 detectors"), _curve(figure, "actual"))
 
 

@@ -187,7 +187,7 @@ def test_footprints_of_the_screen_figure(setup):
     assert downwind.x.mean() - upwind.x.mean() == pytest.approx(1000 * radians(8 / 60), rel=1e-3)
     assert moved.x.max() - upwind.x.max() == pytest.approx(1000 * radians(31 / 60))
     assert np.ptp(arrow.x) == pytest.approx(1000 * radians(31 / 60))
-    assert len(centres.x) == setup.n_det
+    assert len(centres.x) == setup.camera.n_det
     assert "8 m" in figure.caption and "31 arcmin/s" in figure.caption and "0.26 s" in figure.caption
 
 

@@ -5,7 +5,7 @@ import pytest
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
-from surveysim.timestreams.observation import observation_weather
+from surveysim.timestreams.observed_block import observation_weather
 from tests.scenes import SMALL_SCENE, write_scene
 
 B2_LINE = 'b2 = "[100, 280, 980] mK2 rad(-5/3)"\n'

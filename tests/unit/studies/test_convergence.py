@@ -200,7 +200,7 @@ def test_float64_streams_and_maps_are_float64(path):
         assert draw_observation(setup, 0).data_mk.dtype == np.dtype(precision)
         found = observe(setup, 0, with_window=True)
         assert found.sums.dtype == found.window.dtype == np.dtype(precision)
-        made = [strip for cache in setup.strips.caches.values() for strip in cache.strips.values()]
+        made = [strip for cache in setup.air.strips.caches.values() for strip in cache.strips.values()]
         assert {strip.columns.dtype for strip in made} == {np.dtype(precision)}
 
 

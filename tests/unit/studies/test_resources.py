@@ -13,8 +13,9 @@ from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from surveysim.studies.resources import make_plan
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams import observation, sky
+from surveysim.timestreams import low_frequency, observed_block, photon, sky_maps
 from surveysim.timestreams import shared_parts as parts
+from surveysim.timestreams.observation import draw_other_bands
 from tests.scenes import SCHEDULE, SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
 
 ALWAYS = ["pointing", "detector", "cleaning", "maps"]
@@ -48,15 +49,15 @@ SUZIE = "scenarios/suzie_ii.toml"
 
 # What is called only where a stage runs: the module that calls (or, imported there when first needed, makes) it.
 DOES = {
-    "atmosphere": [(screen, "add_atmosphere"), (observation, "draw_weather")],
-    "excess": [(observation, "add_excess")],
-    "photon": [(observation, "add_correlated_white")],
+    "atmosphere": [(screen, "add_atmosphere"), (observed_block, "draw_weather")],
+    "excess": [(low_frequency, "add_excess")],
+    "photon": [(photon, "add_correlated_white")],
     "overlap": [(parts, "overlap")],
-    "sky": [(sky, "draw_sky")],
+    "sky": [(sky_maps, "draw_sky")],
     "ephemerides": [(setup, "schedule")],
     "opacity": [(setup, "site_water")],
     "score": [(results, "quoted_scores")],
-    "window": [(sky, "flat_cmb_sky"), (reduction, "_add_window")],
+    "window": [(sky_maps, "flat_cmb_sky"), (reduction, "_add_window")],
     "forecast": [(agreement, "forecast")],
     "best pipeline": [(reduction, "figures_of_merit")],
     "HEALPix": [(outputs, "write_healpix")],
@@ -155,11 +156,11 @@ def test_other_bands_are_drawn_only_where_subtracted(monkeypatch, algorithm, sub
     monkeypatch.setattr(
         reduction,
         "draw_other_bands",
-        lambda *arguments: drawn.append(observation.draw_other_bands(*arguments)) or drawn[-1],
+        lambda *arguments: drawn.append(draw_other_bands(*arguments)) or drawn[-1],
     )
     plan = make_plan(ready, 1)
     assert (plan.left_out.get("other bands") is None) == subtracted
-    assert drawn and all((len(streams) > 0) == subtracted for streams in drawn)
+    assert (len(drawn) > 0) == subtracted and all(len(streams) > 0 for streams in drawn)
 
 
 def test_observations_of_several_blocks_are_measured_on_one(tmp_path, monkeypatch):
@@ -185,7 +186,7 @@ def test_cost(tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text(SMALL_SCENE)
     few, many = (make_plan(prepare(load_scene(path, {"observations": n})), 1, 2.0) for n in (4, 400))
-    lines = prepare(load_scene(path)).raster
+    lines = prepare(load_scene(path)).observing.raster
     assert few.detector_samples == 4 * 18 * lines.n_scans * samples_per_scan(lines)
     assert many.detector_samples == 100 * few.detector_samples
     assert few.timestream_bytes == 4 * few.detector_samples

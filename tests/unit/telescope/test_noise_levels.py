@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
+from mapmaker.stream_psd import hann_psd
 from surveysim.atmosphere.opacity import band_opacity, optical_depth
 from surveysim.forecasting.forecast import forecast
 from surveysim.paper.published import published
@@ -13,8 +14,8 @@ from surveysim.scene.scene import load_scene
 from surveysim.telescope.noise_levels import WhiteLevels, shared_part, white_levels
 from surveysim.telescope.photon_noise import PhotonNoise, photon_noise, power_per_k
 from surveysim.telescope.pixel_coherence import horn_taper_db, stop_efficiency
-from surveysim.timestreams.noise import hann_psd
-from surveysim.timestreams.observation import draw_observation, observation_levels, observation_weather
+from surveysim.timestreams.observation import draw_observation
+from surveysim.timestreams.observed_block import observation_levels, observation_weather
 from tests.scenes import SMALL_SCENE, without_sections
 
 BAND = {"instrument.bandwidth": 0.15, "instrument.efficiency": 0.4, "instrument.polarizations": 1}

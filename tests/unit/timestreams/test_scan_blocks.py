@@ -9,7 +9,7 @@ import pytest
 from mapmaker.cleaning.responsivity import MOST_GRAM
 from mapmaker.timestreams import read_timestreams
 from surveysim.reduction.observation import observe
-from surveysim.reduction.setup import observation_path, prepare
+from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
 from surveysim.studies.sweep.axes import load_sweep
@@ -17,6 +17,7 @@ from surveysim.telescope.focal_plane import camera
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.timestreams.observation import Stopwatch, draw_block, draw_observation
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
+from surveysim.timestreams.simulation import observation_path
 from tests.scenes import SMALL_SCENE, without_sections
 
 SCENARIOS = sorted((Path(__file__).parents[3] / "scenarios").glob("*.toml"))
@@ -33,7 +34,7 @@ def setup_of(tmp_path):
         if blocks > 1:
             settings["numerics.max_block_memory"] = CUTS[blocks]
         setup = prepare(load_scene(path, settings))
-        assert len(setup.blocks) == blocks
+        assert len(setup.observing.blocks) == blocks
         return setup
 
     return make
@@ -59,7 +60,7 @@ def test_a_scan_too_large_is_refused(setup_of):
     assert text.startswith(f"{words}det")
     assert "scan.duration" in text
     # What is drawn does not depend on the precision.
-    assert setup_of(blocks=2, numerics__precision="float64").blocks == setup_of(blocks=2).blocks
+    assert setup_of(blocks=2, numerics__precision="float64").observing.blocks == setup_of(blocks=2).observing.blocks
 
 
 def test_wind_cleaning_needs_an_observation_whole(setup_of):
@@ -106,8 +107,8 @@ def test_layer_and_sky_do_not_depend_on_the_first_cut(setup_of):
 
 def test_blocks_side_by_side_are_the_observation(setup_of):
     setup = setup_of(blocks=4)
-    whole, (_, pointing) = draw_observation(setup, 1), observation_path(setup, 1)
-    parts = [draw_block(setup, 1, pointing, block, Stopwatch()) for block in setup.blocks]
+    whole, (_, pointing) = draw_observation(setup, 1), observation_path(setup.observing, 1)
+    parts = [draw_block(setup, 1, pointing, block, Stopwatch()) for block in setup.observing.blocks]
     np.testing.assert_array_equal(whole.data_mk, np.concatenate([part.data_mk for part in parts], axis=1))
     for name in ("time_s", "ra_rad", "dec_rad", "array_angle_rad", "scan"):
         np.testing.assert_array_equal(getattr(whole, name), np.concatenate([getattr(part, name) for part in parts]))
@@ -155,7 +156,7 @@ def test_discarded_scans_are_counted_over_blocks(setup_of, monkeypatch):
     monkeypatch.setattr(reduction, "apply_pipeline", lossy)
     found = observe(whole, 0, with_window=False)
     assert everything.discarded == (0, 0) and found.discarded == (2, 2) and found.removed == (1.0, 1.0)
-    actual, white = (whole.data_sets.index(name) for name in ("actual", "white"))
+    actual, white = (whole.analysis.data_set_names.index(name) for name in ("actual", "white"))
     np.testing.assert_array_equal(found.hits[actual], found.hits[white])
     assert 0.4 < found.hits[actual].sum() / everything.hits[actual].sum() < 0.6
     assert 0.3 < found.clean_psd[5:].mean() / everything.clean_psd[5:].mean() < 3
@@ -172,16 +173,16 @@ def test_streams_are_written_block_by_block(setup_of, tmp_path):
 
 
 def test_no_more_than_a_block_is_drawn_at_a_time(setup_of, monkeypatch):
-    from surveysim.timestreams import observation
+    from surveysim.timestreams import detector
 
     shapes = []
-    add = observation.add_white
-    monkeypatch.setattr(observation, "add_white", lambda data, *rest: shapes.append(data.shape) or add(data, *rest))
+    add = detector.add_white
+    monkeypatch.setattr(detector, "add_white", lambda data, *rest: shapes.append(data.shape) or add(data, *rest))
     observe(setup_of(blocks=4), 0, with_window=True)
     assert shapes == [(18, 60)] * 4
 
 
 def test_blocks_number_their_samples(setup_of):
     setup = setup_of(blocks=2)
-    assert setup.blocks == (Block(0, 0, 2), Block(1, 2, 4))
-    assert [setup.samples(block) for block in setup.blocks] == [slice(0, 120), slice(120, 240)]
+    assert setup.observing.blocks == (Block(0, 0, 2), Block(1, 2, 4))
+    assert [setup.observing.samples(block) for block in setup.observing.blocks] == [slice(0, 120), slice(120, 240)]

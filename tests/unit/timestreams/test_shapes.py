@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from surveysim import load_scene
-from surveysim.reduction.setup import observation_path, prepare
+from surveysim.reduction.setup import prepare
 from surveysim.survey.coadds import add_observation, empty_coadds
-from surveysim.timestreams.observation import add_sky_signal
+from surveysim.timestreams.simulation import observation_path
+from surveysim.timestreams.sky import add_seen_sky
 from tests.scenes import write_scene
 
 
@@ -43,14 +44,14 @@ def test_sums_of_another_shape(setup, cut):
 
 
 def test_skies_on_streams_of_another_shape(setup):
-    _, pointing = observation_path(setup, 0)
-    shape, gain = (setup.n_det, len(pointing.xi_rad)), np.ones(setup.n_det)
-    sky = np.ones((setup.sky_geometry.n_y, setup.sky_geometry.n_x), np.float32)
+    _, pointing = observation_path(setup.observing, 0)
+    shape, gain = (setup.camera.n_det, len(pointing.xi_rad)), np.ones(setup.camera.n_det)
+    sky = np.ones((setup.sky.geometry.n_y, setup.sky.geometry.n_x), np.float32)
     right = np.zeros(shape, np.float32)
-    add_sky_signal(setup, pointing, sky, right, gain)
+    add_seen_sky(setup, pointing, sky, right, gain)
     assert right.any()
     for wrong in (np.zeros((shape[0], shape[1] + 1)), np.zeros((shape[0] + 1, shape[1]))):
         with pytest.raises(ValueError, match="found streams .* are expected"):
-            add_sky_signal(setup, pointing, sky, wrong, gain)
+            add_seen_sky(setup, pointing, sky, wrong, gain)
     with pytest.raises(ValueError, match="gains"):
-        add_sky_signal(setup, pointing, sky, right, gain[:-1])
+        add_seen_sky(setup, pointing, sky, right, gain[:-1])

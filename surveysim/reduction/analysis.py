@@ -1,0 +1,99 @@
+"""The analysis of a scene: map, scored region, cleaning pipelines, simulated signals and data sets."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapmaker.cleaning.responsivity import Responsivities
+from mapmaker.geometry import MapGeometry
+from surveysim.reduction.cleaning_pipelines import CleaningPipeline
+from surveysim.reduction.data_set import DataSet, data_sets
+from surveysim.reduction.scored_region import ScoredRegion, scored_region
+from surveysim.runtime.once import once
+from surveysim.scene.scene import Scene
+from surveysim.timestreams.shared_parts import window_skies
+
+
+@dataclass(frozen=True)
+class AnalysisSetup:
+    """The analysis of a scene.
+
+    Parameters
+    ----------
+    geometry
+        Grid of the maps.
+    sky_geometry
+        Grid of the simulated signals.
+    pipelines
+        Cleaning pipelines, the scene's own first and those of the masked array last.
+    calibration
+        Responsivities (1 + n_band, n_det) that cleaning takes as known; None where it fits them.
+    masked
+        Indices of the detectors of the masked array; None without one.
+    n_det
+        Number of detectors of the camera.
+    """
+
+    scene: Scene
+    geometry: MapGeometry
+    sky_geometry: MapGeometry
+    pipelines: tuple[CleaningPipeline, ...]
+    calibration: np.ndarray | None
+    masked: np.ndarray | None
+    n_det: int
+
+    @once
+    def region(self) -> ScoredRegion | None:
+        """Scored patch and multipoles; None without a score."""
+        return scored_region(self.scene, self.geometry, self.sky_geometry)
+
+    @once
+    def signal_skies_mk(self) -> np.ndarray | None:
+        """Skies (n_sky, n_y, n_x) of the signal simulations; a point source last where pipelines are compared."""
+        return window_skies(self.scene, self.sky_geometry)
+
+    @property
+    def n_signal_skies(self) -> int:
+        """Number of these skies; 0 without a score."""
+        score = self.scene.score
+        return score.signal_sims.skies + bool(self.scene.cleaning.compare) if score else 0
+
+    @property
+    def responsivities(self) -> Responsivities:
+        """Responsivities for template cleaning of all detectors: a way to fit them, or known ones (n_det,)."""
+        return self.scene.cleaning.responsivities if self.calibration is None else self.calibration[0]
+
+    @property
+    def data_sets(self) -> tuple[DataSet, ...]:
+        """Data sets, in the order of their maps."""
+        score = self.scene.score
+        return data_sets(self.pipelines, score.noise_only_sets if score else (), score is not None, self.n_det)
+
+    @property
+    def data_set_names(self) -> tuple[str, ...]:
+        """Names of the data sets, in the order of their maps."""
+        return tuple(item.name for item in self.data_sets)
+
+    @property
+    def whole_pipelines(self) -> tuple[CleaningPipeline, ...]:
+        """Pipelines for all detectors, the scene's own first."""
+        return tuple(pipeline for pipeline in self.pipelines if pipeline.detectors is None)
+
+    @property
+    def chooses(self) -> bool:
+        """Whether the best pipeline of each observation makes a data set of its own."""
+        return self.scene.score is not None and len(self.whole_pipelines) > 1
+
+    @property
+    def subtracts_bands(self) -> bool:
+        """Whether a pipeline needs the other bands of the pixels."""
+        return any(pipeline.uses("spectral") for pipeline in self.pipelines)
+
+    @property
+    def windows(self) -> tuple[str, ...]:
+        """Data sets that have a transfer function of their own; the others share the first."""
+        return tuple(item.name for item in self.data_sets if item.own_transfer_function)
+
+    def window_of(self, data_set: str) -> int:
+        """Place of the transfer function of a data set among `windows`."""
+        return self.windows.index(data_set) if data_set in self.windows else 0

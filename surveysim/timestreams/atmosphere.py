@@ -1,0 +1,107 @@
+"""The atmosphere: a frozen layer that the wind moves through the beams."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mapmaker.geometry import sky_offsets
+from mapmaker.timestreams import scan_bounds
+from surveysim.atmosphere.weather import Weather
+from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.telescope.pointing import Pointing, sky_vector
+from surveysim.timestreams.observed_block import ObservedBlock
+from surveysim.timestreams.scan_blocks import Block
+from surveysim.timestreams.simulation import Simulation
+
+if TYPE_CHECKING:
+    from surveysim.atmosphere.scan_trends import ScanTrends
+    from surveysim.atmosphere.screen_simulation import StripCache
+
+
+def add_atmosphere(data_mk: np.ndarray, of: ObservedBlock) -> None:
+    """Add the layer of a block to streams (n_det, n_samp), in place."""
+    add_layer(of.setup, of.observation, of.whole, of.weather, data_mk, block=of.block)
+
+
+def add_layer(
+    setup: Simulation,
+    observation: int,
+    pointing: Pointing,
+    weather: Weather,
+    data: np.ndarray,
+    realization: int = 0,
+    block: Block | None = None,
+) -> None:
+    """Add one realization of the moving layer in this weather to streams (n_det, n_samp) [mK], in place.
+
+    `pointing` is that of the whole observation: its scans share the layer's trends. Streams are those of one block, or
+    of all scans.
+    """
+    from surveysim.atmosphere.screen_simulation import add_atmosphere as add_screen
+
+    block = block or Block(0, 0, len(pointing.elevation_rad))
+    sine = np.sin(pointing.elevation_rad)
+    strips = setup.air.strips.at(float(sine.min()))
+    motion = offsets, velocity, layer_velocity = _layer_motion(setup, pointing, weather)
+    trends = _trends(setup, observation, pointing, motion, strips, realization)
+    rng = generator(setup.scene.seed, RandomPurpose.ATMOSPHERE, observation, realization, block.number)
+    scans = slice(block.first, block.end)
+    add_screen(
+        data,
+        scan_bounds(pointing.scans(block.first, block.end).scan),
+        sample_rate_hz=setup.observing.raster.sample_rate_hz,
+        offsets_rad=offsets[scans],
+        velocity_rad_s=velocity[scans],
+        layer_velocity_rad_s=layer_velocity[scans],
+        # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
+        amplitude_mk=np.sqrt(weather.b2 / sine[scans]),
+        strips=strips,
+        rng=rng,
+        trends=trends.scans(block.first, block.end),
+    )
+
+
+def _layer_motion(setup: Simulation, pointing: Pointing, weather: Weather) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Offsets of the detectors (n_scan, n_det, 2), velocities of boresight and layer (n_scan, 2), over sin(el)."""
+    slant = 1 / np.sin(pointing.elevation_rad)[:, None]
+    offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad), axis=-1)
+    layer = np.stack(sky_vector(pointing.parallactic_rad, *weather.wind_rad_s), axis=-1)
+    return offsets * slant[:, None], pointing.velocity_rad_s * slant, layer * slant
+
+
+def _trends(
+    setup: Simulation,
+    observation: int,
+    pointing: Pointing,
+    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    strips: "StripCache",
+    realization: int,
+) -> "ScanTrends":
+    """Trends of the layer in all scans of an observation."""
+    from surveysim.atmosphere.scan_trends import draw_trends, strip_points
+    from surveysim.atmosphere.screen_simulation import scan_tracks
+
+    bounds = scan_bounds(pointing.scan)
+    offsets, velocity, layer_velocity = motion
+    tracks = scan_tracks(
+        bounds,
+        sample_rate_hz=setup.observing.raster.sample_rate_hz,
+        offsets_rad=offsets,
+        velocity_rad_s=velocity,
+        layer_velocity_rad_s=layer_velocity,
+        strips=strips,
+    )
+    first, last = bounds[:, 0], bounds[:, 1] - 1
+    begin, middle = pointing.time_s[first], (pointing.time_s[first] + pointing.time_s[last]) / 2
+    slant = 1 / np.sin(pointing.elevation_rad)[:, None]
+    boresight = np.stack([pointing.xi_rad[first], pointing.eta_rad[first]], axis=-1) * slant
+    corner = boresight - _moved(layer_velocity, middle, begin) + tracks.corner_rad
+    rng = generator(setup.scene.seed, RandomPurpose.TREND, observation, realization)
+    return draw_trends(strip_points(strips, corner, tracks.direction, tracks.length_rad), rng)
+
+
+def _moved(velocity_rad_s: np.ndarray, middle_s: np.ndarray, begin_s: np.ndarray) -> np.ndarray:
+    """Way (n_scan, 2) of the layer until each scan begins, from its velocities (n_scan, 2) in the middle of scans."""
+    between = (velocity_rad_s[1:] + velocity_rad_s[:-1]) / 2 * np.diff(middle_s)[:, None]
+    until_middle = np.concatenate([np.zeros((1, 2)), np.cumsum(between, axis=0)])
+    return until_middle - velocity_rad_s * (middle_s - begin_s)[:, None]

@@ -1,0 +1,98 @@
+"""The components of a time-stream, in the order in which they are added."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from surveysim.scene.scene import Scene
+from surveysim.timestreams.atmosphere import add_atmosphere
+from surveysim.timestreams.detector import add_detector_noise
+from surveysim.timestreams.low_frequency import add_low_frequency_noise
+from surveysim.timestreams.observed_block import ObservedBlock
+from surveysim.timestreams.photon import add_photon_noise
+from surveysim.timestreams.sky import add_scene_sky
+
+
+@dataclass(frozen=True)
+class StreamComponent:
+    """A component of time-streams.
+
+    Parameters
+    ----------
+    name
+        Name of the component, and of the scene's section that turns it on.
+    title
+        Its name in reports.
+    add
+        Function that adds the component of a block to streams (n_det, n_samp) [mK], in place.
+    sentence
+        One line for plans and reports.
+    through_response
+        Whether detectors see it and respond to it; else it is noise at their output.
+    forecast
+        Whether `surveysim.forecasting.noise_model` has its closed form, or needs none.
+    absence
+        Consequence of its absence, for plans, after a colon.
+    """
+
+    name: str
+    title: str
+    add: Callable[[np.ndarray, ObservedBlock], None]
+    sentence: str
+    through_response: bool
+    forecast: bool
+    absence: str = ""
+
+
+# The order of additions is part of a scene's results, as its seed is: float32 sums depend on it. Components that pass
+# through the response of the detectors come first.
+COMPONENTS = (
+    StreamComponent(
+        "atmosphere",
+        "Atmosphere",
+        add_atmosphere,
+        "a frozen layer that the wind moves through the beams",
+        through_response=True,
+        forecast=True,
+        absence=": no layer, no weather",
+    ),
+    StreamComponent(
+        "excess",
+        "Excess noise",
+        add_low_frequency_noise,
+        "low-frequency noise with a power-law spectrum",
+        through_response=True,
+        forecast=True,
+    ),
+    StreamComponent(
+        "sky",
+        "Sky",
+        add_scene_sky,
+        "CMB and point sources",
+        through_response=True,
+        forecast=True,
+        absence=": noise alone",
+    ),
+    StreamComponent(
+        "photon",
+        "Photon noise",
+        add_photon_noise,
+        "white noise, correlated between overlapping pixels",
+        through_response=False,
+        forecast=True,
+    ),
+    StreamComponent(
+        "detector",
+        "Detector noise",
+        add_detector_noise,
+        "white noise of each detector",
+        through_response=False,
+        forecast=True,
+    ),
+)
+
+
+def present_components(scene: Scene) -> tuple[StreamComponent, ...]:
+    """Components that the scene has a section for, in the order of addition."""
+    return tuple(item for item in COMPONENTS if getattr(scene, item.name) is not None)

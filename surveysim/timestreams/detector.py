@@ -1,0 +1,13 @@
+"""Noise of detectors and electronics: white, and independent in each detector."""
+
+import numpy as np
+
+from surveysim.runtime.rng import RandomPurpose
+from surveysim.timestreams.noise import add_white
+from surveysim.timestreams.observed_block import ObservedBlock
+
+
+def add_detector_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
+    """Add the detector noise of a block to streams (n_det, n_samp), in place."""
+    rate = of.setup.observing.raster.sample_rate_hz
+    add_white(data_mk, of.levels.detector_mk2_hz, rate, of.generator(RandomPurpose.DETECTOR))

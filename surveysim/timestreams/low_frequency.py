@@ -1,0 +1,102 @@
+"""Excess noise at low frequencies: a power law of frequency, correlated between detectors."""
+
+import numpy as np
+
+from mapmaker.chunks import row_chunks
+from surveysim.runtime.rng import RandomPurpose
+from surveysim.scene.noise_and_sky import Excess
+from surveysim.telescope.lattice_noise import CirculantFactor
+from surveysim.timestreams.noise import draw_from_psd, mode_amplitude
+from surveysim.timestreams.observed_block import ObservedBlock
+
+
+def add_low_frequency_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
+    """Add the excess noise of a block to streams (n_det, n_samp), in place."""
+    setup, weather = of.setup, of.weather
+    section = setup.scene.excess
+    variance = excess_variance(section, None if weather is None else weather.b2)
+    rng = of.generator(RandomPurpose.EXCESS)
+    add_excess(
+        data_mk,
+        section,
+        variance,
+        of.block.n_scans,
+        setup.observing.raster.sample_rate_hz,
+        setup.camera.excess_factor,
+        rng,
+    )
+
+
+def excess_variance(section: Excess, b2: float | None) -> float:
+    """Excess variance below the band limit [mK^2] at one B2: log-log through the knots (Table 2).
+
+    Held constant beyond the outermost knots: the paper has no data there.
+    """
+    if b2 is None or len(section.b2) == 1:
+        return section.variance_mk2[0]
+    return float(np.exp(np.interp(np.log(max(b2, 1e-300)), np.log(section.b2), np.log(section.variance_mk2))))
+
+
+def excess_psd(section: Excess, variance_mk2: float, n_samp: int, n: int, sample_rate_hz: float) -> np.ndarray:
+    """One-sided PSD [mK^2/Hz] A f^-index at the rfft frequencies of n samples, 0 at f = 0.
+
+    A is such that a scan of `n_samp` samples, its mean removed, has the variance `variance_mk2` below the
+    band limit, which is how Table 2 counts it: ``sum A f^-index (1 - sinc^2(f T)) df`` over the n-sample
+    grid that is drawn.
+    """
+    frequency = np.arange(n // 2 + 1) * (sample_rate_hz / n)
+    shape = np.zeros(len(frequency))
+    shape[1:] = frequency[1:] ** (-section.spectral_index)
+    band = frequency <= section.band_limit_hz
+    left = 1 - np.sinc(frequency[band] * n_samp / sample_rate_hz) ** 2
+    return shape * (variance_mk2 / (np.sum(shape[band] * left) * sample_rate_hz / n))
+
+
+def add_excess(
+    data_mk: np.ndarray,
+    section: Excess,
+    variance_mk2: float,
+    n_scans: int,
+    sample_rate_hz: float,
+    factor: np.ndarray | CirculantFactor | None,
+    rng: np.random.Generator,
+) -> None:
+    """Add the excess low-frequency noise of some scans, correlated as ``factor factor^T`` (None: not), in place.
+
+    Drawn over twice the length of a scan, so that its end does not know of its beginning.
+    """
+    from scipy.fft import next_fast_len
+
+    n_det, n_samp = data_mk.shape
+    per_scan = n_samp // n_scans
+    n = next_fast_len(2 * per_scan, real=True)
+    psd = excess_psd(section, variance_mk2, per_scan, n, sample_rate_hz)
+    if isinstance(factor, CirculantFactor):
+        for first in range(0, n_samp, per_scan):
+            _add_lattice_scan(data_mk[:, first : first + per_scan], psd, n, sample_rate_hz, factor, rng)
+        return
+    streams = np.empty((n_det, n_scans, per_scan), np.float32)
+    for rows in row_chunks(n_det, 2 * n_samp):
+        streams[rows] = draw_from_psd(psd, streams[rows].shape[:2], n, sample_rate_hz, rng)[..., :per_scan]
+    streams = streams.reshape(n_det, n_samp)
+    data_mk += streams if factor is None else factor.astype(np.float32) @ streams
+
+
+def _add_lattice_scan(
+    data_mk: np.ndarray,
+    psd_mk2_hz: np.ndarray,
+    n: int,
+    sample_rate_hz: float,
+    root: CirculantFactor,
+    rng: np.random.Generator,
+) -> None:
+    """Add the first samples of streams of n samples, each of whose frequencies is a field on the torus, in place."""
+    from scipy.fft import irfft
+
+    n_det, per_scan = data_mk.shape
+    amplitude = mode_amplitude(psd_mk2_hz, n, sample_rate_hz)
+    modes = np.empty((n_det, len(amplitude)), np.complex64)
+    for places, fields in root.fields(len(amplitude), rng):
+        np.multiply(fields, amplitude[places], out=modes[:, places])
+    for rows in row_chunks(n_det, n):
+        data_mk[rows] += irfft(modes[rows], n, axis=-1, overwrite_x=True)[:, :per_scan]

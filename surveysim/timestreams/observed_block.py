@@ -1,0 +1,70 @@
+"""A block of an observation: its pointing, weather, noise levels and random numbers."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from surveysim.atmosphere.weather import Weather, draw_weather
+from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.telescope.noise_levels import WhiteLevels, white_levels
+from surveysim.telescope.pointing import Pointing
+from surveysim.timestreams.scan_blocks import Block
+from surveysim.timestreams.simulation import Simulation
+
+
+@dataclass(frozen=True)
+class ObservedBlock:
+    """A block of an observation.
+
+    Parameters
+    ----------
+    whole
+        Pointing of the whole observation.
+    weather
+        Weather of the observation; None without an atmosphere.
+    """
+
+    setup: Simulation
+    observation: int
+    block: Block
+    whole: Pointing
+    weather: Weather | None
+
+    @cached_property
+    def pointing(self) -> Pointing:
+        """Pointing of the block."""
+        return self.whole.scans(self.block.first, self.block.end)
+
+    @cached_property
+    def levels(self) -> WhiteLevels:
+        """Photon and detector noise of the observation."""
+        return _levels(self.setup, self.observation, self.weather)
+
+    def generator(self, purpose: RandomPurpose | str, realization: int = 0) -> np.random.Generator:
+        """Create the random generator of one purpose in this block."""
+        return generator(self.setup.scene.seed, purpose, self.observation, realization, self.block.number)
+
+
+def observed_block(setup: Simulation, observation: int, block: Block, whole: Pointing) -> ObservedBlock:
+    """Draw the weather of an observation that is pointed as `whole`, for one of its blocks."""
+    return ObservedBlock(setup, observation, block, whole, observation_weather(setup, observation))
+
+
+def observation_weather(setup: Simulation, observation: int) -> Weather | None:
+    """The weather drawn for one observation; None without an atmosphere."""
+    if setup.scene.atmosphere is None:
+        return None
+    rng = generator(setup.scene.seed, RandomPurpose.WEATHER, observation)
+    return draw_weather(setup.scene.atmosphere, setup.air.water, rng)
+
+
+def observation_levels(setup: Simulation, observation: int) -> WhiteLevels:
+    """Photon and detector noise of one observation, in its weather and at its elevation."""
+    return _levels(setup, observation, observation_weather(setup, observation))
+
+
+def _levels(setup: Simulation, observation: int, weather: Weather | None) -> WhiteLevels:
+    opacity = setup.air.water.opacity if setup.air.water else None
+    elevation = float(setup.observing.angles.elevation_rad[observation].mean())
+    return white_levels(setup.scene, opacity, weather.pwv_mm if weather else np.nan, elevation)

@@ -1,0 +1,31 @@
+"""Photon noise: white, with a part that overlapping pixels share."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from surveysim.runtime.rng import RandomPurpose
+from surveysim.telescope.lattice_noise import CirculantCorrelation, CirculantFactor
+from surveysim.telescope.pixel_coherence import DenseCorrelation
+from surveysim.timestreams.noise import add_correlated_white, add_white
+from surveysim.timestreams.observed_block import ObservedBlock
+
+
+def add_photon_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
+    """Add the photon noise of a block to streams (n_det, n_samp), in place."""
+    setup, levels, rng = of.setup, of.levels, of.generator(RandomPurpose.PHOTON)
+    noise = (data_mk, levels.photon_mk2_hz, setup.observing.raster.sample_rate_hz)
+    if setup.camera.photon_correlation is None:
+        add_white(*noise, rng)
+    else:
+        add_correlated_white(*noise, _shared_factor(setup.camera.photon_correlation, levels.shared), rng)
+
+
+@lru_cache(maxsize=1)  # most scenes have one share for all observations
+def _shared_factor(pixels: DenseCorrelation | CirculantCorrelation, share: float) -> np.ndarray | CirculantFactor:
+    return pixels.factor(share)
+
+
+def photon_correlation(correlation: np.ndarray, coherent_fraction: float) -> np.ndarray:
+    """Correlation of photon noise (n_det, n_det): only the coherent part of the load is shared (section 5.1)."""
+    return coherent_fraction * correlation + (1 - coherent_fraction) * np.eye(len(correlation))

@@ -1,0 +1,214 @@
+"""A scene made ready to draw time-streams: camera, observing, air and sky.
+
+Nothing in these records depends on the observation, but for the rows of its angles. Costly parts are computed when
+they are first asked for: checks and plans need none of them.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mapmaker.geometry import MapGeometry
+from surveysim.atmosphere.weather import Water
+from surveysim.runtime.errors import OutOfRangeError, SceneError
+from surveysim.runtime.once import once
+from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.scene.noise_and_sky import Excess, Photon
+from surveysim.scene.scene import Scene
+from surveysim.telescope.focal_plane import Camera
+from surveysim.telescope.lattice_noise import CirculantCorrelation, CirculantFactor
+from surveysim.telescope.pixel_coherence import DenseCorrelation
+from surveysim.telescope.pointing import (
+    Directions,
+    FieldCentre,
+    Pointing,
+    Schedule,
+    Site,
+    hour_angle_dec,
+    observation_pointing,
+    schedule,
+    survey_angles,
+)
+from surveysim.telescope.raster import Raster, RasterPath, duration_s, mid_times, raster, samples_per_scan
+from surveysim.timestreams.scan_blocks import Block
+from surveysim.timestreams.shared_parts import scene_sky, shared_noise
+
+if TYPE_CHECKING:
+    from surveysim.atmosphere.screen_simulation import SlantStrips
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSetup(Camera):
+    """A camera with the responsivities of its detectors and the correlations of their noise.
+
+    Parameters
+    ----------
+    responsivity
+        True responsivity (n_det,) in the mapped band.
+    band_responsivity
+        True responsivity (n_band, n_det) in the other bands.
+    photon, excess
+        Sections of the scene; None without that noise.
+    """
+
+    responsivity: np.ndarray
+    band_responsivity: np.ndarray
+    photon: Photon | None
+    excess: Excess | None
+
+    @property
+    def n_det(self) -> int:
+        """Number of live detectors."""
+        return len(self.responsivity)
+
+    @once
+    def photon_correlation(self) -> DenseCorrelation | CirculantCorrelation | None:
+        """Correlation of photon noise between detectors; None where they share nothing."""
+        return shared_noise(self, self.photon, "photon")
+
+    @once
+    def excess_correlation(self) -> DenseCorrelation | CirculantCorrelation | None:
+        """Correlation of excess noise between detectors; None where they share nothing."""
+        if self.photon and self.excess and self.photon.coherence == self.excess.coherence:
+            return self.photon_correlation
+        return shared_noise(self, self.excess, "excess")
+
+    @once
+    def excess_factor(self) -> np.ndarray | CirculantFactor | None:
+        """Factor of the correlation of excess noise; None where detectors share nothing."""
+        found = self.excess_correlation
+        return None if found is None else found.factor()
+
+
+@dataclass(frozen=True)
+class Angles:
+    """Start (n_obs,) [MJD UTC] of each observation, and its angles at mid-scan (n_obs, n_scan) [rad]."""
+
+    start_mjd: np.ndarray
+    elevation_rad: np.ndarray
+    parallactic_rad: np.ndarray
+
+
+@dataclass(frozen=True)
+class ObservingSetup:
+    """The scan pattern and when it is observed.
+
+    Parameters
+    ----------
+    blocks
+        Blocks of scans that an observation is drawn in.
+    """
+
+    scene: Scene
+    raster: Raster
+    blocks: tuple[Block, ...]
+
+    @once
+    def angles(self) -> Angles:
+        """Starts and angles of all observations."""
+        mid_time_s = mid_times(self.raster)
+        shape = (self.scene.observations, len(mid_time_s))
+        starts = observing_schedule(self.scene, self.raster)
+        if starts is None:
+            fixed = self.scene.fixed_pointing
+            elevation, parallactic = np.full(shape, fixed.elevation_rad), np.full(shape, fixed.parallactic_angle_rad)
+            return Angles(np.zeros(shape[0]), elevation, parallactic)
+        angles = survey_angles(field_centre(self.scene), observing_site(self.scene), starts, mid_time_s)
+        return Angles(starts.start_mjd, *angles)
+
+    def samples(self, block: Block) -> slice:
+        """Samples of one block among those of an observation."""
+        per_scan = samples_per_scan(self.raster)
+        return slice(block.first * per_scan, block.end * per_scan)
+
+
+@dataclass(frozen=True)
+class AirSetup:
+    """The atmosphere above the telescope.
+
+    Parameters
+    ----------
+    strips
+        Strips of the layer, none drawn yet; None without an atmosphere.
+    water
+        Response of the mapped band to the water of the site; None without a site.
+    band_waters
+        The same for each of the other bands.
+    """
+
+    strips: "SlantStrips | None"
+    water: Water | None
+    band_waters: tuple[Water | None, ...]
+
+
+@dataclass(frozen=True)
+class SkySetup:
+    """The astronomical sky, on a tangent-plane grid of half the pixel size of the map."""
+
+    scene: Scene
+    geometry: MapGeometry
+
+    @once
+    def map_mk(self) -> np.ndarray | None:
+        """Sky (n_y, n_x) [mK RJ] that all streams see; None without one."""
+        return scene_sky(self.scene, self.geometry)
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A scene made ready to draw time-streams."""
+
+    scene: Scene
+    camera: CameraSetup
+    observing: ObservingSetup
+    air: AirSetup
+    sky: SkySetup
+
+    @property
+    def stream_type(self) -> np.dtype:
+        """Type of streams and maps."""
+        return np.dtype(self.scene.numerics.precision)
+
+
+def field_centre(scene: Scene) -> FieldCentre:
+    """Centre of the field of a scene."""
+    return FieldCentre(scene.field.ra_rad, scene.field.dec_rad)
+
+
+def observing_site(scene: Scene) -> Site:
+    """Site of a scene with a schedule."""
+    return Site(scene.schedule.latitude_rad, scene.schedule.longitude_rad, scene.schedule.height_m)
+
+
+def observing_schedule(scene: Scene, lines: Raster, directions: Directions = hour_angle_dec) -> Schedule | None:
+    """Starts of the observations; None at a fixed elevation.
+
+    `directions` computes hour angles and declinations. Raises SceneError for nights that do not hold the observations.
+    """
+    plan = scene.schedule
+    if plan is None:
+        return None
+    limits = plan.max_hour_angle_rad, plan.min_elevation_rad
+    numbers = plan.first_night, plan.nights, scene.observations
+    try:
+        return schedule(field_centre(scene), observing_site(scene), *numbers, *limits, duration_s(lines), directions)
+    except OutOfRangeError as error:
+        raise SceneError(f"schedule: {error}") from None
+
+
+def observation_path(observing: ObservingSetup, observation: int) -> tuple[RasterPath, Pointing]:
+    """Point one observation: scans along RA and Dec in turn, dithered, the camera turned."""
+    rng = generator(observing.scene.seed, RandomPurpose.POINTING, observation)
+    dither = (rng.random(2) - 0.5) * observing.raster.dither_rad
+    turn = (rng.random() - 0.5) * observing.scene.instrument.camera_rotation_range_rad
+    path = raster(observing.raster, ("ra", "dec")[observation % 2], dither)
+    angles = observing.angles
+    pointing = observation_pointing(
+        path,
+        angles.start_mjd[observation],
+        angles.elevation_rad[observation],
+        angles.parallactic_rad[observation],
+        turn,
+    )
+    return path, pointing

@@ -1,0 +1,133 @@
+"""Astronomical skies on a fine tangent-plane grid: a flat CMB band power and point sources."""
+
+import numpy as np
+
+from mapmaker.bandpower import flat_spectrum_psd
+from mapmaker.geometry import MapGeometry, pixel_centres, plane_offsets
+from mapmaker.spectrum import mode_ell
+from mapmaker.transfer_function import beam_window
+from surveysim.runtime.errors import OutOfRangeError
+from surveysim.scene.noise_and_sky import PointSource, Sky
+
+
+def flat_cmb_sky(
+    geometry: MapGeometry,
+    band_power_ukcmb2: float,
+    cmb_per_rj: float,
+    fwhm_rad: float,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """A Gaussian sky (n_y, n_x) float32 [mK RJ] of flat ``l(l+1) C_l / 2 pi``, seen by a Gaussian beam.
+
+    Flat-sky synthesis, periodic in the grid, without a mean: modes longer than the grid are left out. Their leakage
+    through a taper is missing from an uncleaned map, by up to half of the power at the patch's longest modes; scans
+    that the grid just holds lose them anyway (`surveysim.reduction.scored_region.flat_signal`). `cmb_per_rj` is that of
+    the band.
+    """
+    from scipy.fft import irfft2, rfft2
+
+    n_y, n_x, pixel = geometry.n_y, geometry.n_x, geometry.pixel_rad
+    ell = mode_ell(n_y, n_x, pixel)
+    amplitude = np.sqrt(flat_spectrum_mk2(ell, band_power_ukcmb2, cmb_per_rj) * beam_window(ell, fwhm_rad))
+    modes = rfft2(rng.standard_normal((n_y, n_x))) * (amplitude / pixel)
+    return irfft2(modes, (n_y, n_x)).astype(np.float32)
+
+
+def curved_cmb_sky(
+    geometry: MapGeometry,
+    band_power_ukcmb2: float,
+    cmb_per_rj: float,
+    fwhm_rad: float,
+    lmax: int,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """The same sky on the sphere up to l = `lmax`, synthesised at the grid's own pixel centres.
+
+    For fields too large for a plane. The spherical harmonics have the field's centre as their pole: the sky is
+    statistically the same from every side, and near a pole harmonics of high order vanish (`highest_order`), so a
+    small field takes few of them. ducc0's non-uniform synthesis is right to 1e-6 of the rms.
+    """
+    from ducc0.sht import synthesis_general
+
+    mmax = highest_order(geometry, lmax)
+    ell = np.arange(lmax + 1)
+    spectrum = np.sqrt(flat_spectrum_mk2(ell, band_power_ukcmb2, cmb_per_rj) * beam_window(ell, fwhm_rad))
+    alm = np.concatenate([_coefficients(spectrum[m:], m, rng) for m in range(mmax + 1)])
+    start = np.cumsum([0, *lmax + 1 - np.arange(mmax)]) - np.arange(mmax + 1)  # place of l = 0 of each order
+    xi, eta = pixel_centres(geometry)
+    place = np.stack([np.arctan(np.hypot(xi, eta)), np.arctan2(eta, xi) % (2 * np.pi)], axis=-1).reshape(-1, 2)
+    order = {"spin": 0, "lmax": lmax, "mmax": mmax, "mstart": start.astype(np.uint64)}
+    # One thread, so that no bit depends on the machine.
+    sky = synthesis_general(alm=alm[None], loc=place, epsilon=1e-6, nthreads=1, **order)
+    return sky.reshape(geometry.n_y, geometry.n_x).astype(np.float32)
+
+
+def highest_order(geometry: MapGeometry, lmax: int) -> int:
+    """Order above which no harmonic up to l = `lmax` reaches the field from its centre, to a millionth.
+
+    At the distance r an order m fades as a Bessel function of ``l sin(r)`` does, beyond its turning point m.
+    """
+    across = np.hypot(geometry.n_x, geometry.n_y) * geometry.pixel_rad / 2
+    turning = lmax * np.sin(np.arctan(across))
+    return min(lmax, int(np.ceil(turning + 6 * np.cbrt(turning) + 12)))
+
+
+def _coefficients(spectrum: np.ndarray, order: int, rng: np.random.Generator) -> np.ndarray:
+    """Harmonic coefficients of a real sky, of one order m and all l from m up, whose root of C_l is given."""
+    if order == 0:
+        return spectrum * (1 + 0j) * rng.standard_normal(len(spectrum))
+    return spectrum * (rng.standard_normal(2 * len(spectrum)).view(complex) / np.sqrt(2))
+
+
+def flat_spectrum_mk2(ell: np.ndarray, band_power_ukcmb2: float, cmb_per_rj: float) -> np.ndarray:
+    """C_l [mK^2 sr, Rayleigh-Jeans] of a flat band power in uK_CMB^2; 0 at l = 0."""
+    return flat_spectrum_psd(ell) * (band_power_ukcmb2 * (1e-3 / cmb_per_rj) ** 2)
+
+
+def add_point_sources(
+    sky_mk: np.ndarray, geometry: MapGeometry, sources: tuple[PointSource, ...], fwhm_rad: float
+) -> np.ndarray:
+    """The sky with Gaussian beams at the sources, (n_y, n_x) float32.
+
+    Raises ValueError for a source that the tangent plane has no place for, 90 degrees or more from its centre.
+    """
+    xi, eta = pixel_centres(geometry)
+    sigma = fwhm_rad / np.sqrt(8 * np.log(2))
+    total = sky_mk.astype(float)
+    for source in sources:
+        x, y = plane_offsets(geometry, source.ra_rad, source.dec_rad)
+        if not np.isfinite(x):
+            raise OutOfRangeError(f"{source} is 90 degrees or more from the map's centre; nearer ones are expected")
+        total += source.peak_mk * np.exp(-((xi - x) ** 2 + (eta - y) ** 2) / (2 * sigma**2))
+    return total.astype(np.float32)
+
+
+def central_source(geometry: MapGeometry, fwhm_rad: float) -> np.ndarray:
+    """A sky (n_y, n_x) float32 of one point source of 1 mK in the middle of the grid."""
+    xi, eta = pixel_centres(geometry)
+    sigma = fwhm_rad / np.sqrt(8 * np.log(2))
+    return np.exp(-(xi**2 + eta**2) / (2 * sigma**2)).astype(np.float32)
+
+
+def draw_sky(section: Sky, geometry: MapGeometry, cmb_per_rj: float, fwhm_rad: float, rng) -> np.ndarray:
+    """The sky of a scene (n_y, n_x) float32 [mK RJ] behind the beam, made ready to be looked up by streams."""
+    arguments = (geometry, section.cmb_band_power_ukcmb2, cmb_per_rj, fwhm_rad)
+    if section.curved_lmax is None:
+        cmb = flat_cmb_sky(*arguments, rng)
+    else:
+        cmb = curved_cmb_sky(*arguments, section.curved_lmax, rng)
+    return sharpened(add_point_sources(cmb, geometry, section.point_sources, fwhm_rad))
+
+
+def sharpened(sky_mk: np.ndarray) -> np.ndarray:
+    """A sky (n_y, n_x) whose bilinear look-up between cells has the power of the given one, in its type.
+
+    Along each axis a look-up between cells has the transfer ``sinc^2(x / 2 pi)``, with x the phase from cell to cell.
+    This is its inverse ``1 + c / 6 + 2 c^2 / 45``, c = 1 - cos x, up to x^4: of half a map's pixel, right in power to
+    0.1 % at half of the map's Nyquist multipole and to 4 % at all of it, where the look-up loses a third.
+    """
+    from scipy.ndimage import correlate1d
+
+    once, twice = np.array([0, -0.5, 1, -0.5, 0]), np.array([0.25, -1, 1.5, -1, 0.25])
+    taps = np.array([0, 0, 1, 0, 0]) + once / 6 + twice * (2 / 45)
+    return correlate1d(correlate1d(sky_mk, taps, axis=0, mode="nearest"), taps, axis=1, mode="nearest")

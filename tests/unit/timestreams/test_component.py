@@ -1,0 +1,63 @@
+"""The list of stream components: what draws, plans, reports and forecasts read from it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surveysim.forecasting import forecast as forecasting
+from surveysim.reduction.setup import prepare
+from surveysim.results.stages import stages_that_run
+from surveysim.runtime.errors import NotForecastableError
+from surveysim.scene.noise_and_sky import StreamSections
+from surveysim.scene.scene import load_scene
+from surveysim.timestreams import component
+from surveysim.timestreams.component import COMPONENTS, present_components
+from surveysim.timestreams.observation import draw_observation
+from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text(SMALL_SCENE)
+    return load_scene(path)
+
+
+def test_every_component_has_a_section_and_those_that_are_seen_come_first():
+    names = [item.name for item in COMPONENTS]
+    assert sorted(names) == sorted(StreamSections.model_fields)
+    seen = [item.through_response for item in COMPONENTS]
+    assert seen == sorted(seen, reverse=True)
+
+
+def test_present_components(scene, tmp_path):
+    assert present_components(scene) == COMPONENTS
+    path = tmp_path / "white.toml"
+    path.write_text(WHITE_NOISE_SCENE)
+    assert [item.name for item in present_components(load_scene(path))] == ["detector"]
+
+
+@pytest.mark.parametrize("through_response", [True, False])
+def test_a_component_is_drawn_planned_and_not_forecast_by_its_row_alone(scene, monkeypatch, through_response):
+    """A constant in place of the detector noise: seen by each detector with its responsivity, or added after that."""
+    setup = prepare(scene)
+
+    def add(data_mk, of):
+        data_mk += 1
+
+    row = replace(
+        COMPONENTS[-1], add=add, through_response=through_response, forecast=False, sentence="a constant for a test"
+    )
+    without = replace(row, add=lambda data_mk, of: None)
+    streams = {}
+    for item in (row, without):
+        monkeypatch.setattr(component, "COMPONENTS", (item,))
+        streams[item] = draw_observation(setup, 0).data_mk
+    expected = setup.camera.responsivity[:, None] if through_response else 1
+    np.testing.assert_array_equal(streams[row], np.broadcast_to(np.float32(expected), streams[row].shape))
+    assert not streams[without].any()
+    assert stages_that_run(setup)["detector"] == "a constant for a test"
+    assert "forecast" not in stages_that_run(setup)
+    with pytest.raises(NotForecastableError, match="detector: found a section without a closed form"):
+        forecasting.forecast(scene)
