@@ -263,6 +263,7 @@ def test_longitudes_wrap():
     np.testing.assert_allclose(plans[1], plans[0], rtol=0, atol=1e-10)
 
 
+@pytest.mark.filterwarnings("ignore:ERFA")
 def test_directions_of_checks_are_those_of_runs():
     """By ERFA alone and by astropy.coordinates, at sites, fields and dates anywhere."""
     rng = np.random.default_rng(3)
