@@ -23,7 +23,6 @@ from surveysim.scene.shipped import find_scene
 from surveysim.studies.resources import Plan, make_plan
 from surveysim.studies.sweep.axes import Sweep, is_sweep, load_sweep
 from surveysim.studies.sweep.comparison import (
-    SweepResult,
     compare_forecasts,
     compare_runs,
     forecast_points,
@@ -31,6 +30,7 @@ from surveysim.studies.sweep.comparison import (
     run_points,
 )
 from surveysim.studies.sweep.plan import SweepPlan, make_sweep_plan
+from surveysim.studies.sweep.result import SweepResult
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.run import run_observations

@@ -17,6 +17,7 @@ from surveysim.cli.options import (
     Reference,
     SceneFile,
     Scheduler,
+    Verbose,
     Workers,
     fail,
     ready_scene,
@@ -52,6 +53,7 @@ def run(
     reference: Reference = None,
     settings: Overrides = None,
     force: Force = False,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Simulate, clean, map and score a scene or a sweep."""
@@ -59,7 +61,16 @@ def run(
     if sweep := sweep_of(scene, settings, reference):
         _refuse_for_sweep(scene, save_timestreams, target_error, time_budget)
         directory = out or default_directory(sweep.name, options.settings(settings, reference))
-        _run_sweep(sweep, directory, with_engine, resume, not no_figures, force, quiet)
+        _run_sweep(
+            sweep,
+            directory,
+            engine=with_engine,
+            resume=resume,
+            figures=not no_figures,
+            force=force,
+            verbose=verbose,
+            quiet=quiet,
+        )
         return
     limits = options.run_limits(target_error, time_budget)
     checked = ready_scene(scene, settings)
@@ -91,7 +102,7 @@ def run(
             force=force,
         )
     if not quiet:
-        print_result(result, directory)
+        print_result(result, directory, verbose)
 
 
 def _refuse_for_sweep(scene: Path, save_timestreams: bool, target_error: str | None, time_budget: str | None) -> None:
@@ -106,7 +117,15 @@ def _refuse_for_sweep(scene: Path, save_timestreams: bool, target_error: str | N
 
 
 def _run_sweep(
-    sweep: "Sweep", directory: Path, engine: "Engine", resume: bool, figures: bool, force: bool, quiet: bool
+    sweep: "Sweep",
+    directory: Path,
+    *,
+    engine: "Engine",
+    resume: bool,
+    figures: bool,
+    force: bool,
+    verbose: bool,
+    quiet: bool,
 ) -> None:
     if resume and not quiet:
         report_new_start(directory, "points", "")
@@ -124,7 +143,7 @@ def _run_sweep(
             sweep, directory, engine=engine, resume=resume, figures=figures, progress=progress, force=force
         )
     if not quiet:
-        print_sweep(result, directory)
+        print_sweep(result, directory, verbose)
 
 
 def forecast(
@@ -139,15 +158,16 @@ def forecast(
     reference: Reference = None,
     settings: Overrides = None,
     force: Force = False,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Predict the scores of a scene or a sweep within seconds."""
     from surveysim.api import forecast as forecast_scene
-    from surveysim.report.terminal.survey import print_forecast
+    from surveysim.report.terminal.forecast import print_forecast
 
     if sweep := sweep_of(scene, settings, reference):
         directory = out or default_directory(f"{sweep.name}_forecast", options.settings(settings, reference))
-        _forecast_sweep(sweep, directory, not no_figures, force, quiet)
+        _forecast_sweep(sweep, directory, figures=not no_figures, force=force, verbose=verbose, quiet=quiet)
         return
     checked = ready_scene(scene, settings)
     try:
@@ -155,10 +175,10 @@ def forecast(
     except NotForecastableError as error:
         fail(f"{scene}: {error}")
     if not quiet:
-        print_forecast(checked, found)
+        print_forecast(checked, found, verbose)
 
 
-def _forecast_sweep(sweep: "Sweep", directory: Path, figures: bool, force: bool, quiet: bool) -> None:
+def _forecast_sweep(sweep: "Sweep", directory: Path, *, figures: bool, force: bool, verbose: bool, quiet: bool) -> None:
     from surveysim.api import forecast_sweep
     from surveysim.cli.progress import equal_work, progress_display
     from surveysim.report.terminal.sweep import print_sweep
@@ -167,15 +187,14 @@ def _forecast_sweep(sweep: "Sweep", directory: Path, figures: bool, force: bool,
         progress = stopping(lambda done: show(done, lambda: ""))
         result = forecast_sweep(sweep, directory, figures=figures, progress=progress, force=force)
     if not quiet:
-        print_sweep(result, directory)
+        print_sweep(result, directory, verbose)
 
 
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
     """Predict run time, memory and disk space of a run."""
     from surveysim.api import plan as plan_scene
     from surveysim.api import plan_sweep
-    from surveysim.report.terminal.survey import print_plan
-    from surveysim.report.terminal.sweep import print_sweep_plan
+    from surveysim.report.terminal.plan import print_plan, print_sweep_plan
     from surveysim.runtime.engine import default_workers
 
     workers = options.engine("processes", workers, None).workers or default_workers()

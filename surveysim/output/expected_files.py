@@ -18,7 +18,7 @@ _FIGURES = (
     "timestream_psd",
     "map",
     "map_psd",
-    "window",
+    "transfer_function",
     "cumulative_sensitivity",
     "weights",
     "weather",

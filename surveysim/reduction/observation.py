@@ -134,7 +134,7 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
     maps = {name: _plane(setup, *item) for name, item in sums.maps.items()}
     worth, best = None, 0
     if setup.analysis.chooses:
-        with watch("choice"):
+        with watch("figure_of_merit"):
             of_pipelines = [maps[pipeline.data_set] for pipeline in setup.analysis.whole_pipelines]
             worth = figures_of_merit(setup, transfer_functions(setup.scene), of_pipelines)
         best = max(0, int(best_places(worth[:, 0])))
@@ -205,7 +205,7 @@ def _add_block(
     for name in ("kept", "iterations", "removed"):
         getattr(sums, name).append(np.array([getattr(item, name) for item in part.cleaned]))
     if sums.window is not None:
-        with watch("window"):
+        with watch("transfer_function"):
             _add_window(sums.window, part, setup.analysis.signal_skies_mk)
 
 

@@ -9,7 +9,7 @@ from surveysim.reduction import consistency as checks
 from surveysim.reduction.cleaning_pipelines import needed_detectors
 from surveysim.reduction.figure_of_merit import best_places
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import best_pipeline
+from surveysim.results.summary import best_pipeline
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
@@ -122,7 +122,7 @@ def test_what_a_comparison_leaves_behind(compared):
     result, out = compared
     sets = result.setup.analysis.data_set_names
     assert {path.stem for path in (out / "maps").iterdir()} == set(sets) == set(result.scores)
-    assert (out / "figures" / "window.png").exists()
+    assert (out / "figures" / "transfer_function.png").exists()
     columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
     # Templates a scan: of the pipelines' own kind.
     assert [columns[f"removed_{name}"].mean() for name in ("actual", "planar", "average+local")] == [1, 3, 2]
