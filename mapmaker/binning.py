@@ -18,7 +18,6 @@ from mapmaker.geometry import (
     same_geometry,
     wcs_cards,
 )
-from mapmaker.kernels.pixels import bin_samples
 from mapmaker.validation import (
     argument_error,
     bounds_of_scans,
@@ -102,6 +101,8 @@ def bin_map(
         For shapes and types that do not match, pixels outside the map, scans outside the streams or overlapping, and
         values on the map that are not finite in kept scans.
     """
+    from mapmaker.kernels.pixels import bin_samples
+
     data = reals("data_mk", data_mk, ("n_det", "n_samp"), finite=False)
     n_pixel = geometry.n_y * geometry.n_x
     index = pixel_numbers(index, data.shape, n_pixel)

@@ -11,11 +11,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from surveysim.reduction.observation import ObservationResult, observe
-from surveysim.reduction.setup import Setup, prepare, window_observations
+from surveysim.reduction.setup import Setup, window_observations
 from surveysim.results.results import survey_result
 from surveysim.results.stages import left_out, stages_that_run
 from surveysim.runtime.memory import peak_bytes
-from surveysim.studies.sweep.axes import Sweep
 from surveysim.survey.coadds import CoAdds, add_observation, empty_coadds
 from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.observed_block import observation_weather
@@ -154,32 +153,3 @@ def _windiest(setup: Setup) -> int:
         return 0
     weathers = [observation_weather(setup, observation) for observation in range(setup.scene.observations)]
     return int(np.argmax([weather.wind_speed_rad_s for weather in weathers]))
-
-
-@dataclass(frozen=True)
-class SweepPlan:
-    """The predicted cost of all points of a sweep."""
-
-    n_points: int
-    detector_samples: int
-    wall_s: float
-    memory_bytes: float
-
-
-def make_sweep_plan(sweep: Sweep, workers: int, start_s: float = 0.0) -> SweepPlan:
-    """Predict from the first and the last point: the others take as long for each of their detector-samples.
-
-    `start_s` as in `make_plan`; points are prepared once more where they run.
-    """
-    ends = [sweep.points[number] for number in sorted({0, len(sweep.points) - 1})]
-    plans = [make_plan(prepare(point.scene), 1) for point in ends]
-    seconds_each = sum(plan.wall_s for plan in plans) / sum(plan.detector_samples for plan in plans)
-    work = [point.detector_samples * seconds_each for point in sweep.points]
-    parallel = min(workers, len(work), os.cpu_count() or 1)
-    starts = 1 + (parallel > 1)
-    return SweepPlan(
-        n_points=len(work),
-        detector_samples=sum(point.detector_samples for point in sweep.points),
-        wall_s=starts * start_s + max(max(work), sum(work) / parallel),
-        memory_bytes=max(plan.memory_bytes for plan in plans),
-    )

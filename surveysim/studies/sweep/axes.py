@@ -25,7 +25,8 @@ from surveysim.scene.error_lines import allowed_keys, error_lines
 from surveysim.scene.fields import LONGEST_LINE
 from surveysim.scene.renamed_keys import renamed_line
 from surveysim.scene.scene import Origin, Scene, read_scene, scene_hash, scene_of
-from surveysim.scene.units import shown
+from surveysim.scene.shipped import find_scene
+from surveysim.scene.units import file_value, shown
 from surveysim.telescope.raster import samples_per_scan
 
 MAX_POINTS = 1000
@@ -115,7 +116,7 @@ class Sweep:
 
 def is_sweep(path: str | Path) -> bool:
     """Whether a scene file has a table [sweep]; raises SceneError when it can't be read."""
-    return "sweep" in read_scene(Path(path))[1]
+    return "sweep" in read_scene(find_scene(path))[1]
 
 
 def load_sweep(
@@ -127,7 +128,8 @@ def load_sweep(
     `sweep.reference`: the number of a point or its values, as ``key = value, ...``. Raises SceneError with one line
     for each error: file, key, found, allowed, and the point unless all have the error.
     """
-    path, overrides = Path(path), dict(overrides or {})
+    path = find_scene(path)
+    overrides = {key: file_value(value) for key, value in (overrides or {}).items()}
     text, content = read_scene(path)
     axes = _axes(path, content, overrides)
     places = list(product(*(range(len(axis.values)) for axis in axes)))

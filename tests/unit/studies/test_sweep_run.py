@@ -340,7 +340,7 @@ def test_failures_name_their_point(write, monkeypatch):
         return observe(setup, *rest)
 
     monkeypatch.setattr(survey, "observe", fail)
-    with pytest.raises(ValueError, match=r"point \(scan.speed = 4 arcmin / s\): no strip is long enough"):
+    with pytest.raises(OutOfRangeError, match=r"point \(scan.speed = 4 arcmin / s\): no strip is long enough"):
         run_sweep(write(WHITE + SPEEDS), engine=SERIAL)
 
 
