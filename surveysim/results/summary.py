@@ -26,9 +26,8 @@ def summary(result: SurveyResult) -> dict[str, Any]:
     """The content of summary.json; its keys are stable (docs/reference/files.md)."""
     setup, coadds = result.setup, result.coadds
     columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
-    samples = (
-        coadds.done * setup.camera.n_det * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
-    )
+    raster = setup.observing.raster
+    samples = coadds.done * setup.camera.n_det * raster.n_scans * samples_per_scan(raster)
     content: dict[str, Any] = {
         "scene": setup.scene.name,
         "title": setup.scene.title,
@@ -47,9 +46,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "discarded_by_weather": result.discards.by_weather,
         "warnings": result.discards.warnings,
         "mean_iterations": float(columns[f"iterations_{ACTUAL}"].mean()),
-        "cleaning": {
-            pipeline.data_set: _cleaning_entry(pipeline, result, columns) for pipeline in setup.analysis.pipelines
-        },
+        "cleaning": {item.data_set: _cleaning_entry(item, result, columns) for item in setup.analysis.pipelines},
         "stopped": _stopped_entry(result),
         "scores": {},
     }
@@ -149,6 +146,5 @@ def _forecast_entry(item: DataSetForecast) -> dict[str, Any]:
 
 def best_pipeline(setup: Setup, columns: dict[str, np.ndarray], target: str) -> np.ndarray:
     """Place (n_obs,) among the pipelines for all detectors of the best one for a target, -1 without data."""
-    return best_places(
-        np.array([columns[f"merit_{target}_{pipeline.data_set}"] for pipeline in setup.analysis.whole_pipelines])
-    )
+    merits = [columns[f"merit_{target}_{pipeline.data_set}"] for pipeline in setup.analysis.whole_pipelines]
+    return best_places(np.array(merits))
