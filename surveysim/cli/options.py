@@ -48,6 +48,7 @@ Reference = Annotated[
     typer.Option(metavar="POINT", help="Sweep point that ratios refer to: its number, or 'KEY = VALUE'."),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print all tables of the report.")]
 
 
 def settings(given: list[str] | None, reference: str | None = None) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from surveysim.cli.options import (
     Reference,
     SceneFile,
     Scheduler,
+    Verbose,
     Workers,
     fail,
     ready_scene,
@@ -28,6 +29,7 @@ from surveysim.runtime.errors import InputError
 if TYPE_CHECKING:
     from surveysim.runtime.engine import Engine
     from surveysim.studies.sweep.axes import Sweep
+    from surveysim.studies.sweep.result import SweepResult
 
 
 def run(
@@ -53,13 +55,15 @@ def run(
     settings: Overrides = None,
     force: Force = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Simulate, clean, map and score a scene or a sweep."""
     with_engine = options.engine(engine, workers, scheduler)
     if sweep := sweep_of(scene, settings, reference):
         _refuse_for_sweep(scene, save_timestreams, target_error, time_budget)
         directory = out or default_directory(sweep.name, options.settings(settings, reference))
-        _run_sweep(sweep, directory, with_engine, resume, not no_figures, force, quiet)
+        swept = _run_sweep(sweep, directory, with_engine, resume, not no_figures, force, quiet)
+        _print_sweep(swept, directory, quiet, verbose)
         return
     limits = options.run_limits(target_error, time_budget)
     checked = ready_scene(scene, settings)
@@ -81,7 +85,7 @@ def run(
         todo = (checked, directory, with_engine, resume, save_timestreams, not no_figures, progress)
         result = run_scene(*todo, limits.target_error, limits.time_budget_s, force)
     if not quiet:
-        print_result(result, directory)
+        print_result(result, directory, verbose)
 
 
 def _refuse_for_sweep(scene: Path, save_timestreams: bool, target_error: str | None, time_budget: str | None) -> None:
@@ -97,12 +101,11 @@ def _refuse_for_sweep(scene: Path, save_timestreams: bool, target_error: str | N
 
 def _run_sweep(
     sweep: "Sweep", directory: Path, engine: "Engine", resume: bool, figures: bool, force: bool, quiet: bool
-) -> None:
+) -> "SweepResult":
     if resume and not quiet:
         report_new_start(directory, "points", "")
     from surveysim.api import run_sweep
     from surveysim.cli.progress import progress_display
-    from surveysim.report.terminal.sweep import print_sweep
 
     work = [point.detector_samples for point in sweep.points]
     with (
@@ -110,9 +113,14 @@ def _run_sweep(
         progress_display(sweep.name, work, quiet, "points", engine.workers_for(len(work))) as show,
     ):
         progress = stopping(lambda done: show(done, lambda: ""))
-        result = run_sweep(sweep, directory, engine, resume, figures, progress, force)
+        return run_sweep(sweep, directory, engine, resume, figures, progress, force)
+
+
+def _print_sweep(result: "SweepResult", directory: Path, quiet: bool, verbose: bool) -> None:
+    from surveysim.report.terminal.sweep import print_sweep
+
     if not quiet:
-        print_sweep(result, directory)
+        print_sweep(result, directory, verbose)
 
 
 def forecast(
@@ -128,6 +136,7 @@ def forecast(
     settings: Overrides = None,
     force: Force = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Predict the scores of a scene or a sweep within seconds."""
     from surveysim.forecasting.forecast import forecast as forecast_scene
@@ -138,7 +147,8 @@ def forecast(
 
     if sweep := sweep_of(scene, settings, reference):
         directory = out or default_directory(f"{sweep.name}_forecast", options.settings(settings, reference))
-        _forecast_sweep(sweep, directory, not no_figures, force, quiet)
+        swept = _forecast_sweep(sweep, directory, not no_figures, force, quiet)
+        _print_sweep(swept, directory, quiet, verbose)
         return
     checked = ready_scene(scene, settings)
     try:
@@ -149,18 +159,15 @@ def forecast(
         with claimed(out, of_forecast(checked), force) as place, replacing(place) as new:
             write_forecast(new, found)
     if not quiet:
-        print_forecast(checked, found)
+        print_forecast(checked, found, verbose)
 
 
-def _forecast_sweep(sweep: "Sweep", directory: Path, figures: bool, force: bool, quiet: bool) -> None:
+def _forecast_sweep(sweep: "Sweep", directory: Path, figures: bool, force: bool, quiet: bool) -> "SweepResult":
     from surveysim.api import forecast_sweep
     from surveysim.cli.progress import equal_work, progress_display
-    from surveysim.report.terminal.sweep import print_sweep
 
     with progress_display(sweep.name, equal_work(len(sweep.points)), quiet, "points") as show:
-        result = forecast_sweep(sweep, directory, figures, stopping(lambda done: show(done, lambda: "")), force)
-    if not quiet:
-        print_sweep(result, directory)
+        return forecast_sweep(sweep, directory, figures, stopping(lambda done: show(done, lambda: "")), force)
 
 
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
