@@ -148,7 +148,7 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
             hits = mean_hits(setup, model.pipeline)
         found[model.name] = _scored(setup, model, conditions, kept=scans[model.pipeline.data_set], hits=hits)
     return Forecast(
-        setup.analysis.region.rings.ell, {name: found[name] for name in setup.analysis.data_sets if name in found}
+        setup.analysis.region.rings.ell, {name: found[name] for name in setup.analysis.data_set_names if name in found}
     )
 
 

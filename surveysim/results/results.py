@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from surveysim.forecasting.forecast import DataSetForecast, Forecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.reduction.data_set import DataSetKind
 from surveysim.reduction.setup import Setup
 from surveysim.results.agreement import Agreement, agreement, quoted_forecast, run_forecast
 from surveysim.results.alternatives import alternatives
@@ -42,6 +43,7 @@ class Row:
     """
 
     name: str
+    kind: DataSetKind
     n_det: int
     sigma_ukcmb2: float
     error_ukcmb2: float
@@ -174,7 +176,7 @@ def score_rows(result: SurveyResult) -> list[Row]:
     expected = result.expected.scores if result.expected else {}
     rows = [_row(item, expected.get(name)) for name, item in result.scores.items()]
     for row in list(rows):
-        if row.name.startswith("masked"):
+        if row.kind is DataSetKind.MASKED:
             share = row.n_det / result.setup.camera.n_det
             scaled = {
                 name: None if value is None else share * value
@@ -190,7 +192,7 @@ def score_rows(result: SurveyResult) -> list[Row]:
 def _row(item: DataSetScore, expected: DataSetForecast | None) -> Row:
     band, sigma = item.band, quoted_forecast(item, expected) if expected else None
     levels = band.sigma_ukcmb2, band.error_ukcmb2, item.plain_band.sigma_ukcmb2
-    return Row(item.name, item.n_det, *levels, band.ell_eff, band.fwhm_ell, sigma, None)
+    return Row(item.name, item.kind, item.n_det, *levels, band.ell_eff, band.fwhm_ell, sigma, None)
 
 
 def forecast_agreement(result: SurveyResult) -> dict[str, Agreement]:
@@ -201,7 +203,7 @@ def forecast_agreement(result: SurveyResult) -> dict[str, Agreement]:
 
 def _gains(setup: Setup, scores: dict[str, DataSetScore]) -> dict[str, Gain]:
     """Ratios of uncertainties between data sets, with the error of each pair."""
-    masked = next((name for name in scores if name.startswith("masked")), None)
+    masked = next((name for name, item in scores.items() if item.kind is DataSetKind.MASKED), None)
     found = {}
     if {"actual", "uncorrelated"} <= scores.keys():
         found["actual / uncorrelated"] = gain(scores["actual"], scores["uncorrelated"])
@@ -218,7 +220,7 @@ def score_entries(result: SurveyResult) -> dict[str, dict[str, float | None]]:
     return {row.name: _score_entry(row) for row in score_rows(result)}
 
 
-def _score_entry(row: Row) -> dict[str, float | None]:
+def _score_entry(row: Row) -> dict[str, float | str | None]:
     entry = known({key: value for key, value in vars(row).items() if key != "name" and value is not None})
     if row.reference_ukcmb2 is not None:
         entry["ratio_to_reference"] = row.sigma_ukcmb2 / row.reference_ukcmb2

@@ -33,7 +33,7 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
     stages["maps"] = f"{setup.analysis.geometry.n_x} x {setup.analysis.geometry.n_y} pixels"
     if scene.score:
         n_window = int(window_observations(scene).sum())
-        stages["data sets"] = ", ".join(setup.analysis.data_sets)
+        stages["data sets"] = ", ".join(setup.analysis.data_set_names)
         stages["transfer function"] = f"{scene.score.signal_sims.skies} skies through {n_window} observations"
         stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
         if can_forecast(setup):

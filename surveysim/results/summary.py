@@ -40,7 +40,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "stages_left_out": absent_sections(setup.scene),
         "stages": stages_that_run(setup),
         "left_out": left_out(setup),
-        "scans": coadds.done * raster.n_scans,
+        "scans": coadds.done * setup.observing.raster.n_scans,
         "scans_discarded": int(columns[f"discarded_{ACTUAL}"].sum()),
         "discarded": result.discards.shares,
         "discarded_by_weather": result.discards.by_weather,

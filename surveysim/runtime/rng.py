@@ -1,15 +1,16 @@
-"""Random generators keyed by what they are for: (seed, realization, observation, stage), and by the block of it.
+"""Random generators keyed by seed, realization, observation, purpose and block.
 
 Leaving a stage out, changing the number of workers, resuming or re-ordering moves no other draw.
 """
 
 from enum import IntEnum
+from hashlib import sha256
 
 import numpy as np
 
 
 class RandomPurpose(IntEnum):
-    """What a stream of random numbers is for. Numbers are given once and never reused."""
+    """Purposes of random numbers that have a number. Numbers are given once and never reused."""
 
     WEATHER = 0
     POINTING = 1
@@ -28,11 +29,13 @@ class RandomPurpose(IntEnum):
 
 
 def generator(
-    seed: int, stage: RandomPurpose, observation: int = 0, realization: int = 0, block: int = 0
+    seed: int, purpose: RandomPurpose | str, observation: int = 0, realization: int = 0, block: int = 0
 ) -> np.random.Generator:
-    """The generator of one stage of one observation of one realization.
+    """Create the generator of one purpose in one observation of one realization.
 
-    Blocks of an observation beyond the first have keys that are longer, and so no other's.
+    Blocks of an observation beyond the first have keys that are longer, and so no other's. A new stream component takes
+    its own name as the purpose: its number is a hash of the name.
     """
-    key = (realization, observation, int(stage), *((block,) if block else ()))
+    number = int.from_bytes(sha256(purpose.encode()).digest()[:8]) if isinstance(purpose, str) else int(purpose)
+    key = (realization, observation, number, *((block,) if block else ()))
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=key)))

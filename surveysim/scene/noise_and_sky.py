@@ -4,6 +4,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.fields import (
     B2_MAX,
     B2Knots,
@@ -144,3 +145,15 @@ class Sky(Section):
         if isinstance(data, dict) and "curved_nside" in data:
             raise ValueError("curved_nside: found; the key is 'curved_lmax' now, the highest multipole of the sky")
         return data
+
+
+class StreamSections(Section):
+    """Sections of the components of time-streams, each left out with its section."""
+
+    atmosphere: Atmosphere | None = None
+    """Left out: no layer, no weather."""
+    excess: Excess | None = None
+    photon: Photon | None = None
+    detector: Detector | None = None
+    sky: Sky | None = None
+    """Left out: noise alone."""

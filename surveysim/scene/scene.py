@@ -22,10 +22,9 @@ from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.text_files import key_text, nested_deeper, one_line, read_text
 from surveysim.scene.analysis import Cleaning, MapSection, Score
-from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.fields import Line, whole
 from surveysim.scene.instrument import Instrument
-from surveysim.scene.noise_and_sky import Detector, Excess, Photon, Sky
+from surveysim.scene.noise_and_sky import StreamSections
 from surveysim.scene.numerics import Numerics
 from surveysim.scene.observing import MIN_SAMPLES, FieldSection, FixedPointing, Scan, Schedule
 from surveysim.scene.section import Section
@@ -63,12 +62,8 @@ class Origin:
     overrides: dict[str, Any] = field(compare=False)
 
 
-class Scene(Section):
-    """A whole scene; an absent section leaves its stage out.
-
-    `assumed` is not a key of the file: it lists the file's own values whose comment says that they are
-    assumed or calibrated.
-    """
+class ObservationSections(Section):
+    """Keys of the run, and sections of the field, the observations and the instrument."""
 
     name: str = Field(pattern=f"^{NAME}$", max_length=MAX_NAME, json_schema_extra={"otherwise": "that of the file"})
     """Name of the run and, unless said otherwise, of its folder: letters, digits, `_`, `.` and `-`."""
@@ -85,13 +80,15 @@ class Scene(Section):
     """Or `schedule`."""
     instrument: Instrument
     scan: Scan
-    atmosphere: Atmosphere | None = None
-    """Left out: no layer, no weather."""
-    excess: Excess | None = None
-    photon: Photon | None = None
-    detector: Detector | None = None
-    sky: Sky | None = None
-    """Left out: noise alone."""
+
+
+class Scene(StreamSections, ObservationSections):
+    """A whole scene; an absent section leaves its stage out.
+
+    `assumed` is not a key of the file: it lists the file's own values whose comment says that they are
+    assumed or calibrated.
+    """
+
     cleaning: Cleaning
     map: MapSection
     score: Score | None = None
@@ -119,8 +116,9 @@ class Scene(Section):
         if self.instrument.bands and not (self.atmosphere and self.atmosphere.site):
             raise ValueError("atmosphere.site: missing; the bands scale with each other by the opacity of a site")
         self._power_is_known()
-        if not any((self.atmosphere, self.excess, self.photon, self.detector, self.sky)):
-            raise ValueError("at least one of atmosphere, excess, photon, detector and sky is expected")
+        if not any(getattr(self, name) for name in StreamSections.model_fields):
+            *names, last = StreamSections.model_fields
+            raise ValueError(f"at least one of {', '.join(names)} and {last} is expected")
         if (found := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
             raise ValueError(f"scan.duration: found {found:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
         return self

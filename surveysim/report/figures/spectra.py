@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from mapmaker.transfer_function import beam_window, pixel_window
 from surveysim.forecasting.forecast import Forecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
+from surveysim.reduction.data_set import DataSetKind
 from surveysim.reduction.setup import Setup
 from surveysim.report.figures.style import (
     BLACK,
@@ -156,7 +157,7 @@ def _look(setup: Setup, item: DataSetScore) -> tuple[str, str, str, float]:
 
 
 def _is_masked(item: DataSetScore) -> bool:
-    return item.name.startswith("masked")  # its mask may keep all detectors
+    return item.kind is DataSetKind.MASKED
 
 
 def _name(setup: Setup, item: DataSetScore) -> str:

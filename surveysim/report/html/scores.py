@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from surveysim.reduction.cleaning_pipelines import OPTIMAL
+from surveysim.reduction.data_set import DataSetKind
 from surveysim.report.html.components import UK2, Block, Listing, grid
 from surveysim.report.html.scene import cleaning_words
 from surveysim.results.method import CONTROLLED, PLAIN, method
@@ -51,7 +52,7 @@ def kind_sentence(best: Content) -> str:
 def _score_note(summary: Content) -> str:
     """Definitions of the data sets and of the errors."""
     known = [f"{name}: {DATA_SETS[name]}" for name in summary["scores"] if name in DATA_SETS]
-    masked = [name for name in summary["scores"] if name.startswith("masked")]
+    masked = [name for name, row in summary["scores"].items() if row["kind"] == DataSetKind.MASKED]
     if masked:
         known.append(f"{masked[0]}: the actual streams of an array masked by separation (scaled: times its share)")
     cleanings = [name for name in summary["scores"] if name not in DATA_SETS and name not in masked]

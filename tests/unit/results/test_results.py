@@ -76,9 +76,10 @@ def test_summary(finished, content):
     assert set(content["scores"]) == {*SETS, "masked_7_scaled"}
     for entry in content["scores"].values():
         assert set(entry) == {
+            "kind",
             "n_det", "sigma_ukcmb2", "error_ukcmb2", "plain_sigma_ukcmb2", "ell_eff", "fwhm_ell", "forecast_ukcmb2",
         }  # fmt: skip
-        assert all(0 < value < math.inf for value in entry.values())
+        assert all(0 < value < math.inf for key, value in entry.items() if key != "kind")
         assert 4000 < entry["ell_eff"] < 12000
     assert set(content["run"]["stage_s"]) >= {"atmosphere", "cleaning", "binning", "transfer_function"}
     assert json.dumps(summary(result)["scores"]) == json.dumps(content["scores"])
@@ -161,12 +162,17 @@ def test_references(finished, tmp_path):
     assert rows["actual"].sigma_ukcmb2 == score_rows(finished[0])[0].sigma_ukcmb2
 
 
+KINDS = {"actual": "actual", "uncorrelated": "noise-only", "white": "noise-only"}
+
+
 def test_score_table(finished, content):
     table = Table.read(finished[1] / "tables" / "scores.ecsv")
     assert str(table["sigma_ukcmb2"].unit) == "uK2" and table.meta["temperature"] == "CMB"
     assert list(table["name"]) == list(content["scores"])
     for row in table:
-        for key, value in content["scores"][row["name"]].items():
+        entry = dict(content["scores"][row["name"]])
+        assert entry.pop("kind") == ("masked" if row["name"].startswith("masked") else KINDS[row["name"]])
+        for key, value in entry.items():
             assert row[key] == value
 
 
@@ -211,7 +217,7 @@ def test_alternative_table(finished, content):
 @pytest.mark.parametrize("name", SETS)
 def test_maps(finished, name):
     result, folder = finished
-    coadds, s = result.coadds, result.setup.analysis.data_sets.index(name)
+    coadds, s = result.coadds, result.setup.analysis.data_set_names.index(name)
     with fits.open(folder / "maps" / f"{name}.fits") as file:
         file.verify("exception")
         planes = {hdu.name.lower(): hdu for hdu in file}

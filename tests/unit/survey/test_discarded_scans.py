@@ -94,7 +94,7 @@ def test_no_weather_without_an_atmosphere(small):
     text = without_sections(SMALL_SCENE, "atmosphere", "excess")
     setup = prepare(small({"cleaning.algorithm": "none"}, text))
     found = discards(setup, run_observations(setup, None))
-    assert found.by_weather == [] and set(found.shares) == set(setup.analysis.data_sets)
+    assert found.by_weather == [] and set(found.shares) == set(setup.analysis.data_set_names)
 
 
 @pytest.mark.parametrize("lost, warned", [(0, False), (4, False), (5, True)])
