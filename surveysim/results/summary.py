@@ -8,7 +8,7 @@ from surveysim.forecasting.forecast import DataSetForecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL, CleaningPipeline
 from surveysim.reduction.figure_of_merit import TARGETS, best_places
 from surveysim.reduction.setup import Setup
-from surveysim.results.closure import truth
+from surveysim.results.closure import closure_tests
 from surveysim.results.results import SurveyResult, forecast_agreement, score_entries
 from surveysim.results.stages import absent_sections, left_out, stages_that_run
 from surveysim.results.stopping import TOLD_ERRORS
@@ -65,7 +65,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         if not np.isnan(setup.analysis.region.scored_correlation):
             content["bin_correlation"] = setup.analysis.region.scored_correlation
         content["time_to_precision"] = [vars(cost) for cost in map(result.cost, TOLD_ERRORS) if cost]
-    content["closure"] = [vars(item) for item in truth(setup, coadds, result.scores, result.expected)]
+    content["closure"] = [vars(item) for item in closure_tests(setup, coadds, result.scores, result.expected)]
     content["run"] = {
         "date": now(),
         "engine": result.engine,
