@@ -23,7 +23,7 @@ PSD_AT_HZ = (0.01, 0.1, 1.0)
 
 
 def summary(result: SurveyResult) -> dict[str, Any]:
-    """The content of summary.json; its keys are stable (docs/reference/files.md)."""
+    """Return the content of summary.json; its keys are stable (docs/reference/files.md)."""
     setup, coadds = result.setup, result.coadds
     columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
     raster = setup.observing.raster
@@ -78,7 +78,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
 
 
 def _cleaning_entry(pipeline: CleaningPipeline, result: SurveyResult, columns: dict[str, np.ndarray]) -> dict[str, Any]:
-    """What one pipeline costs: scans, iterations, templates, time, and of how many observations it is the best."""
+    """Scans, iterations and templates of one pipeline, and the share of observations in which it is the best."""
     setup = result.setup
     entry: dict[str, Any] = {
         "steps": list(pipeline.steps),
@@ -127,7 +127,7 @@ def _budget_entry(item: DataSetScore) -> dict[str, float]:
 
 
 def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
-    """What ended the run, of how many observations, and how good its answer is."""
+    """Reason for the end of the run, its observations, and its relative error."""
     estimate, limits = result.estimate, {k: v for k, v in vars(result.limits).items() if v is not None}
     entry: dict[str, Any] = {
         "reason": result.stopped,
