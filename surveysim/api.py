@@ -18,14 +18,8 @@ from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.runtime.errors import InputError
 from surveysim.scene.scene import Scene
 from surveysim.studies.sweep.axes import Sweep, load_sweep
-from surveysim.studies.sweep.comparison import (
-    SweepResult,
-    compare_forecasts,
-    compare_runs,
-    forecast_points,
-    of_one_kind,
-    run_points,
-)
+from surveysim.studies.sweep.comparison import compare_forecasts, compare_runs, forecast_points, of_one_kind, run_points
+from surveysim.studies.sweep.result import SweepResult
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.run import run_observations

@@ -134,7 +134,7 @@ def forecast(
     from surveysim.output.directory import claimed, replacing
     from surveysim.output.expected_files import of_forecast
     from surveysim.output.writer import write_forecast
-    from surveysim.report.terminal.survey import print_forecast
+    from surveysim.report.terminal.forecast import print_forecast
 
     if sweep := sweep_of(scene, settings, reference):
         directory = out or default_directory(f"{sweep.name}_forecast", options.settings(settings, reference))
@@ -166,8 +166,7 @@ def _forecast_sweep(sweep: "Sweep", directory: Path, figures: bool, force: bool,
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
     """Predict run time, memory and disk space of a run."""
     from surveysim.reduction.setup import prepare
-    from surveysim.report.terminal.survey import print_plan
-    from surveysim.report.terminal.sweep import print_sweep_plan
+    from surveysim.report.terminal.plan import print_plan, print_sweep_plan
     from surveysim.runtime.engine import default_workers
     from surveysim.studies.resources import make_plan, make_sweep_plan
 

@@ -82,7 +82,8 @@ def _run_extremes(directory: Path, force: bool, quiet: bool) -> bool:
     from surveysim.cli.progress import equal_work, progress_display
     from surveysim.output.directory import claimed, replacing
     from surveysim.output.expected_files import EXTREMES
-    from surveysim.report.terminal.stress import print_extremes, write_extremes
+    from surveysim.output.writer import write_extremes
+    from surveysim.report.terminal.stress import print_extremes
     from surveysim.studies.stress import CASES, run_case
 
     outcomes = []
@@ -151,7 +152,7 @@ def paper(
         complain(" ".join(str(error).split()))
         raise typer.Exit(EXIT_FAILED) from None
     if not quiet:
-        from surveysim.report.terminal.survey import print_paper
+        from surveysim.report.terminal.paper import print_paper
 
         print_paper(written)
     for line in failed:

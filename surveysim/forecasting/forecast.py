@@ -10,6 +10,7 @@ where A converts the variance a sample to the PSD of the tapered map: pixel area
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,6 +31,11 @@ from surveysim.runtime.errors import NotForecastableError
 from surveysim.scene.scene import Scene
 from surveysim.survey.discarded_scans import REMEDY
 from surveysim.timestreams.component import present_components
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+
+    from surveysim.runtime.table import Table
 
 NOTHING_FOUND = "score: found no noise in its multipoles or no scan across its patch; both are expected"
 
@@ -78,6 +84,23 @@ class Forecast:
     ell: np.ndarray
     scores: dict[str, DataSetForecast]
 
+    def table(self) -> "QTable":
+        """Return sigma(A) of each data set with units."""
+        return self._table().quantities()
+
+    def _table(self) -> "Table":
+        from surveysim.forecasting.table import forecast_table
+
+        return forecast_table(self.scores)
+
+    def __repr__(self) -> str:
+        """A line above the table of scores."""
+        return f"Forecast of {len(self.scores)} data sets\n{self._table().text()}"
+
+    def _repr_html_(self) -> str:
+        """The table of scores."""
+        return self._table().html()
+
 
 def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecast:
     """Forecast the data sets of a scene.
@@ -125,7 +148,7 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
             hits = mean_hits(setup, model.pipeline)
         found[model.name] = _scored(setup, model, conditions, kept=scans[model.pipeline.data_set], hits=hits)
     return Forecast(
-        setup.analysis.region.rings.ell, {name: found[name] for name in setup.analysis.data_sets if name in found}
+        setup.analysis.region.rings.ell, {name: found[name] for name in setup.analysis.data_set_names if name in found}
     )
 
 

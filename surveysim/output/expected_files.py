@@ -18,7 +18,7 @@ _FIGURES = (
     "timestream_psd",
     "map",
     "map_psd",
-    "window",
+    "transfer_function",
     "cumulative_sensitivity",
     "weights",
     "weather",
@@ -32,7 +32,7 @@ def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
     scene = setup.scene
     names = [*COMMON, CHECKPOINT, *(f"tables/{name}.ecsv" for name in _TABLES)]
     endings = ("", "_healpix") if scene.map.healpix_nside else ("",)
-    names += [f"maps/{name}{ending}.fits" for name in setup.analysis.data_sets for ending in endings]
+    names += [f"maps/{name}{ending}.fits" for name in setup.analysis.data_set_names for ending in endings]
     if figures:
         names += [f"figures/{name}.png" for name in _FIGURES]
     if timestreams:

@@ -7,27 +7,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from warnings import catch_warnings, simplefilter
 
-import numpy as np
-
 from mapmaker.binning import BinnedMap, write_fits, write_healpix
 from mapmaker.files import atomic_write, write_ecsv
+from surveysim.output.tables import forecast_spectra, run_tables
 from surveysim.reduction.setup import prepare
 from surveysim.report.html.page import REPORT, write_report
-from surveysim.results.results import SurveyResult, score_rows, summary
+from surveysim.results.results import SurveyResult
 from surveysim.results.stages import left_out
-from surveysim.results.table import Table
+from surveysim.results.summary import summary
 from surveysim.runtime.provenance import made_by, now
 from surveysim.runtime.strict_json import strict_json
+from surveysim.runtime.table import Table
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import resolved, scene_hash
-from surveysim.studies.sweep.comparison import SweepResult, pairs
-from surveysim.studies.sweep.tables import pair_table, sweep_summary, sweep_table
-from surveysim.survey.coadds import row_names
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.studies.sweep.result import SweepResult, pairs
+from surveysim.studies.sweep.summary import sweep_summary
+from surveysim.studies.sweep.tables import pair_table, sweep_table
 
 if TYPE_CHECKING:
     from surveysim.forecasting.forecast import Forecast
     from surveysim.studies.convergence import AccuracyResult
+    from surveysim.studies.stress import Case, Outcome
 
 
 Drawings = dict[str, Callable[[Path], Any]]  # what draws a figure as a PNG, by its name
@@ -41,32 +41,31 @@ def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestre
 
     `timestreams` are names of those that workers have written.
     """
+    content = summary(result)
     written = [write_text(directory / "scene.json", resolved(result.setup.scene) + "\n")]
-    written += _write_tables(directory / "tables", result)
+    tables = run_tables(result, content)
+    written += [_write_table(directory / "tables" / f"{name}.ecsv", table) for name, table in tables.items()]
     written += _write_maps(directory / "maps", result)
     written += [directory / name for name in timestreams]
-    write_summary(directory, summary(result), written, partial(_of_run, result) if figures else None)
+    write_summary(directory, content, written, partial(_of_run, result) if figures else None)
 
 
 def _of_run(result: SurveyResult) -> Drawings:
     from surveysim.report.figures.survey import drawings
 
-    drawn: Drawings = drawings(result.setup, result.coadds, result.scores, result.expected)
-    if result.estimate is not None and np.isfinite(result.estimate.relative_error):
-        from surveysim.report.figures.run_time import draw_time
-
-        drawn["run_time"] = lambda path: draw_time(path, result)
-    return drawn
+    return drawings(result)
 
 
 def write_sweep(directory: Path, result: SweepResult, figures: bool) -> None:
     """Write tables, figure, summary and report of a sweep below `directory`, with the scene of its first point."""
-    written = [_write_table(directory / "sweep.ecsv", sweep_table(result))]
-    if of_pairs := pairs(result):
+    of_pairs = pairs(result)
+    content = sweep_summary(result, of_pairs)
+    written = [_write_table(directory / "sweep.ecsv", sweep_table(content))]
+    if of_pairs:
         written.append(_write_table(directory / "sweep_pairs.ecsv", pair_table(of_pairs)))
     written.append(write_text(directory / "scene.json", resolved(result.sweep.points[0].scene) + "\n"))
     drawn = partial(_of_sweep, result) if figures and result.comparison.best else None
-    write_summary(directory, sweep_summary(result, of_pairs), written, drawn)
+    write_summary(directory, content, written, drawn)
 
 
 def _of_sweep(result: SweepResult) -> Drawings:
@@ -77,12 +76,13 @@ def _of_sweep(result: SweepResult) -> Drawings:
 
 def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> None:
     """Write table, figure, summary and report of a measurement of accuracy below `directory`, with its scene."""
-    from surveysim.report.terminal.convergence import accuracy_table, reference_lines
+    from surveysim.report.tables import setting_meta, setting_rows, setting_table
+    from surveysim.report.terminal.convergence import reference_lines
     from surveysim.studies.convergence.records import TOLERATED
 
-    written = [directory / "accuracy.ecsv", write_text(directory / "scene.json", resolved(result.scene) + "\n")]
-    with atomic_write(written[0]) as unfinished:
-        accuracy_table(result).write(unfinished, format="ascii.ecsv", overwrite=True)
+    written = [write_text(directory / "scene.json", resolved(result.scene) + "\n")]
+    table = setting_table(setting_rows(result), setting_meta(result))
+    written.append(_write_table(directory / "accuracy.ecsv", table))
     content = {
         "scene": result.scene.name,
         "title": result.scene.title,
@@ -167,11 +167,14 @@ def undrawn(what: str, error: Exception) -> str:
 
 def write_forecast(directory: Path, forecast: "Forecast") -> Path:
     """Write forecast.ecsv, noise and signal PSDs of the map of each data set; returns its path."""
-    table = Table({"ell": forecast.ell}, meta={"temperature": "CMB"})
-    for name, item in forecast.scores.items():
-        table.columns.update({f"noise_{name}": item.noise_psd, f"signal_{name}": item.signal_psd})
-        table.units.update({f"noise_{name}": "uK2 sr", f"signal_{name}": "sr"})
-    return _write_table(directory / "forecast.ecsv", table)
+    return _write_table(directory / "forecast.ecsv", forecast_spectra(forecast))
+
+
+def write_extremes(path: Path, cases: Sequence["Case"], outcomes: Sequence["Outcome"]) -> Path:
+    """Write a row for each extreme case as ECSV; returns its path."""
+    from surveysim.report.tables import extreme_table
+
+    return _write_table(path, extreme_table(cases, outcomes))
 
 
 def write_text(path: Path, text: str) -> Path:
@@ -183,7 +186,7 @@ def write_text(path: Path, text: str) -> Path:
 
 def _write_maps(directory: Path, result: SurveyResult) -> list[Path]:
     setup, coadds, written = result.setup, result.coadds, []
-    for s, name in enumerate(setup.analysis.data_sets):
+    for s, name in enumerate(setup.analysis.data_set_names):
         item = BinnedMap(setup.analysis.geometry, coadds.sums[s], coadds.weight[s], coadds.hits[s])
         header = {
             "SCENE": setup.scene.name,
@@ -200,97 +203,6 @@ def _write_maps(directory: Path, result: SurveyResult) -> list[Path]:
     return written
 
 
-def _write_tables(directory: Path, result: SurveyResult) -> list[Path]:
-    tables = {"observations": _observation_table(result), "timestream_psd": _timestream_table(result)}
-    if result.scores:
-        tables |= {"scores": _score_table(result), "map_psd": _spectrum_table(result)}
-    if result.alternatives:
-        tables["alternatives"] = _alternative_table(result)
-    return [_write_table(directory / f"{name}.ecsv", table) for name, table in tables.items()]
-
-
 def _write_table(path: Path, table: Table) -> Path:
-    write_ecsv(path, table.columns, table.units, table.meta)
+    write_ecsv(path, table.in_files, table.units, table.meta)
     return path
-
-
-def _score_table(result: SurveyResult) -> Table:
-    unknown = {"forecast_ukcmb2": np.nan, "reference_ukcmb2": np.nan}
-    rows = [vars(row) | {k: vars(row)[k] or nan for k, nan in unknown.items()} for row in score_rows(result)]
-    reference = result.setup.scene.score.reference
-    return Table(
-        columns={name: [row[name] for row in rows] for name in rows[0]},
-        units=dict.fromkeys(("sigma_ukcmb2", "error_ukcmb2", "plain_sigma_ukcmb2", *unknown), "uK2"),
-        meta={"temperature": "CMB", "reference": reference.source if reference else "none"} | _part(result),
-    )
-
-
-def _part(result: SurveyResult) -> dict[str, int]:
-    """What a table of the whole survey is judged by."""
-    return {
-        "observations_simulated": result.coadds.done,
-        "observations_of_survey": result.setup.scene.observations,
-    }
-
-
-def _alternative_table(result: SurveyResult) -> Table:
-    columns = {name: [row[name] for row in result.alternatives] for name in result.alternatives[0]}
-    sigmas = [name for name in columns if name not in ("weights", "ell_min", "ell_eff", "fwhm_ell")]
-    comment = "sigma(A) in uK_CMB^2 of the same data, scored otherwise"
-    return Table(columns, dict.fromkeys(sigmas, "uK2"), {"comment": comment})
-
-
-def _spectrum_table(result: SurveyResult) -> Table:
-    band, rings = result.setup.analysis.region, result.setup.analysis.region.rings
-    columns = {"ell": rings.ell, "n_modes": rings.n_modes, "scored": band.selected}
-    columns["correlation_with_next"] = np.append(band.correlation, np.nan)
-    units: dict[str, str] = {}
-    for name, item in result.scores.items():
-        columns |= {
-            f"noise_{name}": item.noise_psd,
-            f"noise_error_{name}": item.noise_psds.std(axis=0, ddof=1) / np.sqrt(len(item.noise_psds)),
-            f"signal_{name}": item.signal_psd,
-            f"window_{name}": item.window.transmission,
-            f"window_error_{name}": item.window.error,
-            f"cumulative_{name}": item.band.cumulative,
-        }
-        units |= dict.fromkeys((f"noise_{name}", f"noise_error_{name}"), "uK2 sr")
-        units |= {f"signal_{name}": "sr", f"cumulative_{name}": "uK2"}
-        if result.expected and name in result.expected.scores:
-            columns[f"noise_forecast_{name}"] = result.expected.scores[name].noise_psd
-            columns[f"window_forecast_{name}"] = result.expected.scores[name].transmission
-            units[f"noise_forecast_{name}"] = "uK2 sr"
-    return Table(columns, units, {"temperature": "CMB"} | _part(result))
-
-
-def _timestream_table(result: SurveyResult) -> Table:
-    coadds = result.coadds
-    rate = result.setup.observing.raster.sample_rate_hz
-    n_freq = len(coadds.raw_psd[0])
-    frequency = np.arange(n_freq) * rate / samples_per_scan(result.setup.observing.raster)
-    comment = "quantiles over observations of the mean PSD over detectors"
-    table = Table({"frequency": frequency}, {"frequency": "Hz"}, {"comment": comment})
-    compared = np.array(coadds.compared_psd)
-    pipelines = enumerate(result.setup.analysis.whole_pipelines[1:])
-    psds_of: dict[str, Sequence[np.ndarray] | np.ndarray] = {"raw": coadds.raw_psd, "clean": coadds.clean_psd}
-    psds_of |= {f"clean_{pipeline.data_set}": compared[:, place] for place, pipeline in pipelines}
-    for name, psds in psds_of.items():
-        for label, level in (("q25", 25), ("median", 50), ("q75", 75)):
-            table.columns[f"{name}_{label}"] = np.percentile(psds, level, axis=0)
-            table.units[f"{name}_{label}"] = "mK2 / Hz"
-    return table
-
-
-def _observation_table(result: SurveyResult) -> Table:
-    setup = result.setup
-    columns = dict(zip(row_names(setup), np.array(result.coadds.rows).T, strict=True))
-    columns |= {
-        "observation": columns["observation"].astype(int),
-        "start_mjd": setup.observing.angles.start_mjd[: result.coadds.done],
-    }
-    units = {"start_mjd": "d", "wind_speed_rad_s": "rad / s", "wind_angle_rad": "rad", "pwv_mm": "mm"}
-    units |= {"elevation_rad": "rad", "white_mk2_hz": "mK2 / Hz"}
-    units |= {f"noise_mk2_{name}": "mK2" for name in setup.analysis.data_sets}
-    if np.isnan(columns["pwv_mm"]).all():  # the scene has its own distribution of B2
-        del columns["pwv_mm"], units["pwv_mm"]
-    return Table(columns, units)

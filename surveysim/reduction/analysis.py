@@ -6,7 +6,8 @@ import numpy as np
 
 from mapmaker.cleaning.responsivity import Responsivities
 from mapmaker.geometry import MapGeometry
-from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL, CleaningPipeline
+from surveysim.reduction.cleaning_pipelines import CleaningPipeline
+from surveysim.reduction.data_set import DataSet, data_sets
 from surveysim.reduction.scored_region import ScoredRegion, scored_region
 from surveysim.runtime.once import once
 from surveysim.scene.scene import Scene
@@ -29,6 +30,8 @@ class AnalysisSetup:
         Responsivities (1 + n_band, n_det) that cleaning takes as known; None where it fits them.
     masked
         Indices of the detectors of the masked array; None without one.
+    n_det
+        Number of detectors of the camera.
     """
 
     scene: Scene
@@ -37,6 +40,7 @@ class AnalysisSetup:
     pipelines: tuple[CleaningPipeline, ...]
     calibration: np.ndarray | None
     masked: np.ndarray | None
+    n_det: int
 
     @once
     def region(self) -> ScoredRegion | None:
@@ -60,12 +64,15 @@ class AnalysisSetup:
         return self.scene.cleaning.responsivities if self.calibration is None else self.calibration[0]
 
     @property
-    def data_sets(self) -> tuple[str, ...]:
-        """Names of the data sets that are scored, in the order of their maps."""
-        whole = [pipeline.data_set for pipeline in self.whole_pipelines]
-        masked = [pipeline.data_set for pipeline in self.pipelines[len(whole) :]]
-        simulated = self.scene.score.noise_only_sets if self.scene.score else ()
-        return (ACTUAL, *simulated, *whole[1:], *([OPTIMAL] if self.chooses else ()), *masked)
+    def data_sets(self) -> tuple[DataSet, ...]:
+        """Data sets, in the order of their maps."""
+        score = self.scene.score
+        return data_sets(self.pipelines, score.noise_only_sets if score else (), score is not None, self.n_det)
+
+    @property
+    def data_set_names(self) -> tuple[str, ...]:
+        """Names of the data sets, in the order of their maps."""
+        return tuple(item.name for item in self.data_sets)
 
     @property
     def whole_pipelines(self) -> tuple[CleaningPipeline, ...]:
@@ -85,8 +92,7 @@ class AnalysisSetup:
     @property
     def windows(self) -> tuple[str, ...]:
         """Data sets that have a transfer function of their own; the others share the first."""
-        own = {pipeline.data_set for pipeline in self.pipelines} | {OPTIMAL}
-        return tuple(name for name in self.data_sets if name in own)
+        return tuple(item.name for item in self.data_sets if item.own_transfer_function)
 
     def window_of(self, data_set: str) -> int:
         """Place of the transfer function of a data set among `windows`."""

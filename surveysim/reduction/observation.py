@@ -36,7 +36,7 @@ from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.observation import Stopwatch, draw_block, draw_other_bands
 from surveysim.timestreams.observed_block import observation_weather
-from surveysim.timestreams.response import add_sky_signal
+from surveysim.timestreams.response import write_sky_signal
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import observation_path
 
@@ -135,12 +135,12 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
     maps = {name: _plane(setup, *item) for name, item in sums.maps.items()}
     worth, best = None, 0
     if setup.analysis.chooses:
-        with watch("choice"):
+        with watch("figure_of_merit"):
             of_pipelines = [maps[pipeline.data_set] for pipeline in setup.analysis.whole_pipelines]
             worth = figures_of_merit(setup, transfer_functions(setup.scene), of_pipelines)
         best = max(0, int(best_places(worth[:, 0])))
         maps[OPTIMAL] = maps[setup.analysis.whole_pipelines[best].data_set]
-    ordered = [maps[name] for name in setup.analysis.data_sets]
+    ordered = [maps[name] for name in setup.analysis.data_set_names]
     total, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
     with watch("weights"):
         noise, of_bins = (np.array(part) for part in zip(*(map_noise(setup, *item) for item in ordered), strict=True))
@@ -180,7 +180,7 @@ def _let_go(streams: Timestreams) -> None:
 
 def _empty_sums(setup: Setup, with_window: bool) -> _Sums:
     n_pixel = setup.analysis.geometry.n_y * setup.analysis.geometry.n_x
-    names = [name for name in setup.analysis.data_sets if name != OPTIMAL]
+    names = [name for name in setup.analysis.data_set_names if name != OPTIMAL]
     maps = {name: (np.zeros(n_pixel), np.zeros(n_pixel, np.int64)) for name in names}
     power = np.zeros((setup.camera.n_det, samples_per_scan(setup.observing.raster) // 2 + 1))
     return _Sums(maps, _empty_window(setup, setup.analysis.n_signal_skies) if with_window else None, power)
@@ -206,7 +206,7 @@ def _add_block(
     for name in ("kept", "iterations", "removed"):
         getattr(sums, name).append(np.array([getattr(item, name) for item in part.cleaned]))
     if sums.window is not None:
-        with watch("window"):
+        with watch("transfer_function"):
             _add_window(sums.window, part, setup.analysis.signal_skies_mk)
 
 
@@ -316,8 +316,7 @@ def _add_window(window: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
     setup, streams = part.setup, part.streams
     hits, signal = np.zeros(window.shape[-1], np.int64), np.empty_like(streams.data_mk)
     for s, sky in enumerate(skies_mk):
-        signal[:] = 0
-        add_sky_signal(setup, part.pointing, sky, signal)
+        write_sky_signal(setup, part.pointing, sky, signal)
         for pipeline, base in zip(setup.analysis.pipelines, part.cleaned, strict=True):
             rows, place = pipeline.rows, setup.analysis.windows.index(pipeline.data_set)
             scans = _cleaned_again(setup, pipeline, base.kept)

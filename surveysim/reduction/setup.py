@@ -106,7 +106,7 @@ def _prepare(scene: Scene) -> Setup:
         observing=ObservingSetup(scene, lines, times, _blocks(scene, cam, lines, ways)),
         air=air,
         sky=SkySetup(scene, sky_geometry),
-        analysis=AnalysisSetup(scene, geometry, sky_geometry, ways, calibration, masked),
+        analysis=AnalysisSetup(scene, geometry, sky_geometry, ways, calibration, masked, n_det),
     )
     if setup.camera.n_det > MOST_DENSE:
         _check_torus(setup.camera)
@@ -132,7 +132,7 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
         n_pixel=geometry.n_x * geometry.n_y,
         n_patch=patch_side(scene.score.size_rad, geometry) if scored else 0,
         n_pad=padded_side(scene.score.size_rad, geometry) if scored else 0,
-        n_set=len(setup.analysis.data_sets),
+        n_set=len(setup.analysis.data_set_names),
         n_window=len(setup.analysis.windows),
         n_sky=setup.analysis.n_signal_skies,
         strip_elements=strip_elements,

@@ -1,4 +1,4 @@
-"""What a run of a scene does: the stages that run, and those left out with the reason for each."""
+"""Stages of a run, and stages left out with their reasons."""
 
 from surveysim.forecasting.forecast import can_forecast, why_no_forecast
 from surveysim.reduction.setup import Setup, window_observations
@@ -16,7 +16,7 @@ def absent_sections(scene: Scene) -> list[str]:
 
 
 def stages_that_run(setup: Setup) -> dict[str, str]:
-    """Every stage of a run of the scene, and what it does."""
+    """Return every stage of a run of the scene with its description."""
     scene = setup.scene
     scans = f"{scene.observations} observations of {setup.observing.raster.n_scans} scans"
     stages = {"pointing": f"{scans}, {setup.camera.n_det} detectors, {scene.scan.sample_rate_hz:g} Hz"}
@@ -33,34 +33,34 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
     stages["maps"] = f"{setup.analysis.geometry.n_x} x {setup.analysis.geometry.n_y} pixels"
     if scene.score:
         n_window = int(window_observations(scene).sum())
-        stages["data sets"] = ", ".join(setup.analysis.data_sets)
-        stages["window"] = f"{scene.score.signal_sims.skies} skies through {n_window} observations"
+        stages["data sets"] = ", ".join(setup.analysis.data_set_names)
+        stages["transfer function"] = f"{scene.score.signal_sims.skies} skies through {n_window} observations"
         stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
         if can_forecast(setup):
-            stages["forecast"] = "of each data set, beside its score"
+            stages["forecast"] = "closed form, for each data set"
     if scene.map.healpix_nside:
         stages["HEALPix"] = f"maps at nside {scene.map.healpix_nside}"
     return stages
 
 
 def left_out(setup: Setup) -> dict[str, str]:
-    """Every stage that a run of the scene leaves out, and why."""
+    """Return every stage that a run of the scene leaves out with its reason."""
     scene = setup.scene
     reasons = {name: f"no section [{name}]{OPTIONAL[name]}" for name in absent_sections(scene)}
     if scene.fixed_pointing:
         reasons["ephemerides"] = "a fixed elevation needs no astropy.coordinates"
     if setup.air.water is None:
-        reasons["opacity"] = "no atmosphere.site to know it of"
+        reasons["opacity"] = "no atmosphere.site"
     if not any(section and section.coherence != "none" for section in (scene.photon, scene.excess)):
-        reasons["overlap"] = "no noise that detectors share"
+        reasons["overlap"] = "no noise that is common to detectors"
     if scene.instrument.bands and not setup.analysis.subtracts_bands:
         reasons["other bands"] = "no pipeline subtracts them"
     if scene.score is None:
-        reasons |= dict.fromkeys(("window", "forecast", "best pipeline"), "no section [score] to need it")
+        reasons |= dict.fromkeys(("transfer function", "forecast", "best pipeline"), "no section [score]")
     elif not can_forecast(setup):
         reasons["forecast"] = why_no_forecast(setup)
     if scene.score and not setup.analysis.chooses:
-        reasons["best pipeline"] = "no cleaning.compare to choose from"
+        reasons["best pipeline"] = "no cleaning.compare"
     if not scene.map.healpix_nside:
         reasons["HEALPix"] = "no map.healpix_nside"
     return reasons

@@ -1,15 +1,16 @@
-"""Random generators keyed by seed, realization, observation and purpose, and by block.
+"""Random generators keyed by seed, realization, observation, purpose and block.
 
 Draws of one purpose do not depend on other stages, on the number of workers, or on the order of observations.
 """
 
 from enum import IntEnum
+from hashlib import sha256
 
 import numpy as np
 
 
 class RandomPurpose(IntEnum):
-    """Purpose of a stream of random numbers; its number is part of the key and never reused."""
+    """Purposes of random numbers that have a number. A number is part of the key and never reused."""
 
     WEATHER = 0
     POINTING = 1
@@ -28,7 +29,7 @@ class RandomPurpose(IntEnum):
 
 
 def generator(
-    seed: int, purpose: RandomPurpose, observation: int = 0, *, realization: int = 0, block: int = 0
+    seed: int, purpose: RandomPurpose | str, observation: int = 0, *, realization: int = 0, block: int = 0
 ) -> np.random.Generator:
     """Make the random generator of one purpose in one observation and realization.
 
@@ -37,9 +38,10 @@ def generator(
     seed
         Seed of the scene.
     purpose
-        Purpose of the random numbers.
+        Purpose of the random numbers. A new stream component takes its own name, whose hash is its number.
     observation, realization, block
         Indices from 0. Block 0 is not part of the key.
     """
-    key = (realization, observation, int(purpose), *((block,) if block else ()))
+    number = int.from_bytes(sha256(purpose.encode()).digest()[:8]) if isinstance(purpose, str) else int(purpose)
+    key = (realization, observation, number, *((block,) if block else ()))
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=key)))

@@ -33,3 +33,8 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return value
+
+
+def known(entry: dict[str, Any]) -> dict[str, Any]:
+    """The entry with None for what is unknown: JSON has no NaN."""
+    return {key: None if value != value else value for key, value in entry.items()}

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.fields import (
     B2_MAX,
     B2Knots,
@@ -145,3 +146,15 @@ class Sky(Section):
         if isinstance(data, dict) and "curved_nside" in data:
             raise ValueError("curved_nside: found; the key is 'curved_lmax' now, the highest multipole of the sky")
         return data
+
+
+class StreamSections(Section):
+    """Sections of the components of the time-streams; each can be left out."""
+
+    atmosphere: Atmosphere | None = None
+    """Without it there is neither a turbulent layer nor weather."""
+    excess: Excess | None = None
+    photon: Photon | None = None
+    detector: Detector | None = None
+    sky: Sky | None = None
+    """Without it the time-streams are noise only."""

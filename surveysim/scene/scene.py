@@ -23,11 +23,10 @@ from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.text_files import nested_deeper, one_line, read_text
 from surveysim.scene.analysis import Cleaning, MapSection, Score
 from surveysim.scene.assumed_values import assumed_of_site, assumed_values
-from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.error_lines import allowed_keys, error_lines, validation_lines
 from surveysim.scene.fields import Line, whole
 from surveysim.scene.instrument import Instrument
-from surveysim.scene.noise_and_sky import Detector, Excess, Photon, Sky
+from surveysim.scene.noise_and_sky import StreamSections
 from surveysim.scene.numerics import Numerics
 from surveysim.scene.observing import MIN_SAMPLES, FieldSection, FixedPointing, Scan, Schedule
 from surveysim.scene.renamed_keys import renamed_lines
@@ -51,11 +50,8 @@ class Origin:
     overrides: dict[str, Any] = field(compare=False)
 
 
-class Scene(Section):
-    """A whole scene; a section that is left out leaves out its stage of the simulation.
-
-    `assumed` is not a key of the file: it lists the values whose comments call them assumed or calibrated.
-    """
+class ObservationSections(Section):
+    """Keys of the run, and sections of the field, the observations and the instrument."""
 
     name: str = Field(pattern=f"^{NAME}$", max_length=MAX_NAME, json_schema_extra={"otherwise": "that of the file"})
     """Name of the run and of its output directory: letters, digits, `_`, `.` and `-`."""
@@ -72,13 +68,14 @@ class Scene(Section):
     """Alternative: `schedule`."""
     instrument: Instrument
     scan: Scan
-    atmosphere: Atmosphere | None = None
-    """Without it there is neither a turbulent layer nor weather."""
-    excess: Excess | None = None
-    photon: Photon | None = None
-    detector: Detector | None = None
-    sky: Sky | None = None
-    """Without it the time-streams are noise only."""
+
+
+class Scene(StreamSections, ObservationSections):
+    """A whole scene; a section that is left out leaves out its stage of the simulation.
+
+    `assumed` is not a key of the file: it lists the values whose comments call them assumed or calibrated.
+    """
+
     cleaning: Cleaning
     map: MapSection
     score: Score | None = None
@@ -106,8 +103,9 @@ class Scene(Section):
         if self.instrument.bands and not (self.atmosphere and self.atmosphere.site):
             raise ValueError("atmosphere.site: missing; the bands scale with each other by the opacity of a site")
         self._power_is_known()
-        if not any((self.atmosphere, self.excess, self.photon, self.detector, self.sky)):
-            raise ValueError("at least one of atmosphere, excess, photon, detector and sky is expected")
+        if not any(getattr(self, name) for name in StreamSections.model_fields):
+            *names, last = StreamSections.model_fields
+            raise ValueError(f"at least one of {', '.join(names)} and {last} is expected")
         if (found := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
             raise ValueError(f"scan.duration: found {found:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
         return self

@@ -28,7 +28,7 @@ FIGURE_BYTES = 80e6
 # Where the system does not say what a process holds: Python and the libraries.
 BASE_BYTES = 230e6
 # Stages of an observation that do not take longer the more scans it has, and those of window skies.
-ONCE, SKIES = ("choice", "weights"), ("window",)
+ONCE, SKIES = ("figure_of_merit", "weights"), ("transfer_function",)
 
 
 @dataclass(frozen=True)

@@ -129,7 +129,7 @@ def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
         "clean_psd": (n_freq,),
     }
     n_bin = 0 if setup.analysis.region is None else len(setup.analysis.region.rings.ell)
-    of_one |= {"bin_noise": (len(setup.analysis.data_sets), n_bin), "compared_psd": (n_compared, n_freq)}
+    of_one |= {"bin_noise": (len(setup.analysis.data_set_names), n_bin), "compared_psd": (n_compared, n_freq)}
     shapes |= {name: (done, *of_one[name]) if done else (0,) for name in _LISTS}
     types = {name: getattr(expected, name).dtype for name in _ARRAYS}
     for name, shape in shapes.items():
@@ -158,7 +158,7 @@ def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     if len(arrays["rows"]):
         columns = dict(zip(row_names(setup), arrays["rows"].T, strict=True))
         _check_rows(columns, setup)
-        noise = np.column_stack([columns[f"noise_mk2_{name}"] for name in setup.analysis.data_sets])
+        noise = np.column_stack([columns[f"noise_mk2_{name}"] for name in setup.analysis.data_set_names])
         _check_noise(noise, arrays["bin_noise"])
 
 

@@ -71,7 +71,7 @@ class CoAdds:
 
 def empty_coadds(setup: Setup) -> CoAdds:
     """Sums over no observation."""
-    n_set, n_window = len(setup.analysis.data_sets), len(setup.analysis.windows)
+    n_set, n_window = len(setup.analysis.data_set_names), len(setup.analysis.windows)
     shape = (setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
     n_flip = n_sky = n = 0
     if setup.scene.score:
@@ -129,7 +129,7 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
 
 def _check_shapes(setup: Setup, coadds: CoAdds, result: ObservationResult) -> None:
     """Raise ValueError for shapes that do not fit: results come from other processes, sums from files."""
-    planes = (len(setup.analysis.data_sets), setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
+    planes = (len(setup.analysis.data_set_names), setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
     n_flip, n = (setup.scene.score.jackknives, len(setup.analysis.region.taper)) if setup.scene.score else (0, 0)
     found = {
         "sums": (result.sums.shape, planes),
@@ -161,19 +161,19 @@ def lost_scans(setup: Setup, coadds: CoAdds) -> np.ndarray:
         best = best_places(np.array([columns[f"merit_{TARGETS[0]}_{name}"] for name in whole]))
         # Without any merit the first pipeline is taken.
         counts[OPTIMAL] = np.array([counts[name] for name in whole])[np.maximum(best, 0), np.arange(len(best))]
-    return np.stack([counts.get(name, counts[ACTUAL]) for name in setup.analysis.data_sets], axis=1)
+    return np.stack([counts.get(name, counts[ACTUAL]) for name in setup.analysis.data_set_names], axis=1)
 
 
 def kept_shares(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
     """Share (n_obs,) of its scans that is kept of each observation so far, by data set."""
     kept = 1 - lost_scans(setup, coadds) / setup.observing.raster.n_scans
-    return dict(zip(setup.analysis.data_sets, kept.T, strict=True))
+    return dict(zip(setup.analysis.data_set_names, kept.T, strict=True))
 
 
 def _add_window(setup: Setup, coadds: CoAdds, result: ObservationResult, weights: np.ndarray) -> None:
     patch = setup.analysis.region.patch
     for place, name in enumerate(setup.analysis.windows):
-        data_set = setup.analysis.data_sets.index(name)
+        data_set = setup.analysis.data_set_names.index(name)
         coadds.window[:, place] += weights[data_set] * result.window[:, place]
         coadds.window_weight[place] += weights[data_set] * result.hits[data_set][patch, patch]
 
@@ -198,4 +198,9 @@ def row_names(setup: Setup) -> list[str]:
     ]
     whole = setup.analysis.whole_pipelines if setup.analysis.chooses else ()
     figures_of_merit = [f"merit_{target}_{pipeline.data_set}" for target in TARGETS for pipeline in whole]
-    return [*ROW_FIELDS, *of_pipelines, *figures_of_merit, *(f"noise_mk2_{name}" for name in setup.analysis.data_sets)]
+    return [
+        *ROW_FIELDS,
+        *of_pipelines,
+        *figures_of_merit,
+        *(f"noise_mk2_{name}" for name in setup.analysis.data_set_names),
+    ]

@@ -19,6 +19,7 @@ from mapmaker.uncertainty import (
     subtract_in_quadrature,
 )
 from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.reduction.data_set import DataSet, DataSetKind
 from surveysim.reduction.scored_region import N_SECTORS
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InsufficientDataError
@@ -56,6 +57,7 @@ class DataSetScore:
     """
 
     name: str
+    kind: DataSetKind
     n_det: int
     band: BandPower
     budget: ErrorBudget
@@ -118,13 +120,13 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
     ]
     weights = noise_weights(coadds.noise_mk2())
     scores = {}
-    for s, name in enumerate(setup.analysis.data_sets):
+    for s, item in enumerate(setup.analysis.data_sets):
+        name = item.name
         if names is None or name in names:
-            n_det = len(setup.analysis.masked) if name.startswith("masked") else setup.camera.n_det
             psds = _noise_psds(setup, coadds, s, setup.analysis.region.rings)
             window = windows[setup.analysis.window_of(name)]
             of_observations = weights[:, s], np.array(coadds.bin_noise)[:, s], kept[name]
-            scores[name] = _score(setup, name, n_det, psds, window, *of_observations)
+            scores[name] = _score(setup, item, psds, window, *of_observations)
     return scores
 
 
@@ -174,14 +176,14 @@ def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
     low, high = setup.analysis.region.rings.edges_ell[:-1], setup.analysis.region.rings.edges_ell[1:]
     selected = (low >= ell_min) & (high <= setup.scene.score.ell_max)
     of_obs = item.weights, item.bin_noise, item.kept
-    plain = _score(setup, item.name, item.n_det, item.noise_psds, item.window, *of_obs, selected=selected)
+    plain = _score(setup, item, item.noise_psds, item.window, *of_obs, selected=selected)
     return plain if item.control is None else controlled_score(setup, plain, item.control)
 
 
 def sector_sigma(setup: Setup, coadds: CoAdds, item: DataSetScore) -> float:
     """sigma(A) [uK_CMB^2] of the scored range with modes weighted by their direction too (`split_azimuth`)."""
     sectors = setup.analysis.region.sectors
-    noise = _noise_psds(setup, coadds, setup.analysis.data_sets.index(item.name), sectors).mean(axis=0)
+    noise = _noise_psds(setup, coadds, setup.analysis.data_set_names.index(item.name), sectors).mean(axis=0)
     if item.control is not None:
         noise = noise * np.repeat(item.control.factor[setup.analysis.region.selected], N_SECTORS)
     window = _window(setup, coadds, setup.analysis.window_of(item.name), sectors)
@@ -256,8 +258,7 @@ def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
 
 def _score(
     setup: Setup,
-    name: str,
-    n_det: int,
+    item: DataSet | DataSetScore,
     psds: np.ndarray,
     window: TransferFunction,
     weights: np.ndarray,
@@ -283,7 +284,7 @@ def _score(
         information=shares,
         correlation=setup.analysis.region.correlation,
     )
-    return DataSetScore(name, n_det, band, budget, psds, signal, window, weights, bin_noise, kept)
+    return DataSetScore(item.name, item.kind, item.n_det, band, budget, psds, signal, window, weights, bin_noise, kept)
 
 
 def _window_errors(window: TransferFunction) -> np.ndarray:

@@ -41,7 +41,7 @@ class ObservedBlock:
         """Photon and detector noise of the observation."""
         return _levels(self.setup, self.observation, self.weather)
 
-    def generator(self, purpose: RandomPurpose, realization: int = 0) -> np.random.Generator:
+    def generator(self, purpose: RandomPurpose | str, realization: int = 0) -> np.random.Generator:
         """Create the random generator of one purpose in this block."""
         return generator(
             self.setup.scene.seed, purpose, self.observation, realization=realization, block=self.block.number

@@ -23,12 +23,13 @@ def apply_response(setup: Simulation, seen_mk: np.ndarray, band: int = 0, gain: 
     seen_mk *= (gain * _responsivity(setup, band))[:, None].astype(seen_mk.dtype)
 
 
-def add_sky_signal(setup: Simulation, pointing: Pointing, sky_mk: np.ndarray, data_mk: np.ndarray) -> None:
-    """Add the response to a sky (n_y, n_x) to streams (n_det, n_samp), in place.
+def write_sky_signal(setup: Simulation, pointing: Pointing, sky_mk: np.ndarray, out_mk: np.ndarray) -> None:
+    """Write the response to a sky (n_y, n_x) and nothing else to streams (n_det, n_samp).
 
     The look-up multiplies by the responsivity before it rounds to the type of the streams.
     """
-    add_seen_sky(setup, pointing, sky_mk, data_mk, _responsivity(setup, band=0))
+    out_mk[:] = 0
+    add_seen_sky(setup, pointing, sky_mk, out_mk, _responsivity(setup, band=0))
 
 
 def _responsivity(setup: Simulation, band: int) -> np.ndarray:

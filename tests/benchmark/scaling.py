@@ -41,7 +41,7 @@ def measure(rings: int, rate_hz: float, scans: int) -> dict[str, float]:
         result = observe(setup, 0, True)
         cpu_s = process_time() - start_s
     samples = setup.camera.n_det * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
-    skies = result.seconds["window"] / sum(result.seconds.values())
+    skies = result.seconds["transfer_function"] / sum(result.seconds.values())
     return {
         "detectors": setup.camera.n_det,
         "rate [Hz]": rate_hz,

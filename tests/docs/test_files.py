@@ -11,9 +11,8 @@ from astropy.table import Table
 import surveysim
 from surveysim.forecasting.forecast import forecast
 from surveysim.output.directory import RECORD
-from surveysim.output.writer import write_accuracy, write_forecast
+from surveysim.output.writer import write_accuracy, write_extremes, write_forecast
 from surveysim.paper.reproduce import TABLES, reproduce, wanted
-from surveysim.report.terminal.stress import write_extremes
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.convergence import measure_accuracy
 from surveysim.studies.stress import CASES, run_case

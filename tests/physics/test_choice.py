@@ -7,7 +7,7 @@ from surveysim.api import run
 from surveysim.reduction.figure_of_merit import figures_of_merit
 from surveysim.reduction.observation import transfer_functions
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import summary
+from surveysim.results.summary import summary
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from tests.scenes import write_scene

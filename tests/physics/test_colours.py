@@ -7,7 +7,7 @@ from surveysim.api import run
 from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import summary
+from surveysim.results.summary import summary
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene

@@ -9,6 +9,7 @@ import pytest
 from mapmaker.bandpower import flat_spectrum_psd, score
 from mapmaker.transfer_function import TransferFunction
 from surveysim import load_sweep, run_sweep
+from surveysim.reduction.data_set import DataSetKind
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.sweep.comparison import compare_runs
 from surveysim.studies.sweep.point_store import PointResult
@@ -63,7 +64,9 @@ def toy_pair(weights, own, rng):
             edges_ell=EDGES,
         )
         noise = np.repeat(1 / weights[:, None], 4, axis=1)
-        items.append(DataSetScore("actual", 100, band, budget, psds, signal, window, weights, noise))
+        items.append(
+            DataSetScore("actual", DataSetKind.ACTUAL, 100, band, budget, psds, signal, window, weights, noise)
+        )
     return items
 
 

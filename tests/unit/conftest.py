@@ -28,7 +28,7 @@ def blank_figures():
         Image.new("RGB", (60, 40)).save(path)
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("survey", "run_time"):
+        for module in ("survey",):
             patch.setattr(f"surveysim.report.figures.{module}.save", save)
         yield
 

@@ -23,7 +23,7 @@ from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_levels
-from surveysim.timestreams.response import add_sky_signal
+from surveysim.timestreams.response import write_sky_signal
 from surveysim.timestreams.simulation import observation_path
 from surveysim.timestreams.sky_maps import flat_cmb_sky
 
@@ -317,7 +317,7 @@ def cleaning_cost(one: Example, name: str) -> Cost:
     The signal is the difference that a faint CMB sky makes in the cleaned time-streams, relative to its own
     mean-removed streams. Scans in which the sky changes the number of removed modes are left out.
     """
-    setup, plain = one.setup, np.zeros_like(one.streams.data_mk)
+    setup, plain = one.setup, np.empty_like(one.streams.data_mk)
     _, pointing = observation_path(setup.observing, one.item.observation)
     instrument = setup.scene.instrument
     sky = flat_cmb_sky(
@@ -327,7 +327,7 @@ def cleaning_cost(one: Example, name: str) -> Cost:
         instrument.beam_fwhm_rad,
         generator(setup.scene.seed, RandomPurpose.WINDOW_SKY),
     )
-    add_sky_signal(setup, pointing, sky, plain)
+    write_sky_signal(setup, pointing, sky, plain)
     base, both = one.clean(name), one.clean(name, plain)
     same = base.kept & both.kept & (base.removed == both.removed)
     if not same.any():

@@ -1,4 +1,4 @@
-"""The figure of what accuracy costs: errors and biases against run time, with the Pareto fronts."""
+"""The figure of accuracy and its cost: errors and biases against run time, with the Pareto fronts."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -41,7 +41,7 @@ def accuracy_figure(result: AccuracyResult) -> PaperFigure:
         " Grey: Pareto front. Diamonds: the scene's own settings."
     )
     return PaperFigure(
-        0, f"{result.scene.name}: what accuracy costs", caption, tuple(panel for panel in panels if panel), 3
+        0, f"{result.scene.name}: accuracy and its cost", caption, tuple(panel for panel in panels if panel), 3
     )
 
 

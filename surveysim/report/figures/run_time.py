@@ -1,22 +1,12 @@
 """The figure of a run's error against the time of its simulation, from its own errors and times."""
 
-from pathlib import Path
-
 import numpy as np
 
-from surveysim.report.figures.layout import lay_out
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
-from surveysim.report.figures.style import save
 from surveysim.results.results import SurveyResult
 
 SHORTEST, LONGEST = 1 / 30, 30  # of the times drawn, in those of the run
 TARGETS = np.geomspace(1 / 5, 10, 40)  # relative errors whose costs are drawn, in that of the run
-
-
-def draw_time(path: Path, result: SurveyResult) -> Path:
-    """Draw the figure of a scored run as a PNG, whole or not at all; returns its path."""
-    save(lay_out(time_figure(result)), path)
-    return path
 
 
 def time_figure(result: SurveyResult) -> PaperFigure:

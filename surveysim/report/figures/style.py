@@ -21,6 +21,10 @@ BLACK, GREEN, BLUE, VERMILION, PURPLE = "#000000", "#009E73", "#0072B2", "#D55E0
 ORANGE, SKY = "#E69F00", "#56B4E9"
 GREY = "#7F7F7F"
 
+ELL = r"Multipole $\ell$"
+UK_CMB = r"$\mu$K$_\mathrm{CMB}$"
+UK2_CMB = r"$\mu$K$_\mathrm{CMB}^2$"
+
 LEGEND = {"fontsize": 8.5, "frameon": False}
 
 
@@ -29,6 +33,12 @@ def new_figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def panels(n: int, height: float = 4.6) -> tuple[Figure, list[Axes]]:
+    """A figure of a height [inch] with n axes in a row."""
+    figure = new_figure(10 if n > 1 else 6.4, height)
+    return figure, list(figure.subplots(1, n, squeeze=False, sharey=True)[0])
 
 
 def finish(axes: Axes, x_label: str, y_label: str) -> None:
@@ -56,6 +66,11 @@ def plain(text: str) -> str:
     """A text of the user's as it stands: no dollar sign begins a formula, and it is no longer than a figure is wide."""
     shown = "".join(letter if letter.isprintable() else "?" for letter in text)
     return (shown if len(shown) <= LONGEST else f"{shown[: LONGEST - 3]}...").replace("$", r"\$")
+
+
+def three_digits(value: float) -> str:
+    """A number of three digits, without an exponent up to a million."""
+    return f"{float(f'{value:.3g}'):g}"
 
 
 def save(figure: Figure, path: Path, full_colour: bool = False) -> None:

@@ -4,13 +4,14 @@ import re
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.report.figures.layout import lay_out
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.report.figures.style import plain, save
 from surveysim.studies.sweep.axes import Axis, numbers_of
-from surveysim.studies.sweep.comparison import SweepResult
+from surveysim.studies.sweep.result import SweepResult
 
 COLOURS = ("black", "vermilion", "blue", "green", "purple", "orange", "sky")
 MOST_LINES = 10  # with more, points stand in a row by their number
@@ -20,7 +21,13 @@ UK2_CMB = r"$\mu$K$_\mathrm{CMB}^2$"
 
 
 def draw_sweep(path: Path, result: SweepResult) -> Path:
-    """Draw the figure of a sweep with at least one score as a PNG, whole or not at all; returns its path."""
+    """Write the figure of a sweep with at least one score as a PNG, whole or not at all; returns its path."""
+    save(draw(result), path)
+    return path
+
+
+def draw(result: SweepResult) -> Figure:
+    """Draw the figure of a sweep with at least one score."""
     figure = lay_out(sweep_figure(result))
     ticks = _ticks(result)
     if ticks:
@@ -28,8 +35,7 @@ def draw_sweep(path: Path, result: SweepResult) -> Path:
             turned = sum(max(map(len, tick.split("\n"))) for tick in ticks) > LEVEL_TICKS
             look = {"rotation": 30, "rotation_mode": "anchor", "ha": "right", "fontsize": 8} if turned else {}
             axes.set_xticks(range(len(ticks)), ticks, **look)
-    save(figure, path)
-    return path
+    return figure
 
 
 def sweep_figure(result: SweepResult) -> PaperFigure:

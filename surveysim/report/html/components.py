@@ -1,4 +1,4 @@
-"""What a page of a report is made of: sections with text, terms, tables and pictures; and how numbers are written."""
+"""Parts of a page of a report: sections with text, terms, tables and pictures."""
 
 import math
 from base64 import b64encode
@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from surveysim.runtime.numbers import count, with_error
+from surveysim.runtime.table import Table
+
 UK2 = "µK²_CMB"
-MINUS, TIMES, NARROW = "\u2212", "\u00d7", "\u202f"
-EXACT = 1e-9  # relative error below which a number has none but that of its rounding
 
 
 @dataclass(frozen=True)
@@ -121,9 +122,6 @@ def picture(path: Path, title: str, alt: str, caption: Sequence[str], drawn: str
     return Picture(f"figure-{path.stem}", uri, width, height, alt, title, tuple(caption), drawn)
 
 
-# ---------------------------------------------------------------- numbers
-
-
 def cell(value: object) -> Cell:
     """A text or a count as it stands."""
     if isinstance(value, int) and not isinstance(value, bool):
@@ -138,104 +136,18 @@ def measured(value: float | None, error: float | None = None) -> Cell:
     return Cell(with_error(value, error), value)
 
 
-def times(value: float | None, factor: float) -> float | None:
-    """A number of a summary times a factor; None, as null is read, stays what it is."""
-    return None if value is None else value * factor
+def grid(table: Table, *notes: str) -> Grid:
+    """A table of results as a part of a page, with notes below."""
+    shown = table.shown
+    numbers = [column.array.tolist() if column.is_numeric else [None] * len(column.values) for column in shown]
+    rows = tuple(
+        tuple(Cell(text, _value(text, value)) for text, value in zip(texts, values, strict=True))
+        for texts, values in zip(table.rows, zip(*numbers, strict=True), strict=True)
+    )
+    headings = tuple(column.heading for column in shown)
+    return Grid(f"{table.name}-table", table.title, headings, rows, notes, table.best)
 
 
-def with_error(value: float, error: float | None) -> str:
-    """``221.1 ± 5.2``: both rounded to two digits of the error; three digits without one, or where it is rounding's."""
-    if error is None or not (math.isfinite(error) and error > EXACT * abs(value)):
-        return number(value)
-    size = max(abs(value), error)
-    if 1e-3 <= size < 1e6:
-        return f"{as_known(value, error)} ± {as_known(error, error)}"
-    exponent = math.floor(math.log10(size))
-    scale = 10.0**exponent
-    return f"({with_error(value / scale, error / scale)}) {TIMES} 10^({_signed(str(exponent))})"
-
-
-def quoted(value: float | None, error: float | None) -> str:
-    """As `with_error`, but an error of None is said to be unknown, as a value of None is."""
-    if value is None:
-        return "unknown"
-    return f"{number(value)} ± unknown" if error is None else with_error(value, error)
-
-
-def as_known(value: float, error: float | None) -> str:
-    """A number rounded to two digits of an error, or to three of its own where that is unknown."""
-    if error is None or value is None:
-        return number(value)
-    return _fixed(value, 1 - int(f"{error:.1e}".partition("e")[2]))  # of the rounded error: 0.0996 is 0.10
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number of so many digits, without exponent from 0.001 to a million; "none" for None."""
-    if value is None:
-        return "none"
-    if value == 0 or not math.isfinite(value):
-        return "0" if value == 0 else "none"
-    rounded = float(f"{value:.{digits - 1}e}")
-    if not 1e-3 <= abs(rounded) < 1e6:
-        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        return f"{_signed(mantissa)} {TIMES} 10^({_signed(str(int(exponent)))})"
-    return _fixed(value, digits - 1 - math.floor(math.log10(abs(rounded))))
-
-
-def short(value: float) -> str:
-    """A number as it was given, up to six digits, without trailing zeros."""
-    if value != 0 and not 1e-3 <= abs(value) < 1e6:  # NaN too
-        return number(value)
-    return _signed(_grouped(f"{value:,.6g}", value))
-
-
-def percent(share: float | None, error: float | None = None) -> str:
-    """A share in percent, as `with_error` writes numbers; "unknown" for None."""
-    if share is None:
-        return "unknown"
-    if error is not None and error > 0:
-        return f"({with_error(100 * share, 100 * error)}) %"
-    return f"{number(100 * share, 2)} %"
-
-
-def count(value: float | None) -> str:
-    """A number without decimals, its digits in threes from five on; "none" for None."""
-    return "none" if value is None else _fixed(value, 0)
-
-
-def day_and_time(date: str) -> str:
-    """A moment as summary.json has it, for readers."""
-    return date.replace("T", " ").replace("+00:00", " UTC")
-
-
-def duration(seconds: float | None) -> str:
-    """A time in the unit that suits it; "unknown" for None."""
-    if seconds is None:
-        return "unknown"
-    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= 1.5 * size:
-            return f"{number(seconds / size, 2)} {unit}"
-    return f"{number(seconds, 2)} s" if seconds >= 0.1 else f"{number(1e3 * seconds, 2)} ms"
-
-
-def plural(n: int, thing: str) -> str:
-    """How many of a thing there are."""
-    return f"{count(n)} {thing}" if n == 1 else f"{count(n)} {thing}s"
-
-
-def joined(items: Sequence[str]) -> str:
-    """``a, b and c``."""
-    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}" if items else ""
-
-
-def _fixed(value: float, places: int) -> str:
-    return _signed(_grouped(f"{round(value, places):,.{max(places, 0)}f}", value))
-
-
-def _grouped(text: str, value: float) -> str:
-    """A number with commas between thousands: apart from five digits on, without below."""
-    return text.replace(",", NARROW if abs(value) >= 1e4 else "")
-
-
-def _signed(text: str) -> str:
-    return text.replace("-", MINUS)
+def _value(text: str, value: float | None) -> float | None:
+    """The number that a cell rounds; None for a text and where there is none."""
+    return value if text and value is not None and math.isfinite(value) else None

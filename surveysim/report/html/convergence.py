@@ -1,47 +1,38 @@
-"""The page of a measurement of accuracy: what every knob gives and takes, the figure, the scene, provenance."""
+"""The page of a convergence study."""
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from surveysim.report.html.captions import ACCURACY
 from surveysim.report.html.components import (
     UK2,
     Block,
-    Cell,
-    Grid,
     Listing,
     Page,
     Section,
     Text,
-    cell,
-    count,
-    duration,
-    measured,
-    number,
-    percent,
+    grid,
     picture,
-    with_error,
 )
 from surveysim.report.html.discarded_scans import warned
 from surveysim.report.html.provenance import provenance, sources
-from surveysim.report.html.survey import what_was_simulated
-
-if TYPE_CHECKING:
-    from astropy.table import Row, Table
+from surveysim.report.html.scene import what_was_simulated
+from surveysim.report.tables import could_run, setting_table
+from surveysim.runtime.numbers import count, duration, number, percent, with_error
 
 Content = Mapping[str, Any]  # of summary.json and scene.json
 PICTURE = "figures/accuracy.png"
 
 
 def accuracy_page(directory: Path, summary: Content, scene: Content) -> Page:
-    """The page of what `surveysim accuracy` left in a directory."""
+    """Return the page of a convergence study from its directory, summary.json and scene.json."""
     from astropy.table import Table
 
     table, found = Table.read(directory / "accuracy.ecsv", format="ascii.ecsv"), summary["accuracy"]
-    scored = [row for row in table if math.isfinite(row["sigma_ukcmb2"])]
-    sections = [Section("settings", "What every knob gives and takes", tuple(_settings(table, scored, found)))]
+    rows = [dict(zip(table.colnames, row.as_void().tolist(), strict=True)) for row in table]
+    scored = [row for row in rows if could_run(row)]
+    sections = [Section("settings", "Accuracy and cost of every setting", tuple(_settings(rows, scored, found)))]
     if PICTURE in summary["files"] and (directory / PICTURE).is_file():
         lines = (ACCURACY.shows, ACCURACY.look_for)
         drawn = picture(directory / PICTURE, ACCURACY.title, ACCURACY.alt, lines)
@@ -59,8 +50,8 @@ def accuracy_page(directory: Path, summary: Content, scene: Content) -> Page:
     key += [("known to", percent(found["reference_error"]))]
     if own is not None:
         key.append(("error of one run", percent(own["error_ukcmb2"] / own["sigma_ukcmb2"])))
-    key += [("settings", count(len(table))), ("run time", duration(summary["run"]["wall_s"]))]
-    title = f"{summary['title']}: what accuracy costs"
+    key += [("settings", count(len(rows))), ("run time", duration(summary["run"]["wall_s"]))]
+    title = f"{summary['title']}: accuracy and its cost"
     lead = (*_lead(found), *warned(summary))
     return Page("surveysim accuracy", title, lead, tuple(key), tuple(sections))
 
@@ -73,26 +64,16 @@ def _lead(found: Content) -> Iterator[str]:
     yield " ".join(f"{_sentence(line.strip())}." for line in found["reference"])
 
 
-def _settings(table: "Table", scored: list["Row"], found: Content) -> Iterator[Block]:
-    rows, best = tuple(_row(row) for row in scored), tuple(k for k, row in enumerate(scored) if row["own"])
-    columns = (
-        "knob and setting",
-        "observations",
-        f"σ(A) [{UK2}]",
-        "bias [%]",
-        "wall [s]",
-        "CPU [s]",
-        "start [s]",
-        "peak [MB]",
-    )
-    notes = (
+def _settings(rows: Sequence[Content], scored: Sequence[Content], found: Content) -> Iterator[Block]:
+    note = (
         "Shaded: the scene's own settings. A bias is against the finest setting of its knob (of the number of"
         " observations and the forecast: against the reference), with its paired error; 0 without an error is that"
         " setting itself, or one equal to it. Peak: the most memory that a process held since it began, with other"
-        " settings before this one.",
+        " settings before this one."
     )
-    yield Grid("setting-table", "All settings that could be run", columns, rows, notes, best)
-    refused = [row for row in table if not math.isfinite(row["sigma_ukcmb2"])]
+    if scored:
+        yield grid(setting_table(scored), note)
+    refused = [row for row in rows if not could_run(row)]
     if refused:
         yield Listing(tuple(f"{row['knob']} {row['setting']}: {row['note']}." for row in refused), "Not run:")
     tolerated = percent(found["tolerated_bias"])
@@ -101,27 +82,17 @@ def _settings(table: "Table", scored: list["Row"], found: Content) -> Iterator[B
     )
 
 
-def _row(row: "Row") -> tuple[Cell, ...]:
-    bias = (
-        measured(100 * row["bias"], 100 * row["bias_error"]) if row["bias_error"] > 0 else Cell("0", float(row["bias"]))
-    )
-    times = [Cell(number(float(row[name])), float(row[name])) for name in ("wall_s", "cpu_s", "start_s")]
-    name = cell(f"{row['knob']}: {row['setting']}")
-    level = measured(float(row["sigma_ukcmb2"]), float(row["error_ukcmb2"]))
-    return name, cell(int(row["observations"])), level, bias, *times, measured(float(row["peak_mb"]))
-
-
 def _slopes(found: Content) -> Iterator[Block]:
     items = tuple(f"{item['name']}: {with_error(item['value'], item['error'])}" for item in found["slopes"])
     if items:
         yield Listing(items, "Slopes in logarithms; that of a Monte Carlo is −0.5:")
     else:
-        yield Text(("Too few settings could be run to tell how errors fall with time.",))
+        yield Text(("Too few settings could be run to measure how errors fall with time.",))
 
 
 def _recommended(item: Content) -> str:
     has = "as the scene has it" if item["is_own"] else "not the scene's"
-    doubt = "" if item["resolved"] else "; its bias is not known to that, only not told from none"
+    doubt = "" if item["resolved"] else "; its bias is smaller than its error, but the error is larger than this limit"
     return f"{item['knob']} {item['label']}: {has}{doubt}."
 
 

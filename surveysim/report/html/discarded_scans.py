@@ -4,14 +4,15 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from surveysim.report.html.components import Block, Cell, Grid, Section, Text, cell, number
+from surveysim.report.html.components import Block, Cell, Grid, Section, Text, cell
+from surveysim.runtime.numbers import number
 from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, WEATHER_GROUPS, telling
 
 Content = Mapping[str, Any]  # of summary.json
 DISCARD_RULE = (
-    "Cleaning discards a scan whose templates it can't fit. Where it fits responsivities on the atmosphere, these are"
-    " scans that see it change little: in the calmest weather, hence the best data, or while they go along with the"
-    " wind at about its speed. A point of a sweep that loses more than"
+    "Cleaning discards a scan whose templates it cannot fit. If it fits responsivities to the atmosphere, these are"
+    " scans with little atmospheric signal: in the calmest weather, which gives the best data, or along the wind at"
+    " about its speed. A point of a sweep that loses more than"
     f" {100 * MOST_DISCARDED:g} % of them, or {100 * MOST_APART:g} % more than the point that loses least, has no"
     " probability of being the best."
 )

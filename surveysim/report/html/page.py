@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 REPORT = "report.html"
 LONGEST_REASON = 150
+FIRST = (0, 4)  # version that gave the keys of summary.json their names
+KINDS = {"points", "scores", "accuracy"}  # keys that tell the kind of results
 EXPECTED = "the directory of a run, a sweep, 'surveysim accuracy' or 'surveysim paper' is expected"
 # Units and symbols as the results write them, once they are escaped for HTML.
 _WRITTEN = [
@@ -71,7 +73,7 @@ def write_report(directory: str | Path) -> Path:
 
 def _page_of(directory: Path) -> Page:
     """The page of a directory; its files tell which it is of."""
-    summary = _read(directory / "summary.json") if (directory / "summary.json").exists() else {}
+    summary = _read_summary(directory / "summary.json") if (directory / "summary.json").exists() else {}
     if "points" in summary:
         from surveysim.report.html.sweep import sweep_page
 
@@ -89,6 +91,16 @@ def _page_of(directory: Path) -> Page:
     if has_items(directory):
         return paper_page(directory, summary)
     raise NoResultsError(f"{directory}: found no results; {EXPECTED}")
+
+
+def _read_summary(path: Path) -> dict[str, Any]:
+    """Read summary.json; raise NoResultsError for keys of a version before `FIRST`."""
+    summary = _read(path)
+    found = str(summary.get("surveysim", "of unknown version"))
+    if not summary.keys().isdisjoint(KINDS) and tuple(map(int, re.findall(r"\d+", found)[:2])) < FIRST:
+        first = ".".join(map(str, FIRST))
+        raise NoResultsError(f"{path}: written by surveysim {found}; {first} or later is expected, run it again")
+    return summary
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -16,17 +16,11 @@ from surveysim.report.html.components import (
     Terms,
     Text,
     cell,
-    count,
-    day_and_time,
-    duration,
-    joined,
     measured,
-    number,
     picture,
-    plural,
-    short,
 )
 from surveysim.report.html.paper_captions import PAPER
+from surveysim.runtime.numbers import count, day_and_time, duration, joined, number, plural, short
 
 if TYPE_CHECKING:
     from astropy.table import Row, Table

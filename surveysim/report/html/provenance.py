@@ -4,7 +4,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from surveysim.report.html.components import Block, Cell, Grid, Terms, Text, cell, count, day_and_time, duration, number
+from surveysim.report.html.components import Block, Cell, Grid, Terms, Text, cell
+from surveysim.runtime.numbers import count, day_and_time, duration, number
 
 MANY_FILES = 40  # of a folder, as time-streams may be
 _ASSUMED = re.compile(r"(?P<key>\S+) = (?P<value>.*?): (?P<source>(?:assumed|calibrated).*)", re.DOTALL)

@@ -1,13 +1,14 @@
-"""A resolved scene in words: what was observed, with what, through which air, and what was made of it."""
+"""A resolved scene in words: field, camera, atmosphere, noise, cleaning, map and score."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from fractions import Fraction
 from functools import partial
 from pathlib import PurePath
 from typing import Any
 
-from surveysim.report.html.components import UK2, joined, number, plural, short
+from surveysim.report.html.components import UK2, Block, Terms
+from surveysim.runtime.numbers import joined, number, plural, short
 from surveysim.timestreams.component import COMPONENTS, StreamComponent
 
 CLEANINGS = {
@@ -18,22 +19,22 @@ CLEANINGS = {
     "polynomial": "polynomial subtraction",
     "wind": "average subtraction shifted along the wind",
     "pca": "adaptive PCA",
-    "local": "subtraction of what neighbours see",
-    "spectral": "subtraction of what the bands share",
+    "local": "subtraction of the mean of neighbours",
+    "spectral": "subtraction of the signal common to the bands",
 }
 COHERENCES = {
-    "field": "as far as the fields of overlapping beams are coherent (the hypothesis of Sayers et al. 2010)",
-    "intensity": "as far as the intensities of overlapping beams are (as light that bunches does)",
+    "field": "as far as the fields of overlapping beams are coherent (hypothesis of Sayers et al. 2010)",
+    "intensity": "as far as the intensities of overlapping beams are coherent (photon bunching)",
     "none": "not at all",
 }
 SIMULATED = {"uncorrelated": "the same noise without correlations", "white": "white noise"}
 SITES = {"mauna_kea": "Mauna Kea", "south_pole": "the South Pole", "alma": "ALMA", "ccat": "CCAT"}
 
-Values = dict[str, Any]
+Values = Mapping[str, Any]
 
 
 def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
-    """Terms and what is said of each, from the content of scene.json; stages that the scene leaves out have none."""
+    """Return terms with their descriptions, from the content of scene.json, for the stages that the scene has."""
     components = [item for item in COMPONENTS if scene.get(item.name) is not None]
     tell: dict[str, Callable[[], Iterator[str]]] = {
         "Field": lambda: _field(scene),
@@ -50,8 +51,15 @@ def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
     return tuple((term, " ".join(words())) for term, words in tell.items())
 
 
+def what_was_simulated(scene: Values, summary: Mapping[str, Any], n_det: int) -> tuple[Block, ...]:
+    """Return the scene in words, and every stage that is left out with its reason."""
+    left_out = summary.get("left_out") or dict.fromkeys(summary.get("stages_left_out", ()), "no such section")
+    terms = Terms(scene_terms(scene, n_det))
+    return (terms, Terms(tuple(left_out.items()), "Stages left out")) if left_out else (terms,)
+
+
 def cleaning_words(steps: list[str]) -> str:
-    """Steps of a cleaning in words."""
+    """Return the steps of a cleaning pipeline in words."""
     return ", then ".join(CLEANINGS.get(step, step) for step in steps)
 
 
@@ -73,8 +81,8 @@ def _field(scene: Values) -> Iterator[str]:
 def _observations(scene: Values) -> Iterator[str]:
     scan = scene["scan"]
     raster = f"{plural(scan['scans'], 'scan')} of {short(scan['duration_s'])} s at {_arcmin(scan['speed_rad_s'])}/s"
-    yield f"{plural(scene['observations'], 'observation')} of {raster}, {short(scan['turnaround_s'])} s a turn."
-    yield f"Scans lie {_arcmin(scan['step_rad'])} apart."
+    yield f"{plural(scene['observations'], 'observation')} of {raster}, turnarounds of {short(scan['turnaround_s'])} s."
+    yield f"Scans are {_arcmin(scan['step_rad'])} apart."
     if scan["dither_rad"]:
         yield f"Each observation is offset at random within {_arcmin(scan['dither_rad'])}."
     yield f"Detectors are sampled at {short(scan['sample_rate_hz'])} Hz."
@@ -96,18 +104,18 @@ def _camera(camera: Values, n_det: int) -> Iterator[str]:
         yield f"Positions come from the table {PurePath(camera['positions']).name}."
     yield f"Responsivities scatter by {_percent(camera['responsivity_scatter'])}."
     if camera["camera_rotation_range_rad"]:
-        yield f"The camera turns within {_deg(camera['camera_rotation_range_rad'])}° from one observation to the next."
+        yield f"The camera angle varies within {_deg(camera['camera_rotation_range_rad'])}° between observations."
     if camera["horn_f_lambda"] is not None:
         yield f"Horns are {short(camera['horn_f_lambda'])} (f/#)λ wide."
     if camera["edge_taper_db"] is not None:
-        yield f"Pixels light the stop with an edge taper of {short(camera['edge_taper_db'])} dB."
+        yield f"Pixels illuminate the stop with an edge taper of {short(camera['edge_taper_db'])} dB."
     if camera["efficiency"] is not None:
         yield f"The efficiency from window to detector is {_percent(camera['efficiency'])}."
     if camera["polarizations"] is not None:
-        yield f"Detectors take {plural(camera['polarizations'], 'polarization')}."
+        yield f"Detectors absorb {plural(camera['polarizations'], 'polarization')}."
     if camera["bands"]:
         bands = joined([f"{short(colour['frequency_hz'] / 1e9)}" for colour in camera["bands"]])
-        yield f"Every pixel has further bands at {bands} GHz, which cleaning may subtract."
+        yield f"Every pixel has more bands, at {bands} GHz, which cleaning may use."
 
 
 def _component(item: StreamComponent, section: Values) -> Iterator[str]:
@@ -120,23 +128,23 @@ def _component(item: StreamComponent, section: Values) -> Iterator[str]:
 
 def _atmosphere(air: Values) -> Iterator[str]:
     index = Fraction(air["spectral_index"]).limit_denominator(1000)
-    yield f"One frozen layer {short(air['layer_height_m'])} m above the telescope, seen through"
+    yield f"One frozen layer {short(air['layer_height_m'])} m above the telescope, seen through an aperture of"
     yield f"{short(air['illuminated_aperture_m'])} m, with the spectrum B2 α^(-{index})."
     if air["outer_scale_m"] is not None:
         yield f"Its outer scale is {short(air['outer_scale_m'])} m."
     if air["site"]:
-        yield f"Water and its fluctuations are those of {SITES.get(air['site'], air['site'])}."
+        yield f"Water and water fluctuations are those of {SITES.get(air['site'], air['site'])}."
     unit = f"mK2 rad({Fraction(2 - air['spectral_index']).limit_denominator(1000)})"
     if air["b2"]:
         levels = ", ".join(short(100 * level) for level in air["b2_probabilities"])
         yield f"B2 is drawn for each observation, with the quantiles {_list(air['b2'])} {unit} at {levels} %."
     else:
-        yield "B2 is drawn for each observation; it follows from the water and its fluctuations."
+        yield "B2 of each observation follows from its water and water fluctuation."
     wind = air["wind_median_rad_s"]
     yield f"Winds have a median of {_arcmin(wind)}/s ({number(wind * air['layer_height_m'])} m/s in the layer),"
     yield f"a scatter of {short(air['wind_log_scatter'])} in the logarithm and all directions."
     if air["wind_b2_exponent"]:
-        yield f"Their median goes as the power {short(air['wind_b2_exponent'])} of B2."
+        yield f"Their median is proportional to B2^({short(air['wind_b2_exponent'])})."
 
 
 def _excess(excess: Values) -> Iterator[str]:
@@ -150,26 +158,27 @@ def _excess(excess: Values) -> Iterator[str]:
 def _photon(photon: Values) -> Iterator[str]:
     if load := photon["load"]:
         sky = "the site's water" if load["sky_k"] is None else f"a sky of {short(load['sky_k'])} K"
-        yield f"From the load of {sky} and {short(load['optics_k'])} K of warm optics."
-        of = "the bunching of what" if photon["coherence"] == "intensity" else "what"
-        yield f"Neighbours share {of} comes through the beam {COHERENCES[photon['coherence']]}."
+        yield f"From the load of {sky} and warm optics of {short(load['optics_k'])} K."
+        of = "its bunching part" if photon["coherence"] == "intensity" else "the noise of the load through the beam"
+        yield f"Neighbours share {of} {COHERENCES[photon['coherence']]}."
     else:
         share, how = photon["coherent_fraction"], photon["coherence"]
-        shared = f"of which neighbours share {_percent(share)} {COHERENCES[how]}"
+        shared = f"{_percent(share)} of it common to neighbours {COHERENCES[how]}"
         if how == "intensity":
             bose = photon["bose_fraction"]
-            shared = f"{_percent(bose)} of it bunching, of a load of which {_percent(share)} comes through the beam;"
+            shared = f"{_percent(bose)} of it from bunching, {_percent(share)} of the load through the beam;"
             shared += f" neighbours share the bunching of that part {COHERENCES[how]}"
             share *= bose
         yield f"White, {short(photon['psd_mk2_hz'])} mK2 / Hz,"
-        yield f"{shared if share > 0 and how != 'none' else 'shared by none'}."
+        yield f"{shared if share > 0 and how != 'none' else 'independent between detectors'}."
 
 
 def _detector(detector: Values) -> Iterator[str]:
     if detector["psd_mk2_hz"] is not None:
-        yield f"White, {short(detector['psd_mk2_hz'])} mK2 / Hz, shared by none."
+        yield f"White, {short(detector['psd_mk2_hz'])} mK2 / Hz,"
     else:
-        yield f"White, a noise-equivalent power of {number(detector['nep_w_rthz'], 2)} W / Hz(1/2), shared by none."
+        yield f"White, a noise-equivalent power of {number(detector['nep_w_rthz'], 2)} W / Hz(1/2),"
+    yield "independent between detectors."
 
 
 def _sky(sky: Values) -> Iterator[str]:
@@ -191,7 +200,7 @@ _COMPONENTS: dict[str, Callable[[Values], Iterator[str]]] = {
 _RESPONSIVITIES = {
     "scan": "Responsivities are fitted to each scan.",
     "observation": "Responsivities are fitted to all scans of an observation together.",
-    "survey": "Responsivities are known with an error of {error:.3g} rms that lasts the survey.",
+    "survey": "Responsivities are known with a fixed error of {error:.3g} rms.",
     "known": "Responsivities are known.",
 }
 
@@ -222,7 +231,8 @@ def _map(scene: Values) -> Iterator[str]:
 def _numerics(numerics: Values) -> Iterator[str]:
     step = numerics["screen_step"]
     lattice = "the usual step" if step == 1 else f"{short(step)} times the usual step"
-    yield f"Streams are {numerics['precision']}; look-ups in the layer are {numerics['interpolation']}, at {lattice}."
+    yield f"Time-streams are {numerics['precision']};"
+    yield f"interpolation in the layer is {numerics['interpolation']}, at {lattice}."
 
 
 def _score(score: Values, observations: int) -> Iterator[str]:
@@ -230,14 +240,14 @@ def _score(score: Values, observations: int) -> Iterator[str]:
     yield f"from multipoles {score['ell_min']} to {score['ell_max']} in bins of {score['ell_bin']},"
     edges = _percent(score["taper_fraction"])
     yield f"over {_arcmin(score['size_rad'])} square, with cosine edges on {edges} of each side."
-    yield f"The noise is measured by {score['jackknives']} co-adds with random signs, the signal that is left by"
+    yield f"The noise is measured by {score['jackknives']} co-adds with random signs, the transfer function by"
     through = min(score["signal_sims"]["observations"], observations)
     yield f"{score['signal_sims']['skies']} skies through {plural(through, 'observation')}."
     beside = [SIMULATED[name] for name in score["noise_only_sets"]]
     if score["mask_separation_f_lambda"]:
         beside.append(f"an array masked to {short(score['mask_separation_f_lambda'])} (f/#)λ")
     if beside:
-        yield f"Scored beside the survey itself: {joined(beside)}."
+        yield f"Also scored: {joined(beside)}."
 
 
 # ---------------------------------------------------------------- units
@@ -260,7 +270,7 @@ def _deg(rad: float) -> str:
 
 
 def _clean(value: float) -> float:
-    """Without what conversions to radians and back leave."""
+    """Remove the rounding errors of conversions to radians and back."""
     return float(f"{value:.6g}")
 
 

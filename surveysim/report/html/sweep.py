@@ -1,48 +1,30 @@
-"""The page of a sweep: which point is best, the axes, all points, the figure, the scene, provenance."""
+"""The page of a sweep."""
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.report.html.captions import FORECAST_SWEEP, SWEEP
-from surveysim.report.html.components import (
-    UK2,
-    Block,
-    Cell,
-    Grid,
-    Page,
-    Section,
-    Terms,
-    Text,
-    as_known,
-    cell,
-    count,
-    duration,
-    joined,
-    measured,
-    number,
-    picture,
-    plural,
-    quoted,
-    times,
-)
+from surveysim.report.html.components import UK2, Block, Cell, Grid, Page, Section, Terms, Text, cell, grid, picture
 from surveysim.report.html.discarded_scans import DISCARD_RULE, QUARTERS, quarter_names, share_cell, warned
 from surveysim.report.html.provenance import provenance, sources
-from surveysim.report.html.survey import what_was_simulated
+from surveysim.report.html.scene import what_was_simulated
+from surveysim.runtime.numbers import count, duration, joined, number, plural, quoted, quoted_share
 from surveysim.studies.sweep.axes import value_text
-from surveysim.studies.sweep.comparison import ESTIMATES, SURE
+from surveysim.studies.sweep.result import ESTIMATES
+from surveysim.studies.sweep.tables import WITHHELD, chance_text, data_set_table, ratio_text, sweep_table, varied_keys
 from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, telling
 
 Content = Mapping[str, Any]  # of summary.json and scene.json, or of a point in the former
 PICTURE = "figures/sweep.png"
 MOST_NAMED = 4  # points in a note
-WITHHELD = "best_probability_withheld"
 
 
 def sweep_page(directory: Path, summary: Content, scene: Content) -> Page:
-    """The page of what a sweep left in a directory."""
+    """Return the page of a sweep from its directory, summary.json and scene.json."""
     sections = [
         Section("axes", "What was varied", _axes(summary)),
         Section("points", "Points", tuple(_grids(summary))),
@@ -56,7 +38,7 @@ def sweep_page(directory: Path, summary: Content, scene: Content) -> Page:
     if discarded := tuple(_discarded(summary)):
         sections.append(Section("discarded", "Discarded scans", discarded))
     if agreement := _agreement(summary):
-        sections.append(Section("truth", "Forecast against simulation", (agreement,)))
+        sections.append(Section("agreement", "Forecast against simulation", (agreement,)))
     first = Text(("The scene of the first point; the others differ in the keys that are varied, and in what follows.",))
     what = what_was_simulated(scene, summary, summary["points"][0]["n_det"])
     sections += [
@@ -79,12 +61,12 @@ def _lead(summary: Content, scene: Content) -> Iterator[str]:
     yield _best_sentence(summary, made, best)
     reference = points[summary["reference"]]
     if reference not in best:
-        ratio = _ratio_cell(best[0], False, "ratio_error").text
+        ratio = ratio_text(best[0], None)
         yield f"That is {ratio} times the σ(A) of the reference point, {reference['label']}."
     if summary["kind"] == "simulated":
         yield (
             f"Every point has up to {plural(scene['observations'], 'observation')} with the same seed, hence the same"
-            " weather, noise and skies wherever the keys allow it. Ratios are therefore known better than the points."
+            " weather, noise and skies where the keys allow it. Ratios therefore have smaller errors than the points."
         )
     yield from warned(summary)
 
@@ -100,10 +82,9 @@ def _best_sentence(summary: Content, made: str, best: list[Content]) -> str:
         why = best[0][WITHHELD]
         return f"Of {made}, the lowest is {labels}: {sigma}. The probability that it is the best is withheld: {why}."
     sure, each = best[0]["best_probability"], "each " if len(best) > 1 else ""
-    confidence = f"more than {100 * SURE:g} %" if sure > SURE else f"{100 * sure:.0f} %"
     out = sum(WITHHELD in point for point in summary["points"])
     others = f" {plural(out, 'point')} that lose too many scans are not counted." if out else ""
-    return f"Of {made}, the best is {labels}: {sigma}, {each}with a confidence of {confidence}.{others}"
+    return f"Of {made}, the best is {labels}: {sigma}, {each}with a confidence of {chance_text(sure)}.{others}"
 
 
 def _key_figures(summary: Content) -> tuple[tuple[str, str], ...]:
@@ -112,7 +93,7 @@ def _key_figures(summary: Content) -> tuple[tuple[str, str], ...]:
         best = summary["points"][summary["best"][0]]
         row = best["scores"].get(ACTUAL)
         sigma = quoted(row["sigma_ukcmb2"], row["error_ukcmb2"]) if row else number(best["forecast_ukcmb2"][ACTUAL])
-        ratio = _ratio_cell(best, best["point"] == summary["reference"], "ratio_error").text
+        ratio = ratio_text(best, summary["reference"])
         name = "lowest" if WITHHELD in best else "best"
         found += [(f"{name} σ(A) [{UK2}]", sigma), ("over the reference", ratio)]
     found += [("points", count(len(summary["points"]))), ("axes", count(len(summary["axes"])))]
@@ -130,13 +111,7 @@ def _axes(summary: Content) -> tuple[Block, ...]:
 
 
 def _grids(summary: Content) -> Iterator[Block]:
-    keys = _keys(summary)
-    simulated = summary["kind"] == "simulated"
-    columns = ["point", *(f"σ(A) [{UK2}]",) * simulated, "forecast", "ratio"]
-    columns += ["ratio, if independent", "best [%]", "discarded [%]"] * simulated + ["detectors"]
-    rows = tuple((cell(_values(point, keys)), *_numbers(summary, point)) for point in summary["points"])
-    named = f"The point's name has the values of {joined(keys)}. "
-    notes = [named + _ratio_note(summary)]
+    notes = [_ratio_note(summary)]
     notes += [f"{point['label']}: {point['unscored']}." for point in summary["points"] if point.get("unscored")]
     reasons = dict.fromkeys(point[WITHHELD] for point in summary["points"] if WITHHELD in point)
     for reason in reasons:
@@ -148,71 +123,13 @@ def _grids(summary: Content) -> Iterator[Block]:
         for point in summary["points"]
         for sentence in point["forecast_flags"]
     ]
-    caption = "Uncertainty of a flat CMB band power, actual data"
-    yield Grid("point-table", caption, tuple(columns), rows, tuple(notes), tuple(summary["best"]))
-    others = list(dict.fromkeys(name for point in summary["points"] for name in point["scores"] if name != ACTUAL))
-    if others:
-        rows = tuple((cell(_values(point, keys)), *_others(point, others)) for point in summary["points"])
-        yield Grid("other-table", f"Other data sets: σ(A) [{UK2}]", ("point", *others), rows)
-
-
-def _keys(summary: Content) -> list[str]:
-    """Keys that name a point: those of each axis whose values differ, or its first."""
-    found: list[str] = []
-    for axis in summary["axes"]:
-        texts = [[value_text(value) for value in column] for column in zip(*axis["values"], strict=True)]
-        differ = [key for key, column in zip(axis["keys"], texts, strict=True) if len(set(column)) > 1]
-        found += differ or axis["keys"][:1]
-    return found
+    yield grid(replace(sweep_table(summary), title="Uncertainty of a flat CMB band power, actual data"), *notes)
+    if others := data_set_table(summary):
+        yield grid(others)
 
 
 def _values(point: Content, keys: list[str]) -> str:
     return ", ".join(value_text(point["settings"][key]) for key in keys)
-
-
-def _numbers(summary: Content, point: Content) -> Iterator[Cell]:
-    score, scored = point["scores"].get(ACTUAL), "ratio" in point
-    forecast, own = point["forecast_ukcmb2"].get(ACTUAL), point["point"] == summary["reference"]
-    if summary["kind"] == "simulated":
-        yield quoted_cell(score["sigma_ukcmb2"], score["error_ukcmb2"]) if score else Cell("not scored")
-    known = score and score["error_ukcmb2"]
-    shown = "" if forecast is None else as_known(forecast, score["error_ukcmb2"]) if known else number(forecast)
-    yield Cell(shown, forecast)
-    yield _ratio_cell(point, own, "ratio_error")
-    if summary["kind"] == "simulated":
-        yield _ratio_cell(point, own, "independent_error")
-        probability = point.get("best_probability")
-        if probability is None:
-            yield Cell("withheld" if scored else "")
-        else:
-            yield Cell(_probability(probability), probability)
-        yield share_cell(point["discarded"][ACTUAL])
-    yield cell(point["n_det"])
-
-
-def quoted_cell(value: float, error: float | None) -> Cell:
-    """A number with an error that may be unknown."""
-    return Cell(quoted(value, error), value)
-
-
-def _ratio_cell(point: Content, own: bool, error: str) -> Cell:
-    """The ratio of a point to the reference, with an error if the sweep has any."""
-    if own or "ratio" not in point:
-        return Cell("1", point["ratio"]) if own else Cell("")
-    return quoted_cell(point["ratio"], point[error]) if error in point else measured(point["ratio"])
-
-
-def _probability(share: float) -> str:
-    """In percent; never 0 or 100, which draws can't tell."""
-    if share > SURE:
-        return f"> {100 * SURE:g}"
-    return "< 0.5" if share < 1 - SURE else f"{100 * share:.0f}"
-
-
-def _others(point: Content, names: list[str]) -> Iterator[Cell]:
-    for name in names:
-        score = point["scores"].get(name)
-        yield quoted_cell(score["sigma_ukcmb2"], score["error_ukcmb2"]) if score else Cell("")
 
 
 def _ratio_note(summary: Content) -> str:
@@ -224,9 +141,8 @@ def _ratio_note(summary: Content) -> str:
     if summary["kind"] != "simulated":
         return f"{note} A forecast has no Monte Carlo error."
     return (
-        f"{note} Their errors count what the points have in common; beside stand those that independent runs would"
-        " have. Best: the probability that the point has the lowest σ(A) of all that lose few scans and whose error is"
-        " known."
+        f"{note} Their errors allow for the noise and weather that the points share. Best: the probability that the"
+        " point has the lowest σ(A) of all that lose few scans and whose error is known."
     )
 
 
@@ -236,11 +152,9 @@ def _pair_grids(summary: Content) -> Iterator[Grid]:
     numbers = sorted({number for pair in pairs for number in pair})
     if len(numbers) < 3:  # the table of points has the only pair
         return
-    names = {number: f"{number}: {_values(summary['points'][number], _keys(summary))}" for number in numbers}
+    names = {number: f"{number}: {_values(summary['points'][number], varied_keys(summary))}" for number in numbers}
     rows = tuple((cell(names[row]), *(_pair_cell(pairs, row, column) for column in numbers)) for row in numbers)
-    notes = [
-        "σ(A) of the row's point over that of the column's, with the error of the pair, which counts what both share."
-    ]
+    notes = ["σ(A) of the row's point over that of the column's, with the paired error."]
     if not all(pair["comparable"] for pair in pairs.values()):
         notes.append(
             f"*: not to be compared, as one loses more than {100 * MOST_DISCARDED:g} % of its scans or the two differ"
@@ -265,7 +179,7 @@ def _discarded(summary: Content) -> Iterator[Block]:
     points = [point for point in summary["points"] if "discarded" in point]
     if not points:
         return
-    keys, names = _keys(summary), telling([point["discarded"] for point in points])
+    keys, names = varied_keys(summary), telling([point["discarded"] for point in points])
     if not any(value for point in points for value in point["discarded"].values()):
         yield Text(("No scan was discarded.",))
         return
@@ -287,9 +201,9 @@ def _agreement(summary: Content) -> Grid | None:
     rows = []
     for point in summary["points"]:
         if off := point.get("forecast_over_simulated"):
-            ratio = quoted_cell(times(off["sigma"], 100), times(off["sigma_error"], 100))
-            rows.append((cell(_values(point, _keys(summary))), ratio))
-    columns = ("point", "forecast over simulated, less 1 [%]")
+            ratio = Cell(quoted_share(off["sigma"], off["sigma_error"]), off["sigma"])
+            rows.append((cell(_values(point, varied_keys(summary))), ratio))
+    columns = ("point", "forecast over simulated, less 1")
     note = (
         "Both are of the same observations and of the scans that were kept. Errors are those of the ratio; the points"
         " have one seed, so they are not independent of each other."

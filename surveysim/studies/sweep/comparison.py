@@ -28,20 +28,14 @@ from surveysim.studies.sweep.point_store import (
 )
 from surveysim.survey.checkpoint import CheckpointError
 from surveysim.survey.coadds import CoAdds
-from surveysim.survey.discarded_scans import competing, discards, sweep_warnings, why_withheld
+from surveysim.survey.discarded_scans import competing, discards
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import FEWEST_CONTROLLED, DataSetScore, error_modes
 
 DRAWS = 20_000  # of the best point: a probability of 0.5 is known to 0.004
 _DRAWS_AT_ONCE = 1000
 SURE = 0.995  # from here on a probability rounds to 100 %, which it is not
-MOST_PAIRED = 100  # points with a score, of which every pair is told
 _EQUAL = 1e-9  # relative difference below which two points are equal
-
-ESTIMATES = {  # kinds of sigma(A)
-    "controlled": "has the forecast as control variate, which takes out the luck of the weather",
-    "plain": "is of the weather that was drawn, which is common to all points",
-}
 
 
 @dataclass(frozen=True)
@@ -65,71 +59,6 @@ class Comparison:
     paired_error: np.ndarray
     independent_error: np.ndarray
     best_probability: np.ndarray
-
-
-@dataclass(frozen=True)
-class Pair:
-    """sigma(A) of `point` over that of `other`, with its paired error and that of independent runs.
-
-    They are `comparable` if both lose few scans, and like shares of them (`SweepResult.comparable`).
-    """
-
-    point: int
-    other: int
-    ratio: float
-    paired_error: float
-    independent_error: float
-    comparable: bool
-
-
-@dataclass(frozen=True)
-class SweepResult:
-    """A finished sweep; `simulated` is false where its points are forecasts alone."""
-
-    sweep: Sweep
-    points: tuple[PointResult, ...]
-    comparison: Comparison
-    simulated: bool
-    wall_s: float
-    workers: int
-    engine: str
-
-    @property
-    def estimate(self) -> str:
-        """Kind of the estimates of all points: "controlled" or "plain"; empty without a score."""
-        scored = [item for point in self.points for item in point.scores.values()]
-        return "" if not scored else "plain" if scored[0].control is None else "controlled"
-
-    @property
-    def warnings(self) -> list[str]:
-        """Lines on scans that are discarded, and on a reference point without a score.
-
-        Shares that are predicted are not known well enough to be compared: a forecast's flags tell of them.
-        """
-        labels = [point.label for point in self.sweep.points]
-        found = sweep_warnings(labels, [point.discarded for point in self.points]) if self.simulated else []
-        reference = self.comparison.reference
-        if self.sweep.reference not in (0, reference):
-            other = "" if reference is None else f"; ratios are to {labels[reference]}"
-            found.append(f"the reference point that was chosen, {labels[self.sweep.reference]}, has no score{other}")
-        return found
-
-    def comparable(self, point: int, other: int) -> bool:
-        """Whether two points both lose few scans, and like shares of them."""
-        return bool(competing(_actual_shares(self.points)[[point, other]]).all())
-
-    def withheld(self, number: int) -> str:
-        """Why a point with a score has no probability of being the best; empty for one that has, or has no score."""
-        comparison = self.comparison
-        scored = np.isfinite(comparison.ratio)
-        if not self.simulated or comparison.competing[number] or not scored[number]:
-            return ""
-        if not np.isfinite(comparison.modes[number]).all():
-            return "its error is unknown, of too few observations"
-        if scored.sum() == 1:
-            return "no other point has a score"
-        shares = _actual_shares(self.points)
-        return why_withheld(float(shares[number]), float(shares[scored].min()))
 
 
 @dataclass(frozen=True)
@@ -290,7 +219,7 @@ def compare_runs(points: tuple[PointResult, ...], rng: np.random.Generator, refe
         found = error_modes(_of_one_weather(items), [points[number].skies for number in numbers])
         modes = np.zeros((len(points), found.shape[1]))
         modes[numbers] = found
-    return compare(sigma, modes, rng, reference, _actual_shares(points), relative)
+    return compare(sigma, modes, rng, reference, actual_shares(points), relative)
 
 
 def _of_one_weather(items: list[DataSetScore]) -> list[DataSetScore]:
@@ -309,7 +238,7 @@ def _scatter(information: np.ndarray) -> float:
     return ratio_error(information, np.ones(len(information))) * student_factor(len(information))
 
 
-def _actual_shares(points: tuple[PointResult, ...]) -> np.ndarray:
+def actual_shares(points: tuple[PointResult, ...]) -> np.ndarray:
     """Shares (n_point,) of discarded scans of the actual data, 0 where none is known."""
     return np.array([point.discarded.get(ACTUAL, 0.0) for point in points])
 
@@ -366,24 +295,6 @@ def compare(
         independent_error=ratio * apart,
         best_probability=probability,
     )
-
-
-def pairs(result: SweepResult) -> list[Pair]:
-    """Every point with a score over every one before it; none of more than `MOST_PAIRED` such points."""
-    sigma = result.comparison.sigma_ukcmb2
-    scored = [int(number) for number in np.flatnonzero(np.isfinite(sigma))]
-    if not result.simulated or len(scored) > MOST_PAIRED:
-        return []
-    return [_pair(result, point, other) for place, point in enumerate(scored) for other in scored[:place]]
-
-
-def _pair(result: SweepResult, point: int, other: int) -> Pair:
-    comparison = result.comparison
-    sigma, error, modes = comparison.sigma_ukcmb2, comparison.error_ukcmb2, comparison.modes
-    ratio = float(sigma[point] / sigma[other])
-    paired = ratio * float(np.linalg.norm(modes[point] - modes[other]))
-    apart = ratio * float(np.hypot(error[point] / sigma[point], error[other] / sigma[other]))
-    return Pair(point, other, ratio, paired, apart, result.comparable(point, other))
 
 
 def probability_of_lowest(log_sigma: np.ndarray, modes: np.ndarray, rng: np.random.Generator) -> np.ndarray:

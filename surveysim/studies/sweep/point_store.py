@@ -1,7 +1,6 @@
 """What a sweep keeps of a point, and its small file, by which an interrupted sweep goes on."""
 
 import json
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,6 +15,7 @@ from mapmaker.transfer_function import TransferFunction
 from mapmaker.uncertainty import ErrorBudget
 from surveysim import __version__
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
+from surveysim.reduction.data_set import DataSetKind
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import Scene, scene_hash
 from surveysim.studies.sweep.axes import Point
@@ -148,6 +148,7 @@ class _Control(_Numbers):
 
 
 class _Set(_Numbers):
+    kind: Annotated[DataSetKind, Field(strict=False)]
     n_det: Annotated[int, Field(ge=1)]
     band: _Band
     budget: _Budget
@@ -201,7 +202,8 @@ def _check_point(result: PointResult, point: Point) -> None:
         raise ValueError(f"other numbers of detectors than {point.n_det}")
     if bool(result.scores) == bool(result.unscored) or (result.scores and ACTUAL not in result.scores):
         raise ValueError("neither a score nor a reason for none, or both")
-    if others := [name for name in result.scores if not names.fullmatch(name)]:
+    others = [item.name for item in result.scores.values() if item.kind is not DataSetKind.MASKED]
+    if others := [name for name in others if name not in names]:
         raise ValueError(f"no data set of the scene: {others[0]}")
     n_bin = {len(item.signal_psd) for item in result.scores.values()}
     n_obs, skies = point.scene.observations, score.signal_sims.skies
@@ -227,14 +229,13 @@ def _check_noise(name: str, weights: np.ndarray, noise: np.ndarray, bin_weight: 
         raise ValueError(f"{name} has values below 0 or none where there are data")
 
 
-def _data_sets(scene: Scene) -> re.Pattern[str]:
-    """Names of a scene's data sets."""
-    names = [ACTUAL, OPTIMAL, *scene.score.noise_only_sets, *("+".join(steps) for steps in scene.cleaning.compare)]
-    return re.compile("|".join([*map(re.escape, names), r"masked_\d+"]))
+def _data_sets(scene: Scene) -> set[str]:
+    """Names of the data sets that a scene may have for all detectors."""
+    return {ACTUAL, OPTIMAL, *scene.score.noise_only_sets, *("+".join(steps) for steps in scene.cleaning.compare)}
 
 
 def _numbers(item: DataSetScore) -> dict[str, Any]:
-    found = {"n_det": item.n_det, "band": _of(item.band, _OF_BAND), "budget": vars(item.budget)}
+    found = {"kind": item.kind, "n_det": item.n_det, "band": _of(item.band, _OF_BAND), "budget": vars(item.budget)}
     if item.control is not None:
         found |= {"control": _of(item.control, _OF_CONTROL), "plain": _of(item.plain, _OF_BAND)}
     return found
@@ -264,6 +265,7 @@ def _score(file: Any, name: str, numbers: dict[str, Any]) -> DataSetScore:
     controlled = "control" in numbers
     return DataSetScore(
         name=name,
+        kind=numbers["kind"],
         n_det=numbers["n_det"],
         band=BandPower(**numbers["band"], **arrays("band.", _OF_BAND)),
         budget=ErrorBudget(**numbers["budget"]),

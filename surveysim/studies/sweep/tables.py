@@ -1,159 +1,176 @@
-"""A finished sweep as tables and as the content of its summary.json."""
+"""Tables of a sweep, from the content of its summary.json."""
 
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
-from surveysim import __version__
 from surveysim.reduction.cleaning_pipelines import ACTUAL
-from surveysim.reduction.setup import prepare
-from surveysim.results.results import known
-from surveysim.results.stages import left_out
-from surveysim.results.table import Table
-from surveysim.runtime.provenance import made_by, now
-from surveysim.scene.scene import scene_hash
+from surveysim.results.tables import rounded_column
+from surveysim.runtime.numbers import number, quoted
+from surveysim.runtime.table import SIGMA, Column, Table, column, file_column, quoted_columns, share_text
 from surveysim.studies.sweep.axes import numbers_of, value_text
-from surveysim.studies.sweep.comparison import Pair, SweepResult
+from surveysim.studies.sweep.comparison import SURE
+from surveysim.studies.sweep.result import Pair
 from surveysim.survey.discarded_scans import telling
 
-MATRIX_POINTS = 12  # as many columns fit on a page
+Content = Mapping[str, Any]  # of summary.json
+WITHHELD = "best_probability_withheld"
 
 
-def sweep_table(result: SweepResult) -> Table:
-    """A row for each point: values of the keys, sigma(A) of each data set, and the actual one against the others.
+def sweep_table(summary: Content) -> Table:
+    """Return a row for each point: values of the keys, sigma(A), its ratio to the reference point, discarded scans.
 
-    `sigma_`, `error_`, `plain_sigma_` and `forecast_<data set>` are in uK_CMB^2; `ratio` is sigma(A) over that of the
-    reference point with its paired error; `best_probability` that of being the lowest, NaN where it is withheld.
-    `discarded` is the share of discarded scans of the actual data, with a column for each data set that differs from
-    it. Forecasts have no errors.
+    Files have `sigma_`, `error_`, `plain_sigma_` and `forecast_<data set>` [uK_CMB^2]; `ratio` over the reference
+    point with its paired error; `best_probability`, NaN where it is withheld; and the share `discarded` of the actual
+    data's scans, with a column for each data set that differs from it.
+
+    Parameters
+    ----------
+    summary : mapping
+        Content of the sweep's summary.json.
     """
-    sweep, comparison = result.sweep, result.comparison
-    scenes = [point.scene for point in sweep.points]
+    points = summary["points"]
     meta = {
         "temperature": "CMB",
-        "reference": comparison.reference,
-        "best": list(comparison.best),
-        "surveysim": __version__,
-        "seed": scenes[0].seed,
-        "scenes_sha256": [scene_hash(scene) for scene in scenes],
+        "reference": summary["reference"],
+        "best": summary["best"],
+        "surveysim": summary["surveysim"],
+        "seed": summary["seed"],
+        "scenes_sha256": [point["scene_sha256"] for point in points],
     }
-    table = Table({"point": np.arange(len(sweep.points))}, meta=meta)
-    columns = table.columns
-    for key in sweep.points[0].settings:
-        _add_values(table, key, [point.settings[key] for point in sweep.points])
-    columns["n_det"] = [point.n_det for point in result.points]
-    for name in _in_order(item.scores for item in result.points):
-        bands = [item.scores[name].band if name in item.scores else None for item in result.points]
-        columns[f"sigma_{name}"] = [np.nan if band is None else band.sigma_ukcmb2 for band in bands]
-        columns[f"error_{name}"] = [np.nan if band is None else band.error_ukcmb2 for band in bands]
-        plain = [item.scores[name].plain_band if name in item.scores else None for item in result.points]
-        columns[f"plain_sigma_{name}"] = [np.nan if band is None else band.sigma_ukcmb2 for band in plain]
-    for name in _in_order(item.forecast_ukcmb2 for item in result.points):
-        columns[f"forecast_{name}"] = [item.forecast_ukcmb2.get(name, np.nan) for item in result.points]
-    table.units.update(
-        {name: "uK2" for name in columns if name.startswith(("sigma_", "error_", "plain_", "forecast_"))}
-    )
-    _add_discarded(table, result)
-    columns["ratio"] = comparison.ratio
-    if result.simulated:
-        columns["ratio_error"] = comparison.paired_error
-        columns["independent_error"] = comparison.independent_error
-        columns["best_probability"] = comparison.best_probability
-    columns["unscored"] = [item.unscored for item in result.points]
-    return table
+    columns = [
+        file_column("point", [point["point"] for point in points]),
+        *_settings(summary),
+        column("n_det", [point["n_det"] for point in points], "detectors"),
+        *_scores(summary),
+        *_forecasts(points),
+        *_discarded(summary),
+        *_ratios(summary),
+        file_column("unscored", [point.get("unscored", "") for point in points]),
+    ]
+    title = f"{summary['title']}: uncertainty of a flat CMB band power"
+    return Table("point", title, tuple(columns), tuple(summary["best"]), meta)
 
 
-def _add_discarded(table: Table, result: SweepResult) -> None:
-    """Columns of the shares of discarded scans, none where no point knows its own."""
-    shares = [item.discarded for item in result.points]
-    for name in telling(shares):
-        column = "discarded" if name == ACTUAL else f"discarded_{name}"
-        table.columns[column] = [item.get(name, np.nan) for item in shares]
+def data_set_table(summary: Content) -> Table | None:
+    """Return sigma(A) of all data sets but the actual one at each point; None without others."""
+    points = summary["points"]
+    names = [name for name in _in_order(point["scores"] for point in points) if name != ACTUAL]
+    if not names:
+        return None
+    columns = [item for item in _settings(summary) if item.cells is not None]
+    for name in names:
+        columns += _score_columns(points, name, name)
+    return Table("other", f"Other data sets: {SIGMA}", tuple(columns))
 
 
 def pair_table(pairs: Sequence[Pair]) -> Table:
-    """A row for each pair of points with a score: sigma(A) of `point` over that of `other`, and its errors."""
+    """Return a row for each pair of points with a score: sigma(A) of `point` over that of `other`, and its errors."""
     names = {"paired_error": "ratio_error"}
-    return Table({names.get(name, name): [vars(pair)[name] for pair in pairs] for name in vars(pairs[0])})
+    columns = (file_column(names.get(name, name), [vars(pair)[name] for pair in pairs]) for name in vars(pairs[0]))
+    return Table("pair", "Ratios of sigma(A)", tuple(columns))
 
 
-def _add_values(table: Table, key: str, values: list[Any]) -> None:
-    """A column of a key's values: numbers with their unit, or else text."""
-    found = numbers_of(values)
-    table.columns[key] = [value_text(value) for value in values] if found is None else found[0]
-    if found is not None and found[1]:
-        table.units[key] = found[1]
+def varied_keys(summary: Content) -> list[str]:
+    """Keys that name a point: those of each axis whose values differ, or its first."""
+    found: list[str] = []
+    for axis in summary["axes"]:
+        texts = [[value_text(value) for value in column] for column in zip(*axis["values"], strict=True)]
+        differ = [key for key, column in zip(axis["keys"], texts, strict=True) if len(set(column)) > 1]
+        found += differ or axis["keys"][:1]
+    return found
 
 
-def _in_order(of_points: Iterable[dict[str, Any]]) -> list[str]:
+def chance_text(probability: float) -> str:
+    """``93 %``; no more than draws can tell."""
+    if probability > SURE:
+        return f"> {100 * SURE:g} %"
+    return f"{100 * probability:.0f} %" if probability > 1 - SURE else f"< {100 * (1 - SURE):.1g} %"
+
+
+def _settings(summary: Content) -> Iterator[Column]:
+    """Columns of the keys' values: numbers with their unit, or else texts."""
+    keys = varied_keys(summary)
+    for key in summary["points"][0]["settings"]:
+        values = [point["settings"][key] for point in summary["points"]]
+        texts, found = [value_text(value) for value in values], numbers_of(values)
+        numbers, unit = (texts, "") if found is None else found
+        yield Column(key, numbers, unit, key, tuple(texts) if key in keys else None)
+
+
+def _scores(summary: Content) -> Iterator[Column]:
+    """Columns of sigma(A) of each data set; people see the actual one's."""
+    points = summary["points"]
+    names = _in_order(point["scores"] for point in points)
+    if summary["kind"] == "simulated" and not names:
+        yield column("score", ["not scored"] * len(points), SIGMA, in_files=False)
+    for name in names:
+        shown, error = _score_columns(points, name, SIGMA)
+        yield shown if name == ACTUAL else file_column(shown.name, shown.values, shown.unit)
+        yield error
+        yield file_column(f"plain_sigma_{name}", _of_scores(points, name, "plain_sigma_ukcmb2"), "uK2")
+
+
+def _score_columns(points: Sequence[Content], name: str, heading: str) -> tuple[Column, Column]:
+    values, errors = (_of_scores(points, name, key) for key in ("sigma_ukcmb2", "error_ukcmb2"))
+    names, absent = (f"sigma_{name}", f"error_{name}"), "not scored" if name == ACTUAL else ""
+    return quoted_columns(names, values, errors, heading, unit="uK2", absent=absent)
+
+
+def _of_scores(points: Sequence[Content], name: str, key: str) -> list[float | None]:
+    return [point["scores"].get(name, {}).get(key) for point in points]
+
+
+def _forecasts(points: Sequence[Content]) -> Iterator[Column]:
+    """Columns of the forecasts of each data set; people see the actual one's, with ! where it may be off."""
+    errors, flags = _of_scores(points, ACTUAL, "error_ukcmb2"), [" !" * bool(p["forecast_flags"]) for p in points]
+    for name in _in_order(point["forecast_ukcmb2"] for point in points):
+        values = [point["forecast_ukcmb2"].get(name) for point in points]
+        if name == ACTUAL:
+            yield rounded_column(f"forecast_{name}", values, errors, "forecast", flags=flags)
+        else:
+            yield file_column(f"forecast_{name}", values, "uK2")
+
+
+def _discarded(summary: Content) -> Iterator[Column]:
+    """Columns of the shares of discarded scans, none where no point knows its own."""
+    shares = [point.get("discarded", {}) for point in summary["points"]]
+    for name in telling(shares):
+        values = [item.get(name) for item in shares]
+        if name == ACTUAL and summary["kind"] == "simulated":
+            yield column("discarded", values, "discarded", share_text)
+        else:
+            yield file_column("discarded" if name == ACTUAL else f"discarded_{name}", values)
+
+
+def _ratios(summary: Content) -> Iterator[Column]:
+    """Columns of the ratio to the reference point and of the probability to be the best."""
+    points, simulated = summary["points"], summary["kind"] == "simulated"
+    ratios = [point.get("ratio") for point in points]
+    cells = tuple(ratio_text(point, summary["reference"]) for point in points)
+    yield Column("ratio", ratios, "", "ratio", cells)
+    if simulated:
+        yield file_column("ratio_error", [point.get("ratio_error") for point in points])
+        yield file_column("independent_error", [point.get("independent_error") for point in points])
+        chances = [point.get("best_probability") for point in points]
+        cells = tuple("withheld" if WITHHELD in point else _chance(point) for point in points)
+        yield Column("best_probability", chances, "", "best", cells)
+
+
+def ratio_text(point: Content, reference: int | None) -> str:
+    """The ratio of a point to the reference point, with its paired error if the sweep has any."""
+    if "ratio" not in point:
+        return ""
+    if point["point"] == reference:
+        return "1"
+    return quoted(point["ratio"], point["ratio_error"]) if "ratio_error" in point else number(point["ratio"])
+
+
+def _chance(point: Content) -> str:
+    chance = point.get("best_probability", math.nan)
+    return "" if math.isnan(chance) else chance_text(chance)
+
+
+def _in_order(of_points: Iterable[Mapping[str, Any]]) -> list[str]:
     """All data sets of all points, in the order in which they first come."""
     return list(dict.fromkeys(name for names in of_points for name in names))
-
-
-def sweep_summary(result: SweepResult, pairs: Sequence[Pair]) -> dict[str, Any]:
-    """The content of a sweep's summary.json; the `pairs` of a few points are told there too."""
-    sweep, comparison = result.sweep, result.comparison
-    scene = sweep.points[0].scene
-    points = [_point_entry(result, number) for number in range(len(sweep.points))]
-    return {
-        "scene": sweep.name,
-        "title": scene.title,
-        "seed": scene.seed,
-        **made_by(),
-        "axes": [{"name": axis.name, "keys": list(axis.keys), "values": axis.values} for axis in sweep.axes],
-        "kind": "simulated" if result.simulated else "forecast",
-        "estimate": result.estimate,
-        "left_out": left_out(prepare(scene)),
-        "reference": comparison.reference,
-        "best": list(comparison.best),
-        "points": points,
-        "pairs": [known(vars(pair)) for pair in pairs] if len(points) <= MATRIX_POINTS else [],
-        "warnings": result.warnings,
-        "run": {
-            "date": now(),
-            "engine": result.engine,
-            "workers": result.workers,
-            "wall_s": result.wall_s,
-            "point_s": [item.wall_s for item in result.points],
-        },
-    }
-
-
-def _point_entry(result: SweepResult, number: int) -> dict[str, Any]:
-    point, item, comparison = result.sweep.points[number], result.points[number], result.comparison
-    entry = {
-        "point": number,
-        "label": point.label,
-        "settings": point.settings,
-        "scene_sha256": scene_hash(point.scene),
-        "n_det": item.n_det,
-        "scores": {
-            name: known(
-                {
-                    "sigma_ukcmb2": score.band.sigma_ukcmb2,
-                    "error_ukcmb2": score.band.error_ukcmb2,
-                    "plain_sigma_ukcmb2": score.plain_band.sigma_ukcmb2,
-                }
-            )
-            for name, score in item.scores.items()
-        },
-        "forecast_ukcmb2": item.forecast_ukcmb2,
-        "forecast_flags": item.flags,
-    }
-    if item.off:
-        entry["forecast_over_simulated"] = known(dict(zip(("sigma", "sigma_error"), item.off, strict=True)))
-    if item.discarded:
-        entry |= {"discarded": item.discarded, "discarded_by_weather": item.discarded_by_weather}
-    if item.unscored:
-        entry["unscored"] = item.unscored
-    if np.isfinite(comparison.ratio[number]):
-        entry["ratio"] = float(comparison.ratio[number])
-        if result.simulated:
-            errors = {"ratio_error": comparison.paired_error, "independent_error": comparison.independent_error}
-            entry |= known({name: float(values[number]) for name, values in errors.items()})
-            if reason := result.withheld(number):
-                entry["best_probability_withheld"] = reason
-            else:
-                entry["best_probability"] = float(comparison.best_probability[number])
-    return entry

@@ -13,11 +13,14 @@ from surveysim.forecasting.observing_conditions import observing_conditions, sur
 from surveysim.forecasting.pilot import KeptScans, _interpolate_shares, _pilot_size, predict_kept_scans
 from surveysim.forecasting.validity import compared_ell, resolution_ell
 from surveysim.reduction.setup import prepare
-from surveysim.report.terminal.survey import _psd_lines, agreement_lines, effect_lines, percent_off
+from surveysim.report.terminal.survey import effect_warnings, forecast_warnings
 from surveysim.results.agreement import GOOD_PSD, KNOWN, _scatter, agreement
-from surveysim.results.results import forecast_agreement, summary
+from surveysim.results.results import forecast_agreement
+from surveysim.results.summary import summary
+from surveysim.results.tables import agreement_table
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
+from surveysim.runtime.strict_json import known
 from tests.scenes import SMALL_SCENE
 
 LYNX = Path(__file__).parents[3] / "scenarios" / "lynx.toml"
@@ -71,14 +74,14 @@ def test_multipoles_end_at_pixels_and_samples(scene_of):
     assert compared_ell(prepare(fast))[1] == pytest.approx(np.pi * 10 / (20 * ARCMIN))
 
 
-def test_lowest_multipoles_follow_the_scene(scene_of, calm):
+def testlowest_multipoles_follow_the_scene(scene_of, calm):
     """Ninths of the scene's own, on edges of bins, down to the taper's resolution; those of Bolocam's Lynx survey."""
-    from surveysim.results.results import _lowest_multipoles
+    from surveysim.results.alternatives import lowest_multipoles
 
-    assert _lowest_multipoles(prepare(load_scene(LYNX))) == [1000, 2000, 3000, 4000, 4500, 5000, 5500]
+    assert lowest_multipoles(prepare(load_scene(LYNX))) == [1000, 2000, 3000, 4000, 4500, 5000, 5500]
     assert sorted({row["ell_min"] for row in summary(calm)["alternatives"]}) == [2000, 3000, 4000, 5000]
     fine = scene_of(score__ell_min=9000, score__ell_max=18000, score__ell_bin=1000, map__pixel="20 arcsec")
-    assert _lowest_multipoles(prepare(fine)) == [4000, 6000, 8000, 9000, 10000, 11000]
+    assert lowest_multipoles(prepare(fine)) == [4000, 6000, 8000, 9000, 10000, 11000]
 
 
 # ---------------------------------------------------------------- discarded scans
@@ -179,8 +182,8 @@ def test_a_good_forecast_has_no_flag(scene_of):
     bright = {"atmosphere.b2": "[400, 900, 2000] mK2 rad(-5/3)", "score.ell_min": 6000, "observations": 24}
     found = forecast(scene_of(**{**LARGER, **bright}))
     assert not any(effect.flagged for effect in found.scores["actual"].effects)
-    lines = effect_lines(found.scores)
-    assert len(lines) == len(found.scores["actual"].effects) and effect_lines(found.scores, flagged=True) == []
+    effects = {name: [vars(effect) for effect in item.effects] for name, item in found.scores.items()}
+    assert len(effects["actual"]) > 0 and effect_warnings(effects) == []
 
 
 def test_sizes_of_effects(scene_of):
@@ -266,27 +269,23 @@ def test_three_observations_do_not_tell_the_error(calm):
     found = agreement(setup, item, expected)
     assert np.isfinite(found.sigma) and np.isnan(found.sigma_error) and np.isnan(found.psd_error)
     assert found.unknown == found.bins > 0 and found.within == 0
-    assert percent_off(found.sigma, found.sigma_error) == f"{100 * found.sigma:+.0f} % +- unknown"
-    (line,) = _psd_lines({"actual": found})
-    assert line.endswith(
-        f"within 15 % in 0 of {found.bins} bins from ell = {found.low_ell:.0f} to"
-        f" {found.high_ell:.0f}, {found.bins} are not known to 7.5 %"
-    )
+    table = agreement_table({"actual": known(vars(found))})
+    assert {column.name: column.cells[0] for column in table.shown}["sigma"].endswith("± unknown) %")
 
 
-def test_lines_say_what_is_known(calm):
+def test_the_table_says_what_is_known(calm):
     """Few flips and observations: no claim that all bins are good, and the flag of lost scans."""
-    text = "\n".join(agreement_lines(calm))
-    found = forecast_agreement(calm).values()
-    bins, within = sum(item.bins for item in found), sum(item.within for item in found)
-    assert within < bins and f"within 15 % in {within} of {bins} bins from ell = " in text
-    assert "in all" not in text and "! forecast of actual" in text and "Cleaning discarded" in text
-    assert "2500" not in text and "15000" not in text
+    content = summary(calm)
+    table = agreement_table(content["forecast_over_simulated"])
+    cells = {column.name: column.cells for column in table.shown}
+    found = list(forecast_agreement(calm).values())
+    assert cells["within"] == tuple(str(item.within) for item in found) != cells["bins"]
+    text = "\n".join(forecast_warnings(content))
+    assert "the forecast may be off (actual" in text and "Cleaning discarded" in text
 
 
-@pytest.mark.parametrize(
-    "off, said", [(0.27, "none is off by more than two"), (0.4, "by chance: actual by +40 +- 15 %")]
-)
-def test_no_bin_within_two_errors_is_said_to_be_off(calm, off, said):
-    item = replace(forecast_agreement(calm)["actual"], psd=off, psd_error=0.15)
-    assert said in _psd_lines({"actual": item})[0]
+@pytest.mark.parametrize("off, error, warned", [(0.3, 0.15, False), (0.45, 0.15, True), (9.0, None, False)])
+def test_forecasts_are_warned_of_beyond_two_errors(off, error, warned):
+    """sigma(A) is off by more than 10 % and two standard errors; an unknown error tells nothing."""
+    content = {"forecast_over_simulated": {"actual": {"sigma": off, "sigma_error": error}}}
+    assert bool(forecast_warnings(content)) == warned

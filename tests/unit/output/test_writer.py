@@ -76,7 +76,7 @@ def test_unknown_numbers_of_a_summary_are_null_and_can_be_reported(result, tmp_p
     monkeypatch.setattr(outputs, "summary", lambda result: whole)
     outputs.write_outputs(tmp_path, result, False)
     text = (tmp_path / "summary.json").read_text()
-    assert json.loads(text, parse_constant=pytest.fail)["best"]["sigma_ukcmb2"] is None
+    assert json.loads(text, parse_constant=pytest.fail)["estimate"]["sigma_ukcmb2"] is None
     assert "unknown" in (tmp_path / "report.html").read_text()
 
 
@@ -144,7 +144,14 @@ FAILURES = [
 def test_a_figure_that_fails_costs_a_line(result, tmp_path, monkeypatch, caplog, fail):
     monkeypatch.setattr(figures, "save", lambda figure, path, full: path.write_bytes(b""))  # drawing takes time
     monkeypatch.setattr(figures, "weather", fail)
-    for name in ("timestream_psd", "coadded_map", "map_psds", "windows", "cumulative_sensitivity", "bin_weights"):
+    for name in (
+        "timestream_psd",
+        "coadded_map",
+        "map_psds",
+        "transfer_functions",
+        "cumulative_sensitivity",
+        "bin_weights",
+    ):
         monkeypatch.setattr(figures, name, lambda *arguments: drawing.new_figure(1, 1))
     (tmp_path / "figures").mkdir()
     monkeypatch.setattr("surveysim.report.html.survey.run_pictures", lambda *arguments: [])

@@ -9,7 +9,7 @@ from surveysim.reduction import consistency as checks
 from surveysim.reduction.cleaning_pipelines import needed_detectors
 from surveysim.reduction.figure_of_merit import best_places
 from surveysim.reduction.setup import prepare
-from surveysim.results.results import best_pipeline
+from surveysim.results.summary import best_pipeline
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
@@ -41,14 +41,18 @@ def test_data_sets_and_windows(path):
     ]
     masked = f"masked_{len(setup.analysis.masked)}"
     sets = ("actual", "uncorrelated", "white", "planar", "average+local", "wind", "optimal", masked)
-    assert setup.analysis.data_sets == sets
+    assert setup.analysis.data_set_names == sets
+    kinds = ["actual", "noise-only", "noise-only", "alternative", "alternative", "alternative", "optimal", "masked"]
+    assert [item.kind for item in setup.analysis.data_sets] == kinds
+    n_det = setup.camera.n_det
+    assert [item.n_det for item in setup.analysis.data_sets] == [n_det] * 7 + [len(setup.analysis.masked)]
     assert setup.analysis.windows == ("actual", "planar", "average+local", "wind", "optimal", masked)
     assert [setup.analysis.window_of(name) for name in sets] == [0, 0, 0, 1, 2, 3, 4, 5]
 
 
 def test_one_pipeline_is_no_choice(path):
     setup = prepare(load_scene(path))
-    assert not setup.analysis.chooses and "optimal" not in setup.analysis.data_sets
+    assert not setup.analysis.chooses and "optimal" not in setup.analysis.data_set_names
     assert len(setup.analysis.signal_skies_mk) == 2  # no sky of point sources
 
 
@@ -116,9 +120,9 @@ def test_comparing_changes_nothing_of_the_actual_data(path, compared, tmp_path):
 
 def test_what_a_comparison_leaves_behind(compared):
     result, out = compared
-    sets = result.setup.analysis.data_sets
+    sets = result.setup.analysis.data_set_names
     assert {path.stem for path in (out / "maps").iterdir()} == set(sets) == set(result.scores)
-    assert (out / "figures" / "window.png").exists()
+    assert (out / "figures" / "transfer_function.png").exists()
     columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
     # Templates a scan: of the pipelines' own kind.
     assert [columns[f"removed_{name}"].mean() for name in ("actual", "planar", "average+local")] == [1, 3, 2]

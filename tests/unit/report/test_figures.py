@@ -1,6 +1,7 @@
 """Figures of a tiny made-up survey: which files there are, and that the lines are the results."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib
 import numpy as np
@@ -9,6 +10,10 @@ from PIL import Image
 
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.report.figures import survey as figures
+from surveysim.report.figures.observations import timestream_psd
+from surveysim.report.figures.sky_map import map_planes
+from surveysim.report.figures.spectra import cumulative_sensitivity, map_psds
+from surveysim.results.results import survey_result
 from surveysim.scene.scene import load_scene
 from surveysim.survey.coadds import CoAdds, empty_coadds
 from surveysim.survey.run import run_observations
@@ -54,10 +59,10 @@ def _curve(figure: matplotlib.figure.Figure, label: str) -> np.ndarray:
     return np.array(line.get_data())
 
 
-def test_all_figures(tmp_path, setup, coadds, scores):
+def test_all_figures(tmp_path, setup, coadds):
     style = dict(matplotlib.rcParams)
-    drawings = figures.drawings(setup, coadds, scores)
-    assert list(drawings) == list(figures.TITLES)
+    drawings = figures.drawings(survey_result(setup, coadds, 1.0, 1))
+    assert list(drawings) == [*figures.TITLES, figures.RUN_TIME]
     paths = [tmp_path / "figures" / f"{name}.png" for name in drawings]
     for path in paths:
         drawings[path.stem](path)
@@ -74,19 +79,19 @@ def test_scene_with_little_to_show(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "save", lambda *arguments: None)  # drawing is what takes time
     setup = prepare(load_scene(LYNX, {key: TINY[key] for key in TINY if "score" not in key} | CALM))
     coadds = run_observations(setup, None)
-    drawings = figures.drawings(setup, coadds, {})
+    drawings = figures.drawings(survey_result(setup, coadds, 1.0, 1))
     assert list(drawings) == ["timestream_psd", "map"]
     for name, draw in drawings.items():
         draw(tmp_path / name)
-    assert len(figures.timestream_psd(setup, coadds).axes) == 1
+    assert len(timestream_psd(setup, coadds).axes) == 1
 
 
 def test_nothing_observed_gives_no_figures(setup):
-    assert figures.drawings(setup, empty_coadds(setup), {}) == {}
+    assert figures.drawings(SimpleNamespace(setup=setup, coadds=empty_coadds(setup), scores={}, expected=None)) == {}
 
 
 def test_timestream_psd_of_the_calmest_and_the_worst(setup, coadds):
-    figure = figures.timestream_psd(setup, coadds)
+    figure = timestream_psd(setup, coadds)
     kept = [number for number, psd in enumerate(coadds.clean_psd) if psd.any()]
     order = sorted(kept, key=lambda number: coadds.rows[number][1])
     for axes, observation in zip(figure.axes, (order[0], order[-1]), strict=True):
@@ -98,7 +103,7 @@ def test_timestream_psd_of_the_calmest_and_the_worst(setup, coadds):
 
 def test_masked_psd_is_that_of_as_many_detectors(setup, scores):
     masked = scores["masked_7"]
-    _, psd = _curve(figures.map_psds(setup, scores), "masked")
+    _, psd = _curve(map_psds(setup, scores), "masked")
     np.testing.assert_allclose(psd, masked.noise_psd[1:] * 7 / 19)
 
 
@@ -106,20 +111,20 @@ def test_a_mask_may_keep_all_detectors():
     """Detectors that are farther apart than the mask asks for: a data set like the actual one."""
     setup = prepare(load_scene(LYNX, TINY | {"instrument.layout.pitch_f_lambda": 1.4}))
     found = score_survey(setup, run_observations(setup, None))
-    figure = figures.map_psds(setup, found)
+    figure = map_psds(setup, found)
     assert found["masked_19"].n_det == setup.camera.n_det == 19
     np.testing.assert_allclose(_curve(figure, "masked, 19 detectors"), _curve(figure, "actual"))
 
 
 def test_cumulative_sensitivity_at_the_scored_range_is_the_score(setup, scores):
-    starts, sigma = _curve(figures.cumulative_sensitivity(setup, scores), "actual")
+    starts, sigma = _curve(cumulative_sensitivity(setup, scores), "actual")
     assert starts[0] == 1000
     assert sigma[starts == 3000] == pytest.approx(scores["actual"].band.sigma_ukcmb2)
     assert (np.diff(sigma) >= 0).all()
 
 
 def test_map_in_cmb_temperature(setup, coadds):
-    signal, noise = figures._map_planes(setup, coadds)
+    signal, noise = map_planes(setup, coadds)
     seen = np.isfinite(noise)
     assert 0.2 < seen.mean() < 1
     assert np.isfinite(signal[seen]).all()

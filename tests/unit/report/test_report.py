@@ -13,9 +13,9 @@ from surveysim import load_scene, run, run_sweep
 from surveysim.api import forecast_sweep
 from surveysim.report.figures.survey import TITLES
 from surveysim.report.html.captions import RUN
-from surveysim.report.html.components import as_known, count, duration, number, short, with_error
 from surveysim.report.html.page import NoResultsError, units, write_report
 from surveysim.runtime.engine import SERIAL
+from surveysim.runtime.numbers import as_known, count, duration, number, short, with_error
 from tests.pages import read_page, rows_of, value_of
 from tests.scenes import SCHEDULE, SMALL_SCENE, TURBULENT_SCENE, WHITE_NOISE_SCENE, without_sections
 
@@ -92,7 +92,7 @@ def test_the_score_table_has_the_numbers_of_the_summary(page, summary):
     rows = {row[0].text: row for row in rows_of(page, "score-table")}
     assert list(rows) == list(summary["scores"])
     for name, entry in summary["scores"].items():
-        _, sigma, forecast, published, ratio, detectors, ell_eff, fwhm = rows[name]
+        _, detectors, sigma, ell_eff, fwhm, forecast, published, ratio = rows[name]
         assert value_of(sigma) == entry["sigma_ukcmb2"] and value_of(forecast) == entry["forecast_ukcmb2"]
         assert sigma.text == printed(with_error(entry["sigma_ukcmb2"], entry["error_ukcmb2"]))
         assert [value_of(cell) for cell in (detectors, ell_eff, fwhm)] == [
@@ -104,7 +104,7 @@ def test_the_score_table_has_the_numbers_of_the_summary(page, summary):
             assert value_of(published) == entry["reference_ukcmb2"] and value_of(ratio) == entry["ratio_to_reference"]
         else:
             assert published.text == ratio.text == ""
-    assert sum(published.text != "" for _, _, _, published, *_ in rows.values()) == 2
+    assert sum(row[6].text != "" for row in rows.values()) == 2
     gains = {row[0].text: value_of(row[1]) for row in rows_of(page, "gain-table")}
     assert gains == {name: entry["ratio"] for name, entry in summary["gains"].items()}
 
@@ -119,7 +119,7 @@ def test_what_was_simulated_and_what_was_not(page, summary):
     terms = {item.one("dt").text: item.one("dd").text for block in page.all("dl") for item in block.all("div")}
     assert terms["sky"] == "no section [sky]: noise alone" and "Sky" not in terms
     assert {name: terms[name] for name in summary["left_out"]} == summary["left_out"]
-    assert terms["Observations"].startswith("4 observations of 4 scans of 6 s at 4 arcmin/s, 2 s a turn.")
+    assert terms["Observations"].startswith("4 observations of 4 scans of 6 s at 4 arcmin/s, turnarounds of 2 s.")
     assert "right ascension 08h 49m 12s, declination +44° 50′ 24″" in terms["Field"]
     assert "One frozen layer 1000 m above" in terms["Atmosphere"] and "(9.02 m/s in the layer)" in terms["Atmosphere"]
     assert "masked to 1.3 (f/#)λ" in terms["Score"] and terms["Cleaning"].startswith("Average subtraction.")
@@ -142,17 +142,17 @@ def test_sources_and_provenance(page, summary):
 def test_error_against_run_time(page, summary):
     rows = [[cell.text for cell in row] for row in rows_of(page, "answer-table")]
     (own,) = [row for row in rows if row[0].endswith("this run")]
-    assert own[2:] == ["4", "4", "2"] and len(rows) == 1 + len(summary["answers"])
+    assert own[2:] == ["4", "4", "2"] and len(rows) == 1 + len(summary["time_to_precision"])
     budget = {row[0].text: row for row in rows_of(page, "budget-table")}
     assert set(budget) == set(summary["error_budget"])
     assert value_of(budget["actual"][1]) == pytest.approx(100 * summary["error_budget"]["actual"]["noise"])
 
 
 def test_truth_stands_beside_what_was_measured(page, summary):
-    shown = [row for anchor in ("truth-table", "weather-table") for row in rows_of(page, anchor)]
+    shown = [row for anchor in ("closure-table", "weather-table") for row in rows_of(page, anchor)]
     by_name = {row[0].text: row for row in shown}
-    assert len(by_name) == len(summary["truth"]) >= 7
-    for item in summary["truth"]:
+    assert len(by_name) == len(summary["closure"]) >= 7
+    for item in summary["closure"]:
         row = by_name[item["quantity"]]
         assert (value_of(row[2]), value_of(row[3])) == (item["expected"], item["found"])
 
@@ -210,7 +210,7 @@ def test_a_run_without_a_score_says_why(tmp_path, settings):
 
 def test_a_run_that_stopped_early_says_so(tmp_path):
     page = page_of(tmp_path, SMALL_SCENE, {"observations": 40}, time_budget_s=1e-3)
-    assert "Of the survey's observations 2 were simulated" in page.one("header").text
+    assert "2 of the survey's observations were simulated" in page.one("header").text
     assert "The run ended when the time budget of 1.0 ms was spent." in page.text
 
 
@@ -225,11 +225,14 @@ def test_cleanings_beside_each_other(tmp_path):
 def test_a_page_names_the_assumption_on_shared_photon_noise(tmp_path):
     text = without_sections(SMALL_SCENE, "score")
     field = page_of(tmp_path, text, {"observations": 1})
-    assert "share 10 % as far as the fields of overlapping beams are coherent (the hypothesis of Sayers" in field.text
+    assert (
+        "10 % of it common to neighbours as far as the fields of overlapping beams are coherent (hypothesis of Sayers"
+        in field.text
+    )
     keys = {"observations": 1, "photon.coherence": "intensity", "photon.bose_fraction": 0.69}
     shutil.rmtree(tmp_path / "out")
     bunching = page_of(tmp_path, text, keys)
-    assert "69 % of it bunching, of a load of which 10 % comes through the beam; neighbours share" in bunching.text
+    assert "69 % of it from bunching, 10 % of the load through the beam; neighbours share" in bunching.text
 
 
 def test_a_scene_of_a_site_in_words(tmp_path):
@@ -251,12 +254,12 @@ def test_a_scene_of_a_site_in_words(tmp_path):
         },
     )
     for words in (
-        "Water and its fluctuations are those of ALMA.",
-        "From the load of the site's water and 10 K of warm optics.",
-        "Neighbours share the bunching of what comes through the beam as far as the intensities of overlapping beams",
+        "Water and water fluctuations are those of ALMA.",
+        "From the load of the site's water and warm optics of 10 K.",
+        "Neighbours share its bunching part as far as the intensities of overlapping beams",
         "a noise-equivalent power of 3.0 × 10−17 W/Hz1/2",
         "Observed from latitude 19.8°, longitude −155.5°, 4070 m high, in 1 night from 2003-10-28",
-        "Horns are 0.6 (f/#)λ wide. The efficiency from window to detector is 30 %. Detectors take 2 polarizations.",
+        "Horns are 0.6 (f/#)λ wide. The efficiency from window to detector is 30 %. Detectors absorb 2 polarizations.",
         "Its outer scale is 2000 m.",
         "Average subtraction, then adaptive PCA.",
         "A CMB of flat band power, 1000 µK²CMB on the plane and 1 point source of 5 mK",
@@ -278,15 +281,15 @@ def test_page_of_a_sweep(sweep_file, tmp_path):
     result = run_sweep(sweep_file, tmp_path, engine=SERIAL)
     page, summary = read_page(tmp_path / "report.html"), json.loads((tmp_path / "summary.json").read_text())
     rows = rows_of(page, "point-table")
-    assert [row[0].text for row in rows] == [
-        f"{speed}, {cleaning}" for speed in ("3 arcmin/s", "4 arcmin/s") for cleaning in ("average", "planar")
+    assert [(row[0].text, row[1].text) for row in rows] == [
+        (speed, cleaning) for speed in ("3 arcmin/s", "4 arcmin/s") for cleaning in ("average", "planar")
     ]
     for row, point in zip(rows, summary["points"], strict=True):
-        sigma, forecast, ratio, independent, best, discarded, detectors = row[1:]
+        detectors, sigma, forecast, discarded, ratio, best = row[2:]
         assert value_of(sigma) == point["scores"]["actual"]["sigma_ukcmb2"] and value_of(detectors) == 18
         assert value_of(forecast) == point["forecast_ukcmb2"]["actual"] and value_of(best) == point["best_probability"]
-        assert value_of(discarded) == 100 * point["discarded"]["actual"]
-        assert value_of(ratio) == value_of(independent) == point["ratio"]
+        assert value_of(discarded) == point["discarded"]["actual"]
+        assert value_of(ratio) == point["ratio"]
     pairs = rows_of(page, "pair-table")
     for i, row in enumerate(pairs):
         for j, item in enumerate(row[1:]):
@@ -304,7 +307,7 @@ def test_page_of_a_sweep_by_forecast(sweep_file, tmp_path):
     forecast_sweep(sweep_file, tmp_path, figures=False)
     page = read_page(tmp_path / "report.html")
     assert "the best by forecast is scan.speed = " in page.text and page.all("img") == []
-    assert [len(row) for row in rows_of(page, "point-table")] == [4] * 4
+    assert [len(row) for row in rows_of(page, "point-table")] == [5] * 4
     assert not page.all("section", id="agreement-table")
 
 
@@ -314,7 +317,7 @@ def test_points_without_a_score_say_why(sweep_file, tmp_path):
     run_sweep(path, tmp_path / "out", engine=SERIAL, figures=False)
     page = read_page(tmp_path / "out" / "report.html")
     assert (
-        rows_of(page, "point-table")[0][1].text == "not scored"
+        rows_of(page, "point-table")[0][2].text == "not scored"
         and "observations = 1: observations with data: found 1" in page.text
     )
 
@@ -331,11 +334,19 @@ def test_points_without_a_score_say_why(sweep_file, tmp_path):
         (lambda path: (path.mkdir(), (path / "summary.json").write_text('{"scores": ')), "summary.json: can't be read"),
         (lambda path: (path.mkdir(), (path / "summary.json").write_text("[1]")), "a JSON object is expected"),
         (
-            lambda path: (path.mkdir(), (path / "summary.json").write_text('{"scores": {}}')),
+            lambda path: (path.mkdir(), (path / "summary.json").write_text('{"surveysim": "0.4.1", "scores": {}}')),
             "scene.json: can't be read",
         ),
         (
-            lambda path: (path.mkdir(), [(path / f"{name}.json").write_text('{"scores": {}}') for name in NAMES]),
+            lambda path: (path.mkdir(), (path / "summary.json").write_text('{"surveysim": "0.3.0", "scores": {}}')),
+            "summary.json: written by surveysim 0.3.0; 0.4 or later is expected",
+        ),
+        (
+            lambda path: (path.mkdir(), (path / "summary.json").write_text('{"points": []}')),
+            "summary.json: written by surveysim of unknown version; 0.4 or later is expected",
+        ),
+        (
+            lambda path: (path.mkdir(), [(path / f"{name}.json").write_text(NOTHING_SCORED) for name in NAMES]),
             "results that can't be read (KeyError 'cleaning')",
         ),
     ],
@@ -350,6 +361,7 @@ def test_directories_without_results(call, tmp_path, prepare, words):
         write_report(out)
 
 
+NOTHING_SCORED = '{"surveysim": "0.4.0", "scores": {}}'
 NAMES = ("summary", "scene")
 
 # ---------------------------------------------------------------- numbers and units

@@ -10,9 +10,11 @@ from rich.text import Text
 from surveysim import load_scene
 from surveysim.cli.progress import equal_work, progress_display
 from surveysim.forecasting.forecast import forecast
+from surveysim.report.terminal.forecast import print_forecast
 from surveysim.report.terminal.layout import Terminal
-from surveysim.report.terminal.survey import print_forecast
 from surveysim.runtime.environment import forget_sizes
+from surveysim.runtime.numbers import count, plain
+from surveysim.runtime.numbers import number as rounded
 from tests.scenes import SMALL_SCENE
 
 WIDTHS = (20, 27, 40, 55, 66, 80)
@@ -120,7 +122,8 @@ def test_forecast_on_a_narrow_terminal(monkeypatch, capsys, tmp_path, width):
     out = capsys.readouterr().out
     assert "…" not in out
     assert all(
-        f"{item.band.sigma_ukcmb2:.1f}" in out and f"{item.band.ell_eff:.0f}" in out for item in found.scores.values()
+        plain(rounded(item.band.sigma_ukcmb2)) in out and plain(count(item.band.ell_eff)) in out
+        for item in found.scores.values()
     )
 
 

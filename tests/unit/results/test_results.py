@@ -12,11 +12,12 @@ from astropy.wcs import WCS
 
 from surveysim import load_scene, run
 from surveysim.forecasting.forecast import forecast
-from surveysim.report.html.components import quoted
 from surveysim.report.terminal.survey import print_result
 from surveysim.results.control_variate import in_all_weather
-from surveysim.results.results import score_rows, summary
+from surveysim.results.results import score_rows
+from surveysim.results.summary import summary
 from surveysim.runtime.engine import SERIAL
+from surveysim.runtime.numbers import plain, quoted
 from surveysim.scene.scene import scene_hash
 from surveysim.survey.coadds import kept_shares
 from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE, write_scene
@@ -24,10 +25,10 @@ from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE, write_scene
 KEYS = {
     "scene", "title", "seed", "scene_sha256", "surveysim", "python", "packages", "observations", "detectors",
     "detector_samples", "stages_left_out", "scans", "scans_discarded", "mean_iterations", "scores", "run", "cleaning",
-    "files", "stopped", "stages", "left_out", "truth", "discarded", "discarded_by_weather", "warnings",
+    "files", "stopped", "stages", "left_out", "closure", "discarded", "discarded_by_weather", "warnings",
 }  # fmt: skip
 SCORED_KEYS = {
-    "best", "fine_answer", "answers", "forecast_over_simulated", "forecast", "error_budget", "gains",
+    "estimate", "time_to_precision", "forecast_over_simulated", "forecast", "error_budget", "gains",
     "alternatives", "bin_correlation",
 }  # fmt: skip
 SETS = ("actual", "uncorrelated", "white", "masked_7")
@@ -75,18 +76,19 @@ def test_summary(finished, content):
     assert set(content["scores"]) == {*SETS, "masked_7_scaled"}
     for entry in content["scores"].values():
         assert set(entry) == {
+            "kind",
             "n_det", "sigma_ukcmb2", "error_ukcmb2", "plain_sigma_ukcmb2", "ell_eff", "fwhm_ell", "forecast_ukcmb2",
         }  # fmt: skip
-        assert all(0 < value < math.inf for value in entry.values())
+        assert all(0 < value < math.inf for key, value in entry.items() if key != "kind")
         assert 4000 < entry["ell_eff"] < 12000
-    assert set(content["run"]["stage_s"]) >= {"atmosphere", "cleaning", "binning", "window"}
+    assert set(content["run"]["stage_s"]) >= {"atmosphere", "cleaning", "binning", "transfer_function"}
     assert json.dumps(summary(result)["scores"]) == json.dumps(content["scores"])
 
 
 def test_one_estimate_is_quoted_everywhere(finished, content, capsys):
     """Summary, tables, screen and the report's headline; the plain value stands beside it."""
     result, folder = finished
-    best, row, item = content["best"], content["scores"]["actual"], result.scores["actual"]
+    best, row, item = content["estimate"], content["scores"]["actual"], result.scores["actual"]
     assert best["kind"] == "controlled" == content["stopped"]["estimate"]
     assert best["sigma_ukcmb2"] == row["sigma_ukcmb2"] == item.band.sigma_ukcmb2
     assert best["error_ukcmb2"] == row["error_ukcmb2"] == item.band.sigma_ukcmb2 * item.budget.total
@@ -95,7 +97,7 @@ def test_one_estimate_is_quoted_everywhere(finished, content, capsys):
         result.expected.scores["actual"].band.sigma_ukcmb2 / best["plain_sigma_ukcmb2"]
     )
     print_result(result, folder)
-    shown = f"{best['sigma_ukcmb2']:.1f} +- {best['error_ukcmb2']:.1f}"
+    shown = plain(quoted(best["sigma_ukcmb2"], best["error_ukcmb2"]))
     assert shown in capsys.readouterr().out
     page = (folder / "report.html").read_text()
     assert page.count(quoted(best["sigma_ukcmb2"], best["error_ukcmb2"])) >= 3  # lead, key figures, table
@@ -117,12 +119,12 @@ def test_an_unknown_error_is_said_to_be_unknown(tmp_path, capsys):
     path = write_scene(tmp_path)
     result = run(load_scene(path, {"observations": 2}), tmp_path / "out", engine=SERIAL, figures=False)
     content = json.loads((tmp_path / "out" / "summary.json").read_text(), parse_constant=pytest.fail)
-    assert content["best"]["error_ukcmb2"] is content["stopped"]["relative_error"] is None
+    assert content["estimate"]["error_ukcmb2"] is content["stopped"]["relative_error"] is None
     assert content["scores"]["white"]["error_ukcmb2"] is content["gains"]["uncorrelated / white"]["error"] is None
     assert np.isnan(Table.read(tmp_path / "out" / "tables" / "scores.ecsv")["error_ukcmb2"]).all()
     print_result(result, tmp_path)
     out = capsys.readouterr().out
-    assert f"{content['best']['sigma_ukcmb2']:.1f} +- unknown" in out and "found 2 observations" in out
+    assert plain(quoted(content["estimate"]["sigma_ukcmb2"], None)) in out and "found 2 observations" in out
     assert "± unknown" in (tmp_path / "out" / "report.html").read_text()
 
 
@@ -146,19 +148,26 @@ def test_references(finished, tmp_path):
     assert rows["actual"].sigma_ukcmb2 == score_rows(finished[0])[0].sigma_ukcmb2
 
 
+KINDS = {"actual": "actual", "uncorrelated": "noise-only", "white": "noise-only"}
+
+
 def test_score_table(finished, content):
     table = Table.read(finished[1] / "tables" / "scores.ecsv")
     assert str(table["sigma_ukcmb2"].unit) == "uK2" and table.meta["temperature"] == "CMB"
     assert list(table["name"]) == list(content["scores"])
     for row in table:
-        for key, value in content["scores"][row["name"]].items():
+        entry = dict(content["scores"][row["name"]])
+        assert entry.pop("kind") == ("masked" if row["name"].startswith("masked") else KINDS[row["name"]])
+        for key, value in entry.items():
             assert row[key] == value
 
 
 def test_spectrum_table(finished):
     result, folder = finished
     table = Table.read(folder / "tables" / "map_psd.ecsv")
-    assert {f"{kind}_{name}" for kind in ("noise", "window", "signal") for name in SETS} <= set(table.colnames)
+    assert {f"{kind}_{name}" for kind in ("noise", "transfer_function", "signal") for name in SETS} <= set(
+        table.colnames
+    )
     assert str(table["noise_actual"].unit) == "uK2 sr"
     np.testing.assert_array_equal(table["noise_white"], result.scores["white"].noise_psd)
     assert (np.diff(table["ell"]) > 0).all() and table["scored"].sum() == result.setup.analysis.region.selected.sum()
@@ -194,7 +203,7 @@ def test_alternative_table(finished, content):
 @pytest.mark.parametrize("name", SETS)
 def test_maps(finished, name):
     result, folder = finished
-    coadds, s = result.coadds, result.setup.analysis.data_sets.index(name)
+    coadds, s = result.coadds, result.setup.analysis.data_set_names.index(name)
     with fits.open(folder / "maps" / f"{name}.fits") as file:
         file.verify("exception")
         planes = {hdu.name.lower(): hdu for hdu in file}

@@ -61,3 +61,10 @@ def test_the_first_block_has_the_key_of_the_observation():
     found = generator(5, RandomPurpose.PHOTON, 3, realization=2, block=0).random(5)
     expected = np.random.Generator(np.random.SFC64(np.random.SeedSequence(5, spawn_key=(2, 3, 5)))).random(5)
     np.testing.assert_array_equal(found, expected)
+
+
+def test_names_have_sequences_of_their_own():
+    draws = [generator(1, purpose).random(4).tolist() for purpose in ("one", "other", *RandomPurpose)]
+    assert len({tuple(row) for row in draws}) == len(draws)
+    assert generator(1, "one").random(4).tolist() == draws[0]
+    assert generator(1, "one", block=1).random(4).tolist() != draws[0]

@@ -150,7 +150,7 @@ def test_files_hold_all_rows(result, tmp_path, capsys):
     summary = json.loads((tmp_path / "summary.json").read_text(), parse_constant=pytest.fail)
     assert summary["files"] == ["accuracy.ecsv", "figures/accuracy.png", "report.html", "scene.json"]
     page = read_page(tmp_path / "report.html")
-    shown = {row[0].text: value_of(row[2]) for row in rows_of(page, "setting-table")}
+    shown = {f"{row[0].text}: {row[1].text}": value_of(row[3]) for row in rows_of(page, "setting-table")}
     scored = [row for row in result.rows if np.isfinite(row.sigma_ukcmb2)]
     assert shown == {f"{row.setting.knob}: {row.setting.label}": row.sigma_ukcmb2 for row in scored}
     assert len(page.all("img")) == 1 and "sample rate 5 Hz: refused: " in page.text

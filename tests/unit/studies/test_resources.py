@@ -19,21 +19,21 @@ from surveysim.timestreams.observation import draw_other_bands
 from tests.scenes import SCHEDULE, SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
 
 ALWAYS = ["pointing", "detector", "cleaning", "maps"]
-SCORED = ["data sets", "window", "score", "forecast"]
-NO_CHOICE = {"best pipeline": "no cleaning.compare to choose from"}
+SCORED = ["data sets", "transfer function", "score", "forecast"]
+NO_CHOICE = {"best pipeline": "no cleaning.compare"}
 NO_HEALPIX = {"HEALPix": "no map.healpix_nside"}
 FIXED = {"ephemerides": "a fixed elevation needs no astropy.coordinates"}
-NO_SITE = {"opacity": "no atmosphere.site to know it of"}
+NO_SITE = {"opacity": "no atmosphere.site"}
 NO_SKY = {"sky": "no section [sky]: noise alone"}
 NO_AIR = {"atmosphere": "no section [atmosphere]: no layer, no weather"}
 NO_SCORE = {
     "score": "no section [score]: no map PSDs, no sign-flipped maps",
-    "window": "no section [score] to need it",
-    "forecast": "no section [score] to need it",
-    "best pipeline": "no section [score] to need it",
+    "transfer function": "no section [score]",
+    "forecast": "no section [score]",
+    "best pipeline": "no section [score]",
 }
 NO_EXCESS, NO_PHOTON = {"excess": "no section [excess]"}, {"photon": "no section [photon]"}
-NO_OVERLAP = {"overlap": "no noise that detectors share"}
+NO_OVERLAP = {"overlap": "no noise that is common to detectors"}
 # The scene's own air goes with the section that it is put into.
 AIR_OF_A_SITE = (
     SCHEDULE
@@ -57,7 +57,7 @@ DOES = {
     "ephemerides": [(setup, "schedule")],
     "opacity": [(setup, "site_water")],
     "score": [(results, "quoted_scores")],
-    "window": [(sky_maps, "flat_cmb_sky"), (reduction, "_add_window")],
+    "transfer function": [(sky_maps, "flat_cmb_sky"), (reduction, "_add_window")],
     "forecast": [(agreement, "forecast")],
     "best pipeline": [(reduction, "figures_of_merit")],
     "HEALPix": [(outputs, "write_healpix")],

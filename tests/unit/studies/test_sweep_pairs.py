@@ -11,7 +11,9 @@ from mapmaker.uncertainty import ratio_error
 from surveysim import run_sweep
 from surveysim.report.terminal.sweep import best_line, print_sweep
 from surveysim.runtime.engine import SERIAL
-from surveysim.studies.sweep.comparison import compare, compare_runs, pairs
+from surveysim.runtime.numbers import plain, quoted
+from surveysim.studies.sweep.comparison import compare, compare_runs
+from surveysim.studies.sweep.result import pairs
 from surveysim.survey.scores import error_modes
 from tests.pages import read_page, rows_of
 from tests.scenes import TURBULENT_SCENE, without_sections
@@ -103,7 +105,7 @@ def test_a_reference_without_a_score_is_replaced_and_told(write, tmp_path):
 
 
 def test_many_points_have_no_pairs(levels, monkeypatch):
-    monkeypatch.setattr("surveysim.studies.sweep.comparison.MOST_PAIRED", 2)
+    monkeypatch.setattr("surveysim.studies.sweep.result.MOST_PAIRED", 2)
     assert pairs(levels) == []
 
 
@@ -146,9 +148,9 @@ def test_an_error_may_be_unknown_where_that_of_the_ratio_is_known(mixed, capsys)
     point = content["points"][2]
     assert point["scores"]["actual"]["error_ukcmb2"] is None and point["independent_error"] is None
     print_sweep(result, out)
-    assert f"{point['scores']['actual']['sigma_ukcmb2']:.1f} +- unknown" in capsys.readouterr().out
+    assert plain(quoted(point["scores"]["actual"]["sigma_ukcmb2"], None)) in capsys.readouterr().out
     row = rows_of(read_page(out / "report.html"), "point-table")[2]
-    assert row[1].text.endswith("± unknown") and "unknown" not in row[3].text and row[4].text.endswith("± unknown")
+    assert row[2].text.endswith("± unknown") and "unknown" not in row[5].text
 
 
 def test_unknown_errors_are_no_probabilities(write, tmp_path):
@@ -160,7 +162,7 @@ def test_unknown_errors_are_no_probabilities(write, tmp_path):
     assert np.isnan(found.error_ukcmb2).all() and np.isnan(found.best_probability).all()
     np.testing.assert_allclose(found.ratio, [1, 4, 1], rtol=1e-5)
     assert best_line(result).startswith("lowest: ") and "+- unknown" in best_line(result)
-    assert best_line(result).endswith("its error is unknown, of too few observations")
+    assert best_line(result).endswith("its error is unknown, as there are too few observations")
     json.loads((tmp_path / "summary.json").read_text(), parse_constant=pytest.fail)
     assert "± unknown" in read_page(tmp_path / "report.html").one("header").text
 

@@ -12,13 +12,15 @@ from surveysim.api import forecast_sweep
 from surveysim.output.directory import RECORD
 from surveysim.output.lock import OutputError
 from surveysim.report.figures.sweep import _ticks, draw_sweep, sweep_figure
-from surveysim.report.terminal.sweep import _forecast_lines, best_line
+from surveysim.report.terminal.sweep import best_line, forecast_lines
 from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.runtime.errors import OutOfRangeError
+from surveysim.runtime.numbers import plain, quoted_share
 from surveysim.scene.scene import scene_hash
 from surveysim.studies.sweep.axes import Axis
 from surveysim.studies.sweep.comparison import compare, compare_runs, forecast_points, probability_of_lowest
 from surveysim.studies.sweep.point_store import PointResult, load_point, save_point
+from surveysim.studies.sweep.summary import sweep_summary
 from surveysim.studies.sweep.tables import sweep_table
 from surveysim.survey import run as survey
 from surveysim.survey.checkpoint import CheckpointError
@@ -235,8 +237,8 @@ def test_three_observations_do_not_tell_how_far_the_forecast_is_off(write, tmp_p
     result = run_sweep(write(WHITE + "\n[sweep]\nobservations = [3]\n"), tmp_path, engine=SERIAL)
     off = result.points[0].off
     assert np.isfinite(off[0]) and np.isnan(off[1])
-    said = f"forecast over simulated, less 1: at worst {100 * off[0]:+.0f} % +- unknown, observations = 3"
-    assert _forecast_lines(result)[0] == said
+    said = f"forecast over simulated, less 1: at worst {plain(quoted_share(off[0], None))}, observations = 3"
+    assert next(forecast_lines(result)) == said
     kept = json.loads((tmp_path / "summary.json").read_text())["points"][0]["forecast_over_simulated"]
     assert kept == {"sigma": off[0], "sigma_error": None}
     page = (tmp_path / "report.html").read_text()
@@ -462,5 +464,14 @@ def test_table_of_text_values(levels):
     points = tuple(
         replace(point, settings={"cleaning.algorithm": ["planar", "local"]}) for point in result.sweep.points
     )
-    table = sweep_table(replace(result, sweep=replace(result.sweep, points=points)))
-    assert table.columns["cleaning.algorithm"] == ["planar+local"] * 3
+    table = sweep_table(sweep_summary(replace(result, sweep=replace(result.sweep, points=points)), ()))
+    assert table.in_files["cleaning.algorithm"].tolist() == ["planar+local"] * 3
+
+
+def test_a_sweep_in_a_notebook(levels):
+    """A few lines, the table of its points, and its figure."""
+    result, _ = levels
+    assert repr(result).startswith("SweepResult of ") and len(repr(result).splitlines()) == 2 + len(result.points)
+    found = result.table()
+    assert list(found["sigma_actual"].to_value("uK2")) == list(result.comparison.sigma_ukcmb2)
+    assert result._repr_html_().count("<tr>") == 1 + len(result.points) and len(result.plot().axes) == 2

@@ -14,9 +14,10 @@ from surveysim.reduction.setup import prepare
 from surveysim.report.figures.sweep import sweep_figure
 from surveysim.report.terminal.survey import closing_line, print_result
 from surveysim.report.terminal.sweep import best_line, discard_lines, print_sweep
-from surveysim.results.results import best_pipeline
+from surveysim.results.summary import best_pipeline
 from surveysim.runtime.engine import SERIAL
-from surveysim.studies.sweep.comparison import compare, pairs
+from surveysim.studies.sweep.comparison import compare
+from surveysim.studies.sweep.result import pairs
 from surveysim.survey import run as survey
 from surveysim.survey.coadds import row_names
 from surveysim.survey.discarded_scans import Discards, competing, discards, sweep_warnings, telling, why_withheld
@@ -93,7 +94,7 @@ def test_no_weather_without_an_atmosphere(small):
     text = without_sections(SMALL_SCENE, "atmosphere", "excess")
     setup = prepare(small({"cleaning.algorithm": "none"}, text))
     found = discards(setup, run_observations(setup, None))
-    assert found.by_weather == [] and set(found.shares) == set(setup.analysis.data_sets)
+    assert found.by_weather == [] and set(found.shares) == set(setup.analysis.data_set_names)
 
 
 @pytest.mark.parametrize("lost, warned", [(0, False), (4, False), (5, True)])
@@ -109,7 +110,7 @@ def test_a_run_warns_above_five_percent(small, monkeypatch, tmp_path, capsys, lo
     assert ("Warning: actual: 6.2 % of the scans are discarded" in screen) == warned
     assert ("Warning: actual: 6.2 % of the scans are discarded" in page.one("header").text) == warned
     share = f" ({100 * lost / 80:.1f} %; masked_7: 0.0 %)" if lost else ""
-    assert f"{lost} of 80 scans discarded{share}, " in closing_line(result)
+    assert f"{lost} of 80 scans discarded{share}, " in closing_line(content)
     if not lost:
         assert "No scan was discarded." in page.text
         return
@@ -231,8 +232,8 @@ def test_screen_and_page_of_a_sweep_that_loses_scans(lossy, capsys):
         "best of the 2 points that have a known error and lose few scans (of 4): detector.psd = 2.5 mK2 / Hz"
     )
     rows = rows_of(page, "point-table")
-    assert [row[5].text for row in rows][2:] == ["withheld"] * 2
-    assert [row[6].text for row in rows] == ["0.0", "0.0", "6.2", "25.0"]
+    assert [row[6].text for row in rows][2:] == ["withheld"] * 2
+    assert [row[4].text for row in rows] == ["0.0 %", "0.0 %", "6.2 %", "25.0 %"]
     assert "2 points that lose too many scans are not counted." in page.one("header").text
     assert "Warning: actual: more than 5 %" in page.one("header").text
     assert [len(row) for row in rows_of(page, "discarded-table")] == [1 + 1 + 4] * 4

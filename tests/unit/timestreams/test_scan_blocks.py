@@ -156,7 +156,7 @@ def test_discarded_scans_are_counted_over_blocks(setup_of, monkeypatch):
     monkeypatch.setattr(reduction, "apply_pipeline", lossy)
     found = observe(whole, 0, with_window=False)
     assert everything.discarded == (0, 0) and found.discarded == (2, 2) and found.removed == (1.0, 1.0)
-    actual, white = (whole.analysis.data_sets.index(name) for name in ("actual", "white"))
+    actual, white = (whole.analysis.data_set_names.index(name) for name in ("actual", "white"))
     np.testing.assert_array_equal(found.hits[actual], found.hits[white])
     assert 0.4 < found.hits[actual].sum() / everything.hits[actual].sum() < 0.6
     assert 0.3 < found.clean_psd[5:].mean() / everything.clean_psd[5:].mean() < 3

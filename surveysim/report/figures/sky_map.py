@@ -1,0 +1,75 @@
+"""The co-added map of a run and its noise."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from mapmaker.geometry import wcs
+from surveysim.reduction.setup import Setup
+from surveysim.report.figures.style import (
+    BLACK,
+    UK_CMB,
+    new_figure,
+    three_digits,
+)
+from surveysim.survey.coadds import CoAdds
+
+DEEPEST = 4  # the map is shown where its noise is at most this many times the lowest
+
+
+def coadded_map(setup: Setup, coadds: CoAdds) -> Figure:
+    """The co-added map of the actual data, smoothed with the beam, and its noise a pixel, both in uK_CMB.
+
+    The noise is that of the weights: of the scored band, as if white. Nothing is shown where that of the
+    smoothed weights is above `DEEPEST` times its minimum.
+    """
+    from astropy.visualization.wcsaxes import WCSAxes
+
+    signal, noise = map_planes(setup, coadds)
+    rows = setup.analysis.region.patch if setup.analysis.region else slice(None)
+    reach = np.nanpercentile(np.abs(signal[rows, rows]), 99.5)
+    lowest = np.nanmin(noise)
+    side = three_digits(np.degrees(setup.analysis.geometry.pixel_rad) * 3600)
+    shown = (
+        (signal, "Signal smoothed with the beam", "RdBu_r", -reach, reach, "both"),
+        (noise, f"Noise of {side} arcsec pixels", "cividis_r", lowest, DEEPEST * lowest, "max"),
+    )
+    figure = new_figure(10, 4)
+    for number, (image, label, colours, low, high, extend) in enumerate(shown, start=1):
+        axes = figure.add_subplot(1, 2, number, axes_class=WCSAxes, wcs=wcs(setup.analysis.geometry))
+        drawn = axes.imshow(image, origin="lower", cmap=colours, vmin=low, vmax=high, interpolation="nearest")
+        _sky_axes(axes, setup)
+        bar = figure.colorbar(drawn, ax=axes, extend=extend, fraction=0.046, pad=0.03)
+        bar.set_label(f"{label} [{UK_CMB}]", fontsize=10)
+        bar.ax.tick_params(labelsize=9)
+    return figure
+
+
+def map_planes(setup: Setup, coadds: CoAdds) -> tuple[np.ndarray, np.ndarray]:
+    """Smoothed signal and noise (n_y, n_x) [uK_CMB] of the actual data, NaN where too noisy to show."""
+    from scipy.ndimage import gaussian_filter
+
+    instrument, weight = setup.scene.instrument, coadds.weight[0]
+    to_ukcmb = 1e3 * instrument.cmb_per_rj
+    sigma = instrument.beam_fwhm_rad / np.sqrt(8 * np.log(2)) / setup.analysis.geometry.pixel_rad
+    # Sums and weights smoothed apart: noisy pixels count for less in their neighbours.
+    total, spread = gaussian_filter(coadds.sums[0], sigma), gaussian_filter(weight, sigma)
+    seen = spread > spread.max() / DEEPEST**2
+    empty = np.full(weight.shape, np.nan)
+    signal = np.divide(total, spread, out=empty.copy(), where=seen)
+    noise = np.divide(1, np.sqrt(weight), out=empty, where=seen & (weight > 0))
+    return to_ukcmb * signal, to_ukcmb * noise
+
+
+def _sky_axes(axes: Axes, setup: Setup) -> None:
+    for coordinate, label in zip(axes.coords, ("Right ascension [deg]", "Declination [deg]"), strict=True):
+        coordinate.set_major_formatter("d.d")
+        coordinate.set_ticklabel(size=9, exclude_overlapping=True)
+        coordinate.set_axislabel(label, fontsize=10)
+    if setup.scene.score is not None:
+        side = setup.scene.score.size_rad / setup.analysis.geometry.pixel_rad
+        corner = [(n - side) / 2 - 0.5 for n in (setup.analysis.geometry.n_x, setup.analysis.geometry.n_y)]
+        axes.add_patch(Rectangle(corner, side, side, fill=False, ec=BLACK, lw=1.2))
+        x, y = (start + side / 40 for start in corner)
+        axes.text(x, y, "scored", fontsize=8.5, bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 1.5})

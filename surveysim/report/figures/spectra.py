@@ -1,0 +1,184 @@
+"""Figures of map spectra: noise PSDs, transfer functions, cumulative sensitivity, weights of bins."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mapmaker.transfer_function import beam_window, pixel_window
+from surveysim.forecasting.forecast import Forecast
+from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
+from surveysim.reduction.data_set import DataSetKind
+from surveysim.reduction.setup import Setup
+from surveysim.report.figures.style import (
+    BLACK,
+    BLUE,
+    ELL,
+    GREEN,
+    GREY,
+    LEGEND,
+    ORANGE,
+    PURPLE,
+    SKY,
+    UK2_CMB,
+    VERMILION,
+    finish,
+    legend,
+    panels,
+    plain_ticks,
+    three_digits,
+)
+from surveysim.survey.scores import DataSetScore, bin_errors, rescore
+
+LOWEST_ELL = 500  # bins below it hold few modes, and of those little but the map's mean and gradient
+
+# Colours and dashes of the paper's figure `sim_noise`.
+LINES = {"actual": (BLACK, "-"), "uncorrelated": (VERMILION, ":"), "white": (GREEN, "--")}
+MASKED_LINE = (BLUE, "-.")
+# Of pipelines that the scene compares with its own, and of the best one of each observation.
+COMPARED = ((PURPLE, "-"), (ORANGE, "-"), (SKY, "-"), (PURPLE, "--"), (ORANGE, "--"), (SKY, "--"))
+OPTIMAL_LINE = (GREY, "-")
+
+
+def map_psds(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast | None = None) -> Figure:
+    """Noise PSD of the map of each data set (the paper's figure `sim_noise`), and a signal to hold against.
+
+    The masked array's PSD is multiplied by its share of the detectors: the paper multiplies an amplitude by
+    the root of it. Bands are the standard error of `bin_errors`; thin lines the forecast.
+    """
+    rings, first = setup.analysis.region.rings, next(iter(scores.values()))
+    used = _usable(setup)
+    ell = rings.ell[used]
+    figure, (axes,) = panels(1)
+    for item in scores.values():
+        colour, dashes, label, share = _look(setup, item)
+        psd = share * item.noise_psd[used]
+        error = psd * bin_errors(setup, item)[used]
+        axes.fill_between(ell, psd - error, psd + error, color=colour, alpha=0.18, lw=0)
+        axes.plot(ell, psd, color=colour, ls=dashes, lw=1.8, label=label)
+        if expected and item.name in expected.scores:
+            axes.plot(ell, share * expected.scores[item.name].noise_psd[used], color=colour, lw=0.8)
+    if expected:
+        axes.plot([], [], color=BLACK, lw=0.8, label="forecast of each")
+    sigma = first.band.sigma_ukcmb2
+    flat = f"flat CMB of {three_digits(sigma)} {UK2_CMB}, as the map shows it"
+    axes.plot(ell, sigma * first.signal_psd[used], color=GREY, lw=1, label=flat)
+    _shade_scored(axes, setup)
+    lowest = min(_look(setup, item)[3] * item.noise_psd[used].min() for item in scores.values())
+    axes.set(xscale="log", yscale="log", xlim=(rings.edges_ell[:-1][used][0], rings.edges_ell[-1]))
+    axes.set_ylim(bottom=lowest / 10)
+    finish(axes, ELL, f"Map noise PSD [{UK2_CMB} sr]")
+    plain_ticks(axes.xaxis)
+    _place_legend(setup, figure, axes)
+    return figure
+
+
+def transfer_functions(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast | None = None) -> Figure:
+    """Power transmission of cleaning (thin lines: forecast), for both arrays, of beam and pixel, and of all."""
+    rings, first = setup.analysis.region.rings, next(iter(scores.values()))
+    beam = beam_window(rings.ell, setup.scene.instrument.beam_fwhm_rad)
+    pixel = pixel_window(rings.ell, setup.scene.map.pixel_rad)
+    figure, (axes,) = panels(1)
+    _shade_scored(axes, setup)
+    style = {"marker": "o", "ms": 3.5, "lw": 1, "capsize": 2}
+    labels = {pipeline.data_set: f"cleaning ({pipeline.label})" for pipeline in setup.analysis.pipelines}
+    for item in {id(item.window): item for item in reversed(scores.values())}.values():
+        colour, dashes, label, _ = _look(setup, item)
+        label = f"{labels.get(item.name, label)}, {item.n_det} detectors"
+        axes.errorbar(rings.ell, item.window.transmission, item.window.error, c=colour, ls=dashes, label=label, **style)
+        if expected and item.name in expected.scores:
+            axes.plot(rings.ell, expected.scores[item.name].transmission, color=colour, lw=0.8)
+    if expected:
+        axes.plot([], [], color=BLACK, lw=0.8, label="forecast of each")
+    axes.plot(rings.ell, beam, color=PURPLE, ls=":", lw=1.8, label=r"beam, $B_\ell^2$")
+    axes.plot(rings.ell, pixel, color=GREEN, ls="--", lw=1.5, label="pixel")
+    product = beam * pixel * first.window.transmission
+    axes.plot(rings.ell, product, color=VERMILION, lw=1.8, label=f"product, {first.n_det} detectors")
+    axes.set(xlim=(0, rings.edges_ell[-1]), ylim=(0, 1.1))
+    finish(axes, ELL, "Power transmission")
+    _place_legend(setup, figure, axes)
+    return figure
+
+
+def cumulative_sensitivity(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
+    """Uncertainty of a flat band power from all data above a multipole (figure `map_psd_ave_plane`, bottom).
+
+    Every bin from `LOWEST_ELL` up starts a range; bands are the Monte Carlo error of its uncertainty. The
+    masked array's is multiplied by its share of the detectors, as in Table 3.
+    """
+    score, edges = setup.scene.score, setup.analysis.region.rings.edges_ell
+    starts = edges[:-1][_usable(setup) & (edges[1:] <= score.ell_max)]
+    figure, (axes,) = panels(1)
+    for item in scores.values():
+        colour, dashes, label, share = _look(setup, item)
+        bands = [rescore(setup, item, start).band for start in starts]
+        sigma = share * np.array([band.sigma_ukcmb2 for band in bands])
+        error = share * np.array([band.error_ukcmb2 for band in bands])
+        axes.fill_between(starts, sigma - error, sigma + error, color=colour, alpha=0.18, lw=0)
+        axes.plot(starts, sigma, color=colour, ls=dashes, lw=1.8, label=label)
+    axes.axvline(score.ell_min, color=GREY, lw=1, label=rf"score from $\ell$ = {score.ell_min}")
+    axes.set(yscale="log", xlim=(starts[0], score.ell_max))
+    finish(axes, r"Lowest multipole $\ell$ used", rf"Uncertainty of a flat band power [{UK2_CMB}]")
+    _place_legend(setup, figure, axes)
+    return figure
+
+
+def bin_weights(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
+    """Share of each bin of multipole in the score of each data set, and the effective multipole."""
+    figure, (axes,) = panels(1)
+    for item in scores.values():
+        colour, dashes, _, _ = _look(setup, item)
+        used = item.band.weight > 0
+        ell, weight = item.band.ell[used], item.band.weight[used]
+        label = rf"{_name(setup, item)}: $\ell_\mathrm{{eff}}$ = {item.band.ell_eff:.0f}"
+        axes.plot(ell, weight, color=colour, ls=dashes, marker="o", ms=3.5, label=label)
+        axes.axvline(item.band.ell_eff, color=colour, ls=dashes, lw=0.9)
+    axes.set_ylim(bottom=0)
+    finish(axes, ELL, f"Share in the score of a bin of {setup.scene.score.ell_bin} multipoles")
+    _place_legend(setup, figure, axes)
+    return figure
+
+
+def _usable(setup: Setup) -> np.ndarray:
+    """Bins (n_bin,) bool from `LOWEST_ELL` up, or from the scored range if that starts lower."""
+    return setup.analysis.region.rings.edges_ell[:-1] >= min(LOWEST_ELL, setup.scene.score.ell_min)
+
+
+def _look(setup: Setup, item: DataSetScore) -> tuple[str, str, str, float]:
+    """Colour, dashes, label and the factor that makes up for detectors left out."""
+    if _is_masked(item):
+        return (
+            *MASKED_LINE,
+            rf"{_name(setup, item)}, $\times$ {item.n_det}/{setup.camera.n_det}",
+            item.n_det / setup.camera.n_det,
+        )
+    if item.name == OPTIMAL:
+        return *OPTIMAL_LINE, "the best of each observation", 1.0
+    compared = [pipeline.data_set for pipeline in setup.analysis.whole_pipelines[1:]]
+    if item.name in compared:
+        return *COMPARED[compared.index(item.name) % len(COMPARED)], item.name, 1.0
+    return *LINES[item.name], _name(setup, item), 1.0
+
+
+def _is_masked(item: DataSetScore) -> bool:
+    return item.kind is DataSetKind.MASKED
+
+
+def _name(setup: Setup, item: DataSetScore) -> str:
+    if _is_masked(item):
+        return f"masked, {item.n_det} detectors"
+    return (
+        f"actual ({setup.analysis.pipelines[0].label})" if item.name == ACTUAL and setup.analysis.chooses else item.name
+    )
+
+
+def _shade_scored(axes: Axes, setup: Setup) -> None:
+    score = setup.scene.score
+    axes.axvspan(score.ell_min, score.ell_max, color=GREY, alpha=0.12, lw=0, label="scored range")
+
+
+def _place_legend(setup: Setup, figure: Figure, axes: Axes) -> None:
+    """The legend in the axes, or below them where pipelines are compared: that is too many for inside."""
+    if setup.analysis.chooses:
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, **LEGEND)
+    else:
+        legend(axes)

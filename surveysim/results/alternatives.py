@@ -1,0 +1,67 @@
+"""The same data scored from other lowest multipoles and with other weights of bins."""
+
+import numpy as np
+
+from mapmaker.bandpower import BandPower, flat_band_power_fixed_weights
+from surveysim.forecasting.validity import resolution_ell
+from surveysim.reduction.setup import Setup
+from surveysim.survey.coadds import CoAdds
+from surveysim.survey.scores import DataSetScore, rescore, sector_sigma
+
+ALTERNATIVE_NINTHS = (2, 4, 6, 8, 9, 10, 11)  # of the scene's lowest scored multipole
+
+
+def alternatives(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -> list[dict[str, float | str]]:
+    """The same data scored otherwise: from other lowest multipoles, and with every set's bins weighted alike.
+
+    `weights` is "own" (each data set weights its bins by its own noise), "actual" (all by the actual
+    data's noise) or "own, 2-D" (modes also by their direction, which the scans set; the scene's range).
+    Masked sets are scaled by their share of the detectors.
+    """
+    lowest = lowest_multipoles(setup)
+    rows = [_alternative(setup, scores, weights, ell) for weights in ("own", "actual") for ell in lowest]
+    if setup.analysis.region.sectors is not None:
+        sigma = {name: sector_sigma(setup, coadds, item) for name, item in scores.items()}
+        ell_min = setup.scene.score.ell_min
+        rows.append(_alternative_row(setup, scores, "own, 2-D", scores["actual"].band, ell_min, sigma))
+    return rows
+
+
+def lowest_multipoles(setup: Setup) -> list[int]:
+    """Edges of bins about the scene's own lowest multipole, none below what scans and taper resolve."""
+    score = setup.scene.score
+    ninths = np.array(ALTERNATIVE_NINTHS) * score.ell_min / 9
+    edges = np.unique(np.round(ninths / score.ell_bin).astype(int) * score.ell_bin)
+    used = (edges >= resolution_ell(setup)) & (edges + score.ell_bin <= score.ell_max)
+    return edges[used].tolist()
+
+
+def _alternative(setup: Setup, scores: dict[str, DataSetScore], weights: str, ell_min: int) -> dict[str, float | str]:
+    reference = scores["actual"]
+    band = rescore(setup, reference, ell_min).band
+    used, modes = band.weight > 0, setup.analysis.region.rings.n_modes
+    sigma = {}
+    for name, item in scores.items():
+        if weights == "own":
+            sigma[name] = rescore(setup, item, ell_min).band.sigma_ukcmb2
+        else:
+            sigma[name] = flat_band_power_fixed_weights(
+                item.quoted_psd, item.signal_psd, modes, used, weighting_noise_psd_ukcmb2=reference.quoted_psd
+            )
+    return _alternative_row(setup, scores, weights, band, ell_min, sigma)
+
+
+def _alternative_row(
+    setup: Setup,
+    scores: dict[str, DataSetScore],
+    weights: str,
+    band: BandPower,
+    ell_min: int,
+    sigma_ukcmb2: dict[str, float],
+) -> dict[str, float | str]:
+    row: dict[str, float | str]
+    row = {"weights": weights, "ell_min": ell_min, "ell_eff": band.ell_eff, "fwhm_ell": band.fwhm_ell}
+    for name, item in scores.items():
+        share = item.n_det / setup.camera.n_det
+        row[f"{name}_scaled" if share < 1 else name] = share * sigma_ukcmb2[name]
+    return row

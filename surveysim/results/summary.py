@@ -1,0 +1,154 @@
+"""The content of summary.json of a run."""
+
+from typing import Any
+
+import numpy as np
+
+from surveysim.forecasting.forecast import DataSetForecast
+from surveysim.reduction.cleaning_pipelines import ACTUAL, CleaningPipeline
+from surveysim.reduction.figure_of_merit import TARGETS, best_places
+from surveysim.reduction.setup import Setup
+from surveysim.results.closure import truth
+from surveysim.results.results import SurveyResult, forecast_agreement, score_entries
+from surveysim.results.stages import absent_sections, left_out, stages_that_run
+from surveysim.results.stopping import TOLD_ERRORS
+from surveysim.runtime.provenance import made_by, now
+from surveysim.runtime.strict_json import known
+from surveysim.scene.scene import scene_hash
+from surveysim.survey.coadds import row_names
+from surveysim.survey.scores import DataSetScore
+from surveysim.telescope.raster import samples_per_scan
+
+PSD_AT_HZ = (0.01, 0.1, 1.0)
+
+
+def summary(result: SurveyResult) -> dict[str, Any]:
+    """The content of summary.json; its keys are stable (docs/reference/files.md)."""
+    setup, coadds = result.setup, result.coadds
+    columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
+    samples = (
+        coadds.done * setup.camera.n_det * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
+    )
+    content: dict[str, Any] = {
+        "scene": setup.scene.name,
+        "title": setup.scene.title,
+        "seed": setup.scene.seed,
+        "scene_sha256": scene_hash(setup.scene),
+        **made_by(),
+        "observations": coadds.done,
+        "detectors": setup.camera.n_det,
+        "detector_samples": samples,
+        "stages_left_out": absent_sections(setup.scene),
+        "stages": stages_that_run(setup),
+        "left_out": left_out(setup),
+        "scans": coadds.done * setup.observing.raster.n_scans,
+        "scans_discarded": int(columns[f"discarded_{ACTUAL}"].sum()),
+        "discarded": result.discards.shares,
+        "discarded_by_weather": result.discards.by_weather,
+        "warnings": result.discards.warnings,
+        "mean_iterations": float(columns[f"iterations_{ACTUAL}"].mean()),
+        "cleaning": {
+            pipeline.data_set: _cleaning_entry(pipeline, result, columns) for pipeline in setup.analysis.pipelines
+        },
+        "stopped": _stopped_entry(result),
+        "scores": {},
+    }
+    if result.unscored:
+        content["unscored"] = result.unscored
+    if result.scores:
+        expected = result.expected.scores if result.expected else {}
+        content["estimate"] = known(vars(result.estimate))
+        content["scores"] = score_entries(result)
+        content["error_budget"] = {name: known(_budget_entry(item)) for name, item in result.scores.items()}
+        agreements = forecast_agreement(result)
+        content["forecast_over_simulated"] = {name: known(vars(item)) for name, item in agreements.items()}
+        content["forecast"] = {name: _forecast_entry(item) for name, item in expected.items()}
+        content["gains"] = {name: known(vars(item)) for name, item in result.gains.items()}
+        content["alternatives"] = result.alternatives
+        if not np.isnan(setup.analysis.region.scored_correlation):
+            content["bin_correlation"] = setup.analysis.region.scored_correlation
+        content["time_to_precision"] = [vars(cost) for cost in map(result.cost, TOLD_ERRORS) if cost]
+    content["closure"] = [vars(item) for item in truth(setup, coadds, result.scores, result.expected)]
+    content["run"] = {
+        "date": now(),
+        "engine": result.engine,
+        "workers": result.workers,
+        "wall_s": result.wall_s,
+        "stage_s": coadds.seconds,
+        "stage_ns_per_detector_sample": {k: 1e9 * v / samples for k, v in coadds.seconds.items()},
+    }
+    return content
+
+
+def _cleaning_entry(pipeline: CleaningPipeline, result: SurveyResult, columns: dict[str, np.ndarray]) -> dict[str, Any]:
+    """What one pipeline costs: scans, iterations, templates, time, and of how many observations it is the best."""
+    setup = result.setup
+    entry: dict[str, Any] = {
+        "steps": list(pipeline.steps),
+        "scans_discarded": int(columns[f"discarded_{pipeline.data_set}"].sum()),
+        "mean_iterations": float(columns[f"iterations_{pipeline.data_set}"].mean()),
+        "mean_removed": float(columns[f"removed_{pipeline.data_set}"].mean()),
+    }
+    if pipeline.detectors is None:
+        entry["psd_over_white"] = _psd_over_white(result, setup.analysis.whole_pipelines.index(pipeline))
+    if pipeline.data_set in result.flux_removed:
+        entry["point_source_flux_removed"] = result.flux_removed[pipeline.data_set]
+    if setup.analysis.chooses and pipeline.detectors is None:
+        place = setup.analysis.whole_pipelines.index(pipeline)
+        for target in TARGETS:
+            best = best_pipeline(setup, columns, target)
+            entry[f"best_for_{target}"] = float(np.mean(best[best >= 0] == place)) if (best >= 0).any() else 0.0
+    return entry
+
+
+def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float | None]:
+    """Median PSD of the cleaned streams over its own level in the upper half of the band, at some frequencies.
+
+    That level is the instrument's noise as the pipeline leaves it: templates of few detectors take some of it too. None
+    where nothing is left of the streams, or no scan.
+    """
+    setup, coadds = result.setup, result.coadds
+    psds = coadds.clean_psd if place == 0 else [psd[place - 1] for psd in coadds.compared_psd]
+    median = np.median([psd for psd in psds if psd.any()] or [np.zeros(len(psds[0]))], axis=0)
+    white = median[len(median) // 2 : -1].mean()
+    step = setup.observing.raster.sample_rate_hz / samples_per_scan(setup.observing.raster)
+    bins = {f"{hz:g} Hz": round(hz / step) for hz in PSD_AT_HZ}
+    # The first bin holds what the scan's removed mean leaves, the last Nyquist's single mode.
+    there = {name: k for name, k in bins.items() if 2 <= k < len(median) - 1}
+    return {name: float(median[k] / white) if white > 0 else None for name, k in there.items()}
+
+
+def _budget_entry(item: DataSetScore) -> dict[str, float]:
+    """Relative errors of one data set's sigma(A), by their origin."""
+    budget = item.budget
+    return {
+        "noise": budget.noise,
+        "weather": budget.weather,
+        "transfer_function": budget.window,
+        "population": budget.population,
+    }
+
+
+def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
+    """What ended the run, of how many observations, and how good its answer is."""
+    estimate, limits = result.estimate, {k: v for k, v in vars(result.limits).items() if v is not None}
+    entry: dict[str, Any] = {
+        "reason": result.stopped,
+        "observations_simulated": result.coadds.done,
+        "observations_of_survey": result.setup.scene.observations,
+        **limits,
+    }
+    if estimate:
+        entry |= known({"estimate": estimate.kind, "relative_error": estimate.relative_error})
+    return entry
+
+
+def _forecast_entry(item: DataSetForecast) -> dict[str, Any]:
+    return {"discarded": item.kept.discarded, "effects": [vars(effect) for effect in item.effects]}
+
+
+def best_pipeline(setup: Setup, columns: dict[str, np.ndarray], target: str) -> np.ndarray:
+    """Place (n_obs,) among the pipelines for all detectors of the best one for a target, -1 without data."""
+    return best_places(
+        np.array([columns[f"merit_{target}_{pipeline.data_set}"] for pipeline in setup.analysis.whole_pipelines])
+    )
