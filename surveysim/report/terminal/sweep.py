@@ -51,9 +51,9 @@ def estimate_lines(result: SweepResult) -> Iterator[str]:
 def forecast_lines(result: SweepResult) -> Iterator[str]:
     """Yield the largest difference of a forecast from its simulation."""
     both = zip(result.sweep.points, result.points, strict=True)
-    compared = [(point, *item.off) for point, item in both if item.off]
+    compared = [(point, item.off) for point, item in both if item.off]
     if compared:
-        point, off, error = max(compared, key=lambda entry: abs(entry[1]))
+        point, (off, error) = max(compared, key=lambda entry: abs(entry[1][0]))
         yield f"forecast over simulated, less 1: at worst {plain(quoted_share(off, error))}, {point.label}"
     if not result.simulated:
         yield "Forecasts are of the weather that the seed draws; a run quotes sigma(A) of all weather."
