@@ -8,6 +8,7 @@ import math
 import operator
 from collections.abc import Sequence
 from types import EllipsisType
+from typing import Any, SupportsIndex, cast
 
 import numpy as np
 
@@ -130,7 +131,7 @@ def number(
 def whole(name: str, value: object, *, least: int, most: int | float = math.inf) -> int:
     """Check an integer within bounds."""
     try:
-        found = operator.index(value)
+        found = operator.index(cast(SupportsIndex, value))
     except TypeError:
         found = None
     if found is None or isinstance(value, bool | np.bool_) or not least <= found <= most:
@@ -149,9 +150,8 @@ def pixel_side(name: str, value: object) -> float:
 
 def plane_sides(n_y: object, n_x: object) -> None:
     """Raise ValueError for sides of a plane that are no integers, or too many cells for a map."""
-    whole("n_y", n_y, least=1, most=MAX_PIXELS)
-    whole("n_x", n_x, least=1, most=MAX_PIXELS)
-    if int(n_y) * int(n_x) > MAX_PIXELS:
+    rows, columns = (whole(name, n, least=1, most=MAX_PIXELS) for name, n in (("n_y", n_y), ("n_x", n_x)))
+    if rows * columns > MAX_PIXELS:
         raise argument_error("n_y, n_x", f"{n_y} x {n_x} cells", f"{MAX_PIXELS} cells in all or less are")
 
 
@@ -183,7 +183,7 @@ def band_edges(name: str, value: object) -> np.ndarray:
     return array
 
 
-def bounds_of_scans(value: object, n_samp: int) -> np.ndarray:
+def bounds_of_scans(value: Any, n_samp: int) -> np.ndarray:
     """Check first and one-past-last samples of scans, (n_scan, 2) int64: not empty, within the samples, not
     overlapping.
     """

@@ -9,6 +9,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -293,7 +294,8 @@ def _psd_scale(setup: Setup) -> float:
 def _mean_psd(blocks: list[tuple[int, np.ndarray]]) -> np.ndarray:
     """Average PSDs (n_freq,) of blocks, weighted by their numbers of scans; 0 without a scan."""
     n_scans = max(1, sum(n for n, _ in blocks))
-    return sum(psd * (n / n_scans) for n, psd in blocks)
+    total: Any = sum(psd * (n / n_scans) for n, psd in blocks)
+    return total
 
 
 def _some(kept: np.ndarray) -> np.ndarray:

@@ -94,8 +94,9 @@ def load_checkpoint(path: Path, setup: Setup) -> CoAdds:
         reason = one_line(error, REASON)
         raise CheckpointError(f"{path}: not what a run of this scene writes ({reason}); {_AGAIN}") from None
     rows = arrays.pop("rows")
+    sums: dict[str, Any] = {name: list(array) if name in _LISTS else array for name, array in arrays.items()}
     return CoAdds(
-        **{name: list(array) if name in _LISTS else array for name, array in arrays.items()},
+        **sums,
         rows=[tuple(float(value) for value in row) for row in rows],
         seconds=seconds,
     )
@@ -132,7 +133,11 @@ def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
         raise ValueError(f"{done} observations, {setup.scene.observations} are in the survey")
     n_freq, n_compared = samples_per_scan(setup.observing.raster) // 2 + 1, len(setup.analysis.whole_pipelines) - 1
     shapes = {name: getattr(expected, name).shape for name in _ARRAYS}
-    of_one = {"rows": (len(row_names(setup)),), "raw_psd": (n_freq,), "clean_psd": (n_freq,)}
+    of_one: dict[str, tuple[int, ...]] = {
+        "rows": (len(row_names(setup)),),
+        "raw_psd": (n_freq,),
+        "clean_psd": (n_freq,),
+    }
     n_bin = 0 if setup.analysis.region is None else len(setup.analysis.region.rings.ell)
     of_one |= {"bin_noise": (len(setup.analysis.data_set_names), n_bin), "compared_psd": (n_compared, n_freq)}
     shapes |= {name: (done, *of_one[name]) if done else (0,) for name in _LISTS}

@@ -101,7 +101,7 @@ def run_observations(
 class _CheckpointWriter:
     """Writes the sums of a run to its checkpoint, within a small fraction of the time."""
 
-    def __init__(self, path: Path | None, scene_hash: str, done: int):
+    def __init__(self, path: Path | None, scene_hash: str, done: int) -> None:
         self.path, self.scene_hash, self.done = path, scene_hash, done
         self.due = monotonic() + CHECKPOINT_SECONDS
 

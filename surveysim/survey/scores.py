@@ -19,7 +19,7 @@ from mapmaker.uncertainty import (
     subtract_in_quadrature,
 )
 from surveysim.reduction.cleaning_pipelines import ACTUAL
-from surveysim.reduction.data_set import DataSetKind
+from surveysim.reduction.data_set import DataSet, DataSetKind
 from surveysim.reduction.scored_region import N_SECTORS
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InsufficientDataError
@@ -246,7 +246,7 @@ def error_modes(items: Sequence[DataSetScore], skies: Sequence[Hashable]) -> np.
     for group in dict.fromkeys(groups):
         rows = [row if own == group else row[:0] for row, own in zip(window, groups, strict=True)]
         if groups.count(group) == 1:  # shared with nobody: one mode has it all
-            rows = [np.linalg.norm(row, keepdims=True) if len(row) else row for row in rows]
+            rows = [np.atleast_1d(np.linalg.norm(row)) if len(row) else row for row in rows]
         columns.append(_stacked(rows))
     return np.hstack(columns)
 
@@ -281,7 +281,17 @@ def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
     return stacked
 
 
-def _score(setup, item, psds, window, weights, bin_noise, kept, *, selected=None) -> DataSetScore:
+def _score(
+    setup: Setup,
+    item: "DataSet | DataSetScore",
+    psds: np.ndarray,
+    window: TransferFunction,
+    weights: np.ndarray,
+    bin_noise: np.ndarray,
+    kept: np.ndarray | float,
+    *,
+    selected: np.ndarray | None = None,
+) -> DataSetScore:
     rings, signal = setup.analysis.region.rings, setup.analysis.region.signal_psd * window.transmission
     selected = setup.analysis.region.selected if selected is None else selected
     shares = information_shares(

@@ -178,7 +178,8 @@ def closest_pair(positions: np.ndarray) -> tuple[float, int, int]:
         nearest = int(np.argmin(squared))
         distance = float(np.sqrt(squared[nearest]))
         if distance < closest[0]:
-            closest = (distance, *sorted((int(first[nearest]), int(second[nearest]))))
+            pair = int(first[nearest]), int(second[nearest])
+            closest = distance, min(pair), max(pair)
     return closest
 
 
@@ -189,7 +190,7 @@ def _closest_pair_of_tree(positions: np.ndarray) -> tuple[float, int, int]:
     first = int(np.argmin(distance[:, 1]))
     # With a twin at the same place either may come first.
     second = int(next(index for index in neighbour[first] if index != first))
-    return (float(distance[first, 1]), *sorted((first, second)))
+    return float(distance[first, 1]), min(first, second), max(first, second)
 
 
 def mask_by_separation(positions: np.ndarray, separation: float) -> np.ndarray:

@@ -12,11 +12,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.telescope.raster import RasterPath
+
+if TYPE_CHECKING:
+    from astropy.coordinates import SkyCoord
 
 DAY_S = 86400.0
 SIDEREAL_RAD_S = 2 * np.pi * 1.00273790935 / DAY_S  # rate of the hour angle
@@ -112,7 +116,7 @@ def _offline() -> Iterator[None]:
         yield
 
 
-def _sky(field: FieldCentre, site: Site, mjd: np.ndarray):
+def _sky(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple["SkyCoord", dict[str, Any]]:
     """Astropy's field centre, and the frame arguments of the site at these times."""
     from astropy import units as u
     from astropy.coordinates import EarthLocation, SkyCoord
@@ -283,7 +287,7 @@ def observation_pointing(
     )
 
 
-def sky_vector(angle_rad: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def sky_vector(angle_rad: np.ndarray, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vector (x, y) of a frame whose y axis has position angle `angle_rad`, as (xi, eta); shapes broadcast.
 
     With the parallactic angle, (x, y) = (d azimuth cos(el), d elevation).

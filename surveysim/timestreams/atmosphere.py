@@ -50,7 +50,9 @@ def add_layer(
     strips = setup.air.strips.at(float(sine.min()))
     motion = offsets, velocity, layer_velocity = _layer_motion(setup, pointing, weather)
     trends = _trends(setup, observation, pointing, motion, strips, realization)
-    rng = generator(setup.scene.seed, RandomPurpose.ATMOSPHERE, observation, realization, block.number)
+    rng = generator(
+        setup.scene.seed, RandomPurpose.ATMOSPHERE, observation, realization=realization, block=block.number
+    )
     scans = slice(block.first, block.end)
     add_screen(
         data,
@@ -102,7 +104,7 @@ def _trends(
     slant = 1 / np.sin(pointing.elevation_rad)[:, None]
     boresight = np.stack([pointing.xi_rad[first], pointing.eta_rad[first]], axis=-1) * slant
     corner = boresight - _moved(layer_velocity, middle, begin) + tracks.corner_rad
-    rng = generator(setup.scene.seed, RandomPurpose.TREND, observation, realization)
+    rng = generator(setup.scene.seed, RandomPurpose.TREND, observation, realization=realization)
     return draw_trends(strip_points(strips, corner, tracks.direction, tracks.length_rad), rng)
 
 

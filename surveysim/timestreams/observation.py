@@ -24,7 +24,7 @@ from surveysim.timestreams.simulation import Simulation, observation_path
 class Stopwatch:
     """Seconds spent in named stages."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
 
     @contextmanager

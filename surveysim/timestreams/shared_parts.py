@@ -17,6 +17,7 @@ from surveysim.telescope.pixel_coherence import MOST_DENSE, DenseCorrelation, co
 
 if TYPE_CHECKING:
     from surveysim.atmosphere.screen_simulation import SlantStrips
+    from surveysim.atmosphere.thin_screen import Screen
 
 
 # Eigenvectors of the correlations differ in their last bits, or in a degenerate space altogether, between
@@ -43,7 +44,7 @@ def shared_noise(
         raise SceneError(f"{name}.coherence: {error}") from None
 
 
-def screen(scene: Scene):
+def screen(scene: Scene) -> "Screen":
     """Make the thin screen at the zenith; raises SceneError for parameters that it has no closed form for."""
     from surveysim.atmosphere.thin_screen import Screen
 

@@ -121,7 +121,9 @@ def central_source(geometry: MapGeometry, fwhm_rad: float) -> np.ndarray:
     return np.exp(-(xi**2 + eta**2) / (2 * sigma**2)).astype(np.float32)
 
 
-def draw_sky(section: Sky, geometry: MapGeometry, cmb_per_rj: float, fwhm_rad: float, rng) -> np.ndarray:
+def draw_sky(
+    section: Sky, geometry: MapGeometry, cmb_per_rj: float, fwhm_rad: float, rng: np.random.Generator
+) -> np.ndarray:
     """Draw the beam-convolved sky of a scene, (n_y, n_x) float32 [mK RJ], sharpened for look-up by streams."""
     arguments = (geometry, section.cmb_band_power_ukcmb2, cmb_per_rj, fwhm_rad)
     if section.curved_lmax is None:
