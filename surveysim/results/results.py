@@ -215,7 +215,7 @@ def _gains(setup: Setup, scores: dict[str, DataSetScore]) -> dict[str, Gain]:
     return found
 
 
-def score_entries(result: SurveyResult) -> dict[str, dict[str, float | None]]:
+def score_entries(result: SurveyResult) -> dict[str, dict[str, float | str | None]]:
     """Rows of the score table by name, as summary.json has them: without what they lack, None for what is unknown."""
     return {row.name: _score_entry(row) for row in score_rows(result)}
 
