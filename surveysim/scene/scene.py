@@ -137,10 +137,19 @@ class Scene(StreamSections, ObservationSections):
 
 
 def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scene:
-    """Read and check a scene file, or a scene by its name (`find_scene`); `overrides` maps dotted keys to values.
+    """Read and check a scene.
 
-    A table [sweep] is set aside: the scene is the one that its points start from (`surveysim.studies.sweep.axes`).
-    Raises SceneError with one line for each error: file, key, what was found, what is allowed.
+    Parameters
+    ----------
+    path
+        Path of a scene file, or the name of a scene (`surveysim.scene.shipped.find_scene`). A table [sweep] is ignored.
+    overrides
+        Values by dotted key, as in the file; astropy quantities are allowed.
+
+    Raises
+    ------
+    SceneError
+        With one line for each error: file, key, value found, values allowed.
     """
     path = find_scene(path)
     return scene_of(path, *read_scene(path), {key: file_value(value) for key, value in (overrides or {}).items()})
