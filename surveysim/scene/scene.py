@@ -131,7 +131,7 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     path
         Path of a scene file, or name of a scene (`find_scene`).
     overrides
-        Values by dotted key, such as ``{"scan.speed": "4 arcmin / s"}``.
+        Values by dotted key, such as ``{"scan.speed": "4 arcmin / s"}``; astropy quantities are allowed.
 
     Returns
     -------

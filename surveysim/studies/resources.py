@@ -1,4 +1,4 @@
-"""What a run of a scene would do, take and leave behind, predicted from a few observations or a block made here."""
+"""Predicted stages, run time, memory and output size of a run, from a few observations or a block simulated here."""
 
 import math
 import os
@@ -32,10 +32,20 @@ ONCE, SKIES = ("figure_of_merit", "weights"), ("transfer_function",)
 
 @dataclass(frozen=True)
 class Plan:
-    """Stages that run with the reason for each left out, and the predicted cost.
+    """Stages of a run and its predicted cost.
 
-    `wall_s` is that of a machine with nothing else to do, of which figures take `figures_s`; `memory_bytes` that of
-    the largest process.
+    Attributes
+    ----------
+    stages, left_out
+        What each stage does, and why other stages are left out, by name.
+    detector_samples
+        Samples of all detectors and observations.
+    wall_s, figures_s
+        Run time on an idle machine [s], and its part for figures.
+    memory_bytes
+        Memory of the largest process.
+    output_bytes, timestream_bytes
+        Size of the results, and of the time-streams if they are saved.
     """
 
     stages: dict[str, str]
@@ -62,10 +72,18 @@ class _Measured:
 
 
 def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
-    """Predict by running a few observations, with and without window skies, and scoring them.
+    """Predict the cost of a run from a few observations, with and without signal simulations, and from scoring them.
 
-    Of observations in several blocks one block is made, and one scan more. `start_s` is the time that it took to start
-    and to prepare `setup`; worker processes take it once more.
+    For observations in several blocks, one block and one single scan are simulated.
+
+    Parameters
+    ----------
+    setup
+        The scene, prepared.
+    workers
+        Worker processes.
+    start_s
+        CPU time [s] of the start and of preparing `setup`; worker processes take it once more.
     """
     scene = setup.scene
     n_window = int(window_observations(scene).sum())

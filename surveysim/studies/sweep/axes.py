@@ -122,11 +122,22 @@ def is_sweep(path: str | Path) -> bool:
 def load_sweep(
     path: str | Path, overrides: Mapping[str, Any] | None = None, reference: int | str | None = None
 ) -> Sweep:
-    """Read a scene file with [sweep], and check and prepare the scene of every point.
+    """Read a scene file with a table [sweep], and check and prepare the scene of every point.
 
-    `overrides` maps dotted keys, which the sweep leaves alone, to values. `reference` takes the place of the file's
-    `sweep.reference`: the number of a point or its values, as ``key = value, ...``. Raises SceneError with one line
-    for each error: file, key, found, allowed, and the point unless all have the error.
+    Parameters
+    ----------
+    path
+        Path of the file, or the name of a scene.
+    overrides
+        Values by dotted key, as for `load_scene`, of keys that are not on an axis.
+    reference
+        Number of the point that ratios refer to, or its values as ``key = value, ...``; by default the file's
+        `sweep.reference`, else the first point.
+
+    Raises
+    ------
+    SceneError
+        With one line for each error: file, key, value found, values allowed, and the point unless all have the error.
     """
     path = find_scene(path)
     overrides = {key: file_value(value) for key, value in (overrides or {}).items()}

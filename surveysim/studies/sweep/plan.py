@@ -10,7 +10,7 @@ from surveysim.studies.sweep.axes import Sweep
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """The predicted cost of all points of a sweep."""
+    """Predicted cost of all points of a sweep: detector-samples, run time [s], memory of the largest process [byte]."""
 
     n_points: int
     detector_samples: int
@@ -19,9 +19,15 @@ class SweepPlan:
 
 
 def make_sweep_plan(sweep: Sweep, workers: int, start_s: float = 0.0) -> SweepPlan:
-    """Predict from the first and the last point: the others take as long for each of their detector-samples.
+    """Predict the cost of a sweep from its first and last points, in proportion to detector-samples.
 
-    `start_s` as in `make_plan`; points are prepared once more where they run.
+    Parameters
+    ----------
+    sweep
+    workers
+        Worker processes.
+    start_s
+        CPU time [s] of the start, as for `make_plan`; points are prepared once more where they run.
     """
     ends = [sweep.points[number] for number in sorted({0, len(sweep.points) - 1})]
     plans = [make_plan(prepare(point.scene), 1) for point in ends]

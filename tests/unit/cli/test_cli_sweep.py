@@ -56,7 +56,7 @@ def test_sweeps_that_are_refused(call, sweep):
 def test_run_of_a_sweep(call, sweep):
     out = sweep.parent / "out"
     arguments = ("--out", out, "--workers", 1, "--set", "observations=5")
-    code, text, error = call("run", sweep, *arguments, "--resume", "--no-figures")
+    code, text, error = call("run", sweep, *arguments, "--resume", "--no-figures", "--verbose")
     assert code == 0 and "best: scan.speed = " in text and " with confidence " in text
     assert "Ratios are to scan.speed = 3 arcmin / s, with paired errors." in text
     lines = error.splitlines()
@@ -74,7 +74,7 @@ def test_reference_point_of_the_command_line(call, sweep):
     """By number, by its values; errors say what names a point."""
     out = sweep.parent / "out"
     for given in ("1", "scan.speed=4 arcmin / s"):
-        code, text, _ = call("forecast", sweep, "--out", out, "--reference", given, "--no-figures")
+        code, text, _ = call("forecast", sweep, "--out", out, "--reference", given, "--no-figures", "-v")
         assert code == 0 and "Ratios are to scan.speed = 4 arcmin / s." in text
         assert Table.read(out / "sweep.ecsv", format="ascii.ecsv").meta["reference"] == 1
     for given, words in (("2", "found 2; the number of a point, 0 to 1, is expected"), ("x", "names no point; as in")):
