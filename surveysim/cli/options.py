@@ -49,7 +49,6 @@ Reference = Annotated[
 ]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print all results, not the scores alone.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print all tables of the report.")]
 
 
 def settings(given: list[str] | None, reference: str | None = None) -> dict[str, Any]:
