@@ -137,7 +137,7 @@ def may_end(scene: Scene, done: int) -> bool:
 
 
 def is_boundary(done: int) -> bool:
-    """Return the reason for the end of a run: "all" observations, its "target" or its "budget"."""
+    """Whether a run may end here by its error: every 8 observations from 32 on, 16 from 128, 32 from 256, ..."""
     return done >= FEWEST and done % (_SPACING * 2 ** max(0, done.bit_length() - 7)) == 0
 
 
