@@ -47,7 +47,6 @@ Reference = Annotated[
     str | None,
     typer.Option(metavar="POINT", help="Sweep point that ratios refer to: its number, or 'KEY = VALUE'."),
 ]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print all results, not the scores alone.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 
 
