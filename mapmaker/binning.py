@@ -4,9 +4,11 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from mapmaker.errors import InputError
 from mapmaker.files import atomic_write, one_line, regular_file
 from mapmaker.geometry import (
     MapGeometry,
@@ -139,9 +141,10 @@ def coadd(maps: Sequence[BinnedMap], weights: Sequence[float]) -> BinnedMap:
         if not same_geometry(item.geometry, maps[0].geometry):
             raise ValueError(f"map {k} has another geometry than map 0: {item.geometry} and {maps[0].geometry}")
     maps = [checked_map(item, f"maps[{k}]") for k, item in enumerate(maps)]
-    total = sum(w * item.weighted_sum for item, w in zip(maps, weights, strict=True))
-    weight = sum(w * item.weight for item, w in zip(maps, weights, strict=True))
-    return BinnedMap(maps[0].geometry, total, weight, sum(item.hits for item in maps))
+    total: Any = sum(w * item.weighted_sum for item, w in zip(maps, weights, strict=True))
+    weight: Any = sum(w * item.weight for item, w in zip(maps, weights, strict=True))
+    hits: Any = sum(item.hits for item in maps)
+    return BinnedMap(maps[0].geometry, total, weight, hits)
 
 
 def half_difference(one: BinnedMap, other: BinnedMap) -> BinnedMap:
@@ -233,7 +236,7 @@ def read_fits(path: str | Path) -> BinnedMap:
 
     Raises
     ------
-    ValueError
+    InputError
         In one line that names the file: for one that is unreadable, truncated or no regular file, for planes whose
         shapes or WCS differ or do not fit `MapGeometry`, and for other units or invalid values.
     """
@@ -244,10 +247,10 @@ def read_fits(path: str | Path) -> BinnedMap:
         with fits.open(path, memmap=False) as file:
             return _map_of(file)
     except Exception as error:  # astropy raises nearly every kind of exception for a mangled file
-        raise ValueError(f"{path}: not a whole map file ({one_line(error)})") from None
+        raise InputError(f"{path}: not a whole map file ({one_line(error)})") from None
 
 
-def _map_of(file) -> BinnedMap:
+def _map_of(file: Any) -> BinnedMap:
     planes = {name: _plane(name, file[name]) for name in ("SIGNAL", "WEIGHT", "HITS")}
     geometry = _geometry_of("SIGNAL", file["SIGNAL"].header, planes["SIGNAL"].shape)
     for name in ("WEIGHT", "HITS"):
@@ -266,18 +269,19 @@ def _map_of(file) -> BinnedMap:
     return checked_map(BinnedMap(geometry, total, weight, hits.astype(np.int64), units["WEIGHT"]), "planes")
 
 
-def _plane(name: str, image) -> np.ndarray:
+def _plane(name: str, image: Any) -> np.ndarray:
     if image.data is None or not hasattr(image, "shape"):
         raise argument_error(name, type(image).__name__, "an image is")
     return reals(name, image.data, ("n_y", "n_x"), finite=name == "HITS").astype(float)
 
 
-def _geometry_of(name: str, header, shape: tuple[int, int]) -> MapGeometry:
+def _geometry_of(name: str, header: Any, shape: tuple[int, int]) -> MapGeometry:
     """Read the geometry from a header; raises ValueError where it is not of square pixels about its centre."""
     n_y, n_x = shape
     ra_deg = number("CRVAL1", header["CRVAL1"], least=-720, most=720)  # two turns at most
     dec_deg, pixel_deg = (number(key, header[key]) for key in ("CRVAL2", "CDELT2"))
-    geometry = MapGeometry(*np.radians([ra_deg, dec_deg]).tolist(), float(np.radians(pixel_deg)), n_x, n_y)
+    ra_rad, dec_rad, pixel_rad = np.radians([ra_deg, dec_deg, pixel_deg]).tolist()
+    geometry = MapGeometry(ra_rad, dec_rad, pixel_rad, n_x, n_y)
     cards = wcs_cards(geometry)
     for key in ("CRPIX1", "CRPIX2", "CDELT1", "CTYPE1", "CTYPE2"):
         wanted, found = cards[key][0], header.get(key)
@@ -323,13 +327,13 @@ def write_healpix(path: str | Path, item: BinnedMap, nside: int) -> None:
     total, weight, hits = (
         np.bincount(slot, plane[rows, columns], len(pixel)) for plane in (item.weighted_sum, item.weight, item.hits)
     )
-    columns = [
+    table_columns = [
         fits.Column("PIXEL", "K", array=pixel),
         fits.Column("SIGNAL", "E", "mK", array=single_precision("signal_mk", total / weight)),
         fits.Column("WEIGHT", "E", item.weight_unit, array=single_precision("weight", weight)),
         fits.Column("HITS", "J" if _integers(hits) is np.int32 else "K", array=hits),
     ]
-    table = fits.BinTableHDU.from_columns(columns)
+    table = fits.BinTableHDU.from_columns(table_columns)
     keywords = {"PIXTYPE": "HEALPIX", "ORDERING": "NESTED", "NSIDE": nside, "COORDSYS": "C"}
     table.header.update(keywords | {"INDXSCHM": "EXPLICIT", "OBJECT": "PARTIAL"})
     # healpy's writer needs the whole sphere in memory: 10 GB at nside 8192.

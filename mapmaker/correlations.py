@@ -120,7 +120,7 @@ def _profile_solution(first: np.ndarray, second: np.ndarray, bins: np.ndarray, n
     n = n_det + n_bin
     # Three ones a pair: the normal equations count pairs, which is exact, and thousands of detectors fit in memory.
     columns = np.stack([first, second, n_det + bins])
-    counts = sum(np.bincount(a * n + b, minlength=n * n) for a in columns for b in columns).reshape(n, n)
+    counts = np.sum([np.bincount(a * n + b, minlength=n * n) for a in columns for b in columns], axis=0).reshape(n, n)
     values, vectors = np.linalg.eigh(counts.astype(float))
     told_apart = values > _ALIKE * values[-1]
     # A level common to all bins is degenerate with the gains; every other direction must be determined.

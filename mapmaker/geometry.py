@@ -2,12 +2,16 @@
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mapmaker.errors import OutOfRangeError
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.validation import MAX_PIXELS, argument_error, number, pixel_side, reals, whole
+
+if TYPE_CHECKING:
+    from astropy.wcs import WCS
 
 # Least ratio of the sides of a HEALPix and a map pixel. The fraction of HEALPix pixels within the map that get no map
 # pixel is 20 % at 1, 6 % at 1.2, 0.2 % at sqrt(2) and none at 1.5, for all declinations and rotations.
@@ -41,7 +45,7 @@ class MapGeometry:
     n_x: int
     n_y: int
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         number("ra0_rad", self.ra0_rad)
         number("dec0_rad", self.dec0_rad, least=-math.pi / 2, most=math.pi / 2)
         pixel_side("pixel_rad", self.pixel_rad)
@@ -56,9 +60,9 @@ class MapGeometry:
 def same_geometry(one: MapGeometry, other: MapGeometry) -> bool:
     """Compare two geometries up to the rounding of degrees in a file and full turns of right ascension."""
     turn = abs(math.remainder(one.ra0_rad - other.ra0_rad, 2 * math.pi))
-    rest = [(g.dec0_rad, g.pixel_rad) for g in (one, other)]
+    first, second = ((g.dec0_rad, g.pixel_rad) for g in (one, other))
     sizes_agree = (one.n_x, one.n_y) == (other.n_x, other.n_y)
-    return sizes_agree and turn < 1e-11 and bool(np.allclose(*rest, rtol=1e-12, atol=0))
+    return sizes_agree and turn < 1e-11 and bool(np.allclose(first, second, rtol=1e-12, atol=0))
 
 
 def mean_direction(ra_rad: np.ndarray, dec_rad: np.ndarray) -> tuple[float, float]:
@@ -94,7 +98,9 @@ def mean_direction(ra_rad: np.ndarray, dec_rad: np.ndarray) -> tuple[float, floa
     return math.atan2(y, x) % math.tau % math.tau, math.atan2(z, math.hypot(x, y))
 
 
-def plane_offsets(geometry: MapGeometry, ra_rad: np.ndarray, dec_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def plane_offsets(
+    geometry: MapGeometry, ra_rad: float | np.ndarray, dec_rad: float | np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Gnomonic offsets (xi east, eta north) [rad] of directions; NaN from 90 degrees off the centre on."""
     delta = ra_rad - geometry.ra0_rad
     sin0, cos0 = np.sin(geometry.dec0_rad), np.cos(geometry.dec0_rad)
@@ -294,7 +300,7 @@ def wcs_cards(geometry: MapGeometry) -> dict[str, tuple[str | int | float, str]]
     }
 
 
-def wcs(geometry: MapGeometry):
+def wcs(geometry: MapGeometry) -> "WCS":
     """Astropy WCS (RA---TAN, DEC--TAN) of the geometry."""
     from astropy.wcs import WCS
 

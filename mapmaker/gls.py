@@ -16,9 +16,10 @@ The noise is measured in the streams that are mapped, so every fitted number rem
 therefore small: one level w_b a band, one r a detector, and only modes that are significant beyond doubt.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from scipy.fft import dct, idct
@@ -58,7 +59,7 @@ class GlsOptions:
     tolerance: float = 1e-5
     max_iterations: int = 300
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Raise OutOfRangeError or ValueError for values out of range."""
         band_edges("band_edges_hz", self.band_edges_hz)
         whole("max_modes", self.max_modes, least=0)
@@ -283,14 +284,14 @@ def gls_map(
         noise = measure_noise(rest.data_mk, bounds, sample_rate_hz, options)
         index = np.where(block.index < 0, n_pixel, block.index)
         one = _Scans(index, bounds, noise)
-        right += _project(one, lambda start, stop, data=block.data_mk: data[:, start:stop].astype(float), n_pixel)
+        right += _project(one, partial(_samples, block.data_mk), n_pixel)
         scans.append(one)
     if not scans:
         raise InsufficientDataError("found no observation with finite values; one or more are expected")
     return _solved(geometry, scans, right, discarded=discarded, options=options)
 
 
-def _project(scans: _Scans, stream, n_pixel: int) -> np.ndarray:
+def _project(scans: _Scans, stream: Callable[[int, int], np.ndarray], n_pixel: int) -> np.ndarray:
     """Compute ``P^T N^-1`` of the streams `stream(start, stop)`, (n_pixel,)."""
     total = np.zeros(n_pixel + 1)
     for start, stop in scans.bounds:
@@ -299,15 +300,26 @@ def _project(scans: _Scans, stream, n_pixel: int) -> np.ndarray:
     return total[:-1]
 
 
-def _solved(geometry, scans: list[_Scans], right: np.ndarray, *, discarded: int, options: GlsOptions) -> GlsMap:
+def _samples(data_mk: np.ndarray, start: int, stop: int) -> np.ndarray:
+    return data_mk[:, start:stop].astype(float)
+
+
+def _observed(sky: np.ndarray, index: np.ndarray, start: int, stop: int) -> np.ndarray:
+    return sky[index[:, start:stop]]
+
+
+def _solved(
+    geometry: MapGeometry, scans: list[_Scans], right: np.ndarray, *, discarded: int, options: GlsOptions
+) -> GlsMap:
     """Solve by conjugate gradients; pixels without a hit stay 0."""
     from scipy.sparse.linalg import LinearOperator, cg
 
     n_pixel = len(right)
 
-    def normal(sky):
+    def normal(sky: np.ndarray) -> np.ndarray:
         padded = np.append(sky, 0.0)
-        return sum(_project(one, lambda i, j, one=one: padded[one.index[:, i:j]], n_pixel) for one in scans)
+        total: Any = sum(_project(one, partial(_observed, padded, one.index), n_pixel) for one in scans)
+        return total
 
     weight, hits = _weight_and_hits(scans, n_pixel)
     scale = np.divide(1.0, weight, out=np.zeros(n_pixel), where=weight > 0)

@@ -50,7 +50,7 @@ class StreamBlock:
     focal_plane: FocalPlane
     weight: float = 1.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         data = reals("data_mk", self.data_mk, (len(self.focal_plane.x_rad), "n_samp"), finite=False)
         index = pixel_numbers(self.index, data.shape, MAX_PIXELS)
         bounds = bounds_of_scans(self.scan_bounds, data.shape[1])
@@ -91,7 +91,7 @@ class IterationOptions:
     tolerance: float = 1e-3
     max_iterations: int = 20
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Raise ValueError for values out of range."""
         number("threshold", self.threshold, above=0)
         number("loss", self.loss, least=0, below=1)
@@ -215,7 +215,12 @@ def subtract_sky(block: StreamBlock, sky_mk: np.ndarray) -> StreamBlock:
     return replace(block, data_mk=block.data_mk - padded[block.index])
 
 
-def _one_pass(geometry, blocks, clean_block, estimate) -> tuple[BinnedMap, float]:
+def _one_pass(
+    geometry: MapGeometry,
+    blocks: Iterable[StreamBlock],
+    clean_block: Callable[[StreamBlock], Cleaned],
+    estimate: np.ndarray,
+) -> tuple[BinnedMap, float]:
     """Co-added map with the estimate added back, and the narrowest beam."""
     total, fwhm_rad = None, np.inf
     for block in blocks:

@@ -302,8 +302,7 @@ def coupled_psd(
         For a `sky_psd` that is not on the half plane of `sky_shape`, is negative or not finite; for a taper that is not
         finite; and for `cells_per_pixel` that is not a positive integer.
     """
-    sky_shape = tuple(whole("sky_shape", n, least=1) for n in sky_shape)
-    if len(sky_shape) != 2:
+    if len([whole("sky_shape", n, least=1) for n in sky_shape]) != 2:
         raise argument_error("sky_shape", f"{len(sky_shape)} numbers", "two are")
     sky_psd = reals("sky_psd", sky_psd, (sky_shape[0], sky_shape[1] // 2 + 1), least=0)
     taper = _checked_taper(taper)

@@ -5,9 +5,11 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from mapmaker.errors import ArgumentError, InputError
 from mapmaker.files import atomic_write, one_line, regular_file
 from mapmaker.validation import argument_error, flags, increasing, integers, number, reals, signed, single_precision
 
@@ -44,7 +46,7 @@ class FocalPlane:
     y_rad: np.ndarray
     fwhm_rad: float
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         x = reals("x_rad", self.x_rad, ("n_det",))
         y = reals("y_rad", self.y_rad, x.shape)
         fwhm = number("fwhm_rad", self.fwhm_rad, above=0, below=np.pi)
@@ -113,7 +115,7 @@ class Timestreams:
     focal_plane: FocalPlane
     attributes: Mapping[str, float | int | str] = field(default_factory=dict)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         n_det = len(self.focal_plane.x_rad)
         data = reals("data_mk", self.data_mk, (n_det, "n_samp"), finite=False)
         samples = (data.shape[1],)
@@ -220,7 +222,7 @@ def timestream_file(path: str | Path, n_samp: int) -> Iterator[Callable[[Timestr
             raise ValueError(f"{path}: found {done} samples; {n_samp} are expected")
 
 
-def _begin(file, part: Timestreams, n_samp: int) -> None:
+def _begin(file: Any, part: Timestreams, n_samp: int) -> None:
     """Write the data sets that do not depend on time, and allocate the others."""
     data = file.create_dataset("data", (len(part.data_mk), n_samp), np.float32)
     data.attrs["unit"] = "mK (Rayleigh-Jeans)"
@@ -250,7 +252,7 @@ def read_timestreams(path: str | Path) -> Timestreams:
 
     Raises
     ------
-    ValueError
+    InputError
         In one line that names the file: for one that is unreadable, truncated, no regular file or lacks a data set, and
         for shapes, types or values that `Timestreams` refuses.
     """
@@ -261,25 +263,26 @@ def read_timestreams(path: str | Path) -> Timestreams:
         with h5py.File(path, "r") as file:
             return _streams_of(file)
     except _Unfit as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
     except Exception as error:  # h5py raises nearly every kind of exception for a mangled file
-        raise ValueError(f"{path}: not a whole time-stream file ({one_line(error)})") from None
+        raise InputError(f"{path}: not a whole time-stream file ({one_line(error)})") from None
 
 
-class _Unfit(ValueError):
+class _Unfit(InputError):
     """Readable file without the expected content."""
 
 
-def _streams_of(file) -> Timestreams:
+def _streams_of(file: Any) -> Timestreams:
     _check_layout(file)
     attributes = dict(file.attrs)
     try:
         fwhm_rad = np.radians(number("fwhm_arcsec", attributes.pop("fwhm_arcsec"), above=0) / 3600)
-        columns = {name: _radians(name, file[name][()]) for name in (*_PER_SAMPLE[1:4], *_PER_DETECTOR)}
-        plane = FocalPlane(columns.pop("x_arcmin"), columns.pop("y_arcmin"), fwhm_rad)
+        x_rad, y_rad = (_radians(name, file[name][()]) for name in _PER_DETECTOR)
+        ra, dec, angle = (_radians(name, file[name][()]) for name in _PER_SAMPLE[1:4])
+        plane = FocalPlane(x_rad, y_rad, fwhm_rad)
         data = reals("data", file["data"][()], file["data"].shape, finite=False)
-        return Timestreams(data, file["time_s"][()], *columns.values(), file["scan"][()], plane, attributes)
-    except ValueError as error:
+        return Timestreams(data, file["time_s"][()], ra, dec, angle, file["scan"][()], plane, attributes)
+    except (ArgumentError, InputError) as error:
         raise _Unfit(one_line(error)) from None
 
 
@@ -288,7 +291,7 @@ def _radians(name: str, values: object) -> np.ndarray:
     return np.radians(values / 60 if name.endswith("arcmin") else values)
 
 
-def _check_layout(file) -> None:
+def _check_layout(file: Any) -> None:
     import h5py
 
     missing = [name for name in ("data", *_PER_SAMPLE, *_PER_DETECTOR) if name not in file]

@@ -1,15 +1,18 @@
 """Checks of arguments, which each public function makes once, before it computes anything.
 
-A check returns its argument in native byte order and in a type that kernels are compiled for, or raises ValueError with
-the name, the value found and the values expected. Kernels do not check indices.
+A check returns its argument in native byte order and in a type that kernels are compiled for, or raises ArgumentError
+with the name, the value found and the values expected. Kernels do not check indices.
 """
 
 import math
 import operator
 from collections.abc import Sequence
 from types import EllipsisType
+from typing import Any, SupportsIndex, cast
 
 import numpy as np
+
+from mapmaker.errors import ArgumentError
 
 # Sides of a shape: a number, or a name for any length. A leading ... stands for any number of axes.
 Shape = Sequence[int | str | EllipsisType]
@@ -18,10 +21,10 @@ _MOST_TEXT = 60  # characters of a wrong value in a message
 MAX_PIXELS = 2**31 - 1  # pixel numbers of a map are int32, -1 off the map
 
 
-def argument_error(name: str, found: object, expected: str) -> ValueError:
+def argument_error(name: str, found: object, expected: str) -> ArgumentError:
     """Error of an argument: its name, the value found, the values expected."""
     text = str(found)
-    return ValueError(f"{name}: found {text[:_MOST_TEXT]}{'...' * (len(text) > _MOST_TEXT)}; {expected} expected")
+    return ArgumentError(f"{name}: found {text[:_MOST_TEXT]}{'...' * (len(text) > _MOST_TEXT)}; {expected} expected")
 
 
 def reals(
@@ -130,7 +133,7 @@ def number(
 def whole(name: str, value: object, *, least: int, most: int | float = math.inf) -> int:
     """Check an integer within bounds."""
     try:
-        found = operator.index(value)
+        found = operator.index(cast(SupportsIndex, value))
     except TypeError:
         found = None
     if found is None or isinstance(value, bool | np.bool_) or not least <= found <= most:
@@ -149,9 +152,8 @@ def pixel_side(name: str, value: object) -> float:
 
 def plane_sides(n_y: object, n_x: object) -> None:
     """Raise ValueError for sides of a plane that are no integers, or too many cells for a map."""
-    whole("n_y", n_y, least=1, most=MAX_PIXELS)
-    whole("n_x", n_x, least=1, most=MAX_PIXELS)
-    if int(n_y) * int(n_x) > MAX_PIXELS:
+    rows, columns = (whole(name, n, least=1, most=MAX_PIXELS) for name, n in (("n_y", n_y), ("n_x", n_x)))
+    if rows * columns > MAX_PIXELS:
         raise argument_error("n_y, n_x", f"{n_y} x {n_x} cells", f"{MAX_PIXELS} cells in all or less are")
 
 
@@ -183,7 +185,7 @@ def band_edges(name: str, value: object) -> np.ndarray:
     return array
 
 
-def bounds_of_scans(value: object, n_samp: int) -> np.ndarray:
+def bounds_of_scans(value: Any, n_samp: int) -> np.ndarray:
     """Check first and one-past-last samples of scans, (n_scan, 2) int64: not empty, within the samples, not
     overlapping.
     """

@@ -34,7 +34,7 @@ from mapmaker.wind_checks import (
     pair_slopes,
     quadratic_shapes,
 )
-from mapmaker.wind_delays import LOWEST_BIN, MIN_BINS, ROUNDS, Delays, measure_slowness, scan_spectra
+from mapmaker.wind_delays import LOWEST_BIN, MIN_BINS, ROUNDS, Delays, ScanSpectra, measure_slowness, scan_spectra
 
 _MIN_DETECTORS, _MIN_SCANS = 7, 3
 HIGHEST_HZ, LEAST_CYCLES = 1.0, LOWEST_BIN + MIN_BINS  # upper end of the band [Hz]; cycles of its lower end in a scan
@@ -165,7 +165,7 @@ def measure_wind(
     return _wind_fit(spectra, found, groups, velocity)
 
 
-def _checked_velocity(bounds, velocity, rate, highest_hz) -> np.ndarray:
+def _checked_velocity(bounds: np.ndarray, velocity: np.ndarray, rate: float, highest_hz: float) -> np.ndarray:
     if len(bounds) < _MIN_SCANS:
         raise InsufficientDataError(f"{len(bounds)} scans found; at least {_MIN_SCANS} are needed")
     length = np.diff(bounds, axis=1)
@@ -189,7 +189,7 @@ def _groups(velocity: np.ndarray) -> list[np.ndarray]:
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")  # without delays the wind is infinite
-def _wind_fit(spectra, found: Delays, groups, velocity) -> WindFit:
+def _wind_fit(spectra: ScanSpectra, found: Delays, groups: list[np.ndarray], velocity: np.ndarray) -> WindFit:
     scan = np.array([np.mean(velocity[scans], axis=0) for scans in groups]) @ [1, 1j]
     whole = found.slowness[[scans[0] for scans in groups]] @ [1, 1j]
     wind = complex(_wind(whole, scan))
@@ -235,5 +235,6 @@ def _wind(slowness: np.ndarray, scan_velocity: np.ndarray) -> np.ndarray:
 
 
 def _nothing(flag: str) -> WindFit:
-    nan, per_bin = float("nan"), np.full((2, N_PAIR_BINS), np.nan)
-    return WindFit(per_bin[0, :2], nan, nan, nan, nan, CENTRES_RAD.copy(), *per_bin, per_bin[1, :2], nan, nan, flag)
+    nan = float("nan")
+    none, slopes, errors = np.full(2, nan), np.full(N_PAIR_BINS, nan), np.full(N_PAIR_BINS, nan)
+    return WindFit(none, nan, nan, nan, nan, CENTRES_RAD.copy(), slopes, errors, none.copy(), nan, nan, flag)

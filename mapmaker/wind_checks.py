@@ -49,7 +49,7 @@ def has_several_layers(spectra: ScanSpectra, found: Delays) -> bool:
     return bool((not_noise and along - noise > _ALONG_SHARE * signal_x) or across - noise > _ACROSS_SHARE * signal_y)
 
 
-def group_disagreement(found: Delays, groups, scan_velocity) -> float:
+def group_disagreement(found: Delays, groups: list[np.ndarray], scan_velocity: np.ndarray) -> float:
     """Chi^2 per degree of freedom of the difference between the winds of two groups of scans; 0 for one group."""
     if len(groups) == 1:
         return 0.0

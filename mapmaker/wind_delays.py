@@ -77,7 +77,9 @@ class Delays:
     left_out: np.ndarray
 
 
-def scan_spectra(data, bounds, *, places_rad, rate, highest_hz) -> ScanSpectra:
+def scan_spectra(
+    data: np.ndarray, bounds: np.ndarray, *, places_rad: np.ndarray, rate: float, highest_hz: float
+) -> ScanSpectra:
     """Transform scans at the lowest frequencies under a Hann taper and its derivative.
 
     Parameters
@@ -138,7 +140,9 @@ def measure_slowness(spectra: ScanSpectra, groups: list[np.ndarray]) -> Delays |
     return Delays(aligned, n_freq, slowness, left_out)
 
 
-def _regress(r_rad, aligned: AlignedSpectra, *, slowness, groups, n_freq) -> tuple[np.ndarray, np.ndarray]:
+def _regress(
+    r_rad: np.ndarray, aligned: AlignedSpectra, *, slowness: np.ndarray, groups: list[np.ndarray], n_freq: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Fit the slowness of each scan's group, and the same without that scan, (n_scan, 2), from gradient against rate.
 
     The array's gradient is ``-s F`` plus a part independent of the wind, whose 2 x 2 covariances, one a frequency, are

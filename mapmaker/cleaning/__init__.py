@@ -54,7 +54,9 @@ class Cleaner(Protocol):
     Each is decorated with `checks_streams` of `mapmaker.cleaning.scans`.
     """
 
-    def __call__(self, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: Any) -> Cleaned:
+    def __call__(
+        self, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: Any, /
+    ) -> Cleaned:
         """Clean one observation; arguments, result and errors as for `clean`."""
         ...
 

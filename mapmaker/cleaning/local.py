@@ -36,7 +36,7 @@ class LocalOptions:
 
     neighbour_radius: float = 1.2
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
         number("neighbour_radius", self.neighbour_radius, above=1)
 
@@ -74,7 +74,9 @@ def neighbourhoods(focal_plane: FocalPlane, neighbour_radius: float) -> np.ndarr
 
 
 @checks_streams
-def subtract_local(data_mk, scan_bounds, focal_plane: FocalPlane, options: LocalOptions) -> Cleaned:
+def subtract_local(
+    data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: LocalOptions
+) -> Cleaned:
     """Remove the mean and the localized templates; arguments, result and errors as for `clean`.
 
     Each detector's template is the mean of its own and its neighbours' streams before cleaning, with the best-fitting

@@ -44,7 +44,7 @@ class PcaOptions:
 
     sigma_cut: float
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Raise ValueError for a value out of range."""
         number("sigma_cut", self.sigma_cut, above=0, most=_MOST_SIGMA)
 
@@ -59,7 +59,7 @@ def min_eigenvalues(sigma_cut: float) -> int:
 
 @threadpool_limits.wrap(limits=1)  # small eigenproblems: more threads are slower and change the last bits
 @checks_streams
-def subtract_pca(data_mk, scan_bounds, focal_plane: FocalPlane, options: PcaOptions) -> Cleaned:
+def subtract_pca(data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: PcaOptions) -> Cleaned:
     """Remove the mean and the outlier modes; arguments, result and errors as for `clean`.
 
     `removed` is the number of modes; responsivities are 1, without iterations. In a scan of few samples there may be

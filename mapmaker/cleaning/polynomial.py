@@ -49,7 +49,7 @@ class PolynomialOptions:
     max_iterations: int
     responsivities: Responsivities = SCAN
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Raise ValueError for values out of range."""
         whole("order", self.order, least=0, most=_MOST_ORDER)
         whole("regions", self.regions, least=1, most=2**31 - 1)
@@ -89,7 +89,9 @@ def _split(places: np.ndarray, members: np.ndarray, sizes: list[int]) -> list[np
 
 
 @checks_streams
-def subtract_polynomial(data_mk, scan_bounds, focal_plane: FocalPlane, options: PolynomialOptions) -> Cleaned:
+def subtract_polynomial(
+    data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: PolynomialOptions
+) -> Cleaned:
     """Remove the mean and all templates x^a y^b, a + b <= order, in each region.
 
     Arguments, result and errors are those of `clean`. Above order 0, responsivities have the mean 1 in each region:

@@ -20,6 +20,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -91,7 +93,7 @@ def check_fit(tolerance: float, max_iterations: int, responsivities: Responsivit
         raise argument_error("responsivities", "a zero", "finite numbers other than zero are")
 
 
-def clean_templates(data_mk: np.ndarray, scan_bounds: np.ndarray, model: TemplateModel, options) -> Cleaned:
+def clean_templates(data_mk: np.ndarray, scan_bounds: np.ndarray, model: TemplateModel, options: Any) -> Cleaned:
     """Subtract templates from each scan, with the responsivities that `options.responsivities` selects.
 
     Parameters
@@ -125,7 +127,7 @@ def clean_templates(data_mk: np.ndarray, scan_bounds: np.ndarray, model: Templat
     )
 
 
-def _fit_scan(block: np.ndarray, scan: int, model: TemplateModel, options) -> Fit:
+def _fit_scan(block: np.ndarray, scan: int, model: TemplateModel, options: Any) -> Fit:
     """Fit responsivities to one mean-removed scan, and subtract its templates in place."""
     streams, subtract = model.view(block, scan)
     c, iterations = fit_regions(lambda: (streams,), model.regions, options)
@@ -144,7 +146,7 @@ def _subtract(block: np.ndarray, scan: int, model: TemplateModel, *, c: np.ndarr
 
 
 def _fit_observation(
-    data_mk: np.ndarray, scan_bounds: np.ndarray, model: TemplateModel, options
+    data_mk: np.ndarray, scan_bounds: np.ndarray, model: TemplateModel, options: Any
 ) -> tuple[np.ndarray | None, int]:
     """Fit responsivities to all scans that are finite and have no dead detector; None if not converged; iterations."""
 
@@ -156,7 +158,11 @@ def _fit_observation(
     return fit_regions(blocks, model.regions, options)
 
 
-def fit_regions(blocks: Blocks, regions: tuple[Region, ...], options) -> tuple[np.ndarray | None, int]:
+def _part_of(blocks: Blocks, rows: np.ndarray | slice) -> Iterator[np.ndarray]:
+    return (block[rows] for block in blocks())
+
+
+def fit_regions(blocks: Blocks, regions: tuple[Region, ...], options: Any) -> tuple[np.ndarray | None, int]:
     """Fit the responsivities of all regions.
 
     Returns
@@ -169,14 +175,14 @@ def fit_regions(blocks: Blocks, regions: tuple[Region, ...], options) -> tuple[n
     c, most = np.empty(sum(region.basis.shape[1] for region in regions)), 0
     for region in regions:
         rows = region.rows
-        found, iterations = fit_responsivity(lambda rows=rows: (b[rows] for b in blocks()), region.basis, options)
+        found, iterations = fit_responsivity(partial(_part_of, blocks, rows), region.basis, options)
         if found is None:
             return None, iterations
         c[rows], most = found, max(most, iterations)
     return c, most
 
 
-def fit_responsivity(blocks: Blocks, basis: np.ndarray, options) -> tuple[np.ndarray | None, int]:
+def fit_responsivity(blocks: Blocks, basis: np.ndarray, options: Any) -> tuple[np.ndarray | None, int]:
     """Fit responsivities to streams, by the Gram matrix or by passes over the streams.
 
     c is kept orthogonal to all rows of the basis but the first, the constant.

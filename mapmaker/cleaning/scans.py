@@ -108,7 +108,7 @@ def checks_streams(subtract: Subtract) -> Subtract:
     """Decorate a cleaning algorithm so that its arguments are checked first, as for `mapmaker.cleaning.clean`."""
 
     @wraps(subtract)
-    def checked(data_mk, scan_bounds, focal_plane: FocalPlane, options: Any) -> Cleaned:
+    def checked(data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: Any) -> Cleaned:
         return subtract(*check_streams(data_mk, scan_bounds, focal_plane), focal_plane, options)
 
     return checked

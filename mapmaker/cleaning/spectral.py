@@ -34,14 +34,16 @@ class SpectralOptions:
 
     others_mk: np.ndarray
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Convert real numbers of any type; raise ValueError for others, and for no band."""
         others = reals("others_mk", self.others_mk, ("n_colour", "n_det", "n_samp"), finite=False)
         object.__setattr__(self, "others_mk", others)
 
 
 @checks_streams
-def subtract_spectral(data_mk, scan_bounds, focal_plane: FocalPlane, options: SpectralOptions) -> Cleaned:
+def subtract_spectral(
+    data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: SpectralOptions
+) -> Cleaned:
     """Remove the mean and the fit of each detector's other bands; arguments, result and errors as for `clean`.
 
     A scan in which another band has a value that is not finite or a dead detector is discarded.

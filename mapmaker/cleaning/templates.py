@@ -13,6 +13,7 @@ the atmosphere's own gradient. Average subtraction has no such direction and is 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -62,12 +63,12 @@ class TemplateOptions:
     max_iterations: int
     responsivities: Responsivities = SCAN
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Raise ValueError for values out of range."""
         check_fit(self.tolerance, self.max_iterations, self.responsivities)
 
 
-def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
+def template_basis(focal_plane: FocalPlane, exponents: Sequence[tuple[int, int]]) -> np.ndarray:
     """Orthonormal basis of the polynomials x^a y^b at the detectors.
 
     Row k and those before it span the first k + 1 terms; the first is constant. (S^T S)^-1 S^T is then the transpose.
@@ -115,14 +116,16 @@ def template_basis(focal_plane: FocalPlane, exponents) -> np.ndarray:
     return np.array(list(row_of.values()))
 
 
-def _scaled(focal_plane: FocalPlane, x_rad, y_rad) -> tuple[np.ndarray, np.ndarray]:
+def _scaled(focal_plane: FocalPlane, x_rad: np.ndarray, y_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Positions from the array's centre, in units of its radius."""
     x, y = np.asarray(focal_plane.x_rad, dtype=np.float64), np.asarray(focal_plane.y_rad, dtype=np.float64)
     scale = np.hypot(x - x.mean(), y - y.mean()).max() or 1.0
     return (np.asarray(x_rad) - x.mean()) / scale, (np.asarray(y_rad) - y.mean()) / scale
 
 
-def _shapes(focal_plane: FocalPlane, exponents, x_rad, y_rad) -> np.ndarray:
+def _shapes(
+    focal_plane: FocalPlane, exponents: Sequence[tuple[int, int]], x_rad: np.ndarray, y_rad: np.ndarray
+) -> np.ndarray:
     """Terms x^a y^b (n_place, n_par) at some positions, from the array's centre in units of its radius."""
     u, v = _scaled(focal_plane, x_rad, y_rad)
     return np.stack([u**a * v**b for a, b in exponents], axis=1)
@@ -134,7 +137,7 @@ def template_streams(
     focal_plane: FocalPlane,
     *,
     responsivity: np.ndarray,
-    exponents,
+    exponents: Sequence[tuple[int, int]],
     place_rad: tuple[float, float],
 ) -> np.ndarray:
     """Contribution of each term x^a y^b to the template at one position of the focal plane.
@@ -179,7 +182,7 @@ def template_streams(
 
 
 @checks_streams
-def subtract_mean(data_mk, scan_bounds, focal_plane: FocalPlane, options: object) -> Cleaned:
+def subtract_mean(data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: object) -> Cleaned:
     """Remove each detector's mean in each scan only; arguments, result and errors as for `clean`.
 
     The options are ignored. Responsivities are 1, without iterations.
@@ -188,7 +191,9 @@ def subtract_mean(data_mk, scan_bounds, focal_plane: FocalPlane, options: object
 
 
 @checks_streams
-def subtract_average(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
+def subtract_average(
+    data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: TemplateOptions
+) -> Cleaned:
     """Remove the mean and the common signal; arguments, result and errors as for `clean`.
 
     The paper's average template, sum c^-1 d / sum c^-1, differs from the one-parameter polynomial by a factor common to
@@ -198,18 +203,29 @@ def subtract_average(data_mk, scan_bounds, focal_plane: FocalPlane, options: Tem
 
 
 @checks_streams
-def subtract_planar(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
+def subtract_planar(
+    data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: TemplateOptions
+) -> Cleaned:
     """Remove the mean and templates 1, x, y; arguments, result and errors as for `clean`."""
     return _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents=PLANAR)
 
 
 @checks_streams
-def subtract_quadratic(data_mk, scan_bounds, focal_plane: FocalPlane, options: TemplateOptions) -> Cleaned:
+def subtract_quadratic(
+    data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: TemplateOptions
+) -> Cleaned:
     """Remove the mean and templates 1, x, y, xy, x^2, y^2; arguments, result and errors as for `clean`."""
     return _subtract_templates(data_mk, scan_bounds, focal_plane, options, exponents=QUADRATIC)
 
 
-def _subtract_templates(data_mk, scan_bounds, focal_plane, options, *, exponents) -> Cleaned:
+def _subtract_templates(
+    data_mk: np.ndarray,
+    scan_bounds: np.ndarray,
+    focal_plane: FocalPlane,
+    options: TemplateOptions,
+    *,
+    exponents: Sequence[tuple[int, int]],
+) -> Cleaned:
     regions = (Region(slice(None), template_basis(focal_plane, exponents)),)
     return clean_templates(data_mk, scan_bounds, polynomial_model(regions), options)
 

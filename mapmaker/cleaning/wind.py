@@ -54,7 +54,7 @@ class WindOptions:
     max_iterations: int
     responsivities: Responsivities = SCAN
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Raise ValueError for values out of range."""
         reals("slowness_s_rad", self.slowness_s_rad, ("n_scan", 2), empty=True)
         number("sample_rate_hz", self.sample_rate_hz, above=0)
@@ -92,7 +92,9 @@ def slowness(wind_rad_s: np.ndarray, scan_velocity_rad_s: np.ndarray) -> np.ndar
 
 
 @checks_streams
-def subtract_wind(data_mk, scan_bounds, focal_plane: FocalPlane, options: WindOptions) -> Cleaned:
+def subtract_wind(
+    data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, options: WindOptions
+) -> Cleaned:
     """Remove the mean and the common signal that moves with the wind; arguments, result and errors as for `clean`.
 
     With zero slowness it is average subtraction. Source: Sayers et al. (2010), "Wind Model".

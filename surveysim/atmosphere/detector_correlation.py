@@ -1,6 +1,6 @@
 """Correlation between detectors that the thin screen predicts for mean-removed scans (paper, section 3.2)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import inf, pi, sin
@@ -66,7 +66,7 @@ class CorrelationGrid:
     height_m: np.ndarray
     theta_rad: np.ndarray
     node_rad: np.ndarray
-    spline: object
+    spline: Callable[[np.ndarray], np.ndarray]
 
     def correlation(self, track_rad: np.ndarray, elevation_rad: np.ndarray) -> np.ndarray:
         """Mean C over the scans of an observation, per unit B2.

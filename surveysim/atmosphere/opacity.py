@@ -4,6 +4,7 @@ Tables of the `am` atmospheric model are in ``tables/``, with the script that bu
 """
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.resources import files
@@ -40,7 +41,7 @@ class BandOpacity:
     temperature_k: float
 
     @cached_property
-    def spline(self):
+    def spline(self) -> Callable[..., np.ndarray]:
         """Cubic spline of the optical depth against water vapour [mm]."""
         return CubicSpline(self.pwv_mm, self.optical_depth)
 
@@ -69,7 +70,7 @@ def band_opacity(site: str, frequency_hz: float, bandwidth: float) -> BandOpacit
 
 
 @cache
-def _table(site):
+def _table(site: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Read cell edges (m + 1,) [GHz], PWV (n,) [mm], optical depth (m, n) and temperature [K] of a site."""
     if site not in SITES:
         raise OutOfRangeError(f"found site {site!r}; {', '.join(SITES)} are allowed")
@@ -84,7 +85,7 @@ def _table(site):
     return edge_ghz, pwv_mm, depth, float(re.search(r"atmosphere_temperature: ([\d.]+)", text)[1])
 
 
-def optical_depth(band: BandOpacity, pwv_mm) -> np.ndarray:
+def optical_depth(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:
     """Interpolate the zenith optical depth at water columns of any shape [mm].
 
     Raises
@@ -95,12 +96,12 @@ def optical_depth(band: BandOpacity, pwv_mm) -> np.ndarray:
     return band.spline(_allowed(band, pwv_mm))
 
 
-def optical_depth_slope(band: BandOpacity, pwv_mm) -> np.ndarray:
+def optical_depth_slope(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:
     """Derivative of the zenith optical depth with the water column [1/mm], of any shape; raises as `optical_depth`."""
     return band.spline(_allowed(band, pwv_mm), 1)
 
 
-def fluctuation_factor_mk2(band: BandOpacity, pwv_mm) -> np.ndarray:
+def fluctuation_factor_mk2(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:
     """Squared amplitude of fluctuations of the water column by its own size [mK^2], for columns of any shape [mm].
 
     It is ``(C d tau / dC)^2 B_atm^2``, to which B2 is proportional, in temperature above the atmosphere: the emission
@@ -116,7 +117,7 @@ def fluctuation_factor_mk2(band: BandOpacity, pwv_mm) -> np.ndarray:
     return (np.asarray(pwv_mm) * optical_depth_slope(band, pwv_mm) * band.temperature_k * 1e3) ** 2
 
 
-def _allowed(band, pwv_mm):
+def _allowed(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:
     pwv_mm = np.asarray(pwv_mm, dtype=float)
     first, last = band.pwv_mm[0], band.pwv_mm[-1]
     wrong = ~((pwv_mm >= first) & (pwv_mm <= last))

@@ -27,6 +27,7 @@ from math import ceil
 import numpy as np
 
 from surveysim.atmosphere import trend_kernels as kernels
+from surveysim.atmosphere.screen_simulation import StripCache
 from surveysim.atmosphere.thin_screen import Screen, structure_table
 
 # Gauss-Legendre nodes of the points along a strip, from -1 to 1; across it they are at both edges and in the middle.
@@ -71,7 +72,9 @@ class StripPoints:
         return replace(self, **{name: getattr(self, name)[first:end] for name in names})
 
 
-def strip_points(strips, corner_rad: np.ndarray, direction: np.ndarray, length_rad: np.ndarray) -> StripPoints:
+def strip_points(
+    strips: StripCache, corner_rad: np.ndarray, direction: np.ndarray, length_rad: np.ndarray
+) -> StripPoints:
     """Choose the points of strips that define the trends.
 
     Parameters

@@ -7,11 +7,15 @@ In the frame of the moving layer all detectors of a scan at constant velocity fo
 
 from dataclasses import dataclass, field
 from math import ceil, log2, radians
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surveysim.atmosphere.strip_factors import build_strip, lanes, points_along
+from surveysim.atmosphere.strip_factors import Strip, build_strip, lanes, points_along
 from surveysim.atmosphere.thin_screen import Screen, at_elevation
+
+if TYPE_CHECKING:
+    from surveysim.atmosphere.scan_trends import ScanTrends
 
 _STEP_MAX_RAD = radians(40.0 / 3600.0)
 _STEPS_PER_BEAM, _FEWEST_STEPS_PER_BEAM, _STEPS_PER_PAIR = 14, 4, 8
@@ -48,20 +52,20 @@ class StripCache:
     strips: dict = field(default_factory=dict, repr=False, compare=False)
 
     @property
-    def n_lane(self):
+    def n_lane(self) -> int:
         """Number of lanes of the strips."""
         return lanes(self.half_width_rad, self.step_rad, self._fewest_lanes)
 
     @property
-    def strip_half_width_rad(self):
+    def strip_half_width_rad(self) -> float:
         """Largest distance of a track from the middle of the strips [rad]."""
         return 0.5 * (self.n_lane - 1) * self.step_rad
 
     @property
-    def _fewest_lanes(self):
+    def _fewest_lanes(self) -> int:
         return 4 if self.interpolation == "cubic" else 2
 
-    def strip_for(self, length_rad):
+    def strip_for(self, length_rad: float) -> Strip:
         """Strip for tracks up to `length_rad` long; raises ValueError as `build_strip`."""
         n_x = points_along(length_rad, self.step_rad)
         if n_x not in self.strips:
@@ -107,7 +111,7 @@ class SlantStrips:
     precision: str = "float32"
     caches: dict = field(default_factory=dict, repr=False, compare=False)
 
-    def at(self, sine):
+    def at(self, sine: float) -> StripCache:
         """`StripCache` for the lowest elevation of an observation, given by its sine."""
         number = ceil(-_SLANTS * log2(sine) - 1e-9)
         if number not in self.caches:
@@ -119,7 +123,7 @@ class SlantStrips:
         return self.caches[number]
 
 
-def strip_step(screen, closest_rad):
+def strip_step(screen: Screen, closest_rad: float) -> float:
     """Lattice step for bilinear look-up by detectors at least `closest_rad` apart [rad].
 
     The step is a fourteenth of the beam and at most 40 arcsec. The first limit preserves the structure function: within
@@ -137,7 +141,7 @@ def strip_step(screen, closest_rad):
 # ---------------------------------------------------------------- realizations
 
 
-def draw_strip(strip, rng):
+def draw_strip(strip: Strip, rng: np.random.Generator) -> np.ndarray:
     """Draw one realization of a strip, of unit amplitude.
 
     It takes one draw of 2 n_total + 1 normals. The structure function holds for points up to `strip.length_rad` apart.
@@ -187,7 +191,15 @@ class Tracks:
     corner_rad: np.ndarray
 
 
-def scan_tracks(scan_bounds, *, sample_rate_hz, offsets_rad, velocity_rad_s, layer_velocity_rad_s, strips):
+def scan_tracks(
+    scan_bounds: np.ndarray,
+    *,
+    sample_rate_hz: float,
+    offsets_rad: np.ndarray,
+    velocity_rad_s: np.ndarray,
+    layer_velocity_rad_s: np.ndarray,
+    strips: StripCache,
+) -> Tracks:
     """Tracks of scans over their strips; parameters and errors as for `add_atmosphere`."""
     motion = np.asarray(velocity_rad_s, dtype=float) - np.asarray(layer_velocity_rad_s, dtype=float)
     speed = np.hypot(*motion.T)
@@ -204,18 +216,18 @@ def scan_tracks(scan_bounds, *, sample_rate_hz, offsets_rad, velocity_rad_s, lay
 
 
 def add_atmosphere(
-    data_mk,
-    scan_bounds,
+    data_mk: np.ndarray,
+    scan_bounds: np.ndarray,
     *,
-    sample_rate_hz,
-    offsets_rad,
-    velocity_rad_s,
-    layer_velocity_rad_s,
-    amplitude_mk,
-    strips,
-    rng,
-    trends=None,
-):
+    sample_rate_hz: float,
+    offsets_rad: np.ndarray,
+    velocity_rad_s: np.ndarray,
+    layer_velocity_rad_s: np.ndarray,
+    amplitude_mk: np.ndarray,
+    strips: StripCache,
+    rng: np.random.Generator,
+    trends: "ScanTrends | None" = None,
+) -> None:
     """Add the emission of the moving layer to time-streams, in place.
 
     Angles and speeds are those of a layer at the zenith: at the elevation el they are larger than on the sky by 1 /

@@ -26,7 +26,7 @@ import numpy as np
 import scipy.fft
 from threadpoolctl import threadpool_limits
 
-from surveysim.atmosphere.thin_screen import LAG_MAX, structure_function, structure_slope
+from surveysim.atmosphere.thin_screen import LAG_MAX, Screen, structure_function, structure_slope
 from surveysim.runtime.errors import OutOfRangeError
 
 # Fraction of half a period that is changed to make the seam smooth, and the number of even powers fitted there.
@@ -74,18 +74,26 @@ class Strip:
     clipped_fraction: float
 
     @property
-    def length_rad(self):
+    def length_rad(self) -> float:
         """Longest track for which the structure function is exact [rad]."""
         return 0.5 * (1.0 - _SEAM) * self.n_x * self.step_rad
 
     @property
-    def half_width_rad(self):
+    def half_width_rad(self) -> float:
         """Largest distance of a track from the middle of the strip [rad]."""
         return 0.5 * (self.n_lane - 1) * self.step_rad
 
 
 @threadpool_limits.wrap(limits=1)  # the last bits of eigenvectors depend on the number of BLAS threads
-def build_strip(screen, *, length_rad, half_width_rad, step_rad, precision="float32", fewest_lanes=2):
+def build_strip(
+    screen: Screen,
+    *,
+    length_rad: float,
+    half_width_rad: float,
+    step_rad: float,
+    precision: str = "float32",
+    fewest_lanes: int = 2,
+) -> Strip:
     """Build the factors of a strip.
 
     The period is the smallest power of two of steps that contains the length. It is doubled while negative eigenvalues
@@ -127,24 +135,24 @@ def build_strip(screen, *, length_rad, half_width_rad, step_rad, precision="floa
     return strip
 
 
-def lanes(half_width_rad, step_rad, fewest):
+def lanes(half_width_rad: float, step_rad: float, fewest: int) -> int:
     """Number of lanes of a strip with a half width, at least `fewest`."""
     return max(fewest, ceil(2.0 * half_width_rad / step_rad) + 1)
 
 
-def check_points(n_x, n_lane, step_rad, screen):
+def check_points(n_x: int, n_lane: int, step_rad: float, screen: Screen) -> None:
     """Raise ValueError for strips with too many points, or longer than the structure function's table."""
     if n_x * n_lane > _MOST_POINTS or n_x * step_rad > 2.0 * LAG_MAX * screen.beam_rad:
         raise OutOfRangeError(_too_large(n_x, n_lane, step_rad))
 
 
-def check_elements(used, n_x, n_lane, step_rad):
+def check_elements(used: int, n_x: int, n_lane: int, step_rad: float) -> None:
     """Raise ValueError for too many elements in the covariance matrices of `used` frequencies."""
     if used * n_lane**2 > _MOST_ELEMENTS:
         raise OutOfRangeError(_too_large(n_x, n_lane, step_rad))
 
 
-def _too_large(n_x, n_lane, step_rad):
+def _too_large(n_x: int, n_lane: int, step_rad: float) -> str:
     return (
         f"found a strip of the layer with {n_x} by {n_lane} points {step_rad:.3g} rad apart; up to {_MOST_POINTS:.3g}"
         f" points, {LAG_MAX:g} beams of length and {_MOST_ELEMENTS:.3g} elements of covariance are allowed, by shorter"
@@ -152,17 +160,17 @@ def _too_large(n_x, n_lane, step_rad):
     )
 
 
-def points_along(length_rad, step_rad):
+def points_along(length_rad: float, step_rad: float) -> int:
     """Smallest power of two of lattice points whose half, without the seam, exceeds the length."""
     return max(_N_X_MIN, 2 ** ceil(log2(2.0 / (1.0 - _SEAM) * (length_rad / step_rad + 1.0))))
 
 
-def longest_track(n_x, step_rad):
+def longest_track(n_x: int, step_rad: float) -> float:
     """Longest track [rad] for which a strip gets exactly this power of two of points."""
     return (0.5 * (1.0 - _SEAM) * n_x - 1.5) * step_rad
 
 
-def _factorize(screen, *, n_x, n_lane, step_rad, precision):
+def _factorize(screen: Screen, *, n_x: int, n_lane: int, step_rad: float, precision: str) -> Strip:
     """Build a strip of a given size, whatever its clipped fraction."""
     ramp_variance, density = lane_spectra(screen, n_x, n_lane, step_rad)
     total = 2.0 * float(structure_function(screen, step_rad))
@@ -189,7 +197,7 @@ def _factorize(screen, *, n_x, n_lane, step_rad, precision):
     )
 
 
-def lane_spectra(screen, n_x, n_lane, step_rad):
+def lane_spectra(screen: Screen, n_x: int, n_lane: int, step_rad: float) -> tuple[float, np.ndarray]:
     """Spectra of the covariance along x.
 
     Returns
@@ -207,7 +215,7 @@ def lane_spectra(screen, n_x, n_lane, step_rad):
     return ramp_variance, scipy.fft.dct(_smooth_seam(covariance), type=1, axis=0)
 
 
-def _smooth_seam(covariance):
+def _smooth_seam(covariance: np.ndarray) -> np.ndarray:
     """Make the covariance (n_x/2 + 1, n_lane) smooth and even about its last row, the seam.
 
     Over the last `_SEAM` of its length it changes into the best-fitting polynomial that is even about the seam.
@@ -223,14 +231,14 @@ def _smooth_seam(covariance):
     return np.concatenate([covariance[: -n - 1], end + step[:, None] * (even @ coefficients - end)])
 
 
-def _weights(n_x):
+def _weights(n_x: int) -> tuple[np.ndarray, np.ndarray]:
     """Weights (n_x/2 + 1,) of frequencies in the variance, and in the variance of neighbour differences along x."""
     weight = np.full(n_x // 2 + 1, 2.0 / n_x)
     weight[[0, -1]] = 1.0 / n_x
     return weight, weight * (2.0 * np.sin(pi * np.arange(n_x // 2 + 1) / n_x)) ** 2
 
 
-def used_modes(screen, density, n_x, step_rad):
+def used_modes(screen: Screen, density: np.ndarray, n_x: int, step_rad: float) -> int:
     """Count the frequencies, from 0 on, that are not negligible in spectra (n_x/2 + 1, n_lane)."""
     weight, along = _weights(n_x)
     # No eigenvalue exceeds its matrix' largest absolute row sum.
@@ -243,7 +251,9 @@ def used_modes(screen, density, n_x, step_rad):
     return max(used, 1 + int(above.max(initial=0)))
 
 
-def _eigen_modes(density, n_x, step_rad, used):
+def _eigen_modes(
+    density: np.ndarray, n_x: int, step_rad: float, used: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Eigenvalues (used, n_lane), eigenvectors (used, n_lane, n_lane) and variance fractions (used, n_lane).
 
     The fraction of a mode is its contribution to the variance of neighbour differences along x plus across; without the

@@ -15,6 +15,7 @@ shrinks by the same factor. In angles over sin(el) the layer is that at the zeni
 The paper takes angles to be small compared with a radian. A large outer scale may exceed one; the layer stays flat.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import gamma, inf, isfinite, pi, sin, sqrt
@@ -59,7 +60,7 @@ class Screen:
     beam_rad: float
     outer_scale_rad: float = inf
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not self.index > 0.0:
             raise OutOfRangeError(f"spectral index b = {self.index:g} found; b > 0 is allowed")
         if not (self.beam_rad > 0.0 and isfinite(self.beam_rad)):
@@ -75,17 +76,17 @@ class Screen:
             )
 
 
-def at_elevation(screen, sine):
+def at_elevation(screen: Screen, sine: float) -> Screen:
     """Scale a screen at the zenith to an elevation with the given sine."""
     return replace(screen, beam_rad=screen.beam_rad * sine, outer_scale_rad=screen.outer_scale_rad * sine)
 
 
-def power(screen, alpha):
+def power(screen: Screen, alpha: float | np.ndarray) -> np.ndarray:
     """Two-dimensional power spectrum of the layer without the beam [rad^2], at alpha [1/rad] of any shape."""
     return (np.square(alpha) + screen.outer_scale_rad**-2.0) ** (-screen.index / 2.0)
 
 
-def beam_transfer(alpha_d):
+def beam_transfer(alpha_d: float | np.ndarray) -> np.ndarray:
     """Transfer function 2 J1(pi alpha D) / (pi alpha D) of a uniform disc; `alpha_d` is alpha times D."""
     argument = pi * np.maximum(np.abs(alpha_d), 1e-9)
     return 2.0 * j1(argument) / argument
@@ -94,7 +95,7 @@ def beam_transfer(alpha_d):
 # ---------------------------------------------------------------- structure function
 
 
-def structure_function(screen, theta_rad):
+def structure_function(screen: Screen, theta_rad: float | np.ndarray) -> np.ndarray:
     """Structure function <(T(r + theta) - T(r))^2> with the beam.
 
     D = 4 pi int alpha P beam^2 (1 - J0(2 pi alpha theta)) d alpha, from a cubic spline in log-log through a quadrature
@@ -127,14 +128,14 @@ def structure_function(screen, theta_rad):
     return np.where(lag > 0.0, value, 0.0)
 
 
-def structure_slope(screen, theta_rad):
+def structure_slope(screen: Screen, theta_rad: float | np.ndarray) -> np.ndarray:
     """Derivative of the structure function [1/rad] at angles `theta_rad` > 0 between 1e-4 and 1e4 beams."""
     spline, _ = _log_structure(*_in_beams(screen))
     x = np.log(np.asarray(theta_rad, dtype=float) / screen.beam_rad)
     return screen.beam_rad ** (screen.index - 2.0) * spline(x, 1) * np.exp(spline(x)) / theta_rad
 
 
-def structure_table(screen):
+def structure_table(screen: Screen) -> tuple[np.ndarray, np.ndarray]:
     """Tabulate the structure function for `surveysim.atmosphere.trend_kernels.structure`.
 
     The table agrees with `structure_function` within 1e-7; beyond 1e4 beams it continues as a power law.
@@ -150,7 +151,7 @@ def structure_table(screen):
 
 
 @lru_cache(maxsize=64)
-def _table_in_beams(index, outer_scale):
+def _table_in_beams(index: float, outer_scale: float) -> tuple[np.ndarray, np.ndarray]:
     """Compute `structure_table` for a beam of 1; scale (4,) without the beam."""
     spline, slope_min = _log_structure(index, outer_scale)
     knot = spline.x
@@ -159,13 +160,13 @@ def _table_in_beams(index, outer_scale):
     return np.ascontiguousarray(values.c.T), np.array([knot[0], step, slope_min, float(spline(knot[-1], 1))])
 
 
-def _in_beams(screen):
+def _in_beams(screen: Screen) -> tuple[float, float]:
     """Index and outer scale in units of the beam, which determine the shape of the structure function."""
     # Rounded, so that one aperture at many heights gives one shape.
     return screen.index, float(f"{screen.outer_scale_rad / screen.beam_rad:.12g}")
 
 
-def pencil_structure_function(index, theta_rad):
+def pencil_structure_function(index: float, theta_rad: float | np.ndarray) -> np.ndarray:
     """Structure function of the power law without a beam, for 2 < b < 4.
 
     D = 4 pi (2 pi theta)^(b-2) pi / (2^p Gamma((p+1)/2)^2 sin(pi (p-1)/2)), p = b - 1; about 300.6 theta^(5/3) for
@@ -181,7 +182,7 @@ def pencil_structure_function(index, theta_rad):
     return _pencil_constant(index) * np.asarray(theta_rad, dtype=float) ** (index - 2.0)
 
 
-def _pencil_constant(index):
+def _pencil_constant(index: float) -> float:
     p = index - 1.0
     return (
         4.0 * pi * (2.0 * pi) ** (index - 2.0) * pi / (2.0**p * gamma((p + 1.0) / 2.0) ** 2 * sin(pi * (p - 1.0) / 2.0))
@@ -190,7 +191,7 @@ def _pencil_constant(index):
 
 @lru_cache(maxsize=64)
 @threadpool_limits.wrap(limits=1)  # cached values must not depend on the number of threads
-def _log_structure(index, outer_scale):
+def _log_structure(index: float, outer_scale: float) -> tuple[Callable[..., np.ndarray], float]:
     """Spline of ln D against ln(theta / beam) for a beam of 1 and an outer scale in beams, and its slope at the lower
     end.
     """
@@ -205,7 +206,7 @@ def _log_structure(index, outer_scale):
     return spline, float(spline(np.log(_LAG_MIN), 1))
 
 
-def _structure_near(screen, lag):
+def _structure_near(screen: Screen, lag: np.ndarray) -> np.ndarray:
     """Integrate the spectrum for lags up to a few beams (in beams)."""
     b, scale = screen.index, screen.beam_rad ** (screen.index - 2.0)
     u0 = screen.beam_rad / screen.outer_scale_rad
@@ -220,7 +221,7 @@ def _structure_near(screen, lag):
     return 4.0 * pi * scale * (integral + head + _structure_tail(b, lag))
 
 
-def _structure_tail(b, lag):
+def _structure_tail(b: float, lag: np.ndarray) -> np.ndarray:
     """Integrate above _ALPHA_AVERAGED, where beam^2 averages to 4 / (pi^4 u^3)."""
     x_min = _ALPHA_AVERAGED * lag
     x_max = np.maximum(x_min, 20.0)
@@ -231,7 +232,7 @@ def _structure_tail(b, lag):
     return 4.0 / pi**4 * lag ** (1.0 + b) * (inner + x_max ** (-1.0 - b) / (1.0 + b))
 
 
-def _structure_far(screen, lag):
+def _structure_far(screen: Screen, lag: np.ndarray) -> np.ndarray:
     """Structure function up to a constant, for lags above a beam (in beams).
 
     At these lags the beam averages the structure function of a pencil beam over the separations of two points of the
@@ -246,7 +247,7 @@ def _structure_far(screen, lag):
     return _pencil_difference(screen, distance).mean(axis=-1) @ (overlap / overlap.sum())
 
 
-def _pencil_difference(screen, lag):
+def _pencil_difference(screen: Screen, lag: np.ndarray) -> np.ndarray:
     """Structure function of a pencil beam up to a constant, for any allowed b, in units of the beam."""
     if isfinite(screen.outer_scale_rad):
         mu, argument = screen.index / 2.0 - 1.0, lag * screen.beam_rad
@@ -259,13 +260,13 @@ def _pencil_difference(screen, lag):
     return _pencil_constant(p + 2.0) * np.expm1(p * np.log(lag)) * screen.beam_rad**p
 
 
-def _one_minus_j0(x):
+def _one_minus_j0(x: np.ndarray) -> np.ndarray:
     """1 - J0(x) without cancellation at small x."""
     quarter = 0.25 * x * x
     return np.where(x < 0.05, quarter * (1.0 - quarter * (0.25 - quarter / 36.0)), 1.0 - j0(x))
 
 
-def _gauss_panels(edges, order):
+def _gauss_panels(edges: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and weights of Gauss-Legendre quadrature on each panel between `edges`."""
     node, weight = np.polynomial.legendre.leggauss(order)
     half = 0.5 * np.diff(edges)
@@ -277,12 +278,12 @@ def _gauss_panels(edges, order):
 # ---------------------------------------------------------------- frozen flow
 
 
-def temporal_psd(screen, f_hz, speed_rad_s):
+def temporal_psd(screen: Screen, f_hz: np.ndarray, speed_rad_s: float) -> np.ndarray:
     """One-sided PSD of the time stream of one beam under frozen flow [1/Hz], at `f_hz` > 0 of any shape."""
     return cross_psd(screen, f_hz, speed_rad_s, 0.0)
 
 
-def cross_psd(screen, f_hz, speed_rad_s, dy_rad):
+def cross_psd(screen: Screen, f_hz: np.ndarray, speed_rad_s: float, dy_rad: float) -> np.ndarray:
     """One-sided cross-PSD of two beams under frozen flow, separated across the wind.
 
     S(f, dy) = (2/w) int P beam^2 cos(2 pi alpha_y dy) d alpha_y over both signs, with alpha_x = f/w. It is real: a
@@ -322,13 +323,13 @@ def cross_psd(screen, f_hz, speed_rad_s, dy_rad):
     return 4.0 / speed_rad_s * screen.beam_rad ** (screen.index - 1.0) * np.reshape(integral, f_hz.shape)
 
 
-def _transverse_integral(screen, u_x, u_y, weight):
+def _transverse_integral(screen: Screen, u_x: np.ndarray, u_y: np.ndarray, weight: np.ndarray) -> float:
     u0 = screen.beam_rad / screen.outer_scale_rad
     u_squared = u_x * u_x + u_y * u_y
     return np.sum(weight * (u_squared + u0 * u0) ** (-screen.index / 2.0) * beam_transfer(np.sqrt(u_squared)) ** 2)
 
 
-def pencil_temporal_psd(index, f_hz, speed_rad_s):
+def pencil_temporal_psd(index: float, f_hz: np.ndarray, speed_rad_s: float) -> np.ndarray:
     """One-sided temporal PSD of the power law without a beam [1/Hz], for b > 1.
 
     S = (2/w) (f/w)^(1-b) sqrt(pi) Gamma((b-1)/2) / Gamma(b/2).
@@ -344,7 +345,7 @@ def pencil_temporal_psd(index, f_hz, speed_rad_s):
     return constant / speed_rad_s * (np.asarray(f_hz, dtype=float) / speed_rad_s) ** (1.0 - index)
 
 
-def mean_removed_variance(screen, speed_rad_s, duration_s):
+def mean_removed_variance(screen: Screen, speed_rad_s: float, duration_s: float) -> float:
     """Variance of a scan's time stream about the mean of the scan: int_0^1 (1 - x) D(x w T) dx."""
     node, weight = np.polynomial.legendre.leggauss(96)
     root = 0.5 * (node + 1.0)  # x = root^2 resolves the small lags

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -60,9 +61,25 @@ class Water:
     """
 
     opacity: BandOpacity
-    response: Callable[[np.ndarray], np.ndarray]
+    response: Callable[[float | np.ndarray], np.ndarray]
     log_b2: np.ndarray
     level: np.ndarray
+
+
+class Draws(Protocol):
+    """Random numbers of a generator that a draw of weather takes."""
+
+    def standard_normal(self, size: int, /) -> np.ndarray:
+        """Numbers (size,) of the standard normal distribution."""
+        ...
+
+    def uniform(self, low: float, high: float, /) -> float:
+        """A number between two others."""
+        ...
+
+    def random(self) -> float:
+        """A number between 0 and 1."""
+        ...
 
 
 def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) -> Water:
@@ -99,7 +116,7 @@ def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) ->
     return Water(opacity, response, log_b2, ndtri(rank))
 
 
-def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: np.random.Generator) -> Weather:
+def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: Draws) -> Weather:
     """Draw the weather of one observation.
 
     Wind speeds are log-normal about their median, directions uniform. Without a site, B2 is drawn from its quantiles.
@@ -167,14 +184,14 @@ def _weather(
     return Weather(b2, wind, angle, pwv)
 
 
-def b2_quantile(atmosphere: Atmosphere, water: Water | None, normal_level: np.ndarray) -> np.ndarray:
+def b2_quantile(atmosphere: Atmosphere, water: Water | None, normal_level: float | np.ndarray) -> np.ndarray:
     """B2 at standard normal levels, from the scene's quantiles or else from those of its site."""
     if atmosphere.b2:
         return log_quantile(atmosphere.b2_probabilities, atmosphere.b2, normal_level)
     return np.exp(np.minimum(np.interp(normal_level, water.level, water.log_b2), LARGEST_LOG))
 
 
-def pwv_quantile(atmosphere: Atmosphere, probability: np.ndarray) -> np.ndarray:
+def pwv_quantile(atmosphere: Atmosphere, probability: float | np.ndarray) -> np.ndarray:
     """PWV [mm] below which the given probability lies: ln PWV is linear in probability between the quantiles.
 
     Unlike B2 it has no tails, because opacity tables are finite: the outermost quantiles are the extremes.
@@ -182,7 +199,9 @@ def pwv_quantile(atmosphere: Atmosphere, probability: np.ndarray) -> np.ndarray:
     return np.exp(np.interp(probability, atmosphere.pwv_probabilities, np.log(atmosphere.pwv_mm)))
 
 
-def log_quantile(probabilities: tuple[float, ...], values: tuple[float, ...], normal_level: np.ndarray) -> np.ndarray:
+def log_quantile(
+    probabilities: tuple[float, ...], values: tuple[float, ...], normal_level: float | np.ndarray
+) -> np.ndarray:
     """Value at standard normal levels, from quantiles at some probabilities.
 
     The logarithm is linear in the normal level between the quantiles. Beyond them it has the slope between the
@@ -191,7 +210,8 @@ def log_quantile(probabilities: tuple[float, ...], values: tuple[float, ...], no
     from scipy.special import ndtri
 
     if len(values) == 1 or min(values) == 0:
-        return np.interp(normal_level, ndtri(probabilities), values)
+        between: Any = np.interp(normal_level, ndtri(probabilities), values)
+        return between
     levels, logs = ndtri(probabilities), np.log(values)
     slope = (logs[-1] - logs[0]) / (levels[-1] - levels[0])
     beyond = np.minimum(normal_level - levels[0], 0) + np.maximum(normal_level - levels[-1], 0)

@@ -8,7 +8,7 @@ import tempfile
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import TextIO
+from typing import Any, TextIO
 
 import typer
 
@@ -17,7 +17,7 @@ from surveysim.runtime.errors import SceneError
 from surveysim.runtime.printable import printable, shortened
 
 EXIT_BROKEN_PIPE = 141  # as of a program that SIGPIPE ends: 128 and its number
-UsageError = typer.BadParameter.__bases__[0]  # its own name is private in some versions of typer
+UsageError: Any = typer.BadParameter.__bases__[0]  # its own name is private in some versions of typer
 
 
 def failure(error: BaseException, arguments: Sequence[str]) -> tuple[int, str]:
@@ -64,7 +64,7 @@ def _unread(stream: TextIO) -> bool:
     return any(found & select.POLLERR for _, found in poll.poll(0))
 
 
-def _usage(error: Exception) -> str:
+def _usage(error: Any) -> str:
     command = error.ctx.command_path if error.ctx else "surveysim"
     return f"{' '.join(error.format_message().split())} ('{command} --help' says more)"
 

@@ -44,7 +44,9 @@ class TimeLeft:
     unless start-up could be most of that.
     """
 
-    def __init__(self, work: Sequence[float], workers: int, clock: Callable[[], float] = monotonic):
+    def __init__(
+        self, work: Sequence[float] | np.ndarray, workers: int, clock: Callable[[], float] = monotonic
+    ) -> None:
         self.work, self.workers, self.clock = np.asarray(work, float), workers, clock
         self.start = clock()
         self.first: tuple[float, int] | None = None
@@ -85,7 +87,7 @@ def finish_times(work: np.ndarray, workers: int) -> np.ndarray:
 
 @contextmanager
 def progress_display(
-    name: str, work: Sequence[float], quiet: bool, what: str = "observations", workers: int = 1
+    name: str, work: Sequence[float] | np.ndarray, quiet: bool, what: str = "observations", workers: int = 1
 ) -> Iterator[Show]:
     """A callable that shows how many observations (or `what` else) are done, for the time of the block.
 

@@ -38,7 +38,7 @@ class FittedModes:
     @property
     def odd(self) -> np.ndarray:
         """Flags (n,): True for modes that are odd about the middle of the scan, False for even ones."""
-        return self.degrees[:, ::2].any(axis=1)
+        return np.any(self.degrees[:, ::2], axis=1)
 
     def at(self, time_s: np.ndarray, duration_s: float) -> np.ndarray:
         """Evaluate the modes (n, n_time) [s^-1/2] at times from the middle of a scan [s]."""

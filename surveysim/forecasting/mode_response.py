@@ -241,7 +241,7 @@ def _slope(screen: Screen, alpha: float) -> float:
     if np.isinf(screen.outer_scale_rad):
         return alpha ** (4 - screen.index) / (4 - screen.index)
     below = np.geomspace(1e-3 * min(alpha, 1 / screen.outer_scale_rad), alpha, 200)
-    return np.trapezoid(power(screen, below) * below**4, np.log(below))
+    return float(np.trapezoid(power(screen, below) * below**4, np.log(below)))
 
 
 def layer_gain(array: ProjectedArray, response: np.ndarray, layer: LayerWaves) -> np.ndarray:

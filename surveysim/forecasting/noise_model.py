@@ -271,7 +271,7 @@ def _no_layer(motion: np.ndarray, sine: np.ndarray) -> np.ndarray:
 
 def _layer(setup: Setup, conditions: ObservingConditions, spectrum: _ScanFrequencies) -> LayerWaves:
     longest = np.abs(conditions.motion).max() * spectrum.window.duration_s
-    return layer_waves(screen(setup.scene), longest, _sine_nodes(conditions))
+    return layer_waves(screen(setup.scene), longest, _sine_nodes(conditions).tolist())
 
 
 def _sine_nodes(conditions: ObservingConditions) -> np.ndarray:
@@ -349,7 +349,7 @@ def _noise_only_components(
     white, shared, low = (stream_power(arrays[0], item) for item in (None, *correlations))
     flat = in_bins(hann.sums(spectrum.weight_hz[None] / 2, nodes, lines))
     red = in_bins(hann.sums(spectrum.excess[None] / 2, spectrum.excess_hz, lines))
-    layer = _no_layer
+    layer: Callable[[np.ndarray, np.ndarray], np.ndarray] = _no_layer
     if setup.scene.atmosphere is not None:
         waves = _layer(setup, conditions, spectrum)
         gain = np.mean([layer_stream_gain(array, waves) for array in arrays], axis=0)

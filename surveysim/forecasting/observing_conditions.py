@@ -105,7 +105,8 @@ def population_draws(setup: Setup) -> list[list[Draw]]:
     for shift in rng.random((_SHIFTS, _NUMBERS)):
         points = (shift + np.outer(np.arange(_DRAWS_A_SHIFT), _lattice_steps())) % 1
         numbers = np.minimum((points[:, -1] * n_obs).astype(int), n_obs - 1)
-        weather = [air and draw_weather(air, setup.air.water, _QuasiRandomDraws(point)) for point in points[:, :-1]]
+        draws = map(_QuasiRandomDraws, points[:, :-1])
+        weather = [draw_weather(air, setup.air.water, draw) if air else None for draw in draws]
         lists.append(list(zip(numbers.tolist(), weather, strict=True)))
     return lists
 
@@ -150,7 +151,8 @@ def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingCondit
     views = {number: _view(setup, number) for number in {number for number, _ in draws}}
     rows = [_condition_row(setup, views[number], weather) for number, weather in draws]
     *levels, there, back = (np.array(column) for column in zip(*rows, strict=True))
-    return ObservingConditions(*levels, np.stack([there, back], axis=1))
+    white, shared, excess, layer, sine, angle = levels
+    return ObservingConditions(white, shared, excess, layer, sine, angle, np.stack([there, back], axis=1))
 
 
 def _view(setup: Setup, number: int) -> _ObservationGeometry:
@@ -170,7 +172,7 @@ def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | 
     scene = setup.scene
     opacity = setup.air.water.opacity if setup.air.water else None
     white = white_levels(scene, opacity, weather.pwv_mm if weather else np.nan, view.elevation_rad)
-    excess = excess_variance(scene.excess, weather and weather.b2) if scene.excess else 0.0
+    excess = excess_variance(scene.excess, weather.b2 if weather else None) if scene.excess else 0.0
     layer, wind = 0.0, 0.0
     if weather is not None:
         layer = weather.b2 * view.slant

@@ -1,5 +1,6 @@
 """What goes in and what comes out: each observation's measurement beside its truth, and how well they agree."""
 
+from collections.abc import Callable
 from math import degrees, pi, remainder
 from typing import TYPE_CHECKING
 
@@ -79,7 +80,9 @@ def recovery_table(survey: MeasuredSurvey) -> "Table":
     return table
 
 
-def _entry(quantity: str, unit: str, paper: float, values: np.ndarray, statistic) -> tuple:
+def _entry(
+    quantity: str, unit: str, paper: float, values: np.ndarray, statistic: Callable[[np.ndarray], float]
+) -> tuple:
     return quantity, unit, paper, *bootstrap(values, statistic), len(values)
 
 
@@ -93,7 +96,7 @@ def _wind_rows(survey: MeasuredSurvey) -> list[tuple]:
     ratio = survey.wind_arcmin_s[good] / survey.wind_drawn_arcmin_s[good] - 1
     turned = [
         degrees(abs(remainder(wind_angle(survey, k) - survey.measurements[k].truth.wind_angle_rad, 2 * pi)))
-        for k in np.flatnonzero(good)
+        for k in np.flatnonzero(good).tolist()
     ]
     paper = published()["wind_median_arcmin_s"].get(str(survey.band_ghz), np.nan)
     share = published()["share_of_good_winds"] if np.isfinite(paper) else np.nan

@@ -225,8 +225,8 @@ def _reproduce(
             makers += [(name, partial(_write, name, out, surveys, asked.model)) for name in ready]
             _make(makers, made, failed)
         for need, scene in asked.runs.items():
-            makers = _run_makers([name for name in left if _NEEDS[name] == (need,)], out, scene, engine, progress)
-            _make(makers, made, failed)
+            scored = [name for name in left if _NEEDS[name] == (need,)]
+            _make(_run_makers(scored, out, scene, engine, progress), made, failed)
     finally:  # what is made by then is kept, whatever ends the rest
         if made or earlier:
             write_record(out, earlier, made, failed, used, engine.kind, workers, perf_counter() - start)
@@ -263,7 +263,7 @@ def _run_makers(
 
 
 def _make(
-    makers: list[tuple[str, Callable[[], list[Path]]]], made: dict[str, list[Path]], failed: dict[str, str]
+    makers: Sequence[tuple[str, Callable[[], list[Path]]]], made: dict[str, list[Path]], failed: dict[str, str]
 ) -> None:
     """Make items by name; those that can't be made of so few observations go to `failed` with the reason."""
     for name, make in makers:

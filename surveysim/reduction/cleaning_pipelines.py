@@ -1,4 +1,4 @@
-"""Which algorithms clean the streams, in which order, and the data set that each makes."""
+"""Cleaning pipelines: algorithms in order, their options, and the data set of each."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -29,7 +29,7 @@ ACTUAL, OPTIMAL = "actual", "optimal"
 
 @dataclass(frozen=True)
 class CleaningPipeline:
-    """Cleaning steps in order, and the data set that they make of some detectors (None: of all)."""
+    """Cleaning steps in order, for all detectors or (`detectors`) some, and the name of their data set."""
 
     data_set: str
     steps: tuple[str, ...]
@@ -37,26 +37,26 @@ class CleaningPipeline:
 
     @property
     def label(self) -> str:
-        """Its steps as one name."""
+        """Names of the steps, joined."""
         return "+".join(self.steps)
 
     def uses(self, name: str) -> bool:
-        """Whether one of its steps is the named algorithm."""
+        """Tell whether a step is the named algorithm."""
         return name in self.steps
 
     @property
     def takes_responsivities(self) -> bool:
-        """Whether one of its steps subtracts templates times responsivities."""
+        """Whether a step subtracts templates times responsivities."""
         return not set(self.steps).isdisjoint(TEMPLATE_CLEANINGS)
 
     @property
     def rows(self) -> np.ndarray | slice:
-        """Index of its detectors into the streams."""
+        """Index of the detectors in the streams."""
         return slice(None) if self.detectors is None else self.detectors
 
 
 def pipelines(section: Cleaning, masked: np.ndarray | None) -> tuple[CleaningPipeline, ...]:
-    """The scene's own cleaning, those that it compares with, and its own on a masked array."""
+    """List the scene's own pipeline, those it is compared with, and its own on the masked array."""
     found = [CleaningPipeline(ACTUAL, section.algorithm)]
     found += [CleaningPipeline("+".join(steps), steps) for steps in section.compare]
     if masked is not None:
@@ -66,9 +66,16 @@ def pipelines(section: Cleaning, masked: np.ndarray | None) -> tuple[CleaningPip
 
 @dataclass(frozen=True)
 class AuxiliaryData:
-    """What pipelines know beside the streams: `delays_s_rad` (n_scan, 2), the slowness that a wind model shifts by,
-    `other_bands_mk` (n_colour, n_det, n_samp) of all detectors, and their `calibration` (1 + n_colour, n_det),
-    responsivities in the mapped band and the others, or None where they are fitted.
+    """Inputs of cleaning other than the streams.
+
+    Attributes
+    ----------
+    delays_s_rad : (n_scan, 2)
+        Slowness of the layer, by which the wind model shifts.
+    other_bands_mk : (n_band, n_det, n_samp)
+        Streams of the other bands of all detectors.
+    calibration : (1 + n_band, n_det)
+        Known responsivities in the mapped band and the others; None where they are fitted.
     """
 
     delays_s_rad: np.ndarray
@@ -79,7 +86,7 @@ class AuxiliaryData:
 def step_options(
     section: Cleaning, name: str, auxiliary: AuxiliaryData, sample_rate_hz: float, responsivities: Responsivities
 ) -> Any:
-    """The record that one step takes."""
+    """Make the record of options of one step."""
     template = (section.tolerance, section.max_iterations, responsivities)
     if name == "wind":
         return WindOptions(auxiliary.delays_s_rad, sample_rate_hz, *template)
@@ -95,7 +102,7 @@ def step_options(
 
 
 def needed_detectors(section: Cleaning, name: str) -> int:
-    """How many detectors one step needs."""
+    """Count the detectors that one step needs."""
     nothing = AuxiliaryData(np.zeros((1, 2)), np.zeros((1, 1, 1)))
     return detectors_needed(name, step_options(section, name, nothing, 1.0, SCAN))
 
@@ -109,9 +116,16 @@ def apply_pipeline(
     auxiliary: AuxiliaryData,
     sample_rate_hz: float,
 ) -> Cleaned:
-    """Clean the streams (n_det, n_samp) of the pipeline's detectors, which `data_mk` and `focal_plane` hold alone.
+    """Clean the streams (n_det, n_samp) of the detectors of a pipeline.
 
-    Before their spectral common mode is subtracted, the other bands are cleaned by the same steps as the mapped one.
+    The other bands are cleaned by the same steps before their spectral common mode is subtracted.
+
+    Parameters
+    ----------
+    data_mk, focal_plane
+        Streams and positions of the pipeline's detectors alone.
+    auxiliary
+        Auxiliary data of all detectors.
     """
     others = auxiliary.other_bands_mk[:, pipeline.rows]
     known = [section.responsivities] * (1 + len(others))
@@ -132,7 +146,7 @@ def apply_pipeline(
 def _cleaned_alike(
     steps: list[tuple[str, Any]], band_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane
 ) -> np.ndarray:
-    """Streams of another band, cleaned; NaN in scans that are discarded, so that the mapped band's are too."""
+    """Clean another band; its discarded scans are NaN, so the mapped band loses them too."""
     cleaned = clean_in_order(steps, band_mk, scan_bounds, focal_plane)
     for start, stop in scan_bounds[~cleaned.kept]:
         cleaned.data_mk[:, start:stop] = np.nan
@@ -146,14 +160,14 @@ def auxiliary_data(
     calibration: np.ndarray | None,
     sample_rate_hz: float,
 ) -> AuxiliaryData:
-    """What the pipelines need to know of one observation beside its streams."""
+    """Collect the auxiliary data of one observation."""
     return AuxiliaryData(measured_delays(pipelines, streams, sample_rate_hz), other_bands_mk, calibration)
 
 
 def measured_delays(pipelines: tuple[CleaningPipeline, ...], streams: Timestreams, sample_rate_hz: float) -> np.ndarray:
-    """Slowness (n_scan, 2) [s/rad] of the layer by the wind measured from the streams; 0 where none is of use.
+    """Measure the slowness (n_scan, 2) [s/rad] of the layer from the wind in the streams.
 
-    Measured only if a pipeline shifts by it: elsewhere 0 too.
+    0 without a pipeline that uses it, without a valid measurement, and for scans with too long delays.
     """
     none = np.zeros((len(streams.scan_bounds), 2))
     if not any(pipeline.uses("wind") for pipeline in pipelines):

@@ -1,4 +1,4 @@
-"""What sections of a scene ask of each other: errors that need the camera or the map to be known."""
+"""Consistency of the sections of a scene: errors that depend on the camera or the map."""
 
 import math
 
@@ -119,7 +119,7 @@ def _check_some_motion(
     elevation_rad: np.ndarray,
     parallactic_rad: np.ndarray,
 ) -> None:
-    """The same of the observations `which` (n,), with angles (n, n_scan) of the middle of their scans."""
+    """Check the observations `which` (n,) with mid-scan angles (n, n_scan)."""
     half_s = scene.scan.duration_s / 2
     most_up_rad = half_s * SIDEREAL_RAD_S * math.cos(site.latitude_rad)
     most_turn_rad = most_up_rad / np.cos(np.minimum(elevation_rad + most_up_rad, math.pi / 2))
@@ -292,14 +292,14 @@ def check_sky(scene: Scene, geometry: MapGeometry) -> None:
 
 
 def sky_coefficients(lmax: int, geometry: MapGeometry) -> int:
-    """Coefficients of a sky on the sphere up to a multipole, of the orders that reach a field."""
+    """Count the coefficients of a sky on the sphere up to a multipole, of the orders that reach a field."""
     from surveysim.timestreams.sky_maps import highest_order
 
     return (lmax + 1) * (highest_order(geometry, lmax) + 1)
 
 
 def reach(scene: Scene, cam: Camera) -> float:
-    """Largest offset of a sample from the field's centre, along either axis [rad]."""
+    """Compute the largest offset of a sample from the centre of the field, along either axis [rad]."""
     scan = scene.scan
     along = scan.speed_rad_s * scan.duration_s / 2
     across = scan.step_rad * (scan.scans - 1) / 2

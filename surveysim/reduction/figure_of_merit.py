@@ -1,7 +1,7 @@
-"""Which cleaning is best for one observation: figures of merit for a flat CMB spectrum and for a point source.
+"""Figures of merit of the cleaning pipelines in one observation, for a flat CMB spectrum and for a point source.
 
-A pipeline that removes more noise removes more signal, and which wins depends on the weather (paper, section 4.3).
-Its noise is that of the observation's own map; what it leaves of the signal is measured once a survey.
+A pipeline that removes more noise removes more signal, and the best one depends on the weather (paper, section 4.3).
+The noise is measured on the map of the observation, the transfer function once per survey.
 """
 
 from collections.abc import Sequence
@@ -17,11 +17,22 @@ TARGETS = ("cmb", "point_source")
 def figures_of_merit(
     setup: Setup, transmission: np.ndarray, maps: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> np.ndarray:
-    """Figures of merit (n_pipeline, 2) of one observation's maps, sums and hits (n_y, n_x) of each pipeline.
+    """Compute figures of merit of the pipelines from the maps of one observation.
 
-    For a flat spectrum ``sum n/2 (M T / N)^2`` over the scored bins, sigma(A)^-2 up to a factor; for a point source
-    ``sum n B^2 T / N`` over all bins, its squared signal to noise. N is the noise of the map in each bin, T
-    (n_pipeline, 2, n_bin) what the pipeline leaves of the signal's power, n the modes of a bin.
+    For a flat spectrum ``sum n/2 (M T / N)^2`` over the scored bins, which is proportional to sigma(A)^-2; for a point
+    source ``sum n B^2 T / N`` over all bins, its squared signal to noise. N is the noise of the map in each bin, T the
+    transfer function, n the number of modes, M the signal and B the beam.
+
+    Parameters
+    ----------
+    transmission : (n_pipeline, 2, n_bin)
+        Transfer functions T for both targets.
+    maps
+        Sums and hits (n_y, n_x) of each pipeline.
+
+    Returns
+    -------
+    (n_pipeline, 2) array
     """
     band, rings = setup.analysis.region, setup.analysis.region.rings
     rows = band.patch
@@ -35,6 +46,6 @@ def figures_of_merit(
 
 
 def best_places(figures_of_merit: np.ndarray) -> np.ndarray:
-    """Place of the pipeline with the highest merit, of merits (n_pipeline, ...); -1 where none has any."""
+    """Find the pipeline with the largest figure of merit (n_pipeline, ...); -1 if none is above 0."""
     figures_of_merit = np.nan_to_num(figures_of_merit)
     return np.where(figures_of_merit.max(axis=0) > 0, figures_of_merit.argmax(axis=0), -1)

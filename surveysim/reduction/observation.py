@@ -1,7 +1,7 @@
-"""One observation reduced: cleaning by every pipeline, maps of every data set, noise levels, the best pipeline.
+"""Reduction of one observation: cleaning by every pipeline, maps of every data set, noise levels, the best pipeline.
 
-It goes over the blocks of the observation and adds up what they leave; the simulated sets, which need the PSDs that
-were measured in all of them, go over the blocks once more.
+The blocks of the observation are drawn and added up one by one. The noise-only sets need the PSDs of all blocks, so
+they are drawn in a second pass.
 """
 
 from collections.abc import Callable
@@ -9,6 +9,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from surveysim.reduction.cleaning_pipelines import (
     auxiliary_data,
 )
 from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
+from surveysim.reduction.map_noise import map_noise
 from surveysim.reduction.noise_only_sets import add_simulated, mean_removed
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.scene import Scene
@@ -44,16 +46,36 @@ REFERENCE = (0, 1)  # observations that tell what pipelines leave of a signal: o
 
 @dataclass(frozen=True)
 class ObservationResult:
-    """What one observation leaves behind: maps and sums, never time-streams.
+    """Maps and sums of one observation, without time-streams.
 
-    `sums` (n_set, n_y, n_x) of the streams' type [mK] with `hits` (n_set, n_y, n_x) int32 or int64; `noise_mk2`
-    (n_set,), the noise variance a sample in the scored band, by which observations are weighted, and `bin_noise_mk2`
-    (n_set, n_bin) that in each bin of multipole, without bins where there is no score; `window` (n_sky,
-    n_window, 2, n, n) of that type on the scored patch, signal of the window skies binned without [0] and with [1]
-    cleaning for each of the setup's windows, or None; `discarded`, `iterations` and `removed` (templates a scan) per
-    pipeline; `figures_of_merit` (n_pipeline, n_target) figures of merit of the pipelines for all detectors, or None
-    without a choice; `raw_psd` and `clean_psd` (n_freq,) [mK^2/Hz], means over detectors, `compared_psd` (n_compare,
-    n_freq) that of the other pipelines; `seconds` spent per stage.
+    Attributes
+    ----------
+    sums : (n_set, n_y, n_x)
+        Sum of samples [mK], of the type of the streams.
+    hits : (n_set, n_y, n_x)
+        Number of samples, int32 or int64.
+    noise_mk2 : (n_set,)
+        Noise variance per sample in the scored region; observations are weighted by it.
+    bin_noise_mk2 : (n_set, n_bin)
+        Noise variance per sample in each multipole bin; no bins without a score.
+    window : (n_sky, n_window, 2, n, n)
+        Signal simulations on the scored patch, without [0] and with [1] cleaning, for each transfer function; or None.
+    discarded, iterations, removed
+        Discarded scans, mean iterations, and mean removed templates per scan of each pipeline.
+    figures_of_merit : (n_pipeline, n_target)
+        Of the pipelines for all detectors; None unless pipelines are compared.
+    weather
+        None without an atmosphere.
+    elevation_rad
+        Mean over the scans.
+    raw_psd, clean_psd : (n_freq,)
+        PSDs before and after cleaning [mK^2/Hz], means over detectors.
+    compared_psd : (n_compare, n_freq)
+        PSDs after the other pipelines.
+    white_mk2_hz
+        White level after cleaning, mean over detectors.
+    seconds
+        Time spent in each stage.
     """
 
     observation: int
@@ -80,9 +102,7 @@ Map = tuple[np.ndarray, np.ndarray]  # sums and hits, (n_y, n_x) each
 
 @dataclass(frozen=True)
 class _Part:
-    """One block on its way to maps: `index` (n_det, n_samp) of pixels, `cleaned` per pipeline, what they know
-    beside.
-    """
+    """A block with its streams, pixel indices (n_det, n_samp), auxiliary data, and cleaned streams of each pipeline."""
 
     setup: Setup
     observation: int
@@ -96,12 +116,12 @@ class _Part:
 
 @dataclass
 class _Sums:
-    """What the blocks of one observation add up to; it grows by one block at a time.
+    """Running sums over the blocks of one observation.
 
-    `maps` by data set, float64 sums [mK] and int64 hits (n_y n_x,) each; `window` (n_sky, n_window, 2, n_y n_x) float64
-    or None; `power` (n_det, n_freq) of the actual data's kept scans (`hann_power`). Of each block: `kept`,
-    `iterations` and `removed` (n_pipeline, n_scan), and PSDs (n_freq,) [mK^2/Hz], means over its detectors and kept
-    scans, with the number of these scans: `raw`, and `compared` of the other pipelines.
+    `maps` by data set: float64 sums [mK] and int64 hits (n_y n_x,); `window` (n_sky, n_window, 2, n_y n_x) float64 or
+    None; `power` (n_det, n_freq) of the kept scans of the actual data (`hann_power`). Of each block: `kept`,
+    `iterations` and `removed` (n_pipeline, n_scan), and the number of kept scans with their mean PSD (n_freq,)
+    [mK^2/Hz], before cleaning (`raw`) and after the other pipelines (`compared`).
     """
 
     maps: dict[str, Map]
@@ -115,9 +135,14 @@ class _Sums:
 
 
 def observe(setup: Setup, observation: int, with_window: bool, path: Path | None = None) -> ObservationResult:
-    """Simulate, clean and bin one observation: every data set, and the window skies where asked.
+    """Simulate, clean and bin one observation.
 
-    With a `path`, its time-streams before cleaning are written there.
+    Parameters
+    ----------
+    with_window
+        Whether to simulate signals too.
+    path
+        File for the time-streams before cleaning; None for none.
     """
     watch, (_, pointing) = Stopwatch(), observation_path(setup.observing, observation)
     sums = _empty_sums(setup, with_window)
@@ -167,14 +192,14 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
 
 
 def kept_scans(setup: Setup, observation: int) -> np.ndarray:
-    """Scans that each pipeline keeps of an observation, (n_pipeline, n_scan) bool of the setup's blocks."""
+    """Find the scans that each pipeline keeps of an observation, (n_pipeline, n_scan) bool."""
     _, pointing = observation_path(setup.observing, observation)
     parts = (_reduce(setup, observation, pointing, block, Stopwatch()) for block in setup.observing.blocks)
     return np.concatenate([[item.kept for item in part.cleaned] for part in parts], axis=1)
 
 
 def _let_go(streams: Timestreams) -> None:
-    """What becomes of streams that are not saved."""
+    """Save nothing."""
 
 
 def _empty_sums(setup: Setup, with_window: bool) -> _Sums:
@@ -194,7 +219,7 @@ def _add_block(
     save: Callable[[Timestreams], None],
     watch: Stopwatch,
 ) -> None:
-    """Make one block and add what it leaves; its streams are gone when this returns."""
+    """Draw one block and add it to the sums; its streams are freed on return."""
     part = _reduce(setup, observation, pointing, block, watch)
     save(part.streams)
     with watch("spectra"):
@@ -210,7 +235,7 @@ def _add_block(
 
 
 def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> _Part:
-    """Draw and clean one block of an observation that is pointed as a `whole`."""
+    """Draw and clean one block of an observation with the pointing `whole`."""
     streams = draw_block(setup, observation, whole, block, watch)
     pointing, plane = whole.scans(block.first, block.end), streams.focal_plane
     with watch("pixels"):
@@ -243,7 +268,7 @@ def _clean(
     auxiliary: AuxiliaryData,
     scans: np.ndarray,
 ) -> Cleaned:
-    """Clean some scans (n_scan,) bool of the streams of a pipeline's detectors; the result knows of no others."""
+    """Clean some scans (n_scan,) bool of the streams of a pipeline's detectors."""
     plane, rate = streams.focal_plane.subset(pipeline.rows), setup.observing.raster.sample_rate_hz
     auxiliary = replace(auxiliary, delays_s_rad=auxiliary.delays_s_rad[scans])
     return apply_pipeline(setup.scene.cleaning, pipeline, data_mk, streams.scan_bounds[scans], plane, auxiliary, rate)
@@ -267,35 +292,21 @@ def _psd_scale(setup: Setup) -> float:
 
 
 def _mean_psd(blocks: list[tuple[int, np.ndarray]]) -> np.ndarray:
-    """Mean PSD (n_freq,) over all scans, from means over the scans of each block; 0 without a scan."""
+    """Average PSDs (n_freq,) of blocks, weighted by their numbers of scans; 0 without a scan."""
     n_scans = max(1, sum(n for n, _ in blocks))
-    return sum(psd * (n / n_scans) for n, psd in blocks)
-
-
-def map_noise(setup: Setup, total: np.ndarray, hits: np.ndarray) -> tuple[float, np.ndarray]:
-    """Noise variance a sample [mK^2] of one observation's map, and that in each bin (n_bin,); inf without a hit.
-
-    With a score: in the multipoles and with the weights that a flat band power gives them,
-    ``sum M^2 |FT(T S)|^2 / (sum M^2 sum T^2 H)``, for sums S and hits H under the taper T: white noise of
-    variance v a sample has v. It counts correlations between detectors, which a time-stream PSD can't
-    see. Without a score: the mean of ``S^2 / H`` over hit pixels, and no bins.
-    """
-    if setup.analysis.region is None:
-        hit = hits > 0
-        return float(np.mean(total[hit].astype(float) ** 2 / hits[hit])) if hit.any() else np.inf, np.zeros(0)
-    rows = setup.analysis.region.patch
-    return setup.analysis.region.noise(total[rows, rows], hits[rows, rows])
+    total: Any = sum(psd * (n / n_scans) for n, psd in blocks)
+    return total
 
 
 def _some(kept: np.ndarray) -> np.ndarray:
-    """The kept scans, or all (of zeros) where none is kept, so that a mean is defined."""
+    """Select the kept scans, or all (of zeros) if none is kept, so that a mean is defined."""
     return kept if kept.any() else np.ones_like(kept)
 
 
 def _bin(
     part: _Part, data_mk: np.ndarray, pipeline: CleaningPipeline, kept: np.ndarray, total: np.ndarray, hits: np.ndarray
 ) -> None:
-    """Add the kept scans of a pipeline's detectors to a map's sums and hits, in place."""
+    """Add the kept scans of a pipeline's detectors to the sums and hits of a map, in place."""
     bin_samples(data_mk, part.index[pipeline.rows], part.streams.scan_bounds, kept, total, hits)
 
 
@@ -310,7 +321,7 @@ def _empty_window(setup: Setup, n_sky: int) -> np.ndarray:
 
 
 def _add_window(window: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
-    """Add the signal of each sky without and with cleaning, the difference that it makes to the cleaned data."""
+    """Add each sky before cleaning, and the difference that it makes to the cleaned data."""
     setup, streams = part.setup, part.streams
     hits, signal = np.zeros(window.shape[-1], np.int64), np.empty_like(streams.data_mk)
     for s, sky in enumerate(skies_mk):
@@ -330,17 +341,17 @@ def _add_window(window: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
 
 
 def _cleaned_again(setup: Setup, pipeline: CleaningPipeline, kept: np.ndarray) -> np.ndarray:
-    """Scans (n_scan,) bool that are cleaned once more, with a signal: those that are kept without it.
+    """Select the scans (n_scan,) bool to clean once more with a signal: those kept without it.
 
-    Discarded ones take all iterations in vain. Where all scans share one fit, all have their part in it again, unless
-    it failed.
+    Discarded scans would take all iterations for nothing. If all scans share one fit, all take part again unless it
+    failed.
     """
     together = setup.scene.cleaning.responsivities == OBSERVATION and pipeline.takes_responsivities
     return np.ones_like(kept) if together and kept.any() else kept
 
 
 def _window_maps(setup: Setup, window: np.ndarray | None, best: int) -> np.ndarray | None:
-    """Window skies as maps of the scored patch, those of the optimal set taken from the pipeline that is best."""
+    """Cut the signal maps to the scored patch; the optimal set takes those of the best pipeline."""
     if window is None:
         return None
     maps, patch = (
@@ -356,10 +367,14 @@ def _window_maps(setup: Setup, window: np.ndarray | None, best: int) -> np.ndarr
 
 @lru_cache(maxsize=2)
 def transfer_functions(scene: Scene) -> np.ndarray:
-    """What each pipeline leaves of the power of a flat CMB sky and of a point source, (n_pipeline, 2, n_bin).
+    """Measure the power transfer function of each pipeline for a flat CMB sky and for a point source.
 
-    From the observations of `REFERENCE`, of several blocks that in the middle of the map; 0 for a pipeline that
-    discards all their scans.
+    From the observations of `REFERENCE`, and in several blocks from the one in the middle of the map.
+
+    Returns
+    -------
+    (n_pipeline, 2, n_bin) array
+        0 for a pipeline that discards all their scans.
     """
     setup = prepare(scene)
     middle = setup.observing.blocks[len(setup.observing.blocks) // 2]

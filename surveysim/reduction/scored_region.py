@@ -1,4 +1,4 @@
-"""The scored area of the map and its multipoles."""
+"""Scored region: patch of the map, multipoles, and their modes."""
 
 import math
 from collections.abc import Callable
@@ -74,7 +74,7 @@ class ScoredRegion:
 
     @property
     def noise_scatter(self) -> float:
-        """Relative variance of `noise` over white maps: the modes' chance as they weigh in it."""
+        """Relative variance of `noise` over white maps."""
         n_pad, n_column = self.mode_weight.shape
         chance = self.mode_chance.reshape(n_pad, -1)[:, :n_column]
         return float(np.sum(self.mode_weight * chance) / self.mode_weight.sum())
@@ -120,19 +120,27 @@ class ScoredRegion:
 
 
 def patch_side(size_rad: float, geometry: MapGeometry) -> int:
-    """Pixels along a side of the scored patch."""
+    """Count the pixels along a side of the scored patch."""
     return min(geometry.n_x, 2 * math.ceil(size_rad / geometry.pixel_rad / 2))
 
 
 def padded_side(size_rad: float, geometry: MapGeometry) -> int:
-    """Pixels along a side of that patch padded, which resolves bins that are narrower than the patch's own modes."""
+    """Count the pixels along a side of the padded patch, whose modes resolve bins narrower than the patch's own."""
     return fast_length(2 * patch_side(size_rad, geometry))
 
 
 def scored_region(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry) -> ScoredRegion | None:
-    """The band of a scene, None without a score; `sky_geometry` is the grid of the skies that it is scored by.
+    """Make the scored region of a scene; None without a score.
 
-    Raises SceneError when no bin or no mode is left.
+    Parameters
+    ----------
+    sky_geometry
+        Grid of the signal simulations.
+
+    Raises
+    ------
+    SceneError
+        If no bin or no mode is left.
     """
     score = scene.score
     if score is None:
@@ -230,7 +238,7 @@ def _mode_weight(scene: Scene, ell: np.ndarray, rings: Annuli) -> np.ndarray:
 
 
 def _squared_signal(scene: Scene, ell: np.ndarray) -> np.ndarray:
-    """Squared PSD of a flat spectrum behind the beam, largest 1, 0 outside the scored range."""
+    """Compute the squared PSD of a flat spectrum behind the beam, normalised to 1, 0 outside the scored range."""
     score = scene.score
     signal = np.zeros(ell.shape)
     inside = (ell >= score.ell_min) & (ell < score.ell_max)
@@ -241,12 +249,13 @@ def _squared_signal(scene: Scene, ell: np.ndarray) -> np.ndarray:
 
 
 def _mode_chance(scene: Scene, taper: np.ndarray, pixel_rad: float) -> np.ndarray:
-    """What weights 1 / `Band.noise`, measured on the maps that they weigh, take of each mode's noise, (n_mode,).
+    """Compute the fractional noise bias (n_mode,) from estimating weights on the same maps.
 
-    With relative errors e of the measured noise, of variance d^2, a co-added mode of power P has ``<w^2 P> / <w>^2 =
-    N (1 + d^2 - 2 c)``, c the covariance of e with that mode's relative power; this is 2 c - d^2. Wick's theorem for
-    modes that the taper ties together: with weights m, ``c_k = 2 sum_k' m_k' |r(k - k')|^2 / sum m``, r the transform
-    of the squared taper over its sum, and d^2 is the mean of c weighted by m. White maps, to first order.
+    Weights are the inverse of the measured noise (`ScoredRegion.noise`) with relative errors e of variance d^2. A
+    co-added mode of power P then has ``<w^2 P> / <w>^2 = N (1 + d^2 - 2 c)``, with c the covariance of e and the
+    relative power of the mode; the bias is 2 c - d^2. Wick's theorem for modes correlated by the taper gives, with mode
+    weights m, ``c_k = 2 sum_k' m_k' |r(k - k')|^2 / sum m``, where r is the transform of the squared, normalised taper;
+    d^2 is the mean of c weighted by m. To first order, for white maps.
     """
     from scipy.fft import fft2, ifft2
 

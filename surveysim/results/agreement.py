@@ -88,7 +88,7 @@ def _scatter(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -
     some = kept > 0
     total = ratio_error((simulated.weights * kept)[some], (expected.weights * kept)[some])
     _, common = noise_parts(setup, simulated)
-    return subtract_in_quadrature(total, common) * student_factor(np.count_nonzero(some))
+    return subtract_in_quadrature(total, common) * student_factor(int(np.count_nonzero(some)))
 
 
 def quoted_forecast(simulated: DataSetScore, expected: DataSetForecast) -> float:

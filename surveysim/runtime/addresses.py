@@ -1,4 +1,4 @@
-"""Addresses of dask schedulers: what is none is known before anything is done, and without dask."""
+"""Addresses of dask schedulers, checked before a run starts and without importing dask."""
 
 import json
 import re
@@ -16,9 +16,17 @@ _ADDRESS = re.compile(r".*://.*|[^/\\]+:\d+", re.DOTALL)
 
 
 def address_of(scheduler: str) -> str:
-    """The address ``protocol://host:port`` of a scheduler by its address, or by the path of its file.
+    """Return the address ``protocol://host:port`` of a scheduler.
 
-    Raises EngineError with one line for what is neither.
+    Parameters
+    ----------
+    scheduler
+        Address, with or without protocol, or path of a scheduler file.
+
+    Raises
+    ------
+    EngineError
+        For text that is neither; one line.
     """
     text = scheduler if _ADDRESS.fullmatch(scheduler) else _address_in(scheduler)
     return _checked(text if "://" in text else f"tcp://{text}")
@@ -39,12 +47,12 @@ def _checked(address: str) -> str:
 
 
 def _plain(place: str) -> bool:
-    """Whether there is nothing but a host and a port: no user, no blanks, nothing unprintable."""
+    """Whether a location is only host and port: no user, blanks or unprintable characters."""
     return place.isprintable() and not set(place) & set("@ ")
 
 
 def _address_in(file: str) -> str:
-    """The address in a scheduler's file."""
+    """Read the address from a scheduler file."""
     path = Path(file)
     try:
         if not path.is_file() or path.stat().st_size > LARGEST_FILE:  # a pipe or a device might never end
@@ -59,6 +67,6 @@ def _address_in(file: str) -> str:
 
 
 def shown(text: object) -> str:
-    """What was found, for a message of one line."""
+    """Quote text for an error message of one line."""
     short = str(text)
     return repr(short if len(short) <= SHOWN else f"{short[:SHOWN]}...")

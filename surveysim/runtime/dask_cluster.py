@@ -1,10 +1,10 @@
-"""dask.distributed: a cluster that is there, or one of this machine for the time of the run."""
+"""Engine "dask": workers of an existing cluster, or of a temporary one on this machine."""
 
 import ctypes
 import logging
 import os
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from surveysim import __version__
 from surveysim.runtime.addresses import address_of
-from surveysim.runtime.interrupt_signals import deaf_children, without_script
+from surveysim.runtime.interrupt_signals import hide_main_module, ignore_sigint_in_children
 from surveysim.runtime.worker_loss import EngineError, log, too_many_losses
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of malloc.h
 
 @dataclass(frozen=True)
 class Answers:
-    """What a unit's items gave, up to the first error, and the time that it took."""
+    """Results of a unit up to its first error, and its run time."""
 
     results: list[Any]
     error: Exception | None
@@ -58,45 +58,46 @@ class Answers:
 
 @dataclass(frozen=True)
 class Unit:
-    """Pickled work of a worker. It is pickled itself as a call of `run_unit`: whoever reads it does the work.
+    """Pickled work for a worker; unpickling it calls `run_unit`, which does the work.
 
-    A worker that was sent objects of a package that it does not have would break its connection and end; one that is
-    to read bytes fails with an error that comes back.
+    A worker without this package can't unpickle its objects: it would lose its connection. Bytes it can read, and it
+    returns the error.
     """
 
     job: bytes
     items: bytes
     version: str
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple:
         return run_unit, (self.job, self.items, self.version)
 
 
 def run_unit(job: bytes, items: bytes, version: str) -> Answers:
-    """Do the items of a unit on a worker; refuses to with another version than that of the survey.
-
-    That is before it reads job and items, which another version may not be able to.
-    """
+    """Process a unit on a worker; a worker with another version of surveysim returns an error before it unpickles
+    anything."""
     if version != __version__:
         error = EngineError(f"a worker has surveysim {__version__}; {version} is expected")
         return Answers([], error, 0.0)
     _keep_freed_memory()
-    job, items = loads(job), loads(items)
+    work, units = loads(job), loads(items)
     start, results = perf_counter(), []
     try:
         # A limit on threads is the process's: units of a worker of several threads would undo each other's.
         with _ONE_AT_A_TIME, threadpool_limits(1):
-            for item in items:
-                results.append(job(item))
+            for item in units:
+                results.append(work(item))
     except Exception as error:  # whatever it is, the parent decides
         return Answers(results, error, perf_counter() - start)
     return Answers(results, None, perf_counter() - start)
 
 
-def on_cluster(job: Callable[[Any], Any], items: Sequence[Any], engine: "Engine") -> Iterator[Any]:
-    """`job(item)` for each item, in order, by the workers of the engine's scheduler, or processes of this machine.
+def on_cluster(job: Callable[[Any], Any], items: Sequence[Any], engine: "Engine") -> Generator[Any]:
+    """Yield ``job(item)`` for each item, in order, from the workers of a scheduler or of this machine.
 
-    Raises what a job raises, and EngineError where the scheduler is gone or workers are lost again and again.
+    Raises
+    ------
+    EngineError
+        If the scheduler is gone or workers are lost repeatedly. Errors of the job are raised as they are.
     """
     with _client(engine, len(items)) as client:
         for answers in _answers(client, job, items):
@@ -106,7 +107,7 @@ def on_cluster(job: Callable[[Any], Any], items: Sequence[Any], engine: "Engine"
 
 
 def _answers(client: Client, job: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Answers]:
-    """Answers of all units in order, a few units a worker being under way; raises EngineError."""
+    """Yield the answers of all units in order, with a few units per worker in progress."""
     name, position, each_s = uuid4().hex, 0, None
     units: deque[Future] = deque()
     with _lost_scheduler():
@@ -129,15 +130,15 @@ def _answers(client: Client, job: Callable[[Any], Any], items: Sequence[Any]) ->
 
 
 class _Watch:
-    """Waits for answers of a cluster, but not for ever while it has no worker, or where its scheduler is silent."""
+    """Waits for answers of a cluster for a limited time without workers or without answers of its scheduler."""
 
-    def __init__(self, client: Client):
+    def __init__(self, client: Client) -> None:
         self.client = client
         self.since: float | None = None  # there has been no worker
         self.said = 0.0
 
     def workers(self) -> int:
-        """How many there are; says now and then that there is none, and raises EngineError after `WAIT_S` of that."""
+        """Count the workers; log a warning while there is none, and raise EngineError after `WAIT_S`."""
         there = len(self.client.sync(self.client.scheduler.ncores, callback_timeout=ANSWER_S))
         now = monotonic()
         if there:
@@ -150,7 +151,7 @@ class _Watch:
         return there
 
     def result(self, unit: Future) -> Answers:
-        """The answers of a unit, once a worker has given them."""
+        """Wait for the answers of a unit."""
         while True:
             with suppress(TimeoutError):  # of this look alone: what a job raises comes in its answers
                 return unit.result(timeout=LOOK_S)
@@ -163,10 +164,11 @@ def _hours(seconds: float) -> str:
 
 @cache
 def _keep_freed_memory() -> None:
-    """Let this process keep what it frees, within limits, as one without dask does.
+    """Let malloc keep freed memory, within limits, as in a process without dask.
 
-    dask has its workers give freed memory back at once, and glibc maps large arrays anew in any thread but the first:
-    14000 page faults and twice the time for an observation of a megabyte or two. Other C libraries are left alone.
+    Workers of dask return freed memory to the system at once, and glibc maps large arrays again in all threads but the
+    first. An observation of one or two megabytes then has 14000 page faults and takes twice as long. Other C libraries
+    are not changed.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
     if mallopt is not None:
@@ -175,10 +177,18 @@ def _keep_freed_memory() -> None:
 
 
 def unit_size(each_s: float | None, workers: int, left: int) -> int:
-    """How many of the `left` items make a unit, when an item takes `each_s`, or None knows how long.
+    """Number of items in the next unit.
 
-    So long that the scheduler never sees more units than it can deal with, and so short that all workers have some
-    to the end.
+    Units are long enough for the scheduler to keep up, and short enough to keep all workers busy until the end.
+
+    Parameters
+    ----------
+    each_s
+        Measured time per item [s]; None before the first answer.
+    workers
+        Number of workers.
+    left
+        Number of items left.
     """
     if each_s is None:
         return 1
@@ -187,14 +197,14 @@ def unit_size(each_s: float | None, workers: int, left: int) -> int:
 
 
 def workers_of(scheduler: str) -> int:
-    """How many workers a scheduler has, at least 1; raises EngineError if it does not answer."""
+    """Number of workers of a scheduler, at least 1; EngineError if it does not answer."""
     _say_losses_once()
     return max(1, schedulers.workers_at(address_of(scheduler)))
 
 
 @contextmanager
 def _client(engine: "Engine", items: int) -> Iterator[Client]:
-    """A client of the scheduler, or of workers of this machine."""
+    """Open a client of the scheduler, or of workers of this machine."""
     if engine.scheduler is not None:
         client = _connected(engine.scheduler)
         try:
@@ -210,9 +220,9 @@ def _client(engine: "Engine", items: int) -> Iterator[Client]:
 
 
 def _started(workers: int) -> LocalCluster:
-    """Workers of this machine; raises EngineError where they can't be started."""
+    """Start workers on this machine; EngineError if that fails."""
     try:
-        with deaf_children(), without_script():
+        with ignore_sigint_in_children(), hide_main_module():
             # No memory limit: a worker that is over its share of the machine while others are not need not end.
             return LocalCluster(
                 n_workers=workers,
@@ -226,7 +236,7 @@ def _started(workers: int) -> LocalCluster:
 
 
 def _connected(scheduler: str) -> Client:
-    """A client of a scheduler by its address or its file; raises EngineError if none answers."""
+    """Connect a client to a scheduler by address or scheduler file; EngineError if none answers."""
     _say_losses_once()
     address, limit = address_of(scheduler), schedulers.CONNECT_S
     schedulers.workers_at(address)  # its own end is sure, which that of a client is not while it connects
@@ -234,14 +244,14 @@ def _connected(scheduler: str) -> Client:
 
 
 def _say_losses_once() -> None:
-    """What is lost is told by this engine, in a line: silence the tracebacks that dask logs of the same."""
+    """Silence dask's tracebacks of lost workers: this engine reports them in one line."""
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 @contextmanager
 def _lost_scheduler() -> Iterator[None]:
-    """Say in one line that the scheduler is gone, or that workers are again and again."""
+    """Convert errors of dask to EngineError with one line."""
     try:
         yield
     except KilledWorker:

@@ -1,4 +1,4 @@
-"""The scheduler of a dask cluster: whether one answers at its address, in bounded time."""
+"""Checks of a dask scheduler at an address, in limited time."""
 
 import asyncio
 import queue
@@ -14,7 +14,7 @@ from distributed.core import rpc
 from distributed.security import Security
 
 from surveysim.runtime.addresses import SHOWN, shown
-from surveysim.runtime.interrupt_signals import deaf_children
+from surveysim.runtime.interrupt_signals import ignore_sigint_in_children
 from surveysim.runtime.worker_loss import EngineError
 
 CONNECT_S = 10.0  # in which a scheduler has to answer
@@ -25,24 +25,31 @@ Found = TypeVar("Found")
 
 
 def workers_at(address: str) -> int:
-    """How many workers the scheduler at an address has.
+    """Number of workers of the scheduler at an address.
 
-    Raises EngineError where none answers within `CONNECT_S`, something else does, or one of another version of dask.
+    Raises
+    ------
+    EngineError
+        If no scheduler answers within `CONNECT_S`, or one with another version of dask.
     """
     return within(CONNECT_S, address, lambda: _asked(address))
 
 
 def within(seconds: float, address: str, ask: Callable[[], Found]) -> Found:
-    """The value of `ask()`, which asks the scheduler at an address, unless it takes longer than `seconds`.
+    """Return ``ask()``, a request to the scheduler at an address, if it takes no longer than `seconds`.
 
-    It has a thread of its own, so that requests to stop are heard meanwhile. Raises EngineError for whatever it
-    raises, and where its time is over.
+    It runs in a thread of its own, so that the process handles signals meanwhile.
+
+    Raises
+    ------
+    EngineError
+        For any error of the request, and after `seconds`.
     """
     answer: queue.Queue[tuple[Found | None, Exception | None]] = queue.Queue()
 
     def work() -> None:
         try:
-            with deaf_children():
+            with ignore_sigint_in_children():
                 answer.put((ask(), None))
         except Exception as error:  # dask and the network raise a wide range for what is no scheduler
             answer.put((None, error))
@@ -61,10 +68,7 @@ def within(seconds: float, address: str, ask: Callable[[], Found]) -> Found:
 
 
 def reason(error: BaseException, other: str = "") -> str:
-    """An error of dask in a few words, `other` for one that network and machine do not give.
-
-    Of errors that led to each other, the first of theirs tells most.
-    """
+    """Summarize an error of dask: the first OSError in its chain, or `other` if there is none."""
     chain = [error]
     while isinstance(before := chain[-1].__cause__ or chain[-1].__context__, Exception):
         chain.append(before)
@@ -110,7 +114,7 @@ def _asked(address: str) -> int:
 
 
 async def _answers(address: str, arguments: dict[str, Any]) -> tuple[str, str, int]:
-    """Kind of the server at an address, its version of distributed, and its number of workers."""
+    """Ask the server at an address for its type, its version of distributed and its number of workers."""
     server = rpc(address, timeout=_CONNECTING * CONNECT_S, connection_args=arguments)
     try:
         kind = str((await server.identity())["type"])

@@ -1,7 +1,7 @@
-"""Engines: ordered maps of observations over workers. Neither the results nor their order depend on them."""
+"""Engines: ordered maps of a job over observations; results do not depend on the engine or the number of workers."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,11 +18,21 @@ KINDS = ("serial", "processes", "dask")
 
 @dataclass(frozen=True)
 class Engine:
-    """What runs observations: "serial" in this process, "processes" of this machine, or "dask" workers.
+    """Choice of the processes that simulate the observations.
 
-    `workers` is how many processes there are on this machine, None for one a core; a cluster that is reached through
-    its `scheduler` (an address such as ``tcp://host:8786``, or the scheduler's file) has as many as it has.
-    Raises InputError for what makes no sense.
+    Parameters
+    ----------
+    kind
+        "serial" for this process, "processes" for worker processes on this machine, or "dask".
+    workers
+        Number of worker processes on this machine; None for one per core. Not allowed with `scheduler`.
+    scheduler
+        Address of a dask scheduler, such as ``tcp://host:8786``, or path of its scheduler file; "dask" only.
+
+    Raises
+    ------
+    InputError
+        For an unknown kind, fewer than one worker, or options that exclude each other.
     """
 
     kind: str = "processes"
@@ -30,7 +40,7 @@ class Engine:
     scheduler: str | None = None
 
     def __post_init__(self) -> None:
-        """Check the choice."""
+        """Raise InputError for a choice that is not allowed."""
         if self.kind not in KINDS:
             raise InputError(f"engine: found {self.kind!r}; {', '.join(KINDS)} are there")
         if self.workers is not None and self.workers < 1:
@@ -41,9 +51,12 @@ class Engine:
             raise InputError("workers: found a number beside a scheduler, which has workers of its own; one of the two")
 
     def workers_for(self, items: int) -> int:
-        """How many workers so many items are for; asks the scheduler if there is one.
+        """Number of workers that will process so many items.
 
-        Raises EngineError for an engine that is not there.
+        Raises
+        ------
+        EngineError
+            If dask is not installed or the scheduler does not answer.
         """
         if self.kind == "dask":
             from surveysim.runtime.dask_cluster import workers_of  # distributed is an extra, and takes a second to load
@@ -58,13 +71,26 @@ class Engine:
 SERIAL = Engine("serial")
 
 
-def ordered_map(job: Callable[[Any], Any], items: Sequence[Any], engine: Engine) -> Iterator[Any]:
-    """`job(item)` for each item, in order.
+def ordered_map(job: Callable[[Any], Any], items: Sequence[Any], engine: Engine) -> Generator[Any]:
+    """Yield ``job(item)`` for each item, in order.
 
-    One BLAS thread a worker, so that sums do not depend on the machine's cores. At most a few items a worker are
-    under way at a time: results wait in bounded memory. What a lost worker had is done again by others. Closing the
-    iterator early ends workers of this machine at once, those of a cluster after what they are at. Raises what a job
-    raises, and EngineError when the engine can't go on.
+    Each worker uses one BLAS thread, so that sums do not depend on the number of cores. Only a few items per worker are
+    in progress at a time, which bounds the memory of waiting results. Items of a lost worker are repeated by others.
+    Closing the generator early kills worker processes of this machine; workers of a cluster finish their items.
+
+    Parameters
+    ----------
+    job
+        Picklable function of one item.
+    items
+        Picklable arguments.
+    engine
+        Workers to use.
+
+    Raises
+    ------
+    EngineError
+        If workers are lost repeatedly or the scheduler is gone. Errors of the job are raised as they are.
     """
     if engine.kind == "dask":
         from surveysim.runtime.dask_cluster import on_cluster
@@ -77,5 +103,5 @@ def ordered_map(job: Callable[[Any], Any], items: Sequence[Any], engine: Engine)
 
 
 def default_workers() -> int:
-    """One worker a core that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

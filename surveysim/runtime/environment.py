@@ -1,4 +1,4 @@
-"""The process around a command: its streams, its caches, and libraries that would speak for themselves."""
+"""Process environment of a command: standard streams, caches, and messages of libraries."""
 
 import logging
 import os
@@ -20,7 +20,7 @@ _temporary_homes: list[str] = []
 
 
 def settle() -> str | None:
-    """Make streams, libraries and caches fit for a command; returns a line if caches do not outlive it."""
+    """Prepare streams, libraries and caches for a command; return a warning if caches are temporary."""
     open_streams()
     silence_libraries()
     forget_sizes()
@@ -28,7 +28,7 @@ def settle() -> str | None:
 
 
 def open_streams() -> None:
-    """Standard streams that are there, whatever the caller closed, and that write any letter, or ``?`` for it."""
+    """Open standard streams that the caller closed, and write ``?`` for characters outside their encoding."""
     for number in (0, 1, 2):
         try:
             os.fstat(number)
@@ -44,7 +44,7 @@ def open_streams() -> None:
 
 
 def silence_libraries() -> None:
-    """Let libraries warn and log nothing, here and in worker processes; this program's log goes to standard error."""
+    """Silence warnings and logs of libraries, here and in worker processes; log this package to standard error."""
     of_flags = [option for option in sys.warnoptions if option in _OF_FLAGS]  # which subprocess looks for
     sys.warnoptions[:] = [*of_flags, "ignore"]  # worker processes are started with them
     os.environ["PYTHONWARNINGS"] = "ignore"
@@ -59,14 +59,14 @@ def silence_libraries() -> None:
 
 
 def forget_sizes() -> None:
-    """Forget a size of the terminal that none has: rich and typer would write nothing, or fail."""
+    """Remove impossible terminal sizes from the environment: rich and typer would fail."""
     for name in ("COLUMNS", "LINES", "TERMINAL_WIDTH"):
         if not _SIZE.fullmatch(os.environ.get(name, "")):
             os.environ.pop(name, None)
 
 
 class _Lines(logging.Handler):
-    """A line of standard error a record."""
+    """Log handler that writes one line to standard error per record."""
 
     def emit(self, record: logging.LogRecord) -> None:
         complain(record.getMessage())
@@ -77,7 +77,7 @@ def _ignored(raised: Any) -> None:
 
 
 def provide_caches() -> str | None:
-    """See to it that libraries find a home for their caches; returns a line if that is a temporary one, or none."""
+    """Provide a writable home for the caches of libraries; return a warning if it is temporary or there is none."""
     home = os.path.expanduser("~")  # without any it is "~", and libraries would make a folder of that name
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.join(home, ".cache")
     config = os.environ.get("XDG_CONFIG_HOME") or os.path.join(home, ".config")
@@ -99,13 +99,13 @@ def provide_caches() -> str | None:
 
 
 def _can_be_written(directory: str) -> bool:
-    """Whether a directory, or the nearest above it that is there, can be written."""
+    """Whether a directory, or its nearest existing parent, can be written."""
     while not os.path.lexists(directory):
         directory = os.path.dirname(directory) or os.curdir
     return os.path.isdir(directory) and os.access(directory, os.W_OK | os.X_OK)
 
 
 def clean_up() -> None:
-    """Remove a home that was made for this process."""
+    """Remove the temporary home of this process."""
     while _temporary_homes:
         shutil.rmtree(_temporary_homes.pop(), ignore_errors=True)

@@ -1,4 +1,4 @@
-"""Signals that wait, and workers that are deaf to Ctrl-C and do not run the calling script."""
+"""Signals and worker processes: deferred signals, and workers that ignore Ctrl-C and do not run the calling script."""
 
 import signal
 import sys
@@ -11,7 +11,7 @@ from types import ModuleType
 
 @contextmanager
 def defer_signals() -> Iterator[None]:
-    """Let SIGINT and SIGTERM wait until the end of the block, so that what it changes is never half done."""
+    """Defer SIGINT and SIGTERM to the end of the block, so that its changes are never left incomplete."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -30,11 +30,11 @@ def defer_signals() -> Iterator[None]:
 
 
 @contextmanager
-def deaf_children() -> Iterator[None]:
-    """Threads and processes that are started in the block never see Ctrl-C.
+def ignore_sigint_in_children() -> Iterator[None]:
+    """Let threads and processes that are started in the block ignore SIGINT.
 
-    A terminal sends it to the whole process group, and the parent decides what happens: a signal that is blocked
-    here is so in them.
+    A terminal sends SIGINT to the whole process group, and the parent decides what happens. Children inherit the signal
+    mask of the block.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -48,11 +48,11 @@ def deaf_children() -> Iterator[None]:
 
 
 @contextmanager
-def without_script() -> Iterator[None]:
-    """Processes that are started in the block do not import the calling script.
+def hide_main_module() -> Iterator[None]:
+    """Let processes that are started in the block not import the calling script, which they do not need.
 
-    They need nothing of it. Importing runs it: without ``if __name__ == "__main__":`` it would start workers of its
-    own, and one that was read from standard input can't be read again.
+    A script without ``if __name__ == "__main__":`` would start workers of its own, and a script that was read from
+    standard input can't be read again.
     """
     script = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")

@@ -1,4 +1,4 @@
-"""What memory this process has held."""
+"""Memory of this process and of the machine."""
 
 import math
 import os
@@ -6,7 +6,7 @@ import sys
 
 
 def peak_bytes() -> float:
-    """The most memory that this process has held since it began; NaN where the system does not say."""
+    """Peak memory of this process [byte]; NaN where the system does not report it."""
     try:
         import resource
     except ImportError:  # not a Unix system
@@ -16,7 +16,7 @@ def peak_bytes() -> float:
 
 
 def machine_bytes() -> float:
-    """The most memory that a process may hold here: the machine's, or what a limit of processes allows; inf unknown."""
+    """Largest memory of a process [byte], by the machine or its resource limits; inf if unknown."""
     try:
         most = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     except (AttributeError, ValueError, OSError):  # not a Unix system

@@ -1,4 +1,4 @@
-"""Text for a terminal: what files and options hold can neither control it nor fill it."""
+"""Text for a terminal: text from files and options can neither control the terminal nor fill it."""
 
 import sys
 
@@ -7,10 +7,7 @@ MOST_LINES = 10  # of an error
 
 
 def printable(text: object) -> str:
-    """The text in one line; characters that control a terminal, break lines or turn the direction are escaped.
-
-    Escaped is all that Unicode does not count as printable: ``\\x1b``, ``\\n``, ``\\u202e``, lone surrogates.
-    """
+    """Escape all characters that are not printable, such as ``\\x1b``, ``\\n``, ``\\u202e`` and lone surrogates."""
     line = str(text)
     if line.isprintable():
         return line
@@ -18,7 +15,7 @@ def printable(text: object) -> str:
 
 
 def shortened(line: str, longest: int = LONGEST) -> str:
-    """The line less its middle, if it is longer than that: its beginning has the file, its end what is expected."""
+    """Cut the middle of a long line: its beginning names the file, its end the values expected."""
     if len(line) <= longest:
         return line
     end = longest // 3
@@ -26,17 +23,17 @@ def shortened(line: str, longest: int = LONGEST) -> str:
 
 
 def short_lines(text: object) -> str:
-    """Printable lines of an error, each shortened, and how many there are more."""
+    """Printable lines of an error, each shortened, and the number of lines left out."""
     lines = [shortened(printable(line)) for line in str(text).split("\n")]
     more = len(lines) - MOST_LINES
     return "\n".join(lines if more <= 0 else [*lines[:MOST_LINES], f"and {more} more"])
 
 
 def say(text: object) -> None:
-    """Print a result to standard output, its lines printable."""
+    """Print a result to standard output in printable lines."""
     print("\n".join(map(printable, str(text).split("\n"))), file=sys.stdout, flush=True)
 
 
 def complain(text: object) -> None:
-    """Print an error, or a notice, to standard error: printable, and no more than can be read."""
+    """Print an error or a notice to standard error in a few printable lines."""
     print(short_lines(text), file=sys.stderr, flush=True)

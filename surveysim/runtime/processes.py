@@ -1,9 +1,9 @@
-"""Worker processes of this machine."""
+"""Engine "processes": worker processes on this machine."""
 
 import multiprocessing
 import signal
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -11,7 +11,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from surveysim.runtime.interrupt_signals import deaf_children, defer_signals, without_script
+from surveysim.runtime.interrupt_signals import defer_signals, hide_main_module, ignore_sigint_in_children
 from surveysim.runtime.worker_loss import LOSSES_ALLOWED, log, too_many_losses
 
 TAKEN_AHEAD = 2  # items that wait at a worker, so that it does not wait for the parent
@@ -22,18 +22,22 @@ Answer = tuple[Any, Exception | None]
 
 @dataclass
 class _Worker:
-    """A worker process, this end of its pipe, and the numbers of the items that it has not answered, in order."""
+    """Worker process, the parent's end of its pipe, and the numbers of its unanswered items in order."""
 
     process: BaseProcess
     pipe: Connection
     has: list[int] = field(default_factory=list)
 
 
-def in_processes(job: Callable[[Any], Any], items: Sequence[Any], workers: int) -> Iterator[Any]:
-    """`job(item)` for each item, in order, from so many worker processes.
+def in_processes(job: Callable[[Any], Any], items: Sequence[Any], workers: int) -> Generator[Any]:
+    """Yield ``job(item)`` for each item, in order, from worker processes.
 
-    A worker that is gone has its items done again by a new one. Raises what a job raises, and EngineError for an
-    item whose workers are gone again and again.
+    Items of a lost worker are repeated by a new one.
+
+    Raises
+    ------
+    EngineError
+        If workers are lost repeatedly with the same item. Errors of the job are raised as they are.
     """
     # A pipe a worker, and not an executor's shared queues: one that is killed while it holds a lock of the
     # queue, or halfway through a result, would leave the others and the parent waiting for ever.
@@ -65,7 +69,7 @@ def in_processes(job: Callable[[Any], Any], items: Sequence[Any], workers: int) 
 
 
 def _least_busy(crew: list[_Worker], job: Callable[[Any], Any], workers: int) -> _Worker | None:
-    """The worker to give an item to, a new one while there are fewer than `workers`; None if all are busy."""
+    """Choose the worker for the next item: a new one while there are fewer than `workers`; None if all are busy."""
     if len(crew) < workers:
         with defer_signals():
             crew.append(_start(job))
@@ -83,10 +87,11 @@ def _give(worker: _Worker, number: int, items: Sequence[Any]) -> None:
 
 
 def _collect(crew: list[_Worker]) -> dict[int, Answer]:
-    """(result, error) by number, of all workers that have one; waits for the first. Closes the pipes of the lost."""
+    """Wait for answers and return (result, error) by number; close the pipes of lost workers."""
     found = {}
     waiting = {worker.pipe: worker for worker in crew if worker.has}
-    for pipe in wait(list(waiting)):
+    ready: list[Any] = wait(list(waiting))
+    for pipe in ready:
         try:
             number, result, error = pipe.recv()
         except (EOFError, OSError):
@@ -98,7 +103,7 @@ def _collect(crew: list[_Worker]) -> dict[int, Answer]:
 
 
 def _of_the_lost(crew: list[_Worker], losses: Counter[int]) -> list[int]:
-    """Numbers that are to be given out again, of workers that are gone and leave the crew."""
+    """Remove lost workers from the crew and return the numbers of their items."""
     lost = [worker for worker in crew if worker.pipe.closed]
     for worker in lost:
         worker.process.join(ENDS_S)  # by itself, so that its exit code is its own
@@ -113,26 +118,26 @@ def _of_the_lost(crew: list[_Worker], losses: Counter[int]) -> list[int]:
 
 
 def _start(job: Callable[[Any], Any]) -> _Worker:
-    """A new worker."""
+    """Start a worker process."""
     # Spawned, not forked: a fork in a process with threads can hang, and does not exist everywhere.
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_work, args=(job, theirs), daemon=True)
-    with deaf_children(), without_script():
+    with ignore_sigint_in_children(), hide_main_module():
         process.start()
     theirs.close()  # held by the worker alone: its end closes with it
     return _Worker(process, ours)
 
 
 def _work(job: Callable[[Any], Any], pipe: Connection) -> None:
-    """Answer items from the parent until it is gone."""
+    """Answer items from the parent until its pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threadpool_limits(1)
     try:
         while True:
             number, item = pipe.recv()
             try:
-                answer = (number, job(item), None)
+                answer: tuple[int, Any, Exception | None] = (number, job(item), None)
             except Exception as error:  # whatever it is, the parent decides
                 answer = (number, None, error)
             pipe.send(answer)

@@ -1,4 +1,4 @@
-"""Where results come from: versions and the moment, as every summary.json has them."""
+"""Provenance of results: versions and time, as in every summary.json."""
 
 import platform
 from datetime import UTC, datetime
@@ -11,11 +11,11 @@ PACKAGES = ("numpy", "scipy", "numba", "astropy", "healpy", "ducc0", "h5py", "py
 
 
 def made_by() -> dict[str, Any]:
-    """Versions of what computes here."""
+    """Versions of surveysim, Python and the packages it computes with."""
     packages = {name: version(name) for name in PACKAGES}
     return {"surveysim": __version__, "python": platform.python_version(), "packages": packages}
 
 
 def now() -> str:
-    """This moment: ISO 8601, UTC, to the second."""
+    """Current time: ISO 8601, UTC, to the second."""
     return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,6 +1,6 @@
-"""Random generators keyed by seed, realization, observation, purpose and block.
+"""Random generators keyed by seed, realization, observation and purpose, and by block.
 
-Leaving a stage out, changing the number of workers, resuming or re-ordering moves no other draw.
+Draws of one purpose do not depend on other stages, on the number of workers, or on the order of observations.
 """
 
 from enum import IntEnum
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class RandomPurpose(IntEnum):
-    """Purposes of random numbers that have a number. Numbers are given once and never reused."""
+    """Purpose of a stream of random numbers; its number is part of the key and never reused."""
 
     WEATHER = 0
     POINTING = 1
@@ -29,12 +29,18 @@ class RandomPurpose(IntEnum):
 
 
 def generator(
-    seed: int, purpose: RandomPurpose | str, observation: int = 0, realization: int = 0, block: int = 0
+    seed: int, purpose: RandomPurpose | str, observation: int = 0, *, realization: int = 0, block: int = 0
 ) -> np.random.Generator:
-    """Create the generator of one purpose in one observation of one realization.
+    """Make the random generator of one purpose in one observation and realization.
 
-    Blocks of an observation beyond the first have keys that are longer, and so no other's. A new stream component takes
-    its own name as the purpose: its number is a hash of the name.
+    Parameters
+    ----------
+    seed
+        Seed of the scene.
+    purpose
+        Purpose of the random numbers. A new stream component takes its own name: the number is a hash of the name.
+    observation, realization, block
+        Indices from 0. Block 0 is not part of the key.
     """
     number = int.from_bytes(sha256(purpose.encode()).digest()[:8]) if isinstance(purpose, str) else int(purpose)
     key = (realization, observation, number, *((block,) if block else ()))

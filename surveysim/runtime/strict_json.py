@@ -1,4 +1,4 @@
-"""JSON that every reader takes: numbers that are unknown or infinite are null."""
+"""JSON that any reader accepts: NaN and infinity become null."""
 
 import json
 import math
@@ -9,10 +9,16 @@ import numpy as np
 
 
 def strict_json(content: Any, **look: Any) -> str:
-    """The content as JSON text; `look` are options of `json.dumps`, as ``indent=2``.
+    """Write content as JSON text.
 
-    JSON has no NaN and no infinity: they become null. Scalars and arrays of numpy become numbers and lists. Raises
-    TypeError for what is no JSON at all.
+    NaN and infinity become null; scalars and arrays of numpy become numbers and lists.
+
+    Parameters
+    ----------
+    content
+        Nested mappings, sequences, numbers and text.
+    **look
+        Options of `json.dumps`, such as ``indent=2``.
     """
     return json.dumps(_plain(content), allow_nan=False, **look)
 

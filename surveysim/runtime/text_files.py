@@ -1,4 +1,4 @@
-"""Texts from outside: files that are read whole, and what an error shows of what they hold."""
+"""Text from outside: reading of whole files, and quotes of their content in error messages."""
 
 import os
 import stat
@@ -12,10 +12,12 @@ LONGEST_KEY = 100
 
 
 def read_text(path: Path, most_bytes: int) -> str:
-    """The text of a regular file in UTF-8, a byte order mark dropped.
+    """Read a regular file in UTF-8, without byte order mark.
 
-    Raises InputError for anything else (folders, pipes and devices are not opened for reading), for more than
-    `most_bytes`, and for another encoding.
+    Raises
+    ------
+    InputError
+        For directories, pipes and devices, for more than `most_bytes`, and for another encoding.
     """
     return _decoded(_read_bytes(path, most_bytes))
 
@@ -43,17 +45,17 @@ def _decoded(content: bytes) -> str:
 
 
 def key_text(text: str) -> str:
-    """A key as errors show it: printable, and not longer than keys are."""
+    """Quote a key for an error message: printable, and no longer than `LONGEST_KEY`."""
     return shortened(printable(text), LONGEST_KEY)
 
 
 def one_line(error: object, longest: int = 200) -> str:
-    """The text of an error, or of its type if it has none, in one printable line of so many characters at most."""
+    """Text of an error, or its type, in one printable line of at most `longest` characters."""
     return shortened(printable(" ".join(str(error).split()) or type(error).__name__), longest)
 
 
 def nested_deeper(value: Any, depth: int) -> bool:
-    """Whether tables and lists stand within each other more than `depth` deep."""
+    """Whether tables and lists are nested more than `depth` deep."""
     level = [value]
     for _ in range(depth + 1):
         inner = [item.values() if isinstance(item, dict) else item for item in level if isinstance(item, dict | list)]

@@ -1,5 +1,6 @@
-"""The scene file: sections, keys, units, bounds and the errors that refuse a wrong one.
+"""Scene files: sections, keys, units, bounds, and the error messages that refuse a wrong one.
 
-`scene.scene` reads a file into a `Scene`; the other modules hold one section each, in internal units. `fields` and
-`units` turn texts into numbers, `sites` and `position_table` read the tables that a scene names.
+`scene.scene` reads a file into a `Scene`. `instrument`, `observing`, `atmosphere`, `noise_and_sky`, `analysis` and
+`numerics` define its sections. `fields` and `units` convert texts to numbers in internal units. `sites` and
+`position_table` read the tables that a scene refers to; `keys` lists all keys.
 """

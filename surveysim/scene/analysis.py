@@ -1,4 +1,4 @@
-"""Sections that say how streams become maps and scores."""
+"""Sections [cleaning], [map] and [score]: from time-streams to maps and uncertainties."""
 
 from typing import Annotated, Literal, Self
 
@@ -24,30 +24,30 @@ LONGEST_NAME = 100  # letters of a cleaning that is compared
 
 
 class Cleaning(Section):
-    """The subtraction algorithm, or several in order, others to compare it with, and what they need to know."""
+    """Cleaning algorithms of the time-streams and their parameters."""
 
     algorithm: Steps
-    """What the scene cleans with: an algorithm, or several that are applied in order."""
+    """Cleaning algorithm, or a list of algorithms applied in this order."""
     compare: tuple[Steps, ...] = ()
-    """Other ways of cleaning the same streams, scored as data sets beside it and as "optimal", the best of each; the
-    names of one that has several algorithms make 100 letters at most, as they name its files."""
+    """Alternative cleaning pipelines of the same time-streams, each scored as a data set of its own, and together as
+    "optimal", the best of each observation. The joined names of a pipeline have 100 letters at most."""
     tolerance: Annotated[float, *number(1e-12, 0.999999)]
-    """Mean fractional change of the responsivities at which the iteration of templates ends."""
+    """Mean fractional change of the responsivities at which the template fit has converged."""
     max_iterations: Annotated[int, *whole(1, 100_000)]
-    """A scan, or an observation that is fitted as one, whose fit takes more is discarded."""
+    """Largest number of iterations of the template fit; scans whose fit does not converge are discarded."""
     sigma_cut: Positive | None = None
-    """Needed by "pca": removes modes whose log eigenvalue is more than so many standard deviations above the mean."""
+    """Required by "pca": modes whose log eigenvalue exceeds the mean by this many standard deviations are removed."""
     responsivities: Literal["scan", "observation", "survey", "known"] = "scan"
-    """Whose responsivities templates are subtracted with: fitted to each scan, as in the paper, or to all scans of an
-    observation together; the true ones with an error that lasts the survey, or without."""
+    """Responsivities used by template subtraction: "scan" and "observation" fit them to each scan or observation,
+    "survey" uses the true values with a constant calibration error, "known" the true values."""
     calibration_error: Annotated[float, *number(1e-9, 1)] | None = None
-    """Needed by responsivities "survey", which alone use it: rms error of these, relative and log-normal."""
+    """Required by responsivities "survey": their relative rms error (log-normal)."""
     neighbour_radius: Positive | None = None
-    """Needed by "local": detectors within so many closest separations are neighbours."""
+    """Required by "local": radius of the neighbourhood of a detector, in units of the closest separation."""
     order: Annotated[int, *whole(0, 20)] | None = None
-    """Needed by "polynomial": order of the templates over the focal plane."""
+    """Required by "polynomial": order of the polynomial over the focal plane."""
     regions: Annotated[int, *whole(1, 1000)] | None = None
-    """Needed by "polynomial": regions of the focal plane, each with templates of its own."""
+    """Required by "polynomial": number of regions of the focal plane with separate polynomials."""
 
     @model_validator(mode="after")
     def _each_algorithm_has_its_keys(self) -> Self:
@@ -87,57 +87,58 @@ class Cleaning(Section):
 
 
 class MapSection(Section):
-    """Pixels of the map."""
+    """Pixels of the maps."""
 
     pixel_rad: PositiveAngle = Field(alias="pixel")
-    """Side of a pixel in the tangent plane; a third of the beam is fine."""
+    """Side of a square pixel in the tangent plane; a third of the beam FWHM is small enough."""
     healpix_nside: Nside = None
-    """Write the maps in HEALPix of this nside too."""
+    """Nside of additional HEALPix maps."""
 
 
 class SignalSims(Section):
-    """Signal simulations: flat-CMB skies that measure the transfer function of cleaning."""
+    """Signal simulations: CMB skies with a flat band power that measure the transfer function of cleaning."""
 
     skies: Annotated[int, *whole(2, 1000)]
-    """How many skies."""
+    """Number of skies."""
     observations: Annotated[int, *whole(1, 1_000_000)]
-    """How many observations carry them, spread over the survey."""
+    """Number of observations with simulated signal, spread evenly over the survey."""
     band_power_ukcmb2: PositiveBandPower = Field(alias="band_power")
-    """Their band power; the transfer function does not depend on it."""
+    """Band power of the skies; the transfer function does not depend on it."""
 
 
 class Reference(Section):
-    """Published uncertainties to print beside the run's, by data set."""
+    """Published uncertainties, printed next to the results."""
 
     source: Line
-    """Where they are from."""
+    """Source of the published values."""
     values_ukcmb2: BandPowers = Field(alias="values")
-    """sigma(A) by name of the data set."""
+    """Published sigma(A) of each data set."""
     gains: Ratios = ()
-    """Ratios by name, as "actual / uncorrelated"."""
+    """Published ratios of sigma(A), such as "actual / uncorrelated"."""
 
 
 class Score(Section):
-    """The flat band-power uncertainty: which sky area, which multipoles, which data sets."""
+    """Uncertainty sigma(A) of a flat band power: map region, multipoles, data sets."""
 
     size_rad: PositiveAngle = Field(alias="size")
-    """Side of the square of the map that is scored."""
+    """Side of the square region of the map that is scored."""
     taper_fraction: Share
-    """Share of that side that its two cosine edges take."""
+    """Fraction of the side that is taken by the two cosine edges of the taper."""
     ell_bin: Annotated[int, *whole(1, 1_000_000)]
-    """Width of the bins of multipole."""
+    """Width of the multipole bins."""
     ell_min: Annotated[int, *whole(1, 10_000_000)]
     """Lowest multipole that is scored."""
     ell_max: Annotated[int, *whole(2, 10_000_000)]
-    """Highest multipole that is scored, a bin above `ell_min` or more."""
+    """Highest multipole that is scored, at least `ell_min` plus `ell_bin`."""
     jackknives: Annotated[int, *whole(2, 1000)]
-    """Co-adds with random signs that measure the noise."""
+    """Number of jackknife realizations: co-adds of the observations with random signs, which measure the noise."""
     white_noise_above_hz: Frequency = Field(alias="white_noise_above")
-    """The streams' level above this frequency is their white level."""
+    """Lowest frequency of the range in which the white-noise level is measured."""
     mask_separation_f_lambda: Positive | None = None
-    """Score also the array masked to detectors at least so many (f/#)lambda apart."""
+    """Smallest separation of detectors, in (f/#)lambda, of an additional masked array that is scored too."""
     noise_only_sets: tuple[Literal["uncorrelated", "white"], ...]
-    """Data sets made of each detector's measured spectrum without correlations, and of its white level."""
+    """Additional noise-only data sets: "uncorrelated" has the measured spectrum of each detector without correlations,
+    "white" its white-noise level."""
     signal_sims: SignalSims
     reference: Reference | None = None
 

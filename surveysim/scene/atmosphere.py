@@ -1,4 +1,4 @@
-"""The section of the atmosphere."""
+"""Section [atmosphere]: the turbulent layer, its weather and the site."""
 
 from fractions import Fraction
 from typing import Annotated, Any, Self
@@ -26,48 +26,48 @@ from surveysim.scene.sites import with_site
 from surveysim.scene.units import shown, to_floats
 
 KOLMOGOROV = Fraction(11, 3)  # the index that amplitudes of fluctuations in `sites.toml` belong to
-_OF_SITE = {"otherwise": "the site's"}
+_OF_SITE: Any = {"otherwise": "the site's"}
 
 
 class Atmosphere(Section):
-    """The Kolmogorov-Taylor thin screen and the distributions that each observation draws from.
+    """Kolmogorov-Taylor thin screen, and the distributions from which the weather of each observation is drawn.
 
-    A `site` gives the keys that the scene leaves out: layer height, wind, water and its fluctuations, from which B2
-    follows. With `b2` beside a site the B2 that follows keeps its rank and takes these quantiles; without a site there
-    is no water.
+    A `site` supplies the keys that the scene leaves out: layer height, wind, water vapour and its fluctuations, which
+    determine B2. If `b2` is given as well, B2 follows these quantiles, at the rank of the drawn water. Without a site
+    there is no water vapour.
     """
 
     spectral_index: Index
-    """b of the power spectrum B2 sin(el)^(1 - b) alpha^-b of the layer; 11/3 is Kolmogorov's."""
+    """Spectral index b of the layer's power spectrum B2 sin(el)^(1 - b) alpha^-b; Kolmogorov turbulence has 11/3."""
     illuminated_aperture_m: Length = Field(alias="illuminated_aperture")
-    """Diameter of the aperture that is lit: a pixel sees the layer through a top hat of it."""
+    """Diameter of the illuminated aperture, the width of a pixel's top-hat beam at the layer."""
     outer_scale_m: Length | None = Field(alias="outer_scale", default=None)
-    """Scale beyond which fluctuations no longer grow (von Karman), no less than the aperture. Needed for an index of 4
-    or more."""
+    """Outer scale of the turbulence (von Karman), no smaller than the illuminated aperture. Required for a spectral
+    index of 4 or more."""
     site: SiteName = None
-    """Where the weather is from: its water and opacity, and the keys that are left out below."""
+    """Site that supplies water vapour, opacity and the keys that are left out."""
     layer_height_m: Length = Field(alias="layer_height", json_schema_extra=_OF_SITE)
-    """Height of the layer above the telescope, at the zenith."""
+    """Height of the layer above the telescope."""
     b2_probabilities: Probabilities = ()
-    """Probabilities, between 0 and 1, of the quantiles `b2`."""
+    """Probabilities of the quantiles `b2`, between 0 and 1."""
     b2: B2s = Field(default=(), json_schema_extra={"otherwise": "follows from the site"})
-    """Quantiles of B2, the amplitude of the layer's power spectrum at the zenith, over the survey."""
+    """Quantiles of B2, the amplitude of the layer's power spectrum at the zenith."""
     pwv_probabilities: Probabilities = Field(default=(), json_schema_extra=_OF_SITE)
-    """Probabilities of the quantiles `pwv`: the first is 0 and the last 1, or there is one value alone."""
+    """Probabilities of the quantiles `pwv`, from 0 to 1; a single value for constant water vapour."""
     pwv_mm: Waters = Field(alias="pwv", default=(), json_schema_extra=_OF_SITE)
-    """Quantiles of the precipitable water over the site at the zenith, from the driest to the wettest; ln PWV is linear
-    in the probability between them. One value: the same water in all observations."""
+    """Quantiles of precipitable water vapour (PWV) at the zenith; ln PWV is interpolated linearly in probability. A
+    single value holds for all observations."""
     water_fluctuation_probabilities: Probabilities = Field(default=(), json_schema_extra=_OF_SITE)
-    """Probabilities, between 0 and 1, of the quantiles `water_fluctuation`."""
+    """Probabilities of the quantiles `water_fluctuation`, between 0 and 1."""
     water_fluctuation: Fluctuations = Field(default=(), json_schema_extra=_OF_SITE)
-    """Quantiles of (delta C / C)^2, the water's fractional fluctuations as an amplitude like B2. A site's are those of
-    an index of 11/3: with another index this key is needed, or `b2`, beside which its ranks alone count."""
+    """Quantiles of (delta C / C)^2, the amplitude of the power spectrum of fractional water fluctuations. The values of
+    a site hold for a spectral index of 11/3; another index requires this key or `b2`."""
     wind_median_rad_s: SpeedExtent = Field(alias="wind_median", json_schema_extra=_OF_SITE)
-    """Median angular speed of the layer, which blows from anywhere."""
+    """Median angular speed of the wind in the layer; its direction is uniformly distributed."""
     wind_log_scatter: Annotated[float, *number(0, 2)] = Field(json_schema_extra=_OF_SITE)
-    """Scatter of the logarithm of that speed."""
+    """Standard deviation of the natural logarithm of the wind speed."""
     wind_b2_exponent: Annotated[float, *number(-2, 2)] = 0.0
-    """The median wind goes as this power of B2 over its median."""
+    """Exponent of the median wind speed as a power of B2 over its median."""
 
     @model_validator(mode="before")
     @classmethod
@@ -97,7 +97,7 @@ class Atmosphere(Section):
                 )
             # B2 has quantiles of its own, of which each draw takes that of its rank: an amplitude's unit drops out.
             of_water = f"rad({2 - KOLMOGOROV})"
-        found = {}
+        found: dict[str, Any] = {}
         for name, unit in (("b2", f"mK2 {power}"), ("water_fluctuation", of_water)):
             try:
                 found |= {name: to_floats(data[name], unit) if power else ()} if name in data else {}

@@ -1,7 +1,7 @@
-"""The values that a scene file may hold: quantities, angles, dates, names, and how each is refused.
+"""Types of the values in a scene file: quantities, angles, dates, names, with their bounds.
 
-Every type turns what the file says into a float in internal units (or a checked name), and raises
-ValueError with what was found and what is expected.
+Each type converts the value of the file to a float in internal units, or to a checked name. It raises ValueError with
+the value found and the values expected.
 """
 
 import math
@@ -25,10 +25,9 @@ PSD_MAX_MK2_HZ = 1e12  # of any white noise, one-sided, Rayleigh-Jeans
 
 
 def of_file(kind: str | list[str], **facts: object) -> WithJsonSchema:
-    """What the schema says of a value as it stands in the file: its type, and its unit, bounds or choices.
+    """Describe a value of the file in the JSON schema: type, unit, bounds or choices.
 
-    Beside JSON Schema's own words these are `unit`, to which it must convert, and `at_least` and `at_most`, bounds as
-    quantities.
+    Three keywords extend JSON Schema: `unit`, and the bounds `at_least` and `at_most`, which are quantities.
     """
     return WithJsonSchema({"type": kind} | {key: fact for key, fact in facts.items() if fact is not None})
 
@@ -38,12 +37,12 @@ def _several(unit: str, example: str, most: float) -> WithJsonSchema:
 
 
 def number(least: float, most: float) -> tuple[Any, BeforeValidator]:
-    """A plain number of the file from `least` to `most`, to be unpacked into an `Annotated` type."""
+    """Accept a number from `least` to `most`; the result is unpacked into an `Annotated` type."""
     return Field(ge=least, le=most, allow_inf_nan=False), BeforeValidator(_plain)
 
 
 def whole(least: int, most: int) -> tuple[Any, BeforeValidator]:
-    """A whole number of the file from `least` to `most`; as `number`."""
+    """Accept an integer from `least` to `most`; as `number`."""
     return Field(ge=least, le=most), BeforeValidator(_whole)
 
 
@@ -54,9 +53,16 @@ def quantity(
     at_most: str | None = None,
     zero_or: str | None = None,
 ) -> tuple[BeforeValidator, WithJsonSchema]:
-    """A string with a unit to a float in `unit`, within bounds in it, or as quantities ("30 deg").
+    """Accept a quantity and convert it to a unit; the result is unpacked into an `Annotated` type.
 
-    `zero_or` is the smallest value but 0. With what the schema says of it, to be unpacked into an `Annotated` type.
+    Parameters
+    ----------
+    unit
+        Unit of the result.
+    above, at_least, at_most
+        Bounds, in `unit` or as quantities such as "30 deg".
+    zero_or
+        Smallest value other than 0.
     """
     least = to_float(at_least, unit) if isinstance(at_least, str) else at_least
     most = None if at_most is None else to_float(at_most, unit)
@@ -82,7 +88,7 @@ def quantity(
 
 
 def quantities(unit: str, example: str, zero_or: str, at_most: str) -> tuple[BeforeValidator, WithJsonSchema]:
-    """A list of quantities to floats in `unit`, each 0 or from `zero_or` to `at_most`; as `quantity`."""
+    """Accept a list of quantities, each 0 or from `zero_or` to `at_most`; as `quantity`."""
     least, most = to_float(zero_or, unit), to_float(at_most, unit)
 
     def check(value: object) -> tuple[float, ...]:
@@ -98,7 +104,7 @@ def quantities(unit: str, example: str, zero_or: str, at_most: str) -> tuple[Bef
 
 
 def _plain(value: object) -> object:
-    """A number of the file; a text or a date is none, whatever digits it has."""
+    """Refuse anything but a number, text and dates included."""
     if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
         raise ValueError(f"found {shown(value)}; a number is expected")
     return value
@@ -135,7 +141,7 @@ def _longitude(value: object) -> float:
     return angle
 
 
-def _date(value: object) -> str:
+def _date(value: Any) -> str:
     try:
         found = date.fromisoformat(value)
     except (TypeError, ValueError):
@@ -177,7 +183,7 @@ def _steps(value: object) -> object:
 
 
 def _steps_of_file(schema: dict[str, object]) -> None:
-    """Say in the schema which steps there are: one alone needs no list."""
+    """List the cleaning algorithms in the schema; a single one needs no list."""
     from mapmaker.cleaning import CLEANERS
 
     schema |= {"type": ["string", "array"], "items": {"enum": list(CLEANERS)}}
@@ -190,7 +196,7 @@ def _site(value: object) -> object:
 
 
 def _pairs(value: object) -> object:
-    """A table of the file as pairs."""
+    """Convert a table to pairs."""
     for name in value if isinstance(value, dict) else ():
         if not name.isprintable() or len(name) > LONGEST_LINE:
             raise ValueError(f"found the name {shown(name)}; one line without control characters is expected")

@@ -1,4 +1,4 @@
-"""The section of the instrument: band, beam, optics, focal plane."""
+"""Section [instrument]: band, beam, optics and focal plane."""
 
 from typing import Annotated, Self
 
@@ -22,16 +22,17 @@ from surveysim.scene.units import rj_to_cmb
 
 
 class Layout(Section):
-    """A hexagonal layout around a central position: `rings`, or as many as a round `field_of_view` has room for."""
+    """Hexagonal lattice of detectors around a central position, limited by `rings` or by a round `field_of_view`."""
 
     rings: Annotated[int, *whole(0, 60)] | None = None
-    """Rings around the central position: n rings have 3 n (n + 1) + 1 positions. Or `field_of_view`."""
+    """Number of rings around the central position: n rings have 3 n (n + 1) + 1 positions. Alternative:
+    `field_of_view`."""
     field_of_view_rad: PositiveAngle | None = Field(alias="field_of_view", default=None)
-    """Diameter of a round area, filled with as many positions as have room in it. Or `rings`."""
+    """Diameter of a round area filled with detectors. Alternative: `rings`."""
     pitch_f_lambda: Annotated[float, *number(0.1, 1000)]
-    """Distance of neighbouring positions, in (f/#)lambda."""
+    """Distance between neighbouring detectors, in (f/#)lambda."""
     dead: tuple[Annotated[int, *whole(0, 10_980)], ...] = ()
-    """Positions without a detector: numbers from 0 at the centre outwards, those equally far by angle."""
+    """Positions without a working detector, counted from 0 at the centre outwards, at equal distance by angle."""
 
     @model_validator(mode="after")
     def _one_extent(self) -> Self:
@@ -41,55 +42,57 @@ class Layout(Section):
 
 
 class OtherBand(Section):
-    """Another band of every pixel: its place in the spectrum and its noise, all of it white."""
+    """Another frequency band of every pixel; its noise is white."""
 
     frequency_hz: BandFrequency = Field(alias="frequency")
-    """Centre of the band."""
+    """Centre frequency of the band."""
     bandwidth: Bandwidth
-    """Width of the band, as a share of its frequency."""
+    """Width of the band as a fraction of its centre frequency."""
     psd_mk2_hz: NoisePsd = Field(alias="psd")
-    """White noise of a detector, one-sided, in Rayleigh-Jeans temperature."""
+    """One-sided white-noise PSD of a detector, in Rayleigh-Jeans temperature."""
 
 
 class Instrument(Section):
     """Band, beam, optics and focal plane; detectors from `layout` or from the table `positions`.
 
-    Pixels light the stop uniformly, or as horns of the diameter `horn_f_lambda` or with an `edge_taper` do.
-    `efficiency` and `polarizations` turn optical power into temperature: they are needed where noise is given by power,
-    in `photon.load` and `detector.nep`.
+    Pixels illuminate the stop uniformly, unless `horn_f_lambda` or `edge_taper` is given. `efficiency` and
+    `polarizations` convert optical power to temperature. They are required where noise is given by power, in
+    `photon.load` and `detector.nep`.
     """
 
     frequency_hz: BandFrequency = Field(alias="frequency")
-    """Centre of the band, which has straight sides."""
+    """Centre frequency of the band, a top hat."""
     bandwidth: Bandwidth | None = None
-    """Width of the band, as a share of its frequency; without it, CMB temperature is that of the band's centre. Needed
-    with `atmosphere.site` and where noise is by power."""
+    """Width of the band as a fraction of its centre frequency. Without it, CMB temperatures are converted at the centre
+    frequency. Required with `atmosphere.site` and where noise is given by power."""
     beam_fwhm_rad: BeamWidth = Field(alias="beam_fwhm")
-    """Full width at half maximum of the Gaussian beam on the sky."""
+    """Full width at half maximum (FWHM) of the Gaussian beam on the sky."""
     f_lambda_rad: PositiveAngle = Field(alias="f_lambda")
-    """One (f/#)lambda on the sky: the wavelength over the diameter of the aperture that is lit."""
+    """Angle on the sky of one (f/#)lambda: wavelength over diameter of the illuminated aperture."""
     responsivity_scatter: Share
-    """Scatter of the detectors' responsivities, relative and log-normal, fixed for the survey."""
+    """Relative scatter of the detectors' responsivities (log-normal), constant over the survey."""
     camera_rotation_range_rad: AngleExtent = Field(alias="camera_rotation_range")
-    """Full range of the angle by which the camera is turned from one observation to the next."""
+    """Full range of the camera's rotation angle, drawn uniformly for each observation."""
     horn_f_lambda: Annotated[float, *number(0.1, 20)] | None = None
-    """Diameter of the pixels' horns in (f/#)lambda, no more than the pitch: sets taper and spill on the stop."""
+    """Diameter of the feed horns in (f/#)lambda, up to the distance between detectors. It sets the edge taper and the
+    spillover at the stop."""
     edge_taper_db: Taper | None = Field(alias="edge_taper", default=None)
-    """Gaussian taper with which pixels light the stop, at its edge; 0 dB lights it uniformly. Not beside horns."""
+    """Edge taper of a Gaussian illumination of the stop; 0 dB is uniform. Alternative: `horn_f_lambda`."""
     efficiency: Annotated[float, *number(1e-4, 1)] | None = None
-    """Optical efficiency from window to detector, without what horns spill on the stop."""
+    """Optical efficiency from window to detector, spillover at the stop excluded."""
     polarizations: Annotated[int, *whole(1, 2)] | None = None
-    """Polarizations that a detector takes in."""
+    """Number of polarizations that a detector absorbs."""
     layout: Layout | None = None
-    """Or `positions`."""
+    """Alternative: `positions`."""
     positions: TableFile = None
-    """Detectors in a table beside the scene, columns `x` and `y` with angular units. Or a `layout`."""
+    """ECSV table of detectors with the columns `x` and `y` in angular units; path relative to the scene file.
+    Alternative: `layout`."""
     bands: tuple[OtherBand, ...] = ()
-    """Any number of them, for "spectral" cleaning, which subtracts them from the band that is mapped."""
+    """Other frequency bands of the same pixels, used by "spectral" cleaning."""
 
     @property
     def cmb_per_rj(self) -> float:
-        """Thermodynamic CMB temperature per Rayleigh-Jeans temperature over the band."""
+        """Thermodynamic CMB temperature per Rayleigh-Jeans temperature, averaged over the band."""
         return rj_to_cmb(self.frequency_hz, self.bandwidth or 0.0)
 
     @model_validator(mode="after")
@@ -97,5 +100,7 @@ class Instrument(Section):
         if (self.layout is None) == (self.positions is None):
             raise ValueError("exactly one of 'layout' (a section) and 'positions' (an ECSV file) is expected")
         if self.horn_f_lambda is not None and self.edge_taper_db is not None:
-            raise ValueError("edge_taper: found beside 'horn_f_lambda', which sets it; one of them is expected")
+            raise ValueError(
+                "edge_taper: found together with 'horn_f_lambda', which sets it; one of the two is expected"
+            )
         return self

@@ -1,4 +1,4 @@
-"""Sections of what else is in the time-streams: excess, photon and detector noise, sky."""
+"""Sections [excess], [photon], [detector] and [sky]: noise and astronomical signal in the time-streams."""
 
 from typing import Annotated, Any, Self
 
@@ -27,19 +27,20 @@ from surveysim.scene.units import shown
 
 
 class Excess(Section):
-    """Excess low-frequency noise: variance below a band limit against B2, spectrum f^-index."""
+    """Excess low-frequency noise with a power-law spectrum and a variance that depends on B2."""
 
     spectral_index: Annotated[float, *number(0, 10)]
-    """The spectrum goes as f to minus this."""
+    """Spectral index: the PSD is proportional to f to minus this power."""
     band_limit_hz: Frequency = Field(alias="band_limit")
-    """The variance is that below this frequency."""
+    """Upper limit of the frequencies that `variance` includes."""
     b2: B2Knots
-    """Values of B2 [mK^2 rad^(2 - index)] for which the variance is given; one value: it is the same in any weather."""
+    """Values of B2 [mK^2 rad^(2 - index)] at which the variance is given. A single value makes the variance independent
+    of the weather."""
     variance_mk2: Variances = Field(alias="variance")
-    """Variance of a mean-removed scan at each: between them interpolated in logarithms, beyond them constant."""
+    """Variance of a mean-removed scan at each `b2`; interpolated linearly in logarithms, constant beyond the ends."""
     coherence: Coherence
-    """What pixels share by overlap: gamma of the field, the hypothesis of Sayers et al. (2010); gamma squared, as were
-    all of it bunching of light through the beam; or nothing. All three are assumptions: its origin is not known."""
+    """Correlation between overlapping pixels: "field" is the field coherence gamma, "intensity" its square, "none" no
+    correlation."""
 
     @model_validator(mode="after")
     def _knots_fit(self) -> Self:
@@ -54,46 +55,46 @@ class Excess(Section):
 
 
 class OpticalLoad(Section):
-    """The load of a pixel at the cryostat's window, Rayleigh-Jeans.
+    """Optical load of a pixel at the cryostat window, in Rayleigh-Jeans temperature.
 
-    Noise is in temperature above the atmosphere. Where the sky's load follows from the site, so does the transmission
-    that this takes; with a load that is stated it is taken as 1.
+    Noise temperatures refer to the sky above the atmosphere. The transmission of the atmosphere follows from the site;
+    where `sky` is given it is 1.
     """
 
     sky_k: Load | None = Field(alias="sky", default=None, json_schema_extra={"otherwise": "that of the site's water"})
-    """Load through the beam, which neighbours share; without it a site is needed."""
+    """Load through the beam, coherent between overlapping pixels. Without it, `atmosphere.site` is required."""
     optics_k: Load = Field(alias="optics")
-    """Load scattered in from warm surfaces, of which no two pixels see the same."""
+    """Load from warm optics, uncorrelated between pixels."""
 
 
 class Photon(Section):
-    """Photon noise, of which a coherent part is shared by overlapping pixels.
+    """Photon noise, correlated between overlapping pixels.
 
-    Either a PSD and the part that is coherent, or the load from which both follow.
+    Given by a PSD and its coherent fraction, or by the optical load, which determines both.
     """
 
     psd_mk2_hz: NoisePsd | None = Field(alias="psd", default=None)
-    """Photon noise of a detector, white, one-sided, in Rayleigh-Jeans temperature. Or `load`."""
+    """One-sided PSD of a detector's photon noise, in Rayleigh-Jeans temperature. Alternative: `load`."""
     coherent_fraction: Share | None = None
-    """Share of the load that comes through the beam, where pixels overlap; with `psd` only."""
+    """Fraction of the load that comes through the beam. Required with `psd`, not allowed with `load`."""
     bose_fraction: Share | None = None
-    """Share of the noise `psd` that is bunching (Bose), not shot noise. Needed with `psd` and coherence "intensity"."""
+    """Fraction of the noise `psd` that is photon bunching (Bose noise) instead of shot noise. Required with `psd` and
+    coherence "intensity"."""
     load: OpticalLoad | None = None
-    """The load from which the noise follows. Or `psd`."""
+    """Alternative: `psd`."""
     coherence: Coherence
-    """What pixels share by overlap: of all noise of the load through the beam gamma of the field, the hypothesis of
-    Sayers et al. (2010); of the bunching alone, which goes as the square of that load, gamma squared (Hanbury Brown and
-    Twiss); or nothing."""
+    """Correlation between overlapping pixels: "field" correlates all noise of the load through the beam by the field
+    coherence gamma, "intensity" its bunching only by gamma squared (Hanbury Brown and Twiss), "none" nothing."""
 
     @model_validator(mode="after")
     def _psd_or_load(self) -> Self:
         if (self.psd_mk2_hz is None) == (self.load is None):
             raise ValueError("exactly one of 'psd' and 'load' (a section) is expected")
         if (self.psd_mk2_hz is None) != (self.coherent_fraction is None):
-            found = "missing; 'psd' needs it" if self.load is None else "found beside 'load', which sets it"
+            found = "missing; 'psd' needs it" if self.load is None else "found together with 'load', which sets it"
             raise ValueError(f"coherent_fraction: {found}")
         if self.load is not None and self.bose_fraction is not None:
-            raise ValueError("bose_fraction: found beside 'load', which sets it")
+            raise ValueError("bose_fraction: found together with 'load', which sets it")
         if self.load is None and self.coherence == "intensity" and self.bose_fraction is None:
             raise ValueError(
                 "bose_fraction: missing; 'psd' with coherence 'intensity' needs it, as the bunching alone is shared: "
@@ -103,12 +104,12 @@ class Photon(Section):
 
 
 class Detector(Section):
-    """White noise of detectors and electronics, uncorrelated: a PSD, or a noise-equivalent power."""
+    """White noise of detectors and readout, uncorrelated between detectors."""
 
     psd_mk2_hz: NoisePsd | None = Field(alias="psd", default=None)
-    """White noise of a detector, one-sided, in Rayleigh-Jeans temperature. Or `nep`."""
+    """One-sided white-noise PSD of a detector, in Rayleigh-Jeans temperature. Alternative: `nep`."""
     nep_w_rthz: Nep | None = Field(alias="nep", default=None)
-    """Noise-equivalent power. Or `psd`."""
+    """Noise-equivalent power (NEP) of a detector. Alternative: `psd`."""
 
     @model_validator(mode="after")
     def _psd_or_nep(self) -> Self:
@@ -118,26 +119,26 @@ class Detector(Section):
 
 
 class PointSource(Section):
-    """A point source: peak Rayleigh-Jeans temperature in the beam."""
+    """Point source."""
 
     ra_rad: Longitude = Field(alias="ra")
     """Right ascension (J2000)."""
     dec_rad: Latitude = Field(alias="dec")
     """Declination (J2000)."""
     peak_mk: Temperature = Field(alias="peak")
-    """Peak in the beam, Rayleigh-Jeans."""
+    """Peak Rayleigh-Jeans temperature in the beam."""
 
 
 class Sky(Section):
-    """Astronomical signal in the streams: a flat CMB band power and point sources."""
+    """Astronomical signal: CMB anisotropy with a flat band power, and point sources."""
 
     cmb_band_power_ukcmb2: BandPowerExtent = Field(alias="cmb_band_power")
-    """Flat CMB band power l (l + 1) C_l / 2 pi, in thermodynamic temperature; 0 for none."""
+    """Flat CMB band power l (l + 1) C_l / 2 pi, in thermodynamic temperature; 0 for no CMB."""
     point_sources: tuple[PointSource, ...] = ()
-    """Any number of them."""
+    """Any number of point sources."""
     curved_lmax: Annotated[int, *whole(2, 30_000)] | None = None
-    """Make the CMB on the sphere, up to this multipole, for fields too large for a plane; with a score, above its
-    `ell_max`. Time grows as its square times the field's size, or as its cube."""
+    """Highest multipole of a CMB map on the sphere, for fields too large for the flat-sky approximation; above
+    `score.ell_max` if there is a score. Computing time grows with its second to third power."""
 
     @model_validator(mode="before")
     @classmethod
@@ -151,9 +152,9 @@ class StreamSections(Section):
     """Sections of the components of time-streams, each left out with its section."""
 
     atmosphere: Atmosphere | None = None
-    """Left out: no layer, no weather."""
+    """Without it there is neither a turbulent layer nor weather."""
     excess: Excess | None = None
     photon: Photon | None = None
     detector: Detector | None = None
     sky: Sky | None = None
-    """Left out: noise alone."""
+    """Without it the time-streams are noise only."""

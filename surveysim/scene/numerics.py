@@ -1,4 +1,4 @@
-"""The section of numerical choices: they trade accuracy for time and say nothing about telescope or sky."""
+"""Section [numerics]: numerical settings, a trade of accuracy against computing time."""
 
 from typing import Annotated, Literal
 
@@ -9,15 +9,14 @@ from surveysim.scene.section import Section
 
 
 class Numerics(Section):
-    """How streams are computed: numerical choices, not physical ones; "surveysim accuracy" measures what they cost."""
+    """Numerical settings without physical meaning; `surveysim accuracy` measures their effect."""
 
     precision: Literal["float32", "float64"] = "float32"
-    """Of streams, strips of the layer and maps; random numbers have 24 bits in both."""
+    """Precision of time-streams, screens and maps; random numbers have 24 bits in either."""
     interpolation: Literal["nearest", "linear", "cubic"] = "linear"
-    """Of look-ups between the layer's lattice points."""
+    """Interpolation between lattice points of the screen."""
     screen_step: Annotated[float, *number(0.1, 10)] = 1.0
-    """Lattice step of the layer, over the one that is chosen for the beam and the camera."""
+    """Lattice step of the screen, relative to the step chosen from the beam and the focal plane."""
     max_block_bytes: Memory = Field(alias="max_block_memory", default=250e6)
-    """The most that the streams of a block take, counted in single precision: larger observations are made in blocks
-    of whole scans, each with random numbers of its own. A process holds up to ten times as much at its peak. Larger
-    blocks are no faster; the default has room for scans of 6000 samples of 10,000 detectors."""
+    """Largest size of the time-streams of a block, in single precision. Larger observations are simulated in blocks of
+    whole scans, each with its own random numbers. The peak memory of a process is up to ten times as large."""

@@ -1,4 +1,4 @@
-"""Sections that say where, when and how is observed."""
+"""Sections [field], [schedule], [fixed_pointing] and [scan]: where, when and how the telescope observes."""
 
 from typing import Annotated
 
@@ -25,18 +25,19 @@ MIN_SAMPLES = 8  # fewer leave nothing of a scan once its mean and a few templat
 
 
 class FieldSection(Section):
-    """The centre of the field (J2000)."""
+    """Centre of the field (J2000)."""
 
     ra_rad: Longitude = Field(alias="ra")
-    """Right ascension."""
+    """Right ascension of the centre."""
     dec_rad: Latitude = Field(alias="dec")
-    """Declination."""
+    """Declination of the centre."""
 
 
 class Schedule(Section):
-    """Where and when the field is observed: elevation and parallactic angle come from real dates.
+    """Site and dates of the observations, which give elevation and parallactic angle.
 
-    Observations are spread evenly over the nights and, within a night, over the hours that the limits allow.
+    Observations are spread evenly over the nights and, within a night, over the time in which the field is within the
+    limits.
     """
 
     latitude_rad: Latitude = Field(alias="latitude")
@@ -46,38 +47,39 @@ class Schedule(Section):
     height_m: Height = Field(alias="height")
     """Height of the telescope above the ellipsoid."""
     first_night: IsoDate
-    """Local date of the first evening."""
+    """Local date of the first night, at its evening."""
     nights: Annotated[int, *whole(1, 4000)]
-    """How many nights in a row."""
+    """Number of consecutive nights."""
     max_hour_angle_rad: HourAngle = Field(alias="max_hour_angle")
-    """Largest distance from the meridian."""
+    """Largest hour angle of the field's centre, east or west."""
     min_elevation_rad: Elevation = Field(alias="min_elevation")
     """Lowest elevation of the field's centre."""
 
 
 class FixedPointing(Section):
-    """A telescope at one elevation and parallactic angle, for scenes that need no dates."""
+    """One elevation and one parallactic angle for all observations, without dates."""
 
     elevation_rad: Elevation = Field(alias="elevation")
     """Elevation of every scan."""
     parallactic_angle_rad: Angle = Field(alias="parallactic_angle")
-    """Position angle of the zenith, from north through east."""
+    """Parallactic angle: position angle of the zenith, from north through east."""
 
 
 class Scan(Section):
-    """The raster of one observation: parallel scans there and back, along right ascension and declination in turn."""
+    """Raster of one observation: parallel scans in alternating directions, along right ascension in one observation and
+    declination in the next."""
 
     speed_rad_s: Speed = Field(alias="speed")
-    """Speed of the boresight on the sky within a scan."""
+    """Speed of the boresight on the sky during a scan."""
     scans: Annotated[int, *whole(1, 100_000)]
-    """Scans in one observation."""
+    """Number of scans in one observation."""
     duration_s: Duration = Field(alias="duration")
-    """Length of one scan, the turnaround not included; 8 samples or more."""
+    """Duration of one scan without turnaround; 8 samples or more."""
     turnaround_s: DurationExtent = Field(alias="turnaround")
-    """Time between two scans, which is not simulated."""
+    """Duration of the turnaround between two scans, which is not simulated."""
     step_rad: AngleExtent = Field(alias="step")
-    """Distance of neighbouring scans."""
+    """Distance between neighbouring scans."""
     dither_rad: AngleExtent = Field(alias="dither")
-    """Full range of the offset that each observation's raster has in both directions."""
+    """Full range of the raster's offset, drawn uniformly for each observation in both directions."""
     sample_rate_hz: Frequency = Field(alias="sample_rate")
-    """Samples a second."""
+    """Sampling rate of the time-streams."""

@@ -1,4 +1,4 @@
-"""Tables of detector positions: ECSV files with columns x and y, and every way in which they are refused."""
+"""Tables of detector positions: ECSV files with columns x and y, and their error messages."""
 
 import csv
 import math
@@ -22,11 +22,13 @@ _COMMAS = re.compile(r"""\s*#\s*delimiter:\s*(['"]),\1\s*(\s#.*)?""")
 
 
 def read_positions(path: Path) -> np.ndarray:
-    """Positions (n_det, 2) in radians from an ECSV table with columns x and y that carry angular units.
+    """Read detector positions (n_det, 2) [rad] from an ECSV table with columns x and y in angular units.
 
-    Raises ValueError, in one line with the file and the row (from 1) or column, for a file that is no such table: other
-    columns, cells that are empty, masked or no finite numbers, offsets beyond 15 degrees, or two rows that are one
-    place.
+    Raises
+    ------
+    InputError
+        For other columns, cells that are not finite numbers, offsets beyond 15 degrees, and two detectors at the same
+        position; one line with the file and the row (from 1) or column.
     """
     try:
         text = read_text(path, MAX_BYTES)
@@ -39,7 +41,7 @@ def read_positions(path: Path) -> np.ndarray:
 
 
 def _missing(path: Path) -> str:
-    return "" if os.path.lexists(path) else "no such file beside the scene"
+    return "" if os.path.lexists(path) else "no such file in the folder of the scene"
 
 
 def _positions(text: str) -> np.ndarray:
@@ -67,7 +69,7 @@ def _positions(text: str) -> np.ndarray:
 
 
 def _table(lines: list[str]) -> Any:
-    """The table of an ECSV file's lines, with the right columns."""
+    """Parse the lines of an ECSV file and check its columns."""
     from astropy.table import Table
 
     if not lines or not lines[0].startswith("# %ECSV"):
@@ -84,10 +86,7 @@ def _table(lines: list[str]) -> Any:
 
 
 def _check_cells(lines: list[str]) -> None:
-    """Raise InputError for names of columns that are not x and y, and rows that are not two numbers each.
-
-    Astropy skips what it takes for missing, and does not say in which row it found text.
-    """
+    """Raise InputError for columns other than x and y, and for rows that are not two numbers, naming the row."""
     delimiter = "," if any(map(_COMMAS.fullmatch, lines)) else " "
     stripped = (line.strip() for line in lines)
     rows = csv.reader(

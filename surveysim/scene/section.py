@@ -1,4 +1,4 @@
-"""What all sections of a scene share: frozen records without unknown keys, and checks of tables in them."""
+"""Base class of all sections of a scene, and checks of tabulated distributions."""
 
 from typing import Any
 
@@ -8,9 +8,9 @@ from surveysim.scene.units import shown
 
 
 class Section(BaseModel):
-    """A part of a scene: frozen, no unknown keys, keys named without units in the file.
+    """Base of a scene's sections: frozen, without unknown keys; keys of the file have no unit in their name.
 
-    What stands under a field is its description in the schema, from which the reference of all keys is made.
+    The docstring of a field is its description in the schema, from which the reference of all keys is made.
     """
 
     model_config = ConfigDict(
@@ -26,14 +26,14 @@ class Section(BaseModel):
 
 
 def check_quantiles(name: str, probabilities: tuple[float, ...], values: tuple[float, ...]) -> None:
-    """Raise ValueError unless these are quantiles, with probabilities between 0 and 1."""
+    """Raise ValueError unless the values are quantiles, with probabilities between 0 and 1."""
     check_knots(f"{name}_probabilities", probabilities, name, values)
     if not all(0 < p < 1 for p in probabilities):
         raise ValueError(f"{name}_probabilities: found {shown(probabilities)}; values between 0 and 1 are expected")
 
 
 def check_knots(x_name: str, x: tuple[float, ...], y_name: str, y: tuple[float, ...]) -> None:
-    """Raise ValueError unless x increases, y does not decrease or turn negative, and the lengths agree."""
+    """Raise ValueError unless x increases, y is not negative and does not decrease, and the lengths agree."""
     if len(x) != len(y) or not x:
         raise ValueError(f"{y_name}: found {len(y)} values for {len(x)} {x_name}; as many as these are expected")
     if any(b <= a for a, b in zip(x, x[1:], strict=False)):

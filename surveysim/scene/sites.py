@@ -1,4 +1,4 @@
-"""Sites: the water, the wind and the layer above each, as `sites.toml` lists them with their sources."""
+"""Sites: water vapour, wind and layer height of each; `sites.toml` lists them with their sources."""
 
 import tomllib
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ SITES = ("mauna_kea", "south_pole", "alma", "ccat")
 
 @cache
 def sites_text() -> str:
-    """`sites.toml` as it stands, comments and all."""
+    """Text of `sites.toml`, comments included."""
     return files("surveysim.scene").joinpath("sites.toml").read_text(encoding="utf-8")
 
 
@@ -23,17 +23,17 @@ def _tables() -> dict[str, dict[str, Any]]:
 
 
 def with_site(section: Mapping[str, Any]) -> dict[str, Any]:
-    """The keys of an `[atmosphere]`, those that it leaves out as the site that it names has them, if it does."""
+    """Fill the keys that an [atmosphere] leaves out with those of its site, if it has one."""
     site = section.get("site")
     return (_tables()[site] if site in SITES else {}) | dict(section)
 
 
 def water_mm(site: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Probabilities of a site's water columns, and the columns [mm]."""
+    """Probabilities and quantiles [mm] of the water vapour of a site."""
     table = _tables()[site]
     return tuple(table["pwv_probabilities"]), to_floats(table["pwv"], "mm")
 
 
 def median_water_mm(site: str) -> float:
-    """Median water column of a site [mm], one of the quantiles that it lists."""
+    """Median water vapour of a site [mm]."""
     return dict(zip(*water_mm(site), strict=True))[0.5]

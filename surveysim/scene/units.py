@@ -1,7 +1,6 @@
-"""Quantities of a scene file to floats in the internal units, and temperature conversions.
+"""Conversion of quantities in a scene file to internal units, and of temperatures.
 
-Inside the packages all numbers are radians, seconds, hertz, metres and millikelvin
-Rayleigh-Jeans; conversion happens here, at the border, and nowhere else.
+Internal units are radians, seconds, hertz, metres and millikelvin (Rayleigh-Jeans). All conversion happens here.
 """
 
 import math
@@ -47,7 +46,7 @@ _NOT_FINITE = re.compile(r"\s*[+-]?(?:nan|inf|infinity)\b.*", re.ASCII | re.IGNO
 
 
 def shown(value: object) -> str:
-    """A value of a scene file as an error quotes it, cut to a line's length."""
+    """Quote a value of a scene file for an error message, cut to 60 characters."""
     try:
         text = str(value) if isinstance(value, date | time) else repr(value)
     except (RecursionError, ValueError):  # lists within lists, integers of thousands of digits
@@ -56,10 +55,19 @@ def shown(value: object) -> str:
 
 
 def to_float(text: object, unit: str) -> float:
-    """The number that a quantity such as ``"4 arcmin / s"``, one number and one unit, has in `unit`.
+    """Convert a quantity, one number and one unit such as ``"4 arcmin / s"``, to a unit.
 
-    A bare number is refused unless `unit` is dimensionless. Raises InputError with what was
-    found and what is allowed.
+    Parameters
+    ----------
+    text
+        The quantity; a bare number only where `unit` is "".
+    unit
+        Unit of the result, as astropy writes it.
+
+    Raises
+    ------
+    InputError
+        With the value found and the values expected.
     """
     if isinstance(text, bool) or not isinstance(text, int | float | str):
         raise InputError(f"found {shown(text)}; a quantity in {unit or 'plain numbers'} is expected")
@@ -83,7 +91,7 @@ def to_float(text: object, unit: str) -> float:
 
 @lru_cache(maxsize=256)
 def _unit_factor(found: str, unit: str) -> float | None:
-    """How many `unit` one of the unit `found` is; None where it does not convert."""
+    """Conversion factor between units; None where there is none."""
     if found == unit or found in _COMMON.get(unit, ()):
         return 1.0 if found == unit else _COMMON[unit][found]
     import astropy.units as u
@@ -97,10 +105,7 @@ def _unit_factor(found: str, unit: str) -> float | None:
 
 
 def to_floats(text: object, unit: str) -> tuple[float, ...]:
-    """The numbers of a list of quantities: ``"[46, 100, 170] mK2 rad(-5/3)"`` or a TOML list.
-
-    Raises InputError with what was found and what is allowed.
-    """
+    """Convert quantities, ``"[46, 100, 170] mK2 rad(-5/3)"`` or a TOML list, to a unit; errors as for `to_float`."""
     if isinstance(text, list | tuple):
         return tuple(to_float(item, unit) for item in text)
     match = _LIST.match(text) if isinstance(text, str) else None
@@ -110,10 +115,7 @@ def to_floats(text: object, unit: str) -> tuple[float, ...]:
 
 
 def to_sky_angle(text: object) -> float:
-    """Radians of ``"08h49m12s"``, ``"+44d50m24s"`` or any angular quantity.
-
-    Raises InputError with what was found and what is allowed.
-    """
+    """Convert ``"08h49m12s"``, ``"+44d50m24s"`` or any angular quantity to radians; errors as for `to_float`."""
     match = _SEXAGESIMAL.fullmatch(text) if isinstance(text, str) else None
     if match is None:
         return to_float(text, "rad")

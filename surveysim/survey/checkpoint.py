@@ -1,7 +1,7 @@
-"""Checkpoints: the running sums of a survey on disk, so that a stopped run goes on with the same bits.
+"""Checkpoints: the running sums of a survey on disk, from which a stopped run continues with the same bits.
 
-One HDF5 file, which grows by an observation at a time: it is replaced as a whole, so that what it held before is there
-until the new one is on the disk. Its user block, the first 512 bytes, holds the SHA-256 of all that follows.
+A checkpoint is one HDF5 file, replaced as a whole at each save. Its user block, the first 512 bytes, holds the
+SHA-256 of the rest.
 """
 
 import json
@@ -34,13 +34,21 @@ _MARK = b"surveysim checkpoint, SHA-256 of what follows this block: "
 
 
 class CheckpointError(ValueError):
-    """A checkpoint that can't be used; the text says why and what to do."""
+    """A checkpoint that cannot be used; the text says why and what to do."""
 
 
 def save_checkpoint(path: Path, coadds: CoAdds, identity: str) -> None:
-    """Write the sums atomically: the old checkpoint stays whole until the new one is on the disk.
+    """Write the sums atomically: the old checkpoint is replaced once the new one is on disk.
 
-    `identity` is the hash of the scene. Raises OSError that names the file where it can't be written.
+    Parameters
+    ----------
+    identity
+        Hash of the scene.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written; it names the file.
     """
     content = _packed(coadds, {"scene": identity, "version": __version__, "seconds": coadds.seconds})
     with atomic_write(path) as partial, open(partial, "wb") as file:
@@ -49,7 +57,7 @@ def save_checkpoint(path: Path, coadds: CoAdds, identity: str) -> None:
 
 
 def _packed(coadds: CoAdds, meta: Mapping[str, Any]) -> memoryview:
-    """An HDF5 file in memory, less its user block: the disk sees plain writes, whose errors are plain."""
+    """Make an HDF5 file in memory, without its user block, so that disk errors are plain ones."""
     import h5py
 
     whole = BytesIO()
@@ -61,10 +69,12 @@ def _packed(coadds: CoAdds, meta: Mapping[str, Any]) -> memoryview:
 
 
 def load_checkpoint(path: Path, setup: Setup) -> CoAdds:
-    """Read the sums of a scene back.
+    """Read the sums of a scene.
 
-    Raises CheckpointError for a checkpoint that is damaged, of another scene or version, or whose content is not what
-    a run of this scene keeps.
+    Raises
+    ------
+    CheckpointError
+        For a checkpoint that is damaged, of another scene or version, or with other content than a run of the scene.
     """
     import h5py
 
@@ -84,15 +94,16 @@ def load_checkpoint(path: Path, setup: Setup) -> CoAdds:
         reason = one_line(error, REASON)
         raise CheckpointError(f"{path}: not what a run of this scene writes ({reason}); {_AGAIN}") from None
     rows = arrays.pop("rows")
+    sums: dict[str, Any] = {name: list(array) if name in _LISTS else array for name, array in arrays.items()}
     return CoAdds(
-        **{name: list(array) if name in _LISTS else array for name, array in arrays.items()},
+        **sums,
         rows=[tuple(float(value) for value in row) for row in rows],
         seconds=seconds,
     )
 
 
 def read_meta(text: object) -> dict[str, Any]:
-    """What a file says of itself, a JSON object; raises ValueError for anything else."""
+    """Read the JSON object in a file; raises ValueError for anything else."""
     meta = json.loads(text) if isinstance(text, str) else None
     if not isinstance(meta, dict):
         raise ValueError("meta is no JSON object")
@@ -110,9 +121,9 @@ def _checked_seconds(meta: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
-    """Arrays of sums by name; raises ValueError for others than those of the scene.
+    """Read the arrays of sums by name; raises ValueError for other names, types or shapes than those of the scene.
 
-    Names, types and shapes are compared before anything is read: what a file says of a size need not fit in memory.
+    They are compared before anything is read: an array of the size that a file declares may not fit in memory.
     """
     if found := set(file) ^ {*_ARRAYS, *_LISTS}:
         raise ValueError(f"missing or unknown: {', '.join(sorted(found))}")
@@ -122,7 +133,11 @@ def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
         raise ValueError(f"{done} observations, {setup.scene.observations} are in the survey")
     n_freq, n_compared = samples_per_scan(setup.observing.raster) // 2 + 1, len(setup.analysis.whole_pipelines) - 1
     shapes = {name: getattr(expected, name).shape for name in _ARRAYS}
-    of_one = {"rows": (len(row_names(setup)),), "raw_psd": (n_freq,), "clean_psd": (n_freq,)}
+    of_one: dict[str, tuple[int, ...]] = {
+        "rows": (len(row_names(setup)),),
+        "raw_psd": (n_freq,),
+        "clean_psd": (n_freq,),
+    }
     n_bin = 0 if setup.analysis.region is None else len(setup.analysis.region.rings.ell)
     of_one |= {"bin_noise": (len(setup.analysis.data_set_names), n_bin), "compared_psd": (n_compared, n_freq)}
     shapes |= {name: (done, *of_one[name]) if done else (0,) for name in _LISTS}
@@ -139,7 +154,7 @@ def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
 
 
 def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
-    """Raise ValueError for sums that no observations add up to."""
+    """Raise ValueError for sums that no observations could give."""
     for name in (*_ARRAYS, "raw_psd", "clean_psd", "compared_psd"):
         if not (np.abs(arrays[name]) < _LARGEST).all():
             raise ValueError(f"{name} has values that are not finite, or above {_LARGEST:g}")
@@ -158,13 +173,13 @@ def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
 
 
 def _check_noise(noise: np.ndarray, bin_noise: np.ndarray) -> None:
-    """Raise ValueError unless noise of maps (n_obs, n_set) is infinite, and in (..., n_bin) bins, for the same ones."""
+    """Raise ValueError unless map noise (n_obs, n_set) is infinite exactly where its bins (..., n_bin) are."""
     if np.isnan(noise).any() or (bin_noise.size and (np.isinf(bin_noise) != np.isinf(noise)[..., None]).any()):
         raise ValueError("noise and bin_noise are not of the same observations with data")
 
 
 def _check_rows(columns: Mapping[str, np.ndarray], setup: Setup) -> None:
-    """Raise ValueError for rows of other observations; NaN stands for what is not known of one."""
+    """Raise ValueError for rows of other observations; NaN is an unknown value."""
     if not np.array_equal(columns["observation"], np.arange(len(columns["observation"]))):
         raise ValueError("rows are not those of the first observations in order")
     for name, column in columns.items():
@@ -175,7 +190,7 @@ def _check_rows(columns: Mapping[str, np.ndarray], setup: Setup) -> None:
 
 
 def check_streams(directory: Path, setup: Setup, done: int) -> None:
-    """Raise CheckpointError for kept time-streams of the first `done` observations that are not those of the scene."""
+    """Raise CheckpointError for saved time-streams of the first `done` observations of another scene."""
     identity, n_samp = (
         scene_hash(setup.scene),
         setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster),
@@ -203,7 +218,7 @@ def _is_stream(path: Path, shape: tuple[int, int], identity: str, number: int) -
 
 
 def check_origin(path: Path, found: Mapping[str, Any], identity: str) -> None:
-    """Raise CheckpointError unless a file is of this version and of the scene with this hash; `found` has both."""
+    """Raise CheckpointError unless a file has this version and the hash of this scene."""
     for key, expected in (("version", __version__), ("scene", identity)):
         if (value := found.get(key)) != expected:
             raise CheckpointError(

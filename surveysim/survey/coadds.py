@@ -1,7 +1,7 @@
-"""Running sums over observations: the co-added maps, sign-flipped co-adds, window skies.
+"""Running sums over observations: co-added maps, sign-flipped co-adds, signal simulations.
 
-The one mutable record of a run: it grows by one observation at a time, in index order, and it is what a
-checkpoint holds. But for a row and a few PSDs an observation (some kB), its size does not depend on their number.
+`CoAdds` is the one mutable record of a run: observations are added to it in index order, and a checkpoint holds it.
+Apart from a row and a few PSDs per observation (some kB), its size does not depend on the number of observations.
 """
 
 from dataclasses import dataclass, field
@@ -28,12 +28,23 @@ ROW_FIELDS = (
 
 @dataclass
 class CoAdds:
-    """Sums over the first `done` observations.
+    """Sums over the first `done` observations, with weights w, sums S and hits H of each.
 
-    `sums`, `weight`, `hits` (n_set, n_y, n_x): sum of w S, w H and H; `flipped` (K, n_set, n, n): sums
-    with random signs on the scored patch; `window` (n_sky, n_window, 2, n, n) and `window_weight`
-    (n_window, n, n) on the patch; `rows` one tuple an observation (`row_names`); `bin_noise` (n_obs, n_set, n_bin)
-    [mK^2], noise variances a sample; `raw_psd`, `clean_psd` (n_obs, n_freq), `compared_psd` (n_obs, n_compare, n_freq).
+    Attributes
+    ----------
+    sums, weight, hits : (n_set, n_y, n_x)
+        Sums of w S, w H and H.
+    flipped : (K, n_set, n, n)
+        Sums with random signs on the scored patch.
+    window : (n_sky, n_window, 2, n, n)
+        Signal simulations on the patch.
+    window_weight : (n_window, n, n)
+    rows
+        One tuple per observation (`row_names`).
+    bin_noise : (n_obs, n_set, n_bin)
+        Noise variances per sample [mK^2].
+    raw_psd, clean_psd : (n_obs, n_freq)
+    compared_psd : (n_obs, n_compare, n_freq)
     """
 
     sums: np.ndarray
@@ -51,26 +62,26 @@ class CoAdds:
 
     @property
     def done(self) -> int:
-        """How many observations are in."""
+        """Number of observations."""
         return len(self.rows)
 
     @property
     def n_set(self) -> int:
-        """How many data sets are kept."""
+        """Number of data sets."""
         return len(self.sums)
 
     def column(self, name: str) -> np.ndarray:
-        """One of `ROW_FIELDS` of all observations, (n_obs,)."""
+        """Select one of `ROW_FIELDS` of all observations, (n_obs,)."""
         place = ROW_FIELDS.index(name)
         return np.array([row[place] for row in self.rows])
 
     def noise_mk2(self) -> np.ndarray:
-        """Noise variance a sample, (n_obs, n_set)."""
+        """Select the noise variances per sample, (n_obs, n_set)."""
         return np.array([row[-self.n_set :] for row in self.rows])
 
 
 def empty_coadds(setup: Setup) -> CoAdds:
-    """Sums over no observation."""
+    """Make sums over no observation."""
     n_set, n_window = len(setup.analysis.data_set_names), len(setup.analysis.windows)
     shape = (setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
     n_flip = n_sky = n = 0
@@ -88,7 +99,7 @@ def empty_coadds(setup: Setup) -> CoAdds:
 
 
 def jackknife_signs(setup: Setup, observation: int) -> np.ndarray:
-    """Random signs (K,) of one observation in the sign-flipped co-adds: noise stays, the sky cancels."""
+    """Draw the signs (K,) of one observation in the sign-flipped co-adds, in which the sky cancels."""
     score = setup.scene.score
     if score is None:
         return np.zeros(0)
@@ -99,7 +110,10 @@ def jackknife_signs(setup: Setup, observation: int) -> np.ndarray:
 def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> None:
     """Add one observation, weighted by its own noise, in place.
 
-    Raises ValueError for one that is not the next, and for maps or sums of other shapes than the setup's.
+    Raises
+    ------
+    ValueError
+        For an observation that is not the next, and for other shapes than those of the setup.
     """
     if result.observation != coadds.done:
         raise ValueError(f"found observation {result.observation}; {coadds.done} is the next in order")
@@ -128,7 +142,7 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
 
 
 def _check_shapes(setup: Setup, coadds: CoAdds, result: ObservationResult) -> None:
-    """Raise ValueError for shapes that do not fit: results come from other processes, sums from files."""
+    """Raise ValueError for wrong shapes: results come from other processes, sums from files."""
     planes = (len(setup.analysis.data_set_names), setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
     n_flip, n = (setup.scene.score.jackknives, len(setup.analysis.region.taper)) if setup.scene.score else (0, 0)
     found = {
@@ -144,15 +158,15 @@ def _check_shapes(setup: Setup, coadds: CoAdds, result: ObservationResult) -> No
 
 
 def noise_weights(noise_mk2: np.ndarray) -> np.ndarray:
-    """Weights [1/mK^2] of noise variances a sample, any shape; 0 where there are no data."""
+    """Convert noise variances per sample to weights [1/mK^2]; 0 without data."""
     known = np.isfinite(noise_mk2) & (noise_mk2 > 0)
     return np.divide(1.0, noise_mk2, out=np.zeros_like(noise_mk2), where=known)
 
 
 def lost_scans(setup: Setup, coadds: CoAdds) -> np.ndarray:
-    """Discarded scans (n_obs, n_set) of each observation so far, by data set.
+    """Count the discarded scans (n_obs, n_set) of each observation so far, by data set.
 
-    The simulated sets lose the scans of the actual data, the optimal set those of the pipeline that it takes.
+    Noise-only sets lose the scans of the actual data, the optimal set those of the best pipeline.
     """
     columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
     counts = {pipeline.data_set: columns[f"discarded_{pipeline.data_set}"] for pipeline in setup.analysis.pipelines}
@@ -165,7 +179,7 @@ def lost_scans(setup: Setup, coadds: CoAdds) -> np.ndarray:
 
 
 def kept_shares(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
-    """Share (n_obs,) of its scans that is kept of each observation so far, by data set."""
+    """Compute the fraction (n_obs,) of kept scans of each observation so far, by data set."""
     kept = 1 - lost_scans(setup, coadds) / setup.observing.raster.n_scans
     return dict(zip(setup.analysis.data_set_names, kept.T, strict=True))
 
@@ -190,7 +204,7 @@ def _row(result: ObservationResult) -> tuple[float, ...]:
 
 
 def row_names(setup: Setup) -> list[str]:
-    """What the values of a row of `CoAdds.rows` are."""
+    """List the names of the values in a row of `CoAdds.rows`."""
     of_pipelines = [
         f"{what}_{pipeline.data_set}"
         for what in ("discarded", "iterations", "removed")

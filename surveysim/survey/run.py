@@ -1,4 +1,4 @@
-"""Many observations: engine, checkpoint, and the records of a finished survey."""
+"""A run: all observations through an engine, with a checkpoint."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,10 +18,10 @@ CHECKPOINT_SHARE = 0.05  # of the time at most goes into them
 
 @dataclass(frozen=True)
 class ObservationJob:
-    """What a worker does with an observation's number.
+    """The task of a worker: simulate and reduce the observation with a number.
 
-    It holds the scene and not its setup, which each worker prepares: while the megabytes of a setup went to
-    one worker, no other would start.
+    It holds the scene, which each worker prepares: sending the megabytes of a setup to one worker would delay the start
+    of the others.
     """
 
     scene: Scene
@@ -43,12 +43,28 @@ def run_observations(
     progress: Callable[[CoAdds], None] = lambda coadds: None,
     stops: Callable[[CoAdds], bool] = lambda coadds: False,
 ) -> CoAdds:
-    """Run all observations of a scene, or as many as it takes until `stops`, and add them up in order.
+    """Run the observations of a scene in parallel and add them up in order.
 
-    `progress` is called after each; whether it `stops` is asked after each and before the first. With a `checkpoint`
-    path, the sums are written there every few seconds, and when the run is stopped, interrupted or fails
-    (KeyboardInterrupt and errors pass on); with `resume`, they are taken up from there. Raises CheckpointError for one
-    that does not belong to the scene, and EngineError when the engine can't go on.
+    Parameters
+    ----------
+    checkpoint
+        File for the sums. It is written every few seconds, and when the run stops, fails or is interrupted
+        (KeyboardInterrupt and errors pass on).
+    resume
+        Whether to start from the checkpoint.
+    timestream_dir
+        Directory for the time-streams; None for none.
+    progress
+        Called after each observation.
+    stops
+        Called before the first observation and after each: whether to end the run.
+
+    Raises
+    ------
+    CheckpointError
+        For a checkpoint of another scene.
+    EngineError
+        If the engine fails.
     """
     identity = scene_hash(setup.scene)
     coadds = empty_coadds(setup)
@@ -83,19 +99,19 @@ def run_observations(
 
 
 class _CheckpointWriter:
-    """Saves the sums of a run to its checkpoint, if it has one: often, but for a small share of the time."""
+    """Writes the sums of a run to its checkpoint, within a small fraction of the time."""
 
-    def __init__(self, path: Path | None, scene_hash: str, done: int):
+    def __init__(self, path: Path | None, scene_hash: str, done: int) -> None:
         self.path, self.scene_hash, self.done = path, scene_hash, done
         self.due = monotonic() + CHECKPOINT_SECONDS
 
     def save_if_due(self, coadds: CoAdds) -> None:
-        """Save after some seconds: so much work is done again at most when a run is killed."""
+        """Save some seconds after the last time: a killed run loses no more work than that."""
         if monotonic() >= self.due:
             self.save(coadds)
 
     def save(self, coadds: CoAdds) -> None:
-        """Save unless what is done has been saved already."""
+        """Save unless all observations are saved already."""
         if self.path is None or coadds.done == self.done:
             return
         start = monotonic()
@@ -105,6 +121,6 @@ class _CheckpointWriter:
 
 
 def _drop_streams(directory: Path, first: int, end: int) -> None:
-    """Remove streams of some observations, which workers wrote ahead of where a run was stopped."""
+    """Remove streams of observations beyond the end of a stopped run."""
     for number in range(first, end):
         (directory / f"{number:04d}.h5").unlink(missing_ok=True)

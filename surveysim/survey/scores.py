@@ -1,4 +1,4 @@
-"""From co-added maps to the uncertainty on a flat CMB band power, for every data set."""
+"""Scores: from co-added maps to the uncertainty of a flat CMB band power, for every data set."""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ from mapmaker.uncertainty import (
     subtract_in_quadrature,
 )
 from surveysim.reduction.cleaning_pipelines import ACTUAL
-from surveysim.reduction.data_set import DataSetKind
+from surveysim.reduction.data_set import DataSet, DataSetKind
 from surveysim.reduction.scored_region import N_SECTORS
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InsufficientDataError
@@ -31,11 +31,20 @@ FEWEST_CONTROLLED = 4  # observations whose scatter about the forecast tells any
 
 @dataclass(frozen=True)
 class Control:
-    """The forecast of a data set, as a control variate of its score (`surveysim.results.control_variate`).
+    """Forecast of a data set, as the control variate of its score (`surveysim.results.control_variate`).
 
-    `factor` (n_bin,): noise PSD expected over all weather, over the one expected of the observations simulated.
-    `weights` (n_obs,) and `noise` (n_obs, n_bin) [mK^2 a sample]: those expected of each. `sampling`: relative error of
-    sigma from as many observations in random weather; `population`: that of the expectation over all weather.
+    Attributes
+    ----------
+    factor : (n_bin,)
+        Expected noise PSD over all weather, divided by the one expected for the simulated observations.
+    weights : (n_obs,)
+        Expected weights of the observations.
+    noise : (n_obs, n_bin)
+        Expected noise variance per sample [mK^2].
+    sampling
+        Relative error of sigma from as many observations in random weather.
+    population
+        Relative error of the expectation over all weather.
     """
 
     factor: np.ndarray
@@ -47,13 +56,28 @@ class Control:
 
 @dataclass(frozen=True)
 class DataSetScore:
-    """One data set's result: `band` is the one quoted, with the forecast as `control` variate where there is one.
+    """Score of one data set.
 
-    `noise_psd` (n_bin,) [uK_CMB^2 sr] of the co-added map, with `noise_psds` (K, n_bin) of the sign-flipped co-adds;
-    `signal_psd` (n_bin,) [sr], what the map holds of a flat spectrum of unit band power; `window` of its array;
-    `weights` (n_obs,) [1/mK^2 a sample], 0 for an observation without data, and `bin_noise` (n_obs, n_bin) [mK^2 a
-    sample] of their maps; `kept` (n_obs,) share of its scans that is not discarded; `plain` the result without control
-    variate where there is one.
+    Attributes
+    ----------
+    band
+        The quoted result, with the forecast as control variate if there is one.
+    noise_psds : (K, n_bin)
+        Noise PSDs of the sign-flipped co-adds [uK_CMB^2 sr].
+    signal_psd : (n_bin,)
+        PSD of a flat spectrum of unit band power in the map [sr].
+    window
+        Transfer function of its pipeline and detectors.
+    weights : (n_obs,)
+        Weights of the observations [1/mK^2 per sample]; 0 without data.
+    bin_noise : (n_obs, n_bin)
+        Noise variance per sample of their maps [mK^2].
+    kept : (n_obs,)
+        Fraction of their scans that is kept.
+    control
+        Control variate, or None.
+    plain
+        Result without control variate, if there is one.
     """
 
     name: str
@@ -77,7 +101,7 @@ class DataSetScore:
 
     @property
     def quoted_psd(self) -> np.ndarray:
-        """The noise PSD that `band` is of: expected over all weather where there is a control variate."""
+        """Noise PSD of `band`: expected over all weather with a control variate."""
         return self.noise_psd if self.control is None else self.noise_psd * self.control.factor
 
     @property
@@ -100,17 +124,19 @@ class DataSetScore:
 
 @dataclass(frozen=True)
 class Gain:
-    """The ratio of two data sets' uncertainties, with the error of the pair."""
+    """Ratio of the uncertainties of two data sets, with its error."""
 
     ratio: float
     error: float
 
 
 def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = None) -> dict[str, DataSetScore]:
-    """Plain scores of the whole survey's named data sets (all by default), judged by the observations so far.
+    """Score data sets by name (all by default), from the observations so far, without control variates.
 
-    Raises ValueError with fewer than 2 observations with data, or before a window observation is in; says so where
-    cleaning discarded all scans.
+    Raises
+    ------
+    InsufficientDataError
+        With fewer than 2 observations with data, before the first signal simulation, or without a kept scan.
     """
     kept = kept_shares(setup, coadds)
     if not kept[ACTUAL].any():
@@ -131,11 +157,10 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
 
 
 def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> DataSetScore:
-    """A plain score with the forecast as control variate; `plain` keeps it, with its error by the forecast.
+    """Apply the forecast as control variate to a plain score; `plain` keeps that score with the error by the forecast.
 
-    The scatter of each observation's information about the forecast's, without that of noise, is the error of either,
-    as that of a mean of few draws: unknown for fewer than 4. The plain one has besides the weather that happened to be
-    drawn.
+    The error of both is the scatter of the information of observations about the forecast's, without the scatter of
+    noise; for fewer than 4 observations it is unknown. The plain score has the error of the drawn weather too.
     """
     rings, selected = setup.analysis.region.rings, item.band.weight > 0
     _, common = noise_parts(setup, item)
@@ -157,14 +182,14 @@ def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> Data
 
 
 def noise_parts(setup: Setup, item: DataSetScore) -> tuple[float, float]:
-    """Relative errors of the plain sigma from its noise: what more sign flips take away, and what they share."""
+    """Compute relative errors of the plain sigma from noise: the part that more sign flips reduce, and the rest."""
     used = item.weights[item.weights > 0]
     of_bins = {"n_modes": setup.analysis.region.rings.n_modes, "correlation": setup.analysis.region.correlation}
     return noise_error_parts(item.noise_psds, item.plain_band.weight, used, **of_bins)
 
 
 def bin_errors(setup: Setup, item: DataSetScore) -> np.ndarray:
-    """Relative standard errors (n_bin,) of the plain noise PSD, for each bin by itself."""
+    """Compute relative standard errors (n_bin,) of the plain noise PSD in each bin."""
     used = item.weights[item.weights > 0]
     of_bins = {"n_modes": setup.analysis.region.rings.n_modes, "correlation": setup.analysis.region.correlation}
     alone = np.eye(len(setup.analysis.region.rings.ell))
@@ -172,7 +197,7 @@ def bin_errors(setup: Setup, item: DataSetScore) -> np.ndarray:
 
 
 def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
-    """The same data set scored from another lowest multipole."""
+    """Score the same data set from another lowest multipole."""
     low, high = setup.analysis.region.rings.edges_ell[:-1], setup.analysis.region.rings.edges_ell[1:]
     selected = (low >= ell_min) & (high <= setup.scene.score.ell_max)
     of_set = item.noise_psds, item.window, item.weights, item.bin_noise, item.kept
@@ -181,7 +206,7 @@ def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
 
 
 def sector_sigma(setup: Setup, coadds: CoAdds, item: DataSetScore) -> float:
-    """sigma(A) [uK_CMB^2] of the scored range with modes weighted by their direction too (`split_azimuth`)."""
+    """Compute sigma(A) [uK_CMB^2] with modes also weighted by direction (`split_azimuth`)."""
     sectors = setup.analysis.region.sectors
     noise = _noise_psds(setup, coadds, setup.analysis.data_set_names.index(item.name), sectors).mean(axis=0)
     if item.control is not None:
@@ -192,10 +217,10 @@ def sector_sigma(setup: Setup, coadds: CoAdds, item: DataSetScore) -> float:
 
 
 def gain(worse: DataSetScore, better: DataSetScore, factor: float = 1.0) -> Gain:
-    """``factor * sigma(worse) / sigma(better)`` with the Monte Carlo error of the ratio.
+    """Compute ``factor * sigma(worse) / sigma(better)`` with its Monte Carlo error.
 
-    The two share signs, weather and perhaps window skies, so their errors are those of a difference
-    (`error_modes`), and not in quadrature.
+    The data sets share signs, weather and possibly signal skies, so the error is the norm of a difference
+    (`error_modes`), not a sum in quadrature.
     """
     ratio = factor * worse.band.sigma_ukcmb2 / better.band.sigma_ukcmb2
     one, other = error_modes((worse, better), ("", ""))  # the skies of one survey
@@ -221,7 +246,7 @@ def error_modes(items: Sequence[DataSetScore], skies: Sequence[Hashable]) -> np.
     for group in dict.fromkeys(groups):
         rows = [row if own == group else row[:0] for row, own in zip(window, groups, strict=True)]
         if groups.count(group) == 1:  # shared with nobody: one mode has it all
-            rows = [np.linalg.norm(row, keepdims=True) if len(row) else row for row in rows]
+            rows = [np.atleast_1d(np.linalg.norm(row)) if len(row) else row for row in rows]
         columns.append(_stacked(rows))
     return np.hstack(columns)
 
@@ -249,14 +274,24 @@ def _of_norm(norm: float, row: np.ndarray) -> np.ndarray:
 
 
 def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
-    """Rows of any lengths as one array, short ones with zeros behind."""
+    """Stack rows of any lengths, padded with zeros."""
     stacked = np.zeros((len(rows), max(len(row) for row in rows)))
     for row, values in zip(stacked, rows, strict=True):
         row[: len(values)] = values
     return stacked
 
 
-def _score(setup, item, psds, window, weights, bin_noise, kept, *, selected=None) -> DataSetScore:
+def _score(
+    setup: Setup,
+    item: "DataSet | DataSetScore",
+    psds: np.ndarray,
+    window: TransferFunction,
+    weights: np.ndarray,
+    bin_noise: np.ndarray,
+    kept: np.ndarray | float,
+    *,
+    selected: np.ndarray | None = None,
+) -> DataSetScore:
     rings, signal = setup.analysis.region.rings, setup.analysis.region.signal_psd * window.transmission
     selected = setup.analysis.region.selected if selected is None else selected
     shares = information_shares(
@@ -278,7 +313,7 @@ def _score(setup, item, psds, window, weights, bin_noise, kept, *, selected=None
 
 
 def _window_errors(window: TransferFunction) -> np.ndarray:
-    """Relative errors (n_bin,) of the window."""
+    """Compute relative errors (n_bin,) of the transfer function."""
     none = np.zeros_like(window.transmission)
     return np.divide(window.error, window.transmission, out=none, where=window.transmission > 0)
 

@@ -19,10 +19,18 @@ _OBLIQUE = np.array([np.cos(1.0), np.sin(1.0)])
 
 @dataclass(frozen=True)
 class Camera:
-    """A focal plane in the array frame and what couples its detectors.
+    """Focal plane in the array frame, and the optics that couple its detectors.
 
-    `focal_plane` holds n_det detectors; `f_lambda_rad` is one (f/#)lambda on the sky; `illumination` is how each
-    pixel lights the stop; `pitch_rad` that of the hexagonal lattice that detectors are on, None for a table.
+    Attributes
+    ----------
+    focal_plane
+        Positions of the detectors.
+    f_lambda_rad
+        One (f/#)lambda on the sky.
+    illumination
+        Illumination of the stop by each pixel.
+    pitch_rad
+        Pitch of the hexagonal lattice; None for a table of positions.
     """
 
     focal_plane: FocalPlane
@@ -37,7 +45,7 @@ class Camera:
 
     @property
     def cells(self) -> np.ndarray:
-        """Places (n_det, 2) of detectors of a layout on its lattice, along axes 60 degrees apart."""
+        """Coordinates (n_det, 2) of the detectors on the lattice, along axes 60 degrees apart."""
         row = np.rint(self.focal_plane.y_rad / (np.sqrt(0.75) * self.pitch_rad))
         return np.column_stack([np.rint(self.focal_plane.x_rad / self.pitch_rad - row / 2), row]).astype(int)
 
@@ -54,10 +62,13 @@ class Camera:
 
 
 def camera(section: InstrumentSection) -> Camera:
-    """The camera of a scene, dead positions left out.
+    """Make the camera of a scene, without dead positions.
 
-    Raises ValueError for a dead position that is not in the layout, no live detector, two
-    detectors at one position, horns that do not fit between their neighbours, or an unreadable table.
+    Raises
+    ------
+    ValueError
+        For a dead position outside the layout, no live detector, two detectors at one position, horns that overlap
+        their neighbours, or an unreadable table.
     """
     pitch = None
     if section.positions is not None:
@@ -78,14 +89,14 @@ def camera(section: InstrumentSection) -> Camera:
 
 
 def illumination(section: InstrumentSection) -> Illumination:
-    """How pixels light the stop: uniformly, with the scene's edge taper, or with that of its horns."""
+    """Compute the illumination of the stop: uniform, or with the edge taper of the scene or of its horns."""
     if section.horn_f_lambda is not None:
         return Illumination(horn_taper_db(section.horn_f_lambda))
     return Illumination(section.edge_taper_db or 0.0)
 
 
 def total_efficiency(section: InstrumentSection) -> float:
-    """From window to detector, with what horns spill on the stop; the scene must give an `efficiency`."""
+    """Compute the efficiency from window to detector, with the spillover of horns; needs an `efficiency`."""
     if section.horn_f_lambda is None:
         return section.efficiency
     return section.efficiency * stop_efficiency(horn_taper_db(section.horn_f_lambda))
@@ -167,7 +178,8 @@ def closest_pair(positions: np.ndarray) -> tuple[float, int, int]:
         nearest = int(np.argmin(squared))
         distance = float(np.sqrt(squared[nearest]))
         if distance < closest[0]:
-            closest = (distance, *sorted((int(first[nearest]), int(second[nearest]))))
+            pair = int(first[nearest]), int(second[nearest])
+            closest = distance, min(pair), max(pair)
     return closest
 
 
@@ -178,7 +190,7 @@ def _closest_pair_of_tree(positions: np.ndarray) -> tuple[float, int, int]:
     first = int(np.argmin(distance[:, 1]))
     # With a twin at the same place either may come first.
     second = int(next(index for index in neighbour[first] if index != first))
-    return (float(distance[first, 1]), *sorted((first, second)))
+    return float(distance[first, 1]), min(first, second), max(first, second)
 
 
 def mask_by_separation(positions: np.ndarray, separation: float) -> np.ndarray:

@@ -86,7 +86,9 @@ def photon_noise(
     return PhotonNoise(frequency_hz, bandwidth, load_w, math.sqrt(shot + bose), shot * mk2_per_w2, bose * mk2_per_w2)
 
 
-def _check(load_k, frequency_hz, bandwidth, efficiency, polarizations, transmission) -> None:
+def _check(
+    load_k: float, frequency_hz: float, bandwidth: float, efficiency: float, polarizations: int, transmission: float
+) -> None:
     if polarizations not in (1, 2):
         raise OutOfRangeError(f"polarizations = {polarizations} found; 1 or 2 is allowed")
     if not 0 <= load_k < math.inf:

@@ -33,7 +33,7 @@ class Illumination:
 
     edge_taper_db: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not 0 <= self.edge_taper_db < math.inf:
             raise OutOfRangeError(
                 f"edge_taper_db = {self.edge_taper_db:g} found; a finite taper of 0 dB or more is allowed"

@@ -1,9 +1,8 @@
-"""When a field is observed, and how the sky lies over the telescope then.
+"""Schedule of a survey and pointing of its observations.
 
-Directions come from astropy (ICRS to AltAz, no refraction). UT1 is taken equal to UTC and the pole as
-unmoved. That is never wrong by more than 0.9 s, 14 arcsec of hour angle, and a survey needs no better. In
-return no table of the Earth's rotation is read (a second at every start) or fetched, future dates work like
-past ones, and the numbers do not depend on which table is installed.
+Directions come from astropy (ICRS to AltAz, no refraction). UT1 is set to UTC and polar motion to 0, with an error of
+at most 0.9 s or 14 arcsec of hour angle. No table of the Earth's rotation is then read (a second at every start) or
+downloaded, future dates work like past ones, and the result does not depend on the installed table.
 """
 
 import math
@@ -13,11 +12,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.telescope.raster import RasterPath
+
+if TYPE_CHECKING:
+    from astropy.coordinates import SkyCoord
 
 DAY_S = 86400.0
 SIDEREAL_RAD_S = 2 * np.pi * 1.00273790935 / DAY_S  # rate of the hour angle
@@ -30,7 +33,7 @@ STEP_DOWN_RAD = 3e-4  # along the vertical through the field; the angle does not
 
 @dataclass(frozen=True)
 class Site:
-    """Where the telescope stands: geodetic latitude and longitude (east positive), height."""
+    """Geodetic latitude, longitude (east positive) and height of the telescope."""
 
     latitude_rad: float
     longitude_rad: float
@@ -39,7 +42,7 @@ class Site:
 
 @dataclass(frozen=True)
 class FieldCentre:
-    """ICRS direction of the field's centre."""
+    """ICRS direction of the centre of the field."""
 
     ra_rad: float
     dec_rad: float
@@ -117,7 +120,7 @@ def _offline() -> Iterator[None]:
         yield
 
 
-def _sky(field: FieldCentre, site: Site, mjd: np.ndarray):
+def _sky(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple["SkyCoord", dict[str, Any]]:
     """Astropy's field centre, and the frame arguments of the site at these times."""
     from astropy import units as u
     from astropy.coordinates import EarthLocation, SkyCoord
@@ -304,7 +307,7 @@ def observation_pointing(
     )
 
 
-def sky_vector(angle_rad: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def sky_vector(angle_rad: np.ndarray, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vector (x, y) of a frame whose y axis has position angle `angle_rad`, as (xi, eta); shapes broadcast.
 
     With the parallactic angle, (x, y) = (d azimuth cos(el), d elevation).

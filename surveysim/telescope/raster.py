@@ -1,9 +1,9 @@
-"""The raster: how the telescope crosses the field during one observation.
+"""Raster scans of the field.
 
-Scans parallel to right ascension or declination are straight lines in the tangent plane of the field centre,
-along its `xi` (east) or `eta` (north) axis. A line of constant declination bends away from the straight one
-by xi^2 tan(dec) / 2, which is 26 arcsec at 1 degree and 7 arcsec at 30 arcmin from the centre of a field at
-40 degrees. Maps are binned where the telescope points, so the difference is one of coverage only.
+Scans parallel to right ascension or declination are straight lines in the tangent plane of the field centre, along
+its `xi` (east) or `eta` (north) axis. A line of constant declination deviates from it by xi^2 tan(dec) / 2: 26 arcsec
+at 1 degree and 7 arcsec at 30 arcmin from the centre of a field at 40 degrees. Maps are binned where the telescope
+points, so only the coverage differs.
 """
 
 from dataclasses import dataclass
@@ -16,11 +16,20 @@ from surveysim.scene.observing import MIN_SAMPLES
 
 @dataclass(frozen=True)
 class Raster:
-    """How one observation scans the field (paper, "Instrument Description").
+    """Raster of one observation (paper, "Instrument Description").
 
-    `speed_rad_s` is the speed of the boresight within scans, `n_scans` of which last `scan_s` each with
-    `turnaround_s` between them; `step_rad` lies between neighbouring scans. `dither_rad` is the size of the
-    offset that is drawn for each observation and handed to `raster`. Samples come at `sample_rate_hz`.
+    Attributes
+    ----------
+    speed_rad_s
+        Speed of the boresight in a scan.
+    n_scans
+    scan_s, turnaround_s
+        Durations of a scan and of the turnaround after it.
+    step_rad
+        Distance of neighbouring scans.
+    dither_rad
+        Range of the random offset of each observation.
+    sample_rate_hz
     """
 
     speed_rad_s: float
@@ -34,10 +43,18 @@ class Raster:
 
 @dataclass(frozen=True)
 class RasterPath:
-    """Boresight of one observation in the field's tangent plane; only samples inside scans exist.
+    """Boresight of one observation in the tangent plane of the field, for samples in scans.
 
-    `time_s`, `xi_rad`, `eta_rad`, `scan` (int64): (n_samp,), time since the start of the observation.
-    `velocity_rad_s`: (n_scan, 2), the constant velocity (xi, eta) of each scan. `mid_time_s`: (n_scan,).
+    Attributes
+    ----------
+    time_s : (n_samp,)
+        Time since the start of the observation.
+    xi_rad, eta_rad : (n_samp,)
+    scan : (n_samp,) int64
+        Number of the scan.
+    velocity_rad_s : (n_scan, 2)
+        Constant velocity (xi, eta) of each scan.
+    mid_time_s : (n_scan,)
     """
 
     time_s: np.ndarray
@@ -49,7 +66,7 @@ class RasterPath:
 
 
 def samples_per_scan(raster: Raster) -> int:
-    """Whole sampling intervals in one scan; ValueError when they are too few to clean a scan."""
+    """Count the whole sampling intervals in a scan; raises OutOfRangeError for fewer than `MIN_SAMPLES`."""
     # The small addition keeps a product such as 0.7 s * 10 Hz, a rounding below 7, from losing a sample.
     n = int(np.floor(raster.scan_s * raster.sample_rate_hz + 1e-6))
     if n < MIN_SAMPLES:
@@ -61,23 +78,33 @@ def samples_per_scan(raster: Raster) -> int:
 
 
 def duration_s(raster: Raster) -> float:
-    """Time from the start of the first scan to the end of the last one [s]."""
+    """Compute the time from the start of the first scan to the end of the last [s]."""
     return raster.n_scans * raster.scan_s + (raster.n_scans - 1) * raster.turnaround_s
 
 
 def mid_times(raster: Raster) -> np.ndarray:
-    """Time of the middle of each scan (n_scan,) after the start of the observation [s]."""
+    """Compute the times (n_scan,) of the middle of each scan since the start of the observation [s]."""
     return raster.scan_s / 2 + np.arange(raster.n_scans) * (raster.scan_s + raster.turnaround_s)
 
 
 def raster(raster: Raster, along: str, dither: np.ndarray) -> RasterPath:
-    """Boresight path of one observation, scans along "ra" (xi) or "dec" (eta), moved by `dither` (2,) [rad].
+    """Compute the boresight path of one observation.
 
-    The first scan goes east (or north), the next one back, each `step_rad` further north (or east). The
-    pattern is centred on the field plus the dither. Sample i of a scan lies (i + 1/2) / rate after its start,
-    so that a scan is symmetric about its middle; if it is not a whole number of intervals long, the rest is
-    split between both ends. ValueError for another direction, and for scans with too few samples
-    (`samples_per_scan`).
+    The first scan goes east (or north), the next one back, each `step_rad` further north (or east). The pattern is
+    centred on the field plus the dither. Sample i of a scan is (i + 1/2) / rate after its start, so a scan is symmetric
+    about its middle; a remainder of its duration is split between both ends.
+
+    Parameters
+    ----------
+    along
+        "ra" (xi) or "dec" (eta).
+    dither : (2,)
+        Offset of the pattern [rad].
+
+    Raises
+    ------
+    ValueError
+        For another direction, and for scans with too few samples (`samples_per_scan`).
     """
     if along not in ("ra", "dec"):
         raise ValueError(f'scans go along "ra" or "dec", not {along!r}')

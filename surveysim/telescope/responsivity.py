@@ -1,4 +1,4 @@
-"""Responsivities of a scene's detectors: the true ones, and those that cleaning takes as known."""
+"""Responsivities of the detectors: the true ones, and those that cleaning takes as known."""
 
 import numpy as np
 
@@ -7,13 +7,13 @@ from surveysim.scene.scene import Scene
 
 
 def band_responsivity(scene: Scene, n_det: int) -> np.ndarray:
-    """Responsivity (n_colour, n_det) of the other bands' detectors, each with its own scatter."""
+    """Draw the responsivity (n_band, n_det) of the detectors of the other bands, independently in each."""
     bands = range(1, len(scene.instrument.bands) + 1)
     return np.array([true_responsivity(scene, n_det, colour) for colour in bands]).reshape(len(bands), n_det)
 
 
 def true_responsivity(scene: Scene, n_det: int, realization: int = 0) -> np.ndarray:
-    """True responsivity (n_det,) of the mapped band's detectors, or of another band's by its `realization`."""
+    """Draw the true responsivity (n_det,) of the mapped band, or of another band by its `realization`."""
     scatter = generator(scene.seed, RandomPurpose.RESPONSIVITY, realization=realization).standard_normal(n_det)
     # Log-normal, so that a large scatter never turns a detector's sign; relative, so that their mean is 1.
     responsivity = np.exp(scene.instrument.responsivity_scatter * scatter)
@@ -21,7 +21,7 @@ def true_responsivity(scene: Scene, n_det: int, realization: int = 0) -> np.ndar
 
 
 def assumed_responsivity(scene: Scene, true: np.ndarray) -> np.ndarray | None:
-    """Responsivities (n_band, n_det) that cleaning takes as known, from the true ones; None where it fits them."""
+    """Draw the responsivities (n_band, n_det) that cleaning takes as known; None where it fits them."""
     section = scene.cleaning
     if section.responsivities == "known":
         return true

@@ -32,10 +32,16 @@ def add_layer(
     realization: int = 0,
     block: Block | None = None,
 ) -> None:
-    """Add one realization of the moving layer in this weather to streams (n_det, n_samp) [mK], in place.
+    """Add one realization of the moving layer to streams (n_det, n_samp) [mK], in place.
 
-    `pointing` is that of the whole observation: its scans share the layer's trends. Streams are those of one block, or
-    of all scans.
+    Parameters
+    ----------
+    pointing
+        Pointing of the whole observation: its scans share the trends of the layer.
+    data
+        Streams of one block, or of all scans without a `block`.
+    realization
+        Number of the realization; time-streams have 0.
     """
     from surveysim.atmosphere.screen_simulation import add_atmosphere as add_screen
 
@@ -44,7 +50,9 @@ def add_layer(
     strips = setup.air.strips.at(float(sine.min()))
     motion = offsets, velocity, layer_velocity = _layer_motion(setup, pointing, weather)
     trends = _trends(setup, observation, pointing, motion, strips, realization)
-    rng = generator(setup.scene.seed, RandomPurpose.ATMOSPHERE, observation, realization, block.number)
+    rng = generator(
+        setup.scene.seed, RandomPurpose.ATMOSPHERE, observation, realization=realization, block=block.number
+    )
     scans = slice(block.first, block.end)
     add_screen(
         data,
@@ -62,7 +70,7 @@ def add_layer(
 
 
 def _layer_motion(setup: Simulation, pointing: Pointing, weather: Weather) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Offsets of the detectors (n_scan, n_det, 2), velocities of boresight and layer (n_scan, 2), over sin(el)."""
+    """Compute offsets of detectors (n_scan, n_det, 2), velocities of boresight and layer (n_scan, 2), over sin(el)."""
     slant = 1 / np.sin(pointing.elevation_rad)[:, None]
     offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad), axis=-1)
     layer = np.stack(sky_vector(pointing.parallactic_rad, *weather.wind_rad_s), axis=-1)
@@ -77,7 +85,7 @@ def _trends(
     strips: "StripCache",
     realization: int,
 ) -> "ScanTrends":
-    """Trends of the layer in all scans of an observation."""
+    """Draw the trends of the layer in all scans of an observation."""
     from surveysim.atmosphere.scan_trends import draw_trends, strip_points
     from surveysim.atmosphere.screen_simulation import scan_tracks
 
@@ -96,12 +104,12 @@ def _trends(
     slant = 1 / np.sin(pointing.elevation_rad)[:, None]
     boresight = np.stack([pointing.xi_rad[first], pointing.eta_rad[first]], axis=-1) * slant
     corner = boresight - _moved(layer_velocity, middle, begin) + tracks.corner_rad
-    rng = generator(setup.scene.seed, RandomPurpose.TREND, observation, realization)
+    rng = generator(setup.scene.seed, RandomPurpose.TREND, observation, realization=realization)
     return draw_trends(strip_points(strips, corner, tracks.direction, tracks.length_rad), rng)
 
 
 def _moved(velocity_rad_s: np.ndarray, middle_s: np.ndarray, begin_s: np.ndarray) -> np.ndarray:
-    """Way (n_scan, 2) of the layer until each scan begins, from its velocities (n_scan, 2) in the middle of scans."""
+    """Integrate the velocity (n_scan, 2) of the layer at mid-scan to its displacement at the start of each scan."""
     between = (velocity_rad_s[1:] + velocity_rad_s[:-1]) / 2 * np.diff(middle_s)[:, None]
     until_middle = np.concatenate([np.zeros((1, 2)), np.cumsum(between, axis=0)])
     return until_middle - velocity_rad_s * (middle_s - begin_s)[:, None]

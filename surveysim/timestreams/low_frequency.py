@@ -28,9 +28,9 @@ def add_low_frequency_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
 
 
 def excess_variance(section: Excess, b2: float | None) -> float:
-    """Excess variance below the band limit [mK^2] at one B2: log-log through the knots (Table 2).
+    """Interpolate the excess variance below the band limit [mK^2] at one B2, log-log between knots (Table 2).
 
-    Held constant beyond the outermost knots: the paper has no data there.
+    It is constant beyond the outermost knots, where the paper has no data.
     """
     if b2 is None or len(section.b2) == 1:
         return section.variance_mk2[0]
@@ -38,11 +38,22 @@ def excess_variance(section: Excess, b2: float | None) -> float:
 
 
 def excess_psd(section: Excess, variance_mk2: float, n_samp: int, n: int, sample_rate_hz: float) -> np.ndarray:
-    """One-sided PSD [mK^2/Hz] A f^-index at the rfft frequencies of n samples, 0 at f = 0.
+    """Compute the one-sided PSD A f^-index of the excess noise, 0 at f = 0.
 
-    A is such that a scan of `n_samp` samples, its mean removed, has the variance `variance_mk2` below the
-    band limit, which is how Table 2 counts it: ``sum A f^-index (1 - sinc^2(f T)) df`` over the n-sample
-    grid that is drawn.
+    The amplitude A gives a mean-removed scan of the duration T the variance `variance_mk2` below the band limit, as in
+    Table 2: ``sum A f^-index (1 - sinc^2(f T)) df`` over the frequencies of n samples.
+
+    Parameters
+    ----------
+    n_samp
+        Samples of a scan.
+    n
+        Samples of the streams that are drawn.
+
+    Returns
+    -------
+    (n // 2 + 1,) array [mK^2/Hz]
+        At the rfft frequencies of n samples.
     """
     frequency = np.arange(n // 2 + 1) * (sample_rate_hz / n)
     shape = np.zeros(len(frequency))
@@ -61,9 +72,16 @@ def add_excess(
     factor: np.ndarray | CirculantFactor | None,
     rng: np.random.Generator,
 ) -> None:
-    """Add the excess low-frequency noise of some scans, correlated as ``factor factor^T`` (None: not), in place.
+    """Add the excess noise of whole scans to streams (n_det, n_samp), in place.
 
-    Drawn over twice the length of a scan, so that its end does not know of its beginning.
+    Streams are drawn with twice the length of a scan, so its end is not correlated with its beginning.
+
+    Parameters
+    ----------
+    variance_mk2
+        Variance below the band limit.
+    factor
+        Factor of the correlation between detectors, ``factor factor^T``; None for independent detectors.
     """
     from scipy.fft import next_fast_len
 
@@ -90,7 +108,7 @@ def _add_lattice_scan(
     root: CirculantFactor,
     rng: np.random.Generator,
 ) -> None:
-    """Add the first samples of streams of n samples, each of whose frequencies is a field on the torus, in place."""
+    """Add one scan, whose Fourier modes are fields on the lattice of the detectors, in place."""
     from scipy.fft import irfft
 
     n_det, per_scan = data_mk.shape

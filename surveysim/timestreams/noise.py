@@ -39,10 +39,16 @@ def add_correlated_white(
 def draw_from_psd(
     psd_mk2_hz: np.ndarray, shape: tuple, n: int, sample_rate_hz: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Gaussian streams (*shape, n) float32 of a one-sided PSD given at the rfft frequencies of n samples.
+    """Draw Gaussian streams of a one-sided PSD; each is periodic in n samples and has no mean.
 
-    `psd_mk2_hz` is (..., n // 2 + 1) and broadcasts against (*shape, n // 2 + 1). Each stream is
-    periodic in n samples and has no mean.
+    Parameters
+    ----------
+    psd_mk2_hz : (..., n // 2 + 1)
+        At the rfft frequencies of n samples; broadcasts against (*shape, n // 2 + 1).
+
+    Returns
+    -------
+    (*shape, n) float32 array [mK]
     """
     from scipy.fft import irfft
 
@@ -52,7 +58,7 @@ def draw_from_psd(
 
 
 def mode_amplitude(psd_mk2_hz: np.ndarray, n: int, sample_rate_hz: float) -> np.ndarray:
-    """Standard deviation float32 of both parts of the modes of n samples with this one-sided PSD, without a mean."""
+    """Compute the float32 standard deviation of the real and imaginary parts of the modes of n samples."""
     amplitude = np.sqrt(psd_mk2_hz * (sample_rate_hz * n / 4))
     amplitude[..., 0] = 0
     if n % 2 == 0:  # the Nyquist mode is real: all its power is in one deviate

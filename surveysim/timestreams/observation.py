@@ -1,4 +1,4 @@
-"""The time-streams of one observation: atmosphere, other noise and sky, as the detectors see them."""
+"""Time-streams of one observation: all components, through the response of the detectors."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -24,7 +24,7 @@ from surveysim.timestreams.simulation import Simulation, observation_path
 class Stopwatch:
     """Seconds spent in named stages."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
 
     @contextmanager
@@ -38,7 +38,7 @@ class Stopwatch:
 
 
 def draw_observation(setup: Simulation, observation: int) -> Timestreams:
-    """The time-streams of one observation, its blocks side by side, with the weather drawn for it in the attributes."""
+    """Draw the time-streams of one observation, its blocks side by side; the attributes hold its weather."""
     (_, pointing), watch = observation_path(setup.observing, observation), Stopwatch()
     if len(setup.observing.blocks) == 1:
         return draw_block(setup, observation, pointing, setup.observing.blocks[0], watch)
@@ -49,7 +49,15 @@ def draw_observation(setup: Simulation, observation: int) -> Timestreams:
 
 
 def draw_block(setup: Simulation, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> Timestreams:
-    """The time-streams of one block of an observation; `whole` points the observation."""
+    """Draw the time-streams of one block of an observation.
+
+    Parameters
+    ----------
+    whole
+        Pointing of the whole observation.
+    watch
+        Stopwatch that each component is timed with, under its name.
+    """
     of = observed_block(setup, observation, block, whole)
     data = np.zeros((setup.camera.n_det, len(of.pointing.time_s)), setup.stream_type)
     components = present_components(setup.scene)
@@ -67,10 +75,19 @@ def _add(components: Sequence[StreamComponent], data: np.ndarray, of: ObservedBl
 
 
 def draw_other_bands(setup: Simulation, observation: int, whole: Pointing, block: Block) -> np.ndarray:
-    """Streams of the other bands of the same detectors in one block, (n_band, n_det, n_samp) [mK].
+    """Draw the streams of the other bands of the same detectors in one block.
 
     Every band sees the layer of the mapped band, scaled by its response to water (section 3.3), and has white noise of
-    its own. Excess noise and sky are in the mapped band alone. `whole` points the observation.
+    its own. Excess noise and sky are in the mapped band alone.
+
+    Parameters
+    ----------
+    whole
+        Pointing of the whole observation.
+
+    Returns
+    -------
+    (n_band, n_det, n_samp) array [mK]
     """
     bands = setup.scene.instrument.bands
     n_samp = block.n_scans * samples_per_scan(setup.observing.raster)
@@ -91,7 +108,7 @@ def draw_other_bands(setup: Simulation, observation: int, whole: Pointing, block
 def _timestreams(
     setup: Simulation, observation: int, whole: Pointing, pointing: Pointing, first: int, data: np.ndarray
 ) -> Timestreams:
-    """Streams that begin with the scan `first` of an observation, whose truth goes with all of them."""
+    """Attach pointing and true parameters to streams that begin with the scan `first` of an observation."""
     weather = observation_weather(setup, observation)
     ra, dec = plane_directions(setup.sky.geometry, pointing.xi_rad, pointing.eta_rad)
     truth = {}
@@ -115,7 +132,7 @@ def _timestreams(
         "camera_angle_deg": float(np.degrees(whole.array_angle_rad[0] - whole.parallactic_rad[0])),
         **truth,
     }
-    # In the plane within a scan; a file has the position angle at the boresight, which meridians' convergence changes.
+    # Pointing has angles in the tangent plane, a file position angles: they differ by the convergence of meridians.
     north = north_angle(setup.sky.geometry, pointing.xi_rad, pointing.eta_rad)
     angle = pointing.array_angle_rad[pointing.scan] - north
     plane = setup.camera.focal_plane

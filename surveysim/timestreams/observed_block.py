@@ -43,7 +43,9 @@ class ObservedBlock:
 
     def generator(self, purpose: RandomPurpose | str, realization: int = 0) -> np.random.Generator:
         """Create the random generator of one purpose in this block."""
-        return generator(self.setup.scene.seed, purpose, self.observation, realization, self.block.number)
+        return generator(
+            self.setup.scene.seed, purpose, self.observation, realization=realization, block=self.block.number
+        )
 
 
 def observed_block(setup: Simulation, observation: int, block: Block, whole: Pointing) -> ObservedBlock:

@@ -27,5 +27,5 @@ def _shared_factor(pixels: DenseCorrelation | CirculantCorrelation, share: float
 
 
 def photon_correlation(correlation: np.ndarray, coherent_fraction: float) -> np.ndarray:
-    """Correlation of photon noise (n_det, n_det): only the coherent part of the load is shared (section 5.1)."""
+    """Reduce the correlation (n_det, n_det) of overlapping pixels to the coherent part of the load (section 5.1)."""
     return coherent_fraction * correlation + (1 - coherent_fraction) * np.eye(len(correlation))

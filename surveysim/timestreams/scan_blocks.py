@@ -1,7 +1,7 @@
-"""An observation in blocks of whole scans, whose streams take no more memory than the scene allows.
+"""Blocks of whole scans of an observation, within the memory that the scene allows.
 
-Every stage goes over the blocks of an observation in order. A block draws its streams from random numbers of its own
-(`surveysim.runtime.rng`), so where observations are cut is part of a scene, as its seed is.
+Every stage goes over the blocks of an observation in order. A block has random numbers of its own
+(`surveysim.runtime.rng`), so the results of a scene depend on its blocks, as they do on its seed.
 """
 
 from dataclasses import dataclass
@@ -17,12 +17,20 @@ class Block:
 
     @property
     def n_scans(self) -> int:
-        """How many scans it holds."""
+        """Number of scans."""
         return self.end - self.first
 
 
 def scan_blocks(n_scans: int, scan_bytes: int, most_bytes: float) -> tuple[Block, ...]:
-    """As few blocks as `most_bytes` allow, as equal as can be, of `n_scans` scans that each fit in."""
+    """Divide an observation into the fewest equal blocks within a memory limit.
+
+    Parameters
+    ----------
+    scan_bytes
+        Memory of one scan, at most `most_bytes`.
+    most_bytes
+        Memory limit of a block.
+    """
     n_blocks = -(-n_scans // int(most_bytes // scan_bytes))
     edges = [n_scans * number // n_blocks for number in range(n_blocks + 1)]
     return tuple(Block(number, *pair) for number, pair in enumerate(zip(edges, edges[1:], strict=False)))

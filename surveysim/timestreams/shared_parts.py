@@ -1,4 +1,4 @@
-"""Parts that all observations of a scene share: noise that detectors share, strips of the layer, skies."""
+"""Correlations of the noise, strips of the layer and skies: parts that all observations of a scene share."""
 
 import math
 from typing import TYPE_CHECKING
@@ -17,6 +17,7 @@ from surveysim.telescope.pixel_coherence import MOST_DENSE, DenseCorrelation, co
 
 if TYPE_CHECKING:
     from surveysim.atmosphere.screen_simulation import SlantStrips
+    from surveysim.atmosphere.thin_screen import Screen
 
 
 # Eigenvectors of the correlations differ in their last bits, or in a degenerate space altogether, between
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 def shared_noise(
     cam: Camera, section: Photon | Excess | None, name: str
 ) -> DenseCorrelation | CirculantCorrelation | None:
-    """What detectors share of a noise by overlap, None where they share nothing."""
+    """Compute the correlation of a noise between overlapping pixels; None where they share nothing."""
     if section is None or section.coherence == "none":
         return None
     n_det = len(cam.focal_plane.x_rad)
@@ -43,8 +44,8 @@ def shared_noise(
         raise SceneError(f"{name}.coherence: {error}") from None
 
 
-def screen(scene: Scene):
-    """The layer as the telescope sees it at the zenith; raises SceneError where there is none of these numbers."""
+def screen(scene: Scene) -> "Screen":
+    """Make the thin screen at the zenith; raises SceneError for parameters that it has no closed form for."""
     from surveysim.atmosphere.thin_screen import Screen
 
     air = scene.atmosphere
@@ -56,7 +57,7 @@ def screen(scene: Scene):
 
 
 def layer_strips(scene: Scene, cam: Camera) -> "SlantStrips | None":
-    """Strips of the layer, none made yet; None without an atmosphere."""
+    """Make the cache of strips of the layer, still empty; None without an atmosphere."""
     if scene.atmosphere is None:
         return None
     from surveysim.atmosphere.screen_simulation import SlantStrips
@@ -67,7 +68,7 @@ def layer_strips(scene: Scene, cam: Camera) -> "SlantStrips | None":
 
 
 def scene_sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
-    """The sky (n_y, n_x) that all streams see; None without one."""
+    """Draw the sky (n_y, n_x) [mK RJ] of a scene; None without one."""
     if scene.sky is None:
         return None
     from surveysim.timestreams.sky_maps import draw_sky
@@ -78,7 +79,10 @@ def scene_sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
 
 
 def window_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
-    """The window's skies (n_sky, n_y, n_x), that of a point source last where pipelines are compared."""
+    """Draw the skies (n_sky, n_y, n_x) [mK RJ] of the signal simulations.
+
+    The last is a point source where pipelines are compared. None without a score.
+    """
     if scene.score is None:
         return None
     from surveysim.timestreams.sky_maps import central_source, flat_cmb_sky

@@ -3,6 +3,7 @@
 import numpy as np
 
 from mapmaker.kernels.pixels import add_sky
+from surveysim.runtime.errors import OutOfRangeError
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.observed_block import ObservedBlock
 from surveysim.timestreams.simulation import Simulation
@@ -26,7 +27,7 @@ def add_seen_sky(
     grid, plane = setup.sky.geometry, setup.camera.focal_plane
     n_det, n_samp = len(plane.x_rad), len(pointing.xi_rad)
     if data_mk.shape != (n_det, n_samp) or gain.shape != (n_det,):
-        raise ValueError(
+        raise OutOfRangeError(
             f"found streams {data_mk.shape}, gains {gain.shape}; ({n_det}, {n_samp}), ({n_det},) are expected"
         )
     scale = 1 / grid.pixel_rad

@@ -17,12 +17,20 @@ def flat_cmb_sky(
     fwhm_rad: float,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """A Gaussian sky (n_y, n_x) float32 [mK RJ] of flat ``l(l+1) C_l / 2 pi``, seen by a Gaussian beam.
+    """Draw a Gaussian sky of a flat band power ``l(l+1) C_l / 2 pi``, convolved with a Gaussian beam.
 
-    Flat-sky synthesis, periodic in the grid, without a mean: modes longer than the grid are left out. Their leakage
-    through a taper is missing from an uncleaned map, by up to half of the power at the patch's longest modes; scans
-    that the grid just holds lose them anyway (`surveysim.reduction.scored_region.flat_signal`). `cmb_per_rj` is that of
-    the band.
+    Flat-sky synthesis: the sky is periodic in the grid and has no mean, so modes longer than the grid are missing.
+    Their leakage through a taper is missing from an uncleaned map, by up to half of the power at the longest modes of
+    the patch; scans no longer than the grid remove them anyway (`surveysim.reduction.scored_region.flat_signal`).
+
+    Parameters
+    ----------
+    cmb_per_rj
+        Thermodynamic CMB temperature per Rayleigh-Jeans temperature in the band.
+
+    Returns
+    -------
+    (n_y, n_x) float32 array [mK RJ]
     """
     from scipy.fft import irfft2, rfft2
 
@@ -41,11 +49,11 @@ def curved_cmb_sky(
     lmax: int,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """The same sky on the sphere up to l = `lmax`, synthesised at the grid's own pixel centres.
+    """Draw the same sky on the sphere up to l = `lmax`, at the pixel centres of the grid.
 
-    For fields too large for a plane. The spherical harmonics have the field's centre as their pole: the sky is
-    statistically the same from every side, and near a pole harmonics of high order vanish (`highest_order`), so a
-    small field takes few of them. ducc0's non-uniform synthesis is right to 1e-6 of the rms.
+    For fields too large for a plane. The pole of the spherical harmonics is the centre of the field, where harmonics of
+    high order vanish (`highest_order`), so a small field takes few of them. The accuracy of the non-uniform synthesis
+    of ducc0 is 1e-6 of the rms.
     """
     from ducc0.sht import synthesis_general
 
@@ -63,9 +71,10 @@ def curved_cmb_sky(
 
 
 def highest_order(geometry: MapGeometry, lmax: int) -> int:
-    """Order above which no harmonic up to l = `lmax` reaches the field from its centre, to a millionth.
+    """Compute the order above which harmonics up to l = `lmax` vanish in the field, to 1e-6.
 
-    At the distance r an order m fades as a Bessel function of ``l sin(r)`` does, beyond its turning point m.
+    At the distance r from the pole an order m decreases as a Bessel function of ``l sin(r)`` beyond its turning point
+    m.
     """
     across = np.hypot(geometry.n_x, geometry.n_y) * geometry.pixel_rad / 2
     turning = lmax * np.sin(np.arctan(across))
@@ -73,23 +82,26 @@ def highest_order(geometry: MapGeometry, lmax: int) -> int:
 
 
 def _coefficients(spectrum: np.ndarray, order: int, rng: np.random.Generator) -> np.ndarray:
-    """Harmonic coefficients of a real sky, of one order m and all l from m up, whose root of C_l is given."""
+    """Draw the harmonic coefficients of one order and all l >= order, from the square root of C_l."""
     if order == 0:
         return spectrum * (1 + 0j) * rng.standard_normal(len(spectrum))
     return spectrum * (rng.standard_normal(2 * len(spectrum)).view(complex) / np.sqrt(2))
 
 
 def flat_spectrum_mk2(ell: np.ndarray, band_power_ukcmb2: float, cmb_per_rj: float) -> np.ndarray:
-    """C_l [mK^2 sr, Rayleigh-Jeans] of a flat band power in uK_CMB^2; 0 at l = 0."""
+    """Compute C_l [mK^2 sr, Rayleigh-Jeans] of a flat band power in uK_CMB^2; 0 at l = 0."""
     return flat_spectrum_psd(ell) * (band_power_ukcmb2 * (1e-3 / cmb_per_rj) ** 2)
 
 
 def add_point_sources(
     sky_mk: np.ndarray, geometry: MapGeometry, sources: tuple[PointSource, ...], fwhm_rad: float
 ) -> np.ndarray:
-    """The sky with Gaussian beams at the sources, (n_y, n_x) float32.
+    """Add Gaussian beams at point sources to a sky; returns (n_y, n_x) float32 [mK RJ].
 
-    Raises ValueError for a source that the tangent plane has no place for, 90 degrees or more from its centre.
+    Raises
+    ------
+    OutOfRangeError
+        For a source 90 degrees or more from the centre of the tangent plane.
     """
     xi, eta = pixel_centres(geometry)
     sigma = fwhm_rad / np.sqrt(8 * np.log(2))
@@ -103,14 +115,16 @@ def add_point_sources(
 
 
 def central_source(geometry: MapGeometry, fwhm_rad: float) -> np.ndarray:
-    """A sky (n_y, n_x) float32 of one point source of 1 mK in the middle of the grid."""
+    """Make a sky (n_y, n_x) float32 of one point source of 1 mK in the middle of the grid."""
     xi, eta = pixel_centres(geometry)
     sigma = fwhm_rad / np.sqrt(8 * np.log(2))
     return np.exp(-(xi**2 + eta**2) / (2 * sigma**2)).astype(np.float32)
 
 
-def draw_sky(section: Sky, geometry: MapGeometry, cmb_per_rj: float, fwhm_rad: float, rng) -> np.ndarray:
-    """The sky of a scene (n_y, n_x) float32 [mK RJ] behind the beam, made ready to be looked up by streams."""
+def draw_sky(
+    section: Sky, geometry: MapGeometry, cmb_per_rj: float, fwhm_rad: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Draw the beam-convolved sky of a scene, (n_y, n_x) float32 [mK RJ], sharpened for look-up by streams."""
     arguments = (geometry, section.cmb_band_power_ukcmb2, cmb_per_rj, fwhm_rad)
     if section.curved_lmax is None:
         cmb = flat_cmb_sky(*arguments, rng)
@@ -120,11 +134,12 @@ def draw_sky(section: Sky, geometry: MapGeometry, cmb_per_rj: float, fwhm_rad: f
 
 
 def sharpened(sky_mk: np.ndarray) -> np.ndarray:
-    """A sky (n_y, n_x) whose bilinear look-up between cells has the power of the given one, in its type.
+    """Compensate a sky (n_y, n_x) for the low-pass filter of bilinear look-up.
 
-    Along each axis a look-up between cells has the transfer ``sinc^2(x / 2 pi)``, with x the phase from cell to cell.
-    This is its inverse ``1 + c / 6 + 2 c^2 / 45``, c = 1 - cos x, up to x^4: of half a map's pixel, right in power to
-    0.1 % at half of the map's Nyquist multipole and to 4 % at all of it, where the look-up loses a third.
+    Along each axis a look-up between cells has the transfer function ``sinc^2(x / 2 pi)``, with x the phase from cell
+    to cell. The filter is its inverse up to x^4, ``1 + c / 6 + 2 c^2 / 45`` with c = 1 - cos x. For cells of half a map
+    pixel its error in power is 0.1 % at half of the map's Nyquist multipole and 4 % at that multipole, where the
+    look-up without it loses a third.
     """
     from scipy.ndimage import correlate1d
 

@@ -13,6 +13,7 @@ from mapmaker.wind import measure_wind, scan_velocities
 from surveysim.reduction import noise_only_sets as sets
 from surveysim.reduction import observation as reduction
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline, measured_delays
+from surveysim.reduction.map_noise import map_noise
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.survey.coadds import add_observation, empty_coadds
 from surveysim.timestreams.atmosphere import add_atmosphere
@@ -66,14 +67,15 @@ def test_detector(per_sample, lynx):
 def test_pixels(per_sample, lynx):
     pointing, streams = lynx.pointing, lynx.streams
     boresight = (pointing.xi_rad, pointing.eta_rad, pointing.array_angle_rad[pointing.scan])
-    per_sample("pixels", lambda: boresight_pixels(lynx.setup.analysis.geometry, *boresight, streams.focal_plane))
+    per_sample("pixels", lambda: boresight_pixels(lynx.setup.analysis.geometry, *boresight, plane=streams.focal_plane))
 
 
 def test_wind(per_sample, lynx):
     streams, rate = lynx.streams, lynx.setup.observing.raster.sample_rate_hz
     velocity = scan_velocities(streams)
-    arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane, rate, velocity)
-    per_sample("wind, measured", lambda: measure_wind(*arguments))
+    arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane)
+    options = {"sample_rate_hz": rate, "scan_velocity_rad_s": velocity}
+    per_sample("wind, measured", lambda: measure_wind(*arguments, **options))
 
 
 @pytest.mark.parametrize("algorithm", ["average", "planar", "quadratic", "polynomial", "wind", "pca", "local"])
@@ -108,9 +110,9 @@ def test_simulated_set(per_sample, lynx, name):
     setup, n_det = lynx.setup, len(lynx.data_mk)
     psd = np.tile(lynx.result.clean_psd, (n_det, 1))
     white = white_level(psd, 150, setup.observing.raster.sample_rate_hz, setup.scene.score.white_noise_above_hz)
-    rng = generator(setup.scene.seed, sets.SIMULATED[name], OBSERVATION)
+    rng = generator(setup.scene.seed, sets.NOISE_ONLY_SETS[name].purpose, OBSERVATION)
     n_scans = setup.observing.raster.n_scans
-    per_sample(f"simulated set, {name}", lambda: sets.simulated_streams(setup, name, psd, white, n_scans, rng))
+    per_sample(f"simulated set, {name}", lambda: sets.NOISE_ONLY_SETS[name].draw(setup, psd, white, n_scans, rng))
 
 
 def test_window_of_one_sky(per_sample, lynx):
@@ -123,7 +125,7 @@ def test_window_of_one_sky(per_sample, lynx):
 def test_weights(per_sample, lynx):
     """The noise of the maps of all data sets."""
     maps = list(zip(lynx.result.sums, lynx.result.hits, strict=True))
-    per_sample("weights", lambda: [reduction.map_noise(lynx.setup, *item) for item in maps])
+    per_sample("weights", lambda: [map_noise(lynx.setup, *item) for item in maps])
 
 
 def test_coadds(per_sample, lynx):

@@ -16,7 +16,7 @@ from surveysim.cli.app import app
 from surveysim.cli.failures import EXIT_BROKEN_PIPE
 from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
 from surveysim.scene.keys import all_keys, scene_keys, scene_sections
-from surveysim.scene.scene import RENAMED
+from surveysim.scene.renamed_keys import RENAMED
 from surveysim.studies.sweep.axes import REFERENCE
 from tests.docs.pages import PAGES, README, ROOT, Block, blocks
 from tests.docs.tables import documented

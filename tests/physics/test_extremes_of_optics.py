@@ -217,7 +217,7 @@ def test_horns_fit_between_their_neighbours(scene_of):
     assert prepare(scene_of(NO_AIR, horns | {"instrument.horn_f_lambda": 2.0})).camera.illumination.edge_taper_db > 8
     with pytest.raises(SceneError, match="instrument.horn_f_lambda: found 2.01; 2, the closest pair's distance"):
         prepare(scene_of(NO_AIR, horns | {"instrument.horn_f_lambda": 2.01}))
-    with pytest.raises(SceneError, match="edge_taper: found beside 'horn_f_lambda'"):
+    with pytest.raises(SceneError, match="edge_taper: found together with 'horn_f_lambda'"):
         scene_of(NO_AIR, horns | {"instrument.horn_f_lambda": 1.0, "instrument.edge_taper": "3 dB"})
 
 

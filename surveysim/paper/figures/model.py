@@ -155,8 +155,8 @@ def _layer_panel(setup: Setup) -> Panel:
         _arrow("way of the layer in 1 s", (x[first], -1.4 * radius), moved, "vermilion"),
     )
     labels = ("Footprints in the layer", "Along the wind [m]", "Across the wind [m]")
-    ranges = {"x_range": (-1.7 * radius, moved + 1.7 * radius), "y_range": (-1.8 * radius, 1.8 * radius)}
-    return Panel(*labels, series, square=True, **ranges)
+    along, across = (-1.7 * radius, moved + 1.7 * radius), (-1.8 * radius, 1.8 * radius)
+    return Panel(*labels, series, square=True, x_range=along, y_range=across)
 
 
 def _emission_panel(setup: Setup) -> Panel:

@@ -1,6 +1,6 @@
 """The figure of accuracy and its cost: errors and biases against run time, with the Pareto fronts."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +68,7 @@ def _survey_panel(rows: Sequence[Measured], forecast: Sequence[Measured]) -> Pan
     return Panel(panel.title, TIME, panel.y_label, tuple(series), True, True, False, x_range, y_range)
 
 
-def _panel(title: str, y_label: str, rows: Sequence[Measured], value) -> Panel | None:
+def _panel(title: str, y_label: str, rows: Sequence[Measured], value: Callable[[Measured], float]) -> Panel | None:
     """All knobs of some rows; None where no value is above 0."""
     rows = [row for row in rows if value(row) > 0]
     if not rows:
@@ -86,7 +86,7 @@ def _panel(title: str, y_label: str, rows: Sequence[Measured], value) -> Panel |
     return Panel(title, TIME, y_label, tuple(series), True, True, False, _range(time), _range(error))
 
 
-def _points(rows: Sequence[Measured], value) -> tuple[np.ndarray, np.ndarray]:
+def _points(rows: Sequence[Measured], value: Callable[[Measured], float]) -> tuple[np.ndarray, np.ndarray]:
     return np.array([row.cpu_s for row in rows]), np.array([value(row) for row in rows])
 
 

@@ -179,7 +179,7 @@ def _add_legends(canvas: Figure, panels: tuple[Panel, ...]) -> float:
         if handles:
             axes.legend(handles, labels, **LEGEND)
     canvas.draw_without_rendering()
-    needed = {}
+    needed: dict[int, float] = {}
     for axes, panel in zip(canvas.axes, panels, strict=True):
         if axes.get_legend() and _hides(axes, panel):
             row = axes.get_subplotspec().rowspan.start

@@ -26,7 +26,7 @@ class Series:
     low: np.ndarray | None = None
     high: np.ndarray | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         shapes = {np.shape(a) for a in (self.x, self.y, self.low, self.high) if a is not None}
         if len(shapes) != 1 or len(min(shapes)) != 1:
             raise ValueError(f"series {self.label!r}: found arrays of shapes {sorted(shapes)}; one length is allowed")

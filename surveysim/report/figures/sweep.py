@@ -55,10 +55,10 @@ def sweep_figure(result: SweepResult) -> PaperFigure:
     if lost.any():
         ratios.append(Series("not comparable: scans lost", "points", x[lost], comparison.ratio[lost], "orange -."))
     shown = comparison.sigma_ukcmb2[np.isfinite(comparison.sigma_ukcmb2)]
-    look = {"x_log": logarithmic, "y_log": _wide(shown)}
+    wide = _wide(shown)
     panels = (
-        Panel("uncertainty of a flat band power", label, f"sigma(A) [{UK2_CMB}]", tuple(levels), **look),
-        Panel("against the reference point", label, "ratio of sigma(A)", tuple(ratios), **look),
+        Panel("uncertainty of a flat band power", label, f"sigma(A) [{UK2_CMB}]", tuple(levels), logarithmic, wide),
+        Panel("against the reference point", label, "ratio of sigma(A)", tuple(ratios), logarithmic, wide),
     )
     reference = plain(sweep.points[comparison.reference].label)
     caption = f"{len(sweep.points)} points with one seed; reference point: {reference}."
@@ -77,8 +77,9 @@ def _levels(result: SweepResult, x: np.ndarray, rows: np.ndarray, name: str, col
     if np.isfinite(forecast).any():
         label = "" if name and result.simulated else name or "forecast"
         # Steps without a number have nothing between them.
-        kind, look = ("points", f"{colour} :") if _ticks(result) else ("line", f"{colour} --")
-        series.append(Series(label, kind, x[rows], forecast, look))
+        steps = bool(_ticks(result))
+        look = f"{colour} {':' if steps else '--'}"
+        series.append(Series(label, "points" if steps else "line", x[rows], forecast, look))
     if result.simulated:
         sigma, error = comparison.sigma_ukcmb2[rows], comparison.error_ukcmb2[rows]
         series.append(Series(name or "simulated", "points", x[rows], sigma, colour, sigma - error, sigma + error))

@@ -49,8 +49,8 @@ def stage_times(run: Mapping[str, Any]) -> Grid:
         (cell(name), Cell(number(seconds, 2), seconds), Cell(number(each[name], 2), each[name]))
         for name, seconds in sorted(run["stage_s"].items(), key=lambda item: -item[1])
     ]
-    total = (sum(run["stage_s"].values()), sum(each.values()))
-    rows.append((cell("in all"), *(Cell(number(value, 2), value) for value in total)))
+    total_s, total_ns = sum(run["stage_s"].values()), sum(each.values())
+    rows.append((cell("in all"), Cell(number(total_s, 2), total_s), Cell(number(total_ns, 2), total_ns)))
     columns = ("stage", "time of all workers [s]", "for each detector-sample [ns]")
     return Grid("stage-table", "Time by stage", columns, tuple(rows))
 

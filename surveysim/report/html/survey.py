@@ -1,6 +1,6 @@
 """The page of a run."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,7 @@ def _sky_fact(scene: Content) -> str:
 # ---------------------------------------------------------------- the result in a few lines
 
 
-def _lead(summary: Content, scene: Content):
+def _lead(summary: Content, scene: Content) -> Iterator[str]:
     camera = f"{plural(summary['detectors'], 'detector')} at {short(scene['instrument']['frequency_hz'] / 1e9)} GHz"
     stopped, made = summary["stopped"], summary["observations"]
     survey = plural(stopped["observations_of_survey"], "observation")

@@ -41,8 +41,9 @@ class Terminal(Console):
             line, room = printable(line), max(NARROWEST, self.width)
             if self.wraps:
                 indent = line[: len(line) - len(line.lstrip())]
-                words = {"break_long_words": False, "break_on_hyphens": False, "subsequent_indent": indent}
-                line = textwrap.fill(line, room, **words)
+                line = textwrap.fill(
+                    line, room, break_long_words=False, break_on_hyphens=False, subsequent_indent=indent
+                )
             self.print(line, soft_wrap=True)
 
     def show(self, table: Table) -> None:

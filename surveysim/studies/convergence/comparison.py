@@ -151,8 +151,8 @@ def slopes(rows: Iterable[Measured]) -> list[Slope]:
     return [item for item in found if item is not None]
 
 
-def _slope(name: str, x: Sequence[float], y: Sequence[float]) -> Slope | None:
-    x, y = np.array(x, float), np.array(y, float)
+def _slope(name: str, x_values: Sequence[float], y_values: Sequence[float]) -> Slope | None:
+    x, y = np.array(x_values, float), np.array(y_values, float)
     used = (x > 0) & (y > 0)
     if np.unique(x[used]).size < 2:
         return None

@@ -45,6 +45,7 @@ def _sampling(scene: Scene, base: Mapping[str, Any]) -> list[Setting]:
 def _numerical(scene: Scene) -> list[Setting]:
     own, rate_hz = scene.numerics, scene.scan.sample_rate_hz
     steps = sorted({*STEPS, own.screen_step}, reverse=True)
+    ladder: list[tuple[str, str, float | str, float | str]]
     ladder = [("screen step", "numerics.screen_step", step, own.screen_step) for step in steps]
     for knob, kinds in (("interpolation", ("nearest", "linear", "cubic")), ("precision", ("float32", "float64"))):
         ladder += [(knob, f"numerics.{knob}", kind, getattr(own, knob)) for kind in kinds]

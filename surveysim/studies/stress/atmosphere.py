@@ -13,6 +13,7 @@ from surveysim.atmosphere.screen_simulation import add_atmosphere
 from surveysim.atmosphere.strip_factors import Strip
 from surveysim.atmosphere.thin_screen import Screen, structure_function
 from surveysim.reduction.setup import Setup, prepare
+from surveysim.scene.analysis import Cleaning
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.case import N_SAMP, RATE_HZ, TEMPLATES, Outcome, agrees
 from surveysim.timestreams.atmosphere import add_layer
@@ -59,12 +60,12 @@ def _moved(setup: Setup, scan_rad_s: np.ndarray, layer_rad_s: np.ndarray) -> np.
     rng = np.random.default_rng(3)
     add_atmosphere(
         data,
-        [(0, N_SAMP)],
+        np.array([(0, N_SAMP)]),
         sample_rate_hz=RATE_HZ,
         offsets_rad=offsets,
-        velocity_rad_s=[scan_rad_s],
-        layer_velocity_rad_s=[layer_rad_s],
-        amplitude_mk=[17.0],
+        velocity_rad_s=np.array([scan_rad_s]),
+        layer_velocity_rad_s=np.array([layer_rad_s]),
+        amplitude_mk=np.array([17.0]),
         strips=setup.air.strips.at(1.0),
         rng=rng,
     )
@@ -123,7 +124,7 @@ def no_air(scene: Scene) -> Outcome:
     return agrees(np.abs(found).max(), 0.0, 0.0, "difference of streams [mK]")
 
 
-def _none_of(scene: Scene):
+def _none_of(scene: Scene) -> Cleaning:
     return scene.cleaning.model_copy(update={"algorithm": ("none",)})
 
 

@@ -178,6 +178,7 @@ def _size_cases() -> list[Case]:
 
 def _geometry_cases() -> list[Case]:
     # Terms that each geometry holds: 1 and x on a line, all but one of second order on a circle.
+    most: dict[str, tuple[str, ...]]
     most = {"a line": ("average", "wind", "pca"), "nearly a line": ("average", "wind", "pca")}
     most |= {"a circle": ("average", "planar", "wind", "pca"), "two clusters": tuple(cleaning.ALGORITHMS)}
     cases = []
@@ -269,6 +270,7 @@ def _map_cases() -> list[Case]:
 def _bound_cases() -> list[Case]:
     finite = "each key at its bound: streams are numbers of 32 bits, without a warning on the way"
     beyond = "beyond any telescope or air: refused with the key"
+    most: dict[str, Any]
     most = {
         "atmosphere.b2": "[1e24] mK2 rad(-5/3)",
         "fixed_pointing.elevation": "5 deg",
@@ -284,6 +286,7 @@ def _bound_cases() -> list[Case]:
     }
     zenith = {"fixed_pointing": None, "schedule": _MAUNA_KEA, "field.dec": "19.8 deg", "observations": 1}
     behind = {"sky": {"cmb_band_power": "0 uK2", "point_sources": [_SOURCE | {"ra": "20h49m12s", "dec": "-44d50m24s"}]}}
+    refused: list[tuple[str, dict[str, Any], str]]
     refused = [
         ("elevation of 0.0015 deg", {"fixed_pointing.elevation": "0.0015 deg"}, "5 deg or more"),
         ("white noise of 1e80", {"detector.psd": "1e80 mK2 / Hz"}, "detector.psd"),

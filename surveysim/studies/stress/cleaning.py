@@ -105,7 +105,7 @@ def common_mode(scene: Scene, algorithm: str, dtype: type) -> Outcome:
 
 def white_left(scene: Scene, algorithm: str, places: str = "", n_samp: int = N_SAMP, n_scans: int = 1) -> Outcome:
     """White noise that is left, less a degree of freedom a template."""
-    plane = FocalPlane(*_places(places).T, 3e-4) if places else prepare(scene).camera.focal_plane
+    plane = plane_of(_places(places)) if places else prepare(scene).camera.focal_plane
     n_det = len(plane.x_rad)
     data = _cleaned(algorithm, planted(n_det, 100.0, n_samp, n_scans), plane, n_samp)
     # A mean and a template's course each take a degree of freedom in every template, c one more in the scan.
@@ -163,6 +163,11 @@ def equal_modes(scene: Scene, singular: np.ndarray, expected: int) -> Outcome:
     return agrees(float(cleaned.removed[0]), expected, 0.0, "modes removed")
 
 
+def plane_of(places: np.ndarray) -> FocalPlane:
+    """A focal plane of detectors at places (n_det, 2) [rad], with a beam of an arcminute."""
+    return FocalPlane(places[:, 0], places[:, 1], 3e-4)
+
+
 def _places(kind: str) -> np.ndarray:
     """37 places (n_det, 2) [rad]: on a line, nearly on one, on a circle, or in two clusters."""
     t, rng = np.linspace(-1, 1, 37), np.random.default_rng(8)
@@ -177,7 +182,7 @@ def _places(kind: str) -> np.ndarray:
 
 def local(scene: Scene, places: str) -> Outcome:
     """What the means of neighbours leave of white noise."""
-    plane, options = FocalPlane(*_places(places).T, 3e-4), LocalOptions(1.2)
+    plane, options = plane_of(_places(places)), LocalOptions(1.2)
     data = planted(37, 0.0)
     left = clean("local", data, np.array([[0, N_SAMP]]), plane, options=options).data_mk
     members = np.sum(neighbourhoods(plane, options.neighbour_radius) < 37, axis=1)

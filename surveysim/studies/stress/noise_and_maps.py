@@ -11,11 +11,10 @@ from mapmaker.correlations import correlation_profile, pair_bins, scan_covarianc
 from mapmaker.gls import GlsOptions, gls_map
 from mapmaker.iterative import StreamBlock
 from mapmaker.stream_psd import low_frequency_variance
-from mapmaker.timestreams import FocalPlane
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.case import N_SAMP, RATE_HZ, STIFF, Outcome, agrees
-from surveysim.studies.stress.cleaning import planted
+from surveysim.studies.stress.cleaning import plane_of, planted
 from surveysim.telescope.pixel_coherence import correlation_factor
 from surveysim.timestreams.low_frequency import add_excess
 from surveysim.timestreams.observation import draw_observation
@@ -71,7 +70,7 @@ def gains(scene: Scene) -> Outcome:
 
 def pairs(scene: Scene, places: np.ndarray) -> Outcome:
     """A profile linear in theta^2 and gains over two decades: what comes back of the profile."""
-    bins = pair_bins(FocalPlane(*places.T, 3e-4))
+    bins = pair_bins(plane_of(places))
     gain, distant = np.linspace(-2, 2, len(places)), ~bins.adjacent
     shape = -((bins.theta_rad / bins.theta_rad[-1]) ** 2)
     logs = shape[bins.bin[distant]] + gain[bins.first[distant]] + gain[bins.second[distant]]

@@ -21,16 +21,10 @@ import numpy as np
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.text_files import key_text
+from surveysim.scene.error_lines import allowed_keys, error_lines
 from surveysim.scene.fields import LONGEST_LINE
-from surveysim.scene.scene import (
-    Origin,
-    Scene,
-    allowed_keys,
-    error_lines,
-    read_scene,
-    scene_hash,
-    scene_of,
-)
+from surveysim.scene.renamed_keys import renamed_line
+from surveysim.scene.scene import Origin, Scene, read_scene, scene_hash, scene_of
 from surveysim.scene.shipped import find_scene
 from surveysim.scene.units import file_value, shown
 from surveysim.telescope.raster import samples_per_scan
@@ -275,9 +269,11 @@ def _check_key(where: str, axis: str, key: str) -> None:
     *sections, last = key.split(".")
     if sections[:1] == ["sweep"] or key in COMMON:
         raise InputError(f"{where}: found {shown(key)}; a key that is not common to all points is expected")
-    allowed = allowed_keys(tuple(sections))
+    if renamed := renamed_line(key):
+        raise InputError(renamed)
+    allowed = allowed_keys(sections, Scene)
     if last not in allowed:
-        if axis != key and key in allowed_keys(tuple(axis.split("."))):
+        if axis != key and key in allowed_keys(axis.split("."), Scene):
             raise InputError(f'{where}: unknown key; a key with dots goes in quotes: "{axis}.{key}"')
         names = ", ".join(f"{'.'.join([*sections, name])}" for name in allowed if name not in COMMON)
         raise InputError(f"{where}: unknown key{f'; allowed are {names}' if names else ' of a scene'}")
@@ -354,7 +350,8 @@ def _settings(axes: Iterable[Axis], place: tuple[int, ...]) -> dict[str, Any]:
 
 def _of_all(path: Path, labels: Sequence[str], job: Callable[[int], T]) -> list[T]:
     """`job(number)` of every point; raises SceneError with each of their errors once."""
-    done, wrong = [], {}
+    done: list[T] = []
+    wrong: dict[str, list[int]] = {}
     for number in range(len(labels)):
         try:
             done.append(job(number))

@@ -171,8 +171,8 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
         except InputError as error:  # of a scene that can't be forecast
             reason = str(error)
         sigma = {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}
-        told = sigma, [], _flags(found), _discarded(found), []
-        results.append(PointResult(point.n_det, {}, *told, "", reason, perf_counter() - start))
+        told = _flags(found), _discarded(found)
+        results.append(PointResult(point.n_det, {}, sigma, [], *told, [], "", reason, perf_counter() - start))
         progress(len(results))
     return tuple(results)
 

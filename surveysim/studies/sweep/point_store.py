@@ -25,8 +25,18 @@ from surveysim.survey.scores import Control, DataSetScore
 _OF_BAND, _OF_WINDOW = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
 _OF_CONTROL = ("factor", "weights", "noise")
 _OF_SET = ("noise_psds", "signal_psd", "weights", "bin_noise", "kept")
-_NEVER_NEGATIVE = ("noise_psds", "signal_psd", "weights", "kept", "band.weight", "band.ell", "window.ell")
-_NEVER_NEGATIVE += ("control.weights", "plain.weight", "plain.ell")
+_NEVER_NEGATIVE = (
+    "noise_psds",
+    "signal_psd",
+    "weights",
+    "kept",
+    "band.weight",
+    "band.ell",
+    "window.ell",
+    "control.weights",
+    "plain.weight",
+    "plain.ell",
+)
 _Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -77,7 +87,9 @@ def save_point(path: Path, result: PointResult, identity: str) -> None:
         "sets": {name: _numbers(item) for name, item in result.scores.items()},
         "rest": {key: value for key, value in vars(result).items() if key != "scores"},
     }
-    arrays = {f"{name}/{key}": array for name, item in result.scores.items() for key, array in _arrays(item).items()}
+    arrays: dict[str, Any] = {
+        f"{name}/{key}": array for name, item in result.scores.items() for key, array in _arrays(item).items()
+    }
     with atomic_write(path) as partial, open(partial, "wb") as file:
         np.savez(file, meta=json.dumps(meta), **arrays)
 
@@ -104,7 +116,7 @@ def load_point(path: Path, point: Point) -> PointResult:
         first = error.errors()[0]
         reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
     except Exception as error:  # zip, npy and JSON readers raise a wide range for damaged bytes
-        reason = error
+        reason = str(error)
     else:
         return result
     raise CheckpointError(f"{path}: damaged ({one_line(reason, REASON)}); delete it and go on with --resume")
@@ -247,7 +259,7 @@ def _arrays(item: DataSetScore) -> dict[str, np.ndarray]:
 
 
 def _score(file: Any, name: str, numbers: dict[str, Any]) -> DataSetScore:
-    def arrays(part: str, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
+    def arrays(part: str, keys: tuple[str, ...]) -> dict[str, Any]:
         return {key: file[f"{name}/{part}{key}"] for key in keys}
 
     controlled = "control" in numbers

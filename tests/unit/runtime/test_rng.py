@@ -22,8 +22,8 @@ def test_numbers_of_stages_stay():
 
 
 def test_one_key_gives_one_sequence():
-    first = generator(5, RandomPurpose.PHOTON, 3, 2).standard_normal(100)
-    np.testing.assert_array_equal(first, generator(5, RandomPurpose.PHOTON, 3, 2).standard_normal(100))
+    first = generator(5, RandomPurpose.PHOTON, 3, realization=2).standard_normal(100)
+    np.testing.assert_array_equal(first, generator(5, RandomPurpose.PHOTON, 3, realization=2).standard_normal(100))
 
 
 def test_draws_of_one_generator_move_no_other():
@@ -47,7 +47,9 @@ def test_different_keys_give_independent_sequences():
     keys += [(0, RandomPurpose.EXCESS, 1, 0, block) for block in (1, 2, int(RandomPurpose.EXCESS))] + [
         (0, RandomPurpose.EXCESS, 0, 1, 1)
     ]
-    draws = np.array([generator(*key).standard_normal(N_DRAWS) for key in keys])
+    names = "seed", "purpose", "observation", "realization", "block"
+    rngs = [generator(**dict(zip(names, key, strict=False))) for key in keys]
+    draws = np.array([rng.standard_normal(N_DRAWS) for rng in rngs])
     correlation = np.corrcoef(draws)
     for i, j in combinations(range(len(keys)), 2):
         assert abs(correlation[i, j]) < 5 / np.sqrt(N_DRAWS), (keys[i], keys[j])
@@ -55,8 +57,8 @@ def test_different_keys_give_independent_sequences():
 
 
 def test_the_first_block_has_the_key_of_the_observation():
-    """What keeps observations of one block as they are; the sequence is numpy's for this key."""
-    found = generator(5, RandomPurpose.PHOTON, 3, 2, block=0).random(5)
+    """Observations of one block have a key without a block; the sequence is numpy's for this key."""
+    found = generator(5, RandomPurpose.PHOTON, 3, realization=2, block=0).random(5)
     expected = np.random.Generator(np.random.SFC64(np.random.SeedSequence(5, spawn_key=(2, 3, 5)))).random(5)
     np.testing.assert_array_equal(found, expected)
 

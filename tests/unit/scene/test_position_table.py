@@ -141,7 +141,7 @@ def test_files_that_are_no_files(tmp_path):
         ("", "can't be read (Is a directory); an ECSV table is expected"),
         ("pipe", "found a pipe or a device, not a file; an ECSV table"),
         ("loop", "can't be read (Too many levels of symbolic links)"),
-        ("nowhere.ecsv", "no such file beside the scene; an ECSV table is expected"),
+        ("nowhere.ecsv", "no such file in the folder of the scene; an ECSV table is expected"),
     ):
         assert refusal(tmp_path / name).startswith(words)
     assert "a pipe or a device" in str(pytest.raises(ValueError, read_positions, "/dev/zero").value)

@@ -6,7 +6,8 @@ from time import perf_counter
 import pytest
 
 from surveysim.runtime.errors import SceneError
-from surveysim.scene.scene import MAX_BYTES, assumed_values, load_scene
+from surveysim.scene.assumed_values import assumed_values
+from surveysim.scene.scene import MAX_BYTES, load_scene
 from tests.refusals import SECONDS, scene_refusal
 from tests.scenes import SMALL_SCENE, write_scene
 

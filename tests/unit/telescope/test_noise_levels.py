@@ -250,13 +250,16 @@ def test_power_needs_an_instrument(tmp_path, text, missing):
     [
         (LOAD.replace('sky = "10 K"\n', ""), "photon.load.sky: missing; a temperature, or a site"),
         (LOAD.replace("[photon.load]", 'psd = "1 mK2/Hz"\n[photon.load]'), "exactly one of 'psd' and 'load'"),
-        (LOAD.replace("[photon.load]", "coherent_fraction = 0.1\n[photon.load]"), "found beside 'load'"),
+        (LOAD.replace("[photon.load]", "coherent_fraction = 0.1\n[photon.load]"), "found together with 'load'"),
         ('[photon]\npsd = "1 mK2/Hz"\ncoherence = "none"\n', "coherent_fraction: missing; 'psd' needs it"),
         (
             BOLOCAM.replace("bose_fraction = 0.69\n", "").replace("field", "intensity"),
             "photon.bose_fraction: missing; 'psd'",
         ),
-        (LOAD.replace("[photon.load]", "bose_fraction = 0.1\n[photon.load]"), "bose_fraction: found beside 'load'"),
+        (
+            LOAD.replace("[photon.load]", "bose_fraction = 0.1\n[photon.load]"),
+            "bose_fraction: found together with 'load'",
+        ),
         ('[detector]\npsd = "1 mK2/Hz"\nnep = "1e-17 W / Hz(1/2)"\n', "exactly one of 'psd' and 'nep'"),
         ("[detector]\n", "exactly one of 'psd' and 'nep'"),
     ],

@@ -1,0 +1,28 @@
+"""Values of a scene that its comments call assumed or calibrated."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from surveysim.scene.sites import sites_text
+
+
+def assumed_values(text: str) -> list[str]:
+    """Return lines ``section.key = value: comment`` for comments that begin with "assumed" or "calibrated"."""
+    section, found = "", []
+    for line in text.splitlines():
+        if match := re.match(r"\s*\[\[?([\w.]+)\]", line):
+            section = match[1] + "."
+        elif comment := re.search(r"#\s*((?:assumed|calibrated).*)$", line):
+            key, equals, value = line[: comment.start()].partition("=")
+            if equals and re.fullmatch(r"\w+", key.strip()):
+                found.append(f"{section}{key.strip()} = {value.strip()}: {comment[1]}")
+    return found
+
+
+def assumed_of_site(section: Mapping[str, Any]) -> list[str]:
+    """Return the assumed values that an [atmosphere] takes from its site."""
+    lines = (line.partition(".")[::2] for line in assumed_values(sites_text()))
+    return [
+        f"atmosphere.{rest}" for site, rest in lines if site == section.get("site") and rest.split()[0] not in section
+    ]

@@ -1,0 +1,71 @@
+"""Error messages of a scene: one line for each error, with file, key, value found and values expected."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from surveysim.runtime.text_files import key_text
+from surveysim.scene.section import Section
+from surveysim.scene.units import shown
+
+MAX_ERRORS = 30  # lines of an error
+_EXPECTED = {
+    "model_type": "a section is expected",
+    "tuple_type": "a list is expected",
+    "string_type": "a text in quotes is expected",
+    "int_type": "an integer is expected",
+    "int_parsing": "an integer is expected",
+    "int_from_float": "an integer is expected",
+    "float_type": "a number is expected",
+    "float_parsing": "a number is expected",
+    "finite_number": "a finite number is expected",
+    "string_pattern_mismatch": "ASCII letters, digits, '_', '.' and '-' are expected, neither of the last two first",
+}
+
+
+def error_lines(path: Path, errors: Sequence[str]) -> str:
+    """Join errors, each on a line after the path of the file; beyond `MAX_ERRORS` they are counted only."""
+    left_out = len(errors[MAX_ERRORS:])
+    more = [f"{left_out} more errors"] if left_out else []
+    return "\n".join(f"{path}: {line}" for line in [*errors[:MAX_ERRORS], *more])
+
+
+def validation_lines(error: ValidationError, scene: type[BaseModel]) -> list[str]:
+    """Return a line for each error that the schema `scene` finds in a file."""
+    found = error.errors(include_url=False, include_context=False)
+    # A line quotes a value: of many errors only those that are shown are put into words.
+    return [_line(item, scene) if number < MAX_ERRORS else "" for number, item in enumerate(found)]
+
+
+def _line(item: Any, scene: type[BaseModel]) -> str:
+    key = key_text(".".join(str(part) for part in item["loc"]))
+    message = item["msg"].removeprefix("Value error, ")
+    if item["type"] == "value_error" and (match := re.match(r"([a-z_0-9]+): ", message)) and key:
+        # A check of a whole section names the key that it is about.
+        key, message = f"{key}.{match[1]}", message[match.end() :]
+    if item["type"] == "extra_forbidden":
+        message = f"unknown key; allowed are {', '.join(allowed_keys(item['loc'][:-1], scene))}"
+    elif item["type"] == "missing":
+        message = "missing; this key is expected"
+    elif item["type"] != "value_error":
+        message = re.sub(r"^Input should be (greater|less)(.*)$", r"a number \1\2 is expected", message)
+        allowed = _EXPECTED.get(item["type"], f"{message[0].lower()}{message[1:]}")
+        message = f"found {shown(item['input'])}; {allowed}"
+    return f"{key}: {message}" if key else message
+
+
+def allowed_keys(location: Sequence[str | int], scene: type[BaseModel]) -> list[str]:
+    """Return the keys of the section at a location of the file, in alphabetical order; none without such a section."""
+    model: Any = scene
+    for name in location:
+        if isinstance(name, int):
+            continue
+        annotation = next((f.annotation for k, f in model.model_fields.items() if (f.alias or k) == name), None)
+        candidates = [annotation, *getattr(annotation, "__args__", ())]
+        model = next((c for c in candidates if isinstance(c, type) and issubclass(c, Section)), None)
+        if model is None:
+            return []
+    return sorted(f.alias or k for k, f in model.model_fields.items() if k != "assumed")
