@@ -74,7 +74,7 @@ def _to_disk(path: Path) -> None:
 
 
 def write_ecsv(
-    path: str | Path, columns: Mapping[str, Sequence], units: Mapping[str, str], meta: Mapping[str, object]
+    path: str | Path, columns: Mapping[str, Sequence | np.ndarray], units: Mapping[str, str], meta: Mapping[str, object]
 ) -> None:
     """Write columns of equal length as an ECSV 1.0 table (Astropy Proposal for Enhancement 6), atomically.
 

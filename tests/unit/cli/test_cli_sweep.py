@@ -58,7 +58,7 @@ def test_run_of_a_sweep(call, sweep):
     arguments = ("--out", out, "--workers", 1, "--set", "observations=5")
     code, text, error = call("run", sweep, *arguments, "--resume", "--no-figures", "--verbose")
     assert code == 0 and "best: scan.speed = " in text and " with confidence " in text
-    assert "Ratios are to scan.speed = 3 arcmin / s, their errors those of runs with one seed." in text
+    assert "Ratios are to scan.speed = 3 arcmin / s, with paired errors." in text
     lines = error.splitlines()
     assert lines[0] == f"no points in {out}: starting with the first"
     assert [line.split(",")[0] for line in lines[1:]] == ["speeds: 1/2 points", "speeds: 2/2 points"]

@@ -117,9 +117,12 @@ def test_killed_parent(tmp_path, engine):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["serial", "processes", "dask"])
+@pytest.mark.parametrize("engine", ["dask"])
 def test_killed_at_random_and_resumed(tmp_path, engine):
-    """Wherever a run is killed, whether anything is kept by then or not: the same bits and files as undisturbed."""
+    """Wherever a run is killed, whether anything is kept by then or not: the same bits and files as undisturbed.
+
+    The other engines are killed by `tests/stress/test_kills.py`.
+    """
     path, out, whole = long_scene(tmp_path, 60), tmp_path / "out", tmp_path / "whole"
     how = ("--engine", engine, "--no-figures", "-q", "--save-timestreams")
     begin = time.monotonic()
