@@ -218,8 +218,6 @@ def test_scans_take_the_modes_that_skies_lack(lynx, algorithm, allowed):
             maps = scanned_maps(lynx, np.roll(sky, np.multiply(corner, side // 2), (0, 1)), algorithm)
             region = lynx.analysis.region
             psd = map_psd(region.pad(maps), region.padded_taper, 1.0, region.rings)
-                lynx.analysis.region.pad(maps), lynx.analysis.region.padded_taper, 1.0, lynx.analysis.region.rings
-            )
             power[:, part] += psd[:, place]
     before, after = power[:, 0] / power.sum(axis=1)
     assert before > 0.05
