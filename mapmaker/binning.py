@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mapmaker.errors import InputError
 from mapmaker.files import atomic_write, one_line, regular_file
 from mapmaker.geometry import (
     MapGeometry,
@@ -17,7 +18,6 @@ from mapmaker.geometry import (
     same_geometry,
     wcs_cards,
 )
-from mapmaker.kernels.pixels import bin_samples
 from mapmaker.validation import (
     argument_error,
     bounds_of_scans,
@@ -101,6 +101,8 @@ def bin_map(
         For shapes and types that do not match, pixels outside the map, scans outside the streams or overlapping, and
         values on the map that are not finite in kept scans.
     """
+    from mapmaker.kernels.pixels import bin_samples
+
     data = reals("data_mk", data_mk, ("n_det", "n_samp"), finite=False)
     n_pixel = geometry.n_y * geometry.n_x
     index = pixel_numbers(index, data.shape, n_pixel)
@@ -234,7 +236,7 @@ def read_fits(path: str | Path) -> BinnedMap:
 
     Raises
     ------
-    ValueError
+    InputError
         In one line that names the file: for one that is unreadable, truncated or no regular file, for planes whose
         shapes or WCS differ or do not fit `MapGeometry`, and for other units or invalid values.
     """
@@ -245,7 +247,7 @@ def read_fits(path: str | Path) -> BinnedMap:
         with fits.open(path, memmap=False) as file:
             return _map_of(file)
     except Exception as error:  # astropy raises nearly every kind of exception for a mangled file
-        raise ValueError(f"{path}: not a whole map file ({one_line(error)})") from None
+        raise InputError(f"{path}: not a whole map file ({one_line(error)})") from None
 
 
 def _map_of(file: Any) -> BinnedMap:

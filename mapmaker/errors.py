@@ -1,4 +1,4 @@
-"""Errors that input explains. Anything else, a plain ValueError or IndexError too, is a bug of the caller.
+"""Errors that input explains, and `ArgumentError`. Any other error is a bug.
 
 Their text is one line for each thing that is wrong: its name, the value found, the values expected.
 """
@@ -9,6 +9,10 @@ class InputError(ValueError):
 
     Catch it to report a refusal; raise one of its subclasses where one applies.
     """
+
+
+class ArgumentError(ValueError):
+    """An argument of the wrong type, shape or value: a bug of the caller, unless the values come from a file."""
 
 
 class OutOfRangeError(InputError):

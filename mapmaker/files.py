@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from mapmaker.errors import InputError
+
 _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_.:+-")
 
 
@@ -46,7 +48,7 @@ def regular_file(path: str | Path, kind: str) -> None:
     """Raise InputError unless `path` is a regular file: reading a pipe or a device may never end."""
     if not Path(path).is_file():
         found = "no regular file" if Path(path).exists() else "no such file"
-        raise ValueError(f"{path}: not a whole {kind} ({found})")
+        raise InputError(f"{path}: not a whole {kind} ({found})")
 
 
 def one_line(error: BaseException) -> str:
@@ -72,7 +74,7 @@ def _to_disk(path: Path) -> None:
 
 
 def write_ecsv(
-    path: str | Path, columns: Mapping[str, Sequence], units: Mapping[str, str], meta: Mapping[str, object]
+    path: str | Path, columns: Mapping[str, Sequence | np.ndarray], units: Mapping[str, str], meta: Mapping[str, object]
 ) -> None:
     """Write columns of equal length as an ECSV 1.0 table (Astropy Proposal for Enhancement 6), atomically.
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.errors import OutOfRangeError
-from mapmaker.kernels.pixels import plane_pixels
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.validation import MAX_PIXELS, argument_error, number, pixel_side, reals, whole
 
@@ -210,6 +209,8 @@ def boresight_pixels(
     ValueError
         For arrays of different lengths, or that are not real numbers.
     """
+    from mapmaker.kernels.pixels import plane_pixels
+
     xi_rad = reals("xi_rad", xi_rad, ("n_samp",), finite=False)
     eta_rad = reals("eta_rad", eta_rad, xi_rad.shape, finite=False)
     plane_angle_rad = reals("plane_angle_rad", plane_angle_rad, xi_rad.shape, finite=False)
@@ -228,13 +229,23 @@ def covering_geometry(ra0_rad: float, dec0_rad: float, pixel_rad: float, half_ex
     ValueError
         For an extent that is not positive or beyond 90 degrees, and as `MapGeometry`.
     """
-    from scipy.fft import next_fast_len
-
     number("half_extent_rad", half_extent_rad, above=0, most=math.pi / 2)
     if half_extent_rad > MAX_PIXELS * pixel_side("pixel_rad", pixel_rad):
         raise argument_error("pixel_rad", pixel_rad, f"a side of {MAX_PIXELS} pixels or less is")
-    n = 2 * next_fast_len(int(np.ceil(half_extent_rad / pixel_rad)) + 1, real=True)
+    n = 2 * fast_length(int(np.ceil(half_extent_rad / pixel_rad)) + 1)
     return MapGeometry(ra0_rad, dec0_rad, pixel_rad, n, n)
+
+
+def fast_length(n: int) -> int:
+    """Smallest product of 2, 3 and 5 that is not below `n`, for FFTs: scipy, which knows it, takes long to import."""
+    while True:
+        left = n
+        for prime in (2, 3, 5):
+            while left % prime == 0:
+                left //= prime
+        if left == 1:
+            return n
+        n += 1
 
 
 def finest_nside(pixel_rad: float) -> int:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mapmaker.errors import ArgumentError, InputError
 from mapmaker.files import atomic_write, one_line, regular_file
 from mapmaker.validation import argument_error, flags, increasing, integers, number, reals, signed, single_precision
 
@@ -251,7 +252,7 @@ def read_timestreams(path: str | Path) -> Timestreams:
 
     Raises
     ------
-    ValueError
+    InputError
         In one line that names the file: for one that is unreadable, truncated, no regular file or lacks a data set, and
         for shapes, types or values that `Timestreams` refuses.
     """
@@ -262,12 +263,12 @@ def read_timestreams(path: str | Path) -> Timestreams:
         with h5py.File(path, "r") as file:
             return _streams_of(file)
     except _Unfit as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
     except Exception as error:  # h5py raises nearly every kind of exception for a mangled file
-        raise ValueError(f"{path}: not a whole time-stream file ({one_line(error)})") from None
+        raise InputError(f"{path}: not a whole time-stream file ({one_line(error)})") from None
 
 
-class _Unfit(ValueError):
+class _Unfit(InputError):
     """Readable file without the expected content."""
 
 
@@ -281,7 +282,7 @@ def _streams_of(file: Any) -> Timestreams:
         plane = FocalPlane(x_rad, y_rad, fwhm_rad)
         data = reals("data", file["data"][()], file["data"].shape, finite=False)
         return Timestreams(data, file["time_s"][()], ra, dec, angle, file["scan"][()], plane, attributes)
-    except ValueError as error:
+    except (ArgumentError, InputError) as error:
         raise _Unfit(one_line(error)) from None
 
 

@@ -1,7 +1,7 @@
 """Checks of arguments, which each public function makes once, before it computes anything.
 
-A check returns its argument in native byte order and in a type that kernels are compiled for, or raises ValueError with
-the name, the value found and the values expected. Kernels do not check indices.
+A check returns its argument in native byte order and in a type that kernels are compiled for, or raises ArgumentError
+with the name, the value found and the values expected. Kernels do not check indices.
 """
 
 import math
@@ -12,6 +12,8 @@ from typing import Any, SupportsIndex, cast
 
 import numpy as np
 
+from mapmaker.errors import ArgumentError
+
 # Sides of a shape: a number, or a name for any length. A leading ... stands for any number of axes.
 Shape = Sequence[int | str | EllipsisType]
 _KINDS = {"biuf": "real numbers", "iuf": "real numbers", "iu": "integers", "b": "True and False"}
@@ -19,10 +21,10 @@ _MOST_TEXT = 60  # characters of a wrong value in a message
 MAX_PIXELS = 2**31 - 1  # pixel numbers of a map are int32, -1 off the map
 
 
-def argument_error(name: str, found: object, expected: str) -> ValueError:
+def argument_error(name: str, found: object, expected: str) -> ArgumentError:
     """Error of an argument: its name, the value found, the values expected."""
     text = str(found)
-    return ValueError(f"{name}: found {text[:_MOST_TEXT]}{'...' * (len(text) > _MOST_TEXT)}; {expected} expected")
+    return ArgumentError(f"{name}: found {text[:_MOST_TEXT]}{'...' * (len(text) > _MOST_TEXT)}; {expected} expected")
 
 
 def reals(

@@ -7,13 +7,23 @@ __version__ = "0.4.0"
 
 _PUBLIC = {
     "load_scene": "surveysim.scene.scene",
-    "SceneError": "surveysim.runtime.errors",
     "simulate_observation": "surveysim.api",
     "run": "surveysim.api",
-    "Engine": "surveysim.runtime.engine",
-    "EngineError": "surveysim.runtime.engine",
+    "forecast": "surveysim.api",
+    "plan": "surveysim.api",
     "load_sweep": "surveysim.studies.sweep.axes",
     "run_sweep": "surveysim.api",
+    "forecast_sweep": "surveysim.api",
+    "plan_sweep": "surveysim.api",
+    "scene_names": "surveysim.scene.shipped",
+    "Engine": "surveysim.runtime.engine",
+    "InputError": "surveysim.runtime.errors",
+    "SceneError": "surveysim.runtime.errors",
+    "NotForecastableError": "surveysim.runtime.errors",
+    "OutputError": "surveysim.output.lock",
+    "FinishedError": "surveysim.output.directory",
+    "CheckpointError": "surveysim.survey.checkpoint",
+    "EngineError": "surveysim.runtime.engine",
 }
 __all__ = ["__version__", *_PUBLIC]
 
@@ -23,3 +33,7 @@ def __getattr__(name: str) -> Any:
     if name in _PUBLIC:
         return getattr(import_module(_PUBLIC[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

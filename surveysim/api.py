@@ -1,4 +1,4 @@
-"""The Python interface: the same that the command line does."""
+"""The Python interface: a function for each command that computes results, and equal results."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,17 +8,28 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mapmaker.timestreams import Timestreams
+from surveysim.forecasting.forecast import Forecast
+from surveysim.forecasting.forecast import forecast as forecast_scene
 from surveysim.output.directory import begin, claimed, replacing
-from surveysim.output.expected_files import of_run, of_sweep
-from surveysim.output.writer import write_outputs, write_sweep
+from surveysim.output.expected_files import of_forecast, of_run, of_sweep
+from surveysim.output.writer import write_forecast, write_outputs, write_sweep
 from surveysim.reduction.setup import prepare
 from surveysim.results.results import SurveyResult, survey_result
 from surveysim.results.stopping import StoppingCriteria, check_limits, stopping_rule
-from surveysim.runtime.engine import SERIAL, Engine
-from surveysim.runtime.errors import InputError
-from surveysim.scene.scene import Scene
-from surveysim.studies.sweep.axes import Sweep, load_sweep
-from surveysim.studies.sweep.comparison import compare_forecasts, compare_runs, forecast_points, of_one_kind, run_points
+from surveysim.runtime.engine import SERIAL, Engine, default_workers
+from surveysim.runtime.errors import InputError, SceneError
+from surveysim.scene.scene import Scene, load_scene
+from surveysim.scene.shipped import find_scene
+from surveysim.studies.resources import Plan, make_plan
+from surveysim.studies.sweep.axes import Sweep, is_sweep, load_sweep
+from surveysim.studies.sweep.comparison import (
+    compare_forecasts,
+    compare_runs,
+    forecast_points,
+    of_one_kind,
+    run_points,
+)
+from surveysim.studies.sweep.plan import SweepPlan, make_sweep_plan
 from surveysim.studies.sweep.result import SweepResult
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 from surveysim.survey.coadds import CoAdds
@@ -29,12 +40,29 @@ PROCESSES = Engine()
 DRAWS_SEED = 0  # of the draws that say how sure the best point of a sweep is
 
 
-def simulate_observation(scene: Scene, observation: int) -> Timestreams:
-    """The time-streams of one observation of a scene, the weather drawn for it in their attributes.
+def simulate_observation(scene: Scene | str | Path, observation: int) -> Timestreams:
+    """Simulate the time-streams of one observation.
 
-    They are whole, whatever `numerics.max_block_memory` allows a run. Raises SceneError when the scene can't be run,
-    ValueError for an observation that it does not have.
+    Parameters
+    ----------
+    scene
+        A scene, the path of its file, or its name.
+    observation
+        Number of the observation, from 0.
+
+    Returns
+    -------
+    Time-streams of all detectors, whole whatever `numerics.max_block_memory` is. Their attributes hold the weather
+    that was drawn.
+
+    Raises
+    ------
+    SceneError
+        The scene can't be run.
+    InputError
+        The scene does not have this observation.
     """
+    scene = _scene(scene)
     if not 0 <= observation < scene.observations:
         raise InputError(f"observation: found {observation}; 0 to {scene.observations - 1} is expected")
     with threadpool_limits(1):  # the same bits as in a run
@@ -42,8 +70,9 @@ def simulate_observation(scene: Scene, observation: int) -> Timestreams:
 
 
 def run(
-    scene: Scene,
+    scene: Scene | str | Path,
     out: str | Path | None = None,
+    *,
     engine: Engine = PROCESSES,
     resume: bool = False,
     save_timestreams: bool = False,
@@ -53,25 +82,54 @@ def run(
     time_budget_s: float | None = None,
     force: bool = False,
 ) -> SurveyResult:
-    """Run a scene and, with `out`, write its results there in place of an earlier run's of the same scene.
+    """Simulate, clean, map and score a scene.
 
-    The `engine` is one process a core by default; results do not depend on it. Only a worker of dask that replaces a
-    lost one imports the calling script, which then needs ``if __name__ == "__main__":``. With `out`, finished work is
-    kept in `out/checkpoint.h5` until the results are written; `resume` goes on from there. `force` replaces results of
-    other scenes and commands, unfinished runs, and files of the user by names that are to be written.
+    A run that stops early is scored as the whole survey, judged by its first observations. Its checkpoint is kept: a
+    later run with `resume` and other limits, or none, ends with the same bits as a run that never stopped.
 
-    The run stops early where the relative error of sigma(A) of the actual data, by the forecast as control variate
-    if there is one, is no more than `target_error`, or once `time_budget_s` is spent. What is scored is then the whole
-    survey, judged by a part of it, and the checkpoint is kept: a later run with `resume` and other limits or none goes
-    on and ends with the same bits as one that never stopped. Raises SceneError when the scene can't be run,
-    ValueError for limits that make no sense, OutputError for a directory that another job writes to or that holds
-    anything else (FinishedError where there is nothing to resume), CheckpointError for a checkpoint that does not
-    belong to the scene and EngineError when the engine can't go on.
+    Parameters
+    ----------
+    scene
+        A scene, the path of its file, or its name.
+    out
+        Directory for the results, which replace those of an earlier run of the same scene. Finished observations are
+        kept in its checkpoint.h5 until the results are written.
+    engine
+        Where observations run, by default one process per core; results do not depend on it. Only a dask worker that
+        replaces a lost one imports the calling script, which then needs ``if __name__ == "__main__":``.
+    resume
+        Continue from the checkpoint in `out`.
+    save_timestreams
+        Write the time-streams of each observation to HDF5 in `out`.
+    figures
+        Draw the figures of the report.
+    progress
+        Called with the co-adds after each observation.
+    target_error
+        Stop at this relative error of sigma(A) of the data set "actual", with the forecast as control variate where
+        there is one.
+    time_budget_s
+        Stop after this time [s].
+    force
+        Replace results of other scenes and commands, unfinished runs, and the user's files of the same names.
+
+    Raises
+    ------
+    SceneError
+        The scene can't be run, or has a table [sweep], which `run_sweep` takes.
+    InputError
+        A limit makes no sense, or time-streams are to be saved without `out`.
+    OutputError
+        Another job writes to `out`, or `out` holds other files; FinishedError where there is nothing to resume.
+    CheckpointError
+        The checkpoint does not belong to the scene.
+    EngineError
+        The engine can't go on.
     """
     start, limits = perf_counter(), StoppingCriteria(target_error, time_budget_s)
-    setup = prepare(scene)
+    setup = prepare(_scene(scene))
     check_limits(setup, limits)
-    workers = engine.workers_for(scene.observations)
+    workers = engine.workers_for(setup.scene.observations)
     if save_timestreams and out is None:
         raise InputError("save_timestreams: found no output directory; one is expected")
 
@@ -85,7 +143,7 @@ def run(
     with claimed(Path(out), of_run(setup, figures, save_timestreams), force, resume) as place:
         begin(place, removed=lambda name: force)
         result = result_of(place.path / CHECKPOINT, place.path / "timestreams" if save_timestreams else None)
-        whole = result.coadds.done == scene.observations
+        whole = result.coadds.done == setup.scene.observations
         with replacing(place, over=lambda name: whole and name == CHECKPOINT) as new:
             numbers = range(result.coadds.done) if save_timestreams else ()
             streams = [f"timestreams/{number:04d}.h5" for number in numbers]
@@ -94,25 +152,101 @@ def run(
     return result
 
 
+def forecast(scene: Scene | str | Path, out: str | Path | None = None, *, force: bool = False) -> Forecast:
+    """Forecast the scores of a scene without a Monte Carlo.
+
+    Parameters
+    ----------
+    scene
+        A scene, the path of its file, or its name.
+    out
+        Directory for the results.
+    force
+        Replace other results in `out`, and the user's files of the same names.
+
+    Returns
+    -------
+    Forecasts of all data sets that can be forecast.
+
+    Raises
+    ------
+    SceneError
+        The scene can't be run, or has a table [sweep], which `forecast_sweep` takes.
+    NotForecastableError
+        The scene has no [score], or a first cleaning without a forecast.
+    OutputError
+        As for `run`.
+    """
+    scene = _scene(scene)
+    found = forecast_scene(scene)
+    if out is not None:
+        with claimed(Path(out), of_forecast(scene), force) as place, replacing(place) as new:
+            write_forecast(new, found)
+    return found
+
+
+def plan(scene: Scene | str | Path, workers: int | None = None, *, start_s: float = 0.0) -> Plan:
+    """Predict the cost of a run from a few observations made here.
+
+    Parameters
+    ----------
+    scene
+        A scene, the path of its file, or its name.
+    workers
+        Worker processes; by default one per core.
+    start_s
+        CPU time [s] that a process takes to start.
+
+    Returns
+    -------
+    Stages that run, stages left out with the reasons, run time, memory and size of the output.
+
+    Raises
+    ------
+    SceneError
+        The scene can't be run, or has a table [sweep], which `plan_sweep` takes.
+    """
+    return make_plan(prepare(_scene(scene)), workers or default_workers(), start_s)
+
+
 def run_sweep(
     sweep: Sweep | str | Path,
     out: str | Path | None = None,
+    *,
     engine: Engine = PROCESSES,
     resume: bool = False,
     figures: bool = True,
     progress: Callable[[int], None] = lambda done: None,
     force: bool = False,
 ) -> SweepResult:
-    """Run every point of a sweep (of a scene file with [sweep]) and compare them.
+    """Run all points of a sweep and compare them.
 
-    The workers of the `engine`, one process a core by default, take a point each; results do not depend on them. With
-    `out`, results are written there in place of an earlier run's, and what is done is kept in `out/points` until then;
-    `resume` goes on from there. `progress` is told how many points are done, `force` is as in `run`. Raises SceneError
-    for a point that can't be run, OutputError as `run`, CheckpointError for files of other scenes and EngineError when
-    the engine can't go on.
+    Parameters
+    ----------
+    sweep
+        A sweep, the path of a scene file with a table [sweep], or its name.
+    out
+        Directory for the results. Finished points are kept in its folder points/ until the results are written.
+    engine
+        Where points run, one at a time per worker; results do not depend on it.
+    resume
+        Continue from the points kept in `out`.
+    figures
+        Draw the figures of the report.
+    progress
+        Called with the number of finished points.
+    force
+        As for `run`.
+
+    Raises
+    ------
+    SceneError
+        A point can't be run.
+    OutputError, CheckpointError, EngineError
+        As for `run`.
     """
     start = perf_counter()
-    sweep = sweep if isinstance(sweep, Sweep) else load_sweep(sweep)
+    sweep = _sweep(sweep)
     workers = engine.workers_for(len(sweep.points))
 
     def result_of(kept: Path | None) -> SweepResult:
@@ -134,13 +268,17 @@ def run_sweep(
 def forecast_sweep(
     sweep: Sweep | str | Path,
     out: str | Path | None = None,
+    *,
     figures: bool = True,
     progress: Callable[[int], None] = lambda done: None,
     force: bool = False,
 ) -> SweepResult:
-    """As `run_sweep`, with forecasts in place of simulations: quick, and without Monte Carlo errors."""
+    """Forecast all points of a sweep and compare them, without Monte Carlo errors.
+
+    Parameters, results and errors are those of `run_sweep`.
+    """
     start = perf_counter()
-    sweep = sweep if isinstance(sweep, Sweep) else load_sweep(sweep)
+    sweep = _sweep(sweep)
 
     def result_of() -> SweepResult:
         points = forecast_points(sweep, progress)
@@ -154,3 +292,24 @@ def forecast_sweep(
         with replacing(place) as new:
             write_sweep(new, result, figures)
     return result
+
+
+def plan_sweep(sweep: Sweep | str | Path, workers: int | None = None, *, start_s: float = 0.0) -> SweepPlan:
+    """Predict the cost of a sweep from its first and last points.
+
+    Parameters and errors are those of `plan`.
+    """
+    return make_sweep_plan(_sweep(sweep), workers or default_workers(), start_s)
+
+
+def _scene(scene: Scene | str | Path) -> Scene:
+    """A scene as it is given; SceneError for a file with a table [sweep]."""
+    if isinstance(scene, Scene):
+        return scene
+    if is_sweep(scene):
+        raise SceneError(f"{find_scene(scene)}: sweep: found a sweep; a scene without [sweep] is expected")
+    return load_scene(scene)
+
+
+def _sweep(sweep: Sweep | str | Path) -> Sweep:
+    return sweep if isinstance(sweep, Sweep) else load_sweep(sweep)

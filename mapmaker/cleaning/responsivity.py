@@ -26,7 +26,6 @@ from typing import Any
 import numpy as np
 
 from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, finite_scans, has_dead
-from mapmaker.kernels.cleaning import correlate, iterate_responsivity, project_out, relax
 from mapmaker.validation import argument_error, number, reals, whole
 
 SCAN, OBSERVATION = "scan", "observation"
@@ -208,6 +207,8 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options: Any) -> tuple[n
     ValueError
         For streams of another number of detectors than `basis`.
     """
+    from mapmaker.kernels.cleaning import iterate_responsivity
+
     n_det, c = basis.shape[1], np.ones(basis.shape[1])
     # Fixed types: the kernel is compiled for those of the first call.
     tolerance, max_iterations = float(options.tolerance), int(options.max_iterations)
@@ -239,6 +240,8 @@ def _iterate_by_passes(
     c: np.ndarray,
 ) -> tuple[bool, int]:
     """Run `iterate_responsivity` without the Gram matrix, with c orthogonal to all rows of the basis but the first."""
+    from mapmaker.kernels.cleaning import correlate, project_out, relax
+
     if all(map(has_dead, blocks())):
         return False, 0
     power = np.empty((len(basis), len(basis)))

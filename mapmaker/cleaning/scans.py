@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mapmaker.kernels.cleaning import DEAD_POWER
+from mapmaker.kernels import DEAD_POWER
 from mapmaker.validation import bounds_of_scans, reals
 
 if TYPE_CHECKING:

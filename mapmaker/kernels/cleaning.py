@@ -2,10 +2,8 @@
 
 import numpy as np
 
+from mapmaker.kernels import DEAD_POWER
 from mapmaker.kernels.compiled import njit
-
-# A detector with less than this fraction of the mean power is dead or stuck: its power is rounding of its mean.
-DEAD_POWER = 1e-16
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})

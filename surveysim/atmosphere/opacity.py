@@ -3,13 +3,15 @@
 Tables of the `am` atmospheric model are in ``tables/``, with the script that builds them.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib.resources import as_file, files
+from importlib.resources import files
 
 import numpy as np
 
+from surveysim.atmosphere.cubic_spline import CubicSpline
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.scene.sites import SITES
 
@@ -41,8 +43,6 @@ class BandOpacity:
     @cached_property
     def spline(self) -> Callable[..., np.ndarray]:
         """Cubic spline of the optical depth against water vapour [mm]."""
-        from scipy.interpolate import CubicSpline
-
         return CubicSpline(self.pwv_mm, self.optical_depth)
 
 
@@ -72,18 +72,17 @@ def band_opacity(site: str, frequency_hz: float, bandwidth: float) -> BandOpacit
 @cache
 def _table(site: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Read cell edges (m + 1,) [GHz], PWV (n,) [mm], optical depth (m, n) and temperature [K] of a site."""
-    from astropy.table import Table
-
     if site not in SITES:
         raise OutOfRangeError(f"found site {site!r}; {', '.join(SITES)} are allowed")
-    with as_file(files("surveysim.atmosphere") / "tables" / f"opacity_{site}.ecsv") as path:
-        table = Table.read(path, format="ascii.ecsv")
-    centre_ghz = np.asarray(table["frequency"])
+    text = (files("surveysim.atmosphere") / "tables" / f"opacity_{site}.ecsv").read_text(encoding="utf-8")
+    # By numpy, as astropy's tables take long to import.
+    names, *rows = (line for line in text.splitlines() if not line.startswith("#"))
+    values = np.loadtxt(rows)
+    centre_ghz, depth = values[:, 0], np.ascontiguousarray(values[:, 1:])
     edge_ghz = np.append(centre_ghz - 0.5, centre_ghz[-1] + 0.5)
-    pwv_mm = np.array(table.meta["pwv"])
+    pwv_mm = np.array([float(name.removeprefix("pwv_")) for name in names.split()[1:]])
     pwv_mm.setflags(write=False)
-    depth = np.stack([np.asarray(table[f"pwv_{pwv:g}"]) for pwv in pwv_mm], axis=1)
-    return edge_ghz, pwv_mm, depth, table.meta["atmosphere_temperature"]
+    return edge_ghz, pwv_mm, depth, float(re.search(r"atmosphere_temperature: ([\d.]+)", text)[1])
 
 
 def optical_depth(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:

@@ -10,9 +10,7 @@ from math import ceil, log2, radians
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.fft
 
-from surveysim.atmosphere import screen_kernels as kernels
 from surveysim.atmosphere.strip_factors import Strip, build_strip, lanes, points_along
 from surveysim.atmosphere.thin_screen import Screen, at_elevation
 
@@ -23,11 +21,8 @@ _STEP_MAX_RAD = radians(40.0 / 3600.0)
 _STEPS_PER_BEAM, _FEWEST_STEPS_PER_BEAM, _STEPS_PER_PAIR = 14, 4, 8
 # Classes of elevations in each factor of two of 1 / sin(el).
 _SLANTS = 4
-LOOK_UPS = {
-    "nearest": kernels.add_screen_nearest,
-    "linear": kernels.add_screen,
-    "cubic": kernels.add_screen_cubic,
-}
+# Names of the kernels that look strips up, by `numerics.interpolation`.
+LOOK_UPS = {"nearest": "add_screen_nearest", "linear": "add_screen", "cubic": "add_screen_cubic"}
 
 
 @dataclass(frozen=True)
@@ -156,12 +151,16 @@ def draw_strip(strip: Strip, rng: np.random.Generator) -> np.ndarray:
     (n_lane, n_x) array
         Of the type of the strip's columns; lattice points are `strip.step_rad` apart.
     """
+    from scipy.fft import irfft
+
+    from surveysim.atmosphere.screen_kernels import combine_columns
+
     normals = rng.standard_normal(2 * len(strip.columns) + 1, dtype=np.float32)
     real = strip.columns.dtype
     modes = np.empty((strip.n_lane, len(strip.start) - 1), np.result_type(real, np.complex64))
-    kernels.combine_columns(strip.columns, strip.start, normals, modes)
+    combine_columns(strip.columns, strip.start, normals, modes)
     # The inverse transform sets higher modes to zero, and uses only the real parts of the real modes.
-    layer = scipy.fft.irfft(modes, n=strip.n_x, axis=1, overwrite_x=True)
+    layer = irfft(modes, n=strip.n_x, axis=1, overwrite_x=True)
     layer += np.arange(strip.n_x, dtype=real) * real.type(normals[-1] * strip.ramp_std * strip.step_rad)
     return layer
 
@@ -258,6 +257,9 @@ def add_atmosphere(
     ValueError
         Where a detector is outside the width of the strip.
     """
+    from surveysim.atmosphere import screen_kernels
+
+    add_layer = getattr(screen_kernels, LOOK_UPS[strips.interpolation])
     tracks = scan_tracks(
         scan_bounds,
         sample_rate_hz=sample_rate_hz,
@@ -274,4 +276,4 @@ def add_atmosphere(
             trends.impose(scan, layer)
         dx = float(np.hypot(*motion)) / (sample_rate_hz * step)
         y0 = np.minimum(tracks.y_rad[scan] / step, len(layer) - 1.0)
-        LOOK_UPS[strips.interpolation](data_mk, start, stop, layer, tracks.x_rad[scan] / step, y0, dx, float(amplitude))
+        add_layer(data_mk, start, stop, layer, tracks.x_rad[scan] / step, y0, dx, float(amplitude))

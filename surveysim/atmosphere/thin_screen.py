@@ -24,6 +24,7 @@ import numpy as np
 from scipy.special import j0, j1, kv
 from threadpoolctl import threadpool_limits
 
+from surveysim.atmosphere.cubic_spline import CubicSpline
 from surveysim.runtime.errors import OutOfRangeError
 
 # In units of the beam: limits of the tabulated structure function, and the lag at which its two methods meet.
@@ -152,8 +153,6 @@ def structure_table(screen: Screen) -> tuple[np.ndarray, np.ndarray]:
 @lru_cache(maxsize=64)
 def _table_in_beams(index: float, outer_scale: float) -> tuple[np.ndarray, np.ndarray]:
     """Compute `structure_table` for a beam of 1; scale (4,) without the beam."""
-    from scipy.interpolate import CubicSpline
-
     spline, slope_min = _log_structure(index, outer_scale)
     knot = spline.x
     values = CubicSpline(knot, np.exp(spline(knot)))
@@ -196,8 +195,6 @@ def _log_structure(index: float, outer_scale: float) -> tuple[Callable[..., np.n
     """Spline of ln D against ln(theta / beam) for a beam of 1 and an outer scale in beams, and its slope at the lower
     end.
     """
-    from scipy.interpolate import CubicSpline
-
     screen = Screen(index, 1.0, outer_scale)
     lag = np.geomspace(_LAG_MIN, LAG_MAX, 801)
     near = np.append(lag[lag < _LAG_JOIN], _LAG_JOIN)

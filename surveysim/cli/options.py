@@ -47,6 +47,7 @@ Reference = Annotated[
     str | None,
     typer.Option(metavar="POINT", help="Sweep point that ratios refer to: its number, or 'KEY = VALUE'."),
 ]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print all tables of the report.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 
 

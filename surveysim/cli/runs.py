@@ -17,13 +17,14 @@ from surveysim.cli.options import (
     Reference,
     SceneFile,
     Scheduler,
+    Verbose,
     Workers,
     fail,
     ready_scene,
     sweep_of,
 )
 from surveysim.output.names import default_directory
-from surveysim.runtime.errors import InputError
+from surveysim.runtime.errors import NotForecastableError
 
 if TYPE_CHECKING:
     from surveysim.runtime.engine import Engine
@@ -52,6 +53,7 @@ def run(
     reference: Reference = None,
     settings: Overrides = None,
     force: Force = False,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Simulate, clean, map and score a scene or a sweep."""
@@ -59,7 +61,16 @@ def run(
     if sweep := sweep_of(scene, settings, reference):
         _refuse_for_sweep(scene, save_timestreams, target_error, time_budget)
         directory = out or default_directory(sweep.name, options.settings(settings, reference))
-        _run_sweep(sweep, directory, with_engine, resume, not no_figures, force, quiet)
+        _run_sweep(
+            sweep,
+            directory,
+            engine=with_engine,
+            resume=resume,
+            figures=not no_figures,
+            force=force,
+            verbose=verbose,
+            quiet=quiet,
+        )
         return
     limits = options.run_limits(target_error, time_budget)
     checked = ready_scene(scene, settings)
@@ -78,10 +89,20 @@ def run(
         progress_display(checked.name, work, quiet, workers=with_engine.workers_for(len(work))) as show,
     ):
         progress = stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds)))
-        todo = (checked, directory, with_engine, resume, save_timestreams, not no_figures, progress)
-        result = run_scene(*todo, limits.target_error, limits.time_budget_s, force)
+        result = run_scene(
+            checked,
+            directory,
+            engine=with_engine,
+            resume=resume,
+            save_timestreams=save_timestreams,
+            figures=not no_figures,
+            progress=progress,
+            target_error=limits.target_error,
+            time_budget_s=limits.time_budget_s,
+            force=force,
+        )
     if not quiet:
-        print_result(result, directory)
+        print_result(result, directory, verbose)
 
 
 def _refuse_for_sweep(scene: Path, save_timestreams: bool, target_error: str | None, time_budget: str | None) -> None:
@@ -96,7 +117,15 @@ def _refuse_for_sweep(scene: Path, save_timestreams: bool, target_error: str | N
 
 
 def _run_sweep(
-    sweep: "Sweep", directory: Path, engine: "Engine", resume: bool, figures: bool, force: bool, quiet: bool
+    sweep: "Sweep",
+    directory: Path,
+    *,
+    engine: "Engine",
+    resume: bool,
+    figures: bool,
+    force: bool,
+    verbose: bool,
+    quiet: bool,
 ) -> None:
     if resume and not quiet:
         report_new_start(directory, "points", "")
@@ -110,9 +139,11 @@ def _run_sweep(
         progress_display(sweep.name, work, quiet, "points", engine.workers_for(len(work))) as show,
     ):
         progress = stopping(lambda done: show(done, lambda: ""))
-        result = run_sweep(sweep, directory, engine, resume, figures, progress, force)
+        result = run_sweep(
+            sweep, directory, engine=engine, resume=resume, figures=figures, progress=progress, force=force
+        )
     if not quiet:
-        print_sweep(result, directory)
+        print_sweep(result, directory, verbose)
 
 
 def forecast(
@@ -127,52 +158,48 @@ def forecast(
     reference: Reference = None,
     settings: Overrides = None,
     force: Force = False,
+    verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Predict the scores of a scene or a sweep within seconds."""
-    from surveysim.forecasting.forecast import forecast as forecast_scene
-    from surveysim.output.directory import claimed, replacing
-    from surveysim.output.expected_files import of_forecast
-    from surveysim.output.writer import write_forecast
+    from surveysim.api import forecast as forecast_scene
     from surveysim.report.terminal.forecast import print_forecast
 
     if sweep := sweep_of(scene, settings, reference):
         directory = out or default_directory(f"{sweep.name}_forecast", options.settings(settings, reference))
-        _forecast_sweep(sweep, directory, not no_figures, force, quiet)
+        _forecast_sweep(sweep, directory, figures=not no_figures, force=force, verbose=verbose, quiet=quiet)
         return
     checked = ready_scene(scene, settings)
     try:
-        found = forecast_scene(checked)
-    except InputError as error:  # of a scene that can't be forecast
+        found = forecast_scene(checked, out, force=force)
+    except NotForecastableError as error:
         fail(f"{scene}: {error}")
-    if out is not None:
-        with claimed(out, of_forecast(checked), force) as place, replacing(place) as new:
-            write_forecast(new, found)
     if not quiet:
-        print_forecast(checked, found)
+        print_forecast(checked, found, verbose)
 
 
-def _forecast_sweep(sweep: "Sweep", directory: Path, figures: bool, force: bool, quiet: bool) -> None:
+def _forecast_sweep(sweep: "Sweep", directory: Path, *, figures: bool, force: bool, verbose: bool, quiet: bool) -> None:
     from surveysim.api import forecast_sweep
     from surveysim.cli.progress import equal_work, progress_display
     from surveysim.report.terminal.sweep import print_sweep
 
     with progress_display(sweep.name, equal_work(len(sweep.points)), quiet, "points") as show:
-        result = forecast_sweep(sweep, directory, figures, stopping(lambda done: show(done, lambda: "")), force)
+        progress = stopping(lambda done: show(done, lambda: ""))
+        result = forecast_sweep(sweep, directory, figures=figures, progress=progress, force=force)
     if not quiet:
-        print_sweep(result, directory)
+        print_sweep(result, directory, verbose)
 
 
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
     """Predict run time, memory and disk space of a run."""
-    from surveysim.reduction.setup import prepare
+    from surveysim.api import plan as plan_scene
+    from surveysim.api import plan_sweep
     from surveysim.report.terminal.plan import print_plan, print_sweep_plan
     from surveysim.runtime.engine import default_workers
-    from surveysim.studies.resources import make_plan, make_sweep_plan
 
     workers = options.engine("processes", workers, None).workers or default_workers()
     if sweep := sweep_of(scene, settings):
-        print_sweep_plan(sweep, make_sweep_plan(sweep, workers, process_time()), workers)
+        print_sweep_plan(sweep, plan_sweep(sweep, workers, start_s=process_time()), workers)
         return
     checked = ready_scene(scene, settings)
-    print_plan(checked, make_plan(prepare(checked), workers, process_time()), workers)
+    print_plan(checked, plan_scene(checked, workers, start_s=process_time()), workers)

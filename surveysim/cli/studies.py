@@ -134,7 +134,7 @@ def paper(
     if observations is not None and observations < 1:
         fail(f"--observations: found {observations}; 1 or more is expected")
     given = options.settings(settings)
-    asked = wanted(tables, figures, scenarios or scene_folder(), observations, given)
+    asked = wanted(tables, figures, scenarios or scene_folder(), observations=observations, overrides=given)
     own = {} if observations is None else {"paper.observations": observations}
     directory = out or default_directory("paper", given | own)
     done = count(1)
@@ -142,7 +142,7 @@ def paper(
         work = equal_work(asked.observations)
         with progress_display("paper", work, quiet, workers=with_engine.workers_for(len(work))) as show:
             progress = stopping(lambda: show(next(done), lambda: ""))
-            written, failed = reproduce(asked, directory, with_engine, progress, force)
+            written, failed = reproduce(asked, directory, with_engine, progress=progress, force=force)
     except EngineError as error:
         complain(str(error))
         raise typer.Exit(EXIT_FAILED) from None

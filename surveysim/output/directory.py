@@ -325,7 +325,7 @@ def _is_written(place: OutputDirectory, name: str) -> bool:
 
 
 def _identity(path: Path) -> str:
-    """What tells whether a file has changed: its SHA-256; of large time-streams size and time of the last change."""
+    """Identify the content of a file: by SHA-256, or for large time-streams by size and time of the last change."""
     if path.parent.name == "timestreams":
         state = path.stat()
         return f"{state.st_size} bytes, {state.st_mtime_ns} ns"

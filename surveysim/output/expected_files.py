@@ -28,7 +28,7 @@ _PARTS = {"1": ("sites",), "2": ("photons",), "3": ("gains",)}  # of a table, in
 
 
 def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
-    """Results of a run of a scene."""
+    """Return the results of a run of a scene."""
     scene = setup.scene
     names = [*COMMON, CHECKPOINT, *(f"tables/{name}.ecsv" for name in _TABLES)]
     endings = ("", "_healpix") if scene.map.healpix_nside else ("",)
@@ -54,7 +54,7 @@ def of_forecast(scene: Scene) -> Results:
 
 
 def accuracy_settings(reference_error: float, seeds: int, observations: int) -> dict[str, Any]:
-    """What a measurement of accuracy is told beside its scene, by key, less what is so by default."""
+    """Return the options of a convergence study that differ from their defaults, by key."""
     told = {"reference_error": reference_error, "seeds": seeds, "observations": observations}
     usual = {"reference_error": REFERENCE_ERROR, "seeds": MOST_SEEDS, "observations": SUB_SURVEY}
     return {f"accuracy.{key}": value for key, value in told.items() if value != usual[key]}

@@ -19,7 +19,7 @@ _VALUE = re.compile(
 
 
 def default_directory(name: str, settings: Mapping[str, Any]) -> Path:
-    """Where results of a scene go unless said otherwise: a directory of its own for each set of overrides.
+    """Return the default directory of a scene's results: one for each set of overrides.
 
     Overrides stand in its name as ``key=value``, in the order of their keys. A value that is long or has other than
     the letters that any file system takes is cut, with a part of its hash after `~`. The key ``name`` is left out: it

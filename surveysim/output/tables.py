@@ -1,6 +1,6 @@
 """Tables that files alone have: observations, spectra of maps and time-streams, forecasts."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -75,6 +75,7 @@ def timestream_table(result: SurveyResult) -> Table:
     frequency = np.arange(len(coadds.raw_psd[0])) * raster.sample_rate_hz / samples_per_scan(raster)
     compared = np.array(coadds.compared_psd)
     pipelines = enumerate(result.setup.analysis.whole_pipelines[1:])
+    psds_of: dict[str, Sequence[np.ndarray] | np.ndarray]
     psds_of = {"raw": coadds.raw_psd, "clean": coadds.clean_psd}
     psds_of |= {f"clean_{pipeline.data_set}": compared[:, place] for place, pipeline in pipelines}
     columns = [file_column("frequency", frequency, "Hz")]

@@ -1,1 +1,1 @@
-"""The tables and figures of Sayers et al. (2010), made again from simulated observations."""
+"""Tables and figures of Sayers et al. (2010), reproduced from simulated observations."""

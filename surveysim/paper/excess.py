@@ -1,4 +1,4 @@
-"""Excess low-frequency noise of detectors and of adjacent pairs: what is left without atmosphere and white noise."""
+"""Excess low-frequency noise of detectors and adjacent pairs: noise beyond residual atmosphere and white noise."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,9 +23,14 @@ _SEPARATIONS = 48  # at which the thin screen's correlation is computed; it is s
 
 @dataclass(frozen=True)
 class ExcessNoise:
-    """Excess noise up to 1 Hz of each observation after one cleaning, (n_obs,) [mK^2], NaN where it is not known.
+    """Excess noise up to 1 Hz after one cleaning; NaN for observations without it.
 
-    `covariance_mk2` of adjacent pairs, `variance_mk2` of detectors.
+    Attributes
+    ----------
+    covariance_mk2
+        Mean covariance of adjacent pairs, (n_obs,) [mK^2].
+    variance_mk2
+        Mean variance of detectors, (n_obs,) [mK^2].
     """
 
     covariance_mk2: np.ndarray
@@ -33,16 +38,21 @@ class ExcessNoise:
 
     @property
     def fraction(self) -> np.ndarray:
-        """Correlation of adjacent pairs, (n_obs,); NaN where there is no excess variance."""
+        """Correlation of the excess noise in adjacent pairs, (n_obs,); NaN without excess variance."""
         positive = np.where(self.variance_mk2 > 0, self.variance_mk2, np.nan)
         return self.covariance_mk2 / positive
 
 
 def excess_noise(survey: MeasuredSurvey, cleaning: str) -> ExcessNoise:
-    """Low-frequency noise less white noise and residual atmosphere, as Table 2 has it.
+    """Excess noise of Table 2: low-frequency noise minus white noise and residual atmosphere.
 
-    White noise, and what of it adjacent pairs share, is taken from above 2.5 Hz, the residual atmosphere from the
-    thin screen at each observation's fitted B2. Raises ValueError for another cleaning than in `PAIR_CLEANINGS`.
+    White noise, and its covariance in adjacent pairs, is measured above 2.5 Hz. The residual atmosphere is computed
+    from the thin screen at the fitted B2 of each observation.
+
+    Raises
+    ------
+    ValueError
+        For a cleaning that is not in `PAIR_CLEANINGS`.
     """
     atmosphere = residual_atmosphere(survey, cleaning)
     items = pair_noises(survey, cleaning)
@@ -56,21 +66,21 @@ def excess_noise(survey: MeasuredSurvey, cleaning: str) -> ExcessNoise:
 
 
 def pair_noises(survey: MeasuredSurvey, cleaning: str) -> list[PairNoise | None]:
-    """What each observation's pairs have after a cleaning, None where it kept no scan."""
+    """Noise of pairs in each observation after one cleaning; None where no scan was kept."""
     return [item.pair_noise.get(cleaning) for item in survey.measurements]
 
 
 def white_correlation(survey: MeasuredSurvey, cleaning: str) -> np.ndarray:
-    """Correlation (n_obs,) of adjacent pairs above 2.5 Hz after a cleaning, NaN where it kept no scan."""
+    """Correlation (n_obs,) of adjacent pairs above 2.5 Hz after one cleaning; NaN where no scan was kept."""
     items = pair_noises(survey, cleaning)
     return np.array([np.nan if item is None else item.adjacent_white_mk2 / item.white_mk2 for item in items])
 
 
 def residual_atmosphere(survey: MeasuredSurvey, cleaning: str) -> np.ndarray:
-    """What the thin screen leaves adjacent pairs and detectors after cleaning, (2, n_obs) [mK^2], NaN without a fit.
+    """Residual atmosphere after cleaning, for adjacent pairs and for detectors, (2, n_obs) [mK^2]; NaN without a fit.
 
-    At the scene's index and height and each observation's B2 and track, for known responsivities: fitting them to
-    every scan takes another fifth of it. Errors as `excess_noise`.
+    It holds for the spectral index and height of the scene, the fitted B2 and track of each observation, and known
+    responsivities. Responsivities fitted to each scan remove another fifth. Errors as for `excess_noise`.
     """
     if cleaning not in PAIR_CLEANINGS:
         raise ValueError(f"cleaning: found {cleaning!r}; {', '.join(PAIR_CLEANINGS)} are expected")
@@ -84,7 +94,7 @@ def residual_atmosphere(survey: MeasuredSurvey, cleaning: str) -> np.ndarray:
 
 
 def _residual_spline(survey: MeasuredSurvey, cleaning: str) -> Callable[[float, np.ndarray], np.ndarray]:
-    """`residual_by_track` at any elevation of a survey's observations, given by its sine."""
+    """`residual_by_track`, interpolated over the sine of the elevations of a survey."""
     from scipy.interpolate import CubicSpline
 
     sines = [np.sin(item.elevation_rad).mean() for item in survey.measurements]
@@ -94,10 +104,23 @@ def _residual_spline(survey: MeasuredSurvey, cleaning: str) -> Callable[[float, 
 
 
 def residual_by_track(setup: Setup, cleaning: str, sine: float) -> "CubicSpline":
-    """Spline of ln track [rad]: what cleaning leaves of a unit B2, (..., 2) in adjacent pairs and detectors.
+    """Spline of the residual atmosphere for unit B2 against ln track [rad]: (..., 2) for adjacent pairs and detectors.
 
-    At an elevation of this sine: ``P C P`` with P the projection that removes the templates. Raises ValueError for
-    cameras that don't support them.
+    The residual covariance is ``P C P`` with the projection P that removes the templates.
+
+    Parameters
+    ----------
+    setup
+        Prepared scene.
+    cleaning
+        A name of `PAIR_CLEANINGS`.
+    sine
+        Sine of the elevation.
+
+    Raises
+    ------
+    InsufficientDataError
+        For cameras with too few detectors for the templates.
     """
     from scipy.interpolate import CubicSpline
 

@@ -1,4 +1,4 @@
-"""What the paper's tables and figures were made of: the runs that summary.json of their directory keeps."""
+"""Manifest of reproduced tables and figures: the runs that made them, in summary.json of their directory."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -19,9 +19,23 @@ PAPER = "Sayers et al. 2010"
 def earlier_runs(
     place: OutputDirectory, items: Sequence[str], scenes: Sequence[tuple[Scene, list[str]]], force: bool
 ) -> list[dict[str, Any]]:
-    """Runs that made what stands in a directory, less the `items` that are to be made anew: their files are removed.
+    """Read the earlier runs of a directory, without the items that are made again, and remove the files of these.
 
-    Raises OutputError for items that were made of other scenes than these, unless with `force`.
+    Parameters
+    ----------
+    place
+        The output directory.
+    items
+        Names of the items that are made again, such as "figure 5".
+    scenes
+        Scenes with the items made of each.
+    force
+        Replace items that were made of other scenes.
+
+    Raises
+    ------
+    OutputError
+        For items that were made of other scenes, unless with `force`.
     """
     path, content, old, left = place.path / SUMMARY, {}, [], []
     try:
@@ -42,7 +56,7 @@ def earlier_runs(
 def _check_scenes(
     directory: Path, runs: Sequence[dict[str, Any]], items: Sequence[str], scenes: Sequence[tuple[Scene, list[str]]]
 ) -> None:
-    """Raise OutputError for an item that is there, made of other scenes."""
+    """Raise OutputError for an existing item that was made of other scenes."""
     for run in runs:
         for item in (item for item in items if item in run["items"]):
             before = {scene["scene_sha256"] for scene in run["scenes"] if item in scene["items"]}
@@ -51,7 +65,7 @@ def _check_scenes(
 
 
 def _without(run: dict[str, Any], items: Sequence[str]) -> dict[str, Any]:
-    """A run less some of its items, and less the scenes that only these were made of."""
+    """Remove items from a run, and the scenes that only these were made of."""
     kept = {name: files for name, files in run["items"].items() if name not in items}
     failed = {name: reason for name, reason in run["failed"].items() if name not in items}
     scenes = [scene | {"items": [name for name in scene["items"] if name not in items]} for scene in run["scenes"]]
@@ -61,6 +75,7 @@ def _without(run: dict[str, Any], items: Sequence[str]) -> dict[str, Any]:
 def write_record(
     out: Path,
     earlier: list[dict[str, Any]],
+    *,
     made: Mapping[str, list[Path]],
     failed: Mapping[str, str],
     scenes: Sequence[tuple[Scene, list[str]]],
@@ -68,10 +83,22 @@ def write_record(
     workers: int,
     wall_s: float,
 ) -> None:
-    """Write summary.json with this run after those `earlier`, and report.html.
+    """Write summary.json, with this run after the earlier ones, and report.html.
 
-    `made` are the files of every item, `failed` the reasons of those that could not be made, `scenes` those that were
-    simulated, each with the items made of it.
+    Parameters
+    ----------
+    out
+        The output directory.
+    earlier
+        Earlier runs, from `earlier_runs`.
+    made
+        Files of each item.
+    failed
+        Reasons of the items that could not be made.
+    scenes
+        Simulated scenes with the items made of each.
+    engine, workers, wall_s
+        Kind of the engine, number of workers, and run time [s].
     """
     run = {
         **made_by(),

@@ -1,4 +1,4 @@
-"""The observations that tables and figures are made of: whole surveys, measured and fitted."""
+"""Measured surveys: all observations of one band, measured and fitted for tables and figures."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -29,11 +29,18 @@ KNOWN = 0.3  # largest relative error of a speed that is used
 
 @dataclass(frozen=True)
 class MeasuredSurvey:
-    """All observations of one band, of scenes that share their camera.
+    """All observations of one band, from scenes with the same camera.
 
-    `setup` of the first scene; `scene_of` (n_obs,) each observation's scene; `fits` on `grid` with the measured
-    wind, or the scene's median one where none is known, None where an observation can't be fitted; `overlap`
-    (n_bin,) coherence of pixels of each separation, None where no noise is shared through it.
+    Attributes
+    ----------
+    setup
+        Prepared first scene.
+    scene_of
+        Name of the scene of each observation, (n_obs,).
+    fits
+        Turbulence fits on `grid`, with the measured wind or the median wind of the scene; None without a fit.
+    overlap
+        Coherence of pixels at each separation, (n_bin,); None if no low-frequency noise is correlated by overlap.
     """
 
     setup: Setup
@@ -46,63 +53,75 @@ class MeasuredSurvey:
 
     @property
     def band_ghz(self) -> int:
-        """Centre of the band, in whole GHz."""
+        """Centre frequency of the band in whole GHz."""
         return round(self.setup.scene.instrument.frequency_hz / 1e9)
 
     @property
     def fixed(self) -> tuple[int, int]:
-        """The grid point (i_b, i_h) at which the paper fits B2: 11/3 and the scene's layer height."""
+        """Grid point (i_b, i_h) at which B2 is fitted: index 11/3 and the layer height of the scene."""
         height = self.setup.scene.atmosphere.layer_height_m
         return KOLMOGOROV, int(np.argmin(np.abs(self.grid.height_m - height)))
 
     def theory(self, k: int) -> np.ndarray:
-        """C(theta) of an observation at every grid point, with its measured wind, (n_b, n_h, n_bin)."""
+        """Model C(theta) of an observation at every grid point, with its wind, (n_b, n_h, n_bin)."""
         return self.grid.correlation(self.measurements[k].track_rad, self.measurements[k].elevation_rad)
 
     @cached_property
     def b2_drawn(self) -> np.ndarray:
-        """B2 that the weather had, (n_obs,)."""
+        """Drawn B2, (n_obs,)."""
         return np.array([item.truth.b2 for item in self.measurements])
 
     @cached_property
     def b2_fitted(self) -> np.ndarray:
-        """B2 at the fixed grid point, (n_obs,), NaN without a fit."""
+        """Fitted B2 at the grid point `fixed`, (n_obs,); NaN without a fit."""
         return self.b2_at(self.fixed)
 
     def b2_at(self, point: tuple[int, int]) -> np.ndarray:
-        """B2 fitted at a grid point, (n_obs,), NaN without a fit."""
+        """Fitted B2 at a grid point, (n_obs,); NaN without a fit."""
         return np.array([np.nan if fit is None else fit.b2[point] for fit in self.fits])
 
     @cached_property
     def pwv_mm(self) -> np.ndarray:
-        """Water column drawn, (n_obs,), NaN without a site."""
+        """Drawn precipitable water vapour, (n_obs,); NaN without a site."""
         return np.array([item.truth.pwv_mm for item in self.measurements])
 
     @cached_property
     def wind_arcmin_s(self) -> np.ndarray:
-        """Measured wind speed, (n_obs,), NaN where none was found."""
+        """Measured wind speed, (n_obs,); NaN without a measurement."""
         return np.array([degrees(item.wind.speed_rad_s) * 60 for item in self.measurements])
 
     @cached_property
     def wind_drawn_arcmin_s(self) -> np.ndarray:
-        """Wind speed that the weather had, (n_obs,)."""
+        """Drawn wind speed, (n_obs,)."""
         return np.array([degrees(item.truth.wind_speed_rad_s) * 60 for item in self.measurements])
 
     @cached_property
     def wind_good(self) -> np.ndarray:
-        """Which measured winds are to be trusted, (n_obs,) bool."""
+        """Observations with a trusted wind, without flag, (n_obs,) bool."""
         return np.array([item.wind.flag == "" for item in self.measurements])
 
     @cached_property
     def wind_known(self) -> np.ndarray:
-        """Which observations are fitted with their own wind, (n_obs,) bool."""
+        """Observations that are fitted with their measured wind, (n_obs,) bool."""
         return np.array([knows_wind(item) for item in self.measurements])
 
 
 def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], None] = lambda: None) -> MeasuredSurvey:
-    """Simulate, measure and fit every observation of scenes that share a camera; `progress` is called after each.
+    """Simulate, measure and fit every observation of scenes with the same camera.
 
-    Raises SceneError for a scene that can't be run, SceneError for one without an atmosphere.
+    Parameters
+    ----------
+    scenes
+        Scenes of one band.
+    engine
+        Workers.
+    progress
+        Called after each observation.
+
+    Raises
+    ------
+    SceneError
+        For a scene that can't be run or has no [atmosphere].
     """
     # No score: no map is co-added here, and no window sky needed.
     scenes = [scene.model_copy(update={"score": None}) for scene in scenes]
@@ -142,7 +161,7 @@ def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], N
 
 
 def shared_overlap(setup: Setup, bins: PairBins) -> np.ndarray | None:
-    """Coherence (n_bin,) of pixels of each separation; None where it shares no low-frequency noise between them."""
+    """Coherence (n_bin,) of pixels at each separation; None if no low-frequency noise is correlated by overlap."""
     excess = setup.scene.excess
     if excess is None or excess.coherence == "none":
         return None
@@ -151,14 +170,15 @@ def shared_overlap(setup: Setup, bins: PairBins) -> np.ndarray | None:
 
 
 def knows_wind(item: Measurement) -> bool:
-    """Whether an observation's wind speed is known well enough to say how far the layer moves."""
+    """Whether the measured wind speed is accurate enough for the track of the layer."""
     return item.wind.speed_error_rad_s < KNOWN * item.wind.speed_rad_s
 
 
 def known_track(item: Measurement, usual_rad_s: float, scan_s: float) -> np.ndarray:
-    """How far the layer moves during each scan (n_scan,) [rad]: by the measured wind, or a usual one.
+    """Track of the layer during each scan (n_scan,) [rad], from the measured wind or else the median wind.
 
-    B2 goes as the wind's power -5/3, so a speed known to 30 % is better than none, flagged or not.
+    Fitted B2 is proportional to the wind speed to the power -5/3, so a speed with an error of 30 % is better than the
+    median, even with a flag.
     """
     if knows_wind(item):
         return item.track_rad

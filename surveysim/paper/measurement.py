@@ -1,6 +1,6 @@
-"""What one observation says of the atmosphere: wind, correlations, variances, from its time-streams alone.
+"""Measurements of one observation from its time-streams: wind, correlations, variances.
 
-The truth that was drawn is kept beside it, for comparison and nothing else.
+The drawn weather is kept for comparison only.
 """
 
 from collections.abc import Mapping
@@ -42,12 +42,20 @@ PAIR_CLEANINGS = {"average": AVERAGE, "quadratic": QUADRATIC}
 
 @dataclass(frozen=True)
 class PairNoise:
-    """Low-frequency noise of detectors and pairs of them after one cleaning, means over kept scans (section 5.1).
+    """Low-frequency noise of detectors and pairs after one cleaning, averaged over kept scans (section 5.1).
 
-    `variance_mk2`, `adjacent_mk2`: up to 1 Hz, means over detectors and over the covariances of adjacent pairs.
-    `white_mk2`, `adjacent_white_mk2`: what levels like those above 2.5 Hz put into that band. Of correlation
-    coefficients up to 1 Hz: `adjacent_counts` and `distant_counts` (n_edge - 1,), pairs between `CORRELATION_EDGES`;
-    `adjacent_correlation`, and `correlation` (n_bin,) by separation, means over pairs.
+    Attributes
+    ----------
+    variance_mk2, adjacent_mk2
+        Mean variance of detectors and mean covariance of adjacent pairs up to 1 Hz [mK^2].
+    white_mk2, adjacent_white_mk2
+        White noise in the same band, from the level above 2.5 Hz [mK^2].
+    adjacent_counts, distant_counts
+        Histograms of correlation coefficients up to 1 Hz, (n_edge - 1,) between `CORRELATION_EDGES`.
+    adjacent_correlation
+        Mean correlation coefficient of adjacent pairs.
+    correlation
+        Mean correlation coefficient of pairs by separation, (n_bin,).
     """
 
     variance_mk2: float
@@ -62,14 +70,28 @@ class PairNoise:
 
 @dataclass(frozen=True)
 class Measurement:
-    """One observation measured, and the `truth` drawn for it.
+    """Measurements of one observation.
 
-    `wind` in the array's frame, of which the x axis lies at `camera_angle_rad` from the direction of increasing
-    azimuth; `profile` of correlations; `track_rad` (n_scan,) how far the layer moves during a scan by the
-    measured wind; `elevation_rad` (n_scan,). `raw_mk2`: variance of mean-removed scans below 1 Hz without the
-    white level's share, mean over detectors. `map_mk2` and `map_white_mk2`: variance of the map after average
-    cleaning, and the white part of it. `pair_noise` by cleaning, without those that keep no scan or that the
-    camera has too few detectors for.
+    Attributes
+    ----------
+    truth
+        The drawn weather.
+    wind
+        Measured wind in the frame of the array.
+    camera_angle_rad
+        Angle of the array's x axis from the direction of increasing azimuth [rad].
+    profile
+        Correlation against separation.
+    track_rad
+        Track of the layer during each scan by the measured wind, (n_scan,) [rad].
+    elevation_rad
+        Elevation of each scan, (n_scan,) [rad].
+    raw_mk2
+        Variance of mean-removed scans below 1 Hz without white noise, mean over detectors [mK^2].
+    map_mk2, map_white_mk2
+        Variance of the map after average cleaning, and its white part [mK^2].
+    pair_noise
+        Noise of pairs by cleaning; cleanings that keep no scan or need more detectors are left out.
     """
 
     observation: int
@@ -87,19 +109,19 @@ class Measurement:
 
 @dataclass(frozen=True)
 class MeasurementJob:
-    """What a worker does with an observation's number: the scene, which each prepares for itself."""
+    """Job of a worker: simulate and measure an observation of a scene, given its number."""
 
     scene: Scene
 
     def __call__(self, observation: int) -> Measurement:
-        """Simulate and measure."""
+        """Simulate and measure an observation."""
         setup = prepare(self.scene)
         streams = draw_observation(setup, observation)
         return measure(setup, streams, observation)
 
 
 def measure(setup: Setup, streams: Timestreams, observation: int) -> Measurement:
-    """Measure the streams of one observation of a scene with an atmosphere."""
+    """Measure the time-streams of one observation of a scene with an atmosphere."""
     _, pointing = observation_path(setup.observing, observation)
     bounds, rate = streams.scan_bounds, setup.observing.raster.sample_rate_hz
     velocity = scan_velocities(streams)
@@ -130,7 +152,7 @@ def _clean(setup: Setup, streams: Timestreams, name: str) -> Cleaned:
 
 
 def camera_pairs(setup: Setup) -> PairBins:
-    """Pairs of the scene's camera by separation; raises ValueError as `pair_bins` does."""
+    """Pairs of the camera's detectors by separation; errors as for `pair_bins`."""
     plane = setup.camera.focal_plane
     return _pairs(plane.x_rad.tobytes(), plane.y_rad.tobytes(), plane.fwhm_rad)
 
@@ -141,7 +163,7 @@ def _pairs(x: bytes, y: bytes, fwhm_rad: float) -> PairBins:
 
 
 def raw_variance(setup: Setup, streams: Timestreams) -> float:
-    """Variance [mK^2] of mean-removed scans below 1 Hz less the white level's share, mean over detectors (Table 2)."""
+    """Variance [mK^2] of mean-removed scans below 1 Hz without white noise, mean over detectors (Table 2)."""
     rate, n_scans = setup.observing.raster.sample_rate_hz, setup.observing.raster.n_scans
     low = low_frequency_variance(streams.data_mk, n_scans, rate, LOW_FREQUENCY_HZ)
     psd = hann_psd(streams.data_mk, n_scans, np.ones(n_scans, bool), rate)
@@ -150,10 +172,14 @@ def raw_variance(setup: Setup, streams: Timestreams) -> float:
 
 
 def pair_noise(cleaned: Cleaned, bins: PairBins, sample_rate_hz: float) -> PairNoise:
-    """Noise below 1 Hz of cleaned scans of one length, side by side, and of all pairs of their detectors.
+    """Measure the noise below 1 Hz of detectors and of all their pairs, in cleaned scans of one length.
 
-    Counts as `low_frequency_variance`: modes of a scan, but for its mean, up to 1 Hz. Raises ValueError where no scan
-    is kept.
+    The variance is that of `low_frequency_variance`: modes of a scan up to 1 Hz, without its mean.
+
+    Raises
+    ------
+    InsufficientDataError
+        If no scan is kept.
     """
     if not cleaned.kept.any():
         raise InsufficientDataError("found no scan that is kept; one or more is expected")
@@ -181,13 +207,13 @@ def pair_noise(cleaned: Cleaned, bins: PairBins, sample_rate_hz: float) -> PairN
 
 
 def _mode_covariance(modes: np.ndarray, n: int) -> np.ndarray:
-    """Covariance (n_det, n_det) of what some modes (n_det, n_scan, n_mode) of scans of n samples hold."""
+    """Covariance (n_det, n_det) of some modes (n_det, n_scan, n_mode) of scans of n samples."""
     parts = np.ascontiguousarray(modes, np.complex128).reshape(len(modes), -1).view(np.float64)
     return parts @ parts.T * (2 / (n**2 * modes.shape[1]))
 
 
 def supported_cleanings(setup: Setup) -> tuple[str, ...]:
-    """Those of `PAIR_CLEANINGS` whose templates the scene's camera can tell apart."""
+    """Names of `PAIR_CLEANINGS` for which the camera has enough detectors."""
     plane = setup.camera.focal_plane
     return _supported(plane.x_rad.tobytes(), plane.y_rad.tobytes(), plane.fwhm_rad)
 
@@ -203,10 +229,10 @@ def _supported(x: bytes, y: bytes, fwhm_rad: float) -> tuple[str, ...]:
 
 
 def map_variances(setup: Setup, streams: Timestreams, pointing: Pointing, cleaned: Cleaned) -> tuple[float, float]:
-    """Variance of the map of one observation's cleaned streams, and its white part [mK^2] (section 3.5).
+    """Variance of the map of cleaned time-streams, and its white part [mK^2] (section 3.5).
 
-    Over the middle of the map, under a cosine taper; the white part is the level of the highest multipoles.
-    NaN for a map with gaps.
+    The variance is taken in the middle of the map under a cosine taper; the white part is the level of the highest
+    multipoles. Both are NaN for a map with gaps.
     """
     geometry, plane = setup.analysis.geometry, streams.focal_plane
     angle = pointing.array_angle_rad[pointing.scan]
@@ -222,7 +248,8 @@ def map_variances(setup: Setup, streams: Timestreams, pointing: Pointing, cleane
 
 @lru_cache(maxsize=2)
 def _map_modes(geometry: MapGeometry, covered_rad: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Taper (n_y, n_x) over the covered square, modes without atmosphere and every mode's share of a variance."""
+    """Taper (n_y, n_x) of the covered square, mask of the modes without atmosphere, and weight of each mode in a
+    variance."""
     n_y, n_x = geometry.n_y, geometry.n_x
     side = min(covered_rad, n_x * geometry.pixel_rad)
     ell = mode_ell(n_y, n_x, geometry.pixel_rad)

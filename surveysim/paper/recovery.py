@@ -1,4 +1,4 @@
-"""What goes in and what comes out: each observation's measurement beside its truth, and how well they agree."""
+"""Recovery of the weather: measured against drawn values of each observation, and their agreement."""
 
 from collections.abc import Callable
 from math import degrees, pi, remainder
@@ -17,7 +17,7 @@ SPREAD = (15.865, 84.135)  # centiles a standard deviation from the median of a 
 
 
 def measurement_table(survey: MeasuredSurvey) -> "Table":
-    """One row an observation: drawn and measured B2, wind, index and height, and the variances measured."""
+    """Table with a row for each observation: drawn and measured B2, wind, index and height, and measured variances."""
     from astropy.table import Table
 
     rows = [_row(survey, k) for k in range(len(survey.measurements))]
@@ -58,16 +58,13 @@ def _row(survey: MeasuredSurvey, k: int) -> dict[str, float | str]:
 
 
 def wind_angle(survey: MeasuredSurvey, k: int) -> float:
-    """Measured direction of the wind [rad] from the direction of increasing azimuth towards that of elevation.
-
-    It is measured from the array's x axis, which the camera's angle turns from azimuth towards elevation.
-    """
+    """Measured wind direction [rad], from increasing azimuth towards increasing elevation."""
     item = survey.measurements[k]
     return item.wind.angle_rad + item.camera_angle_rad
 
 
 def recovery_table(survey: MeasuredSurvey) -> "Table":
-    """How well wind, B2, index and height come back, with bootstrap errors; the paper's value where it has one."""
+    """Table of the recovery of wind, B2, index and height, with bootstrap errors and the published values."""
     from astropy.table import Table
 
     rows = [*_wind_rows(survey), *_b2_rows(survey)]
@@ -81,7 +78,7 @@ def recovery_table(survey: MeasuredSurvey) -> "Table":
 
 
 def _entry(
-    quantity: str, unit: str, paper: float, values: np.ndarray, statistic: Callable[[np.ndarray], float]
+    quantity: str, unit: str, paper: float, values: np.ndarray, *, statistic: Callable[[np.ndarray], float]
 ) -> tuple:
     return quantity, unit, paper, *bootstrap(values, statistic), len(values)
 
@@ -101,13 +98,17 @@ def _wind_rows(survey: MeasuredSurvey) -> list[tuple]:
     paper = published()["wind_median_arcmin_s"].get(str(survey.band_ghz), np.nan)
     share = published()["share_of_good_winds"] if np.isfinite(paper) else np.nan
     return [
-        _entry("median wind, drawn", "arcmin / s", paper, survey.wind_drawn_arcmin_s, np.median),
-        _entry("median wind, measured where trusted", "arcmin / s", paper, survey.wind_arcmin_s[good], np.median),
-        _entry("the same winds, drawn", "arcmin / s", np.nan, survey.wind_drawn_arcmin_s[good], np.median),
-        _entry("share of winds trusted", "", share, good.astype(float), np.mean),
-        _entry("wind speed, median relative error", "", np.nan, ratio, np.median),
-        _entry("wind speed, relative scatter (68 %)", "", np.nan, ratio, _half_spread),
-        _entry("wind direction, 68 % within", "deg", np.nan, np.array(turned), lambda x: np.percentile(x, 68.27)),
+        _entry("median wind, drawn", "arcmin / s", paper, survey.wind_drawn_arcmin_s, statistic=np.median),
+        _entry(
+            "median wind, measured where trusted", "arcmin / s", paper, survey.wind_arcmin_s[good], statistic=np.median
+        ),
+        _entry("the same winds, drawn", "arcmin / s", np.nan, survey.wind_drawn_arcmin_s[good], statistic=np.median),
+        _entry("share of winds trusted", "", share, good.astype(float), statistic=np.mean),
+        _entry("wind speed, median relative error", "", np.nan, ratio, statistic=np.median),
+        _entry("wind speed, relative scatter (68 %)", "", np.nan, ratio, statistic=_half_spread),
+        _entry(
+            "wind direction, 68 % within", "deg", np.nan, np.array(turned), statistic=lambda x: np.percentile(x, 68.27)
+        ),
     ]
 
 
@@ -119,10 +120,10 @@ def _b2_rows(survey: MeasuredSurvey) -> list[tuple]:
     changes = np.array([survey.b2_at((i_b, i_h))[fitted] / survey.b2_fitted[fitted] - 1 for i_h in range(len(heights))])
     change = published()["b2_change_over_heights"]  # plus or minus
     return [
-        _entry("B2 over the drawn one, median", "", np.nan, ratio, np.median),
-        _entry("B2 over the drawn one, scatter (68 %)", "", np.nan, ratio, _half_spread),
-        _entry(f"B2 change, {heights[0]:g} m assumed, median", "", change, changes[0], np.median),
-        _entry(f"B2 change, {heights[-1]:g} m assumed, median", "", change, changes[-1], np.median),
+        _entry("B2 over the drawn one, median", "", np.nan, ratio, statistic=np.median),
+        _entry("B2 over the drawn one, scatter (68 %)", "", np.nan, ratio, statistic=_half_spread),
+        _entry(f"B2 change, {heights[0]:g} m assumed, median", "", change, changes[0], statistic=np.median),
+        _entry(f"B2 change, {heights[-1]:g} m assumed, median", "", change, changes[-1], statistic=np.median),
     ]
 
 
@@ -135,10 +136,10 @@ def _index_rows(survey: MeasuredSurvey) -> list[tuple]:
     counts = np.array([np.mean(heights == height) for height in survey.grid.height_m])
     most, error = counts.max(), np.sqrt(counts.max() / len(fits))
     return [
-        _entry("index b, mean", "", paper["mean"], index, np.mean),
-        _entry("index b, median", "", np.nan, index, np.median),
-        _entry("index b, standard deviation", "", paper["std"], index, np.std),
-        _entry("index b at the scene's height, mean", "", np.nan, fixed, np.mean),
-        _entry("index b at the scene's height, standard deviation", "", np.nan, fixed, np.std),
+        _entry("index b, mean", "", paper["mean"], index, statistic=np.mean),
+        _entry("index b, median", "", np.nan, index, statistic=np.median),
+        _entry("index b, standard deviation", "", paper["std"], index, statistic=np.std),
+        _entry("index b at the scene's height, mean", "", np.nan, fixed, statistic=np.mean),
+        _entry("index b at the scene's height, standard deviation", "", np.nan, fixed, statistic=np.std),
         ("largest share of one of nine heights", "", np.nan, most, error, len(fits)),
     ]

@@ -1,4 +1,4 @@
-"""The paper's tables and figures made again: which observations each needs, and its files."""
+"""Reproduction of the paper's tables and figures: the observations that each needs, and its files."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -73,9 +73,18 @@ SIMULATED = ("uncorrelated", "white")
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is asked for: numbers of tables and figures, the scenes of every band, those of runs of their own.
+    """Requested tables and figures, with the scenes that they need.
 
-    `model` is the scene of figure 2, `runs` those of the runs that `_NEEDS` names.
+    Attributes
+    ----------
+    tables, figures
+        Numbers in the paper.
+    scenes
+        Scenes by band in GHz.
+    model
+        Scene of figure 2.
+    runs
+        Scenes of scored runs, by the names in `_NEEDS`.
     """
 
     tables: tuple[int, ...]
@@ -86,12 +95,12 @@ class Wanted:
 
     @property
     def items(self) -> list[str]:
-        """Names of all items, as in "figure 5"."""
+        """Names of all items, such as "figure 5"."""
         return [f"table {number}" for number in self.tables] + [f"figure {number}" for number in self.figures]
 
     @property
     def observations(self) -> int:
-        """How many observations that takes."""
+        """Number of observations to simulate."""
         measured = sum(scene.observations for scenes in self.scenes.values() for scene in scenes)
         return measured + sum(scene.observations for scene in self.runs.values())
 
@@ -100,13 +109,27 @@ def wanted(
     tables: Sequence[int],
     figures: Sequence[int],
     scenarios: Path,
+    *,
     observations: int | None,
     overrides: Mapping[str, Any] | None = None,
 ) -> Wanted:
-    """Load and check the scenes that these items need, from a folder.
+    """Load and check the scenes that tables and figures need.
 
-    `observations` is the most that each scene is to make; `overrides` replace keys of all scenes. Raises SceneError
-    for a scene that can't be run or measured, and for scenes of one band that do not share what is measured with.
+    Parameters
+    ----------
+    tables, figures
+        Numbers in the paper.
+    scenarios
+        Folder of the scene files.
+    observations
+        Largest number of observations of each scene; None for all.
+    overrides
+        Values by dotted key, for all scenes.
+
+    Raises
+    ------
+    SceneError
+        For a scene that can't be run or measured, and for scenes of one band with different cameras or settings.
     """
     names = [f"table {number}" for number in tables] + [f"figure {number}" for number in figures]
     scenes: dict[str, list[Scene]] = {}
@@ -128,7 +151,7 @@ def wanted(
 
 
 def _compared(path: Path, overrides: dict[str, Any], observations: int | None) -> Scene:
-    """A scene that scores the algorithms of figure 13, and no other data set."""
+    """Scene that scores only the cleaning algorithms of figure 13."""
     scene = _scene(path, {"cleaning.compare": [list(steps) for steps in COMPARED]} | overrides, observations)
     if scene.score is None:
         raise SceneError(f"{path}: score: missing; figure 13 scores the maps")
@@ -137,7 +160,7 @@ def _compared(path: Path, overrides: dict[str, Any], observations: int | None) -
 
 
 def _scored(path: Path, overrides: dict[str, Any], observations: int | None) -> Scene:
-    """A scene that scores the four data sets of Table 3, and no other cleaning."""
+    """Scene that scores only the four data sets of Table 3."""
     scene = _scene(path, {"cleaning.compare": []} | overrides, observations)
     if scene.score is None:
         raise SceneError(f"{path}: score: missing; Table 3 and figure 16 score the maps")
@@ -153,7 +176,7 @@ def _scored(path: Path, overrides: dict[str, Any], observations: int | None) -> 
 
 
 def _prepared(path: Path, scene: Scene) -> Scene:
-    """The scene, made ready once; raises SceneError with its file when it can't be run."""
+    """Prepare the scene once; raises SceneError with its file if it can't be run."""
     try:
         prepare(scene)
     except SceneError as error:
@@ -169,7 +192,7 @@ def _scene(path: Path, changes: dict[str, Any], observations: int | None) -> Sce
 
 
 def _check(path: Path, scene: Scene, first: Scene) -> None:
-    """Raise SceneError unless a scene can be run and measured together with the first one of its band."""
+    """Raise SceneError unless a scene can be measured together with the first one of its band."""
     unscored = _prepared(path, scene.model_copy(update={"score": None}))
     if scene.atmosphere is None:
         raise SceneError(f"{path}: [atmosphere] is missing; this command measures it")
@@ -191,21 +214,41 @@ def _check(path: Path, scene: Scene, first: Scene) -> None:
 
 
 def reproduce(
-    asked: Wanted, out: Path, engine: Engine, progress: Callable[[], None] = lambda: None, force: bool = False
+    asked: Wanted, out: Path, engine: Engine, *, progress: Callable[[], None] = lambda: None, force: bool = False
 ) -> tuple[list[Path], list[str]]:
-    """Make what is asked for below `out`, each as soon as its observations are measured.
+    """Make tables and figures, each as soon as its observations are measured.
 
-    Returns the files, and for each item that can't be made of these observations a line that says why. `progress` is
-    called after each observation. Beside the files stand summary.json, which says of which scenes they were made, and
-    report.html; items of an earlier call stay. Raises OutputError for a directory that another job writes to or, unless
-    with `force`, that holds anything else, or these items made of other scenes.
+    The directory also gets summary.json, which names the scenes of each item, and report.html. Items of earlier calls
+    are kept.
+
+    Parameters
+    ----------
+    asked
+        Tables, figures and scenes, from `wanted`.
+    out
+        Output directory.
+    engine
+        Workers.
+    progress
+        Called after each observation.
+    force
+        Replace other files, and items that were made of other scenes.
+
+    Returns
+    -------
+    Files, and a line with the reason for each item that could not be made.
+
+    Raises
+    ------
+    OutputError
+        For a directory that another job writes to or, unless with `force`, with other content.
     """
     with claimed(out, of_paper([*asked.items, *map(_band_item, asked.scenes)]), force) as place:
-        return _reproduce(asked, place, engine, progress, force)
+        return _reproduce(asked, place, engine, progress=progress, force=force)
 
 
 def _reproduce(
-    asked: Wanted, place: OutputDirectory, engine: Engine, progress: Callable[[], None], force: bool
+    asked: Wanted, place: OutputDirectory, engine: Engine, *, progress: Callable[[], None], force: bool
 ) -> tuple[list[Path], list[str]]:
     out, used = place.path, _scenes_used(asked)
     surveys: dict[str, MeasuredSurvey] = {}
@@ -226,22 +269,31 @@ def _reproduce(
             _make(makers, made, failed)
         for need, scene in asked.runs.items():
             scored = [name for name in left if _NEEDS[name] == (need,)]
-            _make(_run_makers(scored, out, scene, engine, progress), made, failed)
+            _make(_run_makers(scored, out, scene, engine=engine, progress=progress), made, failed)
     finally:  # what is made by then is kept, whatever ends the rest
         if made or earlier:
-            write_record(out, earlier, made, failed, used, engine.kind, workers, perf_counter() - start)
+            write_record(
+                out,
+                earlier,
+                made=made,
+                failed=failed,
+                scenes=used,
+                engine=engine.kind,
+                workers=workers,
+                wall_s=perf_counter() - start,
+            )
         finish(place)
     written = [path for paths in made.values() for path in paths]
     return written, [f"{name}: {reason}" for name, reason in failed.items()]
 
 
 def _band_item(band: str) -> str:
-    """The name of what is measured in a band, beside tables and figures."""
+    """Name of the item of a band's measurements."""
     return f"{band} GHz"
 
 
 def _scenes_used(asked: Wanted) -> list[tuple[Scene, list[str]]]:
-    """Every scene of which something is made, with the items made of it."""
+    """All simulated scenes with the items made of each."""
     used = []
     for band, scenes in asked.scenes.items():
         items = [_band_item(band)] + [name for name in asked.items if band in _NEEDS[name]]
@@ -253,9 +305,9 @@ def _scenes_used(asked: Wanted) -> list[tuple[Scene, list[str]]]:
 
 
 def _run_makers(
-    names: list[str], out: Path, scene: Scene, engine: Engine, progress: Callable[[], None]
+    names: list[str], out: Path, scene: Scene, *, engine: Engine, progress: Callable[[], None]
 ) -> list[tuple[str, Callable[[], list[Path]]]]:
-    """What makes the items of one run, which the first of them starts."""
+    """Functions that make the items of one run; the first that is called starts the run."""
     from surveysim.api import run
 
     result = cache(lambda: run(scene, engine=engine, progress=lambda coadds: progress()))
@@ -265,7 +317,7 @@ def _run_makers(
 def _make(
     makers: Sequence[tuple[str, Callable[[], list[Path]]]], made: dict[str, list[Path]], failed: dict[str, str]
 ) -> None:
-    """Make items by name; those that can't be made of so few observations go to `failed` with the reason."""
+    """Make items by name; those with too few observations go to `failed` with the reason."""
     for name, make in makers:
         try:
             made[name] = make()

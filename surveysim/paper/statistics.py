@@ -1,4 +1,4 @@
-"""What is said of many observations: how many, centiles and their errors, medians in bins, distributions."""
+"""Statistics of many observations: centiles with errors, medians in bins, distributions."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -19,9 +19,18 @@ MOST_BINS = 8
 
 @dataclass(frozen=True)
 class Binned:
-    """Values y in bins of x with equal numbers of observations.
+    """Centiles of y in bins of x with equal numbers of observations.
 
-    `x` (n_bin,) medians; `count` (n_bin,); `centile` (5, n_bin) of y, those of CENTILES; `median_error` (n_bin,).
+    Attributes
+    ----------
+    x
+        Medians of x, (n_bin,).
+    count
+        Numbers of observations, (n_bin,).
+    centile
+        Centiles of y, (5, n_bin), those of `CENTILES`.
+    median_error
+        Standard errors of the medians of y, (n_bin,).
     """
 
     x: np.ndarray
@@ -36,9 +45,12 @@ class Binned:
 
 
 def bootstrap(values: np.ndarray, statistic: Callable[[np.ndarray], float]) -> tuple[float, float]:
-    """A statistic of values (n,) and its standard error, from resampling them with always the same draws.
+    """Statistic of values (n,) and its bootstrap standard error; the resampling is the same in every call.
 
-    Raises ValueError without values.
+    Raises
+    ------
+    InsufficientDataError
+        Without values.
     """
     values = _some(values)
     drawn = [statistic(sample) for sample in _resampled(values)]
@@ -46,7 +58,7 @@ def bootstrap(values: np.ndarray, statistic: Callable[[np.ndarray], float]) -> t
 
 
 def centile_errors(values: np.ndarray, centiles: Sequence[float]) -> np.ndarray:
-    """Standard errors (n_centile,) of centiles of values (n,), by `bootstrap`'s draws; errors as there."""
+    """Bootstrap standard errors (n_centile,) of centiles of values (n,); errors as for `bootstrap`."""
     return np.percentile(_resampled(_some(values)), centiles, axis=1).std(axis=1)
 
 
@@ -62,9 +74,12 @@ def _resampled(values: np.ndarray) -> np.ndarray:
 
 
 def binned(x: np.ndarray, y: np.ndarray) -> Binned:
-    """Centiles of y (n,) in at most MOST_BINS bins of x (n,), of at least FEWEST observations, if there are so many.
+    """Centiles of y (n,) in at most `MOST_BINS` bins of x (n,) with `FEWEST` observations or more where possible.
 
-    Raises ValueError without observations.
+    Raises
+    ------
+    InsufficientDataError
+        Without observations.
     """
     order = np.argsort(_some(x), kind="stable")
     groups = np.array_split(order, int(np.clip(len(x) // FEWEST, 1, MOST_BINS)))
@@ -77,9 +92,12 @@ def binned(x: np.ndarray, y: np.ndarray) -> Binned:
 
 
 def quarters(values: np.ndarray) -> list[np.ndarray]:
-    """Which of values (n,) lie in each quarter of those that are known, four masks (n,); no NaN is in any.
+    """Masks (n,) of the values in each quarter of the distribution, without NaN.
 
-    Raises ValueError for fewer than four that are known.
+    Raises
+    ------
+    InsufficientDataError
+        For fewer than four values.
     """
     known = np.isfinite(values)
     if known.sum() < 4:
@@ -89,33 +107,37 @@ def quarters(values: np.ndarray) -> list[np.ndarray]:
 
 
 def median_error(values: np.ndarray) -> tuple[float, float]:
-    """Median of the values (n,) that are known and its error by `centile_errors`; NaN where none is."""
+    """Median of values (n,) without NaN, and its standard error; NaN without values."""
     known = values[np.isfinite(values)]
     return (float(np.median(known)), float(centile_errors(known, (50.0,))[0])) if len(known) else (np.nan, np.nan)
 
 
 def cumulative(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Sorted values (n,) and the share (n,) up to each, half of it counted; raises ValueError without any."""
+    """Sorted values (n,) and their cumulative distribution (n,), at half of each step.
+
+    Raises
+    ------
+    InsufficientDataError
+        Without values.
+    """
     ordered = np.sort(_some(values))
     return ordered, (np.arange(len(ordered)) + 0.5) / len(ordered)
 
 
 def scale_to(measured: np.ndarray, model: np.ndarray) -> float:
-    """The factor by which a model (n,) comes closest to positive values (n,): least squares of logarithms.
-
-    Values that are not positive don't count; NaN where none is.
-    """
+    """Factor of a model (n,) that fits positive values (n,) best, by least squares of logarithms; NaN without positive
+    values."""
     used = measured > 0
     return float(np.exp(np.mean(np.log(measured[used] / model[used])))) if used.any() else float("nan")
 
 
 def described(survey: MeasuredSurvey) -> str:
-    """How many observations of which band and scenes, for captions."""
+    """Words for captions: numbers of observations, band and scenes."""
     scenes = ", ".join(f"{count} of {name}" for name, count in Counter(survey.scene_of).items())
     return f"{len(survey.scene_of)} simulated observations at {survey.band_ghz} GHz ({scenes})"
 
 
 def without_fit(survey: MeasuredSurvey) -> str:
-    """How many observations have no fit, for captions."""
+    """Words for captions: number of observations without a fit."""
     missing = sum(fit is None for fit in survey.fits)
     return f"{missing} left out for want of a fit" if missing else "all fitted"

@@ -1,4 +1,4 @@
-"""Tables of the paper beside what simulated observations give: every row with its Monte Carlo error."""
+"""Tables of the paper, each row with the simulated value and its Monte Carlo error."""
 
 import math
 from typing import TYPE_CHECKING
@@ -26,11 +26,20 @@ ACBAR = {150: (151e9, 0.2), 275: (282e9, 0.18)}
 
 
 def amplitude_table(surveys: dict[str, MeasuredSurvey]) -> "Table":
-    """Table 1: quartiles of B2 [mK^2 rad^(-5/3)] measured in each band, and what Bolocam's are over ACBAR's.
+    """Table 1: quartiles of measured B2 [mK^2 rad^(-5/3)] in each band, and their ratios, Bolocam over ACBAR.
 
-    `surveys` by band in GHz: 143, 268 (Bolocam), 151, 282 (ACBAR). `drawn` are the quartiles of what the weather
-    had, `expected` those of its distribution; errors are those of sampling so many observations. Raises ValueError
-    where a band has no fit.
+    Columns `drawn` and `expected` are the quartiles of the drawn values and of their distribution. Errors are sampling
+    errors for the number of observations.
+
+    Parameters
+    ----------
+    surveys
+        Measured surveys by band in GHz: 143, 268 (Bolocam), 151, 282 (ACBAR).
+
+    Raises
+    ------
+    InsufficientDataError
+        If a band has no fit.
     """
     from astropy.table import Table
     from scipy.special import ndtri
@@ -59,10 +68,10 @@ def amplitude_table(surveys: dict[str, MeasuredSurvey]) -> "Table":
 
 
 def site_table() -> "Table":
-    """What the opacities of the sites predict for B2 in median weather, beside the paper's prediction (section 3.4).
+    """Predicted B2 of the sites in median weather relative to each other, and the published predictions (section 3.4).
 
-    Ratios of (C d tau / dC)^2 B_atm^2, in temperature above the atmosphere; the paper has (d eps / dC C)^2 B_atm^2 and
-    prints eps = 1 - exp(tau). Computed, not drawn, so without a Monte Carlo error.
+    They are ratios of (C d tau / dC)^2 B_atm^2, in temperature above the atmosphere. The paper has (d eps / dC C)^2
+    B_atm^2, with eps printed as 1 - exp(tau). They are computed from opacities and have no Monte Carlo error.
     """
     from astropy.table import Table
 
@@ -89,13 +98,17 @@ def _median_factor(site: str, frequency_hz: float, bandwidth: float) -> float:
 
 
 def correlated_noise_table(survey: MeasuredSurvey) -> "Table":
-    """Table 2: medians in quarters of fitted B2, and of all data, of noise up to 1 Hz and what adjacent pairs share.
+    """Table 2: noise up to 1 Hz and covariance of adjacent pairs, medians in quarters of fitted B2 and of all data.
 
-    B2; raw atmosphere before cleaning, without white noise; after average and after quadratic subtraction the excess
-    covariance of adjacent pairs and its share of the excess variance (`surveysim.paper.excess`), and for all data their
-    correlation above 2.5 Hz. `sigmas` is the difference over both errors in quadrature. The paper does not say
-    after which cleaning it finds the excess; its figures show it after both. Raises ValueError for fewer than
-    four observations with a fit of B2.
+    Rows are B2, raw atmosphere before cleaning without white noise, and for average and quadratic subtraction the
+    excess covariance of adjacent pairs and its ratio to the excess variance (`surveysim.paper.excess`). For all data
+    there is also the correlation above 2.5 Hz. Column `sigmas` is the difference to the paper over both errors in
+    quadrature. The paper does not say after which cleaning the excess is measured; its figures show both.
+
+    Raises
+    ------
+    InsufficientDataError
+        For fewer than four observations with a fit of B2.
     """
     from astropy.table import Table
 
@@ -117,7 +130,7 @@ def correlated_noise_table(survey: MeasuredSurvey) -> "Table":
 
 
 def _group_rows(quantity: str, cleaning: str, values: np.ndarray, groups: list[np.ndarray]) -> list[tuple]:
-    """A row of Table 2 for each group of observations; the paper's values are NaN where it has none."""
+    """Rows of Table 2 for each group of observations, with published values or NaN."""
     table, name, rows = published()["table2"], quantity.replace("_", " "), []
     paper, paper_error = table[quantity], table[f"{quantity}_error"]
     for k, group in enumerate(groups):
@@ -129,10 +142,9 @@ def _group_rows(quantity: str, cleaning: str, values: np.ndarray, groups: list[n
 
 
 def photon_noise_table() -> "Table":
-    """Photon noise of Bolocam's load by the formulas of `surveysim.telescope.photon_noise`, beside the paper's figures
-    (section 1.1).
+    """Photon noise of Bolocam's load (`surveysim.telescope.photon_noise`) and the published values (section 1.1).
 
-    Two polarizations, for which the paper's loads in pW and in K agree and shot and Bose noise are equal, as it says.
+    It holds for two polarizations: the published loads in pW and K then agree, and shot and Bose noise are equal.
     """
     from astropy.table import Table
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
-from mapmaker.geometry import MapGeometry
+from mapmaker.geometry import MapGeometry, fast_length
 from mapmaker.spectrum import (
     Annuli,
     annuli,
@@ -126,9 +126,7 @@ def patch_side(size_rad: float, geometry: MapGeometry) -> int:
 
 def padded_side(size_rad: float, geometry: MapGeometry) -> int:
     """Count the pixels along a side of the padded patch, whose modes resolve bins narrower than the patch's own."""
-    from scipy.fft import next_fast_len
-
-    return next_fast_len(2 * patch_side(size_rad, geometry), real=True)
+    return fast_length(2 * patch_side(size_rad, geometry))
 
 
 def scored_region(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry) -> ScoredRegion | None:

@@ -26,13 +26,13 @@ from surveysim.reduction.consistency import (
 )
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.scored_region import padded_side, patch_side
-from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
+from surveysim.runtime.errors import InputError, SceneError
 from surveysim.scene.instrument import Instrument, OtherBand
 from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import Camera, camera, mask_by_separation
 from surveysim.telescope.pixel_coherence import MOST_DENSE
-from surveysim.telescope.pointing import Schedule, schedule
-from surveysim.telescope.raster import Raster, duration_s, mid_times, samples_per_scan
+from surveysim.telescope.pointing import Schedule, near_hour_angle_dec
+from surveysim.telescope.raster import Raster, mid_times, samples_per_scan
 from surveysim.telescope.responsivity import assumed_responsivity, band_responsivity, true_responsivity
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
 from surveysim.timestreams.shared_parts import layer_strips
@@ -42,7 +42,7 @@ from surveysim.timestreams.simulation import (
     ObservingSetup,
     Simulation,
     SkySetup,
-    field_centre,
+    observing_schedule,
     observing_site,
 )
 
@@ -84,7 +84,7 @@ def _prepare(scene: Scene) -> Setup:
     ways = pipelines(scene.cleaning, masked)
     n_det = len(cam.focal_plane.x_rad)
     responsivity, of_bands = true_responsivity(scene, n_det), band_responsivity(scene, n_det)
-    times, water = _times(scene, lines), _water(scene, scene.instrument)
+    times, water = observing_schedule(scene, lines, near_hour_angle_dec), _water(scene, scene.instrument)
     lowest = _lowest(scene, cam, times, mid_times(lines))
     check_levels(scene, water, lowest)
     check_sources(scene, sky_geometry)
@@ -103,7 +103,7 @@ def _prepare(scene: Scene) -> Setup:
     setup = Setup(
         scene=scene,
         camera=cam_setup,
-        observing=ObservingSetup(scene, lines, times, _blocks(scene, cam, lines, ways)),
+        observing=ObservingSetup(scene, lines, _blocks(scene, cam, lines, ways)),
         air=air,
         sky=SkySetup(scene, sky_geometry),
         analysis=AnalysisSetup(scene, geometry, sky_geometry, ways, calibration, masked, n_det),
@@ -182,19 +182,6 @@ def _blocks(scene: Scene, cam: Camera, lines: Raster, ways: tuple[CleaningPipeli
 
 def _geometry(scene: Scene, cam: Camera, pixel_rad: float) -> MapGeometry:
     return covering_geometry(scene.field.ra_rad, scene.field.dec_rad, pixel_rad, reach(scene, cam))
-
-
-def _times(scene: Scene, lines: Raster) -> Schedule | None:
-    """When observations begin; None at a fixed elevation. Raises SceneError for nights that do not hold them."""
-    plan = scene.schedule
-    if plan is None:
-        return None
-    limits = plan.max_hour_angle_rad, plan.min_elevation_rad
-    numbers = plan.first_night, plan.nights, scene.observations
-    try:
-        return schedule(field_centre(scene), observing_site(scene), *numbers, *limits, duration_s(lines))
-    except OutOfRangeError as error:
-        raise SceneError(f"schedule: {error}") from None
 
 
 def _lowest(scene: Scene, cam: Camera, times: Schedule | None, mid_time_s: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""The forecast against a run: how far it is off, with the errors of that."""
+"""Agreement of the forecast with a run: ratios with their errors."""
 
 from dataclasses import dataclass
 
@@ -18,13 +18,19 @@ KNOWN = GOOD_PSD / 2  # a bin whose ratio has a larger standard error can't be c
 
 @dataclass(frozen=True)
 class Agreement:
-    """Forecast over simulation of one data set, less 1, each with the standard error of the ratio.
+    """Forecast over simulation of one data set, less 1, for the same observations, weather and kept scans.
 
-    Both are of the same observations in the same weather, and of the scans that were kept. `sigma` is that of sigma(A).
-    Noise PSDs are compared in the bins from `low_ell` to `high_ell`: `psd` is that of the bin around `worst_ell`, which
-    is furthest off beyond two standard errors, or comes closest to them. Of `bins` bins, `within` are off by no more
-    than `GOOD_PSD` and have an error of no more than `KNOWN`; `unknown` have a larger error. Without such bins these
-    numbers are 0 and the others None. Errors are NaN, unknown, for fewer than 4 observations.
+    Parameters
+    ----------
+    sigma, sigma_error : float
+        Of sigma(A), with the standard error; NaN with fewer than 4 observations.
+    psd, psd_error, worst_ell : float, optional
+        Of the noise PSD in the bin with the largest deviation beyond two standard errors, and its multipole; None
+        without bins.
+    low_ell, high_ell : float, optional
+        Range of multipoles of the compared bins.
+    bins, within, unknown : int
+        Number of compared bins; of bins within `GOOD_PSD` and with an error below `KNOWN`; of bins with a larger error.
     """
 
     sigma: float
@@ -40,7 +46,7 @@ class Agreement:
 
 
 def run_forecast(setup: Setup, coadds: CoAdds) -> Forecast | None:
-    """The forecast of a run's own observations and of the scans that it kept, None where the scene has none."""
+    """Return the forecast of a run's own observations and kept scans; None for a scene without one."""
     try:
         return forecast(setup.scene, kept_shares(setup, coadds)) if can_forecast(setup) else None
     except NotForecastableError:  # a finished run never fails for want of a forecast
@@ -48,10 +54,19 @@ def run_forecast(setup: Setup, coadds: CoAdds) -> Forecast | None:
 
 
 def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -> Agreement:
-    """Compare one data set.
+    """Compare the forecast of one data set with its simulation.
 
-    The weather is common to both and cancels in their ratio. Left are the noise of the realizations, the scatter of
-    observations' noise about its forecast, and for sigma(A) the error of the window.
+    The weather is common to both and cancels in their ratio. The error has three parts: noise realizations, scatter of
+    the observations' noise about its forecast, and for sigma(A) the error of the transfer function.
+
+    Parameters
+    ----------
+    setup : Setup
+        Setup of the run.
+    simulated : DataSetScore
+        Score of the data set.
+    expected : DataSetForecast
+        Forecast of the same observations.
     """
     scatter = _scatter(setup, simulated, expected)
     ratio = expected.band.sigma_ukcmb2 / simulated.plain_band.sigma_ukcmb2
@@ -92,9 +107,10 @@ def _scatter(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -
 
 
 def quoted_forecast(simulated: DataSetScore, expected: DataSetForecast) -> float:
-    """sigma(A) [uK_CMB^2] by forecast that stands beside the quoted one: as far from it as the plain ones are apart.
+    """Return the forecast of sigma(A) [uK_CMB^2] for the weather of the quoted score.
 
-    A quoted score that has the forecast as control variate is that of all weather, and so is this.
+    Its ratio to the quoted score is that of the plain ones. A score with the forecast as control variate is for all
+    weather, hence this forecast too.
     """
     return expected.band.sigma_ukcmb2 * simulated.band.sigma_ukcmb2 / simulated.plain_band.sigma_ukcmb2
 

@@ -59,6 +59,7 @@ def _alternative_row(
     ell_min: int,
     sigma_ukcmb2: dict[str, float],
 ) -> dict[str, float | str]:
+    row: dict[str, float | str]
     row = {"weights": weights, "ell_min": ell_min, "ell_eff": band.ell_eff, "fwhm_ell": band.fwhm_ell}
     for name, item in scores.items():
         share = item.n_det / setup.camera.n_det

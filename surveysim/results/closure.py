@@ -1,4 +1,4 @@
-"""What was put into a run against what came out of it: noise levels, signal, weather."""
+"""Closure tests of a run: noise levels, transfer function and weather against their inputs."""
 
 from dataclasses import dataclass
 from fractions import Fraction
@@ -18,10 +18,18 @@ QUARTILES = (0.25, 0.5, 0.75)
 
 @dataclass(frozen=True)
 class ClosureTest:
-    """A quantity in `unit`: `expected` by the scene or in closed form, and `found` with its Monte Carlo error.
+    """A quantity beside its expected value.
 
-    `kind` is "measured" for what is found in time-streams and maps, "drawn" for weather, whose draws stand against the
-    distribution that they are from.
+    Parameters
+    ----------
+    kind : {"measured", "drawn"}
+        "measured" in time-streams and maps, or weather "drawn" from its distribution.
+    quantity, unit : str
+        Name and unit.
+    expected : float
+        Value from the scene or in closed form.
+    found, error : float
+        Value found and its Monte Carlo error.
     """
 
     kind: Literal["measured", "drawn"]
@@ -32,15 +40,27 @@ class ClosureTest:
     error: float
 
 
-def truth(
+def closure_tests(
     setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore], expected: Forecast | None
 ) -> tuple[ClosureTest, ...]:
-    """All that a run allows to be compared; nothing of stages that it leaves out."""
+    """Return the closure tests of the stages that a run has.
+
+    Parameters
+    ----------
+    setup : Setup
+        Setup of the run.
+    coadds : CoAdds
+        Sums over its observations.
+    scores : dict of DataSetScore
+        Scores by data set; empty without a score.
+    expected : Forecast, optional
+        Forecast of the run's own observations.
+    """
     return (*_white(setup, coadds), *_signal(scores, expected), *_weather(setup, coadds))
 
 
 def _white(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
-    """Photon and detector noise as set, against the level of the cleaned streams, means over observations."""
+    """Compare photon and detector noise of the scene with the level of the cleaned time-streams, as means."""
     measured = coadds.column("white_mk2_hz")
     known = np.isfinite(measured)
     if known.sum() < 2 or setup.scene.score is None:
@@ -54,10 +74,7 @@ def _white(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
 
 
 def _signal(scores: dict[str, DataSetScore], expected: Forecast | None) -> list[ClosureTest]:
-    """Share of the signal's power that cleaning leaves in the scored bins, by forecast and by simulated skies.
-
-    One row for each window: data sets that share one share its row.
-    """
+    """Compare the transfer function of the scored bins by forecast and by simulated skies, once for each."""
     rows, seen = [], set()
     for name, item in scores.items():
         if expected is None or name not in expected.scores or id(item.window) in seen:
@@ -72,7 +89,7 @@ def _signal(scores: dict[str, DataSetScore], expected: Forecast | None) -> list[
 
 
 def _weather(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
-    """Quartiles of the distributions of the weather, against those of what was drawn from them."""
+    """Compare quartiles of the weather's distributions with quartiles of the draws."""
     from scipy.special import ndtri
 
     air = setup.scene.atmosphere
@@ -91,7 +108,7 @@ def _weather(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
 
 
 def _quartile(name: str, unit: str, place: int, expected: float, drawn: np.ndarray) -> ClosureTest:
-    """One quartile of draws (n,); its error is half the distance of the draws a standard error of rank away."""
+    """Compare one quartile of draws (n,); its error is half the distance of draws one standard error of rank away."""
     level, label = QUARTILES[place], ("first quartile", "median", "third quartile")[place]
     reach = np.sqrt(level * (1 - level) / len(drawn))
     low, found, high = np.quantile(drawn, np.clip([level - reach, level, level + reach], 0, 1))

@@ -1,4 +1,4 @@
-"""What a finished run says: the score table, gains, alternatives, and the summary of everything."""
+"""The result of a run: its scores, gains, alternatives, forecast and error."""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -38,8 +38,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the score table: `sigma_ukcmb2` as quoted, with its error (NaN: unknown); forecast and reference or
-    None; `plain_sigma_ukcmb2` without control variate. The forecast is for the weather that `sigma_ukcmb2` is for.
+    """A row of the score table.
+
+    Parameters
+    ----------
+    name, n_det : str, int
+        Data set and its number of detectors.
+    sigma_ukcmb2, error_ukcmb2 : float
+        sigma(A) [uK_CMB^2] as quoted, and its Monte Carlo error; NaN for an unknown error.
+    plain_sigma_ukcmb2 : float
+        sigma(A) [uK_CMB^2] without control variate.
+    ell_eff, fwhm_ell : float
+        Effective multipole and width of the weights.
+    forecast_ukcmb2 : float, optional
+        Forecast for the weather of `sigma_ukcmb2`.
+    reference_ukcmb2 : float, optional
+        Published value.
     """
 
     name: str
@@ -56,13 +70,34 @@ class Row:
 
 @dataclass(frozen=True)
 class SurveyResult:
-    """A finished run: setup, sums, scores, gains between data sets and the same data scored otherwise.
+    """A finished run.
 
-    They are empty without a score or where `unscored` says why there is none, and are those quoted
-    (`surveysim.results.control_variate.quoted_scores`). `flux_removed` is the share of a faint point source's flux that
-    each pipeline takes, known where pipelines are compared; `expected` the forecast of the data sets, None where
-    cleaning has none. A run that `limits` ended early is scored for the whole survey. `wall_s` is the time since the
-    run was started or, the last time, resumed.
+    Parameters
+    ----------
+    setup : Setup
+        Setup of the scene.
+    coadds : CoAdds
+        Sums over the observations.
+    scores : dict of DataSetScore
+        Quoted scores by data set (`surveysim.results.control_variate.quoted_scores`); empty without a score.
+    gains : dict of Gain
+        Ratios of sigma(A) between data sets.
+    alternatives : list of dict
+        The same data scored otherwise, a row each.
+    flux_removed : dict of float
+        Share of a faint point source's flux that each pipeline removes; empty unless pipelines are compared.
+    expected : Forecast, optional
+        Forecast of the data sets; None for a cleaning without one.
+    wall_s : float
+        Time [s] since the start or the last resumption.
+    workers : int
+        Number of workers.
+    unscored : str
+        Reason for a missing score; else empty.
+    limits : StoppingCriteria
+        Limits of the run; one that they ended early is scored for the whole survey.
+    engine : str
+        Kind of the engine.
     """
 
     setup: Setup
@@ -90,12 +125,12 @@ class SurveyResult:
 
     @property
     def stopped(self) -> str:
-        """What ended the run: "all" of its observations, or its "target" or "budget"."""
+        """Reason for the end of the run: "all" of its observations, or its "target" or "budget"."""
         return stop_reason(self.setup, self.limits, self.coadds.done, self.estimate)
 
     @property
     def parts(self) -> ErrorParts | None:
-        """What the error of the estimate is made of; None without a score."""
+        """Parts of the error of the estimate; None without a score."""
         return error_parts(self.setup, self.coadds, self.scores) if ACTUAL in self.scores else None
 
     def table(self) -> "QTable":
@@ -139,13 +174,13 @@ class SurveyResult:
         return self._score_table().html()
 
     def cost(self, target: float) -> TimeToPrecision | None:
-        """What an answer to a relative error would take; None without a score, or where none is as good."""
+        """Return the cost of sigma(A) to a relative error; None without a score, or if out of reach."""
         parts = self.parts
         return None if parts is None else answer_cost(self.setup, self.coadds.done, self.workers, parts, target)
 
     @property
     def fine_cost(self) -> TimeToPrecision | None:
-        """What an answer to 1 % would take, as `cost`."""
+        """Cost of sigma(A) to 1 %, as `cost`."""
         return self.cost(FINE_ERROR)
 
 
@@ -157,7 +192,7 @@ def survey_result(
     limits: StoppingCriteria = UNLIMITED,
     engine: str = SERIAL.kind,
 ) -> SurveyResult:
-    """Score what was summed; a survey that can't be scored keeps its maps and says why."""
+    """Score the sums of a run; a survey that can't be scored keeps its maps and the reason."""
     scores, ratios, others, removed, unscored = {}, {}, [], {}, ""
     if setup.scene.score is not None:
         try:
@@ -172,7 +207,7 @@ def survey_result(
 
 
 def score_rows(result: SurveyResult) -> list[Row]:
-    """The score table, masked sets also scaled by their share of the detectors (section 5.2)."""
+    """Return the score table, masked sets also scaled by their share of the detectors (section 5.2)."""
     expected = result.expected.scores if result.expected else {}
     rows = [_row(item, expected.get(name)) for name, item in result.scores.items()]
     for row in list(rows):
@@ -196,7 +231,7 @@ def _row(item: DataSetScore, expected: DataSetForecast | None) -> Row:
 
 
 def forecast_agreement(result: SurveyResult) -> dict[str, Agreement]:
-    """How far the forecast of each data set is from what was simulated; empty without a forecast."""
+    """Return the agreement of the forecast of each data set with the run; empty without a forecast."""
     expected = result.expected.scores if result.expected else {}
     return {name: agreement(result.setup, result.scores[name], item) for name, item in expected.items()}
 
@@ -216,7 +251,7 @@ def _gains(setup: Setup, scores: dict[str, DataSetScore]) -> dict[str, Gain]:
 
 
 def score_entries(result: SurveyResult) -> dict[str, dict[str, float | str | None]]:
-    """Rows of the score table by name, as summary.json has them: without what they lack, None for what is unknown."""
+    """Return rows of the score table by name, as summary.json has them: without absent values, None if unknown."""
     return {row.name: _score_entry(row) for row in score_rows(result)}
 
 

@@ -1,4 +1,4 @@
-"""When a run has done enough, and what a better answer would cost.
+"""Stopping criteria of a run, its best estimate, and the cost of a smaller error.
 
 A run may stop early: its error is small enough, or its time is spent. The decision about the error looks at sums over
 whole boundaries of observations alone, never at workers or clocks.
@@ -23,20 +23,28 @@ from surveysim.survey.scores import DataSetScore, noise_parts
 FEWEST = 32  # observations whose scatter tells their error to an eighth; rare ones that lose scans must be among them
 _WINDOWS = 8  # observations that tell what cleaning leaves of the sky: fewer leave seams in its maps
 _SPACING = 8  # of boundaries, up to 128 observations: four pairs of scan directions
-FINE_ERROR = 0.01  # of the answer whose cost is told
-TOLD_ERRORS = (0.03, FINE_ERROR)  # of all answers whose costs are kept with the results
+FINE_ERROR = 0.01  # relative error whose cost is printed
+TOLD_ERRORS = (0.03, FINE_ERROR)  # relative errors whose costs are in summary.json
 _SHARE = 0.25  # of the variance that sign flips, or skies, may have in it
 
 
 @dataclass(frozen=True)
 class StoppingCriteria:
-    """What ends a run before its last observation: a relative error of sigma(A), a time since it was begun; or None."""
+    """Criteria that end a run before its last observation.
+
+    Parameters
+    ----------
+    target_error : float, optional
+        Relative error of sigma(A).
+    time_budget_s : float, optional
+        Time [s] since the start.
+    """
 
     target_error: float | None = None
     time_budget_s: float | None = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError for an error that is not between 0 and 1 or a time that is not above 0."""
+        """Raise InputError for an error that is not between 0 and 1 or a time that is not above 0."""
         target, budget = self.target_error, self.time_budget_s
         if target is not None and not 0 < target < 1:
             raise InputError(f"target error: found {target:g}; more than 0 and less than 100 % is expected")
@@ -69,7 +77,17 @@ class Estimate:
 
 @dataclass(frozen=True)
 class TimeToPrecision:
-    """What an answer of a relative error takes: `seconds` of simulation, and what the scene needs."""
+    """Cost of sigma(A) to a relative error.
+
+    Parameters
+    ----------
+    relative_error : float
+        Relative error of sigma(A).
+    seconds : float
+        Time of simulation [s].
+    observations, jackknives, skies : int
+        Values of the scene: observations, sign flips, simulated skies.
+    """
 
     relative_error: float
     seconds: float
@@ -79,7 +97,7 @@ class TimeToPrecision:
 
 
 def parsed_limits(target_error: str | None, time_budget: str | None) -> StoppingCriteria:
-    """Limits from texts such as "3%" or "0.03" and "60 s" or "2 min"; raises ValueError with found and expected."""
+    """Parse limits from texts such as "3%" or "0.03" and "60 s" or "2 min"; raise InputError for other texts."""
     parsed = []
     for name, text, unit in (("--target-error", target_error, ""), ("--time-budget", time_budget, "s")):
         try:
@@ -119,12 +137,12 @@ def may_end(scene: Scene, done: int) -> bool:
 
 
 def is_boundary(done: int) -> bool:
-    """Whether the error is looked at here: every 8 observations from 32 on, 16 from 128, 32 from 256 and so on."""
+    """Whether a run may end here by its error: every 8 observations from 32 on, 16 from 128, 32 from 256, ..."""
     return done >= FEWEST and done % (_SPACING * 2 ** max(0, done.bit_length() - 7)) == 0
 
 
 def stop_reason(setup: Setup, limits: StoppingCriteria, done: int, found: Estimate | None) -> str:
-    """Which came first of a run's end: "all" observations, its "target" or its time "budget"."""
+    """Return the reason for the end of a run: "all" observations, its "target" or its time "budget"."""
     if done == setup.scene.observations:
         return "all"
     reached = found is not None and limits.target_error is not None and found.relative_error <= limits.target_error
@@ -132,7 +150,7 @@ def stop_reason(setup: Setup, limits: StoppingCriteria, done: int, found: Estima
 
 
 def estimate_so_far(setup: Setup, coadds: CoAdds) -> Estimate | None:
-    """The best estimate from the observations so far, None where there is none."""
+    """Return the best estimate from the observations so far; None without one."""
     try:
         return best_estimate(quoted_scores(setup, coadds, (ACTUAL,)))
     except InsufficientDataError:  # too few scans are kept so far
@@ -140,7 +158,7 @@ def estimate_so_far(setup: Setup, coadds: CoAdds) -> Estimate | None:
 
 
 def best_estimate(scores: dict[str, DataSetScore]) -> Estimate | None:
-    """The quoted estimate of the actual data; None without a score."""
+    """Return the quoted estimate of the actual data; None without a score."""
     if ACTUAL not in scores:
         return None
     item = scores[ACTUAL]
@@ -151,8 +169,16 @@ def best_estimate(scores: dict[str, DataSetScore]) -> Estimate | None:
 
 @dataclass(frozen=True)
 class ErrorParts:
-    """Relative errors of the actual data's best estimate, by what makes them fall: more `observations`, sign `flips`
-    or window `skies`; the `rest` falls with none. `each_s` is the time that an observation takes of one worker.
+    """Parts of the relative error of the actual data's best estimate.
+
+    Parameters
+    ----------
+    observations, flips, skies : float
+        Parts that fall with more observations, sign flips and simulated skies.
+    rest : float
+        Part that falls with none of them.
+    each_s : float
+        Time [s] of one observation on one worker.
     """
 
     observations: float
@@ -163,7 +189,7 @@ class ErrorParts:
 
 
 def error_parts(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -> ErrorParts:
-    """The parts of the error of a run whose actual data are scored."""
+    """Return the parts of the error of a run whose actual data are scored."""
     item = scores[ACTUAL]
     flips, common = noise_parts(setup, item)
     each_s = sum(coadds.seconds.values()) / coadds.done
@@ -174,11 +200,26 @@ def error_parts(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -
 def answer_cost(
     setup: Setup, done: int, workers: int, parts: ErrorParts, target: float = FINE_ERROR
 ) -> TimeToPrecision | None:
-    """What an answer of this relative error would take, by the parts of the error of `done` observations.
+    """Predict the cost of sigma(A) to a relative error from the parts of a run's error.
 
-    Errors from sign flips and window skies do not fall with observations: where they have more than a quarter of
-    the variance, more flips and skies are counted on, whose errors go as one over the root of their numbers. None
-    where the rest of the error alone is larger, or the error is unknown.
+    Errors from sign flips and simulated skies do not fall with observations. If they exceed a quarter of the target's
+    variance, their numbers are increased; these errors fall as the inverse root of the numbers.
+
+    Parameters
+    ----------
+    setup : Setup
+        Setup of the run.
+    done, workers : int
+        Number of simulated observations, and of workers.
+    parts : ErrorParts
+        Parts of the error.
+    target : float
+        Relative error.
+
+    Returns
+    -------
+    TimeToPrecision or None
+        None if the rest of the error exceeds the target, or the error is unknown.
     """
     score = setup.scene.score
     if math.isnan(parts.observations):
@@ -197,5 +238,5 @@ def answer_cost(
 
 
 def _enough(number: int, error: float) -> int:
-    """How many are needed of what gives this error, in units of the target's, at present."""
+    """Return the number needed where this one gives an error in units of the target."""
     return number * max(1, int(np.ceil(error**2 / _SHARE)))

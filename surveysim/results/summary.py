@@ -8,7 +8,7 @@ from surveysim.forecasting.forecast import DataSetForecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL, CleaningPipeline
 from surveysim.reduction.figure_of_merit import TARGETS, best_places
 from surveysim.reduction.setup import Setup
-from surveysim.results.closure import truth
+from surveysim.results.closure import closure_tests
 from surveysim.results.results import SurveyResult, forecast_agreement, score_entries
 from surveysim.results.stages import absent_sections, left_out, stages_that_run
 from surveysim.results.stopping import TOLD_ERRORS
@@ -23,12 +23,11 @@ PSD_AT_HZ = (0.01, 0.1, 1.0)
 
 
 def summary(result: SurveyResult) -> dict[str, Any]:
-    """The content of summary.json; its keys are stable (docs/reference/files.md)."""
+    """Return the content of summary.json; its keys are stable (docs/reference/files.md)."""
     setup, coadds = result.setup, result.coadds
     columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
-    samples = (
-        coadds.done * setup.camera.n_det * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
-    )
+    raster = setup.observing.raster
+    samples = coadds.done * setup.camera.n_det * raster.n_scans * samples_per_scan(raster)
     content: dict[str, Any] = {
         "scene": setup.scene.name,
         "title": setup.scene.title,
@@ -47,9 +46,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "discarded_by_weather": result.discards.by_weather,
         "warnings": result.discards.warnings,
         "mean_iterations": float(columns[f"iterations_{ACTUAL}"].mean()),
-        "cleaning": {
-            pipeline.data_set: _cleaning_entry(pipeline, result, columns) for pipeline in setup.analysis.pipelines
-        },
+        "cleaning": {item.data_set: _cleaning_entry(item, result, columns) for item in setup.analysis.pipelines},
         "stopped": _stopped_entry(result),
         "scores": {},
     }
@@ -68,7 +65,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         if not np.isnan(setup.analysis.region.scored_correlation):
             content["bin_correlation"] = setup.analysis.region.scored_correlation
         content["time_to_precision"] = [vars(cost) for cost in map(result.cost, TOLD_ERRORS) if cost]
-    content["closure"] = [vars(item) for item in truth(setup, coadds, result.scores, result.expected)]
+    content["closure"] = [vars(item) for item in closure_tests(setup, coadds, result.scores, result.expected)]
     content["run"] = {
         "date": now(),
         "engine": result.engine,
@@ -81,7 +78,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
 
 
 def _cleaning_entry(pipeline: CleaningPipeline, result: SurveyResult, columns: dict[str, np.ndarray]) -> dict[str, Any]:
-    """What one pipeline costs: scans, iterations, templates, time, and of how many observations it is the best."""
+    """Scans, iterations and templates of one pipeline, and the share of observations in which it is the best."""
     setup = result.setup
     entry: dict[str, Any] = {
         "steps": list(pipeline.steps),
@@ -130,7 +127,7 @@ def _budget_entry(item: DataSetScore) -> dict[str, float]:
 
 
 def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
-    """What ended the run, of how many observations, and how good its answer is."""
+    """Reason for the end of the run, its observations, and its relative error."""
     estimate, limits = result.estimate, {k: v for k, v in vars(result.limits).items() if v is not None}
     entry: dict[str, Any] = {
         "reason": result.stopped,
@@ -149,6 +146,5 @@ def _forecast_entry(item: DataSetForecast) -> dict[str, Any]:
 
 def best_pipeline(setup: Setup, columns: dict[str, np.ndarray], target: str) -> np.ndarray:
     """Place (n_obs,) among the pipelines for all detectors of the best one for a target, -1 without data."""
-    return best_places(
-        np.array([columns[f"merit_{target}_{pipeline.data_set}"] for pipeline in setup.analysis.whole_pipelines])
-    )
+    merits = [columns[f"merit_{target}_{pipeline.data_set}"] for pipeline in setup.analysis.whole_pipelines]
+    return best_places(np.array(merits))

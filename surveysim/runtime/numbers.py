@@ -94,7 +94,7 @@ def duration(seconds: float | None) -> str:
 
 
 def plural(n: int, thing: str) -> str:
-    """How many of a thing there are."""
+    """A number with the noun in singular or plural."""
     return f"{count(n)} {thing}" if n == 1 else f"{count(n)} {thing}s"
 
 

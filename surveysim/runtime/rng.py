@@ -1,4 +1,4 @@
-"""Random generators keyed by seed, realization, observation and purpose, and by block.
+"""Random generators keyed by seed, realization, observation, purpose and block.
 
 Draws of one purpose do not depend on other stages, on the number of workers, or on the order of observations.
 """
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class RandomPurpose(IntEnum):
-    """Purpose of a stream of random numbers; its number is part of the key and never reused."""
+    """Purposes of random numbers that have a number. A number is part of the key and never reused."""
 
     WEATHER = 0
     POINTING = 1
@@ -38,7 +38,7 @@ def generator(
     seed
         Seed of the scene.
     purpose
-        Purpose of the random numbers. A new stream component takes its own name: the number is a hash of the name.
+        Purpose of the random numbers. A new stream component takes its own name, whose hash is its number.
     observation, realization, block
         Indices from 0. Block 0 is not part of the key.
     """

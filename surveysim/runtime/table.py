@@ -36,7 +36,7 @@ class Column:
     """
 
     name: str
-    values: Sequence[Any]
+    values: Sequence[Any] | np.ndarray
     unit: str = ""
     heading: str = ""
     cells: tuple[str, ...] | None = None
@@ -131,14 +131,14 @@ class Table:
         return "".join([*parts, "</tbody></table>"])
 
 
-def file_column(name: str, values: Sequence[Any], unit: str = "") -> Column:
+def file_column(name: str, values: Sequence[Any] | np.ndarray, unit: str = "") -> Column:
     """Return a column that files alone have."""
     return Column(name, values, unit)
 
 
 def column(
     name: str,
-    values: Sequence[Any],
+    values: Sequence[Any] | np.ndarray,
     heading: str,
     show: Callable[[Any], str] = str,
     *,

@@ -48,6 +48,7 @@ def whole(least: int, most: int) -> tuple[Any, BeforeValidator]:
 
 def quantity(
     unit: str,
+    *,
     above: float | None = None,
     at_least: float | str | None = None,
     at_most: str | None = None,
@@ -87,7 +88,7 @@ def quantity(
     return BeforeValidator(check), of_file("string", unit=unit, **bounds)
 
 
-def quantities(unit: str, example: str, zero_or: str, at_most: str) -> tuple[BeforeValidator, WithJsonSchema]:
+def quantities(unit: str, example: str, *, zero_or: str, at_most: str) -> tuple[BeforeValidator, WithJsonSchema]:
     """Accept a list of quantities, each 0 or from `zero_or` to `at_most`; as `quantity`."""
     least, most = to_float(zero_or, unit), to_float(at_most, unit)
 
@@ -258,8 +259,8 @@ Index = Annotated[
     Field(ge=0.01, le=20, allow_inf_nan=False),
     of_file(["number", "string"], minimum=0.01, maximum=20, examples=["11/3"]),
 ]
-Variances = Annotated[tuple[float, ...], *quantities("mK2", "[1, 2, 5] mK2", "1e-12 mK2", "1e12 mK2")]
-Waters = Annotated[tuple[float, ...], *quantities("mm", "[0.5, 1, 2] mm", "1e-6 mm", "1000 mm")]
+Variances = Annotated[tuple[float, ...], *quantities("mK2", "[1, 2, 5] mK2", zero_or="1e-12 mK2", at_most="1e12 mK2")]
+Waters = Annotated[tuple[float, ...], *quantities("mm", "[0.5, 1, 2] mm", zero_or="1e-6 mm", at_most="1000 mm")]
 # Amplitudes of a power spectrum, whose unit goes with the screen's index: `Atmosphere` makes floats of them.
 B2s = Annotated[tuple[float, ...], _several("mK2 rad(2 - index)", "[100, 280, 980] mK2 rad(-5/3)", B2_MAX)]
 Fluctuations = Annotated[tuple[float, ...], _several("rad(2 - index)", "[3e-6, 9e-6, 2e-5] rad(-5/3)", FLUCTUATION_MAX)]

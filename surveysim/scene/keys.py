@@ -95,7 +95,7 @@ def _walk(schema: Mapping[str, Any], section: SceneSection) -> Iterator[SceneSec
 
 
 def _flat(item: Mapping[str, Any]) -> dict[str, Any]:
-    """What the schema says of a key, that it may be left out said by its default alone."""
+    """Flatten the schema of a key that may be left out: its default alone says so."""
     rest = {key: value for key, value in item.items() if key != "anyOf"}
     for choice in item.get("anyOf", ()):
         if choice.get("type") != "null":

@@ -149,7 +149,7 @@ class Sky(Section):
 
 
 class StreamSections(Section):
-    """Sections of the components of time-streams, each left out with its section."""
+    """Sections of the components of the time-streams; each can be left out."""
 
     atmosphere: Atmosphere | None = None
     """Without it there is neither a turbulent layer nor weather."""

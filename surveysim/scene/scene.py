@@ -32,7 +32,7 @@ from surveysim.scene.observing import MIN_SAMPLES, FieldSection, FixedPointing, 
 from surveysim.scene.renamed_keys import renamed_lines
 from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene
-from surveysim.scene.units import shown
+from surveysim.scene.units import file_value, shown
 
 MAX_BYTES = 300_000  # of a scene file; with comments they have some 5 kB
 MAX_DEPTH = 20  # tables and lists within each other; scenes have 3
@@ -131,7 +131,7 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
     path
         Path of a scene file, or name of a scene (`find_scene`).
     overrides
-        Values by dotted key, such as ``{"scan.speed": "4 arcmin / s"}``.
+        Values by dotted key, such as ``{"scan.speed": "4 arcmin / s"}``; astropy quantities are allowed.
 
     Returns
     -------
@@ -143,7 +143,7 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
         With one line for each error: file, key, value found, values expected.
     """
     path = find_scene(path)
-    return scene_of(path, *read_scene(path), overrides or {})
+    return scene_of(path, *read_scene(path), {key: file_value(value) for key, value in (overrides or {}).items()})
 
 
 def read_scene(path: Path) -> tuple[str, dict]:

@@ -1,4 +1,4 @@
-"""What a run of a scene would do, take and leave behind, predicted from a few observations or a block made here."""
+"""Predicted stages, run time, memory and output size of a run, from a few observations or a block simulated here."""
 
 import math
 import os
@@ -11,11 +11,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from surveysim.reduction.observation import ObservationResult, observe
-from surveysim.reduction.setup import Setup, prepare, window_observations
+from surveysim.reduction.setup import Setup, window_observations
 from surveysim.results.results import survey_result
 from surveysim.results.stages import left_out, stages_that_run
 from surveysim.runtime.memory import peak_bytes
-from surveysim.studies.sweep.axes import Sweep
 from surveysim.survey.coadds import CoAdds, add_observation, empty_coadds
 from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.observed_block import observation_weather
@@ -33,10 +32,20 @@ ONCE, SKIES = ("figure_of_merit", "weights"), ("transfer_function",)
 
 @dataclass(frozen=True)
 class Plan:
-    """Stages that run with the reason for each left out, and the predicted cost.
+    """Stages of a run and its predicted cost.
 
-    `wall_s` is that of a machine with nothing else to do, of which figures take `figures_s`; `memory_bytes` that of
-    the largest process.
+    Attributes
+    ----------
+    stages, left_out
+        What each stage does, and why other stages are left out, by name.
+    detector_samples
+        Samples of all detectors and observations.
+    wall_s, figures_s
+        Run time on an idle machine [s], and its part for figures.
+    memory_bytes
+        Memory of the largest process.
+    output_bytes, timestream_bytes
+        Size of the results, and of the time-streams if they are saved.
     """
 
     stages: dict[str, str]
@@ -63,10 +72,18 @@ class _Measured:
 
 
 def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
-    """Predict by running a few observations, with and without window skies, and scoring them.
+    """Predict the cost of a run from a few observations, with and without signal simulations, and from scoring them.
 
-    Of observations in several blocks one block is made, and one scan more. `start_s` is the time that it took to start
-    and to prepare `setup`; worker processes take it once more.
+    For observations in several blocks, one block and one single scan are simulated.
+
+    Parameters
+    ----------
+    setup
+        The scene, prepared.
+    workers
+        Worker processes.
+    start_s
+        CPU time [s] of the start and of preparing `setup`; worker processes take it once more.
     """
     scene = setup.scene
     n_window = int(window_observations(scene).sum())
@@ -154,32 +171,3 @@ def _windiest(setup: Setup) -> int:
         return 0
     weathers = [observation_weather(setup, observation) for observation in range(setup.scene.observations)]
     return int(np.argmax([weather.wind_speed_rad_s for weather in weathers]))
-
-
-@dataclass(frozen=True)
-class SweepPlan:
-    """The predicted cost of all points of a sweep."""
-
-    n_points: int
-    detector_samples: int
-    wall_s: float
-    memory_bytes: float
-
-
-def make_sweep_plan(sweep: Sweep, workers: int, start_s: float = 0.0) -> SweepPlan:
-    """Predict from the first and the last point: the others take as long for each of their detector-samples.
-
-    `start_s` as in `make_plan`; points are prepared once more where they run.
-    """
-    ends = [sweep.points[number] for number in sorted({0, len(sweep.points) - 1})]
-    plans = [make_plan(prepare(point.scene), 1) for point in ends]
-    seconds_each = sum(plan.wall_s for plan in plans) / sum(plan.detector_samples for plan in plans)
-    work = [point.detector_samples * seconds_each for point in sweep.points]
-    parallel = min(workers, len(work), os.cpu_count() or 1)
-    starts = 1 + (parallel > 1)
-    return SweepPlan(
-        n_points=len(work),
-        detector_samples=sum(point.detector_samples for point in sweep.points),
-        wall_s=starts * start_s + max(max(work), sum(work) / parallel),
-        memory_bytes=max(plan.memory_bytes for plan in plans),
-    )

@@ -200,8 +200,8 @@ def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
     """Score the same data set from another lowest multipole."""
     low, high = setup.analysis.region.rings.edges_ell[:-1], setup.analysis.region.rings.edges_ell[1:]
     selected = (low >= ell_min) & (high <= setup.scene.score.ell_max)
-    of_set = item.noise_psds, item.window, item.weights, item.bin_noise, item.kept
-    plain = _score(setup, item, *of_set, selected=selected)
+    of_obs = item.weights, item.bin_noise, item.kept
+    plain = _score(setup, item, item.noise_psds, item.window, *of_obs, selected=selected)
     return plain if item.control is None else controlled_score(setup, plain, item.control)
 
 
@@ -283,7 +283,7 @@ def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
 
 def _score(
     setup: Setup,
-    item: "DataSet | DataSetScore",
+    item: DataSet | DataSetScore,
     psds: np.ndarray,
     window: TransferFunction,
     weights: np.ndarray,

@@ -7,7 +7,7 @@ downloaded, future dates work like past ones, and the result does not depend on 
 
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import date
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 DAY_S = 86400.0
 SIDEREAL_RAD_S = 2 * np.pi * 1.00273790935 / DAY_S  # rate of the hour angle
+_MJD_ZERO = 2400000.5  # Julian date
 MJD_ZERO_ORDINAL = date(1858, 11, 17).toordinal()
 GOLDEN = (np.sqrt(5) - 1) / 2
 INTERPOLATION_S = 1000.0  # of nutation and aberration: within 1e-6 arcsec, and nine times faster
@@ -45,6 +46,9 @@ class FieldCentre:
 
     ra_rad: float
     dec_rad: float
+
+
+Directions = Callable[[FieldCentre, Site, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -148,7 +152,7 @@ def horizontal(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndar
         return seen.alt.to_value(u.rad), seen.az.to_value(u.rad), parallactic
 
 
-def _hour_angle_dec(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def hour_angle_dec(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Apparent hour angle in [-pi, pi) and declination of date of the field, (n,) each [rad]."""
     from astropy import units as u
     from astropy.coordinates import HADec
@@ -157,6 +161,20 @@ def _hour_angle_dec(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np
         centre, where = _sky(field, site, mjd)
         seen = centre.transform_to(HADec(**where))
         return seen.ha.wrap_at(180 * u.deg).to_value(u.rad), seen.dec.to_value(u.rad)
+
+
+def near_hour_angle_dec(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same within 1e-10 rad by ERFA alone: for checks, which astropy.coordinates would hold up."""
+    import erfa
+
+    place = site.longitude_rad, site.latitude_rad, site.height_m
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", erfa.ErfaWarning)
+        # No proper motion, parallax or velocity; no UT1 - UTC, polar motion, or air.
+        _, _, hour_angle, dec, _, _ = erfa.atco13(
+            field.ra_rad, field.dec_rad, 0, 0, 0, 0, _MJD_ZERO, mjd, 0, *place, 0, 0, 0, 0, 0, 0.5
+        )
+    return (hour_angle + np.pi) % (2 * np.pi) - np.pi, dec
 
 
 def _half_window_s(dec_rad: np.ndarray, site: Site, max_hour_angle_rad: float, min_elevation_rad: float) -> np.ndarray:
@@ -195,6 +213,7 @@ def schedule(
     max_hour_angle_rad: float,
     min_elevation_rad: float,
     duration_s: float,
+    directions: Directions = hour_angle_dec,
 ) -> Schedule:
     """Start times of a survey: observations spread over the nights in order, and evenly over hour angle.
 
@@ -204,11 +223,12 @@ def schedule(
     within it. Observation i belongs to night floor(i nights / n). A night's m observations share its window
     in m equal slots. In their slots all begin at the same phase of the time left over: the middle on the
     first night, moved on by the golden ratio each night, so that few observations a night cover all hour
-    angles too, and the array turns on the sky from night to night. Nothing is drawn at random.
+    angles too, and the array turns on the sky from night to night. Nothing is drawn at random. `directions` gives
+    hour angle and declination of date.
 
     ValueError when the field never reaches the elevation, or more observations are asked for than fit.
     """
-    midnight_mjd, hour_angle, dec = _midnights(field, site, first_night, nights)
+    midnight_mjd, hour_angle, dec = _midnights(field, site, first_night, nights, directions)
     half_s = _half_window_s(dec, site, max_hour_angle_rad, min_elevation_rad)
     _check_room(n_observations, nights, half_s, duration_s)
 
@@ -224,13 +244,13 @@ def schedule(
 
 @lru_cache(maxsize=8)  # points of a sweep have nights in common
 def _midnights(
-    field: FieldCentre, site: Site, first_night: str, nights: int
+    field: FieldCentre, site: Site, first_night: str, nights: int, directions: Directions
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Local mean midnight [MJD] of each night, hour angle of the field then and its declination of date, (nights,)."""
     evening_mjd = date.fromisoformat(first_night).toordinal() - MJD_ZERO_ORDINAL
     east_rad = math.remainder(site.longitude_rad, 2 * math.pi)  # 204.5 degrees east are 155.5 degrees west
     midnight_mjd = evening_mjd + 1 + np.arange(nights) - east_rad / (2 * np.pi)
-    return midnight_mjd, *_hour_angle_dec(field, site, midnight_mjd)
+    return midnight_mjd, *directions(field, site, midnight_mjd)
 
 
 def near_angles(site: Site, plan: Schedule, mid_time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from mapmaker.geometry import MapGeometry
 from surveysim.atmosphere.weather import Water
+from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.once import once
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.noise_and_sky import Excess, Photon
@@ -19,14 +20,17 @@ from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.lattice_noise import CirculantCorrelation, CirculantFactor
 from surveysim.telescope.pixel_coherence import DenseCorrelation
 from surveysim.telescope.pointing import (
+    Directions,
     FieldCentre,
     Pointing,
     Schedule,
     Site,
+    hour_angle_dec,
     observation_pointing,
+    schedule,
     survey_angles,
 )
-from surveysim.telescope.raster import Raster, RasterPath, mid_times, raster, samples_per_scan
+from surveysim.telescope.raster import Raster, RasterPath, duration_s, mid_times, raster, samples_per_scan
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.shared_parts import scene_sky, shared_noise
 
@@ -92,15 +96,12 @@ class ObservingSetup:
 
     Parameters
     ----------
-    schedule
-        Starts of the observations; None at a fixed elevation.
     blocks
         Blocks of scans that an observation is drawn in.
     """
 
     scene: Scene
     raster: Raster
-    schedule: Schedule | None
     blocks: tuple[Block, ...]
 
     @once
@@ -108,12 +109,13 @@ class ObservingSetup:
         """Starts and angles of all observations."""
         mid_time_s = mid_times(self.raster)
         shape = (self.scene.observations, len(mid_time_s))
-        if self.schedule is None:
+        starts = observing_schedule(self.scene, self.raster)
+        if starts is None:
             fixed = self.scene.fixed_pointing
             elevation, parallactic = np.full(shape, fixed.elevation_rad), np.full(shape, fixed.parallactic_angle_rad)
             return Angles(np.zeros(shape[0]), elevation, parallactic)
-        angles = survey_angles(field_centre(self.scene), observing_site(self.scene), self.schedule, mid_time_s)
-        return Angles(self.schedule.start_mjd, *angles)
+        angles = survey_angles(field_centre(self.scene), observing_site(self.scene), starts, mid_time_s)
+        return Angles(starts.start_mjd, *angles)
 
     def samples(self, block: Block) -> slice:
         """Samples of one block among those of an observation."""
@@ -177,6 +179,22 @@ def field_centre(scene: Scene) -> FieldCentre:
 def observing_site(scene: Scene) -> Site:
     """Site of a scene with a schedule."""
     return Site(scene.schedule.latitude_rad, scene.schedule.longitude_rad, scene.schedule.height_m)
+
+
+def observing_schedule(scene: Scene, lines: Raster, directions: Directions = hour_angle_dec) -> Schedule | None:
+    """Starts of the observations; None at a fixed elevation.
+
+    `directions` computes hour angles and declinations. Raises SceneError for nights that do not hold the observations.
+    """
+    plan = scene.schedule
+    if plan is None:
+        return None
+    limits = plan.max_hour_angle_rad, plan.min_elevation_rad
+    numbers = plan.first_night, plan.nights, scene.observations
+    try:
+        return schedule(field_centre(scene), observing_site(scene), *numbers, *limits, duration_s(lines), directions)
+    except OutOfRangeError as error:
+        raise SceneError(f"schedule: {error}") from None
 
 
 def observation_path(observing: ObservingSetup, observation: int) -> tuple[RasterPath, Pointing]:

@@ -63,7 +63,9 @@ def lynx(pytestconfig) -> Prepared:
     _, pointing = observation_path(setup.observing, OBSERVATION)
     streams = draw_observation(setup, OBSERVATION)
     angle = pointing.array_angle_rad[pointing.scan]
-    index = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, streams.focal_plane)
+    index = boresight_pixels(
+        setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=streams.focal_plane
+    )
     result = observe(setup, OBSERVATION, with_window=True)
     return Prepared(setup, pointing, streams, index, result)
 

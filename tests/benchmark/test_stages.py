@@ -67,14 +67,15 @@ def test_detector(per_sample, lynx):
 def test_pixels(per_sample, lynx):
     pointing, streams = lynx.pointing, lynx.streams
     boresight = (pointing.xi_rad, pointing.eta_rad, pointing.array_angle_rad[pointing.scan])
-    per_sample("pixels", lambda: boresight_pixels(lynx.setup.analysis.geometry, *boresight, streams.focal_plane))
+    per_sample("pixels", lambda: boresight_pixels(lynx.setup.analysis.geometry, *boresight, plane=streams.focal_plane))
 
 
 def test_wind(per_sample, lynx):
     streams, rate = lynx.streams, lynx.setup.observing.raster.sample_rate_hz
     velocity = scan_velocities(streams)
-    arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane, rate, velocity)
-    per_sample("wind, measured", lambda: measure_wind(*arguments))
+    arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane)
+    options = {"sample_rate_hz": rate, "scan_velocity_rad_s": velocity}
+    per_sample("wind, measured", lambda: measure_wind(*arguments, **options))
 
 
 @pytest.mark.parametrize("algorithm", ["average", "planar", "quadratic", "polynomial", "wind", "pca", "local"])

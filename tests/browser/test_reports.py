@@ -60,7 +60,7 @@ def reports(tmp_path_factory):
     run_sweep(folder / "sweep.toml", folder / "sweep", engine=SERIAL)
     (folder / "lynx.toml").write_text(SCENE)
     (folder / "sds1.toml").write_text(SCENE.replace("seed = 11", "seed = 12"))
-    _, failed = reproduce(wanted((2, 3), (1, 2, 6, 16), folder, None), folder / "paper", SERIAL)
+    _, failed = reproduce(wanted((2, 3), (1, 2, 6, 16), folder, observations=None), folder / "paper", SERIAL)
     assert failed == []
     return {"run": (folder / "run", 8), "sweep": (folder / "sweep", 1), "paper": (folder / "paper", 4)}
 

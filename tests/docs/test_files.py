@@ -103,7 +103,7 @@ def _paper(folder):
     for number, name in enumerate(("lynx", "sds1", "cosmos", "acbar_south_pole")):
         text = PAPER_SCENE.replace("seed = 11", f"seed = {11 + number}")
         _scene(folder / "scenarios", name, text.replace("143 GHz", "268 GHz") if name == "cosmos" else text)
-    _, failed = reproduce(wanted(TABLES, (5,), folder / "scenarios", None), folder / "paper", SERIAL)
+    _, failed = reproduce(wanted(TABLES, (5,), folder / "scenarios", observations=None), folder / "paper", SERIAL)
     assert not failed
     return folder / "paper"
 

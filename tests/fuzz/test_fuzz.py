@@ -15,7 +15,7 @@ import pytest
 
 from tests.fuzz.outcomes import BAD
 
-FEW, MANY = 20, 400
+FEW, MANY = 20, 250
 SHOWN = 25
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits memory through /proc")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from surveysim import load_scene
+from surveysim.atmosphere import screen_kernels
 from surveysim.atmosphere.screen_simulation import LOOK_UPS, strip_step
 from surveysim.atmosphere.thin_screen import Screen, structure_function
 from surveysim.studies.convergence.runs import Task, run_task
@@ -20,7 +21,7 @@ def look_up_matrix(kind, x, y):
         strip = np.zeros(N_LANE * N_X)
         strip[node] = 1.0
         data = np.zeros((len(x), 1))
-        LOOK_UPS[kind](data, 0, 1, strip.reshape(N_LANE, N_X), x, y, 0.0, 1.0)
+        getattr(screen_kernels, LOOK_UPS[kind])(data, 0, 1, strip.reshape(N_LANE, N_X), x, y, 0.0, 1.0)
         columns.append(data[:, 0])
     return np.array(columns).T
 

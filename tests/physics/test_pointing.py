@@ -11,6 +11,8 @@ from surveysim.telescope.pointing import (
     FieldCentre,
     Site,
     horizontal,
+    hour_angle_dec,
+    near_hour_angle_dec,
     observation_pointing,
     schedule,
     sky_vector,
@@ -259,6 +261,21 @@ def test_longitudes_wrap():
     plans = [schedule(LYNX, site, "2003-11-20", 2, 5, **LIMITS).start_mjd for site in (CSO, east)]
     # Of longitudes and times rounded to 1e-11 days.
     np.testing.assert_allclose(plans[1], plans[0], rtol=0, atol=1e-10)
+
+
+@pytest.mark.filterwarnings("ignore:ERFA")
+def test_directions_of_checks_are_those_of_runs():
+    """By ERFA alone and by astropy.coordinates, at sites, fields and dates anywhere."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        site = Site(*rng.uniform([-1.5, -3.1, 0], [1.5, 3.1, 5000]))
+        field = FieldCentre(*rng.uniform([0, -1.5], [2 * np.pi, 1.5]))
+        mjd = rng.uniform(15021, 109000, 20)  # 1900 to 2157
+        hour_angle, dec = hour_angle_dec(field, site, mjd)
+        near, near_dec = near_hour_angle_dec(field, site, mjd)
+        assert np.abs(angle_difference(hour_angle, near)).max() * np.cos(field.dec_rad) < 1e-10
+        np.testing.assert_allclose(near_dec, dec, atol=1e-10)
+        assert (near >= -np.pi).all() and (near < np.pi).all()
 
 
 def test_survey_angles_and_observation_pointing():

@@ -1,11 +1,15 @@
 """The Python interface: the same bits whatever the workers, the resumption and the stages left out."""
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 
+import astropy.units as u
 import numpy as np
 import pytest
 
+import surveysim
 from mapmaker.timestreams import read_timestreams
 from surveysim import SceneError, load_scene, run, simulate_observation
 from surveysim.reduction.setup import prepare
@@ -13,6 +17,7 @@ from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.survey.run import run_observations
 from tests.scenes import WHITE_NOISE_SCENE, write_scene
 
+ROOT = Path(__file__).parents[2]
 STAGES = ("atmosphere", "excess", "photon", "detector", "sky")
 ONE_B2 = {"excess.b2": [46], "excess.variance": "[2.05] mK2"}  # excess that needs no weather
 
@@ -150,3 +155,82 @@ def test_white_noise_imports_no_coordinates(tmp_path):
         "typer",
     }
     assert not unwanted & set(done.stdout.split())
+
+
+# ---------------------------------------------------------------- names, arguments
+
+
+def test_tab_lists_the_public_names():
+    assert dir(surveysim) == sorted(surveysim.__all__)
+    for name in surveysim.__all__:
+        assert name == "__version__" or getattr(surveysim, name).__doc__
+
+
+def test_names_of_the_guide_exist():
+    """Of pages, notebooks and the README."""
+    texts = [
+        path.read_text() for path in (*ROOT.glob("docs/**/*.md"), *ROOT.glob("docs/**/*.ipynb"), ROOT / "README.md")
+    ]
+    used = {name for text in texts for name in re.findall(r"\bsurveysim\.([A-Za-z_]\w*)\(", text)}
+    assert {"load_scene", "run", "simulate_observation"} <= used
+    assert used <= set(dir(surveysim))
+
+
+def test_scenes_are_taken_by_path_and_as_such(path, tmp_path):
+    scene = load_scene(path)
+    for given in (path, str(path)):
+        np.testing.assert_array_equal(simulate_observation(given, 1).data_mk, simulate_observation(scene, 1).data_mk)
+    one, other = (run(given, engine=SERIAL).scores["actual"].band.sigma_ukcmb2 for given in (scene, path))
+    assert one == other
+    planned = surveysim.plan(path, workers=1)
+    assert planned.detector_samples == surveysim.plan(scene, 1).detector_samples > 0 and "score" in planned.stages
+
+
+def test_forecasts_are_those_of_the_command(path, tmp_path, call):
+    scene = load_scene(path)
+    found = surveysim.forecast(path, tmp_path / "api")
+    assert (
+        found.scores.keys()
+        == surveysim.forecast(scene).scores.keys()
+        == run(scene, engine=SERIAL).expected.scores.keys()
+    )
+    assert call("forecast", path, "--out", tmp_path / "cli")[0] == 0
+    files = [(tmp_path / folder / "forecast.ecsv").read_bytes() for folder in ("api", "cli")]
+    assert files[0] == files[1] and len(files[0]) > 1000
+
+
+def test_sweeps_are_refused_where_a_scene_is_expected(path):
+    path.write_text(path.read_text() + '\n[sweep]\n"scan.scans" = [4, 5]\n')
+    for function in (run, surveysim.forecast, surveysim.plan):
+        with pytest.raises(
+            SceneError, match=r"small.toml: sweep: found a sweep; a scene without \[sweep\] is expected"
+        ):
+            function(path)
+    planned = surveysim.plan_sweep(path, 1)
+    assert planned.n_points == 2 and planned.detector_samples > 0
+
+
+@pytest.mark.parametrize(
+    ("key", "quantity", "text"),
+    [
+        ("scan.speed", 8 * u.arcmin / u.s, "8 arcmin / s"),
+        ("map.pixel", np.float32(0.5) * u.arcmin, "0.5 arcmin"),
+        ("detector.psd", 3.0 * u.mK**2 / u.Hz, "3 mK2 / Hz"),
+        ("atmosphere.b2", [1.5, 280, 980] * u.mK**2 * u.rad ** (-5 / 3), "[1.5, 280, 980] mK2 rad(-5/3)"),
+        ("observations", np.int64(3), 3),
+        ("scan.scans", 5 * u.dimensionless_unscaled, 5),
+    ],
+)
+def test_overrides_may_be_quantities(path, key, quantity, text):
+    """And numbers of numpy; the sweep takes them too."""
+    assert load_scene(path, {key: quantity}) == load_scene(path, {key: text})
+    path.write_text(path.read_text() + '\n[sweep]\n"scan.turnaround" = ["10 s", "11 s"]\n')
+    one, other = (surveysim.load_sweep(path, {key: value}).points[1].scene for value in (quantity, text))
+    assert one == other
+
+
+def test_quantities_of_another_kind_are_refused(path):
+    with pytest.raises(SceneError, match="scan.speed: found '8.0 kg'; a quantity in units like 'rad / s' is expected"):
+        load_scene(path, {"scan.speed": 8 * u.kg})
+    with pytest.raises(SceneError, match="scan.speed: found '8.0 mag'; a quantity in units"):
+        load_scene(path, {"scan.speed": 8 * u.mag})

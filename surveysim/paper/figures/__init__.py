@@ -1,1 +1,1 @@
-"""The paper's figures as points."""
+"""Figures of the paper as series of points."""

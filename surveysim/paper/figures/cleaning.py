@@ -1,4 +1,4 @@
-"""Figures 10, 11 and 12 of the paper: spectra of time-streams and templates, by algorithm, in good and poor weather."""
+"""Figures 10, 11 and 12 of the paper: PSDs of time-streams and templates by algorithm, in good and poor weather."""
 
 from dataclasses import dataclass
 from math import cos, pi, sin
@@ -49,7 +49,7 @@ FREQUENCY, PSD = "Frequency [Hz]", "PSD [mK$^2$/Hz]"
 
 @dataclass(frozen=True)
 class Example:
-    """One observation in good or poor `weather`, its streams drawn again; `b2` is the fitted one."""
+    """Observation in good or poor `weather` with its time-streams; `b2` is the fitted value."""
 
     weather: str
     setup: Setup
@@ -60,11 +60,11 @@ class Example:
 
     @property
     def title(self) -> str:
-        """The weather and its amplitude."""
+        """Title of a panel: weather and B2."""
         return rf"{self.weather} weather: $B_\nu^2$ = {self.b2:.0f} mK$^2$ rad$^{{-5/3}}$"
 
     def clean(self, name: str, added_mk: np.ndarray | None = None) -> Cleaned:
-        """Clean the streams, with a signal (n_det, n_samp) added to them; raises ValueError where no scan is kept."""
+        """Clean the time-streams plus a signal (n_det, n_samp); InsufficientDataError if no scan is kept."""
         data = self.streams.data_mk if added_mk is None else self.streams.data_mk + added_mk
         cleaned = clean(name, data, self.streams.scan_bounds, self.streams.focal_plane, options=self._options(name))
         if not cleaned.kept.any():
@@ -74,7 +74,7 @@ class Example:
         return cleaned
 
     def psd(self, data_mk: np.ndarray, kept: np.ndarray) -> np.ndarray:
-        """PSDs (n, n_freq) [mK^2/Hz] of streams, the mean over kept scans, at `frequencies`."""
+        """PSDs (n, n_freq) [mK^2/Hz] of time-streams at `frequencies`, averaged over kept scans."""
         raster = self.setup.observing.raster
         return hann_psd(data_mk, raster.n_scans, kept, raster.sample_rate_hz)[:, 1 : 1 + len(frequencies(self.setup))]
 
@@ -90,15 +90,18 @@ class Example:
 
 
 def frequencies(setup: Setup) -> np.ndarray:
-    """Frequencies [Hz] of a scan's modes between zero and Nyquist's, which hold less than others."""
+    """Frequencies [Hz] of the modes of a scan, zero and Nyquist frequency excluded."""
     n = samples_per_scan(setup.observing.raster)
     return np.arange(1, (n + 1) // 2) * (setup.observing.raster.sample_rate_hz / n)
 
 
 def weather_examples(survey: MeasuredSurvey) -> tuple[Example, ...]:
-    """Observations whose fitted B2 comes nearest the survey's quartiles, of the first scene's with a trusted wind.
+    """Observations of the first scene with fitted B2 nearest to the quartiles of the survey, and with a trusted wind.
 
-    Raises ValueError for fewer than two with a fit and a wind to be trusted.
+    Raises
+    ------
+    InsufficientDataError
+        For fewer than two observations with a fit and a trusted wind.
     """
     first = np.array(survey.scene_of) == survey.scene_of[0]
     usable = np.flatnonzero(first & survey.wind_good & np.isfinite(survey.b2_fitted))
@@ -127,7 +130,10 @@ def _chosen(examples: tuple[Example, ...]) -> str:
 def timestream_figure(survey: MeasuredSurvey) -> PaperFigure:
     """Figure 10: time-stream PSDs before cleaning and after each algorithm, in good and in poor weather.
 
-    Raises ValueError as `weather_examples`, and where an algorithm keeps no scan of an observation.
+    Raises
+    ------
+    InsufficientDataError
+        As for `weather_examples`, and if an algorithm keeps no scan of an observation.
     """
     examples = weather_examples(survey)
     spectra = [{name: _mean_psd(one, one.clean(name)) for name in ALGORITHMS} for one in examples]
@@ -166,12 +172,12 @@ def _stream_series(one: Example, psds: dict[str, np.ndarray], beam_at: float) ->
 
 
 def photon_level(one: Example) -> float:
-    """Photon noise [mK^2/Hz] of an observation, 0 where the scene leaves it out."""
+    """Photon noise [mK^2/Hz] of an observation; 0 without [photon]."""
     return observation_levels(one.setup, one.item.observation).photon_mk2_hz
 
 
 def beam_power(setup: Setup) -> np.ndarray:
-    """Power (n_freq,) that the beam leaves of a signal scanned over, ell = 2 pi f / speed."""
+    """Beam window function (n_freq,) of a scanned signal, at ell = 2 pi f / speed."""
     ell = 2 * pi * frequencies(setup) / setup.scene.scan.speed_rad_s
     return beam_window(ell, setup.scene.instrument.beam_fwhm_rad)
 
@@ -190,9 +196,9 @@ def _left(examples: tuple[Example, ...], spectra: list[dict[str, np.ndarray]]) -
 
 
 def template_figure(survey: MeasuredSurvey) -> PaperFigure:
-    """Figure 11: PSDs of the six quadratic templates at a place halfway out, in good and in poor weather.
+    """Figure 11: PSDs of the six quadratic templates halfway to the array's edge, in good and in poor weather.
 
-    Raises ValueError as `timestream_figure`.
+    Errors as for `timestream_figure`.
     """
     examples = weather_examples(survey)
     spectra = [template_psds(one) for one in examples]
@@ -223,13 +229,13 @@ def template_figure(survey: MeasuredSurvey) -> PaperFigure:
 
 
 def _share(power: np.ndarray) -> str:
-    """Least and largest power of the higher orders over that of the zeroth, and their amplitudes."""
+    """Words for captions: smallest and largest power ratio of higher orders to the zeroth, and of amplitudes."""
     low, high = np.sort(power[1:] / power[0])[[0, -1]]
     return f"{low:.2g} to {high:.2g} (in amplitude {np.sqrt(low):.2g} to {np.sqrt(high):.2g})"
 
 
 def template_psds(one: Example) -> np.ndarray:
-    """PSDs (6, n_freq) [mK^2/Hz] of the terms of quadratic subtraction at `halfway_out`; errors as `Example.clean`."""
+    """PSDs (6, n_freq) [mK^2/Hz] of the quadratic templates at `halfway_out`; errors as for `Example.clean`."""
     plane, cleaned = one.streams.focal_plane, one.clean("quadratic")
     bounds, place = one.streams.scan_bounds, halfway_out(plane)
     streams = template_streams(
@@ -239,7 +245,7 @@ def template_psds(one: Example) -> np.ndarray:
 
 
 def halfway_out(plane: FocalPlane) -> tuple[float, float]:
-    """The place [rad] on the diagonal of the axes halfway from the array's centre to its outermost detector."""
+    """Position [rad] on the diagonal, halfway from the centre of the array to its outermost detector."""
     x, y = float(np.mean(plane.x_rad)), float(np.mean(plane.y_rad))
     half = float(np.hypot(plane.x_rad - x, plane.y_rad - y).max()) / 2
     return x + half * cos(pi / 4), y + half * sin(pi / 4)
@@ -250,7 +256,7 @@ def halfway_out(plane: FocalPlane) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Cost:
-    """What an algorithm leaves: `psd` of the noise and `window`, the share of a sky's power, (n_freq,); `removed`."""
+    """Noise PSD and signal transfer function `window` after cleaning, (n_freq,); `removed` modes."""
 
     psd: np.ndarray
     window: np.ndarray
@@ -258,9 +264,9 @@ class Cost:
 
 
 def pca_figure(survey: MeasuredSurvey) -> PaperFigure:
-    """Figure 12: PSDs and signal to noise after average subtraction and adaptive PCA, in good and in poor weather.
+    """Figure 12: PSDs and signal-to-noise ratios after average subtraction and adaptive PCA, in good and poor weather.
 
-    Raises ValueError as `timestream_figure`.
+    Errors as for `timestream_figure`.
     """
     examples = weather_examples(survey)
     seen = beam_power(survey.setup) > FAINTEST_BEAM
@@ -290,7 +296,7 @@ def pca_figure(survey: MeasuredSurvey) -> PaperFigure:
 
 
 def _cost_series(one: Example, costs: dict[str, Cost], seen: np.ndarray, scale: float) -> list[Series]:
-    """PSDs, and above them the ratios with the dots last: where curves agree both are seen."""
+    """Series of PSDs and of ratios, dotted lines last, so that both are visible where they agree."""
     frequency = frequencies(one.setup)
     psds = [_line(f"{NAMES.get(name, name)}: PSD", frequency, cost.psd, LOOKS[name]) for name, cost in costs.items()]
     ratios = [
@@ -306,10 +312,10 @@ def _cost_series(one: Example, costs: dict[str, Cost], seen: np.ndarray, scale: 
 
 
 def cleaning_cost(one: Example, name: str) -> Cost:
-    """Noise and signal that an algorithm leaves in the streams; errors as `Example.clean`.
+    """Noise PSD and signal transfer function after cleaning; errors as for `Example.clean`.
 
-    The signal is what a faint CMB sky adds to the cleaned streams, over the sky's own streams less their means. A scan
-    in which the sky changes the number of modes has a difference that is not its own, and is left out.
+    The signal is the difference that a faint CMB sky makes in the cleaned time-streams, relative to its own
+    mean-removed streams. Scans in which the sky changes the number of removed modes are left out.
     """
     setup, plain = one.setup, np.empty_like(one.streams.data_mk)
     _, pointing = observation_path(setup.observing, one.item.observation)
@@ -335,7 +341,7 @@ def cleaning_cost(one: Example, name: str) -> Cost:
 
 
 def _compared(one: Example, costs: dict[str, Cost]) -> str:
-    """Noise, window and signal to noise of PCA over those of the average, at low frequencies."""
+    """Words for captions: noise, transfer function and signal-to-noise ratio of PCA relative to average subtraction."""
     low = frequencies(one.setup) <= ATMOSPHERE_HZ
     average, pca = costs["average"], costs["pca"]
     noise = pca.psd[low].sum() / average.psd[low].sum()

@@ -19,9 +19,12 @@ FROM_ELL = r"Lowest multipole $\ell$ used"
 
 
 def map_psd_figure(result: SurveyResult) -> PaperFigure:
-    """Figure 13: map noise PSDs by algorithm, the same over the windows, and the cumulative sensitivity.
+    """Figure 13: map noise PSDs by algorithm, PSDs over transfer functions, and cumulative sensitivity.
 
-    Raises ValueError for a result that has no scores or compares no pipelines.
+    Raises
+    ------
+    InsufficientDataError
+        For a result without scores or with one cleaning pipeline only.
     """
     if not result.setup.analysis.chooses or not result.scores:
         found = result.unscored or "cleaning.compare is empty"
@@ -44,17 +47,28 @@ def map_psd_figure(result: SurveyResult) -> PaperFigure:
 
 
 def pipeline_names(result: SurveyResult) -> dict[str, str]:
-    """Label and data set of every pipeline for all detectors, and of the best of them for each observation."""
+    """Labels and data sets of all pipelines of the whole array, and of the best pipeline of each observation."""
     return {pipeline.label: pipeline.data_set for pipeline in result.setup.analysis.whole_pipelines} | {
         OPTIMAL: OPTIMAL
     }
 
 
 def winners(result: SurveyResult, target: str, data_sets: tuple[str, ...]) -> dict[str, float]:
-    """Shares of the observations for which each data set has the highest figure of merit for a target.
+    """Fraction of the observations in which each data set has the highest figure of merit.
 
-    target: one of `surveysim.reduction.figure_of_merit.TARGETS`. Observations in which no data set has any are left
-    out. Raises ValueError for a data set without figures of merit, and where no observation has any.
+    Parameters
+    ----------
+    result
+        Scored run.
+    target
+        One of `surveysim.reduction.figure_of_merit.TARGETS`.
+    data_sets
+        Names of the data sets. Observations without any figure of merit are left out.
+
+    Raises
+    ------
+    InsufficientDataError
+        For a data set without figures of merit, or without any such observation.
     """
     names = row_names(result.setup)
     wanted = [f"merit_{target}_{data_set}" for data_set in data_sets]
@@ -88,9 +102,10 @@ def _sensitivity_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
 
 
 def log_bin_sigma(result: SurveyResult, item: DataSetScore) -> np.ndarray:
-    """Uncertainty (n_bin,) of a flat band power from the noise of each bin, as if it spanned one unit of ln ell.
+    """Uncertainty (n_bin,) of a flat band power from each bin, scaled to a width of one in ln ell.
 
-    ``N / M (2 dlnell / n)^(1/2)``: noise PSD over that of unit band power behind all windows, n modes in the bin.
+    It is ``N / M (2 dlnell / n)^(1/2)``: noise PSD over the PSD of unit band power after beam and cleaning, with n
+    modes in the bin.
     """
     rings = result.setup.analysis.region.rings
     # d ln ell as d ell / ell: the lowest bin starts at 0, where the logarithm has no value.
@@ -103,12 +118,12 @@ def _cumulative_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
     for label, name in names.items():
         bands = [rescore(result.setup, result.scores[name], start).band for start in starts]
         sigma, error = (np.array([getattr(band, key) for band in bands]) for key in ("sigma_ukcmb2", "error_ukcmb2"))
-        series += _with_error(label, starts, sigma, error, _look(label, names))
+        series += _with_error(label, starts, sigma, error=error, look=_look(label, names))
     return _panel("cumulative sensitivity", FROM_ELL, UNCERTAINTY, series)
 
 
 def _ratio_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
-    """Cumulative sensitivity over that of the scene's own cleaning, with the errors of the ratios."""
+    """Panel of the cumulative sensitivity relative to the scene's own cleaning, with errors of the ratios."""
     starts, series = _starts(result), []
     own = [rescore(result.setup, result.scores[ACTUAL], start) for start in starts]
     first = next(iter(names))
@@ -116,12 +131,12 @@ def _ratio_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
         other = [rescore(result.setup, result.scores[name], start) for start in starts]
         ratios = [gain(one, base) for one, base in zip(other, own, strict=True)]
         ratio, error = (np.array([getattr(item, key) for item in ratios]) for key in ("ratio", "error"))
-        series += _with_error(label, starts, ratio, error, _look(label, names))
+        series += _with_error(label, starts, ratio, error=error, look=_look(label, names))
     y_label = rf"$\sigma(A)$ over that of {first}"
     return _panel(f"cumulative sensitivity over that of {first}", FROM_ELL, y_label, series, y_log=False)
 
 
-def _with_error(label: str, x: np.ndarray, y: np.ndarray, error: np.ndarray, look: str) -> list[Series]:
+def _with_error(label: str, x: np.ndarray, y: np.ndarray, *, error: np.ndarray, look: str) -> list[Series]:
     colour = look.split()[0]
     return [Series("", "band", x, y, colour, y - error, y + error), Series(label, "line", x, y, look)]
 
@@ -134,19 +149,19 @@ def _look(label: str, names: dict) -> str:
     return OPTIMAL_LOOK if label == OPTIMAL else LOOKS[list(names).index(label) % len(LOOKS)]
 
 
-def _panel(title: str, x_label: str, y_label: str, series: list[Series], y_log: bool = True) -> Panel:
+def _panel(title: str, x_label: str, y_label: str, series: list[Series], *, y_log: bool = True) -> Panel:
     ends = float(series[0].x[0]), float(series[0].x[-1])
     return Panel(title, x_label, y_label, tuple(series), x_log=True, y_log=y_log, x_range=ends)
 
 
 def _usable(result: SurveyResult) -> np.ndarray:
-    """Bins (n_bin,) bool from `LOWEST_ELL` up to the end of the scored range."""
+    """Mask (n_bin,) of the bins from `LOWEST_ELL` to the end of the scored range."""
     edges = result.setup.analysis.region.rings.edges_ell
     return (edges[:-1] >= LOWEST_ELL) & (edges[1:] <= result.setup.scene.score.ell_max)
 
 
 def _starts(result: SurveyResult) -> np.ndarray:
-    """Lowest multipoles of the ranges that are scored, one at each usable bin's lower edge."""
+    """Lowest multipoles of the scored ranges: lower edges of the usable bins."""
     return result.setup.analysis.region.rings.edges_ell[:-1][_usable(result)]
 
 
@@ -184,6 +199,6 @@ def _shares(result: SurveyResult, target: str, pipelines: dict[str, str]) -> str
 
 
 def _beside(shares: dict[str, float], paper: dict[str, float]) -> str:
-    """Percentages by label, with the paper's where it has one."""
+    """Words for captions: percentages by label, with published ones."""
     theirs = {label: f" (paper {100 * value:.0f})" for label, value in paper.items()}
     return ", ".join(f"{label} {100 * share:.1f}{theirs.get(label, '')}" for label, share in shares.items())

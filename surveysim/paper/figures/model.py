@@ -1,4 +1,4 @@
-"""Figures 1 and 2 of the paper, of the model and not of data: opacities of the sites, and the thin screen."""
+"""Figures 1 and 2 of the paper: opacities of the sites, and the thin-screen model."""
 
 from fractions import Fraction
 from math import cos, degrees, pi, sin, sqrt, tan
@@ -30,7 +30,7 @@ THICKNESS_M = 100.0  # of the layer as drawn: the model only wants it small besi
 
 
 def opacity_figure() -> PaperFigure:
-    """Zenith optical depth against water vapour at four sites (figure 1), a panel for each band."""
+    """Figure 1: zenith optical depth against water vapour at four sites, with a panel for each band."""
     longest = max(water_mm(site)[1][-1] for site in SITES)
     bands = " and ".join(f"{hz / 1e9:g}" for hz in BANDS_HZ)
     medians = ", ".join(f"{SITE_LOOKS[site][0]} {median_water_mm(site):g} mm" for site in SITES)
@@ -63,11 +63,15 @@ def _opacity_panel(frequency_hz: float, longest_mm: float) -> Panel:
 
 
 def screen_figure(setup: Setup) -> PaperFigure:
-    """The thin-screen model to scale (figure 2), for the scene's camera, layer and median weather.
+    """Figure 2: the thin-screen model to scale, for the camera, layer and median weather of the scene.
 
-    The telescope's beams from the side, whole and where they cross the layer; their footprints in the layer; and
-    what two detectors at the edges of the field of view see of one realization. Raises ValueError for a scene
-    without an atmosphere.
+    Panels are the beams from the side, the beams at the layer, their footprints in the layer, and time-streams of two
+    detectors at the edges of the field of view in one realization.
+
+    Raises
+    ------
+    SceneError
+        For a scene without [atmosphere].
     """
     if setup.scene.atmosphere is None:
         raise SceneError(f"scene {setup.scene.name!r}: found no [atmosphere]; one is expected")
@@ -97,10 +101,18 @@ def _screen_caption(setup: Setup) -> str:
 def column_edges(
     elevation_rad: float, offset_rad: float, aperture_m: float, heights_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Horizontal places (n,) [m] of both edges of a detector's column at heights (n,), seen from the side.
+    """Horizontal positions (n,) [m] of both edges of a detector's beam, seen from the side.
 
-    The atmosphere is in the near field: a column as wide as the aperture, in the direction of the detector, whose
-    elevation is the telescope's and an offset. The aperture's middle is the origin.
+    The atmosphere is in the near field: the beam is a column as wide as the aperture, which is centred at the origin.
+
+    Parameters
+    ----------
+    elevation_rad, offset_rad
+        Elevation of the telescope, and offset of the detector in elevation [rad].
+    aperture_m
+        Diameter of the illuminated aperture [m].
+    heights_m
+        Heights above the telescope, (n,) [m].
     """
     # The mirror does not turn with the detector: the columns of all of them start from its rim.
     rim_x, rim_y = 0.5 * aperture_m * sin(elevation_rad), -0.5 * aperture_m * cos(elevation_rad)
@@ -109,7 +121,7 @@ def column_edges(
 
 
 def _side_panel(setup: Setup) -> Panel:
-    """The column of the field's centre from the telescope to above the layer."""
+    """Panel of the central beam from the telescope to above the layer."""
     height, elevation = setup.scene.atmosphere.layer_height_m, _elevation_rad(setup)
     top, middle = 1.2 * height, height / tan(elevation)
     x = np.array([-0.3 * height, middle + 0.7 * height])
@@ -117,7 +129,7 @@ def _side_panel(setup: Setup) -> Panel:
     ends = (layer - THICKNESS_M / 2, layer + THICKNESS_M / 2)
     series = (
         Series("turbulent layer", "band", x, layer, "sky", *ends),
-        _column("column of the central detector", setup, 0.0, np.array([0.0, top]), "black"),
+        _column("column of the central detector", setup, 0.0, heights_m=np.array([0.0, top]), look="black"),
         _arrow("wind", (middle + 0.15 * height, height), 0.4 * height, "vermilion"),
     )
     labels = ("The telescope and the layer", "Horizontal distance [m]", "Height above the telescope [m]")
@@ -125,7 +137,7 @@ def _side_panel(setup: Setup) -> Panel:
 
 
 def _crossing_panel(setup: Setup) -> Panel:
-    """Columns of the centre and both edges of the field of view about the layer's height."""
+    """Panel of the central beam and both edge beams around the layer."""
     air, elevation, radius = setup.scene.atmosphere, _elevation_rad(setup), setup.camera.radius_rad
     reach = 1.5 * air.illuminated_aperture_m
     heights = air.layer_height_m + reach * np.array([-1.0, 1.0])
@@ -135,14 +147,14 @@ def _crossing_panel(setup: Setup) -> Panel:
         "central detector": (0.0, "black"),
         f"{_arcmin(radius):.0f} arcmin above": (radius, "blue -."),
     }
-    series = tuple(_column(name, setup, offset, heights, look) for name, (offset, look) in named.items())
+    series = tuple(_column(name, setup, offset, heights_m=heights, look=look) for name, (offset, look) in named.items())
     labels = ("Columns where they cross the layer", "Horizontal distance [m]", "Height above the telescope [m]")
     x_range = (middle - 1.7 * reach, middle + 1.7 * reach)
     return Panel(*labels, series, square=True, x_range=x_range, y_range=(heights[0], heights[1]))
 
 
 def _layer_panel(setup: Setup) -> Panel:
-    """Footprints in the plane of the layer, and how far the wind takes its air past them in a second."""
+    """Panel of the footprints in the layer, with the motion of the layer in one second."""
     air, plane = setup.scene.atmosphere, setup.camera.focal_plane
     x, y = air.layer_height_m * plane.x_rad, air.layer_height_m * plane.y_rad
     first, last = _edge_pair(setup)
@@ -160,7 +172,7 @@ def _layer_panel(setup: Setup) -> Panel:
 
 
 def _emission_panel(setup: Setup) -> Panel:
-    """One realization over a scan, as the detectors at both edges see it, and their difference."""
+    """Panel of one realization over a scan: time-streams of both edge detectors, and their difference."""
     time_s, upwind, downwind = edge_streams(setup)
     series = (
         Series("upwind edge", "line", time_s, upwind, "vermilion --"),
@@ -171,10 +183,9 @@ def _emission_panel(setup: Setup) -> Panel:
 
 
 def edge_streams(setup: Setup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Time [s] and streams (n,) [mK] of the detectors at the upwind and the downwind edge of the field at rest.
+    """Time [s] and time-streams (n,) [mK] of the detectors at the upwind and the downwind edge, telescope at rest.
 
-    One scan in the median B2 and wind at the median elevation, wind along the camera's x; the mean of both together
-    is removed.
+    One scan at median B2, wind and elevation, with the wind along the camera's x axis; the common mean is removed.
     """
     air, rate = setup.scene.atmosphere, setup.scene.scan.sample_rate_hz
     n = samples_per_scan(setup.observing.raster)
@@ -199,7 +210,7 @@ def edge_streams(setup: Setup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _edge_pair(setup: Setup) -> tuple[int, int]:
-    """Detectors that wind along x reaches first and last."""
+    """Detectors that a wind along x reaches first and last."""
     x = setup.camera.focal_plane.x_rad
     return int(np.argmin(x)), int(np.argmax(x))
 
@@ -218,7 +229,7 @@ def _median_b2(setup: Setup) -> float:
 
 
 def _expected_mk(setup: Setup) -> float:
-    """Rms [mK] of a scan about its mean in many realizations."""
+    """Expected rms [mK] of a mean-removed scan."""
     speed, duration = setup.scene.atmosphere.wind_median_rad_s, setup.scene.scan.duration_s
     sine = sin(_elevation_rad(setup))
     variance = mean_removed_variance(setup.air.strips.screen, speed / sine, duration)
@@ -236,8 +247,8 @@ def _fraction(value: float) -> str:
 # ---------------------------------------------------------------- drawn shapes
 
 
-def _column(label: str, setup: Setup, offset_rad: float, heights_m: np.ndarray, look: str) -> Series:
-    """Both edges of a detector's column as one series."""
+def _column(label: str, setup: Setup, offset_rad: float, *, heights_m: np.ndarray, look: str) -> Series:
+    """Series of both edges of a detector's beam."""
     aperture = setup.scene.atmosphere.illuminated_aperture_m
     near, far = column_edges(_elevation_rad(setup), offset_rad, aperture, heights_m)
     return Series(label, "line", np.r_[near, np.nan, far], np.r_[heights_m, np.nan, heights_m], look)
@@ -249,7 +260,7 @@ def _circle(label: str, centre: tuple[float, float], radius: float, look: str) -
 
 
 def _arrow(label: str, start: tuple[float, float], length: float, look: str) -> Series:
-    """An arrow along x."""
+    """Series of an arrow along x."""
     (x, y), head = start, 0.12 * length
     tip = x + length
     up = np.array([0.0, 0.0, 0.5, 0.0, -0.5]) * head

@@ -1,4 +1,5 @@
-"""Figures 7, 8 and 9 of the paper: the amplitude of atmospheric noise, its water, what is left of it in maps."""
+"""Figures 7, 8 and 9 of the paper: amplitude of atmospheric noise, its dependence on water vapour, residuals in
+maps."""
 
 from collections.abc import Sequence
 
@@ -15,7 +16,7 @@ B2_LABEL = r"$B_\nu^2$ [mK$^2$ rad$^{-5/3}$]"
 
 
 def b2_distribution_figure(surveys: Sequence[MeasuredSurvey]) -> PaperFigure:
-    """Figure 7: cumulative distributions of fitted and drawn B2 of each band, with the paper's quartiles."""
+    """Figure 7: cumulative distributions of fitted and drawn B2 in each band, with published quartiles."""
     series, texts = [], []
     for survey, look in zip(surveys, BAND_LOOKS, strict=False):
         fitted = _fitted(survey)
@@ -49,7 +50,7 @@ def _numbers(values: np.ndarray) -> str:
 
 
 def _paper_quartiles(survey: MeasuredSurvey, look: str) -> tuple[Series, ...]:
-    """The paper's quartiles in this band as points, their calibration as lines along B2; nothing for other bands."""
+    """Series of the published quartiles with calibration errors; none for other bands."""
     quartiles = published()["table1"].get(str(survey.band_ghz))
     if quartiles is None:
         return ()
@@ -63,9 +64,12 @@ def _paper_quartiles(survey: MeasuredSurvey, look: str) -> tuple[Series, ...]:
 
 
 def b2_water_figure(surveys: Sequence[MeasuredSurvey]) -> PaperFigure:
-    """Figure 8: B2 against precipitable water in each band, with constant fractional fluctuations scaled to it.
+    """Figure 8: B2 against precipitable water vapour in each band, with a model of constant fractional fluctuations.
 
-    Raises ValueError for a survey without a site.
+    Raises
+    ------
+    InsufficientDataError
+        For a survey without a site.
     """
     panels, texts = [], []
     for survey in surveys:
@@ -100,7 +104,7 @@ def b2_water_figure(surveys: Sequence[MeasuredSurvey]) -> PaperFigure:
 
 
 def _ranked(surveys: Sequence[MeasuredSurvey]) -> str:
-    """What is to be said where scenes have quantiles of B2 beside a site."""
+    """Words for captions on scenes with both quantiles of B2 and a site."""
     bands = [f"{survey.band_ghz}" for survey in surveys if survey.setup.scene.atmosphere.b2]
     given = f" At {' and '.join(bands)} GHz only the rank of B2 follows from the water, its quantiles are the scene's."
     return given if bands else ""
@@ -120,7 +124,7 @@ def _medians(points: Binned) -> Series:
 
 
 def map_variance_figure(survey: MeasuredSurvey) -> PaperFigure:
-    """Figure 9: residual variance of single maps against B2, and its cumulative distribution."""
+    """Figure 9: residual variance of single-observation maps against B2, and its cumulative distribution."""
     to_cmb = survey.setup.scene.instrument.cmb_per_rj**2
     whole = [item for item in survey.measurements if np.isfinite(item.map_mk2)]
     if not whole:

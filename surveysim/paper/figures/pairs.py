@@ -1,4 +1,4 @@
-"""Figures 14 and 15 of the paper: correlation of detectors up to 1 Hz after cleaning, by pair and by separation."""
+"""Figures 14 and 15 of the paper: correlation coefficients up to 1 Hz after cleaning, by pair and by separation."""
 
 from math import degrees
 
@@ -19,10 +19,12 @@ FEWEST_SHARE = 1e-3  # of pairs: bins beyond the last that has it are not shown
 
 
 def correlation_histogram_figure(survey: MeasuredSurvey) -> PaperFigure:
-    """Figure 14: histograms of the magnitude of correlation coefficients of adjacent and other pairs, by cleaning.
+    """Figure 14: histograms of absolute correlation coefficients of adjacent and other pairs, by cleaning.
 
-    Raises ValueError for fewer than four observations with a fit, and where a cleaning kept no scan of those of a
-    group of weather.
+    Raises
+    ------
+    InsufficientDataError
+        For fewer than four observations with a fit, or if a cleaning kept no scan in a group of weather.
     """
     groups = _weather(survey)
     panels, highest = {}, 0.0
@@ -63,13 +65,13 @@ def correlation_histogram_figure(survey: MeasuredSurvey) -> PaperFigure:
 
 
 def _weather(survey: MeasuredSurvey) -> dict[str, np.ndarray]:
-    """Which observations (n_obs,) make each group of weather, of those with a fit."""
+    """Masks (n_obs,) of the observations with a fit, by group of weather."""
     parts = quarters(survey.b2_fitted)
     return dict(zip(WEATHER_LOOKS, (np.any(parts, axis=0), parts[0], parts[3]), strict=True))
 
 
 def _counts(survey: MeasuredSurvey, cleaning: str, field: str, which: np.ndarray) -> np.ndarray:
-    """Counts of pairs (n_obs, n_bin) by correlation coefficient, of those observations that have them."""
+    """Histograms (n_obs, n_bin) of correlation coefficients, for observations that have them."""
     items = [item for item, used in zip(pair_noises(survey, cleaning), which, strict=True) if used and item]
     if not items:
         raise InsufficientDataError(
@@ -79,7 +81,7 @@ def _counts(survey: MeasuredSurvey, cleaning: str, field: str, which: np.ndarray
 
 
 def folded(counts: np.ndarray) -> np.ndarray:
-    """Counts by magnitude (..., n / 2) of counts (..., n) in bins that lie symmetric about 0."""
+    """Histogram by absolute value (..., n / 2) of a histogram (..., n) in bins symmetric about 0."""
     half = counts.shape[-1] // 2
     return counts[..., half:] + counts[..., half - 1 :: -1]
 
@@ -89,7 +91,7 @@ def _magnitude_edges() -> np.ndarray:
 
 
 def _histogram(name: str, counts: np.ndarray) -> list[Series]:
-    """A histogram of the share of pairs, and its error as a band in steps, of counts (n_obs, n_bin)."""
+    """Series of a normalized histogram and its error band, from counts (n_obs, n_bin)."""
     share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     mean, error = share.mean(axis=0), share.std(axis=0) / np.sqrt(len(share))
     edges, look = _magnitude_edges(), WEATHER_LOOKS[name]
@@ -102,7 +104,7 @@ def _histogram(name: str, counts: np.ndarray) -> list[Series]:
 
 
 def _end(counts: np.ndarray) -> float:
-    """Upper edge of the last bin that holds a share of the pairs worth showing."""
+    """Upper edge of the last bin with enough pairs to show."""
     total = counts.sum(axis=0)
     return float(_magnitude_edges()[1 + np.flatnonzero(total > FEWEST_SHARE * total.sum())[-1]])
 
@@ -134,16 +136,20 @@ def _white(survey: MeasuredSurvey) -> str:
 def separation_figure(survey: MeasuredSurvey) -> PaperFigure:
     """Figure 15: median correlation coefficient up to 1 Hz against separation, after average and quadratic subtraction.
 
-    Left of all observations, right of the lowest and highest quarter of B2. Raises ValueError for fewer than four
-    observations with a fit, and where a cleaning kept no scan of those of a group of weather.
+    Left panel: all observations; right panel: lowest and highest quarter of B2.
+
+    Raises
+    ------
+    InsufficientDataError
+        As for `correlation_histogram_figure`.
     """
     everything, *weather = _weather(survey).items()
     left = [
-        _against_separation(survey, cleaning, everything[1], f"{cleaning} subtraction", look)
+        _against_separation(survey, cleaning, everything[1], label=f"{cleaning} subtraction", look=look)
         for cleaning, look in CLEANING_LOOKS.items()
     ]
     right = [
-        _against_separation(survey, cleaning, which, f"{cleaning}, {name}", f"{look} {dashes}")
+        _against_separation(survey, cleaning, which, label=f"{cleaning}, {name}", look=f"{look} {dashes}")
         for cleaning, look in CLEANING_LOOKS.items()
         for (name, which), dashes in zip(weather, ("--", ":"), strict=True)
     ]
@@ -167,7 +173,7 @@ def separation_figure(survey: MeasuredSurvey) -> PaperFigure:
 
 
 def _lobes(survey: MeasuredSurvey) -> str:
-    """What is to be said of the coherence of pixels beyond their neighbours."""
+    """Words for captions on the coherence of pixels beyond their neighbours."""
     excess = survey.setup.scene.excess
     if excess is None or excess.coherence != "field":
         return ""
@@ -176,7 +182,7 @@ def _lobes(survey: MeasuredSurvey) -> str:
     )
 
 
-def _against_separation(survey: MeasuredSurvey, cleaning: str, which: np.ndarray, label: str, look: str) -> Series:
+def _against_separation(survey: MeasuredSurvey, cleaning: str, which: np.ndarray, *, label: str, look: str) -> Series:
     items = [item for item, used in zip(pair_noises(survey, cleaning), which, strict=True) if used and item]
     if not items:
         raise InsufficientDataError(

@@ -1,4 +1,4 @@
-"""Table 3 and Figure 16 of the paper: what correlations and low-frequency noise cost a survey."""
+"""Table 3 and figure 16 of the paper: effect of correlations and low-frequency noise on the sensitivity."""
 
 import re
 from typing import TYPE_CHECKING
@@ -20,9 +20,14 @@ FLAT_LOOK = "grey"
 
 
 def sensitivity_table(result: SurveyResult) -> "Table":
-    """Table 3: uncertainty on a flat CMB band power [uK_CMB^2] of each data set, with its Monte Carlo error.
+    """Table 3: uncertainty sigma(A) of a flat CMB band power [uK_CMB^2] for each data set, with its Monte Carlo error.
 
-    That of the masked array also times its share of the detectors. Raises ValueError for a result without scores.
+    For the masked array there is also sigma(A) times its fraction of the detectors.
+
+    Raises
+    ------
+    InsufficientDataError
+        For a result without scores.
     """
     from astropy.table import Table
 
@@ -40,9 +45,12 @@ def sensitivity_table(result: SurveyResult) -> "Table":
 
 
 def gain_table(result: SurveyResult) -> "Table":
-    """Table 3's gains: the uncertainty of one data set over that of another, with the error of the pair.
+    """Ratios of sigma(A) in Table 3, with Monte Carlo errors.
 
-    Raises ValueError for a result without scores.
+    Raises
+    ------
+    InsufficientDataError
+        For a result without scores.
     """
     from astropy.table import Table
 
@@ -63,7 +71,7 @@ def _check(result: SurveyResult) -> None:
 
 
 def _kind(name: str) -> str:
-    """Name of a data set, or of several, without the number of detectors that a mask keeps."""
+    """Name of a data set, or of several, without the number of detectors of a mask."""
     return re.sub(r"masked_\d+", "masked", name)
 
 
@@ -73,9 +81,12 @@ def _title(result: SurveyResult, what: str) -> str:
 
 
 def data_set_psd_figure(result: SurveyResult) -> PaperFigure:
-    """Figure 16: noise of the co-added map of each data set, and a flat band power to hold against it.
+    """Figure 16: noise of the co-added map of each data set, and a flat band power for comparison.
 
-    Raises ValueError for a result without scores.
+    Raises
+    ------
+    InsufficientDataError
+        For a result without scores.
     """
     _check(result)
     lines = [series for name, item in result.scores.items() for series in _noise_series(result, name, item)]
@@ -104,7 +115,7 @@ def _used(result: SurveyResult) -> np.ndarray:
 
 
 def _noise_series(result: SurveyResult, name: str, item: DataSetScore) -> list[Series]:
-    """Square root of a data set's PSD times its share of the detectors, with the error of each bin as a band."""
+    """Series of the square root of the noise PSD times the fraction of detectors, with its error band."""
     used, share = _used(result), _share(result, item)
     relative = bin_errors(result.setup, item)[used]
     y = np.sqrt(share * ARCMIN2_IN_SR * item.noise_psd[used])

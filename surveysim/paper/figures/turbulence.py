@@ -1,4 +1,4 @@
-"""Figures 5 and 6 of the paper: correlations between detectors against separation, index and height fitted to them."""
+"""Figures 5 and 6 of the paper: correlation between detectors against separation, with fitted index and height."""
 
 from dataclasses import replace
 
@@ -22,9 +22,12 @@ HEIGHTS = (0, 3, 5, 8)
 
 
 def correlation_figure(survey: MeasuredSurvey) -> PaperFigure:
-    """Figure 5: correlation against separation in better and in worse than average weather, with families of fits.
+    """Figure 5: correlation against separation in better and worse than average weather, with families of fits.
 
-    Raises ValueError where no observation has a fit and a wind to be trusted.
+    Raises
+    ------
+    InsufficientDataError
+        Without any observation with a fit and a trusted wind.
     """
     better, worse = typical_observations(survey)
     panels, texts, median = [], [], np.nanmedian(survey.b2_fitted)
@@ -36,10 +39,16 @@ def correlation_figure(survey: MeasuredSurvey) -> PaperFigure:
         heights = [(i_b, h) for h in HEIGHTS if h < len(survey.grid.height_m) and h != i_h]
         panels.append(
             _profile_panel(
-                survey, k, f"{name} weather: best height {height:g} m", indices, "b = {b:.2f}", _adjacent(survey, k)
+                survey,
+                k,
+                f"{name} weather: best height {height:g} m",
+                points=indices,
+                name="b = {b:.2f}",
+                auxiliary=_adjacent(survey, k),
             )
         )
-        panels.append(_profile_panel(survey, k, f"{name} weather: best index {index:.2f}", heights, "h = {h:g} m", ()))
+        title = f"{name} weather: best index {index:.2f}"
+        panels.append(_profile_panel(survey, k, title, points=heights, name="h = {h:g} m", auxiliary=()))
         texts.append(
             f"observation {item.observation} of {survey.scene_of[k]} ({name}): B2 drawn {item.truth.b2:.0f}, fitted"
             f" {survey.b2_fitted[k]:.0f} mK^2 rad^(-5/3), smallest chi^2 {fit.chi2[fit.best]:.1f}"
@@ -61,10 +70,15 @@ def correlation_figure(survey: MeasuredSurvey) -> PaperFigure:
 
 
 def typical_observations(survey: MeasuredSurvey) -> tuple[int, int]:
-    """Indices of two observations of chi^2 nearest the paper's centile, in better and in worse than median weather.
+    """Indices of two typical observations, in better and in worse than median weather.
 
-    Of the fourth that comes nearest the quartile of B2 on its side of the median, of the first scene's with a
-    trusted wind and a fit; of all of those where there is none on that side. Raises ValueError without any.
+    Candidates are observations of the first scene with a fit and a trusted wind. Of the quarter with B2 nearest to the
+    quartile on each side of the median, the one with chi^2 nearest to the published centile is chosen.
+
+    Raises
+    ------
+    InsufficientDataError
+        Without any candidate.
     """
     smallest = np.array([np.nan if fit is None else fit.chi2[fit.best] for fit in survey.fits])
     first = np.array(survey.scene_of) == survey.scene_of[0]
@@ -82,7 +96,7 @@ def typical_observations(survey: MeasuredSurvey) -> tuple[int, int]:
 
 
 def without_overlap(survey: MeasuredSurvey, k: int) -> Profile:
-    """The profile of an observation less the noise shared through overlap, as its best fit has it, if there is any."""
+    """Correlation profile of an observation without the noise correlated by overlap, as fitted."""
     if survey.overlap is None:
         return survey.measurements[k].profile
     profile, best = survey.measurements[k].profile, survey.fits[k].best
@@ -93,7 +107,13 @@ def without_overlap(survey: MeasuredSurvey, k: int) -> Profile:
 
 
 def _profile_panel(
-    survey: MeasuredSurvey, k: int, title: str, points: list[tuple[int, int]], name: str, auxiliary: tuple[Series, ...]
+    survey: MeasuredSurvey,
+    k: int,
+    title: str,
+    *,
+    points: list[tuple[int, int]],
+    name: str,
+    auxiliary: tuple[Series, ...],
 ) -> Panel:
     profile, best = without_overlap(survey, k), survey.fits[k].best
     theory = np.log(survey.theory(k))
@@ -125,7 +145,7 @@ def _profile_panel(
 
 
 def _adjacent(survey: MeasuredSurvey, k: int) -> tuple[Series, ...]:
-    """The point of adjacent pairs, on the scale of the profile; none where the array has no such pairs."""
+    """Series of the point of adjacent pairs on the scale of the profile; none without such pairs."""
     bins, item = survey.bins, survey.measurements[k]
     if not bins.adjacent.any():
         return ()
@@ -137,10 +157,16 @@ def _adjacent(survey: MeasuredSurvey, k: int) -> tuple[Series, ...]:
 
 
 def adjacent_profile(covariances_mk2: np.ndarray, bins: PairBins) -> tuple[float, float]:
-    """Mean ln C of adjacent pairs on the scale of `Profile.log_profile`, and its error from leaving out single scans.
+    """Mean ln C of adjacent pairs on the scale of `Profile.log_profile`, and its jackknife error over scans.
 
-    covariances_mk2: (n_scan, n_det, n_det), of pairs that correlate. Free of gains: those that the profile of the
-    other pairs leaves to the detectors are taken off.
+    Gains of the detectors are removed as estimated from the profile of the other pairs.
+
+    Parameters
+    ----------
+    covariances_mk2
+        Covariances of each scan, (n_scan, n_det, n_det) [mK^2].
+    bins
+        Pairs by separation.
     """
     n_scan, n_det = covariances_mk2.shape[:2]
     pairs = covariances_mk2[:, bins.first, bins.second]
@@ -156,7 +182,13 @@ def adjacent_profile(covariances_mk2: np.ndarray, bins: PairBins) -> tuple[float
 
 
 def index_height_figure(survey: MeasuredSurvey) -> PaperFigure:
-    """Figure 6: histograms of the best-fit index and of the best-fit height; raises ValueError without a fit."""
+    """Figure 6: histograms of the best-fit index and of the best-fit height.
+
+    Raises
+    ------
+    InsufficientDataError
+        Without a fit.
+    """
     best = np.array([fit.best for fit in survey.fits if fit is not None])
     if len(best) == 0:
         raise InsufficientDataError("found no observation with a fit; one or more is expected")

@@ -1,4 +1,4 @@
-"""Figures 3 and 4 of the paper: delays between detectors against the angle of their pair, and winds measured."""
+"""Figures 3 and 4 of the paper: delays between detectors against pair angle, and measured winds."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,9 +25,12 @@ BIN_ARCMIN_S = 5.0
 
 
 def wind_examples_figure(survey: MeasuredSurvey) -> PaperFigure:
-    """Figure 3: delays against the angle of the pair for an observation as it is, and under a second layer.
+    """Figure 3: delays against pair angle, for an observation and for the same with a second layer.
 
-    Raises ValueError where no wind of the survey's first scene is to be trusted.
+    Raises
+    ------
+    InsufficientDataError
+        Without a trusted wind in the first scene.
     """
     number = typical_observation(survey)
     setup, item = survey.setup, survey.measurements[number]
@@ -59,9 +62,14 @@ def wind_examples_figure(survey: MeasuredSurvey) -> PaperFigure:
 
 
 def typical_observation(survey: MeasuredSurvey) -> int:
-    """Index of the observation of median goodness among the first scene's with a trusted wind and B2 above the median.
+    """Index of a typical observation of the first scene with a trusted wind.
 
-    Where all B2 of trusted winds are below the median, of all of them. Raises ValueError without a trusted wind.
+    It has the median goodness of fit among those with B2 above the median, or among all if there are none.
+
+    Raises
+    ------
+    InsufficientDataError
+        Without a trusted wind.
     """
     first = np.array(survey.scene_of) == survey.scene_of[0]
     trusted = first & survey.wind_good
@@ -76,7 +84,7 @@ def typical_observation(survey: MeasuredSurvey) -> int:
 
 
 def two_layers(setup: Setup, observation: int) -> WindFit:
-    """The wind measured in an observation to which a second layer of equal amplitude and speed is added."""
+    """Measure the wind of an observation to which a second layer of equal amplitude and speed is added."""
     streams = draw_observation(setup, observation)
     _, pointing = observation_path(setup.observing, observation)
     weather = observation_weather(setup, observation)
@@ -113,9 +121,12 @@ def _verdict(wind: WindFit) -> str:
 
 
 def wind_histogram_figure(surveys: Sequence[MeasuredSurvey]) -> PaperFigure:
-    """Figure 4: measured wind speeds of each band that are to be trusted, beside all that were drawn.
+    """Figure 4: histograms of trusted measured wind speeds and of all drawn wind speeds, by band.
 
-    Raises ValueError where no wind of a band is to be trusted.
+    Raises
+    ------
+    InsufficientDataError
+        Without a trusted wind in a band.
     """
     for survey in surveys:
         if not survey.wind_good.any():

@@ -110,9 +110,9 @@ def _span(increasing: np.ndarray) -> str:
 
 def _white_levels(axes: Axes, setup: Setup, coadds: CoAdds, rows: np.ndarray) -> None:
     measured = coadds.column("white_mk2_hz")[rows].mean()
-    levels = [observation_levels(setup, int(number)) for number in np.arange(coadds.done)[rows]]
-    photon = float(np.mean([item.photon_mk2_hz for item in levels]))
-    white = photon + float(np.mean([item.detector_mk2_hz for item in levels]))
+    drawn = [observation_levels(setup, int(number)) for number in np.arange(coadds.done)[rows]]
+    photon = float(np.mean([item.photon_mk2_hz for item in drawn]))
+    white = photon + float(np.mean([item.detector_mk2_hz for item in drawn]))
     levels = (
         (measured, "measured white level", BLACK, "-"),
         (white, "white noise of the scene", GREEN, "-"),

@@ -146,11 +146,8 @@ def _usable(setup: Setup) -> np.ndarray:
 def _look(setup: Setup, item: DataSetScore) -> tuple[str, str, str, float]:
     """Colour, dashes, label and the factor that makes up for detectors left out."""
     if _is_masked(item):
-        return (
-            *MASKED_LINE,
-            rf"{_name(setup, item)}, $\times$ {item.n_det}/{setup.camera.n_det}",
-            item.n_det / setup.camera.n_det,
-        )
+        label = rf"{_name(setup, item)}, $\times$ {item.n_det}/{setup.camera.n_det}"
+        return *MASKED_LINE, label, item.n_det / setup.camera.n_det
     if item.name == OPTIMAL:
         return *OPTIMAL_LINE, "the best of each observation", 1.0
     compared = [pipeline.data_set for pipeline in setup.analysis.whole_pipelines[1:]]
@@ -166,9 +163,8 @@ def _is_masked(item: DataSetScore) -> bool:
 def _name(setup: Setup, item: DataSetScore) -> str:
     if _is_masked(item):
         return f"masked, {item.n_det} detectors"
-    return (
-        f"actual ({setup.analysis.pipelines[0].label})" if item.name == ACTUAL and setup.analysis.chooses else item.name
-    )
+    labelled = item.name == ACTUAL and setup.analysis.chooses
+    return f"actual ({setup.analysis.pipelines[0].label})" if labelled else item.name
 
 
 def _shade_scored(axes: Axes, setup: Setup) -> None:

@@ -6,6 +6,7 @@ Each figure is one function from results to a `Figure`, drawn with Agg and witho
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -48,6 +49,7 @@ def survey_figures(result: SurveyResult) -> dict[str, Callable[[], Figure]]:
         made["weights"] = partial(bin_weights, setup, scores)
     if (coadds.column("b2_mk2") > 0).any():
         made["weather"] = partial(weather, setup, coadds)
+    found: dict[str, Callable[[], Any]]
     found = {name: partial(_titled, result, name, draw) for name, draw in made.items()}
     if result.estimate is not None and np.isfinite(result.estimate.relative_error):
         found[RUN_TIME] = lambda: lay_out(time_figure(result))

@@ -1,6 +1,6 @@
 """The page of a convergence study."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +64,7 @@ def _lead(found: Content) -> Iterator[str]:
     yield " ".join(f"{_sentence(line.strip())}." for line in found["reference"])
 
 
-def _settings(rows: list[Content], scored: list[Content], found: Content) -> Iterator[Block]:
+def _settings(rows: Sequence[Content], scored: Sequence[Content], found: Content) -> Iterator[Block]:
     note = (
         "Shaded: the scene's own settings. A bias is against the finest setting of its knob (of the number of"
         " observations and the forecast: against the reference), with its paired error; 0 without an error is that"

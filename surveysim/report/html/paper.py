@@ -61,13 +61,13 @@ class Compared:
 
     @property
     def distance(self) -> float:
-        """How far the two are from each other: the logarithm of their ratio, without its sign."""
+        """Absolute logarithm of the ratio of the two."""
         return abs(math.log(self.ratio)) if self.ratio > 0 else math.inf
 
 
 @dataclass(frozen=True)
 class TableOf:
-    """How a file's table is shown: what its rows are, how a row is compared, and the columns beside it."""
+    """Display of a file's table: names of its rows, comparison of a row, and its further columns."""
 
     file: str
     title: str

@@ -1,4 +1,4 @@
-"""Where a page's numbers come from: versions, seed, hash, date, time taken, and the sources of a scene's values."""
+"""Provenance on a page: versions, seed, hash, date, run time, and the sources of a scene's values."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ _ASSUMED = re.compile(r"(?P<key>\S+) = (?P<value>.*?): (?P<source>(?:assumed|cal
 
 
 def provenance(content: Mapping[str, Any]) -> Terms:
-    """Terms of what summary.json says of where, when and with what its results were made."""
+    """Return terms on scene, versions, date, engine and files of the results."""
     run = content["run"]
     packages = ", ".join(f"{name} {version}" for name, version in content["packages"].items())
     terms = [

@@ -65,7 +65,8 @@ def _answer_grid(summary: Content, scene: Content) -> Grid:
         "jackknives": score["jackknives"],
         "skies": score["signal_sims"]["skies"],
     }
-    rows, mark = [], 0
+    rows: list[tuple[Cell, ...]] = []
+    mark = 0
     known = [answer for answer in (here, *answers) if answer["relative_error"] is not None]
     for answer in sorted(known, key=lambda answer: -answer["relative_error"]):
         if answer is here:

@@ -30,7 +30,7 @@ COHERENCES = {
 SIMULATED = {"uncorrelated": "the same noise without correlations", "white": "white noise"}
 SITES = {"mauna_kea": "Mauna Kea", "south_pole": "the South Pole", "alma": "ALMA", "ccat": "CCAT"}
 
-Values = dict[str, Any]
+Values = Mapping[str, Any]
 
 
 def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:

@@ -35,10 +35,10 @@ def sweep_page(directory: Path, summary: Content, scene: Content) -> Page:
         sections.append(Section("figure", "Figure", (drawn,)))
     if found := tuple(_pair_grids(summary)):
         sections.append(Section("pairs", "Every point against every other", found))
-    if found := tuple(_discarded(summary)):
-        sections.append(Section("discarded", "Discarded scans", found))
-    if found := _agreement(summary):
-        sections.append(Section("agreement", "Forecast against simulation", (found,)))
+    if discarded := tuple(_discarded(summary)):
+        sections.append(Section("discarded", "Discarded scans", discarded))
+    if agreement := _agreement(summary):
+        sections.append(Section("agreement", "Forecast against simulation", (agreement,)))
     first = Text(("The scene of the first point; the others differ in the keys that are varied, and in what follows.",))
     what = what_was_simulated(scene, summary, summary["points"][0]["n_det"])
     sections += [

@@ -29,7 +29,7 @@ def _refused(rows: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def reference_lines(result: AccuracyResult) -> list[str]:
-    """What the biases are against, and how well that is known."""
+    """Return lines on the reference of the biases and its error."""
     n_obs, sub = result.scene.observations, result.sub_observations
     reached, wanted = 100 * result.reference_error, 100 * result.wanted_error
     short = "" if result.reference_error <= result.wanted_error else f", short of the {wanted:g} % wanted"
@@ -43,7 +43,7 @@ def reference_lines(result: AccuracyResult) -> list[str]:
 
 
 def slope_lines(result: AccuracyResult) -> list[str]:
-    """Slopes of errors in logarithms, where -0.5 is a Monte Carlo's."""
+    """Return lines on the slopes of errors in logarithms; a Monte Carlo error has -0.5."""
     lines = []
     for item in result.slopes:
         error = f" +- {item.error:.2f}" if np.isfinite(item.error) else ""
@@ -52,7 +52,7 @@ def slope_lines(result: AccuracyResult) -> list[str]:
 
 
 def recommended_lines(result: AccuracyResult) -> list[str]:
-    """The fastest setting of each knob that is good enough, and whether the scene has it."""
+    """Return lines on the fastest setting of each knob that is good enough, and whether the scene has it."""
     tolerated = 100 * result.own_error / 3
     lines = [f"Recommended, with a bias below {tolerated:.2g} % (a third of the scene's Monte Carlo error):"]
     for item in result.recommended:

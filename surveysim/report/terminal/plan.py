@@ -5,8 +5,9 @@ from rich.text import Text
 
 from surveysim.report.terminal.layout import Terminal
 from surveysim.scene.scene import Scene
-from surveysim.studies.resources import Plan, SweepPlan
+from surveysim.studies.resources import Plan
 from surveysim.studies.sweep.axes import Sweep
+from surveysim.studies.sweep.plan import SweepPlan
 
 
 def print_plan(scene: Scene, plan: Plan, workers: int) -> None:

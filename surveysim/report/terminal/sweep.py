@@ -31,6 +31,8 @@ def print_sweep(result: SweepResult, directory: Path, verbose: bool = False) -> 
         if item.unscored:
             console.say(f"Not scored: {point.label}: {item.unscored}")
     if result.comparison.reference is not None:
+        reference = result.sweep.points[result.comparison.reference].label
+        console.say(f"Ratios are to {reference}{', with paired errors' if result.simulated else ''}.")
         console.say(best_line(result))
     if verbose:
         for line in (*estimate_lines(result), *discard_lines(result), *forecast_lines(result)):
@@ -41,20 +43,17 @@ def print_sweep(result: SweepResult, directory: Path, verbose: bool = False) -> 
 
 
 def estimate_lines(result: SweepResult) -> Iterator[str]:
-    """Yield the reference point and the kind of estimate."""
-    if result.comparison.reference is not None:
-        reference = result.sweep.points[result.comparison.reference].label
-        yield f"Ratios are to {reference}{', their errors those of runs with one seed' if result.simulated else ''}."
-        if said := ESTIMATES.get(result.estimate):
-            yield f"sigma(A) {said}."
+    """Yield the kind of estimate."""
+    if said := ESTIMATES.get(result.estimate):
+        yield f"sigma(A) {said}."
 
 
 def forecast_lines(result: SweepResult) -> Iterator[str]:
     """Yield the largest difference of a forecast from its simulation."""
     both = zip(result.sweep.points, result.points, strict=True)
-    compared = [(point, *item.off) for point, item in both if item.off]
+    compared = [(point, item.off) for point, item in both if item.off]
     if compared:
-        point, off, error = max(compared, key=lambda entry: abs(entry[1]))
+        point, (off, error) = max(compared, key=lambda entry: abs(entry[1][0]))
         yield f"forecast over simulated, less 1: at worst {plain(quoted_share(off, error))}, {point.label}"
     if not result.simulated:
         yield "Forecasts are of the weather that the seed draws; a run quotes sigma(A) of all weather."

@@ -25,7 +25,8 @@ from surveysim.scene.error_lines import allowed_keys, error_lines
 from surveysim.scene.fields import LONGEST_LINE
 from surveysim.scene.renamed_keys import renamed_line
 from surveysim.scene.scene import Origin, Scene, read_scene, scene_hash, scene_of
-from surveysim.scene.units import shown
+from surveysim.scene.shipped import find_scene
+from surveysim.scene.units import file_value, shown
 from surveysim.telescope.raster import samples_per_scan
 
 MAX_POINTS = 1000
@@ -115,19 +116,31 @@ class Sweep:
 
 def is_sweep(path: str | Path) -> bool:
     """Whether a scene file has a table [sweep]; raises SceneError when it can't be read."""
-    return "sweep" in read_scene(Path(path))[1]
+    return "sweep" in read_scene(find_scene(path))[1]
 
 
 def load_sweep(
     path: str | Path, overrides: Mapping[str, Any] | None = None, reference: int | str | None = None
 ) -> Sweep:
-    """Read a scene file with [sweep], and check and prepare the scene of every point.
+    """Read a scene file with a table [sweep], and check and prepare the scene of every point.
 
-    `overrides` maps dotted keys, which the sweep leaves alone, to values. `reference` takes the place of the file's
-    `sweep.reference`: the number of a point or its values, as ``key = value, ...``. Raises SceneError with one line
-    for each error: file, key, found, allowed, and the point unless all have the error.
+    Parameters
+    ----------
+    path
+        Path of the file, or the name of a scene.
+    overrides
+        Values by dotted key, as for `load_scene`, of keys that are not on an axis.
+    reference
+        Number of the point that ratios refer to, or its values as ``key = value, ...``; by default the file's
+        `sweep.reference`, else the first point.
+
+    Raises
+    ------
+    SceneError
+        With one line for each error: file, key, value found, values allowed, and the point unless all have the error.
     """
-    path, overrides = Path(path), dict(overrides or {})
+    path = find_scene(path)
+    overrides = {key: file_value(value) for key, value in (overrides or {}).items()}
     text, content = read_scene(path)
     axes = _axes(path, content, overrides)
     places = list(product(*(range(len(axis.values)) for axis in axes)))

@@ -73,7 +73,7 @@ def pair_table(pairs: Sequence[Pair]) -> Table:
 
 def varied_keys(summary: Content) -> list[str]:
     """Keys that name a point: those of each axis whose values differ, or its first."""
-    found = []
+    found: list[str] = []
     for axis in summary["axes"]:
         texts = [[value_text(value) for value in column] for column in zip(*axis["values"], strict=True)]
         differ = [key for key, column in zip(axis["keys"], texts, strict=True) if len(set(column)) > 1]

@@ -383,3 +383,15 @@ def test_new(call, scene, monkeypatch):
         code, _, error = call("new", *arguments)
         assert code == 2 and words in error and len(error.splitlines()) == 1
     assert call("new", "other")[0] == 2
+
+
+def test_verbose_prints_more(call, scene):
+    """Of a run, a forecast and their sweeps; all that the short output has is in the long one too."""
+    path = scene.parent / "sweep.toml"
+    path.write_text(SMALL_SCENE + '\n[sweep]\n"scan.turnaround" = ["10 s", "11 s"]\n')
+    out = ("--out", scene.parent / "out", "--force", "--no-figures")
+    for command in (("forecast", scene), ("run", scene, "--workers", 1), ("forecast", path)):
+        (code, short, _), (_, long, _) = call(*command, *out), call(*command, *out, "--verbose")
+        assert code == 0 and len(long.splitlines()) >= len(short.splitlines()) > 3
+        if command[0] == "run":
+            assert len(long.splitlines()) > len(short.splitlines())

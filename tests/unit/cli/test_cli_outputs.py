@@ -219,7 +219,7 @@ def test_a_killed_run_is_replaced(call, tmp_path):
     assert names(out / "timestreams") == ["movie.part", "notes.txt"]
 
 
-@pytest.mark.parametrize("pairs", [1, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("pairs", [1, pytest.param(6, marks=pytest.mark.slow)])
 def test_two_runs_at_the_same_moment(tmp_path, pairs):
     """Exactly one works and is refused nothing; its results are of one seed, and the user's files as before."""
     path = tmp_path / "small.toml"

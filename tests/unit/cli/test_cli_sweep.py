@@ -56,9 +56,9 @@ def test_sweeps_that_are_refused(call, sweep):
 def test_run_of_a_sweep(call, sweep):
     out = sweep.parent / "out"
     arguments = ("--out", out, "--workers", 1, "--set", "observations=5")
-    code, text, error = call("run", sweep, *arguments, "--resume", "--no-figures")
+    code, text, error = call("run", sweep, *arguments, "--resume", "--no-figures", "--verbose")
     assert code == 0 and "best: scan.speed = " in text and " with confidence " in text
-    assert "Ratios are to scan.speed = 3 arcmin / s, their errors those of runs with one seed." in text
+    assert "Ratios are to scan.speed = 3 arcmin / s, with paired errors." in text
     lines = error.splitlines()
     assert lines[0] == f"no points in {out}: starting with the first"
     assert [line.split(",")[0] for line in lines[1:]] == ["speeds: 1/2 points", "speeds: 2/2 points"]
@@ -74,7 +74,7 @@ def test_reference_point_of_the_command_line(call, sweep):
     """By number, by its values; errors say what names a point."""
     out = sweep.parent / "out"
     for given in ("1", "scan.speed=4 arcmin / s"):
-        code, text, _ = call("forecast", sweep, "--out", out, "--reference", given, "--no-figures")
+        code, text, _ = call("forecast", sweep, "--out", out, "--reference", given, "--no-figures", "-v")
         assert code == 0 and "Ratios are to scan.speed = 4 arcmin / s." in text
         assert Table.read(out / "sweep.ecsv", format="ascii.ecsv").meta["reference"] == 1
     for given, words in (("2", "found 2; the number of a point, 0 to 1, is expected"), ("x", "names no point; as in")):
@@ -104,7 +104,7 @@ def test_interrupted_sweep(sweep):
 
 
 def test_forecast(call, scene):
-    code, out, error = call("forecast", scene)
+    code, out, error = call("forecast", scene, "--verbose")
     assert (code, error) == (0, "") and "masked_7" in out and "Effects on the forecast" in out
     assert list(scene.parent.iterdir()) == [scene]
     assert call("forecast", scene, "--out", scene.parent / "out", "--quiet") == (0, "", "")

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -34,25 +35,50 @@ UNWANTED = (
 )
 
 
+# Of commands that simulate nothing.
+UNWANTED_IN_CHECKS = ("astropy.coordinates", "astropy.table", "healpy", "matplotlib", "numba")
+UNWANTED_IN_HELP = (*UNWANTED_IN_CHECKS, "astropy", "numpy", "scipy", "surveysim.scene.scene")
+
+
+def imported(folder, *arguments):
+    """Modules that a command loads, in a fresh process."""
+    code = (
+        "import sys\nfrom surveysim.cli.main import ended\nassert ended(sys.argv[1:]) == 0\n"
+        "print(' '.join(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code, *arguments], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.splitlines()[-1].split())
+
+
+def test_names_of_what_is_unwanted_exist():
+    """A module that is renamed would never be found."""
+    for name in {*UNWANTED, *UNWANTED_IN_HELP}:
+        assert find_spec(name), name
+
+
 def test_white_noise_is_run_and_written_without_what_it_does_not_need(tmp_path):
     """The whole command, in a fresh process."""
     (tmp_path / "white.toml").write_text(WHITE_NOISE_SCENE)
-    code = (
-        "import sys\nfrom surveysim.cli.app import app\n"
-        "app(sys.argv[1:], standalone_mode=False)\nprint(' '.join(sys.modules))"
-    )
     options = ["--no-figures", "--quiet", "--workers", "1", "--out", "out"]
-    done = subprocess.run(
-        [sys.executable, "-c", code, "run", "white.toml", *options],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert not set(UNWANTED) & set(done.stdout.split())
+    loaded = imported(tmp_path, "run", "white.toml", *options)
+    assert not set(UNWANTED) & loaded and "numba" in loaded
     assert (tmp_path / "out" / "summary.json").exists()
     assert (tmp_path / "out" / "maps" / "actual.fits").exists()
     assert Table.read(tmp_path / "out" / "tables" / "observations.ecsv")["observation"].tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("scene", ["lynx", "first_light", "suzie_ii", "pixel_spacing_fixed_fov"])
+def test_scenes_are_checked_without_what_only_runs_need(tmp_path, scene):
+    """Also scenes of a site, nights and a layer, and of a sweep."""
+    loaded = imported(tmp_path, "check", scene)
+    assert not set(UNWANTED_IN_CHECKS) & loaded and "surveysim.reduction.setup" in loaded
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["run", "--help"]])
+def test_help_loads_next_to_nothing(tmp_path, arguments):
+    loaded = imported(tmp_path, *arguments)
+    assert not set(UNWANTED_IN_HELP) & loaded and "surveysim.cli.app" in loaded
 
 
 @pytest.mark.parametrize("n", [2, 3, 10, 300])

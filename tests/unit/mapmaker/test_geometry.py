@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.fft import next_fast_len
 
 from mapmaker.geometry import (
     MapGeometry,
     boresight_pixels,
     covering_geometry,
+    fast_length,
     mean_direction,
     north_angle,
     pixel_indices,
@@ -238,3 +240,7 @@ def test_covering_geometry_is_good_for_ffts(half_extent_px):
 @pytest.fixture
 def rng():
     return np.random.default_rng(20031028)
+
+
+def test_fast_lengths_are_those_of_scipy():
+    assert [fast_length(n) for n in range(1, 3000)] == [next_fast_len(n, real=True) for n in range(1, 3000)]

@@ -191,11 +191,11 @@ def test_scans_in_which_the_sky_changes_the_modes_do_not_count(monkeypatch, meas
     """A cleaning that halves all has the window 1/4, whatever it does in a scan that it treats otherwise."""
     real, calls = cleaning_figures.clean, []
 
-    def halving(name, data_mk, bounds, plane, options):
+    def halving(name, data_mk, bounds, plane, *, options):
         if name == "none":
-            return real(name, data_mk, bounds, plane, options)
+            return real(name, data_mk, bounds, plane, options=options)
         calls.append(name)
-        removed, left = np.ones(4, int), 0.5 * real("none", data_mk, bounds, plane, options).data_mk
+        removed, left = np.ones(4, int), 0.5 * real("none", data_mk, bounds, plane, options=options).data_mk
         if len(calls) == 2:
             removed[2] = 2
             left[:, 2 * N : 3 * N] += 1e3 * np.sin(np.arange(N))

@@ -46,7 +46,9 @@ def scenarios(tmp_path_factory):
 def made(scenarios, tmp_path_factory):
     out = tmp_path_factory.mktemp("paper")
     counted = []
-    written, failed = reproduce(wanted(TABLES, FIGURES, scenarios, None), out, SERIAL, lambda: counted.append(1))
+    written, failed = reproduce(
+        wanted(TABLES, FIGURES, scenarios, observations=None), out, SERIAL, progress=lambda: counted.append(1)
+    )
     assert failed == []
     return out, written, len(counted)
 
@@ -132,8 +134,8 @@ def test_the_summary_says_what_each_item_is_made_of(made):
 
 
 def test_items_of_an_earlier_call_stay_with_what_made_them(scenarios, tmp_path):
-    reproduce(wanted((), (1, 2), scenarios, None), tmp_path, SERIAL)
-    other = wanted((), (2,), scenarios, None, {"seed": 5})
+    reproduce(wanted((), (1, 2), scenarios, observations=None), tmp_path, SERIAL)
+    other = wanted((), (2,), scenarios, observations=None, overrides={"seed": 5})
     with pytest.raises(OutputError, match="holds figure 2 of other scenes or settings; --force replaces it"):
         reproduce(other, tmp_path, SERIAL)
     reproduce(other, tmp_path, SERIAL, force=True)
@@ -141,7 +143,7 @@ def test_items_of_an_earlier_call_stay_with_what_made_them(scenarios, tmp_path):
     assert [list(run["items"]) for run in content["runs"]] == [["figure 1"], ["figure 2"]]
     assert [[scene["seed"] for scene in run["scenes"]] for run in content["runs"]] == [[], [5]]
     assert len(read_page(tmp_path / "report.html").all("img")) == 2
-    still = wanted((), (6,), scenarios, 1, {"atmosphere.b2": "[0, 0, 0] mK2 rad(-5/3)"})
+    still = wanted((), (6,), scenarios, observations=1, overrides={"atmosphere.b2": "[0, 0, 0] mK2 rad(-5/3)"})
     reproduce(still, tmp_path, SERIAL, force=True)
     page = read_page(tmp_path / "report.html")
     assert len(page.all("img")) == 2 and "Not made: figure 6" in page.text and "Not made: 143 GHz" in page.text
@@ -218,28 +220,30 @@ def test_measurements_stand_beside_the_truth(made):
 
 
 def test_same_bits_whatever_the_workers(scenarios, made, tmp_path):
-    written, _ = reproduce(wanted((2,), (), scenarios, None), tmp_path, Engine(workers=2))
+    written, _ = reproduce(wanted((2,), (), scenarios, observations=None), tmp_path, Engine(workers=2))
     for path in written:
         assert path.read_bytes() == (made[0] / path.name).read_bytes()
 
 
 def test_only_what_is_needed_is_made(scenarios, tmp_path):
-    assert wanted((), (13,), scenarios, 5).observations == 5
-    assert wanted((3,), (16,), scenarios, 5).observations == 5  # one run for both
-    assert wanted((3,), (13, 16), scenarios, 5).observations == 10
-    asked = wanted((), (1, 2), scenarios, None)
+    assert wanted((), (13,), scenarios, observations=5).observations == 5
+    assert wanted((3,), (16,), scenarios, observations=5).observations == 5  # one run for both
+    assert wanted((3,), (13, 16), scenarios, observations=5).observations == 10
+    asked = wanted((), (1, 2), scenarios, observations=None)
     assert asked.observations == 0 and asked.items == ["figure 1", "figure 2"]
-    assert wanted((1,), (), scenarios, 3).observations == 5 * 3
-    assert list(wanted((), (6, 9), scenarios, None).scenes) == ["143"]
-    assert wanted((2,), (14, 15), scenarios, 3).observations == 2 * 3
-    assert wanted((), (1,), tmp_path, None).scenes == {}  # needs no scene at all
+    assert wanted((1,), (), scenarios, observations=3).observations == 5 * 3
+    assert list(wanted((), (6, 9), scenarios, observations=None).scenes) == ["143"]
+    assert wanted((2,), (14, 15), scenarios, observations=3).observations == 2 * 3
+    assert wanted((), (1,), tmp_path, observations=None).scenes == {}  # needs no scene at all
     (tmp_path / "lynx.toml").write_text(SCENE)
     with pytest.raises(SceneError, match="sds1.toml: can't be read"):
-        wanted((2,), (), tmp_path, None)
+        wanted((2,), (), tmp_path, observations=None)
 
 
 def test_what_can_t_be_made_is_said_and_the_rest_is_made(scenarios, tmp_path):
-    asked = wanted((2,), (1, 6, 9, 14, 15), scenarios, 1, {"atmosphere.b2": "[0, 0, 0] mK2 rad(-5/3)"})
+    asked = wanted(
+        (2,), (1, 6, 9, 14, 15), scenarios, observations=1, overrides={"atmosphere.b2": "[0, 0, 0] mK2 rad(-5/3)"}
+    )
     written, failed = reproduce(asked, tmp_path, SERIAL)
     assert {path.name for path in written} >= {"figure01.png", "figure01.ecsv"}
     items = ["143 GHz", "table 2", "figure 6", "figure 9", "figure 14", "figure 15"]
@@ -247,7 +251,7 @@ def test_what_can_t_be_made_is_said_and_the_rest_is_made(scenarios, tmp_path):
 
 
 def test_a_survey_without_a_score_is_said_for_each_item_of_its_run(scenarios, tmp_path):
-    written, failed = reproduce(wanted((3,), (16,), scenarios, 1), tmp_path, SERIAL)
+    written, failed = reproduce(wanted((3,), (16,), scenarios, observations=1), tmp_path, SERIAL)
     assert written == [] and [line.partition(":")[0] for line in failed] == ["table 3", "figure 16"]
     assert "observations" in failed[0]
 
@@ -267,7 +271,7 @@ def test_scenes_without_the_four_data_sets(tmp_path, asked, old, new, words):
     text = SCENE.replace(old, new) if old else without_sections(SCENE, "score")
     (tmp_path / "lynx.toml").write_text(text)
     with pytest.raises(SceneError) as caught:
-        wanted(*asked, tmp_path, None)
+        wanted(*asked, tmp_path, observations=None)
     assert words in str(caught.value) and "lynx.toml" in str(caught.value)
 
 
@@ -291,5 +295,5 @@ def test_scenes_that_can_t_be_measured_together(scenarios, tmp_path, name, old, 
         text = path.read_text()
         (tmp_path / path.name).write_text(text.replace(old, new) if path.stem == name else text)
     with pytest.raises(SceneError) as caught:
-        wanted((2,), (), tmp_path, None)
+        wanted((2,), (), tmp_path, observations=None)
     assert words in str(caught.value)

@@ -5,7 +5,7 @@ import pytest
 
 from surveysim import load_scene
 from surveysim.reduction.setup import prepare
-from surveysim.results.closure import truth
+from surveysim.results.closure import closure_tests
 from surveysim.results.results import survey_result
 from surveysim.survey.run import run_observations
 from tests.scenes import SMALL_SCENE, without_sections
@@ -20,7 +20,7 @@ def found(scene):
     setup = prepare(scene)
     coadds = run_observations(setup, None)
     result = survey_result(setup, coadds, 1.0, 1)
-    return {item.quantity: item for item in truth(setup, coadds, result.scores, result.expected)}
+    return {item.quantity: item for item in closure_tests(setup, coadds, result.scores, result.expected)}
 
 
 @pytest.fixture

@@ -103,6 +103,20 @@ def test_one_estimate_is_quoted_everywhere(finished, content, capsys):
     assert page.count(quoted(best["sigma_ukcmb2"], best["error_ukcmb2"])) >= 3  # lead, key figures, table
 
 
+def test_short_and_verbose_output(finished, capsys):
+    """Scores, gains, warnings and files always; all else with --verbose."""
+    result, folder = finished
+    details = ("Forecast over simulation", "The same data scored otherwise", "Choices of the scoring", "Weather drawn")
+    print_result(result, folder)
+    short = capsys.readouterr().out
+    print_result(result, folder, verbose=True)
+    whole = capsys.readouterr().out
+    assert not any(text in short for text in details) and all(text in whole for text in details)
+    for text in ("masked_7_scaled / uncorrelated", "Warning: ", f"Results in {folder}"):
+        assert text in short and whole.count(text) == short.count(text)
+    assert set(short.splitlines()) <= set(whole.splitlines())
+
+
 def test_a_forecast_alone_tells_what_a_run_quotes(finished):
     """Of the scans that the run kept, over all weather: what stands beside the run's own result, within 1 %."""
     setup = finished[0].setup

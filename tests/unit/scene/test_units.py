@@ -1,8 +1,9 @@
 import math
 
+import astropy.units as u
 import pytest
 
-from surveysim.scene.units import rj_to_cmb, to_float, to_floats, to_sky_angle
+from surveysim.scene.units import _COMMON, rj_to_cmb, to_float, to_floats, to_sky_angle
 
 ROUNDING = 1e-14
 
@@ -138,3 +139,9 @@ def test_rayleigh_jeans_to_cmb_over_a_band(frequency_hz, bandwidth, too_high, di
     assert found == pytest.approx(1 / (mean * scale), rel=1e-8)
     if digit:
         assert (rj_to_cmb(frequency_hz, 0.0) / found) ** 2 - 1 == pytest.approx(too_high, abs=digit / 2)
+
+
+@pytest.mark.parametrize("unit", _COMMON)
+def test_common_units_have_the_factors_of_astropy(unit):
+    """To the last bit: astropy is asked for all other units."""
+    assert _COMMON[unit] == {found: float(u.Unit(found).to(unit)) for found in _COMMON[unit]}

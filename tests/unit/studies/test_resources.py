@@ -13,7 +13,7 @@ from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from surveysim.studies.resources import make_plan
 from surveysim.telescope.raster import samples_per_scan
-from surveysim.timestreams import low_frequency, observed_block, photon, sky_maps
+from surveysim.timestreams import low_frequency, observed_block, photon, simulation, sky_maps
 from surveysim.timestreams import shared_parts as parts
 from surveysim.timestreams.observation import draw_other_bands
 from tests.scenes import SCHEDULE, SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
@@ -54,7 +54,7 @@ DOES = {
     "photon": [(photon, "add_correlated_white")],
     "overlap": [(parts, "overlap")],
     "sky": [(sky_maps, "draw_sky")],
-    "ephemerides": [(setup, "schedule")],
+    "ephemerides": [(simulation, "schedule")],
     "opacity": [(setup, "site_water")],
     "score": [(results, "quoted_scores")],
     "transfer function": [(sky_maps, "flat_cmb_sky"), (reduction, "_add_window")],

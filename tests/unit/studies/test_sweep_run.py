@@ -14,7 +14,7 @@ from surveysim.output.lock import OutputError
 from surveysim.report.figures.sweep import _ticks, draw_sweep, sweep_figure
 from surveysim.report.terminal.sweep import best_line, forecast_lines
 from surveysim.runtime.engine import SERIAL, Engine
-from surveysim.runtime.errors import OutOfRangeError
+from surveysim.runtime.errors import InputError
 from surveysim.runtime.numbers import plain, quoted_share
 from surveysim.scene.scene import scene_hash
 from surveysim.studies.sweep.axes import Axis
@@ -336,11 +336,11 @@ def test_failures_name_their_point(write, monkeypatch):
 
     def fail(setup, *rest):
         if setup.scene.scan.speed_rad_s > 0.001:
-            raise OutOfRangeError("no strip is long enough")
+            raise InputError("no strip is long enough")
         return observe(setup, *rest)
 
     monkeypatch.setattr(survey, "observe", fail)
-    with pytest.raises(ValueError, match=r"point \(scan.speed = 4 arcmin / s\): no strip is long enough"):
+    with pytest.raises(InputError, match=r"point \(scan.speed = 4 arcmin / s\): no strip is long enough"):
         run_sweep(write(WHITE + SPEEDS), engine=SERIAL)
 
 

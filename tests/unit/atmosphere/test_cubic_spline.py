@@ -1,0 +1,32 @@
+"""The cubic spline against scipy's."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline as Scipys
+
+from surveysim.atmosphere.cubic_spline import CubicSpline
+
+
+@pytest.mark.parametrize("n", [4, 5, 14, 801])
+@pytest.mark.parametrize("seed", range(4))
+def test_it_is_the_spline_of_scipy(n, seed):
+    """Knots at random distances, so that rows are exchanged; within the knots, at them, and beyond both ends."""
+    rng = np.random.default_rng(seed)
+    x, y = np.cumsum(rng.exponential(size=n) + 1e-3), rng.normal(size=n).cumsum()
+    ours, theirs = CubicSpline(x, y), Scipys(x, y)
+    size = np.abs(theirs.c).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(ours.c / size, theirs.c / size, rtol=1e-12, atol=1e-13)
+    q = np.concatenate([x, rng.uniform(x[0] - 1, x[-1] + 1, 300)]).reshape(-1, 1)
+    for derivative in (0, 1):
+        expected = theirs(q, derivative)
+        np.testing.assert_allclose(ours(q, derivative), expected, rtol=1e-11, atol=1e-12 * np.abs(expected).max())
+
+
+def test_it_passes_through_its_points_and_cubics():
+    x = np.array([0.0, 0.3, 1.0, 1.2, 2.5])
+    y = 1 - 2 * x + 0.5 * x**2 - 3 * x**3
+    spline = CubicSpline(x, y)
+    q = np.linspace(-1, 4, 50)
+    np.testing.assert_allclose(spline(q), 1 - 2 * q + 0.5 * q**2 - 3 * q**3, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(spline(q, 1), -2 + q - 9 * q**2, rtol=1e-12, atol=1e-12)
+    assert spline(0.3).shape == () and float(spline(0.3)) == pytest.approx(y[1])
