@@ -135,8 +135,8 @@ def test_all_keys_are_listed(call, monkeypatch):
     cells = [cell.strip() for cell in row.strip("│").split("│")]
     assert cells[:4] == [
         "scan.speed",
-        'quantity in rad / s, as "4 arcmin / s"',
-        "0.001 arcsec / s to 360 deg / s",
+        'quantity in arcmin / s, as "4 arcmin / s"',
+        "1.67e-05 arcmin / s to 21600 arcmin / s",
         "required",
     ]
     assert cells[4] == all_keys()["scan.speed"]["description"]
@@ -154,6 +154,24 @@ def test_keys_of_a_section(call, monkeypatch):
     assert re.findall(r"^│ ([a-z0-9_.]+) +│", out, re.MULTILINE) == ["score.size"]
     code, out, error = call("keys", "scor")
     assert (code, out) == (2, "") and "keys: found 'scor'" in error and "score" in error
+
+
+def test_ranges_have_the_unit_of_the_example():
+    """One unit a row; it is that of the schema where no scene has an example."""
+    rows = {row.key: row for section in scene_sections() for row in key_rows(section)}
+    for row in rows.values():
+        if found := re.match(r"quantity in `([^`]+)`(?:, as `\"\S+ ([a-zA-Z].*)\"`)?$", row.kind):
+            unit, example = found.groups()
+            assert example in (None, unit)
+            assert all(text in ("0", f"{text.split()[0]} {unit}") for text in row.allowed.split(" to ")), row
+    expected = {
+        "field.dec": ("deg", "-90 deg to 90 deg"),
+        "instrument.beam_fwhm": ("arcsec", "0.001 arcsec to 108000 arcsec"),
+        "instrument.frequency": ("GHz", "1 GHz to 10000 GHz"),
+        "atmosphere.outer_scale": ("m", "0.001 m to 1e+08 m"),
+    }
+    for key, (unit, allowed) in expected.items():
+        assert rows[key].kind.startswith(f"quantity in `{unit}`") and rows[key].allowed == allowed
 
 
 def test_rows_hold_one_line_each():
