@@ -123,7 +123,8 @@ def paper(
     The paper's values stand beside the simulated ones.
     """
     from surveysim.cli.progress import equal_work, progress_display
-    from surveysim.paper.reproduce import FIGURES, TABLES, reproduce, wanted
+    from surveysim.paper.reproduce import reproduce
+    from surveysim.paper.scenes import FIGURES, TABLES, wanted
     from surveysim.runtime.engine import EngineError
 
     with_engine = options.engine(engine, workers, scheduler)
