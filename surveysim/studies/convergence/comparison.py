@@ -130,9 +130,19 @@ def rms(values: Sequence[float] | np.ndarray) -> float:
 
 
 def slopes(rows: Iterable[Measured]) -> list[Slope]:
-    """How errors fall: a Monte Carlo's as the root of the observations and of the time, start-up left out.
+    """Fit slopes of the Monte Carlo errors against observations, time and noise realizations.
 
-    The noise of one survey is shared by all its sign flips, so more of them help up to its observations alone.
+    -1/2 is expected against observations and time, which excludes the start. All sign flips of a survey share its
+    noise, so the error stops falling once they are as many as its observations.
+
+    Parameters
+    ----------
+    rows
+        Measured settings; those without an error budget are left out.
+
+    Returns
+    -------
+    Slopes; those with fewer than two different positive abscissas are left out.
     """
     done = [row for row in rows if row.budget is not None]
     whole = [row for row in done if row.setting.kind == "survey"]

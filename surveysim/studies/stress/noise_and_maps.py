@@ -1,4 +1,4 @@
-"""What comes out of extreme noise, maps and correlations."""
+"""Cases of extreme noise, maps and correlations."""
 
 from __future__ import annotations
 
