@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from time import process_time
 from typing import Any
 
@@ -155,7 +156,7 @@ def _with_sums(setup: Setup, result: ObservationResult, first_s: float, plain_s:
 
 def _scoring(setup: Setup, coadds: CoAdds) -> float:
     """Seconds that it takes to score sums; of two equal observations it takes as long as of many."""
-    return _timed(survey_result, setup, coadds, 0.0, 1)[0] if setup.scene.score else 0.0
+    return _timed(partial(survey_result, wall_s=0.0, workers=1), setup, coadds)[0] if setup.scene.score else 0.0
 
 
 def _timed(work: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:

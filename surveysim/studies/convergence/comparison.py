@@ -75,11 +75,15 @@ def ladder_rows(settings: Sequence[Setting], asked: Tasks, runs: Mapping[str, Ru
         if place in refused:
             rows.append(Measured(setting, n_obs, note=refused[place]))
         else:
-            rows.append(_ladder_row(setting, n_obs, *found[place], found[finest][1].score, same_skies))
+            run, mark = found[place]
+            best = found[finest][1].score
+            rows.append(_ladder_row(setting, n_obs, run, mark, finest=best, same_skies=same_skies))
     return rows
 
 
-def _ladder_row(setting: Setting, n_obs: int, run: Run, mark: Mark, finest: DataSetScore, same_skies: bool) -> Measured:
+def _ladder_row(
+    setting: Setting, n_obs: int, run: Run, mark: Mark, *, finest: DataSetScore, same_skies: bool
+) -> Measured:
     band, (bias, bias_error) = mark.score.band, _bias(mark.score, finest, same_skies or mark.score is finest)
     spent = mark.wall_s, mark.cpu_s, run.start_s, run.peak_mb, run.raised_mb
     return Measured(setting, n_obs, band.sigma_ukcmb2, band.error_ukcmb2, bias, bias_error, *spent, mark.score.budget)

@@ -103,7 +103,7 @@ def one_layer(scene: Scene, b2: float = 0.0) -> np.ndarray:
     path, pointing = observation_path(setup.observing, 0)
     weather = observation_weather(setup, 0)
     data = np.zeros((setup.camera.n_det, len(path.time_s)), np.float32)
-    add_layer(setup, 0, pointing, replace(weather, b2=b2 or weather.b2), data)
+    add_layer(setup, 0, pointing, weather=replace(weather, b2=b2 or weather.b2), data=data)
     return data
 
 

@@ -63,7 +63,7 @@ def stiff(scene: Scene, algorithm: str) -> Outcome:
     left = []
     for one, dtype in ((setup, np.float32), (fine, np.float64)):
         data = np.zeros((setup.camera.n_det, len(pointing.scan)), dtype)
-        add_layer(one, 0, pointing, strong, data)
+        add_layer(one, 0, pointing, weather=strong, data=data)
         data *= setup.camera.responsivity[:, None].astype(np.float32)
         add_white(data, 2 / RATE_HZ, RATE_HZ, np.random.default_rng(1))
         left.append(_cleaned(algorithm, data, setup.camera.focal_plane).astype(float))
