@@ -2,11 +2,14 @@
 
 import logging
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import cache
 from multiprocessing import parent_process
+from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.event import TimingListener, install_listener
 
 
 def njit(**options: Any) -> Callable[[Callable], Callable]:
@@ -24,6 +27,22 @@ def njit(**options: Any) -> Callable[[Callable], Callable]:
             return numba.njit(**options | {"cache": False})(function)
 
     return compiled
+
+
+def is_cached(kernel: Any) -> bool:
+    """Whether a compiled kernel is on disk, so that a process loads it and does not compile it."""
+    folder = kernel.stats.cache_path
+    return folder is not None and any(Path(folder).glob(f"*.{kernel.__name__}-*.nbc"))
+
+
+def compile_timer() -> AbstractContextManager[TimingListener]:
+    """Measure the time that kernels take to compile, or to load from the cache, within a block; see `compile_s`."""
+    return install_listener("numba:compiler_lock", TimingListener())
+
+
+def compile_s(timer: TimingListener) -> float:
+    """Time [s] of compilation that a `compile_timer` has measured; 0 where all kernels were compiled before."""
+    return timer.duration if timer.done else 0.0
 
 
 @cache

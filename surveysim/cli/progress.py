@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from time import monotonic
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -28,7 +28,12 @@ START_S = 10.0  # at most, that a process takes to start and to compile
 LEAST = 0.01  # of the time so far: less is not known, as items that are under way may take longer than others
 ENOUGH = 0.5  # of the first item's work: less, done since the first was in, does not tell how long the rest takes
 
-Show = Callable[[int, Callable[[], str]], None]  # how many are done; what else there is to say
+
+class Show(Protocol):
+    """Display of the number of items `done`, of a status, and of the time left."""
+
+    def __call__(self, done: int, status: Callable[[], str], each_s: float | None = None) -> None:
+        """Show the progress; `each_s` is the time [s] of a unit of work on one worker, without compilation."""
 
 
 def equal_work(n: int) -> np.ndarray:
@@ -40,8 +45,8 @@ class TimeLeft:
     """Estimates of the time left, from when items came in and how much work (n,) each of them is.
 
     `workers` take the items in turn, and results come in order. The time per work is measured since the first item was
-    in: before it lie start-up and compilation. Until enough work has been done since, it is measured since the start,
-    unless start-up could be most of that.
+    in: before it lie start-up and compilation. Until enough work has been done since, it is the time that the items say
+    they took, or else measured since the start, unless start-up could be most of that.
     """
 
     def __init__(
@@ -53,8 +58,8 @@ class TimeLeft:
         self.times = np.zeros(0)
         self.end: float | None = None
 
-    def add(self, done: int) -> float | None:
-        """Seconds left now that so many are `done`; None while that can't be said."""
+    def add(self, done: int, each_s: float | None = None) -> float | None:
+        """Seconds left now that so many are `done`, `each_s` a unit of work; None while that can't be said."""
         now = self.clock()
         if self.first is None:  # those before it were kept from an earlier run
             self.first = now, done
@@ -63,6 +68,8 @@ class TimeLeft:
         whole, so_far = times[-1], times[min(done - first, len(times) - 1)]
         if so_far >= (1 + ENOUGH) * times[0]:
             left = (now - since) * (whole - so_far) / (so_far - times[0])
+        elif each_s is not None:
+            left = each_s * (whole - so_far)
         elif now - self.start > START_S:
             left = (now - self.start) * (whole - so_far) / so_far
         else:
@@ -95,7 +102,7 @@ def progress_display(
     """
     left = TimeLeft(work, workers)
     if quiet:
-        yield lambda done, status: None
+        yield lambda done, status, each_s=None: None
     elif not sys.stderr.isatty():
         yield _lines(name, len(work), what, left, complain)
     else:
@@ -133,9 +140,9 @@ def _bar(name: str, total: int, left: TimeLeft, console: "Terminal", length: int
         task = bar.add_task(name, total=total, status="")
         said = monotonic()
 
-        def show(done: int, status: Callable[[], str]) -> None:
+        def show(done: int, status: Callable[[], str], each_s: float | None = None) -> None:
             nonlocal said
-            left.add(done)
+            left.add(done, each_s)
             bar.update(task, completed=done)
             if monotonic() - said > STATUS_EVERY_S:
                 bar.update(task, status=status())
@@ -147,9 +154,9 @@ def _bar(name: str, total: int, left: TimeLeft, console: "Terminal", length: int
 def _lines(name: str, total: int, what: str, left: TimeLeft, say: Callable[[str], None]) -> Show:
     every, said = max(1, total // LINES), monotonic()
 
-    def show(done: int, status: Callable[[], str]) -> None:
+    def show(done: int, status: Callable[[], str], each_s: float | None = None) -> None:
         nonlocal said
-        seconds = left.add(done)
+        seconds = left.add(done, each_s)
         if done % every == 0 or done == total:
             time = "" if seconds is None else f", {time_text(seconds)}"
             text = ""
@@ -158,6 +165,15 @@ def _lines(name: str, total: int, what: str, left: TimeLeft, say: Callable[[str]
             say(f"{name}: {done}/{total} {what}{time}  {text}".rstrip())
 
     return show
+
+
+def announce_compilation(name: str) -> None:
+    """Say that kernels are compiled before the first result, unless they are cached."""
+    from mapmaker.kernels.compiled import is_cached
+    from mapmaker.kernels.pixels import bin_samples
+
+    if not is_cached(bin_samples):
+        complain(f"{name}: compiling kernels before the first result, up to a minute; later runs load them")
 
 
 def time_text(seconds: float) -> str:

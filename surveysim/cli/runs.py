@@ -77,18 +77,20 @@ def run(
     if limits.target_error is not None and checked.score is None:
         fail(f"{scene}: --target-error: found no [score]; the error is one of sigma(A), which needs it")
     from surveysim.api import run as run_scene
-    from surveysim.cli.progress import equal_work, progress_display, score_so_far
+    from surveysim.cli.progress import announce_compilation, equal_work, progress_display, score_so_far
     from surveysim.report.terminal.survey import print_result
 
     directory = out or default_directory(checked.name, options.settings(settings))
     if resume and not quiet:
         report_new_start(directory, "checkpoint", " observation")
     work = equal_work(checked.observations)
+    if not quiet and scheduler is None:
+        announce_compilation(checked.name)
     with (
         report_resumable_exit(scene, directory),
         progress_display(checked.name, work, quiet, workers=with_engine.workers_for(len(work))) as show,
     ):
-        progress = stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds)))
+        progress = stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds), coadds.each_s))
         result = run_scene(
             checked,
             directory,
@@ -130,9 +132,11 @@ def _run_sweep(
     if resume and not quiet:
         report_new_start(directory, "points", "")
     from surveysim.api import run_sweep
-    from surveysim.cli.progress import progress_display
+    from surveysim.cli.progress import announce_compilation, progress_display
     from surveysim.report.terminal.sweep import print_sweep
 
+    if not quiet and engine.scheduler is None:
+        announce_compilation(sweep.name)
     work = [point.detector_samples for point in sweep.points]
     with (
         report_resumable_exit(sweep.path, directory),

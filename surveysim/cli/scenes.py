@@ -1,15 +1,15 @@
 """Commands on scenes and output directories: check, keys, new, report."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from surveysim.cli.options import Force, Overrides, SceneFile, fail, ready_scene, sweep_of
 from surveysim.runtime.printable import say
-from surveysim.scene.shipped import HERE, MAX_NAME, NAME, find_scene, scene_names
+from surveysim.scene.shipped import HERE, MAX_NAME, NAME, find_scene, no_such_scene
 from surveysim.scene.units import shown
 
 if TYPE_CHECKING:
@@ -97,8 +97,8 @@ def new(
     if not re.fullmatch(NAME, name) or len(name) > MAX_NAME:
         fail(f"name: found {shown(name)}; letters, digits, '_', '.' and '-', none of the last two first, are expected")
     if not source.is_file():
-        fail(f"{source}: no such scene; a file or one of {', '.join(scene_names())} is expected")
-    text, _ = read_scene(source)
+        fail(no_such_scene(like))
+    text, content = read_scene(source)
     target.parent.mkdir(exist_ok=True)
     try:
         with open(target, "x", encoding="utf-8") as file:
@@ -110,8 +110,29 @@ def new(
         say("it sweeps keys of its own; give [sweep] yours, or delete it")
     if "[score.reference]" in text:
         say("it compares with published numbers; delete [score.reference] and its gains for another survey")
-    if "[excess]" in text or "\nb2 = " in text:
-        say("excess noise and b2 are of its own band and site; delete [excess] and atmosphere.b2 for another")
+    if hint := _band_hint(content):
+        say(hint)
+
+
+def _band_hint(content: Mapping[str, Any]) -> str:
+    """Say what to replace in a copied scene for another band or site; empty where nothing is of its own band."""
+    air = content.get("atmosphere")
+    air = air if isinstance(air, dict) else {}
+    found, orders = [], []
+    if "excess" in content:
+        found.append("[excess]")
+        orders.append("delete [excess]")
+    if "b2" in air:
+        found.append("atmosphere.b2")
+        both = "atmosphere.b2 and atmosphere.b2_probabilities"
+        orders.append(
+            f"delete {both}, as B2 then follows from atmosphere.site"
+            if "site" in air
+            else f"give {both} values of your own, or atmosphere.site and instrument.bandwidth instead"
+        )
+    if not found:
+        return ""
+    return f"{' and '.join(found)} hold for its own band and site; for another: {'; '.join(orders)}"
 
 
 def report(

@@ -192,9 +192,8 @@ def error_parts(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -
     """Return the parts of the error of a run whose actual data are scored."""
     item = scores[ACTUAL]
     flips, common = noise_parts(setup, item)
-    each_s = sum(coadds.seconds.values()) / coadds.done
     budget = item.budget
-    return ErrorParts(math.hypot(common, budget.weather), flips, budget.window, budget.population, each_s)
+    return ErrorParts(math.hypot(common, budget.weather), flips, budget.window, budget.population, coadds.each_s)
 
 
 def answer_cost(

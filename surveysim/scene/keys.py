@@ -1,6 +1,7 @@
 """All keys of a scene as the guide and the command `keys` list them: meaning, type, unit, range and default."""
 
 import json
+import math
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from typing import Any
 
 from surveysim.scene.scene import Scene
 from surveysim.scene.shipped import shipped_folder
+from surveysim.scene.units import to_float, unit_of
 
 LONGEST_EXAMPLE = 44
 TYPES = {"integer": "integer", "number": "number", "string": "text", "array": "list", "object": "table"}
@@ -109,9 +111,31 @@ def _reference(item: Mapping[str, Any]) -> str:
 
 def _row(key: str, item: Mapping[str, Any], required: bool) -> KeyRow:
     example = _examples().get(key) or (json.dumps(item["examples"][0]) if "examples" in item else "")
+    item = _in_unit_of(example, item)
     kind = _type(item) + (f", as `{example}`" if example else "")
     meaning = " ".join(item.get("description", "").split())  # a row is a line
     return KeyRow(key, meaning, kind, _allowed(item), _default(item, required))
+
+
+def _in_unit_of(example: str, item: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Express unit, bounds and default in the unit of the example, or in that of the bounds if it is "08h49m12s"."""
+    if item.get("type") != "string" or "unit" not in item:
+        return item
+    unit = (unit_of(json.loads(example)) or unit_of(item["at_most"]) if example else None) or item["unit"]
+    own, size = item["unit"], to_float(f"1 {unit}", item["unit"])
+    bounds = {
+        name: text if unit_of(text) == unit else f"{_rounded(to_float(text, own) / size)} {unit}"
+        for name in ("at_least", "at_most")
+        if (text := item.get(name))
+    }
+    default = item.get("default")
+    return {**item, "unit": unit, **bounds} | ({"default": default / size} if default else {})
+
+
+def _rounded(value: float) -> str:
+    """Seven digits where they are all of the number, else three."""
+    text = f"{value:.7g}"
+    return text if math.isclose(float(text), value, rel_tol=1e-12) else f"{value:.3g}"
 
 
 def _type(item: Mapping[str, Any]) -> str:

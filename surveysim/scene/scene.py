@@ -31,7 +31,7 @@ from surveysim.scene.numerics import Numerics
 from surveysim.scene.observing import MIN_SAMPLES, FieldSection, FixedPointing, Scan, Schedule
 from surveysim.scene.renamed_keys import renamed_lines
 from surveysim.scene.section import Section
-from surveysim.scene.shipped import MAX_NAME, NAME, find_scene
+from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
 from surveysim.scene.units import file_value, shown
 
 MAX_BYTES = 300_000  # of a scene file; with comments they have some 5 kB
@@ -148,6 +148,8 @@ def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> 
 
 def read_scene(path: Path) -> tuple[str, dict]:
     """Read a scene file without checking its keys: text and content. Raises SceneError if it can't be read."""
+    if is_name(str(path)) and not os.path.lexists(path):
+        raise SceneError(no_such_scene(str(path)))
     try:
         text = read_text(path, MAX_BYTES)
     except InputError as error:

@@ -1,7 +1,10 @@
 """Scenes by name: in the current directory, in its folder scenarios/, or shipped with the program."""
 
 import re
+from difflib import get_close_matches
 from pathlib import Path
+
+from surveysim.scene.units import shown
 
 NAME, MAX_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]*", 100
 HERE = Path("scenarios")
@@ -22,6 +25,19 @@ def scene_folder() -> Path:
 def scene_names() -> list[str]:
     """Names of the scenes in scenarios/ and of those that ship, in alphabetical order."""
     return sorted({path.stem for folder in (HERE, shipped_folder()) for path in folder.glob("*.toml")})
+
+
+def no_such_scene(scene: str) -> str:
+    """Return a line on a scene that does not exist: names that are alike, and all names."""
+    names = scene_names()
+    alike = get_close_matches(scene[:MAX_NAME], names)
+    guess = f"did you mean {' or '.join(alike)}? " if alike else ""
+    return f"{shown(scene)}: no such scene; {guess}A file or one of {', '.join(names)} is expected"
+
+
+def is_name(scene: str) -> bool:
+    """Whether a text can be the name of a scene, without a folder or ``.toml``."""
+    return bool(re.fullmatch(NAME, scene)) and len(scene) <= MAX_NAME and not scene.endswith(".toml")
 
 
 def find_scene(scene: str | Path) -> Path:

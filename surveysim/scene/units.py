@@ -104,6 +104,12 @@ def _unit_factor(found: str, unit: str) -> float | None:
         return None
 
 
+def unit_of(text: object) -> str | None:
+    """Return the unit that a quantity is written in; None for anything but one number and one unit."""
+    match = _QUANTITY.fullmatch(text) if isinstance(text, str) else None
+    return match["unit"] if match else None
+
+
 def to_floats(text: object, unit: str) -> tuple[float, ...]:
     """Convert quantities, ``"[46, 100, 170] mK2 rad(-5/3)"`` or a TOML list, to a unit; errors as for `to_float`."""
     if isinstance(text, list | tuple):

@@ -66,6 +66,11 @@ class CoAdds:
         return len(self.rows)
 
     @property
+    def each_s(self) -> float:
+        """Mean time [s] of an observation on one worker, without compilation."""
+        return sum(self.seconds.values()) / max(1, self.done)
+
+    @property
     def n_set(self) -> int:
         """Number of data sets."""
         return len(self.sums)

@@ -56,12 +56,12 @@ def test_rows_have_type_unit_range_and_default():
     text = scene_reference()
     rows = {line.split("|")[1].strip(): line for line in text.splitlines() if line.startswith("| `")}
     assert rows["`speed`"].endswith(
-        '| quantity in `rad / s`, as `"4 arcmin / s"` | 0.001 arcsec / s to 360 deg / s | **required** |'
+        '| quantity in `arcmin / s`, as `"4 arcmin / s"` | 1.67e-05 arcmin / s to 21600 arcmin / s | **required** |'
     )
     assert rows["`screen_step`"].endswith("| number | 0.1 to 10 | `1.0` |")
     assert rows["`interpolation`"].endswith('| text | `"nearest"`, `"linear"`, `"cubic"` | `"linear"` |')
     assert rows["`min_elevation`"].endswith('as `"40 deg"` | 5 deg to 90 deg | **required** |')
-    assert rows["`layer_height`"].endswith("| 1 mm to 100000 km | the site's |")
+    assert rows["`layer_height`"].endswith("| 0.001 m to 1e+08 m | the site's |")
     assert rows["`max_block_memory`"].endswith("| quantity in `byte` | 1 byte to 1e15 byte | `2.5e+08 byte` |")
     assert {line.count("|") for line in rows.values()} == {6}
 

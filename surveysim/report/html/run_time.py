@@ -20,9 +20,10 @@ def time_blocks(summary: Content, scene: Content) -> Iterator[Block]:
         "budget": f"the time budget of {duration(stopped.get('time_budget_s') or 0)} was spent",
     }
     text = (
-        f"{plural(summary['observations'], 'observation')} took {duration(run['wall_s'])} with"
-        f" {plural(run['workers'], 'worker')}: {duration(each_s)} of one worker for each, or {number(ns, 2)} ns for"
-        f" each of {number(summary['detector_samples'] / 1e6)} million detector-samples."
+        f"{plural(summary['observations'], 'observation')} took {duration(run['wall_s'])} of wall time with"
+        f" {plural(run['workers'], 'worker')}, from start to score. The simulation alone took {duration(each_s)} of one"
+        f" worker for each observation, or {number(ns, 2)} ns for each of"
+        f" {number(summary['detector_samples'] / 1e6)} million detector-samples."
         f" The run ended when {reasons[stopped['reason']]}."
     )
     if stopped.get("relative_error") is not None:
@@ -75,8 +76,8 @@ def _answer_grid(summary: Content, scene: Content) -> Grid:
         numbers = [cell(answer[key]) for key in ("observations", "jackknives", "skies")]
         rows.append((cell(name), Cell(duration(answer["seconds"]), answer["seconds"]), *numbers))
     note = (
-        f"Times are those of simulating with {plural(run['workers'], 'worker')}, without starting and writing, "
-        "extrapolated from this run's own errors and times."
+        f"Simulation time with {plural(run['workers'], 'worker')}, extrapolated from this run's own errors and times. "
+        "The wall time also contains starting, compiling kernels and scoring."
     )
-    columns = ("error of σ(A)", "time", "observations", "sign flips", "simulated skies")
+    columns = ("error of σ(A)", "simulation time", "observations", "sign flips", "simulated skies")
     return Grid("answer-table", "Cost of a smaller error", columns, tuple(rows), (note,), (mark,))

@@ -105,4 +105,4 @@ def _key_figures(summary: Content) -> tuple[tuple[str, str], ...]:
         error = summary["stopped"]["relative_error"]
         found.append(("error of σ(A)", "unknown" if error is None else percent(error)))
     found.append(("observations", count(summary["observations"])))
-    return (*found, ("run time", duration(summary["run"]["wall_s"])))
+    return (*found, ("wall time of the run", duration(summary["run"]["wall_s"])))

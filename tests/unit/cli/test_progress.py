@@ -7,6 +7,7 @@ from surveysim import load_scene
 from surveysim.cli.progress import (
     START_S,
     TimeLeft,
+    announce_compilation,
     equal_work,
     finish_times,
     progress_display,
@@ -68,6 +69,24 @@ def test_start_up_is_no_estimate():
     """What is in within the time of start-up and compilation says nothing; the second observation does."""
     found = estimates(equal_work(100), 1, [START_S - 1, START_S - 0.9])
     assert found[0] is None and found[1] == pytest.approx(0.1 * 98)
+
+
+def test_slow_first_observation_is_no_estimate():
+    """Kernels compile for 60 s in both of two workers: the time left follows from what observations say they took."""
+    clock = Clock()
+    left = TimeLeft(equal_work(12), 2, clock)
+    clock.seconds = 61.5
+    assert left.add(1, 1.5) == pytest.approx(1.5 * 5) and left.add(2, 1.5) == pytest.approx(1.5 * 5)
+    clock.seconds = 63.0
+    assert left.add(4, 1.5) == pytest.approx(1.5 * 4)  # measured by now
+
+
+@pytest.mark.parametrize("cached", [False, True])
+def test_compilation_is_announced(capsys, monkeypatch, cached):
+    monkeypatch.setattr("mapmaker.kernels.compiled.is_cached", lambda kernel: cached)
+    announce_compilation("lynx")
+    said = "lynx: compiling kernels before the first result, up to a minute; later runs load them\n"
+    assert capsys.readouterr().err == ("" if cached else said)
 
 
 def test_items_of_an_earlier_run_take_no_time():

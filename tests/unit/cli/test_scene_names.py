@@ -61,8 +61,65 @@ def test_commands_take_names(empty, call):
     code, out, _ = call("new", "mine", "--like", "lynx")
     assert code == 0 and Path("scenarios/mine.toml").read_text() == (SCENARIOS / "lynx.toml").read_text()
     assert call("check", "mine")[:2] == (0, f"{Path('scenarios/mine.toml')}: 'mine' is a scene that can be run\n")
-    code, _, error = call("check", "nowhere")
-    assert code == 2 and error.startswith("nowhere: can't be read")
+
+
+@pytest.mark.parametrize("command", [("check",), ("run",), ("plan",), ("forecast",), ("new", "mine", "--like")])
+def test_unknown_names_are_answered_with_those_that_are_alike(empty, call, command):
+    for name, alike in (("lynxx", "did you mean lynx? "), ("qqq", "")):
+        said = f"'{name}': no such scene; {alike}A file or one of {', '.join(scene_names())} is expected\n"
+        assert call(*command, name) == (2, "", said)
+    assert [path.name for path in empty.iterdir()] == []
+
+
+def without(text, *keys):
+    """A scene file without some keys of [atmosphere], and without some sections and those within them."""
+    kept, section = [], ""
+    for line in text.splitlines(keepends=True):
+        if match := re.match(r"\[([\w.]+)\]", line):
+            section = match[1]
+        key = f"{section}.{line.partition(' = ')[0]}" if section == "atmosphere" else ""
+        if key not in keys and not any(f"{section}.".startswith(f"{name[1:-1]}.") for name in keys if name[0] == "["):
+            kept.append(line)
+    return "".join(kept)
+
+
+B2_KEYS = ("atmosphere.b2", "atmosphere.b2_probabilities")
+OTHER_B2 = 'b2_probabilities = [0.5]\nb2 = "[100] mK2 rad(-5/3)"\n'
+SITE = 'site = "alma"\n'
+
+
+@pytest.mark.parametrize(
+    "name, hint, changes",
+    [
+        (
+            "lynx",
+            "delete [excess]; delete atmosphere.b2 and atmosphere.b2_probabilities, as B2 then follows from"
+            " atmosphere.site",
+            [("", {})],
+        ),
+        (
+            "first_light",
+            "delete [excess]; give atmosphere.b2 and atmosphere.b2_probabilities values of your own, or atmosphere.site"
+            " and instrument.bandwidth instead",
+            [(OTHER_B2, {}), (SITE, {"instrument.bandwidth": 0.2})],
+        ),
+        ("suzie_ii", "", []),
+    ],
+)
+def test_hints_on_a_copy_can_be_followed(empty, call, name, hint, changes):
+    code, out, _ = call("new", "mine", "--like", name)
+    found = [line for line in out.splitlines() if "own band" in line]
+    assert code == 0
+    said = f"[excess] and atmosphere.b2 hold for its own band and site; for another: {hint}"
+    assert found == ([said] if hint else [])
+    path = Path("scenarios/mine.toml")
+    copied = path.read_text()
+    for keys, settings in changes:
+        text = without(copied, "[excess]", "[score.reference]", *B2_KEYS)
+        assert len(text) < len(copied) and "b2" not in text.replace("B2", "")
+        path.write_text(text.replace("[atmosphere]\n", f"[atmosphere]\n{keys}"))
+        options = [part for key, value in settings.items() for part in ("--set", f"{key}={value}")]
+        assert call("check", "mine", *options) == (0, f"{path}: 'mine' is a scene that can be run\n", "")
 
 
 # ---------------------------------------------------------------- keys
@@ -78,8 +135,8 @@ def test_all_keys_are_listed(call, monkeypatch):
     cells = [cell.strip() for cell in row.strip("│").split("│")]
     assert cells[:4] == [
         "scan.speed",
-        'quantity in rad / s, as "4 arcmin / s"',
-        "0.001 arcsec / s to 360 deg / s",
+        'quantity in arcmin / s, as "4 arcmin / s"',
+        "1.67e-05 arcmin / s to 21600 arcmin / s",
         "required",
     ]
     assert cells[4] == all_keys()["scan.speed"]["description"]
@@ -97,6 +154,24 @@ def test_keys_of_a_section(call, monkeypatch):
     assert re.findall(r"^│ ([a-z0-9_.]+) +│", out, re.MULTILINE) == ["score.size"]
     code, out, error = call("keys", "scor")
     assert (code, out) == (2, "") and "keys: found 'scor'" in error and "score" in error
+
+
+def test_ranges_have_the_unit_of_the_example():
+    """One unit a row; it is that of the schema where no scene has an example."""
+    rows = {row.key: row for section in scene_sections() for row in key_rows(section)}
+    for row in rows.values():
+        if found := re.match(r"quantity in `([^`]+)`(?:, as `\"\S+ ([a-zA-Z].*)\"`)?$", row.kind):
+            unit, example = found.groups()
+            assert example in (None, unit)
+            assert all(text in ("0", f"{text.split()[0]} {unit}") for text in row.allowed.split(" to ")), row
+    expected = {
+        "field.dec": ("deg", "-90 deg to 90 deg"),
+        "instrument.beam_fwhm": ("arcsec", "0.001 arcsec to 108000 arcsec"),
+        "instrument.frequency": ("GHz", "1 GHz to 10000 GHz"),
+        "atmosphere.outer_scale": ("m", "0.001 m to 1e+08 m"),
+    }
+    for key, (unit, allowed) in expected.items():
+        assert rows[key].kind.startswith(f"quantity in `{unit}`") and rows[key].allowed == allowed
 
 
 def test_rows_hold_one_line_each():

@@ -142,6 +142,10 @@ def test_sources_and_provenance(page, summary):
 def test_error_against_run_time(page, summary):
     rows = [[cell.text for cell in row] for row in rows_of(page, "answer-table")]
     (own,) = [row for row in rows if row[0].endswith("this run")]
+    assert page.one("section", id="answer-table").one("thead").all("th")[1].text == "simulation time"
+    run = summary["run"]
+    assert own[1] == duration(sum(run["stage_s"].values()) / run["workers"])
+    assert re.search(f"wall time of the run ?{re.escape(duration(run['wall_s']))}", page.text)
     assert own[2:] == ["4", "4", "2"] and len(rows) == 1 + len(summary["time_to_precision"])
     budget = {row[0].text: row for row in rows_of(page, "budget-table")}
     assert set(budget) == set(summary["error_budget"])
