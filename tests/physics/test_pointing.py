@@ -335,7 +335,9 @@ from surveysim.telescope.pointing import FieldCentre, Site, horizontal, schedule
 warnings.simplefilter("error")
 field, site = FieldCentre(2.309, 0.7826), Site(0.34597, -2.71357, 4070.0)
 for first, mjd in (("2003-11-20", 52963.0), ("2030-01-01", 62502.0), ("2060-01-01", 73459.0)):
-    assert schedule(field, site, first, 40, 500, 1.0, 0.6, 440.0).start_mjd.size == 500
+    limits = {"max_hour_angle_rad": 1.0, "min_elevation_rad": 0.6, "duration_s": 440.0}
+    plan = schedule(field, site, first, nights=40, n_observations=500, **limits)
+    assert plan.start_mjd.size == 500
     assert np.isfinite(horizontal(field, site, mjd + np.linspace(0, 40, 1000))).all()
 """
 
