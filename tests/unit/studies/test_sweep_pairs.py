@@ -184,8 +184,9 @@ def test_controlled_scores_keep_what_their_modes_say(levels):
 
 
 def test_the_terminal_names_points_by_their_axes(write, tmp_path, capsys):
-    both = '\n[sweep.noise]\n"detector.psd" = ["2.5 mK2 / Hz", "10 mK2 / Hz"]\n"map.pixel" = ["24 arcsec", "30 arcsec"]\n'
-    print_sweep(run_sweep(write(WHITE + both), tmp_path, engine=SERIAL), tmp_path)
+    keys = ('"detector.psd" = ["2.5 mK2 / Hz", "10 mK2 / Hz"]', '"map.pixel" = ["24 arcsec", "30 arcsec"]')
+    path = write("\n".join([WHITE, "[sweep.noise]", *keys, ""]))
+    print_sweep(run_sweep(path, tmp_path, engine=SERIAL), tmp_path)
     screen = capsys.readouterr().out
     heading, *_ = (line for line in screen.splitlines() if "sigma(A) [" in line)
     assert heading.split("┃")[1].strip() == "noise" and "10 mK2 / Hz │" in screen
