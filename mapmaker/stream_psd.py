@@ -29,7 +29,7 @@ def hann_power(data_mk: np.ndarray, n_scans: int, kept: np.ndarray) -> np.ndarra
 
 
 def hann_scale(n: int, sample_rate_hz: float, dtype: np.dtype) -> float:
-    """What makes one-sided PSDs of means of `hann_power` of scans of n samples."""
+    """Factor [1 / Hz] from the mean `hann_power` of scans of n samples to their one-sided PSD."""
     return 2 / (sample_rate_hz * float((_hann(n, dtype).astype(float) ** 2).sum()))
 
 

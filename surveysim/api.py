@@ -135,8 +135,12 @@ def run(
 
     def result_of(checkpoint: Path | None, streams: Path | None) -> SurveyResult:
         stops = stopping_rule(setup, limits, start)
-        coadds = run_observations(setup, checkpoint, engine, resume, streams, progress, stops)
-        return survey_result(setup, coadds, perf_counter() - start, workers, limits, engine.kind)
+        coadds = run_observations(
+            setup, checkpoint, engine, resume=resume, timestream_dir=streams, progress=progress, stops=stops
+        )
+        return survey_result(
+            setup, coadds, wall_s=perf_counter() - start, workers=workers, limits=limits, engine=engine.kind
+        )
 
     if out is None:
         return result_of(None, None)

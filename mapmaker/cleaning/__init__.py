@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -28,12 +29,11 @@ if TYPE_CHECKING:
     from mapmaker.timestreams import FocalPlane
 
 __all__ = [
-    "CLEANERS",
-    "N_TEMPLATES",
-    "OPTIONS",
+    "ALGORITHMS",
     "TEMPLATE_CLEANINGS",
     "Cleaned",
     "Cleaner",
+    "CleaningAlgorithm",
     "LocalOptions",
     "PcaOptions",
     "PolynomialOptions",
@@ -61,53 +61,54 @@ class Cleaner(Protocol):
         ...
 
 
-CLEANERS: dict[str, Cleaner] = {
-    "none": subtract_mean,
-    "average": subtract_average,
-    "planar": subtract_planar,
-    "quadratic": subtract_quadratic,
-    "polynomial": subtract_polynomial,
-    "wind": subtract_wind,
-    "pca": subtract_pca,
-    "local": subtract_local,
-    "spectral": subtract_spectral,
+@dataclass(frozen=True)
+class CleaningAlgorithm:
+    """Cleaning algorithm: its function, its options, the detectors that it needs, its use of responsivities.
+
+    Parameters
+    ----------
+    subtract
+        Function that cleans one observation.
+    options
+        Class of its record of options; `object` accepts anything.
+    needs
+        Least number of detectors, as a function of the options.
+    takes_responsivities
+        Whether it subtracts templates times responsivities, with the source of the responsivities in its options.
+    """
+
+    subtract: Cleaner
+    options: type
+    needs: Callable[[Any], int]
+    takes_responsivities: bool = False
+
+
+def _more_than(n_template: int) -> Callable[[Any], int]:
+    return lambda options: n_template + 1
+
+
+def _polynomial_needs(options: PolynomialOptions) -> int:
+    return options.regions * (len(exponents(options.order)) + 1)
+
+
+ALGORITHMS: dict[str, CleaningAlgorithm] = {
+    "none": CleaningAlgorithm(subtract_mean, object, _more_than(0)),
+    "average": CleaningAlgorithm(subtract_average, TemplateOptions, _more_than(len(AVERAGE)), True),
+    "planar": CleaningAlgorithm(subtract_planar, TemplateOptions, _more_than(len(PLANAR)), True),
+    "quadratic": CleaningAlgorithm(subtract_quadratic, TemplateOptions, _more_than(len(QUADRATIC)), True),
+    "polynomial": CleaningAlgorithm(subtract_polynomial, PolynomialOptions, _polynomial_needs, True),
+    "wind": CleaningAlgorithm(subtract_wind, WindOptions, _more_than(len(AVERAGE)), True),
+    "pca": CleaningAlgorithm(subtract_pca, PcaOptions, lambda options: min_eigenvalues(options.sigma_cut)),
+    "local": CleaningAlgorithm(subtract_local, LocalOptions, _more_than(1)),
+    "spectral": CleaningAlgorithm(subtract_spectral, SpectralOptions, _more_than(0)),
 }
-# Record of each algorithm's options; "none" has none and accepts anything.
-OPTIONS: dict[str, type] = {
-    "none": object,
-    "average": TemplateOptions,
-    "planar": TemplateOptions,
-    "quadratic": TemplateOptions,
-    "polynomial": PolynomialOptions,
-    "wind": WindOptions,
-    "pca": PcaOptions,
-    "local": LocalOptions,
-    "spectral": SpectralOptions,
-}
-# Algorithms that subtract templates times responsivities, with the source of the responsivities in their options.
-TEMPLATE_CLEANINGS = ("average", "planar", "quadratic", "polynomial", "wind")
-# Least number of templates of each algorithm; it needs more detectors than that.
-N_TEMPLATES = {
-    "none": 0,
-    "average": len(AVERAGE),
-    "planar": len(PLANAR),
-    "quadratic": len(QUADRATIC),
-    "polynomial": 1,
-    "wind": len(AVERAGE),
-    "pca": 1,
-    "local": 1,
-    "spectral": 0,
-}
+TEMPLATE_CLEANINGS = tuple(name for name, item in ALGORITHMS.items() if item.takes_responsivities)
 
 
 def detectors_needed(name: str, options: Any) -> int:
     """Number of detectors that an algorithm needs with these options; errors as for `clean`."""
     _check(name, options)
-    if name == "pca":
-        return min_eigenvalues(options.sigma_cut)
-    if name == "polynomial":
-        return options.regions * (len(exponents(options.order)) + 1)
-    return N_TEMPLATES[name] + 1
+    return ALGORITHMS[name].needs(options)
 
 
 def clean(name: str, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane, *, options: Any) -> Cleaned:
@@ -121,14 +122,14 @@ def clean(name: str, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: 
     Parameters
     ----------
     name
-        A key of `CLEANERS`.
+        A key of `ALGORITHMS`.
     data_mk : (n_det, n_samp)
         float32; other real types become float64.
     scan_bounds : (n_scan, 2)
         Scans [start, stop), which do not overlap.
     focal_plane
     options
-        The algorithm's record in `OPTIONS`.
+        The algorithm's record of options.
 
     Returns
     -------
@@ -141,7 +142,7 @@ def clean(name: str, data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: 
         that do not support the templates.
     """
     _check(name, options)
-    return CLEANERS[name](data_mk, scan_bounds, focal_plane, options)
+    return ALGORITHMS[name].subtract(data_mk, scan_bounds, focal_plane, options)
 
 
 def clean_in_order(
@@ -185,7 +186,8 @@ def clean_in_order(
 
 
 def _check(name: str, options: Any) -> None:
-    if not isinstance(name, str) or name not in CLEANERS:
-        raise ValueError(f"unknown cleaning {name!r}, allowed: {', '.join(CLEANERS)}")
-    if not isinstance(options, OPTIONS[name]):
-        raise ValueError(f"options of {name!r} must be {OPTIONS[name].__name__}, got {type(options).__name__}")
+    if not isinstance(name, str) or name not in ALGORITHMS:
+        raise ValueError(f"unknown cleaning {name!r}, allowed: {', '.join(ALGORITHMS)}")
+    expected = ALGORITHMS[name].options
+    if not isinstance(options, expected):
+        raise ValueError(f"options of {name!r} must be {expected.__name__}, got {type(options).__name__}")

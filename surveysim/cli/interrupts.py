@@ -1,4 +1,4 @@
-"""How a command ends early: requests to stop, workers that are gone, outputs that can't be written."""
+"""Early ends of a command: requests to stop, lost workers, outputs that can't be written."""
 
 import signal
 from collections.abc import Callable, Iterator

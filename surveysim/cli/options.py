@@ -88,7 +88,7 @@ def numbers(option: str, given: list[int] | None, there: tuple[int, ...], everyt
 
 
 def engine(kind: str, workers: int | None, scheduler: str | None) -> "Engine":
-    """What runs observations: by its kind, number of workers and scheduler."""
+    """Make the engine that runs observations, by its kind, number of workers and scheduler."""
     from surveysim.runtime.addresses import address_of
     from surveysim.runtime.engine import Engine, EngineError
 
@@ -102,7 +102,7 @@ def engine(kind: str, workers: int | None, scheduler: str | None) -> "Engine":
 
 
 def run_limits(target_error: str | None, time_budget: str | None) -> "StoppingCriteria":
-    """What ends a run early."""
+    """Read the criteria that stop a run early."""
     from surveysim.results.stopping import parsed_limits
 
     try:

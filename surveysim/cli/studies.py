@@ -70,7 +70,15 @@ def accuracy(
         progress_display(checked.name, equal_work(most), quiet, "runs") as show,
     ):
         progress = stopping(lambda done, total: show(done, lambda: ""))
-        result = measure_accuracy(scene, given, with_engine, reference_error, seeds, observations, progress)
+        result = measure_accuracy(
+            scene,
+            given,
+            with_engine,
+            reference_error=reference_error,
+            seeds=seeds,
+            observations=observations,
+            progress=progress,
+        )
         with replacing(place) as new:
             write_accuracy(new, result, not no_figures)
     if not quiet:
@@ -123,7 +131,8 @@ def paper(
     The paper's values stand beside the simulated ones.
     """
     from surveysim.cli.progress import equal_work, progress_display
-    from surveysim.paper.reproduce import FIGURES, TABLES, reproduce, wanted
+    from surveysim.paper.reproduce import reproduce
+    from surveysim.paper.scenes import FIGURES, TABLES, wanted
     from surveysim.runtime.engine import EngineError
 
     with_engine = options.engine(engine, workers, scheduler)

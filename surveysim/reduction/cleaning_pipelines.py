@@ -111,6 +111,7 @@ def apply_pipeline(
     section: Cleaning,
     pipeline: CleaningPipeline,
     data_mk: np.ndarray,
+    *,
     scan_bounds: np.ndarray,
     focal_plane: FocalPlane,
     auxiliary: AuxiliaryData,

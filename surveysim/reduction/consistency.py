@@ -105,7 +105,16 @@ def check_motion(scene: Scene, cam: Camera, site: Site, starts: Schedule, mid_ti
         some = np.arange(first, min(first + step, len(starts.start_mjd)))
         elevation, parallactic = near_angles(site, starts.some(some), mid_time_s)
         lowest = min(lowest, float(elevation.min()))
-        _check_some_motion(scene, cam, site, starts, mid_time_s, some, elevation, parallactic)
+        _check_some_motion(
+            scene,
+            cam,
+            site,
+            starts,
+            mid_time_s=mid_time_s,
+            which=some,
+            elevation_rad=elevation,
+            parallactic_rad=parallactic,
+        )
     return lowest
 
 
@@ -114,6 +123,7 @@ def _check_some_motion(
     cam: Camera,
     site: Site,
     starts: Schedule,
+    *,
     mid_time_s: np.ndarray,
     which: np.ndarray,
     elevation_rad: np.ndarray,

@@ -148,7 +148,7 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
     sums = _empty_sums(setup, with_window)
     with nullcontext(_let_go) if path is None else timestream_file(path, len(pointing.time_s)) as save:
         for block in setup.observing.blocks:
-            _add_block(sums, setup, observation, pointing, block, save, watch)
+            _add_part(sums, _reduce(setup, observation, pointing, block, watch), save, watch)
     kept = np.concatenate(sums.kept, axis=1)
     psd = sums.power / max(1, kept[0].sum()) * _psd_scale(setup)
     white = np.full(1, np.nan)
@@ -210,23 +210,16 @@ def _empty_sums(setup: Setup, with_window: bool) -> _Sums:
     return _Sums(maps, _empty_window(setup, setup.analysis.n_signal_skies) if with_window else None, power)
 
 
-def _add_block(
-    sums: _Sums,
-    setup: Setup,
-    observation: int,
-    pointing: Pointing,
-    block: Block,
-    save: Callable[[Timestreams], None],
-    watch: Stopwatch,
-) -> None:
-    """Draw one block and add it to the sums; its streams are freed on return."""
-    part = _reduce(setup, observation, pointing, block, watch)
+def _add_part(sums: _Sums, part: _Part, save: Callable[[Timestreams], None], watch: Stopwatch) -> None:
+    """Add a reduced block to the sums; its streams are freed on return unless the caller keeps them."""
+    setup = part.setup
     save(part.streams)
     with watch("spectra"):
         _add_spectra(sums, part)
     for pipeline, item in zip(setup.analysis.pipelines, part.cleaned, strict=True):
         with watch("binning"):
-            _bin(part, item.data_mk, pipeline, item.kept, *sums.maps[pipeline.data_set])
+            index, bounds = part.index[pipeline.rows], part.streams.scan_bounds
+            bin_samples(item.data_mk, index, bounds, item.kept, *sums.maps[pipeline.data_set])
     for name in ("kept", "iterations", "removed"):
         getattr(sums, name).append(np.array([getattr(item, name) for item in part.cleaned]))
     if sums.window is not None:
@@ -248,7 +241,9 @@ def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch
     cleaned, everyone = [], np.ones(block.n_scans, bool)
     for pipeline in setup.analysis.pipelines:
         with watch("cleaning" if pipeline.steps == setup.scene.cleaning.algorithm else f"cleaning {pipeline.label}"):
-            cleaned.append(_clean(setup, pipeline, streams, streams.data_mk[pipeline.rows], auxiliary, everyone))
+            cleaned.append(
+                _clean(setup, pipeline, streams, streams.data_mk[pipeline.rows], auxiliary=auxiliary, scans=everyone)
+            )
     return _Part(setup, observation, block, pointing, streams, index, auxiliary, tuple(cleaned))
 
 
@@ -265,13 +260,22 @@ def _clean(
     pipeline: CleaningPipeline,
     streams: Timestreams,
     data_mk: np.ndarray,
+    *,
     auxiliary: AuxiliaryData,
     scans: np.ndarray,
 ) -> Cleaned:
     """Clean some scans (n_scan,) bool of the streams of a pipeline's detectors."""
     plane, rate = streams.focal_plane.subset(pipeline.rows), setup.observing.raster.sample_rate_hz
     auxiliary = replace(auxiliary, delays_s_rad=auxiliary.delays_s_rad[scans])
-    return apply_pipeline(setup.scene.cleaning, pipeline, data_mk, streams.scan_bounds[scans], plane, auxiliary, rate)
+    return apply_pipeline(
+        setup.scene.cleaning,
+        pipeline,
+        data_mk,
+        scan_bounds=streams.scan_bounds[scans],
+        focal_plane=plane,
+        auxiliary=auxiliary,
+        sample_rate_hz=rate,
+    )
 
 
 def _add_spectra(sums: _Sums, part: _Part) -> None:
@@ -303,13 +307,6 @@ def _some(kept: np.ndarray) -> np.ndarray:
     return kept if kept.any() else np.ones_like(kept)
 
 
-def _bin(
-    part: _Part, data_mk: np.ndarray, pipeline: CleaningPipeline, kept: np.ndarray, total: np.ndarray, hits: np.ndarray
-) -> None:
-    """Add the kept scans of a pipeline's detectors to the sums and hits of a map, in place."""
-    bin_samples(data_mk, part.index[pipeline.rows], part.streams.scan_bounds, kept, total, hits)
-
-
 def _plane(setup: Setup, total: np.ndarray, hits: np.ndarray) -> Map:
     shape = (setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
     kind = np.int32 if hits.max() < 2**31 else np.int64
@@ -329,7 +326,9 @@ def _add_window(window: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
         for pipeline, base in zip(setup.analysis.pipelines, part.cleaned, strict=True):
             rows, place = pipeline.rows, setup.analysis.windows.index(pipeline.data_set)
             scans = _cleaned_again(setup, pipeline, base.kept)
-            both = _clean(setup, pipeline, streams, streams.data_mk[rows] + signal[rows], part.auxiliary, scans)
+            both = _clean(
+                setup, pipeline, streams, streams.data_mk[rows] + signal[rows], auxiliary=part.auxiliary, scans=scans
+            )
             kept = base.kept.copy()
             kept[scans] &= both.kept
             if scans is not base.kept and not np.array_equal(kept, base.kept):
@@ -337,7 +336,7 @@ def _add_window(window: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
             difference = both.data_mk
             difference -= base.data_mk
             for state, data in enumerate((signal[rows], difference)):
-                _bin(part, data, pipeline, kept, window[s, place, state], hits)
+                bin_samples(data, part.index[rows], streams.scan_bounds, kept, window[s, place, state], hits)
 
 
 def _cleaned_again(setup: Setup, pipeline: CleaningPipeline, kept: np.ndarray) -> np.ndarray:

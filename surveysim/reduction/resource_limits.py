@@ -23,7 +23,13 @@ MOST_DRAWN = 1000  # observations whose weather is drawn to be checked
 
 
 def check_layer(
-    scene: Scene, strips: "SlantStrips | None", water: Water | None, radius_rad: float, lines: Raster, lowest_rad: float
+    scene: Scene,
+    strips: "SlantStrips | None",
+    water: Water | None,
+    *,
+    radius_rad: float,
+    lines: Raster,
+    lowest_rad: float,
 ) -> int:
     """Raise SceneError where a run would meet weather, or a strip of the layer, that it can't draw.
 

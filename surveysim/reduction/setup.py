@@ -110,7 +110,7 @@ def _prepare(scene: Scene) -> Setup:
     )
     if setup.camera.n_det > MOST_DENSE:
         _check_torus(setup.camera)
-    elements = check_layer(scene, air.strips, water, cam.radius_rad, lines, lowest)
+    elements = check_layer(scene, air.strips, water, radius_rad=cam.radius_rad, lines=lines, lowest_rad=lowest)
     check_memory(needed_memory(scene, _sizes(setup, elements)))
     return setup
 

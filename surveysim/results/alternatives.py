@@ -23,7 +23,11 @@ def alternatives(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) 
     if setup.analysis.region.sectors is not None:
         sigma = {name: sector_sigma(setup, coadds, item) for name, item in scores.items()}
         ell_min = setup.scene.score.ell_min
-        rows.append(_alternative_row(setup, scores, "own, 2-D", scores["actual"].band, ell_min, sigma))
+        rows.append(
+            _alternative_row(
+                setup, scores, weights="own, 2-D", band=scores["actual"].band, ell_min=ell_min, sigma_ukcmb2=sigma
+            )
+        )
     return rows
 
 
@@ -48,12 +52,13 @@ def _alternative(setup: Setup, scores: dict[str, DataSetScore], weights: str, el
             sigma[name] = flat_band_power_fixed_weights(
                 item.quoted_psd, item.signal_psd, modes, used, weighting_noise_psd_ukcmb2=reference.quoted_psd
             )
-    return _alternative_row(setup, scores, weights, band, ell_min, sigma)
+    return _alternative_row(setup, scores, weights=weights, band=band, ell_min=ell_min, sigma_ukcmb2=sigma)
 
 
 def _alternative_row(
     setup: Setup,
     scores: dict[str, DataSetScore],
+    *,
     weights: str,
     band: BandPower,
     ell_min: int,

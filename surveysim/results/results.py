@@ -187,6 +187,7 @@ class SurveyResult:
 def survey_result(
     setup: Setup,
     coadds: CoAdds,
+    *,
     wall_s: float,
     workers: int,
     limits: StoppingCriteria = UNLIMITED,

@@ -174,20 +174,20 @@ def _file(value: object) -> object:
 
 
 def _steps(value: object) -> object:
-    from mapmaker.cleaning import CLEANERS
+    from mapmaker.cleaning import ALGORITHMS
 
     steps = value if isinstance(value, list | tuple) else [value]
     for name in steps or [value]:
-        if not isinstance(name, str) or name not in CLEANERS:
-            raise ValueError(f"found {shown(name)}; one of {', '.join(map(repr, CLEANERS))} is expected")
+        if not isinstance(name, str) or name not in ALGORITHMS:
+            raise ValueError(f"found {shown(name)}; one of {', '.join(map(repr, ALGORITHMS))} is expected")
     return tuple(steps)
 
 
 def _steps_of_file(schema: dict[str, object]) -> None:
     """List the cleaning algorithms in the schema; a single one needs no list."""
-    from mapmaker.cleaning import CLEANERS
+    from mapmaker.cleaning import ALGORITHMS
 
-    schema |= {"type": ["string", "array"], "items": {"enum": list(CLEANERS)}}
+    schema |= {"type": ["string", "array"], "items": {"enum": list(ALGORITHMS)}}
 
 
 def _site(value: object) -> object:

@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from time import process_time
 from typing import Any
 
@@ -111,7 +112,7 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
 
 
 def _measure(setup: Setup) -> _Measured:
-    """What observations take here, once caches are warm and the longest strip of the layer is made."""
+    """Time observations with warm caches; the first one makes the longest strip of the layer."""
     carries = window_observations(setup.scene)
     plain = int(np.argmin(carries))
     first_s = _timed(observe, setup, _windiest(setup), False)[0] + _timed(observe, setup, plain, False)[0]
@@ -123,7 +124,7 @@ def _measure(setup: Setup) -> _Measured:
 
 
 def _measure_block(setup: Setup) -> _Measured:
-    """The same from one block, which holds as much as any, and from one more of a single scan, once caches are warm."""
+    """Time a block of the most scans and one of a single scan with warm caches; extrapolate to a whole observation."""
     carries = window_observations(setup.scene)
     most = max(block.n_scans for block in setup.observing.blocks)
     block, scan = (_of_one_block(setup, n) for n in (most, 1))
@@ -143,7 +144,7 @@ def _of_one_block(setup: Setup, n_scans: int) -> Setup:
 
 
 def _with_sums(setup: Setup, result: ObservationResult, first_s: float, plain_s: float, window_s: float) -> _Measured:
-    """What was measured of observations, with the time that it takes to add one to the sums and to score these."""
+    """Add to the times of observations those of co-adding one and of scoring the sums."""
     coadds = empty_coadds(setup)
     for number in range(min(2, setup.scene.observations)):  # once caches are warm, where there is a second
         adding_s, _ = _timed(add_observation, setup, coadds, replace(result, observation=number))
@@ -155,7 +156,7 @@ def _with_sums(setup: Setup, result: ObservationResult, first_s: float, plain_s:
 
 def _scoring(setup: Setup, coadds: CoAdds) -> float:
     """Seconds that it takes to score sums; of two equal observations it takes as long as of many."""
-    return _timed(survey_result, setup, coadds, 0.0, 1)[0] if setup.scene.score else 0.0
+    return _timed(partial(survey_result, wall_s=0.0, workers=1), setup, coadds)[0] if setup.scene.score else 0.0
 
 
 def _timed(work: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:

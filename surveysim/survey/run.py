@@ -38,6 +38,7 @@ def run_observations(
     setup: Setup,
     checkpoint: Path | None,
     engine: Engine = SERIAL,
+    *,
     resume: bool = False,
     timestream_dir: Path | None = None,
     progress: Callable[[CoAdds], None] = lambda coadds: None,

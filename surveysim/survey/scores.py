@@ -151,8 +151,10 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
         if names is None or name in names:
             psds = _noise_psds(setup, coadds, s, setup.analysis.region.rings)
             window = windows[setup.analysis.window_of(name)]
-            of_observations = weights[:, s], np.array(coadds.bin_noise)[:, s], kept[name]
-            scores[name] = _score(setup, item, psds, window, *of_observations)
+            bin_noise = np.array(coadds.bin_noise)[:, s]
+            scores[name] = _score(
+                setup, item, psds, window, weights=weights[:, s], bin_noise=bin_noise, kept=kept[name]
+            )
     return scores
 
 
@@ -200,8 +202,16 @@ def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
     """Score the same data set from another lowest multipole."""
     low, high = setup.analysis.region.rings.edges_ell[:-1], setup.analysis.region.rings.edges_ell[1:]
     selected = (low >= ell_min) & (high <= setup.scene.score.ell_max)
-    of_obs = item.weights, item.bin_noise, item.kept
-    plain = _score(setup, item, item.noise_psds, item.window, *of_obs, selected=selected)
+    plain = _score(
+        setup,
+        item,
+        item.noise_psds,
+        item.window,
+        weights=item.weights,
+        bin_noise=item.bin_noise,
+        kept=item.kept,
+        selected=selected,
+    )
     return plain if item.control is None else controlled_score(setup, plain, item.control)
 
 
@@ -286,10 +296,10 @@ def _score(
     item: DataSet | DataSetScore,
     psds: np.ndarray,
     window: TransferFunction,
+    *,
     weights: np.ndarray,
     bin_noise: np.ndarray,
     kept: np.ndarray | float,
-    *,
     selected: np.ndarray | None = None,
 ) -> DataSetScore:
     rings, signal = setup.analysis.region.rings, setup.analysis.region.signal_psd * window.transmission

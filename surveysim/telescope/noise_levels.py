@@ -74,8 +74,8 @@ def load_noise(scene: Scene, sky_k: float, transmission: float) -> PhotonNoise:
         band.frequency_hz,
         band.bandwidth,
         total_efficiency(band),
-        band.polarizations,
-        transmission,
+        polarizations=band.polarizations,
+        transmission=transmission,
     )
 
 

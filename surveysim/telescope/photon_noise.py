@@ -70,6 +70,7 @@ def photon_noise(
     frequency_hz: float,
     bandwidth: float,
     efficiency: float,
+    *,
     polarizations: int,
     transmission: float = 1.0,
 ) -> PhotonNoise:
@@ -78,7 +79,7 @@ def photon_noise(
     `efficiency` is from window to detector, `transmission` that of the atmosphere, which dims the sky but is no
     part of the load. Raises ValueError for values out of range.
     """
-    _check(load_k, frequency_hz, bandwidth, efficiency, polarizations, transmission)
+    _check(load_k, frequency_hz, bandwidth, efficiency, polarizations=polarizations, transmission=transmission)
     bandwidth_hz = bandwidth * frequency_hz
     load_w = power_w(load_k, bandwidth_hz, efficiency, polarizations)
     shot, bose = shot_nep2(load_w, frequency_hz), bose_nep2(load_w, bandwidth_hz, polarizations)
@@ -87,7 +88,7 @@ def photon_noise(
 
 
 def _check(
-    load_k: float, frequency_hz: float, bandwidth: float, efficiency: float, polarizations: int, transmission: float
+    load_k: float, frequency_hz: float, bandwidth: float, efficiency: float, *, polarizations: int, transmission: float
 ) -> None:
     if polarizations not in (1, 2):
         raise OutOfRangeError(f"polarizations = {polarizations} found; 1 or 2 is allowed")

@@ -208,6 +208,7 @@ def schedule(
     field: FieldCentre,
     site: Site,
     first_night: str,
+    *,
     nights: int,
     n_observations: int,
     max_hour_angle_rad: float,

@@ -20,13 +20,14 @@ if TYPE_CHECKING:
 
 def add_atmosphere(data_mk: np.ndarray, of: ObservedBlock) -> None:
     """Add the layer of a block to streams (n_det, n_samp), in place."""
-    add_layer(of.setup, of.observation, of.whole, of.weather, data_mk, block=of.block)
+    add_layer(of.setup, of.observation, of.whole, weather=of.weather, data=data_mk, block=of.block)
 
 
 def add_layer(
     setup: Simulation,
     observation: int,
     pointing: Pointing,
+    *,
     weather: Weather,
     data: np.ndarray,
     realization: int = 0,
@@ -49,7 +50,7 @@ def add_layer(
     sine = np.sin(pointing.elevation_rad)
     strips = setup.air.strips.at(float(sine.min()))
     motion = offsets, velocity, layer_velocity = _layer_motion(setup, pointing, weather)
-    trends = _trends(setup, observation, pointing, motion, strips, realization)
+    trends = _trends(setup, observation, pointing, motion=motion, strips=strips, realization=realization)
     rng = generator(
         setup.scene.seed, RandomPurpose.ATMOSPHERE, observation, realization=realization, block=block.number
     )
@@ -81,6 +82,7 @@ def _trends(
     setup: Simulation,
     observation: int,
     pointing: Pointing,
+    *,
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
     strips: "StripCache",
     realization: int,

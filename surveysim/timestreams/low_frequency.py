@@ -19,11 +19,11 @@ def add_low_frequency_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
     add_excess(
         data_mk,
         section,
-        variance,
-        of.block.n_scans,
-        setup.observing.raster.sample_rate_hz,
-        setup.camera.excess_factor,
-        rng,
+        variance_mk2=variance,
+        n_scans=of.block.n_scans,
+        sample_rate_hz=setup.observing.raster.sample_rate_hz,
+        factor=setup.camera.excess_factor,
+        rng=rng,
     )
 
 
@@ -66,6 +66,7 @@ def excess_psd(section: Excess, variance_mk2: float, n_samp: int, n: int, sample
 def add_excess(
     data_mk: np.ndarray,
     section: Excess,
+    *,
     variance_mk2: float,
     n_scans: int,
     sample_rate_hz: float,
@@ -91,7 +92,9 @@ def add_excess(
     psd = excess_psd(section, variance_mk2, per_scan, n, sample_rate_hz)
     if isinstance(factor, CirculantFactor):
         for first in range(0, n_samp, per_scan):
-            _add_lattice_scan(data_mk[:, first : first + per_scan], psd, n, sample_rate_hz, factor, rng)
+            _add_lattice_scan(
+                data_mk[:, first : first + per_scan], psd, n, sample_rate_hz=sample_rate_hz, root=factor, rng=rng
+            )
         return
     streams = np.empty((n_det, n_scans, per_scan), np.float32)
     for rows in row_chunks(n_det, 2 * n_samp):
@@ -104,6 +107,7 @@ def _add_lattice_scan(
     data_mk: np.ndarray,
     psd_mk2_hz: np.ndarray,
     n: int,
+    *,
     sample_rate_hz: float,
     root: CirculantFactor,
     rng: np.random.Generator,

@@ -48,7 +48,7 @@ def draw_observation(setup: Simulation, observation: int) -> Timestreams:
     data = np.empty((setup.camera.n_det, len(pointing.time_s)), setup.stream_type)
     for block in setup.observing.blocks:
         data[:, setup.observing.samples(block)] = draw_block(setup, observation, pointing, block, watch).data_mk
-    return _timestreams(setup, observation, pointing, pointing, 0, data)
+    return _timestreams(setup, observation, pointing, pointing=pointing, first=0, data=data)
 
 
 def draw_block(setup: Simulation, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> Timestreams:
@@ -68,7 +68,7 @@ def draw_block(setup: Simulation, observation: int, whole: Pointing, block: Bloc
     with watch("response"):
         apply_response(setup, data)
     _add([item for item in components if not item.through_response], data, of, watch)
-    return _timestreams(setup, observation, whole, of.pointing, block.first, data)
+    return _timestreams(setup, observation, whole, pointing=of.pointing, first=block.first, data=data)
 
 
 def _add(components: Sequence[StreamComponent], data: np.ndarray, of: ObservedBlock, watch: Stopwatch) -> None:
@@ -97,7 +97,7 @@ def draw_other_bands(setup: Simulation, observation: int, whole: Pointing, block
     streams = np.zeros((len(bands), setup.camera.n_det, n_samp), setup.stream_type)
     of = observed_block(setup, observation, block, whole)
     layer = np.zeros(streams.shape[1:], streams.dtype)
-    add_layer(setup, observation, whole, of.weather, layer, block=block)
+    add_layer(setup, observation, whole, weather=of.weather, data=layer, block=block)
     mapped = setup.air.water.response(of.weather.pwv_mm)
     for number, (band, data) in enumerate(zip(bands, streams, strict=True)):
         data[:] = layer
@@ -109,7 +109,7 @@ def draw_other_bands(setup: Simulation, observation: int, whole: Pointing, block
 
 
 def _timestreams(
-    setup: Simulation, observation: int, whole: Pointing, pointing: Pointing, first: int, data: np.ndarray
+    setup: Simulation, observation: int, whole: Pointing, *, pointing: Pointing, first: int, data: np.ndarray
 ) -> Timestreams:
     """Attach pointing and true parameters to streams that begin with the scan `first` of an observation."""
     weather = observation_weather(setup, observation)

@@ -189,10 +189,18 @@ def observing_schedule(scene: Scene, lines: Raster, directions: Directions = hou
     plan = scene.schedule
     if plan is None:
         return None
-    limits = plan.max_hour_angle_rad, plan.min_elevation_rad
-    numbers = plan.first_night, plan.nights, scene.observations
     try:
-        return schedule(field_centre(scene), observing_site(scene), *numbers, *limits, duration_s(lines), directions)
+        return schedule(
+            field_centre(scene),
+            observing_site(scene),
+            plan.first_night,
+            nights=plan.nights,
+            n_observations=scene.observations,
+            max_hour_angle_rad=plan.max_hour_angle_rad,
+            min_elevation_rad=plan.min_elevation_rad,
+            duration_s=duration_s(lines),
+            directions=directions,
+        )
     except OutOfRangeError as error:
         raise SceneError(f"schedule: {error}") from None
 

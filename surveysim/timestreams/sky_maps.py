@@ -45,6 +45,7 @@ def curved_cmb_sky(
     geometry: MapGeometry,
     band_power_ukcmb2: float,
     cmb_per_rj: float,
+    *,
     fwhm_rad: float,
     lmax: int,
     rng: np.random.Generator,
@@ -125,11 +126,11 @@ def draw_sky(
     section: Sky, geometry: MapGeometry, cmb_per_rj: float, fwhm_rad: float, rng: np.random.Generator
 ) -> np.ndarray:
     """Draw the beam-convolved sky of a scene, (n_y, n_x) float32 [mK RJ], sharpened for look-up by streams."""
-    arguments = (geometry, section.cmb_band_power_ukcmb2, cmb_per_rj, fwhm_rad)
-    if section.curved_lmax is None:
-        cmb = flat_cmb_sky(*arguments, rng)
+    power, lmax = section.cmb_band_power_ukcmb2, section.curved_lmax
+    if lmax is None:
+        cmb = flat_cmb_sky(geometry, power, cmb_per_rj, fwhm_rad, rng)
     else:
-        cmb = curved_cmb_sky(*arguments, section.curved_lmax, rng)
+        cmb = curved_cmb_sky(geometry, power, cmb_per_rj, fwhm_rad=fwhm_rad, lmax=lmax, rng=rng)
     return sharpened(add_point_sources(cmb, geometry, section.point_sources, fwhm_rad))
 
 

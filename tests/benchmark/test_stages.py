@@ -87,8 +87,9 @@ def test_cleaning(per_sample, lynx, algorithm):
     pipeline = CleaningPipeline("actual", (algorithm,))
     delays = measured_delays((CleaningPipeline("actual", ("wind",)),), streams, rate)
     auxiliary = AuxiliaryData(delays, np.zeros((0, *streams.data_mk.shape), np.float32))
-    arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane, auxiliary, rate)
-    per_sample(f"cleaning, {algorithm}", lambda: apply_pipeline(section, pipeline, *arguments))
+    options = {"scan_bounds": streams.scan_bounds, "focal_plane": streams.focal_plane}
+    options |= {"auxiliary": auxiliary, "sample_rate_hz": rate}
+    per_sample(f"cleaning, {algorithm}", lambda: apply_pipeline(section, pipeline, streams.data_mk, **options))
 
 
 def test_spectra(per_sample, lynx):

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from surveysim import load_scene, run, run_sweep
-from surveysim.paper.reproduce import reproduce, wanted
+from surveysim.paper.reproduce import reproduce
+from surveysim.paper.scenes import wanted
 from surveysim.runtime.engine import SERIAL
 from tests.scenes import SMALL_SCENE, without_sections
 from tests.unit.paper.test_reproduce import SCENE

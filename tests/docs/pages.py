@@ -3,10 +3,13 @@
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from markdown_it import MarkdownIt
 
@@ -106,7 +109,15 @@ def _name(section: str) -> str:
 def _run(block: Block, command: list[str], folder: Path, edited: bool, given: str | None = None) -> str:
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     environment = os.environ | {"PATH": path} | ({"PYTHONPATH": str(folder)} if edited else {})
-    done = subprocess.run(command, cwd=folder, env=environment, input=given, capture_output=True, text=True)
-    said = f"{done.stdout}\n{done.stderr}"
-    assert done.returncode == 0, f"{block.page}:{block.line} ends with {done.returncode}\n{block.text}\n{said}"
+    with TemporaryFile("w+") as text, TemporaryFile("w+") as out, TemporaryFile("w+") as errors:
+        text.write(given or "")
+        text.seek(0)
+        process = subprocess.Popen(
+            command, cwd=folder, env=environment, stdin=text, stdout=out, stderr=errors, start_new_session=True
+        )
+        code = process.wait()
+        with suppress(ProcessLookupError):  # a block that fails leaves its background jobs
+            os.killpg(process.pid, signal.SIGTERM)
+        said = "\n".join(file.read() for file in (out, errors) if file.seek(0) == 0)
+    assert code == 0, f"{block.page}:{block.line} ends with {code}\n{block.text}\n{said}"
     return said

@@ -7,10 +7,10 @@ from pathlib import Path
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
-from mapmaker.cleaning import CLEANERS
+from mapmaker.cleaning import ALGORITHMS
 from surveysim.scene.keys import all_keys
 
-_NAME = f"(?:{'|'.join(CLEANERS)})"
+_NAME = f"(?:{'|'.join(ALGORITHMS)})"
 _CLEANED = rf"actual|masked_\d+|{_NAME}(?:\+{_NAME})*"
 _DATA_SET = rf"(?:{_CLEANED}|uncorrelated|white|optimal|masked_\d+_scaled)"
 # What stands for one of several.

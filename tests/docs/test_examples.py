@@ -1,5 +1,7 @@
 """The guide's examples, run as they stand."""
 
+import os
+import time
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
 
@@ -48,6 +50,15 @@ def page(*parts):
 def test_what_fails_is_noticed(wrong, match, tmp_path):
     with pytest.raises(AssertionError, match=match):
         follow(page(*wrong), tmp_path)
+
+
+def test_a_block_that_fails_leaves_no_job_behind(tmp_path):
+    with pytest.raises(AssertionError, match="page.md:1 ends with 1"):
+        follow(page(("bash", "sleep 600 &\necho $! > job\nfalse\n")), tmp_path)
+    with pytest.raises(ProcessLookupError):
+        for _ in range(100):
+            os.kill(int((tmp_path / "job").read_text()), 0)
+            time.sleep(0.1)
 
 
 def test_sections_take_the_place_of_those_of_their_name():

@@ -12,7 +12,8 @@ import surveysim
 from surveysim.forecasting.forecast import forecast
 from surveysim.output.directory import RECORD
 from surveysim.output.writer import write_accuracy, write_extremes, write_forecast
-from surveysim.paper.reproduce import TABLES, reproduce, wanted
+from surveysim.paper.reproduce import reproduce
+from surveysim.paper.scenes import TABLES, wanted
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.convergence import measure_accuracy
 from surveysim.studies.stress import CASES, run_case

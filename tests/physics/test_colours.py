@@ -65,9 +65,12 @@ def test_a_scan_discarded_in_one_band_is_in_all():
     streams, bands = draw_observation(setup, 0), other_bands(setup, 0)
     bands[1, 2, 10] = np.nan  # in the first scan
     auxiliary = AuxiliaryData(np.zeros((4, 2)), bands)
-    arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane, auxiliary, 5.0)
+    layout = {"scan_bounds": streams.scan_bounds, "focal_plane": streams.focal_plane}
     for pipeline in (setup.analysis.pipelines[0], CleaningPipeline("actual", ("spectral",))):
-        assert apply_pipeline(scene.cleaning, pipeline, *arguments).kept.tolist() == [False, True, True, True]
+        cleaned = apply_pipeline(
+            scene.cleaning, pipeline, streams.data_mk, **layout, auxiliary=auxiliary, sample_rate_hz=5.0
+        )
+        assert cleaned.kept.tolist() == [False, True, True, True]
 
 
 @pytest.mark.parametrize(

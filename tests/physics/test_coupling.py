@@ -50,7 +50,7 @@ def patches(psd, n_sky, n, rng):
 
 def test_ratios_of_lynx(lynx):
     """Over the closed form at the bins' mean multipoles, of a sky of the modes of 8 patches a side."""
-    band, pixel = lynx.band, lynx.geometry.pixel_rad
+    band, pixel = lynx.analysis.region, lynx.analysis.geometry.pixel_rad
     n = 8 * len(band.taper)
     found = ring_mean(coupled_psd(flat_modes(n, pixel), (n, n), band.padded_taper, pixel), band.rings)
     ratio = found / closed_form(band.rings.ell, pixel)
@@ -126,10 +126,10 @@ def test_coupled_psd_refuses():
 
 def test_the_run_expects_what_its_skies_hold(lynx):
     """Band's signal PSD against window skies: read at every second cell, skies behind the map's pixels."""
-    band, n, n_sky = lynx.band, len(lynx.band.taper), 100
-    shape, cell = (lynx.sky_geometry.n_y, lynx.sky_geometry.n_x), lynx.sky_geometry.pixel_rad
+    band, n, n_sky = lynx.analysis.region, len(lynx.analysis.region.taper), 100
+    shape, cell = (lynx.sky.geometry.n_y, lynx.sky.geometry.n_x), lynx.sky.geometry.pixel_rad
     sky = flat_spectrum_psd(mode_ell(*shape, cell)) * beam_window(mode_ell(*shape, cell), FWHM)
-    sky *= mode_pixel_window(*shape, cell, lynx.geometry.pixel_rad)
+    sky *= mode_pixel_window(*shape, cell, lynx.analysis.geometry.pixel_rad)
     rng = np.random.default_rng(8)
     maps = (patches(sky, 1, shape[0], rng)[0, : 2 * n : 2, : 2 * n : 2] for _ in range(n_sky))
     psds = [1e6 * map_psd(band.pad(item), band.padded_taper, 2e-3, band.rings) for item in maps]
@@ -172,9 +172,9 @@ def test_what_cleaning_leaves_does_not_depend_on_the_skies_size(algorithm):
 def test_coupling_lowers_sigma_of_lynx(lynx):
     """By 1.5 % from ell = 4500, as from 221.1 to 217.8 uK^2; before by the closed form at the bins' mean multipoles."""
     found = forecast(lynx.scene).scores
-    rings, selected = lynx.band.rings, lynx.band.selected
+    rings, selected = lynx.analysis.region.rings, lynx.analysis.region.selected
     for name, before, after in (("actual", 221.1, 217.8), ("uncorrelated", 135.0, 132.9), ("white", 87.5, 86.1)):
-        closed = closed_form(rings.ell, lynx.geometry.pixel_rad) * found[name].transmission
+        closed = closed_form(rings.ell, lynx.analysis.geometry.pixel_rad) * found[name].transmission
         sigma = flat_band_power(found[name].noise_psd, closed, rings.n_modes, selected)
         assert found[name].band.sigma_ukcmb2 / sigma == pytest.approx(after / before, abs=1e-3)
 
@@ -206,17 +206,18 @@ def test_scans_take_the_modes_that_skies_lack(lynx, algorithm, allowed):
     They hold a good part of its power before scans take their means, and next to nothing afterwards: 1.6 % without
     cleaning, 0.01 % with average subtraction.
     """
-    cell, period = lynx.sky_geometry.pixel_rad, lynx.sky_geometry.n_x * lynx.sky_geometry.pixel_rad
-    side, rng, power = 4 * lynx.sky_geometry.n_x, np.random.default_rng(12), np.zeros((2, 2))
+    cell, period = lynx.sky.geometry.pixel_rad, lynx.sky.geometry.n_x * lynx.sky.geometry.pixel_rad
+    side, rng, power = 4 * lynx.sky.geometry.n_x, np.random.default_rng(12), np.zeros((2, 2))
     ell = mode_ell(side, side, cell)
     modes = fft.rfft2(rng.normal(size=(side, side)))
     modes *= np.sqrt(flat_spectrum_psd(ell) * beam_window(ell, FWHM))
-    place = np.argmin(np.abs(lynx.band.rings.ell - 1245))
+    place = np.argmin(np.abs(lynx.analysis.region.rings.ell - 1245))
     for part, chosen in enumerate((ell * period < 2 * np.pi, ell * period >= 2 * np.pi)):
         sky = fft.irfft2(modes * chosen, (side, side))
         for corner in np.ndindex(2, 2):
             maps = scanned_maps(lynx, np.roll(sky, np.multiply(corner, side // 2), (0, 1)), algorithm)
-            psd = map_psd(lynx.band.pad(maps), lynx.band.padded_taper, 1.0, lynx.band.rings)
+            region = lynx.analysis.region
+            psd = map_psd(region.pad(maps), region.padded_taper, 1.0, region.rings)
             power[:, part] += psd[:, place]
     before, after = power[:, 0] / power.sum(axis=1)
     assert before > 0.05
@@ -238,7 +239,7 @@ def test_the_forecast_interpolates_its_transmission(algorithm):
 
 def test_neighbouring_bins_correlate(lynx):
     """Of lynx by 0.32: against the scatter of 1000 white maps, pooled over bins, and within each pair of bins."""
-    band, n_map = lynx.band, 1000
+    band, n_map = lynx.analysis.region, 1000
     expected = neighbour_correlation(band.padded_taper, band.rings)
     assert expected.mean() == pytest.approx(0.32, abs=0.005)
     rng, n = np.random.default_rng(9), len(band.taper)
@@ -252,7 +253,7 @@ def test_neighbouring_bins_correlate(lynx):
     # Against bins that are wide beside the taper's resolution little is left.
     wide = annuli(
         *band.padded_taper.shape,
-        lynx.geometry.pixel_rad,
+        lynx.analysis.geometry.pixel_rad,
         edges_ell=np.array([2000.0, 7000, 12000]),
         taper=band.padded_taper,
     )
@@ -265,7 +266,7 @@ def test_amplitude_of_a_sky_is_its_own(lynx):
 
     3200 patches of skies four times as large, whose scatter is about 105.
     """
-    band, pixel = lynx.band, lynx.geometry.pixel_rad
+    band, pixel = lynx.analysis.region, lynx.analysis.geometry.pixel_rad
     n, rng = len(band.taper), np.random.default_rng(10)
     noise = forecast(lynx.scene).scores["actual"].noise_psd
     sky = 1000 * flat_modes(4 * n, pixel) / pixel**2

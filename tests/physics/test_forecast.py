@@ -159,7 +159,15 @@ def test_excess_in_a_mode_is_that_of_drawn_streams(algorithm):
     place = np.column_stack([scans.plane.x_rad, scans.plane.y_rad]) / F_LAMBDA
     correlation = correlation_matrix(place, "field")
     data = np.zeros((19, draws * SAMPLES), np.float32)
-    add_excess(data, EXCESS, 3.0, draws, RATE, correlation_factor(correlation), np.random.default_rng(5))
+    add_excess(
+        data,
+        EXCESS,
+        variance_mk2=3.0,
+        n_scans=draws,
+        sample_rate_hz=RATE,
+        factor=correlation_factor(correlation),
+        rng=np.random.default_rng(5),
+    )
     found = scans.power((data * scans.gain[:, None]).astype(float).reshape(19, draws, SAMPLES))
     psd = excess_psd(EXCESS, 3.0, SAMPLES, 2 * SAMPLES, RATE)[1:]
     step = RATE / (2 * SAMPLES)

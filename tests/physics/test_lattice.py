@@ -124,7 +124,9 @@ def test_excess_streams_have_spectrum_and_correlation():
     cells, positions = array(2, 0.7)
     root, n_scans, n = embed(cells, 0.7, "field", Illumination()).factor(), 200, 300
     data = np.zeros((len(cells), n_scans * n), np.float32)
-    add_excess(data, section, 3.0, n_scans, RATE, root, np.random.default_rng(5))
+    add_excess(
+        data, section, variance_mk2=3.0, n_scans=n_scans, sample_rate_hz=RATE, factor=root, rng=np.random.default_rng(5)
+    )
     psd = hann_psd(data, n_scans, np.ones(n_scans, bool), RATE).mean(axis=0)
     k = np.arange(5, 140)
     expected = excess_psd(section, 3.0, n, 2 * n, RATE)[2 * k] * (1 + 1 / (3 * k**2))

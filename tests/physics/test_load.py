@@ -53,7 +53,7 @@ def test_loads_of_the_paper_are_of_two_polarizations(frequency_hz, efficiency, l
 def test_shot_and_bose_are_about_equal_as_in_the_paper():
     """Section 1.1: "shot and Bose noise contribute in roughly equal amounts" at both frequencies."""
     for load_k, frequency_hz, efficiency in ((80, 143e9, 0.08), (60, 268e9, 0.19), (100, 268e9, 0.19)):
-        noise = photon_noise(load_k, frequency_hz, 0.15, efficiency, 2)
+        noise = photon_noise(load_k, frequency_hz, 0.15, efficiency, polarizations=2)
         assert 0.6 < noise.bose_psd_mk2_hz / noise.shot_psd_mk2_hz < 1.5
 
 
@@ -91,7 +91,7 @@ def test_planck_load_over_the_band(frequency_hz, bandwidth, load_k, polarization
     x = PLANCK_J_S * frequency_hz / (BOLTZMANN_J_K * load_k)
     # Rayleigh-Jeans temperature is lower by half of h nu / k, and by less when x is large.
     assert load_k - 0.5 * x * load_k < load_rj_k < load_k * (1 - 0.5 * x + x**2 / 12 * 1.05)
-    noise = photon_noise(load_rj_k, frequency_hz, bandwidth, 0.3, polarizations)
+    noise = photon_noise(load_rj_k, frequency_hz, bandwidth, 0.3, polarizations=polarizations)
     mk2_per_w2 = 1e6 / power_per_k(bandwidth * frequency_hz, 0.3, polarizations) ** 2
     slope = (x / -math.expm1(-x) - 1) * bandwidth
     fewer, more = slope * bandwidth / 12, slope**2 / 12
@@ -111,7 +111,7 @@ def test_published_example():
     a power scatter of 1.601e-17 W sqrt(s) from photon counting, both times 1/sqrt(2) of a spectrum's.
     """
     # Constants that are 0.4 % and 0.05 % low, each to the power at which it enters.
-    noise = photon_noise(1.770e-12 / power_per_k(37.5e9, 0.5, 1), 150e9, 0.25, 0.5, 1)
+    noise = photon_noise(1.770e-12 / power_per_k(37.5e9, 0.5, 1), 150e9, 0.25, 0.5, polarizations=1)
     assert noise.nep_w_rthz == pytest.approx(2.274e-17, rel=4e-3)
     assert math.sqrt(shot_nep2(1.770e-12, 150e9)) == pytest.approx(1.870e-17, rel=4e-3)
     assert noise.net_mk_rthz / math.sqrt(2) == pytest.approx(6.213e-2, rel=4e-3)
@@ -133,7 +133,7 @@ def test_scaling():
 
 def test_ideal_single_mode_is_dickes_radiometer():
     """Without shot noise NET^2 = 2 T^2 / dnu one-sided, so that a time t leaves T / sqrt(dnu t) (Dicke 1946)."""
-    noise = photon_noise(100.0, 1e9, 0.1, 1.0, 1)
+    noise = photon_noise(100.0, 1e9, 0.1, 1.0, polarizations=1)
     left_k = 1e-3 * math.sqrt(noise.bose_psd_mk2_hz / (2 * 60.0))
     assert left_k == pytest.approx(100.0 / math.sqrt(0.1e9 * 60.0), rel=1e-12)
     # h nu / k T = 4.8e-4 is the share of shot noise.

@@ -125,7 +125,9 @@ def test_noise_is_added_to_what_is_there(rng):
     adders = [
         lambda data, rng: add_white(data, 1.0, RATE, rng),
         lambda data, rng: add_correlated_white(data, 1.0, RATE, factor, rng),
-        lambda data, rng: add_excess(data, section, 1.0, 2, RATE, factor, rng),
+        lambda data, rng: add_excess(
+            data, section, variance_mk2=1.0, n_scans=2, sample_rate_hz=RATE, factor=factor, rng=rng
+        ),
     ]
     for add in adders:
         empty, full = np.zeros_like(start), start.copy()
@@ -207,7 +209,15 @@ N_SCANS, PER_SCAN = 60, 600
 
 def excess_streams(rng, index, factor):
     data = np.zeros((len(factor), N_SCANS * PER_SCAN), np.float32)
-    add_excess(data, excess(spectral_index=index), 4.52, N_SCANS, RATE, factor, rng)
+    add_excess(
+        data,
+        excess(spectral_index=index),
+        variance_mk2=4.52,
+        n_scans=N_SCANS,
+        sample_rate_hz=RATE,
+        factor=factor,
+        rng=rng,
+    )
     return data
 
 
@@ -240,7 +250,7 @@ def test_excess_of_a_scan_less_its_mean_has_the_variance_of_the_table(rng, index
     n_scans, n, n_det = 400, 150, 20
     data = np.zeros((n_det, n_scans * n), np.float32)
     section = excess(spectral_index=index)
-    add_excess(data, section, 4.52, n_scans, RATE, np.eye(n_det), rng)
+    add_excess(data, section, variance_mk2=4.52, n_scans=n_scans, sample_rate_hz=RATE, factor=np.eye(n_det), rng=rng)
     scans = data.reshape(n_det * n_scans, n).astype(float)
     variance = scans.var(axis=1)
     frequency = np.arange(151) * RATE / 300

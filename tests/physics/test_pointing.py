@@ -141,7 +141,16 @@ def test_sky_vector_maps_horizontal_offsets_to_the_sky(field):
     from astropy.time import Time
     from astropy.utils import iers
 
-    times = schedule(field, CSO, "2003-11-20", 3, 30, 4 * HOUR, 30 * DEG, 440.0).start_mjd
+    times = schedule(
+        field,
+        CSO,
+        "2003-11-20",
+        nights=3,
+        n_observations=30,
+        max_hour_angle_rad=4 * HOUR,
+        min_elevation_rad=30 * DEG,
+        duration_s=440.0,
+    ).start_mjd
     with iers.conf.set_temp("auto_download", False), iers.conf.set_temp("auto_max_age", None):
         place = EarthLocation.from_geodetic(CSO.longitude_rad * u.rad, CSO.latitude_rad * u.rad, CSO.height_m * u.m)
         frame = AltAz(obstime=Time(times, format="mjd"), location=place)
@@ -183,7 +192,7 @@ def night_hour_angles(field, times):
 
 @FIELDS
 def test_schedule_stays_in_the_window(field):
-    starts = schedule(field, CSO, "2003-11-20", 20, 500, **LIMITS).start_mjd
+    starts = schedule(field, CSO, "2003-11-20", nights=20, n_observations=500, **LIMITS).start_mjd
     assert starts.shape == (500,)
     assert (np.diff(starts) * 86400 > LIMITS["duration_s"] - 1e-4).all()  # mjd resolves a microsecond
     ends = starts + LIMITS["duration_s"] / 86400
@@ -194,7 +203,7 @@ def test_schedule_stays_in_the_window(field):
 
 
 def test_schedule_is_even_over_nights_and_hour_angle():
-    starts = schedule(LYNX, CSO, "2003-11-20", 20, 500, **LIMITS).start_mjd
+    starts = schedule(LYNX, CSO, "2003-11-20", nights=20, n_observations=500, **LIMITS).start_mjd
     # Noon to noon of local mean time; nights follow each other in order, 25 observations each.
     night = np.floor(starts - 52963 + CSO.longitude_rad / (2 * np.pi) - 0.5)
     np.testing.assert_array_equal(night, np.repeat(np.arange(20), 25))
@@ -212,7 +221,7 @@ def test_schedule_is_even_over_nights_and_hour_angle():
 
 
 def test_one_observation_a_night_covers_the_hour_angles():
-    starts = schedule(LYNX, CSO, "2003-11-20", 40, 40, **LIMITS).start_mjd
+    starts = schedule(LYNX, CSO, "2003-11-20", nights=40, n_observations=40, **LIMITS).start_mjd
     mid = np.sort(night_hour_angles(LYNX, starts + LIMITS["duration_s"] / 2 / 86400))
     reach = LIMITS["max_hour_angle_rad"] - LIMITS["duration_s"] / 2 * SIDEREAL_RAD_S
     # Multiples of the golden ratio leave gaps of at most 1.9 times the mean one (three-distance theorem).
@@ -221,17 +230,17 @@ def test_one_observation_a_night_covers_the_hour_angles():
 
 
 def test_fewer_observations_than_nights_are_spread():
-    starts = schedule(LYNX, CSO, "2003-11-20", 40, 4, **LIMITS).start_mjd
+    starts = schedule(LYNX, CSO, "2003-11-20", nights=40, n_observations=4, **LIMITS).start_mjd
     assert (np.abs(np.diff(starts) - 10.0) < 0.5).all()
 
 
 def test_field_too_low():
     southern = FieldCentre(1.0, -60 * DEG)
     with pytest.raises(ValueError, match=r"never rises above 10\.\d\d deg .* limit is 35\.00 deg"):
-        schedule(southern, CSO, "2003-11-20", 1, 1, **LIMITS)
+        schedule(southern, CSO, "2003-11-20", nights=1, n_observations=1, **LIMITS)
     never = FieldCentre(1.0, -80 * DEG)
     with pytest.raises(ValueError, match=r"never rises above -9\.\d\d deg"):
-        schedule(never, CSO, "2003-11-20", 1, 1, **LIMITS)
+        schedule(never, CSO, "2003-11-20", nights=1, n_observations=1, **LIMITS)
 
 
 def test_too_many_observations_says_how_many_fit():
@@ -239,16 +248,34 @@ def test_too_many_observations_says_how_many_fit():
     # elevation limit takes 0.7 min of them.
     found = r"70 observations of 7\.3 min .* 1 night\(s\).* 478\.0 min a night, so 65 would fit"
     with pytest.raises(ValueError, match=found):
-        schedule(LYNX, CSO, "2003-11-20", 1, 70, **LIMITS)
-    assert schedule(LYNX, CSO, "2003-11-20", 1, 65, **LIMITS).start_mjd.size == 65
-    assert schedule(LYNX, CSO, "2003-11-20", 2, 70, **LIMITS).start_mjd.size == 70
+        schedule(LYNX, CSO, "2003-11-20", nights=1, n_observations=70, **LIMITS)
+    assert schedule(LYNX, CSO, "2003-11-20", nights=1, n_observations=65, **LIMITS).start_mjd.size == 65
+    assert schedule(LYNX, CSO, "2003-11-20", nights=2, n_observations=70, **LIMITS).start_mjd.size == 70
     with pytest.raises(ValueError, match="so 0 would fit"):
-        schedule(LYNX, CSO, "2003-11-20", 3, 1, 4 * HOUR, 64.9 * DEG, 7200.0)
+        schedule(
+            LYNX,
+            CSO,
+            "2003-11-20",
+            nights=3,
+            n_observations=1,
+            max_hour_angle_rad=4 * HOUR,
+            min_elevation_rad=64.9 * DEG,
+            duration_s=7200.0,
+        )
 
 
 def test_circumpolar_field_from_the_pole():
     pole, field = Site(-90 * DEG, 0.0, 2835.0), FieldCentre(1.0, -45 * DEG)
-    starts = schedule(field, pole, "2003-06-01", 2, 20, 12 * HOUR, 40 * DEG, 440.0).start_mjd
+    starts = schedule(
+        field,
+        pole,
+        "2003-06-01",
+        nights=2,
+        n_observations=20,
+        max_hour_angle_rad=12 * HOUR,
+        min_elevation_rad=40 * DEG,
+        duration_s=440.0,
+    ).start_mjd
     elevation, _, parallactic = horizontal(field, pole, starts)
     assert np.abs(elevation - 45 * DEG).max() < APPARENT + 4 * PRECESSION
     # The zenith is the southern pole of date, at position angle pi but for precession since 2000.
@@ -258,7 +285,7 @@ def test_circumpolar_field_from_the_pole():
 def test_longitudes_wrap():
     """204.5239 degrees east are 155.4761 west: the same nights, transits and window."""
     east = Site(CSO.latitude_rad, CSO.longitude_rad + 2 * np.pi, CSO.height_m)
-    plans = [schedule(LYNX, site, "2003-11-20", 2, 5, **LIMITS).start_mjd for site in (CSO, east)]
+    plans = [schedule(LYNX, site, "2003-11-20", nights=2, n_observations=5, **LIMITS).start_mjd for site in (CSO, east)]
     # Of longitudes and times rounded to 1e-11 days.
     np.testing.assert_allclose(plans[1], plans[0], rtol=0, atol=1e-10)
 
@@ -281,7 +308,7 @@ def test_directions_of_checks_are_those_of_runs():
 def test_survey_angles_and_observation_pointing():
     scans = Raster(4 * ARCMIN, 18, 15.0, 10.0, 2 * ARCMIN, 0.0, 10.0)
     path = raster(scans, "ra", np.zeros(2))
-    plan = schedule(LYNX, CSO, "2003-11-20", 2, 5, **LIMITS)
+    plan = schedule(LYNX, CSO, "2003-11-20", nights=2, n_observations=5, **LIMITS)
     elevation, parallactic = survey_angles(LYNX, CSO, plan, path.mid_time_s)
     assert elevation.shape == parallactic.shape == (5, 18)
     one = horizontal(LYNX, CSO, plan.start_mjd[3:4] + path.mid_time_s[7] / 86400)
@@ -308,7 +335,9 @@ from surveysim.telescope.pointing import FieldCentre, Site, horizontal, schedule
 warnings.simplefilter("error")
 field, site = FieldCentre(2.309, 0.7826), Site(0.34597, -2.71357, 4070.0)
 for first, mjd in (("2003-11-20", 52963.0), ("2030-01-01", 62502.0), ("2060-01-01", 73459.0)):
-    assert schedule(field, site, first, 40, 500, 1.0, 0.6, 440.0).start_mjd.size == 500
+    limits = {"max_hour_angle_rad": 1.0, "min_elevation_rad": 0.6, "duration_s": 440.0}
+    plan = schedule(field, site, first, nights=40, n_observations=500, **limits)
+    assert plan.start_mjd.size == 500
     assert np.isfinite(horizontal(field, site, mjd + np.linspace(0, 40, 1000))).all()
 """
 

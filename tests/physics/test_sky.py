@@ -119,7 +119,7 @@ def test_same_seed_same_sky_and_no_global_state():
 
     def skies(seed):
         rng = np.random.default_rng(seed)
-        curved = curved_cmb_sky(small, BAND_POWER, CMB_PER_RJ, DEGREE, 64, rng)
+        curved = curved_cmb_sky(small, BAND_POWER, CMB_PER_RJ, fwhm_rad=DEGREE, lmax=64, rng=rng)
         return flat_cmb_sky(small, BAND_POWER, CMB_PER_RJ, FWHM, rng), curved
 
     for first, again, other in zip(skies(1), skies(1), skies(2), strict=True):
@@ -182,7 +182,7 @@ def test_sky_of_a_scene():
     )
     curved = Sky.model_validate({"cmb_band_power": "1000 uK2", "curved_lmax": 128})
     sphere = draw_sky(curved, GEOMETRY, CMB_PER_RJ, DEGREE, np.random.default_rng(1))
-    again = curved_cmb_sky(GEOMETRY, BAND_POWER, CMB_PER_RJ, DEGREE, 128, np.random.default_rng(1))
+    again = curved_cmb_sky(GEOMETRY, BAND_POWER, CMB_PER_RJ, fwhm_rad=DEGREE, lmax=128, rng=np.random.default_rng(1))
     np.testing.assert_array_equal(sphere, sharpened(again))
 
 
@@ -244,7 +244,10 @@ def test_curved_sky_has_the_covariance_of_the_sphere(dec):
     g = MapGeometry(*np.radians([132.3, dec]), 20 * DEGREE, 5, 4)
     assert highest_order(g, lmax) == lmax
     responses = np.array(
-        [curved_cmb_sky(g, BAND_POWER, CMB_PER_RJ, fwhm, lmax, OneDeviate(j)).ravel() for j in range((lmax + 1) ** 2)]
+        [
+            curved_cmb_sky(g, BAND_POWER, CMB_PER_RJ, fwhm_rad=fwhm, lmax=lmax, rng=OneDeviate(j)).ravel()
+            for j in range((lmax + 1) ** 2)
+        ]
     ).astype(float)
     ra, dec = (item.ravel() for item in plane_directions(g, *pixel_centres(g)))
     points = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
@@ -258,7 +261,9 @@ def test_orders_that_are_left_out_do_not_reach_the_field(monkeypatch, pixel_arcm
     g = MapGeometry(2.3, 0.78, pixel_arcmin * ARCMIN, 60, 50)
 
     def sky():
-        return curved_cmb_sky(g, BAND_POWER, CMB_PER_RJ, FWHM, lmax, np.random.default_rng(1)).astype(float)
+        return curved_cmb_sky(g, BAND_POWER, CMB_PER_RJ, fwhm_rad=FWHM, lmax=lmax, rng=np.random.default_rng(1)).astype(
+            float
+        )
 
     few, order = sky(), highest_order(g, lmax)
     assert order < lmax
@@ -274,7 +279,9 @@ def test_single_harmonics_of_the_curved_sky(m):
     lmax, ell = 6000, 5700
     g = MapGeometry(2.3, 0.78, ARCMIN, 61, 61)
     # Orders are drawn in turn, each from l = m up: of order 0 real parts alone, then real and imaginary ones in turn.
-    sky = curved_cmb_sky(g, BAND_POWER, CMB_PER_RJ, FWHM, lmax, OneDeviate((ell, lmax + 1 + 2 * (ell - 1))[m]))
+    sky = curved_cmb_sky(
+        g, BAND_POWER, CMB_PER_RJ, fwhm_rad=FWHM, lmax=lmax, rng=OneDeviate((ell, lmax + 1 + 2 * (ell - 1))[m])
+    )
     xi, eta = pixel_centres(g)
     x = np.cos(np.arctan(np.hypot(xi, eta)))
     legendre = eval_legendre(ell, x)
@@ -304,7 +311,7 @@ def test_curved_sky_has_the_power_of_the_flat_one_on_a_small_field():
     taper = np.pad(tukey_taper(n, n, pixel, size_rad=n * pixel, edge_fraction=0.5), (0, n))
     rings = annuli(2 * n, 2 * n, pixel, edges_ell=np.array([1500.0, 3000, 4200]), taper=taper)
     rng = np.random.default_rng(5)
-    skies = [curved_cmb_sky(g, BAND_POWER, CMB_PER_RJ, FWHM, lmax, rng) for _ in range(n_sky)]
+    skies = [curved_cmb_sky(g, BAND_POWER, CMB_PER_RJ, fwhm_rad=FWHM, lmax=lmax, rng=rng) for _ in range(n_sky)]
     psds = map_psd(np.pad(skies, ((0, 0), (0, n), (0, n))), taper, pixel, rings)
     ell = mode_ell(4 * n, 4 * n, pixel)
     expected = ring_mean(coupled_psd(expected_psd(ell), (4 * n, 4 * n), taper, pixel), rings)

@@ -23,7 +23,7 @@ FLIPS = 16
 
 NO_SETS = (
     without_sections(SMALL_SCENE, "sky")
-    .replace('simulated = ["uncorrelated", "white"]', "simulated = []")
+    .replace('noise_only_sets = ["uncorrelated", "white"]', "noise_only_sets = []")
     .replace("mask_separation_f_lambda = 1.3\n", "")
     .replace("jackknives = 4", f"jackknives = {FLIPS}")
 )

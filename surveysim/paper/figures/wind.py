@@ -90,7 +90,7 @@ def two_layers(setup: Setup, observation: int) -> WindFit:
     weather = observation_weather(setup, observation)
     turned = replace(weather, wind_angle_rad=weather.wind_angle_rad + SECOND_LAYER_RAD)
     extra = np.zeros_like(streams.data_mk)
-    add_layer(setup, observation, pointing, turned, extra, realization=1)
+    add_layer(setup, observation, pointing, weather=turned, data=extra, realization=1)
     apply_response(setup, extra)
     return measure(setup, replace(streams, data_mk=streams.data_mk + extra), observation).wind
 

@@ -1,12 +1,15 @@
 """Results of a sweep on the terminal: points, the best one and warnings; all else with --verbose."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from surveysim.report.terminal.layout import Terminal
 from surveysim.report.terminal.survey import print_warnings, where_line
 from surveysim.report.terminal.tables import show_table
 from surveysim.runtime.numbers import number, plain, plural, quoted, quoted_share
+from surveysim.runtime.table import Table
+from surveysim.studies.sweep.axes import Axis
 from surveysim.studies.sweep.result import ESTIMATES, SweepResult
 from surveysim.studies.sweep.summary import sweep_summary
 from surveysim.studies.sweep.tables import chance_text, sweep_table
@@ -26,7 +29,8 @@ def print_sweep(result: SweepResult, directory: Path, verbose: bool = False) -> 
         Also print the kind of estimate, shares of discarded scans and the forecasts beside the points.
     """
     console = Terminal(160)
-    show_table(console, sweep_table(sweep_summary(result, ())), marked="best")
+    table = _named_by_axes(sweep_table(sweep_summary(result, ())), result.sweep.axes)
+    show_table(console, table, marked="best")
     for point, item in zip(result.sweep.points, result.points, strict=True):
         if item.unscored:
             console.say(f"Not scored: {point.label}: {item.unscored}")
@@ -40,6 +44,17 @@ def print_sweep(result: SweepResult, directory: Path, verbose: bool = False) -> 
     print_warnings(console, [*result.warnings, *flag_lines(result)])
     done = f"{len(result.points)} points in {result.wall_s:.1f} s with {result.workers} worker(s)"
     console.say(f"\n{done}\n{where_line(directory)}")
+
+
+def _named_by_axes(table: Table, axes: Sequence[Axis]) -> Table:
+    """Show only the keys that tell the points apart; a single key of an axis has the axis as its heading."""
+    headings = {key: axis.name if len(axis.telling_keys) == 1 else key for axis in axes for key in axis.telling_keys}
+    hidden = {key for axis in axes for key in axis.keys} - headings.keys()
+    columns = [
+        replace(item, heading=headings.get(item.name, item.heading), cells=None if item.name in hidden else item.cells)
+        for item in table.columns
+    ]
+    return replace(table, columns=tuple(columns))
 
 
 def estimate_lines(result: SweepResult) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""What the choices that trade accuracy for time cost: each knob's ladder of settings, measured and timed.
+"""Accuracy and time of a survey's Monte Carlo and numerical settings, measured along a ladder for each knob.
 
 Monte Carlo knobs change how well sigma(A) is known, numerical ones sigma(A) itself. The first are judged by their
 errors, the second by their bias against the finest setting of their own ladder, all else being equal: the two runs

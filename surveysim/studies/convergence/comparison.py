@@ -75,11 +75,15 @@ def ladder_rows(settings: Sequence[Setting], asked: Tasks, runs: Mapping[str, Ru
         if place in refused:
             rows.append(Measured(setting, n_obs, note=refused[place]))
         else:
-            rows.append(_ladder_row(setting, n_obs, *found[place], found[finest][1].score, same_skies))
+            run, mark = found[place]
+            best = found[finest][1].score
+            rows.append(_ladder_row(setting, n_obs, run, mark, finest=best, same_skies=same_skies))
     return rows
 
 
-def _ladder_row(setting: Setting, n_obs: int, run: Run, mark: Mark, finest: DataSetScore, same_skies: bool) -> Measured:
+def _ladder_row(
+    setting: Setting, n_obs: int, run: Run, mark: Mark, *, finest: DataSetScore, same_skies: bool
+) -> Measured:
     band, (bias, bias_error) = mark.score.band, _bias(mark.score, finest, same_skies or mark.score is finest)
     spent = mark.wall_s, mark.cpu_s, run.start_s, run.peak_mb, run.raised_mb
     return Measured(setting, n_obs, band.sigma_ukcmb2, band.error_ukcmb2, bias, bias_error, *spent, mark.score.budget)
@@ -130,9 +134,19 @@ def rms(values: Sequence[float] | np.ndarray) -> float:
 
 
 def slopes(rows: Iterable[Measured]) -> list[Slope]:
-    """How errors fall: a Monte Carlo's as the root of the observations and of the time, start-up left out.
+    """Fit slopes of the Monte Carlo errors against observations, time and noise realizations.
 
-    The noise of one survey is shared by all its sign flips, so more of them help up to its observations alone.
+    -1/2 is expected against observations and time, which excludes the start. All sign flips of a survey share its
+    noise, so the error stops falling once they are as many as its observations.
+
+    Parameters
+    ----------
+    rows
+        Measured settings; those without an error budget are left out.
+
+    Returns
+    -------
+    Slopes; those with fewer than two different positive abscissas are left out.
     """
     done = [row for row in rows if row.budget is not None]
     whole = [row for row in done if row.setting.kind == "survey"]

@@ -30,6 +30,7 @@ def measure_accuracy(
     path: Path,
     overrides: Mapping[str, Any] | None = None,
     engine: Engine = SERIAL,
+    *,
     reference_error: float = REFERENCE_ERROR,
     seeds: int = MOST_SEEDS,
     observations: int = SUB_SURVEY,

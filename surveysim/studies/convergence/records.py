@@ -1,4 +1,4 @@
-"""What is measured of the choices that trade accuracy for time."""
+"""Records of an accuracy study: settings, their measured errors and times, slopes and recommendations."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -34,12 +34,28 @@ class Setting:
 
 @dataclass(frozen=True)
 class Measured:
-    """What a setting gives and takes; NaN where `note` says why it could not be run.
+    """Accuracy and cost of a setting; NaN if it could not be run.
 
-    `error_ukcmb2` is the Monte Carlo error of one run, of which `budget` has the parts. `bias` is the ratio of sigma(A)
-    to that of the reference, less 1, with its paired error. Times are those of the observations and of their score,
-    without the `start_s` that it takes to prepare and to observe once. `peak_mb` is the most that the process held
-    since it began, earlier settings included, and `raised_mb` by how much this one raised that.
+    Attributes
+    ----------
+    setting, observations
+        The setting, and the number of observations that it was run with.
+    sigma_ukcmb2, error_ukcmb2
+        sigma(A) and its Monte Carlo error in one run [uK_CMB^2].
+    bias, bias_error
+        Ratio of sigma(A) to the reference's, less 1, and the paired error.
+    wall_s, cpu_s
+        Time of the observations and of their score [s], without `start_s`.
+    start_s
+        Time to prepare the scene and to observe once [s].
+    peak_mb
+        Peak memory of the process since it began, earlier settings included [MB].
+    raised_mb
+        Increase of the peak by this setting [MB].
+    budget
+        Parts of the Monte Carlo error.
+    note
+        Reason why the setting could not be run.
     """
 
     setting: Setting

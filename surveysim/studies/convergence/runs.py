@@ -98,7 +98,7 @@ def clocks() -> np.ndarray:
 
 
 def first_line(error: BaseException) -> str:
-    """What an error says, in one line."""
+    """First line of an error's message, or the name of its type if it has none."""
     return (str(error).strip() or type(error).__name__).splitlines()[0]
 
 
@@ -112,7 +112,19 @@ class Tasks:
 
 
 def tasks(scene_of: Callable[[Mapping[str, Any]], Scene], settings: Iterable[Setting]) -> Tasks:
-    """What has to be run for some settings; equal scenes once, and those that are refused with the reason."""
+    """Collect the runs that sampling and numerical settings need; equal scenes run once.
+
+    Parameters
+    ----------
+    scene_of
+        Function that makes the scene with overrides; raises SceneError for a setting that is refused.
+    settings
+        Settings of all ladders.
+
+    Returns
+    -------
+    Tasks by scene, and the reason for each refused setting.
+    """
     found = Tasks()
     for place, setting in enumerate(settings):
         if setting.kind not in ("sampling", "numerical"):
@@ -144,9 +156,23 @@ def run_all(tasks: Sequence[Task], engine: Engine, progress: Callable[[int], Non
 
 
 def seeds_wanted(scene: Scene, own: Run, reference_error: float, most: int) -> int:
-    """How many whole surveys bring the error of their mean below the wanted one, or the most that are allowed.
+    """Number of whole surveys whose mean sigma(A) reaches a relative error, at most `most`.
 
-    Raises ValueError without a score, and for fewer observations than tell its error.
+    Parameters
+    ----------
+    scene
+        Scene of one survey.
+    own
+        Run of this scene.
+    reference_error
+        Wanted relative error of the mean.
+    most
+        Largest number of surveys.
+
+    Raises
+    ------
+    InsufficientDataError
+        For a run without a score, or with too few observations for an error of sigma(A).
     """
     if not own.scored(scene.observations):
         raise InsufficientDataError(f"{scene.name}: {own.note or own.marks[scene.observations].note}")

@@ -1,4 +1,4 @@
-"""What comes out of extreme layers, winds and elevations."""
+"""Cases of the atmosphere: extreme layers, winds and elevations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,17 @@ from surveysim.timestreams.simulation import observation_path
 
 
 def layer(scene: Scene) -> Outcome:
-    """How far the structure function of the strips of an observation is from the quadrature, at worst."""
+    """Compare the structure function of an observation's strips with the quadrature.
+
+    Parameters
+    ----------
+    scene
+        Base scene with the overrides of the case.
+
+    Returns
+    -------
+    Outcome with the largest relative departure.
+    """
     setup = prepare(scene)
     streams = draw_observation(setup, 0)
     cleaned = clean("average", streams.data_mk, streams.scan_bounds, streams.focal_plane, options=TEMPLATES)
@@ -93,7 +103,7 @@ def one_layer(scene: Scene, b2: float = 0.0) -> np.ndarray:
     path, pointing = observation_path(setup.observing, 0)
     weather = observation_weather(setup, 0)
     data = np.zeros((setup.camera.n_det, len(path.time_s)), np.float32)
-    add_layer(setup, 0, pointing, replace(weather, b2=b2 or weather.b2), data)
+    add_layer(setup, 0, pointing, weather=replace(weather, b2=b2 or weather.b2), data=data)
     return data
 
 

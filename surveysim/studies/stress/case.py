@@ -23,7 +23,19 @@ TEMPLATES = TemplateOptions(1e-8, 100)
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a case found, what was expected of it and to which absolute tolerance; refusals are texts."""
+    """Outcome of a case.
+
+    Attributes
+    ----------
+    found, expected
+        Numbers, or the texts of refusals.
+    tolerance
+        Largest absolute difference that passes.
+    ok
+        The case passed.
+    note
+        Unit or details.
+    """
 
     found: float | str
     expected: float | str
@@ -56,7 +68,12 @@ def base_scene(overrides: Mapping[str, Any]) -> Scene:
 
 
 def run_case(case: Case) -> Outcome:
-    """What comes out of a case; a refusal (ValueError) is an outcome too, any other failure is raised."""
+    """Run a case.
+
+    Returns
+    -------
+    Outcome; a refusal (InputError) is an outcome too.
+    """
     try:
         outcome = case.check(base_scene(case.overrides))
     except InputError as error:

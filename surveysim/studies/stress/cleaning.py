@@ -1,4 +1,4 @@
-"""What cleaning leaves of extreme streams and arrays."""
+"""Cases of cleaning: residuals of extreme time-streams and arrays."""
 
 from __future__ import annotations
 
@@ -41,10 +41,17 @@ _REMOVED = {"average": 1, "planar": 3, "quadratic": 6, "polynomial": 10, "wind":
 
 
 def stiff(scene: Scene, algorithm: str) -> Outcome:
-    """What float32 streams leave otherwise than float64 streams of the same draws, in units of the white noise.
+    """Compare residuals of float32 and float64 time-streams of the same draws, in units of the white noise.
 
-    A sample is rounded when the layer is made, moved, seen and added to: four roundings, and the lattice's own, at
-    values of up to some three standard deviations.
+    A float32 sample is rounded four times (layer made, moved, observed, white noise added), and the lattice once, at
+    values of up to about three standard deviations.
+
+    Parameters
+    ----------
+    scene
+        Base scene with the overrides of the case.
+    algorithm
+        Cleaning algorithm, a key of `ALGORITHMS`.
     """
     setup = prepare(scene)
     _, pointing = observation_path(setup.observing, 0)
@@ -56,7 +63,7 @@ def stiff(scene: Scene, algorithm: str) -> Outcome:
     left = []
     for one, dtype in ((setup, np.float32), (fine, np.float64)):
         data = np.zeros((setup.camera.n_det, len(pointing.scan)), dtype)
-        add_layer(one, 0, pointing, strong, data)
+        add_layer(one, 0, pointing, weather=strong, data=data)
         data *= setup.camera.responsivity[:, None].astype(np.float32)
         add_white(data, 2 / RATE_HZ, RATE_HZ, np.random.default_rng(1))
         left.append(_cleaned(algorithm, data, setup.camera.focal_plane).astype(float))
@@ -94,7 +101,17 @@ def _cleaned(algorithm: str, data: np.ndarray, plane: FocalPlane, n_samp: int = 
 
 
 def common_mode(scene: Scene, algorithm: str, dtype: type) -> Outcome:
-    """What a common mode a thousand times stronger changes in the residual."""
+    """Compare the residuals of a common mode and of one a thousand times stronger.
+
+    Parameters
+    ----------
+    scene
+        Base scene with the overrides of the case.
+    algorithm
+        Cleaning algorithm, a key of `ALGORITHMS`.
+    dtype
+        Type of the samples of the stronger mode.
+    """
     plane = prepare(scene).camera.focal_plane
     weak, strong = (planted(len(plane.x_rad), ratio) for ratio in (1e3, STIFF))
     change = _cleaned(algorithm, strong.astype(dtype), plane) - _cleaned(algorithm, weak, plane)
@@ -153,7 +170,17 @@ def spectral(scene: Scene) -> Outcome:
 
 
 def equal_modes(scene: Scene, singular: np.ndarray, expected: int) -> Outcome:
-    """How many of a few planted modes are removed."""
+    """Count the planted modes that PCA removes.
+
+    Parameters
+    ----------
+    scene
+        Base scene with the overrides of the case.
+    singular
+        Singular values (n_det,) of the planted modes.
+    expected
+        Number of modes to remove.
+    """
     plane = prepare(scene).camera.focal_plane
     rng, n_det = np.random.default_rng(6), len(singular)
     left = np.linalg.qr(rng.standard_normal((n_det, n_det)))[0]
@@ -181,7 +208,15 @@ def _places(kind: str) -> np.ndarray:
 
 
 def local(scene: Scene, places: str) -> Outcome:
-    """What the means of neighbours leave of white noise."""
+    """Measure the white noise that is left by local average subtraction.
+
+    Parameters
+    ----------
+    scene
+        Base scene; unused.
+    places
+        Arrangement of the detectors, a name of `_places`.
+    """
     plane, options = plane_of(_places(places)), LocalOptions(1.2)
     data = planted(37, 0.0)
     left = clean("local", data, np.array([[0, N_SAMP]]), plane, options=options).data_mk

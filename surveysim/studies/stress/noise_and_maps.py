@@ -1,4 +1,4 @@
-"""What comes out of extreme noise, maps and correlations."""
+"""Cases of extreme noise, maps and correlations."""
 
 from __future__ import annotations
 
@@ -25,7 +25,15 @@ def excess(scene: Scene) -> Outcome:
     """The variance below the band limit that a spectral index gives."""
     section, n_det, n_scans = scene.excess, 100, 64
     data = np.zeros((n_det, n_scans * N_SAMP), np.float32)
-    add_excess(data, section, section.variance_mk2[0], n_scans, RATE_HZ, np.eye(n_det), np.random.default_rng(2))
+    add_excess(
+        data,
+        section,
+        variance_mk2=section.variance_mk2[0],
+        n_scans=n_scans,
+        sample_rate_hz=RATE_HZ,
+        factor=np.eye(n_det),
+        rng=np.random.default_rng(2),
+    )
     found = low_frequency_variance(data, n_scans, RATE_HZ, section.band_limit_hz).mean()
     # At worst the lowest mode has it all: two deviates a scan.
     tolerance = 4 * section.variance_mk2[0] / math.sqrt(n_det * n_scans)
@@ -36,7 +44,15 @@ def white_excess(scene: Scene) -> Outcome:
     """Excess noise of index 0 does not correlate from sample to sample."""
     section, n_det = scene.excess, 200
     data = np.zeros((n_det, 16 * N_SAMP), np.float32)
-    add_excess(data, section, 1.0, 16, RATE_HZ, np.eye(n_det), np.random.default_rng(2))
+    add_excess(
+        data,
+        section,
+        variance_mk2=1.0,
+        n_scans=16,
+        sample_rate_hz=RATE_HZ,
+        factor=np.eye(n_det),
+        rng=np.random.default_rng(2),
+    )
     scans = data.reshape(n_det, 16, N_SAMP)
     found = np.sum(scans[..., 1:] * scans[..., :-1]) / np.sum(scans**2)
     return agrees(found, 0.0, 4 / math.sqrt(data.size), "correlation of neighbouring samples")

@@ -219,7 +219,7 @@ def compare_runs(points: tuple[PointResult, ...], rng: np.random.Generator, refe
         found = error_modes(_of_one_weather(items), [points[number].skies for number in numbers])
         modes = np.zeros((len(points), found.shape[1]))
         modes[numbers] = found
-    return compare(sigma, modes, rng, reference, actual_shares(points), relative)
+    return compare(sigma, modes, rng, reference=reference, discarded=actual_shares(points), relative=relative)
 
 
 def _of_one_weather(items: list[DataSetScore]) -> list[DataSetScore]:
@@ -246,13 +246,14 @@ def actual_shares(points: tuple[PointResult, ...]) -> np.ndarray:
 def compare_forecasts(points: tuple[PointResult, ...], reference: int = 0) -> Comparison:
     """Forecasts of the actual data set against each other, which have no Monte Carlo errors."""
     sigma = np.array([point.forecast_ukcmb2.get(ACTUAL, np.nan) for point in points])
-    return compare(sigma, np.zeros((len(points), 1)), np.random.default_rng(0), reference)
+    return compare(sigma, np.zeros((len(points), 1)), np.random.default_rng(0), reference=reference)
 
 
 def compare(
     sigma_ukcmb2: np.ndarray,
     modes: np.ndarray,
     rng: np.random.Generator,
+    *,
     reference: int = 0,
     discarded: np.ndarray | None = None,
     relative: np.ndarray | None = None,

@@ -1,4 +1,4 @@
-"""What a sweep keeps of a point, and its small file, by which an interrupted sweep goes on."""
+"""Results of a sweep's points, and the small files from which an interrupted sweep continues."""
 
 import json
 from dataclasses import dataclass
@@ -65,12 +65,12 @@ class PointResult:
 
 
 def point_file(directory: Path, number: int) -> Path:
-    """Where a finished point is kept."""
+    """Path of the file of a finished point."""
     return directory / f"{number:03d}.npz"
 
 
 def point_checkpoint(directory: Path, number: int) -> Path:
-    """Where a point under way is kept."""
+    """Path of the checkpoint of an unfinished point."""
     return directory / f"{number:03d}.checkpoint.h5"
 
 
@@ -176,7 +176,7 @@ class _Rest(_Numbers):
 
 
 class _Meta(_Numbers):
-    """What the file of a point says in JSON."""
+    """JSON part of a point's file."""
 
     scene: str
     version: str

@@ -15,7 +15,7 @@ from surveysim.output.expected_files import (
     of_run,
     of_sweep,
 )
-from surveysim.paper.reproduce import FIGURES, SCENES, TABLES
+from surveysim.paper.scenes import FIGURES, SCENES, TABLES
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL
 from tests.scenes import SMALL_SCENE, write_scene

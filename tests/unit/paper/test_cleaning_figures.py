@@ -244,7 +244,7 @@ def test_an_observation_without_a_scan_left_is_refused(measured):
 @pytest.fixture(scope="module")
 def result(path) -> SurveyResult:
     setup = prepare(load_scene(path, {"cleaning.compare": ["planar"]}))
-    return survey_result(setup, run_observations(setup, None), 1.0, 1)
+    return survey_result(setup, run_observations(setup, None), wall_s=1.0, workers=1)
 
 
 def with_merits(result, target, values) -> SurveyResult:

@@ -369,7 +369,7 @@ def result(tmp_path_factory):
     path = tmp_path_factory.mktemp("scored") / "small.toml"
     path.write_text(SMALL_SCENE, encoding="utf-8")
     scored = prepare(load_scene(path))
-    return survey_result(scored, run_observations(scored, None), 1.0, 1)
+    return survey_result(scored, run_observations(scored, None), wall_s=1.0, workers=1)
 
 
 def test_noise_of_data_sets_is_an_amplitude_of_all_detectors(result):

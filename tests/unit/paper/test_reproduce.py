@@ -12,7 +12,8 @@ from PIL import Image
 from surveysim import load_scene
 from surveysim import run as run_scene
 from surveysim.output.lock import OutputError
-from surveysim.paper.reproduce import FIGURES, TABLES, reproduce, wanted
+from surveysim.paper.reproduce import reproduce
+from surveysim.paper.scenes import FIGURES, TABLES, wanted
 from surveysim.report.html.paper import Compared
 from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.runtime.errors import SceneError

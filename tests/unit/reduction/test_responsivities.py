@@ -116,7 +116,15 @@ def test_a_pipeline_knows_its_own_detectors(setup_of, place):
     data = setup.camera.responsivity[:, None] * np.random.default_rng(1).standard_normal(60)
     auxiliary = AuxiliaryData(np.zeros((1, 2)), np.zeros((0, *data.shape)), setup.analysis.calibration)
     bounds, section = np.array([[0, 60]]), setup.scene.cleaning
-    left = apply_pipeline(section, pipeline, data[pipeline.rows], bounds, plane.subset(pipeline.rows), auxiliary, 10.0)
+    left = apply_pipeline(
+        section,
+        pipeline,
+        data[pipeline.rows],
+        scan_bounds=bounds,
+        focal_plane=plane.subset(pipeline.rows),
+        auxiliary=auxiliary,
+        sample_rate_hz=10.0,
+    )
     assert left.kept.all() and np.abs(left.data_mk).max() < 1e-12
 
 
@@ -132,7 +140,15 @@ def test_other_bands_are_cleaned_with_their_own(setup_of):
         mapped, other = noise + calibration[..., None] * common
         auxiliary = AuxiliaryData(np.zeros((1, 2)), other[None], calibration)
         found.append(
-            apply_pipeline(section, pipeline, mapped, bounds, setup.camera.focal_plane, auxiliary, 10.0).data_mk
+            apply_pipeline(
+                section,
+                pipeline,
+                mapped,
+                scan_bounds=bounds,
+                focal_plane=setup.camera.focal_plane,
+                auxiliary=auxiliary,
+                sample_rate_hz=10.0,
+            ).data_mk
         )
     np.testing.assert_allclose(found[1], found[0], atol=1e-9)
 
@@ -170,8 +186,8 @@ def test_window_skies_are_fitted_with_the_same_scans(setup_of, monkeypatch, way,
     """A scan that is lost without a sky is cleaned again only where it has a part in the others' responsivities."""
     clean, cleaned = reduction.apply_pipeline, []
 
-    def lossy(*arguments):
-        done = clean(*arguments)
+    def lossy(*arguments, **options):
+        done = clean(*arguments, **options)
         first = not cleaned
         cleaned.append(len(done.kept))
         if not first:
@@ -188,8 +204,8 @@ def test_window_skies_are_fitted_with_the_same_scans(setup_of, monkeypatch, way,
 def test_a_fit_that_other_scans_share_with_the_sky_tells_nothing(setup_of, monkeypatch):
     clean, cleaned = reduction.apply_pipeline, []
 
-    def lossy(*arguments):
-        done = clean(*arguments)
+    def lossy(*arguments, **options):
+        done = clean(*arguments, **options)
         cleaned.append(len(done.kept))
         return done if len(cleaned) == 1 else replace(done, kept=np.arange(4) > 0)
 

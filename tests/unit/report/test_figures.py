@@ -61,7 +61,7 @@ def _curve(figure: matplotlib.figure.Figure, label: str) -> np.ndarray:
 
 def test_all_figures(tmp_path, setup, coadds):
     style = dict(matplotlib.rcParams)
-    drawings = figures.drawings(survey_result(setup, coadds, 1.0, 1))
+    drawings = figures.drawings(survey_result(setup, coadds, wall_s=1.0, workers=1))
     assert list(drawings) == [*figures.TITLES, figures.RUN_TIME]
     paths = [tmp_path / "figures" / f"{name}.png" for name in drawings]
     for path in paths:
@@ -79,7 +79,7 @@ def test_scene_with_little_to_show(tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "save", lambda *arguments: None)  # drawing is what takes time
     setup = prepare(load_scene(LYNX, {key: TINY[key] for key in TINY if "score" not in key} | CALM))
     coadds = run_observations(setup, None)
-    drawings = figures.drawings(survey_result(setup, coadds, 1.0, 1))
+    drawings = figures.drawings(survey_result(setup, coadds, wall_s=1.0, workers=1))
     assert list(drawings) == ["timestream_psd", "map"]
     for name, draw in drawings.items():
         draw(tmp_path / name)

@@ -19,7 +19,7 @@ PLAIN = without_sections(SMALL_SCENE, "atmosphere", "excess", "sky").replace(
 def found(scene):
     setup = prepare(scene)
     coadds = run_observations(setup, None)
-    result = survey_result(setup, coadds, 1.0, 1)
+    result = survey_result(setup, coadds, wall_s=1.0, workers=1)
     return {item.quantity: item for item in closure_tests(setup, coadds, result.scores, result.expected)}
 
 

@@ -24,7 +24,7 @@ MIXED = (
     without_sections(TURBULENT_SCENE, "sky")
     .replace("observations = 4\n", "observations = 6\n", 1)
     .replace("mask_separation_f_lambda = 1.3\n", "")
-    .replace('simulated = ["uncorrelated", "white"]', "simulated = []")
+    .replace('noise_only_sets = ["uncorrelated", "white"]', "noise_only_sets = []")
     .replace("max_iterations = 100", "max_iterations = 100\nneighbour_radius = 1.2")
     + '\n[sweep]\n"cleaning.algorithm" = ["average", "planar", ["average", "local"]]\n'
 )
@@ -181,3 +181,14 @@ def test_controlled_scores_keep_what_their_modes_say(levels):
     rows = error_modes(items, [point.skies for point in levels.points])
     found = compare_runs(levels.points, np.random.default_rng(1))
     np.testing.assert_array_equal(found.modes, rows)
+
+
+def test_the_terminal_names_points_by_their_axes(write, tmp_path, capsys):
+    keys = ('"detector.psd" = ["2.5 mK2 / Hz", "10 mK2 / Hz"]', '"map.pixel" = ["24 arcsec", "30 arcsec"]')
+    path = write("\n".join([WHITE, "[sweep.noise]", *keys, ""]))
+    print_sweep(run_sweep(path, tmp_path, engine=SERIAL), tmp_path)
+    screen = capsys.readouterr().out
+    heading, *_ = (line for line in screen.splitlines() if "sigma(A) [" in line)
+    assert heading.split("┃")[1].strip() == "noise" and "10 mK2 / Hz │" in screen
+    assert "detector.psd" not in screen and "map.pixel" not in screen
+    assert {"detector.psd", "map.pixel"} <= set(Table.read(tmp_path / "sweep.ecsv").colnames)

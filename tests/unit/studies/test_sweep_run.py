@@ -30,7 +30,7 @@ from tests.scenes import SMALL_SCENE, without_sections
 WHITE = (
     without_sections(SMALL_SCENE, "atmosphere", "excess", "photon", "sky")
     .replace('algorithm = "average"', 'algorithm = "none"')
-    .replace('simulated = ["uncorrelated", "white"]', "simulated = []")
+    .replace('noise_only_sets = ["uncorrelated", "white"]', "noise_only_sets = []")
     .replace("mask_separation_f_lambda = 1.3\n", "")
 )
 LEVELS = '\n[sweep]\n"detector.psd" = ["2.5 mK2 / Hz", "10 mK2 / Hz", "2500000 uK2 / Hz"]\n'

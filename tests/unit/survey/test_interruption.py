@@ -118,7 +118,7 @@ def test_killed_parent(tmp_path, engine):
 
 @pytest.mark.slow
 def test_killed_at_random_and_resumed(tmp_path):
-    """Wherever a run on dask is killed, whether anything is kept by then or not: the same bits and files as undisturbed.
+    """Wherever a run on dask is killed, whether anything is kept by then or not: the same bits and files as whole.
 
     The other engines are killed by `tests/stress/test_kills.py`.
     """

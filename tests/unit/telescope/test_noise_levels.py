@@ -66,10 +66,12 @@ BOLOCAM = '[photon]\npsd = "2.5 mK2/Hz"\ncoherent_fraction = 0.1\nbose_fraction 
 
 def bose_share(psd_mk2_hz, frequency_hz, bandwidth, efficiency, polarizations):
     """Bunching's share of a PSD: it goes as the load squared, shot noise as the load, so that one load fits."""
-    one = photon_noise(1.0, frequency_hz, bandwidth, efficiency, polarizations)
+    one = photon_noise(1.0, frequency_hz, bandwidth, efficiency, polarizations=polarizations)
     shot, bose = one.shot_psd_mk2_hz, one.bose_psd_mk2_hz
     load_k = (np.sqrt(shot**2 + 4 * bose * psd_mk2_hz) - shot) / (2 * bose)
-    assert photon_noise(load_k, frequency_hz, bandwidth, efficiency, polarizations).psd_mk2_hz == pytest.approx(2.5)
+    assert photon_noise(
+        load_k, frequency_hz, bandwidth, efficiency, polarizations=polarizations
+    ).psd_mk2_hz == pytest.approx(2.5)
     return bose * load_k**2 / psd_mk2_hz
 
 
@@ -111,7 +113,7 @@ def test_levels_of_stages_left_out_are_zero(scene_of):
 def test_stated_load(scene_of):
     """40 K in all; a stated load is in temperatures above the atmosphere already."""
     levels = white_levels(scene_of(QUIET + LOAD), None, np.nan, HEIGHT)
-    noise = photon_noise(40.0, 143e9, 0.15, 0.4, 1)
+    noise = photon_noise(40.0, 143e9, 0.15, 0.4, polarizations=1)
     assert levels.photon_mk2_hz == pytest.approx(noise.psd_mk2_hz, rel=1e-12)
     assert levels.shared == pytest.approx(0.25, rel=1e-12)
 
@@ -119,7 +121,7 @@ def test_stated_load(scene_of):
 def test_shared_part_of_intensity_is_bunching_of_the_sky(scene_of):
     scene = scene_of(QUIET + LOAD.replace('"field"', '"intensity"'))
     levels = white_levels(scene, None, np.nan, HEIGHT)
-    noise = photon_noise(40.0, 143e9, 0.15, 0.4, 1)
+    noise = photon_noise(40.0, 143e9, 0.15, 0.4, polarizations=1)
     bose = noise.bose_psd_mk2_hz / noise.psd_mk2_hz
     assert 0.1 < bose < 0.9  # neither of the two alone would do
     assert levels.shared == pytest.approx(0.25**2 * bose, rel=1e-12)
@@ -140,7 +142,7 @@ def test_sky_s_load_follows_the_water(scene_of):
         passed = float(np.exp(-optical_depth(opacity, pwv) / np.sin(height)))
         sky = opacity.temperature_k * (1 - passed)
         levels = white_levels(scene, opacity, pwv, height)
-        alone = photon_noise(sky + 30.0, 143e9, 0.15, 0.4, 1)
+        alone = photon_noise(sky + 30.0, 143e9, 0.15, 0.4, polarizations=1)
         assert levels.photon_mk2_hz == pytest.approx(alone.psd_mk2_hz / passed**2, rel=1e-9)
         assert levels.shared == pytest.approx(sky / (sky + 30), rel=1e-9)
 

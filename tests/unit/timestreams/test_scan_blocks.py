@@ -145,8 +145,8 @@ def test_discarded_scans_are_counted_over_blocks(setup_of, monkeypatch):
     whole = setup_of(blocks=2, score__noise_only_sets=["white"], **strong)
     clean = reduction.apply_pipeline
 
-    def lossy(*arguments):
-        done = clean(*arguments)
+    def lossy(*arguments, **options):
+        done = clean(*arguments, **options)
         done.data_mk[:, :60] = 0
         kept = done.kept.copy()
         kept[0] = False
