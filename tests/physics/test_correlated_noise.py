@@ -206,7 +206,7 @@ def test_the_scene_s_excess_comes_back_but_for_what_cleaning_and_white_levels_ta
     excess noise's covariance in time. Responsivities of 5 % scatter change products by less than 1 %.
     """
     basis = template_basis(lynx.camera.focal_plane, PAIR_CLEANINGS["quadratic"])
-    project = np.eye(lynx.n_det) - basis.T @ basis
+    project = np.eye(lynx.camera.n_det) - basis.T @ basis
     overlap = correlation_matrix(lynx.camera.positions_f_lambda, "field")
     shared = np.sum(pair_weights(lynx) * (project @ overlap @ project))
     autocovariance = np.fft.irfft(excess_psd(lynx.scene.excess, 1.0, N, 2 * N, RATE_HZ), 2 * N) * RATE_HZ / 2

@@ -226,8 +226,8 @@ def test_horns_fit_between_their_neighbours(scene_of):
 _BIG = """
     import resource
     from surveysim.api import simulate_observation
-    from surveysim.forecast import forecast
-    from surveysim.scene import load_scene
+    from surveysim.forecasting.forecast import forecast
+    from surveysim.scene.scene import load_scene
     scene = load_scene({path!r}, {keys!r})
     print(simulate_observation(scene, 0).data_mk.shape[0])
     print(forecast(scene).scores["actual"].band.sigma_ukcmb2)
