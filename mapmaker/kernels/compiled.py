@@ -30,7 +30,7 @@ def njit(**options: Any) -> Callable[[Callable], Callable]:
 
 
 def is_cached(kernel: Any) -> bool:
-    """Whether a compiled kernel is on disk, so that a process loads it and does not compile it."""
+    """Return whether a compiled kernel is on disk, so that a process loads it and does not compile it."""
     folder = kernel.stats.cache_path
     return folder is not None and any(Path(folder).glob(f"*.{kernel.__name__}-*.nbc"))
 

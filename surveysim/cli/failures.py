@@ -39,7 +39,7 @@ def failure(error: BaseException, arguments: Sequence[str]) -> tuple[int, str]:
 
 
 def broken_stream(stream: TextIO) -> bool:
-    """Whether a standard stream can't be written, or nobody reads it; if so, Python shall not try it when it ends."""
+    """Return whether a standard stream can't be written or has no reader; if so, Python does not flush it at exit."""
     try:
         stream.flush()
         broken = _unread(stream)
@@ -52,7 +52,7 @@ def broken_stream(stream: TextIO) -> bool:
 
 
 def _unread(stream: TextIO) -> bool:
-    """Whether a stream is a pipe whose reader is gone."""
+    """Return whether a stream is a pipe whose reader is gone."""
     try:
         number = stream.fileno()
     except OSError:  # of a stream that is no file

@@ -36,7 +36,7 @@ def _stop_once(number: int, frame: object) -> None:
 
 
 def asked_to_stop() -> bool:
-    """Whether this process was interrupted since it listens."""
+    """Return whether this process was interrupted since it listens."""
     return _asked_to_stop.is_set()
 
 

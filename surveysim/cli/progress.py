@@ -85,7 +85,7 @@ class TimeLeft:
 
 
 def finish_times(work: np.ndarray, workers: int) -> np.ndarray:
-    """When each item (n,) and all before it are done, in units of work: a free worker takes the next."""
+    """Completion of each item (n,) and all before it, in units of work, where a free worker takes the next."""
     free, times = [0.0] * workers, []
     for item in work:
         times.append(heapq.heapreplace(free, free[0] + float(item)) + float(item))

@@ -185,7 +185,7 @@ def renewed(directory: Path, name: str, force: bool = False) -> Iterator[None]:
 
 
 def holds_work(directory: Path) -> bool:
-    """Whether a run could go on from files in a directory: a checkpoint, or points of a sweep."""
+    """Return whether a run could go on from files in a directory: a checkpoint, or points of a sweep."""
     patterns = (CHECKPOINT, "points/*.npz", "points/*.checkpoint.h5")
     return any(path.is_file() for pattern in patterns for path in directory.glob(pattern))
 
@@ -296,14 +296,14 @@ def _check_readable(directory: Path) -> None:
 
 
 def _is_mine(path: Path, name: str, files: Mapping[str, str | None]) -> bool:
-    """Whether a file is listed, and as it was written."""
+    """Return whether a file is listed, and as it was written."""
     if name not in files or not _may_be_removed(path, name):
         return False
     return files[name] is None or files[name] == _identity(path / name)
 
 
 def _may_be_removed(path: Path, name: str) -> bool:
-    """Whether it is a plain file by a name that this program writes, and no link leads to it."""
+    """Return whether it is a plain file by a name that this program writes, and no link leads to it."""
     folder = name.rpartition("/")[0]
     through_link = folder and (path / folder).is_symlink()
     return bool(_WRITTEN.fullmatch(name)) and not through_link and _is_regular(path / name)
@@ -317,7 +317,7 @@ def _is_regular(path: Path) -> bool:
 
 
 def _is_written(place: OutputDirectory, name: str) -> bool:
-    """Whether a file is there, and not one of the user that could have been replaced, but was not."""
+    """Return whether a file is there, and not one of the user that could have been replaced, but was not."""
     if not _is_regular(place.path / name):
         return False
     state = os.lstat(place.path / name)

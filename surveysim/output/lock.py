@@ -48,7 +48,7 @@ def locked(directory: Path) -> Iterator[None]:
 
 
 def alive(pid: int) -> bool:
-    """Whether a process of this machine is there and no zombie."""
+    """Return whether a process of this machine is there and no zombie."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -176,7 +176,7 @@ def _status(pid: int) -> list[str] | None:
 
 
 def _age(pid: int) -> str:
-    """When a process was started, in ticks since the machine was: tells two of one number apart."""
+    """Start of a process in ticks since the boot: it distinguishes two processes of one number."""
     fields = _status(pid)
     return fields[19] if fields and len(fields) > 19 else ""
 

@@ -170,7 +170,7 @@ def shared_overlap(setup: Setup, bins: PairBins) -> np.ndarray | None:
 
 
 def knows_wind(item: Measurement) -> bool:
-    """Whether the measured wind speed is accurate enough for the track of the layer."""
+    """Return whether the measured wind speed is accurate enough for the track of the layer."""
     return item.wind.speed_error_rad_s < KNOWN * item.wind.speed_rad_s
 
 

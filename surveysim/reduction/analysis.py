@@ -81,12 +81,12 @@ class AnalysisSetup:
 
     @property
     def chooses(self) -> bool:
-        """Whether the best pipeline of each observation makes a data set of its own."""
+        """Return whether the best pipeline of each observation makes a data set of its own."""
         return self.scene.score is not None and len(self.whole_pipelines) > 1
 
     @property
     def subtracts_bands(self) -> bool:
-        """Whether a pipeline needs the other bands of the pixels."""
+        """Return whether a pipeline needs the other bands of the pixels."""
         return any(pipeline.uses("spectral") for pipeline in self.pipelines)
 
     @property

@@ -46,7 +46,7 @@ class CleaningPipeline:
 
     @property
     def takes_responsivities(self) -> bool:
-        """Whether a step subtracts templates times responsivities."""
+        """Return whether a step subtracts templates times responsivities."""
         return not set(self.steps).isdisjoint(TEMPLATE_CLEANINGS)
 
     @property

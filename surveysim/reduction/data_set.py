@@ -35,7 +35,7 @@ class DataSet:
 
     @property
     def own_transfer_function(self) -> bool:
-        """Whether its pipeline or its detectors are not those of the actual data."""
+        """Return whether its pipeline or its detectors are not those of the actual data."""
         return self.kind is not DataSetKind.NOISE_ONLY
 
 

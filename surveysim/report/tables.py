@@ -77,7 +77,7 @@ def setting_table(rows: Sequence[Mapping[str, Any]], meta: Mapping[str, Any] | N
 
 
 def could_run(row: Mapping[str, Any]) -> bool:
-    """Whether a setting has a score."""
+    """Return whether a setting has a score."""
     return math.isfinite(row["sigma_ukcmb2"])
 
 

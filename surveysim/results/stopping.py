@@ -114,7 +114,7 @@ def check_limits(setup: Setup, limits: StoppingCriteria) -> None:
 
 
 def stopping_rule(setup: Setup, limits: StoppingCriteria, begun: float) -> Callable[[CoAdds], bool]:
-    """Whether a run that was `begun` (by `perf_counter`) is to stop at these sums.
+    """Return whether a run that was `begun` (by `perf_counter`) is to stop at these sums.
 
     The target is looked at where a run may end by it, the budget after every pair of directions.
     """
@@ -131,13 +131,13 @@ def stopping_rule(setup: Setup, limits: StoppingCriteria, begun: float) -> Calla
 
 
 def may_end(scene: Scene, done: int) -> bool:
-    """Whether a run may end by its target here: a boundary, with window observations enough or all there are."""
+    """Return whether a run may end by its target here: a boundary, with window observations enough or all there are."""
     windows = window_observations(scene)
     return is_boundary(done) and windows[:done].sum() >= min(_WINDOWS, windows.sum())
 
 
 def is_boundary(done: int) -> bool:
-    """Whether a run may end here by its error: every 8 observations from 32 on, 16 from 128, 32 from 256, ..."""
+    """Return whether a run may end here by its error: every 8 observations from 32 on, 16 from 128, 32 from 256, ..."""
     return done >= FEWEST and done % (_SPACING * 2 ** max(0, done.bit_length() - 7)) == 0
 
 

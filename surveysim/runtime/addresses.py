@@ -47,7 +47,7 @@ def _checked(address: str) -> str:
 
 
 def _plain(place: str) -> bool:
-    """Whether a location is only host and port: no user, blanks or unprintable characters."""
+    """Return whether a location is only host and port: no user, blanks or unprintable characters."""
     return place.isprintable() and not set(place) & set("@ ")
 
 

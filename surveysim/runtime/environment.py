@@ -99,7 +99,7 @@ def provide_caches() -> str | None:
 
 
 def _can_be_written(directory: str) -> bool:
-    """Whether a directory, or its nearest existing parent, can be written."""
+    """Return whether a directory, or its nearest existing parent, can be written."""
     while not os.path.lexists(directory):
         directory = os.path.dirname(directory) or os.curdir
     return os.path.isdir(directory) and os.access(directory, os.W_OK | os.X_OK)

@@ -44,7 +44,7 @@ class Column:
 
     @property
     def is_numeric(self) -> bool:
-        """Whether the column holds numbers."""
+        """Return whether the column holds numbers."""
         return self.array.dtype.kind in "iuf"
 
     @property

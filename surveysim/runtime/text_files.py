@@ -55,7 +55,7 @@ def one_line(error: object, longest: int = 200) -> str:
 
 
 def nested_deeper(value: Any, depth: int) -> bool:
-    """Whether tables and lists are nested more than `depth` deep."""
+    """Return whether tables and lists are nested more than `depth` deep."""
     level = [value]
     for _ in range(depth + 1):
         inner = [item.values() if isinstance(item, dict) else item for item in level if isinstance(item, dict | list)]

@@ -36,7 +36,7 @@ def no_such_scene(scene: str) -> str:
 
 
 def is_name(scene: str) -> bool:
-    """Whether a text can be the name of a scene, without a folder or ``.toml``."""
+    """Return whether a text can be the name of a scene, without a folder or ``.toml``."""
     return bool(re.fullmatch(NAME, scene)) and len(scene) <= MAX_NAME and not scene.endswith(".toml")
 
 

@@ -87,7 +87,7 @@ def percent(share: float) -> str:
 
 
 def competing(shares: np.ndarray) -> np.ndarray:
-    """Whether each point (n,) may be called the best with a probability, by its share of discarded scans.
+    """Return whether each point (n,) may be called the best with a probability, by its share of discarded scans.
 
     Those that lose no more than `MOST_DISCARDED`, and no more than `MOST_APART` above the one that loses least.
     """

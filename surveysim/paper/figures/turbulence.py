@@ -44,11 +44,11 @@ def correlation_figure(survey: MeasuredSurvey) -> PaperFigure:
                 f"{name} weather: best height {height:g} m",
                 points=indices,
                 name="b = {b:.2f}",
-                auxiliary=_adjacent(survey, k),
+                extra=_adjacent(survey, k),
             )
         )
         title = f"{name} weather: best index {index:.2f}"
-        panels.append(_profile_panel(survey, k, title, points=heights, name="h = {h:g} m", auxiliary=()))
+        panels.append(_profile_panel(survey, k, title, points=heights, name="h = {h:g} m", extra=()))
         texts.append(
             f"observation {item.observation} of {survey.scene_of[k]} ({name}): B2 drawn {item.truth.b2:.0f}, fitted"
             f" {survey.b2_fitted[k]:.0f} mK^2 rad^(-5/3), smallest chi^2 {fit.chi2[fit.best]:.1f}"
@@ -113,7 +113,7 @@ def _profile_panel(
     *,
     points: list[tuple[int, int]],
     name: str,
-    auxiliary: tuple[Series, ...],
+    extra: tuple[Series, ...],
 ) -> Panel:
     profile, best = without_overlap(survey, k), survey.fits[k].best
     theory = np.log(survey.theory(k))
@@ -133,13 +133,13 @@ def _profile_panel(
     ]
     measured, error = level * profile.log_profile, level * error
     data = Series("measured", "points", arcmin, measured, "black", measured - error, measured + error)
-    ends = np.concatenate([end for series in (data, *auxiliary) for end in (series.low, series.high)])
+    ends = np.concatenate([end for series in (data, *extra) for end in (series.low, series.high)])
     margin = 0.2 * np.ptp(ends)
     return Panel(
         title=title,
         x_label="Separation of detectors [arcmin]",
         y_label=r"$C(\theta)$ less its mean [mK$^2$]",
-        series=(*lines, data, *auxiliary),
+        series=(*lines, data, *extra),
         y_range=(float(ends.min() - margin), float(ends.max() + margin)),
     )
 

@@ -218,7 +218,7 @@ def _fit(legend: Callable[[int], Legend], most: int, room: float) -> float:
 
 
 def _hides(axes: Axes, panel: Panel) -> bool:
-    """Whether the legend lies on data or a note."""
+    """Return whether the legend lies on data or a note."""
     box = axes.get_legend().get_window_extent()
     on_note = any(box.overlaps(text.get_window_extent()) for text in axes.texts)
     return on_note or any(box.count_contains(_ink(axes, series)) for series in panel.series)

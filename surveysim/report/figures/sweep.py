@@ -137,7 +137,7 @@ def _numbers(axis: Axis) -> tuple[np.ndarray, str] | None:
 
 
 def _wide(values: np.ndarray) -> bool:
-    """Whether an axis of these values is logarithmic."""
+    """Return whether an axis of these values is logarithmic."""
     return bool(values.min() > 0 and values.max() >= LOG_FROM * values.min())
 
 

@@ -52,7 +52,7 @@ class Compared:
 
     @property
     def agrees(self) -> str:
-        """Whether the two agree, as `RULE` says."""
+        """Return whether the two agree, as `RULE` says."""
         known = [error for error in (self.error, self.paper_error) if math.isfinite(error)]
         off = abs(self.ours - self.paper)
         if off <= SIGMAS * math.hypot(*known):
@@ -151,7 +151,7 @@ TABLES = (
 
 
 def has_items(directory: Path) -> bool:
-    """Whether a directory holds any of the paper's tables and figures."""
+    """Return whether a directory holds any of the paper's tables and figures."""
     return any((directory / f"{item.file}.ecsv").exists() for item in TABLES) or any(
         (directory / f"figure{figure:02d}.png").exists() for figure in PAPER
     )

@@ -51,7 +51,7 @@ class Run:
     note: str = ""
 
     def scored(self, count: int) -> bool:
-        """Whether there is a score of so many observations."""
+        """Return whether there is a score of so many observations."""
         return count in self.marks and self.marks[count].score is not None
 
 

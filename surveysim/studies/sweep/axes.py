@@ -115,7 +115,7 @@ class Sweep:
 
 
 def is_sweep(path: str | Path) -> bool:
-    """Whether a scene file has a table [sweep]; raises SceneError when it can't be read."""
+    """Return whether a scene file has a table [sweep]; raises SceneError when it can't be read."""
     return "sweep" in read_scene(find_scene(path))[1]
 
 
@@ -294,7 +294,7 @@ def _check_together(axes: Sequence[Axis], overrides: Mapping[str, Any]) -> None:
 
 
 def _overlap(key: str, other: str) -> bool:
-    """Whether two dotted keys are one, or one is a section that holds the other."""
+    """Return whether two dotted keys are one, or one is a section that holds the other."""
     return f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}.")
 
 
@@ -320,7 +320,7 @@ def _reference(name: str, given: int | str | None, axes: Sequence[Axis], points:
 
 
 def _is_named(text: str, point: Point, axes: Sequence[Axis]) -> bool:
-    """Whether a text is nothing but ``key = value`` of some keys or axes of a point."""
+    """Return whether a text is nothing but ``key = value`` of some keys or axes of a point."""
     own = [axis.at(step) for axis, step in zip(axes, point.place, strict=True)]
     own += [f"{key} = {value_text(value)}" for key, value in point.settings.items()]
     left = re.sub(r"\s*=\s*", " = ", text)

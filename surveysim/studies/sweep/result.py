@@ -99,7 +99,7 @@ class SweepResult:
         return found
 
     def comparable(self, point: int, other: int) -> bool:
-        """Whether two points both lose few scans, and like shares of them."""
+        """Return whether two points both lose few scans, and like shares of them."""
         return bool(competing(actual_shares(self.points)[[point, other]]).all())
 
     def withheld(self, number: int) -> str:

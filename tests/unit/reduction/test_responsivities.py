@@ -66,8 +66,8 @@ def test_keys_that_do_not_fit(setup_of, settings, words):
 
 @pytest.mark.parametrize("way", ["scan", "observation", "known"])
 def test_only_survey_uses_the_calibration_error(setup_of, way):
-    plain, auxiliary = setup_of(**WAYS[way]), setup_of(**WAYS[way], cleaning__calibration_error=0.5)
-    np.testing.assert_array_equal(observe(auxiliary, 0, True).sums, observe(plain, 0, True).sums)
+    plain, erring = setup_of(**WAYS[way]), setup_of(**WAYS[way], cleaning__calibration_error=0.5)
+    np.testing.assert_array_equal(observe(erring, 0, True).sums, observe(plain, 0, True).sums)
 
 
 def test_a_sweep_takes_all_settings(tmp_path):

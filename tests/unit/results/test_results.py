@@ -121,10 +121,10 @@ def test_a_forecast_alone_tells_what_a_run_quotes(finished):
     """Of the scans that the run kept, over all weather: what stands beside the run's own result, within 1 %."""
     setup = finished[0].setup
     alone = in_all_weather(setup, forecast(setup.scene, kept_shares(setup, finished[0].coadds)))
-    auxiliary = {row.name: row.forecast_ukcmb2 for row in score_rows(finished[0])}
+    quoted = {row.name: row.forecast_ukcmb2 for row in score_rows(finished[0])}
     drawn = finished[0].expected.scores
     for name in SETS:
-        assert alone[name] == pytest.approx(auxiliary[name], rel=0.01)
+        assert alone[name] == pytest.approx(quoted[name], rel=0.01)
     assert abs(alone["actual"] / drawn["actual"].band.sigma_ukcmb2 - 1) > 0.02
 
 

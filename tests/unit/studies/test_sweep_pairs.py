@@ -31,16 +31,6 @@ MIXED = (
 
 
 @pytest.fixture(scope="module")
-def write(tmp_path_factory):
-    def write(text):
-        path = tmp_path_factory.mktemp("scene") / "white.toml"
-        path.write_text(text)
-        return path
-
-    return write
-
-
-@pytest.fixture(scope="module")
 def levels(write):
     """A finished sweep of the white level; the first and the last point are one scene."""
     return run_sweep(write(WHITE + LEVELS), engine=SERIAL)

@@ -40,16 +40,6 @@ ROWS = ("ratio", "paired_error", "independent_error", "best_probability")
 
 
 @pytest.fixture(scope="module")
-def write(tmp_path_factory):
-    def write(text):
-        path = tmp_path_factory.mktemp("scene") / "white.toml"
-        path.write_text(text)
-        return path
-
-    return write
-
-
-@pytest.fixture(scope="module")
 def levels(write, tmp_path_factory):
     """A finished sweep of the white level, and where its files are."""
     out = tmp_path_factory.mktemp("levels")
