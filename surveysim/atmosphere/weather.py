@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -199,6 +199,15 @@ def pwv_quantile(atmosphere: Atmosphere, probability: float | np.ndarray) -> np.
     return np.exp(np.interp(probability, atmosphere.pwv_probabilities, np.log(atmosphere.pwv_mm)))
 
 
+@lru_cache(maxsize=32)
+def _normal_levels(probabilities: tuple[float, ...]) -> np.ndarray:
+    from scipy.special import ndtri
+
+    levels = ndtri(probabilities)
+    levels.setflags(write=False)
+    return levels
+
+
 def log_quantile(
     probabilities: tuple[float, ...], values: tuple[float, ...], normal_level: float | np.ndarray
 ) -> np.ndarray:
@@ -207,12 +216,11 @@ def log_quantile(
     The logarithm is linear in the normal level between the quantiles. Beyond them it has the slope between the
     outermost two, a log-normal tail.
     """
-    from scipy.special import ndtri
-
+    levels = _normal_levels(probabilities)
     if len(values) == 1 or min(values) == 0:
-        between: Any = np.interp(normal_level, ndtri(probabilities), values)
+        between: Any = np.interp(normal_level, levels, values)
         return between
-    levels, logs = ndtri(probabilities), np.log(values)
+    logs = np.log(values)
     slope = (logs[-1] - logs[0]) / (levels[-1] - levels[0])
     beyond = np.minimum(normal_level - levels[0], 0) + np.maximum(normal_level - levels[-1], 0)
     # Draws beyond `B2_MAX` are refused later, and must be finite here.

@@ -166,14 +166,14 @@ def forecast(
     quiet: Quiet = False,
 ) -> None:
     """Predict the scores of a scene or a sweep within seconds."""
-    from surveysim.api import forecast as forecast_scene
-    from surveysim.report.terminal.forecast import print_forecast
-
     if sweep := sweep_of(scene, settings, reference):
         directory = out or default_directory(f"{sweep.name}_forecast", options.settings(settings, reference))
         _forecast_sweep(sweep, directory, figures=not no_figures, force=force, verbose=verbose, quiet=quiet)
         return
     checked = ready_scene(scene, settings)
+    from surveysim.api import forecast as forecast_scene
+    from surveysim.report.terminal.forecast import print_forecast
+
     try:
         found = forecast_scene(checked, out, force=force)
     except NotForecastableError as error:

@@ -256,10 +256,11 @@ def _layer_noise(
         return _no_layer
     layer = _layer(setup, conditions, spectrum)
     gains = [layer_gain(array, response, layer) for array, response in zip(arrays, responses, strict=True)]
+    gain = np.mean(gains, axis=0)
 
     def noise(motion: complex) -> list[np.ndarray]:
         along = _stream_frequencies(layer, motion)
-        sums = np.mean([spectrum.window.power_sums(gain, layer.power, along, spectrum.at_hz) for gain in gains], axis=0)
+        sums = spectrum.window.power_sums(gain, layer.power, along, spectrum.at_hz)
         return [spectrum.modes.mean(item) * setup.observing.raster.sample_rate_hz for item in sums]
 
     return _interpolate_motions(setup, conditions, noise)

@@ -30,7 +30,7 @@ from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.low_frequency import excess_variance
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.shared_parts import screen, shared_noise
-from surveysim.timestreams.simulation import observation_path
+from surveysim.timestreams.simulation import drawn_offsets, observation_path
 
 _NUMBERS = 5  # random numbers of a draw: four of the weather, one for the observation
 _SHIFTS = 8  # random shifts of the lattice of draws; their scatter is the error of the mean
@@ -156,16 +156,15 @@ def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingCondit
 
 
 def _view(setup: Setup, number: int) -> _ObservationGeometry:
-    _, pointing = observation_path(setup.observing, number)
-    middle = len(pointing.elevation_rad) // 2
+    angles = setup.observing.angles
+    elevation, parallactic = angles.elevation_rad[number], angles.parallactic_rad[number]
     air, slant = setup.scene.atmosphere, 0.0
     if air is not None:
-        slant = np.mean(np.sin(pointing.elevation_rad) ** (1 - air.spectral_index))
-    elevation = float(setup.observing.angles.elevation_rad[number].mean())
+        slant = np.mean(np.sin(elevation) ** (1 - air.spectral_index))
+    _, camera_angle = drawn_offsets(setup.observing, number)
+    middle = parallactic[len(parallactic) // 2]
     turn = number % 2 * np.pi / 2  # scans along Dec
-    return _ObservationGeometry(
-        slant, elevation, pointing.parallactic_rad[middle], pointing.array_angle_rad[middle], turn
-    )
+    return _ObservationGeometry(slant, float(elevation.mean()), middle, middle + camera_angle, turn)
 
 
 def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | None) -> tuple[float | complex, ...]:

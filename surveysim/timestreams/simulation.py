@@ -5,6 +5,7 @@ they are first asked for: checks and plans need none of them.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -114,8 +115,8 @@ class ObservingSetup:
             fixed = self.scene.fixed_pointing
             elevation, parallactic = np.full(shape, fixed.elevation_rad), np.full(shape, fixed.parallactic_angle_rad)
             return Angles(np.zeros(shape[0]), elevation, parallactic)
-        angles = survey_angles(field_centre(self.scene), observing_site(self.scene), starts, mid_time_s)
-        return Angles(starts.start_mjd, *angles)
+        where = field_centre(self.scene), observing_site(self.scene)
+        return Angles(starts.start_mjd, *_survey_angles(*where, tuple(starts.start_mjd), tuple(mid_time_s)))
 
     def samples(self, block: Block) -> slice:
         """Samples of one block among those of an observation."""
@@ -171,6 +172,14 @@ class Simulation:
         return np.dtype(self.scene.numerics.precision)
 
 
+@lru_cache(maxsize=2)  # points of a sweep, and the pilot of a forecast, have angles in common
+def _survey_angles(
+    field: FieldCentre, site: Site, start_mjd: tuple[float, ...], mid_time_s: tuple[float, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute `survey_angles` once for equal surveys."""
+    return survey_angles(field, site, np.array(start_mjd), np.array(mid_time_s))
+
+
 def field_centre(scene: Scene) -> FieldCentre:
     """Centre of the field of a scene."""
     return FieldCentre(scene.field.ra_rad, scene.field.dec_rad)
@@ -205,11 +214,16 @@ def observing_schedule(scene: Scene, lines: Raster, directions: Directions = hou
         raise SceneError(f"schedule: {error}") from None
 
 
-def observation_path(observing: ObservingSetup, observation: int) -> tuple[RasterPath, Pointing]:
-    """Point one observation: scans along RA and Dec in turn, dithered, the camera turned."""
+def drawn_offsets(observing: ObservingSetup, observation: int) -> tuple[np.ndarray, float]:
+    """Draw the dither (2,) of an observation and the angle of its camera [rad]."""
     rng = generator(observing.scene.seed, RandomPurpose.POINTING, observation)
     dither = (rng.random(2) - 0.5) * observing.raster.dither_rad
-    turn = (rng.random() - 0.5) * observing.scene.instrument.camera_rotation_range_rad
+    return dither, (rng.random() - 0.5) * observing.scene.instrument.camera_rotation_range_rad
+
+
+def observation_path(observing: ObservingSetup, observation: int) -> tuple[RasterPath, Pointing]:
+    """Point one observation: scans along RA and Dec in turn, dithered, the camera turned."""
+    dither, turn = drawn_offsets(observing, observation)
     path = raster(observing.raster, ("ra", "dec")[observation % 2], dither)
     angles = observing.angles
     pointing = observation_pointing(
