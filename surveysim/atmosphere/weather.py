@@ -10,6 +10,7 @@ import numpy as np
 
 from surveysim.atmosphere.opacity import BandOpacity
 from surveysim.runtime.errors import OutOfRangeError, SceneError
+from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.fields import B2_MAX
 
@@ -46,7 +47,7 @@ class Weather:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # an equal site gives the same record, by which draws are looked up
 class Water:
     """Response of a band to the water vapour of a site.
 
@@ -82,6 +83,7 @@ class Draws(Protocol):
         ...
 
 
+@lru_cache(maxsize=8)
 def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) -> Water:
     """Response of a band to the water vapour of a scene's site.
 
@@ -114,6 +116,12 @@ def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) ->
         )
     rank = (np.arange(log_b2.size) + 0.5) / log_b2.size
     return Water(opacity, response, log_b2, ndtri(rank))
+
+
+@lru_cache(maxsize=10_000)  # checks, forecasts and points of a sweep have weather in common
+def survey_weather(atmosphere: Atmosphere, water: Water | None, seed: int, observation: int) -> Weather:
+    """Draw the weather of one observation of a survey; raises as `draw_weather`."""
+    return draw_weather(atmosphere, water, generator(seed, RandomPurpose.WEATHER, observation))
 
 
 def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: Draws) -> Weather:

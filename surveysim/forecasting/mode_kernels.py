@@ -7,7 +7,7 @@ from mapmaker.kernels.compiled import njit
 
 @njit(cache=True, nogil=True)
 def look_up(table, last, x, centre, per_step, out):
-    """Interpolate an even table, 0 beyond its end, at ``|x - centre| per_step``; no branches, so that it is vectorised."""
+    """Interpolate an even table, 0 beyond its end, at ``|x - centre| per_step``, without branches for vectorisation."""
     for i in range(x.size):
         place = abs(x[i] - centre) * per_step
         within = min(place, last - 1e-9)

@@ -15,12 +15,13 @@ import numpy as np
 from mapmaker.chunks import row_chunks
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import FocalPlane
-from surveysim.atmosphere.weather import Weather, draw_weather
+from surveysim.atmosphere.weather import Water, Weather, draw_weather
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes, template_modes
 from surveysim.forecasting.mode_response import ProjectedArray, layer_waves
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.noise_and_sky import Excess, Photon
 from surveysim.scene.scene import Scene
 from surveysim.telescope.lattice_noise import NoiseCorrelation
@@ -99,16 +100,21 @@ def population_draws(setup: Setup) -> list[list[Draw]]:
         Each list is a rank-one lattice in all random numbers of the weather with its own random shift. The mean over a
         list is unbiased, with an error far below that of as many independent draws.
     """
-    air, n_obs = setup.scene.atmosphere, setup.scene.observations
-    rng = generator(setup.scene.seed, RandomPurpose.WEATHER, realization=1)  # the survey is realization 0
+    scene, water = setup.scene, setup.air.water
+    return [list(draws) for draws in _population(scene.atmosphere, water, scene.seed, scene.observations)]
+
+
+@lru_cache(maxsize=2)  # points of a sweep have weather in common
+def _population(air: Atmosphere | None, water: Water | None, seed: int, n_obs: int) -> tuple[tuple[Draw, ...], ...]:
+    rng = generator(seed, RandomPurpose.WEATHER, realization=1)  # the survey is realization 0
     lists = []
     for shift in rng.random((_SHIFTS, _NUMBERS)):
         points = (shift + np.outer(np.arange(_DRAWS_A_SHIFT), _lattice_steps())) % 1
         numbers = np.minimum((points[:, -1] * n_obs).astype(int), n_obs - 1)
         draws = map(_QuasiRandomDraws, points[:, :-1])
-        weather = [draw_weather(air, setup.air.water, draw) if air else None for draw in draws]
-        lists.append(list(zip(numbers.tolist(), weather, strict=True)))
-    return lists
+        weather = [draw_weather(air, water, draw) if air else None for draw in draws]
+        lists.append(tuple(zip(numbers.tolist(), weather, strict=True)))
+    return tuple(lists)
 
 
 def _lattice_steps() -> np.ndarray:

@@ -215,15 +215,20 @@ def observing_schedule(scene: Scene, lines: Raster, directions: Directions = hou
 
 
 def drawn_offsets(observing: ObservingSetup, observation: int) -> tuple[np.ndarray, float]:
-    """Draw the dither (2,) of an observation and the angle of its camera [rad]."""
-    rng = generator(observing.scene.seed, RandomPurpose.POINTING, observation)
-    dither = (rng.random(2) - 0.5) * observing.raster.dither_rad
-    return dither, (rng.random() - 0.5) * observing.scene.instrument.camera_rotation_range_rad
+    """Draw the dither (2,) of an observation, over its range, and the angle of its camera [rad]."""
+    along, across, turn = _pointing_numbers(observing.scene.seed, observation)
+    return np.array([along, across]), turn * observing.scene.instrument.camera_rotation_range_rad
+
+
+@lru_cache(maxsize=10_000)  # points of a sweep have them in common
+def _pointing_numbers(seed: int, observation: int) -> tuple[float, ...]:
+    return tuple(generator(seed, RandomPurpose.POINTING, observation).random(3) - 0.5)
 
 
 def observation_path(observing: ObservingSetup, observation: int) -> tuple[RasterPath, Pointing]:
     """Point one observation: scans along RA and Dec in turn, dithered, the camera turned."""
-    dither, turn = drawn_offsets(observing, observation)
+    offsets, turn = drawn_offsets(observing, observation)
+    dither = offsets * observing.raster.dither_rad
     path = raster(observing.raster, ("ra", "dec")[observation % 2], dither)
     angles = observing.angles
     pointing = observation_pointing(
