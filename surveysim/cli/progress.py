@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from surveysim.reduction.setup import prepare, window_observations
+from surveysim.reduction.setup import prepare, signal_sim_observations
 from surveysim.results.stopping import estimate_so_far
 from surveysim.runtime.printable import complain
 from surveysim.scene.scene import Scene
@@ -186,8 +186,8 @@ def time_text(seconds: float) -> str:
 
 def score_so_far(scene: Scene, coadds: CoAdds) -> str:
     """``sigma(A) = 270 +- 8 uK_CMB^2`` of the actual data so far, as it is quoted; empty while it can't be said."""
-    windows = window_observations(scene)[: coadds.done].sum()
-    if scene.score is None or coadds.done < 2 or windows < 2:
+    with_sims = signal_sim_observations(scene)[: coadds.done].sum()
+    if scene.score is None or coadds.done < 2 or with_sims < 2:
         return ""
     found = estimate_so_far(prepare(scene), coadds)
     if found is None:

@@ -44,7 +44,7 @@ from surveysim.forecasting.observing_conditions import (
     population_conditions,
     removed_modes,
 )
-from surveysim.forecasting.scan_apodization import ScanApodization, frequency_nodes, hann_window, scan_window
+from surveysim.forecasting.scan_apodization import ScanApodization, frequency_nodes, hann_apodization, scan_apodization
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup, prepare
@@ -115,7 +115,7 @@ class _ScanFrequencies:
 
     modes: Modes
     at_hz: np.ndarray
-    window: ScanApodization
+    apodization: ScanApodization
     nodes_hz: np.ndarray
     weight_hz: np.ndarray
     excess_hz: np.ndarray
@@ -174,14 +174,14 @@ def _spectrum(setup: Setup, fitted_modes: FittedModes) -> _ScanFrequencies:
     rate = lines.sample_rate_hz
     at_hz = modes.wave.real.ravel() * lines.speed_rad_s / (2 * np.pi)
     at_hz -= rate * np.round(at_hz / rate)  # aliases of the sample rate
-    window = scan_window(
+    apodization = scan_apodization(
         seconds,
         speed_rad_s=lines.speed_rad_s,
         size_rad=scene.score.size_rad,
         taper_fraction=scene.score.taper_fraction,
         fitted_modes=fitted_modes,
     )
-    nodes, weight = frequency_nodes(window, max(1.1 * np.abs(at_hz).max(), 0.5 * rate))
+    nodes, weight = frequency_nodes(apodization, max(1.1 * np.abs(at_hz).max(), 0.5 * rate))
     excess_hz, excess = np.zeros(0), np.zeros(0)
     if scene.excess:
         # Lines of streams twice as long as a scan, as in the simulation: the lowest lines dominate a steep spectrum.
@@ -190,7 +190,7 @@ def _spectrum(setup: Setup, fitted_modes: FittedModes) -> _ScanFrequencies:
         step = rate / (2 * n_samp)
         positive = step * np.arange(1, n_samp + 1)
         excess_hz, excess = np.concatenate([-positive, positive]), np.tile(psd * step, 2)
-    return _ScanFrequencies(modes, at_hz, window, nodes, weight, excess_hz, excess)
+    return _ScanFrequencies(modes, at_hz, apodization, nodes, weight, excess_hz, excess)
 
 
 def _arrays(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingConditions) -> list[ProjectedArray]:
@@ -220,9 +220,9 @@ def _map_components(
     correlations: NoiseCorrelations,
 ) -> _NoiseComponents:
     rate, modes = setup.observing.raster.sample_rate_hz, spectrum.modes
-    window, nodes = spectrum.window, spectrum.nodes_hz
-    flat = window.sums(spectrum.weight_hz[None], nodes, spectrum.at_hz)
-    red = window.sums(spectrum.excess[None], spectrum.excess_hz, spectrum.at_hz)
+    apodization, nodes = spectrum.apodization, spectrum.nodes_hz
+    flat = apodization.sums(spectrum.weight_hz[None], nodes, spectrum.at_hz)
+    red = apodization.sums(spectrum.excess[None], spectrum.excess_hz, spectrum.at_hz)
     parts, (photon, excess) = [], correlations
     for array, response in zip(arrays, responses, strict=True):
         white = matrix_power(response, None)
@@ -259,7 +259,9 @@ def _layer_noise(
 
     def noise(motion: complex) -> list[np.ndarray]:
         along = _stream_frequencies(layer, motion)
-        sums = np.mean([spectrum.window.power_sums(gain, layer.power, along, spectrum.at_hz) for gain in gains], axis=0)
+        sums = np.mean(
+            [spectrum.apodization.power_sums(gain, layer.power, along, spectrum.at_hz) for gain in gains], axis=0
+        )
         return [spectrum.modes.mean(item) * setup.observing.raster.sample_rate_hz for item in sums]
 
     return _interpolate_motions(setup, conditions, noise)
@@ -270,7 +272,7 @@ def _no_layer(motion: np.ndarray, sine: np.ndarray) -> np.ndarray:
 
 
 def _layer(setup: Setup, conditions: ObservingConditions, spectrum: _ScanFrequencies) -> LayerWaves:
-    longest = np.abs(conditions.motion).max() * spectrum.window.duration_s
+    longest = np.abs(conditions.motion).max() * spectrum.apodization.duration_s
     return layer_waves(screen(setup.scene), longest, _sine_nodes(conditions).tolist())
 
 
@@ -326,19 +328,19 @@ def _noise_only_components(
 ) -> _NoiseComponents:
     """Components of the data sets "uncorrelated" and "white", simulated from the PSDs of the cleaned streams."""
     rate = setup.observing.raster.sample_rate_hz
-    seconds = spectrum.window.duration_s
+    seconds = spectrum.apodization.duration_s
     n_samp = samples_per_scan(setup.observing.raster)
     lines = np.arange(1, (n_samp - 1) // 2 + 1) / seconds
-    hann, nodes = hann_window(seconds, spectrum.window.fitted_modes), spectrum.nodes_hz
-    window = spectrum.window
+    hann, nodes = hann_apodization(seconds, spectrum.apodization.fitted_modes), spectrum.nodes_hz
+    apodization = spectrum.apodization
     if name == "uncorrelated":
         # Streams periodic over a scan: lines, without a mean.
         both = np.concatenate([-lines, lines])
-        through = window.at(spectrum.at_hz[:, None] - both) ** 2 / seconds
+        through = apodization.at(spectrum.at_hz[:, None] - both) ** 2 / seconds
         to_modes = rate * (through[:, : len(lines)] + through[:, len(lines) :])
     else:
         high = lines > setup.scene.score.white_noise_above_hz
-        flat = window.sums(spectrum.weight_hz[None], nodes, spectrum.at_hz)
+        flat = apodization.sums(spectrum.weight_hz[None], nodes, spectrum.at_hz)
         to_modes = rate * np.outer(flat, high / high.sum())
 
     def in_bins(psd: np.ndarray) -> np.ndarray:
@@ -379,7 +381,9 @@ def _transmission(
         / array.responsivity.sum()
         for array, response in zip(arrays, responses, strict=True)
     ]
-    amplitude = (np.mean(kept, axis=0) * spectrum.window.signal_amplitude(spectrum.at_hz)).reshape(modes.wave.shape)
+    amplitude = (np.mean(kept, axis=0) * spectrum.apodization.signal_amplitude(spectrum.at_hz)).reshape(
+        modes.wave.shape
+    )
     across = amplitude[:, modes.turned]
     half = len(modes.share) // 2
     across[:, :half] = across[:, :half].conj()

@@ -60,8 +60,8 @@ def _spectra(result: SurveyResult, name: str) -> Iterator[Column]:
     yield file_column(f"noise_{name}", item.noise_psd, "uK2 sr")
     yield file_column(f"noise_error_{name}", error, "uK2 sr")
     yield file_column(f"signal_{name}", item.signal_psd, "sr")
-    yield file_column(f"transfer_function_{name}", item.window.transmission)
-    yield file_column(f"transfer_function_error_{name}", item.window.error)
+    yield file_column(f"transfer_function_{name}", item.transfer_function.transmission)
+    yield file_column(f"transfer_function_error_{name}", item.transfer_function.error)
     yield file_column(f"cumulative_{name}", item.band.cumulative, "uK2")
     if result.expected and name in result.expected.scores:
         expected = result.expected.scores[name]

@@ -70,8 +70,8 @@ def _check_strip(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, li
 @dataclass(frozen=True)
 class Sizes:
     """Sizes of the arrays of a run: detectors, samples of a scan, scans of the largest block, bands that are drawn,
-    map pixels in all and along a side of the scored patch and of the padded one, data sets, windows, skies, numbers
-    of a strip's matrices, and coefficients of a curved sky.
+    map pixels in all and along a side of the scored patch and of the padded one, data sets, transfer functions, skies,
+    numbers of a strip's matrices, and coefficients of a curved sky.
     """
 
     n_det: int
@@ -82,7 +82,7 @@ class Sizes:
     n_patch: int
     n_pad: int
     n_set: int
-    n_window: int
+    n_transfer: int
     n_sky: int
     strip_elements: int
     n_coefficients: int
@@ -96,7 +96,7 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     """
     real = 4 if scene.numerics.precision == "float32" else 8
     n_freq, patch, flips = of.n_samp // 2 + 1, of.n_patch**2, scene.score.jackknives if scene.score else 0
-    skies = of.n_sky * (8 * 4 * of.n_pixel + 16 * of.n_window * of.n_pixel + 40 * of.n_window * patch)
+    skies = of.n_sky * (8 * 4 * of.n_pixel + 16 * of.n_transfer * of.n_pixel + 40 * of.n_transfer * patch)
     shared = any(section and section.coherence != "none" for section in (scene.photon, scene.excess))
     pairs = of.n_det**2 if shared and of.n_det <= MOST_DENSE else 0
     compared = 2 + len(scene.cleaning.compare)

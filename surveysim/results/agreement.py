@@ -70,7 +70,7 @@ def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) 
     """
     scatter = _scatter(setup, simulated, expected)
     ratio = expected.band.sigma_ukcmb2 / simulated.plain_band.sigma_ukcmb2
-    error = ratio * float(np.linalg.norm([simulated.budget.noise, simulated.budget.window, scatter]))
+    error = ratio * float(np.linalg.norm([simulated.budget.noise, simulated.budget.transfer_function, scatter]))
     low, high = compared_ell(setup)
     edges = setup.analysis.region.rings.edges_ell
     bins = np.flatnonzero((edges[:-1] >= low) & (edges[1:] <= high))

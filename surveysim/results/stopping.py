@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 
 from surveysim.reduction.cleaning_pipelines import ACTUAL
-from surveysim.reduction.setup import Setup, window_observations
+from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.control_variate import quoted_scores
 from surveysim.runtime.errors import InputError, InsufficientDataError, SceneError
 from surveysim.scene.scene import Scene
@@ -21,7 +21,7 @@ from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import DataSetScore, noise_parts
 
 FEWEST = 32  # observations whose scatter tells their error to an eighth; rare ones that lose scans must be among them
-_WINDOWS = 8  # observations that tell what cleaning leaves of the sky: fewer leave seams in its maps
+_FEWEST_WITH_SIMS = 8  # observations that tell what cleaning leaves of the sky: fewer leave seams in its maps
 _SPACING = 8  # of boundaries, up to 128 observations: four pairs of scan directions
 FINE_ERROR = 0.01  # relative error whose cost is printed
 TOLD_ERRORS = (0.03, FINE_ERROR)  # relative errors whose costs are in summary.json
@@ -131,9 +131,9 @@ def stopping_rule(setup: Setup, limits: StoppingCriteria, begun: float) -> Calla
 
 
 def may_end(scene: Scene, done: int) -> bool:
-    """Return whether a run may end by its target here: a boundary, with window observations enough or all there are."""
-    windows = window_observations(scene)
-    return is_boundary(done) and windows[:done].sum() >= min(_WINDOWS, windows.sum())
+    """Return whether a run may end by its target here: a boundary, with enough signal simulations or all."""
+    with_sims = signal_sim_observations(scene)
+    return is_boundary(done) and with_sims[:done].sum() >= min(_FEWEST_WITH_SIMS, with_sims.sum())
 
 
 def is_boundary(done: int) -> bool:
@@ -193,7 +193,9 @@ def error_parts(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -
     item = scores[ACTUAL]
     flips, common = noise_parts(setup, item)
     budget = item.budget
-    return ErrorParts(math.hypot(common, budget.weather), flips, budget.window, budget.population, coadds.each_s)
+    return ErrorParts(
+        math.hypot(common, budget.weather), flips, budget.transfer_function, budget.population, coadds.each_s
+    )
 
 
 def answer_cost(

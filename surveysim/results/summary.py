@@ -121,7 +121,7 @@ def _budget_entry(item: DataSetScore) -> dict[str, float]:
     return {
         "noise": budget.noise,
         "weather": budget.weather,
-        "transfer_function": budget.window,
+        "transfer_function": budget.transfer_function,
         "population": budget.population,
     }
 

@@ -25,7 +25,7 @@ from surveysim.telescope.raster import samples_per_scan
 NAME = "checkpoint.h5"
 REASON = 150  # letters of the reason why a file is refused
 
-_ARRAYS = ("sums", "weight", "hits", "flipped", "window", "window_weight")
+_ARRAYS = ("sums", "weight", "hits", "flipped", "signal_maps", "signal_weight")
 _LISTS = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")
 _AGAIN = "delete it and go on with --resume"
 _LARGEST = 1e30  # of any sum: maps, in single precision, hold up to 3e38
@@ -158,7 +158,7 @@ def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     for name in (*_ARRAYS, "raw_psd", "clean_psd", "compared_psd"):
         if not (np.abs(arrays[name]) < _LARGEST).all():
             raise ValueError(f"{name} has values that are not finite, or above {_LARGEST:g}")
-    for name in ("weight", "hits", "window_weight", "raw_psd", "clean_psd", "compared_psd"):
+    for name in ("weight", "hits", "signal_weight", "raw_psd", "clean_psd", "compared_psd"):
         if (arrays[name] < 0).any():
             raise ValueError(f"{name} has negative values")
     if not (arrays["bin_noise"] >= 0).all():  # infinite where an observation has no data

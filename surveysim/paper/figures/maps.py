@@ -98,7 +98,7 @@ def _sensitivity_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
     used, rings = _usable(result), result.setup.analysis.region.rings
     sigmas = {label: log_bin_sigma(result, result.scores[name])[used] for label, name in names.items()}
     y_label = r"$\sigma(A)$ of $\Delta\ln\ell = 1$ [$\mu$K$_\mathrm{CMB}^2$]"
-    return _panel("noise over windows", ELL, y_label, _lines(rings.ell[used], sigmas))
+    return _panel("noise over transfer function", ELL, y_label, _lines(rings.ell[used], sigmas))
 
 
 def log_bin_sigma(result: SurveyResult, item: DataSetScore) -> np.ndarray:
@@ -180,7 +180,7 @@ def _caption(result: SurveyResult, names: dict[str, str]) -> str:
         f"{result.coadds.done} simulated observations of {scene.name}, co-added after each algorithm, and after the one"
         f" that is best in each observation for a flat CMB spectrum in the scored range (optimal). Noise from"
         f" co-adds with random signs."
-        f" Top right: noise PSD over that of unit flat band power behind beam, pixel and the algorithm's window, as"
+        f" Top right: noise PSD over that of unit flat band power behind beam, pixel and transfer function, as"
         f" the uncertainty that bins of one unit of ln l would have; bottom: from all data from a multipole up to"
         f" {scene.score.ell_max}, with Monte Carlo errors; right, of the ratio. In the scored range from"
         f" {scene.score.ell_min} it is {own.band.sigma_ukcmb2:.0f} ± {own.band.error_ukcmb2:.0f} uK_CMB^2 with {first},"

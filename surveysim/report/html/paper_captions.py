@@ -74,13 +74,13 @@ PAPER = {
     ),
     12: Caption(
         "Average subtraction and adaptive PCA",
-        "Noise, window and signal to noise of average subtraction and of adaptive PCA, in good and poor weather.",
+        "Noise, transfer function and signal to noise of average subtraction and PCA, in good and poor weather.",
         "Across: frequency [Hz]. Up: power spectral density [mK^2/Hz], and the signal to noise of a flat CMB spectrum.",
         "Look for how close the two ways of cleaning are where the signal to noise is highest.",
     ),
     13: Caption(
         "Noise of the co-added map and sensitivity to a flat CMB band power",
-        "Noise of the map, noise over windows and cumulative sensitivity for each cleaning, against multipole.",
+        "Map noise, noise over transfer function and cumulative sensitivity of each cleaning, against multipole.",
         "Across: multipole ℓ, in the lower row the lowest that is used. Up: noise PSD [µK²_CMB arcmin^2]; uncertainty "
         "σ(A) of bins and of all data above [µK²_CMB]; its ratio to that of average subtraction.",
         "Look for quadratic subtraction at low multipoles: little noise, but less signal still.",

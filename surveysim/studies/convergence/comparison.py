@@ -69,8 +69,8 @@ def ladder_rows(settings: Sequence[Setting], asked: Tasks, runs: Mapping[str, Ru
     for place, setting in enumerate(settings):
         if setting.kind not in ("sampling", "numerical"):
             continue
-        finest = max((other for other in found if settings[other].knob == setting.knob), default=place)
-        same_skies = setting.knob not in ("window skies", "window observations")
+        finest = max((other for other in found if settings[other].parameter == setting.parameter), default=place)
+        same_skies = setting.parameter not in ("signal simulations", "observations with simulations")
         n_obs = max(task.counts[0] for task in asked.tasks.values())
         if place in refused:
             rows.append(Measured(setting, n_obs, note=refused[place]))
@@ -150,7 +150,7 @@ def slopes(rows: Iterable[Measured]) -> list[Slope]:
     """
     done = [row for row in rows if row.budget is not None]
     whole = [row for row in done if row.setting.kind == "survey"]
-    flips = [row for row in done if row.setting.knob == "noise realizations"]
+    flips = [row for row in done if row.setting.parameter == "noise realizations"]
     counts = [row.observations for row in whole]
     total = [row.budget.total for row in whole]
     flipped = [row.budget.noise for row in flips]
@@ -179,17 +179,17 @@ def _slope(name: str, x_values: Sequence[float], y_values: Sequence[float]) -> S
 
 
 def recommendations(rows: Iterable[Measured], tolerated: float) -> list[Recommendation]:
-    """The fastest setting of each knob that is good enough, by the time of the CPU.
+    """Return the fastest setting, in CPU time, of each parameter that is good enough.
 
-    A numerical one has a bias below the one `tolerated`, or below its own error. A Monte Carlo knob has no bias but by
-    chance: its setting knows sigma(A) hardly worse than the scene's own. That is as good as one hardly faster.
+    A numerical setting is good enough if its bias is below `tolerated` or below the error of the bias. A Monte Carlo
+    setting is good enough if its error of sigma(A) hardly exceeds the error of the scene's own setting.
     """
     ladder: dict[str, list[Measured]] = {}
     for row in rows:
         if row.setting.kind in ("sampling", "numerical") and np.isfinite(row.bias):
-            ladder.setdefault(row.setting.knob, []).append(row)
+            ladder.setdefault(row.setting.parameter, []).append(row)
     found = []
-    for knob, steps in ladder.items():
+    for parameter, steps in ladder.items():
         own = next((row for row in steps if row.setting.own), steps[-1])
         samples = own.setting.kind == "sampling"
         if samples:
@@ -200,5 +200,5 @@ def recommendations(rows: Iterable[Measured], tolerated: float) -> list[Recommen
         if own in good and own.cpu_s <= MUCH_FASTER * best.cpu_s:
             best = own
         resolved = samples or best.bias_error <= tolerated
-        found.append(Recommendation(knob, best.setting.label, best.setting.own, resolved))
+        found.append(Recommendation(parameter, best.setting.label, best.setting.own, resolved))
     return found

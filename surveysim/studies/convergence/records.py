@@ -11,7 +11,7 @@ from surveysim.scene.scene import Scene
 SUB_SURVEY = 60  # observations with which all but the number of observations is measured
 REFERENCE_ERROR, MOST_SEEDS = 0.01, 8
 PARTS = (16, 8, 4, 2, 1)  # of the survey
-FLIPS, SKIES, WINDOW_PARTS = (8, 16, 32, 64, 128), (2, 4, 8), (20, 5, 2)
+FLIPS, SKIES, SIGNAL_SIM_PARTS = (8, 16, 32, 64, 128), (2, 4, 8), (20, 5, 2)
 STEPS, RATES = (4.0, 2.0, 1.0, 0.5), (0.5, 1.0, 2.0)
 FINEST = {"numerics.precision": "float64", "numerics.interpolation": "cubic", "numerics.screen_step": min(STEPS)}
 OF_SCREEN = ("screen step", "interpolation")
@@ -23,9 +23,9 @@ Kind = Literal["survey", "sampling", "numerical", "forecast"]
 
 @dataclass(frozen=True)
 class Setting:
-    """A step of a knob's ladder, by the keys of the scene that it replaces; `own` for the scene's own."""
+    """A step of a parameter's ladder, by the keys of the scene that it replaces; `own` for the scene's own."""
 
-    knob: str
+    parameter: str
     label: str
     overrides: dict[str, Any]
     kind: Kind
@@ -89,12 +89,12 @@ class Slope:
 
 @dataclass(frozen=True)
 class Recommendation:
-    """The fastest setting of a knob that is as good as needed.
+    """The fastest setting of a parameter that is as good as needed.
 
     `is_own`: the scene has it; `resolved`: its bias is known to better than what is tolerated.
     """
 
-    knob: str
+    parameter: str
     label: str
     is_own: bool
     resolved: bool

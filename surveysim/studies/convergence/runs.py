@@ -61,7 +61,7 @@ def run_task(task: Task) -> Run:
     try:
         setup = prepare(task.scene)
         # Compiles, and makes factors and expectations over weather: no part of the time that an observation takes.
-        observe(setup, 0, with_window=True)
+        observe(setup, 0, with_signal_sims=True)
         known_expectations(setup)
         start_s = perf_counter() - start
         marks = _marks(setup, task.counts)
@@ -81,7 +81,7 @@ def _marks(setup: Setup, counts: Sequence[int]) -> dict[int, Mark]:
         before, found, note = clocks(), None, ""
         try:
             found = quoted_scores(setup, coadds, (ACTUAL,))[ACTUAL]
-        except InsufficientDataError as error:  # too few observations, or none with window skies
+        except InsufficientDataError as error:  # too few observations, or none with signal simulations
             note = f"not scored: {first_line(error)}"
         after = clocks()
         wall, cpu = after - began - scoring
@@ -134,7 +134,7 @@ def tasks(scene_of: Callable[[Mapping[str, Any]], Scene], settings: Iterable[Set
         except SceneError as error:
             found.refused[place] = f"refused: {first_line(error)}"
             continue
-        if setting.knob in OF_SCREEN and scene.atmosphere is None:
+        if setting.parameter in OF_SCREEN and scene.atmosphere is None:
             found.refused[place] = "refused: without [atmosphere] there is no screen"
             continue
         found.hashes[place] = scene_hash(scene)

@@ -178,7 +178,7 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
 
 
 def _skies(setup: Setup) -> str:
-    """Equal where windows are measured with the same skies: one seed, and one grid that they are drawn on."""
+    """Return a key that is equal for points whose signal simulations are the same: same seed, skies and grid."""
     scene = setup.scene
     return sha256(f"{scene.seed} {scene.score.signal_sims} {setup.sky.geometry}".encode()).hexdigest()
 

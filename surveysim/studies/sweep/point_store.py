@@ -22,7 +22,7 @@ from surveysim.studies.sweep.axes import Point
 from surveysim.survey.checkpoint import REASON, CheckpointError, check_origin, read_meta
 from surveysim.survey.scores import Control, DataSetScore
 
-_OF_BAND, _OF_WINDOW = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
+_OF_BAND, _OF_TRANSFER = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
 _OF_CONTROL = ("factor", "weights", "noise")
 _OF_SET = ("noise_psds", "signal_psd", "weights", "bin_noise", "kept")
 _NEVER_NEGATIVE = (
@@ -32,7 +32,7 @@ _NEVER_NEGATIVE = (
     "kept",
     "band.weight",
     "band.ell",
-    "window.ell",
+    "transfer_function.ell",
     "control.weights",
     "plain.weight",
     "plain.ell",
@@ -47,9 +47,9 @@ class PointResult:
     `off` is the actual data's forecast over the simulation, less 1, with the standard error of that, empty where there
     is only one of them; `flags` say why the forecast may be off.
     `discarded` is the share of discarded scans by data set, empty where it is not known, and `discarded_by_weather`
-    that of quarters of the observations (`surveysim.survey.discarded_scans`). `skies` is equal for points whose windows
-    are measured with the same skies. `wall_s` is the time that the point took since it was started or, the last time,
-    resumed.
+    the same for quarters of the observations (`surveysim.survey.discarded_scans`). `skies` is equal for points whose
+    transfer functions are measured with the same skies. `wall_s` is the time of the point since its start or last
+    resumption.
     """
 
     n_det: int
@@ -138,7 +138,7 @@ class _Band(_Numbers):
 class _Budget(_Numbers):
     noise: float
     weather: float
-    window: float
+    transfer_function: float
     population: float
 
 
@@ -207,7 +207,7 @@ def _check_point(result: PointResult, point: Point) -> None:
         raise ValueError(f"no data set of the scene: {others[0]}")
     n_bin = {len(item.signal_psd) for item in result.scores.values()}
     n_obs, skies = point.scene.observations, score.signal_sims.skies
-    sizes = {"noise_psds": (score.jackknives, *n_bin), "window.deviations": (skies, *n_bin)}
+    sizes = {"noise_psds": (score.jackknives, *n_bin), "transfer_function.deviations": (skies, *n_bin)}
     sizes |= dict.fromkeys(("weights", "control.weights"), (n_obs,))
     sizes |= dict.fromkeys(("bin_noise", "control.noise"), (n_obs, *n_bin))
     for name, item in result.scores.items():
@@ -248,7 +248,11 @@ def _of(record: Any, arrays: tuple[str, ...]) -> dict[str, float]:
 
 def _parts(item: DataSetScore) -> dict[str, tuple[Any, tuple[str, ...]]]:
     """Records of a score that have arrays, and their names."""
-    parts = {"": (item, _OF_SET), "band.": (item.band, _OF_BAND), "window.": (item.window, _OF_WINDOW)}
+    parts = {
+        "": (item, _OF_SET),
+        "band.": (item.band, _OF_BAND),
+        "transfer_function.": (item.transfer_function, _OF_TRANSFER),
+    }
     if item.control is not None:
         parts |= {"control.": (item.control, _OF_CONTROL), "plain.": (item.plain, _OF_BAND)}
     return parts
@@ -269,7 +273,7 @@ def _score(file: Any, name: str, numbers: dict[str, Any]) -> DataSetScore:
         n_det=numbers["n_det"],
         band=BandPower(**numbers["band"], **arrays("band.", _OF_BAND)),
         budget=ErrorBudget(**numbers["budget"]),
-        window=TransferFunction(**arrays("window.", _OF_WINDOW)),
+        transfer_function=TransferFunction(**arrays("transfer_function.", _OF_TRANSFER)),
         control=Control(**numbers["control"], **arrays("control.", _OF_CONTROL)) if controlled else None,
         plain=BandPower(**numbers["plain"], **arrays("plain.", _OF_BAND)) if controlled else None,
         **arrays("", _OF_SET),

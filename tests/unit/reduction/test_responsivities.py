@@ -1,4 +1,4 @@
-"""Whose responsivities a scene cleans with: keys, draws, pipelines, blocks, window skies and forecasts."""
+"""Whose responsivities a scene cleans with: keys, draws, pipelines, blocks, signal simulations and forecasts."""
 
 from dataclasses import replace
 
@@ -87,9 +87,9 @@ def test_a_compared_cleaning_may_be_the_one_that_takes_them(setup_of):
 def test_every_cleaning_runs_with_every_setting(setup_of, name, way):
     keys = {f"cleaning.{key}": value for key, value in KEYS.items()}
     setup = setup_of(**WAYS[way], **keys, **LONG, cleaning__algorithm=name, score__noise_only_sets=[])
-    found = observe(setup, 0, with_window=True)
+    found = observe(setup, 0, with_signal_sims=True)
     assert (found.iterations[0] == 0) == (way in ("survey", "known"))
-    assert found.hits.any() and np.isfinite(found.sums).all() and found.window.any()
+    assert found.hits.any() and np.isfinite(found.sums).all() and found.signal_maps.any()
 
 
 def test_the_calibration_is_the_true_one_with_its_error(setup_of):
@@ -153,7 +153,7 @@ def test_other_bands_are_cleaned_with_their_own(setup_of):
     np.testing.assert_allclose(found[1], found[0], atol=1e-9)
 
 
-# ---------------------------------------------------------------- blocks, engines, window skies
+# ---------------------------------------------------------------- blocks, engines, signal simulations
 
 
 def test_a_fit_to_an_observation_needs_it_whole(setup_of):
@@ -178,11 +178,11 @@ def test_workers_change_no_bit(setup_of, way):
     scene = setup_of(**WAYS[way]).scene
     one, two = (run(scene, engine=engine) for engine in (SERIAL, Engine(workers=2)))
     np.testing.assert_array_equal(one.coadds.sums, two.coadds.sums)
-    np.testing.assert_array_equal(one.coadds.window, two.coadds.window)
+    np.testing.assert_array_equal(one.coadds.signal_maps, two.coadds.signal_maps)
 
 
 @pytest.mark.parametrize("way, again", [("scan", 3), ("observation", 4)])
-def test_window_skies_are_fitted_with_the_same_scans(setup_of, monkeypatch, way, again):
+def test_signal_simulations_are_fitted_with_the_same_scans(setup_of, monkeypatch, way, again):
     """A scan that is lost without a sky is cleaned again only where it has a part in the others' responsivities."""
     clean, cleaned = reduction.apply_pipeline, []
 
@@ -197,8 +197,8 @@ def test_window_skies_are_fitted_with_the_same_scans(setup_of, monkeypatch, way,
 
     monkeypatch.setattr(reduction, "apply_pipeline", lossy)
     strong = {"atmosphere__b2": "[2000, 5000, 10000] mK2 rad(-5/3)"}  # so that no other scan is lost
-    found = observe(setup_of(**WAYS[way], **strong, score__mask_separation_f_lambda=None), 0, with_window=True)
-    assert cleaned == [4, again, again] and found.window.any()
+    found = observe(setup_of(**WAYS[way], **strong, score__mask_separation_f_lambda=None), 0, with_signal_sims=True)
+    assert cleaned == [4, again, again] and found.signal_maps.any()
 
 
 def test_a_fit_that_other_scans_share_with_the_sky_tells_nothing(setup_of, monkeypatch):
@@ -210,8 +210,8 @@ def test_a_fit_that_other_scans_share_with_the_sky_tells_nothing(setup_of, monke
         return done if len(cleaned) == 1 else replace(done, kept=np.arange(4) > 0)
 
     monkeypatch.setattr(reduction, "apply_pipeline", lossy)
-    found = observe(setup_of(**WAYS["observation"], score__mask_separation_f_lambda=None), 0, with_window=True)
-    assert not found.window.any()
+    found = observe(setup_of(**WAYS["observation"], score__mask_separation_f_lambda=None), 0, with_signal_sims=True)
+    assert not found.signal_maps.any()
 
 
 # ---------------------------------------------------------------- forecast
