@@ -1,4 +1,4 @@
-"""Predicted stages, run time, memory and output size of a run, from a few observations or a block simulated here."""
+"""Predicted stages, run time, memory and output size of a run, measured on a few simulated observations or one block."""
 
 import math
 import os
@@ -21,13 +21,12 @@ from surveysim.telescope.raster import samples_per_scan
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.scan_blocks import Block
 
-# Drawing figures takes about twice as long as it takes to start, half as long again with those of a score, and
-# matplotlib holds this much.
+# Time to draw figures over the start-up time, without and with a score, and the memory of matplotlib.
 FIGURE_STARTS, SCORE_FIGURE_STARTS = 2.0, 3.0
 FIGURE_BYTES = 80e6
-# Where the system does not say what a process holds: Python and the libraries.
+# Memory of Python and the libraries, if the system does not report the memory of a process.
 BASE_BYTES = 230e6
-# Stages of an observation that do not take longer the more scans it has, and those of signal simulations.
+# Stages whose time does not depend on the number of scans, and stages of signal simulations.
 ONCE, SKIES = ("figure_of_merit", "weights"), ("transfer_function",)
 
 
@@ -95,7 +94,7 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
     with threadpool_limits(1):  # as in a run
         measured = _measure(setup) if len(setup.observing.blocks) == 1 else _measure_block(setup)
     observing_s = (scene.observations - n_with_sims) * measured.plain_s + n_with_sims * measured.with_sims_s
-    # Sums are made by the first process, which else waits for the workers.
+    # The first process makes the sums; otherwise it waits for the workers.
     summing_s = scene.observations * measured.adding_s
     working_s = observing_s + summing_s if parallel == 1 else max(observing_s / parallel, summing_s)
     figures_s = start_s * (SCORE_FIGURE_STARTS if scene.score else FIGURE_STARTS)
@@ -127,7 +126,7 @@ def _measure(setup: Setup) -> _Measured:
 
 
 def _measure_block(setup: Setup) -> _Measured:
-    """Time a block of the most scans and one of a single scan with warm caches; extrapolate to a whole observation."""
+    """Time the longest block and a block of one scan with warm caches; extrapolate to a whole observation."""
     carries = signal_sim_observations(setup.scene)
     most = max(block.n_scans for block in setup.observing.blocks)
     block, scan = (_of_one_block(setup, n) for n in (most, 1))
@@ -142,14 +141,14 @@ def _measure_block(setup: Setup) -> _Measured:
 
 
 def _of_one_block(setup: Setup, n_scans: int) -> Setup:
-    """Replace the blocks of a setup by one of some scans."""
+    """Replace the blocks of a setup by one block of `n_scans` scans."""
     return replace(setup, observing=replace(setup.observing, blocks=(Block(0, 0, n_scans),)))
 
 
 def _with_sums(
     setup: Setup, result: ObservationResult, first_s: float, plain_s: float, with_sims_s: float
 ) -> _Measured:
-    """Add to the times of observations those of co-adding one and of scoring the sums."""
+    """Measure the times of co-adding an observation and of scoring the sums."""
     coadds = empty_coadds(setup)
     for number in range(min(2, setup.scene.observations)):  # once caches are warm, where there is a second
         adding_s, _ = _timed(add_observation, setup, coadds, replace(result, observation=number))
@@ -160,19 +159,19 @@ def _with_sums(
 
 
 def _scoring(setup: Setup, coadds: CoAdds) -> float:
-    """Seconds that it takes to score sums; of two equal observations it takes as long as of many."""
+    """Time to score the sums [s]; it does not depend on the number of observations."""
     return _timed(partial(survey_result, wall_s=0.0, workers=1), setup, coadds)[0] if setup.scene.score else 0.0
 
 
 def _timed(work: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
-    # The processor's time, so that what else runs here is not predicted too.
+    # CPU time, which other processes on this machine do not change.
     start = process_time()
     result = work(*arguments)
     return process_time() - start, result
 
 
 def _windiest(setup: Setup) -> int:
-    """The observation whose layer moves fastest, and so takes the longest strip; the first without a layer."""
+    """Observation with the fastest motion of the layer, hence the longest strip; the first without a layer."""
     if setup.scene.atmosphere is None:
         return 0
     weathers = [observation_weather(setup, observation) for observation in range(setup.scene.observations)]

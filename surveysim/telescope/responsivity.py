@@ -1,4 +1,4 @@
-"""Responsivities of the detectors: the true ones, and those that cleaning takes as known."""
+"""Responsivities of the detectors: the true ones, and those that cleaning assumes."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ def true_responsivity(scene: Scene, n_det: int, realization: int = 0) -> np.ndar
 
 
 def assumed_responsivity(scene: Scene, true: np.ndarray) -> np.ndarray | None:
-    """Draw the responsivities (n_band, n_det) that cleaning takes as known; None where it fits them."""
+    """Draw the responsivities (n_band, n_det) that cleaning assumes; None where cleaning fits them."""
     section = scene.cleaning
     if section.responsivities == "known":
         return true

@@ -1,4 +1,4 @@
-"""Settings against each other: errors, biases, slopes, and which setting to take."""
+"""Comparison of settings: errors, biases, slopes, and recommendations."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -15,9 +15,9 @@ from surveysim.survey.scores import DataSetScore, error_modes
 
 
 def survey_rows(settings: Iterable[Setting], pooled: Sequence[Run]) -> list[Measured]:
-    """Rows of the number of observations: means over seeds, against the mean of the whole surveys.
+    """Make the rows of the number of observations: means over seeds, relative to the mean of the whole surveys.
 
-    A bias is known to the paired error of a part and its whole, over the root of the number of seeds.
+    The error of a bias is the paired error of a part and its whole, divided by the root of the number of seeds.
     """
     rows = []
     for setting in (item for item in settings if item.kind == "survey"):
@@ -55,7 +55,7 @@ def _survey_row(setting: Setting, count: int, marks: Sequence[Mark], pooled: Seq
 
 
 def ladder_rows(settings: Sequence[Setting], asked: Tasks, runs: Mapping[str, Run]) -> list[Measured]:
-    """Rows of the other ladders, each against the finest of its settings that could be run."""
+    """Make the rows of the other ladders, each relative to the finest of its settings that could be run."""
     found: dict[int, tuple[Run, Mark]] = {}
     refused = dict(asked.refused)
     for place, key in asked.hashes.items():
@@ -90,7 +90,7 @@ def _ladder_row(
 
 
 def forecast_row(scene: Scene, setting: Setting, reference_ukcmb2: float, reference_error: float) -> Measured:
-    """The closed form instead of a run, over all weather as the reference is."""
+    """Make a row from the forecast instead of a run, over all weather like the reference."""
     from surveysim.forecasting.forecast import forecast
     from surveysim.reduction.setup import prepare
     from surveysim.results.control_variate import in_all_weather
@@ -110,26 +110,26 @@ def forecast_row(scene: Scene, setting: Setting, reference_ukcmb2: float, refere
 
 
 def _bias(item: DataSetScore, reference: DataSetScore, same_skies: bool) -> tuple[float, float]:
-    """Ratio of sigma(A) less 1, and its error: that of a pair with one seed."""
+    """Ratio of sigma(A) minus 1, and its paired error for runs with the same seed."""
     ratio = item.band.sigma_ukcmb2 / reference.band.sigma_ukcmb2
     one, other = error_modes((item, reference), (0, 0 if same_skies else 1))
     return float(ratio - 1), float(ratio * np.linalg.norm(one - other))
 
 
 def levels(scores: Iterable[DataSetScore]) -> tuple[np.ndarray, np.ndarray]:
-    """sigma(A) (n,) and its relative errors (n,)."""
+    """Return sigma(A) (n,) and its relative errors (n,)."""
     found = [(item.band.sigma_ukcmb2, item.budget.total) for item in scores]
     sigma, errors = np.transpose(found)
     return sigma, errors
 
 
 def scatter(sigma: np.ndarray) -> float:
-    """Relative standard deviation, NaN of a single value."""
+    """Relative standard deviation, NaN for a single value."""
     return float(np.std(sigma, ddof=1) / sigma.mean()) if len(sigma) > 1 else np.nan
 
 
 def rms(values: Sequence[float] | np.ndarray) -> float:
-    """Root of the mean of squares."""
+    """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 

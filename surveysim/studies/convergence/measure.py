@@ -1,4 +1,4 @@
-"""All of a scene's ladders measured."""
+"""Measurement of all ladders of a scene."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -36,11 +36,27 @@ def measure_accuracy(
     observations: int = SUB_SURVEY,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> AccuracyResult:
-    """Measure all ladders of a scene, several settings at a time; `progress` is told how many of how many are done.
+    """Measure all ladders of a scene, several settings at a time.
 
-    Whole surveys are run with up to `seeds` seeds, until their mean is known to the relative `reference_error`; the
-    other ladders have at most so many `observations`. Raises SceneError for a scene that can't be run or has no
-    [score], ValueError where its own settings give no score, EngineError when the engine can't go on.
+    Parameters
+    ----------
+    reference_error
+        Relative error to which the mean of whole surveys is measured.
+    seeds
+        Largest number of whole surveys.
+    observations
+        Largest number of observations for the other ladders.
+    progress
+        Function of the number of finished settings and of all.
+
+    Raises
+    ------
+    SceneError
+        For a scene that cannot be run or has no [score].
+    InsufficientDataError
+        If the scene's own settings give no score.
+    EngineError
+        If the engine fails.
     """
     if not 0 < reference_error < 1 or seeds < 1 or observations < 2:
         found = f"{reference_error}, {seeds} and {observations}"

@@ -23,7 +23,7 @@ Kind = Literal["survey", "sampling", "numerical", "forecast"]
 
 @dataclass(frozen=True)
 class Setting:
-    """A step of a parameter's ladder, by the keys of the scene that it replaces; `own` for the scene's own."""
+    """A step of a parameter's ladder, by the scene keys that it replaces; `own` for the scene's own value."""
 
     parameter: str
     label: str
@@ -89,9 +89,9 @@ class Slope:
 
 @dataclass(frozen=True)
 class Recommendation:
-    """The fastest setting of a parameter that is as good as needed.
+    """The fastest setting of a parameter that is good enough.
 
-    `is_own`: the scene has it; `resolved`: its bias is known to better than what is tolerated.
+    `is_own`: it is the scene's own; `resolved`: the error of its bias is below the tolerated bias.
     """
 
     parameter: str
@@ -102,11 +102,18 @@ class Recommendation:
 
 @dataclass(frozen=True)
 class AccuracyResult:
-    """All ladders. The reference of the number of observations is the mean of `seeds` whole surveys.
+    """All ladders of a scene.
 
-    `reference_error` is its relative error and `wanted_error` what it should be; `scatter` that of the seeds over the
-    error that each run claims (NaN for one seed); `own_error` the relative Monte Carlo error of the scene's own run,
-    and `sub_observations` how many the other ladders were measured with.
+    Attributes
+    ----------
+    reference_error, wanted_error
+        Relative error of the mean of `seeds` whole surveys, and the error requested for it.
+    scatter
+        Scatter between seeds over the error that each run quotes (NaN for one seed).
+    own_error
+        Relative Monte Carlo error of a run of the scene.
+    sub_observations
+        Number of observations for the other ladders.
     """
 
     scene: Scene
@@ -125,5 +132,5 @@ class AccuracyResult:
 
     @property
     def chosen(self) -> tuple[int, ...]:
-        """Rows that are the scene's own settings."""
+        """Rows of the scene's own settings."""
         return tuple(number for number, row in enumerate(self.rows) if row.setting.own)

@@ -1,4 +1,4 @@
-"""Every parameter's ladder of settings."""
+"""Ladders of settings, one for each parameter."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -18,7 +18,7 @@ from surveysim.studies.convergence.records import (
 
 
 def ladders(scene: Scene, most: int = SUB_SURVEY) -> tuple[Setting, ...]:
-    """All settings, each parameter's from coarse to fine; the scene's own is always among them."""
+    """List all settings, from coarse to fine for each parameter, including the scene's own."""
     n_obs = scene.observations
     counts = [Setting("observations", str(n_obs // part), {}, "survey", part == 1) for part in PARTS]
     forecast = Setting("forecast", "closed form", {}, "forecast", False)
@@ -26,7 +26,7 @@ def ladders(scene: Scene, most: int = SUB_SURVEY) -> tuple[Setting, ...]:
 
 
 def sub_survey(scene: Scene, most: int) -> dict[str, Any]:
-    """Keys of a survey of at most so many observations, with signal simulations in the same fraction of them."""
+    """Keys of a survey of at most `most` observations, with signal simulations in the same fraction of them."""
     wanted = min(scene.observations, most)
     with_sims = round(scene.score.signal_sims.observations * wanted / scene.observations)
     return {"observations": wanted, "score.signal_sims.observations": max(2, with_sims)}

@@ -83,7 +83,7 @@ def _mean_removed(data: np.ndarray, n_scans: int) -> np.ndarray:
 
 
 def planted(n_det: int, ratio: float, n_samp: int = N_SAMP, n_scans: int = 1) -> np.ndarray:
-    """White noise of 1 and a common mode of `ratio` with gains that scatter by 5 % about 1, (n_det, n) float64."""
+    """Draw unit white noise plus a common mode of `ratio` with gains that scatter by 5 % about 1, (n_det, n) float64."""
     rng = np.random.default_rng(n_det)
     noise, common = rng.standard_normal((n_det, n_scans * n_samp)), rng.standard_normal(n_scans * n_samp)
     return noise + ratio * (1 + 0.05 * rng.standard_normal((n_det, 1))) * common
@@ -121,7 +121,7 @@ def common_mode(scene: Scene, algorithm: str, dtype: type) -> Outcome:
 
 
 def white_left(scene: Scene, algorithm: str, places: str = "", n_samp: int = N_SAMP, n_scans: int = 1) -> Outcome:
-    """White noise that is left, less a degree of freedom a template."""
+    """Check the white noise after cleaning against the degrees of freedom of the templates."""
     plane = plane_of(_places(places)) if places else prepare(scene).camera.focal_plane
     n_det = len(plane.x_rad)
     data = _cleaned(algorithm, planted(n_det, 100.0, n_samp, n_scans), plane, n_samp)
@@ -131,7 +131,7 @@ def white_left(scene: Scene, algorithm: str, places: str = "", n_samp: int = N_S
 
 
 def scaled(scene: Scene, algorithm: str) -> Outcome:
-    """All responsivities times a power of two: the same residual."""
+    """Check that the residual does not change if all responsivities are multiplied by a power of two."""
     plane = prepare(scene).camera.focal_plane
     data = planted(len(plane.x_rad), 100.0)
     left = _cleaned(algorithm, data, plane)
@@ -140,7 +140,7 @@ def scaled(scene: Scene, algorithm: str) -> Outcome:
 
 
 def decades(scene: Scene) -> Outcome:
-    """Responsivities over six decades, undone by cleaning."""
+    """Check that cleaning calibrates responsivities over six decades."""
     plane = prepare(scene).camera.focal_plane
     data = planted(len(plane.x_rad), 100.0)
     gain = np.geomspace(1e-3, 1e3, len(data))[:, None]
@@ -149,7 +149,7 @@ def decades(scene: Scene) -> Outcome:
 
 
 def one_detector(scene: Scene) -> Outcome:
-    """A single detector keeps all but its mean."""
+    """Check that a single detector loses only its mean."""
     plane = prepare(scene).camera.focal_plane
     data = planted(1, 100.0)
     left = clean("none", data, np.array([[0, N_SAMP]]), plane, options=None).data_mk

@@ -1,4 +1,4 @@
-"""Results of a sweep's points, and the small files from which an interrupted sweep continues."""
+"""Results of the points of a sweep, stored in small files from which an interrupted sweep resumes."""
 
 import json
 from dataclasses import dataclass
@@ -42,14 +42,25 @@ _Share = Annotated[float, Field(ge=0, le=1)]
 
 @dataclass(frozen=True)
 class PointResult:
-    """Scores by data set, or why there are none; forecasts of sigma(A) [uK_CMB^2] by data set.
+    """Results of one point.
 
-    `off` is the actual data's forecast over the simulation, less 1, with the standard error of that, empty where there
-    is only one of them; `flags` say why the forecast may be off.
-    `discarded` is the share of discarded scans by data set, empty where it is not known, and `discarded_by_weather`
-    the same for quarters of the observations (`surveysim.survey.discarded_scans`). `skies` is equal for points whose
-    transfer functions are measured with the same skies. `wall_s` is the time of the point since its start or last
-    resumption.
+    Attributes
+    ----------
+    scores
+        By data set; empty if there are none, with the reason in `unscored`.
+    forecast_ukcmb2
+        Forecasts of sigma(A) by data set.
+    off
+        Forecast over simulation of the actual data, minus 1, and its standard error; empty unless both exist.
+    flags
+        Reasons why the forecast may be off.
+    discarded, discarded_by_weather
+        Fractions of discarded scans by data set, empty if unknown, and for quarters of the observations
+        (`surveysim.survey.discarded_scans`).
+    skies
+        Key that is equal for points whose transfer functions are measured with the same skies.
+    wall_s
+        Run time since the start or last resumption of the point.
     """
 
     n_det: int
@@ -95,10 +106,12 @@ def save_point(path: Path, result: PointResult, identity: str) -> None:
 
 
 def load_point(path: Path, point: Point) -> PointResult:
-    """Read a finished point back.
+    """Read a finished point.
 
-    Raises CheckpointError for a file that is damaged, of another scene or version, or whose content is not what a
-    sweep keeps of this point.
+    Raises
+    ------
+    CheckpointError
+        For a file that is damaged, of another scene or version, or with content that does not fit the point.
     """
     try:
         if not path.is_file():  # a pipe never ends
@@ -123,7 +136,7 @@ def load_point(path: Path, point: Point) -> PointResult:
 
 
 class _Numbers(BaseModel):
-    """Fields of a known type and no others; NaN stands for what is not known."""
+    """Fields with fixed types and no others; NaN stands for an unknown value."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
@@ -196,7 +209,7 @@ def _result(file: Any, meta: _Meta) -> PointResult:
 
 
 def _check_point(result: PointResult, point: Point) -> None:
-    """Raise ValueError for scores that are not of the scene of a point."""
+    """Raise ValueError for scores that do not fit the scene of a point."""
     score, names = point.scene.score, _data_sets(point.scene)
     if result.n_det != point.n_det or any(item.n_det > point.n_det for item in result.scores.values()):
         raise ValueError(f"other numbers of detectors than {point.n_det}")
@@ -223,7 +236,7 @@ def _check_point(result: PointResult, point: Point) -> None:
 
 
 def _check_noise(name: str, weights: np.ndarray, noise: np.ndarray, bin_weight: np.ndarray) -> None:
-    """Raise ValueError for noise that is none where it has a weight; elsewhere it may be infinite or unknown."""
+    """Raise ValueError for invalid noise where it has a weight; elsewhere it may be infinite or unknown."""
     used = noise[np.ix_(weights > 0, bin_weight > 0)]
     if not ((used >= 0) & np.isfinite(used)).all():
         raise ValueError(f"{name} has values below 0 or none where there are data")
@@ -242,7 +255,7 @@ def _numbers(item: DataSetScore) -> dict[str, Any]:
 
 
 def _of(record: Any, arrays: tuple[str, ...]) -> dict[str, float]:
-    """The numbers of a record, less its arrays."""
+    """Scalar fields of a record, without its arrays."""
     return {key: value for key, value in vars(record).items() if key not in arrays}
 
 

@@ -1,4 +1,4 @@
-"""The content of summary.json of a sweep."""
+"""Content of summary.json of a sweep."""
 
 from collections.abc import Sequence
 from typing import Any
