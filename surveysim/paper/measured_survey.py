@@ -24,7 +24,7 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pixel_coherence import mutual_coherence
 
-KNOWN = 0.3  # largest relative error of a speed that is used
+KNOWN = 0.3  # largest relative error of a wind speed that is used
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ def recovery_table(survey: MeasuredSurvey) -> "Table":
     from astropy.table import Table
 
     rows = [*_wind_rows(survey), *_b2_rows(survey)]
-    # Fewer bins of separation than level, overlap, index and height take tell nothing of the latter two.
+    # Index and height need more bins of separation than there are parameters: level, overlap, index and height.
     if len(survey.bins.count) > 4:
         rows += _index_rows(survey)
     table = Table(rows=rows)

@@ -1,4 +1,4 @@
-"""Predicted stages, run time, memory and output size of a run, measured on a few simulated observations or one block."""
+"""Predicted stages, run time, memory and output size of a run, measured on a few observations or one block."""
 
 import math
 import os

@@ -29,7 +29,7 @@ _BATCH = 2**18
 
 @dataclass(frozen=True, eq=False)
 class CirculantFactor:
-    """Square root of the correlation of detectors: float32 `amplitude` (n_q, n_r) of the modes, flat `cells` (n_det,)."""
+    """Square root of the detectors' correlation: float32 `amplitude` (n_q, n_r) of the modes, flat `cells` (n_det,)."""
 
     amplitude: np.ndarray
     cells: np.ndarray

@@ -43,7 +43,7 @@ TERMS = {"1": "black", "$x$": "blue", "$y$": "sky --", "$xy$": "green", "$x^2$":
 PCA_SIGMA_CUT = 3.0  # section 4.4
 ATMOSPHERE_HZ = 0.5  # section 4.3: above it the atmosphere is negligible
 SIGNAL_BAND_POWER_UKCMB2 = 1000.0  # too faint to change what cleaning does
-FAINTEST_BEAM = 0.1  # power of the beam below which no signal is left to tell a transfer function from
+FAINTEST_BEAM = 0.1  # power of the beam below which too little signal is left for a transfer function
 FREQUENCY, PSD = "Frequency [Hz]", "PSD [mK$^2$/Hz]"
 
 
@@ -137,7 +137,7 @@ def timestream_figure(survey: MeasuredSurvey) -> PaperFigure:
     """
     examples = weather_examples(survey)
     spectra = [{name: _mean_psd(one, one.clean(name)) for name in ALGORITHMS} for one in examples]
-    # Both columns have one scale: they are there to be compared.
+    # One scale for both columns, so that they can be compared.
     highest = max(psds["none"].max() for psds in spectra)
     cleaned = np.array([psds[name] for psds in spectra for name in ALGORITHMS[1:]])
     photon = min(photon_level(one) or np.inf for one in examples)

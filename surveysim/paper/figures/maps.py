@@ -12,7 +12,7 @@ from surveysim.survey.scores import DataSetScore, gain, rescore
 
 LOOKS = ("blue", "green", "vermilion", "purple", "orange", "sky")  # of the pipelines, in their order
 OPTIMAL_LOOK = "black --"
-LOWEST_ELL = 500  # bins below it hold few modes, and of those little but the map's mean and gradient
+LOWEST_ELL = 500  # bins below it have few modes, mostly the mean and the gradient of the map
 ARCMIN2_IN_SR = np.degrees(60.0) ** 2  # square arcminutes in a steradian: PSDs get plain numbers
 ELL, UNCERTAINTY = r"Multipole $\ell$", r"$\sigma(A)$ [$\mu$K$_\mathrm{CMB}^2$]"
 FROM_ELL = r"Lowest multipole $\ell$ used"

@@ -25,8 +25,8 @@ SITE_LOOKS = {
     "ccat": ("CCAT", "purple :"),
 }
 
-DRAW = 1  # of the layer as shown: its rms is not far from the model's
-THICKNESS_M = 100.0  # of the layer as drawn: the model only wants it small beside the height
+DRAW = 1  # realization of the layer, with an rms near the expected one
+THICKNESS_M = 100.0  # drawn thickness of the layer: the model only requires it to be much smaller than the height
 
 
 def opacity_figure() -> PaperFigure:
@@ -114,7 +114,7 @@ def column_edges(
     heights_m
         Heights above the telescope, (n,) [m].
     """
-    # The mirror does not turn with the detector: the columns of all of them start from its rim.
+    # The mirror is common: the columns of all detectors start at its rim.
     rim_x, rim_y = 0.5 * aperture_m * sin(elevation_rad), -0.5 * aperture_m * cos(elevation_rad)
     run = 1 / tan(elevation_rad + offset_rad)
     return -rim_x + (heights_m + rim_y) * run, rim_x + (heights_m - rim_y) * run

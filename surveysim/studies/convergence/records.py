@@ -8,15 +8,15 @@ import numpy as np
 from mapmaker.uncertainty import ErrorBudget
 from surveysim.scene.scene import Scene
 
-SUB_SURVEY = 60  # observations with which all but the number of observations is measured
+SUB_SURVEY = 60  # observations for all ladders but the number of observations
 REFERENCE_ERROR, MOST_SEEDS = 0.01, 8
-PARTS = (16, 8, 4, 2, 1)  # of the survey
+PARTS = (16, 8, 4, 2, 1)  # divisors of the number of observations
 FLIPS, SKIES, SIGNAL_SIM_PARTS = (8, 16, 32, 64, 128), (2, 4, 8), (20, 5, 2)
 STEPS, RATES = (4.0, 2.0, 1.0, 0.5), (0.5, 1.0, 2.0)
 FINEST = {"numerics.precision": "float64", "numerics.interpolation": "cubic", "numerics.screen_step": min(STEPS)}
 OF_SCREEN = ("screen step", "interpolation")
-TOLERATED = 1 / 3  # of the Monte Carlo error of the whole survey: a bias that adds 5 % to it
-MUCH_WORSE, MUCH_FASTER = 1.1, 1.1  # ratios of errors and of times that make a difference
+TOLERATED = 1 / 3  # tolerated bias over the Monte Carlo error of the whole survey: it adds 5 % to the error
+MUCH_WORSE, MUCH_FASTER = 1.1, 1.1  # significant ratios of errors and of times
 
 Kind = Literal["survey", "sampling", "numerical", "forecast"]
 

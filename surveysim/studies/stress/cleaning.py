@@ -83,7 +83,7 @@ def _mean_removed(data: np.ndarray, n_scans: int) -> np.ndarray:
 
 
 def planted(n_det: int, ratio: float, n_samp: int = N_SAMP, n_scans: int = 1) -> np.ndarray:
-    """Draw unit white noise plus a common mode of `ratio` with gains that scatter by 5 % about 1, (n_det, n) float64."""
+    """Draw white noise and a common mode of `ratio` with gains that scatter by 5 % about 1, (n_det, n) float64."""
     rng = np.random.default_rng(n_det)
     noise, common = rng.standard_normal((n_det, n_scans * n_samp)), rng.standard_normal(n_scans * n_samp)
     return noise + ratio * (1 + 0.05 * rng.standard_normal((n_det, 1))) * common
@@ -157,7 +157,7 @@ def one_detector(scene: Scene) -> Outcome:
 
 
 def spectral(scene: Scene) -> Outcome:
-    """White noise of one band left under a common mode, less what the others take."""
+    """Check the white noise of one band after subtraction of a common mode, and the noise added from the other band."""
     plane = prepare(scene).camera.focal_plane
     rng = np.random.default_rng(4)
     layer = STIFF * rng.standard_normal((len(plane.x_rad), N_SAMP))
@@ -191,12 +191,12 @@ def equal_modes(scene: Scene, singular: np.ndarray, expected: int) -> Outcome:
 
 
 def plane_of(places: np.ndarray) -> FocalPlane:
-    """A focal plane of detectors at places (n_det, 2) [rad], with a beam of an arcminute."""
+    """Make a focal plane of detectors at positions (n_det, 2) [rad], with a beam of one arcminute."""
     return FocalPlane(places[:, 0], places[:, 1], 3e-4)
 
 
 def _places(kind: str) -> np.ndarray:
-    """37 places (n_det, 2) [rad]: on a line, nearly on one, on a circle, or in two clusters."""
+    """37 positions (n_det, 2) [rad]: on a line, nearly on one, on a circle, or in two clusters."""
     t, rng = np.linspace(-1, 1, 37), np.random.default_rng(8)
     places = {
         "a line": np.column_stack([t, 0.3 * t]),
@@ -208,7 +208,7 @@ def _places(kind: str) -> np.ndarray:
 
 
 def local(scene: Scene, places: str) -> Outcome:
-    """Measure the white noise that is left by local average subtraction.
+    """Measure the white noise after local average subtraction.
 
     Parameters
     ----------

@@ -172,7 +172,7 @@ def load_sweep(
 
 
 def sweep_hash(sweep: Sweep) -> str:
-    """Return the SHA-256 of everything that the results depend on: the scenes of the points, and the reference point."""
+    """Return the SHA-256 of everything that the results depend on: scenes of the points, and the reference point."""
     found = [scene_hash(point.scene) for point in sweep.points]
     return sha256(" ".join([*found, str(sweep.reference)]).encode()).hexdigest()
 

@@ -32,9 +32,9 @@ from surveysim.survey.discarded_scans import competing, discards
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import FEWEST_CONTROLLED, DataSetScore, error_modes
 
-DRAWS = 20_000  # of the best point: a probability of 0.5 is known to 0.004
+DRAWS = 20_000  # a probability of 0.5 has an error of 0.004
 _DRAWS_AT_ONCE = 1000
-SURE = 0.995  # from here on a probability rounds to 100 %, which it is not
+SURE = 0.995  # from here on a probability would round to 100 %
 _EQUAL = 1e-9  # relative difference below which two points are equal
 
 
@@ -304,7 +304,7 @@ def compare(
     best = tuple(int(number) for number in scored[sigma_ukcmb2[scored] <= lowest * (1 + _EQUAL)])
     shares = np.zeros(len(nothing)) if discarded is None else discarded
     competes[scored] = competing(shares[scored]) & np.isfinite(modes[scored]).all(axis=1)
-    # Against nobody, or while one that does not compete is lower, none is known to be the best.
+    # No point is known to be the best alone, or if a point that does not compete is lower.
     if competes.sum() < 2 or not competes[list(best)].any():
         competes[:] = False
     relative = np.linalg.norm(modes, axis=1) if relative is None else relative
