@@ -1,4 +1,4 @@
-"""Tables that files alone have: observations, spectra of maps and time-streams, forecasts."""
+"""Tables that are written to files only: observations, spectra of maps and time-streams, forecasts."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -31,7 +31,7 @@ def run_tables(result: SurveyResult, summary: dict[str, Any]) -> dict[str, Table
 
 
 def _survey_part(result: SurveyResult) -> dict[str, int]:
-    """Numbers of observations that were simulated, and that the survey has."""
+    """Numbers of simulated observations and of observations in the survey."""
     return {
         "observations_simulated": result.coadds.done,
         "observations_of_survey": result.setup.scene.observations,

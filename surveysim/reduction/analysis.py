@@ -60,7 +60,7 @@ class AnalysisSetup:
 
     @property
     def responsivities(self) -> Responsivities:
-        """Responsivities for template cleaning of all detectors: a way to fit them, or known ones (n_det,)."""
+        """Responsivities for template cleaning of all detectors: the method to fit them, or known ones (n_det,)."""
         return self.scene.cleaning.responsivities if self.calibration is None else self.calibration[0]
 
     @property

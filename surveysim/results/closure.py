@@ -18,7 +18,7 @@ QUARTILES = (0.25, 0.5, 0.75)
 
 @dataclass(frozen=True)
 class ClosureTest:
-    """A quantity beside its expected value.
+    """A quantity and its expected value.
 
     Parameters
     ----------

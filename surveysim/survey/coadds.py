@@ -86,7 +86,7 @@ class CoAdds:
 
 
 def empty_coadds(setup: Setup) -> CoAdds:
-    """Make sums over no observation."""
+    """Make sums over zero observations."""
     n_set, n_transfer = len(setup.analysis.data_set_names), len(setup.analysis.transfer_function_names)
     shape = (setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
     n_flip = n_sky = n = 0
@@ -126,7 +126,7 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
     weights = noise_weights(result.noise_mk2)
     sign = jackknife_signs(setup, result.observation)
     patch = setup.analysis.region.patch if setup.analysis.region else slice(0, 0)
-    # All that could fail for want of memory comes before the first sum: none is left half done.
+    # Everything that could fail for lack of memory comes before the first sum: an observation is added whole.
     sums = weights[:, None, None] * result.sums.astype(float)
     hits = weights[:, None, None] * result.hits
     for s, weighted in enumerate(sums):
@@ -178,7 +178,7 @@ def lost_scans(setup: Setup, coadds: CoAdds) -> np.ndarray:
     if setup.analysis.chooses:
         whole = [pipeline.data_set for pipeline in setup.analysis.whole_pipelines]
         best = best_places(np.array([columns[f"merit_{TARGETS[0]}_{name}"] for name in whole]))
-        # Without any merit the first pipeline is taken.
+        # Without a figure of merit, take the first pipeline.
         counts[OPTIMAL] = np.array([counts[name] for name in whole])[np.maximum(best, 0), np.arange(len(best))]
     return np.stack([counts.get(name, counts[ACTUAL]) for name in setup.analysis.data_set_names], axis=1)
 

@@ -13,7 +13,7 @@ from surveysim.survey.checkpoint import check_streams, load_checkpoint, save_che
 from surveysim.survey.coadds import CoAdds, add_observation, empty_coadds
 
 CHECKPOINT_SECONDS = 10.0  # between checkpoints
-CHECKPOINT_SHARE = 0.05  # of the time at most goes into them
+CHECKPOINT_SHARE = 0.05  # largest fraction of the time for checkpoints
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def run_observations(
     results = ordered_map(ObservationJob(setup.scene, streams), left, engine)
     try:
         for result in results:
-            # An observation is in the sums whole or not at all: a checkpoint may be made of them any time.
+            # Observations are added whole, so a checkpoint can be made at any time.
             with defer_signals():
                 add_observation(setup, coadds, result)
             progress(coadds)

@@ -175,7 +175,7 @@ def _caption(result: SurveyResult, names: dict[str, str]) -> str:
     against = {label: gain(result.scores[name], own) for label, name in names.items() if name != ACTUAL}
     ratios = ", ".join(f"{item.ratio:.3f} ± {item.error:.3f} ({label})" for label, item in against.items())
     removed = {label: result.flux_removed[name] for label, name in pipelines.items()}
-    flux = _beside(removed, published()["cleaning"]["point_source_flux_removed"])
+    flux = _percentages(removed, published()["cleaning"]["point_source_flux_removed"])
     return (
         f"{result.coadds.done} simulated observations of {scene.name}, co-added after each algorithm, and after the one"
         f" that is best in each observation for a flat CMB spectrum in the scored range (optimal). Noise from"
@@ -193,12 +193,12 @@ def _caption(result: SurveyResult, names: dict[str, str]) -> str:
 
 def _shares(result: SurveyResult, target: str, pipelines: dict[str, str]) -> str:
     best = winners(result, target, tuple(pipelines.values()))
-    return _beside(
+    return _percentages(
         {label: best[name] for label, name in pipelines.items()}, published()["cleaning"][f"optimal_{target}"]
     )
 
 
-def _beside(shares: dict[str, float], paper: dict[str, float]) -> str:
+def _percentages(shares: dict[str, float], paper: dict[str, float]) -> str:
     """Words for captions: percentages by label, with published ones."""
     theirs = {label: f" (paper {100 * value:.0f})" for label, value in paper.items()}
     return ", ".join(f"{label} {100 * share:.1f}{theirs.get(label, '')}" for label, share in shares.items())

@@ -164,7 +164,7 @@ def _layer_panel(setup: Setup) -> Panel:
         _circle("footprint downwind", (x[last], y[last]), radius, "blue -."),
         _circle("air of the upwind one, 1 s later", (x[first] + moved, y[first]), radius, "grey :"),
         Series(f"centres of all {len(x)}", "points", x, y, "black"),
-        _arrow("way of the layer in 1 s", (x[first], -1.4 * radius), moved, "vermilion"),
+        _arrow("motion of the layer in 1 s", (x[first], -1.4 * radius), moved, "vermilion"),
     )
     labels = ("Footprints in the layer", "Along the wind [m]", "Across the wind [m]")
     along, across = (-1.7 * radius, moved + 1.7 * radius), (-1.8 * radius, 1.8 * radius)

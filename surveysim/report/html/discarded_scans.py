@@ -1,4 +1,4 @@
-"""Discarded scans on a page: shares of data sets, against the weather, and warnings."""
+"""Discarded scans on a page: fractions by data set and by weather, and warnings."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -20,24 +20,24 @@ QUARTERS = "Quarters of the observations by their B2, the calmest first."
 
 
 def share_cell(share: float | None) -> Cell:
-    """A share in percent; empty for NaN and None."""
+    """Make a cell of a fraction in percent; empty for NaN and None."""
     return Cell("") if share is None or math.isnan(share) else Cell(f"{100 * share:.1f}", 100 * share)
 
 
 def quarter_names(n: int) -> list[str]:
-    """Names of so many groups of observations."""
+    """Name n groups of observations, ordered by weather."""
     kind = "quarter" if n == WEATHER_GROUPS else "group"
     return [f"{place} {kind}" for place in ("1st", "2nd", "3rd", "4th")[:n]]
 
 
 def warned(summary: Content) -> Iterator[str]:
-    """The warnings in a summary as paragraphs."""
+    """Return the warnings in a summary as paragraphs."""
     for line in summary.get("warnings", ()):
         yield f"Warning: {line}"
 
 
 def discarded_section(summary: Content) -> Section:
-    """Shares of discarded scans of a run, of all and by quarters of the observations."""
+    """Return the fractions of discarded scans of a run, for all observations and for quarters of them."""
     return Section("discarded", "Discarded scans", tuple(_blocks(summary)))
 
 

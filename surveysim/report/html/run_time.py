@@ -10,7 +10,7 @@ Content = Mapping[str, Any]  # of summary.json and scene.json
 
 
 def time_blocks(summary: Content, scene: Content) -> Iterator[Block]:
-    """Time that the run took, parts of its error, and the cost of smaller ones."""
+    """Return the run time, the parts of the error, and the cost of smaller errors."""
     run, stopped = summary["run"], summary["stopped"]
     each_s = sum(run["stage_s"].values()) / summary["observations"]
     ns = sum(run["stage_ns_per_detector_sample"].values())

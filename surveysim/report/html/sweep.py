@@ -147,7 +147,7 @@ def _ratio_note(summary: Content) -> str:
 
 
 def _pair_grids(summary: Content) -> Iterator[Grid]:
-    """Ratios of all pairs: rows over columns."""
+    """Ratios of all pairs, row over column."""
     pairs = {(pair["point"], pair["other"]): pair for pair in summary["pairs"]}
     numbers = sorted({number for pair in pairs for number in pair})
     if len(numbers) < 3:  # the table of points has the only pair
@@ -175,7 +175,7 @@ def _pair_cell(pairs: Mapping[tuple[int, int], Content], row: int, column: int) 
 
 
 def _discarded(summary: Content) -> Iterator[Block]:
-    """Shares of discarded scans of each point: of each data set, and of the actual one against the weather."""
+    """Fractions of discarded scans at each point: by data set, and of the actual data by weather."""
     points = [point for point in summary["points"] if "discarded" in point]
     if not points:
         return
@@ -197,7 +197,7 @@ def _discarded(summary: Content) -> Iterator[Block]:
 
 
 def _agreement(summary: Content) -> Grid | None:
-    """Forecast over simulated, less 1, of every point that has both."""
+    """Forecast over simulation, minus 1, of each point that has both."""
     rows = []
     for point in summary["points"]:
         if off := point.get("forecast_over_simulated"):

@@ -268,7 +268,7 @@ def _map_cases() -> list[Case]:
 
 
 def _bound_cases() -> list[Case]:
-    finite = "each key at its bound: streams are numbers of 32 bits, without a warning on the way"
+    finite = "each key at its bound: streams are finite 32-bit numbers, without a warning"
     beyond = "beyond any telescope or air: refused with the key"
     most: dict[str, Any]
     most = {

@@ -125,7 +125,7 @@ def white_left(scene: Scene, algorithm: str, places: str = "", n_samp: int = N_S
     plane = plane_of(_places(places)) if places else prepare(scene).camera.focal_plane
     n_det = len(plane.x_rad)
     data = _cleaned(algorithm, planted(n_det, 100.0, n_samp, n_scans), plane, n_samp)
-    # A mean and a template's course each take a degree of freedom in every template, c one more in the scan.
+    # Mean and template amplitude each take a degree of freedom in every template, c one more in the scan.
     expected = (1 - _REMOVED[algorithm] / n_det) * (1 - 2 / n_samp)
     return agrees(data.var(), expected, 4 * math.sqrt(2 / data.size), "variance left of white noise")
 
@@ -184,8 +184,8 @@ def equal_modes(scene: Scene, singular: np.ndarray, expected: int) -> Outcome:
     plane = prepare(scene).camera.focal_plane
     rng, n_det = np.random.default_rng(6), len(singular)
     left = np.linalg.qr(rng.standard_normal((n_det, n_det)))[0]
-    course = rng.standard_normal((N_SAMP, n_det))
-    right = np.linalg.qr(course - course.mean(axis=0))[0]
+    amplitude = rng.standard_normal((N_SAMP, n_det))
+    right = np.linalg.qr(amplitude - amplitude.mean(axis=0))[0]
     cleaned = clean("pca", left * singular @ right.T, np.array([[0, N_SAMP]]), plane, options=PcaOptions(3.0))
     return agrees(float(cleaned.removed[0]), expected, 0.0, "modes removed")
 

@@ -284,7 +284,7 @@ def _check_together(axes: Sequence[Axis], overrides: Mapping[str, Any]) -> None:
     seen: list[str] = []
     for key in (key for axis in axes for key in axis.keys):
         if other := next((other for other in seen if _overlap(key, other)), None):
-            raise InputError(f"sweep: found {shown(key)} beside {shown(other)}; every key on one axis is expected")
+            raise InputError(f"sweep: found {shown(key)} and {shown(other)}; every key on one axis is expected")
         if other := next((other for other in overrides if _overlap(key, other)), None):
             raise InputError(f"{other}: set, and on an axis of the sweep; a key that it leaves alone is expected")
         seen.append(key)
