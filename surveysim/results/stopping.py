@@ -131,7 +131,7 @@ def stopping_rule(setup: Setup, limits: StoppingCriteria, begun: float) -> Calla
 
 
 def may_end(scene: Scene, done: int) -> bool:
-    """Return whether a run may end by its target here: at a boundary, with enough observations with signal simulations."""
+    """Return whether a run may end by its target here: at a boundary, with enough simulated signal."""
     with_sims = signal_sim_observations(scene)
     return is_boundary(done) and with_sims[:done].sum() >= min(_FEWEST_WITH_SIMS, with_sims.sum())
 

@@ -18,7 +18,7 @@ TYPES = {"integer": "integer", "number": "number", "string": "text", "array": "l
 
 @dataclass(frozen=True)
 class SceneSection:
-    """A section of a scene file: dotted name ("" for the top level), whether it is a list, and its part of the schema."""
+    """A section of a scene file: dotted name ("" for the top level), whether it is a list, and its schema."""
 
     name: str
     several: bool
