@@ -60,8 +60,8 @@ def controls(setup: Setup, coadds: CoAdds) -> dict[str, Control]:
     """Compute control variates by data set for the observations in `coadds`; empty without a forecast."""
     expected = known_expectations(setup)
     try:
-        levels = observing_conditions(setup, survey_draws(setup, 0, coadds.done)) if expected else None
-        return {name: _control(setup, item, item.model.noise(levels)) for name, item in expected.items()}
+        conditions = observing_conditions(setup, survey_draws(setup, 0, coadds.done)) if expected else None
+        return {name: _control(setup, item, item.model.noise(conditions)) for name, item in expected.items()}
     except InputError:  # extreme scenes without a forecast; the run goes on without it
         return {}
 
@@ -84,10 +84,10 @@ def expectations(scene: Scene) -> dict[str, Expectation]:
         Without noise in the scored multipoles.
     """
     setup = prepare(scene)
-    levels, n_lists = population_conditions(scene)
+    conditions, n_lists = population_conditions(scene)
     found = {}
     for model in survey_models(scene):
-        noise = model.noise(levels)
+        noise = model.noise(conditions)
         if not noise[:, setup.analysis.region.selected].all():
             raise NotForecastableError("score: found no noise in its multipoles; some is expected")
         parts = [_sigma(setup, model, _psd(setup, part)) for part in np.split(noise, n_lists)]
@@ -106,10 +106,13 @@ def in_all_weather(setup: Setup, found: Forecast) -> dict[str, float]:
 
     The forecast itself is for the weather that the scene's seed draws.
     """
-    levels, band = observing_conditions(setup, survey_draws(setup, 0, setup.scene.observations)), setup.analysis.region
+    conditions, band = (
+        observing_conditions(setup, survey_draws(setup, 0, setup.scene.observations)),
+        setup.analysis.region,
+    )
     controlled = {}
     for name, item in known_expectations(setup).items():
-        psd = found.scores[name].noise_psd * _control(setup, item, item.model.noise(levels)).factor
+        psd = found.scores[name].noise_psd * _control(setup, item, item.model.noise(conditions)).factor
         controlled[name] = flat_band_power(psd, item.model.signal_psd, band.rings.n_modes, band.selected)
     return controlled
 

@@ -40,7 +40,7 @@ class Discards:
     @property
     def warnings(self) -> list[str]:
         """One line for each data set that loses too many scans."""
-        names = [name for name in telling([self.shares]) if self.shares[name] > MOST_DISCARDED + _ROUNDING]
+        names = [name for name in listed_data_sets([self.shares]) if self.shares[name] > MOST_DISCARDED + _ROUNDING]
         return [f"{self._of(name)}; the score is then for fewer scans than requested. {REMEDY}." for name in names]
 
     def _of(self, name: str) -> str:
@@ -72,7 +72,7 @@ def _shares(setup: Setup, lost: np.ndarray) -> dict[str, float]:
     return dict(zip(setup.analysis.data_set_names, (lost.sum(axis=0) / scans).tolist(), strict=True))
 
 
-def telling(shares: Sequence[Shares]) -> list[str]:
+def listed_data_sets(shares: Sequence[Shares]) -> list[str]:
     """List the data sets whose fractions deserve a column: the actual data, and sets that differ from it anywhere."""
     names = dict.fromkeys(name for item in shares for name in item)
     return [name for name in names if name == ACTUAL or any(item.get(name) != item.get(ACTUAL) for item in shares)]
@@ -112,7 +112,7 @@ def sweep_warnings(labels: Sequence[str], shares: Sequence[Shares]) -> list[str]
         Label, and fraction of discarded scans by data set, of each point.
     """
     found = []
-    for name in telling(shares):
+    for name in listed_data_sets(shares):
         known = [(item[name], label) for label, item in zip(labels, shares, strict=True) if name in item]
         if lines := [line for line in (_too_many(known), _too_different(known)) if line]:
             found.append(f"{name}: {'; '.join(lines)}. {REMEDY}.")

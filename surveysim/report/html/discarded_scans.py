@@ -6,7 +6,7 @@ from typing import Any
 
 from surveysim.report.html.components import Block, Cell, Grid, Section, Text, cell
 from surveysim.runtime.numbers import number
-from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, WEATHER_GROUPS, telling
+from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, WEATHER_GROUPS, listed_data_sets
 
 Content = Mapping[str, Any]  # of summary.json
 DISCARD_RULE = (
@@ -46,7 +46,7 @@ def _blocks(summary: Content) -> Iterator[Block]:
     if not any(shares.values()):
         yield Text(("No scan was discarded.",))
         return
-    names = telling([shares, *(part["discarded"] for part in by_weather)])
+    names = listed_data_sets([shares, *(part["discarded"] for part in by_weather)])
     rows = []
     for name, part in zip(quarter_names(len(by_weather)), by_weather, strict=True):
         b2 = f"{number(part['b2_min_mk2'])} to {number(part['b2_max_mk2'])}"

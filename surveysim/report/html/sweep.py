@@ -16,7 +16,7 @@ from surveysim.runtime.numbers import count, duration, joined, number, plural, q
 from surveysim.studies.sweep.axes import value_text
 from surveysim.studies.sweep.result import ESTIMATES
 from surveysim.studies.sweep.tables import WITHHELD, chance_text, data_set_table, ratio_text, sweep_table, varied_keys
-from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, telling
+from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, listed_data_sets
 
 Content = Mapping[str, Any]  # of summary.json and scene.json, or of a point in the former
 PICTURE = "figures/sweep.png"
@@ -179,7 +179,7 @@ def _discarded(summary: Content) -> Iterator[Block]:
     points = [point for point in summary["points"] if "discarded" in point]
     if not points:
         return
-    keys, names = varied_keys(summary), telling([point["discarded"] for point in points])
+    keys, names = varied_keys(summary), listed_data_sets([point["discarded"] for point in points])
     if not any(value for point in points for value in point["discarded"].values()):
         yield Text(("No scan was discarded.",))
         return

@@ -33,7 +33,7 @@ def survey_rows(settings: Iterable[Setting], pooled: Sequence[Run]) -> list[Meas
 
 def _survey_row(setting: Setting, count: int, marks: Sequence[Mark], pooled: Sequence[Run]) -> Measured:
     whole = [run.marks[max(run.marks)].score for run in pooled]
-    (sigma, errors), (reference, _) = levels(mark.score for mark in marks), levels(whole)
+    (sigma, errors), (reference, _) = sigmas(mark.score for mark in marks), sigmas(whole)
     paired = [_bias(mark.score, one, True)[1] for mark, one in zip(marks, whole, strict=True)]
     parts = {key: rms([vars(mark.score.budget)[key] for mark in marks]) for key in vars(marks[0].score.budget)}
     seen = f"scatter of {len(marks)} seeds: {100 * scatter(sigma):.1f} %"
@@ -116,7 +116,7 @@ def _bias(item: DataSetScore, reference: DataSetScore, same_skies: bool) -> tupl
     return float(ratio - 1), float(ratio * np.linalg.norm(one - other))
 
 
-def levels(scores: Iterable[DataSetScore]) -> tuple[np.ndarray, np.ndarray]:
+def sigmas(scores: Iterable[DataSetScore]) -> tuple[np.ndarray, np.ndarray]:
     """Return sigma(A) (n,) and its relative errors (n,)."""
     found = [(item.band.sigma_ukcmb2, item.budget.total) for item in scores]
     sigma, errors = np.transpose(found)

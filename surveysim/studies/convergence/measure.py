@@ -14,10 +14,10 @@ from surveysim.scene.scene import load_scene
 from surveysim.studies.convergence.comparison import (
     forecast_row,
     ladder_rows,
-    levels,
     recommendations,
     rms,
     scatter,
+    sigmas,
     slopes,
     survey_rows,
 )
@@ -80,7 +80,7 @@ def measure_accuracy(
     pooled = [run for run in (first[0], *more) if run.scored(scene.observations)]
     rows = survey_rows(settings, pooled)
     rows += ladder_rows(settings, asked, dict(zip(asked.tasks, first[1:], strict=True)))
-    sigma, errors = levels(run.marks[scene.observations].score for run in pooled)
+    sigma, errors = sigmas(run.marks[scene.observations].score for run in pooled)
     reached = rms(errors) / float(np.sqrt(len(pooled)))
     rows.append(forecast_row(scene, settings[-1], float(sigma.mean()), reached))
     return AccuracyResult(

@@ -46,7 +46,7 @@ class Axis:
     values: tuple[tuple[Any, ...], ...]
 
     @property
-    def telling_keys(self) -> tuple[str, ...]:
+    def distinguishing_keys(self) -> tuple[str, ...]:
         """Keys that distinguish the steps: the first one if its values do, else all keys whose values differ."""
         texts = [[value_text(value) for value in column] for column in zip(*self.values, strict=True)]
         if len(set(texts[0])) == len(self.values):
@@ -56,16 +56,16 @@ class Axis:
 
     @cached_property
     def labels(self) -> list[str]:
-        """Value of the first key at each step, or ``key = value`` of all `telling_keys`, as short text.
+        """Value of the first key at each step, or ``key = value`` of all `distinguishing_keys`, as short text.
 
         Steps with equal text have their number appended.
         """
-        telling = self.telling_keys
-        columns = [[_short(values[self.keys.index(key)]) for values in self.values] for key in telling]
-        if telling == self.keys[:1]:
+        keys = self.distinguishing_keys
+        columns = [[_short(values[self.keys.index(key)]) for values in self.values] for key in keys]
+        if keys == self.keys[:1]:
             texts = columns[0]
         else:
-            names = _short_names(telling)
+            names = _short_names(keys)
             texts = [
                 ", ".join(f"{name} = {text}" for name, text in zip(names, row, strict=True))
                 for row in zip(*columns, strict=True)
@@ -76,7 +76,7 @@ class Axis:
     def at(self, step: int) -> str:
         """Format one step as ``name = value`` or ``name (key = value, ...)``."""
         text = self.labels[step]
-        return f"{self.name} = {text}" if self.telling_keys == self.keys[:1] else f"{self.name} ({text})"
+        return f"{self.name} = {text}" if self.distinguishing_keys == self.keys[:1] else f"{self.name} ({text})"
 
 
 @dataclass(frozen=True)

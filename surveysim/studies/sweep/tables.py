@@ -11,7 +11,7 @@ from surveysim.runtime.table import SIGMA, Column, Table, column, file_column, q
 from surveysim.studies.sweep.axes import numbers_of, value_text
 from surveysim.studies.sweep.comparison import SURE
 from surveysim.studies.sweep.result import Pair
-from surveysim.survey.discarded_scans import telling
+from surveysim.survey.discarded_scans import listed_data_sets
 
 Content = Mapping[str, Any]  # of summary.json
 WITHHELD = "best_probability_withheld"
@@ -135,7 +135,7 @@ def _forecasts(points: Sequence[Content]) -> Iterator[Column]:
 def _discarded(summary: Content) -> Iterator[Column]:
     """Columns of the fractions of discarded scans; none if unknown at all points."""
     shares = [point.get("discarded", {}) for point in summary["points"]]
-    for name in telling(shares):
+    for name in listed_data_sets(shares):
         values = [item.get(name) for item in shares]
         if name == ACTUAL and summary["kind"] == "simulated":
             yield column("discarded", values, "discarded", share_text)
