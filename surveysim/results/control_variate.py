@@ -106,14 +106,12 @@ def in_all_weather(setup: Setup, found: Forecast) -> dict[str, float]:
 
     The forecast itself is for the weather that the scene's seed draws.
     """
-    conditions, band = (
-        observing_conditions(setup, survey_draws(setup, 0, setup.scene.observations)),
-        setup.analysis.region,
-    )
+    conditions = observing_conditions(setup, survey_draws(setup, 0, setup.scene.observations))
+    region = setup.analysis.region
     controlled = {}
     for name, item in known_expectations(setup).items():
         psd = found.scores[name].noise_psd * _control(setup, item, item.model.noise(conditions)).factor
-        controlled[name] = flat_band_power(psd, item.model.signal_psd, band.rings.n_modes, band.selected)
+        controlled[name] = flat_band_power(psd, item.model.signal_psd, region.rings.n_modes, region.selected)
     return controlled
 
 
