@@ -16,7 +16,7 @@ from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_S
 from surveysim.runtime.errors import SceneError
 from surveysim.runtime.printable import printable, shortened
 
-EXIT_BROKEN_PIPE = 141  # as of a program that SIGPIPE ends: 128 and its number
+EXIT_BROKEN_PIPE = 141  # as after SIGPIPE: 128 plus its number
 UsageError: Any = typer.BadParameter.__bases__[0]  # its own name is private in some versions of typer
 
 
@@ -55,7 +55,7 @@ def _unread(stream: TextIO) -> bool:
     """Return whether a stream is a pipe whose reader is gone."""
     try:
         number = stream.fileno()
-    except OSError:  # of a stream that is no file
+    except OSError:  # a stream that is no file
         return False
     if not hasattr(select, "poll"):
         return False

@@ -42,7 +42,7 @@ def ended(arguments: Sequence[str], notice: str | None = None) -> int:
     try:  # before anything else fails: there may be no memory left for imports then
         from surveysim.cli.failures import broken_stream, failure
         from surveysim.runtime.printable import complain, printable
-    except Exception as error:  # of a machine that can't load libraries
+    except Exception as error:  # libraries that cannot be loaded
         os.write(2, f"surveysim can't start: {' '.join(str(error).split())[:200]!a}\n".encode())
         return 1
 

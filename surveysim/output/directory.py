@@ -178,7 +178,7 @@ def renewed(directory: Path, name: str, force: bool = False) -> Iterator[None]:
     Raises OutputError for a file of the user with that name (unless with `force`), and for anything but a regular file.
     """
     if not directory.is_dir():
-        yield  # to an error
+        yield  # the block raises its error
         return
     with locked(directory):
         record = _read_record(directory) or _NOTHING

@@ -24,7 +24,7 @@ _FIGURES = (
     "weather",
     "run_time",
 )
-_PARTS = {"1": ("sites",), "2": ("photons",), "3": ("gains",)}  # of a table, in files of their own
+_PARTS = {"1": ("sites",), "2": ("photons",), "3": ("gains",)}  # parts of a table with separate files
 
 
 def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:

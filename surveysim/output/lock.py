@@ -61,7 +61,7 @@ def alive(pid: int) -> bool:
     except ProcessLookupError:
         return False
     except (PermissionError, OverflowError):
-        pass  # of another user, or no process number at all
+        pass  # a process of another user, or no process number
     return (_status(pid) or "?")[0] not in "ZX"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 OUTPUTS = Path("outputs")
-MOST_LETTERS = 120  # of a directory's name: file systems take 255 bytes, and a path has several
+MOST_LETTERS = 120  # longest directory name: file systems allow 255 bytes
 _OF_HASH = 8
 _MOST_OF_VALUE = 30
 # What a value may be to stand in a name as it is, less its spaces and with "-" for "/": no two values then share one.

@@ -35,7 +35,7 @@ WHITE_FROM = 0.6
 UNHIT_MAX = 0.01  # largest fraction of pixels without hits in a map with a variance
 LOW_FREQUENCY_HZ = 1.0  # the paper's Table 2
 WHITE_ABOVE_HZ = 2.5  # section 5.1
-CORRELATION_EDGES = np.linspace(-1.0, 1.0, 81)  # of the histograms of correlation coefficients
+CORRELATION_EDGES = np.linspace(-1.0, 1.0, 81)  # bin edges of correlation coefficients
 # Cleanings after which noise is compared between detectors (section 5.1), and their templates.
 PAIR_CLEANINGS = {"average": AVERAGE, "quadratic": QUADRATIC}
 

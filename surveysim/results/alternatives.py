@@ -8,7 +8,7 @@ from surveysim.reduction.setup import Setup
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import DataSetScore, rescore, sector_sigma
 
-ALTERNATIVE_NINTHS = (2, 4, 6, 8, 9, 10, 11)  # of the scene's lowest scored multipole
+ALTERNATIVE_NINTHS = (2, 4, 6, 8, 9, 10, 11)  # ninths of the scene's lowest scored multipole
 
 
 def alternatives(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -> list[dict[str, float | str]]:

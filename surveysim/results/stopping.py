@@ -22,7 +22,7 @@ from surveysim.survey.scores import DataSetScore, noise_parts
 
 FEWEST = 32  # observations whose scatter gives the error to an eighth, among them rare ones that lose scans
 _FEWEST_WITH_SIMS = 8  # fewest observations with simulated signal: fewer leave seams in the maps of the sky
-_SPACING = 8  # of boundaries, up to 128 observations: four pairs of scan directions
+_SPACING = 8  # observations between boundaries, up to 128: four pairs of scan directions
 FINE_ERROR = 0.01  # relative error whose cost is printed
 TOLD_ERRORS = (0.03, FINE_ERROR)  # relative errors whose costs are in summary.json
 _SHARE = 0.25  # largest fraction of the target variance from sign flips, or from skies

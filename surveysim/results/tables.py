@@ -6,7 +6,7 @@ from typing import Any
 from surveysim.runtime.numbers import as_known, count, number, quoted_share, short
 from surveysim.runtime.table import SIGMA, Column, Table, column, file_column, quoted_columns, share_text
 
-Content = Mapping[str, Any]  # of summary.json
+Content = Mapping[str, Any]  # content of summary.json
 
 _SHARES = {
     "point_source_flux_removed": "flux removed",

@@ -27,7 +27,7 @@ from surveysim.timestreams.response import write_sky_signal
 from surveysim.timestreams.simulation import observation_path
 from surveysim.timestreams.sky_maps import flat_cmb_sky
 
-CENTILES = {"good": 25.0, "poor": 75.0}  # of B2
+CENTILES = {"good": 25.0, "poor": 75.0}  # centiles of B2
 ALGORITHMS = ("none", "average", "wind", "planar", "quadratic")
 LOOKS = {
     "none": "black",

@@ -10,7 +10,7 @@ from surveysim.runtime.errors import InsufficientDataError
 from surveysim.survey.coadds import row_names
 from surveysim.survey.scores import DataSetScore, gain, rescore
 
-LOOKS = ("blue", "green", "vermilion", "purple", "orange", "sky")  # of the pipelines, in their order
+LOOKS = ("blue", "green", "vermilion", "purple", "orange", "sky")  # colours of the pipelines, in their order
 OPTIMAL_LOOK = "black --"
 LOWEST_ELL = 500  # bins below it have few modes, mostly the mean and the gradient of the map
 ARCMIN2_IN_SR = np.degrees(60.0) ** 2  # square arcminutes in a steradian: PSDs get plain numbers

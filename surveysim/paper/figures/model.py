@@ -16,8 +16,8 @@ from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.sites import SITES, median_water_mm, water_mm
 from surveysim.telescope.raster import samples_per_scan
 
-BANDS_HZ = (150e9, 275e9)  # of the paper's figure 1
-BANDWIDTH = 0.15  # as Bolocam's
+BANDS_HZ = (150e9, 275e9)  # bands of the paper's figure 1
+BANDWIDTH = 0.15  # Bolocam's
 SITE_LOOKS = {
     "mauna_kea": ("Mauna Kea", "vermilion -"),
     "south_pole": ("South Pole", "blue --"),

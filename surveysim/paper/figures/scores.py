@@ -15,7 +15,12 @@ from surveysim.survey.scores import DataSetScore, bin_errors
 if TYPE_CHECKING:
     from astropy.table import Table
 
-LOOKS = {"actual": "black", "uncorrelated": "vermilion :", "white": "green --", "masked": "blue -."}  # as the paper's
+LOOKS = {
+    "actual": "black",
+    "uncorrelated": "vermilion :",
+    "white": "green --",
+    "masked": "blue -.",
+}  # as published
 FLAT_LOOK = "grey"
 
 

@@ -8,7 +8,7 @@ from surveysim.results.agreement import GOOD_PSD, KNOWN
 from surveysim.results.tables import agreement_table, closure_table, effect_table
 from surveysim.runtime.numbers import count, percent
 
-Content = Mapping[str, Any]  # of summary.json
+Content = Mapping[str, Any]  # content of summary.json
 MEASURED = (
     "Expected: noise as the scene sets it; found: in the cleaned time-streams, where the tail of the excess noise adds"
     " to it and templates remove a part of the common noise. Signal power after cleaning is expected in closed form and"

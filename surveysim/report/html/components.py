@@ -117,7 +117,7 @@ class Page:
 def picture(path: Path, title: str, alt: str, caption: Sequence[str], drawn: str = "") -> Picture:
     """Embed a PNG file in a page, byte for byte."""
     data = path.read_bytes()
-    width, height = (int.from_bytes(data[start : start + 4], "big") for start in (16, 20))  # of the header IHDR
+    width, height = (int.from_bytes(data[start : start + 4], "big") for start in (16, 20))  # in the header IHDR
     uri = f"data:image/png;base64,{b64encode(data).decode()}"
     return Picture(f"figure-{path.stem}", uri, width, height, alt, title, tuple(caption), drawn)
 

@@ -21,7 +21,7 @@ from surveysim.report.html.scene import what_was_simulated
 from surveysim.report.tables import could_run, setting_table
 from surveysim.runtime.numbers import count, duration, number, percent, with_error
 
-Content = Mapping[str, Any]  # of summary.json and scene.json
+Content = Mapping[str, Any]  # content of summary.json or scene.json
 PICTURE = "figures/accuracy.png"
 
 

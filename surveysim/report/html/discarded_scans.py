@@ -8,7 +8,7 @@ from surveysim.report.html.components import Block, Cell, Grid, Section, Text, c
 from surveysim.runtime.numbers import number
 from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, WEATHER_GROUPS, listed_data_sets
 
-Content = Mapping[str, Any]  # of summary.json
+Content = Mapping[str, Any]  # content of summary.json
 DISCARD_RULE = (
     "Cleaning discards a scan whose templates it cannot fit. If it fits responsivities to the atmosphere, these are"
     " scans with little atmospheric signal: in the calmest weather, which gives the best data, or along the wind at"

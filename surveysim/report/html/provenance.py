@@ -7,7 +7,7 @@ from typing import Any
 from surveysim.report.html.components import Block, Cell, Grid, Terms, Text, cell
 from surveysim.runtime.numbers import count, day_and_time, duration, number
 
-MANY_FILES = 40  # of a folder, as time-streams may be
+MANY_FILES = 40  # files of a folder that are counted instead of listed, such as time-streams
 _ASSUMED = re.compile(r"(?P<key>\S+) = (?P<value>.*?): (?P<source>(?:assumed|calibrated).*)", re.DOTALL)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 from surveysim.report.html.components import Block, Cell, Grid, Text, cell
 from surveysim.runtime.numbers import duration, number, percent, plural
 
-Content = Mapping[str, Any]  # of summary.json and scene.json
+Content = Mapping[str, Any]  # content of summary.json or scene.json
 
 
 def time_blocks(summary: Content, scene: Content) -> Iterator[Block]:

@@ -11,7 +11,7 @@ from surveysim.report.html.scene import cleaning_words
 from surveysim.results.method import CONTROLLED, PLAIN, method
 from surveysim.results.tables import alternative_table, cleaning_table, gain_table, score_table
 
-Content = Mapping[str, Any]  # of summary.json and scene.json
+Content = Mapping[str, Any]  # content of summary.json or scene.json
 DATA_SETS = {
     "actual": "the survey itself",
     "uncorrelated": "noise with each detector's measured PSD in each observation, without correlations",

@@ -22,7 +22,7 @@ from surveysim.report.html.scores import kind_sentence, score_blocks
 from surveysim.results.tables import over_reference
 from surveysim.runtime.numbers import as_known, count, duration, percent, plural, quoted, short
 
-Content = Mapping[str, Any]  # of summary.json and scene.json
+Content = Mapping[str, Any]  # content of summary.json or scene.json
 UNKNOWN = "Its error is unknown: there are too few observations to estimate it."
 
 

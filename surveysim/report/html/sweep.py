@@ -18,7 +18,7 @@ from surveysim.studies.sweep.result import ESTIMATES
 from surveysim.studies.sweep.tables import WITHHELD, chance_text, data_set_table, ratio_text, sweep_table, varied_keys
 from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, listed_data_sets
 
-Content = Mapping[str, Any]  # of summary.json and scene.json, or of a point in the former
+Content = Mapping[str, Any]  # content of summary.json, of one of its points, or of scene.json
 PICTURE = "figures/sweep.png"
 MOST_NAMED = 4  # points in a note
 

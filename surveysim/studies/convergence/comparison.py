@@ -100,7 +100,7 @@ def forecast_row(scene: Scene, setting: Setting, reference_ukcmb2: float, refere
         forecast(scene)
         between = clocks()
         sigma = in_all_weather(prepare(scene), forecast(scene))[ACTUAL]
-    except InputError as error:  # of a scene that can't be forecast
+    except InputError as error:  # a scene without a forecast
         return Measured(setting, scene.observations, note=f"refused: {first_line(error)}")
     wall, cpu = clocks() - between
     ratio = sigma / reference_ukcmb2

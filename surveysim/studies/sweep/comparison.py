@@ -191,7 +191,7 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
         start, found, reason = perf_counter(), None, ""
         try:
             found = forecast(point.scene)
-        except InputError as error:  # of a scene that can't be forecast
+        except InputError as error:  # a scene without a forecast
             reason = str(error)
         sigma = {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}
         told = _flags(found), _discarded(found)

@@ -13,7 +13,7 @@ from surveysim.studies.sweep.comparison import SURE
 from surveysim.studies.sweep.result import Pair
 from surveysim.survey.discarded_scans import listed_data_sets
 
-Content = Mapping[str, Any]  # of summary.json
+Content = Mapping[str, Any]  # content of summary.json
 WITHHELD = "best_probability_withheld"
 
 
