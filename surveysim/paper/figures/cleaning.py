@@ -121,7 +121,7 @@ def weather_examples(survey: MeasuredSurvey) -> tuple[Example, ...]:
 
 def _chosen(examples: tuple[Example, ...]) -> str:
     each = " and ".join(f"{one.item.observation} of {one.scene} ({one.weather} weather)" for one in examples)
-    return f"of those whose wind is to be trusted, the two of fitted B2 nearest its quartiles are {each}"
+    return f"the two observations with a trusted wind and fitted B2 nearest its quartiles are {each}"
 
 
 # ---------------------------------------------------------------- figure 10

@@ -84,9 +84,9 @@ def _screen_caption(setup: Setup) -> str:
     height, wind = air.layer_height_m, air.wind_median_rad_s
     seen_mk = edge_streams(setup)[1].std()
     return (
-        f"The thin-screen model to scale. Each detector looks up a column of {air.illuminated_aperture_m:g} m, at"
+        f"The thin-screen model to scale. Each detector sees a column {air.illuminated_aperture_m:g} m wide, at"
         f" the survey's median elevation of {degrees(_elevation_rad(setup)):.0f} degrees, through a layer {height:g} m"
-        f" above the telescope, whose thickness, drawn as {THICKNESS_M:g} m, does not enter. Lengths in the plane of"
+        f" above the telescope. Its thickness, drawn as {THICKNESS_M:g} m, does not matter. Lengths in the plane of"
         f" the layer are angles times its height: a field of view of {_arcmin(field_rad):.1f} arcmin is only"
         f" {height * field_rad:.1f} m wide, and the median wind of {_arcmin(wind):.0f} arcmin/s is {height * wind:.1f}"
         f" m/s. The last panel is one realization of the layer's emission over {setup.scene.scan.duration_s:g} s, for"

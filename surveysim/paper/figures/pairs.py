@@ -126,7 +126,7 @@ def _white(survey: MeasuredSurvey) -> str:
         each.append(f"{100 * value:.1f} ± {100 * error:.1f} % after {cleaning} subtraction")
     return (
         f"Above 2.5 Hz the median correlation of adjacent pairs is {' and '.join(each)} (paper {100 * paper:g} %):"
-        f" what templates take is common to neighbours."
+        f" neighbours share the noise that templates subtract."
     )
 
 

@@ -298,10 +298,10 @@ def _recovered(recovered: dict[str, "Table"]) -> tuple[Block, ...]:
         rows.append((cell(f"{quantity} [{unit}]" if unit else quantity), *cells, Cell(paper)))
     columns = ("quantity", *(f"{band} GHz" for band in recovered), "paper")
     lines = (
-        "Wind, B2, index b and height of the layer are measured from the time-streams of every observation, and stand"
-        " against what was drawn for it. Errors are from resampling the observations.",
+        "Wind, B2, index b and height of the layer are measured from the time-streams of every observation, and"
+        " compared with the drawn values. Errors are from resampling the observations.",
     )
-    return Text(lines), Grid("grid-recovered", "What comes back", columns, tuple(rows))
+    return Text(lines), Grid("grid-recovered", "Recovered values", columns, tuple(rows))
 
 
 def _unit(row: "Row") -> str:
