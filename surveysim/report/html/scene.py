@@ -114,7 +114,7 @@ def _camera(camera: Values, n_det: int) -> Iterator[str]:
     if camera["polarizations"] is not None:
         yield f"Detectors absorb {plural(camera['polarizations'], 'polarization')}."
     if camera["bands"]:
-        bands = joined([f"{short(colour['frequency_hz'] / 1e9)}" for colour in camera["bands"]])
+        bands = joined([f"{short(band['frequency_hz'] / 1e9)}" for band in camera["bands"]])
         yield f"Every pixel has more bands, at {bands} GHz, which cleaning may use."
 
 

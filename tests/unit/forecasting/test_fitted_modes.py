@@ -52,7 +52,7 @@ def test_components_of_waves_are_integrals():
         np.testing.assert_allclose(found, np.sum(wave * shapes, axis=1) * SECONDS / 40_000, atol=1e-6)
 
 
-def test_courses_of_a_layer_are_those_of_drawn_templates():
+def test_fitted_modes_of_a_layer_are_modes_of_drawn_templates():
     """The expected projector onto the template, 3000 draws: a share by a share of at most a half to 4 sigma and 2 %."""
     fitted_modes = template_modes(*_layer(), SECONDS)
     assert 0.93 < fitted_modes.share.sum() < 1 and 0.6 < fitted_modes.share.max() < 0.8
