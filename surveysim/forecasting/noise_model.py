@@ -50,10 +50,11 @@ from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.errors import InsufficientDataError, NotForecastableError
 from surveysim.scene.scene import Scene
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.low_frequency import excess_psd
 from surveysim.timestreams.shared_parts import screen
 
+PATTERNS = ("raster",)  # scan patterns with a closed form: straight scans along RA and Dec in turn
 _ANGLES = 3  # between array and scan that represent all observations
 _SPEEDS, _DIRECTIONS = 5, 4  # nodes of the layer's motion against the scan
 _SINES = 3  # nodes in elevation
@@ -168,7 +169,7 @@ def is_projection(pipeline: CleaningPipeline) -> bool:
 
 
 def _spectrum(setup: Setup, fitted_modes: FittedModes) -> _ScanFrequencies:
-    scene, lines = setup.scene, setup.observing.raster
+    scene, lines = setup.scene, setup.observing.scans
     seconds = samples_per_scan(lines) / lines.sample_rate_hz
     modes = ring_modes(setup.analysis.region.rings.ell)
     rate = lines.sample_rate_hz
@@ -219,7 +220,7 @@ def _map_components(
     responses: list[np.ndarray],
     correlations: NoiseCorrelations,
 ) -> _NoiseComponents:
-    rate, modes = setup.observing.raster.sample_rate_hz, spectrum.modes
+    rate, modes = setup.observing.scans.sample_rate_hz, spectrum.modes
     window, nodes = spectrum.window, spectrum.nodes_hz
     flat = window.sums(spectrum.weight_hz[None], nodes, spectrum.at_hz)
     red = window.sums(spectrum.excess[None], spectrum.excess_hz, spectrum.at_hz)
@@ -260,7 +261,7 @@ def _layer_noise(
     def noise(motion: complex) -> list[np.ndarray]:
         along = _stream_frequencies(layer, motion)
         sums = np.mean([spectrum.window.power_sums(gain, layer.power, along, spectrum.at_hz) for gain in gains], axis=0)
-        return [spectrum.modes.mean(item) * setup.observing.raster.sample_rate_hz for item in sums]
+        return [spectrum.modes.mean(item) * setup.observing.scans.sample_rate_hz for item in sums]
 
     return _interpolate_motions(setup, conditions, noise)
 
@@ -295,7 +296,7 @@ def _interpolate_motions(
     """
     from scipy.interpolate import RegularGridInterpolator
 
-    slowest = _SLOWEST * setup.observing.raster.speed_rad_s
+    slowest = _SLOWEST * setup.observing.scans.speed_rad_s
 
     def place(motion: np.ndarray, sine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         logs = np.broadcast_to(np.log(sine)[:, None], motion.shape)
@@ -325,9 +326,9 @@ def _noise_only_components(
     name: str,
 ) -> _NoiseComponents:
     """Components of the data sets "uncorrelated" and "white", simulated from the PSDs of the cleaned streams."""
-    rate = setup.observing.raster.sample_rate_hz
+    rate = setup.observing.scans.sample_rate_hz
     seconds = spectrum.window.duration_s
-    n_samp = samples_per_scan(setup.observing.raster)
+    n_samp = samples_per_scan(setup.observing.scans)
     lines = np.arange(1, (n_samp - 1) // 2 + 1) / seconds
     hann, nodes = hann_window(seconds, spectrum.window.fitted_modes), spectrum.nodes_hz
     window = spectrum.window

@@ -12,7 +12,7 @@ from surveysim.results import agreement, results
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from surveysim.studies.resources import make_plan
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams import low_frequency, observed_block, photon, simulation, sky_maps
 from surveysim.timestreams import shared_parts as parts
 from surveysim.timestreams.observation import draw_other_bands
@@ -186,7 +186,7 @@ def test_cost(tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text(SMALL_SCENE)
     few, many = (make_plan(prepare(load_scene(path, {"observations": n})), 1, 2.0) for n in (4, 400))
-    lines = prepare(load_scene(path)).observing.raster
+    lines = prepare(load_scene(path)).observing.scans
     assert few.detector_samples == 4 * 18 * lines.n_scans * samples_per_scan(lines)
     assert many.detector_samples == 100 * few.detector_samples
     assert few.timestream_bytes == 4 * few.detector_samples
