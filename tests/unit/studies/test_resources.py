@@ -8,7 +8,7 @@ from surveysim.output import writer as outputs
 from surveysim.reduction import observation as reduction
 from surveysim.reduction import setup
 from surveysim.reduction.setup import prepare
-from surveysim.results import agreement, results
+from surveysim.results import agreement, control_variate
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from surveysim.studies.resources import make_plan
@@ -56,7 +56,7 @@ DOES = {
     "sky": [(sky_maps, "draw_sky")],
     "ephemerides": [(simulation, "schedule")],
     "opacity": [(setup, "site_water")],
-    "score": [(results, "quoted_scores")],
+    "score": [(control_variate, "score_survey")],
     "transfer function": [(sky_maps, "flat_cmb_sky"), (reduction, "_add_window")],
     "forecast": [(agreement, "forecast")],
     "best pipeline": [(reduction, "figures_of_merit")],
