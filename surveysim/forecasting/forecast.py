@@ -16,6 +16,7 @@ import numpy as np
 
 from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
 from mapmaker.transfer_function import beam_window
+from surveysim.forecasting.closed_forms import CLOSED_FORMS
 from surveysim.forecasting.mode_response import PROJECTIONS
 from surveysim.forecasting.noise_model import PATTERNS, NoiseModel, is_projection, survey_models
 from surveysim.forecasting.observing_conditions import (
@@ -162,7 +163,7 @@ def why_no_forecast(setup: Setup) -> str | None:
     if setup.observing.pattern.name not in PATTERNS:
         return f"scan: found {setup.observing.pattern.name!r}, a pattern without a closed form"
     for item in present_components(setup.scene):
-        if not item.forecast:
+        if item.name not in CLOSED_FORMS:
             return f"{item.name}: found a section without a closed form"
     if not is_projection(setup.analysis.pipelines[0]):
         return f"cleaning by {setup.analysis.pipelines[0].label} is no projection"

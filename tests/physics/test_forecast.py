@@ -145,8 +145,9 @@ def test_a_layer_at_its_slant_distance_leaves_more(algorithm, at_60, at_45):
     setup = prepare(load_scene("scenarios/lynx.toml", {"observations": 40, "cleaning.algorithm": algorithm}))
     sines = np.sin(np.radians([45, 60, 90]))
     levels = replace(observing_conditions(setup, survey_draws(setup, 0, 40)), sine=np.resize(sines, 40))
-    layer = next(noise_models(setup, levels)).parts.layer
-    left = [layer(levels.motion, np.full(40, sine))[:, setup.analysis.region.selected].sum() for sine in sines]
+    model, unit = next(noise_models(setup, levels)), replace(levels, layer=np.ones(40))
+    layers = [model.layer_noise(replace(unit, sine=np.full(40, sine))) for sine in sines]
+    left = [noise[:, setup.analysis.region.selected].sum() for noise in layers]
     assert left[0] / left[2] == pytest.approx(at_45, rel=0.04)
     assert left[1] / left[2] == pytest.approx(at_60, rel=0.04)
 
