@@ -12,7 +12,7 @@ from mapmaker.timestreams import scan_bounds
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.telescope.pointing import Pointing
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.noise import draw_from_psd
 from surveysim.timestreams.observation import Stopwatch
 
@@ -89,13 +89,13 @@ def add_simulated(
 def _draw_uncorrelated(
     setup: Setup, psd: np.ndarray, white: np.ndarray, n_scans: int, rng: np.random.Generator
 ) -> np.ndarray:
-    rate, n = setup.observing.raster.sample_rate_hz, samples_per_scan(setup.observing.raster)
+    rate, n = setup.observing.scans.sample_rate_hz, samples_per_scan(setup.observing.scans)
     streams = draw_from_psd(psd[:, None, :], (len(psd), n_scans), n, rate, rng)
     return streams.reshape(len(psd), -1).astype(setup.stream_type, copy=False)
 
 
 def _draw_white(setup: Setup, psd: np.ndarray, white: np.ndarray, n_scans: int, rng: np.random.Generator) -> np.ndarray:
-    rate, n = setup.observing.raster.sample_rate_hz, samples_per_scan(setup.observing.raster)
+    rate, n = setup.observing.scans.sample_rate_hz, samples_per_scan(setup.observing.scans)
     data = rng.standard_normal((len(psd), n_scans * n), dtype=np.float32).astype(setup.stream_type, copy=False)
     data *= np.sqrt(white * rate / 2).astype(data.dtype)[:, None]
     return mean_removed(data, n_scans)

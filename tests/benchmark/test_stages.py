@@ -31,7 +31,7 @@ def test_floor_normal_deviates(per_sample, lynx):
 
 def test_floor_fft_pair(per_sample, lynx):
     """As many and as long transforms as the excess noise takes, forth and back."""
-    n_scans = lynx.setup.observing.raster.n_scans
+    n_scans = lynx.setup.observing.scans.n_scans
     n = next_fast_len(2 * lynx.data_mk.shape[1] // n_scans, real=True)
     data = np.ones((len(lynx.data_mk), n_scans, n), np.float32)
     per_sample("floor: FFT pair", lambda: irfft(rfft(data), n))
@@ -60,7 +60,7 @@ def test_photon(per_sample, lynx):
 def test_detector(per_sample, lynx):
     data = np.zeros_like(lynx.data_mk)
     rng = generator(lynx.setup.scene.seed, RandomPurpose.DETECTOR, OBSERVATION)
-    psd, rate = lynx.setup.scene.detector.psd_mk2_hz, lynx.setup.observing.raster.sample_rate_hz
+    psd, rate = lynx.setup.scene.detector.psd_mk2_hz, lynx.setup.observing.scans.sample_rate_hz
     per_sample("detector", lambda: add_white(data, psd, rate, rng))
 
 
@@ -71,7 +71,7 @@ def test_pixels(per_sample, lynx):
 
 
 def test_wind(per_sample, lynx):
-    streams, rate = lynx.streams, lynx.setup.observing.raster.sample_rate_hz
+    streams, rate = lynx.streams, lynx.setup.observing.scans.sample_rate_hz
     velocity = scan_velocities(streams)
     arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane)
     options = {"sample_rate_hz": rate, "scan_velocity_rad_s": velocity}
@@ -80,7 +80,7 @@ def test_wind(per_sample, lynx):
 
 @pytest.mark.parametrize("algorithm", ["average", "planar", "quadratic", "polynomial", "wind", "pca", "local"])
 def test_cleaning(per_sample, lynx, algorithm):
-    streams, rate = lynx.streams, lynx.setup.observing.raster.sample_rate_hz
+    streams, rate = lynx.streams, lynx.setup.observing.scans.sample_rate_hz
     section = lynx.setup.scene.cleaning.model_copy(
         update={"sigma_cut": 3.0, "neighbour_radius": 1.2, "order": 3, "regions": 1}
     )
@@ -93,7 +93,7 @@ def test_cleaning(per_sample, lynx, algorithm):
 
 
 def test_spectra(per_sample, lynx):
-    n_scans, rate = lynx.setup.observing.raster.n_scans, lynx.setup.observing.raster.sample_rate_hz
+    n_scans, rate = lynx.setup.observing.scans.n_scans, lynx.setup.observing.scans.sample_rate_hz
     kept = np.ones(n_scans, bool)
     per_sample("Hann spectra", lambda: hann_psd(lynx.data_mk, n_scans, kept, rate))
 
@@ -110,9 +110,9 @@ def test_binning(per_sample, lynx):
 def test_simulated_set(per_sample, lynx, name):
     setup, n_det = lynx.setup, len(lynx.data_mk)
     psd = np.tile(lynx.result.clean_psd, (n_det, 1))
-    white = white_level(psd, 150, setup.observing.raster.sample_rate_hz, setup.scene.score.white_noise_above_hz)
+    white = white_level(psd, 150, setup.observing.scans.sample_rate_hz, setup.scene.score.white_noise_above_hz)
     rng = generator(setup.scene.seed, sets.NOISE_ONLY_SETS[name].purpose, OBSERVATION)
-    n_scans = setup.observing.raster.n_scans
+    n_scans = setup.observing.scans.n_scans
     per_sample(f"simulated set, {name}", lambda: sets.NOISE_ONLY_SETS[name].draw(setup, psd, white, n_scans, rng))
 
 

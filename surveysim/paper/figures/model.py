@@ -14,7 +14,7 @@ from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.runtime.errors import SceneError
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.sites import SITES, median_water_mm, water_mm
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 
 BANDS_HZ = (150e9, 275e9)  # bands of the paper's figure 1
 BANDWIDTH = 0.15  # Bolocam's
@@ -188,7 +188,7 @@ def edge_streams(setup: Setup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     One scan at median B2, wind and elevation, with the wind along the camera's x axis; the common mean is removed.
     """
     air, rate = setup.scene.atmosphere, setup.scene.scan.sample_rate_hz
-    n = samples_per_scan(setup.observing.raster)
+    n = samples_per_scan(setup.observing.scans)
     plane, pair = setup.camera.focal_plane, list(_edge_pair(setup))
     offsets = np.stack([plane.x_rad[pair], plane.y_rad[pair]], axis=-1)[None]
     data = np.zeros((2, n), np.float32)

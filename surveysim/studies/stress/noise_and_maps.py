@@ -97,8 +97,8 @@ def _blocks(scene: Scene, ratio: float) -> tuple[Setup, StreamBlock]:
     setup = prepare(scene)
     path, _ = observation_path(setup.observing, 0)
     n_det, n_pix = setup.camera.n_det, setup.analysis.geometry.n_x * setup.analysis.geometry.n_y
-    bounds = np.arange(setup.observing.raster.n_scans)[:, None] * N_SAMP + [0, N_SAMP]
-    data = planted(n_det, ratio, n_scans=setup.observing.raster.n_scans)
+    bounds = np.arange(setup.observing.scans.n_scans)[:, None] * N_SAMP + [0, N_SAMP]
+    data = planted(n_det, ratio, n_scans=setup.observing.scans.n_scans)
     # A tenth of the map is enough to be crossed often; the rest stays without a hit.
     index = np.random.default_rng(9).integers(0, n_pix // 10, data.shape)
     return setup, StreamBlock(data, index, bounds, setup.camera.focal_plane)
