@@ -1,4 +1,4 @@
-"""Statistical tests of standard normal deviates; each gives the probability of a departure as large as found."""
+"""Deviates for tests, and statistical tests of standard normal deviates."""
 
 from dataclasses import dataclass, field
 
@@ -7,12 +7,19 @@ from numba import njit
 from scipy.special import factorial2, ndtr
 from scipy.stats import chi2, kstwobign, norm, poisson
 
+from surveysim.runtime.rng import NormalDeviates, normal_deviates
+
 LANES, TILE = 16, 64
 _EDGE, _PER_UNIT = 8, 4096
 # Thresholds of |x| for counts of the tails.
 _TAILS = np.array([3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0, 6.5])
 # Radii of pairs whose logarithms of probability, -r^2 / 2, have so many bits of the uniform number behind them.
 _SAME = 2e-6
+
+
+def deviates(source: int | np.random.Generator) -> NormalDeviates:
+    """Deviates of a number, or others at every call with the same generator."""
+    return normal_deviates(source if isinstance(source, int) else int(source.integers(2**63)), "test")
 
 
 @njit
@@ -118,7 +125,7 @@ class DeviateTests:
         keep = expected >= 5
         rare, likely = found[~keep].sum(), expected[~keep].sum()
         square = np.sum((found[keep] - expected[keep]) ** 2 / expected[keep])
-        return 2 * min(0.5, chi2.sf(square, keep.sum()), poisson.sf(rare - 1, likely), poisson.cdf(rare, likely))
+        return 3 * min(1 / 3, chi2.sf(square, keep.sum()), poisson.sf(rare - 1, likely), poisson.cdf(rare, likely))
 
     def _coincidences(self) -> float:
         """Radii that are closer than `_SAME`: n^2 _SAME times the integral of r^2 exp(-r^2) pairs are expected."""
