@@ -17,7 +17,7 @@ from surveysim.atmosphere.strip_factors import (
 from surveysim.atmosphere.thin_screen import Screen
 from surveysim.runtime.errors import OutOfRangeError
 
-# Operations for eigenvectors that take a second at most, and the least number of lanes that shows smoothness.
+# Operations for eigenvectors that take at most a second, and the smallest number of lanes that shows smoothness.
 _MOST_WORK, _FEWEST_LANES = 1e8, 4
 # Strips of a period of so many beams and so many points have negligible negative eigenvalues, up to this index.
 _LONG_BEAMS, _LONG_POINTS, _LONG_INDEX = 64, 128, 3.9
