@@ -102,16 +102,21 @@ class ObservingSetup:
         Record of the pattern: number and timing of scans.
     blocks
         Blocks of scans that an observation is drawn in.
+    known_angles
+        Angles of all observations, where another process has computed them.
     """
 
     scene: Scene
     pattern: ScanPattern
     scans: Scans
     blocks: tuple[Block, ...]
+    known_angles: Angles | None = None
 
     @once
     def angles(self) -> Angles:
         """Starts and angles of all observations."""
+        if self.known_angles is not None:
+            return self.known_angles
         mid_time_s = mid_times(self.scans)
         shape = (self.scene.observations, len(mid_time_s))
         starts = observing_schedule(self.scene, self.scans)
