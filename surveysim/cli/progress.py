@@ -11,6 +11,7 @@ import numpy as np
 
 from surveysim.reduction.setup import prepare, signal_sim_observations
 from surveysim.results.stopping import estimate_so_far
+from surveysim.runtime.numbers import plain, quoted
 from surveysim.runtime.printable import complain
 from surveysim.scene.scene import Scene
 from surveysim.survey.coadds import CoAdds
@@ -185,12 +186,11 @@ def time_text(seconds: float) -> str:
 
 
 def score_so_far(scene: Scene, coadds: CoAdds) -> str:
-    """Format the quoted score of the actual data so far as ``sigma(A) = 270 +- 8 uK_CMB^2``; empty without a score."""
+    """Format the quoted score of the actual data so far as ``sigma(A) = 270.1 +- 8.3 uK_CMB^2``; empty without one."""
     with_sims = signal_sim_observations(scene)[: coadds.done].sum()
     if scene.score is None or coadds.done < 2 or with_sims < 2:
         return ""
     found = estimate_so_far(prepare(scene), coadds)
     if found is None:
         return ""
-    error = "unknown" if np.isnan(found.error_ukcmb2) else f"{found.error_ukcmb2:.2g}"
-    return f"sigma(A) = {found.sigma_ukcmb2:.3g} +- {error} uK_CMB^2"
+    return f"sigma(A) = {plain(quoted(found.sigma_ukcmb2, found.error_ukcmb2))} uK_CMB^2"
