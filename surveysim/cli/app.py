@@ -35,9 +35,9 @@ class PlainCommand(TyperCommand):
         super().__init__(*arguments, **options)
         for param in self.params:
             if isinstance(param, TyperArgument):
-                param.display_type_rich = lambda ctx: None
+                param.display_type_rich = lambda ctx: None  # type: ignore[method-assign]
 
-    def collect_usage_pieces(self, ctx: typer.Context) -> list[str]:
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Return the words of the usage line."""
         return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
 

@@ -82,10 +82,10 @@ RUN = {
         "Error against run time",
         "Relative error of the survey's uncertainty against the time of simulation.",
         "Across: time of simulation [s] with the workers of this run, without start-up. Up: relative error of the best "
-        "estimate of σ(A). Solid: with more observations alone. Dashed: with more sign flips and simulated skies as "
-        "well, if they are needed. Diamond: this run.",
-        "Look for the time at which the solid line flattens: from there on, more observations need more sign flips. "
-        "The lines are extrapolated from this run's own errors and times.",
+        "estimate of σ(A). Solid: with more observations alone. Dashed: with more sign-flipped co-adds and simulated "
+        "skies as well, if they are needed. Diamond: this run.",
+        "Look for the slope of the solid line: where it flattens, a smaller error needs more sign-flipped co-adds. The "
+        "lines are extrapolated from this run's own errors and times.",
     ),
 }
 SWEEP = Caption(
