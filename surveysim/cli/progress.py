@@ -13,7 +13,7 @@ from surveysim.reduction.setup import prepare, window_observations
 from surveysim.results.stopping import estimate_so_far
 from surveysim.runtime.printable import complain
 from surveysim.scene.scene import Scene
-from surveysim.survey.coadds import CoAdds
+from surveysim.survey.coadd_tree import CoAddTree
 
 if TYPE_CHECKING:
     from surveysim.report.terminal.layout import Terminal
@@ -184,12 +184,12 @@ def time_text(seconds: float) -> str:
     return f"{seconds:.0f} s left"
 
 
-def score_so_far(scene: Scene, coadds: CoAdds) -> str:
+def score_so_far(scene: Scene, sums: CoAddTree) -> str:
     """``sigma(A) = 270 +- 8 uK_CMB^2`` of the actual data so far, as it is quoted; empty while it can't be said."""
-    windows = window_observations(scene)[: coadds.done].sum()
-    if scene.score is None or coadds.done < 2 or windows < 2:
+    windows = window_observations(scene)[: sums.done].sum()
+    if scene.score is None or sums.done < 2 or windows < 2:
         return ""
-    found = estimate_so_far(prepare(scene), coadds)
+    found = estimate_so_far(prepare(scene), sums.so_far())
     if found is None:
         return ""
     error = "unknown" if np.isnan(found.error_ukcmb2) else f"{found.error_ukcmb2:.2g}"

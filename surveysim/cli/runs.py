@@ -90,7 +90,7 @@ def run(
         report_resumable_exit(scene, directory),
         progress_display(checked.name, work, quiet, workers=with_engine.workers_for(len(work))) as show,
     ):
-        progress = stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds), coadds.each_s))
+        progress = stopping(lambda sums: show(sums.done, lambda: score_so_far(checked, sums), sums.each_s))
         result = run_scene(
             checked,
             directory,

@@ -49,7 +49,8 @@ class FinishedError(OutputError):
 class Results:
     """A command's results: what makes them, and the names of all files that it may write, below its directory.
 
-    `sha256` is of all that they depend on. `inputs` are files that are written before the work starts, with their
+    `sha256` is of all that they depend on, `extends` is equal for runs of which one has more observations (else empty).
+    `inputs` are files that are written before the work starts, with their
     content; results are written by the caller, those that are `piecewise` to their places as they are made.
     """
 
@@ -59,6 +60,7 @@ class Results:
     names: tuple[str, ...]
     inputs: Mapping[str, bytes] = field(default_factory=dict)
     piecewise: bool = False
+    extends: str = ""
 
     @property
     def all_names(self) -> tuple[str, ...]:
@@ -115,10 +117,13 @@ def begin(place: OutputDirectory, removed: Callable[[str], bool]) -> None:
 
 
 @contextmanager
-def replacing(place: OutputDirectory, over: Callable[[str], bool] = lambda name: False) -> Iterator[Path]:
+def replacing(
+    place: OutputDirectory, over: Callable[[str], bool] = lambda name: False, whole: bool = True
+) -> Iterator[Path]:
     """A folder to write results to; when the block ends they take the place of earlier ones, or none does if it fails.
 
-    A checkpoint or points that are `over`, their work being done, are removed with what is left of earlier results.
+    Points that are `over`, their work being done, are removed with what is left of earlier results. Results that are
+    not `whole` can be resumed.
     """
     new = place.path / f"{NEW}.{os.getpid()}.part"
     new.mkdir()
@@ -129,10 +134,10 @@ def replacing(place: OutputDirectory, over: Callable[[str], bool] = lambda name:
     except OSError as error:  # that names a file by the place that it was to have
         path = str(error.filename or place.path).replace(str(new), str(place.path))
         raise OSError(error.errno, error.strerror or str(error), path) from None
-    _put_in_place(place, new, over)
+    _put_in_place(place, new, over, whole)
 
 
-def _put_in_place(place: OutputDirectory, new: Path, over: Callable[[str], bool]) -> None:
+def _put_in_place(place: OutputDirectory, new: Path, over: Callable[[str], bool], whole: bool) -> None:
     written = {path.relative_to(new).as_posix(): _identity(path) for path in new.rglob("*") if path.is_file()}
     work = [name for name in place.results.names if _UNFINISHED_WORK.fullmatch(name) and _is_written(place, name)]
     files = written | {name: _identity(place.path / name) for name in work if not over(name)}
@@ -142,7 +147,7 @@ def _put_in_place(place: OutputDirectory, new: Path, over: Callable[[str], bool]
         (place.path / name).parent.mkdir(exist_ok=True)
         (new / name).replace(place.path / name)
     remove(place, gone)
-    _write_record(place, files, finished=True)
+    _write_record(place, files, finished=True, whole=whole)
 
 
 def finish(place: OutputDirectory) -> None:
@@ -204,8 +209,8 @@ def _claim(path: Path, results: Results, force: bool, resume: bool) -> OutputDir
     mine = {name: known for name, known in record["files"].items() if _is_mine(path, name, record["files"])}
     started = record["finished"] or any(not _INPUT.fullmatch(name) for name in mine)
     if record is not _NOTHING and started and not force:
-        _check_same(path, results, record)
-        _check_unfinished(path, mine, record, resume)
+        _check_same(path, results, record, resume)
+        _check_unfinished(path, mine, record, resume=resume, same=record["sha256"] == results.sha256)
     if resume:
         mine |= {name: None for name in results.names if _SAYS_ITSELF.fullmatch(name) and _may_be_removed(path, name)}
     others = _others(path, results, mine, force)
@@ -215,29 +220,34 @@ def _claim(path: Path, results: Results, force: bool, resume: bool) -> OutputDir
     return OutputDirectory(path, results, mine, others)
 
 
-def _check_same(path: Path, results: Results, record: Mapping[str, Any]) -> None:
-    """Raise OutputError where a directory is another command's, or of another scene."""
+def _check_same(path: Path, results: Results, record: Mapping[str, Any], resume: bool) -> None:
+    """Raise OutputError where a directory is another command's, or of another scene; `resume` may add observations."""
+    extends = bool(results.extends) and record.get("extends") == results.extends
     kind = "results" if record["finished"] else "an unfinished run"
     if record["command"] != results.command:
         found = f"{kind} of {shown('surveysim ' + record['command'])}"
-    elif record["sha256"] != results.sha256:
+    elif record["sha256"] != results.sha256 and not (extends and resume):
         name = shown(record["scene"])
         other = f"{name} with other settings" if record["scene"] == results.scene else f"another scene, {name}"
         found = f"{kind} of {other}"
     else:
         return
-    raise OutputError(f"{path}: holds {found}; --force replaces them, --out writes elsewhere")
+    hint = "--resume changes the number of observations, " if extends else ""
+    raise OutputError(f"{path}: holds {found}; {hint}--force replaces them, --out writes elsewhere")
 
 
-def _check_unfinished(path: Path, mine: Mapping[str, str | None], record: Mapping[str, Any], resume: bool) -> None:
+def _check_unfinished(
+    path: Path, mine: Mapping[str, str | None], record: Mapping[str, Any], *, resume: bool, same: bool
+) -> None:
     """Raise OutputError for work that would be lost without `resume`, FinishedError where there is none to go on with.
 
-    A run that was stopped early has both results and a checkpoint.
+    A run has both results and a checkpoint. One that stopped early is not whole; a whole one goes on as another scene.
     """
-    if resume and record["finished"] and not holds_work(path):
+    whole = record["finished"] and record.get("whole", CHECKPOINT not in mine)
+    if resume and record["finished"] and ((whole and same) or not holds_work(path)):
         raise FinishedError(f"{path}: the run is finished; there is nothing to resume")
     work = [name for name in mine if _UNFINISHED_WORK.fullmatch(name)]
-    if not resume and (CHECKPOINT in work or (work and not record["finished"])):
+    if not resume and work and not whole and (CHECKPOINT in work or not record["finished"]):
         raise OutputError(
             f"{path / work[0]}: from a run that has not finished; --resume goes on from there, --force starts anew, "
             "--out writes elsewhere"
@@ -387,10 +397,14 @@ def _read_record(path: Path) -> dict[str, Any] | None:
     return found if whole else None
 
 
-def _write_record(place: OutputDirectory, files: Mapping[str, str | None], finished: bool) -> None:
+def _write_record(
+    place: OutputDirectory, files: Mapping[str, str | None], finished: bool, *, whole: bool = True
+) -> None:
     results = place.results
     content = {"surveysim": __version__, "command": results.command, "scene": results.scene, "sha256": results.sha256}
-    _write(place.path / RECORD, content | {"finished": finished, "files": dict(sorted(files.items()))})
+    content |= {"extends": results.extends}
+    state = {"finished": finished, "whole": finished and whole}
+    _write(place.path / RECORD, content | state | {"files": dict(sorted(files.items()))})
 
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:
