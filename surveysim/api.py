@@ -1,6 +1,6 @@
 """The Python interface: a function for each command that computes results, and equal results."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import perf_counter
 
@@ -33,7 +33,8 @@ from surveysim.studies.sweep.plan import SweepPlan, make_sweep_plan
 from surveysim.studies.sweep.result import SweepResult
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 from surveysim.survey.coadd_tree import CoAddTree
-from surveysim.survey.run import run_observations
+from surveysim.survey.coadds import CoAdds
+from surveysim.survey.run import finished_sums, run_observations
 from surveysim.timestreams.observation import draw_observation
 
 PROCESSES = Engine()
@@ -135,10 +136,10 @@ def run(
     if save_timestreams and out is None:
         raise InputError("save_timestreams: found no output directory; one is expected")
 
-    def result_of(checkpoint: Path | None, streams: Path | None) -> SurveyResult:
+    def result_of(checkpoint: Path | None, streams: Path | None, nodes: Sequence[CoAdds] = ()) -> SurveyResult:
         stops = stopping_rule(setup, limits, start)
         coadds = run_observations(
-            setup, checkpoint, engine, resume=resume, keep=True, timestream_dir=streams, progress=progress, stops=stops
+            setup, checkpoint, engine, nodes=nodes, keep=True, timestream_dir=streams, progress=progress, stops=stops
         )
         return survey_result(
             setup, coadds, wall_s=perf_counter() - start, workers=workers, limits=limits, engine=engine.kind
@@ -147,14 +148,16 @@ def run(
     if out is None:
         return result_of(None, None)
     with claimed(Path(out), of_run(setup, figures, save_timestreams), force, resume) as place:
+        checkpoint, streams = place.path / CHECKPOINT, place.path / "timestreams" if save_timestreams else None
+        nodes = finished_sums(setup, checkpoint, streams) if resume else []  # or an error, before anything is changed
         begin(place, removed=lambda name: force)
-        result = result_of(place.path / CHECKPOINT, place.path / "timestreams" if save_timestreams else None)
+        result = result_of(checkpoint, streams, nodes)
         whole = result.coadds.done == setup.scene.observations
         with replacing(place, whole=whole) as new:
             numbers = range(result.coadds.done) if save_timestreams else ()
-            streams = [f"timestreams/{number:04d}.h5" for number in numbers]
+            names = [f"timestreams/{number:04d}.h5" for number in numbers]
             # None of before a resumption that asked for them.
-            write_outputs(new, result, figures, [name for name in streams if (place.path / name).is_file()])
+            write_outputs(new, result, figures, [name for name in names if (place.path / name).is_file()])
     return result
 
 

@@ -1,6 +1,6 @@
 """A run: all observations through an engine, with a checkpoint."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
@@ -46,12 +46,26 @@ class SpanJob:
         return observation_sums(setup, observe(setup, observation, with_window, path))
 
 
+def finished_sums(setup: Setup, checkpoint: Path, timestream_dir: Path | None = None) -> list[CoAdds]:
+    """Read the sums over finished observations from a checkpoint; none without such a file.
+
+    Raises
+    ------
+    CheckpointError
+        For a checkpoint, or time-streams of finished observations, of another scene.
+    """
+    nodes = load_checkpoint(checkpoint, setup) if checkpoint.exists() else []
+    if timestream_dir is not None:
+        check_streams(timestream_dir, setup, nodes)
+    return nodes
+
+
 def run_observations(
     setup: Setup,
     checkpoint: Path | None,
     engine: Engine = SERIAL,
     *,
-    resume: bool = False,
+    nodes: Sequence[CoAdds] = (),
     keep: bool = False,
     timestream_dir: Path | None = None,
     progress: Callable[[CoAddTree], None] = lambda sums: None,
@@ -64,8 +78,8 @@ def run_observations(
     checkpoint
         File for the sums. It is written every few seconds, and when the run stops, fails or is interrupted
         (KeyboardInterrupt and errors pass on).
-    resume
-        Whether to start from the checkpoint.
+    nodes
+        Sums over finished observations (`finished_sums`) to go on from.
     keep
         Whether to write the checkpoint of a whole run too, so that later runs add observations.
     timestream_dir
@@ -77,16 +91,10 @@ def run_observations(
 
     Raises
     ------
-    CheckpointError
-        For a checkpoint of another scene.
     EngineError
         If the engine fails.
     """
-    sums = CoAddTree(setup)
-    if resume and checkpoint is not None and checkpoint.exists():
-        sums = CoAddTree(setup, load_checkpoint(checkpoint, setup))
-        if timestream_dir is not None:
-            check_streams(timestream_dir, setup, sums.nodes())
+    sums = CoAddTree(setup, nodes)
     while sums.advance():
         pass
     keeper = _CheckpointWriter(checkpoint, setup, sums.finished)

@@ -16,7 +16,7 @@ from tests.unit.cli.test_cli import interrupt_after
 from tests.unit.output.test_directory import put, tree
 from tests.unit.output.test_lock import left
 from tests.unit.studies.test_sweep_run import WHITE
-from tests.unit.survey.test_interruption import long_scene, none_left, start, wait_for
+from tests.unit.survey.test_interruption import assert_same_results, long_scene, none_left, start, wait_for
 
 SWEEP = '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s"]\n'
 QUICK = ("--engine", "serial", "--no-figures", "-q")
@@ -81,7 +81,23 @@ def test_a_checkpoint_is_not_thrown_away(call, scene, monkeypatch):
     assert code == 2 and "checkpoint.h5: from a run that has not finished; --resume goes on from there" in error
     assert tree(Path("outputs")) == before
     assert call("run", scene, *QUICK, "--resume") == (0, "", "")
-    assert "checkpoint.h5" not in names("outputs/small")
+
+
+def test_observations_are_added_to_a_finished_run(call, scene):
+    """In place of its results, which stay until then; other changes of the scene are refused."""
+    assert call("run", scene, *QUICK, "--out", "out") == (0, "", "")
+    more = ("--set", "observations=8")
+    code, _, error = call("run", scene, *QUICK, *more, "--out", "out")
+    assert code == 2 and "with other settings; --resume changes the number of observations, --force replaces" in error
+    code, _, error = call("run", scene, *QUICK, *more, "--set", "seed=12", "--out", "out", "--resume")
+    assert code == 2 and "with other settings; --force replaces them" in error
+    assert call("run", scene, *QUICK, *more, "--out", "out", "--resume") == (0, "", "")
+    assert call("run", scene, *QUICK, *more, "--out", "whole") == (0, "", "")
+    assert_same_results(Path("out"), Path("whole"))
+    code, _, error = call("run", scene, *QUICK, "--out", "out", "--resume")
+    assert code == 2 and "checkpoint.h5: has observations up to number 7, found observations = 4; 8 or more" in error
+    said = "out: the run is finished; there is nothing to resume\n"
+    assert call("run", scene, *QUICK, *more, "--out", "out", "--resume") == (0, "", said)
 
 
 @pytest.mark.parametrize("text", [WHITE_NOISE_SCENE, WHITE + SWEEP], ids=["scene", "sweep"])

@@ -116,7 +116,7 @@ def test_blocks_side_by_side_are_the_observation(setup_of):
     np.testing.assert_array_equal(whole.scan, one.scan)
     assert dict(whole.attributes) == dict(parts[2].attributes)
     # The memory that a block may take is a key of the scene.
-    other = {"scene_sha256": whole.attributes["scene_sha256"]}
+    other = {"survey_sha256": whole.attributes["survey_sha256"]}
     assert dict(whole.attributes) == dict(one.attributes) | other
     # No block repeats another's noise.
     first, second = (part.data_mk[:, 1:] - part.data_mk[:, :-1] for part in parts[:2])
