@@ -21,16 +21,16 @@ from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import survey_hash
 from surveysim.survey.coadd_tree import is_node
 from surveysim.survey.coadds import CoAdds, empty_coadds, row_names
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 
 NAME = "checkpoint.h5"
-REASON = 150  # letters of the reason why a file is refused
+REASON = 150  # longest reason for refusing a file, in characters
 
-_ARRAYS = ("sums", "weight", "hits", "flipped", "window", "window_weight")
+_ARRAYS = ("sums", "weight", "hits", "flipped", "signal_maps", "signal_weight")
 _LISTS = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")
 _AGAIN = "delete it and go on with --resume"
-_LARGEST = 1e30  # of any sum: maps, in single precision, hold up to 3e38
-_USER_BLOCK = 512  # bytes, the least that HDF5 has
+_LARGEST = 1e30  # bound of all sums: maps, in single precision, hold up to 3e38
+_USER_BLOCK = 512  # bytes, the smallest of HDF5
 _MARK = b"surveysim checkpoint, SHA-256 of what follows this block: "
 
 
@@ -166,7 +166,7 @@ def _checked_arrays(group: Any, setup: Setup) -> dict[str, np.ndarray]:
     done = group["rows"].shape[0]
     single = done == 1 and group["flipped"].shape[:1] == (0,)
     expected = empty_coadds(setup, flips=not single)
-    n_freq, n_compared = samples_per_scan(setup.observing.raster) // 2 + 1, len(setup.analysis.whole_pipelines) - 1
+    n_freq, n_compared = samples_per_scan(setup.observing.scans) // 2 + 1, len(setup.analysis.whole_pipelines) - 1
     n_bin = 0 if setup.analysis.region is None else len(setup.analysis.region.rings.ell)
     shapes = {name: getattr(expected, name).shape for name in _ARRAYS} | {
         "rows": (done, len(row_names(setup))),
@@ -192,7 +192,7 @@ def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     for name in (*_ARRAYS, "raw_psd", "clean_psd", "compared_psd"):
         if not (np.abs(arrays[name]) < _LARGEST).all():
             raise ValueError(f"{name} has values that are not finite, or above {_LARGEST:g}")
-    for name in ("weight", "hits", "window_weight", "raw_psd", "clean_psd", "compared_psd"):
+    for name in ("weight", "hits", "signal_weight", "raw_psd", "clean_psd", "compared_psd"):
         if (arrays[name] < 0).any():
             raise ValueError(f"{name} has negative values")
     if not (arrays["bin_noise"] >= 0).all():  # infinite where an observation has no data
@@ -217,7 +217,7 @@ def _check_rows(columns: Mapping[str, np.ndarray], setup: Setup) -> None:
     if not (0 <= numbers[0] <= 1e9 and np.array_equal(numbers, numbers[0] // 1 + np.arange(len(numbers)))):
         raise ValueError("rows are not those of consecutive observations")
     for name, column in columns.items():
-        if name.startswith("discarded_") and not ((column >= 0) & (column <= setup.observing.raster.n_scans)).all():
+        if name.startswith("discarded_") and not ((column >= 0) & (column <= setup.observing.scans.n_scans)).all():
             raise ValueError(f"{name} has other values than numbers of scans")
         if name.startswith(("noise_mk2_", "b2_mk2", "pwv_mm", "wind_speed")) and (column < 0).any():
             raise ValueError(f"{name} has negative values")
@@ -227,7 +227,7 @@ def check_streams(directory: Path, setup: Setup, nodes: Sequence[CoAdds]) -> Non
     """Raise CheckpointError for saved time-streams of finished observations of another scene."""
     identity, n_samp = (
         survey_hash(setup.scene),
-        setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster),
+        setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans),
     )
     for number in _numbers(nodes):
         path = directory / f"{number:04d}.h5"
@@ -247,7 +247,7 @@ def _is_stream(path: Path, shape: tuple[int, int], identity: str, number: int) -
         with h5py.File(path, "r") as file:
             same = file.attrs["survey_sha256"] == identity and file.attrs["observation"] == number
             return bool(same) and file["data"].shape == shape
-    except Exception:  # HDF5's readers raise a wide range for what is none
+    except Exception:  # HDF5 readers raise many types of errors for other files
         return False
 
 

@@ -28,7 +28,7 @@ def node_bytes(setup: Setup) -> float:
     empty = empty_coadds(setup)
     return sum(
         array.nbytes
-        for array in (empty.sums, empty.weight, empty.hits, empty.flipped, empty.window, empty.window_weight)
+        for array in (empty.sums, empty.weight, empty.hits, empty.flipped, empty.signal_maps, empty.signal_weight)
     )
 
 

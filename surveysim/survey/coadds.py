@@ -39,9 +39,9 @@ class CoAdds:
     flipped : (K, n_set, n, n)
         Sums with random signs on the scored patch; (0, n_set, n, n) of one observation alone, where they follow from
         `sums`.
-    window : (n_sky, n_window, 2, n, n)
+    signal_maps : (n_sky, n_transfer, 2, n, n)
         Signal simulations on the patch.
-    window_weight : (n_window, n, n)
+    signal_weight : (n_transfer, n, n)
     rows
         One tuple per observation (`row_names`).
     bin_noise : (n_obs, n_set, n_bin)
@@ -54,8 +54,8 @@ class CoAdds:
     weight: np.ndarray
     hits: np.ndarray
     flipped: np.ndarray
-    window: np.ndarray
-    window_weight: np.ndarray
+    signal_maps: np.ndarray
+    signal_weight: np.ndarray
     rows: list[tuple[float, ...]] = field(default_factory=list)
     bin_noise: list[np.ndarray] = field(default_factory=list)
     raw_psd: list[np.ndarray] = field(default_factory=list)
@@ -100,7 +100,7 @@ class CoAdds:
 
 def empty_coadds(setup: Setup, *, flips: bool = True) -> CoAdds:
     """Make sums over no observation, with or without sign-flipped co-adds."""
-    n_set, n_window = len(setup.analysis.data_set_names), len(setup.analysis.windows)
+    n_set, n_transfer = len(setup.analysis.data_set_names), len(setup.analysis.transfer_function_names)
     shape = (setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
     n_flip = n_sky = n = 0
     if setup.scene.score:
@@ -111,8 +111,8 @@ def empty_coadds(setup: Setup, *, flips: bool = True) -> CoAdds:
         weight=np.zeros((n_set, *shape)),
         hits=np.zeros((n_set, *shape), np.int64),
         flipped=np.zeros((n_flip, n_set, n, n)),
-        window=np.zeros((n_sky, n_window, 2, n, n)),
-        window_weight=np.zeros((n_window, n, n)),
+        signal_maps=np.zeros((n_sky, n_transfer, 2, n, n)),
+        signal_weight=np.zeros((n_transfer, n, n)),
     )
 
 
@@ -147,8 +147,8 @@ def observation_sums(setup: Setup, result: ObservationResult) -> CoAdds:
         compared_psd=[result.compared_psd],
         seconds=dict(result.seconds),
     )
-    if result.window is not None:
-        _add_window(setup, found, result, weights)
+    if result.signal_maps is not None:
+        _add_signal_maps(setup, found, result, weights)
     return found
 
 
@@ -199,9 +199,9 @@ def _add_arrays(coadds: CoAdds, later: CoAdds) -> None:
     coadds.sums += later.sums
     coadds.weight += later.weight
     coadds.hits += later.hits
-    if later.window_weight.any():
-        coadds.window += later.window
-        coadds.window_weight += later.window_weight
+    if later.signal_weight.any():
+        coadds.signal_maps += later.signal_maps
+        coadds.signal_weight += later.signal_weight
 
 
 def _add_lists(coadds: CoAdds, later: CoAdds) -> None:
@@ -213,7 +213,7 @@ def _add_lists(coadds: CoAdds, later: CoAdds) -> None:
 
 def copied(coadds: CoAdds) -> CoAdds:
     """Copy sums: what is added to the copy leaves them as they are."""
-    arrays = ("sums", "weight", "hits", "flipped", "window", "window_weight")
+    arrays = ("sums", "weight", "hits", "flipped", "signal_maps", "signal_weight")
     lists = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")
     found: dict[str, Any] = {name: getattr(coadds, name).copy() for name in (*arrays, *lists, "seconds")}
     return CoAdds(**found)
@@ -248,23 +248,23 @@ def lost_scans(setup: Setup, coadds: CoAdds) -> np.ndarray:
     if setup.analysis.chooses:
         whole = [pipeline.data_set for pipeline in setup.analysis.whole_pipelines]
         best = best_places(np.array([columns[f"merit_{TARGETS[0]}_{name}"] for name in whole]))
-        # Without any merit the first pipeline is taken.
+        # Without a figure of merit, take the first pipeline.
         counts[OPTIMAL] = np.array([counts[name] for name in whole])[np.maximum(best, 0), np.arange(len(best))]
     return np.stack([counts.get(name, counts[ACTUAL]) for name in setup.analysis.data_set_names], axis=1)
 
 
 def kept_shares(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
     """Compute the fraction (n_obs,) of kept scans of each observation so far, by data set."""
-    kept = 1 - lost_scans(setup, coadds) / setup.observing.raster.n_scans
+    kept = 1 - lost_scans(setup, coadds) / setup.observing.scans.n_scans
     return dict(zip(setup.analysis.data_set_names, kept.T, strict=True))
 
 
-def _add_window(setup: Setup, coadds: CoAdds, result: ObservationResult, weights: np.ndarray) -> None:
+def _add_signal_maps(setup: Setup, coadds: CoAdds, result: ObservationResult, weights: np.ndarray) -> None:
     patch = setup.analysis.region.patch
-    for place, name in enumerate(setup.analysis.windows):
+    for place, name in enumerate(setup.analysis.transfer_function_names):
         data_set = setup.analysis.data_set_names.index(name)
-        coadds.window[:, place] += weights[data_set] * result.window[:, place]
-        coadds.window_weight[place] += weights[data_set] * result.hits[data_set][patch, patch]
+        coadds.signal_maps[:, place] += weights[data_set] * result.signal_maps[:, place]
+        coadds.signal_weight[place] += weights[data_set] * result.hits[data_set][patch, patch]
 
 
 def _row(result: ObservationResult) -> tuple[float, ...]:

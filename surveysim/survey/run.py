@@ -6,7 +6,7 @@ from pathlib import Path
 from time import monotonic
 
 from surveysim.reduction.observation import observe
-from surveysim.reduction.setup import Setup, prepare, window_observations
+from surveysim.reduction.setup import Setup, prepare, signal_sim_observations
 from surveysim.runtime.engine import SERIAL, Engine, defer_signals, unordered_map
 from surveysim.scene.scene import Scene
 from surveysim.survey.checkpoint import check_streams, load_checkpoint, save_checkpoint
@@ -15,7 +15,7 @@ from surveysim.survey.coadds import CoAdds, observation_sums
 from surveysim.survey.spans import Span, Spans
 
 CHECKPOINT_SECONDS = 10.0  # between checkpoints
-CHECKPOINT_SHARE = 0.05  # of the time at most goes into them
+CHECKPOINT_SHARE = 0.05  # largest fraction of the time for checkpoints
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class SpanJob:
         return sums.so_far()
 
     def _observed(self, setup: Setup, observation: int) -> CoAdds:
-        with_window = bool(window_observations(self.scene)[observation])
+        with_signal_sims = bool(signal_sim_observations(self.scene)[observation])
         path = None if self.timestream_dir is None else self.timestream_dir / f"{observation:04d}.h5"
-        return observation_sums(setup, observe(setup, observation, with_window, path))
+        return observation_sums(setup, observe(setup, observation, with_signal_sims, path))
 
 
 def finished_sums(setup: Setup, checkpoint: Path, timestream_dir: Path | None = None) -> list[CoAdds]:

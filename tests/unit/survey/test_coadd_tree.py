@@ -16,7 +16,7 @@ from tests import naive
 from tests.scenes import write_scene
 
 N_OBS = 150  # nine leaves and a part of one
-ARRAYS = ("sums", "weight", "hits", "flipped", "window", "window_weight")
+ARRAYS = ("sums", "weight", "hits", "flipped", "signal_maps", "signal_weight")
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def setup(tmp_path_factory):
 def singles(setup):
     """Observations that differ in their maps and weights; the first few carry signals."""
     rng = np.random.default_rng(5)
-    observed = observe(setup, 0, with_window=True)
+    observed = observe(setup, 0, with_signal_sims=True)
 
     def drawn(number):
         scale = rng.uniform(0.1, 10, len(observed.noise_mk2))
@@ -38,7 +38,7 @@ def singles(setup):
             observation=number,
             sums=rng.standard_normal(observed.sums.shape).astype(np.float32) * (observed.hits > 0),
             noise_mk2=observed.noise_mk2 * scale,
-            window=observed.window if number < 4 else None,
+            signal_maps=observed.signal_maps if number < 4 else None,
         )
 
     return [observation_sums(setup, drawn(number)) for number in range(N_OBS)]
