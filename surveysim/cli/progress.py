@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from surveysim.reduction.setup import prepare, window_observations
+from surveysim.reduction.setup import Setup, window_observations
 from surveysim.results.stopping import estimate_so_far
 from surveysim.runtime.printable import complain
-from surveysim.scene.scene import Scene
 from surveysim.survey.coadds import CoAdds
 
 if TYPE_CHECKING:
@@ -184,12 +183,12 @@ def time_text(seconds: float) -> str:
     return f"{seconds:.0f} s left"
 
 
-def score_so_far(scene: Scene, coadds: CoAdds) -> str:
+def score_so_far(setup: Setup, coadds: CoAdds) -> str:
     """``sigma(A) = 270 +- 8 uK_CMB^2`` of the actual data so far, as it is quoted; empty while it can't be said."""
-    windows = window_observations(scene)[: coadds.done].sum()
-    if scene.score is None or coadds.done < 2 or windows < 2:
+    windows = window_observations(setup.scene)[: coadds.done].sum()
+    if setup.scene.score is None or coadds.done < 2 or windows < 2:
         return ""
-    found = estimate_so_far(prepare(scene), coadds)
+    found = estimate_so_far(setup, coadds)
     if found is None:
         return ""
     error = "unknown" if np.isnan(found.error_ukcmb2) else f"{found.error_ukcmb2:.2g}"

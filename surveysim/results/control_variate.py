@@ -6,7 +6,6 @@ were simulated, is therefore free of the weather that they happened to draw.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -16,9 +15,9 @@ from surveysim.forecasting.forecast import Forecast, can_forecast, expected_weig
 from surveysim.forecasting.noise_model import NoiseModel, survey_models
 from surveysim.forecasting.observing_conditions import observing_conditions, population_conditions, survey_draws
 from surveysim.reduction.cleaning_pipelines import ACTUAL
-from surveysim.reduction.setup import Setup, prepare
+from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InputError, NotForecastableError
-from surveysim.scene.scene import Scene
+from surveysim.runtime.once import keep_last
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import Control, DataSetScore, controlled_score, score_survey
 
@@ -64,18 +63,17 @@ def controls(setup: Setup, coadds: CoAdds) -> dict[str, Control]:
 def known_expectations(setup: Setup) -> dict[str, Expectation]:
     """The `expectations` of a scene, empty where it has none."""
     try:
-        return expectations(setup.scene) if can_forecast(setup) else {}
+        return expectations(setup) if can_forecast(setup) else {}
     except InputError:
         return {}
 
 
-@lru_cache(maxsize=1)
-def expectations(scene: Scene) -> dict[str, Expectation]:
-    """Forecasts of a scene's data sets in expectation over weather; raises NotForecastableError without."""
-    setup = prepare(scene)
-    levels, n_lists = population_conditions(scene)
+@keep_last(1)
+def expectations(setup: Setup) -> dict[str, Expectation]:
+    """Forecasts of the data sets in expectation over weather; raises NotForecastableError without."""
+    levels, n_lists = population_conditions(setup)
     found = {}
-    for model in survey_models(scene):
+    for model in survey_models(setup):
         noise = model.noise(levels)
         if not noise[:, setup.analysis.region.selected].all():
             raise NotForecastableError("score: found no noise in its multipoles; some is expected")

@@ -6,6 +6,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mapmaker.uncertainty import ErrorBudget
+from surveysim.reduction.setup import Setup
 from surveysim.scene.scene import Scene
 
 SUB_SURVEY = 60  # observations with which all but the number of observations is measured
@@ -109,7 +110,7 @@ class AccuracyResult:
     and `sub_observations` how many the other ladders were measured with.
     """
 
-    scene: Scene
+    setup: Setup
     seeds: int
     reference_ukcmb2: float
     reference_error: float
@@ -122,6 +123,11 @@ class AccuracyResult:
     recommended: tuple[Recommendation, ...]
     wall_s: float
     workers: int
+
+    @property
+    def scene(self) -> Scene:
+        """The scene."""
+        return self.setup.scene
 
     @property
     def chosen(self) -> tuple[int, ...]:
