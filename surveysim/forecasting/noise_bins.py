@@ -21,7 +21,7 @@ from surveysim.forecasting.mode_response import (
     stream_power,
 )
 from surveysim.forecasting.observing_conditions import NoiseCorrelations, ObservingConditions
-from surveysim.forecasting.scan_apodization import ScanApodization, frequency_nodes, hann_window, scan_window
+from surveysim.forecasting.scan_apodization import ScanApodization, frequency_nodes, hann_apodization, scan_apodization
 from surveysim.scene.analysis import Score
 from surveysim.scene.scene import Scene
 from surveysim.telescope.lattice_noise import NoiseCorrelation
@@ -38,14 +38,14 @@ class ScanFrequencies:
     scans: Scans
     modes: Modes
     at_hz: np.ndarray
-    window: ScanApodization
+    apodization: ScanApodization
     nodes_hz: np.ndarray
     weight_hz: np.ndarray
 
     @cached_property
     def white(self) -> np.ndarray:
         """Sum of the leakage of white noise of unit PSD into each mode."""
-        return self.window.sums(self.weight_hz[None], self.nodes_hz, self.at_hz)
+        return self.apodization.sums(self.weight_hz[None], self.nodes_hz, self.at_hz)
 
 
 def scan_frequencies(scans: Scans, score: Score, ell: np.ndarray, fitted_modes: FittedModes) -> ScanFrequencies:
@@ -54,15 +54,15 @@ def scan_frequencies(scans: Scans, score: Score, ell: np.ndarray, fitted_modes: 
     modes = ring_modes(ell)
     at_hz = modes.wave.real.ravel() * scans.speed_rad_s / (2 * np.pi)
     at_hz -= rate * np.round(at_hz / rate)  # aliases of the sample rate
-    window = scan_window(
+    apodization = scan_apodization(
         samples_per_scan(scans) / rate,
         speed_rad_s=scans.speed_rad_s,
         size_rad=score.size_rad,
         taper_fraction=score.taper_fraction,
         fitted_modes=fitted_modes,
     )
-    nodes, weight = frequency_nodes(window, max(1.1 * np.abs(at_hz).max(), 0.5 * rate))
-    return ScanFrequencies(scans, modes, at_hz, window, nodes, weight)
+    nodes, weight = frequency_nodes(apodization, max(1.1 * np.abs(at_hz).max(), 0.5 * rate))
+    return ScanFrequencies(scans, modes, at_hz, apodization, nodes, weight)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +91,7 @@ class NoiseBins(ABC):
     @property
     def layer_waves(self) -> LayerWaves:
         """Wavevectors of the layer."""
-        longest = np.abs(self.conditions.motion).max() * self.frequencies.window.duration_s
+        longest = np.abs(self.conditions.motion).max() * self.frequencies.apodization.duration_s
         return layer_waves(screen(self.scene), longest, sine_nodes(self.conditions).tolist())
 
     @abstractmethod
@@ -143,7 +143,7 @@ class MapBins(NoiseBins):
 
         It is aliased across the scan, among modes of one frequency: independent noise is unchanged.
         """
-        leakage = self.frequencies.window.sums(variance[None], at_hz, self.frequencies.at_hz)
+        leakage = self.frequencies.apodization.sums(variance[None], at_hz, self.frequencies.at_hz)
         pairs = list(zip(self.arrays, self.responses, strict=True))
         alone = [matrix_power(response * array.responsivity[:, None], None) for array, response in pairs]
         own = self._mean(alone, leakage)
@@ -157,7 +157,7 @@ class MapBins(NoiseBins):
 
         def noise(motion: complex) -> list[np.ndarray]:
             along = stream_frequencies(waves, motion)
-            sums = [spectrum.window.power_sums(gain, waves.power, along, spectrum.at_hz) for gain in gains]
+            sums = [spectrum.apodization.power_sums(gain, waves.power, along, spectrum.at_hz) for gain in gains]
             return [spectrum.modes.mean(item) * self.scans.sample_rate_hz for item in np.mean(sums, axis=0)]
 
         table = interpolate_motions(self.conditions, self.scans.speed_rad_s, noise)
@@ -173,7 +173,7 @@ class NoiseOnlyBins(NoiseBins):
     lines_hz : (n_line,)
         Frequencies of these PSDs.
     hann
-        Leakage of the Hann window that they are measured with.
+        Leakage of the Hann apodization that they are measured with.
     in_bins
         Function that converts a two-sided PSD (n_line,) to bins (n_bin,).
     """
@@ -209,13 +209,13 @@ class NoiseOnlyBins(NoiseBins):
 
 def noise_only_bins(of: MapBins, name: str, white_above_hz: float) -> NoiseOnlyBins:
     """Bins of the noise-only set with a name, from those of the map of the actual data."""
-    spectrum, window, rate = of.frequencies, of.frequencies.window, of.scans.sample_rate_hz
-    seconds, n_samp = window.duration_s, samples_per_scan(of.scans)
+    spectrum, apodization, rate = of.frequencies, of.frequencies.apodization, of.scans.sample_rate_hz
+    seconds, n_samp = apodization.duration_s, samples_per_scan(of.scans)
     lines = np.arange(1, (n_samp - 1) // 2 + 1) / seconds
     if name == "uncorrelated":
         # Streams periodic over a scan: lines, without a mean.
         both = np.concatenate([-lines, lines])
-        through = window.at(spectrum.at_hz[:, None] - both) ** 2 / seconds
+        through = apodization.at(spectrum.at_hz[:, None] - both) ** 2 / seconds
         to_modes = rate * (through[:, : len(lines)] + through[:, len(lines) :])
     else:
         high = lines > white_above_hz
@@ -225,7 +225,7 @@ def noise_only_bins(of: MapBins, name: str, white_above_hz: float) -> NoiseOnlyB
         """Bins of a two-sided PSD (n_line,) of the streams."""
         return spectrum.modes.mean(to_modes @ psd)
 
-    hann = hann_window(seconds, window.fitted_modes)
+    hann = hann_apodization(seconds, apodization.fitted_modes)
     return NoiseOnlyBins(
         scene=of.scene,
         conditions=of.conditions,

@@ -162,7 +162,9 @@ def _transmission(
         / array.responsivity.sum()
         for array, response in zip(arrays, responses, strict=True)
     ]
-    amplitude = (np.mean(kept, axis=0) * spectrum.window.signal_amplitude(spectrum.at_hz)).reshape(modes.wave.shape)
+    amplitude = (np.mean(kept, axis=0) * spectrum.apodization.signal_amplitude(spectrum.at_hz)).reshape(
+        modes.wave.shape
+    )
     across = amplitude[:, modes.turned]
     half = len(modes.share) // 2
     across[:, :half] = across[:, :half].conj()

@@ -32,10 +32,10 @@ from surveysim.timestreams.simulation import observation_path
 
 # Multipoles, of the highest that the map's pixels hold along an axis, where no atmosphere is left in a map.
 WHITE_FROM = 0.6
-UNHIT_MAX = 0.01  # share of a map that may be unhit for a variance to be had
+UNHIT_MAX = 0.01  # largest fraction of pixels without hits in a map with a variance
 LOW_FREQUENCY_HZ = 1.0  # the paper's Table 2
 WHITE_ABOVE_HZ = 2.5  # section 5.1
-CORRELATION_EDGES = np.linspace(-1.0, 1.0, 81)  # of the histograms of correlation coefficients
+CORRELATION_EDGES = np.linspace(-1.0, 1.0, 81)  # bin edges of correlation coefficients
 # Cleanings after which noise is compared between detectors (section 5.1), and their templates.
 PAIR_CLEANINGS = {"average": AVERAGE, "quadratic": QUADRATIC}
 
@@ -241,7 +241,7 @@ def map_variances(setup: Setup, streams: Timestreams, pointing: Pointing, cleane
     signal = np.divide(item.weighted_sum, item.hits, out=np.zeros(item.hits.shape), where=item.hits > 0)
     taper, high, share = _map_modes(geometry, setup.scene.scan.step_rad * (setup.observing.scans.n_scans - 1))
     if np.sum(taper**2 * (item.hits == 0)) > UNHIT_MAX * np.sum(taper**2):
-        return np.nan, np.nan  # gaps would count as quiet sky
+        return np.nan, np.nan  # gaps would lower the variance
     psd = mode_psd(signal, taper, geometry.pixel_rad) / geometry.pixel_rad**2
     return float(np.sum(psd * share)), float(np.mean(psd[high]))
 

@@ -141,7 +141,7 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
         n_patch=patch_side(scene.score.size_rad, geometry) if scored else 0,
         n_pad=padded_side(scene.score.size_rad, geometry) if scored else 0,
         n_set=len(setup.analysis.data_set_names),
-        n_window=len(setup.analysis.windows),
+        n_transfer=len(setup.analysis.transfer_function_names),
         n_sky=setup.analysis.n_signal_skies,
         strip_elements=strip_elements,
         n_coefficients=sky_coefficients(scene.sky.curved_lmax, setup.sky.geometry) if curved else 0,
@@ -193,8 +193,8 @@ def _water(scene: Scene, band: Instrument | OtherBand) -> Water | None:
     return site_water(air, band.frequency_hz, band.bandwidth)
 
 
-def window_observations(scene: Scene) -> np.ndarray:
-    """Observations (n_obs,) bool that carry the window skies: pairs of both directions, spread over the survey."""
+def signal_sim_observations(scene: Scene) -> np.ndarray:
+    """Observations (n_obs,) bool with simulated signal: pairs of both directions, spread over the survey."""
     chosen = np.zeros(scene.observations, bool)
     if scene.score is None:
         return chosen

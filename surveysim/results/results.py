@@ -227,8 +227,8 @@ def score_rows(result: SurveyResult) -> list[Row]:
 
 def _row(item: DataSetScore, expected: DataSetForecast | None) -> Row:
     band, sigma = item.band, quoted_forecast(item, expected) if expected else None
-    levels = band.sigma_ukcmb2, band.error_ukcmb2, item.plain_band.sigma_ukcmb2
-    return Row(item.name, item.kind, item.n_det, *levels, band.ell_eff, band.fwhm_ell, sigma, None)
+    sigmas = band.sigma_ukcmb2, band.error_ukcmb2, item.plain_band.sigma_ukcmb2
+    return Row(item.name, item.kind, item.n_det, *sigmas, band.ell_eff, band.fwhm_ell, sigma, None)
 
 
 def forecast_agreement(result: SurveyResult) -> dict[str, Agreement]:

@@ -23,13 +23,13 @@ from surveysim.survey.coadds import CoAdds, empty_coadds, row_names
 from surveysim.telescope.scans import samples_per_scan
 
 NAME = "checkpoint.h5"
-REASON = 150  # letters of the reason why a file is refused
+REASON = 150  # longest reason for refusing a file, in characters
 
-_ARRAYS = ("sums", "weight", "hits", "flipped", "window", "window_weight")
+_ARRAYS = ("sums", "weight", "hits", "flipped", "signal_maps", "signal_weight")
 _LISTS = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")
 _AGAIN = "delete it and go on with --resume"
-_LARGEST = 1e30  # of any sum: maps, in single precision, hold up to 3e38
-_USER_BLOCK = 512  # bytes, the least that HDF5 has
+_LARGEST = 1e30  # bound of all sums: maps, in single precision, hold up to 3e38
+_USER_BLOCK = 512  # bytes, the smallest of HDF5
 _MARK = b"surveysim checkpoint, SHA-256 of what follows this block: "
 
 
@@ -90,7 +90,7 @@ def load_checkpoint(path: Path, setup: Setup) -> CoAdds:
         seconds = _checked_seconds(meta)
     except CheckpointError:
         raise
-    except Exception as error:  # HDF5 and JSON readers raise a wide range for what is none
+    except Exception as error:  # HDF5 and JSON readers raise many types of errors for other files
         reason = one_line(error, REASON)
         raise CheckpointError(f"{path}: not what a run of this scene writes ({reason}); {_AGAIN}") from None
     rows = arrays.pop("rows")
@@ -158,7 +158,7 @@ def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     for name in (*_ARRAYS, "raw_psd", "clean_psd", "compared_psd"):
         if not (np.abs(arrays[name]) < _LARGEST).all():
             raise ValueError(f"{name} has values that are not finite, or above {_LARGEST:g}")
-    for name in ("weight", "hits", "window_weight", "raw_psd", "clean_psd", "compared_psd"):
+    for name in ("weight", "hits", "signal_weight", "raw_psd", "clean_psd", "compared_psd"):
         if (arrays[name] < 0).any():
             raise ValueError(f"{name} has negative values")
     if not (arrays["bin_noise"] >= 0).all():  # infinite where an observation has no data
@@ -213,7 +213,7 @@ def _is_stream(path: Path, shape: tuple[int, int], identity: str, number: int) -
         with h5py.File(path, "r") as file:
             same = file.attrs["scene_sha256"] == identity and file.attrs["observation"] == number
             return bool(same) and file["data"].shape == shape
-    except Exception:  # HDF5's readers raise a wide range for what is none
+    except Exception:  # HDF5 readers raise many types of errors for other files
         return False
 
 

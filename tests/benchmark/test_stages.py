@@ -116,11 +116,11 @@ def test_simulated_set(per_sample, lynx, name):
     per_sample(f"simulated set, {name}", lambda: sets.NOISE_ONLY_SETS[name].draw(setup, psd, white, n_scans, rng))
 
 
-def test_window_of_one_sky(per_sample, lynx):
+def test_signal_simulation_of_one_sky(per_sample, lynx):
     """A sky through the streams of the whole and the masked array, with cleaning and without."""
     part = reduction._reduce(lynx.setup, OBSERVATION, lynx.pointing, lynx.block, Stopwatch())
-    window, skies = reduction._empty_window(lynx.setup, 1), lynx.setup.analysis.signal_skies_mk[:1]
-    per_sample("window, one sky", lambda: reduction._add_window(window, part, skies))
+    maps, skies = reduction._empty_signal_maps(lynx.setup, 1), lynx.setup.analysis.signal_skies_mk[:1]
+    per_sample("signal simulation, one sky", lambda: reduction._add_signal_maps(maps, part, skies))
 
 
 def test_weights(per_sample, lynx):
@@ -130,7 +130,7 @@ def test_weights(per_sample, lynx):
 
 
 def test_coadds(per_sample, lynx):
-    """All data sets and the window skies into the sums and the sign-flipped sums."""
+    """All data sets and the signal simulations into the sums and the sign-flipped sums."""
     coadds = empty_coadds(lynx.setup)
     per_sample(
         "co-adds",
@@ -138,7 +138,7 @@ def test_coadds(per_sample, lynx):
     )
 
 
-@pytest.mark.parametrize("with_window", [False, True], ids=["bare", "window"])
-def test_observe(per_sample, lynx, with_window):
-    name = "observation, with window skies" if with_window else "whole observation"
-    per_sample(name, lambda: reduction.observe(lynx.setup, OBSERVATION, with_window))
+@pytest.mark.parametrize("with_signal_sims", [False, True], ids=["bare", "with simulations"])
+def test_observe(per_sample, lynx, with_signal_sims):
+    name = "observation, with signal simulations" if with_signal_sims else "whole observation"
+    per_sample(name, lambda: reduction.observe(lynx.setup, OBSERVATION, with_signal_sims))

@@ -191,7 +191,7 @@ def night_hour_angles(field, times):
 
 
 @FIELDS
-def test_schedule_stays_in_the_window(field):
+def test_schedule_stays_in_the_visible_hours(field):
     starts = schedule(field, CSO, "2003-11-20", nights=20, n_observations=500, **LIMITS).start_mjd
     assert starts.shape == (500,)
     assert (np.diff(starts) * 86400 > LIMITS["duration_s"] - 1e-4).all()  # mjd resolves a microsecond
@@ -283,7 +283,7 @@ def test_circumpolar_field_from_the_pole():
 
 
 def test_longitudes_wrap():
-    """204.5239 degrees east are 155.4761 west: the same nights, transits and window."""
+    """204.5239 degrees east are 155.4761 west: the same nights, transits and visibility."""
     east = Site(CSO.latitude_rad, CSO.longitude_rad + 2 * np.pi, CSO.height_m)
     plans = [schedule(LYNX, site, "2003-11-20", nights=2, n_observations=5, **LIMITS).start_mjd for site in (CSO, east)]
     # Of longitudes and times rounded to 1e-11 days.

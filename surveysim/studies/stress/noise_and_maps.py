@@ -22,7 +22,7 @@ from surveysim.timestreams.simulation import observation_path
 
 
 def excess(scene: Scene) -> Outcome:
-    """The variance below the band limit that a spectral index gives."""
+    """Check the variance below the band limit that a spectral index implies."""
     section, n_det, n_scans = scene.excess, 100, 64
     data = np.zeros((n_det, n_scans * N_SAMP), np.float32)
     add_excess(
@@ -41,7 +41,7 @@ def excess(scene: Scene) -> Outcome:
 
 
 def white_excess(scene: Scene) -> Outcome:
-    """Excess noise of index 0 does not correlate from sample to sample."""
+    """Check that low-frequency noise with index 0 has no correlation between samples."""
     section, n_det = scene.excess, 200
     data = np.zeros((n_det, 16 * N_SAMP), np.float32)
     add_excess(
@@ -59,7 +59,7 @@ def white_excess(scene: Scene) -> Outcome:
 
 
 def correlation(scene: Scene, least: float) -> Outcome:
-    """A correlation matrix with the eigenvalues `least`, 1 and 2 - least."""
+    """Factor a correlation matrix with the eigenvalues `least`, 1 and 2 - least."""
     turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
     matrix = turn * [least, 1.0, 2.0 - least] @ turn.T
     factor = correlation_factor(matrix)
@@ -67,13 +67,13 @@ def correlation(scene: Scene, least: float) -> Outcome:
 
 
 def twins(scene: Scene) -> Outcome:
-    """Pixels all in one place."""
+    """Check pixels that are all in one place."""
     factor = correlation_factor(np.ones((37, 37)))
     return agrees(np.abs(factor @ factor.T - 1).max(), 0.0, 1e-12, "departure of the factor's square")
 
 
 def gains(scene: Scene) -> Outcome:
-    """A profile of correlations under gains over six decades."""
+    """Check a correlation profile measured with gains over six decades."""
     setup = prepare(scene)
     plane, streams = setup.camera.focal_plane, draw_observation(setup, 0)
     bins, gain = pair_bins(plane), np.geomspace(1e-3, 1e3, len(plane.x_rad))[:, None]
@@ -85,7 +85,7 @@ def gains(scene: Scene) -> Outcome:
 
 
 def pairs(scene: Scene, places: np.ndarray) -> Outcome:
-    """A profile linear in theta^2 and gains over two decades: what comes back of the profile."""
+    """Check the recovery of a profile linear in theta^2 with gains over two decades."""
     bins = pair_bins(plane_of(places))
     gain, distant = np.linspace(-2, 2, len(places)), ~bins.adjacent
     shape = -((bins.theta_rad / bins.theta_rad[-1]) ** 2)
@@ -104,7 +104,7 @@ def _blocks(setup: Setup, ratio: float) -> StreamBlock:
 
 
 def unhit(scene: Scene) -> Outcome:
-    """A map with pixels that no sample hits."""
+    """Check a map with pixels without hits."""
     setup = prepare(scene)
     block = _blocks(setup, 0.0)
     item = bin_map(
@@ -119,7 +119,7 @@ def unhit(scene: Scene) -> Outcome:
 
 
 def likelihood_map(scene: Scene) -> Outcome:
-    """A maximum-likelihood map under a common mode."""
+    """Check a maximum-likelihood map of data with a common mode."""
     setup, maps = prepare(scene), []
     for ratio in (1e3, STIFF):
         block = _blocks(setup, ratio)

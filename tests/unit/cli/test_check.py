@@ -9,7 +9,7 @@ import pytest
 
 from surveysim.reduction import resource_limits as limits
 from surveysim.reduction.observation import observe
-from surveysim.reduction.setup import prepare, window_observations
+from surveysim.reduction.setup import prepare, signal_sim_observations
 from surveysim.runtime import memory
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.keys import all_keys
@@ -47,7 +47,7 @@ def refused_or_run(path, overrides) -> str:
         or (lmax or 0) > 5000
     ):
         return ""
-    result = observe(setup, _windiest(setup), bool(window_observations(scene).any()))
+    result = observe(setup, _windiest(setup), bool(signal_sim_observations(scene).any()))
     assert np.isfinite(result.sums).all()
     add_observation(setup, empty_coadds(setup), replace(result, observation=0))
     return ""

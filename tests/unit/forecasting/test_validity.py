@@ -238,7 +238,7 @@ def test_errors_leave_the_weather_out(scene_of):
     )
     for name, item in forecast_agreement(wild).items():
         budget = wild.scores[name].budget
-        least = np.hypot(budget.noise, budget.window) * (1 + item.sigma)
+        least = np.hypot(budget.noise, budget.transfer_function) * (1 + item.sigma)
         assert item.sigma_error >= least * (1 - 1e-9)
     actual = forecast_agreement(wild)["actual"]
     plain = wild.scores["actual"].plain_band

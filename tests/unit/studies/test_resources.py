@@ -57,7 +57,7 @@ DOES = {
     "ephemerides": [(simulation, "schedule")],
     "opacity": [(setup, "site_water")],
     "score": [(control_variate, "score_survey")],
-    "transfer function": [(sky_maps, "flat_cmb_sky"), (reduction, "_add_window")],
+    "transfer function": [(sky_maps, "flat_cmb_sky"), (reduction, "_add_signal_maps")],
     "forecast": [(agreement, "forecast")],
     "best pipeline": [(reduction, "figures_of_merit")],
     "HEALPix": [(outputs, "write_healpix")],
