@@ -103,8 +103,8 @@ def draw_other_bands(setup: Simulation, observation: int, whole: Pointing, block
         data[:] = layer
         scale = np.sqrt(setup.air.band_waters[number].response(of.weather.pwv_mm) / mapped)
         apply_response(setup, data, band=number + 1, gain=scale)
-        rng = of.generator(RandomPurpose.DETECTOR, realization=number + 1)
-        add_white(data, band.psd_mk2_hz, setup.observing.scans.sample_rate_hz, rng)
+        deviates = of.deviates(RandomPurpose.DETECTOR, realization=number + 1)
+        add_white(data, band.psd_mk2_hz, setup.observing.scans.sample_rate_hz, deviates)
     return streams
 
 

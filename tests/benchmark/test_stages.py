@@ -14,7 +14,7 @@ from surveysim.reduction import noise_only_sets as sets
 from surveysim.reduction import observation as reduction
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline, measured_delays
 from surveysim.reduction.map_noise import map_noise
-from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.runtime.rng import RandomPurpose, generator, normal_deviates
 from surveysim.survey.coadds import add_observation, empty_coadds
 from surveysim.timestreams.atmosphere import add_atmosphere
 from surveysim.timestreams.low_frequency import add_low_frequency_noise
@@ -27,6 +27,11 @@ from tests.benchmark.conftest import FLOOR, OBSERVATION
 def test_floor_normal_deviates(per_sample, lynx):
     rng = generator(lynx.setup.scene.seed, RandomPurpose.DETECTOR, OBSERVATION)
     per_sample(FLOOR, lambda: rng.standard_normal(lynx.data_mk.shape, dtype=np.float32))
+
+
+def test_floor_own_deviates(per_sample, lynx):
+    deviates, out = lynx.observed_block.deviates(RandomPurpose.DETECTOR), np.empty_like(lynx.data_mk)
+    per_sample("floor: own deviates", lambda: deviates.fill(out))
 
 
 def test_floor_fft_pair(per_sample, lynx):
@@ -59,9 +64,9 @@ def test_photon(per_sample, lynx):
 
 def test_detector(per_sample, lynx):
     data = np.zeros_like(lynx.data_mk)
-    rng = generator(lynx.setup.scene.seed, RandomPurpose.DETECTOR, OBSERVATION)
+    deviates = lynx.observed_block.deviates(RandomPurpose.DETECTOR)
     psd, rate = lynx.setup.scene.detector.psd_mk2_hz, lynx.setup.observing.scans.sample_rate_hz
-    per_sample("detector", lambda: add_white(data, psd, rate, rng))
+    per_sample("detector", lambda: add_white(data, psd, rate, deviates))
 
 
 def test_pixels(per_sample, lynx):
@@ -111,9 +116,10 @@ def test_simulated_set(per_sample, lynx, name):
     setup, n_det = lynx.setup, len(lynx.data_mk)
     psd = np.tile(lynx.result.clean_psd, (n_det, 1))
     white = white_level(psd, 150, setup.observing.scans.sample_rate_hz, setup.scene.score.white_noise_above_hz)
-    rng = generator(setup.scene.seed, sets.NOISE_ONLY_SETS[name].purpose, OBSERVATION)
+    drawn = normal_deviates(setup.scene.seed, sets.NOISE_ONLY_SETS[name].purpose, OBSERVATION)
     n_scans = setup.observing.scans.n_scans
-    per_sample(f"simulated set, {name}", lambda: sets.NOISE_ONLY_SETS[name].draw(setup, psd, white, n_scans, rng))
+    draw, rows = sets.NOISE_ONLY_SETS[name].draw, slice(0, n_det)
+    per_sample(f"simulated set, {name}", lambda: draw(setup, psd, white, n_scans, drawn, rows))
 
 
 def test_signal_simulation_of_one_sky(per_sample, lynx):

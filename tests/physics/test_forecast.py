@@ -35,6 +35,7 @@ from surveysim.timestreams.noise import add_correlated_white
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.simulation import observation_path
 from tests import naive
+from tests.deviates import deviates
 from tests.scenes import SMALL_SCENE, WIDE_PATCH, without_sections
 
 ARCSEC = np.pi / 648_000
@@ -112,7 +113,7 @@ def test_layer_in_a_mode_is_that_of_drawn_screens(monkeypatch, algorithm, back):
         layer_velocity_rad_s=np.tile(wind, (draws, 1)),
         amplitude_mk=np.ones(draws),
         strips=cache,
-        rng=np.random.default_rng(4),
+        deviates=deviates(4),
     )
     streams = (data * scans.gain[:, None]).astype(float).reshape(19, draws, SAMPLES)
     found = scans.power(streams[..., ::sign])  # in reversed time a scan back is one there
@@ -167,7 +168,7 @@ def test_excess_in_a_mode_is_that_of_drawn_streams(algorithm):
         n_scans=draws,
         sample_rate_hz=RATE,
         factor=correlation_factor(correlation),
-        rng=np.random.default_rng(5),
+        deviates=deviates(5),
     )
     found = scans.power((data * scans.gain[:, None]).astype(float).reshape(19, draws, SAMPLES))
     psd = excess_psd(EXCESS, 3.0, SAMPLES, 2 * SAMPLES, RATE)[1:]
@@ -187,7 +188,7 @@ def test_photon_noise_in_a_mode_is_that_of_drawn_streams(coherence):
     place = np.column_stack([scans.plane.x_rad, scans.plane.y_rad]) / F_LAMBDA
     correlation = correlation_matrix(place, coherence)
     data = np.zeros((19, draws * SAMPLES), np.float32)
-    add_correlated_white(data, 2.5, RATE, correlation_factor(correlation), np.random.default_rng(6))
+    add_correlated_white(data, 2.5, RATE, correlation_factor(correlation), deviates(6))
     found = scans.power(data.astype(float).reshape(19, draws, SAMPLES))
     frequency, step = np.linspace(-RATE, RATE, 16_001, retstep=True)
     flat = np.full((1, len(frequency)), 2.5 * step)

@@ -18,6 +18,7 @@ from surveysim.scene.scene import load_scene
 from surveysim.timestreams.atmosphere import add_layer
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.simulation import observation_path
+from tests.deviates import deviates
 from tests.scenes import SMALL_SCENE
 
 ARCMIN = math.radians(1 / 60)
@@ -75,8 +76,8 @@ def drawn(wind, speed, n_draw, n_scan=N_SCAN, offsets=(0j,), seed=1):
     rng, streams = np.random.default_rng(seed), []
     for _ in range(n_draw):
         data = np.zeros((len(offsets), n_scan * N_SAMP), np.float32)
-        trends = draw_trends(item, rng)
-        add_atmosphere(data, bounds, **motion, amplitude_mk=np.ones(n_scan), rng=rng, trends=trends)
+        trends = draw_trends(item, deviates(rng))
+        add_atmosphere(data, bounds, **motion, amplitude_mk=np.ones(n_scan), deviates=deviates(rng), trends=trends)
         streams.append(data.reshape(len(offsets), n_scan, N_SAMP))
     return np.array(streams, float)
 
