@@ -312,7 +312,7 @@ def score(
     budget = ErrorBudget(
         noise=float(np.hypot(signs, common)),
         weather=weather_error(observation_weights if information is None else information, common),
-        window=transfer_function_error(signal_psd_relative_error, weight, correlation),
+        transfer_function=transfer_function_error(signal_psd_relative_error, weight, correlation),
     )
     return band_power(
         noise_psd, signal_psd, n_modes, mask, ell=ell, edges_ell=edges_ell, relative_error=budget.total

@@ -45,7 +45,7 @@ _AS_BY_DEFAULT = {
     "EQUINOX": (2000,),
 }
 _TURNS_OR_DISTORTS = re.compile(r"CD[12]_[12]|P[VS][12]_\d+|[AB]P?_ORDER|(CPDIS|CQDIS|D2IMDIS)[12]")
-HITS_UNIT, INVERSE_VARIANCE_UNIT = "count", "mK-2"  # of weights, as FITS writes units
+HITS_UNIT, INVERSE_VARIANCE_UNIT = "count", "mK-2"  # units of weights in FITS
 
 
 @dataclass(frozen=True)

@@ -111,7 +111,7 @@ def measure_transfer_function(psd_cleaned: np.ndarray, psd_reference: np.ndarray
         )
     n_sky = len(psd_cleaned)
     if n_sky < 2:
-        raise InsufficientDataError(f"the error of a window needs at least 2 skies, got {n_sky}")
+        raise InsufficientDataError(f"the error of a transfer function needs at least 2 skies, got {n_sky}")
     if not (psd_reference > 0).all():
         raise InsufficientDataError("the reference skies must have power in every bin")
     cleaned, reference = psd_cleaned.sum(axis=0), psd_reference.sum(axis=0)

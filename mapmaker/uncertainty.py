@@ -25,7 +25,7 @@ class ErrorBudget:
         From the finite number of noise realizations.
     weather
         From the sample of observations: their weather, and the scans they lost.
-    window
+    transfer_function
         From the transfer function of the signal.
     population
         From an expectation over weather that sigma is scaled to.
@@ -33,13 +33,13 @@ class ErrorBudget:
 
     noise: float
     weather: float
-    window: float
+    transfer_function: float
     population: float = 0.0
 
     @property
     def total(self) -> float:
         """Sum of the independent parts in quadrature."""
-        return float(np.linalg.norm([self.noise, self.weather, self.window, self.population]))
+        return float(np.linalg.norm([self.noise, self.weather, self.transfer_function, self.population]))
 
 
 def noise_error(

@@ -44,7 +44,7 @@ def has_several_layers(spectra: ScanSpectra, found: Delays) -> bool:
     # Relative to the noise, and the signal along the wind on either axis.
     along, across, noise = np.sum(np.abs(parts) ** 2, axis=(1, 2)) / np.sum(shapes**2, axis=1)
     signal_x, signal_y = (np.sum(np.abs(rate * s.real * size[a]) ** 2) / np.sum(shapes[a] ** 2) for a in (0, 1))
-    sigma = np.sqrt(2 * _HANN / rate.size)  # of the logarithm of a ratio of two powers
+    sigma = np.sqrt(2 * _HANN / rate.size)  # standard deviation of the logarithm of a ratio of two powers
     not_noise = along > noise * np.exp(_ALONG_SIGMA * sigma)
     return bool((not_noise and along - noise > _ALONG_SHARE * signal_x) or across - noise > _ACROSS_SHARE * signal_y)
 

@@ -37,7 +37,7 @@ from surveysim.survey.run import run_observations
 from surveysim.timestreams.observation import draw_observation
 
 PROCESSES = Engine()
-DRAWS_SEED = 0  # of the draws that say how sure the best point of a sweep is
+DRAWS_SEED = 0  # seed for the probability of the best point of a sweep
 
 
 def simulate_observation(scene: Scene | str | Path, observation: int) -> Timestreams:

@@ -248,8 +248,8 @@ def gls_map(scans, n_pixel):
     return np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ right
 
 
-def windowed_sums(strength, power, frequency, at, transfer, per_step, mean, share, own, lost):
-    """Sum over the streams' frequencies of what a time window lets through, w looked up between its steps."""
+def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, share, own, lost):
+    """Sum over the streams' frequencies of what an apodization lets through, with w looked up between its steps."""
 
     def w(frequency_hz):
         return np.interp(abs(frequency_hz) * per_step, range(len(transfer)), transfer, right=0.0)

@@ -28,7 +28,7 @@ class SpectralOptions:
 
     Attributes
     ----------
-    others_mk : (n_colour, n_det, n_samp)
+    others_mk : (n_band, n_det, n_samp)
         Streams of the same detectors in the other bands.
     """
 
@@ -36,7 +36,7 @@ class SpectralOptions:
 
     def __post_init__(self) -> None:
         """Convert real numbers of any type; raise ValueError for others, and for no band."""
-        others = reals("others_mk", self.others_mk, ("n_colour", "n_det", "n_samp"), finite=False)
+        others = reals("others_mk", self.others_mk, ("n_band", "n_det", "n_samp"), finite=False)
         object.__setattr__(self, "others_mk", others)
 
 
@@ -56,7 +56,7 @@ def subtract_spectral(
     others = options.others_mk
     if others.shape[1:] != data_mk.shape:
         n_det, n_samp = data_mk.shape
-        raise ValueError(f"others_mk have the shape {others.shape}; (n_colour, {n_det}, {n_samp}) is expected")
+        raise ValueError(f"others_mk have the shape {others.shape}; (n_band, {n_det}, {n_samp}) is expected")
     shortest = int(np.diff(scan_bounds, axis=1).min(initial=len(others) + 1))
     if shortest <= len(others):
         raise InsufficientDataError(
@@ -69,7 +69,7 @@ def subtract_spectral(
         if not np.isfinite(bands).all():
             return Fit(None)
         bands -= bands.mean(axis=2, keepdims=True)
-        if has_dead(block) or any(has_dead(colour) for colour in bands):
+        if has_dead(block) or any(has_dead(band) for band in bands):
             return Fit(None)
         # Bands that see one atmosphere are nearly alike: an orthogonal basis keeps the digits of their difference.
         basis = np.linalg.qr(bands.transpose(1, 2, 0))[0]

@@ -10,7 +10,7 @@ import numpy as np
 from surveysim.atmosphere.thin_screen import Screen, structure_function
 
 _ORIENTATIONS, _NODES = 8, 32
-_SEPARATIONS = 13  # of the table, from 0 on
+_SEPARATIONS = 13  # in the table, from 0 on
 OUTER_SCALE_M = 10_000.0
 
 

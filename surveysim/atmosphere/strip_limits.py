@@ -16,7 +16,7 @@ from surveysim.atmosphere.strip_factors import (
 )
 from surveysim.atmosphere.thin_screen import Screen
 
-# Operations for eigenvectors that take a second at most, and the least number of lanes that shows smoothness.
+# Operations for eigenvectors that take at most a second, and the smallest number of lanes that shows smoothness.
 _MOST_WORK, _FEWEST_LANES = 1e8, 4
 
 

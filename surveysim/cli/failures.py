@@ -1,4 +1,4 @@
-"""Failures of a command: an exit code and a line each; of a fault of this program also a file with the details."""
+"""Failures of a command: an exit code and one line each; for a bug of this program also a file with the details."""
 
 import os
 import platform
@@ -16,12 +16,12 @@ from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_S
 from surveysim.runtime.errors import SceneError
 from surveysim.runtime.printable import printable, shortened
 
-EXIT_BROKEN_PIPE = 141  # as of a program that SIGPIPE ends: 128 and its number
+EXIT_BROKEN_PIPE = 141  # as after SIGPIPE: 128 plus its number
 UsageError: Any = typer.BadParameter.__bases__[0]  # its own name is private in some versions of typer
 
 
 def failure(error: BaseException, arguments: Sequence[str]) -> tuple[int, str]:
-    """Exit code of an error that ends a command, and the lines to say; none if all is said, or nobody listens."""
+    """Return the exit code of an error and the lines to print; none if they are printed already, or nobody reads."""
     broken = [name for name in ("stdout", "stderr") if broken_stream(getattr(sys, name))]
     if isinstance(error.__context__, BrokenPipeError) and isinstance(error, SystemExit):  # by rich
         return EXIT_BROKEN_PIPE, ""
@@ -39,7 +39,7 @@ def failure(error: BaseException, arguments: Sequence[str]) -> tuple[int, str]:
 
 
 def broken_stream(stream: TextIO) -> bool:
-    """Return whether a standard stream can't be written or has no reader; if so, Python does not flush it at exit."""
+    """Return whether a standard stream cannot be written or has no reader; if so, Python does not flush it at exit."""
     try:
         stream.flush()
         broken = _unread(stream)
@@ -55,7 +55,7 @@ def _unread(stream: TextIO) -> bool:
     """Return whether a stream is a pipe whose reader is gone."""
     try:
         number = stream.fileno()
-    except OSError:  # of a stream that is no file
+    except OSError:  # a stream that is no file
         return False
     if not hasattr(select, "poll"):
         return False
@@ -70,7 +70,7 @@ def _usage(error: Any) -> str:
 
 
 def _of_the_machine(error: BaseException, broken: list[str]) -> str:
-    """A line of an error that is the machine's; empty for others."""
+    """Return the line of an error of the operating system; empty for other errors."""
     from surveysim.runtime.engine import EngineError
 
     if isinstance(error, MemoryError) or (isinstance(error, ImportError) and "failed to map" in str(error)):
@@ -83,7 +83,7 @@ def _of_the_machine(error: BaseException, broken: list[str]) -> str:
 
 
 def _fault(error: BaseException, arguments: Sequence[str]) -> str:
-    """A line about an error that no part of the program expects, and the file with its details."""
+    """Return a line about an unexpected error, and the file with its details."""
     said = shortened(printable(f"{type(error).__name__}: {error}"), 200)
     try:
         path = write_details(error, arguments)
@@ -93,7 +93,7 @@ def _fault(error: BaseException, arguments: Sequence[str]) -> str:
 
 
 def write_details(error: BaseException, arguments: Sequence[str]) -> str:
-    """Write traceback, versions and command line to a new file for temporary ones; returns its path."""
+    """Write traceback, versions and command line to a new temporary file; return its path."""
     from surveysim import __version__
 
     number, path = tempfile.mkstemp(prefix="surveysim-error-", suffix=".txt")

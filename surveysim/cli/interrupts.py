@@ -1,4 +1,4 @@
-"""Early ends of a command: requests to stop, lost workers, outputs that can't be written."""
+"""Early ends of a command: stop signals, lost workers, outputs that cannot be written."""
 
 import signal
 from collections.abc import Callable, Iterator
@@ -21,14 +21,14 @@ _asked_to_stop = Event()
 
 
 def listen() -> None:
-    """Take Ctrl-C and a batch system's request to stop alike: what is finished is kept."""
+    """Handle Ctrl-C and SIGTERM alike: finished work is kept."""
     _asked_to_stop.clear()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _stop_once)
 
 
 def _stop_once(number: int, frame: object) -> None:
-    """Interrupt the run; a second Ctrl-C would only cut short the saving of its checkpoint."""
+    """Interrupt the run, once: a second Ctrl-C would only interrupt the saving of its checkpoint."""
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signal.SIG_IGN)
     _asked_to_stop.set()
@@ -36,12 +36,12 @@ def _stop_once(number: int, frame: object) -> None:
 
 
 def asked_to_stop() -> bool:
-    """Return whether this process was interrupted since it listens."""
+    """Return whether this process was interrupted since `listen`."""
     return _asked_to_stop.is_set()
 
 
 def stopping(show: Callable[..., None]) -> Callable[..., None]:
-    """Progress that ends a run whose interrupt was lost in a finalizer."""
+    """Wrap a progress function to end a run whose interrupt was lost in a finalizer."""
 
     def progress(*state: Any) -> None:
         if _asked_to_stop.is_set():
@@ -53,7 +53,7 @@ def stopping(show: Callable[..., None]) -> Callable[..., None]:
 
 @contextmanager
 def report_resumable_exit(scene: Path, directory: Path) -> Iterator[None]:
-    """End with one line where a run stops: why, and how to go on if anything is kept in `directory`."""
+    """End with one line if a run stops: the reason, and how to resume if `directory` has kept work."""
     from surveysim.output.directory import FinishedError
     from surveysim.runtime.engine import EngineError
     from surveysim.survey.checkpoint import CheckpointError
@@ -78,7 +78,7 @@ def report_resumable_exit(scene: Path, directory: Path) -> Iterator[None]:
 
 
 def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
-    """Say why a run stopped and how to go on."""
+    """Report why a run stopped and how to resume it."""
     from surveysim.output.directory import holds_work
 
     hint = f"; go on with --resume --out {directory}" if holds_work(directory) else ""
@@ -87,7 +87,7 @@ def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
 
 
 def report_new_start(directory: Path, kept: str, first: str) -> None:
-    """Say that there is nothing to resume, so that the work starts anew."""
+    """Report that there is nothing to resume, so that the work starts anew."""
     from surveysim.output.directory import holds_work
 
     if not holds_work(directory) and not (directory / "summary.json").exists():
@@ -95,7 +95,7 @@ def report_new_start(directory: Path, kept: str, first: str) -> None:
 
 
 def cause(error: OSError, directory: Path = Path("output")) -> str:
-    """The file of an error of the machine, or else the folder, and what is wrong with it."""
+    """Return the file of an operating system error, or else the folder, and the reason."""
     if error.errno in (EMFILE, ENFILE):
         return (
             f"{error.filename or directory}: too many open files; raise the limit ('ulimit -n') or take fewer workers"

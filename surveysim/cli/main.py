@@ -1,4 +1,4 @@
-"""The entry point: whatever goes wrong, from the first moment on, ends in one line and an exit code."""
+"""Entry point: every failure, from the start of the program, ends in one line and an exit code."""
 
 import os
 import signal
@@ -11,7 +11,7 @@ COMPLETION = "_SURVEYSIM_COMPLETE"  # set by a shell that asks for completions
 
 
 def main() -> NoReturn:
-    """Run a command: exit code 0 for success, 2 for the user's errors, 1 for the machine's, 130 when interrupted."""
+    """Run a command: exit code 0 for success, 2 for user errors, 1 for other errors, 130 when interrupted."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupted_at_start)
     from surveysim.runtime.environment import clean_up, settle
@@ -22,13 +22,13 @@ def main() -> NoReturn:
     finally:
         clean_up()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # all is done: nothing is left to interrupt
+        signal.signal(number, signal.SIG_IGN)  # the command is done
     sys.exit(code)
 
 
 def _interrupted_at_start(number: int, frame: object) -> NoReturn:
-    """End at once: an exception may be lost, or wrapped, in a library that is being imported; nothing is begun yet."""
-    environment = sys.modules.get("surveysim.runtime.environment")  # an import may wait here for one that is under way
+    """End at once: no work has begun, and a library that is being imported could lose or wrap an exception."""
+    environment = sys.modules.get("surveysim.runtime.environment")  # an import here could wait for a running one
     if hasattr(environment, "clean_up"):
         environment.clean_up()
     try:
@@ -38,11 +38,11 @@ def _interrupted_at_start(number: int, frame: object) -> NoReturn:
 
 
 def ended(arguments: Sequence[str], notice: str | None = None) -> int:
-    """Exit code of a command, once it has ended; a line of standard error says why, if it is no success."""
+    """Return the exit code of a command at its end; a failure prints one line to standard error."""
     try:  # before anything else fails: there may be no memory left for imports then
         from surveysim.cli.failures import broken_stream, failure
         from surveysim.runtime.printable import complain, printable
-    except Exception as error:  # of a machine that can't load libraries
+    except Exception as error:  # libraries that cannot be loaded
         os.write(2, f"surveysim can't start: {' '.join(str(error).split())[:200]!a}\n".encode())
         return 1
 
@@ -53,7 +53,7 @@ def ended(arguments: Sequence[str], notice: str | None = None) -> int:
         sys.stdout.flush()
     except BaseException as error:
         code, message = failure(error, arguments)
-        for argument in arguments:  # a line break in a file's name is none of the message
+        for argument in arguments:  # a line break in a file name must not break the message
             message = message.replace(argument, printable(argument)) if "\n" in argument else message
         try:
             if message:
@@ -64,7 +64,7 @@ def ended(arguments: Sequence[str], notice: str | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
-    """Exit code of a command that ends as it should."""
+    """Run a command and return its exit code."""
     from typer import Exit
     from typer.main import get_command
 

@@ -1,4 +1,4 @@
-"""Options of the command line, from texts to values; SceneError with one line for what can't be understood."""
+"""Command-line options, parsed from text; SceneError with one line for invalid text."""
 
 import tomllib
 from pathlib import Path
@@ -52,13 +52,13 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")
 
 
 def settings(given: list[str] | None, reference: str | None = None) -> dict[str, Any]:
-    """Values by key of all that --set was given, and of a sweep's --reference."""
+    """Parse all --set options to values by key, and the --reference of a sweep."""
     chosen = {} if reference is None else {"reference": point(reference)}
     return dict(setting(item) for item in given or ()) | chosen
 
 
 def setting(text: str) -> tuple[str, Any]:
-    """Key and value of ``KEY=VALUE``: TOML, or else text without quotes."""
+    """Parse ``KEY=VALUE``, with a TOML value or text without quotes."""
     key, separator, value = text.partition("=")
     if not separator or not all(part.strip() for part in key.split(".")):
         raise SceneError(f"--set: found {text!r}; KEY=VALUE is expected")
@@ -75,12 +75,12 @@ def setting(text: str) -> tuple[str, Any]:
 
 
 def point(given: str | None) -> int | str | None:
-    """A point of a sweep by its number or, as text, by its values."""
+    """Parse a point of a sweep: a number, or text with its values."""
     return int(given) if given is not None and given.strip().isdecimal() else given
 
 
 def numbers(option: str, given: list[int] | None, there: tuple[int, ...], everything: bool) -> list[int]:
-    """Numbers of tables or figures, in order; fails for one that can't be made."""
+    """Sort numbers of tables or figures; raises SceneError for one that does not exist."""
     wrong = [number for number in given or () if number not in there]
     if wrong:
         raise SceneError(f"{option}: found {wrong[0]}; {', '.join(map(str, there))} can be made")
@@ -112,7 +112,7 @@ def run_limits(target_error: str | None, time_budget: str | None) -> "StoppingCr
 
 
 def ready_scene(path: Path, given: list[str] | None) -> "Scene":
-    """A scene that is checked and prepared; raises SceneError whose lines name the file."""
+    """Load, check and prepare a scene; raises SceneError with lines that name the file."""
     from surveysim.reduction.setup import prepare
     from surveysim.scene.scene import load_scene
 
@@ -125,7 +125,9 @@ def ready_scene(path: Path, given: list[str] | None) -> "Scene":
 
 
 def sweep_of(path: Path, given: list[str] | None, reference: str | None = None) -> "Sweep | None":
-    """The sweep of a scene file that has one, checked and prepared; raises SceneError for a reference without one."""
+    """Load, check and prepare the sweep of a scene file that has one; raises SceneError for a reference without a
+    sweep.
+    """
     from surveysim.studies.sweep.axes import is_sweep, load_sweep
 
     if is_sweep(path):

@@ -1,4 +1,4 @@
-"""Progress of a run: a bar on a terminal, plain lines elsewhere, with what can be said so far."""
+"""Progress of a run: a bar on a terminal, plain lines elsewhere, with the score so far."""
 
 import heapq
 import sys
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from surveysim.reduction.setup import prepare, window_observations
+from surveysim.reduction.setup import prepare, signal_sim_observations
 from surveysim.results.stopping import estimate_so_far
 from surveysim.runtime.printable import complain
 from surveysim.scene.scene import Scene
@@ -20,33 +20,33 @@ if TYPE_CHECKING:
 
 STATUS_EVERY_S = 4.0
 LINES = 10
-BESIDE_BAR = 54  # columns that name and numbers of items leave to time and score
+STATUS_COLUMNS = 54  # width of the texts next to the bar
 SHORTEST_BAR = 4
 
 
-START_S = 10.0  # at most, that a process takes to start and to compile
-LEAST = 0.01  # of the time so far: less is not known, as items that are under way may take longer than others
-ENOUGH = 0.5  # of the first item's work: less, done since the first was in, does not tell how long the rest takes
+START_S = 10.0  # longest time of a process to start and compile
+LEAST = 0.01  # smallest time left over the time so far: running items may take longer than others
+ENOUGH = 0.5  # work after the first item, over its work, that is enough to estimate the time left
 
 
 class Show(Protocol):
-    """Display of the number of items `done`, of a status, and of the time left."""
+    """Display of the number of finished items, a status, and the time left."""
 
     def __call__(self, done: int, status: Callable[[], str], each_s: float | None = None) -> None:
         """Show the progress; `each_s` is the time [s] of a unit of work on one worker, without compilation."""
 
 
 def equal_work(n: int) -> np.ndarray:
-    """Work of so many items that take alike."""
+    """Work of n items that take equally long."""
     return np.ones(n)
 
 
 class TimeLeft:
-    """Estimates of the time left, from when items came in and how much work (n,) each of them is.
+    """Estimate of the time left, from the times at which items finish and the work (n,) of each.
 
-    `workers` take the items in turn, and results come in order. The time per work is measured since the first item was
-    in: before it lie start-up and compilation. Until enough work has been done since, it is the time that the items say
-    they took, or else measured since the start, unless start-up could be most of that.
+    `workers` take the items in turn, and results come in order. The time per work is measured from the first finished
+    item on, because start-up and compilation come before it. Until enough work is done, it is the time reported by the
+    items, or else the time since the start, unless start-up may dominate it.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class TimeLeft:
         self.end: float | None = None
 
     def add(self, done: int, each_s: float | None = None) -> float | None:
-        """Seconds left now that so many are `done`, `each_s` a unit of work; None while that can't be said."""
+        """Return the seconds left now that `done` items are finished, with `each_s` a unit of work; None if unknown."""
         now = self.clock()
         if self.first is None:  # those before it were kept from an earlier run
             self.first = now, done
@@ -79,13 +79,13 @@ class TimeLeft:
         return left if known else None
 
     def now(self) -> float | None:
-        """Seconds left of the last estimate; None without one, or when it turned out too short."""
+        """Return the seconds left by the last estimate; None without one, or when it was too short."""
         left = None if self.end is None else self.end - self.clock()
         return left if left is not None and left > 0 else None
 
 
 def finish_times(work: np.ndarray, workers: int) -> np.ndarray:
-    """Completion of each item (n,) and all before it, in units of work, where a free worker takes the next."""
+    """Compute when each item (n,) and all before it are finished, in units of work; free workers take the next item."""
     free, times = [0.0] * workers, []
     for item in work:
         times.append(heapq.heapreplace(free, free[0] + float(item)) + float(item))
@@ -96,9 +96,9 @@ def finish_times(work: np.ndarray, workers: int) -> np.ndarray:
 def progress_display(
     name: str, work: Sequence[float] | np.ndarray, quiet: bool, what: str = "observations", workers: int = 1
 ) -> Iterator[Show]:
-    """A callable that shows how many observations (or `what` else) are done, for the time of the block.
+    """Yield a function that shows the number of finished observations (or `what`) during the block.
 
-    `work` has how much each of them is, by which the time left is told.
+    `work` is the work of each item, for the time left.
     """
     left = TimeLeft(work, workers)
     if quiet:
@@ -109,7 +109,7 @@ def progress_display(
         from surveysim.report.terminal.layout import Terminal
 
         console = Terminal(stderr=True)
-        room = console.width - len(f"{name}{len(work)}{len(work)}") - BESIDE_BAR
+        room = console.width - len(f"{name}{len(work)}{len(work)}") - STATUS_COLUMNS
         if room < SHORTEST_BAR or not console.is_interactive:
             yield _lines(name, len(work), what, left, console.say)
             return
@@ -123,7 +123,7 @@ def _bar(name: str, total: int, left: TimeLeft, console: "Terminal", length: int
     from rich.text import Text
 
     class Remaining(ProgressColumn):
-        """The estimate, counted down until the next item is in."""
+        """Time left, counted down between items."""
 
         def render(self, task: object) -> Text:
             seconds = left.now()
@@ -160,7 +160,7 @@ def _lines(name: str, total: int, what: str, left: TimeLeft, say: Callable[[str]
         if done % every == 0 or done == total:
             time = "" if seconds is None else f", {time_text(seconds)}"
             text = ""
-            if done == total or monotonic() - said > STATUS_EVERY_S:  # it takes a while to say
+            if done == total or monotonic() - said > STATUS_EVERY_S:  # the score takes a while
                 text, said = status(), monotonic()
             say(f"{name}: {done}/{total} {what}{time}  {text}".rstrip())
 
@@ -168,7 +168,7 @@ def _lines(name: str, total: int, what: str, left: TimeLeft, say: Callable[[str]
 
 
 def announce_compilation(name: str) -> None:
-    """Say that kernels are compiled before the first result, unless they are cached."""
+    """Report that kernels are compiled before the first result, unless they are cached."""
     from mapmaker.kernels.compiled import is_cached
     from mapmaker.kernels.pixels import bin_samples
 
@@ -177,7 +177,7 @@ def announce_compilation(name: str) -> None:
 
 
 def time_text(seconds: float) -> str:
-    """``90 s left``, in minutes or hours where it is long."""
+    """Format a time as ``90 s left``, in minutes or hours if long."""
     for unit, size in (("h", 3600.0), ("min", 60.0)):
         if seconds >= 2 * size:
             return f"{seconds / size:.0f} {unit} left"
@@ -185,9 +185,9 @@ def time_text(seconds: float) -> str:
 
 
 def score_so_far(scene: Scene, coadds: CoAdds) -> str:
-    """``sigma(A) = 270 +- 8 uK_CMB^2`` of the actual data so far, as it is quoted; empty while it can't be said."""
-    windows = window_observations(scene)[: coadds.done].sum()
-    if scene.score is None or coadds.done < 2 or windows < 2:
+    """Format the quoted score of the actual data so far as ``sigma(A) = 270 +- 8 uK_CMB^2``; empty without a score."""
+    with_sims = signal_sim_observations(scene)[: coadds.done].sum()
+    if scene.score is None or coadds.done < 2 or with_sims < 2:
         return ""
     found = estimate_so_far(prepare(scene), coadds)
     if found is None:

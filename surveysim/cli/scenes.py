@@ -80,7 +80,7 @@ def _print_keys(heading: str, introduction: Sequence[str], rows: "Sequence[KeyRo
 
 
 def _plain(text: str) -> str:
-    """Text without the marks of Markdown that keys are described with."""
+    """Remove the Markdown marks from the description of a key."""
     return text.replace("`", "").replace("**", "")
 
 
@@ -115,7 +115,7 @@ def new(
 
 
 def _band_hint(content: Mapping[str, Any]) -> str:
-    """Say what to replace in a copied scene for another band or site; empty where nothing is of its own band."""
+    """Return a hint about values to replace in a copied scene for another band or site; empty if there are none."""
     air = content.get("atmosphere")
     air = air if isinstance(air, dict) else {}
     found, orders = [], []

@@ -86,7 +86,7 @@ def accuracy(
 
 
 def _run_extremes(directory: Path, force: bool, quiet: bool) -> bool:
-    """Run the extreme cases and say what came out; whether all had the outcome that is expected."""
+    """Run the stress cases and print their outcomes; return whether all are as expected."""
     from surveysim.cli.progress import equal_work, progress_display
     from surveysim.output.directory import claimed, replacing
     from surveysim.output.expected_files import EXTREMES
@@ -128,7 +128,7 @@ def paper(
 ) -> None:
     """Reproduce tables and figures of the paper.
 
-    The paper's values stand beside the simulated ones.
+    Published values are given with the simulated ones.
     """
     from surveysim.cli.progress import equal_work, progress_display
     from surveysim.paper.reproduce import reproduce

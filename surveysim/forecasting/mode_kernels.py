@@ -6,7 +6,7 @@ from mapmaker.kernels.compiled import njit
 
 
 @njit(cache=True, nogil=True)
-def windowed_sums(strength, power, frequency, at, transfer, per_step, mean, share, own, lost):
+def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, share, own, lost):
     """Sum the leakage E[(w(f_k - f_a) - m_a w(f_k) - l_aj o_kj)^2] strength_ka power_pa over a.
 
     The expectation takes the fitted mode j with the probability share_j, or none.

@@ -9,7 +9,7 @@ import numpy as np
 
 from mapmaker.spectrum import tukey
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes
-from surveysim.forecasting.mode_kernels import windowed_sums
+from surveysim.forecasting.mode_kernels import apodized_sums
 
 _TAPER_STEPS, _CYCLES, _STEPS_PER_CYCLE = 1024, 40, 16
 
@@ -77,7 +77,7 @@ class ScanApodization:
         lost = self.fitted_modes.wave_components(frequency_hz, self.duration_s)
         arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (gain, power, frequency_hz, at_hz))
         losses = self.fitted_modes.share, self.mode_components(at_hz), lost
-        return windowed_sums(*arrays, self.transfer, self.per_step, mean, *losses)
+        return apodized_sums(*arrays, self.transfer, self.per_step, mean, *losses)
 
     def mode_components(self, at_hz: np.ndarray) -> np.ndarray:
         """Project map modes at frequencies (n_f,), seen through the taper, on the fitted modes: (n_f, n)."""
@@ -96,7 +96,7 @@ class ScanApodization:
         return 1 - (mean + fitted) / self.transfer[0]
 
 
-def time_window(
+def apodization_of(
     duration_s: float, taper: np.ndarray, step_s: float, fitted_modes: FittedModes = NO_FITTED_MODES
 ) -> ScanApodization:
     """Transform a taper about the middle of a scan.
@@ -124,7 +124,7 @@ def time_window(
     return ScanApodization(duration_s, scale * (np.cos(phase) @ taper), per_step, fitted_modes, fitted_transfer)
 
 
-def scan_window(
+def scan_apodization(
     duration_s: float,
     *,
     speed_rad_s: float,
@@ -145,17 +145,17 @@ def scan_window(
     """
     length = min(duration_s, size_rad / speed_rad_s)
     step = length / _TAPER_STEPS
-    return time_window(
+    return apodization_of(
         duration_s, tukey(_TAPER_STEPS, step * speed_rad_s, size_rad, taper_fraction), step, fitted_modes
     )
 
 
-def hann_window(duration_s: float, fitted_modes: FittedModes = NO_FITTED_MODES) -> ScanApodization:
+def hann_apodization(duration_s: float, fitted_modes: FittedModes = NO_FITTED_MODES) -> ScanApodization:
     """Transform the Hann taper of the periodograms that measure the PSD of streams."""
-    return time_window(duration_s, np.hanning(_TAPER_STEPS + 1)[:-1], duration_s / _TAPER_STEPS, fitted_modes)
+    return apodization_of(duration_s, np.hanning(_TAPER_STEPS + 1)[:-1], duration_s / _TAPER_STEPS, fitted_modes)
 
 
-def frequency_nodes(window: ScanApodization, highest_hz: float) -> tuple[np.ndarray, np.ndarray]:
+def frequency_nodes(apodization: ScanApodization, highest_hz: float) -> tuple[np.ndarray, np.ndarray]:
     """Choose quadrature nodes in frequency.
 
     They resolve the removed mean of the scan near 0, and the width of the apodization elsewhere.
@@ -165,8 +165,8 @@ def frequency_nodes(window: ScanApodization, highest_hz: float) -> tuple[np.ndar
     frequency_hz, weight_hz : (n,)
         Nodes of both signs up to `highest_hz`, and their weights.
     """
-    cycle = min(_STEPS_PER_CYCLE / window.per_step, highest_hz / 8)
-    near = np.geomspace(0.02 / window.duration_s, 0.5 * cycle, 24)
+    cycle = min(_STEPS_PER_CYCLE / apodization.per_step, highest_hz / 8)
+    near = np.geomspace(0.02 / apodization.duration_s, 0.5 * cycle, 24)
     far = np.linspace(0.5 * cycle, highest_hz, 1 + int(np.ceil(4 * (highest_hz / cycle - 0.5))))
     positive = np.concatenate([near[near < 0.5 * cycle], far])
     weight = np.gradient(positive)

@@ -1,8 +1,8 @@
-"""An output directory: one job at a time writes there, in place of its own earlier results and of nothing else.
+"""Output directories: one job at a time writes to a directory, and replaces only its own earlier results.
 
-A hidden file, `.surveysim.json`, says which command wrote the directory, of which scene, and lists each file with its
-SHA-256. Only files that are listed there, have a name that this program writes and are unchanged are ever removed, and
-nothing is reached through a link. Results are written to a folder of their own and take their places together.
+A hidden file, `.surveysim.json`, records the command and the scene that wrote the directory, and lists each file with
+its SHA-256. A file is removed only if it is listed there, has a name that this program writes, and is unchanged. Links
+are never followed. Results are written to a temporary folder and moved to their places together.
 """
 
 import json
@@ -26,14 +26,14 @@ from surveysim.survey.checkpoint import NAME as CHECKPOINT
 
 RECORD, NEW = ".surveysim.json", ".surveysim.new"
 OTHERWISE = "--force replaces it, --out writes elsewhere"
-# All names that any command writes: no other file is ever removed, whatever the record lists.
+# Names that any command writes: no other file is ever removed, even if the record lists it.
 _WRITTEN = re.compile(
     r"report\.html|(summary|scene)\.json|scene\.toml|positions(_\d+)?\.ecsv|checkpoint\.h5|extremes\.ecsv"
     r"|(sweep|sweep_pairs|forecast|accuracy)\.ecsv|table\d+(_[a-z]+)?\.ecsv|figure\d+\.(png|ecsv)"
     r"|(measurements|recovered)_[0-9]+\.ecsv|tables/\w+\.ecsv|maps/\w[\w.+~,=-]*\.fits|figures/\w+\.png"
     r"|timestreams/\d+\.h5|points/\d+\.(npz|checkpoint\.h5)"
 )
-_SAYS_ITSELF = re.compile(r"checkpoint\.h5|points/\d+\.(npz|checkpoint\.h5)")  # of which scene it is
+_SAYS_ITSELF = re.compile(r"checkpoint\.h5|points/\d+\.(npz|checkpoint\.h5)")  # they name their scene
 _UNFINISHED_WORK = re.compile(rf"{_SAYS_ITSELF.pattern}|timestreams/\d+\.h5")
 _INPUT = re.compile(r"scene\.toml|positions(_\d+)?\.ecsv")
 _PARTIAL = re.compile(r"(.+)\.(\d+)\.part")
@@ -42,15 +42,16 @@ log = logging.getLogger("surveysim")
 
 
 class FinishedError(OutputError):
-    """A run that is finished, so that there is nothing to resume."""
+    """The run is finished: there is nothing to resume."""
 
 
 @dataclass(frozen=True)
 class Results:
-    """A command's results: what makes them, and the names of all files that it may write, below its directory.
+    """Results of a command: its identity, and the names of all files that it may write, relative to its directory.
 
-    `sha256` is of all that they depend on. `inputs` are files that are written before the work starts, with their
-    content; results are written by the caller, those that are `piecewise` to their places as they are made.
+    `sha256` is the hash of everything that the results depend on. `inputs` are files, with their content, that are
+    written before the work starts. The caller writes the results; it writes `piecewise` results directly to their
+    places.
     """
 
     command: str
@@ -70,9 +71,9 @@ class Results:
 class OutputDirectory:
     """A directory that this process has locked.
 
-    `mine` are files there that this program wrote, unchanged since, with what identifies their content (None where
-    a job that was killed may or may not have written them). `others` are files of the user that `--force` allows to
-    replace, with what tells whether they have been.
+    `mine` are unchanged files that this program wrote, with an identity of their content (None if a killed job may or
+    may not have written them). `others` are files of the user that `--force` allows to replace, with an identity that
+    shows whether they have been replaced.
     """
 
     path: Path
@@ -83,11 +84,17 @@ class OutputDirectory:
 
 @contextmanager
 def claimed(directory: Path, results: Results, force: bool = False, resume: bool = False) -> Iterator[OutputDirectory]:
-    """Make a directory and lock it for a command's results, until the end of the block.
+    """Make and lock a directory for the results of a command, until the end of the block.
 
-    Raises OutputError for a directory that another job writes to, that holds results of another scene or command, an
-    unfinished run or files of the user by names that are to be written (all these unless with `force`), or links in
-    place of its folders; FinishedError with `resume` for a run that is finished; OSError where it can't be written.
+    Raises
+    ------
+    OutputError
+        For a directory that another job writes to, or with links in place of its folders. Unless with `force`: for
+        results of another scene or command, an unfinished run, or files of the user with names to be written.
+    FinishedError
+        With `resume`, for a finished run.
+    OSError
+        If the directory cannot be written.
     """
     if force and resume:
         raise OutputError(f"{directory}: found both resume and force; a run goes on, or is replaced")
@@ -98,11 +105,11 @@ def claimed(directory: Path, results: Results, force: bool = False, resume: bool
         try:
             yield place
         finally:
-            _remove_partial_files(place)  # of workers that were killed
+            _remove_partial_files(place)  # from killed workers
 
 
 def begin(place: OutputDirectory, removed: Callable[[str], bool]) -> None:
-    """Remove earlier results whose name is to be `removed`, write inputs, and record that work is on its way."""
+    """Remove earlier results named in `removed`, write the inputs, and record that the work is unfinished."""
     results = place.results
     stay = {name: known for name, known in place.mine.items() if name in results.inputs or not removed(name)}
     remove(place, place.mine.keys() - stay.keys())
@@ -116,9 +123,10 @@ def begin(place: OutputDirectory, removed: Callable[[str], bool]) -> None:
 
 @contextmanager
 def replacing(place: OutputDirectory, over: Callable[[str], bool] = lambda name: False) -> Iterator[Path]:
-    """A folder to write results to; when the block ends they take the place of earlier ones, or none does if it fails.
+    """Yield a temporary folder for results; at the end of the block they replace earlier ones, or none does after an
+    error.
 
-    A checkpoint or points that are `over`, their work being done, are removed with what is left of earlier results.
+    A checkpoint or points in `over` are no longer needed and are removed with the remaining earlier results.
     """
     new = place.path / f"{NEW}.{os.getpid()}.part"
     new.mkdir()
@@ -126,7 +134,7 @@ def replacing(place: OutputDirectory, over: Callable[[str], bool] = lambda name:
         for name, content in place.results.inputs.items():
             (new / name).write_bytes(content)
         yield new
-    except OSError as error:  # that names a file by the place that it was to have
+    except OSError as error:  # name the file by its final place
         path = str(error.filename or place.path).replace(str(new), str(place.path))
         raise OSError(error.errno, error.strerror or str(error), path) from None
     _put_in_place(place, new, over)
@@ -146,14 +154,14 @@ def _put_in_place(place: OutputDirectory, new: Path, over: Callable[[str], bool]
 
 
 def finish(place: OutputDirectory) -> None:
-    """Record the files of a piecewise job that are there now."""
+    """Record the files that a piecewise job has written."""
     names = dict.fromkeys((*place.mine, *place.results.all_names))
     files = {name: _identity(place.path / name) for name in names if _is_written(place, name)}
     _write_record(place, files, finished=True)
 
 
 def remove(place: OutputDirectory, names: Iterable[str]) -> None:
-    """Remove files that this program wrote, and the folder of a sweep's points with the last of them."""
+    """Remove files that this program wrote, and the folder of a sweep's points when it is empty."""
     points = False
     for name in names:
         if _may_be_removed(place.path, name):
@@ -165,12 +173,12 @@ def remove(place: OutputDirectory, names: Iterable[str]) -> None:
 
 @contextmanager
 def renewed(directory: Path, name: str, force: bool = False) -> Iterator[None]:
-    """Lock a directory of results while one of its files is written anew.
+    """Lock a directory of results while one of its files is rewritten.
 
-    Raises OutputError for a file of the user by that name (unless with `force`), and for what is no file at all.
+    Raises OutputError for a file of the user with that name (unless with `force`), and for anything but a regular file.
     """
     if not directory.is_dir():
-        yield  # to an error
+        yield  # the block raises its error
         return
     with locked(directory):
         record = _read_record(directory) or _NOTHING
@@ -185,7 +193,7 @@ def renewed(directory: Path, name: str, force: bool = False) -> Iterator[None]:
 
 
 def holds_work(directory: Path) -> bool:
-    """Return whether a run could go on from files in a directory: a checkpoint, or points of a sweep."""
+    """Return whether a directory has files to resume from: a checkpoint, or points of a sweep."""
     patterns = (CHECKPOINT, "points/*.npz", "points/*.checkpoint.h5")
     return any(path.is_file() for pattern in patterns for path in directory.glob(pattern))
 
@@ -216,7 +224,7 @@ def _claim(path: Path, results: Results, force: bool, resume: bool) -> OutputDir
 
 
 def _check_same(path: Path, results: Results, record: Mapping[str, Any]) -> None:
-    """Raise OutputError where a directory is another command's, or of another scene."""
+    """Raise OutputError for a directory of another command or scene."""
     kind = "results" if record["finished"] else "an unfinished run"
     if record["command"] != results.command:
         found = f"{kind} of {shown('surveysim ' + record['command'])}"
@@ -230,9 +238,9 @@ def _check_same(path: Path, results: Results, record: Mapping[str, Any]) -> None
 
 
 def _check_unfinished(path: Path, mine: Mapping[str, str | None], record: Mapping[str, Any], resume: bool) -> None:
-    """Raise OutputError for work that would be lost without `resume`, FinishedError where there is none to go on with.
+    """Raise OutputError if unfinished work would be lost without `resume`, FinishedError if there is none to resume.
 
-    A run that was stopped early has both results and a checkpoint.
+    A run that stopped early has both results and a checkpoint.
     """
     if resume and record["finished"] and not holds_work(path):
         raise FinishedError(f"{path}: the run is finished; there is nothing to resume")
@@ -245,7 +253,7 @@ def _check_unfinished(path: Path, mine: Mapping[str, str | None], record: Mappin
 
 
 def _others(path: Path, results: Results, mine: Mapping[str, str | None], force: bool) -> dict[str, tuple[int, int]]:
-    """Files of the user by names that are to be written; raises OutputError for the first unless with `force`."""
+    """Find files of the user with names to be written; raises OutputError for the first unless with `force`."""
     found = {}
     for name in results.all_names:
         if name in mine or not os.path.lexists(path / name):
@@ -262,7 +270,7 @@ def _others(path: Path, results: Results, mine: Mapping[str, str | None], force:
 
 
 def _make(directory: Path) -> None:
-    """Make a directory; raises OSError that says what is in its place, OutputError for a home directory's sign."""
+    """Make a directory; raises OSError that names an obstacle, OutputError for the sign of a home directory."""
     if directory.parts[:1] == ("~",):
         raise OutputError(f"{directory}: found a '~' that the shell has not replaced; the home's own path is expected")
     try:
@@ -273,7 +281,7 @@ def _make(directory: Path) -> None:
 
 
 def _check_folders(path: Path, names: Iterable[str]) -> None:
-    """Raise an error where a folder that files are to be written to is a link, a file or read-only."""
+    """Raise an error if a folder for files is a link, a file or read-only."""
     for name in dict.fromkeys(name.partition("/")[0] for name in names if "/" in name):
         folder = path / name
         if folder.is_symlink():
@@ -285,7 +293,9 @@ def _check_folders(path: Path, names: Iterable[str]) -> None:
 
 
 def _check_readable(directory: Path) -> None:
-    """Raise OutputError where a file by a name that this program writes is none: reading a FIFO would never end."""
+    """Raise OutputError if something with a name that this program writes is not a regular file: reading a FIFO never
+    ends.
+    """
     for folder, prefix in [(directory, "")] + [(directory / name, f"{name}/") for name in ("tables", "figures")]:
         for entry in os.scandir(folder) if folder.is_dir() else ():
             if _WRITTEN.fullmatch(prefix + entry.name) and not entry.is_file() and not entry.is_dir():
@@ -296,14 +306,14 @@ def _check_readable(directory: Path) -> None:
 
 
 def _is_mine(path: Path, name: str, files: Mapping[str, str | None]) -> bool:
-    """Return whether a file is listed, and as it was written."""
+    """Return whether a file is listed and unchanged."""
     if name not in files or not _may_be_removed(path, name):
         return False
     return files[name] is None or files[name] == _identity(path / name)
 
 
 def _may_be_removed(path: Path, name: str) -> bool:
-    """Return whether it is a plain file by a name that this program writes, and no link leads to it."""
+    """Return whether this is a regular file with a name that this program writes, not reached through a link."""
     folder = name.rpartition("/")[0]
     through_link = folder and (path / folder).is_symlink()
     return bool(_WRITTEN.fullmatch(name)) and not through_link and _is_regular(path / name)
@@ -317,7 +327,7 @@ def _is_regular(path: Path) -> bool:
 
 
 def _is_written(place: OutputDirectory, name: str) -> bool:
-    """Return whether a file is there, and not one of the user that could have been replaced, but was not."""
+    """Return whether a file exists and is not an unreplaced file of the user."""
     if not _is_regular(place.path / name):
         return False
     state = os.lstat(place.path / name)
@@ -325,7 +335,7 @@ def _is_written(place: OutputDirectory, name: str) -> bool:
 
 
 def _identity(path: Path) -> str:
-    """Identify the content of a file: by SHA-256, or for large time-streams by size and time of the last change."""
+    """Identify the content of a file: by SHA-256, or for large time-streams by size and modification time."""
     if path.parent.name == "timestreams":
         state = path.stat()
         return f"{state.st_size} bytes, {state.st_mtime_ns} ns"
@@ -334,7 +344,7 @@ def _identity(path: Path) -> str:
 
 
 def _remove_partial_files(place: OutputDirectory) -> None:
-    """Remove what processes that are gone left half written, by the exact names of this command's files."""
+    """Remove partial files of processes that no longer exist, by the exact names of this command's files."""
     _remove_folders(place.path)
     listed = (_read_record(place.path) or _NOTHING)["files"]
     known = {*listed, *place.results.all_names, RECORD}
@@ -351,7 +361,7 @@ def _remove_partial_files(place: OutputDirectory) -> None:
 
 
 def _remove_folders(path: Path) -> None:
-    """Remove folders of results that never took their places, less what others may have put there."""
+    """Remove temporary folders of results, except for files that others have put there."""
     for entry in os.scandir(path):
         match = _PARTIAL.fullmatch(entry.name)
         if not match or match[1] != NEW or not entry.is_dir(follow_symlinks=False) or not _is_over(int(match[2])):
@@ -362,7 +372,7 @@ def _remove_folders(path: Path) -> None:
                 half = _PARTIAL.fullmatch(name)
                 if _WRITTEN.fullmatch(half[1] if half else name) and _is_regular(file):
                     file.unlink()
-            with suppress(OSError):  # what is left in it stays
+            with suppress(OSError):  # other files in it stay
                 os.rmdir(folder)
 
 
@@ -374,7 +384,7 @@ def _is_over(pid: int) -> bool:
 
 
 def _read_record(path: Path) -> dict[str, Any] | None:
-    """The record of a directory; None where there is none that this program wrote."""
+    """Read the record of a directory; None without one that this program wrote."""
     if not _is_regular(path / RECORD):
         return None
     try:

@@ -1,4 +1,4 @@
-"""Results of each command: all files that it may write, and a hash of all that they depend on."""
+"""Results of each command: the files that it may write, and a hash of everything that they depend on."""
 
 from collections.abc import Mapping, Sequence
 from hashlib import sha256
@@ -24,7 +24,7 @@ _FIGURES = (
     "weather",
     "run_time",
 )
-_PARTS = {"1": ("sites",), "2": ("photons",), "3": ("gains",)}  # of a table, in files of their own
+_PARTS = {"1": ("sites",), "2": ("photons",), "3": ("gains",)}  # parts of a table with separate files
 
 
 def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
@@ -41,7 +41,7 @@ def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
 
 
 def of_sweep(sweep: Sweep, command: str, figures: bool) -> Results:
-    """Results of a sweep; those that are run keep their points until the end."""
+    """Return the results of a sweep; simulated sweeps keep their points until the end."""
     names = [*COMMON, "sweep.ecsv", "sweep_pairs.ecsv", *(["figures/sweep.png"] if figures else [])]
     if command == "run":
         names += [f"points/{point.number:03d}.{kind}" for point in sweep.points for kind in ("npz", "checkpoint.h5")]
@@ -49,7 +49,7 @@ def of_sweep(sweep: Sweep, command: str, figures: bool) -> Results:
 
 
 def of_forecast(scene: Scene) -> Results:
-    """Results of a scene's forecast."""
+    """Return the results of a forecast of a scene."""
     return Results("forecast", scene.name, scene_hash(scene), ("forecast.ecsv",), scene_files(scene))
 
 
@@ -61,7 +61,7 @@ def accuracy_settings(reference_error: float, seeds: int, observations: int) -> 
 
 
 def of_accuracy(scene: Scene, settings: Mapping[str, Any], figures: bool) -> Results:
-    """Results of a measurement of accuracy, by its `accuracy_settings`."""
+    """Return the results of a convergence study, with its `accuracy_settings`."""
     names = (*COMMON, "accuracy.ecsv", *(["figures/accuracy.png"] if figures else []))
     identity = sha256(f"{scene_hash(scene)} {sorted(settings.items())}".encode()).hexdigest()
     return Results("accuracy", scene.name, identity, names, scene_files(scene))
@@ -71,7 +71,7 @@ EXTREMES = Results("accuracy --extremes", "", "", ("extremes.ecsv",))
 
 
 def of_paper(items: Sequence[str]) -> Results:
-    """Results of the paper's items, as in "table 1", "figure 5" and "143 GHz"; their record says of which scenes."""
+    """Return the results of items such as "table 1", "figure 5" and "143 GHz"; their record names the scenes."""
     names = ["summary.json", "report.html"]
     for item in items:
         kind, _, number = item.partition(" ")

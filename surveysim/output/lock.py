@@ -1,4 +1,4 @@
-"""The lock of an output directory: one job at a time writes there, and a lock whose job is gone is taken over."""
+"""Lock of an output directory: one job at a time writes there; the lock of a dead process is taken over."""
 
 import json
 import logging
@@ -17,7 +17,7 @@ from surveysim.runtime.errors import SceneError
 from surveysim.runtime.provenance import now
 
 LOCK = ".surveysim.lock"
-_READ_AGAIN_S, _TRIES = 0.1, 20  # of a lock that was made, but not yet written
+_READ_AGAIN_S, _TRIES = 0.1, 20  # for a lock that is made but not yet written
 _MOST_BYTES = 10_000
 
 _KEYS = ("host", "machine", "boot", "processes", "pid", "age", "started")
@@ -26,20 +26,27 @@ log = logging.getLogger("surveysim")
 
 
 class OutputError(SceneError):
-    """An output directory that can't be used as it is; the text has one line: why, and what to do."""
+    """An output directory that cannot be used as it is; the text says in one line why, and what to do."""
 
 
 @contextmanager
 def locked(directory: Path) -> Iterator[None]:
-    """Hold the lock of a directory, or raise OutputError that names the process that holds it.
+    """Hold the lock of a directory.
 
-    The lock is a file that appears whole and only where there is none (a hard link), which holds on network file
-    systems too. A lock of this machine whose process is gone is taken over; one of another machine never is, as nobody
-    can tell from here. Raises OSError that names the directory where it can't be written.
+    The lock is a file that is created atomically with its content (a hard link), which is safe on network file systems
+    too. A lock from this machine is taken over if its process no longer exists. A lock from another machine is never
+    taken over, as its process cannot be checked.
+
+    Raises
+    ------
+    OutputError
+        If another process holds the lock; the text names it.
+    OSError
+        If the directory cannot be written; it names the directory.
     """
     own = None
     try:
-        with defer_signals():  # no lock is left that this process does not know of
+        with defer_signals():  # an interrupt cannot leave a lock behind
             own = _take(directory)
         yield
     finally:
@@ -48,18 +55,18 @@ def locked(directory: Path) -> Iterator[None]:
 
 
 def alive(pid: int) -> bool:
-    """Return whether a process of this machine is there and no zombie."""
+    """Return whether a process of this machine exists and is not a zombie."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
     except (PermissionError, OverflowError):
-        pass  # of another user, or no process number at all
+        pass  # a process of another user, or no process number
     return (_status(pid) or "?")[0] not in "ZX"
 
 
 def _take(directory: Path) -> dict[str, Any]:
-    """Make the lock; returns its content."""
+    """Make the lock and return its content."""
     lock, own, tries = directory / LOCK, _holder(), 0
     while True:
         if _make(lock, own):
@@ -75,7 +82,7 @@ def _take(directory: Path) -> dict[str, Any]:
 
 
 def _make(lock: Path, own: Mapping[str, Any]) -> bool:
-    """Make a lock, unless there is one."""
+    """Make a lock unless there is one already; return whether it was made."""
     try:
         folder = os.path.realpath(lock.parent)  # tempfile takes ".." after a link for the link's own folder
         number, name = tempfile.mkstemp(f".{os.getpid()}.part", f"{LOCK}.", folder)
@@ -83,7 +90,7 @@ def _make(lock: Path, own: Mapping[str, Any]) -> bool:
         raise type(error)(error.errno, error.strerror, str(lock.parent)) from None
     try:
         with open(number, "w", encoding="utf-8") as file:
-            os.chmod(name, 0o644)  # others of a shared directory are to read who works there
+            os.chmod(name, 0o644)  # other users of a shared directory can read who works there
             json.dump(own, file)
         try:
             os.link(name, lock)
@@ -111,7 +118,7 @@ def _make_without_links(lock: Path, own: Mapping[str, Any]) -> bool:
 
 
 def _read(lock: Path) -> dict[str, Any] | None:
-    """The holder of a lock; None where there is none that can be read."""
+    """Read the holder of a lock; None without a readable one."""
     try:
         if not S_ISREG(os.lstat(lock).st_mode):
             return None
@@ -124,7 +131,7 @@ def _read(lock: Path) -> dict[str, Any] | None:
 
 
 def _refuse_or_remove(lock: Path, found: Mapping[str, Any] | None) -> None:
-    """Remove a lock whose process is gone; raises OutputError for any other."""
+    """Remove a lock whose process no longer exists; raises OutputError for any other."""
     if found is None:
         raise OutputError(f"{lock}: a lock that can't be read; delete it if no job writes to {lock.parent}")
     who = f"process {found['pid']} of host {_word(found['host'])} since {_word(found['started'])}"
@@ -141,14 +148,14 @@ def _refuse_or_remove(lock: Path, found: Mapping[str, Any] | None) -> None:
 
 
 def _remove_if_same(lock: Path, found: Mapping[str, Any]) -> bool:
-    """Remove a lock unless another job has replaced it: only the holder of its flock removes a file."""
+    """Remove a lock unless another job has replaced it; a file is removed only by the holder of its flock."""
     import fcntl
 
     with suppress(FileNotFoundError), open(lock, encoding="utf-8") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX)
         except OSError:  # a file system without it
-            raise OutputError(f"{lock}: of a process that is gone; delete it and try again") from None
+            raise OutputError(f"{lock}: left by a process that no longer exists; delete it and try again") from None
         if _read(lock) == found and os.path.samestat(os.stat(lock), os.fstat(file.fileno())):
             lock.unlink()
             return True
@@ -156,7 +163,7 @@ def _remove_if_same(lock: Path, found: Mapping[str, Any]) -> bool:
 
 
 def _holder() -> dict[str, Any]:
-    """This process, as its lock names it."""
+    """Describe this process for its lock."""
     pid = os.getpid()
     return {
         "host": socket.gethostname(),
@@ -170,13 +177,13 @@ def _holder() -> dict[str, Any]:
 
 
 def _status(pid: int) -> list[str] | None:
-    """Fields of a process from its state on (Linux)."""
+    """Read the fields of a process from its state on (Linux)."""
     text = _text(f"/proc/{pid}/stat")
     return text.rpartition(")")[2].split() if text else None
 
 
 def _age(pid: int) -> str:
-    """Start of a process in ticks since the boot: it distinguishes two processes of one number."""
+    """Start of a process in ticks since boot, which distinguishes two processes with the same number."""
     fields = _status(pid)
     return fields[19] if fields and len(fields) > 19 else ""
 
@@ -196,5 +203,5 @@ def _link(path: str) -> str:
 
 
 def _word(value: object) -> str:
-    """Text of a file that anybody may have written, for a terminal."""
+    """Make text from an untrusted file safe for a terminal."""
     return "".join(c if c.isprintable() else "?" for c in str(value))[:64]

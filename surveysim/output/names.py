@@ -1,4 +1,4 @@
-"""Names of output directories: a directory of its own for each set of overrides."""
+"""Names of output directories: a separate one for each set of overrides."""
 
 import json
 import re
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 OUTPUTS = Path("outputs")
-MOST_LETTERS = 120  # of a directory's name: file systems take 255 bytes, and a path has several
+MOST_LETTERS = 120  # longest directory name: file systems allow 255 bytes
 _OF_HASH = 8
 _MOST_OF_VALUE = 30
 # What a value may be to stand in a name as it is, less its spaces and with "-" for "/": no two values then share one.
@@ -19,11 +19,11 @@ _VALUE = re.compile(
 
 
 def default_directory(name: str, settings: Mapping[str, Any]) -> Path:
-    """Return the default directory of a scene's results: one for each set of overrides.
+    """Return the default directory of a scene's results, a separate one for each set of overrides.
 
-    Overrides stand in its name as ``key=value``, in the order of their keys. A value that is long or has other than
-    the letters that any file system takes is cut, with a part of its hash after `~`. The key ``name`` is left out: it
-    is the scene's `name` already.
+    The name contains the overrides as ``key=value``, in the order of their keys. A long value, or one with characters
+    that some file systems refuse, is cut and followed by `~` and a part of its hash. The key ``name`` is left out, as
+    it is the scene's `name` already.
     """
     given = {key: settings[key] for key in sorted(settings) if key != "name"}
     whole = "+".join([name, *(f"{_key(key)}={_value(value)}" for key, value in given.items())])
@@ -42,7 +42,7 @@ def _value(value: Any) -> str:
 
 
 def _plain(value: Any) -> str | None:
-    """A value as it may stand in a name; None if it may not, or looks like one of another type."""
+    """Text of a value for a file name; None if it is not allowed, or looks like a value of another type."""
     if isinstance(value, bool | int | float):
         return str(value).lower().replace("+", "")
     if not isinstance(value, str) or not _VALUE.fullmatch(value) or _is_toml(value):

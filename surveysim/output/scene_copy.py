@@ -1,4 +1,4 @@
-"""The scene file in an output directory: the scene as it was run, and the tables that it names beside it."""
+"""Copy of the scene file in an output directory: the scene as it was run, with its tables of positions."""
 
 import tomllib
 from collections.abc import Mapping
@@ -18,9 +18,9 @@ COMMENT = "set for this run"
 
 
 def scene_files(scene: Scene) -> dict[str, bytes]:
-    """Files by name that give the scene again when they are run: `scene.toml`, and its table of positions.
+    """Return files by name that reproduce the scene: `scene.toml`, and its table of positions.
 
-    None for a scene that was not read from a file, or was changed since: `scene.json` tells all of it.
+    None for a scene that was not read from a file, or was changed since; `scene.json` has all of it.
     """
     if scene.origin is None:
         return {}
@@ -40,14 +40,16 @@ def sweep_files(sweep: "Sweep") -> dict[str, bytes]:
 
 
 def _with_positions(content: dict[str, Any], scene: Scene) -> dict[str, Any]:
-    """The content with the table where it is now, not yet beside the scene."""
+    """Replace the table's name by its present path, before it is copied."""
     if scene.instrument.positions is not None:
         content["instrument"]["positions"] = str(scene.instrument.positions)
     return content
 
 
 def _self_contained(origin: Origin, name: str) -> tuple[str, dict[str, bytes]]:
-    """A scene file's text with all that it leaves to others: overrides, name and tables; the tables by name."""
+    """Make the text of a scene file self-contained, with overrides, name and table names; return it with the tables by
+    name.
+    """
     content = tomllib.loads(origin.text)
     changes: dict[tuple[str, ...], Any] = {tuple(key.split(".")): value for key, value in origin.overrides.items()}
     if content.get("name") != name:
@@ -56,7 +58,7 @@ def _self_contained(origin: Origin, name: str) -> tuple[str, dict[str, bytes]]:
     for keys in (POSITIONS, *_axes_of_positions(content)):
         value = changes.get(keys, _at(content, keys))
         if value is not None:
-            changes[keys] = _beside(value, origin.path.parent, tables)
+            changes[keys] = _relocated(value, origin.path.parent, tables)
     if not changes:
         return origin.text, tables
     if changes.keys() == {("name",)} and "name" not in content:
@@ -65,7 +67,7 @@ def _self_contained(origin: Origin, name: str) -> tuple[str, dict[str, bytes]]:
 
 
 def _axes_of_positions(content: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Keys of the axes of a sweep whose values are tables of positions."""
+    """Keys of the sweep axes with values that are tables of positions."""
     dotted, sweep = ".".join(POSITIONS), content.get("sweep", {})
     found = [("sweep", dotted)] if isinstance(sweep.get(dotted), list) else []
     return found + [
@@ -79,10 +81,10 @@ def _at(content: Any, keys: tuple[str, ...]) -> Any:
     return content
 
 
-def _beside(value: Any, folder: Path, tables: dict[str, bytes]) -> Any:
-    """Names of tables, or a list of them, after their content is among the `tables` to write."""
+def _relocated(value: Any, folder: Path, tables: dict[str, bytes]) -> Any:
+    """Add tables to the `tables` to write, and return their new name, or a list of names."""
     if isinstance(value, list):
-        return [_beside(item, folder, tables) for item in value]
+        return [_relocated(item, folder, tables) for item in value]
     content = (folder / value).read_bytes()
     same = [name for name, other in tables.items() if other == content]
     name = same[0] if same else f"positions{f'_{len(tables)}' if tables else ''}.ecsv"
@@ -91,7 +93,7 @@ def _beside(value: Any, folder: Path, tables: dict[str, bytes]) -> Any:
 
 
 def _changed(text: str, content: Mapping[str, Any], changes: Mapping[tuple[str, ...], Any]) -> str:
-    """The text with some values replaced, its comments as they are; without comments where that can't be done."""
+    """Replace some values in the text and keep its comments; without comments if that is not possible."""
     import tomlkit
 
     expected = deepcopy(dict(content))

@@ -1,4 +1,4 @@
-"""Tables that files alone have: observations, spectra of maps and time-streams, forecasts."""
+"""Tables that are written to files only: observations, spectra of maps and time-streams, forecasts."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -9,7 +9,7 @@ from surveysim.results.results import SurveyResult
 from surveysim.results.tables import alternative_table, score_table
 from surveysim.runtime.table import Column, Table, file_column
 from surveysim.survey.coadds import row_names
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 
 if TYPE_CHECKING:
     from surveysim.forecasting.forecast import Forecast
@@ -31,7 +31,7 @@ def run_tables(result: SurveyResult, summary: dict[str, Any]) -> dict[str, Table
 
 
 def _survey_part(result: SurveyResult) -> dict[str, int]:
-    """Numbers of observations that were simulated, and that the survey has."""
+    """Numbers of simulated observations and of observations in the survey."""
     return {
         "observations_simulated": result.coadds.done,
         "observations_of_survey": result.setup.scene.observations,
@@ -60,8 +60,8 @@ def _spectra(result: SurveyResult, name: str) -> Iterator[Column]:
     yield file_column(f"noise_{name}", item.noise_psd, "uK2 sr")
     yield file_column(f"noise_error_{name}", error, "uK2 sr")
     yield file_column(f"signal_{name}", item.signal_psd, "sr")
-    yield file_column(f"transfer_function_{name}", item.window.transmission)
-    yield file_column(f"transfer_function_error_{name}", item.window.error)
+    yield file_column(f"transfer_function_{name}", item.transfer_function.transmission)
+    yield file_column(f"transfer_function_error_{name}", item.transfer_function.error)
     yield file_column(f"cumulative_{name}", item.band.cumulative, "uK2")
     if result.expected and name in result.expected.scores:
         expected = result.expected.scores[name]
@@ -71,7 +71,7 @@ def _spectra(result: SurveyResult, name: str) -> Iterator[Column]:
 
 def timestream_table(result: SurveyResult) -> Table:
     """Return quantiles over observations of the time-streams' PSDs, before and after each cleaning."""
-    coadds, raster = result.coadds, result.setup.observing.raster
+    coadds, raster = result.coadds, result.setup.observing.scans
     frequency = np.arange(len(coadds.raw_psd[0])) * raster.sample_rate_hz / samples_per_scan(raster)
     compared = np.array(coadds.compared_psd)
     pipelines = enumerate(result.setup.analysis.whole_pipelines[1:])

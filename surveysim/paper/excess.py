@@ -17,8 +17,8 @@ from surveysim.reduction.setup import Setup
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-_ELEVATIONS = 5  # between which it is cubic
-_SEPARATIONS = 48  # at which the thin screen's correlation is computed; it is smooth over the array
+_ELEVATIONS = 5  # nodes of the cubic interpolation in elevation
+_SEPARATIONS = 48  # nodes of the thin screen's correlation, which is smooth over the array
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pixel_coherence import mutual_coherence
 
-KNOWN = 0.3  # largest relative error of a speed that is used
+KNOWN = 0.3  # largest relative error of a wind speed that is used
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def measure_survey(scenes: list[Scene], engine: Engine, progress: Callable[[], N
     SceneError
         For a scene that can't be run or has no [atmosphere].
     """
-    # No score: no map is co-added here, and no window sky needed.
+    # No score: no map is co-added here, and no signal simulation needed.
     scenes = [scene.model_copy(update={"score": None}) for scene in scenes]
     setup = prepare(scenes[0])
     measurements, names = [], []

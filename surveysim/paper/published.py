@@ -1,4 +1,4 @@
-"""The numbers of the paper that results are printed beside."""
+"""Published numbers of the paper, for comparison with results."""
 
 import tomllib
 from functools import cache
@@ -8,5 +8,5 @@ from typing import Any
 
 @cache
 def published() -> dict[str, Any]:
-    """`published.toml` as it stands; its comments name the section of the paper."""
+    """Return the content of `published.toml`; its comments name the sections of the paper."""
     return tomllib.loads(files("surveysim.paper").joinpath("published.toml").read_text(encoding="utf-8"))

@@ -26,7 +26,7 @@ def measurement_table(survey: MeasuredSurvey) -> "Table":
     for name in table.colnames:
         unit = next((unit for ending, unit in units.items() if name.endswith(ending)), None)
         table[name].unit = unit
-    table.meta["title"] = f"{survey.band_ghz} GHz: observations measured from their time-streams, and what was drawn"
+    table.meta["title"] = f"{survey.band_ghz} GHz: measured and drawn values of each observation"
     return table
 
 
@@ -68,12 +68,12 @@ def recovery_table(survey: MeasuredSurvey) -> "Table":
     from astropy.table import Table
 
     rows = [*_wind_rows(survey), *_b2_rows(survey)]
-    # Fewer bins of separation than level, overlap, index and height take tell nothing of the latter two.
+    # Index and height need more bins of separation than there are parameters: level, overlap, index and height.
     if len(survey.bins.count) > 4:
         rows += _index_rows(survey)
     table = Table(rows=rows)
     table.rename_columns(table.colnames, ("quantity", "unit", "paper", "ours", "error", "observations"))
-    table.meta["title"] = f"{survey.band_ghz} GHz: what is measured from the time-streams against what was drawn"
+    table.meta["title"] = f"{survey.band_ghz} GHz: values measured from the time-streams against drawn values"
     return table
 
 

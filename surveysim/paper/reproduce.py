@@ -83,7 +83,7 @@ def _reproduce(
         for need, scene in asked.runs.items():
             scored = [name for name in left if NEEDS[name] == (need,)]
             _make(_run_makers(scored, out, scene, engine=engine, progress=progress), made, failed)
-    finally:  # what is made by then is kept, whatever ends the rest
+    finally:  # finished items are kept after any error
         if made or earlier:
             write_record(
                 out,

@@ -19,7 +19,7 @@ from surveysim.telescope.photon_noise import photon_noise
 if TYPE_CHECKING:
     from astropy.table import Table
 
-BINS = ("bin 1", "bin 2", "bin 3", "bin 4", "all data")  # of Table 2
+BINS = ("bin 1", "bin 2", "bin 3", "bin 4", "all data")  # columns of Table 2
 # The bands of section 3.4: centre [Hz], width over centre.
 BOLOCAM = {150: (143e9, 0.15), 275: (268e9, 0.15)}
 ACBAR = {150: (151e9, 0.2), 275: (282e9, 0.18)}

@@ -11,7 +11,7 @@ from surveysim.reduction.data_set import DataSet, data_sets
 from surveysim.reduction.scored_region import ScoredRegion, scored_region
 from surveysim.runtime.once import once
 from surveysim.scene.scene import Scene
-from surveysim.timestreams.shared_parts import window_skies
+from surveysim.timestreams.shared_parts import signal_skies
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class AnalysisSetup:
     @once
     def signal_skies_mk(self) -> np.ndarray | None:
         """Skies (n_sky, n_y, n_x) of the signal simulations; a point source last where pipelines are compared."""
-        return window_skies(self.scene, self.sky_geometry)
+        return signal_skies(self.scene, self.sky_geometry)
 
     @property
     def n_signal_skies(self) -> int:
@@ -60,7 +60,7 @@ class AnalysisSetup:
 
     @property
     def responsivities(self) -> Responsivities:
-        """Responsivities for template cleaning of all detectors: a way to fit them, or known ones (n_det,)."""
+        """Responsivities for template cleaning of all detectors: the method to fit them, or known ones (n_det,)."""
         return self.scene.cleaning.responsivities if self.calibration is None else self.calibration[0]
 
     @property
@@ -90,10 +90,11 @@ class AnalysisSetup:
         return any(pipeline.uses("spectral") for pipeline in self.pipelines)
 
     @property
-    def windows(self) -> tuple[str, ...]:
-        """Data sets that have a transfer function of their own; the others share the first."""
+    def transfer_function_names(self) -> tuple[str, ...]:
+        """Names of the data sets that have a transfer function of their own; the others share the first."""
         return tuple(item.name for item in self.data_sets if item.own_transfer_function)
 
-    def window_of(self, data_set: str) -> int:
-        """Place of the transfer function of a data set among `windows`."""
-        return self.windows.index(data_set) if data_set in self.windows else 0
+    def transfer_function_index(self, data_set: str) -> int:
+        """Place of the transfer function of a data set among `transfer_function_names`."""
+        names = self.transfer_function_names
+        return names.index(data_set) if data_set in names else 0

@@ -23,7 +23,7 @@ from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.wind import measure_wind, scan_velocities
 from surveysim.scene.analysis import Cleaning
 
-LONGEST_DELAY = 0.2  # of a scan; the wind model allows a quarter
+LONGEST_DELAY = 0.2  # longest delay, as a fraction of a scan; the wind model allows a quarter
 ACTUAL, OPTIMAL = "actual", "optimal"
 
 

@@ -17,37 +17,37 @@ from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, Site, near_angles
-from surveysim.telescope.raster import Raster, samples_per_scan
+from surveysim.telescope.scans import Scans, samples_per_scan
 
 MAX_REACH_RAD = math.radians(15)
 MAX_SIDE_PIXELS = 16_384
 MAX_DETECTOR_SAMPLES = 1e11  # an hour of 100,000 detectors at 200 Hz and more: hours of computing
-MAX_SAMPLES = 1e8  # of the boresight, whose path is held whole
-MAX_SURVEY_SCANS = 2e6  # whose ephemerides take some minutes
-SCANS_AT_ONCE = 200_000  # of which angles are checked together
-MAX_COEFFICIENTS = 3e7  # of a sky on the sphere: 2 GB of memory, minutes of computing
-MAX_TURN_BEAMS = 0.1  # by which the array's edge may move as the sky turns, within half a scan
-MAX_AIRMASS_CHANGE = 0.02  # of itself, within half a scan: 2.7 % of the layer's amplitude at an index of 11/3
-FEW_MODES = 64  # along an axis, within which an empty bin is found, if there is one
+MAX_SAMPLES = 1e8  # boresight samples of an observation, all in memory
+MAX_SURVEY_SCANS = 2e6  # ephemerides of more scans take many minutes
+SCANS_AT_ONCE = 200_000  # scans whose angles are checked together
+MAX_COEFFICIENTS = 3e7  # coefficients of a curved sky: 2 GB of memory, minutes of computing
+MAX_TURN_BEAMS = 0.1  # largest motion of the array's edge by the rotation of the sky in half a scan, in beams
+MAX_AIRMASS_CHANGE = 0.02  # largest relative change in half a scan: 2.7 % of the layer's amplitude at an index of 11/3
+FEW_MODES = 64  # modes along an axis among which an empty bin is found, if there is one
 MOST_BINS = 1_000_000
-MAX_MODES = 4000  # of which the eigenvectors take half a minute a scan
+MAX_MODES = 4000  # the eigenvectors of so many take half a minute a scan
 
 
 def check_templates(scene: Scene, cam: Camera) -> None:
-    """Raise SceneError when the templates have no atmosphere to follow, or too few detectors."""
+    """Raise SceneError if the templates have no atmosphere to follow, or too few detectors."""
     section = scene.cleaning
     n_det = len(cam.focal_plane.x_rad)
     for key, steps in (("algorithm", section.algorithm), *(("compare", steps) for steps in section.compare)):
         if scene.atmosphere is None and steps != ("none",):
-            # The iteration calibrates detectors on their common signal; without one it discards every scan.
+            # The fit calibrates detectors on their common signal; without one it discards every scan.
             found = repr(steps[0]) if len(steps) == 1 else list(steps)
             raise SceneError(f"cleaning.{key}: found {found} without [atmosphere]; 'none' is expected")
         _check_count(scene, steps, n_det, f"cleaning.{key}")
         samples = math.floor(scene.scan.duration_s * scene.scan.sample_rate_hz + 1e-6)
         if "pca" in steps and samples <= (needed := needed_detectors(section, "pca")):
             raise SceneError(
-                f"cleaning.{key}: found 'pca' with scans of {samples} samples; {needed + 1} or more are expected, of"
-                " fewer no mode can stand out"
+                f"cleaning.{key}: found 'pca' with scans of {samples} samples; {needed + 1} or more are expected, as no"
+                " mode can stand out among fewer"
             )
         if "pca" in steps and min(samples, n_det) > MAX_MODES:
             raise SceneError(
@@ -63,19 +63,21 @@ def check_templates(scene: Scene, cam: Camera) -> None:
             )
 
 
-def check_size(scene: Scene, cam: Camera) -> None:
-    """Raise SceneError for a map beyond the tangent plane's use, or arrays that no machine would hold."""
+def check_size(scene: Scene, n_det: int, extent_rad: float) -> None:
+    """Raise SceneError for a map too large for the tangent plane, or for arrays that do not fit in memory.
+
+    `extent_rad` is the largest offset of a sample from the centre of the field, along either axis.
+    """
     scan = scene.scan
-    extent = reach(scene, cam)
-    if extent > MAX_REACH_RAD:
+    if extent_rad > MAX_REACH_RAD:
         raise SceneError(
-            f"scan: found a map that reaches {math.degrees(extent):.4g} deg from its centre with this speed, duration, "
-            f"step, dither and camera; {math.degrees(MAX_REACH_RAD):g} deg or less is expected"
+            f"scan: found a map that reaches {math.degrees(extent_rad):.4g} deg from its centre with this speed, "
+            f"duration, step, dither and camera; {math.degrees(MAX_REACH_RAD):g} deg or less is expected"
         )
-    side = 2 * extent / scene.map.pixel_rad
+    side = 2 * extent_rad / scene.map.pixel_rad
     if side > MAX_SIDE_PIXELS:
         raise SceneError(f"map.pixel: found a map of {side:.4g} pixels a side; {MAX_SIDE_PIXELS} or less are expected")
-    samples = len(cam.focal_plane.x_rad) * scan.scans * scan.duration_s * scan.sample_rate_hz
+    samples = n_det * scan.scans * scan.duration_s * scan.sample_rate_hz
     if samples > MAX_DETECTOR_SAMPLES:
         raise SceneError(
             f"scan.sample_rate: found {samples:.3g} detector-samples an observation; "
@@ -94,10 +96,15 @@ def check_size(scene: Scene, cam: Camera) -> None:
 
 
 def check_motion(scene: Scene, cam: Camera, site: Site, starts: Schedule, mid_time_s: np.ndarray) -> float:
-    """Raise SceneError for scans within which the sky turns, or its airmass changes, by more than may be neglected.
+    """Raise SceneError for scans in which the rotation of the sky or the change of airmass is not negligible.
 
-    Only scans that might move too far, by the largest rates that there are at their elevation, have the angles of their
-    ends computed. Gives back the lowest elevation [rad] of all scans.
+    Exact angles are computed only for scans that may exceed the limits at the largest possible rates for their
+    elevation.
+
+    Returns
+    -------
+    float
+        Lowest elevation [rad] of all scans.
     """
     lowest = math.inf
     step = max(1, SCANS_AT_ONCE // len(mid_time_s))
@@ -153,7 +160,7 @@ def _check_turn(number: int, up_rad: np.ndarray, turn_rad: np.ndarray, radius_ra
     if turn_rad[worst] * radius_rad > allowed_rad:
         raise SceneError(
             f"scan.duration: found scans of observation {number}, at {math.degrees(up_rad[worst]):.1f} deg elevation,"
-            f" in half of which the sky turns by {math.degrees(turn_rad[worst]):.2g} deg and the array's edge moves by"
+            f" that the sky turns in half a scan by {math.degrees(turn_rad[worst]):.2g} deg: the array's edge moves by"
             f" {math.degrees(turn_rad[worst] * radius_rad) * 3600:.3g} arcsec on it; {MAX_TURN_BEAMS:g} of a beam,"
             f" {math.degrees(allowed_rad) * 3600:.3g} arcsec, or less is expected: shorter scans, or a field that stays"
             " away from the zenith"
@@ -171,13 +178,13 @@ def _check_airmass(number: int, up_rad: np.ndarray, change: np.ndarray) -> None:
 
 
 def check_levels(scene: Scene, water: Water | None, lowest_rad: float) -> None:
-    """Raise ValueError where noise by power is no level of a stream in the wettest weather at the lowest elevation."""
+    """Raise OutOfRangeError if the noise is not finite in the wettest weather at the lowest elevation."""
     wettest_mm = max(scene.atmosphere.pwv_mm) if water else math.nan
     white_levels(scene, water.opacity if water else None, wettest_mm, lowest_rad)
 
 
 def check_sources(scene: Scene, grid: MapGeometry) -> None:
-    """Raise SceneError for a point source that no detector can see: three beams or more beyond the sky `grid`."""
+    """Raise SceneError for a point source that no detector sees: three beams or more outside the sky `grid`."""
     for number, source in enumerate(scene.sky.point_sources if scene.sky else ()):
         offsets = plane_offsets(grid, source.ra_rad, source.dec_rad)
         allowed_rad = grid.n_x * grid.pixel_rad / 2 + 3 * scene.instrument.beam_fwhm_rad
@@ -198,7 +205,7 @@ def _separation(grid: MapGeometry, ra_rad: float, dec_rad: float) -> float:
 
 
 def check_excess(scene: Scene) -> None:
-    """Raise SceneError when a scan is too short to hold the excess' band."""
+    """Raise SceneError if a scan is too short for the band of the low-frequency noise."""
     if scene.excess and scene.excess.band_limit_hz * scene.scan.duration_s <= 1:
         raise SceneError(
             f"excess.band_limit: found {scene.excess.band_limit_hz:g} Hz; "
@@ -207,7 +214,7 @@ def check_excess(scene: Scene) -> None:
 
 
 def check_masked(scene: Scene, masked: np.ndarray) -> None:
-    """Raise SceneError when the mask leaves too few detectors for the templates."""
+    """Raise SceneError if the mask leaves too few detectors for the templates."""
     _check_count(scene, scene.cleaning.algorithm, len(masked), "score.mask_separation_f_lambda")
 
 
@@ -218,8 +225,8 @@ def _check_count(scene: Scene, steps: tuple[str, ...], n_det: int, key: str) -> 
             raise SceneError(f"{key}: found {n_det} detectors; {name!r} needs {needed} or more")
 
 
-def check_score(scene: Scene, geometry: MapGeometry, lines: Raster) -> None:
-    """Raise SceneError when the map or the sample rate can't carry the score."""
+def check_score(scene: Scene, geometry: MapGeometry, scans: Scans) -> None:
+    """Raise SceneError if the map or the sample rate is not sufficient for the score."""
     if scene.score is None:
         return
     extent = geometry.n_x * geometry.pixel_rad
@@ -232,7 +239,7 @@ def check_score(scene: Scene, geometry: MapGeometry, lines: Raster) -> None:
             f"score.ell_max: found {scene.score.ell_max}; the map pixel's {nyquist:.0f} or less is expected"
         )
     check_bins(scene, geometry)
-    highest = highest_frequency(samples_per_scan(lines), lines.sample_rate_hz)
+    highest = highest_frequency(samples_per_scan(scans), scans.sample_rate_hz)
     if scene.score.white_noise_above_hz >= highest:
         raise SceneError(
             f"score.white_noise_above: found {scene.score.white_noise_above_hz:g} Hz; "
@@ -241,7 +248,7 @@ def check_score(scene: Scene, geometry: MapGeometry, lines: Raster) -> None:
 
 
 def check_healpix(scene: Scene) -> None:
-    """Raise SceneError for a HEALPix map that is too fine for the map's pixels to fill."""
+    """Raise SceneError for HEALPix pixels so small that map pixels leave gaps between them."""
     if scene.map.healpix_nside is not None:
         try:
             check_nside("map.healpix_nside", scene.map.healpix_nside, scene.map.pixel_rad)
@@ -250,10 +257,10 @@ def check_healpix(scene: Scene) -> None:
 
 
 def check_bins(scene: Scene, geometry: MapGeometry) -> None:
-    """Raise SceneError where no bin is scored, one has no Fourier mode, or the beam lets nothing through.
+    """Raise SceneError if no bin is scored, a bin has no Fourier mode, or the beam suppresses all of them.
 
-    Modes are whole steps apart along both axes. The radii 1 and sqrt(2) are 0.41 steps apart, and beyond 64 steps no
-    neighbours are further than 0.2: bins that hold modes up to there hold some everywhere.
+    Modes have unit steps along both axes. The radii 1 and sqrt(2) are 0.41 steps apart, and beyond 64 steps
+    neighbouring radii differ by at most 0.2: if all bins up to there have modes, all bins have.
     """
     score, pixel = scene.score, geometry.pixel_rad
     step = 2 * math.pi / (padded_side(score.size_rad, geometry) * pixel)
@@ -278,10 +285,10 @@ def check_bins(scene: Scene, geometry: MapGeometry) -> None:
 
 
 def check_sky(scene: Scene, geometry: MapGeometry) -> None:
-    """Raise SceneError for a sky on the sphere that ends within the scored multipoles, or that is too large to make.
+    """Raise SceneError for a curved sky that ends below the scored multipoles, or that is too large to compute.
 
-    A taper mixes what lies within twice its resolution: above the last bin a sky without that would lack more than
-    1 % there.
+    The taper mixes multipoles within twice its resolution: without a margin above the last bin, more than 1 % of its
+    power would be missing.
     """
     if scene.sky is None or scene.sky.curved_lmax is None:
         return
@@ -302,15 +309,7 @@ def check_sky(scene: Scene, geometry: MapGeometry) -> None:
 
 
 def sky_coefficients(lmax: int, geometry: MapGeometry) -> int:
-    """Count the coefficients of a sky on the sphere up to a multipole, of the orders that reach a field."""
+    """Count the spherical-harmonic coefficients up to a multipole, for the orders that reach a field."""
     from surveysim.timestreams.sky_maps import highest_order
 
     return (lmax + 1) * (highest_order(geometry, lmax) + 1)
-
-
-def reach(scene: Scene, cam: Camera) -> float:
-    """Compute the largest offset of a sample from the centre of the field, along either axis [rad]."""
-    scan = scene.scan
-    along = scan.speed_rad_s * scan.duration_s / 2
-    across = scan.step_rad * (scan.scans - 1) / 2
-    return max(along, across) + scan.dither_rad / 2 + cam.radius_rad

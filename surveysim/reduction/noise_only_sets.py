@@ -12,7 +12,7 @@ from mapmaker.timestreams import scan_bounds
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.rng import NormalDeviates, RandomPurpose, normal_deviates
 from surveysim.telescope.pointing import Pointing
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.noise import draw_from_psd
 from surveysim.timestreams.observation import Stopwatch
 
@@ -90,7 +90,7 @@ def add_simulated(
 def _draw_uncorrelated(
     setup: Setup, psd: np.ndarray, white: np.ndarray, n_scans: int, deviates: NormalDeviates, rows: slice
 ) -> np.ndarray:
-    rate, n = setup.observing.raster.sample_rate_hz, samples_per_scan(setup.observing.raster)
+    rate, n = setup.observing.scans.sample_rate_hz, samples_per_scan(setup.observing.scans)
     some, first = psd[rows, None, :], rows.start * n_scans
     streams = draw_from_psd(some, (len(some), n_scans), n, rate, deviates, first_stream=first)
     return streams.reshape(len(some), -1).astype(setup.stream_type, copy=False)
@@ -99,7 +99,7 @@ def _draw_uncorrelated(
 def _draw_white(
     setup: Setup, psd: np.ndarray, white: np.ndarray, n_scans: int, deviates: NormalDeviates, rows: slice
 ) -> np.ndarray:
-    rate, n_samp = setup.observing.raster.sample_rate_hz, n_scans * samples_per_scan(setup.observing.raster)
+    rate, n_samp = setup.observing.scans.sample_rate_hz, n_scans * samples_per_scan(setup.observing.scans)
     level = np.sqrt(white[rows] * rate / 2).astype(setup.stream_type)[:, None]
     data = deviates.draw((len(level), n_samp), first=rows.start * n_samp, dtype=setup.stream_type)
     data *= level

@@ -34,7 +34,7 @@ from surveysim.reduction.noise_only_sets import add_simulated, mean_removed
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pointing import Pointing
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observation import Stopwatch, draw_block, draw_other_bands
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.response import write_sky_signal
@@ -58,7 +58,7 @@ class ObservationResult:
         Noise variance per sample in the scored region; observations are weighted by it.
     bin_noise_mk2 : (n_set, n_bin)
         Noise variance per sample in each multipole bin; no bins without a score.
-    window : (n_sky, n_window, 2, n, n)
+    signal_maps : (n_sky, n_transfer, 2, n, n)
         Signal simulations on the scored patch, without [0] and with [1] cleaning, for each transfer function; or None.
     discarded, iterations, removed
         Discarded scans, mean iterations, and mean removed templates per scan of each pipeline.
@@ -83,7 +83,7 @@ class ObservationResult:
     hits: np.ndarray
     noise_mk2: np.ndarray
     bin_noise_mk2: np.ndarray
-    window: np.ndarray | None
+    signal_maps: np.ndarray | None
     discarded: tuple[int, ...]
     iterations: tuple[float, ...]
     removed: tuple[float, ...]
@@ -118,14 +118,14 @@ class _Part:
 class _Sums:
     """Running sums over the blocks of one observation.
 
-    `maps` by data set: float64 sums [mK] and int64 hits (n_y n_x,); `window` (n_sky, n_window, 2, n_y n_x) float64 or
-    None; `power` (n_det, n_freq) of the kept scans of the actual data (`hann_power`). Of each block: `kept`,
+    `maps` by data set: float64 sums [mK] and int64 hits (n_y n_x,); `signal_maps` (n_sky, n_transfer, 2, n_y n_x)
+    float64 or None; `power` (n_det, n_freq) of the kept scans of the actual data (`hann_power`). Of each block: `kept`,
     `iterations` and `removed` (n_pipeline, n_scan), and the number of kept scans with their mean PSD (n_freq,)
     [mK^2/Hz], before cleaning (`raw`) and after the other pipelines (`compared`).
     """
 
     maps: dict[str, Map]
-    window: np.ndarray | None
+    signal_maps: np.ndarray | None
     power: np.ndarray
     kept: list[np.ndarray] = field(default_factory=list)
     iterations: list[np.ndarray] = field(default_factory=list)
@@ -134,18 +134,18 @@ class _Sums:
     compared: list[list[tuple[int, np.ndarray]]] = field(default_factory=list)
 
 
-def observe(setup: Setup, observation: int, with_window: bool, path: Path | None = None) -> ObservationResult:
+def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path | None = None) -> ObservationResult:
     """Simulate, clean and bin one observation.
 
     Parameters
     ----------
-    with_window
+    with_signal_sims
         Whether to simulate signals too.
     path
         File for the time-streams before cleaning; None for none.
     """
     watch, (_, pointing) = Stopwatch(), observation_path(setup.observing, observation)
-    sums = _empty_sums(setup, with_window)
+    sums = _empty_sums(setup, with_signal_sims)
     with nullcontext(_let_go) if path is None else timestream_file(path, len(pointing.time_s)) as save:
         for block in setup.observing.blocks:
             _add_part(sums, _reduce(setup, observation, pointing, block, watch), save, watch)
@@ -153,7 +153,7 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
     psd = sums.power / max(1, kept[0].sum()) * _psd_scale(setup)
     white = np.full(1, np.nan)
     if setup.scene.score:
-        n, rate = samples_per_scan(setup.observing.raster), setup.observing.raster.sample_rate_hz
+        n, rate = samples_per_scan(setup.observing.scans), setup.observing.scans.sample_rate_hz
         white = white_level(psd, n, rate, setup.scene.score.white_noise_above_hz)
         add_simulated(sums.maps, sums.kept, setup, observation, pointing, psd=psd, white=white, watch=watch)
     maps = {name: _plane(setup, *item) for name, item in sums.maps.items()}
@@ -176,7 +176,7 @@ def observe(setup: Setup, observation: int, with_window: bool, path: Path | None
         hits=hits,
         noise_mk2=noise,
         bin_noise_mk2=of_bins,
-        window=_window_maps(setup, sums.window, best),
+        signal_maps=_scored_signal_maps(setup, sums.signal_maps, best),
         discarded=tuple((~kept).sum(axis=1).tolist()),
         iterations=tuple(np.concatenate(sums.iterations, axis=1).mean(axis=1).tolist()),
         removed=tuple(float(row[_some(of)].mean()) for row, of in zip(removed, kept, strict=True)),
@@ -202,12 +202,12 @@ def _let_go(streams: Timestreams) -> None:
     """Save nothing."""
 
 
-def _empty_sums(setup: Setup, with_window: bool) -> _Sums:
+def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
     n_pixel = setup.analysis.geometry.n_y * setup.analysis.geometry.n_x
     names = [name for name in setup.analysis.data_set_names if name != OPTIMAL]
     maps = {name: (np.zeros(n_pixel), np.zeros(n_pixel, np.int64)) for name in names}
-    power = np.zeros((setup.camera.n_det, samples_per_scan(setup.observing.raster) // 2 + 1))
-    return _Sums(maps, _empty_window(setup, setup.analysis.n_signal_skies) if with_window else None, power)
+    power = np.zeros((setup.camera.n_det, samples_per_scan(setup.observing.scans) // 2 + 1))
+    return _Sums(maps, _empty_signal_maps(setup, setup.analysis.n_signal_skies) if with_signal_sims else None, power)
 
 
 def _add_part(sums: _Sums, part: _Part, save: Callable[[Timestreams], None], watch: Stopwatch) -> None:
@@ -222,9 +222,9 @@ def _add_part(sums: _Sums, part: _Part, save: Callable[[Timestreams], None], wat
             bin_samples(item.data_mk, index, bounds, item.kept, *sums.maps[pipeline.data_set])
     for name in ("kept", "iterations", "removed"):
         getattr(sums, name).append(np.array([getattr(item, name) for item in part.cleaned]))
-    if sums.window is not None:
+    if sums.signal_maps is not None:
         with watch("transfer_function"):
-            _add_window(sums.window, part, setup.analysis.signal_skies_mk)
+            _add_signal_maps(sums.signal_maps, part, setup.analysis.signal_skies_mk)
 
 
 def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> _Part:
@@ -236,7 +236,7 @@ def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch
         index = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
     with watch("wind"):
         bands = _other_bands(setup, observation, whole, block)
-        rate = setup.observing.raster.sample_rate_hz
+        rate = setup.observing.scans.sample_rate_hz
         auxiliary = auxiliary_data(setup.analysis.pipelines, streams, bands, setup.analysis.calibration, rate)
     cleaned, everyone = [], np.ones(block.n_scans, bool)
     for pipeline in setup.analysis.pipelines:
@@ -265,7 +265,7 @@ def _clean(
     scans: np.ndarray,
 ) -> Cleaned:
     """Clean some scans (n_scan,) bool of the streams of a pipeline's detectors."""
-    plane, rate = streams.focal_plane.subset(pipeline.rows), setup.observing.raster.sample_rate_hz
+    plane, rate = streams.focal_plane.subset(pipeline.rows), setup.observing.scans.sample_rate_hz
     auxiliary = replace(auxiliary, delays_s_rad=auxiliary.delays_s_rad[scans])
     return apply_pipeline(
         setup.scene.cleaning,
@@ -290,9 +290,7 @@ def _add_spectra(sums: _Sums, part: _Part) -> None:
 
 
 def _psd_scale(setup: Setup) -> float:
-    return hann_scale(
-        samples_per_scan(setup.observing.raster), setup.observing.raster.sample_rate_hz, setup.stream_type
-    )
+    return hann_scale(samples_per_scan(setup.observing.scans), setup.observing.scans.sample_rate_hz, setup.stream_type)
 
 
 def _mean_psd(blocks: list[tuple[int, np.ndarray]]) -> np.ndarray:
@@ -313,18 +311,25 @@ def _plane(setup: Setup, total: np.ndarray, hits: np.ndarray) -> Map:
     return total.reshape(shape).astype(setup.stream_type), hits.reshape(shape).astype(kind)
 
 
-def _empty_window(setup: Setup, n_sky: int) -> np.ndarray:
-    return np.zeros((n_sky, len(setup.analysis.windows), 2, setup.analysis.geometry.n_y * setup.analysis.geometry.n_x))
+def _empty_signal_maps(setup: Setup, n_sky: int) -> np.ndarray:
+    return np.zeros(
+        (
+            n_sky,
+            len(setup.analysis.transfer_function_names),
+            2,
+            setup.analysis.geometry.n_y * setup.analysis.geometry.n_x,
+        )
+    )
 
 
-def _add_window(window: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
+def _add_signal_maps(signal_maps: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
     """Add each sky before cleaning, and the difference that it makes to the cleaned data."""
     setup, streams = part.setup, part.streams
-    hits, signal = np.zeros(window.shape[-1], np.int64), np.empty_like(streams.data_mk)
+    hits, signal = np.zeros(signal_maps.shape[-1], np.int64), np.empty_like(streams.data_mk)
     for s, sky in enumerate(skies_mk):
         write_sky_signal(setup, part.pointing, sky, signal)
         for pipeline, base in zip(setup.analysis.pipelines, part.cleaned, strict=True):
-            rows, place = pipeline.rows, setup.analysis.windows.index(pipeline.data_set)
+            rows, place = pipeline.rows, setup.analysis.transfer_function_names.index(pipeline.data_set)
             scans = _cleaned_again(setup, pipeline, base.kept)
             both = _clean(
                 setup, pipeline, streams, streams.data_mk[rows] + signal[rows], auxiliary=part.auxiliary, scans=scans
@@ -336,7 +341,7 @@ def _add_window(window: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
             difference = both.data_mk
             difference -= base.data_mk
             for state, data in enumerate((signal[rows], difference)):
-                bin_samples(data, part.index[rows], streams.scan_bounds, kept, window[s, place, state], hits)
+                bin_samples(data, part.index[rows], streams.scan_bounds, kept, signal_maps[s, place, state], hits)
 
 
 def _cleaned_again(setup: Setup, pipeline: CleaningPipeline, kept: np.ndarray) -> np.ndarray:
@@ -349,18 +354,18 @@ def _cleaned_again(setup: Setup, pipeline: CleaningPipeline, kept: np.ndarray) -
     return np.ones_like(kept) if together and kept.any() else kept
 
 
-def _window_maps(setup: Setup, window: np.ndarray | None, best: int) -> np.ndarray | None:
+def _scored_signal_maps(setup: Setup, signal_maps: np.ndarray | None, best: int) -> np.ndarray | None:
     """Cut the signal maps to the scored patch; the optimal set takes those of the best pipeline."""
-    if window is None:
+    if signal_maps is None:
         return None
     maps, patch = (
-        window.reshape(*window.shape[:3], setup.analysis.geometry.n_y, setup.analysis.geometry.n_x),
+        signal_maps.reshape(*signal_maps.shape[:3], setup.analysis.geometry.n_y, setup.analysis.geometry.n_x),
         setup.analysis.region.patch,
     )
     maps = maps[..., patch, patch].astype(setup.stream_type)
     if setup.analysis.chooses:
-        chosen = setup.analysis.windows.index(setup.analysis.whole_pipelines[best].data_set)
-        maps[:, setup.analysis.windows.index(OPTIMAL)] = maps[:, chosen]
+        chosen = setup.analysis.transfer_function_names.index(setup.analysis.whole_pipelines[best].data_set)
+        maps[:, setup.analysis.transfer_function_names.index(OPTIMAL)] = maps[:, chosen]
     return maps
 
 
@@ -381,16 +386,19 @@ def transfer_functions(scene: Scene) -> np.ndarray:
     everywhere = np.ones_like(setup.analysis.region.taper)
     powers = np.zeros((len(setup.analysis.whole_pipelines), len(TARGETS), 2, len(setup.analysis.region.rings.ell)))
     for observation in REFERENCE:
-        maps = _window_maps(setup, _window_alone(setup, observation % scene.observations, middle, skies), 0)
+        maps = _scored_signal_maps(setup, _signals_in_block(setup, observation % scene.observations, middle, skies), 0)
         for r, pipeline in enumerate(setup.analysis.whole_pipelines):
-            place = setup.analysis.windows.index(pipeline.data_set)
+            place = setup.analysis.transfer_function_names.index(pipeline.data_set)
             for s, state in np.ndindex(powers.shape[1:3]):
                 powers[r, s, state] += setup.analysis.region.ring_noise(maps[s, place, state], everywhere)
     return np.divide(powers[:, :, 1], powers[:, :, 0], out=np.zeros_like(powers[:, :, 0]), where=powers[:, :, 0] > 0)
 
 
-def _window_alone(setup: Setup, observation: int, block: Block, skies_mk: np.ndarray) -> np.ndarray:
+def _signals_in_block(setup: Setup, observation: int, block: Block, skies_mk: np.ndarray) -> np.ndarray:
     """Simulate signals in one block of an observation, and nothing else of it."""
-    window, (_, pointing) = _empty_window(setup, len(skies_mk)), observation_path(setup.observing, observation)
-    _add_window(window, _reduce(setup, observation, pointing, block, Stopwatch()), skies_mk)
-    return window
+    signal_maps, (_, pointing) = (
+        _empty_signal_maps(setup, len(skies_mk)),
+        observation_path(setup.observing, observation),
+    )
+    _add_signal_maps(signal_maps, _reduce(setup, observation, pointing, block, Stopwatch()), skies_mk)
+    return signal_maps

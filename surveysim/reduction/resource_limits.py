@@ -1,4 +1,4 @@
-"""Limits that a run would meet while it draws, foreseen: the layer's strips in the worst weather, and memory."""
+"""Limits that are checked before a run: the longest strip of the turbulent layer in the worst weather, and memory."""
 
 import math
 from collections.abc import Mapping
@@ -11,15 +11,15 @@ from surveysim.runtime.memory import machine_bytes
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pixel_coherence import MOST_DENSE
-from surveysim.telescope.raster import Raster, samples_per_scan
+from surveysim.telescope.scans import Scans, samples_per_scan
 
 if TYPE_CHECKING:
     from surveysim.atmosphere.screen_simulation import SlantStrips
 
 PROGRAM_BYTES = 250e6  # Python and the libraries
-MANY_SAMPLES = 1e9  # of all detectors: of each, 0.07 to 6 microseconds of a core
-MANY_PIXELS = 4e6  # of a map: a minute for the skies and the score
-MOST_DRAWN = 1000  # observations whose weather is drawn to be checked
+MANY_SAMPLES = 1e9  # detector-samples; each takes 0.07 to 6 microseconds of a core
+MANY_PIXELS = 4e6  # map pixels: a minute for the skies and the score
+MOST_DRAWN = 1000  # most observations whose weather is drawn for the check
 
 
 def check_layer(
@@ -28,34 +28,43 @@ def check_layer(
     water: Water | None,
     *,
     radius_rad: float,
-    lines: Raster,
+    scans: Scans,
     lowest_rad: float,
 ) -> int:
-    """Raise SceneError where a run would meet weather, or a strip of the layer, that it can't draw.
+    """Check the weather and the longest strip of the turbulent layer in a run.
 
-    The weather of so many observations is drawn; of larger surveys it is weather so extreme that hardly one of their
-    length has it. The strip is that of the longest track at the lowest elevation. Gives back the elements of its
-    matrices; 0 without a layer.
+    The weather of up to `MOST_DRAWN` observations is drawn. For larger surveys it is an extreme that hardly any survey
+    of their length exceeds. The strip is as long as the longest track at the lowest elevation.
+
+    Returns
+    -------
+    int
+        Number of matrix elements of the strip; 0 without a layer.
+
+    Raises
+    ------
+    SceneError
+        For weather or a strip that cannot be drawn.
     """
     if strips is None:
         return 0
     drawn = scene.observations <= MOST_DRAWN
     wind = _drawn_wind(scene, water) if drawn else fastest_wind(scene.atmosphere, water, scene.observations)
-    return _check_strip(strips, wind, radius_rad, lines, lowest_rad)
+    return _check_strip(strips, wind, radius_rad, scans, lowest_rad)
 
 
 def _drawn_wind(scene: Scene, water: Water | None) -> float:
-    """The fastest wind [rad/s] of all observations; raises ValueError for weather that is no number for a stream."""
+    """Draw the fastest wind [rad/s] of all observations; raises an error for weather that is not finite."""
     rngs = (generator(scene.seed, RandomPurpose.WEATHER, number) for number in range(scene.observations))
     return max(draw_weather(scene.atmosphere, water, rng).wind_speed_rad_s for rng in rngs)
 
 
-def _check_strip(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, lines: Raster, lowest_rad: float) -> int:
+def _check_strip(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, scans: Scans, lowest_rad: float) -> int:
     from surveysim.atmosphere.strip_limits import check_strip
 
     sine = math.sin(lowest_rad)
-    seconds = (samples_per_scan(lines) - 1) / lines.sample_rate_hz
-    longest = (2 * radius_rad + (lines.speed_rad_s + wind_rad_s) * seconds) / sine
+    seconds = (samples_per_scan(scans) - 1) / scans.sample_rate_hz
+    longest = (2 * radius_rad + (scans.speed_rad_s + wind_rad_s) * seconds) / sine
     cache = strips.at(sine)
     try:
         return check_strip(cache, longest)
@@ -69,9 +78,22 @@ def _check_strip(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, li
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes of the arrays of a run: detectors, samples of a scan, scans of the largest block, bands that are drawn,
-    map pixels in all and along a side of the scored patch and of the padded one, data sets, windows, skies, numbers
-    of a strip's matrices, and coefficients of a curved sky.
+    """Sizes of the arrays of a run.
+
+    Attributes
+    ----------
+    n_det, n_samp, n_scans
+        Detectors, samples of a scan, scans of the largest block.
+    n_bands
+        Bands that are simulated.
+    n_pixel, n_patch, n_pad
+        Pixels of the map; pixels along a side of the scored patch and of the padded patch.
+    n_set, n_transfer, n_sky
+        Data sets, transfer functions, simulated skies.
+    strip_elements
+        Matrix elements of a strip of the layer.
+    n_coefficients
+        Coefficients of a curved sky.
     """
 
     n_det: int
@@ -82,21 +104,21 @@ class Sizes:
     n_patch: int
     n_pad: int
     n_set: int
-    n_window: int
+    n_transfer: int
     n_sky: int
     strip_elements: int
     n_coefficients: int
 
 
 def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
-    """Bytes that the largest process of a run takes about, by the key that has most to do with them.
+    """Estimate the memory [bytes] of the largest process of a run, by the scene key that it depends on most.
 
-    Counted are arrays that are there at one time, of which the largest have been measured; a run takes between half and
-    twice as much.
+    Counts arrays that exist at the same time; the largest have been measured. A run takes between half and twice as
+    much.
     """
     real = 4 if scene.numerics.precision == "float32" else 8
     n_freq, patch, flips = of.n_samp // 2 + 1, of.n_patch**2, scene.score.jackknives if scene.score else 0
-    skies = of.n_sky * (8 * 4 * of.n_pixel + 16 * of.n_window * of.n_pixel + 40 * of.n_window * patch)
+    skies = of.n_sky * (8 * 4 * of.n_pixel + 16 * of.n_transfer * of.n_pixel + 40 * of.n_transfer * patch)
     shared = any(section and section.coherence != "none" for section in (scene.photon, scene.excess))
     pairs = of.n_det**2 if shared and of.n_det <= MOST_DENSE else 0
     compared = 2 + len(scene.cleaning.compare)
@@ -117,9 +139,9 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
 
 
 def check_memory(needed: Mapping[str, float]) -> None:
-    """Raise SceneError where one process of a run takes more memory than this machine has.
+    """Raise SceneError if a process of a run needs more memory than this machine has.
 
-    `needed` are bytes by the key of the scene that has most to do with them.
+    `needed` is in bytes, by the scene key that it depends on most.
     """
     total, there = sum(needed.values()), machine_bytes()
     if not total <= there:
@@ -131,7 +153,7 @@ def check_memory(needed: Mapping[str, float]) -> None:
 
 
 def said_of_size(detector_samples: float, n_pixel: int = 0) -> str:
-    """A line about a survey that takes minutes or more; empty for others."""
+    """Return a line about a survey that takes minutes or more; empty for other surveys."""
     if detector_samples < MANY_SAMPLES and n_pixel < MANY_PIXELS:
         return ""
     maps = f" and maps of {n_pixel / 1e6:.3g} million pixels" if n_pixel >= MANY_PIXELS else ""

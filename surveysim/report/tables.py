@@ -11,18 +11,18 @@ from surveysim.studies.stress import Case, Outcome
 
 MEMORY = "peak_mb is the most that a process held since it began, other settings before included; raised_mb its rise"
 LONGEST_CELL = 60  # letters of an extreme case's value on the terminal
-_PARTS = {"noise": "noise", "weather": "weather", "window": "transfer_function", "population": "population"}
+_PARTS = ("noise", "weather", "transfer_function", "population")
 
 
 def setting_rows(result: AccuracyResult) -> list[dict[str, Any]]:
     """Return a row for each setting of a convergence study, by the columns of accuracy.ecsv."""
     rows = []
     for item in result.rows:
-        row = {name: vars(item.setting)[name] for name in ("knob", "label", "kind", "own")}
+        row = {name: vars(item.setting)[name] for name in ("parameter", "label", "kind", "own")}
         row["setting"] = row.pop("label")
         row |= {name: value for name, value in vars(item).items() if name not in ("setting", "budget")}
-        for part, name in _PARTS.items():
-            row[f"{name}_error"] = math.nan if item.budget is None else vars(item.budget)[part]
+        for part in _PARTS:
+            row[f"{part}_error"] = math.nan if item.budget is None else vars(item.budget)[part]
         rows.append(row)
     return rows
 
@@ -36,7 +36,7 @@ def setting_meta(result: AccuracyResult) -> dict[str, Any]:
         "reference_error": result.reference_error,
         "reference_seeds": result.seeds,
         "slopes": [f"{item.name}: {item.value:.4g} +- {item.error:.2g}" for item in result.slopes],
-        "recommended": [f"{item.knob}: {item.label}" for item in result.recommended],
+        "recommended": [f"{item.parameter}: {item.label}" for item in result.recommended],
         "memory": MEMORY,
         "wall_s": result.wall_s,
         "workers": result.workers,
@@ -56,7 +56,7 @@ def setting_table(rows: Sequence[Mapping[str, Any]], meta: Mapping[str, Any] | N
     of = {name: [row[name] for row in rows] for name in rows[0]} if rows else {}
     biases = tuple(_bias_text(*pair) for pair in zip(of["bias"], of["bias_error"], strict=True))
     columns = (
-        column("knob", of["knob"], "knob"),
+        column("parameter", of["parameter"], "parameter"),
         column("setting", of["setting"], "setting"),
         file_column("kind", of["kind"]),
         file_column("own", of["own"]),
@@ -69,7 +69,7 @@ def setting_table(rows: Sequence[Mapping[str, Any]], meta: Mapping[str, Any] | N
         column("start_s", of["start_s"], "start [s]", number, unit="s"),
         column("peak_mb", of["peak_mb"], "peak [MB]", number, unit="Mbyte"),
         file_column("raised_mb", of["raised_mb"], "Mbyte"),
-        *(file_column(f"{name}_error", of[f"{name}_error"]) for name in _PARTS.values()),
+        *(file_column(f"{name}_error", of[f"{name}_error"]) for name in _PARTS),
         file_column("note", of["note"]),
     )
     own = tuple(place for place, is_own in enumerate(of["own"]) if is_own)

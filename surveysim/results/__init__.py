@@ -1,1 +1,1 @@
-"""The results of a run: score table, control variate, stopping rule, closure test, forecast beside run."""
+"""Results of a run: score table, control variate, stopping rule, closure test, forecast."""

@@ -12,8 +12,8 @@ from surveysim.runtime.errors import NotForecastableError
 from surveysim.survey.coadds import CoAdds, kept_shares
 from surveysim.survey.scores import DataSetScore, bin_errors, noise_parts
 
-GOOD_SIGMA, GOOD_PSD = 0.1, 0.15  # relative: what a forecast is good to
-KNOWN = GOOD_PSD / 2  # a bin whose ratio has a larger standard error can't be called good
+GOOD_SIGMA, GOOD_PSD = 0.1, 0.15  # relative accuracy of a forecast
+KNOWN = GOOD_PSD / 2  # largest standard error of a ratio that can be called good
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def run_forecast(setup: Setup, coadds: CoAdds) -> Forecast | None:
     """Return the forecast of a run's own observations and kept scans; None for a scene without one."""
     try:
         return forecast(setup.scene, kept_shares(setup, coadds)) if can_forecast(setup) else None
-    except NotForecastableError:  # a finished run never fails for want of a forecast
+    except NotForecastableError:  # the run goes on without a forecast
         return None
 
 
@@ -70,7 +70,7 @@ def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) 
     """
     scatter = _scatter(setup, simulated, expected)
     ratio = expected.band.sigma_ukcmb2 / simulated.plain_band.sigma_ukcmb2
-    error = ratio * float(np.linalg.norm([simulated.budget.noise, simulated.budget.window, scatter]))
+    error = ratio * float(np.linalg.norm([simulated.budget.noise, simulated.budget.transfer_function, scatter]))
     low, high = compared_ell(setup)
     edges = setup.analysis.region.rings.edges_ell
     bins = np.flatnonzero((edges[:-1] >= low) & (edges[1:] <= high))
@@ -94,10 +94,11 @@ def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) 
 
 
 def _scatter(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -> float:
-    """Relative error of the co-added noise for observations that differ from their forecasts, beyond their own noise.
+    """Relative error of the co-added noise from the scatter of observations about their forecasts, beyond their own
+    noise.
 
-    That noise is the part of the realizations' error which all have in common. As in the control by the forecast, the
-    error is that of a mean of few draws, estimated from them (`student_factor`); NaN for fewer than 4.
+    That noise is the part of the error of the noise realizations that all have in common. As for the control variate,
+    this is the error of a mean of few draws, estimated from them (`student_factor`); NaN for fewer than 4.
     """
     kept = expected.kept.share
     some = kept > 0
@@ -118,6 +119,6 @@ def quoted_forecast(simulated: DataSetScore, expected: DataSetForecast) -> float
 def _bin_ratios(
     setup: Setup, simulated: DataSetScore, expected: DataSetForecast, bins: np.ndarray, scatter: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Forecast over simulated noise PSD, less 1, in some bins, and the errors of that, (n,) each."""
+    """Forecast over simulated noise PSD, minus 1, in some bins, and its errors, (n,) each."""
     ratio = expected.noise_psd[bins] / simulated.noise_psd[bins]
     return ratio - 1, ratio * np.hypot(bin_errors(setup, simulated)[bins], scatter)

@@ -1,4 +1,4 @@
-"""The same data scored from other lowest multipoles and with other weights of bins."""
+"""Scores of the same data from other lowest multipoles and with other bin weights."""
 
 import numpy as np
 
@@ -8,15 +8,15 @@ from surveysim.reduction.setup import Setup
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import DataSetScore, rescore, sector_sigma
 
-ALTERNATIVE_NINTHS = (2, 4, 6, 8, 9, 10, 11)  # of the scene's lowest scored multipole
+ALTERNATIVE_NINTHS = (2, 4, 6, 8, 9, 10, 11)  # ninths of the scene's lowest scored multipole
 
 
 def alternatives(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -> list[dict[str, float | str]]:
-    """The same data scored otherwise: from other lowest multipoles, and with every set's bins weighted alike.
+    """Score the same data from other lowest multipoles, and with the same bin weights for all data sets.
 
-    `weights` is "own" (each data set weights its bins by its own noise), "actual" (all by the actual
-    data's noise) or "own, 2-D" (modes also by their direction, which the scans set; the scene's range).
-    Masked sets are scaled by their share of the detectors.
+    `weights` is "own" (each data set weights its bins by its own noise), "actual" (all use the noise of the actual
+    data) or "own, 2-D" (modes are also weighted by direction; the scene's range only). Masked sets are scaled by their
+    fraction of the detectors.
     """
     lowest = lowest_multipoles(setup)
     rows = [_alternative(setup, scores, weights, ell) for weights in ("own", "actual") for ell in lowest]
@@ -32,7 +32,7 @@ def alternatives(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) 
 
 
 def lowest_multipoles(setup: Setup) -> list[int]:
-    """Edges of bins about the scene's own lowest multipole, none below what scans and taper resolve."""
+    """Bin edges around the scene's lowest multipole, none below the resolution of scans and taper."""
     score = setup.scene.score
     ninths = np.array(ALTERNATIVE_NINTHS) * score.ell_min / 9
     edges = np.unique(np.round(ninths / score.ell_bin).astype(int) * score.ell_bin)

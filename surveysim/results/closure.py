@@ -18,7 +18,7 @@ QUARTILES = (0.25, 0.5, 0.75)
 
 @dataclass(frozen=True)
 class ClosureTest:
-    """A quantity beside its expected value.
+    """A quantity and its expected value.
 
     Parameters
     ----------
@@ -77,13 +77,13 @@ def _signal(scores: dict[str, DataSetScore], expected: Forecast | None) -> list[
     """Compare the transfer function of the scored bins by forecast and by simulated skies, once for each."""
     rows, seen = [], set()
     for name, item in scores.items():
-        if expected is None or name not in expected.scores or id(item.window) in seen:
+        if expected is None or name not in expected.scores or id(item.transfer_function) in seen:
             continue
-        seen.add(id(item.window))
+        seen.add(id(item.transfer_function))
         share = item.band.weight / item.band.weight.sum()
         closed = float(share @ expected.scores[name].transmission)
         # The skies are common to all bins, so their errors are taken as common too.
-        found, error = float(share @ item.window.transmission), float(share @ item.window.error)
+        found, error = float(share @ item.transfer_function.transmission), float(share @ item.transfer_function.error)
         rows.append(ClosureTest("measured", f"signal power left by cleaning, {name}", "", closed, found, error))
     return rows
 

@@ -1,8 +1,8 @@
-"""The forecast as a control variate: what its weather makes of a sample's score is taken out by closed forms.
+"""Forecast as control variate: it removes the effect of the drawn weather on a score.
 
-A survey whose observations happen to see good weather has less noise, in a forecast as in a simulation. The
-simulated sigma(A) times what the forecast expects over all weather, over what it expects of the very observations that
-were simulated, is therefore free of the weather that they happened to draw.
+A survey that happens to have good weather has less noise, in a forecast as in a simulation. Multiply the simulated
+sigma(A) by the forecast for all weather, divided by the forecast for the simulated observations: the result does not
+depend on the weather that they happened to draw.
 """
 
 from dataclasses import dataclass
@@ -25,10 +25,16 @@ from surveysim.survey.scores import Control, DataSetScore, controlled_score, sco
 
 @dataclass(frozen=True)
 class Expectation:
-    """A data set's noise model, and its forecast over all weather.
+    """Noise model of a data set, and its forecast over all weather.
 
-    `psd` (n_bin,) of a survey, up to a factor, `error` the relative one of its sigma(A); `variation` the standard
-    deviation of the observations' information over its mean.
+    Attributes
+    ----------
+    psd : (n_bin,)
+        Noise PSD of a survey, up to a factor.
+    error
+        Relative error of its sigma(A).
+    variation
+        Standard deviation of the observations' information over its mean.
     """
 
     model: NoiseModel
@@ -38,11 +44,10 @@ class Expectation:
 
 
 def quoted_scores(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = None) -> dict[str, DataSetScore]:
-    """Scores as they are quoted everywhere, of the named data sets (all by default): controlled where it can be.
+    """Score data sets by name (all by default), with the control variate where there is a forecast.
 
-    Sets that have no forecast of their own are controlled by that of the actual data: any expectation of an
-    observation's information will do, and what it does not explain is in the error. Raises ValueError as
-    `surveysim.survey.scores.score_survey`.
+    Sets without a forecast use the control variate of the actual data: any expectation of an observation's information
+    is allowed, as the error includes the remaining scatter. Raises as `surveysim.survey.scores.score_survey`.
     """
     scores = score_survey(setup, coadds, names)
     found = controls(setup, coadds)
@@ -52,17 +57,17 @@ def quoted_scores(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = 
 
 
 def controls(setup: Setup, coadds: CoAdds) -> dict[str, Control]:
-    """Control variates by data set, those of the observations in `coadds`; empty where there is no forecast."""
+    """Compute control variates by data set for the observations in `coadds`; empty without a forecast."""
     expected = known_expectations(setup)
     try:
-        levels = observing_conditions(setup, survey_draws(setup, 0, coadds.done)) if expected else None
-        return {name: _control(setup, item, item.model.noise(levels)) for name, item in expected.items()}
-    except InputError:  # extremes that can't be forecast: a run never fails for want of one
+        conditions = observing_conditions(setup, survey_draws(setup, 0, coadds.done)) if expected else None
+        return {name: _control(setup, item, item.model.noise(conditions)) for name, item in expected.items()}
+    except InputError:  # extreme scenes without a forecast; the run goes on without it
         return {}
 
 
 def known_expectations(setup: Setup) -> dict[str, Expectation]:
-    """The `expectations` of a scene, empty where it has none."""
+    """Return the `expectations` of a scene, empty without any."""
     try:
         return expectations(setup.scene) if can_forecast(setup) else {}
     except InputError:
@@ -71,12 +76,18 @@ def known_expectations(setup: Setup) -> dict[str, Expectation]:
 
 @lru_cache(maxsize=1)
 def expectations(scene: Scene) -> dict[str, Expectation]:
-    """Forecasts of a scene's data sets in expectation over weather; raises NotForecastableError without."""
+    """Forecast each data set of a scene in expectation over weather.
+
+    Raises
+    ------
+    NotForecastableError
+        Without noise in the scored multipoles.
+    """
     setup = prepare(scene)
-    levels, n_lists = population_conditions(scene)
+    conditions, n_lists = population_conditions(scene)
     found = {}
     for model in survey_models(scene):
-        noise = model.noise(levels)
+        noise = model.noise(conditions)
         if not noise[:, setup.analysis.region.selected].all():
             raise NotForecastableError("score: found no noise in its multipoles; some is expected")
         parts = [_sigma(setup, model, _psd(setup, part)) for part in np.split(noise, n_lists)]
@@ -91,20 +102,21 @@ def expectations(scene: Scene) -> dict[str, Expectation]:
 
 
 def in_all_weather(setup: Setup, found: Forecast) -> dict[str, float]:
-    """sigma(A) [uK_CMB^2] of a forecast's data sets over all weather, as runs quote it; of those that have it.
+    """Return sigma(A) [uK_CMB^2] of a forecast over all weather, as runs quote it, for data sets that have it.
 
-    A forecast itself is of the weather that the scene's seed draws for its observations.
+    The forecast itself is for the weather that the scene's seed draws.
     """
-    levels, band = observing_conditions(setup, survey_draws(setup, 0, setup.scene.observations)), setup.analysis.region
+    conditions = observing_conditions(setup, survey_draws(setup, 0, setup.scene.observations))
+    region = setup.analysis.region
     controlled = {}
     for name, item in known_expectations(setup).items():
-        psd = found.scores[name].noise_psd * _control(setup, item, item.model.noise(levels)).factor
-        controlled[name] = flat_band_power(psd, item.model.signal_psd, band.rings.n_modes, band.selected)
+        psd = found.scores[name].noise_psd * _control(setup, item, item.model.noise(conditions)).factor
+        controlled[name] = flat_band_power(psd, item.model.signal_psd, region.rings.n_modes, region.selected)
     return controlled
 
 
 def _psd(setup: Setup, noise: np.ndarray) -> np.ndarray:
-    """Noise PSD (n_bin,), up to a factor, of a survey of one length of these (n_draw, n_bin) observations."""
+    """Noise PSD (n_bin,), up to a factor, of a survey of these (n_draw, n_bin) observations."""
     weight = expected_weights(setup, noise)
     return weight**2 @ noise * len(noise) / weight.sum() ** 2
 

@@ -1,9 +1,9 @@
 """Stages of a run, and stages left out with their reasons."""
 
 from surveysim.forecasting.forecast import can_forecast, why_no_forecast
-from surveysim.reduction.setup import Setup, window_observations
+from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.scene.scene import Scene
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.component import COMPONENTS, present_components
 
 # Optional sections, and the consequence of leaving each out.
@@ -18,12 +18,12 @@ def absent_sections(scene: Scene) -> list[str]:
 def stages_that_run(setup: Setup) -> dict[str, str]:
     """Return every stage of a run of the scene with its description."""
     scene = setup.scene
-    scans = f"{scene.observations} observations of {setup.observing.raster.n_scans} scans"
+    scans = f"{scene.observations} observations of {setup.observing.scans.n_scans} scans"
     stages = {"pointing": f"{scans}, {setup.camera.n_det} detectors, {scene.scan.sample_rate_hz:g} Hz"}
     if len(setup.observing.blocks) > 1:
         most = max(block.n_scans for block in setup.observing.blocks)
         megabytes = (
-            most * samples_per_scan(setup.observing.raster) * setup.camera.n_det * setup.stream_type.itemsize / 1e6
+            most * samples_per_scan(setup.observing.scans) * setup.camera.n_det * setup.stream_type.itemsize / 1e6
         )
         stages["blocks"] = (
             f"{len(setup.observing.blocks)} an observation, {most} scans or fewer in {megabytes:.3g} MB of streams"
@@ -32,9 +32,9 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
     stages["cleaning"] = ", ".join(pipeline.label for pipeline in setup.analysis.whole_pipelines)
     stages["maps"] = f"{setup.analysis.geometry.n_x} x {setup.analysis.geometry.n_y} pixels"
     if scene.score:
-        n_window = int(window_observations(scene).sum())
+        n_with_sims = int(signal_sim_observations(scene).sum())
         stages["data sets"] = ", ".join(setup.analysis.data_set_names)
-        stages["transfer function"] = f"{scene.score.signal_sims.skies} skies through {n_window} observations"
+        stages["transfer function"] = f"{scene.score.signal_sims.skies} skies through {n_with_sims} observations"
         stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
         if can_forecast(setup):
             stages["forecast"] = "closed form, for each data set"

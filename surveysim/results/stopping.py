@@ -1,7 +1,7 @@
 """Stopping criteria of a run, its best estimate, and the cost of a smaller error.
 
-A run may stop early: its error is small enough, or its time is spent. The decision about the error looks at sums over
-whole boundaries of observations alone, never at workers or clocks.
+A run stops early if its error is small enough or its time is spent. The decision about the error depends on sums over
+fixed numbers of observations only, never on workers or clocks.
 """
 
 import math
@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 
 from surveysim.reduction.cleaning_pipelines import ACTUAL
-from surveysim.reduction.setup import Setup, window_observations
+from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.control_variate import quoted_scores
 from surveysim.runtime.errors import InputError, InsufficientDataError, SceneError
 from surveysim.scene.scene import Scene
@@ -20,12 +20,12 @@ from surveysim.scene.units import to_float
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import DataSetScore, noise_parts
 
-FEWEST = 32  # observations whose scatter tells their error to an eighth; rare ones that lose scans must be among them
-_WINDOWS = 8  # observations that tell what cleaning leaves of the sky: fewer leave seams in its maps
-_SPACING = 8  # of boundaries, up to 128 observations: four pairs of scan directions
+FEWEST = 32  # observations whose scatter gives the error to an eighth, among them rare ones that lose scans
+_FEWEST_WITH_SIMS = 8  # fewest observations with simulated signal: fewer leave seams in the maps of the sky
+_SPACING = 8  # observations between boundaries, up to 128: four pairs of scan directions
 FINE_ERROR = 0.01  # relative error whose cost is printed
 TOLD_ERRORS = (0.03, FINE_ERROR)  # relative errors whose costs are in summary.json
-_SHARE = 0.25  # of the variance that sign flips, or skies, may have in it
+_SHARE = 0.25  # largest fraction of the target variance from sign flips, or from skies
 
 
 @dataclass(frozen=True)
@@ -57,10 +57,10 @@ UNLIMITED = StoppingCriteria()
 
 @dataclass(frozen=True)
 class Estimate:
-    """The actual data's sigma(A) [uK_CMB^2] of the whole survey with its error, as it is quoted everywhere.
+    """Quoted sigma(A) [uK_CMB^2] of the actual data for the whole survey, with its error.
 
-    `kind` is "controlled", with the forecast as control variate, or "plain"; `plain_sigma_ukcmb2` and
-    `plain_error_ukcmb2` are those of the very observations simulated. Errors are NaN where they are unknown.
+    `kind` is "controlled", with the forecast as control variate, or "plain". `plain_sigma_ukcmb2` and
+    `plain_error_ukcmb2` are without a control variate. Unknown errors are NaN.
     """
 
     kind: str
@@ -108,15 +108,15 @@ def parsed_limits(target_error: str | None, time_budget: str | None) -> Stopping
 
 
 def check_limits(setup: Setup, limits: StoppingCriteria) -> None:
-    """Raise SceneError for a target that the scene has no score for."""
+    """Raise SceneError for a target error without a score in the scene."""
     if limits.target_error is not None and setup.scene.score is None:
         raise SceneError("score: missing; a target error is one of sigma(A), which needs it")
 
 
 def stopping_rule(setup: Setup, limits: StoppingCriteria, begun: float) -> Callable[[CoAdds], bool]:
-    """Return whether a run that was `begun` (by `perf_counter`) is to stop at these sums.
+    """Make the function that decides whether a run that was `begun` (by `perf_counter`) stops at given sums.
 
-    The target is looked at where a run may end by it, the budget after every pair of directions.
+    The target is checked at the boundaries of `may_end`, the budget after each pair of scan directions.
     """
 
     def stops(coadds: CoAdds) -> bool:
@@ -131,9 +131,9 @@ def stopping_rule(setup: Setup, limits: StoppingCriteria, begun: float) -> Calla
 
 
 def may_end(scene: Scene, done: int) -> bool:
-    """Return whether a run may end by its target here: a boundary, with window observations enough or all there are."""
-    windows = window_observations(scene)
-    return is_boundary(done) and windows[:done].sum() >= min(_WINDOWS, windows.sum())
+    """Return whether a run may end by its target here: at a boundary, with enough simulated signal."""
+    with_sims = signal_sim_observations(scene)
+    return is_boundary(done) and with_sims[:done].sum() >= min(_FEWEST_WITH_SIMS, with_sims.sum())
 
 
 def is_boundary(done: int) -> bool:
@@ -193,7 +193,9 @@ def error_parts(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -
     item = scores[ACTUAL]
     flips, common = noise_parts(setup, item)
     budget = item.budget
-    return ErrorParts(math.hypot(common, budget.weather), flips, budget.window, budget.population, coadds.each_s)
+    return ErrorParts(
+        math.hypot(common, budget.weather), flips, budget.transfer_function, budget.population, coadds.each_s
+    )
 
 
 def answer_cost(

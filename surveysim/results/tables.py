@@ -6,7 +6,7 @@ from typing import Any
 from surveysim.runtime.numbers import as_known, count, number, quoted_share, short
 from surveysim.runtime.table import SIGMA, Column, Table, column, file_column, quoted_columns, share_text
 
-Content = Mapping[str, Any]  # of summary.json
+Content = Mapping[str, Any]  # content of summary.json
 
 _SHARES = {
     "point_source_flux_removed": "flux removed",
@@ -17,7 +17,7 @@ _ALTERNATIVES = {"weights": "weights of bins", "ell_min": "from ell", "ell_eff":
 
 
 def score_table(scores: Content, source: str = "", meta: Content | None = None) -> Table:
-    """Return the score table: sigma(A) of each data set beside its forecast and the reference.
+    """Return the score table: sigma(A) of each data set with its forecast and the reference.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def over_reference(row: Content) -> tuple[float | None, float | None]:
 
 
 def gain_table(gains: Content, published: Mapping[str, float]) -> Table:
-    """Return ratios of sigma(A) between data sets, beside `published` ones by name."""
+    """Return ratios of sigma(A) between data sets, with `published` ratios by name."""
     rows = list(gains.values())
     columns = [
         column("gain", list(gains), "gain"),
@@ -107,7 +107,7 @@ def cleaning_table(cleaning: Content) -> Table:
 
 
 def alternative_table(rows: Sequence[Content]) -> Table:
-    """Return sigma(A) [uK_CMB^2] of the same data, scored otherwise, from the entry `alternatives`."""
+    """Return sigma(A) [uK_CMB^2] of the same data with other scoring, from the entry `alternatives`."""
     columns = []
     for name in rows[0]:
         unit = "" if name in _ALTERNATIVES else "uK2"
@@ -118,7 +118,7 @@ def alternative_table(rows: Sequence[Content]) -> Table:
 
 
 def agreement_table(agreements: Content) -> Table:
-    """Return forecast over simulation, less 1, of each data set, from the entry `forecast_over_simulated`."""
+    """Return forecast over simulation, minus 1, of each data set, from the entry `forecast_over_simulated`."""
     rows = list(agreements.values())
     columns = [
         column("name", list(agreements), "data set"),
@@ -139,7 +139,7 @@ def _share_column(name: str, rows: list[Content], heading: str) -> Column:
 
 
 def effect_table(forecasts: Content) -> Table:
-    """Return the effects that forecasts neglect, from the entry `forecast`; each of them once."""
+    """Return the effects that forecasts neglect, from the entry `forecast`, each once."""
     seen: dict[str, tuple[str, Content]] = {}
     for name, item in forecasts.items():
         for effect in item["effects"]:

@@ -36,7 +36,7 @@ def _checked(address: str) -> str:
     try:
         parts = urlsplit(address)
         port = parts.port
-    except ValueError as error:  # of a port out of range, or brackets without an address of IPv6
+    except ValueError as error:  # port out of range, or brackets without an IPv6 address
         raise EngineError(f"scheduler: found {shown(address)} ({shown(error)}); {_EXPECTED}") from None
     if parts.scheme not in PROTOCOLS:
         raise EngineError(f"scheduler: found the protocol {shown(parts.scheme)}; {_EXPECTED}")

@@ -33,18 +33,18 @@ try:
 except ImportError:
     raise EngineError("engine 'dask': distributed is not installed; in the clone: pip install '.[cluster]'") from None
 
-UNIT_S = 0.5  # of work in a unit, which costs the scheduler and the way to a worker a few milliseconds
-SCHEDULER_S = 5e-3  # of work in a unit for each worker: at most 200 units a second come to the scheduler
-MOST_ITEMS = 32  # in a unit, whose results travel together
+UNIT_S = 0.5  # work in a unit; sending it costs the scheduler and the network a few milliseconds
+SCHEDULER_S = 5e-3  # work in a unit per worker: the scheduler handles at most 200 units a second
+MOST_ITEMS = 32  # items in a unit; their results are sent together
 TAKEN_AHEAD = 2  # units a worker, so that it does not wait for the parent
-LOOK_S = 2.0  # between looks at whether the cluster has any worker, while its answers are waited for
-WAIT_S = 24 * 3600.0  # for a first worker: as long as a batch queue may take
-SAY_EVERY_S = 300.0  # that it still waits
-ANSWER_S = 60.0  # in which a scheduler that is busy has to answer
-CLOSE_S = 5.0  # for a farewell to the scheduler
+LOOK_S = 2.0  # interval of checks for workers while waiting for answers
+WAIT_S = 24 * 3600.0  # time to wait for a first worker, as long as a batch queue may take
+SAY_EVERY_S = 300.0  # interval of warnings while waiting
+ANSWER_S = 60.0  # longest time for an answer of a busy scheduler
+CLOSE_S = 5.0  # time to close the connection to the scheduler
 DIRECT = {"direct_to_workers": True}
 _ONE_AT_A_TIME = Lock()
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of malloc.h
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # constants of malloc.h
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class _Watch:
     def result(self, unit: Future) -> Answers:
         """Wait for the answers of a unit."""
         while True:
-            with suppress(TimeoutError):  # of this look alone: what a job raises comes in its answers
+            with suppress(TimeoutError):  # only of this check: errors of the job are in its answers
                 return unit.result(timeout=LOOK_S)
             self.workers()
 
@@ -231,7 +231,7 @@ def _started(workers: int) -> LocalCluster:
                 dashboard_address="127.0.0.1:0",
                 silence_logs=logging.CRITICAL,
             )
-    except Exception as error:  # of files, processes or threads that a limit of the machine forbids
+    except Exception as error:  # limits of the machine on files, processes or threads
         raise EngineError(f"engine 'dask': no workers can be started here ({schedulers.reason(error)})") from None
 
 
@@ -260,5 +260,5 @@ def _lost_scheduler() -> Iterator[None]:
         raise EngineError(f"a worker can't load surveysim {__version__}: {schedulers.reason(error)}") from None
     except (CancelledError, OSError):  # closed connections, time-outs
         raise EngineError("the scheduler of the cluster is gone") from None
-    except RuntimeError as error:  # of a client that is no more, or a scheduler that can't read what it gets
+    except RuntimeError as error:  # a closed client, or a scheduler that cannot read the data
         raise EngineError(f"the cluster's scheduler failed: {schedulers.reason(error)}") from None

@@ -17,8 +17,8 @@ from surveysim.runtime.addresses import SHOWN, shown
 from surveysim.runtime.interrupt_signals import ignore_sigint_in_children
 from surveysim.runtime.worker_loss import EngineError
 
-CONNECT_S = 10.0  # in which a scheduler has to answer
-_CONNECTING = 0.8  # of that until a connection is given up, so that its error is still heard
+CONNECT_S = 10.0  # longest time for an answer of a scheduler
+_CONNECTING = 0.8  # fraction of the time after which a connection is given up, so that its error is reported
 _NO_SCHEDULER = "the answer is not that of a scheduler"
 
 Found = TypeVar("Found")
@@ -51,7 +51,7 @@ def within(seconds: float, address: str, ask: Callable[[], Found]) -> Found:
         try:
             with ignore_sigint_in_children():
                 answer.put((ask(), None))
-        except Exception as error:  # dask and the network raise a wide range for what is no scheduler
+        except Exception as error:  # dask and the network raise many types of errors for other programs
             answer.put((None, error))
 
     threading.Thread(target=work, daemon=True).start()

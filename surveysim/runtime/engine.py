@@ -48,7 +48,7 @@ class Engine:
         if self.scheduler is not None and self.kind != "dask":
             raise InputError(f"scheduler: found one for the engine {self.kind!r}; only 'dask' has one")
         if self.scheduler is not None and self.workers is not None:
-            raise InputError("workers: found a number beside a scheduler, which has workers of its own; one of the two")
+            raise InputError("workers: found a number and a scheduler, which has workers of its own; one of the two")
 
     def workers_for(self, items: int) -> int:
         """Number of workers that will process so many items.

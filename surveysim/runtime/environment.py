@@ -14,7 +14,7 @@ from surveysim.runtime.printable import complain
 
 log = logging.getLogger("surveysim")
 
-_OF_FLAGS = ("default", "default::BytesWarning", "error::BytesWarning")  # of -X dev, -b and -bb
+_OF_FLAGS = ("default", "default::BytesWarning", "error::BytesWarning")  # set by -X dev, -b and -bb
 _SIZE = re.compile(r"[1-9][0-9]{1,3}")  # columns or lines
 _temporary_homes: list[str] = []
 

@@ -41,7 +41,7 @@ def as_known(value: float, error: float | None) -> str:
     """A number rounded to two digits of an error, or to three of its own where that is unknown."""
     if error is None or value is None or not math.isfinite(error):
         return number(value)
-    return _fixed(value, 1 - int(f"{error:.1e}".partition("e")[2]))  # of the rounded error: 0.0996 is 0.10
+    return _fixed(value, 1 - int(f"{error:.1e}".partition("e")[2]))  # uses the rounded error: 0.0996 is 0.10
 
 
 def number(value: float | None, digits: int = 3) -> str:

@@ -3,7 +3,7 @@
 import sys
 
 LONGEST = 400  # characters of a line of an error
-MOST_LINES = 10  # of an error
+MOST_LINES = 10  # longest error message
 
 
 def printable(text: object) -> str:

@@ -15,7 +15,7 @@ from surveysim.runtime.interrupt_signals import defer_signals, hide_main_module,
 from surveysim.runtime.worker_loss import LOSSES_ALLOWED, log, too_many_losses
 
 TAKEN_AHEAD = 2  # items that wait at a worker, so that it does not wait for the parent
-ENDS_S = 1.0  # that a process may take to end once its pipe is closed
+ENDS_S = 1.0  # time for a process to end after its pipe is closed
 
 Answer = tuple[Any, Exception | None]
 

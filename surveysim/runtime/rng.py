@@ -24,7 +24,7 @@ class RandomPurpose(IntEnum):
     SKY = 7
     UNCORRELATED = 8
     WHITE = 9
-    WINDOW_SKY = 10
+    SIGNAL_SIM = 10
     JACKKNIFE = 11
     TREND = 12
     CALIBRATION = 13

@@ -2,7 +2,7 @@
 
 import logging
 
-LOSSES_ALLOWED = 3  # of the workers that had an item: one that kills them all is the reason itself
+LOSSES_ALLOWED = 3  # workers lost with the same item; then the item is the probable cause
 
 log = logging.getLogger("surveysim")
 

@@ -66,7 +66,7 @@ class Cleaning(Section):
         if repeated := [name for name in sets if alike.count(name.lower()) > 1]:
             raise ValueError(f"compare: found {repeated[0]!r} more than once; different algorithms are expected")
         for name, steps in zip(sets[1:], self.compare, strict=True):
-            if len(name) > LONGEST_NAME:  # of a data set, which names files and columns
+            if len(name) > LONGEST_NAME:  # the name of a data set is part of file and column names
                 raise ValueError(
                     f"compare: found {len(steps)} algorithms in order, whose names make {len(name)} letters; "
                     f"{LONGEST_NAME} or fewer are expected"

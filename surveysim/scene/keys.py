@@ -1,4 +1,4 @@
-"""All keys of a scene as the guide and the command `keys` list them: meaning, type, unit, range and default."""
+"""All keys of a scene, for the reference and the command `keys`: meaning, type, unit, range and default."""
 
 import json
 import math
@@ -18,7 +18,7 @@ TYPES = {"integer": "integer", "number": "number", "string": "text", "array": "l
 
 @dataclass(frozen=True)
 class SceneSection:
-    """A section of a scene file: its dotted name ("" for the top), whether a list of them, its part of the schema."""
+    """A section of a scene file: dotted name ("" for the top level), whether it is a list, and its schema."""
 
     name: str
     several: bool
@@ -28,14 +28,14 @@ class SceneSection:
 
     @property
     def heading(self) -> str:
-        """As in the file."""
+        """Heading as in the file."""
         if not self.name:
             return "Top of the file"
         return f"`[[{self.name}]]`" if self.several else f"`[{self.name}]`"
 
     @property
     def introduction(self) -> tuple[str, ...]:
-        """Paragraphs about the section; none at the top of the file."""
+        """Paragraphs about the section; none at the top level."""
         if not self.name:
             return ()
         may = "Required." if self.required else "May be left out."
@@ -55,13 +55,13 @@ class KeyRow:
 
 @cache
 def scene_sections() -> tuple[SceneSection, ...]:
-    """All sections in the order of the schema, each before those within it."""
+    """List all sections in the order of the schema, each before its subsections."""
     schema = Scene.model_json_schema()
     return tuple(_walk(schema, SceneSection("", False, True, "", schema)))
 
 
 def all_keys() -> dict[str, dict[str, Any]]:
-    """All keys of a scene by their dotted names, with what the schema says of each."""
+    """Return all keys of a scene by dotted name, with their schema."""
     return {
         f"{section.name}.{name}".lstrip("."): item
         for section in scene_sections()
@@ -70,13 +70,13 @@ def all_keys() -> dict[str, dict[str, Any]]:
 
 
 def section_keys(section: SceneSection) -> dict[str, dict[str, Any]]:
-    """The keys of a section that are no sections themselves, each with what the schema says of it."""
+    """Return the keys of a section, without subsections, with their schema."""
     keys = {name: _flat(item) for name, item in section.schema["properties"].items()}
     return {name: item for name, item in keys.items() if not _reference(item)}
 
 
 def key_rows(section: SceneSection) -> list[KeyRow]:
-    """Rows of the keys of a section, in the order of the schema."""
+    """Return rows of the keys of a section, in the order of the schema."""
     required, keys = section.schema.get("required", ()), section_keys(section)
     return [_row(f"{section.name}.{name}".lstrip("."), item, name in required) for name, item in keys.items()]
 
@@ -97,7 +97,7 @@ def _walk(schema: Mapping[str, Any], section: SceneSection) -> Iterator[SceneSec
 
 
 def _flat(item: Mapping[str, Any]) -> dict[str, Any]:
-    """Flatten the schema of a key that may be left out: its default alone says so."""
+    """Flatten the schema of an optional key."""
     rest = {key: value for key, value in item.items() if key != "anyOf"}
     for choice in item.get("anyOf", ()):
         if choice.get("type") != "null":
@@ -133,7 +133,7 @@ def _in_unit_of(example: str, item: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _rounded(value: float) -> str:
-    """Seven digits where they are all of the number, else three."""
+    """Format a number with seven digits if these are exact, else with three."""
     text = f"{value:.7g}"
     return text if math.isclose(float(text), value, rel_tol=1e-12) else f"{value:.3g}"
 
@@ -185,7 +185,7 @@ def _default(item: Mapping[str, Any], required: bool) -> str:
 
 
 def scene_keys(content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Dotted names and values of all keys of a scene file, its [sweep] aside."""
+    """Return dotted names and values of all keys of a scene file, without its [sweep]."""
     names = {section.name for section in scene_sections()}
     tables = [("", content)]
     while tables:
@@ -200,7 +200,7 @@ def scene_keys(content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 @cache
 def _examples() -> dict[str, str]:
-    """A short value of each key that the scenes that ship use, first of lynx."""
+    """Short example value of each key in the scenes that ship, preferably from lynx."""
     found: dict[str, str] = {}
     for path in sorted(shipped_folder().glob("*.toml"), key=lambda path: (path.stem != "lynx", path.stem)):
         for key, value in scene_keys(tomllib.loads(path.read_text(encoding="utf-8"))):

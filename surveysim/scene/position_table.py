@@ -77,9 +77,9 @@ def _table(lines: list[str]) -> Any:
         raise InputError(f"found {found}; '# %ECSV 1.0' is expected in the first line")
     _check_cells(lines)
     try:
-        with warnings.catch_warnings(action="ignore"):  # of datatypes, which are checked
+        with warnings.catch_warnings(action="ignore"):  # warnings about data types, which are checked here
             table = Table.read(lines, format="ascii.ecsv")
-    except Exception as error:  # astropy and yaml raise a wide range for broken tables
+    except Exception as error:  # astropy and yaml raise many types of errors for broken tables
         reason = one_line(error) or type(error).__name__
         raise InputError(f"not an ECSV table with columns x and y in angular units ({reason})") from None
     return table
@@ -147,7 +147,7 @@ def _column(table: Any, name: str) -> np.ndarray:
         raise InputError(f"row {masked[0] + 1}, column {name!r}: found an empty cell; a number is expected")
     try:
         factor = float(column.unit.to("rad"))
-    except Exception:  # of units that convert to no angle, or that astropy does not know
+    except Exception:  # units that are no angle, or unknown to astropy
         raise InputError(
             f"column {name!r}: found the unit {shown(str(column.unit))}; one of angle like arcsec is expected"
         ) from None

@@ -34,7 +34,7 @@ from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
 from surveysim.scene.units import file_value, shown
 
-MAX_BYTES = 300_000  # of a scene file; with comments they have some 5 kB
+MAX_BYTES = 300_000  # largest scene file; typical ones have 5 kB with comments
 MAX_DEPTH = 20  # tables and lists within each other; scenes have 3
 # A key of so many parts: the parser's time goes as their square.
 _PART = r"""(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)"""
@@ -160,7 +160,7 @@ def read_scene(path: Path) -> tuple[str, dict]:
         content = tomllib.loads(text)
     except RecursionError:
         raise SceneError(f"{path}: nested too deeply; a scene file (TOML) is expected") from None
-    except ValueError as error:  # of TOML and of its dates
+    except ValueError as error:  # invalid TOML or dates
         raise SceneError(f"{path}: not a valid TOML file ({one_line(error)})") from None
     if nested_deeper(content, MAX_DEPTH):
         raise SceneError(f"{path}: nested too deeply; a scene file (TOML) is expected")

@@ -11,7 +11,7 @@ HERE = Path("scenarios")
 
 
 def shipped_folder() -> Path:
-    """Folder of the scenes that ship: within the installed package, or beside the package in a clone."""
+    """Folder of the scenes that ship: within the installed package, or next to the package in a clone."""
     package = Path(__file__).parents[1]
     inside = package / "scenarios"
     return inside if inside.is_dir() else package.parent / "scenarios"

@@ -76,7 +76,7 @@ def to_float(text: object, unit: str) -> float:
             raise InputError(f"found the bare number {shown(text)}; a string with a unit like {unit!r} is expected")
         try:
             return _finite(float(text), text)
-        except OverflowError:  # of an integer
+        except OverflowError:  # too large an integer
             return _finite(math.inf, text)
     match = _QUANTITY.fullmatch(text) if len(text) <= LONGEST_QUANTITY else None
     if match is None:

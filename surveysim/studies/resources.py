@@ -1,4 +1,4 @@
-"""Predicted stages, run time, memory and output size of a run, from a few observations or a block simulated here."""
+"""Predicted stages, run time, memory and output size of a run, measured on a few observations or one block."""
 
 import math
 import os
@@ -12,22 +12,21 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from surveysim.reduction.observation import ObservationResult, observe
-from surveysim.reduction.setup import Setup, window_observations
+from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.results import survey_result
 from surveysim.results.stages import left_out, stages_that_run
 from surveysim.runtime.memory import peak_bytes
 from surveysim.survey.coadds import CoAdds, add_observation, empty_coadds
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.scan_blocks import Block
 
-# Drawing figures takes about twice as long as it takes to start, half as long again with those of a score, and
-# matplotlib holds this much.
+# Time to draw figures over the start-up time, without and with a score, and the memory of matplotlib.
 FIGURE_STARTS, SCORE_FIGURE_STARTS = 2.0, 3.0
 FIGURE_BYTES = 80e6
-# Where the system does not say what a process holds: Python and the libraries.
+# Memory of Python and the libraries, if the system does not report the memory of a process.
 BASE_BYTES = 230e6
-# Stages of an observation that do not take longer the more scans it has, and those of window skies.
+# Stages whose time does not depend on the number of scans, and stages of signal simulations.
 ONCE, SKIES = ("figure_of_merit", "weights"), ("transfer_function",)
 
 
@@ -61,12 +60,15 @@ class Plan:
 
 @dataclass(frozen=True)
 class _Measured:
-    """Seconds of a process's first observation beyond another's, of one without and with window skies, of adding one
-    to the sums and of scoring them; and the most memory that this process has held."""
+    """CPU times [s] and peak memory of this process.
+
+    `first_s` is the extra time of the first observation, `plain_s` and `with_sims_s` the times of an observation
+    without and with signal simulations, `adding_s` of co-adding one, `scoring_s` of scoring the sums.
+    """
 
     first_s: float
     plain_s: float
-    window_s: float
+    with_sims_s: float
     adding_s: float
     scoring_s: float
     memory_bytes: float
@@ -87,16 +89,16 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
         CPU time [s] of the start and of preparing `setup`; worker processes take it once more.
     """
     scene = setup.scene
-    n_window = int(window_observations(scene).sum())
+    n_with_sims = int(signal_sim_observations(scene).sum())
     parallel = min(workers, scene.observations, os.cpu_count() or 1)
     with threadpool_limits(1):  # as in a run
         measured = _measure(setup) if len(setup.observing.blocks) == 1 else _measure_block(setup)
-    observing_s = (scene.observations - n_window) * measured.plain_s + n_window * measured.window_s
-    # Sums are made by the first process, which else waits for the workers.
+    observing_s = (scene.observations - n_with_sims) * measured.plain_s + n_with_sims * measured.with_sims_s
+    # The first process makes the sums; otherwise it waits for the workers.
     summing_s = scene.observations * measured.adding_s
     working_s = observing_s + summing_s if parallel == 1 else max(observing_s / parallel, summing_s)
     figures_s = start_s * (SCORE_FIGURE_STARTS if scene.score else FIGURE_STARTS)
-    samples = setup.camera.n_det * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
+    samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
     coadds = empty_coadds(setup)
     maps = coadds.sums.nbytes + coadds.weight.nbytes + coadds.hits.nbytes
     return Plan(
@@ -113,19 +115,19 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
 
 def _measure(setup: Setup) -> _Measured:
     """Time observations with warm caches; the first one makes the longest strip of the layer."""
-    carries = window_observations(setup.scene)
+    carries = signal_sim_observations(setup.scene)
     plain = int(np.argmin(carries))
     first_s = _timed(observe, setup, _windiest(setup), False)[0] + _timed(observe, setup, plain, False)[0]
     plain_s, result = _timed(observe, setup, plain, False)
-    window_s = plain_s
+    with_sims_s = plain_s
     if carries.any():
-        window_s, result = _timed(observe, setup, int(np.argmax(carries)), True)
-    return _with_sums(setup, result, max(0.0, first_s - 2 * plain_s), plain_s, window_s)
+        with_sims_s, result = _timed(observe, setup, int(np.argmax(carries)), True)
+    return _with_sums(setup, result, max(0.0, first_s - 2 * plain_s), plain_s, with_sims_s)
 
 
 def _measure_block(setup: Setup) -> _Measured:
-    """Time a block of the most scans and one of a single scan with warm caches; extrapolate to a whole observation."""
-    carries = window_observations(setup.scene)
+    """Time the longest block and a block of one scan with warm caches; extrapolate to a whole observation."""
+    carries = signal_sim_observations(setup.scene)
     most = max(block.n_scans for block in setup.observing.blocks)
     block, scan = (_of_one_block(setup, n) for n in (most, 1))
     which = _windiest(setup), bool(carries.any())
@@ -133,41 +135,43 @@ def _measure_block(setup: Setup) -> _Measured:
     scan_s, timed = _timed(observe, scan, *which)
     total = sum(timed.seconds.values())
     once_s, skies_s = (scan_s * sum(timed.seconds.get(name, 0.0) for name in names) / total for names in (ONCE, SKIES))
-    window_s = once_s + (scan_s - once_s) * setup.observing.raster.n_scans
+    with_sims_s = once_s + (scan_s - once_s) * setup.observing.scans.n_scans
     first_s = max(0.0, block_s - once_s - (scan_s - once_s) * most)
-    return _with_sums(setup, result, first_s, window_s - skies_s * setup.observing.raster.n_scans, window_s)
+    return _with_sums(setup, result, first_s, with_sims_s - skies_s * setup.observing.scans.n_scans, with_sims_s)
 
 
 def _of_one_block(setup: Setup, n_scans: int) -> Setup:
-    """Replace the blocks of a setup by one of some scans."""
+    """Replace the blocks of a setup by one block of `n_scans` scans."""
     return replace(setup, observing=replace(setup.observing, blocks=(Block(0, 0, n_scans),)))
 
 
-def _with_sums(setup: Setup, result: ObservationResult, first_s: float, plain_s: float, window_s: float) -> _Measured:
-    """Add to the times of observations those of co-adding one and of scoring the sums."""
+def _with_sums(
+    setup: Setup, result: ObservationResult, first_s: float, plain_s: float, with_sims_s: float
+) -> _Measured:
+    """Measure the times of co-adding an observation and of scoring the sums."""
     coadds = empty_coadds(setup)
     for number in range(min(2, setup.scene.observations)):  # once caches are warm, where there is a second
         adding_s, _ = _timed(add_observation, setup, coadds, replace(result, observation=number))
     scoring_s = _scoring(setup, coadds)
     held = peak_bytes()
     held = BASE_BYTES if math.isnan(held) else held
-    return _Measured(first_s, plain_s, window_s, adding_s, scoring_s, held)
+    return _Measured(first_s, plain_s, with_sims_s, adding_s, scoring_s, held)
 
 
 def _scoring(setup: Setup, coadds: CoAdds) -> float:
-    """Seconds that it takes to score sums; of two equal observations it takes as long as of many."""
+    """Time to score the sums [s]; it does not depend on the number of observations."""
     return _timed(partial(survey_result, wall_s=0.0, workers=1), setup, coadds)[0] if setup.scene.score else 0.0
 
 
 def _timed(work: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
-    # The processor's time, so that what else runs here is not predicted too.
+    # CPU time, which other processes on this machine do not change.
     start = process_time()
     result = work(*arguments)
     return process_time() - start, result
 
 
 def _windiest(setup: Setup) -> int:
-    """The observation whose layer moves fastest, and so takes the longest strip; the first without a layer."""
+    """Observation with the fastest motion of the layer, hence the longest strip; the first without a layer."""
     if setup.scene.atmosphere is None:
         return 0
     weathers = [observation_weather(setup, observation) for observation in range(setup.scene.observations)]

@@ -20,16 +20,16 @@ from surveysim.reduction.setup import Setup
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import scene_hash
 from surveysim.survey.coadds import CoAdds, empty_coadds, row_names
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 
 NAME = "checkpoint.h5"
-REASON = 150  # letters of the reason why a file is refused
+REASON = 150  # longest reason for refusing a file, in characters
 
-_ARRAYS = ("sums", "weight", "hits", "flipped", "window", "window_weight")
+_ARRAYS = ("sums", "weight", "hits", "flipped", "signal_maps", "signal_weight")
 _LISTS = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")
 _AGAIN = "delete it and go on with --resume"
-_LARGEST = 1e30  # of any sum: maps, in single precision, hold up to 3e38
-_USER_BLOCK = 512  # bytes, the least that HDF5 has
+_LARGEST = 1e30  # bound of all sums: maps, in single precision, hold up to 3e38
+_USER_BLOCK = 512  # bytes, the smallest of HDF5
 _MARK = b"surveysim checkpoint, SHA-256 of what follows this block: "
 
 
@@ -90,7 +90,7 @@ def load_checkpoint(path: Path, setup: Setup) -> CoAdds:
         seconds = _checked_seconds(meta)
     except CheckpointError:
         raise
-    except Exception as error:  # HDF5 and JSON readers raise a wide range for what is none
+    except Exception as error:  # HDF5 and JSON readers raise many types of errors for other files
         reason = one_line(error, REASON)
         raise CheckpointError(f"{path}: not what a run of this scene writes ({reason}); {_AGAIN}") from None
     rows = arrays.pop("rows")
@@ -131,7 +131,7 @@ def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
     done = file["rows"].shape[0]
     if done > setup.scene.observations:
         raise ValueError(f"{done} observations, {setup.scene.observations} are in the survey")
-    n_freq, n_compared = samples_per_scan(setup.observing.raster) // 2 + 1, len(setup.analysis.whole_pipelines) - 1
+    n_freq, n_compared = samples_per_scan(setup.observing.scans) // 2 + 1, len(setup.analysis.whole_pipelines) - 1
     shapes = {name: getattr(expected, name).shape for name in _ARRAYS}
     of_one: dict[str, tuple[int, ...]] = {
         "rows": (len(row_names(setup)),),
@@ -158,7 +158,7 @@ def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     for name in (*_ARRAYS, "raw_psd", "clean_psd", "compared_psd"):
         if not (np.abs(arrays[name]) < _LARGEST).all():
             raise ValueError(f"{name} has values that are not finite, or above {_LARGEST:g}")
-    for name in ("weight", "hits", "window_weight", "raw_psd", "clean_psd", "compared_psd"):
+    for name in ("weight", "hits", "signal_weight", "raw_psd", "clean_psd", "compared_psd"):
         if (arrays[name] < 0).any():
             raise ValueError(f"{name} has negative values")
     if not (arrays["bin_noise"] >= 0).all():  # infinite where an observation has no data
@@ -183,7 +183,7 @@ def _check_rows(columns: Mapping[str, np.ndarray], setup: Setup) -> None:
     if not np.array_equal(columns["observation"], np.arange(len(columns["observation"]))):
         raise ValueError("rows are not those of the first observations in order")
     for name, column in columns.items():
-        if name.startswith("discarded_") and not ((column >= 0) & (column <= setup.observing.raster.n_scans)).all():
+        if name.startswith("discarded_") and not ((column >= 0) & (column <= setup.observing.scans.n_scans)).all():
             raise ValueError(f"{name} has other values than numbers of scans")
         if name.startswith(("noise_mk2_", "b2_mk2", "pwv_mm", "wind_speed")) and (column < 0).any():
             raise ValueError(f"{name} has negative values")
@@ -193,7 +193,7 @@ def check_streams(directory: Path, setup: Setup, done: int) -> None:
     """Raise CheckpointError for saved time-streams of the first `done` observations of another scene."""
     identity, n_samp = (
         scene_hash(setup.scene),
-        setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster),
+        setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans),
     )
     for number in range(done):
         path = directory / f"{number:04d}.h5"
@@ -213,7 +213,7 @@ def _is_stream(path: Path, shape: tuple[int, int], identity: str, number: int) -
         with h5py.File(path, "r") as file:
             same = file.attrs["scene_sha256"] == identity and file.attrs["observation"] == number
             return bool(same) and file["data"].shape == shape
-    except Exception:  # HDF5's readers raise a wide range for what is none
+    except Exception:  # HDF5 readers raise many types of errors for other files
         return False
 
 

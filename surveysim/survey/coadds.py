@@ -36,9 +36,9 @@ class CoAdds:
         Sums of w S, w H and H.
     flipped : (K, n_set, n, n)
         Sums with random signs on the scored patch.
-    window : (n_sky, n_window, 2, n, n)
+    signal_maps : (n_sky, n_transfer, 2, n, n)
         Signal simulations on the patch.
-    window_weight : (n_window, n, n)
+    signal_weight : (n_transfer, n, n)
     rows
         One tuple per observation (`row_names`).
     bin_noise : (n_obs, n_set, n_bin)
@@ -51,8 +51,8 @@ class CoAdds:
     weight: np.ndarray
     hits: np.ndarray
     flipped: np.ndarray
-    window: np.ndarray
-    window_weight: np.ndarray
+    signal_maps: np.ndarray
+    signal_weight: np.ndarray
     rows: list[tuple[float, ...]] = field(default_factory=list)
     bin_noise: list[np.ndarray] = field(default_factory=list)
     raw_psd: list[np.ndarray] = field(default_factory=list)
@@ -86,8 +86,8 @@ class CoAdds:
 
 
 def empty_coadds(setup: Setup) -> CoAdds:
-    """Make sums over no observation."""
-    n_set, n_window = len(setup.analysis.data_set_names), len(setup.analysis.windows)
+    """Make sums over zero observations."""
+    n_set, n_transfer = len(setup.analysis.data_set_names), len(setup.analysis.transfer_function_names)
     shape = (setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
     n_flip = n_sky = n = 0
     if setup.scene.score:
@@ -98,8 +98,8 @@ def empty_coadds(setup: Setup) -> CoAdds:
         weight=np.zeros((n_set, *shape)),
         hits=np.zeros((n_set, *shape), np.int64),
         flipped=np.zeros((n_flip, n_set, n, n)),
-        window=np.zeros((n_sky, n_window, 2, n, n)),
-        window_weight=np.zeros((n_window, n, n)),
+        signal_maps=np.zeros((n_sky, n_transfer, 2, n, n)),
+        signal_weight=np.zeros((n_transfer, n, n)),
     )
 
 
@@ -126,7 +126,7 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
     weights = noise_weights(result.noise_mk2)
     sign = jackknife_signs(setup, result.observation)
     patch = setup.analysis.region.patch if setup.analysis.region else slice(0, 0)
-    # All that could fail for want of memory comes before the first sum: none is left half done.
+    # Everything that could fail for lack of memory comes before the first sum: an observation is added whole.
     sums = weights[:, None, None] * result.sums.astype(float)
     hits = weights[:, None, None] * result.hits
     for s, weighted in enumerate(sums):
@@ -135,8 +135,8 @@ def add_observation(setup: Setup, coadds: CoAdds, result: ObservationResult) -> 
         if len(sign):
             add_signed(coadds.flipped[:, s], np.ascontiguousarray(weighted[patch, patch]), sign)
     coadds.hits += result.hits
-    if result.window is not None:
-        _add_window(setup, coadds, result, weights)
+    if result.signal_maps is not None:
+        _add_signal_maps(setup, coadds, result, weights)
     coadds.rows.append(_row(result))
     coadds.bin_noise.append(result.bin_noise_mk2)
     coadds.raw_psd.append(result.raw_psd)
@@ -178,23 +178,23 @@ def lost_scans(setup: Setup, coadds: CoAdds) -> np.ndarray:
     if setup.analysis.chooses:
         whole = [pipeline.data_set for pipeline in setup.analysis.whole_pipelines]
         best = best_places(np.array([columns[f"merit_{TARGETS[0]}_{name}"] for name in whole]))
-        # Without any merit the first pipeline is taken.
+        # Without a figure of merit, take the first pipeline.
         counts[OPTIMAL] = np.array([counts[name] for name in whole])[np.maximum(best, 0), np.arange(len(best))]
     return np.stack([counts.get(name, counts[ACTUAL]) for name in setup.analysis.data_set_names], axis=1)
 
 
 def kept_shares(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
     """Compute the fraction (n_obs,) of kept scans of each observation so far, by data set."""
-    kept = 1 - lost_scans(setup, coadds) / setup.observing.raster.n_scans
+    kept = 1 - lost_scans(setup, coadds) / setup.observing.scans.n_scans
     return dict(zip(setup.analysis.data_set_names, kept.T, strict=True))
 
 
-def _add_window(setup: Setup, coadds: CoAdds, result: ObservationResult, weights: np.ndarray) -> None:
+def _add_signal_maps(setup: Setup, coadds: CoAdds, result: ObservationResult, weights: np.ndarray) -> None:
     patch = setup.analysis.region.patch
-    for place, name in enumerate(setup.analysis.windows):
+    for place, name in enumerate(setup.analysis.transfer_function_names):
         data_set = setup.analysis.data_set_names.index(name)
-        coadds.window[:, place] += weights[data_set] * result.window[:, place]
-        coadds.window_weight[place] += weights[data_set] * result.hits[data_set][patch, patch]
+        coadds.signal_maps[:, place] += weights[data_set] * result.signal_maps[:, place]
+        coadds.signal_weight[place] += weights[data_set] * result.hits[data_set][patch, patch]
 
 
 def _row(result: ObservationResult) -> tuple[float, ...]:

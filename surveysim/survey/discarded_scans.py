@@ -1,9 +1,9 @@
-"""Shares of discarded scans, by data set and by weather, and the warnings that they call for.
+"""Fractions of discarded scans by data set and weather, and warnings about them.
 
-Cleaning discards a scan whose templates it can't fit. Where responsivities are fitted on the atmosphere of the scan,
-these are scans that see it change little: in the calmest weather, hence the best data, or while they go along with the
-wind at about its speed. A survey that loses a share of them loses more than that share of its information, and two
-points of a sweep that lose different shares differ for that reason alone.
+Cleaning discards a scan if its template fit does not converge. Where responsivities are fitted to the atmosphere of
+each scan, these are scans in which the atmosphere changes little: in the calmest weather, hence the best data, or when
+the scan moves with the wind at about its speed. A survey that loses a fraction of its scans loses more than that
+fraction of its information. Two points of a sweep with different fractions differ for that reason alone.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,22 +16,22 @@ from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.setup import Setup
 from surveysim.survey.coadds import CoAdds, lost_scans
 
-MOST_DISCARDED = 0.05  # share of the scans from which a score is not to be trusted
-MOST_APART = 0.02  # difference of these shares from which two points are not to be compared
+MOST_DISCARDED = 0.05  # largest fraction of discarded scans at which a score is trusted
+MOST_APART = 0.02  # largest difference of the fractions at which two points are compared
 WEATHER_GROUPS = 4  # quarters of the observations by their B2
 REMEDY = 'Remedy: cleaning.responsivities = "observation" or "survey", longer scans, or cleaning by "pca"'
-_ROUNDING = 1e-9  # of a difference of shares
+_ROUNDING = 1e-9  # rounding error of a difference of fractions
 
 Shares = Mapping[str, float]  # by data set
 
 
 @dataclass(frozen=True)
 class Discards:
-    """Share of discarded scans by data set, of all observations and of quarters of them.
+    """Fractions of discarded scans by data set, for all observations and for quarters of them.
 
-    The simulated sets lose the scans of the actual data. `by_weather` has the calmest quarter first, and is empty
-    without an atmosphere: each has its lowest and highest B2 (`b2_min_mk2`, `b2_max_mk2` [mK^2 rad^(2-b)]), how many
-    `observations` it has, and the share `discarded` by data set.
+    The noise-only sets discard the scans of the actual data. `by_weather` starts with the calmest quarter and is empty
+    without an atmosphere. Each entry has its lowest and highest B2 (`b2_min_mk2`, `b2_max_mk2` [mK^2 rad^(2-b)]), its
+    number of `observations`, and the fraction `discarded` by data set.
     """
 
     shares: dict[str, float]
@@ -39,9 +39,9 @@ class Discards:
 
     @property
     def warnings(self) -> list[str]:
-        """A line for each data set that loses too many scans."""
-        names = [name for name in telling([self.shares]) if self.shares[name] > MOST_DISCARDED + _ROUNDING]
-        return [f"{self._of(name)}; such a survey is not the one that was asked for. {REMEDY}." for name in names]
+        """One line for each data set that loses too many scans."""
+        names = [name for name in listed_data_sets([self.shares]) if self.shares[name] > MOST_DISCARDED + _ROUNDING]
+        return [f"{self._of(name)}; the score is then for fewer scans than requested. {REMEDY}." for name in names]
 
     def _of(self, name: str) -> str:
         text = f"{name}: {percent(self.shares[name])} of the scans are discarded"
@@ -51,7 +51,7 @@ class Discards:
 
 
 def discards(setup: Setup, coadds: CoAdds) -> Discards:
-    """Shares of discarded scans in the observations so far, of which there is at least one."""
+    """Compute the fractions of discarded scans in the observations so far, at least one."""
     lost, b2 = lost_scans(setup, coadds), coadds.column("b2_mk2")
     order = np.zeros(0, int) if np.isnan(b2).any() else np.argsort(b2, kind="stable")
     parts = np.array_split(order, min(WEATHER_GROUPS, len(order))) if len(order) else []
@@ -68,18 +68,18 @@ def discards(setup: Setup, coadds: CoAdds) -> Discards:
 
 
 def _shares(setup: Setup, lost: np.ndarray) -> dict[str, float]:
-    scans = len(lost) * setup.observing.raster.n_scans
+    scans = len(lost) * setup.observing.scans.n_scans
     return dict(zip(setup.analysis.data_set_names, (lost.sum(axis=0) / scans).tolist(), strict=True))
 
 
-def telling(shares: Sequence[Shares]) -> list[str]:
-    """Data sets whose shares are worth a column: the actual one, and those that differ from it anywhere."""
+def listed_data_sets(shares: Sequence[Shares]) -> list[str]:
+    """List the data sets whose fractions deserve a column: the actual data, and sets that differ from it anywhere."""
     names = dict.fromkeys(name for item in shares for name in item)
     return [name for name in names if name == ACTUAL or any(item.get(name) != item.get(ACTUAL) for item in shares)]
 
 
 def percent(share: float) -> str:
-    """``18.4 %``."""
+    """Format a fraction as ``18.4 %``."""
     return f"{100 * share:.1f} %"
 
 
@@ -87,15 +87,15 @@ def percent(share: float) -> str:
 
 
 def competing(shares: np.ndarray) -> np.ndarray:
-    """Return whether each point (n,) may be called the best with a probability, by its share of discarded scans.
+    """Return whether each point (n,) may have a probability of being the best, by its fraction of discarded scans.
 
-    Those that lose no more than `MOST_DISCARDED`, and no more than `MOST_APART` above the one that loses least.
+    Such points lose at most `MOST_DISCARDED`, and at most `MOST_APART` more than the point that loses least.
     """
     return (shares <= MOST_DISCARDED + _ROUNDING) & (shares <= min(shares, default=0.0) + MOST_APART + _ROUNDING)
 
 
 def why_withheld(share: float, least: float) -> str:
-    """Why a point of a sweep that loses a share of its scans has no probability of being the best."""
+    """Explain why a point of a sweep has no probability of being the best."""
     if share > MOST_DISCARDED + _ROUNDING:
         return f"{percent(share)} of its scans are discarded, more than {100 * MOST_DISCARDED:g} %"
     if share > least + MOST_APART + _ROUNDING:
@@ -104,12 +104,15 @@ def why_withheld(share: float, least: float) -> str:
 
 
 def sweep_warnings(labels: Sequence[str], shares: Sequence[Shares]) -> list[str]:
-    """A line for each data set that loses too many scans at some points, or shares that differ too much between points.
+    """Return one line for each data set with too many discarded scans at some points, or with too different fractions.
 
-    `labels` and `shares` are those of the points.
+    Parameters
+    ----------
+    labels, shares
+        Label, and fraction of discarded scans by data set, of each point.
     """
     found = []
-    for name in telling(shares):
+    for name in listed_data_sets(shares):
         known = [(item[name], label) for label, item in zip(labels, shares, strict=True) if name in item]
         if lines := [line for line in (_too_many(known), _too_different(known)) if line]:
             found.append(f"{name}: {'; '.join(lines)}. {REMEDY}.")

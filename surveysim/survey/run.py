@@ -6,14 +6,14 @@ from pathlib import Path
 from time import monotonic
 
 from surveysim.reduction.observation import ObservationResult, observe
-from surveysim.reduction.setup import Setup, prepare, window_observations
+from surveysim.reduction.setup import Setup, prepare, signal_sim_observations
 from surveysim.runtime.engine import SERIAL, Engine, defer_signals, ordered_map
 from surveysim.scene.scene import Scene, scene_hash
 from surveysim.survey.checkpoint import check_streams, load_checkpoint, save_checkpoint
 from surveysim.survey.coadds import CoAdds, add_observation, empty_coadds
 
 CHECKPOINT_SECONDS = 10.0  # between checkpoints
-CHECKPOINT_SHARE = 0.05  # of the time at most goes into them
+CHECKPOINT_SHARE = 0.05  # largest fraction of the time for checkpoints
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class ObservationJob:
 
     def __call__(self, observation: int) -> ObservationResult:
         """Simulate, clean and bin; write the streams if asked."""
-        with_window = bool(window_observations(self.scene)[observation])
+        with_signal_sims = bool(signal_sim_observations(self.scene)[observation])
         path = None if self.timestream_dir is None else self.timestream_dir / f"{observation:04d}.h5"
-        return observe(prepare(self.scene), observation, with_window, path)
+        return observe(prepare(self.scene), observation, with_signal_sims, path)
 
 
 def run_observations(
@@ -80,7 +80,7 @@ def run_observations(
     results = ordered_map(ObservationJob(setup.scene, streams), left, engine)
     try:
         for result in results:
-            # An observation is in the sums whole or not at all: a checkpoint may be made of them any time.
+            # Observations are added whole, so a checkpoint can be made at any time.
             with defer_signals():
                 add_observation(setup, coadds, result)
             progress(coadds)

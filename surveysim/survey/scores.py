@@ -66,7 +66,7 @@ class DataSetScore:
         Noise PSDs of the sign-flipped co-adds [uK_CMB^2 sr].
     signal_psd : (n_bin,)
         PSD of a flat spectrum of unit band power in the map [sr].
-    window
+    transfer_function
         Transfer function of its pipeline and detectors.
     weights : (n_obs,)
         Weights of the observations [1/mK^2 per sample]; 0 without data.
@@ -87,7 +87,7 @@ class DataSetScore:
     budget: ErrorBudget
     noise_psds: np.ndarray
     signal_psd: np.ndarray
-    window: TransferFunction
+    transfer_function: TransferFunction
     weights: np.ndarray
     bin_noise: np.ndarray
     kept: np.ndarray | float = 1.0
@@ -141,8 +141,9 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
     kept = kept_shares(setup, coadds)
     if not kept[ACTUAL].any():
         raise InsufficientDataError("cleaning discarded all scans; some scans of 2 or more observations are expected")
-    windows = [
-        _window(setup, coadds, place, setup.analysis.region.rings) for place in range(len(setup.analysis.windows))
+    transfer_functions = [
+        _transfer_function(setup, coadds, place, setup.analysis.region.rings)
+        for place in range(len(setup.analysis.transfer_function_names))
     ]
     weights = noise_weights(coadds.noise_mk2())
     scores = {}
@@ -150,10 +151,10 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
         name = item.name
         if names is None or name in names:
             psds = _noise_psds(setup, coadds, s, setup.analysis.region.rings)
-            window = windows[setup.analysis.window_of(name)]
+            transfer_function = transfer_functions[setup.analysis.transfer_function_index(name)]
             bin_noise = np.array(coadds.bin_noise)[:, s]
             scores[name] = _score(
-                setup, item, psds, window, weights=weights[:, s], bin_noise=bin_noise, kept=kept[name]
+                setup, item, psds, transfer_function, weights=weights[:, s], bin_noise=bin_noise, kept=kept[name]
             )
     return scores
 
@@ -206,7 +207,7 @@ def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
         setup,
         item,
         item.noise_psds,
-        item.window,
+        item.transfer_function,
         weights=item.weights,
         bin_noise=item.bin_noise,
         kept=item.kept,
@@ -221,8 +222,8 @@ def sector_sigma(setup: Setup, coadds: CoAdds, item: DataSetScore) -> float:
     noise = _noise_psds(setup, coadds, setup.analysis.data_set_names.index(item.name), sectors).mean(axis=0)
     if item.control is not None:
         noise = noise * np.repeat(item.control.factor[setup.analysis.region.selected], N_SECTORS)
-    window = _window(setup, coadds, setup.analysis.window_of(item.name), sectors)
-    signal = setup.analysis.region.sector_psd * window.transmission
+    transfer_function = _transfer_function(setup, coadds, setup.analysis.transfer_function_index(item.name), sectors)
+    signal = setup.analysis.region.sector_psd * transfer_function.transmission
     return flat_band_power(noise, signal, sectors.n_modes, np.ones(len(noise), bool))
 
 
@@ -244,17 +245,17 @@ def error_modes(items: Sequence[DataSetScore], skies: Sequence[Hashable]) -> np.
     item, and the norm of the difference of two rows that of their ratio; what both respond to alike cancels.
     Responses are those of `mapmaker.bandpower`: to the noise, one mode for each of the sign-flipped co-adds, whose
     signs are common; to the weather, one for each observation, common too (of controlled scores how its information
-    differs from the forecast's); to the window, one for each sky and bin, common to items whose `skies` and bins are
-    equal; to the sample of weather that expectations are taken from, common to all. An unknown error makes its row NaN.
-    How far noise is common shows in the scatter of K co-adds: its correlation between two items is known to
-    1 / sqrt(K - 1). How far windows are shows in what each sky does to each bin.
+    differs from the forecast's); to the transfer function, one for each sky and bin, common to items whose `skies` and
+    bins are equal; to the sample of weather that expectations are taken from, common to all. An unknown error makes its
+    row NaN. How far noise is common shows in the scatter of K co-adds: its correlation between two items is known to
+    1 / sqrt(K - 1). How far transfer functions are common shows in what each sky does to each bin.
     """
     groups = [(key, item.band.ell.tobytes()) for item, key in zip(items, skies, strict=True)]
-    window = [_window_row(item) for item in items]
+    transfer = [_transfer_function_row(item) for item in items]
     rows_of = (_noise_row, _weather_row, lambda item: np.array([item.budget.population]))
     columns = [_stacked([row(item) for item in items]) for row in rows_of]
     for group in dict.fromkeys(groups):
-        rows = [row if own == group else row[:0] for row, own in zip(window, groups, strict=True)]
+        rows = [row if own == group else row[:0] for row, own in zip(transfer, groups, strict=True)]
         if groups.count(group) == 1:  # shared with nobody: one mode has it all
             rows = [np.atleast_1d(np.linalg.norm(row)) if len(row) else row for row in rows]
         columns.append(_stacked(rows))
@@ -271,11 +272,13 @@ def _weather_row(item: DataSetScore) -> np.ndarray:
     return _of_norm(item.budget.weather, item.information - item.expected)
 
 
-def _window_row(item: DataSetScore) -> np.ndarray:
-    used, window = item.band.weight > 0, item.window
-    row = np.zeros(window.deviations.shape)
-    row[:, used] = -item.band.weight[used] * window.deviations[:, used] / window.transmission[used]
-    return _of_norm(item.budget.window, row.ravel())
+def _transfer_function_row(item: DataSetScore) -> np.ndarray:
+    used, transfer_function = item.band.weight > 0, item.transfer_function
+    row = np.zeros(transfer_function.deviations.shape)
+    row[:, used] = (
+        -item.band.weight[used] * transfer_function.deviations[:, used] / transfer_function.transmission[used]
+    )
+    return _of_norm(item.budget.transfer_function, row.ravel())
 
 
 def _of_norm(norm: float, row: np.ndarray) -> np.ndarray:
@@ -295,14 +298,14 @@ def _score(
     setup: Setup,
     item: DataSet | DataSetScore,
     psds: np.ndarray,
-    window: TransferFunction,
+    transfer_function: TransferFunction,
     *,
     weights: np.ndarray,
     bin_noise: np.ndarray,
     kept: np.ndarray | float,
     selected: np.ndarray | None = None,
 ) -> DataSetScore:
-    rings, signal = setup.analysis.region.rings, setup.analysis.region.signal_psd * window.transmission
+    rings, signal = setup.analysis.region.rings, setup.analysis.region.signal_psd * transfer_function.transmission
     selected = setup.analysis.region.selected if selected is None else selected
     shares = information_shares(
         weights, kept, bin_noise, bin_weights(psds.mean(axis=0), signal, rings.n_modes, selected)
@@ -310,7 +313,7 @@ def _score(
     band, budget = score(
         psds,
         signal,
-        signal_psd_relative_error=_window_errors(window),
+        signal_psd_relative_error=_transfer_function_errors(transfer_function),
         n_modes=rings.n_modes,
         mask=selected,
         observation_weights=weights[weights > 0],
@@ -319,13 +322,17 @@ def _score(
         information=shares,
         correlation=setup.analysis.region.correlation,
     )
-    return DataSetScore(item.name, item.kind, item.n_det, band, budget, psds, signal, window, weights, bin_noise, kept)
+    return DataSetScore(
+        item.name, item.kind, item.n_det, band, budget, psds, signal, transfer_function, weights, bin_noise, kept
+    )
 
 
-def _window_errors(window: TransferFunction) -> np.ndarray:
+def _transfer_function_errors(transfer_function: TransferFunction) -> np.ndarray:
     """Compute relative errors (n_bin,) of the transfer function."""
-    none = np.zeros_like(window.transmission)
-    return np.divide(window.error, window.transmission, out=none, where=window.transmission > 0)
+    none = np.zeros_like(transfer_function.transmission)
+    return np.divide(
+        transfer_function.error, transfer_function.transmission, out=none, where=transfer_function.transmission > 0
+    )
 
 
 def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> np.ndarray:
@@ -352,16 +359,16 @@ def flux_removed(setup: Setup, coadds: CoAdds) -> dict[str, float]:
     if not setup.analysis.chooses:
         return {}
     removed = {}
-    for place, name in enumerate(setup.analysis.windows):
-        without, cleaned = weighted_mean(coadds.window[-1, place], coadds.window_weight[place])
+    for place, name in enumerate(setup.analysis.transfer_function_names):
+        without, cleaned = weighted_mean(coadds.signal_maps[-1, place], coadds.signal_weight[place])
         peak = without > PEAK * without.max()
         removed[name] = 1 - float(cleaned[peak].sum() / without[peak].sum())
     return removed
 
 
-def _window(setup: Setup, coadds: CoAdds, place: int, rings: Annuli) -> TransferFunction:
+def _transfer_function(setup: Setup, coadds: CoAdds, place: int, rings: Annuli) -> TransferFunction:
     skies = setup.scene.score.signal_sims.skies
-    maps = weighted_mean(coadds.window[:skies, place], coadds.window_weight[place])
+    maps = weighted_mean(coadds.signal_maps[:skies, place], coadds.signal_weight[place])
     psd = _psd(setup, maps, rings)
     return measure_transfer_function(psd[:, 1], psd[:, 0], rings.ell)
 

@@ -103,10 +103,10 @@ def total_efficiency(section: InstrumentSection) -> float:
 
 
 def _layout_positions(section: InstrumentSection) -> np.ndarray:
-    """Positions (n, 2) [rad] of a layout, dead ones among them.
+    """Positions (n, 2) [rad] of a layout, including dead ones.
 
-    A round field of view holds as many pixels as its area does cells, those nearest to its centre: were they counted by
-    their centres, the area that they pack would jump with the pitch by a fifth.
+    A round field of view holds as many pixels as its area holds cells, those nearest to its centre. Counting pixels
+    with centres inside would make the number jump by a fifth as the pitch changes.
     """
     layout, pitch = section.layout, section.layout.pitch_f_lambda * section.f_lambda_rad
     if layout.rings is not None:
@@ -136,7 +136,7 @@ def hexagon(rings: int, pitch: float) -> np.ndarray:
 
 
 def without(positions: np.ndarray, dead: tuple[int, ...]) -> np.ndarray:
-    """Positions less the dead ones; raises ValueError for one that does not exist or appears twice."""
+    """Remove dead positions; raises an error for a number that does not exist or appears twice."""
     wrong = [index for index in dead if not 0 <= index < len(positions)]
     if wrong or len(set(dead)) != len(dead):
         raise SceneError(
@@ -148,7 +148,7 @@ def without(positions: np.ndarray, dead: tuple[int, ...]) -> np.ndarray:
 
 
 def check_distinct(positions: np.ndarray) -> None:
-    """Raise ValueError when two detectors have one position (within 1e-6 of the extent)."""
+    """Raise an error if two detectors have the same position (within 1e-6 of the extent)."""
     if len(positions) < 2:
         return
     distance, first, second = closest_pair(positions)
@@ -159,12 +159,12 @@ def check_distinct(positions: np.ndarray) -> None:
 
 
 def closest_pair(positions: np.ndarray) -> tuple[float, int, int]:
-    """Distance of the closest two of (n, 2) positions, n of 2 or more, and their numbers in order.
+    """Find the closest pair of (n, 2) positions, n of 2 or more: its distance, and its indices in increasing order.
 
-    Sorted along a line that no regular layout is square to: of pairs k places apart none is closer than the line
-    says, so few k are enough.
+    The positions are sorted along a line that is perpendicular to no axis of regular layouts. Pairs k places apart in
+    this order are at least as far apart as along the line, so few k are enough.
     """
-    # A tree finds it too, but its import takes longer than the start of a small run.
+    # A k-d tree would do, but its import takes longer than the start of a small run.
     along = positions @ _OBLIQUE
     order = np.argsort(along, kind="stable")
     closest = (np.inf, 0, 0)
@@ -194,14 +194,14 @@ def _closest_pair_of_tree(positions: np.ndarray) -> tuple[float, int, int]:
 
 
 def mask_by_separation(positions: np.ndarray, separation: float) -> np.ndarray:
-    """Indices of detectors that are all at least `separation` apart (section 5.2's mask).
+    """Select detectors that are all at least `separation` apart (mask of section 5.2).
 
-    Taken greedily from the centre outwards, ties by angle; on a hexagonal layout that keeps every
-    second position in both axes for separations between sqrt(3) and 2 pitches.
+    Chosen greedily from the centre outwards, ties by angle. On a hexagonal layout this keeps every second position in
+    both axes for separations between sqrt(3) and 2 pitches.
     """
     x, y = positions.T
     order = np.lexsort((np.round(np.arctan2(y, x), 9), np.round(np.hypot(x, y) / separation, 9)))
-    # Of those kept only the ones in squares of that side around it can be too near: others need not be looked at.
+    # Only detectors in neighbouring squares of this side can be too close: others are not compared.
     squares = np.floor(positions / separation).astype(int).tolist()
     kept: dict[tuple[int, int], list[list[float]]] = {}
     found = []

@@ -1,12 +1,13 @@
-"""Noise that overlapping pixels of a hexagonal lattice share, without a matrix of all their pairs.
+"""Correlated noise of overlapping pixels on a hexagonal lattice, without a matrix of all pairs.
 
-Circulant embedding (Dietrich and Newsam 1997, SIAM J. Sci. Comput. 18, 1088): the lattice, a skewed square one, is
-laid on a torus with room to spare, where the correlation of two cells is the closed form's along the shorter way
-around. The correlation of a torus is diagonal in Fourier space; fields of its spectrum cost one transform for two
-samples of all detectors, where a factor of the matrix costs a product with n_det^2 elements for each sample.
-Eigenvalues are negative where the torus cuts coherence off. They are set to zero, and the correlation at steps that no
-two detectors are apart is free to take up what that changes: both in turn, as alternating projections. The correlation
-that is left is known exactly, and a torus is as large as it takes for it to be off by no more than `LARGEST_ERROR`.
+Circulant embedding (Dietrich and Newsam 1997, SIAM J. Sci. Comput. 18, 1088): the lattice, square in skewed
+coordinates, is embedded in a larger torus. Two cells of the torus have the correlation at their shortest separation
+around it. The covariance of a torus is diagonal in Fourier space: one transform draws two samples of all detectors,
+where a factor of the matrix costs a product with n_det^2 elements for each sample.
+
+Eigenvalues are negative where the torus truncates the coherence. Alternating projections set them to zero and restore
+the correlation at the separations that occur between detectors; at other separations the correlation is free. The
+correlation of the result is known exactly. The torus is large enough that its error is at most `LARGEST_ERROR`.
 """
 
 import math
@@ -19,27 +20,26 @@ from surveysim.runtime.errors import OutOfRangeError
 from surveysim.runtime.rng import NormalDeviates
 from surveysim.telescope.pixel_coherence import Illumination, coherence_at
 
-# Of any correlation that detectors have on the torus, which is 1 for one with itself. Neighbours share 0.5 of the field
-# at 0.7 (f/#)lambda.
+# Largest error of a correlation between detectors. At 0.7 (f/#)lambda the field coherence of neighbours is 0.5.
 LARGEST_ERROR = 2e-3
 _ROOM, _GROWTH, _MOST_SPANS = 1.1, 1.12, 8
 _PROJECTIONS = 60
-# Complex numbers of the fields that are made at once: they stay in a processor's cache.
+# Complex numbers of the fields drawn at once: they fit in the processor's cache.
 _BATCH = 2**18
 
 
 @dataclass(frozen=True, eq=False)
 class CirculantFactor:
-    """A root of the correlation of detectors: `amplitude` (n_q, n_r) float32 of the modes, flat `cells` (n_det,)."""
+    """Square root of the detectors' correlation: float32 `amplitude` (n_q, n_r) of the modes, flat `cells` (n_det,)."""
 
     amplitude: np.ndarray
     cells: np.ndarray
 
     def fields(self, n: int, deviates: NormalDeviates, *, first: int = 0) -> Iterator[tuple[slice, np.ndarray]]:
-        """Batches (n_det, n_batch) complex64 of n fields, with their places among them, from the field `first` on.
+        """Draw n fields from number `first` on in batches (n_det, n_batch) complex64, and yield each with its slice.
 
-        Real and imaginary parts are independent and of unit variance, correlated between detectors and not from one
-        field to the next.
+        Real and imaginary parts are independent, have unit variance, and are correlated between detectors but not
+        between fields.
         """
         from scipy.fft import fft2
 
@@ -55,21 +55,21 @@ class CirculantFactor:
 
 @dataclass(frozen=True, eq=False)
 class CirculantCorrelation:
-    """Correlation C of detectors at some `cells` (n_det,) of a torus, by its eigenvalues `values` (n_q, n_r).
+    """Correlation C of detectors at `cells` (n_det,) of a torus, by its eigenvalues `values` (n_q, n_r).
 
-    They are 1 in the mean, as C is of a detector with itself.
+    Their mean is 1, the correlation of a detector with itself.
     """
 
     values: np.ndarray
     cells: np.ndarray
 
     def factor(self, share: float = 1.0) -> CirculantFactor:
-        """A root of ``share C + (1 - share) I``."""
+        """Square root of ``share C + (1 - share) I``."""
         amplitude = np.sqrt((share * self.values + (1 - share)) / self.values.size)
         return CirculantFactor(amplitude.astype(np.float32), self.cells)
 
     def times(self, columns: np.ndarray) -> np.ndarray:
-        """C times columns (n_det, n_column), real or complex."""
+        """Multiply C with columns (n_det, n_column), real or complex."""
         from scipy.fft import fft2, ifft2
 
         product = np.empty_like(columns)
@@ -85,7 +85,7 @@ class CirculantCorrelation:
 
     @property
     def correlation(self) -> np.ndarray:
-        """C of a cell and that at the origin, (n_q, n_r)."""
+        """Correlation of each cell with the origin, (n_q, n_r)."""
         from scipy.fft import ifft2
 
         return ifft2(self.values).real
@@ -93,26 +93,30 @@ class CirculantCorrelation:
 
 @dataclass(frozen=True, eq=False)
 class NoiseCorrelation:
-    """Correlation of many detectors, as `torus` has it (None: none), times their `gain` (n_det,) on both sides.
-
-    It stands for a matrix (n_det, n_det) where that is multiplied from the left.
+    """Matrix (n_det, n_det) of `torus` (None: zero), multiplied by `gain` (n_det,) on both sides, for products from the
+    left.
     """
 
     torus: CirculantCorrelation | None
     gain: np.ndarray
 
     def __matmul__(self, columns: np.ndarray) -> np.ndarray:
-        """The matrix times columns (n_det, n_column)."""
+        """Multiply the matrix with columns (n_det, n_column)."""
         gain = self.gain[:, None]
         return gain * (gain * columns if self.torus is None else self.torus.times(gain * columns))
 
 
 def embed(cells: np.ndarray, pitch_f_lambda: float, coherence: str, illumination: Illumination) -> CirculantCorrelation:
-    """The smallest torus that holds detectors at lattice places `cells` (n_det, 2), within `LARGEST_ERROR`.
+    """Find the smallest torus for detectors at lattice positions `cells` (n_det, 2) with an error within
+    `LARGEST_ERROR`.
 
-    The axes of the lattice are 60 degrees apart; `coherence` and `illumination` are those of a correlation matrix.
-    Where optics change so much that the torus does, so do all draws. Raises ValueError where a torus of 64 times the
-    lattice's area is still too small: for dense pixels with a sharp coherence.
+    The lattice axes are 60 degrees apart; `coherence` and `illumination` are as for `correlation_matrix`. If a change
+    of the optics changes the size of the torus, all draws change.
+
+    Raises
+    ------
+    OutOfRangeError
+        If a torus of 64 times the lattice's area is too small: for dense pixels with a sharp coherence.
     """
     places = cells - cells.min(axis=0)
     span = places.max(axis=0) + 1
@@ -135,7 +139,7 @@ def embed(cells: np.ndarray, pitch_f_lambda: float, coherence: str, illumination
 
 
 def _eigenvalues(correlation: np.ndarray, seen: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Eigenvalues, none negative and 1 in the mean, of a torus with nearly this correlation at the steps `seen`."""
+    """Eigenvalues, non-negative and with mean 1, of a torus with nearly this correlation at the separations `seen`."""
     from scipy.fft import fft2, ifft2
 
     wanted = correlation[seen]
@@ -150,14 +154,14 @@ def _eigenvalues(correlation: np.ndarray, seen: tuple[np.ndarray, np.ndarray]) -
 
 
 def _distance(sizes: tuple[int, int]) -> np.ndarray:
-    """The shorter way around a torus of (n_q, n_r) cells from its origin to each, in pitches."""
+    """Shortest distance around a torus of (n_q, n_r) cells from its origin to each cell, in pitches."""
     steps = np.stack(np.meshgrid(*map(np.arange, sizes), indexing="ij"), axis=-1)
     turns = [(a * sizes[0], b * sizes[1]) for a in range(-2, 2) for b in range(-2, 2)]
     return np.min([_length(steps + turn) for turn in turns], axis=0)
 
 
 def _lags(places: np.ndarray, span: np.ndarray) -> np.ndarray:
-    """All steps (n_lag, 2) from one of some places to another, each once."""
+    """List all separations (n_lag, 2) between pairs of positions, each once."""
     from scipy.fft import fft2, ifft2
 
     taken = np.zeros(2 * span)
@@ -168,7 +172,7 @@ def _lags(places: np.ndarray, span: np.ndarray) -> np.ndarray:
 
 
 def _length(steps: np.ndarray) -> np.ndarray:
-    """Length of steps (..., 2) along axes 60 degrees apart, in pitches."""
+    """Length of vectors (..., 2) along axes 60 degrees apart, in pitches."""
     q, r = steps[..., 0], steps[..., 1]
     return np.sqrt(q * q + q * r + r * r)
 

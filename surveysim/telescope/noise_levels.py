@@ -1,4 +1,6 @@
-"""Levels of photon and detector noise: as a scene gives them, or from the load in each observation's weather."""
+"""Noise levels of photons and detectors: as the scene states them, or from the optical load in each observation's
+weather.
+"""
 
 from dataclasses import dataclass
 
@@ -15,7 +17,9 @@ from surveysim.telescope.photon_noise import PhotonNoise, photon_noise, power_pe
 
 @dataclass(frozen=True)
 class WhiteLevels:
-    """White noise of one observation: one-sided PSDs [mK^2/Hz], and the `shared` part of the photon noise."""
+    """White-noise levels of one observation: one-sided PSDs [mK^2/Hz], and the PSD of the `shared` part of the photon
+    noise.
+    """
 
     photon_mk2_hz: float
     shared: float
@@ -23,9 +27,16 @@ class WhiteLevels:
 
 
 def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevation_rad: float) -> WhiteLevels:
-    """Levels of one observation; stages that the scene leaves out are 0.
+    """Compute the white-noise levels of one observation; components that the scene leaves out have 0.
 
-    `opacity` of the scene's site with the observation's water `pwv_mm` and mean elevation; None without a site.
+    Parameters
+    ----------
+    opacity
+        Opacity of the site in the band; None without a site.
+    pwv_mm
+        Precipitable water of the observation.
+    elevation_rad
+        Mean elevation of the observation.
     """
     passed = sky_transmission(scene, opacity, pwv_mm, elevation_rad)
     photon, shared = 0.0, 0.0
@@ -46,7 +57,7 @@ def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, eleva
 
 
 def _check_level(key: str, psd_mk2_hz: float) -> None:
-    """Raise ValueError for noise by power that is no level of a stream, as under an opaque sky."""
+    """Raise ValueError for a PSD that is not finite, as under an opaque sky."""
     if not psd_mk2_hz <= PSD_MAX_MK2_HZ:
         raise SceneError(
             f"{key}: found power that is a noise of {psd_mk2_hz:.3g} mK2 / Hz above the atmosphere in this band;"
@@ -55,10 +66,10 @@ def _check_level(key: str, psd_mk2_hz: float) -> None:
 
 
 def sky_transmission(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevation_rad: float) -> float:
-    """Transmission of the atmosphere where the photon noise is that of the site's sky, else 1.
+    """Transmission of the atmosphere where the photon noise follows from the site's water, else 1.
 
-    A load that the scene states, and a detector's power without a load, are taken with temperatures that are calibrated
-    above the atmosphere, as in the paper.
+    A stated load, and a detector NEP without a load, refer to temperatures calibrated above the atmosphere, as in the
+    paper.
     """
     of_site = scene.photon and scene.photon.load and scene.photon.load.sky_k is None
     if not of_site:
@@ -67,7 +78,7 @@ def sky_transmission(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, e
 
 
 def load_noise(scene: Scene, sky_k: float, transmission: float) -> PhotonNoise:
-    """Photon noise of a pixel under a sky of this load, in temperature above the atmosphere."""
+    """Compute the photon noise of a pixel for this sky load, in temperature above the atmosphere."""
     band = scene.instrument
     return photon_noise(
         sky_k + scene.photon.load.optics_k,
@@ -80,11 +91,11 @@ def load_noise(scene: Scene, sky_k: float, transmission: float) -> PhotonNoise:
 
 
 def shared_part(scene: Scene, sky_k: float, noise: PhotonNoise) -> float:
-    """Part of the photon noise that overlapping pixels share, of the load that comes through the beam.
+    """Compute the photon noise that overlapping pixels share: the part of the load through the beam.
 
-    With "field" coherence they share shot and Bose noise alike, as section 5.1 argues: the sky's part of the load.
-    With "intensity" coherence they are a classical intensity interferometer, which sees the Bose noise alone; that
-    goes as the square of the load.
+    With "field" coherence, shot and Bose noise are shared alike, in proportion to the sky's part of the load (section
+    5.1). With "intensity" coherence, only the Bose noise is shared, in proportion to the square of the sky's part
+    (Hanbury Brown and Twiss).
     """
     load = sky_k + scene.photon.load.optics_k
     part = sky_k / load if load else 0.0
@@ -93,12 +104,14 @@ def shared_part(scene: Scene, sky_k: float, noise: PhotonNoise) -> float:
 
 
 def _stated_part(photon: Photon) -> float:
-    """The same of photon noise that is stated as a PSD, with the parts that the scene states."""
+    """Shared part of photon noise that the scene states as a PSD with its fractions."""
     return _shared(photon.coherence, photon.coherent_fraction, photon.bose_fraction)
 
 
 def _shared(coherence: str, part: float, bose: float | None) -> float:
-    """Shared part of photon noise from a load, of which `part` comes through the beam; `bose` of the noise bunches."""
+    """Shared part of the photon noise from `part`, the fraction of the load through the beam, and `bose`, the fraction
+    of the noise that is bunching.
+    """
     return part**2 * bose if coherence == "intensity" else part
 
 

@@ -1,8 +1,8 @@
-"""Photon noise of an optical load: what a pixel at the background limit (BLIP) has, and nothing else (section 1.1).
+"""Photon noise of an optical load: the background limit (BLIP) of a pixel (section 1.1).
 
-One spatial mode, fully coherent over the pixel, in one or two polarizations; a band with straight sides; loads in
-Rayleigh-Jeans temperature at the cryostat's window. NEPs are in W/sqrt(Hz) of a one-sided spectrum, so a noise of
-NEP^2 averaged over a time t has the variance NEP^2 / (2 t). Powers are those absorbed.
+Assumptions: one spatial mode, fully coherent over the pixel, in one or two polarizations; a top-hat band; loads in
+Rayleigh-Jeans temperature at the cryostat window. NEPs are in W/sqrt(Hz) of a one-sided spectrum: noise of NEP^2
+averaged over a time t has the variance NEP^2 / (2 t). Powers are absorbed powers.
 """
 
 import math
@@ -16,7 +16,7 @@ from surveysim.scene.units import BOLTZMANN_J_K, PLANCK_J_S, rj_to_cmb
 class PhotonNoise:
     """Photon noise of one pixel: absorbed power, NEP, and one-sided PSDs [mK_RJ^2/Hz] above the atmosphere.
 
-    `shot_psd_mk2_hz` is what photons that came one by one would make, `bose_psd_mk2_hz` what their bunching adds.
+    `shot_psd_mk2_hz` is Poisson noise of independent photons, `bose_psd_mk2_hz` the excess from photon bunching.
     """
 
     frequency_hz: float
@@ -28,17 +28,17 @@ class PhotonNoise:
 
     @property
     def psd_mk2_hz(self) -> float:
-        """Shot and Bose noise together."""
+        """Sum of shot and Bose noise."""
         return self.shot_psd_mk2_hz + self.bose_psd_mk2_hz
 
     @property
     def net_mk_rthz(self) -> float:
-        """Its root, in Rayleigh-Jeans temperature."""
+        """Noise-equivalent temperature [mK_RJ/sqrt(Hz)]: square root of the PSD."""
         return math.sqrt(self.psd_mk2_hz)
 
     @property
     def net_mkcmb_rthz(self) -> float:
-        """Its root, in CMB temperature."""
+        """Noise-equivalent temperature in CMB temperature."""
         return self.net_mk_rthz * rj_to_cmb(self.frequency_hz, self.bandwidth)
 
 
@@ -74,10 +74,23 @@ def photon_noise(
     polarizations: int,
     transmission: float = 1.0,
 ) -> PhotonNoise:
-    """Photon noise of a load of `load_k` [K_RJ] at the window in a band of fractional width `bandwidth`.
+    """Compute the photon noise of a load.
 
-    `efficiency` is from window to detector, `transmission` that of the atmosphere, which dims the sky but is no
-    part of the load. Raises ValueError for values out of range.
+    Parameters
+    ----------
+    load_k
+        Load [K_RJ] at the cryostat window.
+    bandwidth
+        Fractional width of the band.
+    efficiency
+        Optical efficiency from window to detector.
+    transmission
+        Transmission of the atmosphere. It dims the sky and does not change the load.
+
+    Raises
+    ------
+    OutOfRangeError
+        For values out of range.
     """
     _check(load_k, frequency_hz, bandwidth, efficiency, polarizations=polarizations, transmission=transmission)
     bandwidth_hz = bandwidth * frequency_hz

@@ -1,9 +1,9 @@
-"""(f/#)lambda overlap: how much of a beam-filling source two pixels share, for any illumination of the stop.
+"""Mutual coherence of overlapping pixels for a beam-filling source, for any illumination of the stop.
 
-Two pixels see the stop with a phase that turns s times across its diameter when they are s (f/#)lambda apart.
-Their mutual coherence gamma(s) is the transform of the intensity with which a pixel lights the stop (van
-Cittert and Zernike). So gamma has no power beyond one cycle in two (f/#)lambda and gamma^2 none beyond one cycle
-in one, and sums over a lattice of pixels are finite sums over its reciprocal lattice (Poisson).
+Two pixels s (f/#)lambda apart see the stop with a phase that turns s times across its diameter. Their mutual coherence
+gamma(s) is the Fourier transform of the illumination of the stop (van Cittert-Zernike). So gamma has no power beyond
+one cycle per 2 (f/#)lambda and gamma^2 none beyond one cycle per (f/#)lambda, and sums over a lattice of pixels are
+finite sums over its reciprocal lattice (Poisson).
 """
 
 import math
@@ -13,12 +13,12 @@ import numpy as np
 
 from surveysim.runtime.errors import OutOfRangeError
 
-# Of the radius of a corrugated horn's aperture, the waist of the Gaussian beam it launches (Goldsmith 1998).
+# Waist of the Gaussian beam of a corrugated horn, over the radius of its aperture (Goldsmith 1998).
 _WAIST_PER_RADIUS = 0.6435
-# Beyond this exponent (174 dB) the stop's edge cuts off less than rounding.
+# Beyond this exponent (174 dB) truncation by the stop is below rounding.
 _UNTRUNCATED = 40.0
-# Detectors up to which a correlation is a matrix of all pairs: a product with it takes some 45 ns a sample then, fields
-# on a torus (`surveysim.telescope.lattice_noise`) 18 (coherence "intensity", pixels 1.3 apart) to 54 ("field", 0.7).
+# Most detectors whose correlation is a dense matrix: a product with it then takes about 45 ns a sample, fields on a
+# torus (`surveysim.telescope.lattice_noise`) 18 ("intensity", pixels 1.3 apart) to 54 ns ("field", 0.7 apart).
 MOST_DENSE = 1500
 # Separations closer than half of 10^-13 (f/#)lambda count as the same.
 _SEPARATION_DECIMALS = 13
@@ -26,9 +26,9 @@ _SEPARATION_DECIMALS = 13
 
 @dataclass(frozen=True)
 class Illumination:
-    """Illumination of the stop by a pixel: intensity ``10^(-T/10 u^2)`` at the share u of the stop's radius.
+    """Illumination of the stop by a pixel: intensity ``10^(-T/10 u^2)`` at the fraction u of the stop's radius.
 
-    `edge_taper_db` is T; 0 lights the stop uniformly. Raises ValueError unless it is finite and 0 or more.
+    `edge_taper_db` is T; 0 is uniform illumination. Raises OutOfRangeError unless it is finite and 0 or more.
     """
 
     edge_taper_db: float = 0.0
@@ -49,11 +49,12 @@ class Illumination:
 
 
 def horn_taper_db(diameter_f_lambda: float) -> float:
-    """Edge taper [dB] that a horn with an aperture `diameter_f_lambda` wide gives: 8.9 dB at 2, 1.1 dB at 0.7.
+    """Edge taper [dB] of a horn with an aperture of `diameter_f_lambda`: 8.9 dB at 2, 1.1 dB at 0.7.
 
-    The fundamental Gaussian beam of waist w0 spreads as ``exp(-2 (theta pi w0 / lambda)^2)``; the stop's edge is
-    at ``theta = 1 / (2 f/#)``. Goldsmith, Quasioptical Systems (1998), for corrugated horns; others with a
-    symmetric beam come close. Small angles. Raises ValueError unless the diameter is finite and 0 or more.
+    The fundamental Gaussian beam of waist w0 spreads as ``exp(-2 (theta pi w0 / lambda)^2)``; the edge of the stop is
+    at ``theta = 1 / (2 f/#)``. Valid for corrugated horns (Goldsmith, Quasioptical Systems, 1998), approximately for
+    other horns with a symmetric beam, and for small angles. Raises OutOfRangeError unless the diameter is finite and 0
+    or more.
     """
     if not 0 <= diameter_f_lambda < math.inf:
         raise OutOfRangeError(
@@ -64,10 +65,10 @@ def horn_taper_db(diameter_f_lambda: float) -> float:
 
 
 def stop_efficiency(edge_taper_db: float) -> float:
-    """Share of a horn's beam that passes the stop, ``1 - 10^(-T/10)``; what remains ends on the cold stop.
+    """Fraction of a horn's beam that passes the stop, ``1 - 10^(-T/10)``; the rest ends on the cold stop.
 
-    For horns only: 0 dB is the limit of a horn so small that the stop catches nothing of its wide beam.
-    Raises ValueError for a taper that is negative or not finite.
+    For horns only: 0 dB is the limit of a small horn with a beam so wide that nothing passes the stop. Raises
+    OutOfRangeError for a taper that is negative or not finite.
     """
     return -math.expm1(-Illumination(edge_taper_db).exponent)
 
@@ -76,11 +77,11 @@ def stop_efficiency(edge_taper_db: float) -> float:
 
 
 def mutual_coherence(separation_f_lambda: np.ndarray, illumination: Illumination = Illumination()) -> np.ndarray:
-    """Field coherence gamma, of the shape given, of pixels s (f/#)lambda apart: ``int I J0(pi s u) u du / int I u du``.
+    """Field coherence gamma of pixels s (f/#)lambda apart: ``int I J0(pi s u) u du / int I u du``.
 
-    A uniformly lit stop gives ``2 J1(pi s) / (pi s)``: 0.506 at 0.7 (f/#)lambda, the paper's "50 % of the power
-    received by adjacent bolometers is completely correlated" (section 5.1). A taper adds the Zernike modes of the
-    Gaussian, each of which transforms to a Bessel function (Nijboer), good to 1e-13 at any separation.
+    A uniformly illuminated stop gives ``2 J1(pi s) / (pi s)``: 0.506 at 0.7 (f/#)lambda, the paper's "50 % of the power
+    received by adjacent bolometers is completely correlated" (section 5.1). A taper adds Zernike modes of the Gaussian.
+    Each transforms to a Bessel function (Nijboer); the sum is good to 1e-13 at any separation.
     """
     from scipy.special import j1, jv
 
@@ -95,10 +96,10 @@ def mutual_coherence(separation_f_lambda: np.ndarray, illumination: Illumination
 
 
 def _zernike_weights(half_exponent: float) -> list[tuple[int, float]]:
-    """(2m + 1, weight of J_(2m+1)) for m = 1, 2, ... beside a weight of 1 for J1, down to rounding.
+    """Pairs (2m + 1, weight of J_(2m+1)) for m = 1, 2, ..., relative to a weight of 1 for J1, down to rounding.
 
-    ``exp(-y t) = sum (2m + 1) (-1)^m i_m(y) P_m(t)``, t = 2 u^2 - 1, and ``P_m(t)`` transforms to
-    ``(-1)^m J_(2m+1)(x) / x``; i_m are modified spherical Bessel functions.
+    ``exp(-y t) = sum (2m + 1) (-1)^m i_m(y) P_m(t)``, t = 2 u^2 - 1, and ``P_m(t)`` transforms to ``(-1)^m J_(2m+1)(x)
+    / x``; i_m are modified spherical Bessel functions.
     """
     from scipy.special import ive
 
@@ -113,11 +114,11 @@ def _zernike_weights(half_exponent: float) -> list[tuple[int, float]]:
 def correlation_matrix(
     positions_f_lambda: np.ndarray, coherence: str, illumination: Illumination = Illumination()
 ) -> np.ndarray:
-    """Correlation (n_det, n_det) of a beam-filling source between pixels at (n_det, 2) positions.
+    """Correlation (n_det, n_det) of the noise of a beam-filling source between pixels at (n_det, 2) positions.
 
-    `coherence` is "field" (gamma), "intensity" (gamma^2, Hanbury Brown and Twiss) or "none".
-    All three are positive semi-definite: gamma is the transform of the lit stop, and a product of such
-    functions is one again. Equal separations have equal correlations, to the last bit.
+    `coherence` is "field" (gamma), "intensity" (gamma^2, Hanbury Brown and Twiss) or "none". All three are positive
+    semi-definite: gamma is the transform of a non-negative function, and products of such functions are positive
+    semi-definite too. Equal separations have equal correlations, to the last bit.
     """
     from scipy.spatial.distance import pdist, squareform
 
@@ -130,7 +131,7 @@ def correlation_matrix(
 
 
 def coherence_at(separation_f_lambda: np.ndarray, coherence: str, illumination: Illumination) -> np.ndarray:
-    """Correlation at separations of any shape, to 1e-11; arguments as for `correlation_matrix`."""
+    """Compute the correlation at separations of any shape, to 1e-11; arguments as for `correlation_matrix`."""
     separation, which = np.unique(np.round(separation_f_lambda, _SEPARATION_DECIMALS), return_inverse=True)
     if coherence == "none":
         return (separation == 0).astype(float)[which].reshape(separation_f_lambda.shape)
@@ -139,10 +140,10 @@ def coherence_at(separation_f_lambda: np.ndarray, coherence: str, illumination: 
 
 
 def _interpolated_coherence(separation: np.ndarray, illumination: Illumination) -> np.ndarray:
-    """`mutual_coherence` of many separations (n,) to 1e-11, for less than n series of Bessel functions.
+    """Compute `mutual_coherence` at many separations (n,), to 1e-11, by Chebyshev interpolation.
 
-    Gamma has no power beyond one cycle in two (f/#)lambda, so its Chebyshev coefficients over separations up to S
-    vanish, as those of a cosine do, soon beyond the order pi S / 2.
+    Gamma has no power beyond one cycle per 2 (f/#)lambda. Like a cosine's, its Chebyshev coefficients over separations
+    up to S vanish soon beyond the order pi S / 2.
     """
     order = math.pi / 2 * separation.max(initial=0.0)
     degree = math.ceil(order + 12 * order ** (1 / 3) + 20)
@@ -154,26 +155,26 @@ def _interpolated_coherence(separation: np.ndarray, illumination: Illumination) 
 
 @dataclass(frozen=True, eq=False)
 class DenseCorrelation:
-    """A correlation C of detectors by its eigenvalues (n_det,) and eigenvectors (n_det, n_det)."""
+    """Correlation C of detectors by its eigenvalues (n_det,) and eigenvectors (n_det, n_det)."""
 
     values: np.ndarray
     vectors: np.ndarray
 
     def factor(self, share: float = 1.0) -> np.ndarray:
-        """The symmetric root A (n_det, n_det) of ``share C + (1 - share) I``.
+        """Symmetric square root (n_det, n_det) of ``share C + (1 - share) I``.
 
-        Of all factors it is the one that depends on nothing but the matrix, continuously: the same deviates give
-        nearly the same streams for nearly the same optics, however eigenvectors of equal eigenvalues are chosen.
+        Unlike other factors it depends continuously on the matrix alone, not on the choice of eigenvectors for equal
+        eigenvalues: the same deviates give nearly the same streams for nearly the same optics.
         """
         half = self.vectors * (share * self.values + (1 - share)) ** 0.25
         return half @ half.T
 
 
 def overlap(correlation: np.ndarray) -> DenseCorrelation:
-    """The modes of a correlation matrix (n_det, n_det).
+    """Diagonalize a correlation matrix (n_det, n_det).
 
-    Densely packed pixels share modes and make the matrix nearly singular, where Cholesky fails.
-    Raises ValueError when an eigenvalue is negative beyond rounding.
+    Densely packed pixels make the matrix nearly singular, where Cholesky decomposition fails. Raises OutOfRangeError if
+    an eigenvalue is negative beyond rounding.
     """
     values, vectors = np.linalg.eigh(correlation)
     limit = 1e-10 * max(values[-1], 1.0) * len(values)
@@ -183,7 +184,7 @@ def overlap(correlation: np.ndarray) -> DenseCorrelation:
 
 
 def correlation_factor(correlation: np.ndarray) -> np.ndarray:
-    """The symmetric root of a correlation matrix, ``A A^T = correlation``; errors as `overlap`."""
+    """Symmetric square root of a correlation matrix, ``A A^T = correlation``; errors as `overlap`."""
     return overlap(correlation).factor()
 
 
@@ -191,14 +192,15 @@ def correlation_factor(correlation: np.ndarray) -> np.ndarray:
 
 
 def lattice_sum(pitch_f_lambda: float, coherence: str, illumination: Illumination = Illumination()) -> float:
-    """Coherence with all other pixels of an infinite hexagonal lattice, summed; `coherence` as for a matrix.
+    """Sum of the coherence with all other pixels of an infinite hexagonal lattice; `coherence` as for
+    `correlation_matrix`.
 
-    One more than this is how much more noise the array's mean has than were its pixels independent. Exact, by
-    Poisson's formula: the transform of the coherence at the points of the reciprocal lattice, over the cell.
-    A uniformly lit stop and intensity give ``8 / (pi sqrt(3) p^2) - 1`` up to p = 2 / sqrt(3), where the first
-    reciprocal points come within a stop's diameter: 2.00 at 0.7, 0.47 at 1.0, 0.07 at 1.2.
-    The sum of the field is one over ever larger circles, and jumps where reciprocal points cross the stop's edge.
-    Raises ValueError unless the pitch is positive and finite.
+    The noise of the array's mean is one plus this sum times the noise of independent pixels. Exact, by Poisson's
+    formula: the sum of the coherence's transform at the reciprocal lattice, divided by the area of a cell. Uniform
+    illumination and "intensity" give ``8 / (pi sqrt(3) p^2) - 1`` up to p = 2 / sqrt(3), where the first reciprocal
+    points come within a stop's diameter: 2.00 at 0.7, 0.47 at 1.0, 0.07 at 1.2. The sum for "field" is the limit over
+    growing circles, and jumps where reciprocal points cross the edge of the stop. Raises OutOfRangeError unless the
+    pitch is positive and finite.
     """
     if not 0 < pitch_f_lambda < math.inf:
         raise OutOfRangeError(f"pitch_f_lambda = {pitch_f_lambda:g} found; a positive finite pitch is allowed")
@@ -214,7 +216,7 @@ def lattice_sum(pitch_f_lambda: float, coherence: str, illumination: Illuminatio
 
 
 def _stop_intensity(frequency: np.ndarray, exponent: float) -> np.ndarray:
-    """Intensity on the stop, of unit integral, at `frequency` (n,) in stop diameters from its centre."""
+    """Intensity on the stop, with unit integral, at `frequency` (n,) in stop diameters from its centre."""
     from scipy.special import exprel
 
     inside = np.minimum(frequency, 0.5)
@@ -223,10 +225,10 @@ def _stop_intensity(frequency: np.ndarray, exponent: float) -> np.ndarray:
 
 
 def _stop_autocorrelation(frequency: np.ndarray, exponent: float) -> np.ndarray:
-    """Autocorrelation of that intensity at shifts of `frequency` (n,) stop diameters; 0 from one diameter on.
+    """Autocorrelation of the stop intensity at shifts of `frequency` (n,) stop diameters; 0 from one diameter on.
 
-    The product of both Gaussians is one about the middle of the lens in which the stops overlap; over the lens's
-    radius the integral is closed, over the angle it is Gauss-Legendre.
+    The product of the two Gaussians is a Gaussian about the middle of the lens where the stops overlap. The radial
+    integral is in closed form, the angular one by Gauss-Legendre quadrature.
     """
     from scipy.special import exprel
 

@@ -1,8 +1,8 @@
 """Schedule of a survey and pointing of its observations.
 
-Directions come from astropy (ICRS to AltAz, no refraction). UT1 is set to UTC and polar motion to 0, with an error of
-at most 0.9 s or 14 arcsec of hour angle. No table of the Earth's rotation is then read (a second at every start) or
-downloaded, future dates work like past ones, and the result does not depend on the installed table.
+Directions come from astropy (ICRS to AltAz, no refraction), with UT1 = UTC and no polar motion: an error of at most 0.9
+s or 14 arcsec of hour angle. So no Earth-rotation table is read (a second at every start) or downloaded, future dates
+work like past ones, and results do not depend on the installed table.
 """
 
 import math
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surveysim.runtime.errors import OutOfRangeError
-from surveysim.telescope.raster import RasterPath
+from surveysim.telescope.scans import ScanPath
 
 if TYPE_CHECKING:
     from astropy.coordinates import SkyCoord
@@ -27,7 +27,7 @@ SIDEREAL_RAD_S = 2 * np.pi * 1.00273790935 / DAY_S  # rate of the hour angle
 _MJD_ZERO = 2400000.5  # Julian date
 MJD_ZERO_ORDINAL = date(1858, 11, 17).toordinal()
 GOLDEN = (np.sqrt(5) - 1) / 2
-INTERPOLATION_S = 1000.0  # of nutation and aberration: within 1e-6 arcsec, and nine times faster
+INTERPOLATION_S = 1000.0  # step of nutation and aberration: accurate to 1e-6 arcsec, and nine times faster
 STEP_DOWN_RAD = 3e-4  # along the vertical through the field; the angle does not depend on it
 
 
@@ -53,26 +53,42 @@ Directions = Callable[[FieldCentre, Site, np.ndarray], tuple[np.ndarray, np.ndar
 
 @dataclass(frozen=True)
 class Schedule:
-    """Start of each observation, (n_obs,): `start_mjd`, UTC, increasing; hour angle then, and declination of date."""
+    """Start of each observation, (n_obs,): increasing `start_mjd` (UTC), hour angle at the start, and declination of
+    date.
+    """
 
     start_mjd: np.ndarray
     hour_angle_rad: np.ndarray
     dec_rad: np.ndarray
 
     def some(self, which: np.ndarray | slice) -> "Schedule":
-        """Some of the observations."""
+        """Select observations."""
         return Schedule(self.start_mjd[which], self.hour_angle_rad[which], self.dec_rad[which])
 
 
 @dataclass(frozen=True)
 class Pointing:
-    """Boresight and orientation of one observation; only samples inside scans exist.
+    """Boresight and orientation of one observation; samples exist inside scans only.
 
-    (n_samp,): `time_s` since `start_mjd` (UTC), `xi_rad` and `eta_rad` in the field's tangent plane, `scan`
-    int64. (n_scan, 2): `velocity_rad_s` of the boresight (xi, eta). (n_scan,), at mid-scan: `elevation_rad`,
-    `parallactic_rad` (position angle of the zenith at the field's centre), `array_angle_rad` (angle of the array's y
-    axis in the tangent plane, from its north, which is true north at the centre: `mapmaker.geometry.north_angle` leads
-    from it to the position angle at the boresight).
+    Attributes
+    ----------
+    start_mjd
+        Start of the observation (UTC).
+    time_s : (n_samp,)
+        Time since `start_mjd`.
+    xi_rad, eta_rad : (n_samp,)
+        Boresight in the tangent plane of the field.
+    scan : (n_samp,)
+        Number of the scan, int64.
+    velocity_rad_s : (n_scan, 2)
+        Velocity of the boresight (xi, eta).
+    elevation_rad : (n_scan,)
+        Elevation at mid-scan.
+    parallactic_rad : (n_scan,)
+        Position angle of the zenith at the field centre, at mid-scan.
+    array_angle_rad : (n_scan,)
+        Angle of the array's y axis from the tangent plane's north, which is true north at the centre
+        (`mapmaker.geometry.north_angle` relates it to the position angle at the boresight).
     """
 
     start_mjd: float
@@ -86,7 +102,7 @@ class Pointing:
     array_angle_rad: np.ndarray
 
     def scans(self, first: int, end: int) -> "Pointing":
-        """Scans `first` to `end - 1` alone, counted from 0 again."""
+        """Select scans `first` to `end - 1`, renumbered from 0."""
         inside = (self.scan >= first) & (self.scan < end)
         of_samples = {name: getattr(self, name)[inside] for name in ("time_s", "xi_rad", "eta_rad")}
         of_scans = ("velocity_rad_s", "elevation_rad", "parallactic_rad", "array_angle_rad")
@@ -100,7 +116,7 @@ class Pointing:
 
 @contextmanager
 def _offline() -> Iterator[None]:
-    """Astropy with UT1 = UTC, a fixed pole and the leap seconds that are installed; no network."""
+    """Set astropy to UT1 = UTC, a fixed pole and the installed leap seconds, without network access."""
     from astropy import units as u
     from astropy.utils import iers
     from erfa import ErfaWarning
@@ -132,11 +148,11 @@ def _sky(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple["SkyCoord", d
 
 
 def horizontal(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Elevation, azimuth (north through east), parallactic angle [rad], (n,) each, at UTC `mjd` (n,).
+    """Compute elevation, azimuth (north through east) and parallactic angle [rad], (n,) each, at UTC `mjd` (n,).
 
-    Airless directions. The parallactic angle, in (-pi, pi], is the position angle of the zenith, counted from
-    ICRS north and not from the pole of date: a point a little below the field on its vertical is taken back
-    to ICRS, and the zenith lies opposite to it. (Below, so that it also works for a field at the zenith.)
+    Without refraction. The parallactic angle, in (-pi, pi], is the position angle of the zenith relative to ICRS north,
+    not to the pole of date: a point slightly below the field on its vertical is transformed back to ICRS, and the
+    zenith lies in the opposite direction. (Below, so that this also works for a field at the zenith.)
     """
     from astropy import units as u
     from astropy.coordinates import AltAz, SkyCoord
@@ -153,7 +169,7 @@ def horizontal(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndar
 
 
 def hour_angle_dec(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Apparent hour angle in [-pi, pi) and declination of date of the field, (n,) each [rad]."""
+    """Compute the apparent hour angle in [-pi, pi) and the declination of date of the field, (n,) each [rad]."""
     from astropy import units as u
     from astropy.coordinates import HADec
 
@@ -164,7 +180,7 @@ def hour_angle_dec(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.
 
 
 def near_hour_angle_dec(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same within 1e-10 rad by ERFA alone: for checks, which astropy.coordinates would hold up."""
+    """Compute `hour_angle_dec` within 1e-10 rad with ERFA only, for checks that must not import astropy.coordinates."""
     import erfa
 
     place = site.longitude_rad, site.latitude_rad, site.height_m
@@ -177,8 +193,10 @@ def near_hour_angle_dec(field: FieldCentre, site: Site, mjd: np.ndarray) -> tupl
     return (hour_angle + np.pi) % (2 * np.pi) - np.pi, dec
 
 
-def _half_window_s(dec_rad: np.ndarray, site: Site, max_hour_angle_rad: float, min_elevation_rad: float) -> np.ndarray:
-    """Time from transit to the limit in hour angle or elevation, (nights,) [s]; ValueError if too low."""
+def _half_visibility_s(
+    dec_rad: np.ndarray, site: Site, max_hour_angle_rad: float, min_elevation_rad: float
+) -> np.ndarray:
+    """Compute the time from transit to the limit in hour angle or elevation, (nights,) [s]."""
     highest = np.pi / 2 - np.abs(site.latitude_rad - dec_rad).min()
     if highest < min_elevation_rad:
         raise OutOfRangeError(
@@ -192,14 +210,14 @@ def _half_window_s(dec_rad: np.ndarray, site: Site, max_hour_angle_rad: float, m
     return np.minimum(limit, max_hour_angle_rad) / SIDEREAL_RAD_S
 
 
-def _check_room(n_observations: int, nights: int, half_window_s: np.ndarray, duration_s: float) -> None:
-    """ValueError when the nights cannot hold the observations."""
-    window_s = 2 * half_window_s.min()
-    room = int(window_s // duration_s)
+def _check_room(n_observations: int, nights: int, half_visibility_s: np.ndarray, duration_s: float) -> None:
+    """Raise OutOfRangeError if the observations do not fit into the nights."""
+    visible_s = 2 * half_visibility_s.min()
+    room = int(visible_s // duration_s)
     if n_observations > nights * room:
         raise OutOfRangeError(
             f"{n_observations} observations of {duration_s / 60:.1f} min do not fit into {nights} night(s): "
-            f"the field can be observed for {window_s / 60:.1f} min a night, so {nights * room} would fit "
+            f"the field can be observed for {visible_s / 60:.1f} min a night, so {nights * room} would fit "
             f"({room} a night)"
         )
 
@@ -216,21 +234,31 @@ def schedule(
     duration_s: float,
     directions: Directions = hour_angle_dec,
 ) -> Schedule:
-    """Start times of a survey: observations spread over the nights in order, and evenly over hour angle.
+    """Choose start times of a survey: observations spread over the nights in order, and evenly over hour angle.
 
-    `first_night` is the ISO date of the local evening on which the first night begins; each night has the
-    transit nearest to local mean midnight, whether or not the Sun is up. The window of a night is the part of
-    [-max, max] in hour angle where the field stands above the elevation limit, and observations lie whole
-    within it. Observation i belongs to night floor(i nights / n). A night's m observations share its window
-    in m equal slots. In their slots all begin at the same phase of the time left over: the middle on the
-    first night, moved on by the golden ratio each night, so that few observations a night cover all hour
-    angles too, and the array turns on the sky from night to night. Nothing is drawn at random. `directions` gives
-    hour angle and declination of date.
+    Each night has the transit nearest to local mean midnight, whether or not the Sun is up. The visibility of a night
+    is the part of [-max, max] in hour angle with the field above the elevation limit; observations lie completely
+    within it. Observation i belongs to night floor(i nights / n). The m observations of a night have m equal slots. All
+    start at the same phase of the spare time in their slots: the middle on the first night, advanced by the golden
+    ratio each night. So even few observations a night cover all hour angles, and the array rotates on the sky between
+    nights. Nothing is random.
 
-    ValueError when the field never reaches the elevation, or more observations are asked for than fit.
+    Parameters
+    ----------
+    first_night
+        ISO date of the local evening on which the first night begins.
+    duration_s
+        Duration of an observation.
+    directions
+        Function that computes hour angle and declination of date.
+
+    Raises
+    ------
+    OutOfRangeError
+        If the field never reaches the elevation limit, or the observations do not fit into the nights.
     """
     midnight_mjd, hour_angle, dec = _midnights(field, site, first_night, nights, directions)
-    half_s = _half_window_s(dec, site, max_hour_angle_rad, min_elevation_rad)
+    half_s = _half_visibility_s(dec, site, max_hour_angle_rad, min_elevation_rad)
     _check_room(n_observations, nights, half_s, duration_s)
 
     transit_mjd = midnight_mjd - hour_angle / SIDEREAL_RAD_S / DAY_S
@@ -247,7 +275,9 @@ def schedule(
 def _midnights(
     field: FieldCentre, site: Site, first_night: str, nights: int, directions: Directions
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Local mean midnight [MJD] of each night, hour angle of the field then and its declination of date, (nights,)."""
+    """Compute local mean midnight [MJD] of each night, and the field's hour angle and declination of date, (nights,)
+    each.
+    """
     evening_mjd = date.fromisoformat(first_night).toordinal() - MJD_ZERO_ORDINAL
     east_rad = math.remainder(site.longitude_rad, 2 * math.pi)  # 204.5 degrees east are 155.5 degrees west
     midnight_mjd = evening_mjd + 1 + np.arange(nights) - east_rad / (2 * np.pi)
@@ -255,10 +285,11 @@ def _midnights(
 
 
 def near_angles(site: Site, plan: Schedule, mid_time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Elevation and parallactic angle as `survey_angles`, in closed form: for checks, which ephemerides would hold up.
+    """Compute elevation and parallactic angle as `survey_angles`, in closed form, for checks that must not import
+    astropy.
 
-    The declination of date is that of each night's middle. Elevations are right to arcseconds; parallactic angles are
-    counted from the pole of date, which leaves differences within a night as they are.
+    The declination of date is taken at the middle of each night. Elevations are right to arcseconds. Parallactic angles
+    refer to the pole of date; differences within a night are not affected.
     """
     hour_angle = plan.hour_angle_rad[:, None] + SIDEREAL_RAD_S * np.asarray(mid_time_s)
     sin_dec, cos_dec = np.sin(plan.dec_rad)[:, None], np.cos(plan.dec_rad)[:, None]
@@ -271,23 +302,25 @@ def near_angles(site: Site, plan: Schedule, mid_time_s: np.ndarray) -> tuple[np.
 def survey_angles(
     field: FieldCentre, site: Site, schedule: Schedule, mid_time_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Elevation and parallactic angle [rad], (n_obs, n_scan), `mid_time_s` (n_scan,) after each start."""
+    """Compute elevation and parallactic angle [rad], (n_obs, n_scan), at `mid_time_s` (n_scan,) after each start."""
     mjd = schedule.start_mjd[:, None] + np.asarray(mid_time_s) / DAY_S
     elevation, _, parallactic = horizontal(field, site, mjd.ravel())
     return elevation.reshape(mjd.shape), parallactic.reshape(mjd.shape)
 
 
 def observation_pointing(
-    path: RasterPath,
+    path: ScanPath,
     start_mjd: float,
     elevation_rad: np.ndarray,
     parallactic_rad: np.ndarray,
     camera_angle_rad: float,
 ) -> Pointing:
-    """One observation's pointing; `elevation_rad` and `parallactic_rad` (n_scan,) at mid-scan.
+    """Combine a raster with angles at mid-scan, `elevation_rad` and `parallactic_rad` (n_scan,), to one observation's
+    pointing.
 
-    The camera is fixed to an alt-azimuth mount and turned by `camera_angle_rad` from the vertical, in the
-    sense of position angles: the array's y axis has parallactic + camera angle. ValueError for other shapes.
+    The camera is fixed to an alt-azimuth mount and rotated by `camera_angle_rad` from the vertical, in the sense of
+    position angles: the position angle of the array's y axis is parallactic plus camera angle. Raises ValueError for
+    other shapes.
     """
     expected = path.mid_time_s.shape
     if elevation_rad.shape != expected or parallactic_rad.shape != expected:
@@ -309,7 +342,7 @@ def observation_pointing(
 
 
 def sky_vector(angle_rad: np.ndarray, x: float | np.ndarray, y: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vector (x, y) of a frame whose y axis has position angle `angle_rad`, as (xi, eta); shapes broadcast.
+    """Rotate a vector (x, y) from a frame whose y axis has position angle `angle_rad` to (xi, eta); shapes broadcast.
 
     With the parallactic angle, (x, y) = (d azimuth cos(el), d elevation).
     """

@@ -1,4 +1,4 @@
-"""Responsivities of the detectors: the true ones, and those that cleaning takes as known."""
+"""Responsivities of the detectors: the true ones, and those that cleaning assumes."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from surveysim.scene.scene import Scene
 def band_responsivity(scene: Scene, n_det: int) -> np.ndarray:
     """Draw the responsivity (n_band, n_det) of the detectors of the other bands, independently in each."""
     bands = range(1, len(scene.instrument.bands) + 1)
-    return np.array([true_responsivity(scene, n_det, colour) for colour in bands]).reshape(len(bands), n_det)
+    return np.array([true_responsivity(scene, n_det, band) for band in bands]).reshape(len(bands), n_det)
 
 
 def true_responsivity(scene: Scene, n_det: int, realization: int = 0) -> np.ndarray:
@@ -21,7 +21,7 @@ def true_responsivity(scene: Scene, n_det: int, realization: int = 0) -> np.ndar
 
 
 def assumed_responsivity(scene: Scene, true: np.ndarray) -> np.ndarray | None:
-    """Draw the responsivities (n_band, n_det) that cleaning takes as known; None where it fits them."""
+    """Draw the responsivities (n_band, n_det) that cleaning assumes; None where cleaning fits them."""
     section = scene.cleaning
     if section.responsivities == "known":
         return true

@@ -58,7 +58,7 @@ def add_layer(
     add_screen(
         data,
         scan_bounds(pointing.scans(block.first, block.end).scan),
-        sample_rate_hz=setup.observing.raster.sample_rate_hz,
+        sample_rate_hz=setup.observing.scans.sample_rate_hz,
         offsets_rad=offsets[scans],
         velocity_rad_s=velocity[scans],
         layer_velocity_rad_s=layer_velocity[scans],
@@ -95,7 +95,7 @@ def _trends(
     offsets, velocity, layer_velocity = motion
     tracks = scan_tracks(
         bounds,
-        sample_rate_hz=setup.observing.raster.sample_rate_hz,
+        sample_rate_hz=setup.observing.scans.sample_rate_hz,
         offsets_rad=offsets,
         velocity_rad_s=velocity,
         layer_velocity_rad_s=layer_velocity,

@@ -20,7 +20,7 @@ def add_low_frequency_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
         section,
         variance_mk2=variance,
         n_scans=of.block.n_scans,
-        sample_rate_hz=setup.observing.raster.sample_rate_hz,
+        sample_rate_hz=setup.observing.scans.sample_rate_hz,
         factor=setup.camera.excess_factor,
         deviates=of.deviates(RandomPurpose.EXCESS),
     )

@@ -14,7 +14,7 @@ from surveysim.timestreams.observed_block import ObservedBlock
 def add_photon_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
     """Add the photon noise of a block to streams (n_det, n_samp), in place."""
     setup, levels, deviates = of.setup, of.levels, of.deviates(RandomPurpose.PHOTON)
-    noise = (data_mk, levels.photon_mk2_hz, setup.observing.raster.sample_rate_hz)
+    noise = (data_mk, levels.photon_mk2_hz, setup.observing.scans.sample_rate_hz)
     if setup.camera.photon_correlation is None:
         add_white(*noise, deviates)
     else:

@@ -78,7 +78,7 @@ def scene_sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
     return draw_sky(scene.sky, geometry, instrument.cmb_per_rj, instrument.beam_fwhm_rad, rng)
 
 
-def window_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
+def signal_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
     """Draw the skies (n_sky, n_y, n_x) [mK RJ] of the signal simulations.
 
     The last is a point source where pipelines are compared. None without a score.
@@ -87,16 +87,16 @@ def window_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
         return None
     from surveysim.timestreams.sky_maps import central_source, flat_cmb_sky
 
-    window, instrument = scene.score.signal_sims, scene.instrument
+    signal, instrument = scene.score.signal_sims, scene.instrument
     skies = [
         flat_cmb_sky(
             geometry,
-            window.band_power_ukcmb2,
+            signal.band_power_ukcmb2,
             instrument.cmb_per_rj,
             instrument.beam_fwhm_rad,
-            generator(scene.seed, RandomPurpose.WINDOW_SKY, realization=sky),
+            generator(scene.seed, RandomPurpose.SIGNAL_SIM, realization=sky),
         )
-        for sky in range(window.skies)
+        for sky in range(signal.skies)
     ]
     if scene.cleaning.compare:
         skies.append(central_source(geometry, instrument.beam_fwhm_rad))

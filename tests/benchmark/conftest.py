@@ -66,7 +66,7 @@ def lynx(pytestconfig) -> Prepared:
     index = boresight_pixels(
         setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=streams.focal_plane
     )
-    result = observe(setup, OBSERVATION, with_window=True)
+    result = observe(setup, OBSERVATION, with_signal_sims=True)
     return Prepared(setup, pointing, streams, index, result)
 
 

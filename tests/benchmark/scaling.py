@@ -1,9 +1,9 @@
 """How the cost of one observation goes with its detectors and samples: `python tests/benchmark/scaling.py`.
 
 Every point is made in a process of its own, whose peak memory is its own. Processor time, not that of the clock, a
-detector-sample without and of window skies; the time to start, to compile and to make strips of the layer is beside it,
-as a survey has it once a process. A scan that does not calibrate takes all 100 iterations before it is discarded: their
-mean goes with the time.
+detector-sample without and of signal simulations; the time to start, to compile and to make strips of the layer is
+reported apart, as a survey has it once a process. A scan that does not calibrate takes all 100 iterations before it is
+discarded: their mean goes with the time.
 """
 
 import json
@@ -14,11 +14,11 @@ from pathlib import Path
 SCENE = Path(__file__).parents[2] / "scenarios" / "large_camera.toml"
 # Rings (91, 1027 and 10267 detectors), sample rate [Hz] and scans of 10 s.
 POINTS = [(5, 200, 60), (18, 200, 60), (58, 200, 6), (58, 100, 6), (58, 50, 6), (58, 200, 3), (58, 200, 12)]
-OBSERVATIONS, OBSERVATION_S, WINDOW_SHARE = 10_000, 3600.0, 0.2
+OBSERVATIONS, OBSERVATION_S, SIMULATED_SHARE = 10_000, 3600.0, 0.2
 
 
 def measure(rings: int, rate_hz: float, scans: int) -> dict[str, float]:
-    """One observation with window skies in this process, once one scan of it has been made."""
+    """One observation with signal simulations in this process, once one scan of it has been made."""
     from dataclasses import replace
     from time import process_time
 
@@ -28,7 +28,7 @@ def measure(rings: int, rate_hz: float, scans: int) -> dict[str, float]:
     from surveysim.reduction.setup import prepare
     from surveysim.runtime.memory import peak_bytes
     from surveysim.scene.scene import load_scene
-    from surveysim.telescope.raster import samples_per_scan
+    from surveysim.telescope.scans import samples_per_scan
     from surveysim.timestreams.scan_blocks import Block
 
     settings = {"instrument.layout.rings": rings, "scan.sample_rate": f"{rate_hz} Hz", "scan.scans": scans}
@@ -40,7 +40,7 @@ def measure(rings: int, rate_hz: float, scans: int) -> dict[str, float]:
         start_s = process_time()
         result = observe(setup, 0, True)
         cpu_s = process_time() - start_s
-    samples = setup.camera.n_det * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
+    samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
     skies = result.seconds["transfer_function"] / sum(result.seconds.values())
     return {
         "detectors": setup.camera.n_det,
@@ -51,7 +51,7 @@ def measure(rings: int, rate_hz: float, scans: int) -> dict[str, float]:
         "10^6 samples": samples / 1e6,
         "CPU [s]": cpu_s,
         "ns": 1e9 * cpu_s * (1 - skies) / samples,
-        "window [ns]": 1e9 * cpu_s * skies / samples,
+        "simulations [ns]": 1e9 * cpu_s * skies / samples,
         "start [s]": start_s,
         "MB": peak_bytes() / 1e6,
     }
@@ -70,12 +70,13 @@ def main() -> None:
             print("| " + " | ".join(rows[0]) + " |\n|" + "---:|" * len(rows[0]))
         print("| " + " | ".join(f"{value:.5g}" for value in rows[-1].values()) + " |", flush=True)
     largest = max(rows, key=lambda row: row["10^6 samples"] * (row["detectors"] > 1e4))
-    each = largest["ns"] + WINDOW_SHARE * largest["window [ns]"]
+    each = largest["ns"] + SIMULATED_SHARE * largest["simulations [ns]"]
     samples = largest["detectors"] * 200 * OBSERVATION_S
     hours = 1e-9 * each * samples / 3600
     print(
-        f"\n{OBSERVATIONS} observations of an hour at 200 Hz with {largest['detectors']} detectors, window skies in a "
-        f"fifth: {samples:.3g} samples and {hours:.3g} core-hours each, {OBSERVATIONS * hours:.3g} core-hours in all"
+        f"\n{OBSERVATIONS} observations of an hour at 200 Hz with {largest['detectors']} detectors, signal simulations "
+        f"in a fifth: {samples:.3g} samples and {hours:.3g} core-hours each, "
+        f"{OBSERVATIONS * hours:.3g} core-hours in all"
     )
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from surveysim.forecasting.forecast import forecast
-from surveysim.forecasting.mode_kernels import windowed_sums
+from surveysim.forecasting.mode_kernels import apodized_sums
 from surveysim.reduction.setup import prepare
 from surveysim.scene.scene import load_scene
 
@@ -18,11 +18,11 @@ def test_lynx(benchmark, pytestconfig, algorithm):
     benchmark.pedantic(forecast, args=(scene,), rounds=3, warmup_rounds=1)
 
 
-def test_windowed_sums(benchmark):
-    """The layer's wavevectors through the window of the modes of 25 bins."""
+def test_apodized_sums(benchmark):
+    """The layer's wavevectors through the apodization of the modes of 25 bins."""
     rng = np.random.default_rng(1)
     strength, power, transfer = rng.random((1000, 512)), rng.random((3, 512)), rng.random(641)
     frequency, at, mean = rng.uniform(-4, 4, 512), rng.uniform(-3, 3, 1000), rng.random(512)
     losses = np.zeros(0), np.zeros((1000, 0)), np.zeros((512, 0))
     sums = (strength, power, frequency, at, transfer, 160.0, mean, *losses)
-    benchmark.pedantic(windowed_sums, args=sums, rounds=10, warmup_rounds=1)
+    benchmark.pedantic(apodized_sums, args=sums, rounds=10, warmup_rounds=1)

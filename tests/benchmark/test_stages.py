@@ -36,7 +36,7 @@ def test_floor_own_deviates(per_sample, lynx):
 
 def test_floor_fft_pair(per_sample, lynx):
     """As many and as long transforms as the excess noise takes, forth and back."""
-    n_scans = lynx.setup.observing.raster.n_scans
+    n_scans = lynx.setup.observing.scans.n_scans
     n = next_fast_len(2 * lynx.data_mk.shape[1] // n_scans, real=True)
     data = np.ones((len(lynx.data_mk), n_scans, n), np.float32)
     per_sample("floor: FFT pair", lambda: irfft(rfft(data), n))
@@ -65,7 +65,7 @@ def test_photon(per_sample, lynx):
 def test_detector(per_sample, lynx):
     data = np.zeros_like(lynx.data_mk)
     deviates = lynx.observed_block.deviates(RandomPurpose.DETECTOR)
-    psd, rate = lynx.setup.scene.detector.psd_mk2_hz, lynx.setup.observing.raster.sample_rate_hz
+    psd, rate = lynx.setup.scene.detector.psd_mk2_hz, lynx.setup.observing.scans.sample_rate_hz
     per_sample("detector", lambda: add_white(data, psd, rate, deviates))
 
 
@@ -76,7 +76,7 @@ def test_pixels(per_sample, lynx):
 
 
 def test_wind(per_sample, lynx):
-    streams, rate = lynx.streams, lynx.setup.observing.raster.sample_rate_hz
+    streams, rate = lynx.streams, lynx.setup.observing.scans.sample_rate_hz
     velocity = scan_velocities(streams)
     arguments = (streams.data_mk, streams.scan_bounds, streams.focal_plane)
     options = {"sample_rate_hz": rate, "scan_velocity_rad_s": velocity}
@@ -85,7 +85,7 @@ def test_wind(per_sample, lynx):
 
 @pytest.mark.parametrize("algorithm", ["average", "planar", "quadratic", "polynomial", "wind", "pca", "local"])
 def test_cleaning(per_sample, lynx, algorithm):
-    streams, rate = lynx.streams, lynx.setup.observing.raster.sample_rate_hz
+    streams, rate = lynx.streams, lynx.setup.observing.scans.sample_rate_hz
     section = lynx.setup.scene.cleaning.model_copy(
         update={"sigma_cut": 3.0, "neighbour_radius": 1.2, "order": 3, "regions": 1}
     )
@@ -98,7 +98,7 @@ def test_cleaning(per_sample, lynx, algorithm):
 
 
 def test_spectra(per_sample, lynx):
-    n_scans, rate = lynx.setup.observing.raster.n_scans, lynx.setup.observing.raster.sample_rate_hz
+    n_scans, rate = lynx.setup.observing.scans.n_scans, lynx.setup.observing.scans.sample_rate_hz
     kept = np.ones(n_scans, bool)
     per_sample("Hann spectra", lambda: hann_psd(lynx.data_mk, n_scans, kept, rate))
 
@@ -115,18 +115,18 @@ def test_binning(per_sample, lynx):
 def test_simulated_set(per_sample, lynx, name):
     setup, n_det = lynx.setup, len(lynx.data_mk)
     psd = np.tile(lynx.result.clean_psd, (n_det, 1))
-    white = white_level(psd, 150, setup.observing.raster.sample_rate_hz, setup.scene.score.white_noise_above_hz)
+    white = white_level(psd, 150, setup.observing.scans.sample_rate_hz, setup.scene.score.white_noise_above_hz)
     drawn = normal_deviates(setup.scene.seed, sets.NOISE_ONLY_SETS[name].purpose, OBSERVATION)
-    n_scans = setup.observing.raster.n_scans
+    n_scans = setup.observing.scans.n_scans
     draw, rows = sets.NOISE_ONLY_SETS[name].draw, slice(0, n_det)
     per_sample(f"simulated set, {name}", lambda: draw(setup, psd, white, n_scans, drawn, rows))
 
 
-def test_window_of_one_sky(per_sample, lynx):
+def test_signal_simulation_of_one_sky(per_sample, lynx):
     """A sky through the streams of the whole and the masked array, with cleaning and without."""
     part = reduction._reduce(lynx.setup, OBSERVATION, lynx.pointing, lynx.block, Stopwatch())
-    window, skies = reduction._empty_window(lynx.setup, 1), lynx.setup.analysis.signal_skies_mk[:1]
-    per_sample("window, one sky", lambda: reduction._add_window(window, part, skies))
+    maps, skies = reduction._empty_signal_maps(lynx.setup, 1), lynx.setup.analysis.signal_skies_mk[:1]
+    per_sample("signal simulation, one sky", lambda: reduction._add_signal_maps(maps, part, skies))
 
 
 def test_weights(per_sample, lynx):
@@ -136,7 +136,7 @@ def test_weights(per_sample, lynx):
 
 
 def test_coadds(per_sample, lynx):
-    """All data sets and the window skies into the sums and the sign-flipped sums."""
+    """All data sets and the signal simulations into the sums and the sign-flipped sums."""
     coadds = empty_coadds(lynx.setup)
     per_sample(
         "co-adds",
@@ -144,7 +144,7 @@ def test_coadds(per_sample, lynx):
     )
 
 
-@pytest.mark.parametrize("with_window", [False, True], ids=["bare", "window"])
-def test_observe(per_sample, lynx, with_window):
-    name = "observation, with window skies" if with_window else "whole observation"
-    per_sample(name, lambda: reduction.observe(lynx.setup, OBSERVATION, with_window))
+@pytest.mark.parametrize("with_signal_sims", [False, True], ids=["bare", "with simulations"])
+def test_observe(per_sample, lynx, with_signal_sims):
+    name = "observation, with signal simulations" if with_signal_sims else "whole observation"
+    per_sample(name, lambda: reduction.observe(lynx.setup, OBSERVATION, with_signal_sims))

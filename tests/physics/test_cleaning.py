@@ -25,10 +25,10 @@ def _shapes(focal_plane, n_par):
 
 
 def _amplitudes(rng, n_par, gradient=0.3):
-    """Random courses of the template amplitudes, mean-free; the common mode has rms 1."""
+    """Random mean-free template amplitudes; the common mode has rms 1."""
     size = np.array([1, gradient, gradient, gradient**2, gradient**2, gradient**2])[:n_par]
-    course = rng.standard_normal((n_par, N_SAMP))
-    return size[:, None] * (course - course.mean(axis=1, keepdims=True))
+    amplitude = rng.standard_normal((n_par, N_SAMP))
+    return size[:, None] * (amplitude - amplitude.mean(axis=1, keepdims=True))
 
 
 def _responsivities(rng, shapes):
@@ -78,8 +78,8 @@ def test_orthogonal_signal_is_untouched(name):
     shapes, amplitude = _shapes(focal_plane, N_PAR[name]), 100 * _amplitudes(rng, N_PAR[name])
     signal = rng.standard_normal((N_DET, N_SAMP))
     signal -= shapes @ np.linalg.lstsq(shapes, signal, rcond=None)[0]
-    courses = np.vstack([np.ones(N_SAMP), amplitude]).T
-    signal -= (courses @ np.linalg.lstsq(courses, signal.T, rcond=None)[0]).T
+    templates = np.vstack([np.ones(N_SAMP), amplitude]).T
+    signal -= (templates @ np.linalg.lstsq(templates, signal.T, rcond=None)[0]).T
     cleaned = clean(name, shapes @ amplitude + signal, ONE_SCAN, focal_plane, options=OPTIONS)
     np.testing.assert_allclose(cleaned.responsivity, 1, rtol=1e-12)
     np.testing.assert_allclose(cleaned.data_mk, signal, atol=1e-11)

@@ -125,7 +125,7 @@ def test_coupled_psd_refuses():
 
 
 def test_the_run_expects_what_its_skies_hold(lynx):
-    """Band's signal PSD against window skies: read at every second cell, skies behind the map's pixels."""
+    """Band's signal PSD against signal simulations: read at every second cell, skies behind the map's pixels."""
     band, n, n_sky = lynx.analysis.region, len(lynx.analysis.region.taper), 100
     shape, cell = (lynx.sky.geometry.n_y, lynx.sky.geometry.n_x), lynx.sky.geometry.pixel_rad
     sky = flat_spectrum_psd(mode_ell(*shape, cell)) * beam_window(mode_ell(*shape, cell), FWHM)
@@ -143,9 +143,10 @@ def test_the_run_expects_what_its_skies_hold(lynx):
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ["none", "average", "planar"])
 def test_what_cleaning_leaves_does_not_depend_on_the_skies_size(algorithm):
-    """The modes that the periodic grid of the window skies lacks, scans and cleaning remove: 3 times as large a grid.
+    """Scans and cleaning remove the modes that the periodic grid of the simulations lacks: tested with a grid 3 times
+    as large.
 
-    Before cleaning it matters a lot, so a window must be taken with the same skies as the signal that it multiplies.
+    They matter much before cleaning, so a transfer function needs the same skies as the signal that it multiplies.
     """
     scene = load_scene(LYNX, {"observations": 20, "cleaning.algorithm": algorithm})
     setup = prepare(scene)

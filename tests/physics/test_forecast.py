@@ -18,7 +18,7 @@ from surveysim.forecasting.forecast import forecast
 from surveysim.forecasting.mode_response import layer_gain, layer_waves, matrix_power, projected_array
 from surveysim.forecasting.noise_model import noise_models
 from surveysim.forecasting.observing_conditions import observing_conditions, survey_draws
-from surveysim.forecasting.scan_apodization import scan_window
+from surveysim.forecasting.scan_apodization import scan_apodization
 from surveysim.reduction.setup import prepare
 from surveysim.results.results import forecast_agreement
 from surveysim.results.summary import summary
@@ -63,7 +63,7 @@ class Scans:
         self.gain /= self.gain.mean()
         self.left = naive.cleaning_matrix(x, y, self.gain, {"none": -1, "average": 0, "planar": 1}[algorithm])
         self.array = projected_array(self.plane, angle_rad, responsivity=self.gain, algorithm=algorithm)
-        self.window = scan_window(SAMPLES / RATE, speed_rad_s=SPEED, size_rad=SIZE, taper_fraction=0.5)
+        self.apodization = scan_apodization(SAMPLES / RATE, speed_rad_s=SPEED, size_rad=SIZE, taper_fraction=0.5)
         self.wave = np.array([3000, 6000 * np.exp(0.6j), 1500j, 5000 * np.exp(1.52j), 4000 * np.exp(2.2j), 9000j])
         self.at_hz = self.wave.real * SPEED / (2 * np.pi)
         self.response = self.array.response(self.wave)
@@ -120,7 +120,7 @@ def test_layer_in_a_mode_is_that_of_drawn_screens(monkeypatch, algorithm, back):
     motion = SPEED - sign * complex(*wind)
     layer = layer_waves(screen, abs(motion) * SAMPLES / RATE)
     strength = layer_gain(scans.array, scans.response, layer) * layer.power
-    expected = scans.window.sums(strength, (layer.alpha * np.conj(motion)).real, scans.at_hz) * RATE
+    expected = scans.apodization.sums(strength, (layer.alpha * np.conj(motion)).real, scans.at_hz) * RATE
     np.testing.assert_allclose(found, expected, rtol=four_sigma(draws) + 0.05)
 
 
@@ -146,8 +146,9 @@ def test_a_layer_at_its_slant_distance_leaves_more(algorithm, at_60, at_45):
     setup = prepare(load_scene("scenarios/lynx.toml", {"observations": 40, "cleaning.algorithm": algorithm}))
     sines = np.sin(np.radians([45, 60, 90]))
     levels = replace(observing_conditions(setup, survey_draws(setup, 0, 40)), sine=np.resize(sines, 40))
-    layer = next(noise_models(setup, levels)).parts.layer
-    left = [layer(levels.motion, np.full(40, sine))[:, setup.analysis.region.selected].sum() for sine in sines]
+    model, unit = next(noise_models(setup, levels)), replace(levels, layer=np.ones(40))
+    layers = [model.layer_noise(replace(unit, sine=np.full(40, sine))) for sine in sines]
+    left = [noise[:, setup.analysis.region.selected].sum() for noise in layers]
     assert left[0] / left[2] == pytest.approx(at_45, rel=0.04)
     assert left[1] / left[2] == pytest.approx(at_60, rel=0.04)
 
@@ -175,7 +176,7 @@ def test_excess_in_a_mode_is_that_of_drawn_streams(algorithm):
     line = step * np.arange(1, SAMPLES + 1)
     both, strength = np.concatenate([-line, line]), np.tile(psd * step, 2)[None]
     power = matrix_power(scans.response, correlation * np.outer(scans.gain, scans.gain))
-    expected = power * scans.window.sums(strength, both, scans.at_hz) * RATE / 2
+    expected = power * scans.apodization.sums(strength, both, scans.at_hz) * RATE / 2
     np.testing.assert_allclose(found, expected, rtol=four_sigma(draws) + 0.02)
 
 
@@ -192,7 +193,7 @@ def test_photon_noise_in_a_mode_is_that_of_drawn_streams(coherence):
     frequency, step = np.linspace(-RATE, RATE, 16_001, retstep=True)
     flat = np.full((1, len(frequency)), 2.5 * step)
     expected = matrix_power(scans.response, correlation) * RATE / 2
-    expected *= scans.window.sums(flat, frequency, scans.at_hz)
+    expected *= scans.apodization.sums(flat, frequency, scans.at_hz)
     np.testing.assert_allclose(found, expected, rtol=four_sigma(draws) + 0.02)
 
 
@@ -205,7 +206,7 @@ def test_frames_of_observations_are_those_of_the_scans(scene_of):
         weather = observation_weather(setup, number)
         layer = np.array([sky_vector(angle, *weather.wind_rad_s) for angle in pointing.parallactic_rad]) @ [1, 1j]
         relative = pointing.velocity_rad_s @ [1, 1j] - layer
-        along = pointing.velocity_rad_s[:2] @ [1, 1j] / setup.observing.raster.speed_rad_s
+        along = pointing.velocity_rad_s[:2] @ [1, 1j] / setup.observing.scans.speed_rad_s
         np.testing.assert_allclose(levels.motion[number], relative[:2] / along, rtol=1e-9)
         offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad[:1]), axis=-1) @ [1, 1j]
         place = projected_array(
@@ -266,12 +267,12 @@ def test_gains_are_as_forecast(wide):
         assert expected == pytest.approx(gain.ratio, abs=3 * gain.error + 0.05 * gain.ratio)
 
 
-def test_transmission_is_the_measured_window(wide):
+def test_transmission_is_the_measured_transfer_function(wide):
     """Within 10 % from ell = 4000: both are ratios of tapered PSDs; two skies are measured."""
     score = wide.scores["actual"]
-    ratio = wide.expected.scores["actual"].transmission / score.window.transmission
+    ratio = wide.expected.scores["actual"].transmission / score.transfer_function.transmission
     high = score.band.ell > 4000
-    error = score.window.error / score.window.transmission
+    error = score.transfer_function.error / score.transfer_function.transmission
     assert (np.abs(ratio - 1) < 0.1 + 3 * error)[high].all()
 
 
@@ -323,9 +324,9 @@ def test_lynx_is_as_forecast(algorithm):
         assert abs(item.sigma) < 0.1 + 2 * item.sigma_error, (name, item)
         assert abs(item.psd) < 0.15 + 2 * item.psd_error, (name, item)
     for name in ("actual", next(name for name in result.scores if name.startswith("masked"))):
-        window = result.scores[name].window
-        ratio = result.expected.scores[name].transmission / window.transmission
-        assert (np.abs(ratio - 1) < 0.1)[window.ell > 3000].all(), name
+        transfer_function = result.scores[name].transfer_function
+        ratio = result.expected.scores[name].transmission / transfer_function.transmission
+        assert (np.abs(ratio - 1) < 0.1)[transfer_function.ell > 3000].all(), name
 
 
 @pytest.mark.slow
@@ -350,12 +351,12 @@ def test_fits_take_from_lynx_what_is_forecast():
         run(load_scene(LYNX, keys | {"cleaning.responsivities": way}), engine=SERIAL)
         for way in ("known", "scan", "observation")
     )
-    high = known.scores["actual"].window.ell > 3000
+    high = known.scores["actual"].transfer_function.ell > 3000
 
     def ratios(result):
         found, plain = result.scores["actual"], known.scores["actual"]
         expected, flat = result.expected.scores["actual"], known.expected.scores["actual"]
-        signal = found.window.transmission / plain.window.transmission
+        signal = found.transfer_function.transmission / plain.transfer_function.transmission
         noise = found.noise_psd / plain.noise_psd
         return (
             signal[high],
@@ -389,7 +390,9 @@ def test_short_scans_are_as_forecast_whoever_knows_the_responsivities():
         sigma[way] = found.band.sigma_ukcmb2
         assert expected.band.sigma_ukcmb2 == pytest.approx(found.plain_band.sigma_ukcmb2, rel=0.08)
         used = found.band.weight > 0
-        assert np.mean((expected.transmission / found.window.transmission)[used]) == pytest.approx(1, abs=0.01)
+        assert np.mean((expected.transmission / found.transfer_function.transmission)[used]) == pytest.approx(
+            1, abs=0.01
+        )
     assert sigma["observation"] == pytest.approx(sigma["known"], rel=0.01)
     assert sigma["survey"] == pytest.approx(sigma["known"], rel=0.01)
 

@@ -176,7 +176,7 @@ def test_coverage_of_many_samples_is_that_of_some_of_them(path, monkeypatch):
     """One of four samples in time, counted four times: within the chance of where they fall."""
     ready = prepare(load_scene(path, {"scan.sample_rate": "40 Hz", "map.pixel": "60 arcsec", "score.ell_max": 10000}))
     whole = conditions.mean_hits(ready, ready.analysis.pipelines[0])
-    samples = ready.camera.n_det * ready.observing.raster.n_scans * 240
+    samples = ready.camera.n_det * ready.observing.scans.n_scans * 240
     monkeypatch.setattr(conditions, "_MOST_HIT_SAMPLES", samples / 4)
     some = conditions.mean_hits(ready, ready.analysis.pipelines[0])
     assert some.sum() == pytest.approx(whole.sum(), rel=0.02) and (some % 1 == 0).all()

@@ -1,7 +1,7 @@
 """Iterative and maximum-likelihood maps of simulated rasters: what comes back of the sky, and with how much noise.
 
 61 detectors with 5 % scatter of responsivity scan a field of 20 arcmin along both axes in turn, 0.4 arcmin a
-sample at 10 Hz. The atmosphere is one red course of all detectors, of PSD f^-8/3, the index of a thin layer;
+sample at 10 Hz. The atmosphere is one red time-stream of all detectors, of PSD f^-8/3, the index of a thin layer;
 each detector's own slow noise has a PSD of 1 / f.
 """
 
@@ -51,23 +51,23 @@ def gains():
 
 
 def blocks(n, rng, white_mk, atmosphere_mk, sky=None, slow_mk=0.0):
-    """`n` observations: white level a sample, amplitudes of common and own courses, and a sky(xi, eta) [mK]."""
+    """`n` observations: white level a sample, amplitudes of common and own time-streams, and a sky(xi, eta) [mK]."""
     plane, result = focal_plane(), []
     for observation in range(n):
         xi, eta = raster(observation)
         angle = np.full(len(xi), 0.2 + 0.7 * observation)
         index = boresight_pixels(GEOMETRY, xi, eta, angle, plane=plane)
         east, north = sky_offsets(plane, angle[:1])
-        course = np.concatenate([red_course(rng, 8 / 3, ()) for _ in range(N_SCAN)]) * atmosphere_mk
-        data = gains()[:, None] * course + white_mk * rng.standard_normal(index.shape)
-        data += slow_mk * np.concatenate([red_course(rng, 1, (61,)) for _ in range(N_SCAN)], axis=-1)
+        stream = np.concatenate([red_stream(rng, 8 / 3, ()) for _ in range(N_SCAN)]) * atmosphere_mk
+        data = gains()[:, None] * stream + white_mk * rng.standard_normal(index.shape)
+        data += slow_mk * np.concatenate([red_stream(rng, 1, (61,)) for _ in range(N_SCAN)], axis=-1)
         if sky is not None:
             data += gains()[:, None] * sky(xi + east.T, eta + north.T)
         result.append(StreamBlock(data, index, BOUNDS, plane))
     return result
 
 
-def red_course(rng, index, shape):
+def red_stream(rng, index, shape):
     """(*shape, N_SAMP) of two-sided PSD f^-index [1/Hz], the first half of a period of twice that."""
     n = 2 * N_SAMP
     frequency = np.fft.rfftfreq(n, 1 / RATE)

@@ -58,7 +58,7 @@ def test_scan_velocities_of_saved_streams(path, dec_deg):
     (xi, eta), angle = pointing.velocity_rad_s.T, pointing.array_angle_rad
     expected = -xi * np.cos(angle) + eta * np.sin(angle), xi * np.sin(angle) + eta * np.cos(angle)
     found = scan_velocities(draw_observation(setup, 1)).T
-    np.testing.assert_allclose(found, expected, atol=3e-5 * setup.observing.raster.speed_rad_s)
+    np.testing.assert_allclose(found, expected, atol=3e-5 * setup.observing.scans.speed_rad_s)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_scans_in_which_the_airmass_changes_are_refused(dated):
     keys = {"field.dec": "0 deg", "observations": 2, "schedule.max_hour_angle": "5 hourangle", "scan.scans": 1}
     keys |= {"schedule.min_elevation": "15 deg", "scan.speed": "1 arcsec / s"}
     up = prepare(load_scene(dated, keys | {"scan.duration": "100 s"})).observing.angles.elevation_rad[:, 0]
-    # In the middle of the two halves of the window: the lower of these two decides.
+    # In the middle of the two halves of the visibility: the lower of these two decides.
     rates = [SIDEREAL_RAD_S * math.cos(LATITUDE) * math.sin(_azimuth(el)) / math.tan(el) for el in up]
     allowed_s = 2 * MAX_AIRMASS_CHANGE / max(rates)
     assert 200 < allowed_s < 1000

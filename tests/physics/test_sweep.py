@@ -42,11 +42,11 @@ AIR = NO_SETS.replace("observations = 4\n", "observations = 24\n").replace(
 
 
 def toy_pair(weights, own, rng):
-    """Scores of two surveys with the same signs, weather and window, whose modes have `own` of their power alone."""
+    """Scores of two surveys with the same signs, weather and transfer function; `own` is the power of own noise."""
     shape = (weights.size, N_MODES.sum() // 2)
     common, *apart = (rng.normal(size=(*shape, 2)) @ [1, 1j] / np.sqrt(2) for _ in range(3))
     signs = rng.choice([-1.0, 1.0], size=(FLIPS, weights.size))
-    window = TransferFunction(ELL, np.ones(4), np.zeros((2, 4)))
+    transfer_function = TransferFunction(ELL, np.ones(4), np.zeros((2, 4)))
     items = []
     for noise in apart:
         modes = np.sqrt(weights)[:, None] * (np.sqrt(1 - own) * common + np.sqrt(own) * noise)
@@ -65,7 +65,9 @@ def toy_pair(weights, own, rng):
         )
         noise = np.repeat(1 / weights[:, None], 4, axis=1)
         items.append(
-            DataSetScore("actual", DataSetKind.ACTUAL, 100, band, budget, psds, signal, window, weights, noise)
+            DataSetScore(
+                "actual", DataSetKind.ACTUAL, 100, band, budget, psds, signal, transfer_function, weights, noise
+            )
         )
     return items
 
@@ -146,7 +148,7 @@ def test_paired_error_where_little_is_common(tmp_path, monkeypatch):
     ],
 )
 def test_paired_error_in_varying_weather(tmp_path, monkeypatch, table, gained):
-    """Twenty-four observations in the atmosphere, cleaned: weather and window are common too.
+    """Twenty-four observations in the atmosphere, cleaned: weather and transfer function are common too.
 
     Ratios of surveys that lose no scans have no long tails: an excess kurtosis of -0.5 +- 0.8 over 40 seeds.
     """

@@ -176,8 +176,8 @@ def scene_of(tmp_path):
 
 def layer_alone(setup, observation=0, weather=None, block=None, realization=0):
     pointing = observation_path(setup.observing, observation)[1]
-    n_scan = block.n_scans if block else setup.observing.raster.n_scans
-    data = np.zeros((setup.camera.n_det, n_scan * (len(pointing.time_s) // setup.observing.raster.n_scans)), np.float32)
+    n_scan = block.n_scans if block else setup.observing.scans.n_scans
+    data = np.zeros((setup.camera.n_det, n_scan * (len(pointing.time_s) // setup.observing.scans.n_scans)), np.float32)
     weather = weather or observation_weather(setup, observation)
     add_layer(setup, observation, pointing, weather=weather, data=data, realization=realization, block=block)
     return data

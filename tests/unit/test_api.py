@@ -87,7 +87,7 @@ def test_two_workers_give_the_same_bits(path):
     setup = prepare(load_scene(path, {"numerics.max_block_memory": "9 kB"}))
     assert len(setup.observing.blocks) == 2
     one, two = (run_observations(setup, None, Engine(workers=workers)) for workers in (1, 2))
-    arrays = ("sums", "weight", "hits", "flipped", "window", "window_weight", "rows", "raw_psd", "clean_psd")
+    arrays = ("sums", "weight", "hits", "flipped", "signal_maps", "signal_weight", "rows", "raw_psd", "clean_psd")
     for name in arrays:
         np.testing.assert_array_equal(np.array(getattr(one, name)), np.array(getattr(two, name)))
 

@@ -1,10 +1,10 @@
-"""Builds the opacity tables beside this file with the `am` atmospheric model (package am-python).
+"""Build the opacity tables of this folder with the `am` atmospheric model (package am-python).
 
 ``python -m surveysim.atmosphere.tables.build_opacity [SITE ...]``; about five minutes on one core for all.
 
-Monochromatic optical depth is a quadratic in the water column for a fixed profile shape (lines and foreign
-continuum are linear in it, self broadening and self continuum quadratic), so three spectra give a site's
-table: at 1.7 mm above Mauna Kea spectrum and quadratic differ by 5e-4 of the optical depth.
+For a fixed profile shape the monochromatic optical depth is a quadratic in the water column (lines and foreign
+continuum are linear, self broadening and self continuum quadratic). So three spectra give the table of a site: at 1.7
+mm above Mauna Kea, spectrum and quadratic differ by 5e-4 of the optical depth.
 """
 
 import argparse
@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 
 FIRST_GHZ, LAST_GHZ, STEP_GHZ, CELL_STEPS = 80, 420, 0.02, 50
-CEILING = 50.0  # nothing is seen through more; only three cells at 380 GHz reach it
+CEILING = 50.0  # opaque; only three cells at 380 GHz reach it
 WATER_CM2_PER_MM = 0.1 / 18.015 * 6.02214e23  # 1 mm of PWV is 0.1 g/cm^2
 # A standard ozone column of 280 Dobson units, a layer about 22 km above the sea.
 OZONE_CM2, OZONE_HEIGHT_M, OZONE_WIDTH_M = 7.5e18, 22e3, 5e3
 GRAVITY_M_S2, GAS_CONSTANT_J_KG_K = 9.80665, 287.05
-# Boundaries of the layers above the ground; the last layer is all that lies above its lower one.
+# Lower boundaries of the layers above the ground; the last layer has no upper boundary.
 LAYERS_M = 1e3 * np.array(
     [0, 0.2, 0.4, 0.7, 1, 1.5, 2, 2.5, 3, 4, 5, 6, 7, 8.5, 10, 12, 14, 17, 20, 24, 28, 33, 40], dtype=float
 )
@@ -30,10 +30,10 @@ POLAR_MM = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.55, 0.75, 1.0, 1.3, 1.
 
 @dataclass(frozen=True)
 class Site:
-    """One site's atmosphere.
+    """Atmosphere of one site.
 
-    Temperature and the logarithm of the vapour density are linear between knots of the height above ground,
-    and the vapour goes on with the slope between the last two.
+    Temperature and the logarithm of the vapour density are linear between knots of the height above ground. Above the
+    last knot the vapour has the slope between the last two.
     """
 
     altitude_m: float
@@ -118,7 +118,7 @@ SITES = {
 
 
 def _knots(pairs: Sequence[tuple[float, float]], height_m: np.ndarray) -> np.ndarray:
-    """Linear between knots of (height km, value); beyond the last with the slope before it."""
+    """Interpolate linearly between knots of (height km, value); extrapolate with the last slope."""
     height, value = np.array(pairs, dtype=float).T
     beyond = np.maximum(height_m / 1e3 - height[-1], 0) * (value[-1] - value[-2]) / (height[-1] - height[-2])
     return np.interp(height_m / 1e3, height, value) + beyond
@@ -135,7 +135,7 @@ def vapour_density(site: Site, height_m: np.ndarray) -> np.ndarray:
 
 
 def layers(site: Site) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Pressure [mbar] and temperature [K] at the layers' bases, and each layer's share of water and ozone."""
+    """Pressure [mbar] and temperature [K] at the base of each layer, and its fractions of the water and ozone."""
     height = np.linspace(0.0, 80e3, 80001)
     temperature, vapour = temperature_k(site, height), vapour_density(site, height)
     ozone = np.exp(-0.5 * ((height + site.altitude_m - OZONE_HEIGHT_M) / OZONE_WIDTH_M) ** 2)
@@ -148,13 +148,13 @@ def layers(site: Site) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def atmosphere_temperature_k(site: Site) -> float:
-    """Temperature [K] that the vapour emits at: the mean of the profile, weighted by vapour density."""
+    """Emission temperature [K] of the vapour: mean of the profile, weighted by vapour density."""
     height = np.linspace(0.0, 40e3, 40001)
     return float(np.average(temperature_k(site, height), weights=vapour_density(site, height)))
 
 
 def configuration(site: Site, pwv_mm: float, *, first_ghz: float, last_ghz: float, step_ghz: float) -> str:
-    """The text of am's configuration file for a zenith spectrum of optical depth."""
+    """Configuration file of am for a zenith spectrum of optical depth."""
     lines = [
         f"f {first_ghz} GHz {last_ghz} GHz {step_ghz} GHz",
         "output f GHz tau neper",
@@ -172,7 +172,7 @@ def configuration(site: Site, pwv_mm: float, *, first_ghz: float, last_ghz: floa
 def spectrum(
     site: Site, pwv_mm: float, *, first_ghz: float = FIRST_GHZ, last_ghz: float = LAST_GHZ, step_ghz: float = STEP_GHZ
 ) -> tuple[np.ndarray, str]:
-    """Zenith optical depth on am's grid, and the version of am."""
+    """Zenith optical depth on am's grid, and am's version."""
     import tempfile
 
     import am
@@ -186,10 +186,10 @@ def spectrum(
 
 
 def cell_optical_depth(optical_depth: np.ndarray, steps: int) -> np.ndarray:
-    """Optical depth -ln<exp(-tau)> of cells of `steps` steps, the transmission by the trapezoidal rule.
+    """Optical depth -ln<exp(-tau)> of cells of `steps` steps, with the trapezoidal rule for the transmission.
 
-    20 MHz is fine enough: at 5 MHz the optical depths of Mauna Kea, 1.7 mm, change by at most 6e-4 between 130 and
-    160 or 215 and 255 GHz (3e-3 with 50 MHz), and with twice as many layers by 1.1e-3.
+    20 MHz is fine enough: at 5 MHz the optical depths of Mauna Kea, 1.7 mm, change by at most 6e-4 between 130 and 160
+    or 215 and 255 GHz (3e-3 with 50 MHz), and with twice as many layers by 1.1e-3.
     """
     transmission = np.exp(-optical_depth)
     mean = 0.5 * (transmission[1:] + transmission[:-1])
@@ -197,7 +197,7 @@ def cell_optical_depth(optical_depth: np.ndarray, steps: int) -> np.ndarray:
 
 
 def build(name: str) -> Path:
-    """Write the table of one site; its path."""
+    """Write the table of one site and return its path."""
     from astropy import units
     from astropy.table import QTable
 
@@ -226,7 +226,7 @@ def build(name: str) -> Path:
 
 
 def main() -> None:
-    """Build the tables of the sites named, or of all."""
+    """Build the tables of the named sites, or of all."""
     parser = argparse.ArgumentParser(description="Build the opacity tables with am.")
     parser.add_argument("site", nargs="*", help=f"of {', '.join(SITES)}; all without")
     for name in parser.parse_args().site or SITES:

@@ -20,14 +20,14 @@ from surveysim.reduction.setup import Setup
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.runtime.errors import InsufficientDataError
 from surveysim.runtime.rng import RandomPurpose, generator
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_levels
 from surveysim.timestreams.response import write_sky_signal
 from surveysim.timestreams.simulation import observation_path
 from surveysim.timestreams.sky_maps import flat_cmb_sky
 
-CENTILES = {"good": 25.0, "poor": 75.0}  # of B2
+CENTILES = {"good": 25.0, "poor": 75.0}  # centiles of B2
 ALGORITHMS = ("none", "average", "wind", "planar", "quadratic")
 LOOKS = {
     "none": "black",
@@ -43,7 +43,7 @@ TERMS = {"1": "black", "$x$": "blue", "$y$": "sky --", "$xy$": "green", "$x^2$":
 PCA_SIGMA_CUT = 3.0  # section 4.4
 ATMOSPHERE_HZ = 0.5  # section 4.3: above it the atmosphere is negligible
 SIGNAL_BAND_POWER_UKCMB2 = 1000.0  # too faint to change what cleaning does
-FAINTEST_BEAM = 0.1  # power of the beam below which no signal is left to tell a window from
+FAINTEST_BEAM = 0.1  # power of the beam below which too little signal is left for a transfer function
 FREQUENCY, PSD = "Frequency [Hz]", "PSD [mK$^2$/Hz]"
 
 
@@ -75,7 +75,7 @@ class Example:
 
     def psd(self, data_mk: np.ndarray, kept: np.ndarray) -> np.ndarray:
         """PSDs (n, n_freq) [mK^2/Hz] of time-streams at `frequencies`, averaged over kept scans."""
-        raster = self.setup.observing.raster
+        raster = self.setup.observing.scans
         return hann_psd(data_mk, raster.n_scans, kept, raster.sample_rate_hz)[:, 1 : 1 + len(frequencies(self.setup))]
 
     def _options(self, name: str) -> Any:
@@ -85,14 +85,14 @@ class Example:
             return PcaOptions(PCA_SIGMA_CUT)
         if name == "wind":
             delays = slowness(self.item.wind.velocity_rad_s, scan_velocities(self.streams))
-            return WindOptions(delays, self.setup.observing.raster.sample_rate_hz, *template)
+            return WindOptions(delays, self.setup.observing.scans.sample_rate_hz, *template)
         return TemplateOptions(*template)
 
 
 def frequencies(setup: Setup) -> np.ndarray:
     """Frequencies [Hz] of the modes of a scan, zero and Nyquist frequency excluded."""
-    n = samples_per_scan(setup.observing.raster)
-    return np.arange(1, (n + 1) // 2) * (setup.observing.raster.sample_rate_hz / n)
+    n = samples_per_scan(setup.observing.scans)
+    return np.arange(1, (n + 1) // 2) * (setup.observing.scans.sample_rate_hz / n)
 
 
 def weather_examples(survey: MeasuredSurvey) -> tuple[Example, ...]:
@@ -121,7 +121,7 @@ def weather_examples(survey: MeasuredSurvey) -> tuple[Example, ...]:
 
 def _chosen(examples: tuple[Example, ...]) -> str:
     each = " and ".join(f"{one.item.observation} of {one.scene} ({one.weather} weather)" for one in examples)
-    return f"of those whose wind is to be trusted, the two of fitted B2 nearest its quartiles are {each}"
+    return f"the two observations with a trusted wind and fitted B2 nearest its quartiles are {each}"
 
 
 # ---------------------------------------------------------------- figure 10
@@ -137,7 +137,7 @@ def timestream_figure(survey: MeasuredSurvey) -> PaperFigure:
     """
     examples = weather_examples(survey)
     spectra = [{name: _mean_psd(one, one.clean(name)) for name in ALGORITHMS} for one in examples]
-    # Both columns have one scale: they are there to be compared.
+    # One scale for both columns, so that they can be compared.
     highest = max(psds["none"].max() for psds in spectra)
     cleaned = np.array([psds[name] for psds in spectra for name in ALGORITHMS[1:]])
     photon = min(photon_level(one) or np.inf for one in examples)
@@ -256,10 +256,10 @@ def halfway_out(plane: FocalPlane) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Cost:
-    """Noise PSD and signal transfer function `window` after cleaning, (n_freq,); `removed` modes."""
+    """Noise PSD and signal transfer function after cleaning, (n_freq,); `removed` modes."""
 
     psd: np.ndarray
-    window: np.ndarray
+    transfer_function: np.ndarray
     removed: float
 
 
@@ -274,8 +274,8 @@ def pca_figure(survey: MeasuredSurvey) -> PaperFigure:
     every = [cost for costs in found for cost in costs.values()]
     highest = max(cost.psd.max() for cost in every)
     # One scale for all, so that the algorithms can be compared.
-    scale = highest / max((cost.window / cost.psd)[seen].max() for cost in every)
-    ratios = np.concatenate([scale * (cost.window / cost.psd)[seen] for cost in every])
+    scale = highest / max((cost.transfer_function / cost.psd)[seen].max() for cost in every)
+    ratios = np.concatenate([scale * (cost.transfer_function / cost.psd)[seen] for cost in every])
     ends = (min(ratios.min(), *(cost.psd.min() for cost in every)) / 2, 2 * highest)
     panels = [
         _psd_panel(one.title, _cost_series(one, costs, seen, scale), ends)
@@ -284,9 +284,9 @@ def pca_figure(survey: MeasuredSurvey) -> PaperFigure:
     texts = [_compared(one, costs) for one, costs in zip(examples, found, strict=True)]
     modes = published()["cleaning"]["modes_removed_by_pca"]
     caption = (
-        f"{described(survey)}; {_chosen(examples)}. S/N: the window of a CMB sky of flat band power, the share of its"
-        f" power that cleaning leaves in the time-streams, over the noise PSD, where the beam leaves more than"
-        f" {100 * FAINTEST_BEAM:g} % of the power; the sky of {SIGNAL_BAND_POWER_UKCMB2:g} uK_CMB^2 is far fainter than"
+        f"{described(survey)}; {_chosen(examples)}. S/N: transfer function of the time-streams for a CMB sky of flat"
+        f" band power, over the noise PSD, where the beam leaves more than {100 * FAINTEST_BEAM:g} % of the power; the"
+        f" sky of {SIGNAL_BAND_POWER_UKCMB2:g} uK_CMB^2 is far fainter than"
         f" the noise, and scans in which it changes the number of modes are left out. Adaptive PCA cuts eigenvalues"
         f" {PCA_SIGMA_CUT:g} sigma above the mean of their logarithms. {' '.join(texts)} The paper removes"
         f" {modes[0]} or {modes[1]} modes; its PCA has slightly less noise in good weather, slightly more in bad, and"
@@ -303,7 +303,7 @@ def _cost_series(one: Example, costs: dict[str, Cost], seen: np.ndarray, scale: 
         _line(
             f"{NAMES.get(name, name)}: S/N, arbitrary units",
             frequency[seen],
-            scale * (costs[name].window / costs[name].psd)[seen],
+            scale * (costs[name].transfer_function / costs[name].psd)[seen],
             look,
         )
         for name, look in RATIO_LOOKS.items()
@@ -325,7 +325,7 @@ def cleaning_cost(one: Example, name: str) -> Cost:
         SIGNAL_BAND_POWER_UKCMB2,
         instrument.cmb_per_rj,
         instrument.beam_fwhm_rad,
-        generator(setup.scene.seed, RandomPurpose.WINDOW_SKY),
+        generator(setup.scene.seed, RandomPurpose.SIGNAL_SIM),
     )
     write_sky_signal(setup, pointing, sky, plain)
     base, both = one.clean(name), one.clean(name, plain)
@@ -345,12 +345,12 @@ def _compared(one: Example, costs: dict[str, Cost]) -> str:
     low = frequencies(one.setup) <= ATMOSPHERE_HZ
     average, pca = costs["average"], costs["pca"]
     noise = pca.psd[low].sum() / average.psd[low].sum()
-    window = np.mean(pca.window[low]) / np.mean(average.window[low])
-    worth = np.sum((pca.window / pca.psd)[low]) / np.sum((average.window / average.psd)[low])
+    signal = np.mean(pca.transfer_function[low]) / np.mean(average.transfer_function[low])
+    worth = np.sum((pca.transfer_function / pca.psd)[low]) / np.sum((average.transfer_function / average.psd)[low])
     return (
         f"In {one.weather} weather it takes {pca.removed:.1f} modes a scan; below {ATMOSPHERE_HZ:g} Hz it leaves"
-        f" {noise:.2f} times the noise power of the average, {window:.2f} times its window and {worth:.2f} times"
-        f" its signal to noise."
+        f" {noise:.2f} times the noise power of the average, {signal:.2f} times its transfer function and"
+        f" {worth:.2f} times its signal to noise."
     )
 
 

@@ -10,9 +10,9 @@ from surveysim.runtime.errors import InsufficientDataError
 from surveysim.survey.coadds import row_names
 from surveysim.survey.scores import DataSetScore, gain, rescore
 
-LOOKS = ("blue", "green", "vermilion", "purple", "orange", "sky")  # of the pipelines, in their order
+LOOKS = ("blue", "green", "vermilion", "purple", "orange", "sky")  # colours of the pipelines, in their order
 OPTIMAL_LOOK = "black --"
-LOWEST_ELL = 500  # bins below it hold few modes, and of those little but the map's mean and gradient
+LOWEST_ELL = 500  # bins below it have few modes, mostly the mean and the gradient of the map
 ARCMIN2_IN_SR = np.degrees(60.0) ** 2  # square arcminutes in a steradian: PSDs get plain numbers
 ELL, UNCERTAINTY = r"Multipole $\ell$", r"$\sigma(A)$ [$\mu$K$_\mathrm{CMB}^2$]"
 FROM_ELL = r"Lowest multipole $\ell$ used"
@@ -98,7 +98,7 @@ def _sensitivity_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
     used, rings = _usable(result), result.setup.analysis.region.rings
     sigmas = {label: log_bin_sigma(result, result.scores[name])[used] for label, name in names.items()}
     y_label = r"$\sigma(A)$ of $\Delta\ln\ell = 1$ [$\mu$K$_\mathrm{CMB}^2$]"
-    return _panel("noise over windows", ELL, y_label, _lines(rings.ell[used], sigmas))
+    return _panel("noise over transfer function", ELL, y_label, _lines(rings.ell[used], sigmas))
 
 
 def log_bin_sigma(result: SurveyResult, item: DataSetScore) -> np.ndarray:
@@ -175,12 +175,12 @@ def _caption(result: SurveyResult, names: dict[str, str]) -> str:
     against = {label: gain(result.scores[name], own) for label, name in names.items() if name != ACTUAL}
     ratios = ", ".join(f"{item.ratio:.3f} ± {item.error:.3f} ({label})" for label, item in against.items())
     removed = {label: result.flux_removed[name] for label, name in pipelines.items()}
-    flux = _beside(removed, published()["cleaning"]["point_source_flux_removed"])
+    flux = _percentages(removed, published()["cleaning"]["point_source_flux_removed"])
     return (
         f"{result.coadds.done} simulated observations of {scene.name}, co-added after each algorithm, and after the one"
         f" that is best in each observation for a flat CMB spectrum in the scored range (optimal). Noise from"
         f" co-adds with random signs."
-        f" Top right: noise PSD over that of unit flat band power behind beam, pixel and the algorithm's window, as"
+        f" Top right: noise PSD over that of unit flat band power behind beam, pixel and transfer function, as"
         f" the uncertainty that bins of one unit of ln l would have; bottom: from all data from a multipole up to"
         f" {scene.score.ell_max}, with Monte Carlo errors; right, of the ratio. In the scored range from"
         f" {scene.score.ell_min} it is {own.band.sigma_ukcmb2:.0f} ± {own.band.error_ukcmb2:.0f} uK_CMB^2 with {first},"
@@ -193,12 +193,12 @@ def _caption(result: SurveyResult, names: dict[str, str]) -> str:
 
 def _shares(result: SurveyResult, target: str, pipelines: dict[str, str]) -> str:
     best = winners(result, target, tuple(pipelines.values()))
-    return _beside(
+    return _percentages(
         {label: best[name] for label, name in pipelines.items()}, published()["cleaning"][f"optimal_{target}"]
     )
 
 
-def _beside(shares: dict[str, float], paper: dict[str, float]) -> str:
+def _percentages(shares: dict[str, float], paper: dict[str, float]) -> str:
     """Words for captions: percentages by label, with published ones."""
     theirs = {label: f" (paper {100 * value:.0f})" for label, value in paper.items()}
     return ", ".join(f"{label} {100 * share:.1f}{theirs.get(label, '')}" for label, share in shares.items())

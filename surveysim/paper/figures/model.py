@@ -14,10 +14,10 @@ from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.runtime.errors import SceneError
 from surveysim.runtime.rng import RandomPurpose, normal_deviates
 from surveysim.scene.sites import SITES, median_water_mm, water_mm
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 
-BANDS_HZ = (150e9, 275e9)  # of the paper's figure 1
-BANDWIDTH = 0.15  # as Bolocam's
+BANDS_HZ = (150e9, 275e9)  # bands of the paper's figure 1
+BANDWIDTH = 0.15  # Bolocam's
 SITE_LOOKS = {
     "mauna_kea": ("Mauna Kea", "vermilion -"),
     "south_pole": ("South Pole", "blue --"),
@@ -25,8 +25,8 @@ SITE_LOOKS = {
     "ccat": ("CCAT", "purple :"),
 }
 
-DRAW = 1  # of the layer as shown: its rms is not far from the model's
-THICKNESS_M = 100.0  # of the layer as drawn: the model only wants it small beside the height
+DRAW = 1  # realization of the layer, with an rms near the expected one
+THICKNESS_M = 100.0  # drawn thickness of the layer: the model only requires it to be much smaller than the height
 
 
 def opacity_figure() -> PaperFigure:
@@ -84,9 +84,9 @@ def _screen_caption(setup: Setup) -> str:
     height, wind = air.layer_height_m, air.wind_median_rad_s
     seen_mk = edge_streams(setup)[1].std()
     return (
-        f"The thin-screen model to scale. Each detector looks up a column of {air.illuminated_aperture_m:g} m, at"
+        f"The thin-screen model to scale. Each detector sees a column {air.illuminated_aperture_m:g} m wide, at"
         f" the survey's median elevation of {degrees(_elevation_rad(setup)):.0f} degrees, through a layer {height:g} m"
-        f" above the telescope, whose thickness, drawn as {THICKNESS_M:g} m, does not enter. Lengths in the plane of"
+        f" above the telescope. Its thickness, drawn as {THICKNESS_M:g} m, does not matter. Lengths in the plane of"
         f" the layer are angles times its height: a field of view of {_arcmin(field_rad):.1f} arcmin is only"
         f" {height * field_rad:.1f} m wide, and the median wind of {_arcmin(wind):.0f} arcmin/s is {height * wind:.1f}"
         f" m/s. The last panel is one realization of the layer's emission over {setup.scene.scan.duration_s:g} s, for"
@@ -114,7 +114,7 @@ def column_edges(
     heights_m
         Heights above the telescope, (n,) [m].
     """
-    # The mirror does not turn with the detector: the columns of all of them start from its rim.
+    # The mirror is common: the columns of all detectors start at its rim.
     rim_x, rim_y = 0.5 * aperture_m * sin(elevation_rad), -0.5 * aperture_m * cos(elevation_rad)
     run = 1 / tan(elevation_rad + offset_rad)
     return -rim_x + (heights_m + rim_y) * run, rim_x + (heights_m - rim_y) * run
@@ -164,7 +164,7 @@ def _layer_panel(setup: Setup) -> Panel:
         _circle("footprint downwind", (x[last], y[last]), radius, "blue -."),
         _circle("air of the upwind one, 1 s later", (x[first] + moved, y[first]), radius, "grey :"),
         Series(f"centres of all {len(x)}", "points", x, y, "black"),
-        _arrow("way of the layer in 1 s", (x[first], -1.4 * radius), moved, "vermilion"),
+        _arrow("motion of the layer in 1 s", (x[first], -1.4 * radius), moved, "vermilion"),
     )
     labels = ("Footprints in the layer", "Along the wind [m]", "Across the wind [m]")
     along, across = (-1.7 * radius, moved + 1.7 * radius), (-1.8 * radius, 1.8 * radius)
@@ -188,7 +188,7 @@ def edge_streams(setup: Setup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     One scan at median B2, wind and elevation, with the wind along the camera's x axis; the common mean is removed.
     """
     air, rate = setup.scene.atmosphere, setup.scene.scan.sample_rate_hz
-    n = samples_per_scan(setup.observing.raster)
+    n = samples_per_scan(setup.observing.scans)
     plane, pair = setup.camera.focal_plane, list(_edge_pair(setup))
     offsets = np.stack([plane.x_rad[pair], plane.y_rad[pair]], axis=-1)[None]
     data = np.zeros((2, n), np.float32)

@@ -11,7 +11,7 @@ from surveysim.paper.statistics import QUARTILES, Binned, binned, cumulative, de
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.runtime.errors import InsufficientDataError
 
-BAND_LOOKS = ("blue", "vermilion", "green", "purple")  # of the surveys, in their order
+BAND_LOOKS = ("blue", "vermilion", "green", "purple")  # colours of the surveys, in their order
 B2_LABEL = r"$B_\nu^2$ [mK$^2$ rad$^{-5/3}$]"
 
 

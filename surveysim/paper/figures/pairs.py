@@ -15,7 +15,7 @@ from surveysim.runtime.errors import InsufficientDataError
 PAIRS = {"adjacent": "adjacent_counts", "non-adjacent": "distant_counts"}
 WEATHER_LOOKS = {"all observations": "black", "lowest quarter of B2": "blue", "highest quarter of B2": "vermilion"}
 CLEANING_LOOKS = {"average": "blue", "quadratic": "vermilion"}
-FEWEST_SHARE = 1e-3  # of pairs: bins beyond the last that has it are not shown
+FEWEST_SHARE = 1e-3  # smallest fraction of pairs in the last bin that is shown
 
 
 def correlation_histogram_figure(survey: MeasuredSurvey) -> PaperFigure:
@@ -126,7 +126,7 @@ def _white(survey: MeasuredSurvey) -> str:
         each.append(f"{100 * value:.1f} ± {100 * error:.1f} % after {cleaning} subtraction")
     return (
         f"Above 2.5 Hz the median correlation of adjacent pairs is {' and '.join(each)} (paper {100 * paper:g} %):"
-        f" what templates take is common to neighbours."
+        f" neighbours share the noise that templates subtract."
     )
 
 

@@ -15,7 +15,12 @@ from surveysim.survey.scores import DataSetScore, bin_errors
 if TYPE_CHECKING:
     from astropy.table import Table
 
-LOOKS = {"actual": "black", "uncorrelated": "vermilion :", "white": "green --", "masked": "blue -."}  # as the paper's
+LOOKS = {
+    "actual": "black",
+    "uncorrelated": "vermilion :",
+    "white": "green --",
+    "masked": "blue -.",
+}  # as published
 FLAT_LOOK = "grey"
 
 
@@ -121,7 +126,7 @@ def _noise_series(result: SurveyResult, name: str, item: DataSetScore) -> list[S
     y = np.sqrt(share * ARCMIN2_IN_SR * item.noise_psd[used])
     ell, look = result.setup.analysis.region.rings.ell[used], LOOKS[_kind(name)]
     label = name if share == 1 else rf"masked, $\times$ ({item.n_det}/{result.setup.camera.n_det})$^{{1/2}}$"
-    # Of a root the relative error is half that of the power.
+    # The relative error of the root is half the error of the power.
     ends = y * (1 - relative / 2), y * (1 + relative / 2)
     return [Series("", "band", ell, y, look.split()[0], *ends), Series(label, "line", ell, y, look)]
 

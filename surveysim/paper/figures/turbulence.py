@@ -13,10 +13,10 @@ from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.runtime.errors import InsufficientDataError
 from surveysim.timestreams.observation import draw_observation
 
-TYPICAL_CENTILE = 30.0  # of chi^2, the paper's choice of examples
+TYPICAL_CENTILE = 30.0  # centile of chi^2 of the paper's examples
 FAMILY_LOOKS = ("sky", "green --", "blue -.", "purple :")
 BEST_LOOK = "vermilion"
-# Grid points of a family beside the best fit: steps of b from it, and heights.
+# Grid points of a family around the best fit: steps of b from it, and heights.
 INDEX_STEPS = (-2, -1, 1, 2)
 HEIGHTS = (0, 3, 5, 8)
 

@@ -41,12 +41,12 @@ def wind_examples_figure(survey: MeasuredSurvey) -> PaperFigure:
         f"{described(survey)}. Slopes of the cross-PSDs' phase, averaged over pairs that are not neighbours and over"
         f" all scans of one observation, with errors from leaving out one scan at a time; the line is the sinusoid of"
         f" one frozen layer. Left: observation {item.observation} of {survey.scene_of[number]}, of median goodness"
-        f" among those in worse than median weather whose wind is to be trusted (B2 drawn {item.truth.b2:.0f} mK^2"
+        f" among those with a trusted wind in worse than median weather (B2 drawn {item.truth.b2:.0f} mK^2"
         f" rad^(-5/3), wind drawn {speed:.1f}, measured {_speed(item.wind)} arcmin/s). Right: the same observation"
         f" under a second layer of equal amplitude, whose wind of {speed:.1f} arcmin/s blows"
         f" {degrees(SECOND_LAYER_RAD):.0f} deg away from the first; measured {_speed(double)} arcmin/s,"
         f" {_verdict(double)}. In the survey, where every observation has one layer, {flagged} of"
-        f" {len(survey.measurements)} winds are not to be trusted; the paper finds features beyond the sinusoid in"
+        f" {len(survey.measurements)} winds are flagged; the paper finds features beyond the sinusoid in"
         f" roughly half of its data."
     )
     return PaperFigure(

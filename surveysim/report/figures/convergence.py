@@ -22,7 +22,7 @@ def draw_accuracy(path: Path, result: AccuracyResult) -> Path:
 
 
 def accuracy_figure(result: AccuracyResult) -> PaperFigure:
-    """Three panels against time: Monte Carlo errors of parts of the survey, of the other Monte Carlo knobs, and biases.
+    """Draw Monte Carlo errors of parts of the survey and of the other Monte Carlo parameters, and biases, against time.
 
     Grey lines are Pareto fronts: nothing is faster and as good. Diamonds are the scene's own settings.
     """
@@ -30,15 +30,15 @@ def accuracy_figure(result: AccuracyResult) -> PaperFigure:
     of_kind = {kind: [row for row in rows if row.setting.kind == kind] for kind in ("survey", "sampling", "numerical")}
     panels = (
         _survey_panel(of_kind["survey"], [row for row in rows if row.setting.kind == "forecast"]),
-        _panel("other Monte Carlo knobs", "relative error of sigma(A)", of_kind["sampling"], _error),
-        _panel("numerical knobs", "bias of sigma(A), or its error", of_kind["numerical"], _bias),
+        _panel("other Monte Carlo parameters", "relative error of sigma(A)", of_kind["sampling"], _error),
+        _panel("numerical parameters", "bias of sigma(A), or its error", of_kind["numerical"], _bias),
     )
     fitted = ", ".join(f"{item.name} {item.value:.2f}" for item in result.slopes if "time" in item.name)
     caption = (
         f"Left: {result.scene.observations} observations and parts of them, {result.seeds} seed(s); slopes: {fitted}."
-        f" Others: {result.sub_observations} observations; biases are against the finest setting of each knob, which"
-        " has none and is left out, with paired errors; where a bias is below its error, the error is drawn (squares)."
-        " Grey: Pareto front. Diamonds: the scene's own settings."
+        f" Others: {result.sub_observations} observations; biases are against the finest setting of each parameter,"
+        " which has none and is left out, with paired errors; where a bias is below its error, the error is drawn"
+        " (squares). Grey: Pareto front. Diamonds: the scene's own settings."
     )
     return PaperFigure(
         0, f"{result.scene.name}: accuracy and its cost", caption, tuple(panel for panel in panels if panel), 3
@@ -69,20 +69,20 @@ def _survey_panel(rows: Sequence[Measured], forecast: Sequence[Measured]) -> Pan
 
 
 def _panel(title: str, y_label: str, rows: Sequence[Measured], value: Callable[[Measured], float]) -> Panel | None:
-    """All knobs of some rows; None where no value is above 0."""
+    """All parameters of some rows; None where no value is above 0."""
     rows = [row for row in rows if value(row) > 0]
     if not rows:
         return None
     time, error = _points(rows, value)
     front = pareto(time, error)
     series = [Series("", "line", time[front], error[front], "grey")]
-    for look, knob in zip(LOOKS, dict.fromkeys(row.setting.knob for row in rows), strict=False):
+    for look, parameter in zip(LOOKS, dict.fromkeys(row.setting.parameter for row in rows), strict=False):
         marks: dict[str, list[Measured]] = {}
         for row in rows:
-            if row.setting.knob == knob:
+            if row.setting.parameter == parameter:
                 marks.setdefault(_mark(row), []).append(row)
         for number, (mark, drawn) in enumerate(marks.items()):
-            series.append(Series("" if number else knob, "points", *_points(drawn, value), f"{look} {mark}"))
+            series.append(Series("" if number else parameter, "points", *_points(drawn, value), f"{look} {mark}"))
     return Panel(title, TIME, y_label, tuple(series), True, True, False, _range(time), _range(error))
 
 

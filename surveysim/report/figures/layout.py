@@ -1,4 +1,4 @@
-"""Figures that are given as their points, as PNG files: title, panels, legends beside the data, caption."""
+"""PNG files of figures given by their points: title, panels, legends that avoid the data, caption."""
 
 import re
 from collections.abc import Callable
@@ -33,13 +33,13 @@ MARKERS = {"-": "o", "--": "s", ":": "^", "-.": "D"}  # by dashes
 _SIZES = ((6.4, 4.2), (10.0, 3.7), (12.6, 3.5))
 _CAPTION_PT, _LEGEND_PT, _PANEL_PT, _TITLE_PT = 8, LEGEND["fontsize"], 10, 11
 _MARGIN = 0.12  # inch, around the caption
-_HANDLE = 0.5  # inch, of a legend's entry beside its text
-_CROWD = 60  # points from which markers are small and pale
-_BETWEEN = np.linspace(0, 1, 40)  # along a line from point to point, where legends must not lie
+_HANDLE = 0.5  # inch, width of a legend entry without its text
+_CROWD = 60  # smallest number of points with small, pale markers
+_BETWEEN = np.linspace(0, 1, 40)  # positions on a line between points that legends must not hide
 
 
 def draw_figure(figure: PaperFigure, path: Path) -> None:
-    """Draw a figure as a PNG, whole or not at all.
+    """Draw a figure as a PNG file, atomically.
 
     Raises ValueError for a look that is not one of `Series`, and for a figure without panels.
     """
@@ -47,7 +47,7 @@ def draw_figure(figure: PaperFigure, path: Path) -> None:
 
 
 def lay_out(figure: PaperFigure) -> Figure:
-    """The figure with its panels, and room made for title, legends and caption; errors as `draw_figure`."""
+    """Draw the panels and fit title, legends and caption; errors as `draw_figure`."""
     if not figure.panels:
         raise ValueError(f"figure {figure.number}: found no panel; at least one is expected")
     columns = min(figure.columns, len(figure.panels))
@@ -80,7 +80,7 @@ def _draw_panel(axes: Axes, panel: Panel, width: float) -> None:
     if panel.square:
         axes.set_aspect("equal")
     drawing.finish(axes, panel.x_label, panel.y_label)
-    axes.set_ylabel(panel.y_label, fontsize=10)  # in every column: panels share nothing
+    axes.set_ylabel(panel.y_label, fontsize=10)  # in every column: panels have different axes
     for is_log, axis, ends in ((panel.x_log, axes.xaxis, axes.get_xlim()), (panel.y_log, axes.yaxis, axes.get_ylim())):
         if is_log:
             _log_ticks(axis, abs(np.log10(ends[1] / ends[0])))
@@ -91,7 +91,7 @@ def _draw_panel(axes: Axes, panel: Panel, width: float) -> None:
 
 
 def _open_limits(axes: Axes, panel: Panel) -> None:
-    """Room about data of one value but for rounding, which matplotlib leaves without any on a logarithmic axis."""
+    """Widen the limits of nearly constant data, which matplotlib leaves without a range on a logarithmic axis."""
     for is_log, (low, high), setter in (
         (panel.x_log, axes.get_xlim(), axes.set_xlim),
         (panel.y_log, axes.get_ylim(), axes.set_ylim),
@@ -104,7 +104,7 @@ def _open_limits(axes: Axes, panel: Panel) -> None:
 
 
 def _look(series: Series) -> tuple[str, str]:
-    """Colour and dashes; raises ValueError for others than those of `Series`."""
+    """Parse colour and dashes; raises ValueError for others than those of `Series`."""
     colour, dashes = (*series.look.split(), "-")[:2]
     if colour not in COLOURS or dashes not in MARKERS:
         allowed = f"{', '.join(COLOURS)} and {' '.join(MARKERS)} are allowed"
@@ -147,7 +147,7 @@ def _entry(series: Series) -> str:
 
 
 def _log_ticks(axis: Axis, decades: float) -> None:
-    """Plain numbers on an axis of less than three decades, powers of ten on a longer one."""
+    """Format ticks as plain numbers below three decades, and as powers of ten above."""
     if decades >= 3:
         axis.set_major_locator(LogLocator(numticks=10))
         axis.set_major_formatter(LogFormatterSciNotation())
@@ -163,7 +163,7 @@ def _log_ticks(axis: Axis, decades: float) -> None:
 
 
 def _common_legend(canvas: Figure, panels: tuple[Panel, ...]) -> float:
-    """One legend where several panels have the same; returns its height [inch], 0 where they have not."""
+    """Draw one legend if all panels have the same; returns its height [inch], else 0."""
     first, *others = [[(series.label, series.look) for series in panel.series if series.label] for panel in panels]
     if not (first and others and all(entries == first for entries in others)):
         return 0.0
@@ -173,7 +173,7 @@ def _common_legend(canvas: Figure, panels: tuple[Panel, ...]) -> float:
 
 
 def _add_legends(canvas: Figure, panels: tuple[Panel, ...]) -> float:
-    """Legends inside the panels where they hide no data, else below; returns the height [inch] for the latter."""
+    """Draw legends inside the panels where they hide no data, else below; returns the height [inch] below."""
     for axes, panel in zip(canvas.axes, panels, strict=True):
         handles, labels = _entries(axes, panel)
         if handles:
@@ -188,7 +188,7 @@ def _add_legends(canvas: Figure, panels: tuple[Panel, ...]) -> float:
 
 
 def _legend_below(axes: Axes, panel: Panel) -> float:
-    """Put the legend of a panel below its label; returns its height [inch]."""
+    """Draw the legend of a panel below its label; returns its height [inch]."""
     handles, labels = _entries(axes, panel)
     room = 1.1 * axes.get_window_extent().width / drawing.DPI
     labels = [_wrapped(axes.figure, label, room - _HANDLE, _LEGEND_PT) for label in labels]
@@ -199,7 +199,7 @@ def _legend_below(axes: Axes, panel: Panel) -> float:
 
 
 def _entries(axes: Axes, panel: Panel) -> tuple[list, list[str]]:
-    """Handles and labels of the legend in the order of the series, which is not that of matplotlib."""
+    """Handles and labels of the legend in the order of the series, which matplotlib does not keep."""
     handles, labels = axes.get_legend_handles_labels()
     order = [series.label for series in panel.series]
     pairs = sorted(zip(handles, labels, strict=True), key=lambda pair: order.index(pair[1]))
@@ -207,7 +207,7 @@ def _entries(axes: Axes, panel: Panel) -> tuple[list, list[str]]:
 
 
 def _fit(legend: Callable[[int], Legend], most: int, room: float) -> float:
-    """Draw a legend of the most columns that fit into a width [inch], or of one; returns its height [inch]."""
+    """Draw a legend with as many columns as fit into a width [inch]; returns its height [inch]."""
     for columns in range(most, 0, -1):
         drawn = legend(columns)
         size = drawn.get_window_extent()
@@ -225,7 +225,7 @@ def _hides(axes: Axes, panel: Panel) -> bool:
 
 
 def _ink(axes: Axes, series: Series) -> np.ndarray:
-    """Pixels (n, 2) all along what a series draws."""
+    """Pixels (n, 2) along everything that a series draws."""
     if series.kind == "steps":
         starts = np.column_stack([np.repeat(series.x, 2)[1:-1], np.repeat(series.y[:-1], 2)])
         return _along(axes.transData.transform(starts))
@@ -259,7 +259,7 @@ def _caption(canvas: Figure, caption: str) -> Text:
 
 
 def _resize(canvas: Figure, height: float, caption: Text, common: float) -> None:
-    """Give the figure a height [inch], of which the lowest is the caption's and, above it, the common legend's."""
+    """Set the height of the figure [inch]; the caption is at the bottom, the common legend above it."""
     canvas.set_figheight(height)
     caption.set_y(_MARGIN / height)
     top = (_size(caption)[1] + 2 * _MARGIN) / height
@@ -271,7 +271,7 @@ def _resize(canvas: Figure, height: float, caption: Text, common: float) -> None
 
 
 def _wrapped(canvas: Figure, text: str, width: float, size: float) -> str:
-    """Text broken into lines of at most a width [inch], not inside of formulas."""
+    """Break a text into lines of at most a width [inch], but not inside formulas."""
     lines: list[str] = []
     for word in re.findall(r"(?:\$[^$]*\$|\S)+", text):
         longer = f"{lines[-1]} {word}" if lines else word

@@ -12,7 +12,7 @@ TARGETS = np.geomspace(1 / 5, 10, 40)  # relative errors whose costs are drawn, 
 def time_figure(result: SurveyResult) -> PaperFigure:
     """Relative error of the best estimate against seconds of simulation with the run's workers.
 
-    The solid line has more observations alone, the dashed one sign flips and window skies too where they are needed.
+    The solid line has more observations only, the dashed one also more sign flips and signal simulations where needed.
     """
     parts, done = result.parts, result.coadds.done
     own_s = done * parts.each_s / result.workers

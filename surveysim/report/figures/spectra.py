@@ -81,17 +81,25 @@ def transfer_functions(setup: Setup, scores: dict[str, DataSetScore], expected: 
     _shade_scored(axes, setup)
     style = {"marker": "o", "ms": 3.5, "lw": 1, "capsize": 2}
     labels = {pipeline.data_set: f"cleaning ({pipeline.label})" for pipeline in setup.analysis.pipelines}
-    for item in {id(item.window): item for item in reversed(scores.values())}.values():
+    for item in {id(item.transfer_function): item for item in reversed(scores.values())}.values():
         colour, dashes, label, _ = _look(setup, item)
         label = f"{labels.get(item.name, label)}, {item.n_det} detectors"
-        axes.errorbar(rings.ell, item.window.transmission, item.window.error, c=colour, ls=dashes, label=label, **style)
+        axes.errorbar(
+            rings.ell,
+            item.transfer_function.transmission,
+            item.transfer_function.error,
+            c=colour,
+            ls=dashes,
+            label=label,
+            **style,
+        )
         if expected and item.name in expected.scores:
             axes.plot(rings.ell, expected.scores[item.name].transmission, color=colour, lw=0.8)
     if expected:
         axes.plot([], [], color=BLACK, lw=0.8, label="forecast of each")
     axes.plot(rings.ell, beam, color=PURPLE, ls=":", lw=1.8, label=r"beam, $B_\ell^2$")
     axes.plot(rings.ell, pixel, color=GREEN, ls="--", lw=1.5, label="pixel")
-    product = beam * pixel * first.window.transmission
+    product = beam * pixel * first.transfer_function.transmission
     axes.plot(rings.ell, product, color=VERMILION, lw=1.8, label=f"product, {first.n_det} detectors")
     axes.set(xlim=(0, rings.edges_ell[-1]), ylim=(0, 1.1))
     finish(axes, ELL, "Power transmission")

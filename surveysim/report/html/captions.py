@@ -105,10 +105,9 @@ FORECAST_SWEEP = Caption(
 )
 ACCURACY = Caption(
     "Accuracy and its cost",
-    "Errors and biases of the score against CPU time, for every setting of every knob.",
+    "Errors and biases of the score against CPU time, for every setting of every parameter.",
     "Across: CPU time without start-up [s]. Up: relative error of σ(A) for numbers of observations (left) and for the "
-    "other Monte Carlo knobs (middle); bias of σ(A) for numerical knobs (right), or its error if that is larger "
-    "(squares). Diamonds are the scene's own settings. Grey: the Pareto front, beyond which nothing is both faster and "
-    "better.",
+    "other Monte Carlo parameters (middle); bias of σ(A) for numerical parameters (right), or its error if that is "
+    "larger (squares). Diamonds are the scene's own settings. Grey: the Pareto front.",
     "Look for diamonds far from the grey line: there another setting is as good and faster.",
 )

@@ -1,4 +1,4 @@
-"""Closure tests on the page of a run: inputs beside measured values, forecast beside simulation."""
+"""Closure tests on the page of a run: inputs and measured values, forecast and simulation."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -8,7 +8,7 @@ from surveysim.results.agreement import GOOD_PSD, KNOWN
 from surveysim.results.tables import agreement_table, closure_table, effect_table
 from surveysim.runtime.numbers import count, percent
 
-Content = Mapping[str, Any]  # of summary.json
+Content = Mapping[str, Any]  # content of summary.json
 MEASURED = (
     "Expected: noise as the scene sets it; found: in the cleaned time-streams, where the tail of the excess noise adds"
     " to it and templates remove a part of the common noise. Signal power after cleaning is expected in closed form and"
@@ -19,7 +19,7 @@ EFFECTS = "Sizes are relative to the noise PSD of the scored multipoles. Flagged
 
 
 def closure_blocks(summary: Content) -> Iterator[Block]:
-    """Tables of all that the run allows to compare."""
+    """Return tables of all comparisons that the run allows."""
     kinds = {item["kind"] for item in summary.get("closure", [])}
     if "measured" in kinds:
         yield grid(closure_table(summary["closure"], "measured"), MEASURED)

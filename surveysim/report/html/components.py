@@ -1,4 +1,4 @@
-"""Parts of a page of a report: sections with text, terms, tables and pictures."""
+"""Building blocks of a report page: sections with text, terms, tables and pictures."""
 
 import math
 from base64 import b64encode
@@ -15,7 +15,7 @@ UK2 = "µK²_CMB"
 
 @dataclass(frozen=True)
 class Cell:
-    """Text of a table's cell; `value` is the number that it rounds, None for a text."""
+    """Text of a table cell; `value` is the unrounded number, None for a text."""
 
     text: str
     value: float | None = None
@@ -31,7 +31,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Listing:
-    """A list under a line that introduces it, if any."""
+    """A list with an optional introductory line."""
 
     kind: ClassVar = "listing"
     items: tuple[str, ...]
@@ -40,7 +40,7 @@ class Listing:
 
 @dataclass(frozen=True)
 class Terms:
-    """Terms, each with what is said of it, below a title, if any; `code` for what a program reads."""
+    """Terms with their descriptions, and an optional title; `code` for terms that a program reads."""
 
     kind: ClassVar = "terms"
     pairs: tuple[tuple[str, str], ...]
@@ -50,7 +50,7 @@ class Terms:
 
 @dataclass(frozen=True)
 class Grid:
-    """A table: the first cell of a row is its head, `best` are rows to point out. `notes` stand below."""
+    """A table: the first cell of a row is its header, `best` are highlighted rows, `notes` stand below."""
 
     kind: ClassVar = "grid"
     anchor: str
@@ -62,15 +62,15 @@ class Grid:
 
     @property
     def numeric(self) -> set[int]:
-        """Places of the columns that hold numbers."""
+        """Indices of the columns that hold numbers."""
         return {place for row in self.rows for place, item in enumerate(row) if item.value is not None and place}
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG as a data URI, its size in pixels, the text in its place, and a caption below its title.
+    """A PNG as a data URI, its size in pixels, its text alternative, title and caption.
 
-    `drawn` is a caption that the picture itself holds: it is shown where the picture is too small to read it.
+    `drawn` is a caption inside the picture: the page shows it as text where the picture is too small to read.
     """
 
     kind: ClassVar = "picture"
@@ -89,7 +89,7 @@ Block = Text | Listing | Terms | Grid | Picture
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page with a heading; the table of contents names the parts in it where it is `nested`."""
+    """A part of a page with a heading; the table of contents lists its parts if it is `nested`."""
 
     anchor: str
     title: str
@@ -98,14 +98,14 @@ class Section:
 
     @property
     def parts(self) -> list[tuple[str, str]]:
-        """Anchor and title of what the table of contents names."""
+        """Anchors and titles for the table of contents."""
         named = [block for block in self.blocks if self.nested and isinstance(block, Grid | Picture)]
         return [(block.anchor, block.title if isinstance(block, Picture) else block.caption) for block in named]
 
 
 @dataclass(frozen=True)
 class Page:
-    """A whole page: what it is of, its title, what it says in a few lines, key figures, and its sections."""
+    """A whole page: its kind, title, summary lines, key figures, and sections."""
 
     kind: str
     title: str
@@ -115,29 +115,29 @@ class Page:
 
 
 def picture(path: Path, title: str, alt: str, caption: Sequence[str], drawn: str = "") -> Picture:
-    """A PNG file as a part of a page, at its own bytes."""
+    """Embed a PNG file in a page, byte for byte."""
     data = path.read_bytes()
-    width, height = (int.from_bytes(data[start : start + 4], "big") for start in (16, 20))  # of the header IHDR
+    width, height = (int.from_bytes(data[start : start + 4], "big") for start in (16, 20))  # in the header IHDR
     uri = f"data:image/png;base64,{b64encode(data).decode()}"
     return Picture(f"figure-{path.stem}", uri, width, height, alt, title, tuple(caption), drawn)
 
 
 def cell(value: object) -> Cell:
-    """A text or a count as it stands."""
+    """Make a cell of a text or a count."""
     if isinstance(value, int) and not isinstance(value, bool):
         return Cell(count(value), value)
     return Cell(str(value))
 
 
 def measured(value: float | None, error: float | None = None) -> Cell:
-    """A number rounded to two digits of its error, or to three of its own; empty for none."""
+    """Make a cell of a number, rounded to two digits of its error or else to three digits; empty for none."""
     if value is None or not math.isfinite(value):
         return Cell("")
     return Cell(with_error(value, error), value)
 
 
 def grid(table: Table, *notes: str) -> Grid:
-    """A table of results as a part of a page, with notes below."""
+    """Convert a table of results to a part of a page, with notes below."""
     shown = table.shown
     numbers = [column.array.tolist() if column.is_numeric else [None] * len(column.values) for column in shown]
     rows = tuple(
@@ -149,5 +149,5 @@ def grid(table: Table, *notes: str) -> Grid:
 
 
 def _value(text: str, value: float | None) -> float | None:
-    """The number that a cell rounds; None for a text and where there is none."""
+    """Unrounded number of a cell; None for a text or a missing number."""
     return value if text and value is not None and math.isfinite(value) else None

@@ -21,7 +21,7 @@ from surveysim.report.html.scene import what_was_simulated
 from surveysim.report.tables import could_run, setting_table
 from surveysim.runtime.numbers import count, duration, number, percent, with_error
 
-Content = Mapping[str, Any]  # of summary.json and scene.json
+Content = Mapping[str, Any]  # content of summary.json or scene.json
 PICTURE = "figures/accuracy.png"
 
 
@@ -57,7 +57,7 @@ def accuracy_page(directory: Path, summary: Content, scene: Content) -> Page:
 
 
 def _lead(found: Content) -> Iterator[str]:
-    others = [f"{item['knob']} {item['label']}" for item in found["recommended"] if not item["is_own"]]
+    others = [f"{item['parameter']} {item['label']}" for item in found["recommended"] if not item["is_own"]]
     tolerated = f"a bias below {percent(found['tolerated_bias'])}, a third of the run's Monte Carlo error"
     text = f"The scene's own settings are the fastest with {tolerated}"
     yield f"{text}, but for: {'; '.join(others)}." if others else f"{text}."
@@ -66,7 +66,7 @@ def _lead(found: Content) -> Iterator[str]:
 
 def _settings(rows: Sequence[Content], scored: Sequence[Content], found: Content) -> Iterator[Block]:
     note = (
-        "Shaded: the scene's own settings. A bias is against the finest setting of its knob (of the number of"
+        "Shaded: the scene's own settings. A bias is against the finest setting of its parameter (of the number of"
         " observations and the forecast: against the reference), with its paired error; 0 without an error is that"
         " setting itself, or one equal to it. Peak: the most memory that a process held since it began, with other"
         " settings before this one."
@@ -75,7 +75,7 @@ def _settings(rows: Sequence[Content], scored: Sequence[Content], found: Content
         yield grid(setting_table(scored), note)
     refused = [row for row in rows if not could_run(row)]
     if refused:
-        yield Listing(tuple(f"{row['knob']} {row['setting']}: {row['note']}." for row in refused), "Not run:")
+        yield Listing(tuple(f"{row['parameter']} {row['setting']}: {row['note']}." for row in refused), "Not run:")
     tolerated = percent(found["tolerated_bias"])
     yield Listing(
         tuple(map(_recommended, found["recommended"])), f"Recommended, fastest with a bias below {tolerated}:"
@@ -93,7 +93,7 @@ def _slopes(found: Content) -> Iterator[Block]:
 def _recommended(item: Content) -> str:
     has = "as the scene has it" if item["is_own"] else "not the scene's"
     doubt = "" if item["resolved"] else "; its bias is smaller than its error, but the error is larger than this limit"
-    return f"{item['knob']} {item['label']}: {has}{doubt}."
+    return f"{item['parameter']} {item['label']}: {has}{doubt}."
 
 
 def _sentence(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Discarded scans on a page: shares of data sets, against the weather, and warnings."""
+"""Discarded scans on a page: fractions by data set and by weather, and warnings."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -6,9 +6,9 @@ from typing import Any
 
 from surveysim.report.html.components import Block, Cell, Grid, Section, Text, cell
 from surveysim.runtime.numbers import number
-from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, WEATHER_GROUPS, telling
+from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, WEATHER_GROUPS, listed_data_sets
 
-Content = Mapping[str, Any]  # of summary.json
+Content = Mapping[str, Any]  # content of summary.json
 DISCARD_RULE = (
     "Cleaning discards a scan whose templates it cannot fit. If it fits responsivities to the atmosphere, these are"
     " scans with little atmospheric signal: in the calmest weather, which gives the best data, or along the wind at"
@@ -20,24 +20,24 @@ QUARTERS = "Quarters of the observations by their B2, the calmest first."
 
 
 def share_cell(share: float | None) -> Cell:
-    """A share in percent; empty for NaN and None."""
+    """Make a cell of a fraction in percent; empty for NaN and None."""
     return Cell("") if share is None or math.isnan(share) else Cell(f"{100 * share:.1f}", 100 * share)
 
 
 def quarter_names(n: int) -> list[str]:
-    """Names of so many groups of observations."""
+    """Name n groups of observations, ordered by weather."""
     kind = "quarter" if n == WEATHER_GROUPS else "group"
     return [f"{place} {kind}" for place in ("1st", "2nd", "3rd", "4th")[:n]]
 
 
 def warned(summary: Content) -> Iterator[str]:
-    """The warnings in a summary as paragraphs."""
+    """Return the warnings in a summary as paragraphs."""
     for line in summary.get("warnings", ()):
         yield f"Warning: {line}"
 
 
 def discarded_section(summary: Content) -> Section:
-    """Shares of discarded scans of a run, of all and by quarters of the observations."""
+    """Return the fractions of discarded scans of a run, for all observations and for quarters of them."""
     return Section("discarded", "Discarded scans", tuple(_blocks(summary)))
 
 
@@ -46,7 +46,7 @@ def _blocks(summary: Content) -> Iterator[Block]:
     if not any(shares.values()):
         yield Text(("No scan was discarded.",))
         return
-    names = telling([shares, *(part["discarded"] for part in by_weather)])
+    names = listed_data_sets([shares, *(part["discarded"] for part in by_weather)])
     rows = []
     for name, part in zip(quarter_names(len(by_weather)), by_weather, strict=True):
         b2 = f"{number(part['b2_min_mk2'])} to {number(part['b2_max_mk2'])}"

@@ -1,4 +1,4 @@
-"""One page for what lies in an output directory: of a run, a sweep, the paper's items or a measurement of accuracy."""
+"""Report page of an output directory: a run, a sweep, items of the paper or a convergence study."""
 
 import json
 import re
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 REPORT = "report.html"
 LONGEST_REASON = 150
-FIRST = (0, 4)  # version that gave the keys of summary.json their names
-KINDS = {"points", "scores", "accuracy"}  # keys that tell the kind of results
+FIRST = (0, 4)  # first version with the present keys of summary.json
+KINDS = {"points", "scores", "accuracy"}  # keys that identify the kind of results
 EXPECTED = "the directory of a run, a sweep, 'surveysim accuracy' or 'surveysim paper' is expected"
 # Units and symbols as the results write them, once they are escaped for HTML.
 _WRITTEN = [
@@ -47,11 +47,11 @@ _CONTROLS = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
 class NoResultsError(ValueError):
-    """A directory that no page can be made of; the text has one line: what was found and what is expected."""
+    """A directory without readable results; the text says in one line what was found and what is expected."""
 
 
 def write_report(directory: str | Path) -> Path:
-    """Write `report.html`, whole or not at all, from the files in `directory` alone; returns its path.
+    """Write `report.html` atomically, from the files in `directory` alone; return its path.
 
     Raises NoResultsError for a directory without results, or with damaged ones.
     """
@@ -72,7 +72,7 @@ def write_report(directory: str | Path) -> Path:
 
 
 def _page_of(directory: Path) -> Page:
-    """The page of a directory; its files tell which it is of."""
+    """Make the page of a directory, by the kind of its files."""
     summary = _read_summary(directory / "summary.json") if (directory / "summary.json").exists() else {}
     if "points" in summary:
         from surveysim.report.html.sweep import sweep_page
@@ -132,7 +132,7 @@ def _html(page: Page) -> str:
 
 
 def units(text: str) -> "Markup":
-    """Text for HTML, its units and symbols as they are printed: ``uK_CMB^2``, ``mK2 rad(-5/3)``, ``ell_eff``."""
+    """Escape text for HTML, and format units and symbols: ``uK_CMB^2``, ``mK2 rad(-5/3)``, ``ell_eff``."""
     from markupsafe import Markup, escape
 
     written = str(escape(text))

@@ -1,4 +1,4 @@
-"""The page of the paper's tables and figures: what agrees and what does not, tables, figures, truth, provenance."""
+"""Page of the paper's tables and figures: agreement, tables, figures, closure tests, provenance."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -37,7 +37,7 @@ NO_NUMBER = float("nan")
 
 @dataclass(frozen=True)
 class Compared:
-    """A value of the paper beside ours, each with its error (NaN or 0 for none)."""
+    """A published and a simulated value, each with its error (NaN or 0 for none)."""
 
     name: str
     ours: float
@@ -47,12 +47,12 @@ class Compared:
 
     @property
     def ratio(self) -> float:
-        """Ours over the paper's."""
+        """Simulated value over the published value."""
         return self.ours / self.paper
 
     @property
     def agrees(self) -> str:
-        """Return whether the two agree, as `RULE` says."""
+        """Return whether the two values agree by `RULE`."""
         known = [error for error in (self.error, self.paper_error) if math.isfinite(error)]
         off = abs(self.ours - self.paper)
         if off <= SIGMAS * math.hypot(*known):
@@ -61,13 +61,13 @@ class Compared:
 
     @property
     def distance(self) -> float:
-        """Absolute logarithm of the ratio of the two."""
+        """Absolute logarithm of the ratio."""
         return abs(math.log(self.ratio)) if self.ratio > 0 else math.inf
 
 
 @dataclass(frozen=True)
 class TableOf:
-    """Display of a file's table: names of its rows, comparison of a row, and its further columns."""
+    """Display of a table file: names of its rows, comparison of a row, and further columns."""
 
     file: str
     title: str
@@ -151,14 +151,14 @@ TABLES = (
 
 
 def has_items(directory: Path) -> bool:
-    """Return whether a directory holds any of the paper's tables and figures."""
+    """Return whether a directory has tables or figures of the paper."""
     return any((directory / f"{item.file}.ecsv").exists() for item in TABLES) or any(
         (directory / f"figure{figure:02d}.png").exists() for figure in PAPER
     )
 
 
 def paper_page(directory: Path, summary: Mapping[str, Any]) -> Page:
-    """The page of the paper's items in a directory."""
+    """Return the page of the paper's items in a directory."""
     found = {item: _read(directory / f"{item.file}.ecsv") for item in TABLES}
     tables = {item: table for item, table in found.items() if table is not None}
     pictures = tuple(_pictures(directory))
@@ -177,8 +177,8 @@ def paper_page(directory: Path, summary: Mapping[str, Any]) -> Page:
     made = f"{plural(len(numbers), 'table')} and {plural(len(pictures), 'figure')}"
     lead = (
         f"{made} of Sayers et al. (2010), Studies of Millimeter-Wave Atmospheric Noise Above Mauna Kea, made again from"
-        " simulated observations. What is called measured here is measured from simulated time-streams alone, in the"
-        " paper's way.",
+        " simulated observations. Values called measured are measured from simulated time-streams only, by the"
+        " paper's methods.",
     )
     return Page("surveysim paper", "The paper's tables and figures", lead, (), tuple(sections))
 
@@ -195,7 +195,7 @@ def _read(path: Path) -> "Table | None":
 
 
 def _overview(tables: dict[TableOf, "Table"], recovered: dict[str, "Table"]) -> Iterator[Block]:
-    """A paragraph that says how much agrees, and a row for each table with what is furthest off in it."""
+    """Summarize the agreement in a paragraph, and in a row for each table with its largest difference."""
     groups = {item.title: _values(item, table) for item, table in tables.items()}
     groups |= {f"Measured back at {band} GHz": _recovered_values(table) for band, table in recovered.items()}
     groups = {title: values for title, values in groups.items() if values}
@@ -217,7 +217,7 @@ def _overview(tables: dict[TableOf, "Table"], recovered: dict[str, "Table"]) -> 
     yield Text((text,))
     rows = tuple(_group_row(title, values) for title, values in groups.items())
     columns = ("table", "values", "agree", "nearly", "further off", "here over paper", "furthest off")
-    yield Grid("grid-overview", "Values beside the paper's", columns, rows, (RULE,))
+    yield Grid("grid-overview", "Comparison with the paper", columns, rows, (RULE,))
 
 
 def _group_row(title: str, values: list[Compared]) -> tuple[Cell, ...]:
@@ -233,9 +233,9 @@ def _values(item: TableOf, table: "Table") -> list[Compared]:
 
 
 def _recovered_values(table: "Table") -> list[Compared]:
-    # What is drawn is put in, not measured.
+    # Drawn values are inputs, not measurements.
     rows = [row for row in table if math.isfinite(row["paper"]) and not str(row["quantity"]).endswith("drawn")]
-    # The paper's changes have no sign: plus or minus.
+    # Published changes have no sign.
     return [Compared(str(row["quantity"]), abs(row["ours"]), row["error"], row["paper"]) for row in rows]
 
 
@@ -283,7 +283,7 @@ def _pictures(directory: Path) -> Iterator[Picture]:
 
 
 def _recovered(recovered: dict[str, "Table"]) -> tuple[Block, ...]:
-    """One table of what was measured back in all bands."""
+    """Table of the recovered parameters in all bands."""
     quantities = dict.fromkeys((str(row["quantity"]), _unit(row)) for table in recovered.values() for row in table)
     rows = []
     for quantity, unit in quantities:
@@ -298,10 +298,10 @@ def _recovered(recovered: dict[str, "Table"]) -> tuple[Block, ...]:
         rows.append((cell(f"{quantity} [{unit}]" if unit else quantity), *cells, Cell(paper)))
     columns = ("quantity", *(f"{band} GHz" for band in recovered), "paper")
     lines = (
-        "Wind, B2, index b and height of the layer are measured from the time-streams of every observation, and stand"
-        " against what was drawn for it. Errors are from resampling the observations.",
+        "Wind, B2, index b and height of the layer are measured from the time-streams of every observation, and"
+        " compared with the drawn values. Errors are from resampling the observations.",
     )
-    return Text(lines), Grid("grid-recovered", "What comes back", columns, tuple(rows))
+    return Text(lines), Grid("grid-recovered", "Recovered values", columns, tuple(rows))
 
 
 def _unit(row: "Row") -> str:
@@ -309,7 +309,7 @@ def _unit(row: "Row") -> str:
 
 
 def _provenance(summary: Mapping[str, Any]) -> Iterator[Block]:
-    """A list of terms and a table of scenes for each command that made some of the items."""
+    """Terms and a table of scenes for each command that made some of the items."""
     for place, run in enumerate(summary.get("runs", ())):
         packages = ", ".join(f"{name} {version}" for name, version in run["packages"].items())
         pairs = (
@@ -339,7 +339,7 @@ def _scene_row(scene: Mapping[str, Any]) -> tuple[Cell, ...]:
 
 
 def _items(names: Iterable[str]) -> str:
-    """``table 1, 2; figure 3 to 12, 14; 143 GHz`` of names such as "figure 3"."""
+    """Shorten names such as "figure 3" to ``table 1, 2; figure 3 to 12, 14; 143 GHz``."""
     kinds: dict[str, list[int]] = {"table": [], "figure": []}
     others = []
     for name in names:
@@ -350,7 +350,7 @@ def _items(names: Iterable[str]) -> str:
 
 
 def _spans(places: list[int]) -> str:
-    """Increasing numbers, three and more that follow each other as ``3 to 12``."""
+    """Format increasing numbers, with three or more consecutive ones as ``3 to 12``."""
     spans: list[list[int]] = []
     for place in places:
         if spans and place == spans[-1][-1] + 1:

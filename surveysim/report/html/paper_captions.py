@@ -1,4 +1,4 @@
-"""The paper's figures in words: what each shows and what to look for; numbers come with the figures themselves."""
+"""Captions of the paper's figures: contents and points to look for; the figures themselves state the numbers."""
 
 from surveysim.report.html.captions import Caption
 
@@ -25,7 +25,7 @@ PAPER = {
         "Angular wind speed of the turbulent layer",
         "Histograms of measured and drawn angular wind speeds in two bands.",
         "Across: angular wind speed [arcmin/s]. Up: share of the observations per 5 arcmin/s.",
-        "Look for the measured histogram beside the drawn one: slow winds, close to the scan speed, are flagged.",
+        "Compare the measured with the drawn histogram: slow winds, close to the scan speed, are flagged.",
     ),
     5: Caption(
         "Correlation between detectors against separation",
@@ -61,10 +61,10 @@ PAPER = {
     ),
     10: Caption(
         "Time-streams before and after cleaning",
-        "Power spectral density of time-streams before and after four ways of cleaning, in good and poor weather.",
+        "Power spectral density of time-streams before and after four cleaning algorithms, in good and poor weather.",
         "Across: frequency [Hz]. Up: power spectral density [mK^2/Hz], in good (left) and poor (right) weather; the "
         "lower row is the upper one in part.",
-        "Look for the distance between the ways of cleaning, and for how far all of them stay above the photon noise.",
+        "Look for the distance between the algorithms, and for how far all of them stay above the photon noise.",
     ),
     11: Caption(
         "Templates of quadratic subtraction",
@@ -74,20 +74,20 @@ PAPER = {
     ),
     12: Caption(
         "Average subtraction and adaptive PCA",
-        "Noise, window and signal to noise of average subtraction and of adaptive PCA, in good and poor weather.",
+        "Noise, transfer function and signal to noise of average subtraction and PCA, in good and poor weather.",
         "Across: frequency [Hz]. Up: power spectral density [mK^2/Hz], and the signal to noise of a flat CMB spectrum.",
-        "Look for how close the two ways of cleaning are where the signal to noise is highest.",
+        "Look for how close the two cleaning algorithms are where the signal to noise is highest.",
     ),
     13: Caption(
         "Noise of the co-added map and sensitivity to a flat CMB band power",
-        "Noise of the map, noise over windows and cumulative sensitivity for each cleaning, against multipole.",
+        "Map noise, noise over transfer function and cumulative sensitivity of each cleaning, against multipole.",
         "Across: multipole ℓ, in the lower row the lowest that is used. Up: noise PSD [µK²_CMB arcmin^2]; uncertainty "
         "σ(A) of bins and of all data above [µK²_CMB]; its ratio to that of average subtraction.",
         "Look for quadratic subtraction at low multipoles: little noise, but less signal still.",
     ),
     14: Caption(
         "Correlation of detectors below 1 Hz",
-        "Histograms of correlation coefficients of adjacent and other pairs after two ways of cleaning.",
+        "Histograms of correlation coefficients of adjacent and other pairs after two cleaning algorithms.",
         "Across: magnitude of the correlation coefficient below 1 Hz. Up: share of the pairs.",
         "Look for the distance between adjacent pairs (top) and others (bottom): overlap correlates neighbours alone.",
     ),

@@ -7,7 +7,7 @@ from typing import Any
 from surveysim.report.html.components import Block, Cell, Grid, Terms, Text, cell
 from surveysim.runtime.numbers import count, day_and_time, duration, number
 
-MANY_FILES = 40  # of a folder, as time-streams may be
+MANY_FILES = 40  # files of a folder that are counted instead of listed, such as time-streams
 _ASSUMED = re.compile(r"(?P<key>\S+) = (?P<value>.*?): (?P<source>(?:assumed|calibrated).*)", re.DOTALL)
 
 
@@ -32,7 +32,7 @@ def provenance(content: Mapping[str, Any]) -> Terms:
 
 
 def _files(names: Sequence[str]) -> str:
-    """Names of files; of a folder that holds many, how many."""
+    """Names of files; for a folder with many files, their number."""
     folders: dict[str, list[str]] = {}
     for name in names:
         folders.setdefault(name.rpartition("/")[0], []).append(name)
@@ -43,7 +43,7 @@ def _files(names: Sequence[str]) -> str:
 
 
 def stage_times(run: Mapping[str, Any]) -> Grid:
-    """Time of every stage, over all workers."""
+    """Return the time of each stage, summed over all workers."""
     each = run["stage_ns_per_detector_sample"]
     rows = [
         (cell(name), Cell(number(seconds, 2), seconds), Cell(number(each[name], 2), each[name]))
@@ -56,7 +56,7 @@ def stage_times(run: Mapping[str, Any]) -> Grid:
 
 
 def sources(scene: Mapping[str, Any]) -> tuple[Block, ...]:
-    """Values of the scene whose comments say that they are assumed or calibrated, with what they say."""
+    """List values of the scene with comments that call them assumed or calibrated, with these comments."""
     found = [match for line in scene["assumed"] if (match := _ASSUMED.fullmatch(line))]
     if not found:
         return (Text(("No comment of the scene says that a value is assumed or calibrated.",)),)

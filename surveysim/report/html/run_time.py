@@ -6,11 +6,11 @@ from typing import Any
 from surveysim.report.html.components import Block, Cell, Grid, Text, cell
 from surveysim.runtime.numbers import duration, number, percent, plural
 
-Content = Mapping[str, Any]  # of summary.json and scene.json
+Content = Mapping[str, Any]  # content of summary.json or scene.json
 
 
 def time_blocks(summary: Content, scene: Content) -> Iterator[Block]:
-    """Time that the run took, parts of its error, and the cost of smaller ones."""
+    """Return the run time, the parts of the error, and the cost of smaller errors."""
     run, stopped = summary["run"], summary["stopped"]
     each_s = sum(run["stage_s"].values()) / summary["observations"]
     ns = sum(run["stage_ns_per_detector_sample"].values())

@@ -52,7 +52,7 @@ def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
 
 
 def what_was_simulated(scene: Values, summary: Mapping[str, Any], n_det: int) -> tuple[Block, ...]:
-    """Return the scene in words, and every stage that is left out with its reason."""
+    """Return the scene in words, and each omitted stage with its reason."""
     left_out = summary.get("left_out") or dict.fromkeys(summary.get("stages_left_out", ()), "no such section")
     terms = Terms(scene_terms(scene, n_det))
     return (terms, Terms(tuple(left_out.items()), "Stages left out")) if left_out else (terms,)
@@ -114,7 +114,7 @@ def _camera(camera: Values, n_det: int) -> Iterator[str]:
     if camera["polarizations"] is not None:
         yield f"Detectors absorb {plural(camera['polarizations'], 'polarization')}."
     if camera["bands"]:
-        bands = joined([f"{short(colour['frequency_hz'] / 1e9)}" for colour in camera["bands"]])
+        bands = joined([f"{short(band['frequency_hz'] / 1e9)}" for band in camera["bands"]])
         yield f"Every pixel has more bands, at {bands} GHz, which cleaning may use."
 
 
@@ -243,11 +243,11 @@ def _score(score: Values, observations: int) -> Iterator[str]:
     yield f"The noise is measured by {score['jackknives']} co-adds with random signs, the transfer function by"
     through = min(score["signal_sims"]["observations"], observations)
     yield f"{score['signal_sims']['skies']} skies through {plural(through, 'observation')}."
-    beside = [SIMULATED[name] for name in score["noise_only_sets"]]
+    others = [SIMULATED[name] for name in score["noise_only_sets"]]
     if score["mask_separation_f_lambda"]:
-        beside.append(f"an array masked to {short(score['mask_separation_f_lambda'])} (f/#)λ")
-    if beside:
-        yield f"Also scored: {joined(beside)}."
+        others.append(f"an array masked to {short(score['mask_separation_f_lambda'])} (f/#)λ")
+    if others:
+        yield f"Also scored: {joined(others)}."
 
 
 # ---------------------------------------------------------------- units

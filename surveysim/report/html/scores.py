@@ -11,7 +11,7 @@ from surveysim.report.html.scene import cleaning_words
 from surveysim.results.method import CONTROLLED, PLAIN, method
 from surveysim.results.tables import alternative_table, cleaning_table, gain_table, score_table
 
-Content = Mapping[str, Any]  # of summary.json and scene.json
+Content = Mapping[str, Any]  # content of summary.json or scene.json
 DATA_SETS = {
     "actual": "the survey itself",
     "uncorrelated": "noise with each detector's measured PSD in each observation, without correlations",
@@ -26,7 +26,7 @@ ALTERNATIVES = (
 
 
 def score_blocks(summary: Content, scene: Content) -> Iterator[Block]:
-    """Tables of the scores of a run, and the method of scoring."""
+    """Return the tables of the scores of a run, and the method of scoring."""
     reference = scene["score"]["reference"]
     yield grid(score_table(summary["scores"], reference["source"] if reference else ""), _score_note(summary))
     if summary.get("gains"):
@@ -44,7 +44,7 @@ def score_blocks(summary: Content, scene: Content) -> Iterator[Block]:
 
 
 def kind_sentence(best: Content) -> str:
-    """The sentence on the kind of estimate that is quoted."""
+    """Return the sentence on the kind of the quoted estimate."""
     text = CONTROLLED if best["kind"] == "controlled" else PLAIN
     return f"{text.replace('sigma', 'σ')}."
 

@@ -22,7 +22,7 @@ from surveysim.report.html.scores import kind_sentence, score_blocks
 from surveysim.results.tables import over_reference
 from surveysim.runtime.numbers import as_known, count, duration, percent, plural, quoted, short
 
-Content = Mapping[str, Any]  # of summary.json and scene.json
+Content = Mapping[str, Any]  # content of summary.json or scene.json
 UNKNOWN = "Its error is unknown: there are too few observations to estimate it."
 
 
@@ -90,8 +90,8 @@ def _lead(summary: Content, scene: Content) -> Iterator[str]:
     if made < stopped["observations_of_survey"]:
         yield f"{count(made)} of the survey's observations were simulated; all numbers are for the whole survey."
     plain = quoted(best["plain_sigma_ukcmb2"], best["plain_error_ukcmb2"])
-    beside = f" Plain, it is {plain} {UK2}." if best["kind"] == "controlled" else ""
-    yield f"{kind_sentence(best)}{beside}{' ' + UNKNOWN if best['error_ukcmb2'] is None else ''}"
+    without = f" Plain, it is {plain} {UK2}." if best["kind"] == "controlled" else ""
+    yield f"{kind_sentence(best)}{without}{' ' + UNKNOWN if best['error_ukcmb2'] is None else ''}"
 
 
 def _key_figures(summary: Content) -> tuple[tuple[str, str], ...]:

@@ -16,9 +16,9 @@ from surveysim.runtime.numbers import count, duration, joined, number, plural, q
 from surveysim.studies.sweep.axes import value_text
 from surveysim.studies.sweep.result import ESTIMATES
 from surveysim.studies.sweep.tables import WITHHELD, chance_text, data_set_table, ratio_text, sweep_table, varied_keys
-from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, telling
+from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, listed_data_sets
 
-Content = Mapping[str, Any]  # of summary.json and scene.json, or of a point in the former
+Content = Mapping[str, Any]  # content of summary.json, of one of its points, or of scene.json
 PICTURE = "figures/sweep.png"
 MOST_NAMED = 4  # points in a note
 
@@ -147,7 +147,7 @@ def _ratio_note(summary: Content) -> str:
 
 
 def _pair_grids(summary: Content) -> Iterator[Grid]:
-    """Ratios of all pairs: rows over columns."""
+    """Ratios of all pairs, row over column."""
     pairs = {(pair["point"], pair["other"]): pair for pair in summary["pairs"]}
     numbers = sorted({number for pair in pairs for number in pair})
     if len(numbers) < 3:  # the table of points has the only pair
@@ -175,11 +175,11 @@ def _pair_cell(pairs: Mapping[tuple[int, int], Content], row: int, column: int) 
 
 
 def _discarded(summary: Content) -> Iterator[Block]:
-    """Shares of discarded scans of each point: of each data set, and of the actual one against the weather."""
+    """Fractions of discarded scans at each point: by data set, and of the actual data by weather."""
     points = [point for point in summary["points"] if "discarded" in point]
     if not points:
         return
-    keys, names = varied_keys(summary), telling([point["discarded"] for point in points])
+    keys, names = varied_keys(summary), listed_data_sets([point["discarded"] for point in points])
     if not any(value for point in points for value in point["discarded"].values()):
         yield Text(("No scan was discarded.",))
         return
@@ -197,7 +197,7 @@ def _discarded(summary: Content) -> Iterator[Block]:
 
 
 def _agreement(summary: Content) -> Grid | None:
-    """Forecast over simulated, less 1, of every point that has both."""
+    """Forecast over simulation, minus 1, of each point that has both."""
     rows = []
     for point in summary["points"]:
         if off := point.get("forecast_over_simulated"):

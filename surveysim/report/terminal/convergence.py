@@ -25,7 +25,7 @@ def print_accuracy(result: AccuracyResult, directory: Path) -> None:
 
 
 def _refused(rows: Sequence[dict[str, Any]]) -> list[str]:
-    return [f"{row['knob']} {row['setting']}: {row['note']}" for row in rows if not could_run(row)]
+    return [f"{row['parameter']} {row['setting']}: {row['note']}" for row in rows if not could_run(row)]
 
 
 def reference_lines(result: AccuracyResult) -> list[str]:
@@ -39,7 +39,10 @@ def reference_lines(result: AccuracyResult) -> list[str]:
     ]
     if result.seeds > 1:
         lines.append(f"  its seeds scatter by {result.scatter:.2f} of the error that each claims")
-    return [*lines, f"Reference of another knob: the finest of its settings, each with {sub} observations of one seed"]
+    return [
+        *lines,
+        f"Reference of another parameter: the finest of its settings, each with {sub} observations of one seed",
+    ]
 
 
 def slope_lines(result: AccuracyResult) -> list[str]:
@@ -52,11 +55,11 @@ def slope_lines(result: AccuracyResult) -> list[str]:
 
 
 def recommended_lines(result: AccuracyResult) -> list[str]:
-    """Return lines on the fastest setting of each knob that is good enough, and whether the scene has it."""
+    """Return lines on the fastest setting of each parameter that is good enough, and whether the scene has it."""
     tolerated = 100 * result.own_error / 3
     lines = [f"Recommended, with a bias below {tolerated:.2g} % (a third of the scene's Monte Carlo error):"]
     for item in result.recommended:
         has = "as the scene has it" if item.is_own else "not the scene's"
         doubt = "" if item.resolved else "; its bias is smaller than its error, but the error is larger than this limit"
-        lines.append(f"  {item.knob} {item.label}: {has}{doubt}")
+        lines.append(f"  {item.parameter} {item.label}: {has}{doubt}")
     return lines

@@ -25,7 +25,7 @@ from surveysim.results.tables import (
     score_table,
 )
 from surveysim.runtime.numbers import plain, quoted
-from surveysim.survey.discarded_scans import percent, telling
+from surveysim.survey.discarded_scans import listed_data_sets, percent
 from surveysim.survey.scores import FEWEST_CONTROLLED
 
 Content = Mapping[str, Any]  # of summary.json
@@ -139,7 +139,7 @@ def closing_line(content: Content) -> str:
 
 def _shares(discarded: Mapping[str, float]) -> str:
     """`` (18.4 %; masked_36: 2.0 %)``: the actual data's share, and those that differ; nothing if all are 0."""
-    shown = [f"{name}: {percent(discarded[name])}" for name in telling([discarded])]
+    shown = [f"{name}: {percent(discarded[name])}" for name in listed_data_sets([discarded])]
     return f" ({'; '.join(shown).removeprefix(f'{ACTUAL}: ')})" if any(discarded.values()) else ""
 
 

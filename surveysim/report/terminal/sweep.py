@@ -13,7 +13,7 @@ from surveysim.studies.sweep.axes import Axis
 from surveysim.studies.sweep.result import ESTIMATES, SweepResult
 from surveysim.studies.sweep.summary import sweep_summary
 from surveysim.studies.sweep.tables import chance_text, sweep_table
-from surveysim.survey.discarded_scans import percent, telling
+from surveysim.survey.discarded_scans import listed_data_sets, percent
 
 
 def print_sweep(result: SweepResult, directory: Path, verbose: bool = False) -> None:
@@ -48,7 +48,11 @@ def print_sweep(result: SweepResult, directory: Path, verbose: bool = False) -> 
 
 def _named_by_axes(table: Table, axes: Sequence[Axis]) -> Table:
     """Show only the keys that tell the points apart; a single key of an axis has the axis as its heading."""
-    headings = {key: axis.name if len(axis.telling_keys) == 1 else key for axis in axes for key in axis.telling_keys}
+    headings = {
+        key: axis.name if len(axis.distinguishing_keys) == 1 else key
+        for axis in axes
+        for key in axis.distinguishing_keys
+    }
     hidden = {key for axis in axes for key in axis.keys} - headings.keys()
     columns = [
         replace(item, heading=headings.get(item.name, item.heading), cells=None if item.name in hidden else item.cells)
@@ -93,7 +97,7 @@ def discard_lines(result: SweepResult) -> list[str]:
     if not any(shares):
         return ["Shares of discarded scans are not known."]
     lines, kind = [], "scans discarded" if result.simulated else "scans discarded, as predicted from a few"
-    for name in telling(shares):
+    for name in listed_data_sets(shares):
         found = [item[name] for item in shares if name in item]
         least, most = percent(min(found)), percent(max(found))
         lines.append(f"{kind}, {name}: {least if least == most else f'{least} to {most}'}")

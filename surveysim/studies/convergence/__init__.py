@@ -1,9 +1,9 @@
-"""Accuracy and time of a survey's Monte Carlo and numerical settings, measured along a ladder for each knob.
+"""Accuracy and run time of Monte Carlo and numerical settings, measured along a ladder for each parameter.
 
-Monte Carlo knobs change how well sigma(A) is known, numerical ones sigma(A) itself. The first are judged by their
-errors, the second by their bias against the finest setting of their own ladder, all else being equal: the two runs
-have one seed, and what is common to their random numbers cancels in the ratio (`surveysim.survey.scores.error_modes`).
-Other steps of the screen and other sample rates draw other noise, of which nothing cancels but the weather.
+Monte Carlo parameters change the error of sigma(A), numerical ones sigma(A) itself. Monte Carlo settings are judged by
+their errors. Numerical settings are judged by their bias against the finest setting of the same ladder: the two runs
+have the same seed, and common random numbers cancel in the ratio (`surveysim.survey.scores.error_modes`). Other steps
+of the screen and other sample rates draw different noise: only the weather cancels.
 """
 
 from surveysim.studies.convergence.measure import measure_accuracy

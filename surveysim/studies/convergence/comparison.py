@@ -1,4 +1,4 @@
-"""Settings against each other: errors, biases, slopes, and which setting to take."""
+"""Comparison of settings: errors, biases, slopes, and recommendations."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -15,9 +15,9 @@ from surveysim.survey.scores import DataSetScore, error_modes
 
 
 def survey_rows(settings: Iterable[Setting], pooled: Sequence[Run]) -> list[Measured]:
-    """Rows of the number of observations: means over seeds, against the mean of the whole surveys.
+    """Make the rows of the number of observations: means over seeds, relative to the mean of the whole surveys.
 
-    A bias is known to the paired error of a part and its whole, over the root of the number of seeds.
+    The error of a bias is the paired error of a part and its whole, divided by the root of the number of seeds.
     """
     rows = []
     for setting in (item for item in settings if item.kind == "survey"):
@@ -33,7 +33,7 @@ def survey_rows(settings: Iterable[Setting], pooled: Sequence[Run]) -> list[Meas
 
 def _survey_row(setting: Setting, count: int, marks: Sequence[Mark], pooled: Sequence[Run]) -> Measured:
     whole = [run.marks[max(run.marks)].score for run in pooled]
-    (sigma, errors), (reference, _) = levels(mark.score for mark in marks), levels(whole)
+    (sigma, errors), (reference, _) = sigmas(mark.score for mark in marks), sigmas(whole)
     paired = [_bias(mark.score, one, True)[1] for mark, one in zip(marks, whole, strict=True)]
     parts = {key: rms([vars(mark.score.budget)[key] for mark in marks]) for key in vars(marks[0].score.budget)}
     seen = f"scatter of {len(marks)} seeds: {100 * scatter(sigma):.1f} %"
@@ -55,7 +55,7 @@ def _survey_row(setting: Setting, count: int, marks: Sequence[Mark], pooled: Seq
 
 
 def ladder_rows(settings: Sequence[Setting], asked: Tasks, runs: Mapping[str, Run]) -> list[Measured]:
-    """Rows of the other ladders, each against the finest of its settings that could be run."""
+    """Make the rows of the other ladders, each relative to the finest of its settings that could be run."""
     found: dict[int, tuple[Run, Mark]] = {}
     refused = dict(asked.refused)
     for place, key in asked.hashes.items():
@@ -69,8 +69,8 @@ def ladder_rows(settings: Sequence[Setting], asked: Tasks, runs: Mapping[str, Ru
     for place, setting in enumerate(settings):
         if setting.kind not in ("sampling", "numerical"):
             continue
-        finest = max((other for other in found if settings[other].knob == setting.knob), default=place)
-        same_skies = setting.knob not in ("window skies", "window observations")
+        finest = max((other for other in found if settings[other].parameter == setting.parameter), default=place)
+        same_skies = setting.parameter not in ("signal simulations", "observations with simulations")
         n_obs = max(task.counts[0] for task in asked.tasks.values())
         if place in refused:
             rows.append(Measured(setting, n_obs, note=refused[place]))
@@ -90,7 +90,7 @@ def _ladder_row(
 
 
 def forecast_row(scene: Scene, setting: Setting, reference_ukcmb2: float, reference_error: float) -> Measured:
-    """The closed form instead of a run, over all weather as the reference is."""
+    """Make a row from the forecast instead of a run, over all weather like the reference."""
     from surveysim.forecasting.forecast import forecast
     from surveysim.reduction.setup import prepare
     from surveysim.results.control_variate import in_all_weather
@@ -100,7 +100,7 @@ def forecast_row(scene: Scene, setting: Setting, reference_ukcmb2: float, refere
         forecast(scene)
         between = clocks()
         sigma = in_all_weather(prepare(scene), forecast(scene))[ACTUAL]
-    except InputError as error:  # of a scene that can't be forecast
+    except InputError as error:  # a scene without a forecast
         return Measured(setting, scene.observations, note=f"refused: {first_line(error)}")
     wall, cpu = clocks() - between
     ratio = sigma / reference_ukcmb2
@@ -110,26 +110,26 @@ def forecast_row(scene: Scene, setting: Setting, reference_ukcmb2: float, refere
 
 
 def _bias(item: DataSetScore, reference: DataSetScore, same_skies: bool) -> tuple[float, float]:
-    """Ratio of sigma(A) less 1, and its error: that of a pair with one seed."""
+    """Ratio of sigma(A) minus 1, and its paired error for runs with the same seed."""
     ratio = item.band.sigma_ukcmb2 / reference.band.sigma_ukcmb2
     one, other = error_modes((item, reference), (0, 0 if same_skies else 1))
     return float(ratio - 1), float(ratio * np.linalg.norm(one - other))
 
 
-def levels(scores: Iterable[DataSetScore]) -> tuple[np.ndarray, np.ndarray]:
-    """sigma(A) (n,) and its relative errors (n,)."""
+def sigmas(scores: Iterable[DataSetScore]) -> tuple[np.ndarray, np.ndarray]:
+    """Return sigma(A) (n,) and its relative errors (n,)."""
     found = [(item.band.sigma_ukcmb2, item.budget.total) for item in scores]
     sigma, errors = np.transpose(found)
     return sigma, errors
 
 
 def scatter(sigma: np.ndarray) -> float:
-    """Relative standard deviation, NaN of a single value."""
+    """Relative standard deviation, NaN for a single value."""
     return float(np.std(sigma, ddof=1) / sigma.mean()) if len(sigma) > 1 else np.nan
 
 
 def rms(values: Sequence[float] | np.ndarray) -> float:
-    """Root of the mean of squares."""
+    """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -150,7 +150,7 @@ def slopes(rows: Iterable[Measured]) -> list[Slope]:
     """
     done = [row for row in rows if row.budget is not None]
     whole = [row for row in done if row.setting.kind == "survey"]
-    flips = [row for row in done if row.setting.knob == "noise realizations"]
+    flips = [row for row in done if row.setting.parameter == "noise realizations"]
     counts = [row.observations for row in whole]
     total = [row.budget.total for row in whole]
     flipped = [row.budget.noise for row in flips]
@@ -179,17 +179,17 @@ def _slope(name: str, x_values: Sequence[float], y_values: Sequence[float]) -> S
 
 
 def recommendations(rows: Iterable[Measured], tolerated: float) -> list[Recommendation]:
-    """The fastest setting of each knob that is good enough, by the time of the CPU.
+    """Return the fastest setting, in CPU time, of each parameter that is good enough.
 
-    A numerical one has a bias below the one `tolerated`, or below its own error. A Monte Carlo knob has no bias but by
-    chance: its setting knows sigma(A) hardly worse than the scene's own. That is as good as one hardly faster.
+    A numerical setting is good enough if its bias is below `tolerated` or below the error of the bias. A Monte Carlo
+    setting is good enough if its error of sigma(A) hardly exceeds the error of the scene's own setting.
     """
     ladder: dict[str, list[Measured]] = {}
     for row in rows:
         if row.setting.kind in ("sampling", "numerical") and np.isfinite(row.bias):
-            ladder.setdefault(row.setting.knob, []).append(row)
+            ladder.setdefault(row.setting.parameter, []).append(row)
     found = []
-    for knob, steps in ladder.items():
+    for parameter, steps in ladder.items():
         own = next((row for row in steps if row.setting.own), steps[-1])
         samples = own.setting.kind == "sampling"
         if samples:
@@ -200,5 +200,5 @@ def recommendations(rows: Iterable[Measured], tolerated: float) -> list[Recommen
         if own in good and own.cpu_s <= MUCH_FASTER * best.cpu_s:
             best = own
         resolved = samples or best.bias_error <= tolerated
-        found.append(Recommendation(knob, best.setting.label, best.setting.own, resolved))
+        found.append(Recommendation(parameter, best.setting.label, best.setting.own, resolved))
     return found

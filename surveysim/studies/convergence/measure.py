@@ -1,4 +1,4 @@
-"""All of a scene's ladders measured."""
+"""Measurement of all ladders of a scene."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,10 +14,10 @@ from surveysim.scene.scene import load_scene
 from surveysim.studies.convergence.comparison import (
     forecast_row,
     ladder_rows,
-    levels,
     recommendations,
     rms,
     scatter,
+    sigmas,
     slopes,
     survey_rows,
 )
@@ -36,11 +36,27 @@ def measure_accuracy(
     observations: int = SUB_SURVEY,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> AccuracyResult:
-    """Measure all ladders of a scene, several settings at a time; `progress` is told how many of how many are done.
+    """Measure all ladders of a scene, several settings at a time.
 
-    Whole surveys are run with up to `seeds` seeds, until their mean is known to the relative `reference_error`; the
-    other ladders have at most so many `observations`. Raises SceneError for a scene that can't be run or has no
-    [score], ValueError where its own settings give no score, EngineError when the engine can't go on.
+    Parameters
+    ----------
+    reference_error
+        Relative error to which the mean of whole surveys is measured.
+    seeds
+        Largest number of whole surveys.
+    observations
+        Largest number of observations for the other ladders.
+    progress
+        Function of the number of finished settings and of all.
+
+    Raises
+    ------
+    SceneError
+        For a scene that cannot be run or has no [score].
+    InsufficientDataError
+        If the scene's own settings give no score.
+    EngineError
+        If the engine fails.
     """
     if not 0 < reference_error < 1 or seeds < 1 or observations < 2:
         found = f"{reference_error}, {seeds} and {observations}"
@@ -64,7 +80,7 @@ def measure_accuracy(
     pooled = [run for run in (first[0], *more) if run.scored(scene.observations)]
     rows = survey_rows(settings, pooled)
     rows += ladder_rows(settings, asked, dict(zip(asked.tasks, first[1:], strict=True)))
-    sigma, errors = levels(run.marks[scene.observations].score for run in pooled)
+    sigma, errors = sigmas(run.marks[scene.observations].score for run in pooled)
     reached = rms(errors) / float(np.sqrt(len(pooled)))
     rows.append(forecast_row(scene, settings[-1], float(sigma.mean()), reached))
     return AccuracyResult(

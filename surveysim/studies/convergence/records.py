@@ -8,24 +8,24 @@ import numpy as np
 from mapmaker.uncertainty import ErrorBudget
 from surveysim.scene.scene import Scene
 
-SUB_SURVEY = 60  # observations with which all but the number of observations is measured
+SUB_SURVEY = 60  # observations for all ladders but the number of observations
 REFERENCE_ERROR, MOST_SEEDS = 0.01, 8
-PARTS = (16, 8, 4, 2, 1)  # of the survey
-FLIPS, SKIES, WINDOW_PARTS = (8, 16, 32, 64, 128), (2, 4, 8), (20, 5, 2)
+PARTS = (16, 8, 4, 2, 1)  # divisors of the number of observations
+FLIPS, SKIES, SIGNAL_SIM_PARTS = (8, 16, 32, 64, 128), (2, 4, 8), (20, 5, 2)
 STEPS, RATES = (4.0, 2.0, 1.0, 0.5), (0.5, 1.0, 2.0)
 FINEST = {"numerics.precision": "float64", "numerics.interpolation": "cubic", "numerics.screen_step": min(STEPS)}
 OF_SCREEN = ("screen step", "interpolation")
-TOLERATED = 1 / 3  # of the Monte Carlo error of the whole survey: a bias that adds 5 % to it
-MUCH_WORSE, MUCH_FASTER = 1.1, 1.1  # ratios of errors and of times that make a difference
+TOLERATED = 1 / 3  # tolerated bias over the Monte Carlo error of the whole survey: it adds 5 % to the error
+MUCH_WORSE, MUCH_FASTER = 1.1, 1.1  # significant ratios of errors and of times
 
 Kind = Literal["survey", "sampling", "numerical", "forecast"]
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A step of a knob's ladder, by the keys of the scene that it replaces; `own` for the scene's own."""
+    """A step of a parameter's ladder, by the scene keys that it replaces; `own` for the scene's own value."""
 
-    knob: str
+    parameter: str
     label: str
     overrides: dict[str, Any]
     kind: Kind
@@ -89,12 +89,12 @@ class Slope:
 
 @dataclass(frozen=True)
 class Recommendation:
-    """The fastest setting of a knob that is as good as needed.
+    """The fastest setting of a parameter that is good enough.
 
-    `is_own`: the scene has it; `resolved`: its bias is known to better than what is tolerated.
+    `is_own`: it is the scene's own; `resolved`: the error of its bias is below the tolerated bias.
     """
 
-    knob: str
+    parameter: str
     label: str
     is_own: bool
     resolved: bool
@@ -102,11 +102,18 @@ class Recommendation:
 
 @dataclass(frozen=True)
 class AccuracyResult:
-    """All ladders. The reference of the number of observations is the mean of `seeds` whole surveys.
+    """All ladders of a scene.
 
-    `reference_error` is its relative error and `wanted_error` what it should be; `scatter` that of the seeds over the
-    error that each run claims (NaN for one seed); `own_error` the relative Monte Carlo error of the scene's own run,
-    and `sub_observations` how many the other ladders were measured with.
+    Attributes
+    ----------
+    reference_error, wanted_error
+        Relative error of the mean of `seeds` whole surveys, and the error requested for it.
+    scatter
+        Scatter between seeds over the error that each run quotes (NaN for one seed).
+    own_error
+        Relative Monte Carlo error of a run of the scene.
+    sub_observations
+        Number of observations for the other ladders.
     """
 
     scene: Scene
@@ -125,5 +132,5 @@ class AccuracyResult:
 
     @property
     def chosen(self) -> tuple[int, ...]:
-        """Rows that are the scene's own settings."""
+        """Rows of the scene's own settings."""
         return tuple(number for number, row in enumerate(self.rows) if row.setting.own)

@@ -1,4 +1,4 @@
-"""Settings run, each in a process, with their times and memory."""
+"""Runs of settings, each in its own process, with their times and memory."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ from surveysim.survey.scores import DataSetScore
 
 @dataclass(frozen=True)
 class Task:
-    """A scene to run and after how many observations to score it."""
+    """A scene to run, and the numbers of observations after which to score it."""
 
     scene: Scene
     counts: tuple[int, ...]
@@ -32,7 +32,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Mark:
-    """A score of the observations so far, or why there is none, and the time that they and it took."""
+    """Score after some observations, or the reason for none, and the times of the observations and of the score."""
 
     score: DataSetScore | None
     wall_s: float
@@ -42,7 +42,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Run:
-    """Marks by the number of observations, and what the process took; `note` says why there are none."""
+    """Marks by number of observations, with time and memory of the process; `note` is the reason for no marks."""
 
     marks: dict[int, Mark] = field(default_factory=dict)
     start_s: float = np.nan
@@ -51,17 +51,17 @@ class Run:
     note: str = ""
 
     def scored(self, count: int) -> bool:
-        """Return whether there is a score of so many observations."""
+        """Return whether there is a score of this many observations."""
         return count in self.marks and self.marks[count].score is not None
 
 
 def run_task(task: Task) -> Run:
-    """Run a scene in this process; one that can't be run has a note in place of marks."""
+    """Run a scene in this process; a scene that cannot be run has a note instead of marks."""
     before, start = peak_bytes() / 1e6, perf_counter()
     try:
         setup = prepare(task.scene)
         # Compiles, and makes factors and expectations over weather: no part of the time that an observation takes.
-        observe(setup, 0, with_window=True)
+        observe(setup, 0, with_signal_sims=True)
         known_expectations(setup)
         start_s = perf_counter() - start
         marks = _marks(setup, task.counts)
@@ -81,7 +81,7 @@ def _marks(setup: Setup, counts: Sequence[int]) -> dict[int, Mark]:
         before, found, note = clocks(), None, ""
         try:
             found = quoted_scores(setup, coadds, (ACTUAL,))[ACTUAL]
-        except InsufficientDataError as error:  # too few observations, or none with window skies
+        except InsufficientDataError as error:  # too few observations, or none with signal simulations
             note = f"not scored: {first_line(error)}"
         after = clocks()
         wall, cpu = after - began - scoring
@@ -104,7 +104,9 @@ def first_line(error: BaseException) -> str:
 
 @dataclass(frozen=True)
 class Tasks:
-    """Tasks by the hash of their scene, each once; by a setting's place its hash, or why it is refused."""
+    """Tasks by the hash of their scene, each once; for the place of each setting, its hash or the reason for its
+    refusal.
+    """
 
     tasks: dict[str, Task] = field(default_factory=dict)
     hashes: dict[int, str] = field(default_factory=dict)
@@ -134,7 +136,7 @@ def tasks(scene_of: Callable[[Mapping[str, Any]], Scene], settings: Iterable[Set
         except SceneError as error:
             found.refused[place] = f"refused: {first_line(error)}"
             continue
-        if setting.knob in OF_SCREEN and scene.atmosphere is None:
+        if setting.parameter in OF_SCREEN and scene.atmosphere is None:
             found.refused[place] = "refused: without [atmosphere] there is no screen"
             continue
         found.hashes[place] = scene_hash(scene)
@@ -143,7 +145,7 @@ def tasks(scene_of: Callable[[Mapping[str, Any]], Scene], settings: Iterable[Set
 
 
 def run_all(tasks: Sequence[Task], engine: Engine, progress: Callable[[int], None]) -> list[Run]:
-    """Run tasks, several at a time, each in one process; `progress` is told how many are done."""
+    """Run tasks, several at a time, each in one process; `progress` receives the number of finished tasks."""
     found: list[Run] = []
     results = ordered_map(run_task, tasks, engine)
     try:

@@ -1,4 +1,4 @@
-"""Every knob's ladder of settings."""
+"""Ladders of settings, one for each parameter."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -9,16 +9,16 @@ from surveysim.studies.convergence.records import (
     FLIPS,
     PARTS,
     RATES,
+    SIGNAL_SIM_PARTS,
     SKIES,
     STEPS,
     SUB_SURVEY,
-    WINDOW_PARTS,
     Setting,
 )
 
 
 def ladders(scene: Scene, most: int = SUB_SURVEY) -> tuple[Setting, ...]:
-    """All settings, each knob's from coarse to fine; the scene's own is always among them."""
+    """List all settings, from coarse to fine for each parameter, including the scene's own."""
     n_obs = scene.observations
     counts = [Setting("observations", str(n_obs // part), {}, "survey", part == 1) for part in PARTS]
     forecast = Setting("forecast", "closed form", {}, "forecast", False)
@@ -26,20 +26,22 @@ def ladders(scene: Scene, most: int = SUB_SURVEY) -> tuple[Setting, ...]:
 
 
 def sub_survey(scene: Scene, most: int) -> dict[str, Any]:
-    """Keys of a survey of at most so many observations, of which as large a part carries window skies."""
+    """Keys of a survey of at most `most` observations, with signal simulations in the same fraction of them."""
     wanted = min(scene.observations, most)
-    window = round(scene.score.signal_sims.observations * wanted / scene.observations)
-    return {"observations": wanted, "score.signal_sims.observations": max(2, window)}
+    with_sims = round(scene.score.signal_sims.observations * wanted / scene.observations)
+    return {"observations": wanted, "score.signal_sims.observations": max(2, with_sims)}
 
 
 def _sampling(scene: Scene, base: Mapping[str, Any]) -> list[Setting]:
     score, key = scene.score, "score.signal_sims.observations"
     flips, skies = sorted({*FLIPS, score.jackknives}), sorted({*SKIES, score.signal_sims.skies})
-    counts = {max(2, base["observations"] // part) for part in WINDOW_PARTS} | {base[key]}
+    counts = {max(2, base["observations"] // part) for part in SIGNAL_SIM_PARTS} | {base[key]}
     ladder = [("noise realizations", "score.jackknives", count, score.jackknives) for count in flips]
-    ladder += [("window skies", "score.signal_sims.skies", count, score.signal_sims.skies) for count in skies]
-    ladder += [("window observations", key, count, base[key]) for count in sorted(counts)]
-    return [Setting(knob, str(value), {key: value}, "sampling", value == own) for knob, key, value, own in ladder]
+    ladder += [("signal simulations", "score.signal_sims.skies", count, score.signal_sims.skies) for count in skies]
+    ladder += [("observations with simulations", key, count, base[key]) for count in sorted(counts)]
+    return [
+        Setting(parameter, str(value), {key: value}, "sampling", value == own) for parameter, key, value, own in ladder
+    ]
 
 
 def _numerical(scene: Scene) -> list[Setting]:
@@ -47,11 +49,11 @@ def _numerical(scene: Scene) -> list[Setting]:
     steps = sorted({*STEPS, own.screen_step}, reverse=True)
     ladder: list[tuple[str, str, float | str, float | str]]
     ladder = [("screen step", "numerics.screen_step", step, own.screen_step) for step in steps]
-    for knob, kinds in (("interpolation", ("nearest", "linear", "cubic")), ("precision", ("float32", "float64"))):
-        ladder += [(knob, f"numerics.{knob}", kind, getattr(own, knob)) for kind in kinds]
+    for parameter, kinds in (("interpolation", ("nearest", "linear", "cubic")), ("precision", ("float32", "float64"))):
+        ladder += [(parameter, f"numerics.{parameter}", kind, getattr(own, parameter)) for kind in kinds]
     found = [
-        Setting(knob, value if isinstance(value, str) else f"{value:g}", {key: value}, "numerical", value == mine)
-        for knob, key, value, mine in ladder
+        Setting(parameter, value if isinstance(value, str) else f"{value:g}", {key: value}, "numerical", value == mine)
+        for parameter, key, value, mine in ladder
     ]
     for factor in RATES:
         text = f"{factor * rate_hz:.10g} Hz"

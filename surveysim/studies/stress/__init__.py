@@ -1,7 +1,7 @@
-"""Scenes and inputs at the edge of what is allowed, and beyond: what comes out, and what must.
+"""Stress cases: scenes and inputs at the limits of their ranges and beyond, with known answers.
 
-Each case says why its answer is known: a closed form, a scaling, an invariance, or that it must be refused. None may
-end in NaN or infinity, hang, or lose more than three digits in silence.
+Each case states why its answer is known: a closed form, a scaling, an invariance, or a refusal. No case may end in NaN
+or infinity, hang, or silently lose more than three digits.
 """
 
 from surveysim.studies.stress.case import Case, Outcome, base_scene, run_case

@@ -33,7 +33,7 @@ def layer(scene: Scene) -> Outcome:
 
     Returns
     -------
-    Outcome with the largest relative departure.
+    Outcome with the largest relative deviation.
     """
     setup = prepare(scene)
     streams = draw_observation(setup, 0)
@@ -41,7 +41,7 @@ def layer(scene: Scene) -> Outcome:
     if not (np.isfinite(streams.data_mk).all() and np.isfinite(cleaned.data_mk).all()):
         return Outcome("streams that are not finite", 0.0, 0.0, False)
     worst = max(_departure(setup.air.strips.screen, strip) for strip in _strips(setup))
-    # Modes that are left out may add 1e-3 to the differences along and across together.
+    # Omitted modes may add 1e-3 to the differences along and across together.
     return agrees(worst, 0.0, 2e-3, "relative departure of the structure function")
 
 
@@ -52,7 +52,7 @@ def _strips(setup: Setup) -> Iterator[Strip]:
 
 
 def _departure(screen: Screen, strip: Strip) -> float:
-    """Largest relative departure of a strip's structure function along x from `structure_function`."""
+    """Largest relative deviation of a strip's structure function along x from `structure_function`."""
     power = np.add.reduceat(np.square(strip.columns, dtype=float).mean(axis=1), strip.start[:-1])
     k = np.arange(len(power))
     weight = np.where(k == strip.n_x // 2, 1.0, 4.0) / strip.n_x**2
@@ -64,7 +64,7 @@ def _departure(screen: Screen, strip: Strip) -> float:
 
 
 def _moved(setup: Setup, scan_rad_s: np.ndarray, layer_rad_s: np.ndarray) -> np.ndarray:
-    """Streams (n_det, N_SAMP) float32 of one scan under the layer alone, one draw for all velocities."""
+    """Streams (n_det, N_SAMP) float32 of one scan through the layer alone; all velocities share one draw."""
     plane = setup.camera.focal_plane
     data = np.zeros((setup.camera.n_det, N_SAMP), np.float32)
     offsets = np.stack([plane.x_rad, plane.y_rad], axis=-1)[None]
@@ -83,7 +83,7 @@ def _moved(setup: Setup, scan_rad_s: np.ndarray, layer_rad_s: np.ndarray) -> np.
 
 
 def still(scene: Scene) -> Outcome:
-    """A layer that moves with the scan leaves constant streams, whatever their direction."""
+    """Check that a layer moving with the scan gives constant streams in any direction."""
     setup, angle = prepare(scene), np.arange(16) * math.pi / 8
     velocities = scene.scan.speed_rad_s * np.column_stack([np.cos(angle), np.sin(angle)])
     streams = [_moved(setup, velocity, velocity) for velocity in velocities]
@@ -91,14 +91,14 @@ def still(scene: Scene) -> Outcome:
 
 
 def opposite(scene: Scene) -> Outcome:
-    """A layer against the scan is one at rest under a scan twice as fast."""
+    """Check that a layer moving against the scan equals a layer at rest under a scan twice as fast."""
     setup, velocity = prepare(scene), np.array([0.6, 0.8]) * scene.scan.speed_rad_s
     found = _moved(setup, velocity, -velocity) - _moved(setup, 2 * velocity, np.zeros(2))
     return agrees(np.abs(found).max(), 0.0, 0.0, "difference of streams [mK]")
 
 
 def one_layer(scene: Scene, b2: float = 0.0) -> np.ndarray:
-    """The layer alone of the first observation, at the scene's B2 or another."""
+    """Draw the layer alone for the first observation, at the scene's B2 or another."""
     setup = prepare(scene)
     path, pointing = observation_path(setup.observing, 0)
     weather = observation_weather(setup, 0)
@@ -108,7 +108,7 @@ def one_layer(scene: Scene, b2: float = 0.0) -> np.ndarray:
 
 
 def elevation(scene: Scene) -> Outcome:
-    """Streams are those of a layer at the zenith, at the slant distance, times sin(el)^((1 - b) / 2)."""
+    """Check that streams equal those of a layer at the zenith at the slant distance, times sin(el)^((1 - b) / 2)."""
     sine, air = math.sin(scene.fixed_pointing.elevation_rad), scene.atmosphere
     overhead = scene.fixed_pointing.model_copy(update={"elevation_rad": math.pi / 2})
     higher = air.model_copy(update={"layer_height_m": air.layer_height_m / sine})
@@ -120,7 +120,7 @@ def elevation(scene: Scene) -> Outcome:
 
 
 def amplitude(scene: Scene) -> Outcome:
-    """Streams go as the root of B2."""
+    """Check that streams scale as the square root of B2."""
     b2 = scene.atmosphere.b2[0]
     here, one = one_layer(scene), one_layer(scene, 1.0)
     departure = np.abs(here / math.sqrt(b2) - one).max() / np.abs(one).max()
@@ -128,7 +128,7 @@ def amplitude(scene: Scene) -> Outcome:
 
 
 def no_air(scene: Scene) -> Outcome:
-    """B2 of 0 is no atmosphere."""
+    """Check that B2 = 0 equals no atmosphere."""
     without = scene.model_copy(update={"atmosphere": None, "cleaning": _none_of(scene)})
     found = draw_observation(prepare(scene), 0).data_mk - draw_observation(prepare(without), 0).data_mk
     return agrees(np.abs(found).max(), 0.0, 0.0, "difference of streams [mK]")
@@ -139,7 +139,7 @@ def _none_of(scene: Scene) -> Cleaning:
 
 
 def drawn(scene: Scene) -> Outcome:
-    """Any observation of the scene, for those that must be refused."""
+    """Draw an observation of a scene that must be refused."""
     setup = prepare(scene)
     values = [np.abs(draw_observation(setup, k).data_mk).max() for k in range(scene.observations)]
     return agrees(float(np.isfinite(values).all()), 1.0, 0.0, "finite")

@@ -1,4 +1,4 @@
-"""A case at the edge of what is allowed: what it is, how it is run, and what comes out."""
+"""A stress case: its definition, how it is run, and its outcome."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from surveysim.scene.scene import Scene, scene_of
 
 RATE_HZ = 10.0
 N_SAMP = 150
-# Of the atmosphere over the white noise, in amplitude.
+# Amplitude of the atmosphere over the white noise.
 STIFF = 1e6
-# One sample's rounding to float32, root mean square over its size at worst.
+# Largest rms rounding error of a float32 sample, relative to its size.
 QUANTUM = 2.0**-24 / math.sqrt(3)
 TEMPLATES = TemplateOptions(1e-8, 100)
 
@@ -46,9 +46,10 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Case:
-    """A case: `check` is given the base scene with `overrides` and says what came out.
+    """A stress case: `check` computes the outcome from the base scene with `overrides`.
 
-    `why` is the expected answer and its reason; `refusal` are words of the ValueError that is the right answer.
+    `why` is the expected answer and its reason; `refusal` are words of the error message, if an error is the right
+    answer.
     """
 
     name: str
@@ -60,9 +61,8 @@ class Case:
 
 
 def base_scene(overrides: Mapping[str, Any]) -> Scene:
-    """A camera of 37 detectors that scans four times under the atmosphere; `overrides` as those of `load_scene`.
-
-    Raises SceneError as `load_scene`.
+    """Load a scene of 37 detectors that make four scans under the atmosphere; `overrides` and errors as for
+    `load_scene`.
     """
     return scene_of(Path("extremes.toml"), "", _BASE, overrides)
 
@@ -130,6 +130,6 @@ _BASE = {
 
 
 def agrees(found: float, expected: float, tolerance: float, note: str = "") -> Outcome:
-    """The outcome of a number that is expected to a tolerance."""
+    """Make the outcome of a number with an expected value and a tolerance."""
     # Written so that NaN fails.
     return Outcome(float(found), float(expected), float(tolerance), bool(abs(found - expected) <= tolerance), note)

@@ -1,4 +1,4 @@
-"""The cases: scenes and inputs at the edge of what is allowed and beyond, with the answers expected of them."""
+"""List of the stress cases: scenes and inputs at and beyond the limits, with their expected answers."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ def _size_cases() -> list[Case]:
 
 
 def _geometry_cases() -> list[Case]:
-    # Terms that each geometry holds: 1 and x on a line, all but one of second order on a circle.
+    # Independent terms of each geometry: 1 and x on a line, all but one of second order on a circle.
     most: dict[str, tuple[str, ...]]
     most = {"a line": ("average", "wind", "pca"), "nearly a line": ("average", "wind", "pca")}
     most |= {"a circle": ("average", "planar", "wind", "pca"), "two clusters": tuple(cleaning.ALGORITHMS)}
@@ -268,7 +268,7 @@ def _map_cases() -> list[Case]:
 
 
 def _bound_cases() -> list[Case]:
-    finite = "each key at its bound: streams are numbers of 32 bits, without a warning on the way"
+    finite = "each key at its bound: streams are finite 32-bit numbers, without a warning"
     beyond = "beyond any telescope or air: refused with the key"
     most: dict[str, Any]
     most = {

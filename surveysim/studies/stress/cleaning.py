@@ -57,7 +57,7 @@ def stiff(scene: Scene, algorithm: str) -> Outcome:
     setup = prepare(scene)
     _, pointing = observation_path(setup.observing, 0)
     weather = observation_weather(setup, 0)
-    scale = STIFF / np.std(_mean_removed(one_layer(scene, 1.0), setup.observing.raster.n_scans))
+    scale = STIFF / np.std(_mean_removed(one_layer(scene, 1.0), setup.observing.scans.n_scans))
     strong = replace(weather, b2=scale**2)
     caches = {number: _in_float64(cache) for number, cache in setup.air.strips.caches.items()}
     fine = replace(setup, air=replace(setup.air, strips=replace(setup.air.strips, caches=caches)))
@@ -84,7 +84,7 @@ def _mean_removed(data: np.ndarray, n_scans: int) -> np.ndarray:
 
 
 def planted(n_det: int, ratio: float, n_samp: int = N_SAMP, n_scans: int = 1) -> np.ndarray:
-    """White noise of 1 and a common mode of `ratio` with gains that scatter by 5 % about 1, (n_det, n) float64."""
+    """Draw white noise and a common mode of `ratio` with gains that scatter by 5 % about 1, (n_det, n) float64."""
     rng = np.random.default_rng(n_det)
     noise, common = rng.standard_normal((n_det, n_scans * n_samp)), rng.standard_normal(n_scans * n_samp)
     return noise + ratio * (1 + 0.05 * rng.standard_normal((n_det, 1))) * common
@@ -122,17 +122,17 @@ def common_mode(scene: Scene, algorithm: str, dtype: type) -> Outcome:
 
 
 def white_left(scene: Scene, algorithm: str, places: str = "", n_samp: int = N_SAMP, n_scans: int = 1) -> Outcome:
-    """White noise that is left, less a degree of freedom a template."""
+    """Check the white noise after cleaning against the degrees of freedom of the templates."""
     plane = plane_of(_places(places)) if places else prepare(scene).camera.focal_plane
     n_det = len(plane.x_rad)
     data = _cleaned(algorithm, planted(n_det, 100.0, n_samp, n_scans), plane, n_samp)
-    # A mean and a template's course each take a degree of freedom in every template, c one more in the scan.
+    # Mean and template amplitude each take a degree of freedom in every template, c one more in the scan.
     expected = (1 - _REMOVED[algorithm] / n_det) * (1 - 2 / n_samp)
     return agrees(data.var(), expected, 4 * math.sqrt(2 / data.size), "variance left of white noise")
 
 
 def scaled(scene: Scene, algorithm: str) -> Outcome:
-    """All responsivities times a power of two: the same residual."""
+    """Check that the residual does not change if all responsivities are multiplied by a power of two."""
     plane = prepare(scene).camera.focal_plane
     data = planted(len(plane.x_rad), 100.0)
     left = _cleaned(algorithm, data, plane)
@@ -141,7 +141,7 @@ def scaled(scene: Scene, algorithm: str) -> Outcome:
 
 
 def decades(scene: Scene) -> Outcome:
-    """Responsivities over six decades, undone by cleaning."""
+    """Check that cleaning calibrates responsivities over six decades."""
     plane = prepare(scene).camera.focal_plane
     data = planted(len(plane.x_rad), 100.0)
     gain = np.geomspace(1e-3, 1e3, len(data))[:, None]
@@ -150,7 +150,7 @@ def decades(scene: Scene) -> Outcome:
 
 
 def one_detector(scene: Scene) -> Outcome:
-    """A single detector keeps all but its mean."""
+    """Check that a single detector loses only its mean."""
     plane = prepare(scene).camera.focal_plane
     data = planted(1, 100.0)
     left = clean("none", data, np.array([[0, N_SAMP]]), plane, options=None).data_mk
@@ -158,7 +158,7 @@ def one_detector(scene: Scene) -> Outcome:
 
 
 def spectral(scene: Scene) -> Outcome:
-    """White noise of one band left under a common mode, less what the others take."""
+    """Check the white noise of one band after subtraction of a common mode, and the noise added from the other band."""
     plane = prepare(scene).camera.focal_plane
     rng = np.random.default_rng(4)
     layer = STIFF * rng.standard_normal((len(plane.x_rad), N_SAMP))
@@ -185,19 +185,19 @@ def equal_modes(scene: Scene, singular: np.ndarray, expected: int) -> Outcome:
     plane = prepare(scene).camera.focal_plane
     rng, n_det = np.random.default_rng(6), len(singular)
     left = np.linalg.qr(rng.standard_normal((n_det, n_det)))[0]
-    course = rng.standard_normal((N_SAMP, n_det))
-    right = np.linalg.qr(course - course.mean(axis=0))[0]
+    amplitude = rng.standard_normal((N_SAMP, n_det))
+    right = np.linalg.qr(amplitude - amplitude.mean(axis=0))[0]
     cleaned = clean("pca", left * singular @ right.T, np.array([[0, N_SAMP]]), plane, options=PcaOptions(3.0))
     return agrees(float(cleaned.removed[0]), expected, 0.0, "modes removed")
 
 
 def plane_of(places: np.ndarray) -> FocalPlane:
-    """A focal plane of detectors at places (n_det, 2) [rad], with a beam of an arcminute."""
+    """Make a focal plane of detectors at positions (n_det, 2) [rad], with a beam of one arcminute."""
     return FocalPlane(places[:, 0], places[:, 1], 3e-4)
 
 
 def _places(kind: str) -> np.ndarray:
-    """37 places (n_det, 2) [rad]: on a line, nearly on one, on a circle, or in two clusters."""
+    """37 positions (n_det, 2) [rad]: on a line, nearly on one, on a circle, or in two clusters."""
     t, rng = np.linspace(-1, 1, 37), np.random.default_rng(8)
     places = {
         "a line": np.column_stack([t, 0.3 * t]),
@@ -209,7 +209,7 @@ def _places(kind: str) -> np.ndarray:
 
 
 def local(scene: Scene, places: str) -> Outcome:
-    """Measure the white noise that is left by local average subtraction.
+    """Measure the white noise after local average subtraction.
 
     Parameters
     ----------

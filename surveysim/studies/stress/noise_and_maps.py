@@ -23,7 +23,7 @@ from surveysim.timestreams.simulation import observation_path
 
 
 def excess(scene: Scene) -> Outcome:
-    """The variance below the band limit that a spectral index gives."""
+    """Check the variance below the band limit that a spectral index implies."""
     section, n_det, n_scans = scene.excess, 100, 64
     data = np.zeros((n_det, n_scans * N_SAMP), np.float32)
     add_excess(
@@ -42,7 +42,7 @@ def excess(scene: Scene) -> Outcome:
 
 
 def white_excess(scene: Scene) -> Outcome:
-    """Excess noise of index 0 does not correlate from sample to sample."""
+    """Check that low-frequency noise with index 0 has no correlation between samples."""
     section, n_det = scene.excess, 200
     data = np.zeros((n_det, 16 * N_SAMP), np.float32)
     add_excess(
@@ -60,7 +60,7 @@ def white_excess(scene: Scene) -> Outcome:
 
 
 def correlation(scene: Scene, least: float) -> Outcome:
-    """A correlation matrix with the eigenvalues `least`, 1 and 2 - least."""
+    """Factor a correlation matrix with the eigenvalues `least`, 1 and 2 - least."""
     turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
     matrix = turn * [least, 1.0, 2.0 - least] @ turn.T
     factor = correlation_factor(matrix)
@@ -68,13 +68,13 @@ def correlation(scene: Scene, least: float) -> Outcome:
 
 
 def twins(scene: Scene) -> Outcome:
-    """Pixels all in one place."""
+    """Check pixels that are all in one place."""
     factor = correlation_factor(np.ones((37, 37)))
     return agrees(np.abs(factor @ factor.T - 1).max(), 0.0, 1e-12, "departure of the factor's square")
 
 
 def gains(scene: Scene) -> Outcome:
-    """A profile of correlations under gains over six decades."""
+    """Check a correlation profile measured with gains over six decades."""
     plane = prepare(scene).camera.focal_plane
     streams = draw_observation(prepare(scene), 0)
     bins, gain = pair_bins(plane), np.geomspace(1e-3, 1e3, len(plane.x_rad))[:, None]
@@ -86,7 +86,7 @@ def gains(scene: Scene) -> Outcome:
 
 
 def pairs(scene: Scene, places: np.ndarray) -> Outcome:
-    """A profile linear in theta^2 and gains over two decades: what comes back of the profile."""
+    """Check the recovery of a profile linear in theta^2 with gains over two decades."""
     bins = pair_bins(plane_of(places))
     gain, distant = np.linspace(-2, 2, len(places)), ~bins.adjacent
     shape = -((bins.theta_rad / bins.theta_rad[-1]) ** 2)
@@ -98,15 +98,15 @@ def _blocks(scene: Scene, ratio: float) -> tuple[Setup, StreamBlock]:
     setup = prepare(scene)
     path, _ = observation_path(setup.observing, 0)
     n_det, n_pix = setup.camera.n_det, setup.analysis.geometry.n_x * setup.analysis.geometry.n_y
-    bounds = np.arange(setup.observing.raster.n_scans)[:, None] * N_SAMP + [0, N_SAMP]
-    data = planted(n_det, ratio, n_scans=setup.observing.raster.n_scans)
+    bounds = np.arange(setup.observing.scans.n_scans)[:, None] * N_SAMP + [0, N_SAMP]
+    data = planted(n_det, ratio, n_scans=setup.observing.scans.n_scans)
     # A tenth of the map is enough to be crossed often; the rest stays without a hit.
     index = np.random.default_rng(9).integers(0, n_pix // 10, data.shape)
     return setup, StreamBlock(data, index, bounds, setup.camera.focal_plane)
 
 
 def unhit(scene: Scene) -> Outcome:
-    """A map with pixels that no sample hits."""
+    """Check a map with pixels without hits."""
     setup, block = _blocks(scene, 0.0)
     item = bin_map(
         setup.analysis.geometry,
@@ -120,7 +120,7 @@ def unhit(scene: Scene) -> Outcome:
 
 
 def likelihood_map(scene: Scene) -> Outcome:
-    """A maximum-likelihood map under a common mode."""
+    """Check a maximum-likelihood map of data with a common mode."""
     maps = []
     for ratio in (1e3, STIFF):
         setup, block = _blocks(scene, ratio)

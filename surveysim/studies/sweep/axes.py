@@ -1,7 +1,7 @@
-"""Sweeps: the table [sweep] of a scene file, read as axes of values and the scenes of all their combinations.
+"""Sweeps: the table [sweep] of a scene file, parsed into axes of values and the scenes of all combinations.
 
-Every point is the scene of the file with some keys replaced. All have one seed, so random numbers that do not
-depend on these keys are common to all points, and differences between points are known better than the points.
+Each point is the scene of the file with some keys replaced. All points have the same seed: random numbers that do not
+depend on the replaced keys are common, so differences between points have smaller errors than the points.
 """
 
 import re
@@ -27,12 +27,12 @@ from surveysim.scene.renamed_keys import renamed_line
 from surveysim.scene.scene import Origin, Scene, read_scene, scene_hash, scene_of
 from surveysim.scene.shipped import find_scene
 from surveysim.scene.units import file_value, shown
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 
 MAX_POINTS = 1000
 LABEL_LENGTH = 40
-COMMON = ("seed", "name", "title", "sweep")  # to all points
-REFERENCE = "reference"  # of [sweep]: no axis, if its value is a number or a text, which an axis never is
+COMMON = ("seed", "name", "title", "sweep")  # keys that are the same at all points
+REFERENCE = "reference"  # key of [sweep] that is no axis if its value is a number or a text
 
 T = TypeVar("T")
 
@@ -46,8 +46,8 @@ class Axis:
     values: tuple[tuple[Any, ...], ...]
 
     @property
-    def telling_keys(self) -> tuple[str, ...]:
-        """Keys that tell the steps apart: the first one if its values do, or else all whose values differ."""
+    def distinguishing_keys(self) -> tuple[str, ...]:
+        """Keys that distinguish the steps: the first one if its values do, else all keys whose values differ."""
         texts = [[value_text(value) for value in column] for column in zip(*self.values, strict=True)]
         if len(set(texts[0])) == len(self.values):
             return self.keys[:1]
@@ -56,16 +56,16 @@ class Axis:
 
     @cached_property
     def labels(self) -> list[str]:
-        """Each step's value of the first key, or ``key = value`` of all `telling_keys`, as short text.
+        """Value of the first key at each step, or ``key = value`` of all `distinguishing_keys`, as short text.
 
-        Steps that look alike all the same have their number behind.
+        Steps with equal text have their number appended.
         """
-        telling = self.telling_keys
-        columns = [[_short(values[self.keys.index(key)]) for values in self.values] for key in telling]
-        if telling == self.keys[:1]:
+        keys = self.distinguishing_keys
+        columns = [[_short(values[self.keys.index(key)]) for values in self.values] for key in keys]
+        if keys == self.keys[:1]:
             texts = columns[0]
         else:
-            names = _short_names(telling)
+            names = _short_names(keys)
             texts = [
                 ", ".join(f"{name} = {text}" for name, text in zip(names, row, strict=True))
                 for row in zip(*columns, strict=True)
@@ -74,14 +74,14 @@ class Axis:
         return [f"{text} #{step}" if seen[text] > 1 else text for step, text in enumerate(texts)]
 
     def at(self, step: int) -> str:
-        """``name = value`` of one step, or ``name (key = value, ...)``."""
+        """Format one step as ``name = value`` or ``name (key = value, ...)``."""
         text = self.labels[step]
-        return f"{self.name} = {text}" if self.telling_keys == self.keys[:1] else f"{self.name} ({text})"
+        return f"{self.name} = {text}" if self.distinguishing_keys == self.keys[:1] else f"{self.name} ({text})"
 
 
 @dataclass(frozen=True)
 class Point:
-    """A combination of values: its `number`, its `place` on each axis, `settings` by key, and the scene they make.
+    """A combination of values: its `number`, its `place` on each axis, `settings` by key, and the resulting scene.
 
     `label` names it by its axes: ``key = value, ...``.
     """
@@ -97,9 +97,9 @@ class Point:
 
 @dataclass(frozen=True)
 class Sweep:
-    """A scene file with [sweep]: its axes, and the points of all combinations, those of the last axis in a row.
+    """A scene file with [sweep]: its axes, and the points of all combinations; the last axis varies fastest.
 
-    `reference` is the number of the point that the others are compared with, `origin` the file with its overrides.
+    `reference` is the number of the point that ratios refer to, `origin` the file with its overrides.
     """
 
     path: Path
@@ -115,7 +115,7 @@ class Sweep:
 
 
 def is_sweep(path: str | Path) -> bool:
-    """Return whether a scene file has a table [sweep]; raises SceneError when it can't be read."""
+    """Return whether a scene file has a table [sweep]; raises SceneError if it cannot be read."""
     return "sweep" in read_scene(find_scene(path))[1]
 
 
@@ -154,8 +154,8 @@ def load_sweep(
         setup = prepare(scene)
         samples = (
             setup.camera.n_det
-            * setup.observing.raster.n_scans
-            * samples_per_scan(setup.observing.raster)
+            * setup.observing.scans.n_scans
+            * samples_per_scan(setup.observing.scans)
             * scene.observations
         )
         return Point(number, places[number], labels[number], settings[number], scene, setup.camera.n_det, samples)
@@ -172,20 +172,20 @@ def load_sweep(
 
 
 def sweep_hash(sweep: Sweep) -> str:
-    """SHA-256 of all that a sweep's results depend on: the scenes of its points, and the point that ratios are to."""
+    """Return the SHA-256 of everything that the results depend on: scenes of the points, and the reference point."""
     found = [scene_hash(point.scene) for point in sweep.points]
     return sha256(" ".join([*found, str(sweep.reference)]).encode()).hexdigest()
 
 
 def value_text(value: Any) -> str:
-    """A value of the file as text: quantities as they stand, steps of cleaning with a plus."""
+    """Format a value of the file: quantities as written, steps of cleaning joined with a plus."""
     if isinstance(value, list) and value and all(isinstance(item, str) for item in value):
         return "+".join(value)
     return value if isinstance(value, str) else repr(value)
 
 
 def numbers_of(values: Sequence[Any]) -> tuple[np.ndarray, str] | None:
-    """Values of the file as numbers (n,) and their unit, that of the first; None where they are not all numbers."""
+    """Convert values of the file to numbers (n,) and the unit of the first; None if they are not all numbers."""
     if all(isinstance(value, int | float) for value in values):
         found, unit = np.array(values), ""
     elif all(isinstance(value, str) for value in values):
@@ -216,7 +216,7 @@ def _quantities(values: Sequence[str]) -> tuple[np.ndarray, str] | None:
 
 
 def _axes(path: Path, content: Mapping[str, Any], overrides: Mapping[str, Any]) -> tuple[Axis, ...]:
-    """The axes of a file; raises SceneError with a line for each error in its table."""
+    """Parse the axes of a file; raises SceneError with a line for each error in its table."""
     table = content.get("sweep")
     if not isinstance(table, dict) or not table:
         found = "missing" if table is None else f"found {shown(table)}"
@@ -265,7 +265,7 @@ def _axis(name: str, value: Any) -> Axis:
 
 
 def _check_key(where: str, axis: str, key: str) -> None:
-    """Raise ValueError unless it is a key of a scene that points may differ in."""
+    """Raise an error unless this is a scene key that points may differ in."""
     *sections, last = key.split(".")
     if sections[:1] == ["sweep"] or key in COMMON:
         raise InputError(f"{where}: found {shown(key)}; a key that is not common to all points is expected")
@@ -280,11 +280,11 @@ def _check_key(where: str, axis: str, key: str) -> None:
 
 
 def _check_together(axes: Sequence[Axis], overrides: Mapping[str, Any]) -> None:
-    """Raise ValueError when a key is given twice, or for too many points."""
+    """Raise an error if a key appears twice, or for too many points."""
     seen: list[str] = []
     for key in (key for axis in axes for key in axis.keys):
         if other := next((other for other in seen if _overlap(key, other)), None):
-            raise InputError(f"sweep: found {shown(key)} beside {shown(other)}; every key on one axis is expected")
+            raise InputError(f"sweep: found {shown(key)} and {shown(other)}; every key on one axis is expected")
         if other := next((other for other in overrides if _overlap(key, other)), None):
             raise InputError(f"{other}: set, and on an axis of the sweep; a key that it leaves alone is expected")
         seen.append(key)
@@ -294,18 +294,18 @@ def _check_together(axes: Sequence[Axis], overrides: Mapping[str, Any]) -> None:
 
 
 def _overlap(key: str, other: str) -> bool:
-    """Return whether two dotted keys are one, or one is a section that holds the other."""
+    """Return whether two dotted keys are equal, or one is a section that contains the other."""
     return f"{key}.".startswith(f"{other}.") or f"{other}.".startswith(f"{key}.")
 
 
 def _given_reference(content: Mapping[str, Any]) -> int | str | None:
-    """The reference point that the table [sweep] names, if any."""
+    """Reference point in the table [sweep], if any."""
     value = content["sweep"].get(REFERENCE)
     return value if isinstance(value, int | str) else None
 
 
 def _reference(name: str, given: int | str | None, axes: Sequence[Axis], points: Sequence[Point]) -> int:
-    """Number of the reference point, by default the first; raises ValueError unless the text names one."""
+    """Number of the reference point, by default the first; raises an error unless the text identifies one point."""
     if isinstance(given, bool):
         raise InputError(f"{name}: found {shown(given)}; the number of a point, or its values, is expected")
     if given is None or isinstance(given, int):
@@ -320,7 +320,7 @@ def _reference(name: str, given: int | str | None, axes: Sequence[Axis], points:
 
 
 def _is_named(text: str, point: Point, axes: Sequence[Axis]) -> bool:
-    """Return whether a text is nothing but ``key = value`` of some keys or axes of a point."""
+    """Return whether a text consists of ``key = value`` of some keys or axes of a point."""
     own = [axis.at(step) for axis, step in zip(axes, point.place, strict=True)]
     own += [f"{key} = {value_text(value)}" for key, value in point.settings.items()]
     left = re.sub(r"\s*=\s*", " = ", text)
@@ -335,7 +335,7 @@ def _short(value: Any) -> str:
 
 
 def _short_names(keys: Sequence[str]) -> list[str]:
-    """The last parts of dotted keys, or the whole keys where these are not unique."""
+    """Last parts of dotted keys, or the whole keys if the parts are not unique."""
     last = [key.rpartition(".")[2] for key in keys]
     return last if len(set(last)) == len(last) else list(keys)
 
@@ -349,7 +349,7 @@ def _settings(axes: Iterable[Axis], place: tuple[int, ...]) -> dict[str, Any]:
 
 
 def _of_all(path: Path, labels: Sequence[str], job: Callable[[int], T]) -> list[T]:
-    """`job(number)` of every point; raises SceneError with each of their errors once."""
+    """Compute `job(number)` for each point; raises SceneError with each error once."""
     done: list[T] = []
     wrong: dict[str, list[int]] = {}
     for number in range(len(labels)):

@@ -1,4 +1,4 @@
-"""The points of a sweep run, and set against each other: ratios with paired errors, and which point is the best."""
+"""Running and comparing the points of a sweep: ratios with paired errors, and the probability of being the best."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -32,21 +32,29 @@ from surveysim.survey.discarded_scans import competing, discards
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import FEWEST_CONTROLLED, DataSetScore, error_modes
 
-DRAWS = 20_000  # of the best point: a probability of 0.5 is known to 0.004
+DRAWS = 20_000  # a probability of 0.5 has an error of 0.004
 _DRAWS_AT_ONCE = 1000
-SURE = 0.995  # from here on a probability rounds to 100 %, which it is not
+SURE = 0.995  # from here on a probability would round to 100 %
 _EQUAL = 1e-9  # relative difference below which two points are equal
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Points against each other, (n_point,) each and NaN for a point without a score.
+    """Comparison of points, (n_point,) each, NaN for a point without a score.
 
-    `ratio` is sigma(A) over that of the point `reference`, `paired_error` its error and `independent_error` what it
-    would be if the two shared nothing. `best` are the lowest points: several if they are equal, none where nothing is
-    scored. `best_probability` is that of being the lowest of the points that are `competing`, NaN for the others: some
-    points lose too many scans to compete (`surveysim.survey.discarded_scans`), and if one of these is the lowest, none
-    competes. `modes` (n_point, n_mode) are the responses of ln sigma to unit deviates that points may have in common.
+    Attributes
+    ----------
+    ratio
+        sigma(A) over sigma(A) of the point `reference`.
+    paired_error, independent_error
+        Error of the ratio, and its error if the two points shared no random numbers.
+    best
+        Points with the lowest sigma(A): several if they are equal, none without a score.
+    best_probability
+        Probability of being the lowest among the `competing` points, NaN for other points. Points that lose too many
+        scans do not compete (`surveysim.survey.discarded_scans`); if one of these is the lowest, no point competes.
+    modes : (n_point, n_mode)
+        Responses of ln sigma to unit deviates that points may share.
     """
 
     reference: int | None
@@ -63,13 +71,13 @@ class Comparison:
 
 @dataclass(frozen=True)
 class PointJob:
-    """Run, score and forecast a point in one process, and keep it in `directory` if there is one."""
+    """Run, score and forecast a point in one process, and save it in `directory` if given."""
 
     directory: Path | None
     resume: bool
 
     def __call__(self, point: Point) -> PointResult:
-        """Raises ValueError that names the point, and CheckpointError for a checkpoint of another scene."""
+        """Run a point; raises an error that names the point, and CheckpointError for a checkpoint of another scene."""
         start, setup, checkpoint = perf_counter(), prepare(point.scene), None
         if self.directory is not None:
             checkpoint = point_checkpoint(self.directory, point.number)
@@ -104,7 +112,7 @@ class PointJob:
 
 
 def _scored(setup: Setup, coadds: CoAdds) -> tuple[dict[str, DataSetScore], str]:
-    """Scores by data set, or none and why."""
+    """Scores by data set, or none and the reason."""
     try:
         return quoted_scores(setup, coadds), ""
     except InsufficientDataError as error:  # too few observations, or too few scans kept in them
@@ -118,10 +126,25 @@ def run_points(
     resume: bool,
     progress: Callable[[int], None],
 ) -> tuple[PointResult, ...]:
-    """Run all points, several at a time, each by one worker; `progress` is told how many are done.
+    """Run all points, several at a time, each on one worker.
 
-    Points are kept in `directory`, finished or not, and taken up from there with `resume`. Raises CheckpointError
-    for files of other scenes, EngineError when the engine can't go on, ValueError when a point fails.
+    Parameters
+    ----------
+    directory
+        Directory of finished and unfinished points.
+    resume
+        Continue from the points in `directory`.
+    progress
+        Function of the number of finished points.
+
+    Raises
+    ------
+    CheckpointError
+        For files of other scenes.
+    EngineError
+        If the engine fails.
+    ValueError
+        If a point fails.
     """
     found = _kept(sweep, directory) if resume and directory is not None else {}
     missing = [point for point in sweep.points if point.number not in found]
@@ -138,7 +161,7 @@ def run_points(
 
 
 def _kept(sweep: Sweep, directory: Path) -> dict[int, PointResult]:
-    """Finished points by number; raises CheckpointError for files that are not of this sweep."""
+    """Load finished points by number; raises CheckpointError for files of another sweep."""
     found = {}
     for number, path in finished_points(directory).items():
         if number >= len(sweep.points):
@@ -151,24 +174,24 @@ def _kept(sweep: Sweep, directory: Path) -> dict[int, PointResult]:
 
 
 def _flags(found: Forecast | None) -> list[str]:
-    """Why the actual data's forecast may be off."""
+    """Reasons why the forecast of the actual data may be off."""
     return [effect.sentence for effect in found.scores[ACTUAL].effects if effect.flagged] if found else []
 
 
 def _discarded(found: Forecast | None) -> dict[str, float]:
-    """Shares of scans that are predicted to be discarded, by data set; those that are not known are left out."""
+    """Predicted fractions of discarded scans by data set, without unknown ones."""
     kept = {name: item.kept for name, item in found.scores.items()} if found else {}
     return {name: item.discarded for name, item in kept.items() if np.isfinite(item.error)}
 
 
 def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[PointResult, ...]:
-    """Forecasts of all points, one after the other, or why there is none."""
+    """Forecast all points, one after the other, or give the reason for no forecast."""
     results = []
     for point in sweep.points:
         start, found, reason = perf_counter(), None, ""
         try:
             found = forecast(point.scene)
-        except InputError as error:  # of a scene that can't be forecast
+        except InputError as error:  # a scene without a forecast
             reason = str(error)
         sigma = {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}
         told = _flags(found), _discarded(found)
@@ -178,7 +201,7 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
 
 
 def _skies(setup: Setup) -> str:
-    """Equal where windows are measured with the same skies: one seed, and one grid that they are drawn on."""
+    """Return a key that is equal for points whose signal simulations are the same: same seed, skies and grid."""
     scene = setup.scene
     return sha256(f"{scene.seed} {scene.score.signal_sims} {setup.sky.geometry}".encode()).hexdigest()
 
@@ -187,9 +210,9 @@ def _skies(setup: Setup) -> str:
 
 
 def of_one_kind(points: tuple[PointResult, ...]) -> tuple[PointResult, ...]:
-    """The points, their scores without control variate where a point has none: estimates of one kind compare.
+    """Return the points with comparable estimates: without control variates if one of the points has none.
 
-    What a control variate takes out, the luck of the weather, is common to all points of a sweep.
+    The effect of the drawn weather, which a control variate removes, is common to all points of a sweep.
     """
     scored = [item for point in points for item in point.scores.values()]
     if len({item.control is None for item in scored}) < 2:
@@ -208,7 +231,7 @@ def _uncontrolled(item: DataSetScore) -> DataSetScore:
 
 
 def compare_runs(points: tuple[PointResult, ...], rng: np.random.Generator, reference: int = 0) -> Comparison:
-    """Runs of the actual data set against each other, with what their errors share."""
+    """Compare runs of the actual data, taking common errors into account."""
     scored = {number: point.scores[ACTUAL] for number, point in enumerate(points) if point.scores}
     sigma, relative = np.full((2, len(points)), np.nan)
     modes = np.zeros((len(points), 1))
@@ -223,10 +246,10 @@ def compare_runs(points: tuple[PointResult, ...], rng: np.random.Generator, refe
 
 
 def _of_one_weather(items: list[DataSetScore]) -> list[DataSetScore]:
-    """The scores for comparisons with each other: of equally many observations, the weather is common to all.
+    """Return scores for comparisons: with equal numbers of observations, the weather is common to all.
 
-    How well few observations sample the weather is unknown, but ratios need not know it: what is left of it in them
-    shows in the scatter of one point's observations against another's.
+    The error from few weather draws may be unknown, but it cancels in ratios: the remaining part shows in the scatter
+    between the observations of two points.
     """
     lengths = {len(item.weights) for item in items}
     if len(lengths) > 1 or min(lengths) < FEWEST_CONTROLLED or any(item.control is not None for item in items):
@@ -239,12 +262,12 @@ def _scatter(information: np.ndarray) -> float:
 
 
 def actual_shares(points: tuple[PointResult, ...]) -> np.ndarray:
-    """Shares (n_point,) of discarded scans of the actual data, 0 where none is known."""
+    """Return the fractions (n_point,) of discarded scans of the actual data, 0 if unknown."""
     return np.array([point.discarded.get(ACTUAL, 0.0) for point in points])
 
 
 def compare_forecasts(points: tuple[PointResult, ...], reference: int = 0) -> Comparison:
-    """Forecasts of the actual data set against each other, which have no Monte Carlo errors."""
+    """Compare forecasts of the actual data, which have no Monte Carlo errors."""
     sigma = np.array([point.forecast_ukcmb2.get(ACTUAL, np.nan) for point in points])
     return compare(sigma, np.zeros((len(points), 1)), np.random.default_rng(0), reference=reference)
 
@@ -258,11 +281,19 @@ def compare(
     discarded: np.ndarray | None = None,
     relative: np.ndarray | None = None,
 ) -> Comparison:
-    """Compare points (n_point,), NaN for none, whose ln sigma respond to unit deviates as `modes` (n_point, n_mode).
+    """Compare points (n_point,), NaN without a score.
 
-    Where the `reference` has no score, the first point that has one takes its place. `discarded` (n_point,) are the
-    shares of scans that points lose, none by default; `relative` (n_point,) are relative errors, NaN where unknown, by
-    default those of the modes. Points whose modes are NaN do not compete.
+    Parameters
+    ----------
+    sigma_ukcmb2 : (n_point,)
+    modes : (n_point, n_mode)
+        Responses of ln sigma to unit deviates. Points with NaN do not compete.
+    reference
+        Number of the reference point; without a score, the first point with one replaces it.
+    discarded : (n_point,), optional
+        Fractions of discarded scans, by default none.
+    relative : (n_point,), optional
+        Relative errors, NaN if unknown; by default those of the modes.
     """
     scored = np.flatnonzero(np.isfinite(sigma_ukcmb2))
     nothing, competes = np.full(len(sigma_ukcmb2), np.nan), np.zeros(len(sigma_ukcmb2), bool)
@@ -273,7 +304,7 @@ def compare(
     best = tuple(int(number) for number in scored[sigma_ukcmb2[scored] <= lowest * (1 + _EQUAL)])
     shares = np.zeros(len(nothing)) if discarded is None else discarded
     competes[scored] = competing(shares[scored]) & np.isfinite(modes[scored]).all(axis=1)
-    # Against nobody, or while one that does not compete is lower, none is known to be the best.
+    # No point is known to be the best alone, or if a point that does not compete is lower.
     if competes.sum() < 2 or not competes[list(best)].any():
         competes[:] = False
     relative = np.linalg.norm(modes, axis=1) if relative is None else relative
@@ -299,9 +330,9 @@ def compare(
 
 
 def probability_of_lowest(log_sigma: np.ndarray, modes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Probability (n,) that each of the true values is the lowest, by `DRAWS` draws about those found.
+    """Compute the probability (n,) that each true value is the lowest, from `DRAWS` draws about the measured values.
 
-    Values that are equal share a draw.
+    Equal values share a draw.
     """
     # As many modes as points are enough: R^T R = modes modes^T.
     factor = np.linalg.qr(modes.T, mode="r")

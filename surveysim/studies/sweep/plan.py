@@ -10,7 +10,7 @@ from surveysim.studies.sweep.axes import Sweep
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """Predicted cost of all points of a sweep: detector-samples, run time [s], memory of the largest process [byte]."""
+    """Predicted cost of a sweep: detector-samples, run time [s], memory of the largest process [bytes]."""
 
     n_points: int
     detector_samples: int

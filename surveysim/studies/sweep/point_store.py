@@ -1,4 +1,4 @@
-"""Results of a sweep's points, and the small files from which an interrupted sweep continues."""
+"""Results of the points of a sweep, stored in small files from which an interrupted sweep resumes."""
 
 import json
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from surveysim.studies.sweep.axes import Point
 from surveysim.survey.checkpoint import REASON, CheckpointError, check_origin, read_meta
 from surveysim.survey.scores import Control, DataSetScore
 
-_OF_BAND, _OF_WINDOW = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
+_OF_BAND, _OF_TRANSFER = ("weight", "ell", "cumulative"), ("ell", "transmission", "deviations")
 _OF_CONTROL = ("factor", "weights", "noise")
 _OF_SET = ("noise_psds", "signal_psd", "weights", "bin_noise", "kept")
 _NEVER_NEGATIVE = (
@@ -32,7 +32,7 @@ _NEVER_NEGATIVE = (
     "kept",
     "band.weight",
     "band.ell",
-    "window.ell",
+    "transfer_function.ell",
     "control.weights",
     "plain.weight",
     "plain.ell",
@@ -42,14 +42,25 @@ _Share = Annotated[float, Field(ge=0, le=1)]
 
 @dataclass(frozen=True)
 class PointResult:
-    """Scores by data set, or why there are none; forecasts of sigma(A) [uK_CMB^2] by data set.
+    """Results of one point.
 
-    `off` is the actual data's forecast over the simulation, less 1, with the standard error of that, empty where there
-    is only one of them; `flags` say why the forecast may be off.
-    `discarded` is the share of discarded scans by data set, empty where it is not known, and `discarded_by_weather`
-    that of quarters of the observations (`surveysim.survey.discarded_scans`). `skies` is equal for points whose windows
-    are measured with the same skies. `wall_s` is the time that the point took since it was started or, the last time,
-    resumed.
+    Attributes
+    ----------
+    scores
+        By data set; empty if there are none, with the reason in `unscored`.
+    forecast_ukcmb2
+        Forecasts of sigma(A) by data set.
+    off
+        Forecast over simulation of the actual data, minus 1, and its standard error; empty unless both exist.
+    flags
+        Reasons why the forecast may be off.
+    discarded, discarded_by_weather
+        Fractions of discarded scans by data set, empty if unknown, and for quarters of the observations
+        (`surveysim.survey.discarded_scans`).
+    skies
+        Key that is equal for points whose transfer functions are measured with the same skies.
+    wall_s
+        Run time since the start or last resumption of the point.
     """
 
     n_det: int
@@ -95,10 +106,12 @@ def save_point(path: Path, result: PointResult, identity: str) -> None:
 
 
 def load_point(path: Path, point: Point) -> PointResult:
-    """Read a finished point back.
+    """Read a finished point.
 
-    Raises CheckpointError for a file that is damaged, of another scene or version, or whose content is not what a
-    sweep keeps of this point.
+    Raises
+    ------
+    CheckpointError
+        For a file that is damaged, of another scene or version, or with content that does not fit the point.
     """
     try:
         if not path.is_file():  # a pipe never ends
@@ -123,7 +136,7 @@ def load_point(path: Path, point: Point) -> PointResult:
 
 
 class _Numbers(BaseModel):
-    """Fields of a known type and no others; NaN stands for what is not known."""
+    """Fields with fixed types and no others; NaN stands for an unknown value."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
@@ -138,7 +151,7 @@ class _Band(_Numbers):
 class _Budget(_Numbers):
     noise: float
     weather: float
-    window: float
+    transfer_function: float
     population: float
 
 
@@ -196,7 +209,7 @@ def _result(file: Any, meta: _Meta) -> PointResult:
 
 
 def _check_point(result: PointResult, point: Point) -> None:
-    """Raise ValueError for scores that are not of the scene of a point."""
+    """Raise ValueError for scores that do not fit the scene of a point."""
     score, names = point.scene.score, _data_sets(point.scene)
     if result.n_det != point.n_det or any(item.n_det > point.n_det for item in result.scores.values()):
         raise ValueError(f"other numbers of detectors than {point.n_det}")
@@ -207,7 +220,7 @@ def _check_point(result: PointResult, point: Point) -> None:
         raise ValueError(f"no data set of the scene: {others[0]}")
     n_bin = {len(item.signal_psd) for item in result.scores.values()}
     n_obs, skies = point.scene.observations, score.signal_sims.skies
-    sizes = {"noise_psds": (score.jackknives, *n_bin), "window.deviations": (skies, *n_bin)}
+    sizes = {"noise_psds": (score.jackknives, *n_bin), "transfer_function.deviations": (skies, *n_bin)}
     sizes |= dict.fromkeys(("weights", "control.weights"), (n_obs,))
     sizes |= dict.fromkeys(("bin_noise", "control.noise"), (n_obs, *n_bin))
     for name, item in result.scores.items():
@@ -223,7 +236,7 @@ def _check_point(result: PointResult, point: Point) -> None:
 
 
 def _check_noise(name: str, weights: np.ndarray, noise: np.ndarray, bin_weight: np.ndarray) -> None:
-    """Raise ValueError for noise that is none where it has a weight; elsewhere it may be infinite or unknown."""
+    """Raise ValueError for invalid noise where it has a weight; elsewhere it may be infinite or unknown."""
     used = noise[np.ix_(weights > 0, bin_weight > 0)]
     if not ((used >= 0) & np.isfinite(used)).all():
         raise ValueError(f"{name} has values below 0 or none where there are data")
@@ -242,13 +255,17 @@ def _numbers(item: DataSetScore) -> dict[str, Any]:
 
 
 def _of(record: Any, arrays: tuple[str, ...]) -> dict[str, float]:
-    """The numbers of a record, less its arrays."""
+    """Scalar fields of a record, without its arrays."""
     return {key: value for key, value in vars(record).items() if key not in arrays}
 
 
 def _parts(item: DataSetScore) -> dict[str, tuple[Any, tuple[str, ...]]]:
     """Records of a score that have arrays, and their names."""
-    parts = {"": (item, _OF_SET), "band.": (item.band, _OF_BAND), "window.": (item.window, _OF_WINDOW)}
+    parts = {
+        "": (item, _OF_SET),
+        "band.": (item.band, _OF_BAND),
+        "transfer_function.": (item.transfer_function, _OF_TRANSFER),
+    }
     if item.control is not None:
         parts |= {"control.": (item.control, _OF_CONTROL), "plain.": (item.plain, _OF_BAND)}
     return parts
@@ -269,7 +286,7 @@ def _score(file: Any, name: str, numbers: dict[str, Any]) -> DataSetScore:
         n_det=numbers["n_det"],
         band=BandPower(**numbers["band"], **arrays("band.", _OF_BAND)),
         budget=ErrorBudget(**numbers["budget"]),
-        window=TransferFunction(**arrays("window.", _OF_WINDOW)),
+        transfer_function=TransferFunction(**arrays("transfer_function.", _OF_TRANSFER)),
         control=Control(**numbers["control"], **arrays("control.", _OF_CONTROL)) if controlled else None,
         plain=BandPower(**numbers["plain"], **arrays("plain.", _OF_BAND)) if controlled else None,
         **arrays("", _OF_SET),

@@ -1,4 +1,4 @@
-"""The result of a sweep: its points, their comparison, and every pair of them."""
+"""Result of a sweep: its points, their comparison, and all pairs of points."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -26,9 +26,9 @@ ESTIMATES = {  # kinds of sigma(A)
 
 @dataclass(frozen=True)
 class Pair:
-    """sigma(A) of `point` over that of `other`, with its paired error and that of independent runs.
+    """sigma(A) of `point` over sigma(A) of `other`, with its paired error and the error of independent runs.
 
-    They are `comparable` if both lose few scans, and like shares of them (`SweepResult.comparable`).
+    A pair is `comparable` if both lose few scans, in similar fractions (`SweepResult.comparable`).
     """
 
     point: int
@@ -41,7 +41,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class SweepResult:
-    """A finished sweep; `simulated` is false where its points are forecasts alone."""
+    """A finished sweep; `simulated` is false if its points are forecasts only."""
 
     sweep: Sweep
     points: tuple[PointResult, ...]
@@ -70,7 +70,7 @@ class SweepResult:
         return sweep_table(sweep_summary(self, ()))
 
     def __repr__(self) -> str:
-        """A line on the sweep above the table of its first points."""
+        """One line about the sweep above the table of its first points."""
         kind = "runs" if self.simulated else "forecasts"
         return f"SweepResult of {self.sweep.name}: {len(self.points)} {kind}\n{self._table().text()}"
 
@@ -86,9 +86,9 @@ class SweepResult:
 
     @property
     def warnings(self) -> list[str]:
-        """Lines on scans that are discarded, and on a reference point without a score.
+        """Lines on discarded scans, and on a reference point without a score.
 
-        Shares that are predicted are not known well enough to be compared: a forecast's flags tell of them.
+        Predicted fractions of discarded scans are not accurate enough for this: the flags of a forecast tell of them.
         """
         labels = [point.label for point in self.sweep.points]
         found = sweep_warnings(labels, [point.discarded for point in self.points]) if self.simulated else []
@@ -99,11 +99,11 @@ class SweepResult:
         return found
 
     def comparable(self, point: int, other: int) -> bool:
-        """Return whether two points both lose few scans, and like shares of them."""
+        """Return whether two points lose few scans, in similar fractions."""
         return bool(competing(actual_shares(self.points)[[point, other]]).all())
 
     def withheld(self, number: int) -> str:
-        """Why a point with a score has no probability of being the best; empty for one that has, or has no score."""
+        """Return the reason why a point with a score has no probability of being the best; empty for other points."""
         comparison = self.comparison
         scored = np.isfinite(comparison.ratio)
         if not self.simulated or comparison.competing[number] or not scored[number]:
@@ -117,7 +117,7 @@ class SweepResult:
 
 
 def pairs(result: SweepResult) -> list[Pair]:
-    """Every point with a score over every one before it; none of more than `MOST_PAIRED` such points."""
+    """Pair each point with a score with every one before it; no pairs for more than `MOST_PAIRED` such points."""
     sigma = result.comparison.sigma_ukcmb2
     scored = [int(number) for number in np.flatnonzero(np.isfinite(sigma))]
     if not result.simulated or len(scored) > MOST_PAIRED:

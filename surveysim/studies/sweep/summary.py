@@ -1,4 +1,4 @@
-"""The content of summary.json of a sweep."""
+"""Content of summary.json of a sweep."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,7 +12,7 @@ from surveysim.runtime.strict_json import known
 from surveysim.scene.scene import scene_hash
 from surveysim.studies.sweep.result import Pair, SweepResult
 
-MATRIX_POINTS = 12  # as many columns fit on a page
+MATRIX_POINTS = 12  # most columns that fit on a page
 
 
 def sweep_summary(result: SweepResult, pairs: Sequence[Pair]) -> dict[str, Any]:

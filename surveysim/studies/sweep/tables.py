@@ -11,18 +11,18 @@ from surveysim.runtime.table import SIGMA, Column, Table, column, file_column, q
 from surveysim.studies.sweep.axes import numbers_of, value_text
 from surveysim.studies.sweep.comparison import SURE
 from surveysim.studies.sweep.result import Pair
-from surveysim.survey.discarded_scans import telling
+from surveysim.survey.discarded_scans import listed_data_sets
 
-Content = Mapping[str, Any]  # of summary.json
+Content = Mapping[str, Any]  # content of summary.json
 WITHHELD = "best_probability_withheld"
 
 
 def sweep_table(summary: Content) -> Table:
     """Return a row for each point: values of the keys, sigma(A), its ratio to the reference point, discarded scans.
 
-    Files have `sigma_`, `error_`, `plain_sigma_` and `forecast_<data set>` [uK_CMB^2]; `ratio` over the reference
-    point with its paired error; `best_probability`, NaN where it is withheld; and the share `discarded` of the actual
-    data's scans, with a column for each data set that differs from it.
+    Files have the columns `sigma_`, `error_`, `plain_sigma_` and `forecast_<data set>` [uK_CMB^2]; the `ratio` to the
+    reference point with its paired error; `best_probability`, NaN if withheld; and the fraction `discarded` of scans of
+    the actual data, with a column for each data set that differs from it.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def pair_table(pairs: Sequence[Pair]) -> Table:
 
 
 def varied_keys(summary: Content) -> list[str]:
-    """Keys that name a point: those of each axis whose values differ, or its first."""
+    """List the keys that name a point: for each axis those whose values differ, or its first."""
     found: list[str] = []
     for axis in summary["axes"]:
         texts = [[value_text(value) for value in column] for column in zip(*axis["values"], strict=True)]
@@ -82,14 +82,14 @@ def varied_keys(summary: Content) -> list[str]:
 
 
 def chance_text(probability: float) -> str:
-    """``93 %``; no more than draws can tell."""
+    """Format a probability as ``93 %``, within the precision of the draws."""
     if probability > SURE:
         return f"> {100 * SURE:g} %"
     return f"{100 * probability:.0f} %" if probability > 1 - SURE else f"< {100 * (1 - SURE):.1g} %"
 
 
 def _settings(summary: Content) -> Iterator[Column]:
-    """Columns of the keys' values: numbers with their unit, or else texts."""
+    """Columns of the keys' values: numbers with their unit, or texts."""
     keys = varied_keys(summary)
     for key in summary["points"][0]["settings"]:
         values = [point["settings"][key] for point in summary["points"]]
@@ -99,7 +99,7 @@ def _settings(summary: Content) -> Iterator[Column]:
 
 
 def _scores(summary: Content) -> Iterator[Column]:
-    """Columns of sigma(A) of each data set; people see the actual one's."""
+    """Columns of sigma(A) of each data set; the terminal shows the actual data."""
     points = summary["points"]
     names = _in_order(point["scores"] for point in points)
     if summary["kind"] == "simulated" and not names:
@@ -122,7 +122,7 @@ def _of_scores(points: Sequence[Content], name: str, key: str) -> list[float | N
 
 
 def _forecasts(points: Sequence[Content]) -> Iterator[Column]:
-    """Columns of the forecasts of each data set; people see the actual one's, with ! where it may be off."""
+    """Columns of the forecasts of each data set; the terminal shows the actual data, with ! where it may be off."""
     errors, flags = _of_scores(points, ACTUAL, "error_ukcmb2"), [" !" * bool(p["forecast_flags"]) for p in points]
     for name in _in_order(point["forecast_ukcmb2"] for point in points):
         values = [point["forecast_ukcmb2"].get(name) for point in points]
@@ -133,9 +133,9 @@ def _forecasts(points: Sequence[Content]) -> Iterator[Column]:
 
 
 def _discarded(summary: Content) -> Iterator[Column]:
-    """Columns of the shares of discarded scans, none where no point knows its own."""
+    """Columns of the fractions of discarded scans; none if unknown at all points."""
     shares = [point.get("discarded", {}) for point in summary["points"]]
-    for name in telling(shares):
+    for name in listed_data_sets(shares):
         values = [item.get(name) for item in shares]
         if name == ACTUAL and summary["kind"] == "simulated":
             yield column("discarded", values, "discarded", share_text)
@@ -158,7 +158,7 @@ def _ratios(summary: Content) -> Iterator[Column]:
 
 
 def ratio_text(point: Content, reference: int | None) -> str:
-    """The ratio of a point to the reference point, with its paired error if the sweep has any."""
+    """Format the ratio of a point to the reference point, with its paired error if known."""
     if "ratio" not in point:
         return ""
     if point["point"] == reference:
@@ -172,5 +172,5 @@ def _chance(point: Content) -> str:
 
 
 def _in_order(of_points: Iterable[Mapping[str, Any]]) -> list[str]:
-    """All data sets of all points, in the order in which they first come."""
+    """All data sets of all points, in order of first appearance."""
     return list(dict.fromkeys(name for names in of_points for name in names))

@@ -9,14 +9,14 @@ import pytest
 
 from surveysim.reduction import resource_limits as limits
 from surveysim.reduction.observation import observe
-from surveysim.reduction.setup import prepare, window_observations
+from surveysim.reduction.setup import prepare, signal_sim_observations
 from surveysim.runtime import memory
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.keys import all_keys
 from surveysim.scene.scene import load_scene
 from surveysim.studies.resources import _windiest
 from surveysim.survey.coadds import add_observation, empty_coadds
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from tests.extremes_of_keys import bounds, extreme_overrides, is_number
 from tests.scenes import write_scene
 
@@ -43,12 +43,11 @@ def refused_or_run(path, overrides) -> str:
     assert perf_counter() - start < MOST_SECONDS
     skies, lmax = setup.analysis.n_signal_skies, scene.sky.curved_lmax if scene.sky else None
     if (
-        setup.camera.n_det * scene.scan.scans * samples_per_scan(setup.observing.raster) * max(1, skies / 10)
-        > MOST_WORK
+        setup.camera.n_det * scene.scan.scans * samples_per_scan(setup.observing.scans) * max(1, skies / 10) > MOST_WORK
         or (lmax or 0) > 5000
     ):
         return ""
-    result = observe(setup, _windiest(setup), bool(window_observations(scene).any()))
+    result = observe(setup, _windiest(setup), bool(signal_sim_observations(scene).any()))
     assert np.isfinite(result.sums).all()
     add_observation(setup, empty_coadds(setup), replace(result, observation=0))
     return ""

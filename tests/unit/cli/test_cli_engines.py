@@ -21,7 +21,7 @@ def scene(scene_file):
         (("--scheduler", "tcp://host:8786"), "--scheduler: found one for the engine 'processes'; only 'dask' has one"),
         (
             ("--engine", "dask", "--scheduler", "tcp://host:8786", "--workers", 2),
-            "--workers: found a number beside a scheduler, which has workers of its own",
+            "--workers: found a number and a scheduler, which has workers of its own",
         ),
         *(
             (("--engine", "dask", "--scheduler", address), f"--scheduler: found {words}")

@@ -7,7 +7,7 @@ from mapmaker.spectrum import tukey
 from surveysim.atmosphere.thin_screen import Screen
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes, expected_mode_shares, template_modes
 from surveysim.forecasting.mode_response import layer_waves
-from surveysim.forecasting.scan_apodization import time_window
+from surveysim.forecasting.scan_apodization import apodization_of
 
 SECONDS, SAMPLES = 15.0, 150
 TIME = (np.arange(SAMPLES) - (SAMPLES - 1) / 2) / SAMPLES * SECONDS
@@ -52,7 +52,7 @@ def test_components_of_waves_are_integrals():
         np.testing.assert_allclose(found, np.sum(wave * shapes, axis=1) * SECONDS / 40_000, atol=1e-6)
 
 
-def test_courses_of_a_layer_are_those_of_drawn_templates():
+def test_fitted_modes_of_a_layer_are_modes_of_drawn_templates():
     """The expected projector onto the template, 3000 draws: a share by a share of at most a half to 4 sigma and 2 %."""
     fitted_modes = template_modes(*_layer(), SECONDS)
     assert 0.93 < fitted_modes.share.sum() < 1 and 0.6 < fitted_modes.share.max() < 0.8
@@ -75,7 +75,7 @@ def test_noise_of_a_mode_is_what_scans_less_templates_leave():
     strength = np.full((1, len(nodes)), nodes[1] - nodes[0])
     step = SECONDS / SAMPLES
     expected, plain = (
-        time_window(SECONDS, taper, step, fitted_modes).sums(strength, nodes, at_hz)
+        apodization_of(SECONDS, taper, step, fitted_modes).sums(strength, nodes, at_hz)
         for fitted_modes in (template_modes(*_layer(), SECONDS), NO_FITTED_MODES)
     )
     np.testing.assert_allclose(found, expected, rtol=4 * np.sqrt(2 / draws) + 0.02)
@@ -85,20 +85,20 @@ def test_noise_of_a_mode_is_what_scans_less_templates_leave():
 def test_passed_is_what_templates_leave_of_a_wave():
     """The mean of 3000 templates, to 4 sigma of at most 0.3 / sqrt(3000); modes that few scans lose are left out."""
     fitted_modes, taper = template_modes(*_layer(), SECONDS), tukey(SAMPLES, 1.0, SAMPLES, 0.5)
-    window = time_window(SECONDS, taper, SECONDS / SAMPLES, fitted_modes)
+    apodization = apodization_of(SECONDS, taper, SECONDS / SAMPLES, fitted_modes)
     templates = _templates(3000)
     for f in (0.0, 0.03, 0.11, -0.2):
         wave = np.exp(2j * np.pi * f * TIME)
         left = np.sum((wave - wave.mean()) * taper * wave.conj())
         left = (left - np.mean((templates @ wave) * (templates @ (taper * wave.conj())))) / taper.sum()
-        assert window.signal_amplitude(f) == pytest.approx(left.real, abs=0.03)
+        assert apodization.signal_amplitude(f) == pytest.approx(left.real, abs=0.03)
 
 
 def test_a_fit_to_many_scans_takes_as_little_of_each():
     fitted_modes = template_modes(*_layer(), SECONDS)
     taper, step, f = tukey(SAMPLES, 1.0, SAMPLES, 0.5), SECONDS / SAMPLES, np.array([0.05])
     none, shared, all_of_it = (
-        time_window(SECONDS, taper, step, item).signal_amplitude(f)[0]
+        apodization_of(SECONDS, taper, step, item).signal_amplitude(f)[0]
         for item in (NO_FITTED_MODES, fitted_modes.scaled(1 / 18), fitted_modes)
     )
     assert none - shared == pytest.approx((none - all_of_it) / 18, rel=1e-9)

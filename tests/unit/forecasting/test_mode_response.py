@@ -1,4 +1,4 @@
-"""The array response, time windows and ring modes of a forecast against dense algebra and plain loops."""
+"""The array response, apodization and ring modes of a forecast against dense algebra and plain loops."""
 
 from itertools import product
 
@@ -10,7 +10,7 @@ from mapmaker.geometry import sky_offsets
 from mapmaker.spectrum import tukey
 from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.thin_screen import Screen, structure_function
-from surveysim.forecasting.mode_kernels import windowed_sums
+from surveysim.forecasting.mode_kernels import apodized_sums
 from surveysim.forecasting.mode_response import (
     LayerWaves,
     layer_gain,
@@ -21,7 +21,7 @@ from surveysim.forecasting.mode_response import (
     ring_modes,
     stream_power,
 )
-from surveysim.forecasting.scan_apodization import frequency_nodes, hann_window, scan_window, time_window
+from surveysim.forecasting.scan_apodization import apodization_of, frequency_nodes, hann_apodization, scan_apodization
 from surveysim.telescope.focal_plane import hexagon
 from surveysim.telescope.pointing import sky_vector
 from surveysim.timestreams.noise import draw_from_psd
@@ -47,49 +47,52 @@ def waves(n: int = 7) -> np.ndarray:
     return rng.uniform(300, 12_000, n) * np.exp(2j * np.pi * rng.random(n))
 
 
-# ---------------------------------------------------------------- time windows
+# ---------------------------------------------------------------- apodization
 
 
 @pytest.mark.parametrize("rows", [1, 5])
-def test_windowed_sums_are_the_double_loop(rows):
+def test_apodized_sums_are_the_double_loop(rows):
     rng = np.random.default_rng(1)
     transfer = rng.standard_normal(9)
     frequency, at = rng.uniform(-4, 4, 30), rng.uniform(-3, 3, 5)  # up to 7, beyond the table's 4
     strength, power, mean = rng.random((rows, 30)), rng.random((3, 30)), rng.random(30)
     losses = rng.dirichlet(np.ones(4))[:3], rng.standard_normal((5, 3)), rng.standard_normal((30, 3))
-    found = windowed_sums(strength, power, frequency, at, transfer, 2.0, mean, *losses)
-    expected = naive.windowed_sums(strength, power, frequency, at, transfer, 2.0, mean, *losses)
+    found = apodized_sums(strength, power, frequency, at, transfer, 2.0, mean, *losses)
+    expected = naive.apodized_sums(strength, power, frequency, at, transfer, 2.0, mean, *losses)
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 def test_transfer_is_the_transform_of_the_taper():
     """Look-up at 16 steps a cycle misses (pi / 16)^2 / 8 of the taper's mean (2 t / T)^2, below 0.2: 1e-3."""
     taper = tukey(400, 1.0, 400.0, 0.5)
-    window = time_window(20.0, taper, 0.05)
+    apodization = apodization_of(20.0, taper, 0.05)
     time = (np.arange(400) - 199.5) * 0.05
     frequency = np.array([-0.31, -0.02, 0.0, 0.013, 0.04, 0.117, 0.3, 1.1])
     direct = np.array([np.sum(taper * np.exp(-2j * np.pi * f * time)).real for f in frequency])
     direct *= np.sqrt(0.05 / np.sum(taper**2))
-    np.testing.assert_allclose(window.at(frequency), direct, atol=1e-3 * window.transfer[0])
-    assert window.at(1e6) == 0
+    np.testing.assert_allclose(apodization.at(frequency), direct, atol=1e-3 * apodization.transfer[0])
+    assert apodization.at(1e6) == 0
 
 
 def test_squared_transfer_has_unit_integral():
     """Parseval: white noise goes through whole when no mean is removed."""
-    for window in (scan_window(15.0, speed_rad_s=1e-3, size_rad=0.012, taper_fraction=0.5), hann_window(15.0)):
+    for apodization in (
+        scan_apodization(15.0, speed_rad_s=1e-3, size_rad=0.012, taper_fraction=0.5),
+        hann_apodization(15.0),
+    ):
         frequency = np.linspace(-2, 2, 80_001)
-        assert np.sum(window.at(frequency) ** 2) * (frequency[1] - frequency[0]) == pytest.approx(1, abs=2e-3)
+        assert np.sum(apodization.at(frequency) ** 2) * (frequency[1] - frequency[0]) == pytest.approx(1, abs=2e-3)
 
 
 def test_scan_shorter_than_the_map_cuts_its_taper():
-    """A taper over 40 scans is flat along one: the window is that of a box."""
-    window = scan_window(10.0, speed_rad_s=1e-3, size_rad=0.4, taper_fraction=0.5)
+    """A taper over 40 scans is flat along one: its transform is that of a box."""
+    apodization = scan_apodization(10.0, speed_rad_s=1e-3, size_rad=0.4, taper_fraction=0.5)
     frequency = np.array([0.0, 0.03, 0.05, 0.15, 0.26])
-    np.testing.assert_allclose(window.at(frequency), np.sqrt(10.0) * np.sinc(frequency * 10.0), atol=0.02)
+    np.testing.assert_allclose(apodization.at(frequency), np.sqrt(10.0) * np.sinc(frequency * 10.0), atol=0.02)
 
 
 def test_nodes_integrate_to_the_band():
-    nodes, weight = frequency_nodes(scan_window(15.0, speed_rad_s=1e-3, size_rad=0.012, taper_fraction=0.5), 5.0)
+    nodes, weight = frequency_nodes(scan_apodization(15.0, speed_rad_s=1e-3, size_rad=0.012, taper_fraction=0.5), 5.0)
     assert weight.sum() == pytest.approx(10.0, rel=1e-2)
     assert (np.diff(nodes) > 0).all()
     np.testing.assert_allclose(nodes, -nodes[::-1])
@@ -110,9 +113,9 @@ def test_noise_of_a_mode_is_what_drawn_scans_leave(index):
     modes = (scans * taper) @ np.exp(-2j * np.pi * np.outer(time, at_hz))
     found = np.mean(np.abs(modes) ** 2, axis=0) / np.sum(taper**2)
     both = np.concatenate([-line_hz, line_hz])
-    window = time_window(SAMPLES / RATE, taper, 1 / RATE)
+    apodization = apodization_of(SAMPLES / RATE, taper, 1 / RATE)
     strength = np.tile(psd[1:], 2)[None] * step_hz
-    expected = window.sums(strength, both, at_hz) * RATE / 2
+    expected = apodization.sums(strength, both, at_hz) * RATE / 2
     np.testing.assert_allclose(found, expected, rtol=4 * np.sqrt(2 / draws) + 0.01)
     if index == 0:
         # The mean takes nearly all of a mode that is constant along the scan, and nothing of a fast one.
@@ -122,12 +125,12 @@ def test_noise_of_a_mode_is_what_drawn_scans_leave(index):
 def test_passed_is_what_the_mean_leaves_of_a_wave():
     """The share of its own mode that a wave keeps, by samples."""
     taper = tukey(SAMPLES, 1.0, SAMPLES, 0.5)
-    window = time_window(SAMPLES / RATE, taper, 1 / RATE)
+    apodization = apodization_of(SAMPLES / RATE, taper, 1 / RATE)
     time = (np.arange(SAMPLES) - (SAMPLES - 1) / 2) / RATE
     for f in (0.0, 0.05, 0.11, 0.7):
         wave = np.exp(2j * np.pi * f * time)
         left = np.sum((wave - wave.mean()) * taper * wave.conj()) / taper.sum()
-        assert window.signal_amplitude(f) == pytest.approx(left.real, abs=3e-3)
+        assert apodization.signal_amplitude(f) == pytest.approx(left.real, abs=3e-3)
 
 
 # ---------------------------------------------------------------- rings
@@ -263,9 +266,9 @@ def test_layer_waves_hold_the_structure_function(outer_rad):
 
 
 def test_sums_over_other_frequencies_are_refused():
-    window = time_window(SAMPLES / RATE, tukey(SAMPLES, 1.0, SAMPLES, 0.5), 1 / RATE)
+    apodization = apodization_of(SAMPLES / RATE, tukey(SAMPLES, 1.0, SAMPLES, 0.5), 1 / RATE)
     frequency, at_hz = np.linspace(0.1, 1, 9), np.linspace(0, 1, 4)
-    assert window.power_sums(np.ones((4, 9)), np.ones((2, 9)), frequency, at_hz).shape == (2, 4)
+    assert apodization.power_sums(np.ones((4, 9)), np.ones((2, 9)), frequency, at_hz).shape == (2, 4)
     for strength, power in (((4, 8), (2, 9)), ((3, 9), (2, 9)), ((1, 9), (2, 8)), ((4, 9), (9,))):
         with pytest.raises(ValueError, match="found gain .* are expected"):
-            window.power_sums(np.ones(strength), np.ones(power), frequency, at_hz)
+            apodization.power_sums(np.ones(strength), np.ones(power), frequency, at_hz)

@@ -183,8 +183,8 @@ def test_score_joins_its_parts():
     signs, common = noise_error_parts(psds, result.weight, weights, n_modes=N_MODES)
     assert budget.noise == pytest.approx(np.hypot(signs, common))
     assert budget.weather == weather_error(weights, common)
-    np.testing.assert_allclose(budget.window, 0.1 * np.sqrt(np.sum(result.weight**2)))
-    parts = budget.noise**2 + budget.weather**2 + budget.window**2
+    np.testing.assert_allclose(budget.transfer_function, 0.1 * np.sqrt(np.sum(result.weight**2)))
+    parts = budget.noise**2 + budget.weather**2 + budget.transfer_function**2
     np.testing.assert_allclose(result.error_ukcmb2, result.sigma_ukcmb2 * np.sqrt(parts))
 
 

@@ -21,8 +21,8 @@ def _modes(singular, n_det, n_samp, seed=0):
     rng = np.random.default_rng(seed)
     k = len(singular)
     left = np.linalg.qr(rng.standard_normal((n_det, k)))[0]
-    course = rng.standard_normal((n_samp, k))
-    right = np.linalg.qr(course - course.mean(axis=0))[0].T
+    template = rng.standard_normal((n_samp, k))
+    right = np.linalg.qr(template - template.mean(axis=0))[0].T
     return left, right, (left * singular) @ right
 
 

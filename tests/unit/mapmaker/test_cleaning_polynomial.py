@@ -111,9 +111,9 @@ def test_planted_polynomials_vanish(order, regions, dtype, level):
     for region in focal_plane_regions(plane, regions):
         x, y = plane.x_rad[region] / 1e-3, plane.y_rad[region] / 1e-3
         shapes = np.stack([x**a * y**b for a, b in exponents(order)], axis=1)
-        course = rng.standard_normal((len(exponents(order)), 90))
-        course[0] *= 10
-        data[region] = shapes @ course
+        template = rng.standard_normal((len(exponents(order)), 90))
+        template[0] *= 10
+        data[region] = shapes @ template
     options = _options(order, regions, 1e-13 if dtype is np.float64 else 1e-8)
     cleaned = clean("polynomial", data.astype(dtype), BOUNDS, plane, options=options)
     assert cleaned.kept.all()

@@ -41,9 +41,9 @@ def _shapes(order):
 def _data(order=0, noise=1.0, seed=2, strength=10.0):
     """Templates up to an order times the gains, and noise; the mean of a scan is anything."""
     rng, shapes = np.random.default_rng(seed), _shapes(order)
-    courses = strength * rng.standard_normal((shapes.shape[1], BOUNDS[-1, 1]))
-    courses[1:] *= 0.1
-    return 40 + _gains()[:, None] * (shapes @ courses) + noise * rng.standard_normal((N_DET, BOUNDS[-1, 1]))
+    templates = strength * rng.standard_normal((shapes.shape[1], BOUNDS[-1, 1]))
+    templates[1:] *= 0.1
+    return 40 + _gains()[:, None] * (shapes @ templates) + noise * rng.standard_normal((N_DET, BOUNDS[-1, 1]))
 
 
 def _scans(data):

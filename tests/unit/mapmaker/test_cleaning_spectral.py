@@ -83,9 +83,9 @@ def test_a_scan_that_another_band_has_lost_is_discarded():
 
 def test_errors():
     data, others = streams()
-    with pytest.raises(ValueError, match=r"\(n_colour, n_det, n_samp\) is expected"):
+    with pytest.raises(ValueError, match=r"\(n_band, n_det, n_samp\) is expected"):
         SpectralOptions(others[0])
-    with pytest.raises(ValueError, match=r"\(n_colour, 5, 620\) is expected"):
+    with pytest.raises(ValueError, match=r"\(n_band, 5, 620\) is expected"):
         clean("spectral", data, BOUNDS, focal_plane(), options=SpectralOptions(others[:, :4]))
     with pytest.raises(ValueError, match="2 other bands need scans of 3 samples, got 2"):
         clean("spectral", data, np.array([[0, 2]]), focal_plane(), options=SpectralOptions(others))

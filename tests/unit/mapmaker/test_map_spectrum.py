@@ -1,4 +1,4 @@
-"""Exact properties of the taper, the Fourier bins, the map PSD and the windows."""
+"""Exact properties of the taper, the Fourier bins, the map PSD and transfer functions."""
 
 import numpy as np
 import pytest
@@ -127,27 +127,27 @@ def test_pixel_window_at_small_ell_and_against_a_fine_average():
     np.testing.assert_allclose(pixel_window(corner, PIXEL_RAD), fine.mean(), rtol=1e-12)
 
 
-def test_signal_window_of_a_constant_loss_has_no_error():
+def test_transfer_function_of_a_constant_loss_has_no_error():
     reference = np.random.default_rng(4).chisquare(10, size=(5, 3))
     loss = np.array([0.1, 0.5, 0.9])
-    window = measure_transfer_function(reference * loss, reference, np.arange(3.0))
-    np.testing.assert_allclose(window.transmission, loss)
-    np.testing.assert_allclose(window.error, 0, atol=1e-15)
+    transfer_function = measure_transfer_function(reference * loss, reference, np.arange(3.0))
+    np.testing.assert_allclose(transfer_function.transmission, loss)
+    np.testing.assert_allclose(transfer_function.error, 0, atol=1e-15)
 
 
-def test_signal_window_error_is_the_scatter_over_repeats():
+def test_transfer_function_error_is_the_scatter_over_repeats():
     """400 repeats know a standard deviation to 1 / sqrt(800) = 3.5 %, here allowed three times that."""
     rng = np.random.default_rng(5)
     reference = rng.chisquare(50, size=(400, 20, 2)) / 50
     cleaned = 0.6 * reference * (1 + 0.1 * rng.normal(size=reference.shape))
-    windows = [measure_transfer_function(c, r, np.arange(2.0)) for c, r in zip(cleaned, reference, strict=True)]
-    transmission = np.array([window.transmission for window in windows])
-    error = np.sqrt(np.mean([window.error**2 for window in windows], axis=0))
+    found = [measure_transfer_function(c, r, np.arange(2.0)) for c, r in zip(cleaned, reference, strict=True)]
+    transmission = np.array([item.transmission for item in found])
+    error = np.sqrt(np.mean([item.error**2 for item in found], axis=0))
     np.testing.assert_allclose(transmission.mean(axis=0), 0.6, atol=4 * error.max() / np.sqrt(400))
     np.testing.assert_allclose(transmission.std(axis=0), error, rtol=3 / np.sqrt(800))
 
 
-def test_signal_window_rejects_one_sky_other_shapes_and_no_power():
+def test_transfer_function_rejects_one_sky_other_shapes_and_no_power():
     ell = np.arange(3.0)
     with pytest.raises(ValueError, match="at least 2 skies"):
         measure_transfer_function(np.ones((1, 3)), np.ones((1, 3)), ell)

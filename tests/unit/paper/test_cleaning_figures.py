@@ -111,7 +111,7 @@ def test_template_streams_of_detectors_on_a_line_are_refused():
 def test_templates_halfway_out_have_an_eighth_of_the_power_of_the_edge(setup, measured):
     """(1 + x / R) cos: the gradient at x = R / 2 cos 45 deg has the square of 1 / 8^(1/2) of the constant's power."""
     one = weather_examples(measured)[0]
-    plane, n_scans = one.streams.focal_plane, setup.observing.raster.n_scans
+    plane, n_scans = one.streams.focal_plane, setup.observing.scans.n_scans
     from_centre = plane.x_rad - plane.x_rad.mean()
     radius = np.hypot(from_centre, plane.y_rad - plane.y_rad.mean()).max()
     wave = np.cos(2 * np.pi * 5 * (np.arange(N * n_scans) + 0.5) / N)
@@ -175,20 +175,20 @@ def test_beam_at_the_frequency_of_its_multipole(setup):
     np.testing.assert_allclose(beam_power(setup), np.exp(-((2 * np.pi * frequency * 0.25) ** 2) / (8 * np.log(2))))
 
 
-def test_a_sky_that_is_not_cleaned_has_the_window_one(measured):
+def test_a_sky_that_is_not_cleaned_has_the_transfer_function_one(measured):
     one = weather_examples(measured)[1]
     cost = cleaning_cost(one, "none")
     seen = beam_power(one.setup) > 0.1
     # Single precision of streams of 100 mK beside a sky of 0.02 mK: 1e-5 of the power, more where the beam leaves less.
-    np.testing.assert_allclose(cost.window[seen], 1.0, atol=1e-2)
+    np.testing.assert_allclose(cost.transfer_function[seen], 1.0, atol=1e-2)
     assert cost.removed == 0
     average = cleaning_cost(one, "average")
-    assert average.window[0] < 0.7 and average.removed == 1
+    assert average.transfer_function[0] < 0.7 and average.removed == 1
     assert average.psd[0] < cost.psd[0]
 
 
 def test_scans_in_which_the_sky_changes_the_modes_do_not_count(monkeypatch, measured):
-    """A cleaning that halves all has the window 1/4, whatever it does in a scan that it treats otherwise."""
+    """A cleaning that halves all has the transfer function 1/4, whatever it does in a scan that it treats otherwise."""
     real, calls = cleaning_figures.clean, []
 
     def halving(name, data_mk, bounds, plane, *, options):
@@ -204,11 +204,11 @@ def test_scans_in_which_the_sky_changes_the_modes_do_not_count(monkeypatch, meas
     monkeypatch.setattr(cleaning_figures, "clean", halving)
     one = weather_examples(measured)[0]
     cost = cleaning_cost(one, "pca")
-    np.testing.assert_allclose(cost.window[beam_power(one.setup) > 0.1], 0.25, atol=2e-3)
+    np.testing.assert_allclose(cost.transfer_function[beam_power(one.setup) > 0.1], 0.25, atol=2e-3)
     assert cost.removed == 1
 
 
-def test_ratio_of_window_and_noise_on_one_scale(setup, measured):
+def test_ratio_of_transfer_function_and_noise_on_one_scale(setup, measured):
     figure = pca_figure(measured)
     seen, scales = beam_power(setup) > 0.1, []
     for one, panel in zip(weather_examples(measured), figure.panels, strict=True):
@@ -216,7 +216,7 @@ def test_ratio_of_window_and_noise_on_one_scale(setup, measured):
             cost, ratio = cleaning_cost(one, name), named(panel, f"{label}: S/N")
             np.testing.assert_array_equal(named(panel, f"{label}: PSD").y, cost.psd)
             np.testing.assert_array_equal(ratio.x, frequencies(setup)[seen])
-            scales.append(ratio.y / (cost.window / cost.psd)[seen])
+            scales.append(ratio.y / (cost.transfer_function / cost.psd)[seen])
             if name == "pca":
                 assert f"it takes {cost.removed:.1f} modes a scan" in figure.caption
     np.testing.assert_allclose(np.concatenate(scales), scales[0][0])

@@ -1,4 +1,4 @@
-"""Pipelines of a scene: their data sets, their windows, what they need, and how wrong ones are refused."""
+"""Pipelines of a scene: their data sets, their transfer functions, what they need, and how wrong ones are refused."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def compared(path, tmp_path_factory, blank_figures):
     return run(load_scene(path, COMPARE), out, engine=SERIAL, figures=True), out
 
 
-def test_data_sets_and_windows(path):
+def test_data_sets_and_transfer_functions(path):
     setup = prepare(load_scene(path, COMPARE))
     assert [pipeline.label for pipeline in setup.analysis.pipelines] == [
         "average",
@@ -46,8 +46,8 @@ def test_data_sets_and_windows(path):
     assert [item.kind for item in setup.analysis.data_sets] == kinds
     n_det = setup.camera.n_det
     assert [item.n_det for item in setup.analysis.data_sets] == [n_det] * 7 + [len(setup.analysis.masked)]
-    assert setup.analysis.windows == ("actual", "planar", "average+local", "wind", "optimal", masked)
-    assert [setup.analysis.window_of(name) for name in sets] == [0, 0, 0, 1, 2, 3, 4, 5]
+    assert setup.analysis.transfer_function_names == ("actual", "planar", "average+local", "wind", "optimal", masked)
+    assert [setup.analysis.transfer_function_index(name) for name in sets] == [0, 0, 0, 1, 2, 3, 4, 5]
 
 
 def test_one_pipeline_is_no_choice(path):
@@ -80,7 +80,7 @@ def test_refused(path, changes, words):
 
 
 def test_a_pipeline_that_discards_everything_never_wins(path):
-    """Local templates leave nothing to calibrate on: the average after them keeps no scan, and no window."""
+    """Local templates leave nothing to calibrate on: the average after them keeps no scan, and no transfer function."""
     scene = load_scene(path, {"cleaning.compare": [["local", "average"]], "cleaning.neighbour_radius": 1.2})
     result = run(scene, engine=SERIAL)
     columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))

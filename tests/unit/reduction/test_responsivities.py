@@ -1,4 +1,4 @@
-"""Whose responsivities a scene cleans with: keys, draws, pipelines, blocks, window skies and forecasts."""
+"""Whose responsivities a scene cleans with: keys, draws, pipelines, blocks, signal simulations and forecasts."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ from surveysim.scene.scene import load_scene
 from surveysim.studies.sweep.axes import load_sweep
 from tests.scenes import SMALL_SCENE
 
-WAYS = {
+SOURCES = {
     "scan": {},
     "observation": {"cleaning.responsivities": "observation"},
     "survey": {"cleaning.responsivities": "survey", "cleaning.calibration_error": 0.02},
@@ -50,10 +50,10 @@ def setup_of(tmp_path):
             {"cleaning.responsivities": "survey"},
             "cleaning.calibration_error: missing; responsivities 'survey' needs it",
         ),
-        (WAYS["survey"] | {"cleaning.calibration_error": 0}, "calibration_error: found 0; a number greater than"),
-        (WAYS["survey"] | {"cleaning.calibration_error": 1.5}, "calibration_error: .*less than or equal to 1"),
+        (SOURCES["survey"] | {"cleaning.calibration_error": 0}, "calibration_error: found 0; a number greater than"),
+        (SOURCES["survey"] | {"cleaning.calibration_error": 1.5}, "calibration_error: .*less than or equal to 1"),
         (
-            WAYS["known"] | {"cleaning.algorithm": "pca", "cleaning.sigma_cut": 3.0},
+            SOURCES["known"] | {"cleaning.algorithm": "pca", "cleaning.sigma_cut": 3.0},
             "responsivities: found 'known' with 'pca' alone, which needs none; 'scan' is expected, or an algorithm of",
         ),
     ],
@@ -64,32 +64,32 @@ def test_keys_that_do_not_fit(setup_of, settings, words):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("way", ["scan", "observation", "known"])
-def test_only_survey_uses_the_calibration_error(setup_of, way):
-    plain, erring = setup_of(**WAYS[way]), setup_of(**WAYS[way], cleaning__calibration_error=0.5)
+@pytest.mark.parametrize("source", ["scan", "observation", "known"])
+def test_only_survey_uses_the_calibration_error(setup_of, source):
+    plain, erring = setup_of(**SOURCES[source]), setup_of(**SOURCES[source], cleaning__calibration_error=0.5)
     np.testing.assert_array_equal(observe(erring, 0, True).sums, observe(plain, 0, True).sums)
 
 
 def test_a_sweep_takes_all_settings(tmp_path):
-    path = tmp_path / "ways.toml"
-    path.write_text(f'{SMALL_SCENE}\n[sweep]\n"cleaning.responsivities" = {list(WAYS)}\n')
+    path = tmp_path / "sources.toml"
+    path.write_text(f'{SMALL_SCENE}\n[sweep]\n"cleaning.responsivities" = {list(SOURCES)}\n')
     scenes = [point.scene for point in load_sweep(path, {"cleaning.calibration_error": 0.02}).points]
-    assert [scene.cleaning.responsivities for scene in scenes] == list(WAYS)
+    assert [scene.cleaning.responsivities for scene in scenes] == list(SOURCES)
 
 
 def test_a_compared_cleaning_may_be_the_one_that_takes_them(setup_of):
-    setup = setup_of(**WAYS["known"], **PCA, cleaning__compare=["average"])
+    setup = setup_of(**SOURCES["known"], **PCA, cleaning__compare=["average"])
     assert setup.analysis.calibration is not None
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("source", SOURCES)
 @pytest.mark.parametrize("name", TEMPLATE_CLEANINGS)
-def test_every_cleaning_runs_with_every_setting(setup_of, name, way):
+def test_every_cleaning_runs_with_every_setting(setup_of, name, source):
     keys = {f"cleaning.{key}": value for key, value in KEYS.items()}
-    setup = setup_of(**WAYS[way], **keys, **LONG, cleaning__algorithm=name, score__noise_only_sets=[])
-    found = observe(setup, 0, with_window=True)
-    assert (found.iterations[0] == 0) == (way in ("survey", "known"))
-    assert found.hits.any() and np.isfinite(found.sums).all() and found.window.any()
+    setup = setup_of(**SOURCES[source], **keys, **LONG, cleaning__algorithm=name, score__noise_only_sets=[])
+    found = observe(setup, 0, with_signal_sims=True)
+    assert (found.iterations[0] == 0) == (source in ("survey", "known"))
+    assert found.hits.any() and np.isfinite(found.sums).all() and found.signal_maps.any()
 
 
 def test_the_calibration_is_the_true_one_with_its_error(setup_of):
@@ -97,7 +97,7 @@ def test_the_calibration_is_the_true_one_with_its_error(setup_of):
     errors = []
     for seed in range(7):
         keys = {"seed": seed, "instrument__layout__rings": 6}
-        known, survey = setup_of(**keys, **WAYS["known"]), setup_of(**keys, **WAYS["survey"])
+        known, survey = setup_of(**keys, **SOURCES["known"]), setup_of(**keys, **SOURCES["survey"])
         np.testing.assert_array_equal(known.analysis.calibration[0], known.camera.responsivity)
         np.testing.assert_array_equal(survey.camera.responsivity, known.camera.responsivity)
         assert survey.analysis.calibration[0].mean() == pytest.approx(1)
@@ -105,13 +105,13 @@ def test_the_calibration_is_the_true_one_with_its_error(setup_of):
     errors = np.array(errors)
     assert errors.std(axis=1).mean() == pytest.approx(0.02, rel=4 / np.sqrt(2 * errors.size))
     assert np.abs(np.corrcoef(errors)[0, 1:]).max() < 4 / np.sqrt(errors.shape[1])
-    assert all(setup_of(**WAYS[way]).analysis.calibration is None for way in ("scan", "observation"))
+    assert all(setup_of(**SOURCES[source]).analysis.calibration is None for source in ("scan", "observation"))
 
 
 @pytest.mark.parametrize("place", [0, -1], ids=["all", "masked"])
 def test_a_pipeline_knows_its_own_detectors(setup_of, place):
     """A signal times the true responsivities vanishes, of all detectors and of the masked ones."""
-    setup = setup_of(**WAYS["known"])
+    setup = setup_of(**SOURCES["known"])
     pipeline, plane = setup.analysis.pipelines[place], setup.camera.focal_plane
     data = setup.camera.responsivity[:, None] * np.random.default_rng(1).standard_normal(60)
     auxiliary = AuxiliaryData(np.zeros((1, 2)), np.zeros((0, *data.shape)), setup.analysis.calibration)
@@ -130,7 +130,7 @@ def test_a_pipeline_knows_its_own_detectors(setup_of, place):
 
 def test_other_bands_are_cleaned_with_their_own(setup_of):
     """What all detectors see in all bands vanishes: each band is cleaned with the responsivities that are its own."""
-    setup = setup_of(**WAYS["known"])
+    setup = setup_of(**SOURCES["known"])
     rng, n_det = np.random.default_rng(2), setup.camera.n_det
     calibration = np.exp(0.1 * rng.standard_normal((2, n_det)))
     noise, bounds, found = rng.standard_normal((2, n_det, 60)), np.array([[0, 60]]), []
@@ -153,7 +153,7 @@ def test_other_bands_are_cleaned_with_their_own(setup_of):
     np.testing.assert_allclose(found[1], found[0], atol=1e-9)
 
 
-# ---------------------------------------------------------------- blocks, engines, window skies
+# ---------------------------------------------------------------- blocks, engines, signal simulations
 
 
 def test_a_fit_to_an_observation_needs_it_whole(setup_of):
@@ -162,27 +162,27 @@ def test_a_fit_to_an_observation_needs_it_whole(setup_of):
         "'observation' needs it whole: 0.01728 MB or more is expected, or 'survey' in its place"
     )
     with pytest.raises(SceneError, match=words):
-        setup_of(**WAYS["observation"], numerics__max_block_memory="9 kB")
-    for way in ("survey", "known"):
-        assert len(setup_of(**WAYS[way], numerics__max_block_memory="9 kB").observing.blocks) == 2
+        setup_of(**SOURCES["observation"], numerics__max_block_memory="9 kB")
+    for source in ("survey", "known"):
+        assert len(setup_of(**SOURCES[source], numerics__max_block_memory="9 kB").observing.blocks) == 2
 
 
 def test_a_survey_has_one_calibration_however_it_is_cut(setup_of):
-    whole, cut = (setup_of(**WAYS["survey"], numerics__max_block_memory=memory) for memory in ("1 MB", "5 kB"))
+    whole, cut = (setup_of(**SOURCES["survey"], numerics__max_block_memory=memory) for memory in ("1 MB", "5 kB"))
     np.testing.assert_array_equal(cut.analysis.calibration, whole.analysis.calibration)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", ["observation", "survey"])
-def test_workers_change_no_bit(setup_of, way):
-    scene = setup_of(**WAYS[way]).scene
+@pytest.mark.parametrize("source", ["observation", "survey"])
+def test_workers_change_no_bit(setup_of, source):
+    scene = setup_of(**SOURCES[source]).scene
     one, two = (run(scene, engine=engine) for engine in (SERIAL, Engine(workers=2)))
     np.testing.assert_array_equal(one.coadds.sums, two.coadds.sums)
-    np.testing.assert_array_equal(one.coadds.window, two.coadds.window)
+    np.testing.assert_array_equal(one.coadds.signal_maps, two.coadds.signal_maps)
 
 
-@pytest.mark.parametrize("way, again", [("scan", 3), ("observation", 4)])
-def test_window_skies_are_fitted_with_the_same_scans(setup_of, monkeypatch, way, again):
+@pytest.mark.parametrize("source, again", [("scan", 3), ("observation", 4)])
+def test_signal_simulations_are_fitted_with_the_same_scans(setup_of, monkeypatch, source, again):
     """A scan that is lost without a sky is cleaned again only where it has a part in the others' responsivities."""
     clean, cleaned = reduction.apply_pipeline, []
 
@@ -197,8 +197,10 @@ def test_window_skies_are_fitted_with_the_same_scans(setup_of, monkeypatch, way,
 
     monkeypatch.setattr(reduction, "apply_pipeline", lossy)
     strong = {"atmosphere__b2": "[2000, 5000, 10000] mK2 rad(-5/3)"}  # so that no other scan is lost
-    found = observe(setup_of(**WAYS[way], **strong, score__mask_separation_f_lambda=None), 0, with_window=True)
-    assert cleaned == [4, again, again] and found.window.any()
+    found = observe(
+        setup_of(**SOURCES[source], **strong, score__mask_separation_f_lambda=None), 0, with_signal_sims=True
+    )
+    assert cleaned == [4, again, again] and found.signal_maps.any()
 
 
 def test_a_fit_that_other_scans_share_with_the_sky_tells_nothing(setup_of, monkeypatch):
@@ -210,14 +212,14 @@ def test_a_fit_that_other_scans_share_with_the_sky_tells_nothing(setup_of, monke
         return done if len(cleaned) == 1 else replace(done, kept=np.arange(4) > 0)
 
     monkeypatch.setattr(reduction, "apply_pipeline", lossy)
-    found = observe(setup_of(**WAYS["observation"], score__mask_separation_f_lambda=None), 0, with_window=True)
-    assert not found.window.any()
+    found = observe(setup_of(**SOURCES["observation"], score__mask_separation_f_lambda=None), 0, with_signal_sims=True)
+    assert not found.signal_maps.any()
 
 
 # ---------------------------------------------------------------- forecast
 
 
-def _courses(setup):
+def _modes(setup):
     pipeline, levels = setup.analysis.pipelines[0], observing_conditions(setup, survey_draws(setup, 0, 4))
     plane = setup.camera.focal_plane
     return removed_modes(
@@ -229,24 +231,24 @@ def _courses(setup):
 
 
 def test_what_a_forecast_takes_for_fitted(setup_of):
-    scan, observation = (_courses(setup_of(**WAYS[way])) for way in ("scan", "observation"))
+    scan, observation = (_modes(setup_of(**SOURCES[source])) for source in ("scan", "observation"))
     assert 0.9 < scan.share.sum() < 1
     np.testing.assert_allclose(observation.share, scan.share / 4)  # of four scans
-    assert _courses(setup_of(**WAYS["survey"])) is _courses(setup_of(**WAYS["known"])) is NO_FITTED_MODES
-    assert _courses(setup_of(cleaning__algorithm="none")) is NO_FITTED_MODES
+    assert _modes(setup_of(**SOURCES["survey"])) is _modes(setup_of(**SOURCES["known"])) is NO_FITTED_MODES
+    assert _modes(setup_of(cleaning__algorithm="none")) is NO_FITTED_MODES
     # PCA fits a mode to each scan whatever templates take.
-    np.testing.assert_allclose(_courses(setup_of(**PCA)).share, scan.share)
+    np.testing.assert_allclose(_modes(setup_of(**PCA)).share, scan.share)
 
 
 def test_a_survey_s_error_leaves_a_part_of_the_layer(setup_of):
     """Closed form: e^2 of the layer that all detectors see, beside what known responsivities leave."""
     noise = []
     for error in (None, 1e-6, 0.05, 0.1):
-        way = WAYS["known"] if error is None else WAYS["survey"] | {"cleaning.calibration_error": error}
-        setup = setup_of(**way)
+        source = SOURCES["known"] if error is None else SOURCES["survey"] | {"cleaning.calibration_error": error}
+        setup = setup_of(**source)
         levels = observing_conditions(setup, survey_draws(setup, 0, 4))
         model = next(noise_models(setup, levels))
-        noise.append(model.parts.layer(levels.motion, levels.sine))
+        noise.append(model.layer_noise(replace(levels, layer=np.ones(4))))
     known, least, some, twice = noise
     np.testing.assert_allclose(least, known, rtol=1e-4)
     added = (twice - known) / (some - known)

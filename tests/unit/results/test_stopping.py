@@ -53,7 +53,7 @@ def whole(forty):
 
 
 def same_sums(one, other):
-    for name in ("rows", "raw_psd", "clean_psd", "sums", "weight", "hits", "flipped", "window", "window_weight"):
+    for name in ("rows", "raw_psd", "clean_psd", "sums", "weight", "hits", "flipped", "signal_maps", "signal_weight"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
@@ -135,14 +135,14 @@ def test_a_reached_target_ends_a_run_alike_whatever_the_workers(scene, part, tmp
 def test_a_part_is_scored_for_the_whole_survey(scene, part):
     """The first 32 of 40 observations: sigma of a survey of 32 times 32 / 40, errors alike."""
     alone = run(load_scene(scene, {"observations": 32}), engine=SERIAL)
-    # The window observations of the small scenes are the same, so all else is.
+    # The observations with signal simulations of the small scenes are the same, so all else is.
     same_sums(part.coadds, alone.coadds)
     for name, item in part.scores.items():
         other = alone.scores[name]
         assert item.plain_band.sigma_ukcmb2 == pytest.approx(other.plain_band.sigma_ukcmb2 * 32 / 40, rel=1e-12)
         # Expectations over weather are those of 40 or of 32 observations, each known to 0.1 %.
         assert item.band.sigma_ukcmb2 == pytest.approx(other.band.sigma_ukcmb2 * 32 / 40, rel=4e-3)
-        for key, rel in (("noise", 1e-9), ("window", 1e-9), ("weather", 4e-3)):
+        for key, rel in (("noise", 1e-9), ("transfer_function", 1e-9), ("weather", 4e-3)):
             assert vars(item.budget)[key] == pytest.approx(vars(other.budget)[key], rel=rel)
     ratio, other = (result.gains["actual / uncorrelated"].ratio for result in (part, alone))
     assert ratio == pytest.approx(other, rel=4e-3)
@@ -195,7 +195,9 @@ def test_the_cost_of_a_fine_answer_is_what_its_errors_add_up_to(forty, whole):
     common = np.sum(weights**2) / weights.sum() ** 2
     signs = budget.noise**2 / (1 + score.jackknives * common / (1 - common))
     of_observations = (budget.noise**2 - signs + budget.weather**2) * 40 / cost.observations
-    fixed = signs * score.jackknives / cost.jackknives + budget.window**2 * score.signal_sims.skies / cost.skies
+    fixed = (
+        signs * score.jackknives / cost.jackknives + budget.transfer_function**2 * score.signal_sims.skies / cost.skies
+    )
     # Observations come in pairs.
     assert fixed + of_observations + budget.population**2 == pytest.approx(1e-4, rel=4 / cost.observations)
     assert cost.seconds == pytest.approx(cost.observations * sum(result.coadds.seconds.values()) / 40)

@@ -134,7 +134,7 @@ def test_units_of_another_version_are_refused():
         (("threads",), "engine: found 'threads'; serial, processes, dask are there"),
         (("processes", 0), "workers: found 0; 1 or more is expected"),
         (("processes", 2, "tcp://host:8786"), "scheduler: found one for the engine 'processes'; only 'dask' has one"),
-        (("dask", 2, "tcp://host:8786"), "workers: found a number beside a scheduler"),
+        (("dask", 2, "tcp://host:8786"), "workers: found a number and a scheduler"),
     ],
 )
 def test_engines_that_make_no_sense(choice, words):

@@ -17,7 +17,7 @@ def test_stages_have_numbers_of_their_own():
 def test_numbers_of_stages_stay():
     """A number that moves changes every seeded result; new stages take new numbers."""
     names = ["WEATHER", "POINTING", "RESPONSIVITY", "ATMOSPHERE", "EXCESS", "PHOTON"]
-    names += ["DETECTOR", "SKY", "UNCORRELATED", "WHITE", "WINDOW_SKY", "JACKKNIFE"]
+    names += ["DETECTOR", "SKY", "UNCORRELATED", "WHITE", "SIGNAL_SIM", "JACKKNIFE"]
     assert {name: int(RandomPurpose[name]) for name in names} == {name: k for k, name in enumerate(names)}
 
 

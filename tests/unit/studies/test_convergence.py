@@ -37,8 +37,8 @@ def result(path):
     return measure_accuracy(path, settings, engine=SERIAL, reference_error=0.2, seeds=2, observations=4)
 
 
-def of_knob(rows, knob):
-    return {row.setting.label: row for row in rows if row.setting.knob == knob}
+def of_parameter(rows, parameter):
+    return {row.setting.label: row for row in rows if row.setting.parameter == parameter}
 
 
 # ---------------------------------------------------------------- ladders
@@ -48,12 +48,12 @@ def test_ladders_go_from_coarse_to_fine_and_hold_the_scene(path):
     scene = load_scene(path, {"observations": 160, "score.jackknives": 20, "numerics.screen_step": 3})
     found: dict[str, list[str]] = {}
     for item in ladders(scene):
-        found.setdefault(item.knob, []).append(item.label + "*" * item.own)
+        found.setdefault(item.parameter, []).append(item.label + "*" * item.own)
     assert found == {
         "observations": ["10", "20", "40", "80", "160*"],
         "noise realizations": ["8", "16", "20*", "32", "64", "128"],
-        "window skies": ["2*", "4", "8"],
-        "window observations": ["2*", "3", "12", "30"],
+        "signal simulations": ["2*", "4", "8"],
+        "observations with simulations": ["2*", "3", "12", "30"],
         "screen step": ["4", "3*", "2", "1", "0.5"],
         "interpolation": ["nearest", "linear*", "cubic"],
         "precision": ["float32*", "float64"],
@@ -75,7 +75,7 @@ def test_all_settings_of_ladders_are_keys_of_a_scene_and_own_ones_change_nothing
         assert (made == whole) == item.own, item
 
 
-def test_a_sub_survey_has_as_large_a_part_with_window_skies(path):
+def test_a_sub_survey_has_as_large_a_part_with_signal_simulations(path):
     scene = load_scene(path, {"observations": 500, "score.signal_sims.observations": 100})
     assert sub_survey(scene, 60) == {"observations": 60, "score.signal_sims.observations": 12}
     assert sub_survey(scene, 1000) == {"observations": 500, "score.signal_sims.observations": 100}
@@ -97,14 +97,14 @@ def test_every_setting_has_a_row_with_a_score_or_a_reason(result, path):
     assert [row.setting for row in result.rows] == list(settings)
     for row in result.rows:
         assert np.isfinite(row.sigma_ukcmb2) != row.note.startswith(("refused: ", "not scored: ")), row
-    refused = {(row.setting.knob, row.setting.label) for row in result.rows if not np.isfinite(row.sigma_ukcmb2)}
+    refused = {(row.setting.parameter, row.setting.label) for row in result.rows if not np.isfinite(row.sigma_ukcmb2)}
     assert refused == {("observations", "0"), ("observations", "1"), ("sample rate", "5 Hz")}
-    assert "white_noise_above" in of_knob(result.rows, "sample rate")["5 Hz"].note
+    assert "white_noise_above" in of_parameter(result.rows, "sample rate")["5 Hz"].note
 
 
 def test_parts_of_a_survey_score_the_whole_of_it(result):
     """Not rescaled, sigma(A) of a quarter would be four times that of the whole; errors are a third at most."""
-    rows = of_knob(result.rows, "observations")
+    rows = of_parameter(result.rows, "observations")
     for label in ("2", "4"):
         assert 0.5 < rows[label].sigma_ukcmb2 / rows["8"].sigma_ukcmb2 < 2
     # Two observations do not tell their error.
@@ -115,7 +115,7 @@ def test_parts_of_a_survey_score_the_whole_of_it(result):
 
 def test_seeds_are_pooled_as_far_as_they_are_allowed(result):
     assert result.seeds == 2
-    own = of_knob(result.rows, "observations")["8"]
+    own = of_parameter(result.rows, "observations")["8"]
     assert result.reference_error == pytest.approx(own.relative_error / np.sqrt(2))
     assert result.reference_ukcmb2 == own.sigma_ukcmb2
     assert np.isfinite(result.scatter) and "scatter of 2 seeds" in own.note
@@ -123,20 +123,20 @@ def test_seeds_are_pooled_as_far_as_they_are_allowed(result):
 
 def test_precision_is_measured_far_below_the_monte_carlo_error(result):
     """float32 keeps 24 bits: what cleaning leaves of streams 1000 times larger is known to 1e-4."""
-    row = of_knob(result.rows, "precision")["float32"]
+    row = of_parameter(result.rows, "precision")["float32"]
     assert 0 < abs(row.bias) < 1e-3
     assert row.bias_error < 1e-3 * row.relative_error
 
 
 def test_better_look_ups_are_nearer_to_the_finest(result):
-    rows = of_knob(result.rows, "interpolation")
+    rows = of_parameter(result.rows, "interpolation")
     assert abs(rows["linear"].bias) < 0.2 * abs(rows["nearest"].bias)
     assert rows["cubic"].bias == rows["cubic"].bias_error == 0
     assert rows["linear"].bias_error < 0.01 * rows["linear"].relative_error
 
 
 def test_other_draws_share_no_noise(result):
-    row = of_knob(result.rows, "screen step")["2"]
+    row = of_parameter(result.rows, "screen step")["2"]
     assert row.bias_error > 0.3 * row.relative_error
 
 
@@ -152,7 +152,7 @@ def test_files_hold_all_rows(result, tmp_path, capsys):
     page = read_page(tmp_path / "report.html")
     shown = {f"{row[0].text}: {row[1].text}": value_of(row[3]) for row in rows_of(page, "setting-table")}
     scored = [row for row in result.rows if np.isfinite(row.sigma_ukcmb2)]
-    assert shown == {f"{row.setting.knob}: {row.setting.label}": row.sigma_ukcmb2 for row in scored}
+    assert shown == {f"{row.setting.parameter}: {row.setting.label}": row.sigma_ukcmb2 for row in scored}
     assert len(page.all("img")) == 1 and "sample rate 5 Hz: refused: " in page.text
     write_accuracy(tmp_path, result, figures=False)
     assert read_page(tmp_path / "report.html").all("img") == []  # the figure is not this call's
@@ -174,7 +174,7 @@ def test_a_scene_without_atmosphere_has_no_screen_to_look_at(tmp_path):
     text = without_sections(SMALL_SCENE, "atmosphere", "excess", "photon", "sky")
     path.write_text(text.replace('algorithm = "average"', 'algorithm = "none"'))
     result = measure_accuracy(path, ACTUAL_ALONE, seeds=1, observations=4)
-    rows = [row for row in result.rows if row.setting.knob in ("screen step", "interpolation")]
+    rows = [row for row in result.rows if row.setting.parameter in ("screen step", "interpolation")]
     assert len(rows) == 7 and all("without [atmosphere]" in row.note for row in rows)
 
 
@@ -198,8 +198,8 @@ def test_float64_streams_and_maps_are_float64(path):
     for precision in ("float32", "float64"):
         setup = prepare(load_scene(path, {"numerics.precision": precision}))
         assert draw_observation(setup, 0).data_mk.dtype == np.dtype(precision)
-        found = observe(setup, 0, with_window=True)
-        assert found.sums.dtype == found.window.dtype == np.dtype(precision)
+        found = observe(setup, 0, with_signal_sims=True)
+        assert found.sums.dtype == found.signal_maps.dtype == np.dtype(precision)
         made = [strip for cache in setup.air.strips.caches.values() for strip in cache.strips.values()]
         assert {strip.columns.dtype for strip in made} == {np.dtype(precision)}
 
@@ -216,9 +216,9 @@ def test_streams_of_both_precisions_are_of_the_same_draws(path):
 # ---------------------------------------------------------------- what follows
 
 
-def row(knob, label, kind, own, **values):
+def row(parameter, label, kind, own, **values):
     numbers = {"sigma_ukcmb2": 100.0, "error_ukcmb2": 5.0, "bias": 0.0, "bias_error": 0.0, "wall_s": 1.0, "cpu_s": 1.0}
-    return Measured(Setting(knob, label, {}, kind, own), 10, **(numbers | values))
+    return Measured(Setting(parameter, label, {}, kind, own), 10, **(numbers | values))
 
 
 def test_slopes_of_a_monte_carlo_are_minus_a_half():
@@ -252,7 +252,7 @@ def test_the_fastest_good_setting_is_recommended():
         row("d", "own", "sampling", True, cpu_s=1.0),
         row("d", "refused", "sampling", False, bias=np.nan, cpu_s=np.nan),
     ]
-    found = [(item.knob, item.label, item.is_own, item.resolved) for item in recommendations(rows, 0.03)]
+    found = [(item.parameter, item.label, item.is_own, item.resolved) for item in recommendations(rows, 0.03)]
     assert found == [
         ("a", "medium", False, True),
         ("b", "unknown", False, False),

@@ -69,7 +69,7 @@ def set_all(value):
 
 del_ = object()
 SETS = ("sets", "actual")
-ARRAYS = ("noise_psds", "signal_psd", "weights", "band.weight", "band.ell", "window.transmission")
+ARRAYS = ("noise_psds", "signal_psd", "weights", "band.weight", "band.ell", "transfer_function.transmission")
 NOT_NEGATIVE = ("noise_psds", "signal_psd", "weights", "band.weight", "control.weights", "plain.weight")
 FORGERIES = {
     **{f"shape of {name}": array(f"actual/{name}", lambda a: a[..., :-1]) for name in ARRAYS},

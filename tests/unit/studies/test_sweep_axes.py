@@ -125,9 +125,9 @@ def test_the_base_need_not_have_the_key(write):
         ('[sweep.a]\nseed = [1]\n"scan.scans" = [4]\n', "sweep.a.seed: found 'seed'"),
         (
             '"scan.scans" = [4]\n[sweep.a]\n"scan.scans" = [5]\n',
-            "sweep: found 'scan.scans' beside 'scan.scans'; every key on one axis is expected",
+            "sweep: found 'scan.scans' and 'scan.scans'; every key on one axis is expected",
         ),
-        ('"scan.scans" = [4]\nscan = [{}]\n', "sweep: found 'scan' beside 'scan.scans'"),
+        ('"scan.scans" = [4]\nscan = [{}]\n', "sweep: found 'scan' and 'scan.scans'"),
         (
             f'"scan.scans" = {list(range(1, 41))}\nobservations = {list(range(2, 28))}\n',
             "sweep: found 1040 points; 1000 or less are expected",

@@ -50,8 +50,9 @@ def levels(write, tmp_path_factory):
 
 
 def test_the_same_deviates_scale_exactly(levels):
-    """Four times the PSD is four times sigma(A), without an error: nothing else is drawn. Window differences of
-    float32 streams round to 1e-7 of their noise.
+    """Four times the PSD is four times sigma(A), without an error: nothing else is drawn.
+
+    Transfer functions differ by the rounding of float32 streams, 1e-7 of their noise.
     """
     comparison = levels[0].comparison
     np.testing.assert_allclose(comparison.ratio, [1, 4, 1], rtol=1e-5)
@@ -92,26 +93,26 @@ def test_modes_hold_each_error_and_that_of_pairs(levels):
         np.testing.assert_allclose(np.linalg.norm(rows, axis=1), [budget.total for budget in budgets], rtol=1e-12)
     shared, own = (error_modes((items[0], items[1]), skies) for skies in ("aa", "ab"))
     assert np.linalg.norm(shared[0] - shared[1]) < 1e-5
-    window = np.hypot(items[0].budget.window, items[1].budget.window)
-    np.testing.assert_allclose(np.linalg.norm(own[0] - own[1]), window, rtol=1e-5)
+    transfer = np.hypot(items[0].budget.transfer_function, items[1].budget.transfer_function)
+    np.testing.assert_allclose(np.linalg.norm(own[0] - own[1]), transfer, rtol=1e-5)
     found = gain(items[1], items[0], 0.5)  # of one survey, whose skies are the same
     assert found.ratio == pytest.approx(2, rel=1e-5) and found.error < 2e-5
 
 
 @pytest.mark.parametrize("correlation", [1.0, 0.6, 0.0, -1.0])
-def test_windows_of_the_same_skies_share_what_each_sky_does(levels, correlation):
+def test_transfer_functions_of_the_same_skies_share_what_each_sky_does(levels, correlation):
     """Errors of equal size whose deviations correlate: `2 e^2 (1 - correlation)` is left of them in a ratio."""
     item = levels[0].points[0].scores["actual"]
-    used, window = item.band.weight > 0, item.window
+    used, transfer_function = item.band.weight > 0, item.transfer_function
     one, other = np.zeros((2, 2, len(used)))
-    scale = window.transmission[used] / item.band.weight[used]  # bins that weigh alike
+    scale = transfer_function.transmission[used] / item.band.weight[used]  # bins that weigh alike
     one[:, used] = np.outer([1, 1], scale)
     other[:, used] = np.outer(
         [correlation + np.sqrt(1 - correlation**2), correlation - np.sqrt(1 - correlation**2)], scale
     )
-    items = [replace(item, window=replace(window, deviations=part)) for part in (one, other)]
+    items = [replace(item, transfer_function=replace(transfer_function, deviations=part)) for part in (one, other)]
     rows = error_modes(items, "aa")
-    expected = item.budget.window * np.sqrt(2 * (1 - correlation))
+    expected = item.budget.transfer_function * np.sqrt(2 * (1 - correlation))
     assert np.linalg.norm(rows[0] - rows[1]) == pytest.approx(expected, abs=1e-9)
 
 
@@ -120,13 +121,15 @@ def test_modes_of_surveys_of_different_lengths(levels):
     item = replace(levels[0].points[0].scores["actual"], kept=1.0, control=None, plain=None)
     rng = np.random.default_rng(3)
     weights = rng.lognormal(0, 0.5, 4000)
-    window = replace(item.window, deviations=np.zeros_like(item.window.deviations))
+    transfer_function = replace(item.transfer_function, deviations=np.zeros_like(item.transfer_function.deviations))
     rows = []
     for n in (1000, 4000):
         variation = weights[:n].std(ddof=1) / weights[:n].mean() / np.sqrt(n)
-        budget = replace(item.budget, noise=0.0, window=0.0, weather=variation, population=0.0)
+        budget = replace(item.budget, noise=0.0, transfer_function=0.0, weather=variation, population=0.0)
         noise = np.repeat(1 / weights[:n, None], len(item.band.weight), axis=1)
-        rows.append(replace(item, weights=weights[:n], bin_noise=noise, budget=budget, window=window))
+        rows.append(
+            replace(item, weights=weights[:n], bin_noise=noise, budget=budget, transfer_function=transfer_function)
+        )
     one, other = error_modes(rows, "aa")
     variation = weights.std() / weights.mean()
     assert np.linalg.norm(one - other) == pytest.approx(variation * np.sqrt(1 / 1000 - 1 / 4000), rel=0.1)

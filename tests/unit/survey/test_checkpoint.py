@@ -19,7 +19,7 @@ from surveysim.survey.coadds import empty_coadds
 from surveysim.survey.run import run_observations
 from tests.scenes import write_scene
 
-ARRAYS = ("sums", "weight", "hits", "flipped", "window", "window_weight")
+ARRAYS = ("sums", "weight", "hits", "flipped", "signal_maps", "signal_weight")
 
 
 @pytest.fixture(scope="module")
@@ -157,13 +157,16 @@ LISTS = ("rows", "raw_psd", "clean_psd", "compared_psd")
 FORGERIES = {
     **{f"shape of {name}": changed(name, lambda array: array[..., :-1]) for name in (*ARRAYS, *LISTS)},
     **{f"dimensions of {name}": changed(name, lambda array: array[None]) for name in ("sums", "rows", "raw_psd")},
-    **{f"NaN in {name}": changed(name, set_at(np.nan)) for name in ("sums", "weight", "flipped", "window", "raw_psd")},
-    **{f"infinity in {name}": changed(name, set_at(np.inf)) for name in ("sums", "window_weight", "clean_psd")},
-    **{f"vast {name}": changed(name, set_at(-1e300)) for name in ("sums", "flipped", "window")},
+    **{
+        f"NaN in {name}": changed(name, set_at(np.nan))
+        for name in ("sums", "weight", "flipped", "signal_maps", "raw_psd")
+    },
+    **{f"infinity in {name}": changed(name, set_at(np.inf)) for name in ("sums", "signal_weight", "clean_psd")},
+    **{f"vast {name}": changed(name, set_at(-1e300)) for name in ("sums", "flipped", "signal_maps")},
     "infinite noise of an observation with data": changed("bin_noise", set_at(np.inf, 3)),
     "no noise of an observation with data": changed("rows", set_at(np.inf, -1)),
     "unknown noise": changed("rows", set_at(np.nan, -1)),
-    **{f"negative {name}": changed(name, set_at(-1)) for name in ("hits", "weight", "window_weight", "raw_psd")},
+    **{f"negative {name}": changed(name, set_at(-1)) for name in ("hits", "weight", "signal_weight", "raw_psd")},
     **{f"no {name}": (lambda file, name=name: file.pop(name)) for name in (*ARRAYS, *LISTS)},
     "another name": lambda file: file.move("sums", "sum"),
     "one name more": lambda file: file.create_dataset("more", data=1.0),

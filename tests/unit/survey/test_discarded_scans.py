@@ -20,7 +20,14 @@ from surveysim.studies.sweep.comparison import compare
 from surveysim.studies.sweep.result import pairs
 from surveysim.survey import run as survey
 from surveysim.survey.coadds import row_names
-from surveysim.survey.discarded_scans import Discards, competing, discards, sweep_warnings, telling, why_withheld
+from surveysim.survey.discarded_scans import (
+    Discards,
+    competing,
+    discards,
+    listed_data_sets,
+    sweep_warnings,
+    why_withheld,
+)
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import score_survey
 from tests.pages import read_page, rows_of
@@ -120,8 +127,8 @@ def test_a_run_warns_above_five_percent(small, monkeypatch, tmp_path, capsys, lo
 
 
 def test_data_sets_that_are_told():
-    assert telling([{"actual": 0.1, "white": 0.1, "planar": 0.0}]) == ["actual", "planar"]
-    assert telling([{"actual": 0.0, "masked_7": 0.0}, {"actual": 0.0, "masked_9": 0.0}]) == [
+    assert listed_data_sets([{"actual": 0.1, "white": 0.1, "planar": 0.0}]) == ["actual", "planar"]
+    assert listed_data_sets([{"actual": 0.0, "masked_7": 0.0}, {"actual": 0.0, "masked_9": 0.0}]) == [
         "actual", "masked_7", "masked_9",
     ]  # fmt: skip
 

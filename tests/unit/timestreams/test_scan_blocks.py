@@ -127,12 +127,14 @@ def test_signal_and_hits_do_not_depend_on_the_cut(setup_of):
     """A sky without noise, a cleaning that does not depend on the data: sums agree to rounding, hits exactly."""
     text = without_sections(SMALL_SCENE, "atmosphere", "excess", "photon", "detector")
     found = [
-        observe(setup_of(text, blocks=n, cleaning__algorithm="none", score__noise_only_sets=[]), 0, with_window=True)
+        observe(
+            setup_of(text, blocks=n, cleaning__algorithm="none", score__noise_only_sets=[]), 0, with_signal_sims=True
+        )
         for n in (1, 2, 4)
     ]
     for cut in found[1:]:
         np.testing.assert_array_equal(cut.hits, found[0].hits)
-        for name in ("sums", "window", "noise_mk2", "raw_psd", "clean_psd"):
+        for name in ("sums", "signal_maps", "noise_mk2", "raw_psd", "clean_psd"):
             expected = getattr(found[0], name)
             np.testing.assert_allclose(getattr(cut, name), expected, rtol=1e-5, atol=1e-6 * np.abs(expected).max())
 
@@ -152,9 +154,9 @@ def test_discarded_scans_are_counted_over_blocks(setup_of, monkeypatch):
         kept[0] = False
         return replace(done, kept=kept, removed=np.where(kept, done.removed, 0))
 
-    everything = observe(whole, 0, with_window=False)
+    everything = observe(whole, 0, with_signal_sims=False)
     monkeypatch.setattr(reduction, "apply_pipeline", lossy)
-    found = observe(whole, 0, with_window=False)
+    found = observe(whole, 0, with_signal_sims=False)
     assert everything.discarded == (0, 0) and found.discarded == (2, 2) and found.removed == (1.0, 1.0)
     actual, white = (whole.analysis.data_set_names.index(name) for name in ("actual", "white"))
     np.testing.assert_array_equal(found.hits[actual], found.hits[white])
@@ -178,7 +180,7 @@ def test_no_more_than_a_block_is_drawn_at_a_time(setup_of, monkeypatch):
     shapes = []
     add = detector.add_white
     monkeypatch.setattr(detector, "add_white", lambda data, *rest: shapes.append(data.shape) or add(data, *rest))
-    observe(setup_of(blocks=4), 0, with_window=True)
+    observe(setup_of(blocks=4), 0, with_signal_sims=True)
     assert shapes == [(18, 60)] * 4
 
 
