@@ -130,7 +130,7 @@ def test_local_templates_after_the_average_take_shared_noise(bad):
 def test_scans_that_go_along_with_the_wind_hold_nothing_to_fit_to():
     """Bad weather, wind at the speed of short scans and along them: one fit a scan loses every second scan, those.
 
-    The noise of 3 % of them happens to allow a fit (of 72 draws of the noise): four or more of 13 in 1 of 2000 draws.
+    The noise of 3 % of them happens to allow a fit (of 144 draws of the noise): four or more of 13 in 1 of 2000 draws.
     """
     point = surveysim.load_sweep(LYNX.with_name("prime_cam_280.toml"), {"instrument.layout.field_of_view": "8 arcmin"})
     setup = prepare(point.points[0].scene)
