@@ -12,7 +12,7 @@ from surveysim.scene.scene import Scene
 
 
 def print_forecast(scene: Scene, forecast: Forecast, verbose: bool = False) -> None:
-    """Print the forecast of each data set beside the reference, and warnings.
+    """Print the forecast of each data set with the reference, and warnings.
 
     Parameters
     ----------
