@@ -314,3 +314,51 @@ def draw_trends(covariance, normals, group):
         drawn = mean + np.linalg.cholesky(left) @ normals[new.start : new.stop].ravel()
         trends[new.start : new.stop] = drawn.reshape(len(new), n_trend)
     return trends
+
+
+WORD = 2**32
+
+
+def philox(counter, key, rounds=10):
+    """Philox 4x32 of Python integers (or arrays of uint64): four words of a counter (4 words) and a key (2 words)."""
+    (a, b, c, d), (k, j) = counter, key
+    for _ in range(rounds):
+        first, second = 0xD2511F53 * a, 0xCD9E8D57 * c
+        a, b, c, d = (second >> 32) ^ b ^ k, second % WORD, (first >> 32) ^ d ^ j, first % WORD
+        k, j = (k + 0x9E3779B9) % WORD, (j + 0xBB67AE85) % WORD
+    return a, b, c, d
+
+
+def deviate(words, position, rounds=10, radius_bits=40, refined=False):
+    """A deviate of the stream `words` (4 words) by its position: 64 in a tile, 16 counters with two pairs each.
+
+    The digits of float64 (`refined`) are those of a second counter.
+    """
+    tile, part, lane = position // 64, position % 64 // 16, position % 16
+    counter = 16 * tile + lane
+
+    def pair(second):
+        four = philox((counter % WORD, counter // WORD + second, *words[2:]), words[:2], rounds)
+        return [np.where(part < 2, four[k], four[k + 2]).astype(np.uint64) for k in (0, 1)]
+
+    fractions = [(word + 0.5) / WORD for word in pair(2**31)] if refined else (0.5, 0.5)
+    cosine, sine = box_muller(*pair(0), *fractions, radius_bits)
+    return np.where(part % 2 == 0, cosine, sine)
+
+
+def box_muller(word, other, fraction=0.5, fraction_of_angle=0.5, radius_bits=40):
+    """Two normal deviates of two words: 40 bits for the radius, 24 for the angle, each with a fraction of the last.
+
+    The number from 0 to 1 is mirrored in the upper half of its range.
+    """
+    upper = word >= WORD // 2
+    number = np.where(upper, WORD - 1 - word, word) * 256 + other % 256
+    coarse = 2 ** (40 - radius_bits)
+    tail = (number // coarse + fraction) * coarse / 2.0**40
+    radius = np.sqrt(-2 * np.where(upper, np.log1p(-tail), np.log(tail)))
+    step = other // 256 % 2**22  # with a sign, in 22 bits
+    angle = (np.where(step < 2**21, step, step - 2.0**22) + fraction_of_angle) / 2**21 * (np.pi / 4)
+    radius = np.where(other >= WORD // 2, -radius, radius)
+    swapped = other // 2**30 % 2 == 1
+    cosine, sine = radius * np.cos(angle), radius * np.sin(angle)
+    return np.where(swapped, sine, cosine), np.where(swapped, cosine, sine)

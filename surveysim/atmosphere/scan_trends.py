@@ -29,6 +29,7 @@ import numpy as np
 from surveysim.atmosphere import trend_kernels as kernels
 from surveysim.atmosphere.screen_simulation import StripCache
 from surveysim.atmosphere.thin_screen import Screen, structure_table
+from surveysim.runtime.rng import NormalDeviates
 
 # Gauss-Legendre nodes of the points along a strip, from -1 to 1; across it they are at both edges and in the middle.
 # Slopes of scans of 4 to 17 beams correlate as those of all their samples within 0.001 at b = 11/3.
@@ -153,7 +154,7 @@ class ScanTrends:
         kernels.add_covariances(strip, used, lane, column, weight, step, stride, cells, *self.table)
 
 
-def draw_trends(item: StripPoints, rng: np.random.Generator) -> ScanTrends:
+def draw_trends(item: StripPoints, deviates: NormalDeviates) -> ScanTrends:
     """Draw the trends of consecutive scans, four normals a scan."""
-    normals, table = rng.standard_normal(item.weight.shape[:2]), structure_table(item.screen)
+    normals, table = deviates.draw(item.weight.shape[:2], dtype=np.float64), structure_table(item.screen)
     return ScanTrends(item, kernels.draw_trends(item.place_rad, item.weight, normals, _GROUP, *table), table)

@@ -13,6 +13,7 @@ import numpy as np
 
 from surveysim.atmosphere.strip_factors import Strip, build_strip, lanes, points_along
 from surveysim.atmosphere.thin_screen import Screen, at_elevation
+from surveysim.runtime.rng import NormalDeviates
 
 if TYPE_CHECKING:
     from surveysim.atmosphere.scan_trends import ScanTrends
@@ -141,10 +142,11 @@ def strip_step(screen: Screen, closest_rad: float) -> float:
 # ---------------------------------------------------------------- realizations
 
 
-def draw_strip(strip: Strip, rng: np.random.Generator) -> np.ndarray:
+def draw_strip(strip: Strip, deviates: NormalDeviates, *, first: int = 0) -> np.ndarray:
     """Draw one realization of a strip, of unit amplitude.
 
-    It takes one draw of 2 n_total + 1 normals. The structure function holds for points up to `strip.length_rad` apart.
+    It takes `strip.n_deviates` deviates from position `first` on. The structure function holds for points up to
+    `strip.length_rad` apart.
 
     Returns
     -------
@@ -155,7 +157,7 @@ def draw_strip(strip: Strip, rng: np.random.Generator) -> np.ndarray:
 
     from surveysim.atmosphere.screen_kernels import combine_columns
 
-    normals = rng.standard_normal(2 * len(strip.columns) + 1, dtype=np.float32)
+    normals = deviates.draw(strip.n_deviates, first=first)
     real = strip.columns.dtype
     modes = np.empty((strip.n_lane, len(strip.start) - 1), np.result_type(real, np.complex64))
     combine_columns(strip.columns, strip.start, normals, modes)
@@ -225,7 +227,7 @@ def add_atmosphere(
     layer_velocity_rad_s: np.ndarray,
     amplitude_mk: np.ndarray,
     strips: StripCache,
-    rng: np.random.Generator,
+    deviates: NormalDeviates,
     trends: "ScanTrends | None" = None,
 ) -> None:
     """Add the emission of the moving layer to time-streams, in place.
@@ -248,7 +250,7 @@ def add_atmosphere(
     amplitude_mk : (n_scan,)
         sqrt(B2).
     strips : StripCache
-    rng
+    deviates
     trends : ScanTrends, optional
         Trends that the scans share. Without them the scans are independent, like those of different nights.
 
@@ -270,8 +272,11 @@ def add_atmosphere(
     )
     step = strips.step_rad
     rows = zip(scan_bounds, amplitude_mk, tracks.motion_rad_s, tracks.length_rad, strict=True)
+    first = 0
     for scan, ((start, stop), amplitude, motion, length) in enumerate(rows):
-        layer = draw_strip(strips.strip_for(float(length)), rng)
+        strip = strips.strip_for(float(length))
+        layer = draw_strip(strip, deviates, first=first)
+        first += strip.n_deviates
         if trends is not None:
             trends.impose(scan, layer)
         dx = float(np.hypot(*motion)) / (sample_rate_hz * step)

@@ -83,6 +83,11 @@ class Strip:
         """Largest distance of a track from the middle of the strip [rad]."""
         return 0.5 * (self.n_lane - 1) * self.step_rad
 
+    @property
+    def n_deviates(self) -> int:
+        """Number of normal deviates in a realization: two for each row of `columns`, one for the slope."""
+        return 2 * len(self.columns) + 1
+
 
 @threadpool_limits.wrap(limits=1)  # the last bits of eigenvectors depend on the number of BLAS threads
 def build_strip(

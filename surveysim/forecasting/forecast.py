@@ -16,8 +16,9 @@ import numpy as np
 
 from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
 from mapmaker.transfer_function import beam_window
+from surveysim.forecasting.closed_forms import CLOSED_FORMS
 from surveysim.forecasting.mode_response import PROJECTIONS
-from surveysim.forecasting.noise_model import NoiseModel, is_projection, survey_models
+from surveysim.forecasting.noise_model import PATTERNS, NoiseModel, is_projection, survey_models
 from surveysim.forecasting.observing_conditions import (
     ObservingConditions,
     mean_hits,
@@ -153,14 +154,16 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
 
 
 def can_forecast(setup: Setup) -> bool:
-    """Tell whether a prepared scene has a score, and closed forms for its components and its first cleaning."""
+    """Tell whether a prepared scene has a score, and closed forms for its scans, components and first cleaning."""
     return setup.scene.score is not None and why_no_forecast(setup) is None
 
 
 def why_no_forecast(setup: Setup) -> str | None:
-    """Name a component or a cleaning that has no closed form; None where all have one."""
+    """Name a scan pattern, component or cleaning that has no closed form; None where all have one."""
+    if setup.observing.pattern.name not in PATTERNS:
+        return f"scan: found {setup.observing.pattern.name!r}, a pattern without a closed form"
     for item in present_components(setup.scene):
-        if not item.forecast:
+        if item.name not in CLOSED_FORMS:
             return f"{item.name}: found a section without a closed form"
     if not is_projection(setup.analysis.pipelines[0]):
         return f"cleaning by {setup.analysis.pipelines[0].label} is no projection"

@@ -26,7 +26,7 @@ from surveysim.scene.scene import Scene
 from surveysim.telescope.lattice_noise import NoiseCorrelation
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.pixel_coherence import MOST_DENSE, correlation_matrix
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.low_frequency import excess_variance
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.shared_parts import screen, shared_noise
@@ -179,7 +179,7 @@ def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | 
         # Azimuth and elevation on the sky, then in the frame of the scan.
         wind = np.exp(-1j * view.parallactic_rad) * (-weather.wind_rad_s[0] + 1j * weather.wind_rad_s[1])
     wind = wind * np.exp(-1j * view.turn_rad)
-    speed = setup.observing.raster.speed_rad_s
+    speed = setup.observing.scans.speed_rad_s
     # A backward scan is a forward scan in a frame rotated by half a turn.
     shared = white.photon_mk2_hz * white.shared
     unshared = white.photon_mk2_hz - shared + white.detector_mk2_hz
@@ -222,12 +222,12 @@ def removed_modes(
 
     They are those of a layer that moves at the median speed of `levels`.
     """
-    fits = {"scan": 1.0, "observation": 1 / setup.observing.raster.n_scans}
+    fits = {"scan": 1.0, "observation": 1 / setup.observing.scans.n_scans}
     # PCA fits a mode to each scan, even with known responsivities.
     share = fits["scan"] if pipeline.uses("pca") else fits.get(setup.scene.cleaning.responsivities, 0.0)
     if setup.scene.atmosphere is None or not len(array.basis) or not share:
         return NO_FITTED_MODES
-    seconds = samples_per_scan(setup.observing.raster) / setup.observing.raster.sample_rate_hz
+    seconds = samples_per_scan(setup.observing.scans) / setup.observing.scans.sample_rate_hz
     motion = np.median(np.abs(levels.motion))
     layer = layer_waves(screen(setup.scene), motion * seconds, [np.median(levels.sine)])
     common = array.phases(2 * np.pi * layer.alpha).mean(axis=0)
@@ -239,7 +239,7 @@ def mean_hits(setup: Setup, pipeline: CleaningPipeline) -> np.ndarray:
     """Mean hits of one observation on the scored patch (n, n), from a sample of observations over the survey."""
     n_obs, geometry = setup.scene.observations, setup.analysis.geometry
     plane: FocalPlane = setup.camera.focal_plane.subset(pipeline.rows)
-    samples = len(plane.x_rad) * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
+    samples = len(plane.x_rad) * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
     every = max(1, int(samples // _MOST_HIT_SAMPLES))
     wanted = min(n_obs, int(np.clip(_HIT_SAMPLES / samples, _FEWEST_HITS, _MOST_HITS)))
     # In pairs of both scan directions.

@@ -10,7 +10,7 @@ from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.observation import kept_scans
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InputError
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.scan_blocks import Block
 
 MOST_OBSERVATIONS = 32  # of a pilot
@@ -99,7 +99,7 @@ def predict_kept_scans(
 
 
 def _scan_samples(setup: Setup) -> int:
-    return setup.camera.n_det * samples_per_scan(setup.observing.raster)
+    return setup.camera.n_det * samples_per_scan(setup.observing.scans)
 
 
 def _pilot_size(setup: Setup, n_obs: int) -> tuple[int, int]:
@@ -107,9 +107,9 @@ def _pilot_size(setup: Setup, n_obs: int) -> tuple[int, int]:
     scans, most = _SAMPLES / _scan_samples(setup), min(MOST_OBSERVATIONS, n_obs)
     n_scans = int(np.clip(scans / most, 1, MOST_SCANS * MOST_OBSERVATIONS / most))
     if setup.scene.cleaning.responsivities == OBSERVATION:
-        n_scans = setup.observing.raster.n_scans
+        n_scans = setup.observing.scans.n_scans
     n_pilot = int(np.clip(scans / n_scans, _FEWEST_OBSERVATIONS, MOST_OBSERVATIONS))
-    return min(n_scans, setup.observing.raster.n_scans), min(n_pilot, n_obs)
+    return min(n_scans, setup.observing.scans.n_scans), min(n_pilot, n_obs)
 
 
 def _interpolate_shares(order: np.ndarray, places: np.ndarray, found: np.ndarray, n_scans: int) -> KeptScans:

@@ -9,7 +9,7 @@ from surveysim.results.results import SurveyResult
 from surveysim.results.tables import alternative_table, score_table
 from surveysim.runtime.table import Column, Table, file_column
 from surveysim.survey.coadds import row_names
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 
 if TYPE_CHECKING:
     from surveysim.forecasting.forecast import Forecast
@@ -71,7 +71,7 @@ def _spectra(result: SurveyResult, name: str) -> Iterator[Column]:
 
 def timestream_table(result: SurveyResult) -> Table:
     """Return quantiles over observations of the time-streams' PSDs, before and after each cleaning."""
-    coadds, raster = result.coadds, result.setup.observing.raster
+    coadds, raster = result.coadds, result.setup.observing.scans
     frequency = np.arange(len(coadds.raw_psd[0])) * raster.sample_rate_hz / samples_per_scan(raster)
     compared = np.array(coadds.compared_psd)
     pipelines = enumerate(result.setup.analysis.whole_pipelines[1:])

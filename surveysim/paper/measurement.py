@@ -25,7 +25,7 @@ from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.errors import InsufficientDataError
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pointing import Pointing
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.simulation import observation_path
@@ -123,10 +123,10 @@ class MeasurementJob:
 def measure(setup: Setup, streams: Timestreams, observation: int) -> Measurement:
     """Measure the time-streams of one observation of a scene with an atmosphere."""
     _, pointing = observation_path(setup.observing, observation)
-    bounds, rate = streams.scan_bounds, setup.observing.raster.sample_rate_hz
+    bounds, rate = streams.scan_bounds, setup.observing.scans.sample_rate_hz
     velocity = scan_velocities(streams)
     wind = measure_wind(streams.data_mk, bounds, streams.focal_plane, sample_rate_hz=rate, scan_velocity_rad_s=velocity)
-    seconds = samples_per_scan(setup.observing.raster) / rate
+    seconds = samples_per_scan(setup.observing.scans) / rate
     cleaned = {name: _clean(setup, streams, name) for name in supported_cleanings(setup)}
     variance, white = map_variances(setup, streams, pointing, cleaned["average"])
     bins = camera_pairs(setup)
@@ -164,10 +164,10 @@ def _pairs(x: bytes, y: bytes, fwhm_rad: float) -> PairBins:
 
 def raw_variance(setup: Setup, streams: Timestreams) -> float:
     """Variance [mK^2] of mean-removed scans below 1 Hz without white noise, mean over detectors (Table 2)."""
-    rate, n_scans = setup.observing.raster.sample_rate_hz, setup.observing.raster.n_scans
+    rate, n_scans = setup.observing.scans.sample_rate_hz, setup.observing.scans.n_scans
     low = low_frequency_variance(streams.data_mk, n_scans, rate, LOW_FREQUENCY_HZ)
     psd = hann_psd(streams.data_mk, n_scans, np.ones(n_scans, bool), rate)
-    white = white_level(psd, samples_per_scan(setup.observing.raster), rate, WHITE_ABOVE_HZ)
+    white = white_level(psd, samples_per_scan(setup.observing.scans), rate, WHITE_ABOVE_HZ)
     return float(np.mean(low - white * LOW_FREQUENCY_HZ))
 
 
@@ -239,7 +239,7 @@ def map_variances(setup: Setup, streams: Timestreams, pointing: Pointing, cleane
     index = boresight_pixels(geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
     item = bin_map(geometry, cleaned.data_mk, index, streams.scan_bounds, kept=cleaned.kept)
     signal = np.divide(item.weighted_sum, item.hits, out=np.zeros(item.hits.shape), where=item.hits > 0)
-    taper, high, share = _map_modes(geometry, setup.scene.scan.step_rad * (setup.observing.raster.n_scans - 1))
+    taper, high, share = _map_modes(geometry, setup.scene.scan.step_rad * (setup.observing.scans.n_scans - 1))
     if np.sum(taper**2 * (item.hits == 0)) > UNHIT_MAX * np.sum(taper**2):
         return np.nan, np.nan  # gaps would lower the variance
     psd = mode_psd(signal, taper, geometry.pixel_rad) / geometry.pixel_rad**2

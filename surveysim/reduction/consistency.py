@@ -17,7 +17,7 @@ from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, Site, near_angles
-from surveysim.telescope.raster import Raster, samples_per_scan
+from surveysim.telescope.scans import Scans, samples_per_scan
 
 MAX_REACH_RAD = math.radians(15)
 MAX_SIDE_PIXELS = 16_384
@@ -63,19 +63,21 @@ def check_templates(scene: Scene, cam: Camera) -> None:
             )
 
 
-def check_size(scene: Scene, cam: Camera) -> None:
-    """Raise SceneError for a map too large for the tangent plane, or for arrays that do not fit in memory."""
+def check_size(scene: Scene, n_det: int, extent_rad: float) -> None:
+    """Raise SceneError for a map too large for the tangent plane, or for arrays that do not fit in memory.
+
+    `extent_rad` is the largest offset of a sample from the centre of the field, along either axis.
+    """
     scan = scene.scan
-    extent = reach(scene, cam)
-    if extent > MAX_REACH_RAD:
+    if extent_rad > MAX_REACH_RAD:
         raise SceneError(
-            f"scan: found a map that reaches {math.degrees(extent):.4g} deg from its centre with this speed, duration, "
-            f"step, dither and camera; {math.degrees(MAX_REACH_RAD):g} deg or less is expected"
+            f"scan: found a map that reaches {math.degrees(extent_rad):.4g} deg from its centre with this speed, "
+            f"duration, step, dither and camera; {math.degrees(MAX_REACH_RAD):g} deg or less is expected"
         )
-    side = 2 * extent / scene.map.pixel_rad
+    side = 2 * extent_rad / scene.map.pixel_rad
     if side > MAX_SIDE_PIXELS:
         raise SceneError(f"map.pixel: found a map of {side:.4g} pixels a side; {MAX_SIDE_PIXELS} or less are expected")
-    samples = len(cam.focal_plane.x_rad) * scan.scans * scan.duration_s * scan.sample_rate_hz
+    samples = n_det * scan.scans * scan.duration_s * scan.sample_rate_hz
     if samples > MAX_DETECTOR_SAMPLES:
         raise SceneError(
             f"scan.sample_rate: found {samples:.3g} detector-samples an observation; "
@@ -223,7 +225,7 @@ def _check_count(scene: Scene, steps: tuple[str, ...], n_det: int, key: str) -> 
             raise SceneError(f"{key}: found {n_det} detectors; {name!r} needs {needed} or more")
 
 
-def check_score(scene: Scene, geometry: MapGeometry, lines: Raster) -> None:
+def check_score(scene: Scene, geometry: MapGeometry, scans: Scans) -> None:
     """Raise SceneError if the map or the sample rate is not sufficient for the score."""
     if scene.score is None:
         return
@@ -237,7 +239,7 @@ def check_score(scene: Scene, geometry: MapGeometry, lines: Raster) -> None:
             f"score.ell_max: found {scene.score.ell_max}; the map pixel's {nyquist:.0f} or less is expected"
         )
     check_bins(scene, geometry)
-    highest = highest_frequency(samples_per_scan(lines), lines.sample_rate_hz)
+    highest = highest_frequency(samples_per_scan(scans), scans.sample_rate_hz)
     if scene.score.white_noise_above_hz >= highest:
         raise SceneError(
             f"score.white_noise_above: found {scene.score.white_noise_above_hz:g} Hz; "
@@ -311,11 +313,3 @@ def sky_coefficients(lmax: int, geometry: MapGeometry) -> int:
     from surveysim.timestreams.sky_maps import highest_order
 
     return (lmax + 1) * (highest_order(geometry, lmax) + 1)
-
-
-def reach(scene: Scene, cam: Camera) -> float:
-    """Compute the largest offset of a sample from the centre of the field, along either axis [rad]."""
-    scan = scene.scan
-    along = scan.speed_rad_s * scan.duration_s / 2
-    across = scan.step_rad * (scan.scans - 1) / 2
-    return max(along, across) + scan.dither_rad / 2 + cam.radius_rad

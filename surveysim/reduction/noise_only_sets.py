@@ -10,9 +10,9 @@ from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.timestreams import scan_bounds
 from surveysim.reduction.setup import Setup
-from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.runtime.rng import NormalDeviates, RandomPurpose, normal_deviates
 from surveysim.telescope.pointing import Pointing
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.noise import draw_from_psd
 from surveysim.timestreams.observation import Stopwatch
 
@@ -27,11 +27,12 @@ class NoiseOnlySet:
         Purpose of its random numbers.
     draw
         Function of the setup, the measured PSDs (n_det, n_freq) and white levels (n_det,) [mK^2/Hz], the number of
-        scans and the generator. It returns streams (n_det, n_samp) [mK], the mean of each scan removed as in cleaning.
+        scans, the deviates and the detectors to draw. It returns their streams [mK], the mean of each scan removed as
+        in cleaning.
     """
 
     purpose: RandomPurpose
-    draw: Callable[[Setup, np.ndarray, np.ndarray, int, np.random.Generator], np.ndarray]
+    draw: Callable[[Setup, np.ndarray, np.ndarray, int, NormalDeviates, slice], np.ndarray]
 
 
 def mean_removed(data: np.ndarray, n_scans: int) -> np.ndarray:
@@ -71,33 +72,37 @@ def add_simulated(
         pointing = whole.scans(block.first, block.end)
         angle, bounds = pointing.array_angle_rad[pointing.scan], scan_bounds(pointing.scan)
         names = setup.scene.score.noise_only_sets
-        rngs = [
-            generator(setup.scene.seed, NOISE_ONLY_SETS[name].purpose, observation, block=block.number)
+        deviates = [
+            normal_deviates(setup.scene.seed, NOISE_ONLY_SETS[name].purpose, observation, block=block.number)
             for name in names
         ]
         for rows in row_chunks(setup.camera.n_det, len(pointing.time_s)):
             with watch("pixels"):
                 some = plane.subset(rows)
                 index = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=some)
-            for name, rng in zip(names, rngs, strict=True):
+            for name, own in zip(names, deviates, strict=True):
                 with watch("simulated sets"):
-                    data = NOISE_ONLY_SETS[name].draw(setup, psd[rows], white[rows], block.n_scans, rng)
+                    data = NOISE_ONLY_SETS[name].draw(setup, psd, white, block.n_scans, own, rows)
                 with watch("binning"):
                     bin_samples(data, index, bounds, kept[0], *maps[name])
 
 
 def _draw_uncorrelated(
-    setup: Setup, psd: np.ndarray, white: np.ndarray, n_scans: int, rng: np.random.Generator
+    setup: Setup, psd: np.ndarray, white: np.ndarray, n_scans: int, deviates: NormalDeviates, rows: slice
 ) -> np.ndarray:
-    rate, n = setup.observing.raster.sample_rate_hz, samples_per_scan(setup.observing.raster)
-    streams = draw_from_psd(psd[:, None, :], (len(psd), n_scans), n, rate, rng)
-    return streams.reshape(len(psd), -1).astype(setup.stream_type, copy=False)
+    rate, n = setup.observing.scans.sample_rate_hz, samples_per_scan(setup.observing.scans)
+    some, first = psd[rows, None, :], rows.start * n_scans
+    streams = draw_from_psd(some, (len(some), n_scans), n, rate, deviates, first_stream=first)
+    return streams.reshape(len(some), -1).astype(setup.stream_type, copy=False)
 
 
-def _draw_white(setup: Setup, psd: np.ndarray, white: np.ndarray, n_scans: int, rng: np.random.Generator) -> np.ndarray:
-    rate, n = setup.observing.raster.sample_rate_hz, samples_per_scan(setup.observing.raster)
-    data = rng.standard_normal((len(psd), n_scans * n), dtype=np.float32).astype(setup.stream_type, copy=False)
-    data *= np.sqrt(white * rate / 2).astype(data.dtype)[:, None]
+def _draw_white(
+    setup: Setup, psd: np.ndarray, white: np.ndarray, n_scans: int, deviates: NormalDeviates, rows: slice
+) -> np.ndarray:
+    rate, n_samp = setup.observing.scans.sample_rate_hz, n_scans * samples_per_scan(setup.observing.scans)
+    level = np.sqrt(white[rows] * rate / 2).astype(setup.stream_type)[:, None]
+    data = deviates.draw((len(level), n_samp), first=rows.start * n_samp, dtype=setup.stream_type)
+    data *= level
     return mean_removed(data, n_scans)
 
 

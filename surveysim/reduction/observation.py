@@ -34,7 +34,7 @@ from surveysim.reduction.noise_only_sets import add_simulated, mean_removed
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pointing import Pointing
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observation import Stopwatch, draw_block, draw_other_bands
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.response import write_sky_signal
@@ -153,7 +153,7 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
     psd = sums.power / max(1, kept[0].sum()) * _psd_scale(setup)
     white = np.full(1, np.nan)
     if setup.scene.score:
-        n, rate = samples_per_scan(setup.observing.raster), setup.observing.raster.sample_rate_hz
+        n, rate = samples_per_scan(setup.observing.scans), setup.observing.scans.sample_rate_hz
         white = white_level(psd, n, rate, setup.scene.score.white_noise_above_hz)
         add_simulated(sums.maps, sums.kept, setup, observation, pointing, psd=psd, white=white, watch=watch)
     maps = {name: _plane(setup, *item) for name, item in sums.maps.items()}
@@ -206,7 +206,7 @@ def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
     n_pixel = setup.analysis.geometry.n_y * setup.analysis.geometry.n_x
     names = [name for name in setup.analysis.data_set_names if name != OPTIMAL]
     maps = {name: (np.zeros(n_pixel), np.zeros(n_pixel, np.int64)) for name in names}
-    power = np.zeros((setup.camera.n_det, samples_per_scan(setup.observing.raster) // 2 + 1))
+    power = np.zeros((setup.camera.n_det, samples_per_scan(setup.observing.scans) // 2 + 1))
     return _Sums(maps, _empty_signal_maps(setup, setup.analysis.n_signal_skies) if with_signal_sims else None, power)
 
 
@@ -236,7 +236,7 @@ def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch
         index = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
     with watch("wind"):
         bands = _other_bands(setup, observation, whole, block)
-        rate = setup.observing.raster.sample_rate_hz
+        rate = setup.observing.scans.sample_rate_hz
         auxiliary = auxiliary_data(setup.analysis.pipelines, streams, bands, setup.analysis.calibration, rate)
     cleaned, everyone = [], np.ones(block.n_scans, bool)
     for pipeline in setup.analysis.pipelines:
@@ -265,7 +265,7 @@ def _clean(
     scans: np.ndarray,
 ) -> Cleaned:
     """Clean some scans (n_scan,) bool of the streams of a pipeline's detectors."""
-    plane, rate = streams.focal_plane.subset(pipeline.rows), setup.observing.raster.sample_rate_hz
+    plane, rate = streams.focal_plane.subset(pipeline.rows), setup.observing.scans.sample_rate_hz
     auxiliary = replace(auxiliary, delays_s_rad=auxiliary.delays_s_rad[scans])
     return apply_pipeline(
         setup.scene.cleaning,
@@ -290,9 +290,7 @@ def _add_spectra(sums: _Sums, part: _Part) -> None:
 
 
 def _psd_scale(setup: Setup) -> float:
-    return hann_scale(
-        samples_per_scan(setup.observing.raster), setup.observing.raster.sample_rate_hz, setup.stream_type
-    )
+    return hann_scale(samples_per_scan(setup.observing.scans), setup.observing.scans.sample_rate_hz, setup.stream_type)
 
 
 def _mean_psd(blocks: list[tuple[int, np.ndarray]]) -> np.ndarray:

@@ -11,7 +11,7 @@ from surveysim.runtime.memory import machine_bytes
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pixel_coherence import MOST_DENSE
-from surveysim.telescope.raster import Raster, samples_per_scan
+from surveysim.telescope.scans import Scans, samples_per_scan
 
 if TYPE_CHECKING:
     from surveysim.atmosphere.screen_simulation import SlantStrips
@@ -28,7 +28,7 @@ def check_layer(
     water: Water | None,
     *,
     radius_rad: float,
-    lines: Raster,
+    scans: Scans,
     lowest_rad: float,
 ) -> int:
     """Check the weather and the longest strip of the turbulent layer in a run.
@@ -50,7 +50,7 @@ def check_layer(
         return 0
     drawn = scene.observations <= MOST_DRAWN
     wind = _drawn_wind(scene, water) if drawn else fastest_wind(scene.atmosphere, water, scene.observations)
-    return _check_strip(strips, wind, radius_rad, lines, lowest_rad)
+    return _check_strip(strips, wind, radius_rad, scans, lowest_rad)
 
 
 def _drawn_wind(scene: Scene, water: Water | None) -> float:
@@ -59,12 +59,12 @@ def _drawn_wind(scene: Scene, water: Water | None) -> float:
     return max(draw_weather(scene.atmosphere, water, rng).wind_speed_rad_s for rng in rngs)
 
 
-def _check_strip(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, lines: Raster, lowest_rad: float) -> int:
+def _check_strip(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, scans: Scans, lowest_rad: float) -> int:
     from surveysim.atmosphere.strip_limits import check_strip
 
     sine = math.sin(lowest_rad)
-    seconds = (samples_per_scan(lines) - 1) / lines.sample_rate_hz
-    longest = (2 * radius_rad + (lines.speed_rad_s + wind_rad_s) * seconds) / sine
+    seconds = (samples_per_scan(scans) - 1) / scans.sample_rate_hz
+    longest = (2 * radius_rad + (scans.speed_rad_s + wind_rad_s) * seconds) / sine
     cache = strips.at(sine)
     try:
         return check_strip(cache, longest)

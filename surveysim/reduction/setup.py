@@ -21,7 +21,6 @@ from surveysim.reduction.consistency import (
     check_sky,
     check_sources,
     check_templates,
-    reach,
     sky_coefficients,
 )
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
@@ -32,8 +31,9 @@ from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import Camera, camera, mask_by_separation
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.pointing import Schedule, near_hour_angle_dec
-from surveysim.telescope.raster import Raster, mid_times, samples_per_scan
 from surveysim.telescope.responsivity import assumed_responsivity, band_responsivity, true_responsivity
+from surveysim.telescope.scan_pattern import scan_pattern
+from surveysim.telescope.scans import Scans, mid_times, samples_per_scan
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
 from surveysim.timestreams.shared_parts import layer_strips
 from surveysim.timestreams.simulation import (
@@ -67,25 +67,27 @@ def prepare(scene: Scene) -> Setup:
 
 def _prepare(scene: Scene) -> Setup:
     cam = camera(scene.instrument)
-    lines = _raster(scene)
+    pattern = scan_pattern(scene.scan)
+    scans = pattern.scans(scene.scan)
+    extent = pattern.extent_rad(scans) + scans.dither_rad / 2 + cam.radius_rad
+    n_det = len(cam.focal_plane.x_rad)
     check_templates(scene, cam)
-    check_size(scene, cam)
-    geometry = _geometry(scene, cam, scene.map.pixel_rad)
+    check_size(scene, n_det, extent)
+    geometry = _geometry(scene, extent, scene.map.pixel_rad)
     # Half a map pixel holds the beam's multipoles with room to spare.
-    sky_geometry = _geometry(scene, cam, scene.map.pixel_rad / 2)
+    sky_geometry = _geometry(scene, extent, scene.map.pixel_rad / 2)
     masked = None
     if scene.score and scene.score.mask_separation_f_lambda:
         masked = mask_by_separation(cam.positions_f_lambda, scene.score.mask_separation_f_lambda)
         check_masked(scene, masked)
-    check_score(scene, geometry, lines)
+    check_score(scene, geometry, scans)
     check_healpix(scene)
     check_excess(scene)
     check_sky(scene, sky_geometry)
     ways = pipelines(scene.cleaning, masked)
-    n_det = len(cam.focal_plane.x_rad)
     responsivity, of_bands = true_responsivity(scene, n_det), band_responsivity(scene, n_det)
-    times, water = observing_schedule(scene, lines, near_hour_angle_dec), _water(scene, scene.instrument)
-    lowest = _lowest(scene, cam, times, mid_times(lines))
+    times, water = observing_schedule(scene, scans, near_hour_angle_dec), _water(scene, scene.instrument)
+    lowest = _lowest(scene, cam, times, mid_times(scans))
     check_levels(scene, water, lowest)
     check_sources(scene, sky_geometry)
     cam_setup = CameraSetup(
@@ -103,14 +105,14 @@ def _prepare(scene: Scene) -> Setup:
     setup = Setup(
         scene=scene,
         camera=cam_setup,
-        observing=ObservingSetup(scene, lines, _blocks(scene, cam, lines, ways)),
+        observing=ObservingSetup(scene, pattern, scans, _blocks(scene, n_det, scans, ways)),
         air=air,
         sky=SkySetup(scene, sky_geometry),
         analysis=AnalysisSetup(scene, geometry, sky_geometry, ways, calibration, masked, n_det),
     )
     if setup.camera.n_det > MOST_DENSE:
         _check_torus(setup.camera)
-    elements = check_layer(scene, air.strips, water, radius_rad=cam.radius_rad, lines=lines, lowest_rad=lowest)
+    elements = check_layer(scene, air.strips, water, radius_rad=cam.radius_rad, scans=scans, lowest_rad=lowest)
     check_memory(needed_memory(scene, _sizes(setup, elements)))
     return setup
 
@@ -126,7 +128,7 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
     curved = scene.sky is not None and scene.sky.curved_lmax is not None
     return Sizes(
         n_det=setup.camera.n_det,
-        n_samp=samples_per_scan(setup.observing.raster),
+        n_samp=samples_per_scan(setup.observing.scans),
         n_scans=max(block.n_scans for block in setup.observing.blocks),
         n_bands=1 + len(scene.instrument.bands) * setup.analysis.subtracts_bands,
         n_pixel=geometry.n_x * geometry.n_y,
@@ -140,22 +142,9 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
     )
 
 
-def _raster(scene: Scene) -> Raster:
-    scan = scene.scan
-    return Raster(
-        scan.speed_rad_s,
-        scan.scans,
-        scan.duration_s,
-        scan.turnaround_s,
-        scan.step_rad,
-        scan.dither_rad,
-        scan.sample_rate_hz,
-    )
-
-
-def _blocks(scene: Scene, cam: Camera, lines: Raster, ways: tuple[CleaningPipeline, ...]) -> tuple[Block, ...]:
+def _blocks(scene: Scene, n_det: int, scans: Scans, ways: tuple[CleaningPipeline, ...]) -> tuple[Block, ...]:
     """Blocks of an observation; raises SceneError for a scan too long, or pipelines that need an observation whole."""
-    n_det, n_samp, most = len(cam.focal_plane.x_rad), samples_per_scan(lines), scene.numerics.max_block_bytes
+    n_samp, most = samples_per_scan(scans), scene.numerics.max_block_bytes
     bands = len(scene.instrument.bands) * any(pipeline.uses("spectral") for pipeline in ways)
     # In single precision whatever the streams have: it is not to change what is drawn.
     scan_bytes = n_det * n_samp * (1 + bands) * np.dtype(np.float32).itemsize
@@ -165,23 +154,23 @@ def _blocks(scene: Scene, cam: Camera, lines: Raster, ways: tuple[CleaningPipeli
             f"{key}; {scan_bytes / 1e6:.4g} MB or more is expected, for one scan of {n_samp} samples of {n_det} "
             "detectors, or a shorter scan.duration"
         )
-    found = scan_blocks(lines.n_scans, scan_bytes, most)
+    found = scan_blocks(scans.n_scans, scan_bytes, most)
     if len(found) > 1 and any(pipeline.uses("wind") for pipeline in ways):
         raise SceneError(
             f"{key}, which cuts an observation into {len(found)} blocks; 'wind' cleaning needs it whole: "
-            f"{scan_bytes * lines.n_scans / 1e6:.4g} MB or more is expected, or another cleaning.algorithm"
+            f"{scan_bytes * scans.n_scans / 1e6:.4g} MB or more is expected, or another cleaning.algorithm"
         )
     together = scene.cleaning.responsivities == OBSERVATION and any(pipeline.takes_responsivities for pipeline in ways)
     if len(found) > 1 and together:
         raise SceneError(
             f"{key}, which cuts an observation into {len(found)} blocks; cleaning.responsivities 'observation' needs "
-            f"it whole: {scan_bytes * lines.n_scans / 1e6:.4g} MB or more is expected, or 'survey' in its place"
+            f"it whole: {scan_bytes * scans.n_scans / 1e6:.4g} MB or more is expected, or 'survey' in its place"
         )
     return found
 
 
-def _geometry(scene: Scene, cam: Camera, pixel_rad: float) -> MapGeometry:
-    return covering_geometry(scene.field.ra_rad, scene.field.dec_rad, pixel_rad, reach(scene, cam))
+def _geometry(scene: Scene, extent_rad: float, pixel_rad: float) -> MapGeometry:
+    return covering_geometry(scene.field.ra_rad, scene.field.dec_rad, pixel_rad, extent_rad)
 
 
 def _lowest(scene: Scene, cam: Camera, times: Schedule | None, mid_time_s: np.ndarray) -> float:

@@ -7,9 +7,8 @@ from surveysim.forecasting.forecast import DataSetForecast, Forecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.data_set import DataSetKind
 from surveysim.reduction.setup import Setup
-from surveysim.results.agreement import Agreement, agreement, quoted_forecast, run_forecast
-from surveysim.results.alternatives import alternatives
-from surveysim.results.control_variate import quoted_scores
+from surveysim.results.agreement import Agreement, agreement, quoted_forecast
+from surveysim.results.score import FLAT_BAND_POWER, scene_score
 from surveysim.results.stopping import (
     FINE_ERROR,
     UNLIMITED,
@@ -22,14 +21,13 @@ from surveysim.results.stopping import (
     error_parts,
     stop_reason,
 )
-from surveysim.results.tables import score_table
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import InsufficientDataError
 from surveysim.runtime.strict_json import known
 from surveysim.runtime.table import Table
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.discarded_scans import Discards, discards
-from surveysim.survey.scores import DataSetScore, Gain, flux_removed, gain
+from surveysim.survey.scores import DataSetScore, Gain, flux_removed
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -158,9 +156,9 @@ class SurveyResult:
         return found[figure]()
 
     def _score_table(self) -> Table:
-        score = self.setup.scene.score
-        source = score.reference.source if score and score.reference else ""
-        return score_table(score_entries(self), source)
+        scene = self.setup.scene
+        source = scene.score.reference.source if scene.score and scene.score.reference else ""
+        return (scene_score(scene) or FLAT_BAND_POWER).table(score_entries(self), source)
 
     def __repr__(self) -> str:
         """A line on the run above its score table."""
@@ -195,14 +193,16 @@ def survey_result(
 ) -> SurveyResult:
     """Score the sums of a run; a survey that can't be scored keeps its maps and the reason."""
     scores, ratios, others, removed, unscored = {}, {}, [], {}, ""
-    if setup.scene.score is not None:
+    expected, score = None, scene_score(setup.scene)
+    if score is not None:
         try:
-            scores = quoted_scores(setup, coadds)
-            ratios, others = _gains(setup, scores), alternatives(setup, coadds, scores)
+            scores = score.measure(setup, coadds)
+            ratios, others = score.gains(setup, scores), score.alternatives(setup, coadds, scores)
             removed = flux_removed(setup, coadds)
         except InsufficientDataError as error:  # too few observations, or too few scans kept in them
             scores, ratios, others, removed, unscored = {}, {}, [], {}, str(error)
-    expected = run_forecast(setup, coadds) if scores else None
+        else:
+            expected = score.forecast(setup, coadds)
     found = scores, ratios, others, removed, expected
     return SurveyResult(setup, coadds, *found, wall_s, workers, unscored, limits, engine)
 
@@ -235,20 +235,6 @@ def forecast_agreement(result: SurveyResult) -> dict[str, Agreement]:
     """Return the agreement of the forecast of each data set with the run; empty without a forecast."""
     expected = result.expected.scores if result.expected else {}
     return {name: agreement(result.setup, result.scores[name], item) for name, item in expected.items()}
-
-
-def _gains(setup: Setup, scores: dict[str, DataSetScore]) -> dict[str, Gain]:
-    """Ratios of uncertainties between data sets, with the error of each pair."""
-    masked = next((name for name, item in scores.items() if item.kind is DataSetKind.MASKED), None)
-    found = {}
-    if {"actual", "uncorrelated"} <= scores.keys():
-        found["actual / uncorrelated"] = gain(scores["actual"], scores["uncorrelated"])
-    if {"uncorrelated", "white"} <= scores.keys():
-        found["uncorrelated / white"] = gain(scores["uncorrelated"], scores["white"])
-    if masked and "uncorrelated" in scores:
-        share = scores[masked].n_det / setup.camera.n_det
-        found[f"{masked}_scaled / uncorrelated"] = gain(scores[masked], scores["uncorrelated"], share)
-    return found
 
 
 def score_entries(result: SurveyResult) -> dict[str, dict[str, float | str | None]]:

@@ -3,7 +3,7 @@
 from surveysim.forecasting.forecast import can_forecast, why_no_forecast
 from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.scene.scene import Scene
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.component import COMPONENTS, present_components
 
 # Optional sections, and the consequence of leaving each out.
@@ -18,12 +18,12 @@ def absent_sections(scene: Scene) -> list[str]:
 def stages_that_run(setup: Setup) -> dict[str, str]:
     """Return every stage of a run of the scene with its description."""
     scene = setup.scene
-    scans = f"{scene.observations} observations of {setup.observing.raster.n_scans} scans"
+    scans = f"{scene.observations} observations of {setup.observing.scans.n_scans} scans"
     stages = {"pointing": f"{scans}, {setup.camera.n_det} detectors, {scene.scan.sample_rate_hz:g} Hz"}
     if len(setup.observing.blocks) > 1:
         most = max(block.n_scans for block in setup.observing.blocks)
         megabytes = (
-            most * samples_per_scan(setup.observing.raster) * setup.camera.n_det * setup.stream_type.itemsize / 1e6
+            most * samples_per_scan(setup.observing.scans) * setup.camera.n_det * setup.stream_type.itemsize / 1e6
         )
         stages["blocks"] = (
             f"{len(setup.observing.blocks)} an observation, {most} scans or fewer in {megabytes:.3g} MB of streams"

@@ -17,7 +17,7 @@ from surveysim.runtime.strict_json import known
 from surveysim.scene.scene import scene_hash
 from surveysim.survey.coadds import row_names
 from surveysim.survey.scores import DataSetScore
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 
 PSD_AT_HZ = (0.01, 0.1, 1.0)
 
@@ -26,7 +26,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
     """Return the content of summary.json; its keys are stable (docs/reference/files.md)."""
     setup, coadds = result.setup, result.coadds
     columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
-    raster = setup.observing.raster
+    raster = setup.observing.scans
     samples = coadds.done * setup.camera.n_det * raster.n_scans * samples_per_scan(raster)
     content: dict[str, Any] = {
         "scene": setup.scene.name,
@@ -40,7 +40,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "stages_left_out": absent_sections(setup.scene),
         "stages": stages_that_run(setup),
         "left_out": left_out(setup),
-        "scans": coadds.done * setup.observing.raster.n_scans,
+        "scans": coadds.done * setup.observing.scans.n_scans,
         "scans_discarded": int(columns[f"discarded_{ACTUAL}"].sum()),
         "discarded": result.discards.shares,
         "discarded_by_weather": result.discards.by_weather,
@@ -108,7 +108,7 @@ def _psd_over_white(result: SurveyResult, place: int) -> dict[str, float | None]
     psds = coadds.clean_psd if place == 0 else [psd[place - 1] for psd in coadds.compared_psd]
     median = np.median([psd for psd in psds if psd.any()] or [np.zeros(len(psds[0]))], axis=0)
     white = median[len(median) // 2 : -1].mean()
-    step = setup.observing.raster.sample_rate_hz / samples_per_scan(setup.observing.raster)
+    step = setup.observing.scans.sample_rate_hz / samples_per_scan(setup.observing.scans)
     bins = {f"{hz:g} Hz": round(hz / step) for hz in PSD_AT_HZ}
     # Without the first bin (removed mean of the scan) and the last (single mode at the Nyquist frequency).
     there = {name: k for name, k in bins.items() if 2 <= k < len(median) - 1}

@@ -1,8 +1,10 @@
-"""Random generators keyed by seed, realization, observation, purpose and block.
+"""Random numbers keyed by seed, realization, observation, purpose and block.
 
-Draws of one purpose do not depend on other stages, on the number of workers, or on the order of observations.
+Draws of one purpose do not depend on other stages, on the number of workers, or on the order of observations. Noise is
+made of `NormalDeviates`, at a tenth of the cost of numpy's. Scalars come from a generator of numpy.
 """
 
+from dataclasses import dataclass
 from enum import IntEnum
 from hashlib import sha256
 
@@ -28,6 +30,45 @@ class RandomPurpose(IntEnum):
     CALIBRATION = 13
 
 
+@dataclass(frozen=True)
+class NormalDeviates:
+    """A sequence of independent standard normal deviates; any part of it can be drawn alone.
+
+    Deviates are exact to the rounding errors of their type, and reach 7.5 standard deviations (10 in float64). Both
+    types have the same deviates, within 1e-6. All machines draw the same bits.
+
+    Parameters
+    ----------
+    words
+        Four 32-bit numbers that tell one sequence from another.
+    """
+
+    words: tuple[int, ...]
+
+    def draw(self, shape: int | tuple[int, ...], *, first: int = 0, dtype: type | np.dtype = np.float32) -> np.ndarray:
+        """Draw an array of the deviates from position `first` on, float32 or float64."""
+        out = np.empty(shape, dtype)
+        self.fill(out, first)
+        return out
+
+    def fill(self, out: np.ndarray, first: int = 0) -> None:
+        """Fill a contiguous float32 or float64 array with the deviates from position `first` on."""
+        from surveysim.runtime.normal_kernels import fill_float32, fill_float64
+
+        if not out.flags.c_contiguous or out.dtype not in (np.float32, np.float64):
+            raise ValueError(f"found {out.dtype} of strides {out.strides}; contiguous float32 or float64 is expected")
+        fill = fill_float32 if out.dtype == np.float32 else fill_float64
+        fill(out.reshape(-1), first, np.array(self.words, np.uint32))
+
+
+def normal_deviates(
+    seed: int, purpose: RandomPurpose | str, observation: int = 0, *, realization: int = 0, block: int = 0
+) -> NormalDeviates:
+    """Make the normal deviates of one purpose; parameters as for `generator`."""
+    words = _seed_sequence(seed, purpose, observation, realization, block).generate_state(4)
+    return NormalDeviates(tuple(words.tolist()))
+
+
 def generator(
     seed: int, purpose: RandomPurpose | str, observation: int = 0, *, realization: int = 0, block: int = 0
 ) -> np.random.Generator:
@@ -42,6 +83,11 @@ def generator(
     observation, realization, block
         Indices from 0. Block 0 is not part of the key.
     """
+    return np.random.Generator(np.random.SFC64(_seed_sequence(seed, purpose, observation, realization, block)))
+
+
+def _seed_sequence(
+    seed: int, purpose: RandomPurpose | str, observation: int, realization: int, block: int
+) -> np.random.SeedSequence:
     number = int.from_bytes(sha256(purpose.encode()).digest()[:8]) if isinstance(purpose, str) else int(purpose)
-    key = (realization, observation, number, *((block,) if block else ()))
-    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=key)))
+    return np.random.SeedSequence(seed, spawn_key=(realization, observation, number, *((block,) if block else ())))

@@ -17,7 +17,7 @@ from surveysim.results.results import survey_result
 from surveysim.results.stages import left_out, stages_that_run
 from surveysim.runtime.memory import peak_bytes
 from surveysim.survey.coadds import CoAdds, add_observation, empty_coadds
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.scan_blocks import Block
 
@@ -98,7 +98,7 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
     summing_s = scene.observations * measured.adding_s
     working_s = observing_s + summing_s if parallel == 1 else max(observing_s / parallel, summing_s)
     figures_s = start_s * (SCORE_FIGURE_STARTS if scene.score else FIGURE_STARTS)
-    samples = setup.camera.n_det * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
+    samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
     coadds = empty_coadds(setup)
     maps = coadds.sums.nbytes + coadds.weight.nbytes + coadds.hits.nbytes
     return Plan(
@@ -135,9 +135,9 @@ def _measure_block(setup: Setup) -> _Measured:
     scan_s, timed = _timed(observe, scan, *which)
     total = sum(timed.seconds.values())
     once_s, skies_s = (scan_s * sum(timed.seconds.get(name, 0.0) for name in names) / total for names in (ONCE, SKIES))
-    with_sims_s = once_s + (scan_s - once_s) * setup.observing.raster.n_scans
+    with_sims_s = once_s + (scan_s - once_s) * setup.observing.scans.n_scans
     first_s = max(0.0, block_s - once_s - (scan_s - once_s) * most)
-    return _with_sums(setup, result, first_s, with_sims_s - skies_s * setup.observing.raster.n_scans, with_sims_s)
+    return _with_sums(setup, result, first_s, with_sims_s - skies_s * setup.observing.scans.n_scans, with_sims_s)
 
 
 def _of_one_block(setup: Setup, n_scans: int) -> Setup:

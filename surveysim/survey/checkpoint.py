@@ -20,7 +20,7 @@ from surveysim.reduction.setup import Setup
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import scene_hash
 from surveysim.survey.coadds import CoAdds, empty_coadds, row_names
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 
 NAME = "checkpoint.h5"
 REASON = 150  # longest reason for refusing a file, in characters
@@ -131,7 +131,7 @@ def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
     done = file["rows"].shape[0]
     if done > setup.scene.observations:
         raise ValueError(f"{done} observations, {setup.scene.observations} are in the survey")
-    n_freq, n_compared = samples_per_scan(setup.observing.raster) // 2 + 1, len(setup.analysis.whole_pipelines) - 1
+    n_freq, n_compared = samples_per_scan(setup.observing.scans) // 2 + 1, len(setup.analysis.whole_pipelines) - 1
     shapes = {name: getattr(expected, name).shape for name in _ARRAYS}
     of_one: dict[str, tuple[int, ...]] = {
         "rows": (len(row_names(setup)),),
@@ -183,7 +183,7 @@ def _check_rows(columns: Mapping[str, np.ndarray], setup: Setup) -> None:
     if not np.array_equal(columns["observation"], np.arange(len(columns["observation"]))):
         raise ValueError("rows are not those of the first observations in order")
     for name, column in columns.items():
-        if name.startswith("discarded_") and not ((column >= 0) & (column <= setup.observing.raster.n_scans)).all():
+        if name.startswith("discarded_") and not ((column >= 0) & (column <= setup.observing.scans.n_scans)).all():
             raise ValueError(f"{name} has other values than numbers of scans")
         if name.startswith(("noise_mk2_", "b2_mk2", "pwv_mm", "wind_speed")) and (column < 0).any():
             raise ValueError(f"{name} has negative values")
@@ -193,7 +193,7 @@ def check_streams(directory: Path, setup: Setup, done: int) -> None:
     """Raise CheckpointError for saved time-streams of the first `done` observations of another scene."""
     identity, n_samp = (
         scene_hash(setup.scene),
-        setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster),
+        setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans),
     )
     for number in range(done):
         path = directory / f"{number:04d}.h5"

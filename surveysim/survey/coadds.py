@@ -185,7 +185,7 @@ def lost_scans(setup: Setup, coadds: CoAdds) -> np.ndarray:
 
 def kept_shares(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
     """Compute the fraction (n_obs,) of kept scans of each observation so far, by data set."""
-    kept = 1 - lost_scans(setup, coadds) / setup.observing.raster.n_scans
+    kept = 1 - lost_scans(setup, coadds) / setup.observing.scans.n_scans
     return dict(zip(setup.analysis.data_set_names, kept.T, strict=True))
 
 

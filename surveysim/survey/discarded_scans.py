@@ -68,7 +68,7 @@ def discards(setup: Setup, coadds: CoAdds) -> Discards:
 
 
 def _shares(setup: Setup, lost: np.ndarray) -> dict[str, float]:
-    scans = len(lost) * setup.observing.raster.n_scans
+    scans = len(lost) * setup.observing.scans.n_scans
     return dict(zip(setup.analysis.data_set_names, (lost.sum(axis=0) / scans).tolist(), strict=True))
 
 

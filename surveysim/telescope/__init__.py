@@ -1,1 +1,1 @@
-"""The camera and its scans: focal plane, optics, photon noise, raster and pointing."""
+"""The camera and its scans: focal plane, optics, photon noise, scan patterns and pointing."""

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from surveysim.runtime.errors import OutOfRangeError
+from surveysim.runtime.rng import NormalDeviates
 from surveysim.telescope.pixel_coherence import Illumination, coherence_at
 
 # Largest error of a correlation between detectors. At 0.7 (f/#)lambda the field coherence of neighbours is 0.5.
@@ -34,8 +35,8 @@ class CirculantFactor:
     amplitude: np.ndarray
     cells: np.ndarray
 
-    def fields(self, n: int, rng: np.random.Generator) -> Iterator[tuple[slice, np.ndarray]]:
-        """Draw n fields in batches (n_det, n_batch) complex64, and yield each with its slice.
+    def fields(self, n: int, deviates: NormalDeviates, *, first: int = 0) -> Iterator[tuple[slice, np.ndarray]]:
+        """Draw n fields from number `first` on in batches (n_det, n_batch) complex64, and yield each with its slice.
 
         Real and imaginary parts are independent, have unit variance, and are correlated between detectors but not
         between fields.
@@ -43,10 +44,10 @@ class CirculantFactor:
         from scipy.fft import fft2
 
         step = max(1, _BATCH // self.amplitude.size)
-        for first in range(0, n, step):
-            places = slice(first, min(first + step, n))
-            shape = (places.stop - first, *self.amplitude.shape)
-            modes = rng.standard_normal((*shape, 2), dtype=np.float32).view(np.complex64)[..., 0]
+        for start in range(0, n, step):
+            places = slice(start, min(start + step, n))
+            shape = (places.stop - start, *self.amplitude.shape, 2)
+            modes = deviates.draw(shape, first=2 * (first + start) * self.amplitude.size).view(np.complex64)[..., 0]
             modes *= self.amplitude
             field = fft2(modes, overwrite_x=True).reshape(len(modes), -1)
             yield places, np.ascontiguousarray(field[:, self.cells].T)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surveysim.runtime.errors import OutOfRangeError
-from surveysim.telescope.raster import RasterPath
+from surveysim.telescope.scans import ScanPath
 
 if TYPE_CHECKING:
     from astropy.coordinates import SkyCoord
@@ -309,7 +309,7 @@ def survey_angles(
 
 
 def observation_pointing(
-    path: RasterPath,
+    path: ScanPath,
     start_mjd: float,
     elevation_rad: np.ndarray,
     parallactic_rad: np.ndarray,

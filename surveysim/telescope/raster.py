@@ -10,84 +10,41 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surveysim.runtime.errors import OutOfRangeError
-from surveysim.scene.observing import MIN_SAMPLES
+from surveysim.scene.observing import Scan
+from surveysim.telescope.scans import ScanPath, Scans, mid_times, samples_per_scan
 
 
-@dataclass(frozen=True)
-class Raster:
-    """Raster of one observation (paper, "Instrument Description").
+@dataclass(frozen=True, kw_only=True)
+class Raster(Scans):
+    """Raster of one observation (paper, "Instrument Description"), with the distance of neighbouring scans."""
 
-    Attributes
-    ----------
-    speed_rad_s
-        Speed of the boresight in a scan.
-    n_scans
-    scan_s, turnaround_s
-        Durations of a scan and of the turnaround after it.
-    step_rad
-        Distance of neighbouring scans.
-    dither_rad
-        Range of the random offset of each observation.
-    sample_rate_hz
-    """
-
-    speed_rad_s: float
-    n_scans: int
-    scan_s: float
-    turnaround_s: float
     step_rad: float
-    dither_rad: float
-    sample_rate_hz: float
 
 
-@dataclass(frozen=True)
-class RasterPath:
-    """Boresight of one observation in the tangent plane of the field, for samples in scans.
-
-    Attributes
-    ----------
-    time_s : (n_samp,)
-        Time since the start of the observation.
-    xi_rad, eta_rad : (n_samp,)
-    scan : (n_samp,) int64
-        Number of the scan.
-    velocity_rad_s : (n_scan, 2)
-        Constant velocity (xi, eta) of each scan.
-    mid_time_s : (n_scan,)
-    """
-
-    time_s: np.ndarray
-    xi_rad: np.ndarray
-    eta_rad: np.ndarray
-    scan: np.ndarray
-    velocity_rad_s: np.ndarray
-    mid_time_s: np.ndarray
+def scene_raster(section: Scan) -> Raster:
+    """Make the raster of a section [scan]."""
+    return Raster(
+        speed_rad_s=section.speed_rad_s,
+        n_scans=section.scans,
+        scan_s=section.duration_s,
+        turnaround_s=section.turnaround_s,
+        step_rad=section.step_rad,
+        dither_rad=section.dither_rad,
+        sample_rate_hz=section.sample_rate_hz,
+    )
 
 
-def samples_per_scan(raster: Raster) -> int:
-    """Count the whole sampling intervals in a scan; raises OutOfRangeError for fewer than `MIN_SAMPLES`."""
-    # The small addition keeps a product such as 0.7 s * 10 Hz, a rounding below 7, from losing a sample.
-    n = int(np.floor(raster.scan_s * raster.sample_rate_hz + 1e-6))
-    if n < MIN_SAMPLES:
-        raise OutOfRangeError(
-            f"a scan of {raster.scan_s:g} s at {raster.sample_rate_hz:g} Hz has {n} samples; "
-            f"at least {MIN_SAMPLES} are needed"
-        )
-    return n
+def raster_extent(raster: Raster) -> float:
+    """Compute the largest offset from the centre of the pattern, along either axis [rad]."""
+    return max(raster.speed_rad_s * raster.scan_s / 2, raster.step_rad * (raster.n_scans - 1) / 2)
 
 
-def duration_s(raster: Raster) -> float:
-    """Compute the time from the start of the first scan to the end of the last [s]."""
-    return raster.n_scans * raster.scan_s + (raster.n_scans - 1) * raster.turnaround_s
+def observation_raster(raster: Raster, observation: int, dither: np.ndarray) -> ScanPath:
+    """Compute the boresight path of the observation with a number: scans along RA and along Dec in turn."""
+    return raster_path(raster, ("ra", "dec")[observation % 2], dither)
 
 
-def mid_times(raster: Raster) -> np.ndarray:
-    """Compute the times (n_scan,) of the middle of each scan since the start of the observation [s]."""
-    return raster.scan_s / 2 + np.arange(raster.n_scans) * (raster.scan_s + raster.turnaround_s)
-
-
-def raster(raster: Raster, along: str, dither: np.ndarray) -> RasterPath:
+def raster_path(raster: Raster, along: str, dither: np.ndarray) -> ScanPath:
     """Compute the boresight path of one observation.
 
     The first scan goes east (or north), the next one back, each `step_rad` further north (or east). The pattern is
@@ -121,7 +78,7 @@ def raster(raster: Raster, along: str, dither: np.ndarray) -> RasterPath:
     offset[1 - axis] = across_rad + dither[1 - axis]
     velocity = np.zeros((raster.n_scans, 2))
     velocity[:, axis] = speed
-    return RasterPath(
+    return ScanPath(
         time_s=(mid_s[:, None] + from_mid_s).ravel(),
         xi_rad=offset[0],
         eta_rad=offset[1],

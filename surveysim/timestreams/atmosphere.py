@@ -7,7 +7,7 @@ import numpy as np
 from mapmaker.geometry import sky_offsets
 from mapmaker.timestreams import scan_bounds
 from surveysim.atmosphere.weather import Weather
-from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.runtime.rng import RandomPurpose, normal_deviates
 from surveysim.telescope.pointing import Pointing, sky_vector
 from surveysim.timestreams.observed_block import ObservedBlock
 from surveysim.timestreams.scan_blocks import Block
@@ -51,21 +51,21 @@ def add_layer(
     strips = setup.air.strips.at(float(sine.min()))
     motion = offsets, velocity, layer_velocity = _layer_motion(setup, pointing, weather)
     trends = _trends(setup, observation, pointing, motion=motion, strips=strips, realization=realization)
-    rng = generator(
+    deviates = normal_deviates(
         setup.scene.seed, RandomPurpose.ATMOSPHERE, observation, realization=realization, block=block.number
     )
     scans = slice(block.first, block.end)
     add_screen(
         data,
         scan_bounds(pointing.scans(block.first, block.end).scan),
-        sample_rate_hz=setup.observing.raster.sample_rate_hz,
+        sample_rate_hz=setup.observing.scans.sample_rate_hz,
         offsets_rad=offsets[scans],
         velocity_rad_s=velocity[scans],
         layer_velocity_rad_s=layer_velocity[scans],
         # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
         amplitude_mk=np.sqrt(weather.b2 / sine[scans]),
         strips=strips,
-        rng=rng,
+        deviates=deviates,
         trends=trends.scans(block.first, block.end),
     )
 
@@ -95,7 +95,7 @@ def _trends(
     offsets, velocity, layer_velocity = motion
     tracks = scan_tracks(
         bounds,
-        sample_rate_hz=setup.observing.raster.sample_rate_hz,
+        sample_rate_hz=setup.observing.scans.sample_rate_hz,
         offsets_rad=offsets,
         velocity_rad_s=velocity,
         layer_velocity_rad_s=layer_velocity,
@@ -106,8 +106,8 @@ def _trends(
     slant = 1 / np.sin(pointing.elevation_rad)[:, None]
     boresight = np.stack([pointing.xi_rad[first], pointing.eta_rad[first]], axis=-1) * slant
     corner = boresight - _moved(layer_velocity, middle, begin) + tracks.corner_rad
-    rng = generator(setup.scene.seed, RandomPurpose.TREND, observation, realization=realization)
-    return draw_trends(strip_points(strips, corner, tracks.direction, tracks.length_rad), rng)
+    deviates = normal_deviates(setup.scene.seed, RandomPurpose.TREND, observation, realization=realization)
+    return draw_trends(strip_points(strips, corner, tracks.direction, tracks.length_rad), deviates)
 
 
 def _moved(velocity_rad_s: np.ndarray, middle_s: np.ndarray, begin_s: np.ndarray) -> np.ndarray:

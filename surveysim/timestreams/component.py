@@ -30,8 +30,6 @@ class StreamComponent:
         One line for plans and reports.
     through_response
         Whether detectors see it and respond to it; else it is noise at their output.
-    forecast
-        Whether `surveysim.forecasting.noise_model` has its closed form, or needs none.
     absence
         Consequence of its absence, for plans, after a colon.
     """
@@ -41,7 +39,6 @@ class StreamComponent:
     add: Callable[[np.ndarray, ObservedBlock], None]
     sentence: str
     through_response: bool
-    forecast: bool
     absence: str = ""
 
 
@@ -54,7 +51,6 @@ COMPONENTS = (
         add_atmosphere,
         "a frozen layer that the wind moves through the beams",
         through_response=True,
-        forecast=True,
         absence=": no layer, no weather",
     ),
     StreamComponent(
@@ -63,7 +59,6 @@ COMPONENTS = (
         add_low_frequency_noise,
         "low-frequency noise with a power-law spectrum",
         through_response=True,
-        forecast=True,
     ),
     StreamComponent(
         "sky",
@@ -71,7 +66,6 @@ COMPONENTS = (
         add_scene_sky,
         "CMB and point sources",
         through_response=True,
-        forecast=True,
         absence=": noise alone",
     ),
     StreamComponent(
@@ -80,7 +74,6 @@ COMPONENTS = (
         add_photon_noise,
         "white noise, correlated between overlapping pixels",
         through_response=False,
-        forecast=True,
     ),
     StreamComponent(
         "detector",
@@ -88,7 +81,6 @@ COMPONENTS = (
         add_detector_noise,
         "white noise of each detector",
         through_response=False,
-        forecast=True,
     ),
 )
 

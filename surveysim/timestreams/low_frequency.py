@@ -3,7 +3,7 @@
 import numpy as np
 
 from mapmaker.chunks import row_chunks
-from surveysim.runtime.rng import RandomPurpose
+from surveysim.runtime.rng import NormalDeviates, RandomPurpose
 from surveysim.scene.noise_and_sky import Excess
 from surveysim.telescope.lattice_noise import CirculantFactor
 from surveysim.timestreams.noise import draw_from_psd, mode_amplitude
@@ -15,15 +15,14 @@ def add_low_frequency_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
     setup, weather = of.setup, of.weather
     section = setup.scene.excess
     variance = excess_variance(section, None if weather is None else weather.b2)
-    rng = of.generator(RandomPurpose.EXCESS)
     add_excess(
         data_mk,
         section,
         variance_mk2=variance,
         n_scans=of.block.n_scans,
-        sample_rate_hz=setup.observing.raster.sample_rate_hz,
+        sample_rate_hz=setup.observing.scans.sample_rate_hz,
         factor=setup.camera.excess_factor,
-        rng=rng,
+        deviates=of.deviates(RandomPurpose.EXCESS),
     )
 
 
@@ -71,7 +70,7 @@ def add_excess(
     n_scans: int,
     sample_rate_hz: float,
     factor: np.ndarray | CirculantFactor | None,
-    rng: np.random.Generator,
+    deviates: NormalDeviates,
 ) -> None:
     """Add the excess noise of whole scans to streams (n_det, n_samp), in place.
 
@@ -91,34 +90,35 @@ def add_excess(
     n = next_fast_len(2 * per_scan, real=True)
     psd = excess_psd(section, variance_mk2, per_scan, n, sample_rate_hz)
     if isinstance(factor, CirculantFactor):
-        for first in range(0, n_samp, per_scan):
-            _add_lattice_scan(
-                data_mk[:, first : first + per_scan], psd, n, sample_rate_hz=sample_rate_hz, root=factor, rng=rng
-            )
+        amplitude = mode_amplitude(psd, n, sample_rate_hz)
+        for scan in range(n_scans):
+            samples = slice(scan * per_scan, (scan + 1) * per_scan)
+            _add_lattice_scan(data_mk[:, samples], amplitude, n, scan=scan, root=factor, deviates=deviates)
         return
     streams = np.empty((n_det, n_scans, per_scan), np.float32)
     for rows in row_chunks(n_det, 2 * n_samp):
-        streams[rows] = draw_from_psd(psd, streams[rows].shape[:2], n, sample_rate_hz, rng)[..., :per_scan]
+        shape, first = streams[rows].shape[:2], rows.start * n_scans
+        drawn = draw_from_psd(psd, shape, n, sample_rate_hz, deviates, first_stream=first)
+        streams[rows] = drawn[..., :per_scan]
     streams = streams.reshape(n_det, n_samp)
     data_mk += streams if factor is None else factor.astype(np.float32) @ streams
 
 
 def _add_lattice_scan(
     data_mk: np.ndarray,
-    psd_mk2_hz: np.ndarray,
+    amplitude: np.ndarray,
     n: int,
     *,
-    sample_rate_hz: float,
+    scan: int,
     root: CirculantFactor,
-    rng: np.random.Generator,
+    deviates: NormalDeviates,
 ) -> None:
     """Add one scan, whose Fourier modes are fields on the lattice of the detectors, in place."""
     from scipy.fft import irfft
 
     n_det, per_scan = data_mk.shape
-    amplitude = mode_amplitude(psd_mk2_hz, n, sample_rate_hz)
     modes = np.empty((n_det, len(amplitude)), np.complex64)
-    for places, fields in root.fields(len(amplitude), rng):
+    for places, fields in root.fields(len(amplitude), deviates, first=scan * len(amplitude)):
         np.multiply(fields, amplitude[places], out=modes[:, places])
     for rows in row_chunks(n_det, n):
         data_mk[rows] += irfft(modes[rows], n, axis=-1, overwrite_x=True)[:, :per_scan]

@@ -6,15 +6,17 @@ One-sided PSDs throughout; streams are (n_det, n_samp) float32 with whole scans 
 import numpy as np
 
 from mapmaker.chunks import row_chunks
+from surveysim.runtime.rng import NormalDeviates
 from surveysim.telescope.lattice_noise import CirculantFactor
 
 
-def add_white(data_mk: np.ndarray, psd_mk2_hz: float, sample_rate_hz: float, rng: np.random.Generator) -> None:
+def add_white(data_mk: np.ndarray, psd_mk2_hz: float, sample_rate_hz: float, deviates: NormalDeviates) -> None:
     """Add white noise of one-sided PSD `psd_mk2_hz`, independent in each detector, in place."""
-    for rows in row_chunks(*data_mk.shape):
-        deviates = rng.standard_normal(data_mk[rows].shape, dtype=np.float32)
-        deviates *= np.float32(np.sqrt(psd_mk2_hz * sample_rate_hz / 2))
-        data_mk[rows] += deviates
+    n_det, n_samp = data_mk.shape
+    for rows in row_chunks(n_det, n_samp):
+        noise = deviates.draw(data_mk[rows].shape, first=rows.start * n_samp, dtype=data_mk.dtype)
+        noise *= data_mk.dtype.type(np.sqrt(psd_mk2_hz * sample_rate_hz / 2))
+        data_mk[rows] += noise
 
 
 def add_correlated_white(
@@ -22,22 +24,28 @@ def add_correlated_white(
     psd_mk2_hz: float,
     sample_rate_hz: float,
     factor: np.ndarray | CirculantFactor,
-    rng: np.random.Generator,
+    deviates: NormalDeviates,
 ) -> None:
     """Add white noise of one-sided PSD `psd_mk2_hz` with correlation ``factor factor^T``, in place."""
     deviation = np.sqrt(psd_mk2_hz * sample_rate_hz / 2)
     if isinstance(factor, CirculantFactor):
         n_samp = data_mk.shape[1]
-        for places, fields in factor.fields((n_samp + 1) // 2, rng):
+        for places, fields in factor.fields((n_samp + 1) // 2, deviates):
             fields *= np.float32(deviation)
             first, end = 2 * places.start, min(2 * places.stop, n_samp)
             data_mk[:, first:end] += fields.view(np.float32)[:, : end - first]
         return
-    data_mk += (factor * deviation).astype(np.float32) @ rng.standard_normal(data_mk.shape, dtype=np.float32)
+    data_mk += (factor * deviation).astype(data_mk.dtype) @ deviates.draw(data_mk.shape, dtype=data_mk.dtype)
 
 
 def draw_from_psd(
-    psd_mk2_hz: np.ndarray, shape: tuple, n: int, sample_rate_hz: float, rng: np.random.Generator
+    psd_mk2_hz: np.ndarray,
+    shape: tuple,
+    n: int,
+    sample_rate_hz: float,
+    deviates: NormalDeviates,
+    *,
+    first_stream: int = 0,
 ) -> np.ndarray:
     """Draw Gaussian streams of a one-sided PSD; each is periodic in n samples and has no mean.
 
@@ -45,6 +53,8 @@ def draw_from_psd(
     ----------
     psd_mk2_hz : (..., n // 2 + 1)
         At the rfft frequencies of n samples; broadcasts against (*shape, n // 2 + 1).
+    first_stream
+        Streams of n samples that were drawn from the same deviates before.
 
     Returns
     -------
@@ -52,9 +62,10 @@ def draw_from_psd(
     """
     from scipy.fft import irfft
 
-    deviates = rng.standard_normal((*shape, n // 2 + 1, 2), dtype=np.float32).view(np.complex64)[..., 0]
-    deviates *= mode_amplitude(psd_mk2_hz, n, sample_rate_hz)
-    return irfft(deviates, n, axis=-1, overwrite_x=True)
+    n_mode = n // 2 + 1
+    modes = deviates.draw((*shape, n_mode, 2), first=first_stream * 2 * n_mode).view(np.complex64)[..., 0]
+    modes *= mode_amplitude(psd_mk2_hz, n, sample_rate_hz)
+    return irfft(modes, n, axis=-1, overwrite_x=True)
 
 
 def mode_amplitude(psd_mk2_hz: np.ndarray, n: int, sample_rate_hz: float) -> np.ndarray:

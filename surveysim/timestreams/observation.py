@@ -12,7 +12,7 @@ from mapmaker.timestreams import Timestreams
 from surveysim.runtime.rng import RandomPurpose
 from surveysim.scene.scene import scene_hash
 from surveysim.telescope.pointing import Pointing
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.atmosphere import add_layer
 from surveysim.timestreams.component import StreamComponent, present_components
 from surveysim.timestreams.noise import add_white
@@ -93,7 +93,7 @@ def draw_other_bands(setup: Simulation, observation: int, whole: Pointing, block
     (n_band, n_det, n_samp) array [mK]
     """
     bands = setup.scene.instrument.bands
-    n_samp = block.n_scans * samples_per_scan(setup.observing.raster)
+    n_samp = block.n_scans * samples_per_scan(setup.observing.scans)
     streams = np.zeros((len(bands), setup.camera.n_det, n_samp), setup.stream_type)
     of = observed_block(setup, observation, block, whole)
     layer = np.zeros(streams.shape[1:], streams.dtype)
@@ -103,8 +103,8 @@ def draw_other_bands(setup: Simulation, observation: int, whole: Pointing, block
         data[:] = layer
         scale = np.sqrt(setup.air.band_waters[number].response(of.weather.pwv_mm) / mapped)
         apply_response(setup, data, band=number + 1, gain=scale)
-        rng = of.generator(RandomPurpose.DETECTOR, realization=number + 1)
-        add_white(data, band.psd_mk2_hz, setup.observing.raster.sample_rate_hz, rng)
+        deviates = of.deviates(RandomPurpose.DETECTOR, realization=number + 1)
+        add_white(data, band.psd_mk2_hz, setup.observing.scans.sample_rate_hz, deviates)
     return streams
 
 
@@ -130,7 +130,7 @@ def _timestreams(
         "seed": setup.scene.seed,
         "observation": observation,
         "start_mjd_utc": whole.start_mjd,
-        "sample_rate_hz": setup.observing.raster.sample_rate_hz,
+        "sample_rate_hz": setup.observing.scans.sample_rate_hz,
         "elevation_deg": float(np.degrees(whole.elevation_rad.mean())),
         "camera_angle_deg": float(np.degrees(whole.array_angle_rad[0] - whole.parallactic_rad[0])),
         **truth,

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from surveysim.atmosphere.weather import Weather, draw_weather
-from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.runtime.rng import NormalDeviates, RandomPurpose, generator, normal_deviates
 from surveysim.telescope.noise_levels import WhiteLevels, white_levels
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.scan_blocks import Block
@@ -44,6 +44,12 @@ class ObservedBlock:
     def generator(self, purpose: RandomPurpose | str, realization: int = 0) -> np.random.Generator:
         """Create the random generator of one purpose in this block."""
         return generator(
+            self.setup.scene.seed, purpose, self.observation, realization=realization, block=self.block.number
+        )
+
+    def deviates(self, purpose: RandomPurpose | str, realization: int = 0) -> NormalDeviates:
+        """Create the normal deviates of one purpose in this block."""
+        return normal_deviates(
             self.setup.scene.seed, purpose, self.observation, realization=realization, block=self.block.number
         )
 

@@ -13,12 +13,12 @@ from surveysim.timestreams.observed_block import ObservedBlock
 
 def add_photon_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
     """Add the photon noise of a block to streams (n_det, n_samp), in place."""
-    setup, levels, rng = of.setup, of.levels, of.generator(RandomPurpose.PHOTON)
-    noise = (data_mk, levels.photon_mk2_hz, setup.observing.raster.sample_rate_hz)
+    setup, levels, deviates = of.setup, of.levels, of.deviates(RandomPurpose.PHOTON)
+    noise = (data_mk, levels.photon_mk2_hz, setup.observing.scans.sample_rate_hz)
     if setup.camera.photon_correlation is None:
-        add_white(*noise, rng)
+        add_white(*noise, deviates)
     else:
-        add_correlated_white(*noise, _shared_factor(setup.camera.photon_correlation, levels.shared), rng)
+        add_correlated_white(*noise, _shared_factor(setup.camera.photon_correlation, levels.shared), deviates)
 
 
 @lru_cache(maxsize=1)  # most scenes have one share for all observations

@@ -30,7 +30,8 @@ from surveysim.telescope.pointing import (
     schedule,
     survey_angles,
 )
-from surveysim.telescope.raster import Raster, RasterPath, duration_s, mid_times, raster, samples_per_scan
+from surveysim.telescope.scan_pattern import ScanPattern
+from surveysim.telescope.scans import ScanPath, Scans, duration_s, mid_times, samples_per_scan
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.shared_parts import scene_sky, shared_noise
 
@@ -96,20 +97,23 @@ class ObservingSetup:
 
     Parameters
     ----------
+    scans
+        Record of the pattern: number and timing of scans.
     blocks
         Blocks of scans that an observation is drawn in.
     """
 
     scene: Scene
-    raster: Raster
+    pattern: ScanPattern
+    scans: Scans
     blocks: tuple[Block, ...]
 
     @once
     def angles(self) -> Angles:
         """Starts and angles of all observations."""
-        mid_time_s = mid_times(self.raster)
+        mid_time_s = mid_times(self.scans)
         shape = (self.scene.observations, len(mid_time_s))
-        starts = observing_schedule(self.scene, self.raster)
+        starts = observing_schedule(self.scene, self.scans)
         if starts is None:
             fixed = self.scene.fixed_pointing
             elevation, parallactic = np.full(shape, fixed.elevation_rad), np.full(shape, fixed.parallactic_angle_rad)
@@ -119,7 +123,7 @@ class ObservingSetup:
 
     def samples(self, block: Block) -> slice:
         """Samples of one block among those of an observation."""
-        per_scan = samples_per_scan(self.raster)
+        per_scan = samples_per_scan(self.scans)
         return slice(block.first * per_scan, block.end * per_scan)
 
 
@@ -181,7 +185,7 @@ def observing_site(scene: Scene) -> Site:
     return Site(scene.schedule.latitude_rad, scene.schedule.longitude_rad, scene.schedule.height_m)
 
 
-def observing_schedule(scene: Scene, lines: Raster, directions: Directions = hour_angle_dec) -> Schedule | None:
+def observing_schedule(scene: Scene, scans: Scans, directions: Directions = hour_angle_dec) -> Schedule | None:
     """Starts of the observations; None at a fixed elevation.
 
     `directions` computes hour angles and declinations. Raises SceneError for nights that do not hold the observations.
@@ -198,19 +202,19 @@ def observing_schedule(scene: Scene, lines: Raster, directions: Directions = hou
             n_observations=scene.observations,
             max_hour_angle_rad=plan.max_hour_angle_rad,
             min_elevation_rad=plan.min_elevation_rad,
-            duration_s=duration_s(lines),
+            duration_s=duration_s(scans),
             directions=directions,
         )
     except OutOfRangeError as error:
         raise SceneError(f"schedule: {error}") from None
 
 
-def observation_path(observing: ObservingSetup, observation: int) -> tuple[RasterPath, Pointing]:
-    """Point one observation: scans along RA and Dec in turn, dithered, the camera turned."""
+def observation_path(observing: ObservingSetup, observation: int) -> tuple[ScanPath, Pointing]:
+    """Point one observation: the scan pattern, dithered, and the camera, turned."""
     rng = generator(observing.scene.seed, RandomPurpose.POINTING, observation)
-    dither = (rng.random(2) - 0.5) * observing.raster.dither_rad
+    dither = (rng.random(2) - 0.5) * observing.scans.dither_rad
     turn = (rng.random() - 0.5) * observing.scene.instrument.camera_rotation_range_rad
-    path = raster(observing.raster, ("ra", "dec")[observation % 2], dither)
+    path = observing.pattern.path(observing.scans, observation, dither)
     angles = observing.angles
     pointing = observation_pointing(
         path,

@@ -28,7 +28,7 @@ def measure(rings: int, rate_hz: float, scans: int) -> dict[str, float]:
     from surveysim.reduction.setup import prepare
     from surveysim.runtime.memory import peak_bytes
     from surveysim.scene.scene import load_scene
-    from surveysim.telescope.raster import samples_per_scan
+    from surveysim.telescope.scans import samples_per_scan
     from surveysim.timestreams.scan_blocks import Block
 
     settings = {"instrument.layout.rings": rings, "scan.sample_rate": f"{rate_hz} Hz", "scan.scans": scans}
@@ -40,7 +40,7 @@ def measure(rings: int, rate_hz: float, scans: int) -> dict[str, float]:
         start_s = process_time()
         result = observe(setup, 0, True)
         cpu_s = process_time() - start_s
-    samples = setup.camera.n_det * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
+    samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
     skies = result.seconds["transfer_function"] / sum(result.seconds.values())
     return {
         "detectors": setup.camera.n_det,

@@ -326,10 +326,10 @@ def small_enough() -> bool:
     """Whether one observation of the scene is a matter of a second."""
     from surveysim.reduction.setup import prepare as prepared
     from surveysim.scene.scene import load_scene
-    from surveysim.telescope.raster import samples_per_scan
+    from surveysim.telescope.scans import samples_per_scan
 
     setup = prepared(load_scene("scene.toml"))
-    samples = setup.camera.n_det * setup.observing.raster.n_scans * samples_per_scan(setup.observing.raster)
+    samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
     skies = setup.scene.score.signal_sims.skies * setup.scene.score.jackknives if setup.scene.score else 1
     pixels = setup.analysis.geometry.n_x * setup.analysis.geometry.n_y * max(1, skies / 8)
     return (

@@ -31,6 +31,7 @@ from surveysim.timestreams.noise import draw_from_psd
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.simulation import observation_path
+from tests.deviates import deviates
 from tests.scenes import SMALL_SCENE
 from tests.surveys import ARCMIN, fit, named, of_b2
 
@@ -53,7 +54,7 @@ def lynx():
 
 def streams(factor: np.ndarray, psd_mk2_hz: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Scans (n_det, N_SCAN, N) of one-sided PSD, periodic, correlated as ``factor factor^T``."""
-    drawn = draw_from_psd(psd_mk2_hz, (len(factor), N_SCAN), N, RATE_HZ, rng)
+    drawn = draw_from_psd(psd_mk2_hz, (len(factor), N_SCAN), N, RATE_HZ, deviates(rng))
     return np.einsum("ij,jsn->isn", factor, drawn)
 
 

@@ -35,6 +35,7 @@ from surveysim.timestreams.noise import add_correlated_white
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.simulation import observation_path
 from tests import naive
+from tests.deviates import deviates
 from tests.scenes import SMALL_SCENE, WIDE_PATCH, without_sections
 
 ARCSEC = np.pi / 648_000
@@ -112,7 +113,7 @@ def test_layer_in_a_mode_is_that_of_drawn_screens(monkeypatch, algorithm, back):
         layer_velocity_rad_s=np.tile(wind, (draws, 1)),
         amplitude_mk=np.ones(draws),
         strips=cache,
-        rng=np.random.default_rng(4),
+        deviates=deviates(4),
     )
     streams = (data * scans.gain[:, None]).astype(float).reshape(19, draws, SAMPLES)
     found = scans.power(streams[..., ::sign])  # in reversed time a scan back is one there
@@ -145,8 +146,9 @@ def test_a_layer_at_its_slant_distance_leaves_more(algorithm, at_60, at_45):
     setup = prepare(load_scene("scenarios/lynx.toml", {"observations": 40, "cleaning.algorithm": algorithm}))
     sines = np.sin(np.radians([45, 60, 90]))
     levels = replace(observing_conditions(setup, survey_draws(setup, 0, 40)), sine=np.resize(sines, 40))
-    layer = next(noise_models(setup, levels)).parts.layer
-    left = [layer(levels.motion, np.full(40, sine))[:, setup.analysis.region.selected].sum() for sine in sines]
+    model, unit = next(noise_models(setup, levels)), replace(levels, layer=np.ones(40))
+    layers = [model.layer_noise(replace(unit, sine=np.full(40, sine))) for sine in sines]
+    left = [noise[:, setup.analysis.region.selected].sum() for noise in layers]
     assert left[0] / left[2] == pytest.approx(at_45, rel=0.04)
     assert left[1] / left[2] == pytest.approx(at_60, rel=0.04)
 
@@ -166,7 +168,7 @@ def test_excess_in_a_mode_is_that_of_drawn_streams(algorithm):
         n_scans=draws,
         sample_rate_hz=RATE,
         factor=correlation_factor(correlation),
-        rng=np.random.default_rng(5),
+        deviates=deviates(5),
     )
     found = scans.power((data * scans.gain[:, None]).astype(float).reshape(19, draws, SAMPLES))
     psd = excess_psd(EXCESS, 3.0, SAMPLES, 2 * SAMPLES, RATE)[1:]
@@ -186,7 +188,7 @@ def test_photon_noise_in_a_mode_is_that_of_drawn_streams(coherence):
     place = np.column_stack([scans.plane.x_rad, scans.plane.y_rad]) / F_LAMBDA
     correlation = correlation_matrix(place, coherence)
     data = np.zeros((19, draws * SAMPLES), np.float32)
-    add_correlated_white(data, 2.5, RATE, correlation_factor(correlation), np.random.default_rng(6))
+    add_correlated_white(data, 2.5, RATE, correlation_factor(correlation), deviates(6))
     found = scans.power(data.astype(float).reshape(19, draws, SAMPLES))
     frequency, step = np.linspace(-RATE, RATE, 16_001, retstep=True)
     flat = np.full((1, len(frequency)), 2.5 * step)
@@ -204,7 +206,7 @@ def test_frames_of_observations_are_those_of_the_scans(scene_of):
         weather = observation_weather(setup, number)
         layer = np.array([sky_vector(angle, *weather.wind_rad_s) for angle in pointing.parallactic_rad]) @ [1, 1j]
         relative = pointing.velocity_rad_s @ [1, 1j] - layer
-        along = pointing.velocity_rad_s[:2] @ [1, 1j] / setup.observing.raster.speed_rad_s
+        along = pointing.velocity_rad_s[:2] @ [1, 1j] / setup.observing.scans.speed_rad_s
         np.testing.assert_allclose(levels.motion[number], relative[:2] / along, rtol=1e-9)
         offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad[:1]), axis=-1) @ [1, 1j]
         place = projected_array(

@@ -26,6 +26,7 @@ from surveysim.timestreams import shared_parts as parts
 from surveysim.timestreams.low_frequency import add_excess, excess_psd
 from surveysim.timestreams.noise import add_correlated_white
 from surveysim.timestreams.observation import draw_observation
+from tests.deviates import deviates
 from tests.scenes import write_scene
 
 RATE = 10.0
@@ -93,7 +94,7 @@ def test_fields_have_the_covariance(share):
     cells, _ = array(3, 0.7)
     torus, n = embed(cells, 0.7, "field", Illumination()), 5_000
     fields = np.empty((len(cells), n), np.complex64)
-    for places, part in torus.factor(share).fields(n, np.random.default_rng(3)):
+    for places, part in torus.factor(share).fields(n, deviates(3)):
         fields[:, places] = part
     expected = share * implied(torus, cells) + (1 - share) * np.eye(len(cells))
     for pair in ((fields.real, fields.real), (fields.imag, fields.imag)):
@@ -110,7 +111,7 @@ def test_white_streams_of_any_length(n_samp):
     cells, _ = array(2, 1.0)
     root = embed(cells, 1.0, "intensity", Illumination()).factor()
     data = np.full((len(cells), n_samp), 100, np.float32)
-    add_correlated_white(data, 2.5, RATE, root, np.random.default_rng(4))
+    add_correlated_white(data, 2.5, RATE, root, deviates(4))
     assert (data != 100).all()
     if n_samp > 1000:
         variance = (data - 100).var(axis=1, dtype=float)
@@ -124,9 +125,7 @@ def test_excess_streams_have_spectrum_and_correlation():
     cells, positions = array(2, 0.7)
     root, n_scans, n = embed(cells, 0.7, "field", Illumination()).factor(), 200, 300
     data = np.zeros((len(cells), n_scans * n), np.float32)
-    add_excess(
-        data, section, variance_mk2=3.0, n_scans=n_scans, sample_rate_hz=RATE, factor=root, rng=np.random.default_rng(5)
-    )
+    add_excess(data, section, variance_mk2=3.0, n_scans=n_scans, sample_rate_hz=RATE, factor=root, deviates=deviates(5))
     psd = hann_psd(data, n_scans, np.ones(n_scans, bool), RATE).mean(axis=0)
     k = np.arange(5, 140)
     expected = excess_psd(section, 3.0, n, 2 * n, RATE)[2 * k] * (1 + 1 / (3 * k**2))
@@ -177,7 +176,7 @@ def test_coverage_of_many_samples_is_that_of_some_of_them(path, monkeypatch):
     """One of four samples in time, counted four times: within the chance of where they fall."""
     ready = prepare(load_scene(path, {"scan.sample_rate": "40 Hz", "map.pixel": "60 arcsec", "score.ell_max": 10000}))
     whole = conditions.mean_hits(ready, ready.analysis.pipelines[0])
-    samples = ready.camera.n_det * ready.observing.raster.n_scans * 240
+    samples = ready.camera.n_det * ready.observing.scans.n_scans * 240
     monkeypatch.setattr(conditions, "_MOST_HIT_SAMPLES", samples / 4)
     some = conditions.mean_hits(ready, ready.analysis.pipelines[0])
     assert some.sum() == pytest.approx(whole.sum(), rel=0.02) and (some % 1 == 0).all()

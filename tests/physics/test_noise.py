@@ -17,6 +17,7 @@ from surveysim.telescope.pixel_coherence import correlation_factor, correlation_
 from surveysim.timestreams.low_frequency import add_excess, excess_psd, excess_variance
 from surveysim.timestreams.noise import add_correlated_white, add_white, draw_from_psd
 from surveysim.timestreams.photon import photon_correlation
+from tests.deviates import deviates
 
 RATE = 10.0
 HANN = 1 + 2 * (4 / 9 + 1 / 36)
@@ -41,7 +42,7 @@ def excess(**changes):
 def test_white_level_by_psd_and_by_variance(rng):
     n_det, n_scans, n = 20, 10, 150
     data = np.full((n_det, n_scans * n), 100, np.float32)  # the mean is no part of the noise
-    add_white(data, 2.5, RATE, rng)
+    add_white(data, 2.5, RATE, deviates(rng))
     assert data.mean() == pytest.approx(100, abs=5 * math.sqrt(12.5 / data.size))
     assert data.var(dtype=float) == pytest.approx(2.5 * RATE / 2, rel=5 * math.sqrt(2 / data.size))
     psd = hann_psd(data - np.float32(100), n_scans, np.ones(n_scans, bool), RATE)
@@ -97,7 +98,7 @@ def test_correlated_white_has_the_covariance_of_its_factor(rng):
     correlation = photon_correlation(correlation_matrix(hexagon(2, 0.7), "field"), 0.6)
     n = 40000
     data = np.zeros((19, n), np.float32)
-    add_correlated_white(data, 2.5, RATE, correlation_factor(correlation), rng)
+    add_correlated_white(data, 2.5, RATE, correlation_factor(correlation), deviates(rng))
     expected = 2.5 * RATE / 2 * correlation
     covariance = data.astype(float) @ data.T.astype(float) / n
     spread = np.sqrt((np.outer(np.diagonal(expected), np.diagonal(expected)) + expected**2) / n)
@@ -123,16 +124,16 @@ def test_noise_is_added_to_what_is_there(rng):
     start = rng.standard_normal((3, 200)).astype(np.float32)
     section, factor = excess(), np.eye(3)
     adders = [
-        lambda data, rng: add_white(data, 1.0, RATE, rng),
-        lambda data, rng: add_correlated_white(data, 1.0, RATE, factor, rng),
-        lambda data, rng: add_excess(
-            data, section, variance_mk2=1.0, n_scans=2, sample_rate_hz=RATE, factor=factor, rng=rng
+        lambda data, drawn: add_white(data, 1.0, RATE, drawn),
+        lambda data, drawn: add_correlated_white(data, 1.0, RATE, factor, drawn),
+        lambda data, drawn: add_excess(
+            data, section, variance_mk2=1.0, n_scans=2, sample_rate_hz=RATE, factor=factor, deviates=drawn
         ),
     ]
     for add in adders:
         empty, full = np.zeros_like(start), start.copy()
-        add(empty, np.random.default_rng(4))
-        add(full, np.random.default_rng(4))
+        add(empty, deviates(4))
+        add(full, deviates(4))
         assert empty.std() > 0.1
         np.testing.assert_allclose(full - start, empty, atol=1e-5)
 
@@ -168,7 +169,7 @@ def test_drawn_spectrum(rng, n):
     n_det, n_scans = 10, 150
     frequency = np.arange(n // 2 + 1) * RATE / n
     psd = 1 + 3 / np.maximum(frequency, RATE / n)
-    streams = draw_from_psd(psd, (n_det, n_scans), n, RATE, rng)
+    streams = draw_from_psd(psd, (n_det, n_scans), n, RATE, deviates(rng))
     assert streams.shape == (n_det, n_scans, n) and streams.dtype == np.float32
     power = np.abs(np.fft.rfft(streams.astype(float))) ** 2 * 2 / (RATE * n)
     mean = power.mean(axis=(0, 1))
@@ -187,7 +188,7 @@ def test_drawn_spectrum(rng, n):
 @pytest.mark.parametrize("n", [240, 241])
 def test_drawn_variance_is_the_integral_of_the_spectrum(rng, n):
     """White draws: sample variance psd * rate / 2 less the share of the mean, one of n degrees of freedom."""
-    streams = draw_from_psd(np.full(n // 2 + 1, 2.5), (40, 100), n, RATE, rng)
+    streams = draw_from_psd(np.full(n // 2 + 1, 2.5), (40, 100), n, RATE, deviates(rng))
     expected = 2.5 * RATE / 2 * (n - 1) / n
     assert streams.var(dtype=float) == pytest.approx(expected, rel=5 * math.sqrt(2 / streams.size))
 
@@ -196,7 +197,7 @@ def test_drawn_spectra_of_each_detector(rng):
     """PSDs broadcast: (n_det, 1, n_freq) against (n_det, n_scans); the caller's array stays as it is."""
     psd = np.array([1.0, 4.0, 9.0])[:, None, None] * np.ones(101)
     before = psd.copy()
-    streams = draw_from_psd(psd, (3, 200), 200, RATE, rng)
+    streams = draw_from_psd(psd, (3, 200), 200, RATE, deviates(rng))
     np.testing.assert_array_equal(psd, before)
     variance = streams.var(axis=(1, 2), dtype=float) / (RATE / 2 * 199 / 200)
     np.testing.assert_allclose(variance, [1, 4, 9], rtol=5 * math.sqrt(2 / (200 * 200)))
@@ -216,7 +217,7 @@ def excess_streams(rng, index, factor):
         n_scans=N_SCANS,
         sample_rate_hz=RATE,
         factor=factor,
-        rng=rng,
+        deviates=deviates(rng),
     )
     return data
 
@@ -250,7 +251,8 @@ def test_excess_of_a_scan_less_its_mean_has_the_variance_of_the_table(rng, index
     n_scans, n, n_det = 400, 150, 20
     data = np.zeros((n_det, n_scans * n), np.float32)
     section = excess(spectral_index=index)
-    add_excess(data, section, variance_mk2=4.52, n_scans=n_scans, sample_rate_hz=RATE, factor=np.eye(n_det), rng=rng)
+    options = {"n_scans": n_scans, "sample_rate_hz": RATE, "factor": np.eye(n_det)}
+    add_excess(data, section, variance_mk2=4.52, deviates=deviates(rng), **options)
     scans = data.reshape(n_det * n_scans, n).astype(float)
     variance = scans.var(axis=1)
     frequency = np.arange(151) * RATE / 300

@@ -18,7 +18,7 @@ from surveysim.telescope.pointing import (
     sky_vector,
     survey_angles,
 )
-from surveysim.telescope.raster import Raster, raster
+from surveysim.telescope.raster import Raster, raster_path
 
 DEG = np.pi / 180
 ARCMIN = DEG / 60
@@ -306,8 +306,16 @@ def test_directions_of_checks_are_those_of_runs():
 
 
 def test_survey_angles_and_observation_pointing():
-    scans = Raster(4 * ARCMIN, 18, 15.0, 10.0, 2 * ARCMIN, 0.0, 10.0)
-    path = raster(scans, "ra", np.zeros(2))
+    scans = Raster(
+        speed_rad_s=4 * ARCMIN,
+        n_scans=18,
+        scan_s=15.0,
+        turnaround_s=10.0,
+        step_rad=2 * ARCMIN,
+        dither_rad=0.0,
+        sample_rate_hz=10.0,
+    )
+    path = raster_path(scans, "ra", np.zeros(2))
     plan = schedule(LYNX, CSO, "2003-11-20", nights=2, n_observations=5, **LIMITS)
     elevation, parallactic = survey_angles(LYNX, CSO, plan, path.mid_time_s)
     assert elevation.shape == parallactic.shape == (5, 18)

@@ -15,6 +15,8 @@ import scipy.fft
 from surveysim.atmosphere.screen_simulation import StripCache, add_atmosphere, draw_strip, strip_step
 from surveysim.atmosphere.strip_factors import build_strip
 from surveysim.atmosphere.thin_screen import Screen, cross_psd, mean_removed_variance, structure_function, temporal_psd
+from surveysim.runtime.rng import NormalDeviates
+from tests.deviates import deviates
 
 ARCMIN = math.radians(1.0 / 60.0)
 SCAN_RAD, SPEED, HALF_WIDTH = 465.0 * ARCMIN, 31.0 * ARCMIN, 4.1 * ARCMIN
@@ -217,7 +219,7 @@ def draw_streams(screen, n_scan, n_samp, rate_hz, offsets_rad, velocity, layer_v
         layer_velocity_rad_s=np.broadcast_to(layer_velocity, (n_scan, 2)),
         amplitude_mk=np.full(n_scan, amplitude),
         strips=strips,
-        rng=np.random.default_rng(seed),
+        deviates=deviates(seed),
     )
     return data.reshape(len(offsets_rad), n_scan, n_samp).transpose(1, 0, 2)
 
@@ -293,15 +295,20 @@ def test_detector_outside_the_strip():
         draw_streams(KOLMOGOROV, 1, 5, 10.0, [(0.0, 0.0), (0.0, 5.0 * ARCMIN)], (SPEED, 0.0), (0.0, 0.0))
 
 
-def test_draws_depend_on_the_generator_alone():
+def test_strips_take_as_many_deviates_as_they_say():
     strip = build_strip(
         KOLMOGOROV, length_rad=30.0 * ARCMIN, half_width_rad=HALF_WIDTH, step_rad=strip_step(KOLMOGOROV, 0.0)
     )
-    one, two = np.random.default_rng(8), np.random.default_rng(8)
-    np.testing.assert_array_equal(draw_strip(strip, one), draw_strip(strip, two))
-    two.standard_normal(2 * len(strip.columns) + 1, dtype=np.float32)
-    draw_strip(strip, one)
-    assert one.bit_generator.state == two.bit_generator.state
+    asked = []
+
+    class Told(NormalDeviates):
+        def draw(self, shape, *, first=0, **options):
+            asked.append((shape, first))
+            return super().draw(shape, first=first, **options)
+
+    one = draw_strip(strip, Told(deviates(8).words), first=7)
+    np.testing.assert_array_equal(one, draw_strip(strip, deviates(8), first=7))
+    assert asked == [(strip.n_deviates, 7)]
 
 
 def test_strips_come_in_powers_of_two():

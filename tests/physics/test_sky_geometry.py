@@ -58,7 +58,7 @@ def test_scan_velocities_of_saved_streams(path, dec_deg):
     (xi, eta), angle = pointing.velocity_rad_s.T, pointing.array_angle_rad
     expected = -xi * np.cos(angle) + eta * np.sin(angle), xi * np.sin(angle) + eta * np.cos(angle)
     found = scan_velocities(draw_observation(setup, 1)).T
-    np.testing.assert_allclose(found, expected, atol=3e-5 * setup.observing.raster.speed_rad_s)
+    np.testing.assert_allclose(found, expected, atol=3e-5 * setup.observing.scans.speed_rad_s)
 
 
 @pytest.mark.parametrize(

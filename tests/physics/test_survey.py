@@ -57,7 +57,7 @@ def without_section(text, name):
 
 def test_white_streams_give_the_map_noise_of_their_hits(tmp_path):
     setup, coadds = survey(tmp_path, ("detector",), **{"cleaning.algorithm": "none"})
-    white = setup.scene.detector.psd_mk2_hz * setup.observing.raster.sample_rate_hz / 2
+    white = setup.scene.detector.psd_mk2_hz * setup.observing.scans.sample_rate_hz / 2
     # The removed mean takes 1 / n of each scan's variance.
     variance = white * (1 - 1 / 75)
     signal = weighted_mean(coadds.sums[0], coadds.weight[0])
@@ -78,7 +78,7 @@ def test_band_power_of_white_noise_against_its_closed_form(tmp_path):
     setup, coadds = survey(tmp_path, ("detector",), **{"cleaning.algorithm": "none", "score.jackknives": 24})
     score = score_survey(setup, coadds, ("actual",))["actual"]
     band, scale = setup.analysis.region, (1e3 * rj_to_cmb(143e9, 0.0)) ** 2
-    variance = setup.scene.detector.psd_mk2_hz * setup.observing.raster.sample_rate_hz / 2 * (1 - 1 / 75)
+    variance = setup.scene.detector.psd_mk2_hz * setup.observing.scans.sample_rate_hz / 2 * (1 - 1 / 75)
     hits = coadds.hits[0][band.patch, band.patch]
     taper2 = band.taper**2
     assert hits[band.taper > 0.01].min() > 0
@@ -137,7 +137,7 @@ def test_removing_scan_means_leaves_the_transfer_function_that_geometry_gives(tm
     transfer_function = score_survey(setup, coadds, ("actual",))["actual"].transfer_function
     # A scan of length L along x turns exp(i k x) into itself less its mean, sinc(k_x L / 2) exp(i k x_0); what
     # stays in phase is 1 - sinc^2. Half of the scans run along x, half along y; W is the azimuthal mean.
-    length = setup.observing.raster.speed_rad_s * setup.observing.raster.scan_s
+    length = setup.observing.scans.speed_rad_s * setup.observing.scans.scan_s
     azimuth = (np.arange(3600) + 0.5) * (2 * np.pi / 3600)
     for ell, found, error in zip(
         transfer_function.ell, transfer_function.transmission, transfer_function.error, strict=True
@@ -204,7 +204,7 @@ def test_stream_psds_add_up(tmp_path):
         280 * np.sin(elevation) ** (1 - air.spectral_index),
         at_elevation(setup.air.strips.screen, np.sin(elevation)),
     )
-    wind, scan = air.wind_median_rad_s, setup.observing.raster.speed_rad_s
+    wind, scan = air.wind_median_rad_s, setup.observing.scans.speed_rad_s
     # The layer passes at the vector difference of wind and scan, at all angles alike.
     angles = (np.arange(24) + 0.5) * (2 * np.pi / 24)
     speeds = np.hypot(wind - scan * np.cos(angles), scan * np.sin(angles))

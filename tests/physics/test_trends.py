@@ -18,6 +18,7 @@ from surveysim.scene.scene import load_scene
 from surveysim.timestreams.atmosphere import add_layer
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.simulation import observation_path
+from tests.deviates import deviates
 from tests.scenes import SMALL_SCENE
 
 ARCMIN = math.radians(1 / 60)
@@ -75,8 +76,8 @@ def drawn(wind, speed, n_draw, n_scan=N_SCAN, offsets=(0j,), seed=1):
     rng, streams = np.random.default_rng(seed), []
     for _ in range(n_draw):
         data = np.zeros((len(offsets), n_scan * N_SAMP), np.float32)
-        trends = draw_trends(item, rng)
-        add_atmosphere(data, bounds, **motion, amplitude_mk=np.ones(n_scan), rng=rng, trends=trends)
+        trends = draw_trends(item, deviates(rng))
+        add_atmosphere(data, bounds, **motion, amplitude_mk=np.ones(n_scan), deviates=deviates(rng), trends=trends)
         streams.append(data.reshape(len(offsets), n_scan, N_SAMP))
     return np.array(streams, float)
 
@@ -175,8 +176,8 @@ def scene_of(tmp_path):
 
 def layer_alone(setup, observation=0, weather=None, block=None, realization=0):
     pointing = observation_path(setup.observing, observation)[1]
-    n_scan = block.n_scans if block else setup.observing.raster.n_scans
-    data = np.zeros((setup.camera.n_det, n_scan * (len(pointing.time_s) // setup.observing.raster.n_scans)), np.float32)
+    n_scan = block.n_scans if block else setup.observing.scans.n_scans
+    data = np.zeros((setup.camera.n_det, n_scan * (len(pointing.time_s) // setup.observing.scans.n_scans)), np.float32)
     weather = weather or observation_weather(setup, observation)
     add_layer(setup, observation, pointing, weather=weather, data=data, realization=realization, block=block)
     return data

@@ -20,6 +20,7 @@ from surveysim.atmosphere.thin_screen import (
 from surveysim.atmosphere.turbulence_fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV, TRACKS_RAD, fit_turbulence
 from surveysim.telescope.focal_plane import hexagon
 from surveysim.telescope.pixel_coherence import mutual_coherence
+from tests.deviates import deviates
 
 ARCMIN = math.radians(1 / 60)
 WIND, SECONDS, N_SAMP = 31 * ARCMIN, 15.0, 150
@@ -107,7 +108,7 @@ def realizations(layer, n_scan, seed, amplitude=1.0, plane=None, closest_rad=0.0
         layer_velocity_rad_s=velocity,
         amplitude_mk=np.full(n_scan, amplitude),
         strips=strips,
-        rng=np.random.default_rng(seed + 1),
+        deviates=deviates(seed + 1),
     )
     return data, bounds
 

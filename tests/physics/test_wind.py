@@ -15,7 +15,7 @@ from mapmaker.geometry import sky_offsets
 from mapmaker.wind import measure_wind, scan_velocities
 from surveysim.atmosphere.screen_simulation import add_atmosphere
 from surveysim.reduction.setup import prepare
-from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.runtime.rng import RandomPurpose, normal_deviates
 from surveysim.telescope.pointing import sky_vector
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.simulation import observation_path
@@ -118,7 +118,7 @@ def layers(winds, n, b2, noise=True):
         streams = draw_observation(still, i)
         _, pointing = observation_path(still.observing, i)
         data = streams.data_mk if noise else np.zeros_like(streams.data_mk)
-        rng = generator(full.seed, RandomPurpose.ATMOSPHERE, i)
+        drawn = normal_deviates(full.seed, RandomPurpose.ATMOSPHERE, i)
         sine = np.sin(pointing.elevation_rad)[:, None]
         offsets = np.stack(sky_offsets(still.camera.focal_plane, pointing.array_angle_rad), axis=-1) / sine[:, None]
         for speed, angle in winds:
@@ -137,7 +137,7 @@ def layers(winds, n, b2, noise=True):
                 layer_velocity_rad_s=layer,
                 amplitude_mk=amplitude,
                 strips=strips.at(sine.min()),
-                rng=rng,
+                deviates=drawn,
             )
         velocity = scan_velocities(streams)
         fits.append(

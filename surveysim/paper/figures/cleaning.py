@@ -20,7 +20,7 @@ from surveysim.reduction.setup import Setup
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.runtime.errors import InsufficientDataError
 from surveysim.runtime.rng import RandomPurpose, generator
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_levels
 from surveysim.timestreams.response import write_sky_signal
@@ -75,7 +75,7 @@ class Example:
 
     def psd(self, data_mk: np.ndarray, kept: np.ndarray) -> np.ndarray:
         """PSDs (n, n_freq) [mK^2/Hz] of time-streams at `frequencies`, averaged over kept scans."""
-        raster = self.setup.observing.raster
+        raster = self.setup.observing.scans
         return hann_psd(data_mk, raster.n_scans, kept, raster.sample_rate_hz)[:, 1 : 1 + len(frequencies(self.setup))]
 
     def _options(self, name: str) -> Any:
@@ -85,14 +85,14 @@ class Example:
             return PcaOptions(PCA_SIGMA_CUT)
         if name == "wind":
             delays = slowness(self.item.wind.velocity_rad_s, scan_velocities(self.streams))
-            return WindOptions(delays, self.setup.observing.raster.sample_rate_hz, *template)
+            return WindOptions(delays, self.setup.observing.scans.sample_rate_hz, *template)
         return TemplateOptions(*template)
 
 
 def frequencies(setup: Setup) -> np.ndarray:
     """Frequencies [Hz] of the modes of a scan, zero and Nyquist frequency excluded."""
-    n = samples_per_scan(setup.observing.raster)
-    return np.arange(1, (n + 1) // 2) * (setup.observing.raster.sample_rate_hz / n)
+    n = samples_per_scan(setup.observing.scans)
+    return np.arange(1, (n + 1) // 2) * (setup.observing.scans.sample_rate_hz / n)
 
 
 def weather_examples(survey: MeasuredSurvey) -> tuple[Example, ...]:

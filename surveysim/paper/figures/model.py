@@ -12,9 +12,9 @@ from surveysim.atmosphere.weather import b2_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.runtime.errors import SceneError
-from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.runtime.rng import RandomPurpose, normal_deviates
 from surveysim.scene.sites import SITES, median_water_mm, water_mm
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 
 BANDS_HZ = (150e9, 275e9)  # bands of the paper's figure 1
 BANDWIDTH = 0.15  # Bolocam's
@@ -188,11 +188,11 @@ def edge_streams(setup: Setup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     One scan at median B2, wind and elevation, with the wind along the camera's x axis; the common mean is removed.
     """
     air, rate = setup.scene.atmosphere, setup.scene.scan.sample_rate_hz
-    n = samples_per_scan(setup.observing.raster)
+    n = samples_per_scan(setup.observing.scans)
     plane, pair = setup.camera.focal_plane, list(_edge_pair(setup))
     offsets = np.stack([plane.x_rad[pair], plane.y_rad[pair]], axis=-1)[None]
     data = np.zeros((2, n), np.float32)
-    wind, rng = np.array([[air.wind_median_rad_s, 0.0]]), generator(setup.scene.seed, RandomPurpose.ATMOSPHERE, DRAW)
+    wind = np.array([[air.wind_median_rad_s, 0.0]])
     bounds, rest, sine = np.array([[0, n]]), np.zeros((1, 2)), sin(_elevation_rad(setup))
     amplitude, strips = np.array([sqrt(_median_b2(setup) / sine)]), setup.air.strips.at(sine)
     add_atmosphere(
@@ -204,7 +204,7 @@ def edge_streams(setup: Setup) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         layer_velocity_rad_s=wind / sine,
         amplitude_mk=amplitude,
         strips=strips,
-        rng=rng,
+        deviates=normal_deviates(setup.scene.seed, RandomPurpose.ATMOSPHERE, DRAW),
     )
     return np.arange(n) / rate, *(data - data.mean())
 

@@ -23,7 +23,7 @@ from surveysim.report.figures.style import (
     three_digits,
 )
 from surveysim.survey.coadds import CoAdds
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observed_block import observation_levels
 
 
@@ -34,7 +34,7 @@ def timestream_psd(setup: Setup, coadds: CoAdds) -> Figure:
     not vary.
     """
     scan, groups = setup.scene.scan, _weather_quarters(setup, coadds)
-    frequency = np.fft.rfftfreq(samples_per_scan(setup.observing.raster), 1 / scan.sample_rate_hz)
+    frequency = np.fft.rfftfreq(samples_per_scan(setup.observing.scans), 1 / scan.sample_rate_hz)
     # Nothing is left at f = 0 once the mean is removed, and the Nyquist bin holds half as many modes.
     used = (frequency > 0) & (frequency < scan.sample_rate_hz / 2)
     frequency = frequency[used]

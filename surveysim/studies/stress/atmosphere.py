@@ -13,6 +13,7 @@ from surveysim.atmosphere.screen_simulation import add_atmosphere
 from surveysim.atmosphere.strip_factors import Strip
 from surveysim.atmosphere.thin_screen import Screen, structure_function
 from surveysim.reduction.setup import Setup, prepare
+from surveysim.runtime.rng import normal_deviates
 from surveysim.scene.analysis import Cleaning
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.case import N_SAMP, RATE_HZ, TEMPLATES, Outcome, agrees
@@ -67,7 +68,6 @@ def _moved(setup: Setup, scan_rad_s: np.ndarray, layer_rad_s: np.ndarray) -> np.
     plane = setup.camera.focal_plane
     data = np.zeros((setup.camera.n_det, N_SAMP), np.float32)
     offsets = np.stack([plane.x_rad, plane.y_rad], axis=-1)[None]
-    rng = np.random.default_rng(3)
     add_atmosphere(
         data,
         np.array([(0, N_SAMP)]),
@@ -77,7 +77,7 @@ def _moved(setup: Setup, scan_rad_s: np.ndarray, layer_rad_s: np.ndarray) -> np.
         layer_velocity_rad_s=np.array([layer_rad_s]),
         amplitude_mk=np.array([17.0]),
         strips=setup.air.strips.at(1.0),
-        rng=rng,
+        deviates=normal_deviates(3, "stress"),
     )
     return data
 

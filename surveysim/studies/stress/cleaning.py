@@ -21,6 +21,7 @@ from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.screen_simulation import StripCache
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import InsufficientDataError
+from surveysim.runtime.rng import normal_deviates
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.atmosphere import one_layer
 from surveysim.studies.stress.case import N_SAMP, QUANTUM, RATE_HZ, STIFF, TEMPLATES, Outcome, agrees
@@ -56,7 +57,7 @@ def stiff(scene: Scene, algorithm: str) -> Outcome:
     setup = prepare(scene)
     _, pointing = observation_path(setup.observing, 0)
     weather = observation_weather(setup, 0)
-    scale = STIFF / np.std(_mean_removed(one_layer(scene, 1.0), setup.observing.raster.n_scans))
+    scale = STIFF / np.std(_mean_removed(one_layer(scene, 1.0), setup.observing.scans.n_scans))
     strong = replace(weather, b2=scale**2)
     caches = {number: _in_float64(cache) for number, cache in setup.air.strips.caches.items()}
     fine = replace(setup, air=replace(setup.air, strips=replace(setup.air.strips, caches=caches)))
@@ -65,7 +66,7 @@ def stiff(scene: Scene, algorithm: str) -> Outcome:
         data = np.zeros((setup.camera.n_det, len(pointing.scan)), dtype)
         add_layer(one, 0, pointing, weather=strong, data=data)
         data *= setup.camera.responsivity[:, None].astype(np.float32)
-        add_white(data, 2 / RATE_HZ, RATE_HZ, np.random.default_rng(1))
+        add_white(data, 2 / RATE_HZ, RATE_HZ, normal_deviates(1, "stress"))
         left.append(_cleaned(algorithm, data, setup.camera.focal_plane).astype(float))
     lost = float(np.std(left[0] - left[1]))
     note = f"of {STIFF:g} before and {np.std(left[1]):.3g} after cleaning; {-math.log10(lost / STIFF):.1f} digits"

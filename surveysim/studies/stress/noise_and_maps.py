@@ -12,6 +12,7 @@ from mapmaker.gls import GlsOptions, gls_map
 from mapmaker.iterative import StreamBlock
 from mapmaker.stream_psd import low_frequency_variance
 from surveysim.reduction.setup import Setup, prepare
+from surveysim.runtime.rng import normal_deviates
 from surveysim.scene.scene import Scene
 from surveysim.studies.stress.case import N_SAMP, RATE_HZ, STIFF, Outcome, agrees
 from surveysim.studies.stress.cleaning import plane_of, planted
@@ -32,7 +33,7 @@ def excess(scene: Scene) -> Outcome:
         n_scans=n_scans,
         sample_rate_hz=RATE_HZ,
         factor=np.eye(n_det),
-        rng=np.random.default_rng(2),
+        deviates=normal_deviates(2, "stress"),
     )
     found = low_frequency_variance(data, n_scans, RATE_HZ, section.band_limit_hz).mean()
     # At worst the lowest mode has it all: two deviates a scan.
@@ -51,7 +52,7 @@ def white_excess(scene: Scene) -> Outcome:
         n_scans=16,
         sample_rate_hz=RATE_HZ,
         factor=np.eye(n_det),
-        rng=np.random.default_rng(2),
+        deviates=normal_deviates(2, "stress"),
     )
     scans = data.reshape(n_det, 16, N_SAMP)
     found = np.sum(scans[..., 1:] * scans[..., :-1]) / np.sum(scans**2)
@@ -97,8 +98,8 @@ def _blocks(scene: Scene, ratio: float) -> tuple[Setup, StreamBlock]:
     setup = prepare(scene)
     path, _ = observation_path(setup.observing, 0)
     n_det, n_pix = setup.camera.n_det, setup.analysis.geometry.n_x * setup.analysis.geometry.n_y
-    bounds = np.arange(setup.observing.raster.n_scans)[:, None] * N_SAMP + [0, N_SAMP]
-    data = planted(n_det, ratio, n_scans=setup.observing.raster.n_scans)
+    bounds = np.arange(setup.observing.scans.n_scans)[:, None] * N_SAMP + [0, N_SAMP]
+    data = planted(n_det, ratio, n_scans=setup.observing.scans.n_scans)
     # A tenth of the map is enough to be crossed often; the rest stays without a hit.
     index = np.random.default_rng(9).integers(0, n_pix // 10, data.shape)
     return setup, StreamBlock(data, index, bounds, setup.camera.focal_plane)

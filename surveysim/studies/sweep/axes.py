@@ -27,7 +27,7 @@ from surveysim.scene.renamed_keys import renamed_line
 from surveysim.scene.scene import Origin, Scene, read_scene, scene_hash, scene_of
 from surveysim.scene.shipped import find_scene
 from surveysim.scene.units import file_value, shown
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 
 MAX_POINTS = 1000
 LABEL_LENGTH = 40
@@ -154,8 +154,8 @@ def load_sweep(
         setup = prepare(scene)
         samples = (
             setup.camera.n_det
-            * setup.observing.raster.n_scans
-            * samples_per_scan(setup.observing.raster)
+            * setup.observing.scans.n_scans
+            * samples_per_scan(setup.observing.scans)
             * scene.observations
         )
         return Point(number, places[number], labels[number], settings[number], scene, setup.camera.n_det, samples)

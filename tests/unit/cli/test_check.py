@@ -16,7 +16,7 @@ from surveysim.scene.keys import all_keys
 from surveysim.scene.scene import load_scene
 from surveysim.studies.resources import _windiest
 from surveysim.survey.coadds import add_observation, empty_coadds
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from tests.extremes_of_keys import bounds, extreme_overrides, is_number
 from tests.scenes import write_scene
 
@@ -43,8 +43,7 @@ def refused_or_run(path, overrides) -> str:
     assert perf_counter() - start < MOST_SECONDS
     skies, lmax = setup.analysis.n_signal_skies, scene.sky.curved_lmax if scene.sky else None
     if (
-        setup.camera.n_det * scene.scan.scans * samples_per_scan(setup.observing.raster) * max(1, skies / 10)
-        > MOST_WORK
+        setup.camera.n_det * scene.scan.scans * samples_per_scan(setup.observing.scans) * max(1, skies / 10) > MOST_WORK
         or (lmax or 0) > 5000
     ):
         return ""

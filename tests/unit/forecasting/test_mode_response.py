@@ -26,6 +26,7 @@ from surveysim.telescope.focal_plane import hexagon
 from surveysim.telescope.pointing import sky_vector
 from surveysim.timestreams.noise import draw_from_psd
 from tests import naive
+from tests.deviates import deviates
 
 ARCSEC = np.pi / 648_000
 ORDERS = {"none": -1, "average": 0, "planar": 1, "quadratic": 2}
@@ -104,7 +105,7 @@ def test_noise_of_a_mode_is_what_drawn_scans_leave(index):
     step_hz = RATE / (2 * SAMPLES)
     line_hz = step_hz * np.arange(1, SAMPLES + 1)
     psd = np.concatenate([[0], line_hz**-index])
-    scans = draw_from_psd(psd, (draws,), 2 * SAMPLES, RATE, rng)[:, :SAMPLES].astype(float)
+    scans = draw_from_psd(psd, (draws,), 2 * SAMPLES, RATE, deviates(rng))[:, :SAMPLES].astype(float)
     scans -= scans.mean(axis=1, keepdims=True)
     taper = tukey(SAMPLES, 1.0, SAMPLES, 0.5)
     at_hz = np.array([0.0, 0.03, 0.078, 0.2, 1.3])

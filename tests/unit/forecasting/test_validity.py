@@ -91,7 +91,7 @@ def test_runs_compare_with_the_forecast_of_the_scans_that_they_kept(calm):
     """The noise of each observation, weighted and co-added by hand with its kept scans."""
     setup, expected = calm.setup, calm.expected.scores["actual"]
     counts = np.array([row[7] for row in calm.coadds.rows])
-    kept = 1 - counts / setup.observing.raster.n_scans
+    kept = 1 - counts / setup.observing.scans.n_scans
     assert 0.05 < 1 - kept.mean() < 0.95 and expected.kept.discarded == pytest.approx(1 - kept.mean())
     levels = observing_conditions(setup, survey_draws(setup, 0, 12))
     noise = survey_models(setup.scene)[0].noise(levels)

@@ -111,7 +111,7 @@ def test_template_streams_of_detectors_on_a_line_are_refused():
 def test_templates_halfway_out_have_an_eighth_of_the_power_of_the_edge(setup, measured):
     """(1 + x / R) cos: the gradient at x = R / 2 cos 45 deg has the square of 1 / 8^(1/2) of the constant's power."""
     one = weather_examples(measured)[0]
-    plane, n_scans = one.streams.focal_plane, setup.observing.raster.n_scans
+    plane, n_scans = one.streams.focal_plane, setup.observing.scans.n_scans
     from_centre = plane.x_rad - plane.x_rad.mean()
     radius = np.hypot(from_centre, plane.y_rad - plane.y_rad.mean()).max()
     wave = np.cos(2 * np.pi * 5 * (np.arange(N * n_scans) + 0.5) / N)

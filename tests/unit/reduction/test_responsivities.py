@@ -248,7 +248,7 @@ def test_a_survey_s_error_leaves_a_part_of_the_layer(setup_of):
         setup = setup_of(**source)
         levels = observing_conditions(setup, survey_draws(setup, 0, 4))
         model = next(noise_models(setup, levels))
-        noise.append(model.parts.layer(levels.motion, levels.sine))
+        noise.append(model.layer_noise(replace(levels, layer=np.ones(4))))
     known, least, some, twice = noise
     np.testing.assert_allclose(least, known, rtol=1e-4)
     added = (twice - known) / (some - known)

@@ -318,13 +318,13 @@ def test_half_written_files_of_a_killed_run_go(tmp_path):
     assert [name for name in names + mine if (out / name).exists()] == mine
 
 
-@pytest.mark.parametrize("name", ["quoted_scores", "run_forecast"])
+@pytest.mark.parametrize("name", ["control_variate.score_survey", "agreement.forecast"])
 def test_faults_in_scoring_are_no_refusals(scene_file, monkeypatch, name):
     """An error of numpy passes on; a run that says "not scored" instead would hide it."""
 
     def fail(*arguments):
         return np.zeros(3) + np.zeros(4)
 
-    monkeypatch.setattr(f"surveysim.results.results.{name}", fail)
+    monkeypatch.setattr(f"surveysim.results.{name}", fail)
     with pytest.raises(ValueError, match="broadcast"):
         run(load_scene(scene_file), engine=SERIAL)

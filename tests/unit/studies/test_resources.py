@@ -8,11 +8,11 @@ from surveysim.output import writer as outputs
 from surveysim.reduction import observation as reduction
 from surveysim.reduction import setup
 from surveysim.reduction.setup import prepare
-from surveysim.results import agreement, results
+from surveysim.results import agreement, control_variate
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from surveysim.studies.resources import make_plan
-from surveysim.telescope.raster import samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams import low_frequency, observed_block, photon, simulation, sky_maps
 from surveysim.timestreams import shared_parts as parts
 from surveysim.timestreams.observation import draw_other_bands
@@ -56,7 +56,7 @@ DOES = {
     "sky": [(sky_maps, "draw_sky")],
     "ephemerides": [(simulation, "schedule")],
     "opacity": [(setup, "site_water")],
-    "score": [(results, "quoted_scores")],
+    "score": [(control_variate, "score_survey")],
     "transfer function": [(sky_maps, "flat_cmb_sky"), (reduction, "_add_signal_maps")],
     "forecast": [(agreement, "forecast")],
     "best pipeline": [(reduction, "figures_of_merit")],
@@ -186,7 +186,7 @@ def test_cost(tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text(SMALL_SCENE)
     few, many = (make_plan(prepare(load_scene(path, {"observations": n})), 1, 2.0) for n in (4, 400))
-    lines = prepare(load_scene(path)).observing.raster
+    lines = prepare(load_scene(path)).observing.scans
     assert few.detector_samples == 4 * 18 * lines.n_scans * samples_per_scan(lines)
     assert many.detector_samples == 100 * few.detector_samples
     assert few.timestream_bytes == 4 * few.detector_samples

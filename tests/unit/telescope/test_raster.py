@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surveysim.telescope.raster import Raster, duration_s, raster, samples_per_scan
+from surveysim.telescope.raster import Raster, raster_path
+from surveysim.telescope.scans import duration_s, samples_per_scan
 
 ARCMIN = np.pi / 180 / 60
 LYNX = Raster(
@@ -28,7 +29,7 @@ def by_scan(path, axis):
 
 
 def test_shapes_and_scan_numbers():
-    path = raster(LYNX, "ra", CENTRED)
+    path = raster_path(LYNX, "ra", CENTRED)
     assert samples_per_scan(LYNX) == 150
     for samples in (path.time_s, path.xi_rad, path.eta_rad, path.scan):
         assert samples.shape == (18 * 150,)
@@ -39,7 +40,7 @@ def test_shapes_and_scan_numbers():
 
 @DIRECTIONS
 def test_length_is_speed_times_time(along, axis):
-    ahead, _ = by_scan(raster(LYNX, along, CENTRED), axis)
+    ahead, _ = by_scan(raster_path(LYNX, along, CENTRED), axis)
     # From the middle of the first sampling interval to that of the last, so one interval short of the scan.
     expected = LYNX.speed_rad_s * (LYNX.scan_s - 1 / LYNX.sample_rate_hz)
     np.testing.assert_allclose(np.ptp(ahead, axis=1), expected, rtol=1e-13)
@@ -47,7 +48,7 @@ def test_length_is_speed_times_time(along, axis):
 
 @DIRECTIONS
 def test_velocity_alternates_and_is_the_slope_of_the_positions(along, axis):
-    path = raster(LYNX, along, np.array([0.3, -0.2]) * ARCMIN)
+    path = raster_path(LYNX, along, np.array([0.3, -0.2]) * ARCMIN)
     np.testing.assert_array_equal(path.velocity_rad_s[:, axis], LYNX.speed_rad_s * (-1.0) ** np.arange(18))
     np.testing.assert_array_equal(path.velocity_rad_s[:, 1 - axis], 0.0)
     ahead, across = by_scan(path, axis)
@@ -58,28 +59,28 @@ def test_velocity_alternates_and_is_the_slope_of_the_positions(along, axis):
 
 @DIRECTIONS
 def test_symmetric_about_the_centre(along, axis):
-    ahead, across = by_scan(raster(LYNX, along, CENTRED), axis)
+    ahead, across = by_scan(raster_path(LYNX, along, CENTRED), axis)
     np.testing.assert_allclose(ahead, -ahead[:, ::-1], atol=ROUNDING)
     np.testing.assert_allclose(across, -across[::-1], atol=ROUNDING)
 
 
 @DIRECTIONS
 def test_step_between_scans(along, axis):
-    _, across = by_scan(raster(LYNX, along, CENTRED), axis)
+    _, across = by_scan(raster_path(LYNX, along, CENTRED), axis)
     np.testing.assert_allclose(np.diff(across[:, 0]), LYNX.step_rad, rtol=1e-12)
 
 
 @DIRECTIONS
 def test_dither_moves_the_whole_pattern(along, axis):
     dither = np.array([0.7, -0.4]) * ARCMIN
-    still, moved = raster(LYNX, along, CENTRED), raster(LYNX, along, dither)
+    still, moved = raster_path(LYNX, along, CENTRED), raster_path(LYNX, along, dither)
     np.testing.assert_allclose(moved.xi_rad - still.xi_rad, dither[0], atol=ROUNDING)
     np.testing.assert_allclose(moved.eta_rad - still.eta_rad, dither[1], atol=ROUNDING)
     np.testing.assert_array_equal(moved.time_s, still.time_s)
 
 
 def test_times_leave_the_turnarounds_out():
-    path = raster(LYNX, "ra", CENTRED)
+    path = raster_path(LYNX, "ra", CENTRED)
     time = path.time_s.reshape(18, 150)
     np.testing.assert_allclose(time[:, 0], 0.05 + 25.0 * np.arange(18), rtol=1e-13)
     np.testing.assert_allclose(np.diff(time, axis=1), 0.1, rtol=1e-10)
@@ -90,7 +91,7 @@ def test_times_leave_the_turnarounds_out():
 
 
 def test_scan_of_broken_intervals_stays_symmetric():
-    path = raster(replace(LYNX, scan_s=1.05, n_scans=1), "ra", CENTRED)
+    path = raster_path(replace(LYNX, scan_s=1.05, n_scans=1), "ra", CENTRED)
     assert path.time_s.size == 10
     np.testing.assert_allclose(path.xi_rad, -path.xi_rad[::-1], atol=ROUNDING)
     assert path.time_s[0] == pytest.approx(0.075)
@@ -104,10 +105,10 @@ def test_rounding_loses_no_sample():
 def test_too_few_samples_says_what_was_found():
     short = replace(LYNX, scan_s=0.7)
     with pytest.raises(ValueError, match=r"0\.7 s at 10 Hz has 7 samples; at least 8"):
-        raster(short, "ra", CENTRED)
+        raster_path(short, "ra", CENTRED)
     assert samples_per_scan(replace(LYNX, scan_s=0.8)) == 8
 
 
 def test_unknown_direction():
     with pytest.raises(ValueError, match="'azimuth'"):
-        raster(LYNX, "azimuth", CENTRED)
+        raster_path(LYNX, "azimuth", CENTRED)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from surveysim.forecasting import forecast as forecasting
+from surveysim.forecasting.closed_forms import CLOSED_FORMS
 from surveysim.reduction.setup import prepare
 from surveysim.results.stages import stages_that_run
 from surveysim.runtime.errors import NotForecastableError
@@ -47,9 +48,7 @@ def test_a_component_is_drawn_planned_and_not_forecast_by_its_row_alone(scene, m
         data_mk += 1
 
     detector = next(item for item in COMPONENTS if item.name == "detector")
-    row = replace(
-        detector, add=add, through_response=through_response, forecast=False, sentence="a constant for a test"
-    )
+    row = replace(detector, add=add, through_response=through_response, sentence="a constant for a test")
     without = replace(row, add=lambda data_mk, of: None)
     streams = {}
     for item in (row, without):
@@ -59,6 +58,7 @@ def test_a_component_is_drawn_planned_and_not_forecast_by_its_row_alone(scene, m
     np.testing.assert_array_equal(streams[row], np.broadcast_to(np.float32(expected), streams[row].shape))
     assert not streams[without].any()
     assert stages_that_run(setup)["detector"] == "a constant for a test"
+    monkeypatch.delitem(CLOSED_FORMS, "detector")
     assert "forecast" not in stages_that_run(setup)
     with pytest.raises(NotForecastableError, match="detector: found a section without a closed form"):
         forecasting.forecast(scene)

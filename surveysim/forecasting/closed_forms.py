@@ -1,0 +1,57 @@
+"""The closed forms of the components of the time-streams: noise of a data set against the observing conditions."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from surveysim.forecasting.noise_bins import NoiseBins
+from surveysim.forecasting.observing_conditions import ObservingConditions
+from surveysim.telescope.scans import samples_per_scan
+from surveysim.timestreams.low_frequency import excess_psd
+
+Noise = Callable[[ObservingConditions], np.ndarray]  # noise variance a sample (n_draw, n_bin) [mK^2]
+ClosedForm = Callable[[NoiseBins], Noise]
+
+
+def independent_white(of: NoiseBins) -> Noise:
+    """White noise that detectors do not share."""
+    bins = of.white(None)
+    return lambda conditions: np.outer(conditions.white, bins)
+
+
+def shared_white(of: NoiseBins) -> Noise:
+    """Photon noise that detectors share."""
+    photon, _ = of.correlations
+    bins = of.white(photon)
+    return lambda conditions: np.outer(conditions.shared, bins)
+
+
+def low_frequency(of: NoiseBins) -> Noise:
+    """Excess noise.
+
+    Lines are those of streams twice as long as a scan, as in the simulation: the lowest dominate a steep spectrum.
+    """
+    _, excess = of.correlations
+    n_samp, rate = samples_per_scan(of.scans), of.scans.sample_rate_hz
+    psd = excess_psd(of.scene.excess, 1.0, n_samp, 2 * n_samp, rate)[1:]
+    step = rate / (2 * n_samp)
+    positive = step * np.arange(1, n_samp + 1)
+    bins = of.low_frequency(np.concatenate([-positive, positive]), np.tile(psd * step, 2), excess)
+    return lambda conditions: np.outer(conditions.excess, bins)
+
+
+def layer(of: NoiseBins) -> Noise:
+    """Layer of the atmosphere."""
+    bins = of.layer()
+    return lambda conditions: conditions.layer[:, None] * bins(conditions.motion, conditions.sine)
+
+
+# Terms by component; a term of several components is added once. A component without a row can't be forecast. The
+# order of additions is part of a forecast, as float sums depend on it.
+CLOSED_FORMS: dict[str, tuple[ClosedForm, ...]] = {
+    "photon": (independent_white, shared_white),
+    "detector": (independent_white,),
+    "excess": (low_frequency,),
+    "atmosphere": (layer,),
+    "sky": (),
+}

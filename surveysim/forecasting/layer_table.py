@@ -1,0 +1,57 @@
+"""Noise of the layer against its motion: tabulated at a few motions, and interpolated."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from surveysim.forecasting.mode_response import LayerWaves
+from surveysim.forecasting.observing_conditions import ObservingConditions
+
+_SPEEDS, _DIRECTIONS = 5, 4  # nodes of the layer's motion against the scan
+_SINES = 3  # nodes in elevation
+_SLOWEST = 0.02  # least relative speed of the table, in scan speeds
+
+# Maps motions (n_draw, n_motion), complex [rad/s], and sines of elevations (n_draw,) to noise (n_draw, n_bin).
+LayerNoise = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def sine_nodes(conditions: ObservingConditions) -> np.ndarray:
+    """Choose sines of elevations that bracket those of all observations."""
+    first, last = conditions.sine.min(), conditions.sine.max()
+    return np.linspace(first, last * (1 + 1e-6), _SINES if last > 1.01 * first else 2)
+
+
+def stream_frequencies(layer: LayerWaves, motion: complex) -> np.ndarray:
+    """Frequency [Hz] of each wavevector of the layer in the streams."""
+    return (layer.alpha * np.conj(motion)).real
+
+
+def interpolate_motions(
+    conditions: ObservingConditions, speed_rad_s: float, noise: Callable[[complex], list[np.ndarray]]
+) -> LayerNoise:
+    """Tabulate `noise` at a few speeds, directions and elevations, and interpolate its mean over the motions of a draw.
+
+    `noise` of a motion is (n_bin,) at each elevation of `sine_nodes`; `speed_rad_s` is the speed of the scan. Mirrored
+    directions are taken as one, because the array has many angles to them. Conditions outside the table take the
+    nearest value.
+    """
+    from scipy.interpolate import RegularGridInterpolator
+
+    slowest = _SLOWEST * speed_rad_s
+
+    def place(motion: np.ndarray, sine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        logs = np.broadcast_to(np.log(sine)[:, None], motion.shape)
+        return np.log(np.maximum(np.abs(motion), slowest)), np.abs(np.angle(motion)), logs
+
+    speed, turn, _ = place(conditions.motion, conditions.sine)
+    speeds = np.linspace(speed.min(), speed.max() + 1e-6, _SPEEDS if np.ptp(speed) > 1e-3 else 2)
+    turns = np.linspace(turn.min(), turn.max() + 1e-6, _DIRECTIONS if np.ptp(turn) > 1e-3 else 2)
+    table = np.array([[noise(np.exp(s + 1j * t)) for t in turns] for s in speeds])
+    nodes = speeds, turns, np.log(sine_nodes(conditions))
+    logs = RegularGridInterpolator(nodes, np.log(np.maximum(table, 1e-300)))
+
+    def between(motion: np.ndarray, sine: np.ndarray) -> np.ndarray:
+        places = zip(place(motion, sine), nodes, strict=True)
+        return np.exp(logs(np.stack([np.clip(item, node[0], node[-1]) for item, node in places], axis=-1))).mean(axis=1)
+
+    return between

@@ -1,0 +1,238 @@
+"""Noise of streams in the multipole bins of a data set: in maps of cleaned streams, and in noise-only sets."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from surveysim.forecasting.fitted_modes import FittedModes
+from surveysim.forecasting.layer_table import LayerNoise, interpolate_motions, sine_nodes, stream_frequencies
+from surveysim.forecasting.mode_response import (
+    LayerWaves,
+    Modes,
+    ProjectedArray,
+    layer_gain,
+    layer_stream_gain,
+    layer_waves,
+    matrix_power,
+    ring_modes,
+    stream_power,
+)
+from surveysim.forecasting.observing_conditions import NoiseCorrelations, ObservingConditions
+from surveysim.forecasting.scan_apodization import ScanApodization, frequency_nodes, hann_apodization, scan_apodization
+from surveysim.scene.analysis import Score
+from surveysim.scene.scene import Scene
+from surveysim.telescope.lattice_noise import NoiseCorrelation
+from surveysim.telescope.scans import Scans, samples_per_scan
+from surveysim.timestreams.shared_parts import screen
+
+Correlation = np.ndarray | NoiseCorrelation | None  # between detectors; None for independent ones
+
+
+@dataclass(frozen=True)
+class ScanFrequencies:
+    """Scored modes (n_mode,) with their aliased frequencies, and quadrature nodes and weights (n,) of white noise."""
+
+    scans: Scans
+    modes: Modes
+    at_hz: np.ndarray
+    apodization: ScanApodization
+    nodes_hz: np.ndarray
+    weight_hz: np.ndarray
+
+    @cached_property
+    def white(self) -> np.ndarray:
+        """Sum of the leakage of white noise of unit PSD into each mode."""
+        return self.apodization.sums(self.weight_hz[None], self.nodes_hz, self.at_hz)
+
+
+def scan_frequencies(scans: Scans, score: Score, ell: np.ndarray, fitted_modes: FittedModes) -> ScanFrequencies:
+    """Frequencies at which scans see the modes of bins around `ell` (n_bin,)."""
+    rate = scans.sample_rate_hz
+    modes = ring_modes(ell)
+    at_hz = modes.wave.real.ravel() * scans.speed_rad_s / (2 * np.pi)
+    at_hz -= rate * np.round(at_hz / rate)  # aliases of the sample rate
+    apodization = scan_apodization(
+        samples_per_scan(scans) / rate,
+        speed_rad_s=scans.speed_rad_s,
+        size_rad=score.size_rad,
+        taper_fraction=score.taper_fraction,
+        fitted_modes=fitted_modes,
+    )
+    nodes, weight = frequency_nodes(apodization, max(1.1 * np.abs(at_hz).max(), 0.5 * rate))
+    return ScanFrequencies(scans, modes, at_hz, apodization, nodes, weight)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseBins(ABC):
+    """Conversion of noise in the streams of detectors to noise variance a sample in the bins of a data set.
+
+    Attributes
+    ----------
+    conditions
+        Observing conditions that bracket all others.
+    arrays
+        The pipeline's detectors, at a few angles to the scan.
+    """
+
+    scene: Scene
+    conditions: ObservingConditions
+    frequencies: ScanFrequencies
+    arrays: list[ProjectedArray]
+    correlations: NoiseCorrelations
+
+    @property
+    def scans(self) -> Scans:
+        """Scans of an observation."""
+        return self.frequencies.scans
+
+    @property
+    def layer_waves(self) -> LayerWaves:
+        """Wavevectors of the layer."""
+        longest = np.abs(self.conditions.motion).max() * self.frequencies.apodization.duration_s
+        return layer_waves(screen(self.scene), longest, sine_nodes(self.conditions).tolist())
+
+    @abstractmethod
+    def white(self, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of white noise of unit PSD, added after the response of the detectors."""
+
+    @abstractmethod
+    def low_frequency(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of noise in lines (n,), positive and negative, that passes the response of the detectors."""
+
+    @abstractmethod
+    def layer(self) -> LayerNoise:
+        """Bins of a layer of unit amplitude, as a function of its motion."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapBins(NoiseBins):
+    """Bins of the map of cleaned streams.
+
+    Attributes
+    ----------
+    responses
+        Response (n_det, n_mode) of each array to the modes.
+    pixel : (n_bin,)
+        Window of the map's pixels.
+    """
+
+    responses: list[np.ndarray]
+    pixel: np.ndarray
+
+    def _mean(self, powers: list[np.ndarray], leakage: np.ndarray) -> np.ndarray:
+        """Average over arrays and the modes of each bin."""
+        means = [self.frequencies.modes.mean(power * leakage) for power in powers]
+        return np.mean(means, axis=0) * self.scans.sample_rate_hz / 2
+
+    def white(self, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of white noise of unit PSD, added after the response of the detectors.
+
+        Pixels attenuate modes, and alias the lost noise over all modes, at the white level of a stream. Templates of
+        few detectors leave much less than that in modes that are longer than the array.
+        """
+        leakage = self.frequencies.white
+        seen = self._mean([matrix_power(response, correlation) for response in self.responses], leakage)
+        scattered = self.frequencies.modes.mean(leakage) * self.scans.sample_rate_hz / 2 * (1 - self.pixel)
+        return seen * self.pixel + stream_power(self.arrays[0], correlation) * scattered
+
+    def low_frequency(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of noise in lines (n,), positive and negative, that passes the response of the detectors.
+
+        It is aliased across the scan, among modes of one frequency: independent noise is unchanged.
+        """
+        leakage = self.frequencies.apodization.sums(variance[None], at_hz, self.frequencies.at_hz)
+        pairs = list(zip(self.arrays, self.responses, strict=True))
+        alone = [matrix_power(response * array.responsivity[:, None], None) for array, response in pairs]
+        own = self._mean(alone, leakage)
+        shared = self._mean([matrix_power(response, correlation) for response in self.responses], leakage)
+        return own + (shared - own) * self.pixel
+
+    def layer(self) -> LayerNoise:
+        """Bins of a layer of unit amplitude, as a function of its motion."""
+        waves, spectrum = self.layer_waves, self.frequencies
+        gains = [layer_gain(*pair, waves) for pair in zip(self.arrays, self.responses, strict=True)]
+
+        def noise(motion: complex) -> list[np.ndarray]:
+            along = stream_frequencies(waves, motion)
+            sums = [spectrum.apodization.power_sums(gain, waves.power, along, spectrum.at_hz) for gain in gains]
+            return [spectrum.modes.mean(item) * self.scans.sample_rate_hz for item in np.mean(sums, axis=0)]
+
+        table = interpolate_motions(self.conditions, self.scans.speed_rad_s, noise)
+        return lambda motion, sine: table(motion, sine) * self.pixel
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseOnlyBins(NoiseBins):
+    """Bins of a data set "uncorrelated" or "white", simulated from the PSDs of the cleaned streams.
+
+    Attributes
+    ----------
+    lines_hz : (n_line,)
+        Frequencies of these PSDs.
+    hann
+        Leakage of the Hann window that they are measured with.
+    in_bins
+        Function that converts a two-sided PSD (n_line,) to bins (n_bin,).
+    """
+
+    lines_hz: np.ndarray
+    hann: ScanApodization
+    in_bins: Callable[[np.ndarray], np.ndarray]
+
+    def white(self, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of white noise of unit PSD, added after the response of the detectors."""
+        return self._streams(self.frequencies.nodes_hz, self.frequencies.weight_hz, correlation)
+
+    def low_frequency(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of noise in lines (n,), positive and negative, that passes the response of the detectors."""
+        return self._streams(at_hz, variance, correlation)
+
+    def _streams(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
+        # The power of the cleaned streams does not depend on the array's angle.
+        psd = self.hann.sums(variance[None] / 2, at_hz, self.lines_hz)
+        return stream_power(self.arrays[0], correlation) * self.in_bins(psd)
+
+    def layer(self) -> LayerNoise:
+        """Bins of a layer of unit amplitude, as a function of its motion."""
+        waves = self.layer_waves
+        gain = np.mean([layer_stream_gain(array, waves) for array in self.arrays], axis=0)
+
+        def noise(motion: complex) -> list[np.ndarray]:
+            along = stream_frequencies(waves, motion)
+            return [self.in_bins(psd) for psd in self.hann.power_sums(gain[None], waves.power, along, self.lines_hz)]
+
+        return interpolate_motions(self.conditions, self.scans.speed_rad_s, noise)
+
+
+def noise_only_bins(of: MapBins, name: str, white_above_hz: float) -> NoiseOnlyBins:
+    """Bins of the noise-only set with a name, from those of the map of the actual data."""
+    spectrum, apodization, rate = of.frequencies, of.frequencies.apodization, of.scans.sample_rate_hz
+    seconds, n_samp = apodization.duration_s, samples_per_scan(of.scans)
+    lines = np.arange(1, (n_samp - 1) // 2 + 1) / seconds
+    if name == "uncorrelated":
+        # Streams periodic over a scan: lines, without a mean.
+        both = np.concatenate([-lines, lines])
+        through = apodization.at(spectrum.at_hz[:, None] - both) ** 2 / seconds
+        to_modes = rate * (through[:, : len(lines)] + through[:, len(lines) :])
+    else:
+        high = lines > white_above_hz
+        to_modes = rate * np.outer(spectrum.white, high / high.sum())
+
+    def in_bins(psd: np.ndarray) -> np.ndarray:
+        """Bins of a two-sided PSD (n_line,) of the streams."""
+        return spectrum.modes.mean(to_modes @ psd)
+
+    hann = hann_apodization(seconds, apodization.fitted_modes)
+    return NoiseOnlyBins(
+        scene=of.scene,
+        conditions=of.conditions,
+        frequencies=spectrum,
+        arrays=of.arrays,
+        correlations=of.correlations,
+        lines_hz=lines,
+        hann=hann,
+        in_bins=in_bins,
+    )

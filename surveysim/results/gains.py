@@ -1,0 +1,19 @@
+"""Gains: ratios of the uncertainties of two data sets."""
+
+from surveysim.reduction.data_set import DataSetKind
+from surveysim.reduction.setup import Setup
+from surveysim.survey.scores import DataSetScore, Gain, gain
+
+
+def data_set_gains(setup: Setup, scores: dict[str, DataSetScore]) -> dict[str, Gain]:
+    """Return ratios of sigma(A) between data sets, with the error of each pair."""
+    masked = next((name for name, item in scores.items() if item.kind is DataSetKind.MASKED), None)
+    found = {}
+    if {"actual", "uncorrelated"} <= scores.keys():
+        found["actual / uncorrelated"] = gain(scores["actual"], scores["uncorrelated"])
+    if {"uncorrelated", "white"} <= scores.keys():
+        found["uncorrelated / white"] = gain(scores["uncorrelated"], scores["white"])
+    if masked and "uncorrelated" in scores:
+        share = scores[masked].n_det / setup.camera.n_det
+        found[f"{masked}_scaled / uncorrelated"] = gain(scores[masked], scores["uncorrelated"], share)
+    return found

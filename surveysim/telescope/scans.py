@@ -1,0 +1,78 @@
+"""Scans of one observation, whatever their pattern: their number, their timing, and the path of the boresight."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from surveysim.runtime.errors import OutOfRangeError
+from surveysim.scene.observing import MIN_SAMPLES
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scans:
+    """Scans of one observation: of equal duration, with a turnaround after each.
+
+    Attributes
+    ----------
+    speed_rad_s
+        Speed of the boresight in a scan.
+    n_scans
+    scan_s, turnaround_s
+        Durations of a scan and of the turnaround after it.
+    dither_rad
+        Range of the random offset of each observation.
+    sample_rate_hz
+    """
+
+    speed_rad_s: float
+    n_scans: int
+    scan_s: float
+    turnaround_s: float
+    dither_rad: float
+    sample_rate_hz: float
+
+
+@dataclass(frozen=True)
+class ScanPath:
+    """Boresight of one observation in the tangent plane of the field, for samples in scans.
+
+    Attributes
+    ----------
+    time_s : (n_samp,)
+        Time since the start of the observation.
+    xi_rad, eta_rad : (n_samp,)
+    scan : (n_samp,) int64
+        Number of the scan.
+    velocity_rad_s : (n_scan, 2)
+        Constant velocity (xi, eta) of each scan.
+    mid_time_s : (n_scan,)
+    """
+
+    time_s: np.ndarray
+    xi_rad: np.ndarray
+    eta_rad: np.ndarray
+    scan: np.ndarray
+    velocity_rad_s: np.ndarray
+    mid_time_s: np.ndarray
+
+
+def samples_per_scan(scans: Scans) -> int:
+    """Count the whole sampling intervals in a scan; raises OutOfRangeError for fewer than `MIN_SAMPLES`."""
+    # The small addition keeps a product such as 0.7 s * 10 Hz, a rounding below 7, from losing a sample.
+    n = int(np.floor(scans.scan_s * scans.sample_rate_hz + 1e-6))
+    if n < MIN_SAMPLES:
+        raise OutOfRangeError(
+            f"a scan of {scans.scan_s:g} s at {scans.sample_rate_hz:g} Hz has {n} samples; "
+            f"at least {MIN_SAMPLES} are needed"
+        )
+    return n
+
+
+def duration_s(scans: Scans) -> float:
+    """Compute the time from the start of the first scan to the end of the last [s]."""
+    return scans.n_scans * scans.scan_s + (scans.n_scans - 1) * scans.turnaround_s
+
+
+def mid_times(scans: Scans) -> np.ndarray:
+    """Compute the times (n_scan,) of the middle of each scan since the start of the observation [s]."""
+    return scans.scan_s / 2 + np.arange(scans.n_scans) * (scans.scan_s + scans.turnaround_s)
