@@ -1,7 +1,8 @@
 """A run: all observations through an engine, with a checkpoint."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from time import monotonic
 
@@ -11,6 +12,7 @@ from surveysim.runtime.engine import SERIAL, Engine, defer_signals, ordered_map
 from surveysim.scene.scene import Scene, scene_hash
 from surveysim.survey.checkpoint import check_streams, load_checkpoint, save_checkpoint
 from surveysim.survey.coadds import CoAdds, add_observation, empty_coadds
+from surveysim.timestreams.simulation import Angles
 
 CHECKPOINT_SECONDS = 10.0  # between checkpoints
 CHECKPOINT_SHARE = 0.05  # largest fraction of the time for checkpoints
@@ -21,17 +23,27 @@ class ObservationJob:
     """The task of a worker: simulate and reduce the observation with a number.
 
     It holds the scene, which each worker prepares: sending the megabytes of a setup to one worker would delay the start
-    of the others.
+    of the others. It holds the angles of all observations too for workers of this machine, as ephemerides take longest
+    to load.
     """
 
     scene: Scene
     timestream_dir: Path | None
+    angles: Angles | None = None
+
+    @cached_property
+    def setup(self) -> Setup:
+        """The scene made ready, once in each worker."""
+        setup = prepare(self.scene)
+        if self.angles is None:
+            return setup
+        return replace(setup, observing=replace(setup.observing, known_angles=self.angles))
 
     def __call__(self, observation: int) -> ObservationResult:
         """Simulate, clean and bin; write the streams if asked."""
         with_signal_sims = bool(signal_sim_observations(self.scene)[observation])
         path = None if self.timestream_dir is None else self.timestream_dir / f"{observation:04d}.h5"
-        return observe(prepare(self.scene), observation, with_signal_sims, path)
+        return observe(self.setup, observation, with_signal_sims, path)
 
 
 def run_observations(
@@ -77,7 +89,8 @@ def run_observations(
     left = () if stops(coadds) else range(coadds.done, setup.scene.observations)
     # Workers elsewhere may have another working directory.
     streams = None if timestream_dir is None else timestream_dir.absolute()
-    results = ordered_map(ObservationJob(setup.scene, streams), left, engine)
+    angles = setup.observing.angles if left and engine.kind == "processes" else None
+    results = ordered_map(ObservationJob(setup.scene, streams, angles), left, engine)
     try:
         for result in results:
             # Observations are added whole, so a checkpoint can be made at any time.

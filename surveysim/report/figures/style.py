@@ -14,6 +14,7 @@ from PIL import Image
 from mapmaker.files import atomic_write
 
 DPI = 150
+COMPRESSION = 6  # of 9, which takes ten times as long for files a tenth smaller
 LONGEST = 80  # letters of a user's text in a figure
 
 # The palette of Okabe and Ito, told apart by all kinds of colour vision.
@@ -81,7 +82,7 @@ def save(figure: Figure, path: Path, full_colour: bool = False) -> None:
         # Lines look the same in 256 colours and take a third of the space.
         image = image.quantize(256, dither=Image.Dither.NONE)
     with atomic_write(path) as partial:
-        image.save(partial, "PNG", dpi=(DPI, DPI), optimize=True)
+        image.save(partial, "PNG", dpi=(DPI, DPI), compress_level=COMPRESSION)
     # Parts of a figure refer to each other: megabytes of it would wait for a collection, and leave holes in memory.
     figure.clear()
     gc.collect()
