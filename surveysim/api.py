@@ -187,7 +187,7 @@ def forecast(scene: Scene | str | Path, out: str | Path | None = None, *, force:
         As for `run`.
     """
     scene = _scene(scene)
-    found = forecast_scene(scene)
+    found = forecast_scene(prepare(scene))
     if out is not None:
         with claimed(Path(out), of_forecast(scene), force) as place, replacing(place) as new:
             write_forecast(new, found)
@@ -270,7 +270,7 @@ def run_sweep(
         begin(place, removed=lambda name: force)
         result = result_of(place.path / "points")
         with replacing(place, over=lambda name: name.startswith("points/")) as new:
-            write_sweep(new, result, figures)
+            write_sweep(new, prepare(sweep.points[0].scene), result, figures)
     return result
 
 
@@ -299,7 +299,7 @@ def forecast_sweep(
     with claimed(Path(out), of_sweep(sweep, "forecast", figures), force) as place:
         result = result_of()
         with replacing(place) as new:
-            write_sweep(new, result, figures)
+            write_sweep(new, prepare(sweep.points[0].scene), result, figures)
     return result
 
 

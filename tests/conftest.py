@@ -1,18 +1,18 @@
 """The whole suite on two cores; closed forms of scenes are kept, as many tests run the same small scene."""
 
 import os
-from functools import lru_cache
 
 import pytest
 
 import surveysim.forecasting.observing_conditions as conditions
+from surveysim.runtime.once import keep_last
 
 KEPT = 24  # scenes; a run keeps one
 
 
 def keep(module, name):
     """Give a module's cached function room for more scenes, before others import it."""
-    setattr(module, name, lru_cache(maxsize=KEPT)(getattr(module, name).__wrapped__))
+    setattr(module, name, keep_last(KEPT)(getattr(module, name).__wrapped__))
 
 
 keep(conditions, "population_conditions")

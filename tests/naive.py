@@ -287,7 +287,7 @@ def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, shar
             value = w(at[k] - frequency[a]) - mean[a] * w(at[k])
             total[:, k] += (1 - sum(share)) * value**2 * row[a] * power[:, a]
             for j in range(len(share)):
-                total[:, k] += share[j] * (value - lost[a, j] * own[k, j]) ** 2 * row[a] * power[:, a]
+                total[:, k] += share[j] * (value - lost[j, a] * own[k, j]) ** 2 * row[a] * power[:, a]
     return total
 
 

@@ -1,5 +1,6 @@
 """A scene made ready: checked, and taken apart into camera, observing, air, sky and analysis."""
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -52,6 +53,11 @@ class Setup(Simulation):
     """A scene made ready to draw and to analyse: camera, observing, air, sky and analysis."""
 
     analysis: AnalysisSetup
+
+    @property
+    def key(self) -> Hashable:
+        """Scene, blocks and pipelines: all else follows from the scene."""
+        return self.scene, self.observing.blocks, self.analysis.pipeline_names
 
 
 @lru_cache(maxsize=2)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from surveysim.reduction.observation import ObservationResult, observe
+from surveysim.reduction.observation import ObservationResult, observe, transfer_functions
 from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.results import survey_result
 from surveysim.results.stages import left_out, stages_that_run
@@ -130,6 +130,8 @@ def _measure_block(setup: Setup) -> _Measured:
     block, scan = (_of_one_block(setup, n) for n in (most, 1))
     which = _windiest(setup), bool(carries.any())
     block_s, result = _timed(observe, block, *which)
+    if setup.analysis.chooses:
+        transfer_functions(scan)  # warm, as all caches are
     scan_s, timed = _timed(observe, scan, *which)
     total = sum(timed.seconds.values())
     once_s, skies_s = (scan_s * sum(timed.seconds.get(name, 0.0) for name in names) / total for names in (ONCE, SKIES))

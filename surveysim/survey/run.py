@@ -1,7 +1,8 @@
 """A run: all observations through an engine, with a checkpoint."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from time import monotonic
 
@@ -13,6 +14,7 @@ from surveysim.survey.checkpoint import check_streams, load_checkpoint, save_che
 from surveysim.survey.coadd_tree import LARGE_BYTES, CoAddTree, node_bytes
 from surveysim.survey.coadds import CoAdds, observation_sums
 from surveysim.survey.spans import Span, Spans
+from surveysim.timestreams.simulation import Angles
 
 CHECKPOINT_SECONDS = 10.0  # between checkpoints
 CHECKPOINT_SHARE = 0.05  # largest fraction of the time for checkpoints
@@ -23,27 +25,36 @@ class SpanJob:
     """The task of a worker: simulate and reduce a span of observations, and add them up.
 
     It holds the scene, which each worker prepares: sending the megabytes of a setup to one worker would delay the start
-    of the others.
+    of the others. It holds the angles of all observations too for workers of this machine, as ephemerides take longest
+    to load.
     """
 
     scene: Scene
     timestream_dir: Path | None
+    angles: Angles | None = None
+
+    @cached_property
+    def setup(self) -> Setup:
+        """The scene made ready, once in each worker."""
+        setup = prepare(self.scene)
+        if self.angles is None:
+            return setup
+        return replace(setup, observing=replace(setup.observing, known_angles=self.angles))
 
     def __call__(self, span: Span) -> CoAdds:
         """Simulate, clean, bin and add; write the streams if asked."""
-        setup = prepare(self.scene)
         if span.end == span.first + 1:
-            return self._observed(setup, span.first)
-        sums = CoAddTree(setup, first=span.first)
+            return self._observed(span.first)
+        sums = CoAddTree(self.setup, first=span.first)
         for number in range(span.first, span.end):
-            sums.add(self._observed(setup, number))
+            sums.add(self._observed(number))
             sums.advance()
         return sums.so_far()
 
-    def _observed(self, setup: Setup, observation: int) -> CoAdds:
+    def _observed(self, observation: int) -> CoAdds:
         with_signal_sims = bool(signal_sim_observations(self.scene)[observation])
         path = None if self.timestream_dir is None else self.timestream_dir / f"{observation:04d}.h5"
-        return observation_sums(setup, observe(setup, observation, with_signal_sims, path))
+        return observation_sums(self.setup, observe(self.setup, observation, with_signal_sims, path))
 
 
 def finished_sums(setup: Setup, checkpoint: Path, timestream_dir: Path | None = None) -> list[CoAdds]:
@@ -129,7 +140,8 @@ def _run_missing(
     spans = Spans(missing, single=single)
     # Workers elsewhere may have another working directory.
     streams = None if timestream_dir is None else timestream_dir.absolute()
-    results = unordered_map(SpanJob(setup.scene, streams), spans, engine)
+    angles = setup.observing.angles if missing and engine.kind == "processes" else None
+    results = unordered_map(SpanJob(setup.scene, streams, angles), spans, engine)
     try:
         for _, node in results:
             # An observation is in the sums whole or not at all: a checkpoint may be made of them any time.

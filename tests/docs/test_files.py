@@ -14,6 +14,7 @@ from surveysim.output.directory import RECORD
 from surveysim.output.writer import write_accuracy, write_extremes, write_forecast
 from surveysim.paper.reproduce import reproduce
 from surveysim.paper.scenes import TABLES, wanted
+from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.convergence import measure_accuracy
 from surveysim.studies.stress import CASES, run_case
@@ -87,7 +88,7 @@ def _sweep(folder):
 
 
 def _forecast(folder):
-    write_forecast(folder / "forecast", forecast(surveysim.load_scene(_scene(folder, "small", SMALL_SCENE))))
+    write_forecast(folder / "forecast", forecast(prepare(surveysim.load_scene(_scene(folder, "small", SMALL_SCENE)))))
     return folder / "forecast"
 
 

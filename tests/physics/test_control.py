@@ -66,7 +66,7 @@ def test_the_population_has_the_moments_of_independent_draws(tmp_path):
     assert even.mean() == pytest.approx(random.mean(), abs=4 * error)
     # As many independent draws as a list has would scatter so much; eight lists know their scatter to a quarter.
     assert even.std(ddof=1) < 0.3 * random.std() / np.sqrt(len(lists[0]))
-    assert expectations(setup.scene)["actual"].error < 0.005
+    assert expectations(setup)["actual"].error < 0.005
 
 
 def test_without_weather_nothing_is_moved(tmp_path):

@@ -127,10 +127,10 @@ def test_layer_in_a_mode_is_that_of_drawn_screens(monkeypatch, algorithm, back):
 def test_wavevectors_are_enough_for_rings(scene_of, monkeypatch):
     """Nothing but the layer, under templates that take nearly all of it: a few per cent in the faintest bins."""
     scene = scene_of(without_sections(SMALL_SCENE, "excess", "photon", "detector"), observations=20)
-    few = forecast(scene).scores
+    few = forecast(prepare(scene)).scores
     monkeypatch.setattr(response, "_RADII", 96)
     monkeypatch.setattr(response, "_AZIMUTHS", 64)
-    for name, item in forecast(scene).scores.items():
+    for name, item in forecast(prepare(scene)).scores.items():
         if name == "white":
             continue  # of nothing but the layer, the ends of its beam
         np.testing.assert_allclose(few[name].noise_psd, item.noise_psd, rtol=0.1)
@@ -403,14 +403,17 @@ def test_short_scans_are_as_forecast_whoever_knows_the_responsivities():
 def test_sigma_goes_as_one_over_the_observations(scene_of):
     """Fixed weather and camera: sigma(A) is a power, so that four times the data are worth a factor of four."""
     text = without_sections(SMALL_SCENE, "atmosphere", "excess").replace('"average"', '"none"')
-    few, many = (forecast(scene_of(text, observations=n)).scores["actual"].band.sigma_ukcmb2 for n in (48, 192))
+    few, many = (
+        forecast(prepare(scene_of(text, observations=n))).scores["actual"].band.sigma_ukcmb2 for n in (48, 192)
+    )
     assert few / many == pytest.approx(4, rel=0.03)  # dithers differ
 
 
 def test_sigma_goes_as_the_noise(scene_of):
     text = without_sections(SMALL_SCENE, "atmosphere", "excess", "photon").replace('"average"', '"none"')
     one, three = (
-        forecast(scene_of(text, detector__psd=f"{level} mK2/Hz")).scores["actual"].band.sigma_ukcmb2 for level in (2, 6)
+        forecast(prepare(scene_of(text, detector__psd=f"{level} mK2/Hz"))).scores["actual"].band.sigma_ukcmb2
+        for level in (2, 6)
     )
     assert three / one == pytest.approx(3, rel=1e-9)
 
@@ -420,7 +423,7 @@ def test_white_noise_by_hand(scene_of):
     text = without_sections(SMALL_SCENE, "atmosphere", "excess", "photon").replace('"average"', '"none"')
     keys = {key: value for key, value in WIDE.items() if not key.startswith("atmosphere")}
     scene = scene_of(text, **keys)
-    result = forecast(scene).scores["actual"]
+    result = forecast(prepare(scene)).scores["actual"]
     seconds = 48 * 19 * 12 * result.n_det
     # Scans of 48 arcmin, 19 of them 2 arcmin apart, are evenly covered but for their ends.
     area = (48 / 60 * np.pi / 180) * (38 / 60 * np.pi / 180)
@@ -449,7 +452,7 @@ def test_white_noise_by_hand(scene_of):
     ],
 )
 def test_odd_scenes_end_finite(scene_of, change):
-    for item in forecast(scene_of(**change)).scores.values():
+    for item in forecast(prepare(scene_of(**change))).scores.values():
         assert np.isfinite(item.noise_psd).all() and np.isfinite(item.transmission).all()
         assert 0 < item.band.sigma_ukcmb2 < np.inf
 
@@ -478,7 +481,7 @@ def test_odd_scenes_end_finite(scene_of, change):
 )
 def test_what_can_not_be_forecast(scene_of, text, change, message):
     with pytest.raises(SceneError, match=message.replace("[", r"\[")):
-        forecast(scene_of(text, **change))
+        forecast(prepare(scene_of(text, **change)))
 
 
 def test_detectors_on_a_line_have_no_plane(scene_of, tmp_path):
@@ -491,6 +494,6 @@ def test_detectors_on_a_line_have_no_plane(scene_of, tmp_path):
     text = text.replace("mask_separation_f_lambda = 1.3\n", "").replace(
         "[instrument]", '[instrument]\npositions = "line.ecsv"'
     )
-    assert forecast(scene_of(text)).scores["actual"].n_det == 12
+    assert forecast(prepare(scene_of(text))).scores["actual"].n_det == 12
     with pytest.raises(SceneError, match="cleaning: the 12 detector positions support 2 independent templates"):
-        forecast(scene_of(text, cleaning__algorithm="planar"))
+        forecast(prepare(scene_of(text, cleaning__algorithm="planar")))

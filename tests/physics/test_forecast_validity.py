@@ -7,6 +7,7 @@ import pytest
 
 from surveysim.api import run
 from surveysim.forecasting.forecast import forecast
+from surveysim.reduction.setup import prepare
 from surveysim.results.results import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
@@ -180,7 +181,7 @@ def test_the_error_of_the_ratio_is_its_scatter_over_seeds(tmp_path):
 @pytest.mark.parametrize("name", ["as Bolocam", "scans of 1.5 s at 40 arcmin/s", "b = 3.9, wind of 6 arcmin/s"])
 def test_the_predicted_share_of_discarded_scans_is_that_of_the_run(tmp_path, name):
     scene = CASES[name].scene(tmp_path / "scene.toml")
-    predicted, counted = forecast(scene).scores, run(scene, engine=SERIAL).expected.scores
+    predicted, counted = forecast(prepare(scene)).scores, run(scene, engine=SERIAL).expected.scores
     for data_set, item in predicted.items():
         assert 0 < item.kept.error < 0.1 and counted[data_set].kept.error == 0
         assert abs(item.kept.discarded - counted[data_set].kept.discarded) < 3 * item.kept.error, data_set

@@ -317,7 +317,7 @@ def test_survey_angles_and_observation_pointing():
     )
     path = raster_path(scans, "ra", np.zeros(2))
     plan = schedule(LYNX, CSO, "2003-11-20", nights=2, n_observations=5, **LIMITS)
-    elevation, parallactic = survey_angles(LYNX, CSO, plan, path.mid_time_s)
+    elevation, parallactic = survey_angles(LYNX, CSO, plan.start_mjd, path.mid_time_s)
     assert elevation.shape == parallactic.shape == (5, 18)
     one = horizontal(LYNX, CSO, plan.start_mjd[3:4] + path.mid_time_s[7] / 86400)
     # Interpolated nutation and aberration differ by 1e-6 arcsec between sets of times.

@@ -6,6 +6,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mapmaker.uncertainty import ErrorBudget
+from surveysim.reduction.setup import Setup
 from surveysim.scene.scene import Scene
 
 SUB_SURVEY = 60  # observations for all ladders but the number of observations
@@ -116,7 +117,7 @@ class AccuracyResult:
         Number of observations for the other ladders.
     """
 
-    scene: Scene
+    setup: Setup
     seeds: int
     reference_ukcmb2: float
     reference_error: float
@@ -129,6 +130,11 @@ class AccuracyResult:
     recommended: tuple[Recommendation, ...]
     wall_s: float
     workers: int
+
+    @property
+    def scene(self) -> Scene:
+        """The scene."""
+        return self.setup.scene
 
     @property
     def chosen(self) -> tuple[int, ...]:

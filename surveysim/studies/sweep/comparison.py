@@ -192,7 +192,7 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
     for point in sweep.points:
         start, found, reason = perf_counter(), None, ""
         try:
-            found = forecast(point.scene)
+            found = forecast(prepare(point.scene))
         except InputError as error:  # a scene without a forecast
             reason = str(error)
         sigma = {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}

@@ -140,4 +140,4 @@ def test_the_score_so_far_is_the_one_that_is_quoted(tmp_path, n_obs, known):
     item = quoted_scores(setup, coadds)["actual"]
     assert item.control is not None and np.isfinite(item.band.error_ukcmb2) == known
     error = f"{item.band.error_ukcmb2:.2g}" if known else "unknown"
-    assert score_so_far(scene, coadds) == f"sigma(A) = {item.band.sigma_ukcmb2:.3g} +- {error} uK_CMB^2"
+    assert score_so_far(prepare(scene), coadds) == f"sigma(A) = {item.band.sigma_ukcmb2:.3g} +- {error} uK_CMB^2"
