@@ -1,9 +1,11 @@
-"""The whole suite on two cores; closed forms of scenes are kept, as many tests run the same small scene."""
+"""The whole suite on two cores, one BLAS thread each; closed forms of scenes are kept, as many tests share a scene."""
 
+import gc
 import os
 from functools import lru_cache
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 import surveysim.forecasting.observing_conditions as conditions
 
@@ -31,6 +33,20 @@ def pytest_xdist_auto_num_workers(config):
     """Two processes for the whole suite, of which each imports and compiles; none for files or tests by name."""
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
     return min(2, os.cpu_count() or 1) if whole else 0
+
+
+def pytest_collection_finish(session):
+    """Keep collections of garbage off all that is imported, and BLAS to one thread: two processes share two cores."""
+    gc.collect()
+    gc.freeze()
+    threadpool_limits(1)
+
+
+@pytest.fixture
+def two_threads():
+    """BLAS with two threads in this process, for tests of results that must not depend on their number."""
+    with threadpool_limits(2):
+        yield
 
 
 def pytest_addoption(parser):

@@ -11,6 +11,7 @@ from surveysim.results.results import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from tests.scenes import SMALL_SCENE, WIDE_PATCH
+from tests.seeds import shared_expectations
 
 # 24 observations know sigma(A) to 4 %.
 WIDE = WIDE_PATCH | {"observations": 24, "score.signal_sims.observations": 8}
@@ -167,7 +168,8 @@ def test_the_error_of_the_ratio_is_its_scatter_over_seeds(tmp_path):
     """24 seeds: chi^2 per degree of freedom is 1 +- 0.29, of each data set."""
     off = {}
     for seed in range(24):
-        result = run(CASES["as Bolocam"].scene(tmp_path / "scene.toml", 1000 + seed), engine=SERIAL)
+        with shared_expectations():
+            result = run(CASES["as Bolocam"].scene(tmp_path / "scene.toml", 1000 + seed), engine=SERIAL)
         for name, item in forecast_agreement(result).items():
             off.setdefault(name, []).append((item.sigma, item.sigma_error))
     for name, pairs in off.items():

@@ -424,7 +424,7 @@ ODD = [None, [], {}, "x\u202e\x1b\ud800", -1, float("inf"), True, [[]], {"a": No
 
 
 def nodes(content, path=()):
-    """Where everything is in a JSON document."""
+    """Paths of all nodes of a JSON document."""
     yield path
     for key, value in content.items() if isinstance(content, dict) else enumerate(content):
         if isinstance(value, dict | list):
