@@ -3,29 +3,26 @@
 import gc
 import os
 from functools import lru_cache
+from importlib import import_module
 
 import pytest
 from threadpoolctl import threadpool_limits
 
-import surveysim.forecasting.observing_conditions as conditions
-
 KEPT = 24  # scenes; a run keeps one
+CLOSED_FORMS = {  # in the order of their imports, as each module imports the functions of those before
+    "surveysim.forecasting.observing_conditions": "population_conditions",
+    "surveysim.forecasting.noise_model": "survey_models",
+    "surveysim.results.control_variate": "expectations",
+}
 
 
-def keep(module, name):
-    """Give a module's cached function room for more scenes, before others import it."""
-    setattr(module, name, lru_cache(maxsize=KEPT)(getattr(module, name).__wrapped__))
-
-
-keep(conditions, "population_conditions")
-
-import surveysim.forecasting.noise_model as noise_model  # noqa: E402
-
-keep(noise_model, "survey_models")
-
-import surveysim.results.control_variate as control  # noqa: E402
-
-keep(control, "expectations")
+def pytest_sessionstart(session):
+    """Give cached functions room for more scenes, before tests import them; not where workers run the tests."""
+    if session.config.getoption("dist", "no") != "no":
+        return
+    for path, name in CLOSED_FORMS.items():
+        module = import_module(path)
+        setattr(module, name, lru_cache(maxsize=KEPT)(getattr(module, name).__wrapped__))
 
 
 @pytest.hookimpl(optionalhook=True)
