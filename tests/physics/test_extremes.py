@@ -11,15 +11,8 @@ from surveysim.studies.stress import CASES, Case, Outcome, base_scene, run_case
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")  # of numpy: none may reach a user
 
 
-LONG = "layer, b = 2/3, h = 100 m"  # half of the time of all others: rough structure, seen by a narrow beam
-
-
-def is_slow(case):
-    return case.slow or case.name == LONG
-
-
 @pytest.mark.parametrize(
-    "case", [pytest.param(case, id=case.name, marks=[pytest.mark.slow] if is_slow(case) else []) for case in CASES]
+    "case", [pytest.param(case, id=case.name, marks=[pytest.mark.slow] if case.slow else []) for case in CASES]
 )
 def test_case(case):
     outcome = run_case(case)
@@ -27,7 +20,7 @@ def test_case(case):
 
 
 def test_names_are_distinct():
-    assert len({case.name for case in CASES}) == len(CASES) and LONG in {case.name for case in CASES}
+    assert len({case.name for case in CASES}) == len(CASES)
 
 
 def test_nothing_found_is_not_a_number():
