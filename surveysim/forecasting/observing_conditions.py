@@ -7,6 +7,7 @@ random shifts (Roberts 2018); the scatter over the shifts is their error.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import chain
 
 import numpy as np

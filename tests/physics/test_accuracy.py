@@ -1,4 +1,4 @@
-"""What numerical choices cost, against closed forms."""
+"""Errors of numerical choices, against closed forms."""
 
 import numpy as np
 import pytest

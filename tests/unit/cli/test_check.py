@@ -1,4 +1,4 @@
-"""What `check` accepts a run can run, and anything else is refused at once: extreme values of all keys."""
+"""Extreme values of all keys: a scene that `check` accepts can be run, and any other is refused at once."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -238,27 +238,26 @@ def test_a_killed_run_is_replaced(call, tmp_path):
     assert names(out / "timestreams") == ["movie.part", "notes.txt"]
 
 
-@pytest.mark.parametrize("pairs", [1, pytest.param(6, marks=pytest.mark.slow)])
-def test_two_runs_at_the_same_moment(tmp_path, pairs):
-    """Exactly one works and is refused nothing; its results are of one seed, and the user's files as before."""
-    path = tmp_path / "small.toml"
+def test_two_runs_at_the_same_moment(tmp_path):
+    """Exactly one works and is refused nothing; its results are of one seed, and the user's files as before.
+
+    Slow stress tests start more pairs.
+    """
+    path, out, alone = tmp_path / "small.toml", tmp_path / "out", tmp_path / "alone"
     path.write_text(WHITE_NOISE_SCENE)
-    for number in range(pairs):
-        out = tmp_path / f"out{number}"
-        put(out, {"notes.txt": "mine", "figures/own.png": "mine", "figures/movie.part": "mine"})
-        how = ("--out", out, *QUICK, "--save-timestreams")
-        jobs = {seed: start("run", path, "--set", f"seed={seed}", *how) for seed in (1, 2)}
-        ends = {seed: (job.communicate(timeout=60)[1], job.returncode) for seed, job in jobs.items()}
-        done = [seed for seed, (error, code) in ends.items() if code == 0]
-        assert len(done) == 1, ends
-        error, code = ends[3 - done[0]]
-        assert code == 2 and len(error.splitlines()) == 1 and ("in use by" in error or "with other settings" in error)
-        alone = tmp_path / f"alone{number}"
-        run(load_scene(path, {"seed": done[0]}), alone, engine=SERIAL, save_timestreams=True, figures=False)
-        maps = [sha256((place / "maps" / "actual.fits").read_bytes()).digest() for place in (out, alone)]
-        assert maps[0] == maps[1] and names(out / "timestreams") == names(alone / "timestreams")
-        assert (out / "figures/own.png").read_text() == (out / "notes.txt").read_text() == "mine"
-        assert names(out / "figures") == ["movie.part", "own.png"]
+    put(out, {"notes.txt": "mine", "figures/own.png": "mine", "figures/movie.part": "mine"})
+    how = ("--out", out, *QUICK, "--save-timestreams")
+    jobs = {seed: start("run", path, "--set", f"seed={seed}", *how) for seed in (1, 2)}
+    ends = {seed: (job.communicate(timeout=60)[1], job.returncode) for seed, job in jobs.items()}
+    done = [seed for seed, (error, code) in ends.items() if code == 0]
+    assert len(done) == 1, ends
+    error, code = ends[3 - done[0]]
+    assert code == 2 and len(error.splitlines()) == 1 and ("in use by" in error or "with other settings" in error)
+    run(load_scene(path, {"seed": done[0]}), alone, engine=SERIAL, save_timestreams=True, figures=False)
+    maps = [sha256((place / "maps" / "actual.fits").read_bytes()).digest() for place in (out, alone)]
+    assert maps[0] == maps[1] and names(out / "timestreams") == names(alone / "timestreams")
+    assert (out / "figures/own.png").read_text() == (out / "notes.txt").read_text() == "mine"
+    assert names(out / "figures") == ["movie.part", "own.png"]
 
 
 def test_python_is_refused_alike(scene):

@@ -120,7 +120,7 @@ def test_which_reason_came_first(scene):
     assert stop_reason(setup, both, 40, good) == "all" == stop_reason(setup, UNLIMITED, 40, None)
 
 
-def test_a_reached_target_ends_a_run_alike_whatever_the_workers(scene, part, tmp_path):
+def test_a_reached_target_ends_a_run_alike_whatever_the_workers(scene, part, tmp_path, two_threads):
     """Streams that workers wrote ahead of it are dropped."""
     options = {"engine": Engine(workers=2), "figures": False, "save_timestreams": True}
     crew = run(load_scene(scene), tmp_path / "out", target_error=TARGET, **options)

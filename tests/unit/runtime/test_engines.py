@@ -59,8 +59,8 @@ def sleep_long(item):
 
 
 @ALL
-def test_order_errors_and_threads(engine):
-    """What every engine keeps to."""
+def test_order_errors_and_threads(engine, two_threads):
+    """All engines keep the order, pass errors on and give BLAS one thread."""
     results = ordered_map(observed, range(30), engine)
     found = [next(results) for _ in range(20)]
     assert [item[:2] for item in found] == [(i, i**2) for i in range(20)]

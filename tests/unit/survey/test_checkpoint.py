@@ -251,7 +251,7 @@ def test_sizes_are_compared_before_anything_is_read(path, refused):
 
 
 def test_streams_of_another_run_are_refused(tmp_path, scene, setup):
-    """What a resumed run lists among its files is its own."""
+    """A resumed run lists only its own files."""
     path, streams = tmp_path / "checkpoint.h5", tmp_path / "timestreams"
     run_observations(setup, path, timestream_dir=streams, stops=lambda so_far: so_far.done == 2)
     for number in (2, 3):  # of no observation that is kept
