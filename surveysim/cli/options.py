@@ -11,9 +11,9 @@ from surveysim.runtime.errors import InputError, SceneError
 from surveysim.scene.shipped import find_scene, scene_names
 
 if TYPE_CHECKING:
+    from surveysim.reduction.setup import Setup
     from surveysim.results.stopping import StoppingCriteria
     from surveysim.runtime.engine import Engine
-    from surveysim.scene.scene import Scene
     from surveysim.studies.sweep.axes import Sweep
 
 DEEPEST = 9  # dots in a key
@@ -128,17 +128,16 @@ def run_limits(target_error: str | None, time_budget: str | None) -> "StoppingCr
         raise SceneError(str(error)) from None
 
 
-def ready_scene(path: Path, given: list[str] | None) -> "Scene":
+def ready_setup(path: Path, given: list[str] | None) -> "Setup":
     """Load, check and prepare a scene; raises SceneError with lines that name the file."""
     from surveysim.reduction.setup import prepare
     from surveysim.scene.scene import load_scene
 
     scene = load_scene(path, settings(given))
     try:
-        prepare(scene)
+        return prepare(scene)
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
-    return scene
 
 
 def sweep_of(path: Path, given: list[str] | None, reference: str | None = None) -> "Sweep | None":

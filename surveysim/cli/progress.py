@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from surveysim.reduction.setup import prepare, signal_sim_observations
+from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.stopping import estimate_so_far
 from surveysim.runtime.numbers import plain, quoted
 from surveysim.runtime.printable import complain
-from surveysim.scene.scene import Scene
-from surveysim.survey.coadds import CoAdds
+from surveysim.survey.coadd_tree import CoAddTree
 
 if TYPE_CHECKING:
     from surveysim.report.terminal.layout import Terminal
@@ -185,12 +184,12 @@ def time_text(seconds: float) -> str:
     return f"{seconds:.0f} s left"
 
 
-def score_so_far(scene: Scene, coadds: CoAdds) -> str:
+def score_so_far(setup: Setup, sums: CoAddTree) -> str:
     """Format the quoted score of the actual data so far as ``sigma(A) = 270.1 +- 8.3 uK_CMB^2``; empty without one."""
-    with_sims = signal_sim_observations(scene)[: coadds.done].sum()
-    if scene.score is None or coadds.done < 2 or with_sims < 2:
+    with_sims = signal_sim_observations(setup.scene)[: sums.done].sum()
+    if setup.scene.score is None or sums.done < 2 or with_sims < 2:
         return ""
-    found = estimate_so_far(prepare(scene), coadds)
+    found = estimate_so_far(setup, sums.so_far())
     if found is None:
         return ""
     return f"sigma(A) = {plain(quoted(found.sigma_ukcmb2, found.error_ukcmb2))} uK_CMB^2"

@@ -20,7 +20,7 @@ from surveysim.cli.options import (
     Verbose,
     Workers,
     fail,
-    ready_scene,
+    ready_setup,
     sweep_of,
 )
 from surveysim.output.names import default_directory
@@ -73,7 +73,8 @@ def run(
         )
         return
     limits = options.run_limits(target_error, time_budget)
-    checked = ready_scene(scene, settings)
+    setup = ready_setup(scene, settings)
+    checked = setup.scene
     if limits.target_error is not None and checked.score is None:
         fail(f"{scene}: --target-error: found no [score]; the error is one of sigma(A), which needs it")
     from surveysim.api import run as run_scene
@@ -90,7 +91,7 @@ def run(
         report_resumable_exit(scene, directory),
         progress_display(checked.name, work, quiet, workers=with_engine.workers_for(len(work))) as show,
     ):
-        progress = stopping(lambda coadds: show(coadds.done, lambda: score_so_far(checked, coadds), coadds.each_s))
+        progress = stopping(lambda sums: show(sums.done, lambda: score_so_far(setup, sums), sums.each_s))
         result = run_scene(
             checked,
             directory,
@@ -170,16 +171,16 @@ def forecast(
         directory = out or default_directory(f"{sweep.name}_forecast", options.settings(settings, reference))
         _forecast_sweep(sweep, directory, figures=not no_figures, force=force, verbose=verbose, quiet=quiet)
         return
-    checked = ready_scene(scene, settings)
+    setup = ready_setup(scene, settings)
     from surveysim.api import forecast as forecast_scene
     from surveysim.report.terminal.forecast import print_forecast
 
     try:
-        found = forecast_scene(checked, out, force=force)
+        found = forecast_scene(setup.scene, out, force=force)
     except NotForecastableError as error:
         fail(f"{scene}: {error}")
     if not quiet:
-        print_forecast(checked, found, verbose)
+        print_forecast(setup, found, verbose)
 
 
 def _forecast_sweep(sweep: "Sweep", directory: Path, *, figures: bool, force: bool, verbose: bool, quiet: bool) -> None:
@@ -205,5 +206,5 @@ def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) 
     if sweep := sweep_of(scene, settings):
         print_sweep_plan(sweep, plan_sweep(sweep, workers, start_s=process_time()), workers)
         return
-    checked = ready_scene(scene, settings)
+    checked = ready_setup(scene, settings).scene
     print_plan(checked, plan_scene(checked, workers, start_s=process_time()), workers)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from surveysim.cli.options import Force, Overrides, SceneFile, fail, ready_scene, scene_completions, sweep_of
+from surveysim.cli.options import Force, Overrides, SceneFile, fail, ready_setup, scene_completions, sweep_of
 from surveysim.runtime.printable import say
 from surveysim.scene.shipped import HERE, MAX_NAME, NAME, find_scene, no_such_scene
 from surveysim.scene.units import shown
@@ -22,13 +22,12 @@ def check(scene: SceneFile, settings: Overrides = None) -> None:
     Each error is one line: file, key, the value found and the values allowed.
     """
     from surveysim.reduction.resource_limits import said_of_size
-    from surveysim.reduction.setup import prepare
 
     if sweep := sweep_of(scene, settings):
         say(f"{scene}: {sweep.name!r} is a sweep of {len(sweep.points)} points that can be run")
         large = said_of_size(sum(point.detector_samples for point in sweep.points))
     else:
-        setup = prepare(ready_scene(scene, settings))
+        setup = ready_setup(scene, settings)
         say(f"{scene}: {setup.scene.name!r} is a scene that can be run")
         samples = (
             setup.scene.observations * setup.camera.n_det * setup.observing.samples(setup.observing.blocks[-1]).stop

@@ -8,7 +8,7 @@ import typer
 
 from surveysim.cli import options
 from surveysim.cli.interrupts import EXIT_FAILED, report_resumable_exit, stopping
-from surveysim.cli.options import Force, Kind, NoFigures, Overrides, Quiet, Scheduler, Workers, fail, ready_scene
+from surveysim.cli.options import Force, Kind, NoFigures, Overrides, Quiet, Scheduler, Workers, fail, ready_setup
 from surveysim.output.names import default_directory
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.printable import complain
@@ -52,7 +52,7 @@ def accuracy(
         if not _run_extremes(out or Path("outputs/extremes"), force, quiet):
             raise typer.Exit(EXIT_FAILED)
         return
-    checked = ready_scene(scene, settings)
+    checked = ready_setup(scene, settings).scene
     if checked.score is None:
         fail(f"{scene}: score: missing; accuracy is that of a score")
     from surveysim.cli.progress import equal_work, progress_display

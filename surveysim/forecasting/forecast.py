@@ -27,9 +27,8 @@ from surveysim.forecasting.observing_conditions import (
 )
 from surveysim.forecasting.pilot import KeptScans, predict_kept_scans
 from surveysim.forecasting.validity import EffectInputs, NeglectedEffect, neglected_effects
-from surveysim.reduction.setup import Setup, prepare
+from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import NotForecastableError
-from surveysim.scene.scene import Scene
 from surveysim.survey.discarded_scans import REMEDY
 from surveysim.timestreams.component import present_components
 
@@ -103,12 +102,12 @@ class Forecast:
         return self._table().html()
 
 
-def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecast:
+def forecast(setup: Setup, kept: dict[str, np.ndarray] | None = None) -> Forecast:
     """Forecast the data sets of a scene.
 
     Parameters
     ----------
-    scene
+    setup
     kept : dict of (n_obs,), optional
         For the data set of each pipeline, the fraction of scans that a run kept of each of the survey's first
         observations. By default the fractions are predicted by `surveysim.forecasting.pilot`.
@@ -119,13 +118,11 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
 
     Raises
     ------
-    SceneError
-        For a scene that can't be run.
     NotForecastableError
         For a scene without [score], with a first cleaning that is not in `PROJECTIONS`, or without noise or scans to
         score.
     """
-    setup = prepare(scene)
+    scene = setup.scene
     if scene.score is None:
         raise NotForecastableError("score: missing; a forecast predicts the score of a map")
     if not is_projection(setup.analysis.pipelines[0]):
@@ -135,7 +132,7 @@ def forecast(scene: Scene, kept: dict[str, np.ndarray] | None = None) -> Forecas
         )
     if reason := why_no_forecast(setup):
         raise NotForecastableError(reason)
-    models = survey_models(scene)
+    models = survey_models(setup)
     if kept is None:
         conditions = observing_conditions(setup, survey_draws(setup, 0, scene.observations))
         weight = expected_weights(setup, _nonzero_noise(setup, models[0], conditions))

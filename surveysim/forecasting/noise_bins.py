@@ -174,7 +174,7 @@ class NoiseOnlyBins(NoiseBins):
     lines_hz : (n_line,)
         Frequencies of these PSDs.
     hann
-        Leakage of the Hann window that they are measured with.
+        Leakage of the Hann apodization that they are measured with.
     in_bins
         Function that converts a two-sided PSD (n_line,) to bins (n_bin,).
     """

@@ -19,7 +19,6 @@ the sky. The spectrum of the layer is equation 2 of Sayers et al. (2010).
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -35,9 +34,9 @@ from surveysim.forecasting.observing_conditions import (
 )
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.scored_region import left_signal
-from surveysim.reduction.setup import Setup, prepare
+from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InsufficientDataError, NotForecastableError
-from surveysim.scene.scene import Scene
+from surveysim.runtime.once import keep_last
 
 PATTERNS = ("raster",)  # scan patterns with a closed form: straight scans along RA and Dec in turn
 _ANGLES = 3  # between array and scan that represent all observations
@@ -77,10 +76,10 @@ class NoiseModel:
         return np.zeros((len(conditions.sine), len(self.signal_psd)))
 
 
-@lru_cache(maxsize=1)
-def survey_models(scene: Scene) -> tuple[NoiseModel, ...]:
-    """Noise models of a scene's data sets, valid for all weather of the scene; raises as `noise_models`."""
-    return tuple(noise_models(prepare(scene), population_conditions(scene)[0]))
+@keep_last(1)
+def survey_models(setup: Setup) -> tuple[NoiseModel, ...]:
+    """Noise models of the data sets, valid for all weather of the scene; raises as `noise_models`."""
+    return tuple(noise_models(setup, population_conditions(setup)[0]))
 
 
 def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[NoiseModel]:

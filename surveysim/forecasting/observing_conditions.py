@@ -19,11 +19,11 @@ from surveysim.atmosphere.weather import Water, Weather, draw_weather
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes, template_modes
 from surveysim.forecasting.mode_response import ProjectedArray, layer_waves
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
-from surveysim.reduction.setup import Setup, prepare
+from surveysim.reduction.setup import Setup
+from surveysim.runtime.once import keep_last
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.noise_and_sky import Excess, Photon
-from surveysim.scene.scene import Scene
 from surveysim.telescope.lattice_noise import NoiseCorrelation
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.pixel_coherence import MOST_DENSE, correlation_matrix
@@ -143,10 +143,9 @@ class _QuasiRandomDraws:
         return next(self._left)
 
 
-@lru_cache(maxsize=1)
-def population_conditions(scene: Scene) -> tuple[ObservingConditions, int]:
-    """Observing conditions of all `population_draws` of a scene, list after list, and the number of lists."""
-    setup = prepare(scene)
+@keep_last(1)
+def population_conditions(setup: Setup) -> tuple[ObservingConditions, int]:
+    """Observing conditions of all `population_draws`, list after list, and the number of lists."""
     lists = population_draws(setup)
     return observing_conditions(setup, chain.from_iterable(lists)), len(lists)
 

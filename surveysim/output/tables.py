@@ -71,8 +71,8 @@ def _spectra(result: SurveyResult, name: str) -> Iterator[Column]:
 
 def timestream_table(result: SurveyResult) -> Table:
     """Return quantiles over observations of the time-streams' PSDs, before and after each cleaning."""
-    coadds, raster = result.coadds, result.setup.observing.scans
-    frequency = np.arange(len(coadds.raw_psd[0])) * raster.sample_rate_hz / samples_per_scan(raster)
+    coadds, scans = result.coadds, result.setup.observing.scans
+    frequency = np.arange(len(coadds.raw_psd[0])) * scans.sample_rate_hz / samples_per_scan(scans)
     compared = np.array(coadds.compared_psd)
     pipelines = enumerate(result.setup.analysis.whole_pipelines[1:])
     psds_of: dict[str, Sequence[np.ndarray] | np.ndarray]

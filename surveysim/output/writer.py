@@ -11,7 +11,7 @@ from warnings import catch_warnings, simplefilter
 from mapmaker.binning import BinnedMap, write_fits, write_healpix
 from mapmaker.files import atomic_write, write_ecsv
 from surveysim.output.tables import forecast_spectra, run_tables
-from surveysim.reduction.setup import prepare
+from surveysim.reduction.setup import Setup
 from surveysim.report.html.page import REPORT, write_report
 from surveysim.results.results import SurveyResult
 from surveysim.results.stages import left_out
@@ -57,14 +57,14 @@ def _of_run(result: SurveyResult) -> Drawings:
     return drawings(result)
 
 
-def write_sweep(directory: Path, result: SweepResult, figures: bool) -> None:
-    """Write tables, figure, summary and report of a sweep below `directory`, with the scene of its first point."""
+def write_sweep(directory: Path, first: Setup, result: SweepResult, figures: bool) -> None:
+    """Write tables, figure, summary and report of a sweep below `directory`, with the scene of its `first` point."""
     of_pairs = pairs(result)
-    content = sweep_summary(result, of_pairs)
+    content = sweep_summary(result, of_pairs) | {"left_out": left_out(first)}
     written = [_write_table(directory / "sweep.ecsv", sweep_table(content))]
     if of_pairs:
         written.append(_write_table(directory / "sweep_pairs.ecsv", pair_table(of_pairs)))
-    written.append(write_text(directory / "scene.json", resolved(result.sweep.points[0].scene) + "\n"))
+    written.append(write_text(directory / "scene.json", resolved(first.scene) + "\n"))
     drawn = partial(_of_sweep, result) if figures and result.comparison.best else None
     write_summary(directory, content, written, drawn)
 
@@ -99,9 +99,9 @@ def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> 
             "slopes": [vars(item) for item in result.slopes],
             "recommended": [vars(item) for item in result.recommended],
         },
-        "left_out": left_out(prepare(result.scene)),
+        "left_out": left_out(result.setup),
         "warnings": [],
-        "detectors": prepare(result.scene).camera.n_det,
+        "detectors": result.setup.camera.n_det,
         "run": {"date": now(), "workers": result.workers, "wall_s": result.wall_s},
     }
     write_summary(directory, content, written, partial(_of_accuracy, result) if figures else None)

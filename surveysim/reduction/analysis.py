@@ -75,6 +75,11 @@ class AnalysisSetup:
         return tuple(item.name for item in self.data_sets)
 
     @property
+    def pipeline_names(self) -> tuple[str, ...]:
+        """Data sets of the pipelines."""
+        return tuple(pipeline.data_set for pipeline in self.pipelines)
+
+    @property
     def whole_pipelines(self) -> tuple[CleaningPipeline, ...]:
         """Pipelines for all detectors, the scene's own first."""
         return tuple(pipeline for pipeline in self.pipelines if pipeline.detectors is None)

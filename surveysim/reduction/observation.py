@@ -7,7 +7,6 @@ they are drawn in a second pass.
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +30,8 @@ from surveysim.reduction.cleaning_pipelines import (
 from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
 from surveysim.reduction.map_noise import map_noise
 from surveysim.reduction.noise_only_sets import add_simulated, mean_removed
-from surveysim.reduction.setup import Setup, prepare
-from surveysim.scene.scene import Scene
+from surveysim.reduction.setup import Setup
+from surveysim.runtime.once import keep_last
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observation import Stopwatch, draw_block, draw_other_bands
@@ -161,7 +160,7 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
     if setup.analysis.chooses:
         with watch("figure_of_merit"):
             of_pipelines = [maps[pipeline.data_set] for pipeline in setup.analysis.whole_pipelines]
-            worth = figures_of_merit(setup, transfer_functions(setup.scene), of_pipelines)
+            worth = figures_of_merit(setup, transfer_functions(setup), of_pipelines)
         best = max(0, int(best_places(worth[:, 0])))
         maps[OPTIMAL] = maps[setup.analysis.whole_pipelines[best].data_set]
     ordered = [maps[name] for name in setup.analysis.data_set_names]
@@ -369,8 +368,8 @@ def _scored_signal_maps(setup: Setup, signal_maps: np.ndarray | None, best: int)
     return maps
 
 
-@lru_cache(maxsize=2)
-def transfer_functions(scene: Scene) -> np.ndarray:
+@keep_last(2)
+def transfer_functions(setup: Setup) -> np.ndarray:
     """Measure the power transfer function of each pipeline for a flat CMB sky and for a point source.
 
     From the observations of `REFERENCE`, and in several blocks from the one in the middle of the map.
@@ -380,13 +379,13 @@ def transfer_functions(scene: Scene) -> np.ndarray:
     (n_pipeline, 2, n_bin) array
         0 for a pipeline that discards all their scans.
     """
-    setup = prepare(scene)
     middle = setup.observing.blocks[len(setup.observing.blocks) // 2]
     skies = setup.analysis.signal_skies_mk[[0, -1]]
     everywhere = np.ones_like(setup.analysis.region.taper)
     powers = np.zeros((len(setup.analysis.whole_pipelines), len(TARGETS), 2, len(setup.analysis.region.rings.ell)))
     for observation in REFERENCE:
-        maps = _scored_signal_maps(setup, _signals_in_block(setup, observation % scene.observations, middle, skies), 0)
+        signals = _signals_in_block(setup, observation % setup.scene.observations, middle, skies)
+        maps = _scored_signal_maps(setup, signals, 0)
         for r, pipeline in enumerate(setup.analysis.whole_pipelines):
             place = setup.analysis.transfer_function_names.index(pipeline.data_set)
             for s, state in np.ndindex(powers.shape[1:3]):

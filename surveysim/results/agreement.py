@@ -48,7 +48,7 @@ class Agreement:
 def run_forecast(setup: Setup, coadds: CoAdds) -> Forecast | None:
     """Return the forecast of a run's own observations and kept scans; None for a scene without one."""
     try:
-        return forecast(setup.scene, kept_shares(setup, coadds)) if can_forecast(setup) else None
+        return forecast(setup, kept_shares(setup, coadds)) if can_forecast(setup) else None
     except NotForecastableError:  # the run goes on without a forecast
         return None
 

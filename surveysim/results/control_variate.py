@@ -6,7 +6,6 @@ depend on the weather that they happened to draw.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -16,9 +15,9 @@ from surveysim.forecasting.forecast import Forecast, can_forecast, expected_weig
 from surveysim.forecasting.noise_model import NoiseModel, survey_models
 from surveysim.forecasting.observing_conditions import observing_conditions, population_conditions, survey_draws
 from surveysim.reduction.cleaning_pipelines import ACTUAL
-from surveysim.reduction.setup import Setup, prepare
+from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InputError, NotForecastableError
-from surveysim.scene.scene import Scene
+from surveysim.runtime.once import keep_last
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import Control, DataSetScore, controlled_score, score_survey
 
@@ -69,24 +68,23 @@ def controls(setup: Setup, coadds: CoAdds) -> dict[str, Control]:
 def known_expectations(setup: Setup) -> dict[str, Expectation]:
     """Return the `expectations` of a scene, empty without any."""
     try:
-        return expectations(setup.scene) if can_forecast(setup) else {}
+        return expectations(setup) if can_forecast(setup) else {}
     except InputError:
         return {}
 
 
-@lru_cache(maxsize=1)
-def expectations(scene: Scene) -> dict[str, Expectation]:
-    """Forecast each data set of a scene in expectation over weather.
+@keep_last(1)
+def expectations(setup: Setup) -> dict[str, Expectation]:
+    """Forecast each data set in expectation over weather.
 
     Raises
     ------
     NotForecastableError
         Without noise in the scored multipoles.
     """
-    setup = prepare(scene)
-    conditions, n_lists = population_conditions(scene)
+    conditions, n_lists = population_conditions(setup)
     found = {}
-    for model in survey_models(scene):
+    for model in survey_models(setup):
         noise = model.noise(conditions)
         if not noise[:, setup.analysis.region.selected].all():
             raise NotForecastableError("score: found no noise in its multipoles; some is expected")

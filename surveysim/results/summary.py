@@ -26,8 +26,8 @@ def summary(result: SurveyResult) -> dict[str, Any]:
     """Return the content of summary.json; its keys are stable (docs/reference/files.md)."""
     setup, coadds = result.setup, result.coadds
     columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
-    raster = setup.observing.scans
-    samples = coadds.done * setup.camera.n_det * raster.n_scans * samples_per_scan(raster)
+    scans = setup.observing.scans
+    samples = coadds.done * setup.camera.n_det * scans.n_scans * samples_per_scan(scans)
     content: dict[str, Any] = {
         "scene": setup.scene.name,
         "title": setup.scene.title,

@@ -315,7 +315,7 @@ def observation_pointing(
     parallactic_rad: np.ndarray,
     camera_angle_rad: float,
 ) -> Pointing:
-    """Combine a raster with angles at mid-scan, `elevation_rad` and `parallactic_rad` (n_scan,), to one observation's
+    """Combine a path with angles at mid-scan, `elevation_rad` and `parallactic_rad` (n_scan,), to one observation's
     pointing.
 
     The camera is fixed to an alt-azimuth mount and rotated by `camera_angle_rad` from the vertical, in the sense of

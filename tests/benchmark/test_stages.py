@@ -15,7 +15,7 @@ from surveysim.reduction import observation as reduction
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline, measured_delays
 from surveysim.reduction.map_noise import map_noise
 from surveysim.runtime.rng import RandomPurpose, generator, normal_deviates
-from surveysim.survey.coadds import add_observation, empty_coadds
+from surveysim.survey.coadds import add_observations, empty_coadds, observation_sums
 from surveysim.timestreams.atmosphere import add_atmosphere
 from surveysim.timestreams.low_frequency import add_low_frequency_noise
 from surveysim.timestreams.noise import add_white
@@ -140,7 +140,9 @@ def test_coadds(per_sample, lynx):
     coadds = empty_coadds(lynx.setup)
     per_sample(
         "co-adds",
-        lambda: add_observation(lynx.setup, coadds, replace(lynx.result, observation=coadds.done)),
+        lambda: add_observations(
+            lynx.setup, coadds, [observation_sums(lynx.setup, replace(lynx.result, observation=coadds.done))]
+        ),
     )
 
 

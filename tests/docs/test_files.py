@@ -14,6 +14,7 @@ from surveysim.output.directory import RECORD
 from surveysim.output.writer import write_accuracy, write_extremes, write_forecast
 from surveysim.paper.reproduce import reproduce
 from surveysim.paper.scenes import TABLES, wanted
+from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.convergence import measure_accuracy
 from surveysim.studies.stress import CASES, run_case
@@ -87,7 +88,7 @@ def _sweep(folder):
 
 
 def _forecast(folder):
-    write_forecast(folder / "forecast", forecast(surveysim.load_scene(_scene(folder, "small", SMALL_SCENE))))
+    write_forecast(folder / "forecast", forecast(prepare(surveysim.load_scene(_scene(folder, "small", SMALL_SCENE)))))
     return folder / "forecast"
 
 
@@ -153,7 +154,7 @@ def streams(path: Path) -> dict[str, str]:
 
 
 def contents(name: str):
-    """How the names in a file are read; None for pictures and the like."""
+    """Reader of the names in a file; None for pictures and the like."""
     kinds = {"_healpix.fits": sparse_map, ".fits": images, ".h5": streams, ".ecsv": columns, "summary.json": keys}
     return next((read for ending, read in kinds.items() if name.endswith(ending)), None)
 

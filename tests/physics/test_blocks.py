@@ -72,5 +72,5 @@ def test_one_block_tells_what_pipelines_leave_of_a_source(tmp_path):
         settings = {"cleaning.compare": ["planar"], "scan.scans": 8, "numerics.max_block_memory": memory}
         scene = load_scene(path, settings | {"atmosphere.b2": "[2000, 5000, 10000] mK2 rad(-5/3)"})
         assert len(prepare(scene).observing.blocks) == blocks
-        found.append(transfer_functions(scene)[0, 1, 2:])
+        found.append(transfer_functions(prepare(scene))[0, 1, 2:])
     np.testing.assert_allclose(found[1], found[0], rtol=0.15)

@@ -49,7 +49,7 @@ def test_merit_falls_with_noise_and_with_what_is_taken_of_the_signal(setup):
 
 
 def test_higher_orders_leave_less_on_large_scales(setup):
-    transmission = transfer_functions(setup.scene)
+    transmission = transfer_functions(setup)
     ell = setup.analysis.region.rings.ell
     large, small = (ell > 1500) & (ell < 3500), ell > 9000
     for signal in (0, 1):
@@ -66,7 +66,7 @@ def test_higher_orders_leave_less_on_large_scales(setup):
 def test_without_templates_only_the_scan_s_mean_is_lost(tmp_path):
     path = write_scene(tmp_path)
     scene = load_scene(path, {"cleaning.algorithm": "none", "cleaning.compare": ["average"]})
-    none, average = transfer_functions(scene)
+    none, average = transfer_functions(prepare(scene))
     ell = prepare(scene).analysis.region.rings.ell
     high = ell > 3000  # scans of 24 arcmin, whose means take little of that
     assert (none[:, high].mean(axis=1) > 0.85).all()

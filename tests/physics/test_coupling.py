@@ -150,7 +150,7 @@ def test_what_cleaning_leaves_does_not_depend_on_the_skies_size(algorithm):
     """
     scene = load_scene(LYNX, {"observations": 20, "cleaning.algorithm": algorithm})
     setup = prepare(scene)
-    share = forecast(scene).scores["actual"].transmission
+    share = forecast(prepare(scene)).scores["actual"].transmission
     small, ell = setup.sky.geometry, setup.analysis.region.rings.ell
     large = MapGeometry(small.ra0_rad, small.dec0_rad, small.pixel_rad, 3 * small.n_x, 3 * small.n_y)
 
@@ -172,7 +172,7 @@ def test_what_cleaning_leaves_does_not_depend_on_the_skies_size(algorithm):
 
 def test_coupling_lowers_sigma_of_lynx(lynx):
     """By 1.5 % from ell = 4500, as from 221.1 to 217.8 uK^2; before by the closed form at the bins' mean multipoles."""
-    found = forecast(lynx.scene).scores
+    found = forecast(prepare(lynx.scene)).scores
     rings, selected = lynx.analysis.region.rings, lynx.analysis.region.selected
     for name, before, after in (("actual", 221.1, 217.8), ("uncorrelated", 135.0, 132.9), ("white", 87.5, 86.1)):
         closed = closed_form(rings.ell, lynx.analysis.geometry.pixel_rad) * found[name].transmission
@@ -232,9 +232,9 @@ def test_the_forecast_interpolates_its_transmission(algorithm):
     keys = {"observations": 4, "cleaning.algorithm": algorithm, "score.noise_only_sets": []}
     coarse, fine = (load_scene(LYNX, {**keys, "score.ell_bin": width}) for width in (500, 250))
     rings = prepare(fine).analysis.region.rings
-    known, cells = survey_models(fine)[0].signal_psd, rings.n_modes
+    known, cells = survey_models(prepare(fine))[0].signal_psd, rings.n_modes
     pairs = (known * cells).reshape(-1, 2).sum(axis=1) / cells.reshape(-1, 2).sum(axis=1)
-    found = survey_models(coarse)[0].signal_psd
+    found = survey_models(prepare(coarse))[0].signal_psd
     np.testing.assert_allclose(found[2:], pairs[2:], rtol=0.01)
 
 
@@ -269,7 +269,7 @@ def test_amplitude_of_a_sky_is_its_own(lynx):
     """
     band, pixel = lynx.analysis.region, lynx.analysis.geometry.pixel_rad
     n, rng = len(band.taper), np.random.default_rng(10)
-    noise = forecast(lynx.scene).scores["actual"].noise_psd
+    noise = forecast(prepare(lynx.scene)).scores["actual"].noise_psd
     sky = 1000 * flat_modes(4 * n, pixel) / pixel**2
     psds = np.concatenate(
         [map_psd(band.pad(patches(sky, 1, n, rng)), band.padded_taper, pixel, band.rings) for _ in range(200)]

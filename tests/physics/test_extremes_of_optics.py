@@ -96,7 +96,9 @@ def test_one_detector(scene_of):
 def test_one_detector_has_no_average(scene_of):
     with pytest.raises(SceneError, match="cleaning.algorithm: found 1 detectors; 'average' needs 2 or more"):
         forecast(
-            scene_of(without_sections(SMALL_SCENE, "sky"), {"instrument.layout": {"rings": 0, "pitch_f_lambda": 1}})
+            prepare(
+                scene_of(without_sections(SMALL_SCENE, "sky"), {"instrument.layout": {"rings": 0, "pitch_f_lambda": 1}})
+            )
         )
 
 
@@ -110,8 +112,8 @@ def test_all_or_nothing_coherent(scene_of, fraction, coherence):
 
 def test_nothing_coherent_is_no_coherence(scene_of):
     """Two ways to say the same, in forecasts to the last digits."""
-    none = forecast(scene_of(NO_AIR, {"photon.coherent_fraction": 0.0})).scores["actual"].noise_psd
-    other = forecast(scene_of(NO_AIR, {"photon.coherence": "none", "photon.coherent_fraction": 1.0}))
+    none = forecast(prepare(scene_of(NO_AIR, {"photon.coherent_fraction": 0.0}))).scores["actual"].noise_psd
+    other = forecast(prepare(scene_of(NO_AIR, {"photon.coherence": "none", "photon.coherent_fraction": 1.0})))
     np.testing.assert_allclose(other.scores["actual"].noise_psd, none, rtol=1e-9)
 
 
@@ -227,10 +229,11 @@ _BIG = """
     import resource
     from surveysim.api import simulate_observation
     from surveysim.forecasting.forecast import forecast
+    from surveysim.reduction.setup import prepare
     from surveysim.scene.scene import load_scene
     scene = load_scene({path!r}, {keys!r})
     print(simulate_observation(scene, 0).data_mk.shape[0])
-    print(forecast(scene).scores["actual"].band.sigma_ukcmb2)
+    print(forecast(prepare(scene)).scores["actual"].band.sigma_ukcmb2)
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2)
 """
 

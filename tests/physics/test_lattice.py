@@ -207,14 +207,14 @@ def test_forecasts_are_those_of_matrices(path, few_are_many):
     kept = dict.fromkeys(
         ("actual", "masked_7"), np.ones(scene.observations)
     )  # how many are discarded is tried on draws, which differ
-    many = forecast(scene, kept)
+    many = forecast(prepare(scene), kept)
     assert isinstance(prepare(scene).camera.excess_factor, CirculantFactor)
     with pytest.MonkeyPatch.context() as patch:
         for module in DENSE:
             patch.setattr(module, "MOST_DENSE", 1000)
         prepare.cache_clear()
         survey_models.cache_clear()
-        few = forecast(scene, kept)
+        few = forecast(prepare(scene), kept)
     for name, item in few.scores.items():
         np.testing.assert_allclose(many.scores[name].noise_psd, item.noise_psd, rtol=0.01)
         assert many.scores[name].band.sigma_ukcmb2 == pytest.approx(item.band.sigma_ukcmb2, rel=3e-3)
@@ -257,4 +257,4 @@ def test_tables_of_many_detectors_share_nothing(path, few_are_many):
         prepare(load_scene(path, table))
     alone = load_scene(path, table | {"photon.coherence": "none", "excess.coherence": "none"})
     assert prepare(alone).camera.excess_factor is None and prepare(alone).camera.photon_correlation is None
-    assert set(forecast(alone).scores) == {"actual", "uncorrelated", "white", "masked_7"}
+    assert set(forecast(prepare(alone)).scores) == {"actual", "uncorrelated", "white", "masked_7"}

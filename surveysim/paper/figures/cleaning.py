@@ -75,8 +75,8 @@ class Example:
 
     def psd(self, data_mk: np.ndarray, kept: np.ndarray) -> np.ndarray:
         """PSDs (n, n_freq) [mK^2/Hz] of time-streams at `frequencies`, averaged over kept scans."""
-        raster = self.setup.observing.scans
-        return hann_psd(data_mk, raster.n_scans, kept, raster.sample_rate_hz)[:, 1 : 1 + len(frequencies(self.setup))]
+        scans = self.setup.observing.scans
+        return hann_psd(data_mk, scans.n_scans, kept, scans.sample_rate_hz)[:, 1 : 1 + len(frequencies(self.setup))]
 
     def _options(self, name: str) -> Any:
         section = self.setup.scene.cleaning

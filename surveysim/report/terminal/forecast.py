@@ -2,31 +2,31 @@
 
 from surveysim.forecasting.forecast import Forecast
 from surveysim.forecasting.table import forecast_table
-from surveysim.reduction.setup import prepare
+from surveysim.reduction.setup import Setup
 from surveysim.report.terminal.layout import Terminal
 from surveysim.report.terminal.survey import effect_warnings, print_warnings
 from surveysim.report.terminal.tables import show_table
 from surveysim.results.control_variate import in_all_weather
 from surveysim.results.tables import effect_table
-from surveysim.scene.scene import Scene
 
 
-def print_forecast(scene: Scene, forecast: Forecast, verbose: bool = False) -> None:
-    """Print the forecast of each data set beside the reference, and warnings.
+def print_forecast(setup: Setup, forecast: Forecast, verbose: bool = False) -> None:
+    """Print the forecast of each data set with the reference, and warnings.
 
     Parameters
     ----------
-    scene : Scene
-        The scene.
+    setup : Setup
+        The scene, prepared.
     forecast : Forecast
         Its forecast.
     verbose : bool
         Also print all effects that the forecast neglects, with their sizes.
     """
-    console, reference = Terminal(), scene.score.reference
+    console, scene = Terminal(), setup.scene
+    reference = scene.score.reference
     table = forecast_table(
         forecast.scores,
-        in_all_weather(prepare(scene), forecast),
+        in_all_weather(setup, forecast),
         source=reference.source if reference else "",
         published=dict(reference.values_ukcmb2) if reference else {},
     )

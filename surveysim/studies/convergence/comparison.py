@@ -6,9 +6,9 @@ import numpy as np
 
 from mapmaker.uncertainty import ErrorBudget
 from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InputError
 from surveysim.runtime.memory import peak_bytes
-from surveysim.scene.scene import Scene
 from surveysim.studies.convergence.records import MUCH_FASTER, MUCH_WORSE, Measured, Recommendation, Setting, Slope
 from surveysim.studies.convergence.runs import Mark, Run, Tasks, clocks, first_line
 from surveysim.survey.scores import DataSetScore, error_modes
@@ -89,17 +89,17 @@ def _ladder_row(
     return Measured(setting, n_obs, band.sigma_ukcmb2, band.error_ukcmb2, bias, bias_error, *spent, mark.score.budget)
 
 
-def forecast_row(scene: Scene, setting: Setting, reference_ukcmb2: float, reference_error: float) -> Measured:
+def forecast_row(setup: Setup, setting: Setting, reference_ukcmb2: float, reference_error: float) -> Measured:
     """Make a row from the forecast instead of a run, over all weather like the reference."""
     from surveysim.forecasting.forecast import forecast
-    from surveysim.reduction.setup import prepare
     from surveysim.results.control_variate import in_all_weather
 
+    scene = setup.scene
     try:
         before = clocks()
-        forecast(scene)
+        forecast(setup)
         between = clocks()
-        sigma = in_all_weather(prepare(scene), forecast(scene))[ACTUAL]
+        sigma = in_all_weather(setup, forecast(setup))[ACTUAL]
     except InputError as error:  # a scene without a forecast
         return Measured(setting, scene.observations, note=f"refused: {first_line(error)}")
     wall, cpu = clocks() - between

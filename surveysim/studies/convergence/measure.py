@@ -67,7 +67,7 @@ def measure_accuracy(
     scene = load_scene(path, given)
     if scene.score is None:
         raise SceneError(f"{path}: score: missing; accuracy is that of a score")
-    prepare(scene)
+    setup = prepare(scene)
     settings, base = ladders(scene, observations), sub_survey(scene, observations)
     whole = Task(scene, tuple(int(item.label) for item in settings if item.kind == "survey"))
     asked = tasks(lambda own: load_scene(path, {**given, **base, **own}), settings)
@@ -82,9 +82,9 @@ def measure_accuracy(
     rows += ladder_rows(settings, asked, dict(zip(asked.tasks, first[1:], strict=True)))
     sigma, errors = sigmas(run.marks[scene.observations].score for run in pooled)
     reached = rms(errors) / float(np.sqrt(len(pooled)))
-    rows.append(forecast_row(scene, settings[-1], float(sigma.mean()), reached))
+    rows.append(forecast_row(setup, settings[-1], float(sigma.mean()), reached))
     return AccuracyResult(
-        scene=scene,
+        setup=setup,
         seeds=len(pooled),
         reference_ukcmb2=float(sigma.mean()),
         reference_error=reached,

@@ -6,6 +6,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mapmaker.uncertainty import ErrorBudget
+from surveysim.reduction.setup import Setup
 from surveysim.runtime.numbers import number, plain
 from surveysim.runtime.table import Table, column
 from surveysim.scene.scene import Scene
@@ -118,7 +119,7 @@ class AccuracyResult:
         Number of observations for the other ladders.
     """
 
-    scene: Scene
+    setup: Setup
     seeds: int
     reference_ukcmb2: float
     reference_error: float
@@ -131,6 +132,11 @@ class AccuracyResult:
     recommended: tuple[Recommendation, ...]
     wall_s: float
     workers: int
+
+    @property
+    def scene(self) -> Scene:
+        """The scene."""
+        return self.setup.scene
 
     @property
     def chosen(self) -> tuple[int, ...]:

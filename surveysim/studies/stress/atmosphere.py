@@ -97,9 +97,8 @@ def opposite(scene: Scene) -> Outcome:
     return agrees(np.abs(found).max(), 0.0, 0.0, "difference of streams [mK]")
 
 
-def one_layer(scene: Scene, b2: float = 0.0) -> np.ndarray:
+def one_layer(setup: Setup, b2: float = 0.0) -> np.ndarray:
     """Draw the layer alone for the first observation, at the scene's B2 or another."""
-    setup = prepare(scene)
     path, pointing = observation_path(setup.observing, 0)
     weather = observation_weather(setup, 0)
     data = np.zeros((setup.camera.n_det, len(path.time_s)), np.float32)
@@ -112,8 +111,8 @@ def elevation(scene: Scene) -> Outcome:
     sine, air = math.sin(scene.fixed_pointing.elevation_rad), scene.atmosphere
     overhead = scene.fixed_pointing.model_copy(update={"elevation_rad": math.pi / 2})
     higher = air.model_copy(update={"layer_height_m": air.layer_height_m / sine})
-    here = one_layer(scene)
-    there = one_layer(scene.model_copy(update={"fixed_pointing": overhead, "atmosphere": higher}))
+    here = one_layer(prepare(scene))
+    there = one_layer(prepare(scene.model_copy(update={"fixed_pointing": overhead, "atmosphere": higher})))
     expected = sine ** ((1 - air.spectral_index) / 2)
     departure = np.abs(here / expected - there).max() / np.abs(there).max()
     return agrees(departure, 0.0, 2.0**-21, f"streams over those at the zenith: {expected:.5g}; departure from it")
@@ -121,8 +120,8 @@ def elevation(scene: Scene) -> Outcome:
 
 def amplitude(scene: Scene) -> Outcome:
     """Check that streams scale as the square root of B2."""
-    b2 = scene.atmosphere.b2[0]
-    here, one = one_layer(scene), one_layer(scene, 1.0)
+    setup, b2 = prepare(scene), scene.atmosphere.b2[0]
+    here, one = one_layer(setup), one_layer(setup, 1.0)
     departure = np.abs(here / math.sqrt(b2) - one).max() / np.abs(one).max()
     return agrees(departure, 0.0, 2.0**-21, "departure from sqrt(B2) over the largest value")
 

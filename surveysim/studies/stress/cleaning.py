@@ -57,7 +57,7 @@ def stiff(scene: Scene, algorithm: str) -> Outcome:
     setup = prepare(scene)
     _, pointing = observation_path(setup.observing, 0)
     weather = observation_weather(setup, 0)
-    scale = STIFF / np.std(_mean_removed(one_layer(scene, 1.0), setup.observing.scans.n_scans))
+    scale = STIFF / np.std(_mean_removed(one_layer(setup, 1.0), setup.observing.scans.n_scans))
     strong = replace(weather, b2=scale**2)
     caches = {number: _in_float64(cache) for number, cache in setup.air.strips.caches.items()}
     fine = replace(setup, air=replace(setup.air, strips=replace(setup.air.strips, caches=caches)))

@@ -75,8 +75,8 @@ def twins(scene: Scene) -> Outcome:
 
 def gains(scene: Scene) -> Outcome:
     """Check a correlation profile measured with gains over six decades."""
-    plane = prepare(scene).camera.focal_plane
-    streams = draw_observation(prepare(scene), 0)
+    setup = prepare(scene)
+    plane, streams = setup.camera.focal_plane, draw_observation(setup, 0)
     bins, gain = pair_bins(plane), np.geomspace(1e-3, 1e3, len(plane.x_rad))[:, None]
     profiles = [
         correlation_profile(scan_covariances(data, streams.scan_bounds), bins).log_profile
@@ -94,20 +94,20 @@ def pairs(scene: Scene, places: np.ndarray) -> Outcome:
     return agrees(np.abs(bins.solve @ logs - (shape - shape.mean())).max(), 0.0, 1e-9, "departure of the profile")
 
 
-def _blocks(scene: Scene, ratio: float) -> tuple[Setup, StreamBlock]:
-    setup = prepare(scene)
+def _blocks(setup: Setup, ratio: float) -> StreamBlock:
     path, _ = observation_path(setup.observing, 0)
     n_det, n_pix = setup.camera.n_det, setup.analysis.geometry.n_x * setup.analysis.geometry.n_y
     bounds = np.arange(setup.observing.scans.n_scans)[:, None] * N_SAMP + [0, N_SAMP]
     data = planted(n_det, ratio, n_scans=setup.observing.scans.n_scans)
     # A tenth of the map is enough to be crossed often; the rest stays without a hit.
     index = np.random.default_rng(9).integers(0, n_pix // 10, data.shape)
-    return setup, StreamBlock(data, index, bounds, setup.camera.focal_plane)
+    return StreamBlock(data, index, bounds, setup.camera.focal_plane)
 
 
 def unhit(scene: Scene) -> Outcome:
     """Check a map with pixels without hits."""
-    setup, block = _blocks(scene, 0.0)
+    setup = prepare(scene)
+    block = _blocks(setup, 0.0)
     item = bin_map(
         setup.analysis.geometry,
         block.data_mk,
@@ -121,9 +121,9 @@ def unhit(scene: Scene) -> Outcome:
 
 def likelihood_map(scene: Scene) -> Outcome:
     """Check a maximum-likelihood map of data with a common mode."""
-    maps = []
+    setup, maps = prepare(scene), []
     for ratio in (1e3, STIFF):
-        setup, block = _blocks(scene, ratio)
+        block = _blocks(setup, ratio)
         found = gls_map(setup.analysis.geometry, [block], sample_rate_hz=RATE_HZ, options=GlsOptions())
         maps.append(found.map.signal_mk[found.map.hits > 0])
     return agrees(np.std(maps[1] - maps[0]) / np.std(maps[0]), 0.0, 1e-2, "change of the map over its noise")

@@ -29,7 +29,7 @@ from surveysim.studies.sweep.point_store import (
 from surveysim.survey.checkpoint import CheckpointError
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.discarded_scans import competing, discards
-from surveysim.survey.run import run_observations
+from surveysim.survey.run import finished_sums, run_observations
 from surveysim.survey.scores import FEWEST_CONTROLLED, DataSetScore, error_modes
 
 DRAWS = 20_000  # a probability of 0.5 has an error of 0.004
@@ -78,11 +78,13 @@ class PointJob:
 
     def __call__(self, point: Point) -> PointResult:
         """Run a point; raises an error that names the point, and CheckpointError for a checkpoint of another scene."""
-        start, setup, checkpoint = perf_counter(), prepare(point.scene), None
+        start, setup, checkpoint, nodes = perf_counter(), prepare(point.scene), None, []
         if self.directory is not None:
             checkpoint = point_checkpoint(self.directory, point.number)
         try:
-            coadds = run_observations(setup, checkpoint, resume=self.resume)
+            if self.resume and checkpoint is not None:
+                nodes = finished_sums(setup, checkpoint)
+            coadds = run_observations(setup, checkpoint, nodes=nodes)
         except CheckpointError:
             raise
         except InputError as error:
@@ -190,7 +192,7 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
     for point in sweep.points:
         start, found, reason = perf_counter(), None, ""
         try:
-            found = forecast(point.scene)
+            found = forecast(prepare(point.scene))
         except InputError as error:  # a scene without a forecast
             reason = str(error)
         sigma = {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}

@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from surveysim.reduction.setup import prepare
-from surveysim.results.stages import left_out
 from surveysim.runtime.provenance import made_by, now
 from surveysim.runtime.strict_json import known
 from surveysim.scene.scene import scene_hash
@@ -28,7 +26,6 @@ def sweep_summary(result: SweepResult, pairs: Sequence[Pair]) -> dict[str, Any]:
         "axes": [{"name": axis.name, "keys": list(axis.keys), "values": axis.values} for axis in sweep.axes],
         "kind": "simulated" if result.simulated else "forecast",
         "estimate": result.estimate,
-        "left_out": left_out(prepare(scene)),
         "reference": comparison.reference,
         "best": list(comparison.best),
         "points": points,

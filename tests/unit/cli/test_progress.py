@@ -18,6 +18,7 @@ from surveysim.cli.progress import (
 )
 from surveysim.reduction.setup import prepare
 from surveysim.results.control_variate import quoted_scores
+from surveysim.survey.coadd_tree import CoAddTree
 from surveysim.survey.run import run_observations
 from tests.scenes import write_scene
 
@@ -68,7 +69,7 @@ def test_little_work_after_much_does_not_tell():
 
 
 def test_start_up_is_no_estimate():
-    """What is in within the time of start-up and compilation says nothing; the second observation does."""
+    """Observations within the time of start-up and compilation give no estimate; the second observation does."""
     found = estimates(equal_work(100), 1, [START_S - 1, START_S - 0.9])
     assert found[0] is None and found[1] == pytest.approx(0.1 * 98)
 
@@ -141,7 +142,9 @@ def test_the_score_so_far_is_the_one_that_is_quoted(tmp_path, n_obs, known):
     coadds = run_observations(setup, None)
     item = quoted_scores(setup, coadds)["actual"]
     assert item.control is not None and np.isfinite(item.band.error_ukcmb2) == known
-    shown = score_so_far(scene, coadds)
+    sums = CoAddTree(setup, [coadds])
+    sums.advance()
+    shown = score_so_far(setup, sums)
     found = re.fullmatch(r"sigma\(A\) = (\d+) \+- (\w+) uK_CMB\^2", shown)  # without an exponent
     assert found, shown
     assert float(found[1]) == pytest.approx(item.band.sigma_ukcmb2, abs=0.06 * item.band.sigma_ukcmb2)

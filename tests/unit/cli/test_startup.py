@@ -1,4 +1,4 @@
-"""What a small run starts without: heavy imports, and what stands in for what they would do."""
+"""Heavy imports that small commands start without, and the constants that stand in for them."""
 
 import subprocess
 import sys
@@ -23,7 +23,6 @@ UNWANTED = (
     "dask",
     "distributed",
     "ducc0",
-    "h5py",
     "healpy",
     "matplotlib",
     "scipy.interpolate",

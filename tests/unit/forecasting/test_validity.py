@@ -48,7 +48,7 @@ def calm(scene_of):
 
 
 def effects_of(scene, name="actual"):
-    return {effect.name: effect for effect in forecast(scene).scores[name].effects}
+    return {effect.name: effect for effect in forecast(prepare(scene)).scores[name].effects}
 
 
 # ---------------------------------------------------------------- multipoles
@@ -94,9 +94,9 @@ def test_runs_compare_with_the_forecast_of_the_scans_that_they_kept(calm):
     kept = 1 - counts / setup.observing.scans.n_scans
     assert 0.05 < 1 - kept.mean() < 0.95 and expected.kept.discarded == pytest.approx(1 - kept.mean())
     levels = observing_conditions(setup, survey_draws(setup, 0, 12))
-    noise = survey_models(setup.scene)[0].noise(levels)
+    noise = survey_models(setup)[0].noise(levels)
     weight = expected_weights(setup, noise)
-    whole = forecast(setup.scene, {name: np.ones(12) for name in ("actual", "masked_7")}).scores["actual"]
+    whole = forecast(setup, {name: np.ones(12) for name in ("actual", "masked_7")}).scores["actual"]
     ratio = (weight**2 * kept) @ noise / (weight @ kept) ** 2 / (weight**2 @ noise / weight.sum() ** 2)
     np.testing.assert_allclose(expected.noise_psd / whole.noise_psd, ratio, rtol=1e-9)
     assert summary(calm)["forecast"]["actual"]["discarded"] == expected.kept.discarded
@@ -105,13 +105,13 @@ def test_runs_compare_with_the_forecast_of_the_scans_that_they_kept(calm):
 def test_a_pilot_predicts_the_share(calm):
     """Of a dozen observations it takes all: within three of its errors of what the run counted."""
     counted = calm.expected.scores["actual"].kept
-    predicted = forecast(calm.setup.scene).scores["actual"].kept
+    predicted = forecast(calm.setup).scores["actual"].kept
     assert counted.error == 0 < predicted.error < 0.2
     assert abs(predicted.discarded - counted.discarded) < 3 * predicted.error
     # The calmest lose most.
     order = np.argsort(calm.coadds.column("b2_mk2"))
     assert predicted.share[order][:4].mean() < predicted.share[order][-4:].mean()
-    assert np.array_equal(forecast(calm.setup.scene).scores["actual"].kept.share, predicted.share)
+    assert np.array_equal(forecast(calm.setup).scores["actual"].kept.share, predicted.share)
 
 
 def test_a_pilot_of_few_observations_takes_more_of_their_scans(scene_of):
@@ -124,12 +124,12 @@ def test_a_pilot_of_few_observations_takes_more_of_their_scans(scene_of):
 def test_a_forecast_without_a_kept_scan_says_how_it_knows(scene_of):
     lost = scene_of(cleaning__max_iterations=1)
     with pytest.raises(SceneError, match="rejected all scans of a pilot; .*Remedy: cleaning.responsiv"):
-        forecast(lost)
+        forecast(prepare(lost))
 
 
 def test_known_responsivities_discard_nothing(scene_of, monkeypatch):
     known = scene_of(cleaning__responsivities="known", **CALM)
-    assert forecast(known).scores["actual"].kept.discarded == 0
+    assert forecast(prepare(known)).scores["actual"].kept.discarded == 0
     # A pilot of more than a few seconds is not made: the share is said not to be known.
     monkeypatch.setattr("surveysim.forecasting.pilot._MOST_SAMPLES", 1e3)
     effect = effects_of(scene_of(**CALM))["discarded scans"]
@@ -180,7 +180,7 @@ def test_effects_are_flagged(scene_of, name, keys):
 
 def test_a_good_forecast_has_no_flag(scene_of):
     bright = {"atmosphere.b2": "[400, 900, 2000] mK2 rad(-5/3)", "score.ell_min": 6000, "observations": 24}
-    found = forecast(scene_of(**{**LARGER, **bright}))
+    found = forecast(prepare(scene_of(**{**LARGER, **bright})))
     assert not any(effect.flagged for effect in found.scores["actual"].effects)
     effects = {name: [vars(effect) for effect in item.effects] for name, item in found.scores.items()}
     assert len(effects["actual"]) > 0 and effect_warnings(effects) == []

@@ -10,6 +10,7 @@ from rich.text import Text
 from surveysim import load_scene
 from surveysim.cli.progress import equal_work, progress_display
 from surveysim.forecasting.forecast import forecast
+from surveysim.reduction.setup import prepare
 from surveysim.report.terminal.forecast import print_forecast
 from surveysim.report.terminal.layout import Terminal
 from surveysim.runtime.environment import forget_sizes
@@ -116,9 +117,9 @@ def test_off_a_terminal(monkeypatch, capsys):
 def test_forecast_on_a_narrow_terminal(monkeypatch, capsys, tmp_path, width):
     (tmp_path / "small.toml").write_text(SMALL_SCENE)
     scene = load_scene(tmp_path / "small.toml")
-    found = forecast(scene)
+    found = forecast(prepare(scene))
     monkeypatch.setenv("COLUMNS", str(width))
-    print_forecast(scene, found)
+    print_forecast(prepare(scene), found)
     out = capsys.readouterr().out
     assert "…" not in out
     assert all(

@@ -52,6 +52,7 @@ def test_files(finished):
     names = sorted(str(path.relative_to(finished[1])) for path in finished[1].rglob("*.*"))
     assert names == [
         ".surveysim.json",
+        "checkpoint.h5",
         *(f"maps/{name}.fits" for name in sorted(SETS)),
         "report.html",
         "scene.json",
@@ -120,7 +121,7 @@ def test_short_and_verbose_output(finished, capsys):
 def test_a_forecast_alone_tells_what_a_run_quotes(finished):
     """Of the scans that the run kept, over all weather: what stands beside the run's own result, within 1 %."""
     setup = finished[0].setup
-    alone = in_all_weather(setup, forecast(setup.scene, kept_shares(setup, finished[0].coadds)))
+    alone = in_all_weather(setup, forecast(setup, kept_shares(setup, finished[0].coadds)))
     quoted = {row.name: row.forecast_ukcmb2 for row in score_rows(finished[0])}
     drawn = finished[0].expected.scores
     for name in SETS:

@@ -7,6 +7,7 @@ from astropy.table import QTable
 
 from surveysim import load_scene, run
 from surveysim.forecasting.forecast import forecast
+from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.numbers import plain, quoted
 from surveysim.runtime.table import Table, column, file_column, quoted_columns
@@ -75,7 +76,7 @@ def test_a_run_without_a_score_in_a_notebook(tmp_path):
 
 
 def test_a_forecast_in_a_notebook(scene):
-    found = forecast(scene)
+    found = forecast(prepare(scene))
     assert len(repr(found)) < 600 and "actual" in found._repr_html_()
     assert found.table()["sigma_ukcmb2"][0].to_value("uK2") == found.scores["actual"].band.sigma_ukcmb2
 

@@ -1,4 +1,4 @@
-"""What a plan says: the stages that run and no others, and what they would take."""
+"""Plans: the stages that run and no others, their time and memory."""
 
 import pytest
 

@@ -225,7 +225,7 @@ def test_water_counts_in_a_forecast(scene_of):
     """All else equal, a wetter year is worth less."""
     text = SMALL_SCENE[SMALL_SCENE.index("[score]") :] + SITE
     dry, wet = (
-        forecast(scene_of(QUIET + text, {"atmosphere.pwv": water})).scores["white"].band.sigma_ukcmb2
+        forecast(prepare(scene_of(QUIET + text, {"atmosphere.pwv": water}))).scores["white"].band.sigma_ukcmb2
         for water in ("[0.5, 0.501, 0.502, 0.503, 0.504] mm", "[4, 4.01, 4.02, 4.03, 4.04] mm")
     )
     assert wet > 1.05 * dry

@@ -61,4 +61,4 @@ def test_a_component_is_drawn_planned_and_not_forecast_by_its_row_alone(scene, m
     monkeypatch.delitem(CLOSED_FORMS, "detector")
     assert "forecast" not in stages_that_run(setup)
     with pytest.raises(NotForecastableError, match="detector: found a section without a closed form"):
-        forecasting.forecast(scene)
+        forecasting.forecast(prepare(scene))
