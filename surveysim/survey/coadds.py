@@ -81,7 +81,12 @@ class CoAdds:
     @property
     def each_s(self) -> float:
         """Mean time [s] of an observation on one worker, without compilation."""
-        return sum(self.seconds.values()) / max(1, self.done)
+        return self.total_s / max(1, self.done)
+
+    @property
+    def total_s(self) -> float:
+        """Time [s] of all observations on one worker, without compilation."""
+        return sum(self.seconds.values())
 
     @property
     def n_set(self) -> int:

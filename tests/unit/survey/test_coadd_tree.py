@@ -9,9 +9,9 @@ from surveysim import load_scene
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
 from surveysim.survey import coadd_tree
-from surveysim.survey.coadd_tree import LEAF, CoAddTree, is_node
+from surveysim.survey.coadd_tree import CoAddTree, is_node
 from surveysim.survey.coadds import add_observations, add_sums, empty_coadds, observation_sums
-from surveysim.survey.spans import SPAN_S, Span, Spans
+from surveysim.survey.spans import LEAF, SPAN_S, Span, Spans
 from tests import naive
 from tests.scenes import write_scene
 
