@@ -16,11 +16,12 @@ import numpy as np
 
 from mapmaker.files import atomic_write
 from surveysim import __version__
+from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import scene_hash
 from surveysim.survey.coadds import CoAdds, empty_coadds, row_names
-from surveysim.telescope.scans import samples_per_scan
+from surveysim.telescope.scans import Scans, samples_per_scan
 
 NAME = "checkpoint.h5"
 REASON = 150  # longest reason for refusing a file, in characters
@@ -127,14 +128,14 @@ def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
     """
     if found := set(file) ^ {*_ARRAYS, *_LISTS}:
         raise ValueError(f"missing or unknown: {', '.join(sorted(found))}")
-    expected = empty_coadds(setup)
+    expected = empty_coadds(setup.analysis)
     done = file["rows"].shape[0]
     if done > setup.scene.observations:
         raise ValueError(f"{done} observations, {setup.scene.observations} are in the survey")
     n_freq, n_compared = samples_per_scan(setup.observing.scans) // 2 + 1, len(setup.analysis.whole_pipelines) - 1
     shapes = {name: getattr(expected, name).shape for name in _ARRAYS}
     of_one: dict[str, tuple[int, ...]] = {
-        "rows": (len(row_names(setup)),),
+        "rows": (len(row_names(setup.analysis)),),
         "raw_psd": (n_freq,),
         "clean_psd": (n_freq,),
     }
@@ -149,11 +150,11 @@ def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
         if kind != types.get(name, kind) or kind.kind not in "if" or (kind.kind == "i" and name in _LISTS):
             raise ValueError(f"{name} is of {kind}")
     arrays = {name: file[name][()] for name in shapes}
-    _check_values(arrays, setup)
+    _check_values(arrays, setup.analysis, setup.observing.scans)
     return arrays
 
 
-def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
+def _check_values(arrays: Mapping[str, np.ndarray], analysis: AnalysisSetup, scans: Scans) -> None:
     """Raise ValueError for sums that no observations could give."""
     for name in (*_ARRAYS, "raw_psd", "clean_psd", "compared_psd"):
         if not (np.abs(arrays[name]) < _LARGEST).all():
@@ -166,9 +167,9 @@ def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     if arrays["weight"][arrays["hits"] == 0].any() or arrays["sums"][arrays["weight"] == 0].any():
         raise ValueError("there are sums without hits or without weight")
     if len(arrays["rows"]):
-        columns = dict(zip(row_names(setup), arrays["rows"].T, strict=True))
-        _check_rows(columns, setup)
-        noise = np.column_stack([columns[f"noise_mk2_{name}"] for name in setup.analysis.data_set_names])
+        columns = dict(zip(row_names(analysis), arrays["rows"].T, strict=True))
+        _check_rows(columns, scans.n_scans)
+        noise = np.column_stack([columns[f"noise_mk2_{name}"] for name in analysis.data_set_names])
         _check_noise(noise, arrays["bin_noise"])
 
 
@@ -178,12 +179,12 @@ def _check_noise(noise: np.ndarray, bin_noise: np.ndarray) -> None:
         raise ValueError("noise and bin_noise are not of the same observations with data")
 
 
-def _check_rows(columns: Mapping[str, np.ndarray], setup: Setup) -> None:
+def _check_rows(columns: Mapping[str, np.ndarray], n_scans: int) -> None:
     """Raise ValueError for rows of other observations; NaN is an unknown value."""
     if not np.array_equal(columns["observation"], np.arange(len(columns["observation"]))):
         raise ValueError("rows are not those of the first observations in order")
     for name, column in columns.items():
-        if name.startswith("discarded_") and not ((column >= 0) & (column <= setup.observing.scans.n_scans)).all():
+        if name.startswith("discarded_") and not ((column >= 0) & (column <= n_scans)).all():
             raise ValueError(f"{name} has other values than numbers of scans")
         if name.startswith(("noise_mk2_", "b2_mk2", "pwv_mm", "wind_speed")) and (column < 0).any():
             raise ValueError(f"{name} has negative values")

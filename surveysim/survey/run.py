@@ -68,7 +68,7 @@ def run_observations(
         If the engine fails.
     """
     identity = scene_hash(setup.scene)
-    coadds = empty_coadds(setup)
+    coadds = empty_coadds(setup.analysis)
     if resume and checkpoint is not None and checkpoint.exists():
         coadds = load_checkpoint(checkpoint, setup)
         if timestream_dir is not None:
@@ -82,7 +82,7 @@ def run_observations(
         for result in results:
             # Observations are added whole, so a checkpoint can be made at any time.
             with defer_signals():
-                add_observation(setup, coadds, result)
+                add_observation(setup.analysis, coadds, result)
             progress(coadds)
             keeper.save_if_due(coadds)
             if stops(coadds):

@@ -49,7 +49,7 @@ def refused_or_run(path, overrides) -> str:
         return ""
     result = observe(setup, _windiest(setup), bool(signal_sim_observations(scene).any()))
     assert np.isfinite(result.sums).all()
-    add_observation(setup, empty_coadds(setup), replace(result, observation=0))
+    add_observation(setup.analysis, empty_coadds(setup.analysis), replace(result, observation=0))
     return ""
 
 

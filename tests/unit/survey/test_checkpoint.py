@@ -61,7 +61,7 @@ def test_round_trip(path, coadds, setup):
 
 
 def test_round_trip_of_nothing(tmp_path, setup):
-    empty = empty_coadds(setup)
+    empty = empty_coadds(setup.analysis)
     save_checkpoint(tmp_path / "new" / "checkpoint.h5", empty, scene_hash(setup.scene))
     assert same(load_checkpoint(tmp_path / "new" / "checkpoint.h5", setup), empty)
 

@@ -23,24 +23,24 @@ def setup(tmp_path_factory):
 @pytest.mark.parametrize("cut", [np.s_[:-1], np.s_[None], np.s_[..., :-1]])
 def test_results_of_another_shape(setup, name, cut):
     """Of a worker with another scene, say: nothing is added."""
-    coadds = empty_coadds(setup)
+    coadds = empty_coadds(setup.analysis)
     arrays = {
         "sums": np.ones(coadds.sums.shape),
         "hits": np.ones(coadds.hits.shape, int),
         "noise_mk2": np.ones(coadds.n_set),
     }
     with pytest.raises(ValueError, match=rf"{name}: found the shape .* is expected"):
-        add_observation(setup, coadds, SimpleNamespace(observation=0, **(arrays | {name: arrays[name][cut]})))
+        add_observation(setup.analysis, coadds, SimpleNamespace(observation=0, **(arrays | {name: arrays[name][cut]})))
     assert not coadds.sums.any() and not coadds.hits.any() and not coadds.rows
 
 
 @pytest.mark.parametrize("cut", [np.s_[:-1], np.s_[:, :-1], np.s_[..., :-1], np.s_[:0]])
 def test_sums_of_another_shape(setup, cut):
-    coadds = empty_coadds(setup)
+    coadds = empty_coadds(setup.analysis)
     coadds.flipped = coadds.flipped[cut]
     arrays = {"sums": coadds.sums, "hits": coadds.hits, "noise_mk2": np.ones(coadds.n_set)}
     with pytest.raises(ValueError, match="flipped: found the shape .* is expected"):
-        add_observation(setup, coadds, SimpleNamespace(observation=0, **arrays))
+        add_observation(setup.analysis, coadds, SimpleNamespace(observation=0, **arrays))
 
 
 def test_skies_on_streams_of_another_shape(setup):
