@@ -1,6 +1,6 @@
 """The Python interface: a function for each command that computes results, and equal results."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import perf_counter
 
@@ -32,8 +32,9 @@ from surveysim.studies.sweep.comparison import (
 from surveysim.studies.sweep.plan import SweepPlan, make_sweep_plan
 from surveysim.studies.sweep.result import SweepResult
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
+from surveysim.survey.coadd_tree import CoAddTree
 from surveysim.survey.coadds import CoAdds
-from surveysim.survey.run import run_observations
+from surveysim.survey.run import finished_sums, run_observations
 from surveysim.timestreams.observation import draw_observation
 
 PROCESSES = Engine()
@@ -77,23 +78,24 @@ def run(
     resume: bool = False,
     save_timestreams: bool = False,
     figures: bool = True,
-    progress: Callable[[CoAdds], None] = lambda coadds: None,
+    progress: Callable[[CoAddTree], None] = lambda sums: None,
     target_error: float | None = None,
     time_budget_s: float | None = None,
     force: bool = False,
 ) -> SurveyResult:
     """Simulate, clean, map and score a scene.
 
-    A run that stops early is scored as the whole survey, judged by its first observations. Its checkpoint is kept: a
-    later run with `resume` and other limits, or none, ends with the same bits as a run that never stopped.
+    A run that stops early is scored as the whole survey, judged by its first observations. A later run with `resume`
+    and other limits, or none, ends with the same bits as a run that never stopped. So does one of the same scene with
+    more observations, which reuses those that are finished.
 
     Parameters
     ----------
     scene
         A scene, the path of its file, or its name.
     out
-        Directory for the results, which replace those of an earlier run of the same scene. Finished observations are
-        kept in its checkpoint.h5 until the results are written.
+        Directory for the results, which replace those of an earlier run of the same scene. Its checkpoint.h5 keeps the
+        sums over finished observations.
     engine
         Where observations run, by default one process per core; results do not depend on it. Only a dask worker that
         replaces a lost one imports the calling script, which then needs ``if __name__ == "__main__":``.
@@ -104,7 +106,8 @@ def run(
     figures
         Draw the figures of the report.
     progress
-        Called with the co-adds after each observation.
+        Called with the sums so far after each observation, or after several: their attribute `done` counts the
+        observations, their method `so_far()` adds them up.
     target_error
         Stop at this relative error of sigma(A) of the data set "actual", with the forecast as control variate where
         there is one.
@@ -133,10 +136,10 @@ def run(
     if save_timestreams and out is None:
         raise InputError("save_timestreams: found no output directory; one is expected")
 
-    def result_of(checkpoint: Path | None, streams: Path | None) -> SurveyResult:
+    def result_of(checkpoint: Path | None, streams: Path | None, nodes: Sequence[CoAdds] = ()) -> SurveyResult:
         stops = stopping_rule(setup, limits, start)
         coadds = run_observations(
-            setup, checkpoint, engine, resume=resume, timestream_dir=streams, progress=progress, stops=stops
+            setup, checkpoint, engine, nodes=nodes, keep=True, timestream_dir=streams, progress=progress, stops=stops
         )
         return survey_result(
             setup, coadds, wall_s=perf_counter() - start, workers=workers, limits=limits, engine=engine.kind
@@ -145,14 +148,16 @@ def run(
     if out is None:
         return result_of(None, None)
     with claimed(Path(out), of_run(setup, figures, save_timestreams), force, resume) as place:
+        checkpoint, streams = place.path / CHECKPOINT, place.path / "timestreams" if save_timestreams else None
+        nodes = finished_sums(setup, checkpoint, streams) if resume else []  # or an error, before anything is changed
         begin(place, removed=lambda name: force)
-        result = result_of(place.path / CHECKPOINT, place.path / "timestreams" if save_timestreams else None)
+        result = result_of(checkpoint, streams, nodes)
         whole = result.coadds.done == setup.scene.observations
-        with replacing(place, over=lambda name: whole and name == CHECKPOINT) as new:
+        with replacing(place, whole=whole) as new:
             numbers = range(result.coadds.done) if save_timestreams else ()
-            streams = [f"timestreams/{number:04d}.h5" for number in numbers]
+            names = [f"timestreams/{number:04d}.h5" for number in numbers]
             # None of before a resumption that asked for them.
-            write_outputs(new, result, figures, [name for name in streams if (place.path / name).is_file()])
+            write_outputs(new, result, figures, [name for name in names if (place.path / name).is_file()])
     return result
 
 

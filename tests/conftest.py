@@ -1,29 +1,29 @@
-"""The whole suite on two cores; closed forms of scenes are kept, as many tests run the same small scene."""
+"""The whole suite on two cores, one BLAS thread each; closed forms of scenes are kept, as many tests share a scene."""
 
+import gc
 import os
+from importlib import import_module
 
 import pytest
-
-import surveysim.forecasting.observing_conditions as conditions
-from surveysim.runtime.once import keep_last
+from threadpoolctl import threadpool_limits
 
 KEPT = 24  # scenes; a run keeps one
+CLOSED_FORMS = {  # in the order of their imports, as each module imports the functions of those before
+    "surveysim.forecasting.observing_conditions": "population_conditions",
+    "surveysim.forecasting.noise_model": "survey_models",
+    "surveysim.results.control_variate": "expectations",
+}
 
 
-def keep(module, name):
-    """Give a module's cached function room for more scenes, before others import it."""
-    setattr(module, name, keep_last(KEPT)(getattr(module, name).__wrapped__))
+def pytest_sessionstart(session):
+    """Give cached functions room for more scenes, before tests import them; not where workers run the tests."""
+    if session.config.getoption("dist", "no") != "no":
+        return
+    from surveysim.runtime.once import keep_last
 
-
-keep(conditions, "population_conditions")
-
-import surveysim.forecasting.noise_model as noise_model  # noqa: E402
-
-keep(noise_model, "survey_models")
-
-import surveysim.results.control_variate as control  # noqa: E402
-
-keep(control, "expectations")
+    for path, name in CLOSED_FORMS.items():
+        module = import_module(path)
+        setattr(module, name, keep_last(KEPT)(getattr(module, name).__wrapped__))
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -31,6 +31,20 @@ def pytest_xdist_auto_num_workers(config):
     """Two processes for the whole suite, of which each imports and compiles; none for files or tests by name."""
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
     return min(2, os.cpu_count() or 1) if whole else 0
+
+
+def pytest_collection_finish(session):
+    """Keep collections of garbage off all that is imported, and BLAS to one thread: two processes share two cores."""
+    gc.collect()
+    gc.freeze()
+    threadpool_limits(1)
+
+
+@pytest.fixture
+def two_threads():
+    """BLAS with two threads in this process, for tests of results that must not depend on their number."""
+    with threadpool_limits(2):
+        yield
 
 
 def pytest_addoption(parser):

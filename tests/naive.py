@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from surveysim.runtime.rng import RandomPurpose, generator
+
 
 def average_cleaning(scan_mk, tolerance, max_iterations):
     """Average subtraction of one scan in the paper's own two equations; returns (cleaned, c)."""
@@ -213,8 +215,32 @@ def add_sky(data, sky, column, row, cos, sin, x_rad, y_rad, gain):
 
 def add_signed(total, values, signs):
     """Signed copies, one by one."""
-    for k in range(len(signs)):
-        total[k] = total[k] + signs[k] * values
+    for b in range(len(values)):
+        for k in range(len(signs)):
+            total[k] = total[k] + signs[k, b] * values[b]
+
+
+def jackknife_signs(scene, observation):
+    """Signs of one observation, from the generator itself."""
+    rng = generator(scene.seed, RandomPurpose.JACKKNIFE, observation)
+    return 2.0 * rng.integers(0, 2, scene.score.jackknives) - 1
+
+
+def tree_sum(arrays, leaf=16):
+    """Sum of arrays: leaves of some in order, pairs of whole leaves, pairs of these, and so on; then left to right."""
+    nodes = []
+    for first in range(0, len(arrays), leaf):
+        total = 0.0 * arrays[0]
+        for array in arrays[first : first + leaf]:
+            total = total + array
+        nodes.append((min(leaf, len(arrays) - first), total))
+        while len(nodes) > 1 and nodes[-1][0] == nodes[-2][0] and nodes[-1][0] % leaf == 0:
+            (size, left), (_, right) = nodes[-2:]
+            nodes[-2:] = [(2 * size, left + right)]
+    total = nodes[0][1]
+    for _, node in nodes[1:]:
+        total = total + node
+    return total
 
 
 def cosine_modes(n):
@@ -261,7 +287,7 @@ def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, shar
             value = w(at[k] - frequency[a]) - mean[a] * w(at[k])
             total[:, k] += (1 - sum(share)) * value**2 * row[a] * power[:, a]
             for j in range(len(share)):
-                total[:, k] += share[j] * (value - lost[a, j] * own[k, j]) ** 2 * row[a] * power[:, a]
+                total[:, k] += share[j] * (value - lost[j, a] * own[k, j]) ** 2 * row[a] * power[:, a]
     return total
 
 

@@ -15,7 +15,7 @@ LONGEST_LINE, MOST_LINES = 400, 31
 
 
 def scene_refusal(path: Path, overrides: dict[str, Any] | None = None) -> str:
-    """What a scene is refused with, at once, less its path; lines are short, and there are few."""
+    """The immediate refusal of a scene, less its path, in few and short lines."""
     start = perf_counter()
     with pytest.raises(SceneError) as caught:
         load_scene(path, overrides)

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from math import ceil, log2, pi
 
 import numpy as np
-import scipy.fft
 from threadpoolctl import threadpool_limits
 
 from surveysim.atmosphere.thin_screen import LAG_MAX, Screen, structure_function, structure_slope
@@ -212,12 +211,14 @@ def lane_spectra(screen: Screen, n_x: int, n_lane: int, step_rad: float) -> tupl
     density : (n_x // 2 + 1, n_lane)
         DFT along x of C for lanes 0, 1, ... apart.
     """
+    from scipy.fft import dct
+
     half = 0.5 * n_x * step_rad
     ramp_variance = max(0.0, float(structure_slope(screen, half)) / (2.0 * half))
     x = step_rad * np.arange(n_x // 2 + 1)
     distance = np.hypot(x[:, None], step_rad * np.arange(n_lane))
     covariance = -0.5 * (structure_function(screen, distance) - ramp_variance * x[:, None] ** 2)
-    return ramp_variance, scipy.fft.dct(_smooth_seam(covariance), type=1, axis=0)
+    return ramp_variance, dct(_smooth_seam(covariance), type=1, axis=0)
 
 
 def _smooth_seam(covariance: np.ndarray) -> np.ndarray:

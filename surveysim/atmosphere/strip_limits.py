@@ -1,7 +1,7 @@
 """Check, before any draw, that strips of the layer can be built."""
 
 from functools import lru_cache
-from math import ceil
+from math import ceil, log2
 
 from surveysim.atmosphere.screen_simulation import StripCache
 from surveysim.atmosphere.strip_factors import (
@@ -15,9 +15,12 @@ from surveysim.atmosphere.strip_factors import (
     used_modes,
 )
 from surveysim.atmosphere.thin_screen import Screen
+from surveysim.runtime.errors import OutOfRangeError
 
 # Operations for eigenvectors that take at most a second, and the smallest number of lanes that shows smoothness.
 _MOST_WORK, _FEWEST_LANES = 1e8, 4
+# Strips of a period of so many beams and so many points have negligible negative eigenvalues, up to this index.
+_LONG_BEAMS, _LONG_POINTS, _LONG_INDEX = 64, 128, 3.9
 
 
 def check_strip(strips: StripCache, length_rad: float) -> int:
@@ -48,9 +51,24 @@ def check_strip(strips: StripCache, length_rad: float) -> int:
     check_points(n_x, n_lane, step, strips.screen)
     used = _used(strips.screen, n_x, n_lane, step)
     check_elements(used, n_x, n_lane, step)
-    for size in sorted({n_x, min(n_x, N_X_MAX)}):
+    sizes = [] if _is_surely_built(strips, n_x) else sorted({n_x, min(n_x, N_X_MAX)})
+    for size in sizes:
         _try(strips.screen, n_x=size, n_lane=n_lane, step_rad=step, used=used, precision=strips.precision)
     return used * n_lane**2
+
+
+def _is_surely_built(strips: StripCache, n_x: int) -> bool:
+    """Return whether strips of `n_x` points can be built, as so many doublings make them long."""
+    n_lane, step, beam = strips.n_lane, strips.step_rad, strips.screen.beam_rad
+    n_long = max(n_x, _LONG_POINTS, 2 ** ceil(log2(_LONG_BEAMS * beam / step)))
+    if n_long > N_X_MAX or strips.screen.index > _LONG_INDEX:
+        return False
+    try:
+        check_points(n_long, n_lane, step, strips.screen)
+        check_elements(n_long // 2 + 1, n_long, n_lane, step)
+    except OutOfRangeError:
+        return False
+    return True
 
 
 @lru_cache(maxsize=32)  # points of a sweep have similar layers

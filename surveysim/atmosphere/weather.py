@@ -3,13 +3,14 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, Protocol
 
 import numpy as np
 
 from surveysim.atmosphere.opacity import BandOpacity
 from surveysim.runtime.errors import OutOfRangeError, SceneError
+from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.fields import B2_MAX
 
@@ -46,7 +47,7 @@ class Weather:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # an equal site gives the same record, by which draws are looked up
 class Water:
     """Response of a band to the water vapour of a site.
 
@@ -82,6 +83,7 @@ class Draws(Protocol):
         ...
 
 
+@lru_cache(maxsize=8)
 def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) -> Water:
     """Response of a band to the water vapour of a scene's site.
 
@@ -114,6 +116,12 @@ def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) ->
         )
     rank = (np.arange(log_b2.size) + 0.5) / log_b2.size
     return Water(opacity, response, log_b2, ndtri(rank))
+
+
+@lru_cache(maxsize=10_000)  # checks, forecasts and points of a sweep have weather in common
+def survey_weather(atmosphere: Atmosphere, water: Water | None, seed: int, observation: int) -> Weather:
+    """Draw the weather of one observation of a survey; raises as `draw_weather`."""
+    return draw_weather(atmosphere, water, generator(seed, RandomPurpose.WEATHER, observation))
 
 
 def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: Draws) -> Weather:
@@ -199,6 +207,15 @@ def pwv_quantile(atmosphere: Atmosphere, probability: float | np.ndarray) -> np.
     return np.exp(np.interp(probability, atmosphere.pwv_probabilities, np.log(atmosphere.pwv_mm)))
 
 
+@lru_cache(maxsize=32)
+def _normal_levels(probabilities: tuple[float, ...]) -> np.ndarray:
+    from scipy.special import ndtri
+
+    levels = ndtri(probabilities)
+    levels.setflags(write=False)
+    return levels
+
+
 def log_quantile(
     probabilities: tuple[float, ...], values: tuple[float, ...], normal_level: float | np.ndarray
 ) -> np.ndarray:
@@ -207,12 +224,11 @@ def log_quantile(
     The logarithm is linear in the normal level between the quantiles. Beyond them it has the slope between the
     outermost two, a log-normal tail.
     """
-    from scipy.special import ndtri
-
+    levels = _normal_levels(probabilities)
     if len(values) == 1 or min(values) == 0:
-        between: Any = np.interp(normal_level, ndtri(probabilities), values)
+        between: Any = np.interp(normal_level, levels, values)
         return between
-    levels, logs = ndtri(probabilities), np.log(values)
+    logs = np.log(values)
     slope = (logs[-1] - logs[0]) / (levels[-1] - levels[0])
     beyond = np.minimum(normal_level - levels[0], 0) + np.maximum(normal_level - levels[-1], 0)
     # Draws beyond `B2_MAX` are refused later, and must be finite here.

@@ -12,7 +12,7 @@ import numpy as np
 from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.stopping import estimate_so_far
 from surveysim.runtime.printable import complain
-from surveysim.survey.coadds import CoAdds
+from surveysim.survey.coadd_tree import CoAddTree
 
 if TYPE_CHECKING:
     from surveysim.report.terminal.layout import Terminal
@@ -183,12 +183,12 @@ def time_text(seconds: float) -> str:
     return f"{seconds:.0f} s left"
 
 
-def score_so_far(setup: Setup, coadds: CoAdds) -> str:
+def score_so_far(setup: Setup, sums: CoAddTree) -> str:
     """Format the quoted score of the actual data so far as ``sigma(A) = 270 +- 8 uK_CMB^2``; empty without a score."""
-    with_sims = signal_sim_observations(setup.scene)[: coadds.done].sum()
-    if setup.scene.score is None or coadds.done < 2 or with_sims < 2:
+    with_sims = signal_sim_observations(setup.scene)[: sums.done].sum()
+    if setup.scene.score is None or sums.done < 2 or with_sims < 2:
         return ""
-    found = estimate_so_far(setup, coadds)
+    found = estimate_so_far(setup, sums.so_far())
     if found is None:
         return ""
     error = "unknown" if np.isnan(found.error_ukcmb2) else f"{found.error_ukcmb2:.2g}"

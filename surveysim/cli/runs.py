@@ -91,7 +91,7 @@ def run(
         report_resumable_exit(scene, directory),
         progress_display(checked.name, work, quiet, workers=with_engine.workers_for(len(work))) as show,
     ):
-        progress = stopping(lambda coadds: show(coadds.done, lambda: score_so_far(setup, coadds), coadds.each_s))
+        progress = stopping(lambda sums: show(sums.done, lambda: score_so_far(setup, sums), sums.each_s))
         result = run_scene(
             checked,
             directory,
@@ -167,14 +167,14 @@ def forecast(
     quiet: Quiet = False,
 ) -> None:
     """Predict the scores of a scene or a sweep within seconds."""
-    from surveysim.api import forecast as forecast_scene
-    from surveysim.report.terminal.forecast import print_forecast
-
     if sweep := sweep_of(scene, settings, reference):
         directory = out or default_directory(f"{sweep.name}_forecast", options.settings(settings, reference))
         _forecast_sweep(sweep, directory, figures=not no_figures, force=force, verbose=verbose, quiet=quiet)
         return
     setup = ready_setup(scene, settings)
+    from surveysim.api import forecast as forecast_scene
+    from surveysim.report.terminal.forecast import print_forecast
+
     try:
         found = forecast_scene(setup.scene, out, force=force)
     except NotForecastableError as error:

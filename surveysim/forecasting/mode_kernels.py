@@ -6,6 +6,26 @@ from mapmaker.kernels.compiled import njit
 
 
 @njit(cache=True, nogil=True)
+def look_up(table, last, x, centre, per_step, out):
+    """Interpolate an even table, 0 beyond its end, at ``|x - centre| per_step``, without branches for vectorisation."""
+    for i in range(x.size):
+        place = abs(x[i] - centre) * per_step
+        within = min(place, last - 1e-9)
+        below = int(within)
+        value = table[below] + (within - below) * (table[below + 1] - table[below])
+        out[i] = value if place < last else 0.0
+
+
+@njit(cache=True, nogil=True, fastmath={"reassoc"})
+def dot(x, y):
+    """Sum products in any order, so that it is vectorised; numba's ``np.dot`` would import scipy.linalg."""
+    total = 0.0
+    for i in range(x.size):
+        total += x[i] * y[i]
+    return total
+
+
+@njit(cache=True, nogil=True)
 def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, share, own, lost):
     """Sum the leakage E[(w(f_k - f_a) - m_a w(f_k) - l_aj o_kj)^2] strength_ka power_pa over a.
 
@@ -27,7 +47,7 @@ def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, shar
     share : (n,)
     own : (n_k, n)
         Components o of the map modes along the fitted modes.
-    lost : (n_a, n)
+    lost : (n, n_a)
         Components l of the waves along the fitted modes.
 
     Returns
@@ -36,24 +56,21 @@ def apodized_sums(strength, power, frequency, at, transfer, per_step, mean, shar
     """
     n_a, last = frequency.size, transfer.size - 1
     total = np.zeros((power.shape[0], at.size))
+    middle, value, passed = np.zeros(1), np.zeros(n_a), np.zeros(n_a)
     for k in range(at.size):
-        middle = 0.0
-        x = abs(at[k]) * per_step
-        if x < last:
-            i = int(x)
-            middle = transfer[i] + (x - i) * (transfer[i + 1] - transfer[i])
+        look_up(transfer, last, at[k : k + 1], 0.0, per_step, middle)
+        look_up(transfer, last, frequency, at[k], per_step, value)
         row = k if strength.shape[0] > 1 else 0
         for a in range(n_a):
-            value = -mean[a] * middle
-            x = abs(at[k] - frequency[a]) * per_step
-            if x < last:
-                i = int(x)
-                value += transfer[i] + (x - i) * (transfer[i + 1] - transfer[i])
-            square = value * value
-            for j in range(share.size):
-                product = lost[a, j] * own[k, j]
-                square += share[j] * product * (product - 2 * value)
-            let_through = square * strength[row, a]
-            for p in range(power.shape[0]):
-                total[p, k] += let_through * power[p, a]
+            value[a] -= mean[a] * middle[0]
+            passed[a] = value[a] * value[a]
+        for j in range(share.size):
+            weight, lose = share[j], own[k, j]
+            for a in range(n_a):
+                product = lost[j, a] * lose
+                passed[a] += weight * product * (product - 2 * value[a])
+        for a in range(n_a):
+            passed[a] *= strength[row, a]
+        for p in range(power.shape[0]):
+            total[p, k] = dot(power[p], passed)
     return total

@@ -154,11 +154,12 @@ class MapBins(NoiseBins):
         """Bins of a layer of unit amplitude, as a function of its motion."""
         waves, spectrum = self.layer_waves, self.frequencies
         gains = [layer_gain(*pair, waves) for pair in zip(self.arrays, self.responses, strict=True)]
+        gain = np.mean(gains, axis=0)
 
         def noise(motion: complex) -> list[np.ndarray]:
             along = stream_frequencies(waves, motion)
-            sums = [spectrum.apodization.power_sums(gain, waves.power, along, spectrum.at_hz) for gain in gains]
-            return [spectrum.modes.mean(item) * self.scans.sample_rate_hz for item in np.mean(sums, axis=0)]
+            sums = spectrum.apodization.power_sums(gain, waves.power, along, spectrum.at_hz)
+            return [spectrum.modes.mean(item) * self.scans.sample_rate_hz for item in sums]
 
         table = interpolate_motions(self.conditions, self.scans.speed_rad_s, noise)
         return lambda motion, sine: table(motion, sine) * self.pixel

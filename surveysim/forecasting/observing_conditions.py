@@ -7,6 +7,7 @@ random shifts (Roberts 2018); the scatter over the shifts is their error.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import chain
 
 import numpy as np
@@ -21,6 +22,7 @@ from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.once import keep_last
 from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.noise_and_sky import Excess, Photon
 from surveysim.scene.scene import Scene
 from surveysim.telescope.lattice_noise import NoiseCorrelation
@@ -30,7 +32,7 @@ from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.low_frequency import excess_variance
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.shared_parts import screen, shared_noise
-from surveysim.timestreams.simulation import CameraSetup, ObservingSetup, observation_path
+from surveysim.timestreams.simulation import CameraSetup, ObservingSetup, drawn_offsets, observation_path
 
 _NUMBERS = 5  # random numbers of a draw: four of the weather, one for the observation
 _SHIFTS = 8  # random shifts of the lattice of draws; their scatter is the error of the mean
@@ -99,16 +101,20 @@ def population_draws(scene: Scene, water: Water | None) -> list[list[Draw]]:
         Each list is a rank-one lattice in all random numbers of the weather with its own random shift. The mean over a
         list is unbiased, with an error far below that of as many independent draws.
     """
-    air, n_obs = scene.atmosphere, scene.observations
-    rng = generator(scene.seed, RandomPurpose.WEATHER, realization=1)  # the survey is realization 0
+    return [list(draws) for draws in _population(scene.atmosphere, water, scene.seed, scene.observations)]
+
+
+@lru_cache(maxsize=2)  # points of a sweep have weather in common
+def _population(air: Atmosphere | None, water: Water | None, seed: int, n_obs: int) -> tuple[tuple[Draw, ...], ...]:
+    rng = generator(seed, RandomPurpose.WEATHER, realization=1)  # the survey is realization 0
     lists = []
     for shift in rng.random((_SHIFTS, _NUMBERS)):
         points = (shift + np.outer(np.arange(_DRAWS_A_SHIFT), _lattice_steps())) % 1
         numbers = np.minimum((points[:, -1] * n_obs).astype(int), n_obs - 1)
         draws = map(_QuasiRandomDraws, points[:, :-1])
         weather = [draw_weather(air, water, draw) if air else None for draw in draws]
-        lists.append(list(zip(numbers.tolist(), weather, strict=True)))
-    return lists
+        lists.append(tuple(zip(numbers.tolist(), weather, strict=True)))
+    return tuple(lists)
 
 
 def _lattice_steps() -> np.ndarray:
@@ -155,16 +161,15 @@ def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingCondit
 
 
 def _view(observing: ObservingSetup, number: int) -> _ObservationGeometry:
-    _, pointing = observation_path(observing, number)
-    middle = len(pointing.elevation_rad) // 2
+    angles = observing.angles
+    elevation, parallactic = angles.elevation_rad[number], angles.parallactic_rad[number]
     air, slant = observing.scene.atmosphere, 0.0
     if air is not None:
-        slant = np.mean(np.sin(pointing.elevation_rad) ** (1 - air.spectral_index))
-    elevation = float(observing.angles.elevation_rad[number].mean())
+        slant = np.mean(np.sin(elevation) ** (1 - air.spectral_index))
+    _, camera_angle = drawn_offsets(observing, number)
+    middle = parallactic[len(parallactic) // 2]
     turn = number % 2 * np.pi / 2  # scans along Dec
-    return _ObservationGeometry(
-        slant, elevation, pointing.parallactic_rad[middle], pointing.array_angle_rad[middle], turn
-    )
+    return _ObservationGeometry(slant, float(elevation.mean()), middle, middle + camera_angle, turn)
 
 
 def _condition_row(

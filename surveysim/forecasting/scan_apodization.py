@@ -74,7 +74,7 @@ class ScanApodization:
                 f"found gain {gain.shape} and power {power.shape}; ({n_k}, {n_a}) and (n, {n_a}) are expected"
             )
         mean = np.sinc(frequency_hz * self.duration_s)
-        lost = self.fitted_modes.wave_components(frequency_hz, self.duration_s)
+        lost = np.ascontiguousarray(self.fitted_modes.wave_components(frequency_hz, self.duration_s).T)
         arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (gain, power, frequency_hz, at_hz))
         losses = self.fitted_modes.share, self.mode_components(at_hz), lost
         return apodized_sums(*arrays, self.transfer, self.per_step, mean, *losses)
@@ -111,17 +111,17 @@ def apodization_of(
     fitted_modes
         Modes in time that the scan loses.
     """
-    time = (np.arange(len(taper)) - (len(taper) - 1) / 2) * step_s
-    length = len(taper) * step_s
-    per_step = _STEPS_PER_CYCLE * length
-    frequency = np.arange(_CYCLES * _STEPS_PER_CYCLE + 1) / per_step
-    phase, scale = 2 * np.pi * np.outer(frequency, time), np.sqrt(step_s / np.sum(taper**2))
-    tapered = taper * fitted_modes.at(time, duration_s)
-    fitted_transfer = [
-        (np.sin if odd else np.cos)(phase) @ row for odd, row in zip(fitted_modes.odd, tapered, strict=True)
-    ]
-    fitted_transfer = scale * np.reshape(fitted_transfer, (len(tapered), len(frequency)))
-    return ScanApodization(duration_s, scale * (np.cos(phase) @ taper), per_step, fitted_modes, fitted_transfer)
+    from scipy.fft import rfft
+
+    n, middle = len(taper), (len(taper) - 1) / 2
+    padded, step = _STEPS_PER_CYCLE * n, np.arange(_CYCLES * _STEPS_PER_CYCLE + 1)
+    tapered = taper * fitted_modes.at((np.arange(n) - middle) * step_s, duration_s)
+    scale = np.sqrt(step_s / np.sum(taper**2))
+    # About the middle, in place of the first sample.
+    spectra = rfft(np.vstack([taper, tapered]), padded)[:, : len(step)] * np.exp(2j * np.pi * middle / padded * step)
+    transfer, fitted = scale * spectra[0].real, scale * spectra[1:]
+    fitted_transfer = np.where(fitted_modes.odd[:, None], -fitted.imag, fitted.real)
+    return ScanApodization(duration_s, transfer, padded * step_s, fitted_modes, fitted_transfer)
 
 
 def scan_apodization(

@@ -49,9 +49,9 @@ class FinishedError(OutputError):
 class Results:
     """Results of a command: its identity, and the names of all files that it may write, relative to its directory.
 
-    `sha256` is the hash of everything that the results depend on. `inputs` are files, with their content, that are
-    written before the work starts. The caller writes the results; it writes `piecewise` results directly to their
-    places.
+    `sha256` is the hash of everything that the results depend on; `extends` is equal for runs that differ only in their
+    number of observations, and empty for other commands. `inputs` are files, with their content, that are written
+    before the work starts. The caller writes the results; it writes `piecewise` results directly to their places.
     """
 
     command: str
@@ -60,6 +60,7 @@ class Results:
     names: tuple[str, ...]
     inputs: Mapping[str, bytes] = field(default_factory=dict)
     piecewise: bool = False
+    extends: str = ""
 
     @property
     def all_names(self) -> tuple[str, ...]:
@@ -122,11 +123,14 @@ def begin(place: OutputDirectory, removed: Callable[[str], bool]) -> None:
 
 
 @contextmanager
-def replacing(place: OutputDirectory, over: Callable[[str], bool] = lambda name: False) -> Iterator[Path]:
+def replacing(
+    place: OutputDirectory, over: Callable[[str], bool] = lambda name: False, whole: bool = True
+) -> Iterator[Path]:
     """Yield a temporary folder for results; at the end of the block they replace earlier ones, or none does after an
     error.
 
-    A checkpoint or points in `over` are no longer needed and are removed with the remaining earlier results.
+    Points in `over` are no longer needed and are removed with the remaining earlier results. Results that are not
+    `whole` can be resumed.
     """
     new = place.path / f"{NEW}.{os.getpid()}.part"
     new.mkdir()
@@ -137,10 +141,10 @@ def replacing(place: OutputDirectory, over: Callable[[str], bool] = lambda name:
     except OSError as error:  # name the file by its final place
         path = str(error.filename or place.path).replace(str(new), str(place.path))
         raise OSError(error.errno, error.strerror or str(error), path) from None
-    _put_in_place(place, new, over)
+    _put_in_place(place, new, over, whole)
 
 
-def _put_in_place(place: OutputDirectory, new: Path, over: Callable[[str], bool]) -> None:
+def _put_in_place(place: OutputDirectory, new: Path, over: Callable[[str], bool], whole: bool) -> None:
     written = {path.relative_to(new).as_posix(): _identity(path) for path in new.rglob("*") if path.is_file()}
     work = [name for name in place.results.names if _UNFINISHED_WORK.fullmatch(name) and _is_written(place, name)]
     files = written | {name: _identity(place.path / name) for name in work if not over(name)}
@@ -150,7 +154,7 @@ def _put_in_place(place: OutputDirectory, new: Path, over: Callable[[str], bool]
         (place.path / name).parent.mkdir(exist_ok=True)
         (new / name).replace(place.path / name)
     remove(place, gone)
-    _write_record(place, files, finished=True)
+    _write_record(place, files, finished=True, whole=whole)
 
 
 def finish(place: OutputDirectory) -> None:
@@ -212,8 +216,8 @@ def _claim(path: Path, results: Results, force: bool, resume: bool) -> OutputDir
     mine = {name: known for name, known in record["files"].items() if _is_mine(path, name, record["files"])}
     started = record["finished"] or any(not _INPUT.fullmatch(name) for name in mine)
     if record is not _NOTHING and started and not force:
-        _check_same(path, results, record)
-        _check_unfinished(path, mine, record, resume)
+        _check_same(path, results, record, resume)
+        _check_unfinished(path, mine, record, resume=resume, same=record["sha256"] == results.sha256)
     if resume:
         mine |= {name: None for name in results.names if _SAYS_ITSELF.fullmatch(name) and _may_be_removed(path, name)}
     others = _others(path, results, mine, force)
@@ -223,29 +227,34 @@ def _claim(path: Path, results: Results, force: bool, resume: bool) -> OutputDir
     return OutputDirectory(path, results, mine, others)
 
 
-def _check_same(path: Path, results: Results, record: Mapping[str, Any]) -> None:
-    """Raise OutputError for a directory of another command or scene."""
+def _check_same(path: Path, results: Results, record: Mapping[str, Any], resume: bool) -> None:
+    """Raise OutputError for a directory of another command or scene; `resume` may change the number of observations."""
+    extends = bool(results.extends) and record.get("extends") == results.extends
     kind = "results" if record["finished"] else "an unfinished run"
     if record["command"] != results.command:
         found = f"{kind} of {shown('surveysim ' + record['command'])}"
-    elif record["sha256"] != results.sha256:
+    elif record["sha256"] != results.sha256 and not (extends and resume):
         name = shown(record["scene"])
         other = f"{name} with other settings" if record["scene"] == results.scene else f"another scene, {name}"
         found = f"{kind} of {other}"
     else:
         return
-    raise OutputError(f"{path}: holds {found}; --force replaces them, --out writes elsewhere")
+    hint = "--resume changes the number of observations, " if extends else ""
+    raise OutputError(f"{path}: holds {found}; {hint}--force replaces them, --out writes elsewhere")
 
 
-def _check_unfinished(path: Path, mine: Mapping[str, str | None], record: Mapping[str, Any], resume: bool) -> None:
+def _check_unfinished(
+    path: Path, mine: Mapping[str, str | None], record: Mapping[str, Any], *, resume: bool, same: bool
+) -> None:
     """Raise OutputError if unfinished work would be lost without `resume`, FinishedError if there is none to resume.
 
-    A run that stopped early has both results and a checkpoint.
+    A run has both results and a checkpoint. One that stopped early is not whole.
     """
-    if resume and record["finished"] and not holds_work(path):
+    whole = record["finished"] and record.get("whole", CHECKPOINT not in mine)
+    if resume and record["finished"] and ((whole and same) or not holds_work(path)):
         raise FinishedError(f"{path}: the run is finished; there is nothing to resume")
     work = [name for name in mine if _UNFINISHED_WORK.fullmatch(name)]
-    if not resume and (CHECKPOINT in work or (work and not record["finished"])):
+    if not resume and work and not whole and (CHECKPOINT in work or not record["finished"]):
         raise OutputError(
             f"{path / work[0]}: from a run that has not finished; --resume goes on from there, --force starts anew, "
             "--out writes elsewhere"
@@ -397,10 +406,14 @@ def _read_record(path: Path) -> dict[str, Any] | None:
     return found if whole else None
 
 
-def _write_record(place: OutputDirectory, files: Mapping[str, str | None], finished: bool) -> None:
+def _write_record(
+    place: OutputDirectory, files: Mapping[str, str | None], finished: bool, *, whole: bool = True
+) -> None:
     results = place.results
     content = {"surveysim": __version__, "command": results.command, "scene": results.scene, "sha256": results.sha256}
-    _write(place.path / RECORD, content | {"finished": finished, "files": dict(sorted(files.items()))})
+    content |= {"extends": results.extends}
+    state = {"finished": finished, "whole": finished and whole}
+    _write(place.path / RECORD, content | state | {"files": dict(sorted(files.items()))})
 
 
 def _write(path: Path, content: Mapping[str, Any]) -> None:

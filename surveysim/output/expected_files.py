@@ -7,7 +7,7 @@ from typing import Any
 from surveysim.output.directory import Results
 from surveysim.output.scene_copy import scene_files, sweep_files
 from surveysim.reduction.setup import Setup
-from surveysim.scene.scene import Scene, scene_hash
+from surveysim.scene.scene import Scene, scene_hash, survey_hash
 from surveysim.studies.convergence.records import MOST_SEEDS, REFERENCE_ERROR, SUB_SURVEY
 from surveysim.studies.sweep.axes import Sweep, sweep_hash
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
@@ -37,7 +37,7 @@ def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
         names += [f"figures/{name}.png" for name in _FIGURES]
     if timestreams:
         names += [f"timestreams/{number:04d}.h5" for number in range(scene.observations)]
-    return Results("run", scene.name, scene_hash(scene), tuple(names), scene_files(scene))
+    return Results("run", scene.name, scene_hash(scene), tuple(names), scene_files(scene), extends=survey_hash(scene))
 
 
 def of_sweep(sweep: Sweep, command: str, figures: bool) -> Results:

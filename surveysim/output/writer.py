@@ -1,5 +1,6 @@
 """Files of a finished run: summary, resolved scene, tables, maps and figures, each written atomically."""
 
+import gc
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
@@ -140,16 +141,23 @@ def _draw(directory: Path, figures: Callable[[], Drawings] | None, files: list[P
     except Exception as error:  # of a library for figures that can't be loaded
         warnings.append(undrawn("figures", error))
         return
-    for name, draw in drawings.items():
-        path = directory / f"{name}.png"
-        try:
-            with catch_warnings():
-                simplefilter("ignore")  # of letters that no font has, and labels that have no room
-                draw(path)
-        except Exception as error:  # matplotlib raises a wide range: of fonts, formulas, sizes
-            warnings.append(undrawn(f"figure {name!r}", error))
-        else:
-            files.append(path)
+    gc.freeze()  # collections after each figure then skip all objects but those of figures
+    try:
+        for name, draw in drawings.items():
+            _draw_one(directory / f"{name}.png", draw, files, warnings)
+    finally:
+        gc.unfreeze()
+
+
+def _draw_one(path: Path, draw: Callable[[Path], None], files: list[Path], warnings: list[str]) -> None:
+    try:
+        with catch_warnings():
+            simplefilter("ignore")  # of letters that no font has, and labels that have no room
+            draw(path)
+    except Exception as error:  # matplotlib raises a wide range: of fonts, formulas, sizes
+        warnings.append(undrawn(f"figure {path.stem!r}", error))
+    else:
+        files.append(path)
 
 
 def _write_record(directory: Path, content: dict[str, Any], written: Iterable[Path]) -> None:

@@ -18,6 +18,7 @@ from surveysim.runtime.engine import Engine
 from surveysim.runtime.errors import InputError, InsufficientDataError
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import Scene
+from surveysim.survey.coadd_tree import CoAddTree
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -123,7 +124,15 @@ def _run_makers(
     """Functions that make the items of one run; the first that is called starts the run."""
     from surveysim.api import run
 
-    result = cache(lambda: run(scene, engine=engine, progress=lambda coadds: progress()))
+    counted = 0
+
+    def count(sums: CoAddTree) -> None:
+        nonlocal counted
+        for _ in range(counted, sums.done):
+            progress()
+        counted = sums.done
+
+    result = cache(lambda: run(scene, engine=engine, progress=count))
     return [(name, partial(_write_scored, name, out, result)) for name in names]
 
 

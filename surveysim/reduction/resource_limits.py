@@ -5,10 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from surveysim.atmosphere.weather import Water, draw_weather, fastest_wind
+from surveysim.atmosphere.weather import Water, fastest_wind, survey_weather
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.memory import machine_bytes
-from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.scans import Scans, samples_per_scan
@@ -55,8 +54,8 @@ def check_layer(
 
 def _drawn_wind(scene: Scene, water: Water | None) -> float:
     """Draw the fastest wind [rad/s] of all observations; raises an error for weather that is not finite."""
-    rngs = (generator(scene.seed, RandomPurpose.WEATHER, number) for number in range(scene.observations))
-    return max(draw_weather(scene.atmosphere, water, rng).wind_speed_rad_s for rng in rngs)
+    drawn = (survey_weather(scene.atmosphere, water, scene.seed, number) for number in range(scene.observations))
+    return max(weather.wind_speed_rad_s for weather in drawn)
 
 
 def _check_strip(strips: "SlantStrips", wind_rad_s: float, radius_rad: float, scans: Scans, lowest_rad: float) -> int:

@@ -194,13 +194,11 @@ def _water(scene: Scene, band: Instrument | OtherBand) -> Water | None:
 
 
 def signal_sim_observations(scene: Scene) -> np.ndarray:
-    """Observations (n_obs,) bool with simulated signal: pairs of both directions, spread over the survey."""
+    """Observations (n_obs,) bool that carry the signal simulations: the first ones, in pairs of both directions.
+
+    Longer surveys have the same.
+    """
     chosen = np.zeros(scene.observations, bool)
-    if scene.score is None:
-        return chosen
-    pairs = max(1, scene.observations // 2)
-    wanted = min(pairs, max(1, scene.score.signal_sims.observations // 2))
-    first = 2 * (np.arange(wanted) * pairs // wanted)
-    chosen[first] = True
-    chosen[np.minimum(first + 1, scene.observations - 1)] = True
+    if scene.score is not None:
+        chosen[: 2 * max(1, scene.score.signal_sims.observations // 2)] = True
     return chosen

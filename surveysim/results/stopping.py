@@ -17,6 +17,7 @@ from surveysim.results.control_variate import quoted_scores
 from surveysim.runtime.errors import InputError, InsufficientDataError, SceneError
 from surveysim.scene.scene import Scene
 from surveysim.scene.units import to_float
+from surveysim.survey.coadd_tree import CoAddTree
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import DataSetScore, noise_parts
 
@@ -113,19 +114,22 @@ def check_limits(setup: Setup, limits: StoppingCriteria) -> None:
         raise SceneError("score: missing; a target error is one of sigma(A), which needs it")
 
 
-def stopping_rule(setup: Setup, limits: StoppingCriteria, begun: float) -> Callable[[CoAdds], bool]:
+def stopping_rule(setup: Setup, limits: StoppingCriteria, begun: float) -> Callable[[CoAddTree], bool] | None:
     """Make the function that decides whether a run that was `begun` (by `perf_counter`) stops at given sums.
 
-    The target is checked at the boundaries of `may_end`, the budget after each pair of scan directions.
+    The target is checked at the boundaries of `may_end`, the budget after each pair of scan directions. None without
+    limits.
     """
+    if limits == UNLIMITED:
+        return None
 
-    def stops(coadds: CoAdds) -> bool:
-        if limits.target_error is not None and may_end(setup.scene, coadds.done):
-            found = estimate_so_far(setup, coadds)
+    def stops(sums: CoAddTree) -> bool:
+        if limits.target_error is not None and may_end(setup.scene, sums.done):
+            found = estimate_so_far(setup, sums.so_far())
             if found is not None and found.relative_error <= limits.target_error:
                 return True
         over = limits.time_budget_s is not None and perf_counter() - begun >= limits.time_budget_s
-        return over and coadds.done > 0 and coadds.done % 2 == 0
+        return over and sums.done > 0 and sums.done % 2 == 0
 
     return stops
 

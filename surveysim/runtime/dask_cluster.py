@@ -3,13 +3,13 @@
 import ctypes
 import logging
 import os
-from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pickle import loads
+from queue import Empty, SimpleQueue
 from threading import Lock
 from time import monotonic, perf_counter
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 from surveysim import __version__
 from surveysim.runtime.addresses import address_of
 from surveysim.runtime.interrupt_signals import hide_main_module, ignore_sigint_in_children
+from surveysim.runtime.items import Answer, Items
 from surveysim.runtime.worker_loss import EngineError, log, too_many_losses
 
 if TYPE_CHECKING:
@@ -91,42 +92,70 @@ def run_unit(job: bytes, items: bytes, version: str) -> Answers:
     return Answers(results, None, perf_counter() - start)
 
 
-def on_cluster(job: Callable[[Any], Any], items: Sequence[Any], engine: "Engine") -> Generator[Any]:
-    """Yield ``job(item)`` for each item, in order, from the workers of a scheduler or of this machine.
+def on_cluster(job: Callable[[Any], Any], items: Items, engine: "Engine") -> Generator[Answer]:
+    """Yield the answer for each item from the workers of a scheduler or of this machine, as they come.
 
     Raises
     ------
     EngineError
-        If the scheduler is gone or workers are lost repeatedly. Errors of the job are raised as they are.
+        If the scheduler is gone or workers are lost repeatedly.
     """
-    with _client(engine, len(items)) as client:
-        for answers in _answers(client, job, items):
-            yield from answers.results
-            if answers.error is not None:
-                raise answers.error
+    with _client(engine, items.left()) as client, _lost_scheduler():
+        yield from _Units(client, job, items).answers()
 
 
-def _answers(client: Client, job: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Answers]:
-    """Yield the answers of all units in order, with a few units per worker in progress."""
-    name, position, each_s = uuid4().hex, 0, None
-    units: deque[Future] = deque()
-    with _lost_scheduler():
-        pickled, watch = pickle.dumps(job), _Watch(client)
+class _Units:
+    """Units of items in progress on a cluster, a few per worker."""
+
+    def __init__(self, client: Client, job: Callable[[Any], Any], items: Items) -> None:
+        self.client, self.items, self.watch = client, items, _Watch(client)
+        self.name, self.job = uuid4().hex, pickle.dumps(job)
+        self.numbers: dict[Future, list[int]] = {}  # of the items of each unit
+        self.finished: SimpleQueue[Future] = SimpleQueue()
+        self.each_s: float | None = None
+
+    def answers(self) -> Iterator[Answer]:
+        """Yield the answers of all units as they come."""
         try:
-            while position < len(items) or units:
-                there = max(1, watch.workers())
-                while position < len(items) and len(units) < TAKEN_AHEAD * there:
-                    size = unit_size(each_s, there, len(items) - position)
-                    unit = Unit(pickled, pickle.dumps(items[position : position + size]), __version__)
-                    key = f"surveysim-{name}-{position}"
-                    units.append(client.submit(loads, pickle.dumps(unit), key=key, pure=False))
-                    position += size
-                answers = watch.result(units.popleft())
-                yield answers
-                each_s = answers.seconds / max(1, len(answers.results))
-        finally:
-            for unit in units:
+            self._submit()
+            while self.numbers:
+                unit = self._next()
+                numbers, found = self.numbers.pop(unit), unit.result(timeout=ANSWER_S)
                 unit.release()
+                self.each_s = found.seconds / max(1, len(found.results))
+                self._submit()
+                yield from ((number, result, None) for number, result in zip(numbers, found.results, strict=False))
+                if found.error is not None:
+                    yield numbers[len(found.results)], None, found.error
+        finally:
+            for unit in self.numbers:
+                unit.release()
+
+    def _submit(self) -> None:
+        """Submit units until each worker has a few."""
+        there = max(1, self.watch.workers())
+        while len(self.numbers) < TAKEN_AHEAD * there and (taken := self._take(there)):
+            numbers, items = zip(*taken, strict=True)
+            unit = Unit(self.job, pickle.dumps(items), __version__)
+            key = f"surveysim-{self.name}-{numbers[0]}"
+            future = self.client.submit(loads, pickle.dumps(unit), key=key, pure=False)
+            self.numbers[future] = list(numbers)
+            future.add_done_callback(self.finished.put)
+
+    def _take(self, workers: int) -> list[tuple[int, Any]]:
+        """Take the items of the next unit."""
+        taken: list[tuple[int, Any]] = []
+        size = unit_size(self.each_s, workers, self.items.left())
+        while len(taken) < size and (item := self.items.take(workers)) is not None:
+            taken.append(item)
+        return taken
+
+    def _next(self) -> Future:
+        """Wait for a unit that is finished."""
+        while True:
+            with suppress(Empty):
+                return self.finished.get(timeout=LOOK_S)
+            self.watch.workers()
 
 
 class _Watch:
@@ -149,13 +178,6 @@ class _Watch:
         elif now - self.since >= WAIT_S:
             raise EngineError(f"the cluster has had no worker for {_hours(WAIT_S)}")
         return there
-
-    def result(self, unit: Future) -> Answers:
-        """Wait for the answers of a unit."""
-        while True:
-            with suppress(TimeoutError):  # only of this check: errors of the job are in its answers
-                return unit.result(timeout=LOOK_S)
-            self.workers()
 
 
 def _hours(seconds: float) -> str:

@@ -1,4 +1,4 @@
-"""Engines: ordered maps of a job over observations; results do not depend on the engine or the number of workers."""
+"""Engines: maps of a job over items; results do not depend on the engine or the number of workers."""
 
 import os
 from collections.abc import Callable, Generator, Sequence
@@ -7,11 +7,21 @@ from typing import Any
 
 from surveysim.runtime.errors import InputError
 from surveysim.runtime.interrupt_signals import defer_signals
+from surveysim.runtime.items import InOrder, Items, UntilFailure
 from surveysim.runtime.processes import in_processes
 from surveysim.runtime.serial import in_turn
 from surveysim.runtime.worker_loss import EngineError
 
-__all__ = ["KINDS", "SERIAL", "Engine", "EngineError", "default_workers", "defer_signals", "ordered_map"]
+__all__ = [
+    "KINDS",
+    "SERIAL",
+    "Engine",
+    "EngineError",
+    "default_workers",
+    "defer_signals",
+    "ordered_map",
+    "unordered_map",
+]
 
 KINDS = ("serial", "processes", "dask")
 
@@ -72,34 +82,63 @@ SERIAL = Engine("serial")
 
 
 def ordered_map(job: Callable[[Any], Any], items: Sequence[Any], engine: Engine) -> Generator[Any]:
-    """Yield ``job(item)`` for each item, in order.
+    """Yield ``job(item)`` for each item, in order; parameters and errors as for `unordered_map`.
 
-    Each worker uses one BLAS thread, so that sums do not depend on the number of cores. Only a few items per worker are
-    in progress at a time, which bounds the memory of waiting results. Items of a lost worker are repeated by others.
-    Closing the generator early kills worker processes of this machine; workers of a cluster finish their items.
+    Only a few items per worker are in progress at a time, which bounds the memory of waiting results.
+    """
+    in_order, ready = InOrder(items), dict[int, Any]()
+    results = unordered_map(job, in_order, engine)
+    try:
+        for number, result in results:
+            ready[number] = result
+            while in_order.position in ready:
+                yield ready.pop(in_order.position)
+                in_order.position += 1
+    finally:
+        results.close()
+
+
+def unordered_map(job: Callable[[Any], Any], items: Items, engine: Engine) -> Generator[tuple[int, Any]]:
+    """Yield the number of each item and ``job(item)``, as they are finished.
+
+    Each worker uses one BLAS thread, so that sums do not depend on the number of cores. Items of a lost worker are
+    repeated by others. Closing the generator early kills worker processes of this machine; workers of a cluster finish
+    their items.
 
     Parameters
     ----------
     job
         Picklable function of one item.
     items
-        Picklable arguments.
+        Source of picklable arguments.
     engine
         Workers to use.
 
     Raises
     ------
     EngineError
-        If workers are lost repeatedly or the scheduler is gone. Errors of the job are raised as they are.
+        If workers are lost repeatedly or the scheduler is gone. Once a job fails, no more items are begun; the error
+        of the first item that failed is raised as it is when those in progress are finished.
     """
+    source, failures = UntilFailure(items), dict[int, Exception]()
     if engine.kind == "dask":
         from surveysim.runtime.dask_cluster import on_cluster
 
-        yield from on_cluster(job, items, engine)
-    elif (workers := engine.workers_for(len(items))) == 1:
-        yield from in_turn(job, items)
+        answers = on_cluster(job, source, engine)
+    elif (workers := engine.workers_for(items.left())) == 1:
+        answers = in_turn(job, source)
     else:
-        yield from in_processes(job, items, workers)
+        answers = in_processes(job, source, workers)
+    try:
+        for number, result, error in answers:
+            if error is None:
+                yield number, result
+            else:
+                failures[number], source.failed = error, True
+    finally:
+        answers.close()
+    if failures:
+        raise failures[min(failures)]
 
 
 def default_workers() -> int:

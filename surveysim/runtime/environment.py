@@ -8,6 +8,9 @@ import sys
 import tempfile
 import threading
 import warnings
+from collections.abc import Sequence
+from importlib.machinery import ModuleSpec, PathFinder
+from importlib.util import LazyLoader
 from typing import Any
 
 from surveysim.runtime.printable import complain
@@ -17,12 +20,15 @@ log = logging.getLogger("surveysim")
 _OF_FLAGS = ("default", "default::BytesWarning", "error::BytesWarning")  # set by -X dev, -b and -bb
 _SIZE = re.compile(r"[1-9][0-9]{1,3}")  # columns or lines
 _temporary_homes: list[str] = []
+# Scipy loads all parts of numpy. These take 0.1 s, and nothing here uses them.
+UNUSED = ("numpy.f2py", "numpy.testing")
 
 
 def settle() -> str | None:
     """Prepare streams, libraries and caches for a command; return a warning if caches are temporary."""
     open_streams()
     silence_libraries()
+    postpone_unused()
     forget_sizes()
     return provide_caches()
 
@@ -63,6 +69,25 @@ def forget_sizes() -> None:
     for name in ("COLUMNS", "LINES", "TERMINAL_WIDTH"):
         if not _SIZE.fullmatch(os.environ.get(name, "")):
             os.environ.pop(name, None)
+
+
+def postpone_unused() -> None:
+    """Load modules that libraries import, but hardly anything uses, at their first use."""
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it reads the metadata of all packages for them
+    if _OnUse not in sys.meta_path:
+        sys.meta_path.insert(0, _OnUse)
+
+
+class _OnUse:
+    """Finder of modules that are executed at the first use of one of their names."""
+
+    @staticmethod
+    def find_spec(name: str, path: Sequence[str] | None, target: object = None) -> ModuleSpec | None:
+        """Find one of the unused modules; None for all others."""
+        spec = PathFinder.find_spec(name, path) if name in UNUSED else None
+        if spec is not None and spec.loader is not None:
+            spec.loader = LazyLoader(spec.loader)
+        return spec
 
 
 class _Lines(logging.Handler):

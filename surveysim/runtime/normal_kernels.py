@@ -118,10 +118,9 @@ def _fill(out, first, stream, fill_tile):
     done, number, skip = 0, first // TILE, first % TILE
     while done < out.size:
         n = min(TILE - skip, out.size - done)
-        if n == TILE:
-            fill_tile(out[done : done + TILE], number, stream)
-        else:
-            fill_tile(scratch, number, stream)
+        whole = n == TILE
+        fill_tile(out[done : done + TILE] if whole else scratch, number, stream)
+        if not whole:
             out[done : done + n] = scratch[skip : skip + n]
         done, number, skip = done + n, number + 1, 0
 

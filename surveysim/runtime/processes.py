@@ -3,7 +3,7 @@
 import multiprocessing
 import signal
 from collections import Counter
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -12,55 +12,45 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from surveysim.runtime.interrupt_signals import defer_signals, hide_main_module, ignore_sigint_in_children
+from surveysim.runtime.items import Answer, Items
 from surveysim.runtime.worker_loss import LOSSES_ALLOWED, log, too_many_losses
 
 TAKEN_AHEAD = 2  # items that wait at a worker, so that it does not wait for the parent
 ENDS_S = 1.0  # time for a process to end after its pipe is closed
 
-Answer = tuple[Any, Exception | None]
-
 
 @dataclass
 class _Worker:
-    """Worker process, the parent's end of its pipe, and the numbers of its unanswered items in order."""
+    """Worker process, the parent's end of its pipe, and its unanswered items by number, in order."""
 
     process: BaseProcess
     pipe: Connection
-    has: list[int] = field(default_factory=list)
+    has: dict[int, Any] = field(default_factory=dict)
 
 
-def in_processes(job: Callable[[Any], Any], items: Sequence[Any], workers: int) -> Generator[Any]:
-    """Yield ``job(item)`` for each item, in order, from worker processes.
+def in_processes(job: Callable[[Any], Any], items: Items, workers: int) -> Generator[Answer]:
+    """Yield the answer for each item from worker processes, as they come.
 
     Items of a lost worker are repeated by a new one.
 
     Raises
     ------
     EngineError
-        If workers are lost repeatedly with the same item. Errors of the job are raised as they are.
+        If workers are lost repeatedly with the same item.
     """
     # A pipe a worker, and not an executor's shared queues: one that is killed while it holds a lock of the
     # queue, or halfway through a result, would leave the others and the parent waiting for ever.
     crew: list[_Worker] = []
-    ready: dict[int, Answer] = {}
+    again: dict[int, Any] = {}
     losses: Counter[int] = Counter()
-    todo = list(range(len(items)))[::-1]
-    position = 0
     try:
-        while position < len(items):
-            while todo and todo[-1] - position <= 3 * workers:
-                worker = _least_busy(crew, job, workers)
-                if worker is None:
-                    break
-                _give(worker, todo.pop(), items)
-            ready |= _collect(crew)
-            todo = sorted(todo + _of_the_lost(crew, losses), reverse=True)
-            while position in ready:
-                result, error = ready.pop(position)
-                if error is not None:
-                    raise error
-                yield result
-                position += 1
+        while True:
+            while _has_room(crew, workers) and (taken := _next(again, items, workers)) is not None:
+                _give(_least_busy(crew, job, workers), *taken)
+            if not any(worker.has for worker in crew):
+                return
+            yield from _collect(crew)
+            again |= _of_the_lost(crew, losses)
     finally:
         for worker in crew:
             worker.process.kill()
@@ -68,53 +58,67 @@ def in_processes(job: Callable[[Any], Any], items: Sequence[Any], workers: int) 
             worker.pipe.close()
 
 
-def _least_busy(crew: list[_Worker], job: Callable[[Any], Any], workers: int) -> _Worker | None:
-    """Choose the worker for the next item: a new one while there are fewer than `workers`; None if all are busy."""
+def _next(again: dict[int, Any], items: Items, workers: int) -> tuple[int, Any] | None:
+    """Take the first of the items of lost workers, or else a new one."""
+    if again:
+        number = min(again)
+        return number, again.pop(number)
+    return items.take(workers)
+
+
+def _has_room(crew: list[_Worker], workers: int) -> bool:
+    """Return whether a worker can be started, or waits for few items."""
+    return len(crew) < workers or min(len(worker.has) for worker in crew) < TAKEN_AHEAD
+
+
+def _least_busy(crew: list[_Worker], job: Callable[[Any], Any], workers: int) -> _Worker:
+    """Choose the worker for the next item: a new one while there are fewer than `workers`."""
     if len(crew) < workers:
         with defer_signals():
             crew.append(_start(job))
         return crew[-1]
-    worker = min(crew, key=lambda item: len(item.has))
-    return worker if len(worker.has) < TAKEN_AHEAD else None
+    return min(crew, key=lambda item: len(item.has))
 
 
-def _give(worker: _Worker, number: int, items: Sequence[Any]) -> None:
-    worker.has.append(number)
+def _give(worker: _Worker, number: int, item: Any) -> None:
+    worker.has[number] = item
     try:
-        worker.pipe.send((number, items[number]))
+        worker.pipe.send((number, item))
     except OSError:  # it is gone, which shows when its answers are collected
         return
 
 
-def _collect(crew: list[_Worker]) -> dict[int, Answer]:
-    """Wait for answers and return (result, error) by number; close the pipes of lost workers."""
-    found = {}
+def _collect(crew: list[_Worker]) -> list[Answer]:
+    """Wait for answers; close the pipes of lost workers."""
+    found = []
     waiting = {worker.pipe: worker for worker in crew if worker.has}
     ready: list[Any] = wait(list(waiting))
     for pipe in ready:
         try:
-            number, result, error = pipe.recv()
+            answer: Answer = pipe.recv()
         except (EOFError, OSError):
             pipe.close()
             continue
-        waiting[pipe].has.remove(number)
-        found[number] = (result, error)
+        del waiting[pipe].has[answer[0]]
+        found.append(answer)
     return found
 
 
-def _of_the_lost(crew: list[_Worker], losses: Counter[int]) -> list[int]:
-    """Remove lost workers from the crew and return the numbers of their items."""
-    lost = [worker for worker in crew if worker.pipe.closed]
-    for worker in lost:
+def _of_the_lost(crew: list[_Worker], losses: Counter[int]) -> dict[int, Any]:
+    """Remove lost workers from the crew and return their items by number."""
+    found: dict[int, Any] = {}
+    for worker in [worker for worker in crew if worker.pipe.closed]:
         worker.process.join(ENDS_S)  # by itself, so that its exit code is its own
         worker.process.kill()
         worker.process.join()
         crew.remove(worker)
-        losses[worker.has[0]] += 1  # the others had not been begun
-        if losses[worker.has[0]] >= LOSSES_ALLOWED:
+        first = next(iter(worker.has))
+        losses[first] += 1  # the others had not been begun
+        if losses[first] >= LOSSES_ALLOWED:
             raise too_many_losses(worker.process.exitcode)
         log.warning("a worker process is gone; its work is done again")
-    return [number for worker in lost for number in worker.has]
+        found |= worker.has
+    return found
 
 
 def _start(job: Callable[[Any], Any]) -> _Worker:
@@ -137,7 +141,7 @@ def _work(job: Callable[[Any], Any], pipe: Connection) -> None:
         while True:
             number, item = pipe.recv()
             try:
-                answer: tuple[int, Any, Exception | None] = (number, job(item), None)
+                answer: Answer = (number, job(item), None)
             except Exception as error:  # whatever it is, the parent decides
                 answer = (number, None, error)
             pipe.send(answer)

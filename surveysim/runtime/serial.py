@@ -1,14 +1,20 @@
 """Engine "serial": one item after the other, in this process."""
 
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from surveysim.runtime.items import Answer, Items
 
-def in_turn(job: Callable[[Any], Any], items: Iterable[Any]) -> Generator[Any]:
-    """Yield ``job(item)`` for each item, in order."""
-    for item in items:
-        with threadpool_limits(1):
-            result = job(item)
-        yield result
+
+def in_turn(job: Callable[[Any], Any], items: Items) -> Generator[Answer]:
+    """Yield the answer for each item, in order."""
+    while (taken := items.take(1)) is not None:
+        number, item = taken
+        try:
+            with threadpool_limits(1):
+                answer: Answer = (number, job(item), None)
+        except Exception as error:  # whatever it is, the caller decides
+            answer = (number, None, error)
+        yield answer

@@ -36,5 +36,5 @@ def _plain(value: Any) -> Any:
 
 
 def known(entry: dict[str, Any]) -> dict[str, Any]:
-    """The entry with None for what is unknown: JSON has no NaN."""
+    """Replace unknown values of an entry by None: JSON has no NaN."""
     return {key: None if value != value else value for key, value in entry.items()}

@@ -101,7 +101,7 @@ class SignalSims(Section):
     skies: Annotated[int, *whole(2, 1000)]
     """Number of skies."""
     observations: Annotated[int, *whole(1, 1_000_000)]
-    """Number of observations with simulated signal, spread evenly over the survey."""
+    """Number of observations with simulated signal: the first of the survey."""
     band_power_ukcmb2: PositiveBandPower = Field(alias="band_power")
     """Band power of the skies; the transfer function does not depend on it."""
 

@@ -95,7 +95,7 @@ class Atmosphere(Section):
                     f"water_fluctuation: missing; those of site {data['site']!r} are amplitudes at an index of"
                     f" {KOLMOGOROV}: with {index}, 'water_fluctuation' in {power} or 'b2' in mK2 {power} is expected"
                 )
-            # B2 has quantiles of its own, of which each draw takes that of its rank: an amplitude's unit drops out.
+            # Each draw takes the quantile of B2 with its rank, so the unit of the fluctuation drops out.
             of_water = f"rad({2 - KOLMOGOROV})"
         found: dict[str, Any] = {}
         for name, unit in (("b2", f"mK2 {power}"), ("water_fluctuation", of_water)):

@@ -19,7 +19,7 @@ from surveysim.scene.units import NUMBER, shown, to_float, to_floats, to_sky_ang
 FIRST_DATE, LAST_DATE = "1900-01-01", "2199-12-31"  # range of dates with accurate precession and nutation
 LONGEST_LINE = 300
 FLUCTUATION_MIN, FLUCTUATION_MAX = 1e-30, 1e24  # rad^(2 - index)
-B2_MIN, B2_MAX = 1e-24, 1e24  # mK^2 rad^(2 - index): beyond any air, and well within what streams of 32 bits hold
+B2_MIN, B2_MAX = 1e-24, 1e24  # mK^2 rad^(2 - index): beyond any atmosphere, and in the range of float32 streams
 _FRACTION = re.compile(rf"\s*(?:{NUMBER}|[+-]?\d{{1,9}}/\d{{1,9}})\s*", re.ASCII)
 PSD_MAX_MK2_HZ = 1e12  # bound of any white noise, one-sided, Rayleigh-Jeans
 

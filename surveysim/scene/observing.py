@@ -21,7 +21,7 @@ from surveysim.scene.fields import (
 )
 from surveysim.scene.section import Section
 
-MIN_SAMPLES = 8  # fewer leave nothing of a scan once its mean and a few templates are removed
+MIN_SAMPLES = 8  # scans with fewer samples would vanish with their mean and a few templates
 
 
 class FieldSection(Section):

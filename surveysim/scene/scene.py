@@ -206,7 +206,19 @@ def _name_of(path: Path) -> str:
 
 def scene_hash(scene: Scene) -> str:
     """SHA-256 hash of everything that the results of a run depend on; title and comments do not count."""
-    content = scene.model_dump(mode="json", exclude={"title", "assumed"})
+    return _hash(scene, scene.model_dump(mode="json", exclude={"title", "assumed"}))
+
+
+def survey_hash(scene: Scene) -> str:
+    """SHA-256 hash of everything that one observation depends on, but for its start.
+
+    Surveys of more observations, or nights, have the same; those of a single one compare pipelines otherwise.
+    """
+    excluded: dict[str, Any] = {"title": True, "assumed": True, "observations": True, "schedule": {"nights"}}
+    return _hash(scene, scene.model_dump(mode="json", exclude=excluded) | {"single": scene.observations == 1})
+
+
+def _hash(scene: Scene, content: dict[str, Any]) -> str:
     if scene.instrument.positions is not None:
         table = scene.instrument.positions.read_bytes()
         content["instrument"]["positions"] = hashlib.sha256(table).hexdigest()

@@ -14,7 +14,12 @@ class Section(BaseModel):
     """
 
     model_config = ConfigDict(
-        frozen=True, extra="forbid", populate_by_name=False, strict=False, use_attribute_docstrings=True
+        frozen=True,
+        extra="forbid",
+        populate_by_name=False,
+        strict=False,
+        use_attribute_docstrings=True,
+        defer_build=True,
     )
 
     @field_validator("*", mode="before")

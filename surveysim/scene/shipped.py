@@ -18,7 +18,7 @@ def shipped_folder() -> Path:
 
 
 def scene_folder() -> Path:
-    """The folder scenarios/ of the current directory if there is one, or else that of the scenes that ship."""
+    """Return the folder scenarios/ of the current directory, or else the folder of the scenes that ship."""
     return HERE if HERE.is_dir() else shipped_folder()
 
 

@@ -16,7 +16,7 @@ from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.results import survey_result
 from surveysim.results.stages import left_out, stages_that_run
 from surveysim.runtime.memory import peak_bytes
-from surveysim.survey.coadds import CoAdds, add_observation, empty_coadds
+from surveysim.survey.coadds import CoAdds, add_observations, empty_coadds, observation_sums
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.scan_blocks import Block
@@ -94,9 +94,7 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
     with threadpool_limits(1):  # as in a run
         measured = _measure(setup) if len(setup.observing.blocks) == 1 else _measure_block(setup)
     observing_s = (scene.observations - n_with_sims) * measured.plain_s + n_with_sims * measured.with_sims_s
-    # The first process makes the sums; otherwise it waits for the workers.
-    summing_s = scene.observations * measured.adding_s
-    working_s = observing_s + summing_s if parallel == 1 else max(observing_s / parallel, summing_s)
+    working_s = (observing_s + scene.observations * measured.adding_s) / parallel
     figures_s = start_s * (SCORE_FIGURE_STARTS if scene.score else FIGURE_STARTS)
     samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
     coadds = empty_coadds(setup.analysis)
@@ -153,11 +151,15 @@ def _with_sums(
     """Measure the times of co-adding an observation and of scoring the sums."""
     coadds = empty_coadds(setup.analysis)
     for number in range(min(2, setup.scene.observations)):  # once caches are warm, where there is a second
-        adding_s, _ = _timed(add_observation, setup.analysis, coadds, replace(result, observation=number))
+        adding_s, _ = _timed(_add, setup, coadds, replace(result, observation=number))
     scoring_s = _scoring(setup, coadds)
     held = peak_bytes()
     held = BASE_BYTES if math.isnan(held) else held
     return _Measured(first_s, plain_s, with_sims_s, adding_s, scoring_s, held)
+
+
+def _add(setup: Setup, coadds: CoAdds, result: ObservationResult) -> None:
+    add_observations(setup.analysis, coadds, [observation_sums(setup.analysis, result)])
 
 
 def _scoring(setup: Setup, coadds: CoAdds) -> float:

@@ -1,12 +1,12 @@
-"""Checkpoints: the running sums of a survey on disk, from which a stopped run continues with the same bits.
+"""Checkpoints: the sums over finished observations on disk, from which a run continues with the same bits.
 
-A checkpoint is one HDF5 file, replaced as a whole at each save. Its user block, the first 512 bytes, holds the
-SHA-256 of the rest.
+A checkpoint is one HDF5 file, replaced as a whole at each save, with a group for each node of the tree of sums. Its
+user block, the first 512 bytes, holds the SHA-256 of the rest.
 """
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
@@ -16,12 +16,12 @@ import numpy as np
 
 from mapmaker.files import atomic_write
 from surveysim import __version__
-from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.text_files import one_line
-from surveysim.scene.scene import scene_hash
+from surveysim.scene.scene import survey_hash
+from surveysim.survey.coadd_tree import is_node
 from surveysim.survey.coadds import CoAdds, empty_coadds, row_names
-from surveysim.telescope.scans import Scans, samples_per_scan
+from surveysim.telescope.scans import samples_per_scan
 
 NAME = "checkpoint.h5"
 REASON = 150  # longest reason for refusing a file, in characters
@@ -38,44 +38,57 @@ class CheckpointError(ValueError):
     """A checkpoint that cannot be used; the text says why and what to do."""
 
 
-def save_checkpoint(path: Path, coadds: CoAdds, identity: str) -> None:
-    """Write the sums atomically: the old checkpoint is replaced once the new one is on disk.
-
-    Parameters
-    ----------
-    identity
-        Hash of the scene.
+def save_checkpoint(path: Path, nodes: Sequence[CoAdds], setup: Setup) -> None:
+    """Write nodes of sums atomically: the old checkpoint is replaced once the new one is on disk.
 
     Raises
     ------
     OSError
         If the file cannot be written; it names the file.
     """
-    content = _packed(coadds, {"scene": identity, "version": __version__, "seconds": coadds.seconds})
+    numbers = _numbers(nodes)
+    meta = {"scene": survey_hash(setup.scene), "version": __version__, "pointing": _pointing_hash(setup, numbers)}
+    content = _packed(nodes, meta)
     with atomic_write(path) as partial, open(partial, "wb") as file:
         file.write((_MARK + sha256(content).hexdigest().encode()).ljust(_USER_BLOCK, b"\0"))
         file.write(content)
 
 
-def _packed(coadds: CoAdds, meta: Mapping[str, Any]) -> memoryview:
+def _numbers(nodes: Iterable[CoAdds]) -> np.ndarray:
+    """Numbers of the observations of nodes, (n_obs,)."""
+    return np.concatenate([np.zeros(0, int), *(np.arange(node.first, node.end) for node in nodes)])
+
+
+def _pointing_hash(setup: Setup, numbers: np.ndarray) -> str:
+    """Hash the starts and angles of observations: a survey of other nights may have others."""
+    angles = setup.observing.angles
+    rows = (angles.start_mjd[numbers], angles.elevation_rad[numbers], angles.parallactic_rad[numbers])
+    return sha256(b"".join(np.ascontiguousarray(row).tobytes() for row in rows)).hexdigest()
+
+
+def _packed(nodes: Sequence[CoAdds], meta: Mapping[str, Any]) -> memoryview:
     """Make an HDF5 file in memory, without its user block, so that disk errors are plain ones."""
     import h5py
 
     whole = BytesIO()
     with h5py.File(whole, "w", userblock_size=_USER_BLOCK) as file:
         file.attrs["meta"] = json.dumps(meta, allow_nan=False)
-        for name in (*_ARRAYS, *_LISTS):
-            file.create_dataset(name, data=np.asarray(getattr(coadds, name)))
+        for node in nodes:
+            group = file.create_group(f"{node.first:09d}")
+            group.attrs["seconds"] = json.dumps(node.seconds, allow_nan=False)
+            for name in (*_ARRAYS, *_LISTS):
+                group.create_dataset(name, data=np.asarray(getattr(node, name)))
     return whole.getbuffer()[_USER_BLOCK:]
 
 
-def load_checkpoint(path: Path, setup: Setup) -> CoAdds:
-    """Read the sums of a scene.
+def load_checkpoint(path: Path, setup: Setup) -> list[CoAdds]:
+    """Read the nodes of a survey's sums, in order.
 
     Raises
     ------
     CheckpointError
-        For a checkpoint that is damaged, of another scene or version, or with other content than a run of the scene.
+        For a checkpoint that is damaged, of another scene or version, of observations that the scene does not have or
+        has at other times, or with other content than a run of the scene.
     """
     import h5py
 
@@ -86,21 +99,35 @@ def load_checkpoint(path: Path, setup: Setup) -> CoAdds:
     try:
         with h5py.File(BytesIO(raw), "r") as file:
             meta = read_meta(file.attrs["meta"])
-            check_origin(path, meta, scene_hash(setup.scene))
-            arrays = _checked_arrays(file, setup)
-        seconds = _checked_seconds(meta)
+            check_origin(path, meta, survey_hash(setup.scene))
+            nodes = [_checked_node(file[name], setup) for name in sorted(file)]
     except CheckpointError:
         raise
-    except Exception as error:  # HDF5 and JSON readers raise many types of errors for other files
-        reason = one_line(error, REASON)
-        raise CheckpointError(f"{path}: not what a run of this scene writes ({reason}); {_AGAIN}") from None
-    rows = arrays.pop("rows")
-    sums: dict[str, Any] = {name: list(array) if name in _LISTS else array for name, array in arrays.items()}
-    return CoAdds(
-        **sums,
-        rows=[tuple(float(value) for value in row) for row in rows],
-        seconds=seconds,
-    )
+    except Exception as error:  # HDF5 and JSON readers raise a wide range for what is none
+        raise _foreign(path, error) from None
+    _check_extent(path, nodes, setup, str(meta.get("pointing")))
+    return nodes
+
+
+def _foreign(path: Path, error: Exception) -> CheckpointError:
+    return CheckpointError(f"{path}: not what a run of this scene writes ({one_line(error, REASON)}); {_AGAIN}")
+
+
+def _check_extent(path: Path, nodes: Sequence[CoAdds], setup: Setup, pointing: str) -> None:
+    """Raise CheckpointError unless nodes are apart, and their observations are those of the scene."""
+    if any(node.first < before.end for before, node in zip(nodes, nodes[1:], strict=False)):
+        raise _foreign(path, ValueError("nodes overlap"))
+    end = max((node.end for node in nodes), default=0)
+    if end > setup.scene.observations:
+        raise CheckpointError(
+            f"{path}: has observations up to number {end - 1}, found observations = {setup.scene.observations}; "
+            f"{end} or more is expected, or another directory with --out"
+        )
+    if _pointing_hash(setup, _numbers(nodes)) != pointing:
+        raise CheckpointError(
+            f"{path}: from observations at other times; more observations keep theirs where schedule.nights grows in "
+            "proportion; start anew with --force, or write elsewhere with --out"
+        )
 
 
 def read_meta(text: object) -> dict[str, Any]:
@@ -111,50 +138,56 @@ def read_meta(text: object) -> dict[str, Any]:
     return meta
 
 
-def _checked_seconds(meta: Mapping[str, Any]) -> dict[str, float]:
-    seconds = meta.get("seconds")
-    if not isinstance(seconds, dict):
-        raise ValueError("seconds are no JSON object")
+def _checked_seconds(seconds: Mapping[str, Any]) -> dict[str, float]:
     for name, value in seconds.items():
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
             raise ValueError(f"seconds of {name!r} are no time")
-    return seconds
+    return dict(seconds)
 
 
-def _checked_arrays(file: Any, setup: Setup) -> dict[str, np.ndarray]:
+def _checked_node(group: Any, setup: Setup) -> CoAdds:
+    """Read a node; raises ValueError for one that is not of the tree of sums."""
+    arrays = _checked_arrays(group, setup)
+    rows = [tuple(float(value) for value in row) for row in arrays.pop("rows")]
+    sums: dict[str, Any] = {name: list(array) if name in _LISTS else array for name, array in arrays.items()}
+    node = CoAdds(**sums, rows=rows, seconds=_checked_seconds(read_meta(group.attrs["seconds"])))
+    if not is_node(setup, node):
+        raise ValueError(f"observations {node.first} to {node.end - 1} are no node of the sums")
+    return node
+
+
+def _checked_arrays(group: Any, setup: Setup) -> dict[str, np.ndarray]:
     """Read the arrays of sums by name; raises ValueError for other names, types or shapes than those of the scene.
 
     They are compared before anything is read: an array of the size that a file declares may not fit in memory.
     """
-    if found := set(file) ^ {*_ARRAYS, *_LISTS}:
+    if found := set(group) ^ {*_ARRAYS, *_LISTS}:
         raise ValueError(f"missing or unknown: {', '.join(sorted(found))}")
-    expected = empty_coadds(setup.analysis)
-    done = file["rows"].shape[0]
-    if done > setup.scene.observations:
-        raise ValueError(f"{done} observations, {setup.scene.observations} are in the survey")
+    done = group["rows"].shape[0]
+    single = done == 1 and group["flipped"].shape[:1] == (0,)
+    expected = empty_coadds(setup.analysis, flips=not single)
     n_freq, n_compared = samples_per_scan(setup.observing.scans) // 2 + 1, len(setup.analysis.whole_pipelines) - 1
-    shapes = {name: getattr(expected, name).shape for name in _ARRAYS}
-    of_one: dict[str, tuple[int, ...]] = {
-        "rows": (len(row_names(setup.analysis)),),
-        "raw_psd": (n_freq,),
-        "clean_psd": (n_freq,),
-    }
     n_bin = 0 if setup.analysis.region is None else len(setup.analysis.region.rings.ell)
-    of_one |= {"bin_noise": (len(setup.analysis.data_set_names), n_bin), "compared_psd": (n_compared, n_freq)}
-    shapes |= {name: (done, *of_one[name]) if done else (0,) for name in _LISTS}
+    shapes = {name: getattr(expected, name).shape for name in _ARRAYS} | {
+        "rows": (done, len(row_names(setup.analysis))),
+        "raw_psd": (done, n_freq),
+        "clean_psd": (done, n_freq),
+        "bin_noise": (done, len(setup.analysis.data_set_names), n_bin),
+        "compared_psd": (done, n_compared, n_freq),
+    }
     types = {name: getattr(expected, name).dtype for name in _ARRAYS}
     for name, shape in shapes.items():
-        kind = file[name].dtype
-        if file[name].shape != shape:
-            raise ValueError(f"{name} has the shape {file[name].shape}, {shape} is expected")
+        kind = group[name].dtype
+        if group[name].shape != shape or not done:
+            raise ValueError(f"{name} has the shape {group[name].shape}, {shape} is expected")
         if kind != types.get(name, kind) or kind.kind not in "if" or (kind.kind == "i" and name in _LISTS):
             raise ValueError(f"{name} is of {kind}")
-    arrays = {name: file[name][()] for name in shapes}
-    _check_values(arrays, setup.analysis, setup.observing.scans)
+    arrays = {name: group[name][()] for name in shapes}
+    _check_values(arrays, setup)
     return arrays
 
 
-def _check_values(arrays: Mapping[str, np.ndarray], analysis: AnalysisSetup, scans: Scans) -> None:
+def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
     """Raise ValueError for sums that no observations could give."""
     for name in (*_ARRAYS, "raw_psd", "clean_psd", "compared_psd"):
         if not (np.abs(arrays[name]) < _LARGEST).all():
@@ -166,11 +199,10 @@ def _check_values(arrays: Mapping[str, np.ndarray], analysis: AnalysisSetup, sca
         raise ValueError("bin_noise has negative values, or some that are no numbers")
     if arrays["weight"][arrays["hits"] == 0].any() or arrays["sums"][arrays["weight"] == 0].any():
         raise ValueError("there are sums without hits or without weight")
-    if len(arrays["rows"]):
-        columns = dict(zip(row_names(analysis), arrays["rows"].T, strict=True))
-        _check_rows(columns, scans.n_scans)
-        noise = np.column_stack([columns[f"noise_mk2_{name}"] for name in analysis.data_set_names])
-        _check_noise(noise, arrays["bin_noise"])
+    columns = dict(zip(row_names(setup.analysis), arrays["rows"].T, strict=True))
+    _check_rows(columns, setup)
+    noise = np.column_stack([columns[f"noise_mk2_{name}"] for name in setup.analysis.data_set_names])
+    _check_noise(noise, arrays["bin_noise"])
 
 
 def _check_noise(noise: np.ndarray, bin_noise: np.ndarray) -> None:
@@ -179,24 +211,25 @@ def _check_noise(noise: np.ndarray, bin_noise: np.ndarray) -> None:
         raise ValueError("noise and bin_noise are not of the same observations with data")
 
 
-def _check_rows(columns: Mapping[str, np.ndarray], n_scans: int) -> None:
+def _check_rows(columns: Mapping[str, np.ndarray], setup: Setup) -> None:
     """Raise ValueError for rows of other observations; NaN is an unknown value."""
-    if not np.array_equal(columns["observation"], np.arange(len(columns["observation"]))):
-        raise ValueError("rows are not those of the first observations in order")
+    numbers = columns["observation"]
+    if not (0 <= numbers[0] <= 1e9 and np.array_equal(numbers, numbers[0] // 1 + np.arange(len(numbers)))):
+        raise ValueError("rows are not those of consecutive observations")
     for name, column in columns.items():
-        if name.startswith("discarded_") and not ((column >= 0) & (column <= n_scans)).all():
+        if name.startswith("discarded_") and not ((column >= 0) & (column <= setup.observing.scans.n_scans)).all():
             raise ValueError(f"{name} has other values than numbers of scans")
         if name.startswith(("noise_mk2_", "b2_mk2", "pwv_mm", "wind_speed")) and (column < 0).any():
             raise ValueError(f"{name} has negative values")
 
 
-def check_streams(directory: Path, setup: Setup, done: int) -> None:
-    """Raise CheckpointError for saved time-streams of the first `done` observations of another scene."""
+def check_streams(directory: Path, setup: Setup, nodes: Sequence[CoAdds]) -> None:
+    """Raise CheckpointError for saved time-streams of finished observations of another scene."""
     identity, n_samp = (
-        scene_hash(setup.scene),
+        survey_hash(setup.scene),
         setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans),
     )
-    for number in range(done):
+    for number in _numbers(nodes):
         path = directory / f"{number:04d}.h5"
         if path.exists() and not _is_stream(path, (setup.camera.n_det, n_samp), identity, number):
             raise CheckpointError(
@@ -212,7 +245,7 @@ def _is_stream(path: Path, shape: tuple[int, int], identity: str, number: int) -
         return False
     try:
         with h5py.File(path, "r") as file:
-            same = file.attrs["scene_sha256"] == identity and file.attrs["observation"] == number
+            same = file.attrs["survey_sha256"] == identity and file.attrs["observation"] == number
             return bool(same) and file["data"].shape == shape
     except Exception:  # HDF5 readers raise many types of errors for other files
         return False

@@ -1,10 +1,12 @@
-"""Running sums over observations: co-added maps, sign-flipped co-adds, signal simulations.
+"""Sums over consecutive observations: co-added maps, sign-flipped co-adds, signal simulations.
 
-`CoAdds` is the one mutable record of a run: observations are added to it in index order, and a checkpoint holds it.
-Apart from a row and a few PSDs per observation (some kB), its size does not depend on the number of observations.
+`CoAdds` is the one mutable record of a run: observations, and sums over later ones, are added to it in order. Apart
+from a row and a few PSDs per observation (some kB), its size does not depend on the number of observations.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -30,14 +32,15 @@ ROW_FIELDS = (
 
 @dataclass
 class CoAdds:
-    """Sums over the first `done` observations, with weights w, sums S and hits H of each.
+    """Sums over `done` observations from number `first` on, with weights w, sums S and hits H of each.
 
     Attributes
     ----------
     sums, weight, hits : (n_set, n_y, n_x)
         Sums of w S, w H and H.
     flipped : (K, n_set, n, n)
-        Sums with random signs on the scored patch.
+        Sums with random signs on the scored patch; (0, n_set, n, n) of one observation alone, where they follow from
+        `sums`.
     signal_maps : (n_sky, n_transfer, 2, n, n)
         Signal simulations on the patch.
     signal_weight : (n_transfer, n, n)
@@ -68,6 +71,16 @@ class CoAdds:
         return len(self.rows)
 
     @property
+    def first(self) -> int:
+        """Number of the first observation; 0 without one."""
+        return int(self.rows[0][0]) if self.rows else 0
+
+    @property
+    def end(self) -> int:
+        """Number of the observation that comes next."""
+        return self.first + self.done
+
+    @property
     def each_s(self) -> float:
         """Mean time [s] of an observation on one worker, without compilation."""
         return sum(self.seconds.values()) / max(1, self.done)
@@ -87,13 +100,13 @@ class CoAdds:
         return np.array([row[-self.n_set :] for row in self.rows])
 
 
-def empty_coadds(analysis: AnalysisSetup) -> CoAdds:
-    """Make sums over zero observations."""
+def empty_coadds(analysis: AnalysisSetup, *, flips: bool = True) -> CoAdds:
+    """Make sums over no observation, with or without sign-flipped co-adds."""
     n_set, n_transfer = len(analysis.data_set_names), len(analysis.transfer_function_names)
     shape = (analysis.geometry.n_y, analysis.geometry.n_x)
     n_flip = n_sky = n = 0
     if analysis.scene.score:
-        n_flip, n_sky = analysis.scene.score.jackknives, analysis.n_signal_skies
+        n_flip, n_sky = analysis.scene.score.jackknives * flips, analysis.n_signal_skies
         n = len(analysis.region.taper)
     return CoAdds(
         sums=np.zeros((n_set, *shape)),
@@ -114,50 +127,107 @@ def jackknife_signs(scene: Scene, observation: int) -> np.ndarray:
     return 2.0 * rng.integers(0, 2, score.jackknives) - 1.0
 
 
-def add_observation(analysis: AnalysisSetup, coadds: CoAdds, result: ObservationResult) -> None:
-    """Add one observation, weighted by its own noise, in place.
+def observation_sums(analysis: AnalysisSetup, result: ObservationResult) -> CoAdds:
+    """Weight one observation by its own noise: sums over it alone, without sign-flipped co-adds.
 
     Raises
     ------
     ValueError
-        For an observation that is not the next, and for other shapes than those of the setup.
+        For other shapes than those of the setup.
     """
-    if result.observation != coadds.done:
-        raise ValueError(f"found observation {result.observation}; {coadds.done} is the next in order")
-    _check_shapes(analysis, coadds, result)
+    _check_shapes(analysis, result)
     weights = noise_weights(result.noise_mk2)
-    sign = jackknife_signs(analysis.scene, result.observation)
-    patch = analysis.region.patch if analysis.region else slice(0, 0)
-    # Everything that could fail for lack of memory comes before the first sum: an observation is added whole.
-    sums = weights[:, None, None] * result.sums.astype(float)
-    hits = weights[:, None, None] * result.hits
-    for s, weighted in enumerate(sums):
-        coadds.sums[s] += weighted
-        coadds.weight[s] += hits[s]
-        if len(sign):
-            add_signed(coadds.flipped[:, s], np.ascontiguousarray(weighted[patch, patch]), sign)
-    coadds.hits += result.hits
+    found = replace(
+        empty_coadds(analysis, flips=False),
+        sums=weights[:, None, None] * result.sums.astype(float),
+        weight=weights[:, None, None] * result.hits,
+        hits=result.hits.astype(np.int64),
+        rows=[_row(result)],
+        bin_noise=[result.bin_noise_mk2],
+        raw_psd=[result.raw_psd],
+        clean_psd=[result.clean_psd],
+        compared_psd=[result.compared_psd],
+        seconds=dict(result.seconds),
+    )
     if result.signal_maps is not None:
-        _add_signal_maps(analysis, coadds, result, weights)
-    coadds.rows.append(_row(result))
-    coadds.bin_noise.append(result.bin_noise_mk2)
-    coadds.raw_psd.append(result.raw_psd)
-    coadds.clean_psd.append(result.clean_psd)
-    coadds.compared_psd.append(result.compared_psd)
-    for stage, seconds in result.seconds.items():
+        _add_signal_maps(analysis, found, result, weights)
+    return found
+
+
+def add_observations(analysis: AnalysisSetup, coadds: CoAdds, observations: Sequence[CoAdds]) -> None:
+    """Add observations (`observation_sums`) one after the other, in place.
+
+    The bits do not depend on how many are added at a time.
+
+    Raises
+    ------
+    ValueError
+        For observations that do not follow each other and the sums.
+    """
+    if not observations:
+        return
+    following = coadds.end if coadds.done else observations[0].first
+    for number, item in enumerate(observations, following):
+        if (item.first, item.done) != (number, 1):
+            raise ValueError(f"found observation {item.first}; {number} is the next in order")
+    patch = analysis.region.patch if analysis.region else slice(0, 0)
+    signs = np.stack([jackknife_signs(analysis.scene, item.first) for item in observations], axis=1)
+    # All that could fail for want of memory comes before the first sum: none is left half done.
+    patches = np.stack([item.sums[:, patch, patch] for item in observations], axis=1)
+    if len(signs):
+        for s, weighted in enumerate(patches):
+            add_signed(coadds.flipped[:, s], weighted, signs)
+    for item in observations:
+        _add_arrays(coadds, item)
+        _add_lists(coadds, item)
+
+
+def add_sums(coadds: CoAdds, later: CoAdds) -> None:
+    """Add sums over the observations that follow, in place.
+
+    Raises
+    ------
+    ValueError
+        For sums over other observations than those that follow, or over one alone.
+    """
+    if later.first != coadds.end or later.flipped.shape != coadds.flipped.shape:
+        raise ValueError(f"found sums from observation {later.first} on; {coadds.end} is the next in order")
+    coadds.flipped += later.flipped
+    _add_arrays(coadds, later)
+    _add_lists(coadds, later)
+
+
+def _add_arrays(coadds: CoAdds, later: CoAdds) -> None:
+    coadds.sums += later.sums
+    coadds.weight += later.weight
+    coadds.hits += later.hits
+    if later.signal_weight.any():
+        coadds.signal_maps += later.signal_maps
+        coadds.signal_weight += later.signal_weight
+
+
+def _add_lists(coadds: CoAdds, later: CoAdds) -> None:
+    for name in ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd"):
+        getattr(coadds, name).extend(getattr(later, name))
+    for stage, seconds in later.seconds.items():
         coadds.seconds[stage] = coadds.seconds.get(stage, 0.0) + seconds
 
 
-def _check_shapes(analysis: AnalysisSetup, coadds: CoAdds, result: ObservationResult) -> None:
-    """Raise ValueError for wrong shapes: results come from other processes, sums from files."""
+def copied(coadds: CoAdds) -> CoAdds:
+    """Copy sums: what is added to the copy leaves them as they are."""
+    arrays = ("sums", "weight", "hits", "flipped", "signal_maps", "signal_weight")
+    lists = ("rows", "bin_noise", "raw_psd", "clean_psd", "compared_psd")
+    found: dict[str, Any] = {name: getattr(coadds, name).copy() for name in (*arrays, *lists, "seconds")}
+    return CoAdds(**found)
+
+
+def _check_shapes(analysis: AnalysisSetup, result: ObservationResult) -> None:
+    """Raise ValueError for wrong shapes."""
     planes = (len(analysis.data_set_names), analysis.geometry.n_y, analysis.geometry.n_x)
-    n_flip, n = (analysis.scene.score.jackknives, len(analysis.region.taper)) if analysis.scene.score else (0, 0)
     found = {
         "sums": (result.sums.shape, planes),
         "hits": (result.hits.shape, planes),
         "noise_mk2": (result.noise_mk2.shape, planes[:1]),
-        "co-added sums": (coadds.sums.shape, planes),
-        "flipped": (coadds.flipped.shape, (n_flip, planes[0], n, n)),
     }
     for name, (shape, expected) in found.items():
         if shape != expected:

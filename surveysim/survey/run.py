@@ -1,37 +1,74 @@
 """A run: all observations through an engine, with a checkpoint."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from time import monotonic
 
-from surveysim.reduction.observation import ObservationResult, observe
+from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import Setup, prepare, signal_sim_observations
-from surveysim.runtime.engine import SERIAL, Engine, defer_signals, ordered_map
-from surveysim.scene.scene import Scene, scene_hash
+from surveysim.runtime.engine import SERIAL, Engine, defer_signals, unordered_map
+from surveysim.scene.scene import Scene
 from surveysim.survey.checkpoint import check_streams, load_checkpoint, save_checkpoint
-from surveysim.survey.coadds import CoAdds, add_observation, empty_coadds
+from surveysim.survey.coadd_tree import LARGE_BYTES, CoAddTree, node_bytes
+from surveysim.survey.coadds import CoAdds, observation_sums
+from surveysim.survey.spans import Span, Spans
+from surveysim.timestreams.simulation import Angles
 
 CHECKPOINT_SECONDS = 10.0  # between checkpoints
 CHECKPOINT_SHARE = 0.05  # largest fraction of the time for checkpoints
 
 
 @dataclass(frozen=True)
-class ObservationJob:
-    """The task of a worker: simulate and reduce the observation with a number.
+class SpanJob:
+    """The task of a worker: simulate and reduce a span of observations, and add them up.
 
     It holds the scene, which each worker prepares: sending the megabytes of a setup to one worker would delay the start
-    of the others.
+    of the others. It holds the angles of all observations too for workers of this machine, as ephemerides take longest
+    to load.
     """
 
     scene: Scene
     timestream_dir: Path | None
+    angles: Angles | None = None
 
-    def __call__(self, observation: int) -> ObservationResult:
-        """Simulate, clean and bin; write the streams if asked."""
+    @cached_property
+    def setup(self) -> Setup:
+        """The scene made ready, once in each worker."""
+        setup = prepare(self.scene)
+        if self.angles is None:
+            return setup
+        return replace(setup, observing=replace(setup.observing, known_angles=self.angles))
+
+    def __call__(self, span: Span) -> CoAdds:
+        """Simulate, clean, bin and add; write the streams if asked."""
+        if span.end == span.first + 1:
+            return self._observed(span.first)
+        sums = CoAddTree(self.setup, first=span.first)
+        for number in range(span.first, span.end):
+            sums.add(self._observed(number))
+            sums.advance()
+        return sums.so_far()
+
+    def _observed(self, observation: int) -> CoAdds:
         with_signal_sims = bool(signal_sim_observations(self.scene)[observation])
         path = None if self.timestream_dir is None else self.timestream_dir / f"{observation:04d}.h5"
-        return observe(prepare(self.scene), observation, with_signal_sims, path)
+        return observation_sums(self.setup.analysis, observe(self.setup, observation, with_signal_sims, path))
+
+
+def finished_sums(setup: Setup, checkpoint: Path, timestream_dir: Path | None = None) -> list[CoAdds]:
+    """Read the sums over finished observations from a checkpoint; none without such a file.
+
+    Raises
+    ------
+    CheckpointError
+        For a checkpoint, or time-streams of finished observations, of another scene.
+    """
+    nodes = load_checkpoint(checkpoint, setup) if checkpoint.exists() else []
+    if timestream_dir is not None:
+        check_streams(timestream_dir, setup, nodes)
+    return nodes
 
 
 def run_observations(
@@ -39,85 +76,112 @@ def run_observations(
     checkpoint: Path | None,
     engine: Engine = SERIAL,
     *,
-    resume: bool = False,
+    nodes: Sequence[CoAdds] = (),
+    keep: bool = False,
     timestream_dir: Path | None = None,
-    progress: Callable[[CoAdds], None] = lambda coadds: None,
-    stops: Callable[[CoAdds], bool] = lambda coadds: False,
+    progress: Callable[[CoAddTree], None] = lambda sums: None,
+    stops: Callable[[CoAddTree], bool] | None = None,
 ) -> CoAdds:
-    """Run the observations of a scene in parallel and add them up in order.
+    """Run the observations of a scene in parallel and add them up; the bits do not depend on the engine.
 
     Parameters
     ----------
     checkpoint
         File for the sums. It is written every few seconds, and when the run stops, fails or is interrupted
         (KeyboardInterrupt and errors pass on).
-    resume
-        Whether to start from the checkpoint.
+    nodes
+        Sums over finished observations (`finished_sums`) to go on from.
+    keep
+        Whether to write the checkpoint of a whole run too, so that later runs add observations.
     timestream_dir
         Directory for the time-streams; None for none.
     progress
-        Called after each observation.
+        Called after each observation, or after several that a worker has added up.
     stops
         Called before the first observation and after each: whether to end the run.
 
     Raises
     ------
-    CheckpointError
-        For a checkpoint of another scene.
     EngineError
         If the engine fails.
     """
-    identity = scene_hash(setup.scene)
-    coadds = empty_coadds(setup.analysis)
-    if resume and checkpoint is not None and checkpoint.exists():
-        coadds = load_checkpoint(checkpoint, setup)
-        if timestream_dir is not None:
-            check_streams(timestream_dir, setup, coadds.done)
-    keeper = _CheckpointWriter(checkpoint, identity, coadds.done)
-    left = () if stops(coadds) else range(coadds.done, setup.scene.observations)
+    sums = CoAddTree(setup, nodes)
+    while sums.advance():
+        pass
+    keeper = _CheckpointWriter(checkpoint, setup, sums.finished)
+    if stops is None or not stops(sums):
+        try:
+            _run_missing(setup, sums, keeper, engine, timestream_dir=timestream_dir, progress=progress, stops=stops)
+        except BaseException:
+            keeper.save(sums)
+            raise
+    whole = sums.done == setup.scene.observations
+    if keep or not whole:
+        keeper.save(sums)
+    if not whole and timestream_dir is not None:
+        _drop_streams(timestream_dir, sums.done, setup.scene.observations)
+    return sums.so_far()
+
+
+def _run_missing(
+    setup: Setup,
+    sums: CoAddTree,
+    keeper: "_CheckpointWriter",
+    engine: Engine,
+    *,
+    timestream_dir: Path | None,
+    progress: Callable[[CoAddTree], None],
+    stops: Callable[[CoAddTree], bool] | None,
+) -> None:
+    """Run the observations that the sums do not have, until all are done or the run is to stop."""
+    missing = sums.missing()
+    # A run that may stop looks at its sums after each observation; so does one without other processes.
+    single = stops is not None or engine.workers_for(len(missing)) == 1 or node_bytes(setup) > LARGE_BYTES
+    spans = Spans(missing, single=single)
     # Workers elsewhere may have another working directory.
     streams = None if timestream_dir is None else timestream_dir.absolute()
-    results = ordered_map(ObservationJob(setup.scene, streams), left, engine)
+    angles = setup.observing.angles if missing and engine.kind == "processes" else None
+    results = unordered_map(SpanJob(setup.scene, streams, angles), spans, engine)
     try:
-        for result in results:
-            # Observations are added whole, so a checkpoint can be made at any time.
+        for _, node in results:
+            # An observation is in the sums whole or not at all: a checkpoint may be made of them any time.
             with defer_signals():
-                add_observation(setup.analysis, coadds, result)
-            progress(coadds)
-            keeper.save_if_due(coadds)
-            if stops(coadds):
-                break
-    except BaseException:
-        keeper.save(coadds)
-        raise
+                sums.add(node)
+            spans.measured(node.each_s)
+            while _advance(sums):
+                progress(sums)
+                if stops is not None and stops(sums):
+                    sums.forget_later()
+                    return
+            keeper.save_if_due(sums)
     finally:
         results.close()
-    if coadds.done < setup.scene.observations:
-        keeper.save(coadds)
-        if timestream_dir is not None:
-            _drop_streams(timestream_dir, coadds.done, setup.scene.observations)
-    return coadds
+
+
+def _advance(sums: CoAddTree) -> bool:
+    with defer_signals():
+        return sums.advance()
 
 
 class _CheckpointWriter:
     """Writes the sums of a run to its checkpoint, within a small fraction of the time."""
 
-    def __init__(self, path: Path | None, scene_hash: str, done: int) -> None:
-        self.path, self.scene_hash, self.done = path, scene_hash, done
+    def __init__(self, path: Path | None, setup: Setup, finished: int) -> None:
+        self.path, self.setup, self.finished = path, setup, finished
         self.due = monotonic() + CHECKPOINT_SECONDS
 
-    def save_if_due(self, coadds: CoAdds) -> None:
+    def save_if_due(self, sums: CoAddTree) -> None:
         """Save some seconds after the last time: a killed run loses no more work than that."""
         if monotonic() >= self.due:
-            self.save(coadds)
+            self.save(sums)
 
-    def save(self, coadds: CoAdds) -> None:
+    def save(self, sums: CoAddTree) -> None:
         """Save unless all observations are saved already."""
-        if self.path is None or coadds.done == self.done:
+        if self.path is None or sums.finished == self.finished:
             return
         start = monotonic()
-        save_checkpoint(self.path, coadds, self.scene_hash)
-        self.done, end = coadds.done, monotonic()
+        save_checkpoint(self.path, sums.nodes(), self.setup)
+        self.finished, end = sums.finished, monotonic()
         self.due = end + max(CHECKPOINT_SECONDS, (end - start) / CHECKPOINT_SHARE)
 
 

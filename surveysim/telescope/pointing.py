@@ -300,10 +300,10 @@ def near_angles(site: Site, plan: Schedule, mid_time_s: np.ndarray) -> tuple[np.
 
 
 def survey_angles(
-    field: FieldCentre, site: Site, schedule: Schedule, mid_time_s: np.ndarray
+    field: FieldCentre, site: Site, start_mjd: np.ndarray, mid_time_s: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute elevation and parallactic angle [rad], (n_obs, n_scan), at `mid_time_s` (n_scan,) after each start."""
-    mjd = schedule.start_mjd[:, None] + np.asarray(mid_time_s) / DAY_S
+    mjd = start_mjd[:, None] + np.asarray(mid_time_s) / DAY_S
     elevation, _, parallactic = horizontal(field, site, mjd.ravel())
     return elevation.reshape(mjd.shape), parallactic.reshape(mjd.shape)
 

@@ -10,7 +10,7 @@ from mapmaker.geometry import north_angle, plane_directions
 from mapmaker.kernels.compiled import compile_s, compile_timer
 from mapmaker.timestreams import Timestreams
 from surveysim.runtime.rng import RandomPurpose
-from surveysim.scene.scene import scene_hash
+from surveysim.scene.scene import survey_hash
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.atmosphere import add_layer
@@ -126,7 +126,7 @@ def _timestreams(
         truth["pwv_mm"] = weather.pwv_mm
     attributes = {
         "scene": setup.scene.name,
-        "scene_sha256": scene_hash(setup.scene),
+        "survey_sha256": survey_hash(setup.scene),
         "seed": setup.scene.seed,
         "observation": observation,
         "start_mjd_utc": whole.start_mjd,

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from surveysim.atmosphere.weather import Weather, draw_weather
+from surveysim.atmosphere.weather import Weather, survey_weather
 from surveysim.runtime.rng import NormalDeviates, RandomPurpose, generator, normal_deviates
 from surveysim.telescope.noise_levels import WhiteLevels, white_levels
 from surveysim.telescope.pointing import Pointing
@@ -63,8 +63,7 @@ def observation_weather(setup: Simulation, observation: int) -> Weather | None:
     """The weather drawn for one observation; None without an atmosphere."""
     if setup.scene.atmosphere is None:
         return None
-    rng = generator(setup.scene.seed, RandomPurpose.WEATHER, observation)
-    return draw_weather(setup.scene.atmosphere, setup.air.water, rng)
+    return survey_weather(setup.scene.atmosphere, setup.air.water, setup.scene.seed, observation)
 
 
 def observation_levels(setup: Simulation, observation: int) -> WhiteLevels:

@@ -5,6 +5,7 @@ they are first asked for: checks and plans need none of them.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -101,16 +102,21 @@ class ObservingSetup:
         Record of the pattern: number and timing of scans.
     blocks
         Blocks of scans that an observation is drawn in.
+    known_angles
+        Angles of all observations, where another process has computed them.
     """
 
     scene: Scene
     pattern: ScanPattern
     scans: Scans
     blocks: tuple[Block, ...]
+    known_angles: Angles | None = None
 
     @once
     def angles(self) -> Angles:
         """Starts and angles of all observations."""
+        if self.known_angles is not None:
+            return self.known_angles
         mid_time_s = mid_times(self.scans)
         shape = (self.scene.observations, len(mid_time_s))
         starts = observing_schedule(self.scene, self.scans)
@@ -118,8 +124,8 @@ class ObservingSetup:
             fixed = self.scene.fixed_pointing
             elevation, parallactic = np.full(shape, fixed.elevation_rad), np.full(shape, fixed.parallactic_angle_rad)
             return Angles(np.zeros(shape[0]), elevation, parallactic)
-        angles = survey_angles(field_centre(self.scene), observing_site(self.scene), starts, mid_time_s)
-        return Angles(starts.start_mjd, *angles)
+        where = field_centre(self.scene), observing_site(self.scene)
+        return Angles(starts.start_mjd, *_survey_angles(*where, tuple(starts.start_mjd), tuple(mid_time_s)))
 
     def samples(self, block: Block) -> slice:
         """Samples of one block among those of an observation."""
@@ -175,6 +181,14 @@ class Simulation:
         return np.dtype(self.scene.numerics.precision)
 
 
+@lru_cache(maxsize=2)  # points of a sweep, and the pilot of a forecast, have angles in common
+def _survey_angles(
+    field: FieldCentre, site: Site, start_mjd: tuple[float, ...], mid_time_s: tuple[float, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute `survey_angles` once for equal surveys."""
+    return survey_angles(field, site, np.array(start_mjd), np.array(mid_time_s))
+
+
 def field_centre(scene: Scene) -> FieldCentre:
     """Centre of the field of a scene."""
     return FieldCentre(scene.field.ra_rad, scene.field.dec_rad)
@@ -209,12 +223,21 @@ def observing_schedule(scene: Scene, scans: Scans, directions: Directions = hour
         raise SceneError(f"schedule: {error}") from None
 
 
+def drawn_offsets(observing: ObservingSetup, observation: int) -> tuple[np.ndarray, float]:
+    """Draw the dither (2,) of an observation, over its range, and the angle of its camera [rad]."""
+    along, across, turn = _pointing_numbers(observing.scene.seed, observation)
+    return np.array([along, across]), turn * observing.scene.instrument.camera_rotation_range_rad
+
+
+@lru_cache(maxsize=10_000)  # points of a sweep have them in common
+def _pointing_numbers(seed: int, observation: int) -> tuple[float, ...]:
+    return tuple(generator(seed, RandomPurpose.POINTING, observation).random(3) - 0.5)
+
+
 def observation_path(observing: ObservingSetup, observation: int) -> tuple[ScanPath, Pointing]:
     """Point one observation: the scan pattern, dithered, and the camera, turned."""
-    rng = generator(observing.scene.seed, RandomPurpose.POINTING, observation)
-    dither = (rng.random(2) - 0.5) * observing.scans.dither_rad
-    turn = (rng.random() - 0.5) * observing.scene.instrument.camera_rotation_range_rad
-    path = observing.pattern.path(observing.scans, observation, dither)
+    offsets, turn = drawn_offsets(observing, observation)
+    path = observing.pattern.path(observing.scans, observation, offsets * observing.scans.dither_rad)
     angles = observing.angles
     pointing = observation_pointing(
         path,

@@ -1,4 +1,4 @@
-"""How the cost of one observation goes with its detectors and samples: `python tests/benchmark/scaling.py`.
+"""Cost of one observation by its detectors and samples: `python tests/benchmark/scaling.py`.
 
 Every point is made in a process of its own, whose peak memory is its own. Processor time, not that of the clock, a
 detector-sample without and of signal simulations; the time to start, to compile and to make strips of the layer is

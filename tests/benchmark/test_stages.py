@@ -15,7 +15,7 @@ from surveysim.reduction import observation as reduction
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline, measured_delays
 from surveysim.reduction.map_noise import map_noise
 from surveysim.runtime.rng import RandomPurpose, generator, normal_deviates
-from surveysim.survey.coadds import add_observation, empty_coadds
+from surveysim.survey.coadds import add_observations, empty_coadds, observation_sums
 from surveysim.timestreams.atmosphere import add_atmosphere
 from surveysim.timestreams.low_frequency import add_low_frequency_noise
 from surveysim.timestreams.noise import add_white
@@ -132,7 +132,7 @@ def test_signal_simulation_of_one_sky(per_sample, lynx):
 def test_weights(per_sample, lynx):
     """The noise of the maps of all data sets."""
     maps = list(zip(lynx.result.sums, lynx.result.hits, strict=True))
-    per_sample("weights", lambda: [map_noise(lynx.setup.analysis.region, *item) for item in maps])
+    per_sample("weights", lambda: [map_noise(lynx.setup, *item) for item in maps])
 
 
 def test_coadds(per_sample, lynx):
@@ -140,7 +140,11 @@ def test_coadds(per_sample, lynx):
     coadds = empty_coadds(lynx.setup.analysis)
     per_sample(
         "co-adds",
-        lambda: add_observation(lynx.setup.analysis, coadds, replace(lynx.result, observation=coadds.done)),
+        lambda: add_observations(
+            lynx.setup.analysis,
+            coadds,
+            [observation_sums(lynx.setup.analysis, replace(lynx.result, observation=coadds.done))],
+        ),
     )
 
 

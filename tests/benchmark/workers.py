@@ -1,4 +1,4 @@
-"""How a survey goes with workers: ``python -m tests.benchmark.workers [SCENE] [OBSERVATIONS] [REPEATS]`` says.
+"""Times of a survey by number of workers: ``python -m tests.benchmark.workers [SCENE] [OBSERVATIONS] [REPEATS]``.
 
 A table of simulation and sums alone, without the start of the program and its figures, but with that of the workers.
 What the first process does of each observation, its sums, no worker can take from it: it ends what more workers bring.

@@ -67,7 +67,7 @@ def reports(tmp_path_factory):
 
 
 def wrong(browser, path: Path, width: int) -> list[str]:
-    """What is wrong with a page that is opened at a width: pictures, messages, requests, sideways scrolling."""
+    """Faults of a page that is opened at a width: pictures, messages, requests, sideways scrolling."""
     screen = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
     for log in ("browser", "performance"):
@@ -85,7 +85,7 @@ def wrong(browser, path: Path, width: int) -> list[str]:
 
 
 def requests(browser) -> list[str]:
-    """What was asked for since the log was read."""
+    """Addresses requested since the log was last read."""
     messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
     return [item["params"]["request"]["url"] for item in messages if item["method"] == "Network.requestWillBeSent"]
 

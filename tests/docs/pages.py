@@ -98,7 +98,7 @@ def with_sections(scene: str, changes: str) -> str:
 
 
 def _split(text: str) -> list[str]:
-    """What is above all sections, then each section."""
+    """The text above all sections, then each section."""
     return re.split(r"(?m)^(?=\[)", text)
 
 

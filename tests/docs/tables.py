@@ -48,13 +48,13 @@ def documented(page: Path) -> dict[str, dict[str, str]]:
 
 
 def pattern(name: str) -> re.Pattern[str]:
-    """What a documented name matches."""
+    """Pattern of the names that a documented name stands for."""
     parts = re.split(r"(<[\w ]+>)", name)
     return re.compile("".join(PLACEHOLDERS[part] if part.startswith("<") else re.escape(part) for part in parts))
 
 
 def differences(said: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
-    """What is there and not said, said and not there, or said with another unit."""
+    """Names that are undocumented, documented but absent, or documented with another unit."""
     patterns = {name: pattern(name) for name in said}
     by_name = {name: [key for key, item in patterns.items() if item.fullmatch(name)] for name in there}
     lines = [f"not documented: {name}" for name, keys in by_name.items() if not keys]

@@ -16,7 +16,7 @@ WITH_EXAMPLES = [path for path in (*PAGES, README) if any(block.language == "bas
 
 @pytest.fixture(scope="module")
 def followed(request, tmp_path_factory):
-    """What becomes of each page that is asked for."""
+    """Futures of the examples of each page that is asked for."""
     asked = [item.callspec.params["path"] for item in request.session.items if "followed" in item.fixturenames]
     with ThreadPoolExecutor(AT_ONCE) as pool:
         yield {path: pool.submit(follow, blocks(path), tmp_path_factory.mktemp(path.stem)) for path in asked}

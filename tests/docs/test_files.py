@@ -154,7 +154,7 @@ def streams(path: Path) -> dict[str, str]:
 
 
 def contents(name: str):
-    """How the names in a file are read; None for pictures and the like."""
+    """Reader of the names in a file; None for pictures and the like."""
     kinds = {"_healpix.fits": sparse_map, ".fits": images, ".h5": streams, ".ecsv": columns, "summary.json": keys}
     return next((read for ending, read in kinds.items() if name.endswith(ending)), None)
 

@@ -191,7 +191,7 @@ def _option(name: str, rng: np.random.Generator) -> list[str]:
 
 
 def _quick(arguments: list[str]) -> list[str]:
-    """What keeps a command that is accepted short, without changing what is mangled."""
+    """Arguments that keep an accepted command short, without changing the mangled ones."""
     if arguments[0] in ("run", "forecast"):
         alone = arguments[0] == "run" and not {"--engine", "--workers", "--scheduler"} & set(arguments)
         return ["--no-figures"] * ("--no-figures" not in arguments) + ["--engine", "serial"] * alone

@@ -17,7 +17,7 @@ QUIET = ("--engine", "serial", "--no-figures", "-q", "--out", "out")
 
 
 def numbers(directory: Path) -> dict[str, Any]:
-    """What a summary says of results; times, versions and dates left out."""
+    """Results in a summary, without times, versions and dates."""
     summary = json.loads((directory / "summary.json").read_text())
     return {key: _untimed(summary[key]) for key in NUMBERS if key in summary}
 

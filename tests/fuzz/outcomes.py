@@ -1,4 +1,4 @@
-"""What may become of a mangled input, and how it is told."""
+"""Outcomes of mangled inputs, and their detection."""
 
 import contextlib
 import io
@@ -44,7 +44,7 @@ def check(condition: object, text: str) -> None:
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended: exit code, or the traceback that escaped it; what it wrote."""
+    """End of a command: exit code, or the traceback that escaped it, and its output."""
 
     code: int
     out: str
@@ -84,7 +84,7 @@ def call(*arguments: str) -> Ended:
 
 
 def last_frame(text: str) -> str:
-    """Where and why, of a traceback."""
+    """Place and reason of a traceback."""
     lines = [line.strip() for line in text.strip().splitlines()]
     frames = [line for line in lines if line.startswith("File ") and "/tests/fuzz/" not in line]
     where = frames[-1].replace("File ", "", 1) if frames else "?"
@@ -95,7 +95,7 @@ def last_frame(text: str) -> str:
 
 
 def fault_of_text(text: str) -> str:
-    """What is wrong with a message for a user, or nothing."""
+    """Fault of a message for a user, empty if there is none."""
     controls = {f"U+{ord(c):04X}" for c in text if c != "\n" and _unprintable(c)}
     if controls:
         return f"control characters {', '.join(sorted(controls))}"
@@ -135,7 +135,7 @@ def outcome_of_end(ended: Ended, refusals: tuple[int, ...] = (2,)) -> Outcome | 
 
 
 def _details(error: str) -> str:
-    """Where a bug is that the entry point has caught: its file with the details says it, which is removed."""
+    """Place of a bug that the entry point caught, from its file with the details, which is removed."""
     match = _DETAILS.search(error)
     if match is None or not Path(match[1]).is_file():
         return error[-300:]

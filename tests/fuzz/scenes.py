@@ -115,7 +115,7 @@ def key_units() -> dict[tuple[str, ...], str]:
 
 
 def made(path: Path) -> dict[str, Any]:
-    """What the program makes of a scene, by the names of the file."""
+    """The scene that the program reads, by the names of the file."""
     from surveysim.scene.scene import load_scene
 
     return json.loads(json.dumps(load_scene(path).model_dump(mode="json", by_alias=True, exclude={"assumed"})))

@@ -51,7 +51,7 @@ KEYS = (
 
 
 def prepare(folder: Path) -> dict[str, Any]:
-    """What values of keys are made with."""
+    """The base that values of keys are made with."""
     return scenes.prepare(folder)
 
 

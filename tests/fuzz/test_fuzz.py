@@ -31,7 +31,7 @@ def tried(number: int, seed: int) -> list[dict]:
 
 
 def line(record: dict, seed: int) -> str:
-    """How to repeat a failing input, and what it did."""
+    """Outcome of a failing input, and the command that repeats it."""
     again = f"python -m tests.fuzz.server {record['kind']} 1 {seed} {record['number']}"
     return f"{record['outcome']}: {record['text'][:400]}\n  input: {record['input'][:400]}\n  again: {again}"
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy import fft
 
-from mapmaker.bandpower import estimate_amplitude, flat_band_power, flat_spectrum_psd, score
+from mapmaker.bandpower import estimate_amplitude, flat_band_power, flat_spectrum_psd
 from mapmaker.spectrum import annuli, map_psd, mode_ell, neighbour_correlation, tukey_taper
 from mapmaker.uncertainty import noise_error, transfer_function_error
+from tests.toys import N_MODES, PSD, toy_score
 
 PIXEL_RAD = np.radians(20 / 3600)
 N_PIX = 96
@@ -144,14 +145,14 @@ def test_scatter_of_the_amplitude_is_the_score(edge_fraction):
     np.testing.assert_allclose(amplitude.mean(), 0.2 * sigma, atol=3.5 * sigma / np.sqrt(n_maps))
 
 
-def toy_survey(weights, n_real, noise_psd, n_modes, rng):
+def toy_survey(weights, n_real, rng):
     """PSDs (n_real, n_bin) of sign-flipped co-adds of observations of inverse variance `weights`."""
     signs = rng.choice([-1.0, 1.0], size=(n_real, weights.size))
-    psds = np.empty((n_real, noise_psd.size))
-    for b, n in enumerate(n_modes):
+    psds = np.empty((n_real, N_MODES.size))
+    for b, n in enumerate(N_MODES):
         unit = rng.normal(size=(weights.size, n // 2, 2)) @ [1, 1j] / np.sqrt(2)
         coadd = signs @ (np.sqrt(weights)[:, None] * unit) / weights.sum()
-        psds[:, b] = noise_psd[b] * np.mean(np.abs(coadd) ** 2, axis=1)
+        psds[:, b] = PSD * np.mean(np.abs(coadd) ** 2, axis=1)
     return psds
 
 
@@ -163,25 +164,13 @@ def test_error_of_the_score_is_its_scatter_over_surveys(weather_varies):
     part as well. The mean predicted variance against the scatter of ln sigma, within 3 / sqrt(800) = 11 %.
     """
     n_surveys, rng = 400, np.random.default_rng(6)
-    n_modes = np.array([40, 50, 60, 70])
-    ell = np.array([4500.0, 5500.0, 6500.0, 7500.0])
-    edges, noise_psd, signal = np.arange(4000.0, 8001.0, 1000.0), 1e-5 * np.ones(4), flat_spectrum_psd(ell)
     weights = np.exp(0.8 * rng.normal(size=60))
     log_sigma, variance = np.empty(n_surveys), np.empty(n_surveys)
     for i in range(n_surveys):
         if weather_varies:
             weights = np.exp(0.8 * rng.normal(size=60))
-        psds = toy_survey(weights, 16, noise_psd, n_modes, rng)
-        result, budget = score(
-            psds,
-            signal,
-            signal_psd_relative_error=np.zeros(4),
-            n_modes=n_modes,
-            mask=ell > 0,
-            observation_weights=weights,
-            ell=ell,
-            edges_ell=edges,
-        )
+        psds = toy_survey(weights, 16, rng)
+        result, budget = toy_score(psds, weights)
         log_sigma[i] = np.log(result.sigma_ukcmb2)
         variance[i] = budget.total**2 if weather_varies else budget.noise**2
     np.testing.assert_allclose(log_sigma.std(), np.sqrt(variance.mean()), rtol=3 / np.sqrt(2 * n_surveys))

@@ -1,4 +1,4 @@
-"""What the cleaning removes, what it leaves, and how fast it gets there."""
+"""Noise that cleaning removes and leaves, and the convergence of its iterations."""
 
 import numpy as np
 import pytest

@@ -14,6 +14,7 @@ from surveysim.results.control_variate import expectations, quoted_scores
 from surveysim.results.stopping import estimate_so_far
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.survey.run import run_observations
+from tests.seeds import shared_expectations
 from tests.stopped import weather_scene
 
 
@@ -94,7 +95,8 @@ def test_controlled_errors_are_right_and_smaller(tmp_path):
     for seed in range(24):
         setup = prepare(weather_scene(tmp_path, {"seed": 500 + seed, "observations": 64}))
         coadds = run_observations(setup, None)
-        item = quoted_scores(setup, coadds)["actual"]
+        with shared_expectations():
+            item = quoted_scores(setup, coadds)["actual"]
         for found, band in ((plain, item.plain_band), (controlled, item.band)):
             found.append((band.sigma_ukcmb2, band.error_ukcmb2))
     plain, controlled = np.array(plain).T, np.array(controlled).T
@@ -135,7 +137,8 @@ def test_errors_of_few_observations_are_right():
         for seed in range(24):
             settings = {"observations": n_obs, "seed": 300 + seed, "score.noise_only_sets": []}
             setup = prepare(load_scene("scenarios/first_light.toml", settings))
-            item = quoted_scores(setup, run_observations(setup, None), ("actual",))["actual"]
+            with shared_expectations():
+                item = quoted_scores(setup, run_observations(setup, None), ("actual",))["actual"]
             bands.append([(band.sigma_ukcmb2, band.error_ukcmb2) for band in (item.band, item.plain_band)])
         sigma, error = np.transpose(bands)  # (2, 2, n_seed)[quantity] of controlled and plain
         mean = sigma.mean(axis=-1, keepdims=True)

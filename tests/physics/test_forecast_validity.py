@@ -1,6 +1,7 @@
 """Forecasts of cameras, sites and skies of many kinds: as simulated, or flagged with the reason."""
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from surveysim.results.results import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
 from tests.scenes import SMALL_SCENE, WIDE_PATCH
+from tests.seeds import shared_expectations
 
 # 24 observations know sigma(A) to 4 %.
 WIDE = WIDE_PATCH | {"observations": 24, "score.signal_sims.observations": 8}
@@ -150,12 +152,18 @@ CASES = {
 }
 
 
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    """Results of cases, each run once."""
+    folder = tmp_path_factory.mktemp("cases")
+    return cache(lambda name: run(CASES[name].scene(folder / "scene.toml"), engine=SERIAL))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
-def test_forecasts_are_right_or_flagged(tmp_path, name):
+def test_forecasts_are_right_or_flagged(simulated, name):
     """Every data set within 10 %, which its simulation knows to 3 to 5 %, or flagged; flagged where it should be."""
-    case = CASES[name]
-    result = run(case.scene(tmp_path / "scene.toml"), engine=SERIAL)
+    case, result = CASES[name], simulated(name)
     for data_set, item in forecast_agreement(result).items():
         flags = [effect.name for effect in result.expected.scores[data_set].effects if effect.flagged]
         assert flags or (abs(item.sigma) < WITHIN and item.sigma_error < KNOWN), (data_set, item)
@@ -168,7 +176,8 @@ def test_the_error_of_the_ratio_is_its_scatter_over_seeds(tmp_path):
     """24 seeds: chi^2 per degree of freedom is 1 +- 0.29, of each data set."""
     off = {}
     for seed in range(24):
-        result = run(CASES["as Bolocam"].scene(tmp_path / "scene.toml", 1000 + seed), engine=SERIAL)
+        with shared_expectations():
+            result = run(CASES["as Bolocam"].scene(tmp_path / "scene.toml", 1000 + seed), engine=SERIAL)
         for name, item in forecast_agreement(result).items():
             off.setdefault(name, []).append((item.sigma, item.sigma_error))
     for name, pairs in off.items():
@@ -179,9 +188,9 @@ def test_the_error_of_the_ratio_is_its_scatter_over_seeds(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["as Bolocam", "scans of 1.5 s at 40 arcmin/s", "b = 3.9, wind of 6 arcmin/s"])
-def test_the_predicted_share_of_discarded_scans_is_that_of_the_run(tmp_path, name):
-    scene = CASES[name].scene(tmp_path / "scene.toml")
-    predicted, counted = forecast(prepare(scene)).scores, run(scene, engine=SERIAL).expected.scores
+def test_the_predicted_share_of_discarded_scans_is_that_of_the_run(tmp_path, simulated, name):
+    predicted = forecast(prepare(CASES[name].scene(tmp_path / "scene.toml"))).scores
+    counted = simulated(name).expected.scores
     for data_set, item in predicted.items():
         assert 0 < item.kept.error < 0.1 and counted[data_set].kept.error == 0
         assert abs(item.kept.discarded - counted[data_set].kept.discarded) < 3 * item.kept.error, data_set

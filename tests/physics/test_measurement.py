@@ -1,4 +1,4 @@
-"""What is measured of an observation: variances of known noise, and the weather that was put in."""
+"""Measurements of an observation: variances of known noise, and the weather that was put in."""
 
 import math
 

@@ -247,7 +247,7 @@ def test_excess_streams_have_the_spectrum(rng, index):
 
 @pytest.mark.parametrize("index", [0.0, 1.0, 2.0])
 def test_excess_of_a_scan_less_its_mean_has_the_variance_of_the_table(rng, index):
-    """What Table 2 counts, plus what the power law goes on to have above the band."""
+    """The variance is that of Table 2 plus that of the power law above the band."""
     n_scans, n, n_det = 400, 150, 20
     data = np.zeros((n_det, n_scans * n), np.float32)
     section = excess(spectral_index=index)

@@ -24,6 +24,7 @@ DEG = np.pi / 180
 ARCMIN = DEG / 60
 ARCSEC = DEG / 3600
 HOUR = 15 * DEG
+LIMITS = {"max_hour_angle_rad": 4 * HOUR, "min_elevation_rad": 35 * DEG, "duration_s": 440.0}
 CSO = Site(19.8225 * DEG, -155.4761 * DEG, 4070.0)
 LYNX = FieldCentre((8 + 49 / 60 + 12 / 3600) * HOUR, (44 + 50 / 60 + 24 / 3600) * DEG)
 SDS1 = FieldCentre((2 + 18 / 60) * HOUR, -5 * DEG)
@@ -141,16 +142,8 @@ def test_sky_vector_maps_horizontal_offsets_to_the_sky(field):
     from astropy.time import Time
     from astropy.utils import iers
 
-    times = schedule(
-        field,
-        CSO,
-        "2003-11-20",
-        nights=3,
-        n_observations=30,
-        max_hour_angle_rad=4 * HOUR,
-        min_elevation_rad=30 * DEG,
-        duration_s=440.0,
-    ).start_mjd
+    limits = LIMITS | {"min_elevation_rad": 30 * DEG}
+    times = schedule(field, CSO, "2003-11-20", nights=3, n_observations=30, **limits).start_mjd
     with iers.conf.set_temp("auto_download", False), iers.conf.set_temp("auto_max_age", None):
         place = EarthLocation.from_geodetic(CSO.longitude_rad * u.rad, CSO.latitude_rad * u.rad, CSO.height_m * u.m)
         frame = AltAz(obstime=Time(times, format="mjd"), location=place)
@@ -180,9 +173,6 @@ def test_sky_vector_axes():
     np.testing.assert_allclose(sky_vector(0.0, 1.0, 0.0), (-1, 0), atol=1e-15)  # x to the west, clockwise
     np.testing.assert_allclose(sky_vector(quarter, 0.0, 1.0), (1, 0), atol=1e-15)  # y to the east
     np.testing.assert_allclose(sky_vector(quarter, 1.0, 0.0), (0, 1), atol=1e-15)
-
-
-LIMITS = {"max_hour_angle_rad": 4 * HOUR, "min_elevation_rad": 35 * DEG, "duration_s": 440.0}
 
 
 def night_hour_angles(field, times):
@@ -251,17 +241,9 @@ def test_too_many_observations_says_how_many_fit():
         schedule(LYNX, CSO, "2003-11-20", nights=1, n_observations=70, **LIMITS)
     assert schedule(LYNX, CSO, "2003-11-20", nights=1, n_observations=65, **LIMITS).start_mjd.size == 65
     assert schedule(LYNX, CSO, "2003-11-20", nights=2, n_observations=70, **LIMITS).start_mjd.size == 70
+    limits = LIMITS | {"min_elevation_rad": 64.9 * DEG, "duration_s": 7200.0}
     with pytest.raises(ValueError, match="so 0 would fit"):
-        schedule(
-            LYNX,
-            CSO,
-            "2003-11-20",
-            nights=3,
-            n_observations=1,
-            max_hour_angle_rad=4 * HOUR,
-            min_elevation_rad=64.9 * DEG,
-            duration_s=7200.0,
-        )
+        schedule(LYNX, CSO, "2003-11-20", nights=3, n_observations=1, **limits)
 
 
 def test_circumpolar_field_from_the_pole():
@@ -317,7 +299,7 @@ def test_survey_angles_and_observation_pointing():
     )
     path = raster_path(scans, "ra", np.zeros(2))
     plan = schedule(LYNX, CSO, "2003-11-20", nights=2, n_observations=5, **LIMITS)
-    elevation, parallactic = survey_angles(LYNX, CSO, plan, path.mid_time_s)
+    elevation, parallactic = survey_angles(LYNX, CSO, plan.start_mjd, path.mid_time_s)
     assert elevation.shape == parallactic.shape == (5, 18)
     one = horizontal(LYNX, CSO, plan.start_mjd[3:4] + path.mid_time_s[7] / 86400)
     # Interpolated nutation and aberration differ by 1e-6 arcsec between sets of times.

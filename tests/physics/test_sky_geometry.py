@@ -1,4 +1,4 @@
-"""Where simulated detectors look on the sky; scans and sources that a tangent plane and its angles do not hold."""
+"""Pointing of simulated detectors on the sky; scans and sources beyond the tangent plane."""
 
 import math
 

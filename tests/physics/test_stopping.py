@@ -8,6 +8,7 @@ from surveysim.reduction.setup import prepare
 from surveysim.results.stopping import FEWEST, best_estimate, estimate_so_far
 from surveysim.runtime.engine import SERIAL
 from surveysim.survey.run import run_observations
+from tests.seeds import shared_expectations
 from tests.stopped import WEATHER, weather_scene
 
 SEEDS = 50
@@ -35,7 +36,8 @@ def test_stopped_runs_are_honest(tmp_path, reference):
     """50 seeds: the mean is that of a long run, deviations are as large as is said, and the target is kept."""
     found = []
     for seed in range(SEEDS):
-        result = run(weather_scene(tmp_path, {"seed": 9000 + seed}), engine=SERIAL, target_error=TARGET)
+        with shared_expectations():
+            result = run(weather_scene(tmp_path, {"seed": 9000 + seed}), engine=SERIAL, target_error=TARGET)
         assert result.stopped == "target" and FEWEST <= result.coadds.done < 200
         assert result.estimate.relative_error <= TARGET and result.estimate.kind == "controlled"
         assert result.estimate == best_estimate(result.scores)

@@ -163,11 +163,14 @@ def test_two_layers_are_flagged():
     assert flags(layers([(31, 0), (31, 120)], 20, b2=1000)).count("") <= 1
 
 
+@pytest.mark.slow
 def test_opposite_layers_are_flagged():
     assert "" not in flags(layers([(31, 0), (31, 180)], 10, b2=1000))
 
 
-@pytest.mark.parametrize("speed", [0, 2, 4, 6])
+@pytest.mark.parametrize(
+    "speed", [0, pytest.param(2, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.slow), 6]
+)
 def test_wind_near_or_below_the_scan_speed_is_flagged(speed):
     """In typical weather so slow a layer is hardly seen at all; in the poorest it is, and told to be too slow."""
     for b2 in (1000, 1e5):

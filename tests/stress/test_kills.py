@@ -43,7 +43,7 @@ VARIANTS = (*RUNS, *RUNS, Variant(SMALL_SCENE, ACCURACY, resume=()))  # it takes
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """What each command leaves undisturbed, and the time that it takes."""
+    """Files of each command left undisturbed, and its time."""
     kept = {}
 
     def of(variant):
@@ -104,7 +104,7 @@ def killed(root, variant, rng, whole):
 
 
 def fault_of_end(code, error, number):
-    """What is wrong with how a killed command ended."""
+    """Fault in the end of a killed command, empty if there is none."""
     if "Traceback" in error and "surveysim" in error:  # not of Python's own start
         return f"a traceback: {error[-600:]}"
     if number != signal.SIGKILL and code not in (0, 130, -number):

@@ -24,7 +24,7 @@ PAIRS = (
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory):
-    """What each leaves that runs alone."""
+    """Files of each command run alone."""
     kept = {}
 
     def of(text, arguments):

@@ -82,7 +82,7 @@ def test_observations_that_are_not_there(path, observation):
         simulate_observation(load_scene(path), observation)
 
 
-def test_two_workers_give_the_same_bits(path):
+def test_two_workers_give_the_same_bits(path, two_threads):
     """Of observations in two blocks; those in one are compared where runs reach a target."""
     setup = prepare(load_scene(path, {"numerics.max_block_memory": "9 kB"}))
     assert len(setup.observing.blocks) == 2

@@ -1,4 +1,4 @@
-"""The figure of accuracy and its cost: errors and biases against run time, with the Pareto fronts."""
+"""Figure of accuracy and cost: errors and biases against run time, with Pareto fronts."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ HALF_DECADE = 10**0.25  # room about the points
 
 
 def draw_accuracy(path: Path, result: AccuracyResult) -> Path:
-    """Draw the figure as a PNG, whole or not at all; returns its path."""
+    """Write the figure as a PNG, atomically; return its path."""
     save(lay_out(accuracy_figure(result)), path)
     return path
 
@@ -46,7 +46,7 @@ def accuracy_figure(result: AccuracyResult) -> PaperFigure:
 
 
 def pareto(time: np.ndarray, error: np.ndarray) -> np.ndarray:
-    """Places, in order of time, of the points (n,) of which none is both as fast and better, or faster and as good."""
+    """Find the points (n,), in order of time, for which no other is faster and as good, or better and as fast."""
     order = np.lexsort((error, time))
     best = np.minimum.accumulate(error[order])
     return order[np.concatenate([[True], best[1:] < best[:-1]])]
@@ -69,7 +69,7 @@ def _survey_panel(rows: Sequence[Measured], forecast: Sequence[Measured]) -> Pan
 
 
 def _panel(title: str, y_label: str, rows: Sequence[Measured], value: Callable[[Measured], float]) -> Panel | None:
-    """All parameters of some rows; None where no value is above 0."""
+    """Panel of all parameters of some rows; None without a value above 0."""
     rows = [row for row in rows if value(row) > 0]
     if not rows:
         return None
@@ -99,7 +99,7 @@ def _bias(row: Measured) -> float:
 
 
 def _mark(row: Measured) -> str:
-    """Diamonds for the scene's own settings, squares for what is no more than a limit."""
+    """Marker: diamonds for the scene's own settings, squares for upper limits."""
     if row.setting.own:
         return "-."
     return "--" if row.setting.kind == "numerical" and abs(row.bias) <= row.bias_error else "-"

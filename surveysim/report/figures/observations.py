@@ -28,10 +28,10 @@ from surveysim.timestreams.observed_block import observation_levels
 
 
 def timestream_psd(setup: Setup, coadds: CoAdds) -> Figure:
-    """PSDs of the streams before and after cleaning (as the paper's figure `avg_skysub`).
+    """Draw PSDs of the streams before and after cleaning (as the paper's figure `avg_skysub`).
 
-    Good and poor weather are the quarters of the observations with the lowest and the highest B2; one panel
-    where B2 does not vary.
+    Good and poor weather are the quarters of the observations with the lowest and the highest B2; one panel if B2 does
+    not vary.
     """
     scan, groups = setup.scene.scan, _weather_quarters(setup, coadds)
     frequency = np.fft.rfftfreq(samples_per_scan(setup.observing.scans), 1 / scan.sample_rate_hz)
@@ -61,7 +61,7 @@ def timestream_psd(setup: Setup, coadds: CoAdds) -> Figure:
 
 
 def weather(setup: Setup, coadds: CoAdds) -> Figure:
-    """Noise of each observation's map of the actual data against B2, coloured by the speed of the wind."""
+    """Draw the noise of each observation's map of the actual data against B2, coloured by wind speed."""
     b2, wind, white = (coadds.column(name) for name in ("b2_mk2", "wind_speed_rad_s", "white_mk2_hz"))
     noise = coadds.noise_mk2()[:, 0]
     good = np.isfinite(noise) & (noise > 0) & (b2 > 0)
@@ -88,7 +88,7 @@ def weather(setup: Setup, coadds: CoAdds) -> Figure:
 
 
 def _weather_quarters(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
-    """Observations (indices), of those with data, of each panel of the time-stream PSDs, by its title."""
+    """Indices of the observations with data in each panel of the time-stream PSDs, by its title."""
     kept, b2 = np.flatnonzero(np.any(coadds.clean_psd, axis=1)), coadds.column("b2_mk2")
     if not np.ptp(b2[kept]) > 0:
         return {"all observations": kept}

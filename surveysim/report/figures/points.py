@@ -1,4 +1,4 @@
-"""The points of a figure as a table: all that its panels draw."""
+"""Points of a figure as a table: everything that its panels draw."""
 
 from typing import TYPE_CHECKING
 
@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 
 
 def points_table(figure: PaperFigure) -> "Table":
-    """A row for each point of each series, in the order of the panels.
+    """Return a row for each point of each series, in the order of the panels.
 
-    `panel` counts from 1, `series` and `kind` are those of the record, `low` and `high` NaN where there are no ends.
-    Meta: number, title and caption of the figure, title and labels of each panel.
+    `panel` counts from 1, `series` and `kind` are fields of the record, `low` and `high` are NaN without ends.
+    Metadata: number, title and caption of the figure, title and labels of each panel.
     """
     from astropy.table import Table, vstack
 

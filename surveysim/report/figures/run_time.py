@@ -1,4 +1,4 @@
-"""The figure of a run's error against the time of its simulation, from its own errors and times."""
+"""Figure of a run's error against simulation time, from the run's own errors and times."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The co-added map of a run and its noise."""
+"""Co-added map of a run and its noise."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,10 +19,10 @@ DEEPEST = 4  # the map is shown where its noise is at most this many times the l
 
 
 def coadded_map(setup: Setup, coadds: CoAdds) -> Figure:
-    """The co-added map of the actual data, smoothed with the beam, and its noise a pixel, both in uK_CMB.
+    """Draw the co-added map of the actual data, smoothed with the beam, and its noise per pixel, both in uK_CMB.
 
-    The noise is that of the weights: of the scored band, as if white. Nothing is shown where that of the
-    smoothed weights is above `DEEPEST` times its minimum.
+    The noise follows from the weights: from the scored multipoles, as if white. Pixels with a noise of the smoothed
+    weights above `DEEPEST` times its minimum are blank.
     """
     from astropy.visualization.wcsaxes import WCSAxes
 
@@ -47,7 +47,7 @@ def coadded_map(setup: Setup, coadds: CoAdds) -> Figure:
 
 
 def map_planes(setup: Setup, coadds: CoAdds) -> tuple[np.ndarray, np.ndarray]:
-    """Smoothed signal and noise (n_y, n_x) [uK_CMB] of the actual data, NaN where too noisy to show."""
+    """Compute smoothed signal and noise (n_y, n_x) [uK_CMB] of the actual data, NaN where too noisy to show."""
     from scipy.ndimage import gaussian_filter
 
     instrument, weight = setup.scene.instrument, coadds.weight[0]

@@ -1,4 +1,4 @@
-"""A figure as its points: what is drawn and what is written to a table are the same."""
+"""Figures as points: the same points are drawn and written to tables."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -52,7 +52,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """A figure of the paper: its number there, panels in rows of `columns`, a caption that says what is simulated."""
+    """A figure of the paper: its number, panels in rows of `columns`, and a caption that states the simulation."""
 
     number: int
     title: str

@@ -29,7 +29,7 @@ from surveysim.report.figures.style import (
 )
 from surveysim.survey.scores import DataSetScore, bin_errors, rescore
 
-LOWEST_ELL = 500  # bins below it hold few modes, and of those little but the map's mean and gradient
+LOWEST_ELL = 500  # bins below it have few modes, mostly the mean and the gradient of the map
 
 # Colours and dashes of the paper's figure `sim_noise`.
 LINES = {"actual": (BLACK, "-"), "uncorrelated": (VERMILION, ":"), "white": (GREEN, "--")}
@@ -40,10 +40,11 @@ OPTIMAL_LINE = (GREY, "-")
 
 
 def map_psds(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast | None = None) -> Figure:
-    """Noise PSD of the map of each data set (the paper's figure `sim_noise`), and a signal to hold against.
+    """Draw the noise PSD of the map of each data set (the paper's figure `sim_noise`), and a flat spectrum for
+    comparison.
 
-    The masked array's PSD is multiplied by its share of the detectors: the paper multiplies an amplitude by
-    the root of it. Bands are the standard error of `bin_errors`; thin lines the forecast.
+    The PSD of the masked array is multiplied by its fraction of the detectors: the paper multiplies the amplitude by
+    the root. Bands are the standard errors of `bin_errors`, thin lines the forecast.
     """
     rings, first = setup.analysis.region.rings, next(iter(scores.values()))
     used = _usable(setup)
@@ -73,7 +74,9 @@ def map_psds(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast |
 
 
 def transfer_functions(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast | None = None) -> Figure:
-    """Power transmission of cleaning (thin lines: forecast), for both arrays, of beam and pixel, and of all."""
+    """Draw power transfer functions of cleaning for both arrays (thin lines: forecast), of beam and pixel, and their
+    product.
+    """
     rings, first = setup.analysis.region.rings, next(iter(scores.values()))
     beam = beam_window(rings.ell, setup.scene.instrument.beam_fwhm_rad)
     pixel = pixel_window(rings.ell, setup.scene.map.pixel_rad)
@@ -108,10 +111,10 @@ def transfer_functions(setup: Setup, scores: dict[str, DataSetScore], expected: 
 
 
 def cumulative_sensitivity(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
-    """Uncertainty of a flat band power from all data above a multipole (figure `map_psd_ave_plane`, bottom).
+    """Draw the uncertainty of a flat band power from all data above a multipole (figure `map_psd_ave_plane`, bottom).
 
-    Every bin from `LOWEST_ELL` up starts a range; bands are the Monte Carlo error of its uncertainty. The
-    masked array's is multiplied by its share of the detectors, as in Table 3.
+    Each bin from `LOWEST_ELL` on starts a range; bands are Monte Carlo errors. The value of the masked array is
+    multiplied by its fraction of the detectors, as in Table 3.
     """
     score, edges = setup.scene.score, setup.analysis.region.rings.edges_ell
     starts = edges[:-1][_usable(setup) & (edges[1:] <= score.ell_max)]
@@ -131,7 +134,7 @@ def cumulative_sensitivity(setup: Setup, scores: dict[str, DataSetScore]) -> Fig
 
 
 def bin_weights(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
-    """Share of each bin of multipole in the score of each data set, and the effective multipole."""
+    """Draw the contribution of each bin to the score of each data set, and the effective multipole."""
     figure, (axes,) = panels(1)
     for item in scores.values():
         colour, dashes, _, _ = _look(setup, item)
@@ -147,12 +150,12 @@ def bin_weights(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
 
 
 def _usable(setup: Setup) -> np.ndarray:
-    """Bins (n_bin,) bool from `LOWEST_ELL` up, or from the scored range if that starts lower."""
+    """Bins (n_bin,) bool from `LOWEST_ELL`, or from the scored range if that starts lower."""
     return setup.analysis.region.rings.edges_ell[:-1] >= min(LOWEST_ELL, setup.scene.score.ell_min)
 
 
 def _look(setup: Setup, item: DataSetScore) -> tuple[str, str, str, float]:
-    """Colour, dashes, label and the factor that makes up for detectors left out."""
+    """Colour, dashes, label, and the factor for the missing detectors."""
     if _is_masked(item):
         label = rf"{_name(setup, item)}, $\times$ {item.n_det}/{setup.camera.n_det}"
         return *MASKED_LINE, label, item.n_det / setup.camera.n_det
@@ -181,7 +184,7 @@ def _shade_scored(axes: Axes, setup: Setup) -> None:
 
 
 def _place_legend(setup: Setup, figure: Figure, axes: Axes) -> None:
-    """The legend in the axes, or below them where pipelines are compared: that is too many for inside."""
+    """Place the legend in the axes, or below them if pipelines are compared, because it is long."""
     if setup.analysis.chooses:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, **LEGEND)
     else:

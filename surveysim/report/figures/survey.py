@@ -33,10 +33,10 @@ FULL_COLOUR = ("map", "weather")  # those with a colour bar
 
 
 def survey_figures(result: SurveyResult) -> dict[str, Callable[[], Figure]]:
-    """Return a function that draws each figure that the run has results for, by its name.
+    """Return a function for each figure that the run has results for, by name.
 
-    Time-stream PSDs and the map need a scan that was kept; spectra of the maps need scores; noise against weather
-    needs an atmosphere; error against run time needs a known error.
+    Time-stream PSDs and the map need a kept scan; spectra of the maps need scores; noise against weather needs an
+    atmosphere; error against run time needs a known error.
     """
     setup, coadds, scores, expected = result.setup, result.coadds, result.scores, result.expected
     if not coadds.weight[0].any():
@@ -64,7 +64,7 @@ def _titled(result: SurveyResult, name: str, draw: Callable[[], Figure]) -> Figu
 
 
 def drawings(result: SurveyResult) -> dict[str, Callable[[Path], None]]:
-    """Return a function that writes each of the `survey_figures` as a PNG, whole or not at all, by its name."""
+    """Return a function for each of the `survey_figures` that writes it as a PNG atomically, by name."""
     return {name: partial(_write, name, draw) for name, draw in survey_figures(result).items()}
 
 

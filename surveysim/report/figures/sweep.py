@@ -1,4 +1,4 @@
-"""The figure of a sweep: sigma(A) along the first axis, and its ratio to the reference point with paired errors."""
+"""Figure of a sweep: sigma(A) along the first axis, and its ratio to the reference point with paired errors."""
 
 import re
 from pathlib import Path
@@ -21,7 +21,7 @@ UK2_CMB = r"$\mu$K$_\mathrm{CMB}^2$"
 
 
 def draw_sweep(path: Path, result: SweepResult) -> Path:
-    """Write the figure of a sweep with at least one score as a PNG, whole or not at all; returns its path."""
+    """Write the figure of a sweep with at least one score as a PNG, atomically; return its path."""
     save(draw(result), path)
     return path
 
@@ -39,10 +39,10 @@ def draw(result: SweepResult) -> Figure:
 
 
 def sweep_figure(result: SweepResult) -> PaperFigure:
-    """Two panels: sigma(A) of the actual data set, forecasts as lines; and ratios to the reference point.
+    """Draw two panels: sigma(A) of the actual data with forecasts as lines, and ratios to the reference point.
 
-    One colour for each combination of the values of all axes but the first. Grey bars in the second panel are the
-    errors that independent runs would have.
+    Each combination of values of the other axes has its own colour. Grey bars in the second panel are errors of
+    independent runs.
     """
     sweep, comparison = result.sweep, result.comparison
     x, label, logarithmic = _positions(result)
@@ -99,7 +99,7 @@ def _ratios(result: SweepResult, x: np.ndarray, rows: np.ndarray, name: str, col
 
 
 def _lines(result: SweepResult) -> list[tuple[str, np.ndarray]]:
-    """Label and points (indices) of each line: of each combination of the values of all axes but the first."""
+    """Label and point indices of each line: one for each combination of values of the axes after the first."""
     sweep = result.sweep
     if _in_a_row(result):
         return [("", np.arange(len(sweep.points)))]
@@ -117,7 +117,7 @@ def _in_a_row(result: SweepResult) -> bool:
 
 
 def _positions(result: SweepResult) -> tuple[np.ndarray, str, bool]:
-    """Place of each point on the horizontal axis, the axis' label, and whether it is logarithmic."""
+    """Horizontal position of each point, label of the axis, and whether it is logarithmic."""
     sweep = result.sweep
     if _in_a_row(result):
         return np.arange(len(sweep.points)), "point", False
@@ -131,7 +131,7 @@ def _positions(result: SweepResult) -> tuple[np.ndarray, str, bool]:
 
 
 def _numbers(axis: Axis) -> tuple[np.ndarray, str] | None:
-    """Values of the axis' first key and their unit; None unless they are numbers that keep its steps apart."""
+    """Values of the first key of the axis and their unit; None unless they are numbers that distinguish its steps."""
     found = numbers_of([values[0] for values in axis.values])
     return found if found is not None and len(np.unique(found[0])) == len(axis.values) else None
 
@@ -142,7 +142,7 @@ def _wide(values: np.ndarray) -> bool:
 
 
 def _ticks(result: SweepResult) -> list[str]:
-    """Labels of the steps, each key in a line of its own, where their place is not their value; none elsewhere."""
+    """Labels of the steps, with one line for each key, unless the position is the value."""
     first = result.sweep.axes[0]
     if _in_a_row(result) or _numbers(first) is not None:
         return []

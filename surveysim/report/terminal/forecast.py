@@ -11,7 +11,7 @@ from surveysim.results.tables import effect_table
 
 
 def print_forecast(setup: Setup, forecast: Forecast, verbose: bool = False) -> None:
-    """Print the forecast of each data set beside the reference, and warnings.
+    """Print the forecast of each data set with the reference, and warnings.
 
     Parameters
     ----------

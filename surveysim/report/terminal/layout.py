@@ -1,4 +1,4 @@
-"""Tables and lines on a terminal of any width, whatever is in them."""
+"""Tables and lines on a terminal of any width, safe for any content."""
 
 import os
 import sys
@@ -18,7 +18,7 @@ WIDEST = 10_000
 
 
 class Terminal(Console):
-    """A console that shows texts as they are: nothing in them is markup, or controls the terminal."""
+    """A console that prints texts literally: nothing in them is markup or controls the terminal."""
 
     def __init__(self, columns: int = 120, **options: Any) -> None:
         # Off a terminal rich takes 80 columns, in which the tables would break.
@@ -36,7 +36,7 @@ class Terminal(Console):
                 yield Segment("\n".join(map(printable, text.split("\n"))), style)
 
     def say(self, text: str) -> None:
-        """Print lines, broken between words alone where they are wider than the terminal."""
+        """Print lines, wrapped between words where they are wider than the terminal."""
         for line in text.split("\n"):
             line, room = printable(line), max(NARROWEST, self.width)
             if self.wraps:
@@ -47,9 +47,9 @@ class Terminal(Console):
             self.print(line, soft_wrap=True)
 
     def show(self, table: Table) -> None:
-        """Print a table, or, where it does not fit, its rows one after the other, a line a cell.
+        """Print a table, or its rows one after the other, one line per cell, if it does not fit.
 
-        Words are never broken, nor are the cells of columns that are justified on the right: numbers.
+        Words are never broken, nor are cells of right-justified columns (numbers).
         """
         for column in table.columns:
             column.min_width = _narrowest(column)
@@ -73,14 +73,14 @@ class Terminal(Console):
 
 
 def _narrowest(column: Column) -> int:
-    """Columns of a terminal that the longest word needs, or number."""
+    """Width that the longest word or number needs."""
     cells = [str(cell) for cell in column.cells]
     words = [word for text in (str(column.header), *cells) for word in text.split()]
     return max(map(cell_len, words + cells if column.justify == "right" else words), default=0)
 
 
 def _narrow(columns: Sequence[Column], free: int) -> None:
-    """Share what is free beyond the narrowest widths among columns that would be wider: rich would break words."""
+    """Distribute the free width over the columns that need more than their narrowest width: rich would break words."""
     wanted = {id(column): _widest(column) - column.min_width for column in columns}
     for place, column in enumerate(sorted(columns, key=lambda column: wanted[id(column)])):
         more = min(wanted[id(column)], free // (len(columns) - place))

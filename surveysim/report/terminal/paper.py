@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def print_paper(written: list[Path]) -> None:
-    """The tables that were made, figures as their captions, and where the files are."""
+    """Print the tables, the captions of the figures, and the place of the files."""
     from astropy.table import Table as AstropyTable
 
     console = Terminal()

@@ -11,7 +11,7 @@ from surveysim.studies.sweep.plan import SweepPlan
 
 
 def print_plan(scene: Scene, plan: Plan, workers: int) -> None:
-    """Stages, what is left out and why, and the predicted cost."""
+    """Print the stages, the omitted stages with reasons, and the predicted cost."""
     console = Terminal()
     table = Table(title=Text(f"{scene.name}: {scene.title}"))
     for heading in ("stage", "what"):
@@ -38,7 +38,7 @@ def _seconds(seconds: float) -> str:
 
 
 def print_sweep_plan(sweep: Sweep, plan: SweepPlan, workers: int) -> None:
-    """Axes of a sweep and the predicted cost of its points."""
+    """Print the axes of a sweep and the predicted cost of its points."""
     console = Terminal(160)
     table = Table(title=Text(f"{sweep.name}: {plan.n_points} points"))
     table.add_column("axis")

@@ -10,7 +10,7 @@ from surveysim.studies.stress import Case, Outcome
 
 
 def print_extremes(cases: Sequence[Case], outcomes: Sequence[Outcome], directory: Path) -> None:
-    """Print a row for each case, those first that are not as expected, and how many are."""
+    """Print a row for each case, failed cases first, and the number of passed cases."""
     console = Terminal(160)
     pairs = sorted(zip(cases, outcomes, strict=True), key=lambda pair: pair[1].ok)
     show_table(console, extreme_table(*zip(*pairs, strict=True)))

@@ -41,7 +41,7 @@ def print_result(result: SurveyResult, directory: Path, verbose: bool = False) -
     directory : Path
         Folder of its files.
     verbose : bool
-        Also print the cleaning pipelines, the forecast beside the run, alternatives, method and assumptions.
+        Also print the cleaning pipelines, the forecast, alternatives, method and assumptions.
     """
     console, content = Terminal(), summary(result)
     for line in stop_lines(result):
@@ -95,7 +95,7 @@ def print_warnings(console: Terminal, warnings: Sequence[str]) -> None:
 
 
 def error_warnings(result: SurveyResult) -> list[str]:
-    """Warn of errors that are unknown, of too few observations."""
+    """Warn of unknown errors from too few observations."""
     estimate = result.estimate
     if estimate is None or not math.isnan(estimate.error_ukcmb2):
         return []
@@ -105,7 +105,7 @@ def error_warnings(result: SurveyResult) -> list[str]:
 
 
 def forecast_warnings(content: Content) -> list[str]:
-    """Warn of forecasts of sigma(A) that the run contradicts, and of flagged effects, each with its data sets."""
+    """Warn of forecasts of sigma(A) that the run contradicts, and of flagged effects, with their data sets."""
     far = [
         f"the forecast of sigma(A) of {name} is off by more than {100 * GOOD_SIGMA:.0f} %."
         for name, item in content.get("forecast_over_simulated", {}).items()
@@ -116,7 +116,7 @@ def forecast_warnings(content: Content) -> list[str]:
 
 
 def effect_warnings(effects: Mapping[str, Sequence[Content]]) -> list[str]:
-    """Warn once of each flagged effect on forecasts, with the data sets that have it and the sentence of the first."""
+    """Warn once of each flagged effect on forecasts, with its data sets and the sentence of the first."""
     names: dict[str, list[str]] = {}
     sentences: dict[str, str] = {}
     for name, found in effects.items():
@@ -138,18 +138,18 @@ def closing_line(content: Content) -> str:
 
 
 def _shares(discarded: Mapping[str, float]) -> str:
-    """`` (18.4 %; masked_36: 2.0 %)``: the actual data's share, and those that differ; nothing if all are 0."""
+    """Format fractions of discarded scans as `` (18.4 %; masked_36: 2.0 %)``: the actual data and sets that differ."""
     shown = [f"{name}: {percent(discarded[name])}" for name in listed_data_sets([discarded])]
     return f" ({'; '.join(shown).removeprefix(f'{ACTUAL}: ')})" if any(discarded.values()) else ""
 
 
 def where_line(directory: Path) -> str:
-    """Return the line on where the results and their report page are."""
+    """Return the line with the place of the results and their report page."""
     return f"Results in {directory}, all on one page in {directory / REPORT}"
 
 
 def survey_lines(result: SurveyResult) -> Iterator[str]:
-    """Yield the share of the survey that was simulated and the kind of estimate that is quoted."""
+    """Yield the simulated fraction of the survey and the kind of the quoted estimate."""
     n_obs = result.setup.scene.observations
     if result.coadds.done < n_obs:
         yield f"  of the whole survey of {n_obs} observations, judged by {result.coadds.done}"
@@ -158,7 +158,7 @@ def survey_lines(result: SurveyResult) -> Iterator[str]:
 
 
 def estimate_line(estimate: Estimate) -> str:
-    """Return the kind of the estimate that is quoted, with the plain one beside a controlled one."""
+    """Return the kind of the quoted estimate, with the plain estimate if it is controlled."""
     if estimate.kind != "controlled":
         return f"{PLAIN}."
     plain_value = plain(quoted(estimate.plain_sigma_ukcmb2, estimate.plain_error_ukcmb2))
@@ -166,7 +166,7 @@ def estimate_line(estimate: Estimate) -> str:
 
 
 def cost_lines(result: SurveyResult) -> list[str]:
-    """Return the cost of an answer to 1 %, where this one is not as good."""
+    """Return the cost of an error of 1 %, if the error of the run is larger."""
     cost, score = result.fine_cost, result.setup.scene.score
     if cost is None or not result.estimate.relative_error > cost.relative_error:
         return []

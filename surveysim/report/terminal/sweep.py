@@ -26,7 +26,7 @@ def print_sweep(result: SweepResult, directory: Path, verbose: bool = False) -> 
     directory : Path
         Folder of its files.
     verbose : bool
-        Also print the kind of estimate, shares of discarded scans and the forecasts beside the points.
+        Also print the kind of estimate, fractions of discarded scans, and the forecasts.
     """
     console = Terminal(160)
     table = _named_by_axes(sweep_table(sweep_summary(result, ())), result.sweep.axes)
@@ -47,7 +47,7 @@ def print_sweep(result: SweepResult, directory: Path, verbose: bool = False) -> 
 
 
 def _named_by_axes(table: Table, axes: Sequence[Axis]) -> Table:
-    """Show only the keys that tell the points apart; a single key of an axis has the axis as its heading."""
+    """Show only the keys that distinguish the points; a single key of an axis has the axis as its heading."""
     headings = {
         key: axis.name if len(axis.distinguishing_keys) == 1 else key
         for axis in axes
@@ -92,7 +92,7 @@ def flag_lines(result: SweepResult) -> list[str]:
 
 
 def discard_lines(result: SweepResult) -> list[str]:
-    """The share of discarded scans of every data set at its best and at its worst point."""
+    """Return the fractions of discarded scans of each data set at its best and worst point."""
     shares = [item.discarded for item in result.points]
     if not any(shares):
         return ["Shares of discarded scans are not known."]
@@ -105,7 +105,7 @@ def discard_lines(result: SweepResult) -> list[str]:
 
 
 def best_line(result: SweepResult) -> str:
-    """``best: key = value, ... with confidence 93 %``, all points that are equally good, or why there is none."""
+    """Return ``best: key = value, ... with confidence 93 %``, all equally good points, or the reason for none."""
     comparison = result.comparison
     labels = " or ".join(result.sweep.points[number].label for number in comparison.best)
     first = comparison.best[0]
@@ -120,7 +120,7 @@ def best_line(result: SweepResult) -> str:
 
 
 def _among(result: SweepResult) -> str:
-    """Of how many points the best one is, where others have no known error or lose too many scans to compete."""
+    """Number of points that are compared, if others have no known error or lose too many scans."""
     competing, scored = result.comparison.competing.sum(), (result.comparison.ratio > 0).sum()
     if competing == scored:
         return ""

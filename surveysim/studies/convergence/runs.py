@@ -17,7 +17,7 @@ from surveysim.runtime.errors import InputError, InsufficientDataError, SceneErr
 from surveysim.runtime.memory import peak_bytes
 from surveysim.scene.scene import Scene, scene_hash
 from surveysim.studies.convergence.records import OF_SCREEN, Setting
-from surveysim.survey.coadds import CoAdds
+from surveysim.survey.coadd_tree import CoAddTree
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import DataSetScore
 
@@ -75,18 +75,18 @@ def _marks(setup: Setup, counts: Sequence[int]) -> dict[int, Mark]:
     marks: dict[int, Mark] = {}
     began, scoring = clocks(), np.zeros(2)
 
-    def mark(coadds: CoAdds) -> None:
-        if coadds.done not in counts:
+    def mark(sums: CoAddTree) -> None:
+        if sums.done not in counts:
             return
         before, found, note = clocks(), None, ""
         try:
-            found = quoted_scores(setup, coadds, (ACTUAL,))[ACTUAL]
-        except InsufficientDataError as error:  # too few observations, or none with signal simulations
+            found = quoted_scores(setup, sums.so_far(), (ACTUAL,))[ACTUAL]
+        except InsufficientDataError as error:  # too few observations, or none with window skies
             note = f"not scored: {first_line(error)}"
         after = clocks()
         wall, cpu = after - began - scoring
         scoring[:] += after - before
-        marks[coadds.done] = Mark(found, float(wall), float(cpu), note)
+        marks[sums.done] = Mark(found, float(wall), float(cpu), note)
 
     run_observations(setup, None, progress=mark)
     return marks

@@ -29,7 +29,7 @@ from surveysim.studies.sweep.point_store import (
 from surveysim.survey.checkpoint import CheckpointError
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.discarded_scans import competing, discards
-from surveysim.survey.run import run_observations
+from surveysim.survey.run import finished_sums, run_observations
 from surveysim.survey.scores import FEWEST_CONTROLLED, DataSetScore, error_modes
 
 DRAWS = 20_000  # a probability of 0.5 has an error of 0.004
@@ -78,11 +78,13 @@ class PointJob:
 
     def __call__(self, point: Point) -> PointResult:
         """Run a point; raises an error that names the point, and CheckpointError for a checkpoint of another scene."""
-        start, setup, checkpoint = perf_counter(), prepare(point.scene), None
+        start, setup, checkpoint, nodes = perf_counter(), prepare(point.scene), None, []
         if self.directory is not None:
             checkpoint = point_checkpoint(self.directory, point.number)
         try:
-            coadds = run_observations(setup, checkpoint, resume=self.resume)
+            if self.resume and checkpoint is not None:
+                nodes = finished_sums(setup, checkpoint)
+            coadds = run_observations(setup, checkpoint, nodes=nodes)
         except CheckpointError:
             raise
         except InputError as error:

@@ -62,7 +62,7 @@ def test_cells_at_the_edges_count_by_the_part_inside():
 @pytest.mark.parametrize("site", SITES)
 @pytest.mark.parametrize(("frequency_ghz", "tolerance"), [(143, 5e-5), (268, 5e-5), (183.3, 1e-3), (350, 1e-3)])
 def test_a_knot_left_out_is_predicted(site, frequency_ghz, tolerance):
-    """Where no line saturates to half a unit of the five digits of the tables."""
+    """To half a unit of the five digits of the tables, in bands without a saturated line."""
     band = band_opacity(site, frequency_ghz * 1e9, 0.15)
     for i in range(1, len(band.pwv_mm) - 1):
         spline = CubicSpline(np.delete(band.pwv_mm, i), np.delete(band.optical_depth, i))

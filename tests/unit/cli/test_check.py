@@ -1,4 +1,4 @@
-"""What `check` accepts a run can run, and anything else is refused at once: extreme values of all keys."""
+"""Extreme values of all keys: a scene that `check` accepts can be run, and any other is refused at once."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.keys import all_keys
 from surveysim.scene.scene import load_scene
 from surveysim.studies.resources import _windiest
-from surveysim.survey.coadds import add_observation, empty_coadds
+from surveysim.survey.coadds import add_observations, empty_coadds, observation_sums
 from surveysim.telescope.scans import samples_per_scan
 from tests.extremes_of_keys import bounds, extreme_overrides, is_number
 from tests.scenes import write_scene
@@ -49,7 +49,9 @@ def refused_or_run(path, overrides) -> str:
         return ""
     result = observe(setup, _windiest(setup), bool(signal_sim_observations(scene).any()))
     assert np.isfinite(result.sums).all()
-    add_observation(setup.analysis, empty_coadds(setup.analysis), replace(result, observation=0))
+    add_observations(
+        setup.analysis, empty_coadds(setup.analysis), [observation_sums(setup.analysis, replace(result, observation=0))]
+    )
     return ""
 
 

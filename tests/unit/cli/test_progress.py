@@ -66,7 +66,7 @@ def test_little_work_after_much_does_not_tell():
 
 
 def test_start_up_is_no_estimate():
-    """What is in within the time of start-up and compilation says nothing; the second observation does."""
+    """Observations within the time of start-up and compilation give no estimate; the second observation does."""
     found = estimates(equal_work(100), 1, [START_S - 1, START_S - 0.9])
     assert found[0] is None and found[1] == pytest.approx(0.1 * 98)
 

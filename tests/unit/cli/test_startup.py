@@ -1,4 +1,4 @@
-"""What a small run starts without: heavy imports, and what stands in for what they would do."""
+"""Heavy imports that small commands start without, and the constants that stand in for them."""
 
 import subprocess
 import sys
@@ -10,6 +10,7 @@ from astropy.table import Table
 from scipy.spatial.distance import pdist
 
 from mapmaker.files import write_ecsv
+from surveysim.runtime.environment import UNUSED
 from surveysim.telescope.focal_plane import closest_pair, hexagon
 from tests.scenes import WHITE_NOISE_SCENE
 
@@ -73,6 +74,18 @@ def test_scenes_are_checked_without_what_only_runs_need(tmp_path, scene):
     """Also scenes of a site, nights and a layer, and of a sweep."""
     loaded = imported(tmp_path, "check", scene)
     assert not set(UNWANTED_IN_CHECKS) & loaded and "surveysim.reduction.setup" in loaded
+
+
+@pytest.mark.parametrize("name", UNUSED)
+def test_parts_of_numpy_are_executed_at_their_first_use(name):
+    """They are there, but for names that only their execution defines."""
+    code = (
+        "import sys\nfrom surveysim.runtime.environment import settle\nsettle()\nimport scipy.special\n"
+        f"module = sys.modules[{name!r}]\nempty = '__all__' not in object.__getattribute__(module, '__dict__')\n"
+        "print(empty, bool(module.__all__))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.split() == ["True", "True"], done.stderr
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["run", "--help"]])

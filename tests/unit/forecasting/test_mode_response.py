@@ -56,7 +56,7 @@ def test_apodized_sums_are_the_double_loop(rows):
     transfer = rng.standard_normal(9)
     frequency, at = rng.uniform(-4, 4, 30), rng.uniform(-3, 3, 5)  # up to 7, beyond the table's 4
     strength, power, mean = rng.random((rows, 30)), rng.random((3, 30)), rng.random(30)
-    losses = rng.dirichlet(np.ones(4))[:3], rng.standard_normal((5, 3)), rng.standard_normal((30, 3))
+    losses = rng.dirichlet(np.ones(4))[:3], rng.standard_normal((5, 3)), rng.standard_normal((3, 30))
     found = apodized_sums(strength, power, frequency, at, transfer, 2.0, mean, *losses)
     expected = naive.apodized_sums(strength, power, frequency, at, transfer, 2.0, mean, *losses)
     np.testing.assert_allclose(found, expected, rtol=1e-12)

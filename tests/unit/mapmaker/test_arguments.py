@@ -56,7 +56,7 @@ def changed(array, place, value):
 
 
 def wrong_arrays(array, *, finite=True, least=None):
-    """What an array of real numbers may not be."""
+    """Arrays and other values that no array of real numbers may be."""
     array = np.asarray(array)
     yield from (array[..., :-1], array[None], array.astype(complex), array.astype(str), array.astype(object))
     yield from (np.zeros(0), None, "data", np.ma.masked_array(array, np.arange(array.size).reshape(array.shape) == 1))

@@ -165,11 +165,9 @@ def test_an_observation_without_data_is_part_of_the_sample():
     np.testing.assert_allclose(weather_error(information), np.sqrt(19 / 17) / 19)
 
 
-def test_score_joins_its_parts():
-    rng = np.random.default_rng(2)
-    psds = NOISE * rng.chisquare(N_MODES, size=(8, NOISE.size)) / N_MODES
-    weights, errors = rng.uniform(1, 2, 30), np.full(NOISE.size, 0.1)
-    result, budget = score(
+def scored(psds, errors, weights):
+    """Score of PSDs of noise realizations, with the bins of this file."""
+    return score(
         psds,
         SIGNAL,
         signal_psd_relative_error=errors,
@@ -179,6 +177,13 @@ def test_score_joins_its_parts():
         ell=ELL,
         edges_ell=EDGES,
     )
+
+
+def test_score_joins_its_parts():
+    rng = np.random.default_rng(2)
+    psds = NOISE * rng.chisquare(N_MODES, size=(8, NOISE.size)) / N_MODES
+    weights, errors = rng.uniform(1, 2, 30), np.full(NOISE.size, 0.1)
+    result, budget = scored(psds, errors, weights)
     assert result.sigma_ukcmb2 == flat_band_power(psds.mean(axis=0), SIGNAL, N_MODES, MASK)
     signs, common = noise_error_parts(psds, result.weight, weights, n_modes=N_MODES)
     assert budget.noise == pytest.approx(np.hypot(signs, common))
@@ -235,16 +240,7 @@ def test_other_shapes_are_rejected():
 )
 def test_score_rejects_too_little(psds, errors, weights, message):
     with pytest.raises(ValueError, match=message):
-        score(
-            psds,
-            SIGNAL,
-            signal_psd_relative_error=errors,
-            n_modes=N_MODES,
-            mask=MASK,
-            observation_weights=weights,
-            ell=ELL,
-            edges_ell=EDGES,
-        )
+        scored(psds, errors, weights)
 
 
 def test_information_shares_are_what_sigma_answers_to():

@@ -108,7 +108,7 @@ def test_a_linear_sky_is_looked_up_exactly():
 def test_add_signed(rng):
     """Into a strided view, as it is used."""
     whole = rng.standard_normal((6, 3, 5, 5))
-    values, signs = rng.standard_normal((5, 5)), np.array([1.0, -1, -1, 1, 1, -1])
+    values, signs = rng.standard_normal((4, 5, 5)), rng.choice([-1.0, 1.0], (6, 4))
     expected = whole.copy()
     naive.add_signed(expected[:, 1], values, signs)
     add_signed(whole[:, 1], values, signs)

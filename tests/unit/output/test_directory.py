@@ -16,13 +16,13 @@ OTHER = Results("run", "small", "b" * 64, NAMES, {"scene.toml": b"seed = 2\n"})
 GONE = 2**30  # no process has this number
 
 
-def written(directory, names=NAMES[:3], results=RUN, **how):
+def written(directory, names=NAMES[:3], results=RUN, whole=True, **how):
     """A run that leaves these files."""
     work = [name for name in names if name.startswith(("checkpoint", "timestreams"))]
     with claimed(directory, results, **how) as place:
         begin(place, removed=lambda name: how.get("force", False))
         put(directory, {name: f"{name} of {results.sha256}" for name in work})
-        with replacing(place) as new:
+        with replacing(place, whole=whole) as new:
             put(new, {name: f"{name} of {results.sha256}" for name in names if name not in work})
 
 
@@ -379,7 +379,7 @@ def test_a_finished_run_is_not_resumed(tmp_path):
 
 def test_a_run_that_was_stopped_early_is_resumed(tmp_path):
     """It has both results and a checkpoint."""
-    written(tmp_path, NAMES[:4])
+    written(tmp_path, NAMES[:4], whole=False)
     with pytest.raises(OutputError, match="checkpoint.h5: from a run that has not finished; --resume"):
         written(tmp_path)
     with claimed(tmp_path, RUN, resume=True) as place:

@@ -220,7 +220,7 @@ def test_measurements_stand_beside_the_truth(made):
     assert rows["median wind, drawn"]["paper"] == 31
 
 
-def test_same_bits_whatever_the_workers(scenarios, made, tmp_path):
+def test_same_bits_whatever_the_workers(scenarios, made, tmp_path, two_threads):
     written, _ = reproduce(wanted((2,), (), scenarios, observations=None), tmp_path, Engine(workers=2))
     for path in written:
         assert path.read_bytes() == (made[0] / path.name).read_bytes()

@@ -129,7 +129,7 @@ def test_a_pipeline_knows_its_own_detectors(setup_of, place):
 
 
 def test_other_bands_are_cleaned_with_their_own(setup_of):
-    """What all detectors see in all bands vanishes: each band is cleaned with the responsivities that are its own."""
+    """Signal common to all detectors and bands vanishes: each band is cleaned with its own responsivities."""
     setup = setup_of(**SOURCES["known"])
     rng, n_det = np.random.default_rng(2), setup.camera.n_det
     calibration = np.exp(0.1 * rng.standard_normal((2, n_det)))
@@ -174,7 +174,7 @@ def test_a_survey_has_one_calibration_however_it_is_cut(setup_of):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("source", ["observation", "survey"])
-def test_workers_change_no_bit(setup_of, source):
+def test_workers_change_no_bit(setup_of, source, two_threads):
     scene = setup_of(**SOURCES[source]).scene
     one, two = (run(scene, engine=engine) for engine in (SERIAL, Engine(workers=2)))
     np.testing.assert_array_equal(one.coadds.sums, two.coadds.sums)

@@ -6,8 +6,10 @@ import re
 import shutil
 from base64 import b64decode
 
+import matplotlib
 import numpy as np
 import pytest
+from PIL import Image
 
 from surveysim import load_scene, run, run_sweep
 from surveysim.api import forecast_sweep
@@ -48,7 +50,9 @@ def finished(tmp_path_factory, scene_text):
     out = folder / "out"
     (out / "figures").mkdir(parents=True)
     (out / "figures" / "mine.png").write_bytes(b"mine")
+    style = dict(matplotlib.rcParams)
     run(load_scene(folder / "small.toml"), out, engine=SERIAL)
+    assert dict(matplotlib.rcParams) == style
     return out
 
 
@@ -86,6 +90,16 @@ def test_every_figure_is_there_once_with_a_caption(finished, page, summary):
         assert len(image["alt"]) > 30 and int(image["width"]) > 500 < int(image["height"]) + 200
         caption = figure.one("figcaption").text
         assert "Across" in caption and "Look for" in caption and "{" not in caption
+
+
+def test_figures_are_whole_pictures(finished, summary):
+    names = {name.removeprefix("figures/") for name in summary["files"] if name.startswith("figures/")}
+    assert names | {"mine.png"} == {path.name for path in (finished / "figures").iterdir()}  # and nothing unfinished
+    for name in names:
+        with Image.open(finished / "figures" / name) as image:
+            assert image.format == "PNG"
+            assert image.info["dpi"] == pytest.approx((150, 150), abs=0.1)
+            assert np.ptp(np.asarray(image.convert("L")).astype(int)) > 200
 
 
 def test_the_score_table_has_the_numbers_of_the_summary(page, summary):
@@ -424,7 +438,7 @@ ODD = [None, [], {}, "x\u202e\x1b\ud800", -1, float("inf"), True, [[]], {"a": No
 
 
 def nodes(content, path=()):
-    """Where everything is in a JSON document."""
+    """Paths of all nodes of a JSON document."""
     yield path
     for key, value in content.items() if isinstance(content, dict) else enumerate(content):
         if isinstance(value, dict | list):

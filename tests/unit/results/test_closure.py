@@ -1,4 +1,4 @@
-"""What was put in against what came out: noise that is known, weather that is drawn often, signal in closed form."""
+"""Closure tests, input against output: known noise, weather drawn often, signal in closed form."""
 
 import numpy as np
 import pytest

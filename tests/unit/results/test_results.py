@@ -52,6 +52,7 @@ def test_files(finished):
     names = sorted(str(path.relative_to(finished[1])) for path in finished[1].rglob("*.*"))
     assert names == [
         ".surveysim.json",
+        "checkpoint.h5",
         *(f"maps/{name}.fits" for name in sorted(SETS)),
         "report.html",
         "scene.json",

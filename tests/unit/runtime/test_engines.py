@@ -11,7 +11,8 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from surveysim.runtime.dask_cluster import MOST_ITEMS, SCHEDULER_S, UNIT_S, on_cluster, run_unit, unit_size
-from surveysim.runtime.engine import SERIAL, Engine, EngineError, defer_signals, ordered_map
+from surveysim.runtime.engine import SERIAL, Engine, EngineError, defer_signals, ordered_map, unordered_map
+from surveysim.runtime.items import InOrder
 
 TWO = Engine(workers=2)
 DASK = Engine("dask", workers=2)
@@ -58,8 +59,8 @@ def sleep_long(item):
 
 
 @ALL
-def test_order_errors_and_threads(engine):
-    """What every engine keeps to."""
+def test_order_errors_and_threads(engine, two_threads):
+    """All engines keep the order, pass errors on and give BLAS one thread."""
     results = ordered_map(observed, range(30), engine)
     found = [next(results) for _ in range(20)]
     assert [item[:2] for item in found] == [(i, i**2) for i in range(20)]
@@ -69,6 +70,34 @@ def test_order_errors_and_threads(engine):
         next(results)
     assert list(ordered_map(square, [], engine)) == []
     assert not multiprocessing.active_children()
+
+
+@ALL
+def test_all_answers_without_order(engine):
+    assert sorted(unordered_map(square_alone, InOrder(range(40), position=40), engine)) == [
+        (i, i**2) for i in range(40)
+    ]
+
+
+def square_alone(item):
+    return square(item)[1]
+
+
+@ALL
+def test_the_first_error_is_raised_when_work_in_progress_is_finished(engine):
+    found = []
+    with pytest.raises(ValueError, match="found 3$"):
+        for number, _ in unordered_map(fails_late_or_early, InOrder(range(10**6), position=10**6), engine):
+            found.append(number)
+    assert {0, 1, 2} <= set(found) and len(found) < 10**6
+
+
+def fails_late_or_early(item):
+    if item == 3:
+        time.sleep(0.3)
+    if item in (3, 4):
+        raise ValueError(f"found {item}")
+    return item
 
 
 @pytest.mark.parametrize("engine", [SERIAL, TWO], ids=lambda engine: engine.kind)
@@ -149,9 +178,9 @@ def test_schedulers_that_are_not_there(monkeypatch, tmp_path):
         with pytest.raises(
             EngineError, match="neither an address nor a scheduler's file; tcp://host:port, tls://host:port"
         ):
-            list(on_cluster(square, [1], Engine("dask", scheduler=str(path))))
+            list(on_cluster(square, InOrder([1]), Engine("dask", scheduler=str(path))))
     with pytest.raises(EngineError, match="scheduler: no scheduler answers at tcp://127.0.0.1:9"):
-        list(on_cluster(square, [1], Engine("dask", scheduler="tcp://127.0.0.1:9")))
+        list(on_cluster(square, InOrder([1]), Engine("dask", scheduler="tcp://127.0.0.1:9")))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

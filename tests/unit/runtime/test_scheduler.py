@@ -17,6 +17,7 @@ from surveysim.runtime.addresses import address_of
 from surveysim.runtime.dask_cluster import on_cluster
 from surveysim.runtime.dask_scheduler import workers_at
 from surveysim.runtime.engine import Engine, EngineError
+from surveysim.runtime.items import InOrder
 
 
 @pytest.mark.parametrize(
@@ -174,7 +175,7 @@ def test_servers_that_are_no_schedulers(short, answer):
     with server(answer) as place:
         refused(f"tcp://{place}", f"scheduler: no scheduler answers at tcp://{place}")
         with pytest.raises(EngineError, match="no scheduler answers"):
-            list(on_cluster(str, [1], Engine("dask", scheduler=place)))
+            list(on_cluster(str, InOrder([1]), Engine("dask", scheduler=place)))
     assert time.monotonic() - begin < 2
 
 
@@ -259,7 +260,7 @@ def test_no_worker(cluster, monkeypatch, caplog):
     address = cluster.scheduler_address
     assert workers_at(address) == 0
     with pytest.raises(EngineError, match="the cluster has had no worker for 1 s"):
-        list(on_cluster(str, [1], Engine("dask", scheduler=address)))
+        list(on_cluster(str, InOrder([1]), Engine("dask", scheduler=address)))
     lines = [record.getMessage() for record in caplog.records]
     assert len(lines) >= 2 and all("the cluster has no worker; waiting for one, for" in line for line in lines)
 

@@ -15,7 +15,7 @@ def path(tmp_path):
 
 
 def check(path, overrides, key, found, allowed):
-    """What the text has to say; keys of checks across a section may be written `section: key` too."""
+    """Assert the words of a refusal; keys of checks across a section may be written `section: key` too."""
     text = scene_refusal(path, overrides)
     section, _, last = key.rpartition(".")
     assert f"{key}:" in text or (section and f"{section}: {last}:" in text), text

@@ -1,4 +1,4 @@
-"""What a scene may say of a site, and how it is refused."""
+"""Keys of sites that a scene accepts, and refusals of others."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What a plan says: the stages that run and no others, and what they would take."""
+"""Plans: the stages that run and no others, their time and memory."""
 
 import pytest
 
@@ -49,7 +49,7 @@ SUZIE = "scenarios/suzie_ii.toml"
 
 # What is called only where a stage runs: the module that calls (or, imported there when first needed, makes) it.
 DOES = {
-    "atmosphere": [(screen, "add_atmosphere"), (observed_block, "draw_weather")],
+    "atmosphere": [(screen, "add_atmosphere"), (observed_block, "survey_weather")],
     "excess": [(low_frequency, "add_excess")],
     "photon": [(photon, "add_correlated_white")],
     "overlap": [(parts, "overlap")],

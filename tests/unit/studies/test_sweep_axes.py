@@ -176,7 +176,7 @@ def test_errors_name_their_points(refused):
 
 
 def test_errors_of_the_camera_and_the_map_name_their_points(refused):
-    """What only a prepared scene knows."""
+    """These errors show only in a prepared scene."""
     (line,) = refused('"score.ell_max" = [12000, 30000]\n')
     assert line.startswith("point (score.ell_max = 30000): score.ell_max: found 30000; the map pixel's")
 

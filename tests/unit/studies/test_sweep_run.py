@@ -262,7 +262,7 @@ def interrupted(sweep, out, monkeypatch):
             run_sweep(sweep, out, engine=SERIAL, figures=False)
 
 
-def test_two_workers_and_an_interruption_give_the_same_table(write, tmp_path, monkeypatch):
+def test_two_workers_and_an_interruption_give_the_same_table(write, tmp_path, monkeypatch, two_threads):
     path = write(WHITE + SPEEDS)
     one, two, three = (tmp_path / name for name in ("one", "two", "three"))
     run_sweep(path, one, engine=SERIAL, figures=False)

@@ -13,12 +13,12 @@ import pytest
 from surveysim import load_scene
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import Engine
-from surveysim.scene.scene import scene_hash
+from surveysim.scene.scene import survey_hash
 from surveysim.survey.checkpoint import _MARK, CheckpointError, check_streams, load_checkpoint, save_checkpoint
-from surveysim.survey.coadds import empty_coadds
-from surveysim.survey.run import run_observations
+from surveysim.survey.run import finished_sums, run_observations
 from tests.scenes import write_scene
 
+NODE = "000000000"
 ARRAYS = ("sums", "weight", "hits", "flipped", "signal_maps", "signal_weight")
 
 
@@ -38,9 +38,9 @@ def coadds(setup):
 
 
 @pytest.fixture
-def path(tmp_path, coadds, scene):
+def path(tmp_path, coadds, setup):
     path = tmp_path / "checkpoint.h5"
-    save_checkpoint(path, coadds, scene_hash(scene))
+    save_checkpoint(path, [coadds], setup)
     return path
 
 
@@ -55,15 +55,14 @@ def same(one, other):
 
 
 def test_round_trip(path, coadds, setup):
-    loaded = load_checkpoint(path, setup)
+    (loaded,) = load_checkpoint(path, setup)
     assert same(loaded, coadds) and loaded.seconds == coadds.seconds and loaded.done == 4
     assert [item.name for item in path.parent.iterdir()] == [path.name]
 
 
 def test_round_trip_of_nothing(tmp_path, setup):
-    empty = empty_coadds(setup.analysis)
-    save_checkpoint(tmp_path / "new" / "checkpoint.h5", empty, scene_hash(setup.scene))
-    assert same(load_checkpoint(tmp_path / "new" / "checkpoint.h5", setup), empty)
+    save_checkpoint(tmp_path / "new" / "checkpoint.h5", [], setup)
+    assert load_checkpoint(tmp_path / "new" / "checkpoint.h5", setup) == []
 
 
 @pytest.fixture
@@ -112,20 +111,20 @@ def test_another_scene_or_version(path, coadds, setup, monkeypatch):
         other.setattr("surveysim.survey.checkpoint.__version__", "0.0.1")
         with pytest.raises(CheckpointError, match="from another version"):
             load_checkpoint(path, setup)
-    save_checkpoint(path, coadds, "abd")
+    other = prepare(setup.scene.model_copy(update={"seed": 99}))
     with pytest.raises(
         CheckpointError, match="from another scene .*start anew with --force, or write elsewhere with --out"
     ):
-        load_checkpoint(path, setup)
+        load_checkpoint(path, other)
 
 
 def changed(name, change):
     """An array of the file, changed."""
 
     def apply(file):
-        value = change(file[name][()])
-        del file[name]
-        file[name] = value
+        value = change(file[NODE][name][()])
+        del file[NODE][name]
+        file[NODE][name] = value
 
     return apply
 
@@ -141,6 +140,13 @@ def set_at(value, place=0):
 def meta(**others):
     def apply(file):
         file.attrs["meta"] = json.dumps(json.loads(file.attrs["meta"]) | others)
+
+    return apply
+
+
+def seconds(text):
+    def apply(file):
+        file[NODE].attrs["seconds"] = text
 
     return apply
 
@@ -167,12 +173,13 @@ FORGERIES = {
     "no noise of an observation with data": changed("rows", set_at(np.inf, -1)),
     "unknown noise": changed("rows", set_at(np.nan, -1)),
     **{f"negative {name}": changed(name, set_at(-1)) for name in ("hits", "weight", "signal_weight", "raw_psd")},
-    **{f"no {name}": (lambda file, name=name: file.pop(name)) for name in (*ARRAYS, *LISTS)},
-    "another name": lambda file: file.move("sums", "sum"),
-    "one name more": lambda file: file.create_dataset("more", data=1.0),
-    "a group": all_of(lambda file: file.pop("hits"), lambda file: file.create_group("hits")),
+    **{f"no {name}": (lambda file, name=name: file[NODE].pop(name)) for name in (*ARRAYS, *LISTS)},
+    "another name": lambda file: file[NODE].move("sums", "sum"),
+    "one name more": lambda file: file[NODE].create_dataset("more", data=1.0),
+    "a group": all_of(lambda file: file[NODE].pop("hits"), lambda file: file[NODE].create_group("hits")),
     "a link to another file": all_of(
-        lambda file: file.pop("hits"), lambda file: file.update({"hits": h5py.ExternalLink("other.h5", "hits")})
+        lambda file: file[NODE].pop("hits"),
+        lambda file: file[NODE].update({"hits": h5py.ExternalLink("other.h5", "hits")}),
     ),
     "single precision": changed("sums", lambda array: array.astype(np.float32)),
     "hits as floats": changed("hits", lambda array: array.astype(float)),
@@ -189,10 +196,15 @@ FORGERIES = {
     "meta of a list": lambda file: file.attrs.update(meta="[]"),
     "meta of numbers": lambda file: file.attrs.update(meta=3),
     "no meta": lambda file: file.attrs.pop("meta"),
-    "no seconds": meta(seconds=None),
-    "negative seconds": meta(seconds={"cleaning": -1.0}),
-    "seconds of text": meta(seconds={"cleaning": "1"}),
-    "infinite seconds": meta(seconds={"cleaning": float("inf")}),
+    "no seconds": lambda file: file[NODE].attrs.pop("seconds"),
+    "seconds that are no object": seconds("[]"),
+    "negative seconds": seconds('{"cleaning": -1.0}'),
+    "seconds of text": seconds('{"cleaning": "1"}'),
+    "infinite seconds": seconds('{"cleaning": Infinity}'),
+    "a node twice": lambda file: file.copy(NODE, "000000001"),
+    "a dataset in place of a node": lambda file: file.create_dataset("000000004", data=1.0),
+    "half a node": all_of(*(changed(name, lambda array: array[1:]) for name in (*LISTS, "bin_noise"))),
+    "no observation": all_of(*(changed(name, lambda array: array[:0]) for name in (*LISTS, "bin_noise"))),
 }
 
 
@@ -231,38 +243,39 @@ def test_sizes_are_compared_before_anything_is_read(path, refused):
     """A few bytes can claim to be terabytes."""
 
     def claim(file):
-        file.pop("sums")
-        file.create_dataset("sums", (1 << 40,), float, chunks=(1 << 20,), compression="gzip")
+        file[NODE].pop("sums")
+        file[NODE].create_dataset("sums", (1 << 40,), float, chunks=(1 << 20,), compression="gzip")
 
     forge(path, claim)
     refused("sums has the shape")
 
 
 def test_streams_of_another_run_are_refused(tmp_path, scene, setup):
-    """What a resumed run lists among its files is its own."""
+    """A resumed run lists only its own files."""
     path, streams = tmp_path / "checkpoint.h5", tmp_path / "timestreams"
     run_observations(setup, path, timestream_dir=streams, stops=lambda so_far: so_far.done == 2)
     for number in (2, 3):  # of no observation that is kept
         (streams / f"{number:04d}.h5").write_text("of nobody")
-    check_streams(streams, setup, 2)
+    nodes = load_checkpoint(path, setup)
+    check_streams(streams, setup, nodes)
     (streams / "0000.h5").unlink()  # of before a resumption that asked for them
-    check_streams(streams, setup, 2)
+    check_streams(streams, setup, nodes)
     whole = (streams / "0001.h5").read_bytes()
     with h5py.File(streams / "0001.h5", "r+") as file:
-        file.attrs["scene_sha256"] = "0" * 64
+        file.attrs["survey_sha256"] = "0" * 64
     other = (streams / "0001.h5").read_bytes()
     for content in (b"", b"text", whole[:2000], other):
         (streams / "0001.h5").write_bytes(content)
         with pytest.raises(
             CheckpointError, match="0001.h5: not the time-streams of observation 1 of this scene; start anew"
         ):
-            run_observations(setup, path, resume=True, timestream_dir=streams)
+            finished_sums(setup, path, streams)
     (streams / "0000.h5").write_bytes(whole)
     with pytest.raises(CheckpointError, match="0000.h5: not the time-streams of observation 0"):
-        check_streams(streams, setup, 2)
+        check_streams(streams, setup, nodes)
 
 
-def test_full_disk_leaves_the_old_one(path, coadds):
+def test_full_disk_leaves_the_old_one(path, coadds, setup):
     """A write that fails: at once, in the middle, or with the last byte."""
     before = path.read_bytes()
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -270,7 +283,7 @@ def test_full_disk_leaves_the_old_one(path, coadds):
         resource.setrlimit(resource.RLIMIT_FSIZE, (max(0, int(share * len(before)) - 1), limits[1]))
         try:
             with pytest.raises(OSError) as caught:
-                save_checkpoint(path, coadds, "abc")
+                save_checkpoint(path, [coadds], setup)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         assert caught.value.errno == errno.EFBIG and caught.value.filename == str(path)
@@ -288,14 +301,15 @@ def test_stopped_runs_keep_what_is_done(tmp_path, scene, coadds, error):
 
     with pytest.raises(error):
         run_observations(setup, path, progress=stop)
-    assert load_checkpoint(path, setup).done == 3
-    assert same(run_observations(setup, path, resume=True), coadds)
+    assert [node.done for node in load_checkpoint(path, setup)] == [3]
+    assert same(run_observations(setup, path, nodes=finished_sums(setup, path)), coadds)
 
 
 def test_a_finished_checkpoint_has_nothing_left_to_do(tmp_path, scene, coadds):
     path = tmp_path / "checkpoint.h5"
-    save_checkpoint(path, coadds, scene_hash(scene))
-    assert same(run_observations(prepare(scene), path, engine=Engine(workers=2), resume=True), coadds)
+    save_checkpoint(path, [coadds], prepare(scene))
+    setup = prepare(scene)
+    assert same(run_observations(setup, path, Engine(workers=2), nodes=finished_sums(setup, path)), coadds)
 
 
 def test_without_resume_a_checkpoint_is_not_read(tmp_path, scene, coadds):
@@ -306,5 +320,25 @@ def test_without_resume_a_checkpoint_is_not_read(tmp_path, scene, coadds):
 
 def test_other_tools_read_it(path, coadds, scene):
     with h5py.File(path) as file:
-        assert json.loads(file.attrs["meta"])["scene"] == scene_hash(scene)
-        np.testing.assert_array_equal(file["hits"][()], coadds.hits)
+        assert json.loads(file.attrs["meta"])["scene"] == survey_hash(scene)
+        np.testing.assert_array_equal(file[NODE]["hits"][()], coadds.hits)
+
+
+def test_more_observations_are_added_to_a_finished_run(tmp_path, scene, setup, path):
+    """The bits are those of a longer run from the start, and what is finished is not done again."""
+    longer = prepare(scene.model_copy(update={"observations": 19}))
+    seen = []
+    nodes = finished_sums(longer, path)
+    found = run_observations(longer, path, nodes=nodes, keep=True, progress=lambda sums: seen.append(sums.done))
+    assert seen == list(range(5, 20)) and same(found, run_observations(longer, None))
+    assert [node.done for node in load_checkpoint(path, longer)] == [16, 3]
+    with pytest.raises(CheckpointError, match="has observations up to number 18, found observations = 4; 19 or more"):
+        load_checkpoint(path, setup)
+
+
+def test_the_last_sums_of_many_observations_travel_as_nodes(tmp_path, scene):
+    """Workers add up whole leaves, and the bits are those of one process."""
+    setup = prepare(scene.model_copy(update={"observations": 240}))
+    counts = []
+    found = run_observations(setup, None, Engine(workers=2), progress=lambda sums: counts.append(sums.done))
+    assert same(found, run_observations(setup, None)) and len(counts) < 240 and counts[-1] == 240

@@ -23,9 +23,8 @@ from tests.scenes import SMALL_SCENE, write_scene
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes through /proc")
 
 KILLS = 2
+INTERRUPTED = 100  # observations of runs that are interrupted once twelve are written
 COMMAND = [sys.executable, "-c", "from surveysim.cli.main import main; main()"]
-
-
 FAST = [*COMMAND[:2], "import surveysim.survey.run as s; s.CHECKPOINT_SECONDS = 0.1; " + COMMAND[2]]
 
 
@@ -38,7 +37,7 @@ def scene(tmp_path):
 def undisturbed(tmp_path_factory):
     """The files of the run that is interrupted, from one that is not."""
     folder = tmp_path_factory.mktemp("undisturbed")
-    run_scene(load_scene(long_scene(folder, 200)), folder / "whole", engine=SERIAL, figures=False)
+    run_scene(load_scene(long_scene(folder, INTERRUPTED)), folder / "whole", engine=SERIAL, figures=False)
     return folder / "whole"
 
 
@@ -54,7 +53,7 @@ def undisturbed(tmp_path_factory):
 )
 def test_interruption(tmp_path, undisturbed, workers, number, to_group):
     """Ctrl-C in a terminal (the group), or a request to stop: a checkpoint, one line, nobody left behind."""
-    path, out = long_scene(tmp_path, 200), tmp_path / "out"
+    path, out = long_scene(tmp_path, INTERRUPTED), tmp_path / "out"
     process = start("run", path, "--out", out, "--workers", workers, "--save-timestreams", "--no-figures", "-q")
     # At most seven are under way: some are in the sums by then.
     wait_for(out / "timestreams" / "0012.h5", process)

@@ -85,7 +85,7 @@ def test_points_of_sweeps_are_of_one_block_and_dense(path):
 
 
 def _check_size(path, scene):
-    """What keeps a scene's results as they are; but for that of a camera that is made for more."""
+    """Assert that a scene fits into one block, which its results depend on; only the large camera does not."""
     n_det = len(camera(scene.instrument).focal_plane.x_rad)
     samples = n_det * scene.scan.scans * scene.scan.duration_s * scene.scan.sample_rate_hz
     many = path.stem == "large_camera"
@@ -116,7 +116,7 @@ def test_blocks_side_by_side_are_the_observation(setup_of):
     np.testing.assert_array_equal(whole.scan, one.scan)
     assert dict(whole.attributes) == dict(parts[2].attributes)
     # The memory that a block may take is a key of the scene.
-    other = {"scene_sha256": whole.attributes["scene_sha256"]}
+    other = {"survey_sha256": whole.attributes["survey_sha256"]}
     assert dict(whole.attributes) == dict(one.attributes) | other
     # No block repeats another's noise.
     first, second = (part.data_mk[:, 1:] - part.data_mk[:, :-1] for part in parts[:2])

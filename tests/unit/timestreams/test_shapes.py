@@ -7,7 +7,7 @@ import pytest
 
 from surveysim import load_scene
 from surveysim.reduction.setup import prepare
-from surveysim.survey.coadds import add_observation, empty_coadds
+from surveysim.survey.coadds import add_sums, empty_coadds, observation_sums
 from surveysim.timestreams.simulation import observation_path
 from surveysim.timestreams.sky import add_seen_sky
 from tests.scenes import write_scene
@@ -22,7 +22,6 @@ def setup(tmp_path_factory):
 @pytest.mark.parametrize("name", ["sums", "hits", "noise_mk2"])
 @pytest.mark.parametrize("cut", [np.s_[:-1], np.s_[None], np.s_[..., :-1]])
 def test_results_of_another_shape(setup, name, cut):
-    """Of a worker with another scene, say: nothing is added."""
     coadds = empty_coadds(setup.analysis)
     arrays = {
         "sums": np.ones(coadds.sums.shape),
@@ -30,17 +29,15 @@ def test_results_of_another_shape(setup, name, cut):
         "noise_mk2": np.ones(coadds.n_set),
     }
     with pytest.raises(ValueError, match=rf"{name}: found the shape .* is expected"):
-        add_observation(setup.analysis, coadds, SimpleNamespace(observation=0, **(arrays | {name: arrays[name][cut]})))
-    assert not coadds.sums.any() and not coadds.hits.any() and not coadds.rows
+        observation_sums(setup.analysis, SimpleNamespace(observation=0, **(arrays | {name: arrays[name][cut]})))
 
 
 @pytest.mark.parametrize("cut", [np.s_[:-1], np.s_[:, :-1], np.s_[..., :-1], np.s_[:0]])
 def test_sums_of_another_shape(setup, cut):
-    coadds = empty_coadds(setup.analysis)
-    coadds.flipped = coadds.flipped[cut]
-    arrays = {"sums": coadds.sums, "hits": coadds.hits, "noise_mk2": np.ones(coadds.n_set)}
-    with pytest.raises(ValueError, match="flipped: found the shape .* is expected"):
-        add_observation(setup.analysis, coadds, SimpleNamespace(observation=0, **arrays))
+    coadds, later = empty_coadds(setup.analysis), empty_coadds(setup.analysis)
+    later.flipped = later.flipped[cut]
+    with pytest.raises(ValueError, match="is the next in order"):
+        add_sums(coadds, later)
 
 
 def test_skies_on_streams_of_another_shape(setup):
