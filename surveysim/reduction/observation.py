@@ -147,7 +147,7 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
     """
     watch, (_, pointing) = Stopwatch(), observation_path(setup.observing, observation)
     sums = _empty_sums(setup, with_signal_sims)
-    with nullcontext(_let_go) if path is None else timestream_file(path, len(pointing.time_s)) as save:
+    with nullcontext(lambda streams: None) if path is None else timestream_file(path, len(pointing.time_s)) as save:
         for block in setup.observing.blocks:
             _add_part(sums, _reduce(setup, observation, pointing, block, watch), save, watch)
     kept = np.concatenate(sums.kept, axis=1)
@@ -157,16 +157,16 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
         n, rate = samples_per_scan(setup.observing.scans), setup.observing.scans.sample_rate_hz
         white = white_level(psd, n, rate, setup.scene.score.white_noise_above_hz)
         add_simulated(sums.maps, sums.kept, setup, observation, pointing, psd=psd, white=white, watch=watch)
-    geometry, analysis = setup.analysis.geometry, setup.analysis
-    maps = {name: _plane(geometry, setup.stream_type, *item) for name, item in sums.maps.items()}
+    analysis = setup.analysis
+    maps = {name: _plane(analysis.geometry, setup.stream_type, *item) for name, item in sums.maps.items()}
     worth, best = None, 0
-    if setup.analysis.chooses:
+    if analysis.chooses:
         with watch("figure_of_merit"):
-            of_pipelines = [maps[pipeline.data_set] for pipeline in setup.analysis.whole_pipelines]
-            worth = figures_of_merit(setup.analysis, transfer_functions(setup), of_pipelines)
+            of_pipelines = [maps[pipeline.data_set] for pipeline in analysis.whole_pipelines]
+            worth = figures_of_merit(analysis, transfer_functions(setup), of_pipelines)
         best = max(0, int(best_places(worth[:, 0])))
-        maps[OPTIMAL] = maps[setup.analysis.whole_pipelines[best].data_set]
-    ordered = [maps[name] for name in setup.analysis.data_set_names]
+        maps[OPTIMAL] = maps[analysis.whole_pipelines[best].data_set]
+    ordered = [maps[name] for name in analysis.data_set_names]
     total, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
     with watch("weights"):
         measured = [map_noise(analysis.region, *item) for item in ordered]
@@ -199,10 +199,6 @@ def kept_scans(setup: Setup, observation: int) -> np.ndarray:
     _, pointing = observation_path(setup.observing, observation)
     parts = (_reduce(setup, observation, pointing, block, Stopwatch()) for block in setup.observing.blocks)
     return np.concatenate([[item.kept for item in part.cleaned] for part in parts], axis=1)
-
-
-def _let_go(streams: Timestreams) -> None:
-    """Save nothing."""
 
 
 def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
@@ -246,9 +242,8 @@ def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch
     for pipeline in setup.analysis.pipelines:
         with watch("cleaning" if pipeline.steps == section.algorithm else f"cleaning {pipeline.label}"):
             data = streams.data_mk[pipeline.rows]
-            cleaned.append(
-                _clean(section, pipeline, streams, data, auxiliary=auxiliary, scans=everyone, sample_rate_hz=rate)
-            )
+            item = _clean(section, pipeline, streams, data, auxiliary=auxiliary, scans=everyone, rate_hz=rate)
+        cleaned.append(item)
     return _Part(setup, observation, block, pointing, streams, index, auxiliary, tuple(cleaned))
 
 
@@ -268,7 +263,7 @@ def _clean(
     *,
     auxiliary: AuxiliaryData,
     scans: np.ndarray,
-    sample_rate_hz: float,
+    rate_hz: float,
 ) -> Cleaned:
     """Clean some scans (n_scan,) bool of the streams of a pipeline's detectors."""
     auxiliary = replace(auxiliary, delays_s_rad=auxiliary.delays_s_rad[scans])
@@ -279,7 +274,7 @@ def _clean(
         scan_bounds=streams.scan_bounds[scans],
         focal_plane=streams.focal_plane.subset(pipeline.rows),
         auxiliary=auxiliary,
-        sample_rate_hz=sample_rate_hz,
+        sample_rate_hz=rate_hz,
     )
 
 
@@ -325,6 +320,7 @@ def _empty_signal_maps(analysis: AnalysisSetup, n_sky: int) -> np.ndarray:
 def _add_signal_maps(signal_maps: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
     """Add each sky before cleaning, and the difference that it makes to the cleaned data."""
     setup, section, streams = part.setup, part.setup.scene.cleaning, part.streams
+    rate, extra, raw = setup.observing.scans.sample_rate_hz, part.auxiliary, streams.data_mk
     hits, signal = np.zeros(signal_maps.shape[-1], np.int64), np.empty_like(streams.data_mk)
     for s, sky in enumerate(skies_mk):
         write_sky_signal(setup, part.pointing, sky, signal)
@@ -332,13 +328,7 @@ def _add_signal_maps(signal_maps: np.ndarray, part: _Part, skies_mk: np.ndarray)
             rows, place = pipeline.rows, setup.analysis.transfer_function_names.index(pipeline.data_set)
             scans = _cleaned_again(section, pipeline, base.kept)
             both = _clean(
-                section,
-                pipeline,
-                streams,
-                streams.data_mk[rows] + signal[rows],
-                auxiliary=part.auxiliary,
-                scans=scans,
-                sample_rate_hz=setup.observing.scans.sample_rate_hz,
+                section, pipeline, streams, raw[rows] + signal[rows], auxiliary=extra, scans=scans, rate_hz=rate
             )
             kept = base.kept.copy()
             kept[scans] &= both.kept
@@ -401,9 +391,7 @@ def transfer_functions(setup: Setup) -> np.ndarray:
 
 def _signals_in_block(setup: Setup, observation: int, block: Block, skies_mk: np.ndarray) -> np.ndarray:
     """Simulate signals in one block of an observation, and nothing else of it."""
-    signal_maps, (_, pointing) = (
-        _empty_signal_maps(setup.analysis, len(skies_mk)),
-        observation_path(setup.observing, observation),
-    )
+    signal_maps = _empty_signal_maps(setup.analysis, len(skies_mk))
+    _, pointing = observation_path(setup.observing, observation)
     _add_signal_maps(signal_maps, _reduce(setup, observation, pointing, block, Stopwatch()), skies_mk)
     return signal_maps
