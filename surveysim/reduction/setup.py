@@ -90,7 +90,7 @@ def _prepare(scene: Scene) -> Setup:
     check_healpix(scene)
     check_excess(scene)
     check_sky(scene, sky_geometry)
-    ways = pipelines(scene.cleaning, masked)
+    scene_pipelines = pipelines(scene.cleaning, masked)
     responsivity, of_bands = true_responsivity(scene, n_det), band_responsivity(scene, n_det)
     times, water = observing_schedule(scene, scans, near_hour_angle_dec), _water(scene, scene.instrument)
     lowest = _lowest(scene, cam, times, mid_times(scans))
@@ -111,10 +111,10 @@ def _prepare(scene: Scene) -> Setup:
     setup = Setup(
         scene=scene,
         camera=cam_setup,
-        observing=ObservingSetup(scene, pattern, scans, _blocks(scene, n_det, scans, ways)),
+        observing=ObservingSetup(scene, pattern, scans, _blocks(scene, n_det, scans, scene_pipelines)),
         air=air,
         sky=SkySetup(scene, sky_geometry),
-        analysis=AnalysisSetup(scene, geometry, sky_geometry, ways, calibration, masked, n_det),
+        analysis=AnalysisSetup(scene, geometry, sky_geometry, scene_pipelines, calibration, masked, n_det),
     )
     if setup.camera.n_det > MOST_DENSE:
         _check_torus(setup.camera)
@@ -148,11 +148,11 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
     )
 
 
-def _blocks(scene: Scene, n_det: int, scans: Scans, ways: tuple[CleaningPipeline, ...]) -> tuple[Block, ...]:
+def _blocks(scene: Scene, n_det: int, scans: Scans, scene_pipelines: tuple[CleaningPipeline, ...]) -> tuple[Block, ...]:
     """Blocks of an observation; raises SceneError for a scan too long, or pipelines that need an observation whole."""
     n_samp, most = samples_per_scan(scans), scene.numerics.max_block_bytes
-    bands = len(scene.instrument.bands) * any(pipeline.uses("spectral") for pipeline in ways)
-    # In single precision whatever the streams have: it is not to change what is drawn.
+    bands = len(scene.instrument.bands) * any(pipeline.uses("spectral") for pipeline in scene_pipelines)
+    # In single precision for any type of the streams, so that draws do not depend on it.
     scan_bytes = n_det * n_samp * (1 + bands) * np.dtype(np.float32).itemsize
     key = f"numerics.max_block_memory: found {most / 1e6:.4g} MB"
     if scan_bytes > most:
@@ -161,12 +161,14 @@ def _blocks(scene: Scene, n_det: int, scans: Scans, ways: tuple[CleaningPipeline
             "detectors, or a shorter scan.duration"
         )
     found = scan_blocks(scans.n_scans, scan_bytes, most)
-    if len(found) > 1 and any(pipeline.uses("wind") for pipeline in ways):
+    if len(found) > 1 and any(pipeline.uses("wind") for pipeline in scene_pipelines):
         raise SceneError(
             f"{key}, which cuts an observation into {len(found)} blocks; 'wind' cleaning needs it whole: "
             f"{scan_bytes * scans.n_scans / 1e6:.4g} MB or more is expected, or another cleaning.algorithm"
         )
-    together = scene.cleaning.responsivities == OBSERVATION and any(pipeline.takes_responsivities for pipeline in ways)
+    together = scene.cleaning.responsivities == OBSERVATION and any(
+        pipeline.takes_responsivities for pipeline in scene_pipelines
+    )
     if len(found) > 1 and together:
         raise SceneError(
             f"{key}, which cuts an observation into {len(found)} blocks; cleaning.responsivities 'observation' needs "

@@ -364,8 +364,8 @@ def test_fits_take_from_lynx_what_is_forecast():
     keys |= {"score.ell_min": 500, "cleaning.max_iterations": 100_000}
     keys |= {"atmosphere.b2_probabilities": [0.5], "atmosphere.b2": "[280] mK2 rad(-5/3)"}
     known, scan, observation = (
-        run(load_scene(LYNX, keys | {"cleaning.responsivities": way}), engine=SERIAL)
-        for way in ("known", "scan", "observation")
+        run(load_scene(LYNX, keys | {"cleaning.responsivities": source}), engine=SERIAL)
+        for source in ("known", "scan", "observation")
     )
     high = known.scores["actual"].transfer_function.ell > 3000
 
@@ -393,17 +393,17 @@ def test_fits_take_from_lynx_what_is_forecast():
 def test_short_scans_are_as_forecast_whoever_knows_the_responsivities():
     """Planar cleaning of scans of 2 s: fits to each lose most, one fit to all loses none and is as good as knowing.
 
-    20 observations know the ratio of forecast and simulation, which share their weather, to 3 %. All ways share
+    20 observations know the ratio of forecast and simulation, which share their weather, to 3 %. All sources share
     weather, noise and skies.
     """
     keys = {"observations": 20, "score.signal_sims.observations": 4, "cleaning.algorithm": "planar"}
-    ways = {"observation": {}, "survey": {"cleaning.calibration_error": 0.01}, "known": {}}
+    sources = {"observation": {}, "survey": {"cleaning.calibration_error": 0.01}, "known": {}}
     sigma = {}
-    for way, more in ways.items():
-        result = run(load_scene(FAST_SCAN, keys | {"cleaning.responsivities": way} | more), engine=SERIAL)
+    for source, more in sources.items():
+        result = run(load_scene(FAST_SCAN, keys | {"cleaning.responsivities": source} | more), engine=SERIAL)
         assert summary(result)["scans_discarded"] == 0
         found, expected = (item.scores["actual"] for item in (result, result.expected))
-        sigma[way] = found.band.sigma_ukcmb2
+        sigma[source] = found.band.sigma_ukcmb2
         assert expected.band.sigma_ukcmb2 == pytest.approx(found.plain_band.sigma_ukcmb2, rel=0.08)
         used = found.band.weight > 0
         assert np.mean((expected.transmission / found.transfer_function.transmission)[used]) == pytest.approx(
