@@ -26,7 +26,7 @@ def leaf_size(setup: Setup) -> int:
 
 def node_bytes(setup: Setup) -> float:
     """Size of the maps of a node [bytes]."""
-    empty = empty_coadds(setup)
+    empty = empty_coadds(setup.analysis)
     return sum(
         array.nbytes
         for array in (empty.sums, empty.weight, empty.hits, empty.flipped, empty.signal_maps, empty.signal_weight)
@@ -97,7 +97,7 @@ class CoAddTree:
             nodes.append(here(self._nodes[number]))
             number = nodes[-1].end
         if len(nodes) < 2:
-            return nodes[0] if nodes else empty_coadds(self._setup)
+            return nodes[0] if nodes else empty_coadds(self._setup.analysis)
         total = copied(nodes[0])
         for node in nodes[1:]:
             add_sums(total, node)
@@ -157,8 +157,8 @@ class CoAddTree:
             begun += 1
         if not singles:
             return
-        sums = here(self._nodes[first]) if first in self._nodes else empty_coadds(self._setup)
-        add_observations(self._setup, sums, singles)
+        sums = here(self._nodes[first]) if first in self._nodes else empty_coadds(self._setup.analysis)
+        add_observations(self._setup.analysis, sums, singles)
         for item in singles:  # once they are in the sums
             del self._waiting[item.first]
         self._nodes[first] = sums

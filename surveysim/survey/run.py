@@ -56,7 +56,7 @@ class SpanJob:
     def _observed(self, observation: int) -> CoAdds:
         with_signal_sims = bool(signal_sim_observations(self.scene)[observation])
         path = None if self.timestream_dir is None else self.timestream_dir / f"{observation:04d}.h5"
-        return observation_sums(self.setup, observe(self.setup, observation, with_signal_sims, path))
+        return observation_sums(self.setup.analysis, observe(self.setup, observation, with_signal_sims, path))
 
 
 def finished_sums(setup: Setup, checkpoint: Path, timestream_dir: Path | None = None) -> list[CoAdds]:
