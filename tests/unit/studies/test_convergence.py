@@ -163,6 +163,15 @@ def test_files_hold_all_rows(result, tmp_path, capsys):
         assert line in text
 
 
+def test_notebooks_show_the_recommended_settings(result):
+    lines = repr(result).splitlines()
+    assert lines[0] == f"AccuracyResult of {result.scene.name}: {len(result.rows)} settings"
+    assert lines[1].startswith("Reference: sigma(A) = ") and len(lines) == 3 + len(result.recommended)
+    assert result._repr_html_().count("<tr>") == 1 + len(result.recommended)
+    for item in result.recommended:
+        assert any(line.startswith(item.parameter) and item.label in line for line in lines)
+
+
 def test_the_figure_marks_the_scene_and_its_front(result):
     for panel in accuracy_figure(result).panels:
         assert panel.x_log and panel.y_log
