@@ -84,7 +84,7 @@ def test_every_number_has_both_bounds():
         ({"instrument.beam_fwhm": "2 deg"}, "score.ell_min: found 4000; multipoles that the beam lets through"),
         ({"score.taper_fraction": 0}, ""),
         ({"score.jackknives": 2, "score.signal_sims.skies": 2}, ""),
-        ({"numerics.max_block_memory": "1 byte"}, "numerics.max_block_memory: found 1e-06 MB"),
+        ({"numerics.max_block_memory": "1 byte"}, ""),
     ],
     ids=range(14),
 )
