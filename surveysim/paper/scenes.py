@@ -185,7 +185,7 @@ def _check(path: Path, scene: Scene, first: Scene) -> None:
         memory = f"{scene.numerics.max_block_bytes / 1e6:.4g} MB"
         raise SceneError(
             f"{path}: numerics.max_block_memory: found {memory}, which cuts observations into {found} blocks; "
-            f"whole ones are measured, and {found} times as much is enough for them"
+            "a limit that an observation fits in is expected, as whole ones are measured"
         )
     index, height = scene.atmosphere.spectral_index, scene.atmosphere.layer_height_m
     if abs(index - INDEX_GRID[KOLMOGOROV]) > 1e-9 or height not in HEIGHT_GRID_M:

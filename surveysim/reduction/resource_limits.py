@@ -121,9 +121,10 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     shared = any(section and section.coherence != "none" for section in (scene.photon, scene.excess))
     pairs = of.n_det**2 if shared and of.n_det <= MOST_DENSE else 0
     compared = 2 + len(scene.cleaning.compare)
+    # A block of one scan does not depend on the limit.
+    block_key = "numerics.max_block_memory" if of.n_scans > 1 else "scan.duration"
     needed = {
-        "numerics.max_block_memory": of.n_det * of.n_samp * of.n_scans * (5 + of.n_bands) * real
-        + 16 * of.n_det * n_freq,
+        block_key: of.n_det * of.n_samp * of.n_scans * (5 + of.n_bands) * real + 16 * of.n_det * n_freq,
         "scan.sample_rate": 100.0 * scene.scan.scans * of.n_samp,
         "map.pixel": 64.0 * of.n_set * of.n_pixel + (140.0 * of.n_pixel if scene.sky or scene.score else 0),
         "score.signal_sims.skies": float(skies),

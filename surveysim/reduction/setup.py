@@ -149,17 +149,12 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
 
 
 def _blocks(scene: Scene, n_det: int, scans: Scans, scene_pipelines: tuple[CleaningPipeline, ...]) -> tuple[Block, ...]:
-    """Blocks of an observation; raises SceneError for a scan too long, or pipelines that need an observation whole."""
+    """Blocks of an observation; raises SceneError for pipelines that need an observation whole."""
     n_samp, most = samples_per_scan(scans), scene.numerics.max_block_bytes
     bands = len(scene.instrument.bands) * any(pipeline.uses("spectral") for pipeline in scene_pipelines)
     # In single precision for any type of the streams, so that draws do not depend on it.
     scan_bytes = n_det * n_samp * (1 + bands) * np.dtype(np.float32).itemsize
     key = f"numerics.max_block_memory: found {most / 1e6:.4g} MB"
-    if scan_bytes > most:
-        raise SceneError(
-            f"{key}; {scan_bytes / 1e6:.4g} MB or more is expected, for one scan of {n_samp} samples of {n_det} "
-            "detectors, or a shorter scan.duration"
-        )
     found = scan_blocks(scans.n_scans, scan_bytes, most)
     if len(found) > 1 and any(pipeline.uses("wind") for pipeline in scene_pipelines):
         raise SceneError(

@@ -19,4 +19,5 @@ class Numerics(Section):
     """Lattice step of the screen, relative to the step chosen from the beam and the focal plane."""
     max_block_bytes: Memory = Field(alias="max_block_memory", default=250e6)
     """Largest size of the time-streams of a block, in single precision. Larger observations are simulated in blocks of
-    whole scans, each with its own random numbers. The peak memory of a process is up to ten times as large."""
+    whole scans, each with its own random numbers; a larger scan is a block by itself. The peak memory of a process is
+    up to ten times as large."""

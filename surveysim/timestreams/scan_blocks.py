@@ -1,4 +1,4 @@
-"""Blocks of whole scans of an observation, within the memory that the scene allows.
+"""Blocks of whole scans of an observation, within the memory that the scene allows or of one scan each.
 
 Every stage goes over the blocks of an observation in order. A block has random numbers of its own
 (`surveysim.runtime.rng`), so the results of a scene depend on its blocks, as they do on its seed.
@@ -27,10 +27,10 @@ def scan_blocks(n_scans: int, scan_bytes: int, most_bytes: float) -> tuple[Block
     Parameters
     ----------
     scan_bytes
-        Memory of one scan, at most `most_bytes`.
+        Memory of one scan.
     most_bytes
-        Memory limit of a block.
+        Memory limit of a block of several scans; a block holds at least one.
     """
-    n_blocks = -(-n_scans // int(most_bytes // scan_bytes))
+    n_blocks = -(-n_scans // max(1, int(most_bytes // scan_bytes)))
     edges = [n_scans * number // n_blocks for number in range(n_blocks + 1)]
     return tuple(Block(number, *pair) for number, pair in enumerate(zip(edges, edges[1:], strict=False)))

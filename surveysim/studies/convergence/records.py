@@ -1,6 +1,6 @@
 """Records of an accuracy study: settings, their measured errors and times, slopes and recommendations."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -119,7 +119,7 @@ class AccuracyResult:
         Number of observations for the other ladders.
     """
 
-    setup: Setup
+    setup: Setup = field(repr=False)
     seeds: int
     reference_ukcmb2: float
     reference_error: float

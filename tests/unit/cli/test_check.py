@@ -49,7 +49,9 @@ def refused_or_run(path, overrides) -> str:
         return ""
     result = observe(setup, _windiest(setup), bool(signal_sim_observations(scene).any()))
     assert np.isfinite(result.sums).all()
-    add_observations(setup, empty_coadds(setup), [observation_sums(setup, replace(result, observation=0))])
+    add_observations(
+        setup.analysis, empty_coadds(setup.analysis), [observation_sums(setup.analysis, replace(result, observation=0))]
+    )
     return ""
 
 
@@ -82,7 +84,7 @@ def test_every_number_has_both_bounds():
         ({"instrument.beam_fwhm": "2 deg"}, "score.ell_min: found 4000; multipoles that the beam lets through"),
         ({"score.taper_fraction": 0}, ""),
         ({"score.jackknives": 2, "score.signal_sims.skies": 2}, ""),
-        ({"numerics.max_block_memory": "1 byte"}, "numerics.max_block_memory: found 1e-06 MB"),
+        ({"numerics.max_block_memory": "1 byte"}, ""),
     ],
     ids=range(14),
 )

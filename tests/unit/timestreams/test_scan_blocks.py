@@ -32,7 +32,7 @@ def setup_of(tmp_path):
         path.write_text(text)
         settings = {key.replace("__", "."): value for key, value in overrides.items()}
         if blocks > 1:
-            settings["numerics.max_block_memory"] = CUTS[blocks]
+            settings.setdefault("numerics.max_block_memory", CUTS[blocks])
         setup = prepare(load_scene(path, settings))
         assert len(setup.observing.blocks) == blocks
         return setup
@@ -50,17 +50,33 @@ def test_blocks_hold_every_scan_once(n_scans, most):
     assert len(blocks) == 1 + (n_scans - 1) // most
 
 
-def test_a_scan_too_large_is_refused(setup_of):
-    with pytest.raises(SceneError) as caught:
-        setup_of(numerics__max_block_memory="4 kB")
-    text = str(caught.value)
-    words = (
-        "numerics.max_block_memory: found 0.004 MB; 0.00432 MB or more is expected, for one scan of 60 samples of 18 "
-    )
-    assert text.startswith(f"{words}det")
-    assert "scan.duration" in text
-    # What is drawn does not depend on the precision.
+@pytest.mark.parametrize("most", [1.0, 999.0, 1000.0, 1999.0])
+def test_a_block_holds_a_scan_or_more(most):
+    assert scan_blocks(3, 1000, most) == (Block(0, 0, 1), Block(1, 1, 2), Block(2, 2, 3))
+
+
+def test_a_scan_above_the_limit_is_a_block_by_itself(setup_of):
+    """Its streams are those of the largest limit that holds one scan."""
+    setup = setup_of(blocks=4)
+    above = setup_of(blocks=4, numerics__max_block_memory="1 byte")
+    assert above.observing.blocks == setup.observing.blocks
+    np.testing.assert_array_equal(draw_observation(above, 1).data_mk, draw_observation(setup, 1).data_mk)
+
+
+def test_blocks_do_not_depend_on_the_precision(setup_of):
     assert setup_of(blocks=2, numerics__precision="float64").observing.blocks == setup_of(blocks=2).observing.blocks
+
+
+def test_a_scan_larger_than_the_machine_is_refused(setup_of, monkeypatch):
+    """By its duration: the limit of a block has nothing to do with it."""
+    from surveysim.reduction import resource_limits
+
+    text = without_sections(SMALL_SCENE, "atmosphere", "excess", "photon")
+    long = {"scan__duration": "1000 s", "scan__speed": "0.1 arcmin / s", "instrument__layout__rings": 20}
+    long["cleaning__algorithm"] = "none"
+    monkeypatch.setattr(resource_limits, "machine_bytes", lambda: 5e8)
+    with pytest.raises(SceneError, match="^scan.duration: found a scene that needs about 0.[67].* GB of memory in one"):
+        setup_of(text, numerics__max_block_memory="1 MB", **long)
 
 
 def test_wind_cleaning_needs_an_observation_whole(setup_of):
