@@ -227,7 +227,10 @@ class _Watch:
         self.there, self.counted = 0, -math.inf
 
     def workers(self) -> int:
-        """Count the workers, once a second at most; log a warning while there is none, and raise EngineError after `WAIT_S`."""
+        """Count the workers, once a second at most.
+
+        Log a warning while there is none, and raise EngineError after `WAIT_S`.
+        """
         now = monotonic()
         if now - self.counted < COUNT_EVERY_S and self.there:
             return self.there
