@@ -160,6 +160,8 @@ class _Units:
                 yield from ((number, result, None) for number, result in zip(numbers, results, strict=False))
                 if found.error is not None:
                     yield numbers[len(results)], None, found.error
+                if not self.numbers:  # items may have waited for these answers
+                    self._submit()
         finally:
             for unit in (*self.numbers, *self.kept.values()):
                 unit.release()
