@@ -157,7 +157,7 @@ class _Units:
                 units = self._finished()
                 for unit, found in zip(units, self.client.gather(units), strict=True):
                     yield from self._answers_of(unit, found)
-                self._submit()
+                self._submit()  # now that the answers are used: items may have waited for them
         finally:
             for unit in (*self.numbers, *self.kept.values()):
                 unit.release()

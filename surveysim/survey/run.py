@@ -116,7 +116,8 @@ def run_observations(
         try:
             _run_missing(setup, sums, keeper, engine, timestream_dir=timestream_dir, progress=progress, stops=stops)
         except BaseException:
-            keeper.save(sums)
+            if sums.finished > keeper.finished:  # an earlier checkpoint may have sums of a cluster that is gone
+                keeper.save(sums)
             raise
     whole = sums.done == setup.scene.observations
     if keep or not whole:
