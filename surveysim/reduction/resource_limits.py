@@ -125,6 +125,7 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     block_key = "numerics.max_block_memory" if of.n_scans > 1 else "scan.duration"
     needed = {
         block_key: of.n_det * of.n_samp * of.n_scans * (5 + of.n_bands) * real + 16 * of.n_det * n_freq,
+        "cleaning.algorithm": 32.0 * min(of.n_det, of.n_samp) ** 2 * _uses(scene, "pca"),
         "scan.sample_rate": 100.0 * scene.scan.scans * of.n_samp,
         "map.pixel": 64.0 * of.n_set * of.n_pixel + (140.0 * of.n_pixel if scene.sky or scene.score else 0),
         "score.signal_sims.skies": float(skies),
@@ -136,6 +137,10 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
         "sky.curved_lmax": 48.0 * of.n_coefficients,
     }
     return {key: float(size) for key, size in needed.items()} | {"instrument": PROGRAM_BYTES}
+
+
+def _uses(scene: Scene, name: str) -> bool:
+    return any(name in steps for steps in (scene.cleaning.algorithm, *scene.cleaning.compare))
 
 
 def check_memory(needed: Mapping[str, float]) -> None:
