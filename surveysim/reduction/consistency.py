@@ -8,7 +8,7 @@ from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry, check_nside, plane_offsets
 from mapmaker.stream_psd import highest_frequency
 from mapmaker.transfer_function import beam_window
-from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES
+from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES, MIN_SCANS
 from surveysim.atmosphere.weather import Water
 from surveysim.reduction.cleaning_pipelines import needed_detectors
 from surveysim.reduction.scored_region import FAINTEST, padded_side
@@ -53,6 +53,11 @@ def check_templates(scene: Scene, cam: Camera) -> None:
             raise SceneError(
                 f"cleaning.{key}: found 'pca' with {n_det} detectors and scans of {samples} samples; "
                 f"{MAX_MODES} or fewer of one are expected, as it takes all eigenvalues of the smaller number"
+            )
+        if "wind" in steps and scene.scan.scans < MIN_SCANS:
+            raise SceneError(
+                f"cleaning.{key}: found 'wind' with {scene.scan.scans} scans; {MIN_SCANS} or more are expected to"
+                " measure it"
             )
         cycles = scene.scan.duration_s * HIGHEST_HZ
         if "wind" in steps and (cycles < LEAST_CYCLES or scene.scan.sample_rate_hz <= 2 * HIGHEST_HZ):
