@@ -29,7 +29,7 @@ MAIN_FLOW = {
     "one observation": ("observe",),
     "time-streams": ("draw_block",),
     "cleaning": ("apply_pipeline", "apply_recipe"),
-    "co-adds": ("add_observation",),
+    "co-adds": ("add_observation", "add_observations"),
     "scores": ("score_survey",),
     "results": ("survey_result",),
     "files": ("write_outputs",),

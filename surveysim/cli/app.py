@@ -1,8 +1,9 @@
 """The command line: the program's options, and the list of its commands."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperArgument, TyperCommand
 
 from surveysim import __version__
 from surveysim.cli import runs, scenes, studies
@@ -25,8 +26,24 @@ COMMANDS = (
     scenes.keys,
     scenes.new,
 )
+
+
+class PlainCommand(TyperCommand):
+    """Command whose help shows arguments as SCENE, without types and braces."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        for param in self.params:
+            if isinstance(param, TyperArgument):
+                param.display_type_rich = lambda ctx: None  # type: ignore[method-assign]
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return the words of the usage line."""
+        return [piece.strip("{}") for piece in super().collect_usage_pieces(ctx)]
+
+
 for command in COMMANDS:
-    app.command()(command)
+    app.command(cls=PlainCommand)(command)
 
 
 def _print_version(asked: bool) -> None:

@@ -35,7 +35,8 @@ def failure(error: BaseException, arguments: Sequence[str]) -> tuple[int, str]:
         return EXIT_WRONG_SCENE, _usage(error)
     if isinstance(error, SceneError):
         return EXIT_WRONG_SCENE, str(error)
-    return EXIT_FAILED, _of_the_machine(error, broken) or _fault(error, arguments)
+    line = _of_the_machine(error, broken) or _fault(error, arguments)
+    return EXIT_FAILED, "; ".join([line, *getattr(error, "__notes__", ())])
 
 
 def broken_stream(stream: TextIO) -> bool:

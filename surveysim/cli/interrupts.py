@@ -75,14 +75,23 @@ def report_resumable_exit(scene: Path, directory: Path) -> Iterator[None]:
         _stopped(cause(error, directory), directory, EXIT_FAILED)
     except InputError as error:
         _stopped(f"{scene}: an observation failed: {error}", directory, EXIT_FAILED)
+    except Exception as error:  # of a library, such as numpy's; the line of the failure has the note
+        if hint := _hint(directory):
+            error.add_note(hint)
+        raise
+
+
+def _hint(directory: Path) -> str:
+    """Return how to resume if `directory` has kept work; empty if not."""
+    from surveysim.output.directory import holds_work
+
+    return f"go on with --resume --out {directory}" if holds_work(directory) else ""
 
 
 def _stopped(reason: str, directory: Path, code: int) -> NoReturn:
     """Report why a run stopped and how to resume it."""
-    from surveysim.output.directory import holds_work
-
-    hint = f"; go on with --resume --out {directory}" if holds_work(directory) else ""
-    complain(" ".join(reason.split()) + hint)
+    hint = _hint(directory)
+    complain("; ".join([" ".join(reason.split()), *([hint] if hint else [])]))
     raise typer.Exit(code)
 
 

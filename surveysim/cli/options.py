@@ -1,13 +1,14 @@
 """Command-line options, parsed from text; SceneError with one line for invalid text."""
 
 import tomllib
+from glob import escape, glob
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from surveysim.runtime.errors import InputError, SceneError
-from surveysim.scene.shipped import find_scene
+from surveysim.scene.shipped import find_scene, scene_names
 
 if TYPE_CHECKING:
     from surveysim.reduction.setup import Setup
@@ -22,8 +23,18 @@ def _scene_file(scene: Path | None) -> Path | None:
     return scene and find_scene(scene)
 
 
+def scene_completions(incomplete: str) -> list[str]:
+    """Names of scenes, TOML files and folders that begin as the user has typed."""
+    names = [name for name in scene_names() if name.startswith(incomplete)]
+    paths = [*glob(f"{escape(incomplete)}*.toml"), *glob(f"{escape(incomplete)}*/")]
+    return names + sorted(paths)
+
+
 SCENE = typer.Argument(
-    metavar="SCENE", callback=_scene_file, help="A scene file (TOML), or a name such as lynx or first_light."
+    metavar="SCENE",
+    callback=_scene_file,
+    autocompletion=scene_completions,
+    help="A scene file (TOML), or a name such as lynx or first_light.",
 )
 SceneFile = Annotated[Path, SCENE]
 Overrides = Annotated[
@@ -85,6 +96,12 @@ def numbers(option: str, given: list[int] | None, there: tuple[int, ...], everyt
     if wrong:
         raise SceneError(f"{option}: found {wrong[0]}; {', '.join(map(str, there))} can be made")
     return [number for number in there if everything or number in (given or ())]
+
+
+def at_least(option: str, found: int, least: int) -> None:
+    """Raise SceneError for a number below the least that an option takes."""
+    if found < least:
+        raise SceneError(f"{option}: found {found}; {least} or more is expected")
 
 
 def engine(kind: str, workers: int | None, scheduler: str | None) -> "Engine":

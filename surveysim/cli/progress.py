@@ -11,6 +11,7 @@ import numpy as np
 
 from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.stopping import estimate_so_far
+from surveysim.runtime.numbers import plain, quoted
 from surveysim.runtime.printable import complain
 from surveysim.survey.coadd_tree import CoAddTree
 
@@ -184,12 +185,11 @@ def time_text(seconds: float) -> str:
 
 
 def score_so_far(setup: Setup, sums: CoAddTree) -> str:
-    """Format the quoted score of the actual data so far as ``sigma(A) = 270 +- 8 uK_CMB^2``; empty without a score."""
+    """Format the quoted score of the actual data so far as ``sigma(A) = 270.1 +- 8.3 uK_CMB^2``; empty without one."""
     with_sims = signal_sim_observations(setup.scene)[: sums.done].sum()
     if setup.scene.score is None or sums.done < 2 or with_sims < 2:
         return ""
     found = estimate_so_far(setup, sums.so_far())
     if found is None:
         return ""
-    error = "unknown" if np.isnan(found.error_ukcmb2) else f"{found.error_ukcmb2:.2g}"
-    return f"sigma(A) = {found.sigma_ukcmb2:.3g} +- {error} uK_CMB^2"
+    return f"sigma(A) = {plain(quoted(found.sigma_ukcmb2, found.error_ukcmb2))} uK_CMB^2"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from surveysim.cli.options import Force, Overrides, SceneFile, fail, ready_setup, sweep_of
+from surveysim.cli.options import Force, Overrides, SceneFile, fail, ready_setup, scene_completions, sweep_of
 from surveysim.runtime.printable import say
 from surveysim.scene.shipped import HERE, MAX_NAME, NAME, find_scene, no_such_scene
 from surveysim.scene.units import shown
@@ -86,7 +86,12 @@ def _plain(text: str) -> str:
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the new scene.")],
     like: Annotated[
-        str, typer.Option(metavar="SCENE", help="The scene to copy: a file, or a name such as lynx or first_light.")
+        str,
+        typer.Option(
+            metavar="SCENE",
+            autocompletion=scene_completions,
+            help="The scene to copy: a file, or a name such as lynx or first_light.",
+        ),
     ],
 ) -> None:
     """Copy a scene to scenarios/NAME.toml, to be edited."""

@@ -26,13 +26,11 @@ def accuracy(
     scheduler: Scheduler = None,
     reference_error: Annotated[
         float,
-        typer.Option(metavar="ERROR", min=1e-4, max=0.99, help="Relative error of the reference to aim for."),
+        typer.Option(metavar="ERROR", help="Relative error of the reference to aim for, from 0.0001 to 0.99."),
     ] = 0.01,
-    seeds: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Whole surveys to simulate for the reference, at most.")
-    ] = 8,
+    seeds: Annotated[int, typer.Option(metavar="N", help="Whole surveys to simulate for the reference, at most.")] = 8,
     observations: Annotated[
-        int, typer.Option(metavar="N", min=2, help="Observations of each survey that measures another setting.")
+        int, typer.Option(metavar="N", help="Observations of each survey that measures another setting, 2 or more.")
     ] = 60,
     no_figures: NoFigures = False,
     settings: Overrides = None,
@@ -44,6 +42,10 @@ def accuracy(
     With --extremes, run cases whose answers are known instead.
     """
     with_engine = options.engine(engine, workers, scheduler)
+    if not 1e-4 <= reference_error <= 0.99:
+        fail(f"--reference-error: found {reference_error:g}; 0.0001 to 0.99 is expected")
+    options.at_least("--seeds", seeds, 1)
+    options.at_least("--observations", observations, 2)
     if extremes == (scene is not None):
         fail("accuracy: found both SCENE and --extremes, or none; one of them is expected")
     if extremes:
@@ -140,8 +142,8 @@ def paper(
     figures = options.numbers("--figure", figure, FIGURES, everything)
     if not tables and not figures:
         fail("nothing asked for: --table, --figure or --all is expected")
-    if observations is not None and observations < 1:
-        fail(f"--observations: found {observations}; 1 or more is expected")
+    if observations is not None:
+        options.at_least("--observations", observations, 1)
     given = options.settings(settings)
     asked = wanted(tables, figures, scenarios or scene_folder(), observations=observations, overrides=given)
     own = {} if observations is None else {"paper.observations": observations}

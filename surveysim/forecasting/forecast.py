@@ -27,6 +27,7 @@ from surveysim.forecasting.observing_conditions import (
 )
 from surveysim.forecasting.pilot import KeptScans, predict_kept_scans
 from surveysim.forecasting.validity import EffectInputs, NeglectedEffect, neglected_effects
+from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import NotForecastableError
 from surveysim.survey.discarded_scans import REMEDY
@@ -135,7 +136,7 @@ def forecast(setup: Setup, kept: dict[str, np.ndarray] | None = None) -> Forecas
     models = survey_models(setup)
     if kept is None:
         conditions = observing_conditions(setup, survey_draws(setup, 0, scene.observations))
-        weight = expected_weights(setup, _nonzero_noise(setup, models[0], conditions))
+        weight = expected_weights(setup.analysis, _nonzero_noise(setup.analysis, models[0], conditions))
         scans = predict_kept_scans(setup, tuple(filter(is_projection, setup.analysis.pipelines)), conditions, weight)
     else:
         conditions = observing_conditions(setup, survey_draws(setup, 0, len(next(iter(kept.values())))))
@@ -172,7 +173,7 @@ def _scored(
 ) -> DataSetForecast:
     """Weight and co-add the observations, and score the map."""
     scene, band, rings = setup.scene, setup.analysis.region, setup.analysis.region.rings
-    noise, taper, covered = _nonzero_noise(setup, model, conditions), band.taper**2, hits > 0
+    noise, taper, covered = _nonzero_noise(setup.analysis, model, conditions), band.taper**2, hits > 0
     if not taper[covered].any():
         raise NotForecastableError(NOTHING_FOUND)
     if not kept.share.any():
@@ -180,7 +181,7 @@ def _scored(
             f"cleaning: rejected all scans {'of a pilot' if kept.error else 'of this run'}; at least one is needed."
             f" {REMEDY}"
         )
-    weight = expected_weights(setup, noise)
+    weight = expected_weights(setup.analysis, noise)
     # Hits scale with the kept scans; the PSD of a survey scales as one over its observations.
     variance = (weight**2 * kept.share) @ noise / (weight @ kept.share) ** 2 * (len(noise) / scene.observations)
     area = setup.analysis.geometry.pixel_rad**2 * np.sum(taper[covered] / hits[covered]) / np.sum(taper)
@@ -196,20 +197,20 @@ def _scored(
     return DataSetForecast(model.name, model.n_det, score, psd, signal, passed, weight, kept, found)
 
 
-def _nonzero_noise(setup: Setup, model: NoiseModel, conditions: ObservingConditions) -> np.ndarray:
+def _nonzero_noise(analysis: AnalysisSetup, model: NoiseModel, conditions: ObservingConditions) -> np.ndarray:
     """Noise variance a sample (n_draw, n_bin); raises NotForecastableError where a scored multipole has none."""
     noise = model.noise(conditions)
-    if not noise[:, setup.analysis.region.selected].all():
+    if not noise[:, analysis.region.selected].all():
         raise NotForecastableError(NOTHING_FOUND)
     return noise
 
 
-def expected_weights(setup: Setup, noise: np.ndarray) -> np.ndarray:
+def expected_weights(analysis: AnalysisSetup, noise: np.ndarray) -> np.ndarray:
     """Expected weights of observations, as a run measures them on their maps.
 
     Parameters
     ----------
-    setup
+    analysis
     noise : (n_draw, n_bin)
         Noise variance a sample [mK^2].
 
@@ -218,13 +219,13 @@ def expected_weights(setup: Setup, noise: np.ndarray) -> np.ndarray:
     (n_draw,) array
         [1/mK^2].
     """
-    band = setup.analysis.region
-    sky = _beamed_sky(setup)
+    band = analysis.region
+    sky = _beamed_sky(analysis)
     weight = band.rings.n_modes * (sky * band.selected / sky[band.selected].max()) ** 2
     return 1 / (noise @ weight / weight.sum())
 
 
-def _beamed_sky(setup: Setup) -> np.ndarray:
-    ell = setup.analysis.region.rings.ell
+def _beamed_sky(analysis: AnalysisSetup) -> np.ndarray:
+    ell = analysis.region.rings.ell
     # The lowest bin of a small map may contain only ell = 0.
-    return flat_spectrum_psd(np.maximum(ell, 1)) * beam_window(ell, setup.scene.instrument.beam_fwhm_rad)
+    return flat_spectrum_psd(np.maximum(ell, 1)) * beam_window(ell, analysis.scene.instrument.beam_fwhm_rad)

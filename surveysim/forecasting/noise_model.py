@@ -37,6 +37,7 @@ from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InsufficientDataError, NotForecastableError
 from surveysim.runtime.once import keep_last
+from surveysim.timestreams.simulation import CameraSetup
 
 PATTERNS = ("raster",)  # scan patterns with a closed form: straight scans along RA and Dec in turn
 _ANGLES = 3  # between array and scan that represent all observations
@@ -96,8 +97,8 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
     """
     scene, region, pixel_rad = setup.scene, setup.analysis.region, setup.analysis.geometry.pixel_rad
     for pipeline in filter(is_projection, setup.analysis.pipelines):
-        arrays = _arrays(setup, pipeline, conditions)
-        fitted = removed_modes(setup, pipeline, arrays[0], conditions)
+        arrays = _arrays(setup.camera, setup.analysis.calibration, pipeline, conditions)
+        fitted = removed_modes(setup.observing, pipeline, arrays[0], conditions)
         spectrum = scan_frequencies(setup.observing.scans, scene.score, region.rings.ell, fitted)
         n_det = len(arrays[0].place)
         responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
@@ -108,7 +109,7 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
             conditions=conditions,
             frequencies=spectrum,
             arrays=arrays,
-            correlations=noise_correlations(setup, pipeline),
+            correlations=noise_correlations(setup.camera, pipeline),
             responses=responses,
             pixel=pixel_window(region.rings.ell, pixel_rad),
         )
@@ -130,14 +131,16 @@ def is_projection(pipeline: CleaningPipeline) -> bool:
     return len(pipeline.steps) == 1 and pipeline.steps[0] in PROJECTIONS
 
 
-def _arrays(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingConditions) -> list[ProjectedArray]:
+def _arrays(
+    camera: CameraSetup, calibration: np.ndarray | None, pipeline: CleaningPipeline, conditions: ObservingConditions
+) -> list[ProjectedArray]:
     """Set up the pipeline's detectors at a few angles to the scan, which represent all observations."""
-    plane = setup.camera.focal_plane.subset(pipeline.rows)
+    plane = camera.focal_plane.subset(pipeline.rows)
     angles = np.sort(np.mod(conditions.angle, 2 * np.pi))
     chosen = angles[((np.arange(_ANGLES) + 0.5) * len(angles) / _ANGLES).astype(int)] if len(angles) > 1 else angles
-    responsivity, assumed = setup.camera.responsivity[pipeline.rows], None
-    if setup.analysis.calibration is not None and pipeline.takes_responsivities:
-        assumed = setup.analysis.calibration[0, pipeline.rows]
+    responsivity, assumed = camera.responsivity[pipeline.rows], None
+    if calibration is not None and pipeline.takes_responsivities:
+        assumed = calibration[0, pipeline.rows]
     try:
         return [
             projected_array(plane, angle, responsivity=responsivity, algorithm=pipeline.steps[0], assumed=assumed)

@@ -24,6 +24,7 @@ from surveysim.runtime.once import keep_last
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.noise_and_sky import Excess, Photon
+from surveysim.scene.scene import Scene
 from surveysim.telescope.lattice_noise import NoiseCorrelation
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.pixel_coherence import MOST_DENSE, correlation_matrix
@@ -31,7 +32,7 @@ from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.low_frequency import excess_variance
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.shared_parts import screen, shared_noise
-from surveysim.timestreams.simulation import drawn_offsets, observation_path
+from surveysim.timestreams.simulation import CameraSetup, ObservingSetup, drawn_offsets, observation_path
 
 _NUMBERS = 5  # random numbers of a draw: four of the weather, one for the observation
 _SHIFTS = 8  # random shifts of the lattice of draws; their scatter is the error of the mean
@@ -91,7 +92,7 @@ def survey_draws(setup: Setup, first: int, end: int) -> list[Draw]:
     return [(number, observation_weather(setup, number)) for number in range(first, end)]
 
 
-def population_draws(setup: Setup) -> list[list[Draw]]:
+def population_draws(scene: Scene, water: Water | None) -> list[list[Draw]]:
     """Draws of observations and weather that sample their whole distribution evenly.
 
     Returns
@@ -100,7 +101,6 @@ def population_draws(setup: Setup) -> list[list[Draw]]:
         Each list is a rank-one lattice in all random numbers of the weather with its own random shift. The mean over a
         list is unbiased, with an error far below that of as many independent draws.
     """
-    scene, water = setup.scene, setup.air.water
     return [list(draws) for draws in _population(scene.atmosphere, water, scene.seed, scene.observations)]
 
 
@@ -146,35 +146,36 @@ class _QuasiRandomDraws:
 @keep_last(1)
 def population_conditions(setup: Setup) -> tuple[ObservingConditions, int]:
     """Observing conditions of all `population_draws`, list after list, and the number of lists."""
-    lists = population_draws(setup)
+    lists = population_draws(setup.scene, setup.air.water)
     return observing_conditions(setup, chain.from_iterable(lists)), len(lists)
 
 
 def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingConditions:
     """Compute the observing conditions of some draws."""
     draws = list(draws)
-    views = {number: _view(setup, number) for number in {number for number, _ in draws}}
-    rows = [_condition_row(setup, views[number], weather) for number, weather in draws]
+    views = {number: _view(setup.observing, number) for number in {number for number, _ in draws}}
+    rows = [_condition_row(setup.observing, setup.air.water, views[number], weather) for number, weather in draws]
     *levels, there, back = (np.array(column) for column in zip(*rows, strict=True))
     white, shared, excess, layer, sine, angle = levels
     return ObservingConditions(white, shared, excess, layer, sine, angle, np.stack([there, back], axis=1))
 
 
-def _view(setup: Setup, number: int) -> _ObservationGeometry:
-    angles = setup.observing.angles
+def _view(observing: ObservingSetup, number: int) -> _ObservationGeometry:
+    angles = observing.angles
     elevation, parallactic = angles.elevation_rad[number], angles.parallactic_rad[number]
-    air, slant = setup.scene.atmosphere, 0.0
+    air, slant = observing.scene.atmosphere, 0.0
     if air is not None:
         slant = np.mean(np.sin(elevation) ** (1 - air.spectral_index))
-    _, camera_angle = drawn_offsets(setup.observing, number)
+    _, camera_angle = drawn_offsets(observing, number)
     middle = parallactic[len(parallactic) // 2]
     turn = number % 2 * np.pi / 2  # scans along Dec
     return _ObservationGeometry(slant, float(elevation.mean()), middle, middle + camera_angle, turn)
 
 
-def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | None) -> tuple[float | complex, ...]:
-    scene = setup.scene
-    opacity = setup.air.water.opacity if setup.air.water else None
+def _condition_row(
+    observing: ObservingSetup, water: Water | None, view: _ObservationGeometry, weather: Weather | None
+) -> tuple[float | complex, ...]:
+    scene, opacity = observing.scene, water.opacity if water else None
     white = white_levels(scene, opacity, weather.pwv_mm if weather else np.nan, view.elevation_rad)
     excess = excess_variance(scene.excess, weather.b2 if weather else None) if scene.excess else 0.0
     layer, wind = 0.0, 0.0
@@ -183,7 +184,7 @@ def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | 
         # Azimuth and elevation on the sky, then in the frame of the scan.
         wind = np.exp(-1j * view.parallactic_rad) * (-weather.wind_rad_s[0] + 1j * weather.wind_rad_s[1])
     wind = wind * np.exp(-1j * view.turn_rad)
-    speed = setup.observing.scans.speed_rad_s
+    speed = observing.scans.speed_rad_s
     # A backward scan is a forward scan in a frame rotated by half a turn.
     shared = white.photon_mk2_hz * white.shared
     unshared = white.photon_mk2_hz - shared + white.detector_mk2_hz
@@ -191,7 +192,7 @@ def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | 
     return unshared, shared, excess, layer, np.sin(view.elevation_rad), angle, speed - wind, speed + wind
 
 
-def noise_correlations(setup: Setup, pipeline: CleaningPipeline) -> NoiseCorrelations:
+def noise_correlations(camera: CameraSetup, pipeline: CleaningPipeline) -> NoiseCorrelations:
     """Detector correlations of the shared photon noise and of the excess noise.
 
     Returns
@@ -200,40 +201,40 @@ def noise_correlations(setup: Setup, pipeline: CleaningPipeline) -> NoiseCorrela
         (n_det, n_det) matrices, or `NoiseCorrelation` for large arrays; None where the scene has no such noise.
         `excess` includes the responsivities.
     """
-    gain, scene = setup.camera.responsivity[pipeline.rows], setup.scene
-    photon = _correlation(setup, pipeline, section=scene.photon, name="photon", gain=np.ones(len(gain)))
-    return photon, _correlation(setup, pipeline, section=scene.excess, name="excess", gain=gain)
+    gain = camera.responsivity[pipeline.rows]
+    photon = _correlation(camera, pipeline, section=camera.photon, name="photon", gain=np.ones(len(gain)))
+    return photon, _correlation(camera, pipeline, section=camera.excess, name="excess", gain=gain)
 
 
 def _correlation(
-    setup: Setup, pipeline: CleaningPipeline, *, section: Photon | Excess | None, name: str, gain: np.ndarray
+    camera: CameraSetup, pipeline: CleaningPipeline, *, section: Photon | Excess | None, name: str, gain: np.ndarray
 ) -> np.ndarray | NoiseCorrelation | None:
     if section is None:
         return None
-    if setup.camera.n_det > MOST_DENSE:
-        torus = shared_noise(setup.camera, section, name)
+    if camera.n_det > MOST_DENSE:
+        torus = shared_noise(camera, section, name)
         return NoiseCorrelation(torus and replace(torus, cells=torus.cells[pipeline.rows]), gain)
-    place = setup.camera.positions_f_lambda[pipeline.rows]
-    matrix = correlation_matrix(place, section.coherence, setup.camera.illumination)
+    place = camera.positions_f_lambda[pipeline.rows]
+    matrix = correlation_matrix(place, section.coherence, camera.illumination)
     matrix *= gain[:, None] * gain
     return matrix
 
 
 def removed_modes(
-    setup: Setup, pipeline: CleaningPipeline, array: ProjectedArray, levels: ObservingConditions
+    observing: ObservingSetup, pipeline: CleaningPipeline, array: ProjectedArray, levels: ObservingConditions
 ) -> FittedModes:
     """Find the modes in time that the responsivity fits of a pipeline remove from scans.
 
     They are those of a layer that moves at the median speed of `levels`.
     """
-    fits = {"scan": 1.0, "observation": 1 / setup.observing.scans.n_scans}
+    fits = {"scan": 1.0, "observation": 1 / observing.scans.n_scans}
     # PCA fits a mode to each scan, even with known responsivities.
-    share = fits["scan"] if pipeline.uses("pca") else fits.get(setup.scene.cleaning.responsivities, 0.0)
-    if setup.scene.atmosphere is None or not len(array.basis) or not share:
+    share = fits["scan"] if pipeline.uses("pca") else fits.get(observing.scene.cleaning.responsivities, 0.0)
+    if observing.scene.atmosphere is None or not len(array.basis) or not share:
         return NO_FITTED_MODES
-    seconds = samples_per_scan(setup.observing.scans) / setup.observing.scans.sample_rate_hz
+    seconds = samples_per_scan(observing.scans) / observing.scans.sample_rate_hz
     motion = np.median(np.abs(levels.motion))
-    layer = layer_waves(screen(setup.scene), motion * seconds, [np.median(levels.sine)])
+    layer = layer_waves(screen(observing.scene), motion * seconds, [np.median(levels.sine)])
     common = array.phases(2 * np.pi * layer.alpha).mean(axis=0)
     power = layer.power[0] * (common.real**2 + common.imag**2)
     return template_modes((layer.alpha * motion).real, power, seconds).scaled(share)

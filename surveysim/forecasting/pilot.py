@@ -12,6 +12,7 @@ from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InputError
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.scan_blocks import Block
+from surveysim.timestreams.simulation import ObservingSetup
 
 MOST_OBSERVATIONS = 32  # of a pilot
 MOST_SCANS = 6  # of each, for `MOST_OBSERVATIONS` of them
@@ -75,8 +76,9 @@ def predict_kept_scans(
     unknown = {
         pipeline.data_set: replace(whole, error=np.inf) if pipeline in fitted else whole for pipeline in pipelines
     }
-    n_scans, n_pilot = _pilot_size(setup, len(weight))
-    if n_scans * n_pilot * _scan_samples(setup) > _MOST_SAMPLES:
+    scan_samples = setup.camera.n_det * samples_per_scan(setup.observing.scans)
+    n_scans, n_pilot = _pilot_size(setup.observing, scan_samples, len(weight))
+    if n_scans * n_pilot * scan_samples > _MOST_SAMPLES:
         return unknown
     order = np.argsort(conditions.layer, kind="stable")
     importance = np.cumsum(weight[order] / weight.sum() + 1 / len(weight)) / 2
@@ -98,18 +100,14 @@ def predict_kept_scans(
     return {pipeline.data_set: shares.get(pipeline.data_set, whole) for pipeline in pipelines}
 
 
-def _scan_samples(setup: Setup) -> int:
-    return setup.camera.n_det * samples_per_scan(setup.observing.scans)
-
-
-def _pilot_size(setup: Setup, n_obs: int) -> tuple[int, int]:
+def _pilot_size(observing: ObservingSetup, scan_samples: int, n_obs: int) -> tuple[int, int]:
     """Numbers of scans an observation and of observations in a pilot; scans that share one fit are all included."""
-    scans, most = _SAMPLES / _scan_samples(setup), min(MOST_OBSERVATIONS, n_obs)
+    scans, most = _SAMPLES / scan_samples, min(MOST_OBSERVATIONS, n_obs)
     n_scans = int(np.clip(scans / most, 1, MOST_SCANS * MOST_OBSERVATIONS / most))
-    if setup.scene.cleaning.responsivities == OBSERVATION:
-        n_scans = setup.observing.scans.n_scans
+    if observing.scene.cleaning.responsivities == OBSERVATION:
+        n_scans = observing.scans.n_scans
     n_pilot = int(np.clip(scans / n_scans, _FEWEST_OBSERVATIONS, MOST_OBSERVATIONS))
-    return min(n_scans, setup.observing.scans.n_scans), min(n_pilot, n_obs)
+    return min(n_scans, observing.scans.n_scans), min(n_pilot, n_obs)
 
 
 def _interpolate_shares(order: np.ndarray, places: np.ndarray, found: np.ndarray, n_scans: int) -> KeptScans:

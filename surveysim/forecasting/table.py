@@ -36,7 +36,9 @@ def forecast_table(
         column("sigma_ukcmb2", list(sigmas.values()), SIGMA, number, unit="uK2"),
     ]
     if all_weather is not None:
-        columns.append(column("plain_sigma_ukcmb2", list(drawn.values()), "in the weather drawn", number, unit="uK2"))
+        columns.append(
+            column("plain_sigma_ukcmb2", list(drawn.values()), "in the weather drawn [uK_CMB^2]", number, unit="uK2")
+        )
     columns += [
         column("ell_eff", [item.band.ell_eff for item in scores.values()], "ell_eff", count),
         column("fwhm_ell", [item.band.fwhm_ell for item in scores.values()], "FWHM in ell", count),

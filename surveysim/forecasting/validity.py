@@ -9,7 +9,10 @@ from surveysim.forecasting.mode_response import PROJECTIONS
 from surveysim.forecasting.observing_conditions import ObservingConditions
 from surveysim.forecasting.pilot import KeptScans
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
+from surveysim.reduction.scored_region import ScoredRegion
 from surveysim.reduction.setup import Setup
+from surveysim.scene.observing import Scan
+from surveysim.scene.scene import Scene
 from surveysim.survey.discarded_scans import MOST_DISCARDED
 
 LARGE = 0.1  # relative size above which an effect is flagged
@@ -86,18 +89,18 @@ class EffectInputs:
         return parts @ self.share
 
 
-def resolution_ell(setup: Setup) -> float:
+def resolution_ell(scene: Scene) -> float:
     """Resolution in multipole of scans and the map's taper: 2 pi over the shorter of their lengths.
 
     The length of the taper is that of a box with the same sum of squares.
     """
-    score, scan = setup.scene.score, setup.scene.scan
+    score, scan = scene.score, scene.scan
     # The square of a cosine edge averages to 3/8; each edge has half of the taper's fraction.
     taper = score.size_rad * (1 - score.taper_fraction * 5 / 8)
     return 2 * np.pi / min(taper, scan.speed_rad_s * scan.duration_s)
 
 
-def compared_ell(setup: Setup) -> tuple[float, float]:
+def compared_ell(scene: Scene) -> tuple[float, float]:
     """Multipoles in which a forecast noise PSD is compared with that of a run.
 
     Returns
@@ -107,11 +110,10 @@ def compared_ell(setup: Setup) -> tuple[float, float]:
         `high` is the lowest of three: the multipole where the beam leaves `_BEAM_LEFT` of the power, `_PIXEL_REACH` of
         the map pixel's Nyquist multipole, and the Nyquist multipole of the samples.
     """
-    scene = setup.scene
     width = scene.instrument.beam_fwhm_rad / np.sqrt(8 * np.log(2))
     beam = np.sqrt(-np.log(_BEAM_LEFT)) / width
     samples = np.pi * scene.scan.sample_rate_hz / scene.scan.speed_rad_s
-    return _RESOLUTIONS * resolution_ell(setup), float(min(beam, _PIXEL_REACH * np.pi / scene.map.pixel_rad, samples))
+    return _RESOLUTIONS * resolution_ell(scene), float(min(beam, _PIXEL_REACH * np.pi / scene.map.pixel_rad, samples))
 
 
 def neglected_effects(setup: Setup, inputs: EffectInputs) -> tuple[NeglectedEffect, ...]:
@@ -123,7 +125,7 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
     if inputs.pipeline.takes_responsivities:
         yield _discarded(inputs.kept)
     if setup.scene.atmosphere is not None:
-        yield _repeated_layer(setup, inputs)
+        yield _repeated_layer(setup.scene.scan, setup.camera.radius_rad, inputs)
         if inputs.pipeline.steps != ("none",):
             yield _stripes(inputs)
         if (name := inputs.pipeline.label) in _APPROXIMATE:
@@ -133,8 +135,8 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
             yield NeglectedEffect("cleaning", None, sentence, True)
     if templates := len(PROJECTIONS[inputs.pipeline.label]):
         yield _few_detectors(templates, inputs.n_det)
-    yield _uneven_coverage(setup, inputs.hits)
-    yield _weights(setup, inputs)
+    yield _uneven_coverage(setup.analysis.region, inputs.hits)
+    yield _weights(setup.analysis.region, inputs)
     yield _low_multipoles(setup, inputs.share)
 
 
@@ -151,19 +153,18 @@ def _discarded(kept: KeptScans) -> NeglectedEffect:
     return NeglectedEffect("discarded scans", share, sentence, share > MOST_DISCARDED)
 
 
-def _repeated_layer(setup: Setup, inputs: EffectInputs) -> NeglectedEffect:
+def _repeated_layer(path: Scan, radius_rad: float, inputs: EffectInputs) -> NeglectedEffect:
     """Size of the layer's noise where consecutive scans see the same air, which the forecast takes as independent.
 
     Without cleaning it is the whole layer: the trends of consecutive scans are alike in any wind.
     """
-    path = setup.scene.scan
     parts = inputs.layer_share
     if inputs.pipeline.steps == ("none",):
         size, where = float(parts.sum()), "Scans share trends of the layer in any wind"
     else:
         wind = np.abs(inputs.conditions.motion - path.speed_rad_s).mean(axis=1)
         travel = wind * (path.duration_s + path.turnaround_s)
-        slow = travel < 2 * setup.camera.radius_rad
+        slow = travel < 2 * radius_rad
         size = float(parts[slow].sum())
         where = f"In {_percent(slow.mean())} of the observations consecutive scans see the same part of the layer"
     sentence = f"{where}, which the forecast takes as independent: {_percent(size)} of the noise."
@@ -195,9 +196,9 @@ def _few_detectors(templates: int, n_det: int) -> NeglectedEffect:
     return NeglectedEffect("few detectors", size, sentence, size > MOST_TEMPLATES)
 
 
-def _uneven_coverage(setup: Setup, hits: np.ndarray) -> NeglectedEffect:
+def _uneven_coverage(region: ScoredRegion, hits: np.ndarray) -> NeglectedEffect:
     """Excess of the mean of 1 / hits over that of uniform coverage, which couples multipoles."""
-    weight, covered = setup.analysis.region.taper**2, hits > 0
+    weight, covered = region.taper**2, hits > 0
     mean = np.average(hits[covered], weights=weight[covered])
     size = float(np.average(mean / hits[covered], weights=weight[covered]) - 1)
     missed = float(1 - weight[covered].sum() / weight.sum())
@@ -206,9 +207,9 @@ def _uneven_coverage(setup: Setup, hits: np.ndarray) -> NeglectedEffect:
     return NeglectedEffect("uneven coverage", size, sentence, size > MOST_UNEVEN or missed > LARGE)
 
 
-def _weights(setup: Setup, inputs: EffectInputs) -> NeglectedEffect:
+def _weights(region: ScoredRegion, inputs: EffectInputs) -> NeglectedEffect:
     """Noise from the scatter of measured weights, beyond the first-order correction that a run makes."""
-    band = setup.analysis.region
+    band = region
     modes = band.rings.n_modes
     measured = inputs.noise * np.sqrt(inputs.share * modes)
     scatter = np.sum(measured**2 / modes, axis=1) * 2 / np.sum(measured, axis=1) ** 2
@@ -223,7 +224,7 @@ def _weights(setup: Setup, inputs: EffectInputs) -> NeglectedEffect:
 
 def _low_multipoles(setup: Setup, share: np.ndarray) -> NeglectedEffect:
     """Fraction of the score from multipoles at which scan ends and the map's edge dominate."""
-    low, _ = compared_ell(setup)
+    low, _ = compared_ell(setup.scene)
     size = float(share[setup.analysis.region.rings.edges_ell[:-1] < low].sum())
     sentence = (
         f"Below ell = {low:.0f} the ends of scans, the map's edge and its gaps matter, which are approximated; "

@@ -91,7 +91,7 @@ def observation_table(result: SurveyResult) -> Table:
     setup = result.setup
     units = {"wind_speed_rad_s": "rad / s", "wind_angle_rad": "rad", "pwv_mm": "mm", "elevation_rad": "rad"}
     units |= {"white_mk2_hz": "mK2 / Hz"} | {f"noise_mk2_{name}": "mK2" for name in setup.analysis.data_set_names}
-    columns = dict(zip(row_names(setup), np.array(result.coadds.rows).T, strict=True))
+    columns = dict(zip(row_names(setup.analysis), np.array(result.coadds.rows).T, strict=True))
     if np.isnan(columns["pwv_mm"]).all():  # the scene has its own distribution of B2
         del columns["pwv_mm"]
     columns["observation"] = columns["observation"].astype(int)

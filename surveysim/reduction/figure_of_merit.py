@@ -9,13 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from mapmaker.transfer_function import beam_window
-from surveysim.reduction.setup import Setup
+from surveysim.reduction.analysis import AnalysisSetup
 
 TARGETS = ("cmb", "point_source")
 
 
 def figures_of_merit(
-    setup: Setup, transmission: np.ndarray, maps: Sequence[tuple[np.ndarray, np.ndarray]]
+    analysis: AnalysisSetup, transmission: np.ndarray, maps: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> np.ndarray:
     """Compute figures of merit of the pipelines from the maps of one observation.
 
@@ -34,10 +34,10 @@ def figures_of_merit(
     -------
     (n_pipeline, 2) array
     """
-    band, rings = setup.analysis.region, setup.analysis.region.rings
+    band, rings = analysis.region, analysis.region.rings
     rows = band.patch
     noise = np.array([band.ring_noise(total[rows, rows], hits[rows, rows]) for total, hits in maps])
-    beam = beam_window(rings.ell, setup.scene.instrument.beam_fwhm_rad)
+    beam = beam_window(rings.ell, analysis.scene.instrument.beam_fwhm_rad)
     flat = band.signal_psd * transmission[:, 0] / noise
     point = beam * transmission[:, 1] / noise
     return np.stack(

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from surveysim.reduction.setup import Setup
+from surveysim.reduction.scored_region import ScoredRegion
 
 
-def map_noise(setup: Setup, total: np.ndarray, hits: np.ndarray) -> tuple[float, np.ndarray]:
+def map_noise(region: ScoredRegion | None, total: np.ndarray, hits: np.ndarray) -> tuple[float, np.ndarray]:
     """Measure the noise variance per sample of the map of one observation.
 
     With a score it is measured in the scored multipoles, with the weights of a flat band power:
@@ -20,8 +20,8 @@ def map_noise(setup: Setup, total: np.ndarray, hits: np.ndarray) -> tuple[float,
     bin_noise : (n_bin,) array [mK^2]
         The same in each multipole bin; empty without a score.
     """
-    if setup.analysis.region is None:
+    if region is None:
         hit = hits > 0
         return float(np.mean(total[hit].astype(float) ** 2 / hits[hit])) if hit.any() else np.inf, np.zeros(0)
-    rows = setup.analysis.region.patch
-    return setup.analysis.region.noise(total[rows, rows], hits[rows, rows])
+    rows = region.patch
+    return region.noise(total[rows, rows], hits[rows, rows])

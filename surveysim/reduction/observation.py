@@ -15,25 +15,22 @@ import numpy as np
 from mapmaker.chunks import row_chunks
 from mapmaker.cleaning import Cleaned
 from mapmaker.cleaning.responsivity import OBSERVATION
-from mapmaker.geometry import boresight_pixels
+from mapmaker.geometry import MapGeometry, boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.stream_psd import hann_power, hann_scale, white_level
 from mapmaker.timestreams import Timestreams, timestream_file
 from surveysim.atmosphere.weather import Weather
-from surveysim.reduction.cleaning_pipelines import (
-    OPTIMAL,
-    AuxiliaryData,
-    CleaningPipeline,
-    apply_pipeline,
-)
+from surveysim.reduction.analysis import AnalysisSetup
+from surveysim.reduction.cleaning_pipelines import OPTIMAL, AuxiliaryData, CleaningPipeline, apply_pipeline
 from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
 from surveysim.reduction.layer_delays import block_delays, delays_of_all_blocks
 from surveysim.reduction.map_noise import map_noise
 from surveysim.reduction.noise_only_sets import add_simulated, mean_removed
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.once import keep_last
+from surveysim.scene.analysis import Cleaning
 from surveysim.telescope.pointing import Pointing
-from surveysim.telescope.scans import samples_per_scan
+from surveysim.telescope.scans import Scans, samples_per_scan
 from surveysim.timestreams.observation import Stopwatch, draw_block, draw_other_bands
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.response import write_sky_signal
@@ -145,28 +142,30 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
     """
     watch, (_, pointing) = Stopwatch(), observation_path(setup.observing, observation)
     sums, delays = _empty_sums(setup, with_signal_sims), delays_of_all_blocks(setup, observation, pointing, watch)
-    with nullcontext(_let_go) if path is None else timestream_file(path, len(pointing.time_s)) as save:
+    with nullcontext(lambda streams: None) if path is None else timestream_file(path, len(pointing.time_s)) as save:
         for block in setup.observing.blocks:
             _add_part(sums, _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch), save, watch)
     kept = np.concatenate(sums.kept, axis=1)
-    psd = sums.power / max(1, kept[0].sum()) * _psd_scale(setup)
+    psd = sums.power / max(1, kept[0].sum()) * _psd_scale(setup.observing.scans, setup.stream_type)
     white = np.full(1, np.nan)
     if setup.scene.score:
         n, rate = samples_per_scan(setup.observing.scans), setup.observing.scans.sample_rate_hz
         white = white_level(psd, n, rate, setup.scene.score.white_noise_above_hz)
         add_simulated(sums.maps, sums.kept, setup, observation, pointing, psd=psd, white=white, watch=watch)
-    maps = {name: _plane(setup, *item) for name, item in sums.maps.items()}
+    analysis = setup.analysis
+    maps = {name: _plane(analysis.geometry, setup.stream_type, *item) for name, item in sums.maps.items()}
     worth, best = None, 0
-    if setup.analysis.chooses:
+    if analysis.chooses:
         with watch("figure_of_merit"):
-            of_pipelines = [maps[pipeline.data_set] for pipeline in setup.analysis.whole_pipelines]
-            worth = figures_of_merit(setup, transfer_functions(setup), of_pipelines)
+            of_pipelines = [maps[pipeline.data_set] for pipeline in analysis.whole_pipelines]
+            worth = figures_of_merit(analysis, transfer_functions(setup), of_pipelines)
         best = max(0, int(best_places(worth[:, 0])))
-        maps[OPTIMAL] = maps[setup.analysis.whole_pipelines[best].data_set]
-    ordered = [maps[name] for name in setup.analysis.data_set_names]
+        maps[OPTIMAL] = maps[analysis.whole_pipelines[best].data_set]
+    ordered = [maps[name] for name in analysis.data_set_names]
     total, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
     with watch("weights"):
-        noise, of_bins = (np.array(part) for part in zip(*(map_noise(setup, *item) for item in ordered), strict=True))
+        measured = [map_noise(analysis.region, *item) for item in ordered]
+        noise, of_bins = (np.array(part) for part in zip(*measured, strict=True))
     removed = np.concatenate(sums.removed, axis=1)
     compared = [_mean_psd(list(of_pipeline)) for of_pipeline in zip(*sums.compared, strict=True)]
     return ObservationResult(
@@ -175,7 +174,7 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
         hits=hits,
         noise_mk2=noise,
         bin_noise_mk2=of_bins,
-        signal_maps=_scored_signal_maps(setup, sums.signal_maps, best),
+        signal_maps=_scored_signal_maps(analysis, setup.stream_type, sums.signal_maps, best),
         discarded=tuple((~kept).sum(axis=1).tolist()),
         iterations=tuple(np.concatenate(sums.iterations, axis=1).mean(axis=1).tolist()),
         removed=tuple(float(row[_some(of)].mean()) for row, of in zip(removed, kept, strict=True)),
@@ -201,16 +200,13 @@ def kept_scans(setup: Setup, observation: int) -> np.ndarray:
     return np.concatenate([[item.kept for item in part.cleaned] for part in parts], axis=1)
 
 
-def _let_go(streams: Timestreams) -> None:
-    """Save nothing."""
-
-
 def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
     n_pixel = setup.analysis.geometry.n_y * setup.analysis.geometry.n_x
     names = [name for name in setup.analysis.data_set_names if name != OPTIMAL]
     maps = {name: (np.zeros(n_pixel), np.zeros(n_pixel, np.int64)) for name in names}
     power = np.zeros((setup.camera.n_det, samples_per_scan(setup.observing.scans) // 2 + 1))
-    return _Sums(maps, _empty_signal_maps(setup, setup.analysis.n_signal_skies) if with_signal_sims else None, power)
+    signals = _empty_signal_maps(setup.analysis, setup.analysis.n_signal_skies) if with_signal_sims else None
+    return _Sums(maps, signals, power)
 
 
 def _add_part(sums: _Sums, part: _Part, save: Callable[[Timestreams], None], watch: Stopwatch) -> None:
@@ -249,12 +245,13 @@ def _reduce(
         bands = _other_bands(setup, observation, whole, block)
         delays = block_delays(setup, streams) if delays_s_rad is None else delays_s_rad[block.first : block.end]
         auxiliary = AuxiliaryData(delays, bands, setup.analysis.calibration)
+    section, rate = setup.scene.cleaning, setup.observing.scans.sample_rate_hz
     cleaned, everyone = [], np.ones(block.n_scans, bool)
     for pipeline in setup.analysis.pipelines:
-        with watch("cleaning" if pipeline.steps == setup.scene.cleaning.algorithm else f"cleaning {pipeline.label}"):
-            cleaned.append(
-                _clean(setup, pipeline, streams, streams.data_mk[pipeline.rows], auxiliary=auxiliary, scans=everyone)
-            )
+        with watch("cleaning" if pipeline.steps == section.algorithm else f"cleaning {pipeline.label}"):
+            data = streams.data_mk[pipeline.rows]
+            item = _clean(section, pipeline, streams, data, auxiliary=auxiliary, scans=everyone, rate_hz=rate)
+        cleaned.append(item)
     return _Part(setup, observation, block, pointing, streams, index, auxiliary, tuple(cleaned))
 
 
@@ -267,30 +264,31 @@ def _other_bands(setup: Setup, observation: int, whole: Pointing, block: Block) 
 
 
 def _clean(
-    setup: Setup,
+    section: Cleaning,
     pipeline: CleaningPipeline,
     streams: Timestreams,
     data_mk: np.ndarray,
     *,
     auxiliary: AuxiliaryData,
     scans: np.ndarray,
+    rate_hz: float,
 ) -> Cleaned:
     """Clean some scans (n_scan,) bool of the streams of a pipeline's detectors."""
-    plane, rate = streams.focal_plane.subset(pipeline.rows), setup.observing.scans.sample_rate_hz
     auxiliary = replace(auxiliary, delays_s_rad=auxiliary.delays_s_rad[scans])
     return apply_pipeline(
-        setup.scene.cleaning,
+        section,
         pipeline,
         data_mk,
         scan_bounds=streams.scan_bounds[scans],
-        focal_plane=plane,
+        focal_plane=streams.focal_plane.subset(pipeline.rows),
         auxiliary=auxiliary,
-        sample_rate_hz=rate,
+        sample_rate_hz=rate_hz,
     )
 
 
 def _add_spectra(sums: _Sums, part: _Part) -> None:
-    data, n_scans, scale = part.streams.data_mk, part.block.n_scans, _psd_scale(part.setup)
+    data, n_scans = part.streams.data_mk, part.block.n_scans
+    scale = _psd_scale(part.setup.observing.scans, part.setup.stream_type)
     actual, *others = part.cleaned[: len(part.setup.analysis.whole_pipelines)]
     sums.power += hann_power(actual.data_mk, n_scans, actual.kept)
     everyone = np.ones(n_scans, bool)
@@ -300,8 +298,8 @@ def _add_spectra(sums: _Sums, part: _Part) -> None:
     sums.compared.append([(n, (power / max(1, n) * scale).mean(axis=0)) for n, power in powers])
 
 
-def _psd_scale(setup: Setup) -> float:
-    return hann_scale(samples_per_scan(setup.observing.scans), setup.observing.scans.sample_rate_hz, setup.stream_type)
+def _psd_scale(scans: Scans, dtype: np.dtype) -> float:
+    return hann_scale(samples_per_scan(scans), scans.sample_rate_hz, dtype)
 
 
 def _mean_psd(blocks: list[tuple[int, np.ndarray]]) -> np.ndarray:
@@ -316,34 +314,29 @@ def _some(kept: np.ndarray) -> np.ndarray:
     return kept if kept.any() else np.ones_like(kept)
 
 
-def _plane(setup: Setup, total: np.ndarray, hits: np.ndarray) -> Map:
-    shape = (setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
+def _plane(geometry: MapGeometry, dtype: np.dtype, total: np.ndarray, hits: np.ndarray) -> Map:
+    shape = (geometry.n_y, geometry.n_x)
     kind = np.int32 if hits.max() < 2**31 else np.int64
-    return total.reshape(shape).astype(setup.stream_type), hits.reshape(shape).astype(kind)
+    return total.reshape(shape).astype(dtype), hits.reshape(shape).astype(kind)
 
 
-def _empty_signal_maps(setup: Setup, n_sky: int) -> np.ndarray:
-    return np.zeros(
-        (
-            n_sky,
-            len(setup.analysis.transfer_function_names),
-            2,
-            setup.analysis.geometry.n_y * setup.analysis.geometry.n_x,
-        )
-    )
+def _empty_signal_maps(analysis: AnalysisSetup, n_sky: int) -> np.ndarray:
+    n_pixel = analysis.geometry.n_y * analysis.geometry.n_x
+    return np.zeros((n_sky, len(analysis.transfer_function_names), 2, n_pixel))
 
 
 def _add_signal_maps(signal_maps: np.ndarray, part: _Part, skies_mk: np.ndarray) -> None:
     """Add each sky before cleaning, and the difference that it makes to the cleaned data."""
-    setup, streams = part.setup, part.streams
+    setup, section, streams = part.setup, part.setup.scene.cleaning, part.streams
+    rate, extra, raw = setup.observing.scans.sample_rate_hz, part.auxiliary, streams.data_mk
     hits, signal = np.zeros(signal_maps.shape[-1], np.int64), np.empty_like(streams.data_mk)
     for s, sky in enumerate(skies_mk):
         write_sky_signal(setup, part.pointing, sky, signal)
         for pipeline, base in zip(setup.analysis.pipelines, part.cleaned, strict=True):
             rows, place = pipeline.rows, setup.analysis.transfer_function_names.index(pipeline.data_set)
-            scans = _cleaned_again(setup, pipeline, base.kept)
+            scans = _cleaned_again(section, pipeline, base.kept)
             both = _clean(
-                setup, pipeline, streams, streams.data_mk[rows] + signal[rows], auxiliary=part.auxiliary, scans=scans
+                section, pipeline, streams, raw[rows] + signal[rows], auxiliary=extra, scans=scans, rate_hz=rate
             )
             kept = base.kept.copy()
             kept[scans] &= both.kept
@@ -355,28 +348,27 @@ def _add_signal_maps(signal_maps: np.ndarray, part: _Part, skies_mk: np.ndarray)
                 bin_samples(data, part.index[rows], streams.scan_bounds, kept, signal_maps[s, place, state], hits)
 
 
-def _cleaned_again(setup: Setup, pipeline: CleaningPipeline, kept: np.ndarray) -> np.ndarray:
+def _cleaned_again(section: Cleaning, pipeline: CleaningPipeline, kept: np.ndarray) -> np.ndarray:
     """Select the scans (n_scan,) bool to clean once more with a signal: those kept without it.
 
     Discarded scans would take all iterations for nothing. If all scans share one fit, all take part again unless it
     failed.
     """
-    together = setup.scene.cleaning.responsivities == OBSERVATION and pipeline.takes_responsivities
+    together = section.responsivities == OBSERVATION and pipeline.takes_responsivities
     return np.ones_like(kept) if together and kept.any() else kept
 
 
-def _scored_signal_maps(setup: Setup, signal_maps: np.ndarray | None, best: int) -> np.ndarray | None:
+def _scored_signal_maps(
+    analysis: AnalysisSetup, dtype: np.dtype, signal_maps: np.ndarray | None, best: int
+) -> np.ndarray | None:
     """Cut the signal maps to the scored patch; the optimal set takes those of the best pipeline."""
     if signal_maps is None:
         return None
-    maps, patch = (
-        signal_maps.reshape(*signal_maps.shape[:3], setup.analysis.geometry.n_y, setup.analysis.geometry.n_x),
-        setup.analysis.region.patch,
-    )
-    maps = maps[..., patch, patch].astype(setup.stream_type)
-    if setup.analysis.chooses:
-        chosen = setup.analysis.transfer_function_names.index(setup.analysis.whole_pipelines[best].data_set)
-        maps[:, setup.analysis.transfer_function_names.index(OPTIMAL)] = maps[:, chosen]
+    patch, names = analysis.region.patch, analysis.transfer_function_names
+    maps = signal_maps.reshape(*signal_maps.shape[:3], analysis.geometry.n_y, analysis.geometry.n_x)
+    maps = maps[..., patch, patch].astype(dtype)
+    if analysis.chooses:
+        maps[:, names.index(OPTIMAL)] = maps[:, names.index(analysis.whole_pipelines[best].data_set)]
     return maps
 
 
@@ -397,7 +389,7 @@ def transfer_functions(setup: Setup) -> np.ndarray:
     powers = np.zeros((len(setup.analysis.whole_pipelines), len(TARGETS), 2, len(setup.analysis.region.rings.ell)))
     for observation in REFERENCE:
         signals = _signals_in_block(setup, observation % setup.scene.observations, middle, skies)
-        maps = _scored_signal_maps(setup, signals, 0)
+        maps = _scored_signal_maps(setup.analysis, setup.stream_type, signals, 0)
         for r, pipeline in enumerate(setup.analysis.whole_pipelines):
             place = setup.analysis.transfer_function_names.index(pipeline.data_set)
             for s, state in np.ndindex(powers.shape[1:3]):
@@ -407,7 +399,7 @@ def transfer_functions(setup: Setup) -> np.ndarray:
 
 def _signals_in_block(setup: Setup, observation: int, block: Block, skies_mk: np.ndarray) -> np.ndarray:
     """Simulate signals in one block of an observation, and nothing else of it."""
-    signal_maps, watch = _empty_signal_maps(setup, len(skies_mk)), Stopwatch()
+    signal_maps, watch = _empty_signal_maps(setup.analysis, len(skies_mk)), Stopwatch()
     _, pointing = observation_path(setup.observing, observation)
     delays = delays_of_all_blocks(setup, observation, pointing, watch)
     part = _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch)

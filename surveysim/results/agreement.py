@@ -71,7 +71,7 @@ def agreement(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) 
     scatter = _scatter(setup, simulated, expected)
     ratio = expected.band.sigma_ukcmb2 / simulated.plain_band.sigma_ukcmb2
     error = ratio * float(np.linalg.norm([simulated.budget.noise, simulated.budget.transfer_function, scatter]))
-    low, high = compared_ell(setup)
+    low, high = compared_ell(setup.scene)
     edges = setup.analysis.region.rings.edges_ell
     bins = np.flatnonzero((edges[:-1] >= low) & (edges[1:] <= high))
     if not len(bins):
@@ -103,7 +103,7 @@ def _scatter(setup: Setup, simulated: DataSetScore, expected: DataSetForecast) -
     kept = expected.kept.share
     some = kept > 0
     total = ratio_error((simulated.weights * kept)[some], (expected.weights * kept)[some])
-    _, common = noise_parts(setup, simulated)
+    _, common = noise_parts(setup.analysis, simulated)
     return subtract_in_quadrature(total, common) * student_factor(int(np.count_nonzero(some)))
 
 
@@ -121,4 +121,4 @@ def _bin_ratios(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Forecast over simulated noise PSD, minus 1, in some bins, and its errors, (n,) each."""
     ratio = expected.noise_psd[bins] / simulated.noise_psd[bins]
-    return ratio - 1, ratio * np.hypot(bin_errors(setup, simulated)[bins], scatter)
+    return ratio - 1, ratio * np.hypot(bin_errors(setup.analysis, simulated)[bins], scatter)

@@ -21,7 +21,7 @@ def alternatives(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) 
     lowest = lowest_multipoles(setup)
     rows = [_alternative(setup, scores, weights, ell) for weights in ("own", "actual") for ell in lowest]
     if setup.analysis.region.sectors is not None:
-        sigma = {name: sector_sigma(setup, coadds, item) for name, item in scores.items()}
+        sigma = {name: sector_sigma(setup.analysis, coadds, item) for name, item in scores.items()}
         ell_min = setup.scene.score.ell_min
         rows.append(
             _alternative_row(
@@ -36,18 +36,18 @@ def lowest_multipoles(setup: Setup) -> list[int]:
     score = setup.scene.score
     ninths = np.array(ALTERNATIVE_NINTHS) * score.ell_min / 9
     edges = np.unique(np.round(ninths / score.ell_bin).astype(int) * score.ell_bin)
-    used = (edges >= resolution_ell(setup)) & (edges + score.ell_bin <= score.ell_max)
+    used = (edges >= resolution_ell(setup.scene)) & (edges + score.ell_bin <= score.ell_max)
     return edges[used].tolist()
 
 
 def _alternative(setup: Setup, scores: dict[str, DataSetScore], weights: str, ell_min: int) -> dict[str, float | str]:
     reference = scores["actual"]
-    band = rescore(setup, reference, ell_min).band
+    band = rescore(setup.analysis, reference, ell_min).band
     used, modes = band.weight > 0, setup.analysis.region.rings.n_modes
     sigma = {}
     for name, item in scores.items():
         if weights == "own":
-            sigma[name] = rescore(setup, item, ell_min).band.sigma_ukcmb2
+            sigma[name] = rescore(setup.analysis, item, ell_min).band.sigma_ukcmb2
         else:
             sigma[name] = flat_band_power_fixed_weights(
                 item.quoted_psd, item.signal_psd, modes, used, weighting_noise_psd_ukcmb2=reference.quoted_psd

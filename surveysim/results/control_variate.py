@@ -52,7 +52,9 @@ def quoted_scores(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = 
     found = controls(setup, coadds)
     if not found:
         return scores
-    return {name: controlled_score(setup, item, found.get(name, found[ACTUAL])) for name, item in scores.items()}
+    return {
+        name: controlled_score(setup.analysis, item, found.get(name, found[ACTUAL])) for name, item in scores.items()
+    }
 
 
 def controls(setup: Setup, coadds: CoAdds) -> dict[str, Control]:
@@ -94,7 +96,7 @@ def expectations(setup: Setup) -> dict[str, Expectation]:
         of_bins = bin_weights(
             psd, model.signal_psd, setup.analysis.region.rings.n_modes, setup.analysis.region.selected
         )
-        shares = information_shares(expected_weights(setup, noise), 1.0, noise, of_bins)
+        shares = information_shares(expected_weights(setup.analysis, noise), 1.0, noise, of_bins)
         found[model.name] = Expectation(model, psd, float(error), float(shares.std() / shares.mean()))
     return found
 
@@ -115,7 +117,7 @@ def in_all_weather(setup: Setup, found: Forecast) -> dict[str, float]:
 
 def _psd(setup: Setup, noise: np.ndarray) -> np.ndarray:
     """Noise PSD (n_bin,), up to a factor, of a survey of these (n_draw, n_bin) observations."""
-    weight = expected_weights(setup, noise)
+    weight = expected_weights(setup.analysis, noise)
     return weight**2 @ noise * len(noise) / weight.sum() ** 2
 
 
@@ -127,4 +129,4 @@ def _control(setup: Setup, expected: Expectation, noise: np.ndarray) -> Control:
     of_sample = _psd(setup, noise)
     factor = np.divide(expected.psd, of_sample, out=np.ones_like(of_sample), where=of_sample > 0)
     sampling = expected.variation / np.sqrt(len(noise))
-    return Control(factor, expected_weights(setup, noise), noise, float(sampling), expected.error)
+    return Control(factor, expected_weights(setup.analysis, noise), noise, float(sampling), expected.error)

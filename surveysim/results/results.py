@@ -198,7 +198,7 @@ def survey_result(
         try:
             scores = score.measure(setup, coadds)
             ratios, others = score.gains(setup, scores), score.alternatives(setup, coadds, scores)
-            removed = flux_removed(setup, coadds)
+            removed = flux_removed(setup.analysis, coadds)
         except InsufficientDataError as error:  # too few observations, or too few scans kept in them
             scores, ratios, others, removed, unscored = {}, {}, [], {}, str(error)
         else:

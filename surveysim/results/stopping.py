@@ -195,7 +195,7 @@ class ErrorParts:
 def error_parts(setup: Setup, coadds: CoAdds, scores: dict[str, DataSetScore]) -> ErrorParts:
     """Return the parts of the error of a run whose actual data are scored."""
     item = scores[ACTUAL]
-    flips, common = noise_parts(setup, item)
+    flips, common = noise_parts(setup.analysis, item)
     budget = item.budget
     return ErrorParts(
         math.hypot(common, budget.weather), flips, budget.transfer_function, budget.population, coadds.each_s

@@ -25,7 +25,7 @@ PSD_AT_HZ = (0.01, 0.1, 1.0)
 def summary(result: SurveyResult) -> dict[str, Any]:
     """Return the content of summary.json; its keys are stable (docs/reference/files.md)."""
     setup, coadds = result.setup, result.coadds
-    columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
+    columns = dict(zip(row_names(setup.analysis), np.array(coadds.rows).T, strict=True))
     scans = setup.observing.scans
     samples = coadds.done * setup.camera.n_det * scans.n_scans * samples_per_scan(scans)
     content: dict[str, Any] = {

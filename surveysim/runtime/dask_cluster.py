@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pickle import loads
 from queue import Empty, SimpleQueue
@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from surveysim import __version__
 from surveysim.runtime.addresses import address_of
 from surveysim.runtime.interrupt_signals import hide_main_module, ignore_sigint_in_children
-from surveysim.runtime.items import Answer, Items
+from surveysim.runtime.items import Answer, Items, LargeResults
 from surveysim.runtime.worker_loss import EngineError, log, too_many_losses
 
 if TYPE_CHECKING:
@@ -92,7 +92,38 @@ def run_unit(job: bytes, items: bytes, version: str) -> Answers:
     return Answers(results, None, perf_counter() - start)
 
 
-def on_cluster(job: Callable[[Any], Any], items: Items, engine: "Engine") -> Generator[Answer]:
+def outlined(answers: Answers, outline: Callable[[Any], Any]) -> Answers:
+    """Replace results by their outlines, on a worker."""
+    return replace(answers, results=[outline(result) for result in answers.results])
+
+
+def joined(one: Answers, other: Answers, join: Callable[[Any, Any], Any]) -> Answers:
+    """Join two large results, on a worker."""
+    return Answers([join(one.results[0], other.results[0])], None, 0.0)
+
+
+class HeldResult:
+    """A large result on the cluster, in a unit of its own."""
+
+    def __init__(self, client: Client, future: Future, outline: Any, large: LargeResults) -> None:
+        self._client, self._future, self._large, self.outline = client, future, large, outline
+
+    def fetch(self) -> Any:
+        """Get the result itself; EngineError if the cluster has lost it."""
+        with _lost_scheduler():
+            return self._future.result().results[0]
+
+    def joined(self, other: "HeldResult") -> "HeldResult":
+        """Join two results on the cluster; EngineError if it is gone."""
+        with _lost_scheduler():
+            join = self._large.join
+            future = self._client.submit(joined, self._future, other._future, join, pure=False)
+            return HeldResult(self._client, future, self.outline + other.outline, self._large)
+
+
+def on_cluster(
+    job: Callable[[Any], Any], items: Items, engine: "Engine", large: LargeResults | None = None
+) -> Generator[Answer]:
     """Yield the answer for each item from the workers of a scheduler or of this machine, as they come.
 
     Raises
@@ -101,16 +132,17 @@ def on_cluster(job: Callable[[Any], Any], items: Items, engine: "Engine") -> Gen
         If the scheduler is gone or workers are lost repeatedly.
     """
     with _client(engine, items.left()) as client, _lost_scheduler():
-        yield from _Units(client, job, items).answers()
+        yield from _Units(client, job, items, large).answers()
 
 
 class _Units:
     """Units of items in progress on a cluster, a few per worker."""
 
-    def __init__(self, client: Client, job: Callable[[Any], Any], items: Items) -> None:
-        self.client, self.items, self.watch = client, items, _Watch(client)
+    def __init__(self, client: Client, job: Callable[[Any], Any], items: Items, large: LargeResults | None) -> None:
+        self.client, self.items, self.large, self.watch = client, items, large, _Watch(client)
         self.name, self.job = uuid4().hex, pickle.dumps(job)
-        self.numbers: dict[Future, list[int]] = {}  # of the items of each unit
+        self.numbers: dict[Future, list[int]] = {}  # of the items of each unit, by what comes back
+        self.kept: dict[Future, Future] = {}  # large results, by their outlines
         self.finished: SimpleQueue[Future] = SimpleQueue()
         self.each_s: float | None = None
 
@@ -122,14 +154,22 @@ class _Units:
                 unit = self._next()
                 numbers, found = self.numbers.pop(unit), unit.result(timeout=ANSWER_S)
                 unit.release()
-                self.each_s = found.seconds / max(1, len(found.results))
+                results = self._held(unit, found.results)
+                self.each_s = found.seconds / max(1, len(results))
                 self._submit()
-                yield from ((number, result, None) for number, result in zip(numbers, found.results, strict=False))
+                yield from ((number, result, None) for number, result in zip(numbers, results, strict=False))
                 if found.error is not None:
-                    yield numbers[len(found.results)], None, found.error
+                    yield numbers[len(results)], None, found.error
         finally:
-            for unit in self.numbers:
+            for unit in (*self.numbers, *self.kept.values()):
                 unit.release()
+
+    def _held(self, unit: Future, results: list[Any]) -> list[Any]:
+        """Put large results, of which only the outline came back, in the place of the outline."""
+        kept = self.kept.pop(unit, None)
+        if kept is None or self.large is None:
+            return results
+        return [HeldResult(self.client, kept, outline, self.large) for outline in results]
 
     def _submit(self) -> None:
         """Submit units until each worker has a few."""
@@ -139,15 +179,23 @@ class _Units:
             unit = Unit(self.job, pickle.dumps(items), __version__)
             key = f"surveysim-{self.name}-{numbers[0]}"
             future = self.client.submit(loads, pickle.dumps(unit), key=key, pure=False)
+            if self._is_large(items[0]):
+                whole, future = future, self.client.submit(outlined, future, self.large.outline, pure=False)
+                self.kept[future] = whole
             self.numbers[future] = list(numbers)
             future.add_done_callback(self.finished.put)
 
+    def _is_large(self, item: Any) -> bool:
+        return self.large is not None and self.large.is_large(item)
+
     def _take(self, workers: int) -> list[tuple[int, Any]]:
-        """Take the items of the next unit."""
+        """Take the items of the next unit, which ends with the first that has a large result."""
         taken: list[tuple[int, Any]] = []
         size = unit_size(self.each_s, workers, self.items.left())
         while len(taken) < size and (item := self.items.take(workers)) is not None:
             taken.append(item)
+            if self._is_large(item[1]):
+                break
         return taken
 
     def _next(self) -> Future:

@@ -7,7 +7,7 @@ from typing import Any
 
 from surveysim.runtime.errors import InputError
 from surveysim.runtime.interrupt_signals import defer_signals
-from surveysim.runtime.items import InOrder, Items, UntilFailure
+from surveysim.runtime.items import InOrder, Items, LargeResults, UntilFailure
 from surveysim.runtime.processes import in_processes
 from surveysim.runtime.serial import in_turn
 from surveysim.runtime.worker_loss import EngineError
@@ -98,7 +98,9 @@ def ordered_map(job: Callable[[Any], Any], items: Sequence[Any], engine: Engine)
         results.close()
 
 
-def unordered_map(job: Callable[[Any], Any], items: Items, engine: Engine) -> Generator[tuple[int, Any]]:
+def unordered_map(
+    job: Callable[[Any], Any], items: Items, engine: Engine, large: LargeResults | None = None
+) -> Generator[tuple[int, Any]]:
     """Yield the number of each item and ``job(item)``, as they are finished.
 
     Each worker uses one BLAS thread, so that sums do not depend on the number of cores. Items of a lost worker are
@@ -113,6 +115,8 @@ def unordered_map(job: Callable[[Any], Any], items: Items, engine: Engine) -> Ge
         Source of picklable arguments.
     engine
         Workers to use.
+    large
+        Results that a cluster keeps: a `Held` comes in their place, for as long as the generator is open.
 
     Raises
     ------
@@ -124,7 +128,7 @@ def unordered_map(job: Callable[[Any], Any], items: Items, engine: Engine) -> Ge
     if engine.kind == "dask":
         from surveysim.runtime.dask_cluster import on_cluster
 
-        answers = on_cluster(job, source, engine)
+        answers = on_cluster(job, source, engine, large)
     elif (workers := engine.workers_for(items.left())) == 1:
         answers = in_turn(job, source)
     else:

@@ -1,12 +1,45 @@
-"""Items of a map: sources that hand them out to workers."""
+"""Items of a map: sources that hand them out to workers, and results that stay where they are made."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 AHEAD = 3  # items a worker that may be finished before an earlier one
 
 Answer = tuple[int, Any, Exception | None]  # number of an item, result, error
+
+
+class Held(Protocol):
+    """A result that stays on the cluster."""
+
+    @property
+    def outline(self) -> Any:
+        """Outline of the result."""
+
+    def fetch(self) -> Any:
+        """Get the result itself."""
+
+    def joined(self, other: Any) -> "Held":
+        """Join two results on the cluster."""
+
+
+@dataclass(frozen=True)
+class LargeResults:
+    """Large results of a map, which a cluster may keep and join.
+
+    Parameters
+    ----------
+    is_large
+        Whether the result of an item is large.
+    outline
+        Small outline of a large result; the outline of a sum is the sum of outlines.
+    join
+        Sum of two of them; it leaves both as they are.
+    """
+
+    is_large: Callable[[Any], bool]
+    outline: Callable[[Any], Any]
+    join: Callable[[Any, Any], Any]
 
 
 class Items(Protocol):

@@ -98,7 +98,7 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
     working_s = (observing_s + scene.observations * measured.adding_s) / parallel
     figures_s = start_s * (SCORE_FIGURE_STARTS if scene.score else FIGURE_STARTS)
     samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
-    coadds = empty_coadds(setup)
+    coadds = empty_coadds(setup.analysis)
     maps = coadds.sums.nbytes + coadds.weight.nbytes + coadds.hits.nbytes
     return Plan(
         stages=stages_that_run(setup),
@@ -158,7 +158,7 @@ def _with_sums(
     setup: Setup, result: ObservationResult, first_s: float, plain_s: float, with_sims_s: float
 ) -> _Measured:
     """Measure the times of co-adding an observation and of scoring the sums."""
-    coadds = empty_coadds(setup)
+    coadds = empty_coadds(setup.analysis)
     for number in range(min(2, setup.scene.observations)):  # once caches are warm, where there is a second
         adding_s, _ = _timed(_add, setup, coadds, replace(result, observation=number))
     scoring_s = _scoring(setup, coadds)
@@ -168,7 +168,7 @@ def _with_sums(
 
 
 def _add(setup: Setup, coadds: CoAdds, result: ObservationResult) -> None:
-    add_observations(setup, coadds, [observation_sums(setup, result)])
+    add_observations(setup.analysis, coadds, [observation_sums(setup.analysis, result)])
 
 
 def _scoring(setup: Setup, coadds: CoAdds) -> float:

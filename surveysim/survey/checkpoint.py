@@ -165,11 +165,11 @@ def _checked_arrays(group: Any, setup: Setup) -> dict[str, np.ndarray]:
         raise ValueError(f"missing or unknown: {', '.join(sorted(found))}")
     done = group["rows"].shape[0]
     single = done == 1 and group["flipped"].shape[:1] == (0,)
-    expected = empty_coadds(setup, flips=not single)
+    expected = empty_coadds(setup.analysis, flips=not single)
     n_freq, n_compared = samples_per_scan(setup.observing.scans) // 2 + 1, len(setup.analysis.whole_pipelines) - 1
     n_bin = 0 if setup.analysis.region is None else len(setup.analysis.region.rings.ell)
     shapes = {name: getattr(expected, name).shape for name in _ARRAYS} | {
-        "rows": (done, len(row_names(setup))),
+        "rows": (done, len(row_names(setup.analysis))),
         "raw_psd": (done, n_freq),
         "clean_psd": (done, n_freq),
         "bin_noise": (done, len(setup.analysis.data_set_names), n_bin),
@@ -199,7 +199,7 @@ def _check_values(arrays: Mapping[str, np.ndarray], setup: Setup) -> None:
         raise ValueError("bin_noise has negative values, or some that are no numbers")
     if arrays["weight"][arrays["hits"] == 0].any() or arrays["sums"][arrays["weight"] == 0].any():
         raise ValueError("there are sums without hits or without weight")
-    columns = dict(zip(row_names(setup), arrays["rows"].T, strict=True))
+    columns = dict(zip(row_names(setup.analysis), arrays["rows"].T, strict=True))
     _check_rows(columns, setup)
     noise = np.column_stack([columns[f"noise_mk2_{name}"] for name in setup.analysis.data_set_names])
     _check_noise(noise, arrays["bin_noise"])

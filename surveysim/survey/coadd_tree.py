@@ -11,8 +11,9 @@ import numpy as np
 
 from surveysim.reduction.setup import Setup
 from surveysim.survey.coadds import CoAdds, add_observations, add_sums, copied, empty_coadds
+from surveysim.survey.remote_node import Node, RemoteNode, here
+from surveysim.survey.spans import LEAF
 
-LEAF = 16  # observations
 LARGE_BYTES = 128e6  # of sums, from which on only one set of them is held
 _WAITING_BYTES = 64e6  # of single observations, which are added to the sums in one pass
 _WAITING = 8
@@ -25,7 +26,7 @@ def leaf_size(setup: Setup) -> int:
 
 def node_bytes(setup: Setup) -> float:
     """Size of the maps of a node [bytes]."""
-    empty = empty_coadds(setup)
+    empty = empty_coadds(setup.analysis)
     return sum(
         array.nbytes
         for array in (empty.sums, empty.weight, empty.hits, empty.flipped, empty.signal_maps, empty.signal_weight)
@@ -52,9 +53,9 @@ class CoAddTree:
         Number of all finished observations.
     """
 
-    def __init__(self, setup: Setup, nodes: Iterable[CoAdds] = (), first: int = 0) -> None:
+    def __init__(self, setup: Setup, nodes: Iterable[Node] = (), first: int = 0) -> None:
         self._setup, self._leaf = setup, leaf_size(setup)
-        self._nodes: dict[int, CoAdds] = {}  # by the first observation: leaves, whole or begun, and groups of leaves
+        self._nodes: dict[int, Node] = {}  # by the first observation: leaves, whole or begun, and groups of leaves
         self._waiting: dict[int, CoAdds] = {}  # single observations by number
         self._first = self.done = first
         self.finished = 0
@@ -67,11 +68,11 @@ class CoAddTree:
         """Mean time [s] of an observation on one worker, without compilation."""
         return self.seconds / max(1, self.finished)
 
-    def add(self, item: CoAdds) -> None:
+    def add(self, item: Node) -> None:
         """Add a finished observation or the sums of a node."""
         self.finished += item.done
-        self.seconds += sum(item.seconds.values())
-        if is_single(item):
+        self.seconds += item.total_s
+        if isinstance(item, CoAdds) and is_single(item):
             self._waiting[item.first] = item
         else:
             self._nodes[item.first] = item
@@ -93,10 +94,10 @@ class CoAddTree:
         self._absorb(self.done - 1)
         nodes, number = [], self._first
         while number < self.done:
-            nodes.append(self._nodes[number])
+            nodes.append(here(self._nodes[number]))
             number = nodes[-1].end
         if len(nodes) < 2:
-            return nodes[0] if nodes else empty_coadds(self._setup)
+            return nodes[0] if nodes else empty_coadds(self._setup.analysis)
         total = copied(nodes[0])
         for node in nodes[1:]:
             add_sums(total, node)
@@ -105,8 +106,20 @@ class CoAddTree:
     def nodes(self) -> list[CoAdds]:
         """Sums over all finished observations, apart."""
         self._absorb(self.done - 1)
-        found = {**self._nodes, **self._waiting}
-        return [found[first] for first in sorted(found)]
+        found: dict[int, Node] = {**self._nodes, **self._waiting}
+        return [here(found[first]) for first in sorted(found)]
+
+    def bring_here(self) -> None:
+        """Fetch the nodes that stay on a cluster."""
+        self._nodes = {first: here(node) for first, node in self._nodes.items()}
+
+    def forget_remote(self) -> None:
+        """Drop the nodes that stay on a cluster, which is gone."""
+        gone = [node for node in self._nodes.values() if isinstance(node, RemoteNode)]
+        for node in gone:
+            del self._nodes[node.first]
+            self.finished -= node.done
+            self.done = min(self.done, max(self._first, node.first))
 
     def missing(self) -> list[int]:
         """Numbers of the observations that are not finished."""
@@ -144,8 +157,8 @@ class CoAddTree:
             begun += 1
         if not singles:
             return
-        sums = self._nodes.get(first) or empty_coadds(self._setup)
-        add_observations(self._setup, sums, singles)
+        sums = here(self._nodes[first]) if first in self._nodes else empty_coadds(self._setup.analysis)
+        add_observations(self._setup.analysis, sums, singles)
         for item in singles:  # once they are in the sums
             del self._waiting[item.first]
         self._nodes[first] = sums
@@ -159,9 +172,13 @@ class CoAddTree:
                 return
             first = min(first, other.first)
             left, right = sorted((node, other), key=lambda item: item.first)
-            add_sums(left, right)
+            if isinstance(left, RemoteNode) and isinstance(right, RemoteNode):
+                node = left.joined(right)
+            else:
+                node = here(left)
+                add_sums(node, here(right))
             del self._nodes[right.first]
-            node = left
+            self._nodes[first] = node
 
 
 def is_single(item: CoAdds) -> bool:

@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.reduction.figure_of_merit import TARGETS, best_places
 from surveysim.reduction.observation import ObservationResult
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.scene.scene import Scene
 from surveysim.survey.kernels import add_signed
 
 ROW_FIELDS = (
@@ -81,7 +83,12 @@ class CoAdds:
     @property
     def each_s(self) -> float:
         """Mean time [s] of an observation on one worker, without compilation."""
-        return sum(self.seconds.values()) / max(1, self.done)
+        return self.total_s / max(1, self.done)
+
+    @property
+    def total_s(self) -> float:
+        """Time [s] of all observations on one worker, without compilation."""
+        return sum(self.seconds.values())
 
     @property
     def n_set(self) -> int:
@@ -98,14 +105,14 @@ class CoAdds:
         return np.array([row[-self.n_set :] for row in self.rows])
 
 
-def empty_coadds(setup: Setup, *, flips: bool = True) -> CoAdds:
+def empty_coadds(analysis: AnalysisSetup, *, flips: bool = True) -> CoAdds:
     """Make sums over no observation, with or without sign-flipped co-adds."""
-    n_set, n_transfer = len(setup.analysis.data_set_names), len(setup.analysis.transfer_function_names)
-    shape = (setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
+    n_set, n_transfer = len(analysis.data_set_names), len(analysis.transfer_function_names)
+    shape = (analysis.geometry.n_y, analysis.geometry.n_x)
     n_flip = n_sky = n = 0
-    if setup.scene.score:
-        n_flip, n_sky = setup.scene.score.jackknives * flips, setup.analysis.n_signal_skies
-        n = len(setup.analysis.region.taper)
+    if analysis.scene.score:
+        n_flip, n_sky = analysis.scene.score.jackknives * flips, analysis.n_signal_skies
+        n = len(analysis.region.taper)
     return CoAdds(
         sums=np.zeros((n_set, *shape)),
         weight=np.zeros((n_set, *shape)),
@@ -116,16 +123,16 @@ def empty_coadds(setup: Setup, *, flips: bool = True) -> CoAdds:
     )
 
 
-def jackknife_signs(setup: Setup, observation: int) -> np.ndarray:
+def jackknife_signs(scene: Scene, observation: int) -> np.ndarray:
     """Draw the signs (K,) of one observation in the sign-flipped co-adds, in which the sky cancels."""
-    score = setup.scene.score
+    score = scene.score
     if score is None:
         return np.zeros(0)
-    rng = generator(setup.scene.seed, RandomPurpose.JACKKNIFE, observation)
+    rng = generator(scene.seed, RandomPurpose.JACKKNIFE, observation)
     return 2.0 * rng.integers(0, 2, score.jackknives) - 1.0
 
 
-def observation_sums(setup: Setup, result: ObservationResult) -> CoAdds:
+def observation_sums(analysis: AnalysisSetup, result: ObservationResult) -> CoAdds:
     """Weight one observation by its own noise: sums over it alone, without sign-flipped co-adds.
 
     Raises
@@ -133,10 +140,10 @@ def observation_sums(setup: Setup, result: ObservationResult) -> CoAdds:
     ValueError
         For other shapes than those of the setup.
     """
-    _check_shapes(setup, result)
+    _check_shapes(analysis, result)
     weights = noise_weights(result.noise_mk2)
     found = replace(
-        empty_coadds(setup, flips=False),
+        empty_coadds(analysis, flips=False),
         sums=weights[:, None, None] * result.sums.astype(float),
         weight=weights[:, None, None] * result.hits,
         hits=result.hits.astype(np.int64),
@@ -148,11 +155,11 @@ def observation_sums(setup: Setup, result: ObservationResult) -> CoAdds:
         seconds=dict(result.seconds),
     )
     if result.signal_maps is not None:
-        _add_signal_maps(setup, found, result, weights)
+        _add_signal_maps(analysis, found, result, weights)
     return found
 
 
-def add_observations(setup: Setup, coadds: CoAdds, observations: Sequence[CoAdds]) -> None:
+def add_observations(analysis: AnalysisSetup, coadds: CoAdds, observations: Sequence[CoAdds]) -> None:
     """Add observations (`observation_sums`) one after the other, in place.
 
     The bits do not depend on how many are added at a time.
@@ -168,8 +175,8 @@ def add_observations(setup: Setup, coadds: CoAdds, observations: Sequence[CoAdds
     for number, item in enumerate(observations, following):
         if (item.first, item.done) != (number, 1):
             raise ValueError(f"found observation {item.first}; {number} is the next in order")
-    patch = setup.analysis.region.patch if setup.analysis.region else slice(0, 0)
-    signs = np.stack([jackknife_signs(setup, item.first) for item in observations], axis=1)
+    patch = analysis.region.patch if analysis.region else slice(0, 0)
+    signs = np.stack([jackknife_signs(analysis.scene, item.first) for item in observations], axis=1)
     # All that could fail for want of memory comes before the first sum: none is left half done.
     patches = np.stack([item.sums[:, patch, patch] for item in observations], axis=1)
     if len(signs):
@@ -219,9 +226,9 @@ def copied(coadds: CoAdds) -> CoAdds:
     return CoAdds(**found)
 
 
-def _check_shapes(setup: Setup, result: ObservationResult) -> None:
+def _check_shapes(analysis: AnalysisSetup, result: ObservationResult) -> None:
     """Raise ValueError for wrong shapes."""
-    planes = (len(setup.analysis.data_set_names), setup.analysis.geometry.n_y, setup.analysis.geometry.n_x)
+    planes = (len(analysis.data_set_names), analysis.geometry.n_y, analysis.geometry.n_x)
     found = {
         "sums": (result.sums.shape, planes),
         "hits": (result.hits.shape, planes),
@@ -238,31 +245,31 @@ def noise_weights(noise_mk2: np.ndarray) -> np.ndarray:
     return np.divide(1.0, noise_mk2, out=np.zeros_like(noise_mk2), where=known)
 
 
-def lost_scans(setup: Setup, coadds: CoAdds) -> np.ndarray:
+def lost_scans(analysis: AnalysisSetup, coadds: CoAdds) -> np.ndarray:
     """Count the discarded scans (n_obs, n_set) of each observation so far, by data set.
 
     Noise-only sets lose the scans of the actual data, the optimal set those of the best pipeline.
     """
-    columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
-    counts = {pipeline.data_set: columns[f"discarded_{pipeline.data_set}"] for pipeline in setup.analysis.pipelines}
-    if setup.analysis.chooses:
-        whole = [pipeline.data_set for pipeline in setup.analysis.whole_pipelines]
+    columns = dict(zip(row_names(analysis), np.array(coadds.rows).T, strict=True))
+    counts = {pipeline.data_set: columns[f"discarded_{pipeline.data_set}"] for pipeline in analysis.pipelines}
+    if analysis.chooses:
+        whole = [pipeline.data_set for pipeline in analysis.whole_pipelines]
         best = best_places(np.array([columns[f"merit_{TARGETS[0]}_{name}"] for name in whole]))
         # Without a figure of merit, take the first pipeline.
         counts[OPTIMAL] = np.array([counts[name] for name in whole])[np.maximum(best, 0), np.arange(len(best))]
-    return np.stack([counts.get(name, counts[ACTUAL]) for name in setup.analysis.data_set_names], axis=1)
+    return np.stack([counts.get(name, counts[ACTUAL]) for name in analysis.data_set_names], axis=1)
 
 
 def kept_shares(setup: Setup, coadds: CoAdds) -> dict[str, np.ndarray]:
     """Compute the fraction (n_obs,) of kept scans of each observation so far, by data set."""
-    kept = 1 - lost_scans(setup, coadds) / setup.observing.scans.n_scans
+    kept = 1 - lost_scans(setup.analysis, coadds) / setup.observing.scans.n_scans
     return dict(zip(setup.analysis.data_set_names, kept.T, strict=True))
 
 
-def _add_signal_maps(setup: Setup, coadds: CoAdds, result: ObservationResult, weights: np.ndarray) -> None:
-    patch = setup.analysis.region.patch
-    for place, name in enumerate(setup.analysis.transfer_function_names):
-        data_set = setup.analysis.data_set_names.index(name)
+def _add_signal_maps(analysis: AnalysisSetup, coadds: CoAdds, result: ObservationResult, weights: np.ndarray) -> None:
+    patch = analysis.region.patch
+    for place, name in enumerate(analysis.transfer_function_names):
+        data_set = analysis.data_set_names.index(name)
         coadds.signal_maps[:, place] += weights[data_set] * result.signal_maps[:, place]
         coadds.signal_weight[place] += weights[data_set] * result.hits[data_set][patch, patch]
 
@@ -278,18 +285,18 @@ def _row(result: ObservationResult) -> tuple[float, ...]:
     return (*conditions, *cleaning, *figures_of_merit, *result.noise_mk2)
 
 
-def row_names(setup: Setup) -> list[str]:
+def row_names(analysis: AnalysisSetup) -> list[str]:
     """List the names of the values in a row of `CoAdds.rows`."""
     of_pipelines = [
         f"{what}_{pipeline.data_set}"
         for what in ("discarded", "iterations", "removed")
-        for pipeline in setup.analysis.pipelines
+        for pipeline in analysis.pipelines
     ]
-    whole = setup.analysis.whole_pipelines if setup.analysis.chooses else ()
+    whole = analysis.whole_pipelines if analysis.chooses else ()
     figures_of_merit = [f"merit_{target}_{pipeline.data_set}" for target in TARGETS for pipeline in whole]
     return [
         *ROW_FIELDS,
         *of_pipelines,
         *figures_of_merit,
-        *(f"noise_mk2_{name}" for name in setup.analysis.data_set_names),
+        *(f"noise_mk2_{name}" for name in analysis.data_set_names),
     ]

@@ -52,7 +52,7 @@ class Discards:
 
 def discards(setup: Setup, coadds: CoAdds) -> Discards:
     """Compute the fractions of discarded scans in the observations so far, at least one."""
-    lost, b2 = lost_scans(setup, coadds), coadds.column("b2_mk2")
+    lost, b2 = lost_scans(setup.analysis, coadds), coadds.column("b2_mk2")
     order = np.zeros(0, int) if np.isnan(b2).any() else np.argsort(b2, kind="stable")
     parts = np.array_split(order, min(WEATHER_GROUPS, len(order))) if len(order) else []
     by_weather = [

@@ -1,6 +1,7 @@
 """A run: all observations through an engine, with a checkpoint."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -8,11 +9,12 @@ from time import monotonic
 
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import Setup, prepare, signal_sim_observations
-from surveysim.runtime.engine import SERIAL, Engine, defer_signals, unordered_map
+from surveysim.runtime.engine import SERIAL, Engine, EngineError, defer_signals, unordered_map
 from surveysim.scene.scene import Scene
 from surveysim.survey.checkpoint import check_streams, load_checkpoint, save_checkpoint
 from surveysim.survey.coadd_tree import LARGE_BYTES, CoAddTree, node_bytes
 from surveysim.survey.coadds import CoAdds, observation_sums
+from surveysim.survey.remote_node import SUMS_OF_SPANS, node_of
 from surveysim.survey.spans import Span, Spans
 from surveysim.timestreams.simulation import Angles
 
@@ -54,7 +56,7 @@ class SpanJob:
     def _observed(self, observation: int) -> CoAdds:
         with_signal_sims = bool(signal_sim_observations(self.scene)[observation])
         path = None if self.timestream_dir is None else self.timestream_dir / f"{observation:04d}.h5"
-        return observation_sums(self.setup, observe(self.setup, observation, with_signal_sims, path))
+        return observation_sums(self.setup.analysis, observe(self.setup, observation, with_signal_sims, path))
 
 
 def finished_sums(setup: Setup, checkpoint: Path, timestream_dir: Path | None = None) -> list[CoAdds]:
@@ -141,19 +143,26 @@ def _run_missing(
     # Workers elsewhere may have another working directory.
     streams = None if timestream_dir is None else timestream_dir.absolute()
     angles = setup.observing.angles if missing and engine.kind == "processes" else None
-    results = unordered_map(SpanJob(setup.scene, streams, angles), spans, engine)
+    results = unordered_map(SpanJob(setup.scene, streams, angles), spans, engine, SUMS_OF_SPANS)
     try:
-        for _, node in results:
+        for _, result in results:
+            node = node_of(result)
             # An observation is in the sums whole or not at all: a checkpoint may be made of them any time.
             with defer_signals():
                 sums.add(node)
-            spans.measured(node.each_s)
+            spans.measured(node.total_s / node.done)
             while _advance(sums):
                 progress(sums)
                 if stops is not None and stops(sums):
                     sums.forget_later()
                     return
             keeper.save_if_due(sums)
+        sums.bring_here()
+    except BaseException:
+        with suppress(EngineError):
+            sums.bring_here()
+        sums.forget_remote()
+        raise
     finally:
         results.close()
 

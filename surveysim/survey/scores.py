@@ -18,6 +18,7 @@ from mapmaker.uncertainty import (
     student_factor,
     subtract_in_quadrature,
 )
+from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.data_set import DataSet, DataSetKind
 from surveysim.reduction.scored_region import N_SECTORS
@@ -138,35 +139,35 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
     InsufficientDataError
         With fewer than 2 observations with data, before the first signal simulation, or without a kept scan.
     """
-    kept = kept_shares(setup, coadds)
+    analysis, kept = setup.analysis, kept_shares(setup, coadds)
     if not kept[ACTUAL].any():
         raise InsufficientDataError("cleaning discarded all scans; some scans of 2 or more observations are expected")
     transfer_functions = [
-        _transfer_function(setup, coadds, place, setup.analysis.region.rings)
-        for place in range(len(setup.analysis.transfer_function_names))
+        _transfer_function(analysis, coadds, place, analysis.region.rings)
+        for place in range(len(analysis.transfer_function_names))
     ]
     weights = noise_weights(coadds.noise_mk2())
     scores = {}
-    for s, item in enumerate(setup.analysis.data_sets):
+    for s, item in enumerate(analysis.data_sets):
         name = item.name
         if names is None or name in names:
-            psds = _noise_psds(setup, coadds, s, setup.analysis.region.rings)
-            transfer_function = transfer_functions[setup.analysis.transfer_function_index(name)]
+            psds = _noise_psds(analysis, coadds, s, analysis.region.rings)
+            transfer_function = transfer_functions[analysis.transfer_function_index(name)]
             bin_noise = np.array(coadds.bin_noise)[:, s]
             scores[name] = _score(
-                setup, item, psds, transfer_function, weights=weights[:, s], bin_noise=bin_noise, kept=kept[name]
+                analysis, item, psds, transfer_function, weights=weights[:, s], bin_noise=bin_noise, kept=kept[name]
             )
     return scores
 
 
-def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> DataSetScore:
+def controlled_score(analysis: AnalysisSetup, item: DataSetScore, control: Control) -> DataSetScore:
     """Apply the forecast as control variate to a plain score; `plain` keeps that score with the error by the forecast.
 
     The error of both is the scatter of the information of observations about the forecast's, without the scatter of
     noise; for fewer than 4 observations it is unknown. The plain score has the error of the drawn weather too.
     """
-    rings, selected = setup.analysis.region.rings, item.band.weight > 0
-    _, common = noise_parts(setup, item)
+    rings, selected = analysis.region.rings, item.band.weight > 0
+    _, common = noise_parts(analysis, item)
     off = ratio_error(item.information, replace(item, control=control).expected)
     off = subtract_in_quadrature(off, common) * student_factor(len(item.weights))
     budget = replace(item.budget, weather=off, population=control.population)
@@ -184,27 +185,27 @@ def controlled_score(setup: Setup, item: DataSetScore, control: Control) -> Data
     return replace(quoted, band=band, plain=replace(item.band, error_ukcmb2=item.band.sigma_ukcmb2 * plain))
 
 
-def noise_parts(setup: Setup, item: DataSetScore) -> tuple[float, float]:
+def noise_parts(analysis: AnalysisSetup, item: DataSetScore) -> tuple[float, float]:
     """Compute relative errors of the plain sigma from noise: the part that more sign flips reduce, and the rest."""
     used = item.weights[item.weights > 0]
-    of_bins = {"n_modes": setup.analysis.region.rings.n_modes, "correlation": setup.analysis.region.correlation}
+    of_bins = {"n_modes": analysis.region.rings.n_modes, "correlation": analysis.region.correlation}
     return noise_error_parts(item.noise_psds, item.plain_band.weight, used, **of_bins)
 
 
-def bin_errors(setup: Setup, item: DataSetScore) -> np.ndarray:
+def bin_errors(analysis: AnalysisSetup, item: DataSetScore) -> np.ndarray:
     """Compute relative standard errors (n_bin,) of the plain noise PSD in each bin."""
     used = item.weights[item.weights > 0]
-    of_bins = {"n_modes": setup.analysis.region.rings.n_modes, "correlation": setup.analysis.region.correlation}
-    alone = np.eye(len(setup.analysis.region.rings.ell))
+    of_bins = {"n_modes": analysis.region.rings.n_modes, "correlation": analysis.region.correlation}
+    alone = np.eye(len(analysis.region.rings.ell))
     return np.array([noise_error(item.noise_psds, weight, used, **of_bins) for weight in alone])
 
 
-def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
+def rescore(analysis: AnalysisSetup, item: DataSetScore, ell_min: float) -> DataSetScore:
     """Score the same data set from another lowest multipole."""
-    low, high = setup.analysis.region.rings.edges_ell[:-1], setup.analysis.region.rings.edges_ell[1:]
-    selected = (low >= ell_min) & (high <= setup.scene.score.ell_max)
+    low, high = analysis.region.rings.edges_ell[:-1], analysis.region.rings.edges_ell[1:]
+    selected = (low >= ell_min) & (high <= analysis.scene.score.ell_max)
     plain = _score(
-        setup,
+        analysis,
         item,
         item.noise_psds,
         item.transfer_function,
@@ -213,17 +214,17 @@ def rescore(setup: Setup, item: DataSetScore, ell_min: float) -> DataSetScore:
         kept=item.kept,
         selected=selected,
     )
-    return plain if item.control is None else controlled_score(setup, plain, item.control)
+    return plain if item.control is None else controlled_score(analysis, plain, item.control)
 
 
-def sector_sigma(setup: Setup, coadds: CoAdds, item: DataSetScore) -> float:
+def sector_sigma(analysis: AnalysisSetup, coadds: CoAdds, item: DataSetScore) -> float:
     """Compute sigma(A) [uK_CMB^2] with modes also weighted by direction (`split_azimuth`)."""
-    sectors = setup.analysis.region.sectors
-    noise = _noise_psds(setup, coadds, setup.analysis.data_set_names.index(item.name), sectors).mean(axis=0)
+    sectors = analysis.region.sectors
+    noise = _noise_psds(analysis, coadds, analysis.data_set_names.index(item.name), sectors).mean(axis=0)
     if item.control is not None:
-        noise = noise * np.repeat(item.control.factor[setup.analysis.region.selected], N_SECTORS)
-    transfer_function = _transfer_function(setup, coadds, setup.analysis.transfer_function_index(item.name), sectors)
-    signal = setup.analysis.region.sector_psd * transfer_function.transmission
+        noise = noise * np.repeat(item.control.factor[analysis.region.selected], N_SECTORS)
+    transfer_function = _transfer_function(analysis, coadds, analysis.transfer_function_index(item.name), sectors)
+    signal = analysis.region.sector_psd * transfer_function.transmission
     return flat_band_power(noise, signal, sectors.n_modes, np.ones(len(noise), bool))
 
 
@@ -295,7 +296,7 @@ def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _score(
-    setup: Setup,
+    analysis: AnalysisSetup,
     item: DataSet | DataSetScore,
     psds: np.ndarray,
     transfer_function: TransferFunction,
@@ -305,8 +306,8 @@ def _score(
     kept: np.ndarray | float,
     selected: np.ndarray | None = None,
 ) -> DataSetScore:
-    rings, signal = setup.analysis.region.rings, setup.analysis.region.signal_psd * transfer_function.transmission
-    selected = setup.analysis.region.selected if selected is None else selected
+    rings, signal = analysis.region.rings, analysis.region.signal_psd * transfer_function.transmission
+    selected = analysis.region.selected if selected is None else selected
     shares = information_shares(
         weights, kept, bin_noise, bin_weights(psds.mean(axis=0), signal, rings.n_modes, selected)
     )
@@ -320,7 +321,7 @@ def _score(
         ell=rings.ell,
         edges_ell=rings.edges_ell,
         information=shares,
-        correlation=setup.analysis.region.correlation,
+        correlation=analysis.region.correlation,
     )
     return DataSetScore(
         item.name, item.kind, item.n_det, band, budget, psds, signal, transfer_function, weights, bin_noise, kept
@@ -335,44 +336,44 @@ def _transfer_function_errors(transfer_function: TransferFunction) -> np.ndarray
     )
 
 
-def _noise_psds(setup: Setup, coadds: CoAdds, data_set: int, rings: Annuli) -> np.ndarray:
+def _noise_psds(analysis: AnalysisSetup, coadds: CoAdds, data_set: int, rings: Annuli) -> np.ndarray:
     """PSDs (K, n_bin) [uK_CMB^2 sr] of the sign-flipped co-adds.
 
     Weights measured on the very maps that they weigh favour an observation whose noise fluctuates low, which lowers
     the co-added PSD where they are measured and raises it elsewhere (`Band.mode_chance`); this bias is corrected.
     The PSD of a survey goes as one over its observations: of a part it is scaled to the whole.
     """
-    patch = setup.analysis.region.patch
+    patch = analysis.region.patch
     maps = weighted_mean(coadds.flipped[:, data_set], coadds.weight[data_set][patch, patch])
-    to_ukcmb = 1e3 * setup.scene.instrument.cmb_per_rj
-    whole = coadds.done / setup.scene.observations
+    to_ukcmb = 1e3 * analysis.scene.instrument.cmb_per_rj
+    whole = coadds.done / analysis.scene.observations
     weights = noise_weights(coadds.noise_mk2()[:, data_set])
     independent = 1 - np.sum(weights**2) / np.sum(weights) ** 2  # a single observation can't be favoured
-    return _psd(setup, maps, rings) * (to_ukcmb**2 * (1 + independent * setup.analysis.region.chance(rings)) * whole)
+    return _psd(analysis, maps, rings) * (to_ukcmb**2 * (1 + independent * analysis.region.chance(rings)) * whole)
 
 
-def flux_removed(setup: Setup, coadds: CoAdds) -> dict[str, float]:
+def flux_removed(analysis: AnalysisSetup, coadds: CoAdds) -> dict[str, float]:
     """Share of a faint point source's flux that cleaning takes, by data set; empty where pipelines are not compared.
 
     At the sources' peaks, against the map binned without cleaning; the mean of the scans goes with it.
     """
-    if not setup.analysis.chooses:
+    if not analysis.chooses:
         return {}
     removed = {}
-    for place, name in enumerate(setup.analysis.transfer_function_names):
+    for place, name in enumerate(analysis.transfer_function_names):
         without, cleaned = weighted_mean(coadds.signal_maps[-1, place], coadds.signal_weight[place])
         peak = without > PEAK * without.max()
         removed[name] = 1 - float(cleaned[peak].sum() / without[peak].sum())
     return removed
 
 
-def _transfer_function(setup: Setup, coadds: CoAdds, place: int, rings: Annuli) -> TransferFunction:
-    skies = setup.scene.score.signal_sims.skies
+def _transfer_function(analysis: AnalysisSetup, coadds: CoAdds, place: int, rings: Annuli) -> TransferFunction:
+    skies = analysis.scene.score.signal_sims.skies
     maps = weighted_mean(coadds.signal_maps[:skies, place], coadds.signal_weight[place])
-    psd = _psd(setup, maps, rings)
+    psd = _psd(analysis, maps, rings)
     return measure_transfer_function(psd[:, 1], psd[:, 0], rings.ell)
 
 
-def _psd(setup: Setup, patches: np.ndarray, rings: Annuli) -> np.ndarray:
-    band = setup.analysis.region
-    return map_psd(band.pad(patches), band.padded_taper, setup.analysis.geometry.pixel_rad, rings)
+def _psd(analysis: AnalysisSetup, patches: np.ndarray, rings: Annuli) -> np.ndarray:
+    band = analysis.region
+    return map_psd(band.pad(patches), band.padded_taper, analysis.geometry.pixel_rad, rings)

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from surveysim.survey.coadd_tree import LEAF
-
+LEAF = 16  # observations that are added one after the other
 SPAN_S = 4.0  # of work in a span: its sums come back once, a killed run loses them
 _SHARES = 4  # spans a worker that are left when a span begins, so that all workers end together
 

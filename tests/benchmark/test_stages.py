@@ -139,11 +139,13 @@ def test_weights(per_sample, lynx):
 
 def test_coadds(per_sample, lynx):
     """All data sets and the signal simulations into the sums and the sign-flipped sums."""
-    coadds = empty_coadds(lynx.setup)
+    coadds = empty_coadds(lynx.setup.analysis)
     per_sample(
         "co-adds",
         lambda: add_observations(
-            lynx.setup, coadds, [observation_sums(lynx.setup, replace(lynx.result, observation=coadds.done))]
+            lynx.setup.analysis,
+            coadds,
+            [observation_sums(lynx.setup.analysis, replace(lynx.result, observation=coadds.done))],
         ),
     )
 

@@ -43,7 +43,7 @@ def test_merit_falls_with_noise_and_with_what_is_taken_of_the_signal(setup):
     total = rng.standard_normal(shape)
     transmission = np.ones((3, 2, len(setup.analysis.region.rings.ell)))
     transmission[2] = 0.5
-    found = figures_of_merit(setup, transmission, [(total, hits), (2 * total, hits), (total, hits)])
+    found = figures_of_merit(setup.analysis, transmission, [(total, hits), (2 * total, hits), (total, hits)])
     np.testing.assert_allclose(found[1] / found[0], [1 / 16, 1 / 4], rtol=1e-12)
     np.testing.assert_allclose(found[2] / found[0], [1 / 4, 1 / 2], rtol=1e-12)
 

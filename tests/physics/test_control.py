@@ -54,15 +54,15 @@ def test_the_population_has_the_moments_of_independent_draws(tmp_path):
     """Its expected weight, against 4000 ordinary draws of the weather, and far closer than they are."""
     setup = prepare(weather_scene(tmp_path))
     air = setup.scene.atmosphere
-    lists = population_draws(setup)
+    lists = population_draws(setup.scene, setup.air.water)
     levels = observing_conditions(setup, [draw for part in lists for draw in part])
     model = next(noise_models(setup, levels))
-    even = expected_weights(setup, model.noise(levels)).reshape(len(lists), -1).mean(axis=1)
+    even = expected_weights(setup.analysis, model.noise(levels)).reshape(len(lists), -1).mean(axis=1)
     drawn = []
     for number in range(4000):
         rng = generator(1, RandomPurpose.WEATHER, number, realization=2)
         drawn.append((number % setup.scene.observations, draw_weather(air, setup.air.water, rng)))
-    random = expected_weights(setup, model.noise(observing_conditions(setup, drawn)))
+    random = expected_weights(setup.analysis, model.noise(observing_conditions(setup, drawn)))
     error = random.std() / np.sqrt(len(random))
     assert even.mean() == pytest.approx(random.mean(), abs=4 * error)
     # As many independent draws as a list has would scatter so much; eight lists know their scatter to a quarter.

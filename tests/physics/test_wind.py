@@ -118,10 +118,9 @@ def layers(winds, n, b2, noise=True):
         streams = draw_observation(still, i)
         _, pointing = observation_path(still.observing, i)
         data = streams.data_mk if noise else np.zeros_like(streams.data_mk)
-        drawn = normal_deviates(full.seed, RandomPurpose.ATMOSPHERE, i)
         sine = np.sin(pointing.elevation_rad)[:, None]
         offsets = np.stack(sky_offsets(still.camera.focal_plane, pointing.array_angle_rad), axis=-1) / sine[:, None]
-        for speed, angle in winds:
+        for number, (speed, angle) in enumerate(winds):
             # Turned from one observation to the next, so that scans lie at all angles to the winds.
             turned = math.radians(angle + 37 * i)
             moving = speed * ARCMIN * math.cos(turned), speed * ARCMIN * math.sin(turned)
@@ -137,7 +136,7 @@ def layers(winds, n, b2, noise=True):
                 layer_velocity_rad_s=layer,
                 amplitude_mk=amplitude,
                 strips=strips.at(sine.min()),
-                deviates=drawn,
+                deviates=normal_deviates(full.seed, RandomPurpose.ATMOSPHERE, i, realization=number),
             )
         velocity = scan_velocities(streams)
         fits.append(

@@ -70,7 +70,7 @@ def winners(result: SurveyResult, target: str, data_sets: tuple[str, ...]) -> di
     InsufficientDataError
         For a data set without figures of merit, or without any such observation.
     """
-    names = row_names(result.setup)
+    names = row_names(result.setup.analysis)
     wanted = [f"merit_{target}_{data_set}" for data_set in data_sets]
     missing = [name for name in wanted if name not in names]
     if missing:
@@ -116,7 +116,7 @@ def log_bin_sigma(result: SurveyResult, item: DataSetScore) -> np.ndarray:
 def _cumulative_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
     starts, series = _starts(result), []
     for label, name in names.items():
-        bands = [rescore(result.setup, result.scores[name], start).band for start in starts]
+        bands = [rescore(result.setup.analysis, result.scores[name], start).band for start in starts]
         sigma, error = (np.array([getattr(band, key) for band in bands]) for key in ("sigma_ukcmb2", "error_ukcmb2"))
         series += _with_error(label, starts, sigma, error=error, look=_look(label, names))
     return _panel("cumulative sensitivity", FROM_ELL, UNCERTAINTY, series)
@@ -125,10 +125,10 @@ def _cumulative_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
 def _ratio_panel(result: SurveyResult, names: dict[str, str]) -> Panel:
     """Panel of the cumulative sensitivity relative to the scene's own cleaning, with errors of the ratios."""
     starts, series = _starts(result), []
-    own = [rescore(result.setup, result.scores[ACTUAL], start) for start in starts]
+    own = [rescore(result.setup.analysis, result.scores[ACTUAL], start) for start in starts]
     first = next(iter(names))
     for label, name in names.items():
-        other = [rescore(result.setup, result.scores[name], start) for start in starts]
+        other = [rescore(result.setup.analysis, result.scores[name], start) for start in starts]
         ratios = [gain(one, base) for one, base in zip(other, own, strict=True)]
         ratio, error = (np.array([getattr(item, key) for item in ratios]) for key in ("ratio", "error"))
         series += _with_error(label, starts, ratio, error=error, look=_look(label, names))

@@ -122,7 +122,7 @@ def _used(result: SurveyResult) -> np.ndarray:
 def _noise_series(result: SurveyResult, name: str, item: DataSetScore) -> list[Series]:
     """Series of the square root of the noise PSD times the fraction of detectors, with its error band."""
     used, share = _used(result), _share(result, item)
-    relative = bin_errors(result.setup, item)[used]
+    relative = bin_errors(result.setup.analysis, item)[used]
     y = np.sqrt(share * ARCMIN2_IN_SR * item.noise_psd[used])
     ell, look = result.setup.analysis.region.rings.ell[used], LOOKS[_kind(name)]
     label = name if share == 1 else rf"masked, $\times$ ({item.n_det}/{result.setup.camera.n_det})$^{{1/2}}$"

@@ -12,7 +12,7 @@ TARGETS = np.geomspace(1 / 5, 10, 40)  # relative errors whose costs are drawn, 
 def time_figure(result: SurveyResult) -> PaperFigure:
     """Relative error of the best estimate against seconds of simulation with the run's workers.
 
-    The solid line has more observations only, the dashed one also more sign flips and signal simulations where needed.
+    The solid line has more observations only, the dashed one also more sign-flipped co-adds and skies where needed.
     """
     parts, done = result.parts, result.coadds.done
     own_s = done * parts.each_s / result.workers
@@ -24,7 +24,7 @@ def time_figure(result: SurveyResult) -> PaperFigure:
     dashed = np.array([(cost.seconds, cost.relative_error) for cost in costs]).reshape(-1, 2).T
     series = (
         Series("more observations", "line", seconds, alone, "black"),
-        Series("more sign flips and skies too", "line", dashed[0], dashed[1], "vermilion --"),
+        Series("more sign-flipped co-adds and skies too", "line", dashed[0], dashed[1], "vermilion --"),
         Series("this run", "points", np.array([own_s]), np.array([error]), "blue -."),
     )
     label = f"Time of simulation with {result.workers} worker{'s' * (result.workers > 1)} [s]"

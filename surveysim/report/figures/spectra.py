@@ -53,7 +53,7 @@ def map_psds(setup: Setup, scores: dict[str, DataSetScore], expected: Forecast |
     for item in scores.values():
         colour, dashes, label, share = _look(setup, item)
         psd = share * item.noise_psd[used]
-        error = psd * bin_errors(setup, item)[used]
+        error = psd * bin_errors(setup.analysis, item)[used]
         axes.fill_between(ell, psd - error, psd + error, color=colour, alpha=0.18, lw=0)
         axes.plot(ell, psd, color=colour, ls=dashes, lw=1.8, label=label)
         if expected and item.name in expected.scores:
@@ -121,7 +121,7 @@ def cumulative_sensitivity(setup: Setup, scores: dict[str, DataSetScore]) -> Fig
     figure, (axes,) = panels(1)
     for item in scores.values():
         colour, dashes, label, share = _look(setup, item)
-        bands = [rescore(setup, item, start).band for start in starts]
+        bands = [rescore(setup.analysis, item, start).band for start in starts]
         sigma = share * np.array([band.sigma_ukcmb2 for band in bands])
         error = share * np.array([band.error_ukcmb2 for band in bands])
         axes.fill_between(starts, sigma - error, sigma + error, color=colour, alpha=0.18, lw=0)

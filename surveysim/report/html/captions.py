@@ -66,24 +66,26 @@ RUN = {
         "Weights of multipoles in the score",
         "Share of each bin of multipole in the score of each data set.",
         "Across: multipole ℓ. Up: share of a bin in the score of each data set. Vertical lines: effective multipoles.",
-        "Look for weights at the ends of the scored range: they should be small.",
+        "Look for the multipoles with the largest shares: σ(A) comes from them. Where a share is large at an end of "
+        "the scored range, σ(A) depends on where the range ends.",
     ),
     "weather": Caption(
         "Noise of each observation",
         "Noise of each observation's map against the amplitude B2 of the atmosphere, coloured by wind speed.",
         "Across: amplitude B2 of the atmosphere drawn for the observation. Up: noise of its map [mK^2 a sample], in "
         "the scored region if there is one. Colour: wind speed [arcmin/s]. Dashed: white level of the time-streams.",
-        "Look for the B2 above which observations leave the white level: there the atmosphere dominates the noise. "
-        "Observations with high noise get little weight.",
+        "Look for the distance of the points from the dashed line: white noise limits observations close to it; "
+        "atmosphere and low-frequency noise that cleaning left limit those far above. Observations with high noise get "
+        "little weight.",
     ),
     "run_time": Caption(
         "Error against run time",
         "Relative error of the survey's uncertainty against the time of simulation.",
         "Across: time of simulation [s] with the workers of this run, without start-up. Up: relative error of the best "
-        "estimate of σ(A). Solid: with more observations alone. Dashed: with more sign flips and simulated skies as "
-        "well, if they are needed. Diamond: this run.",
-        "Look for the time at which the solid line flattens: from there on, more observations need more sign flips. "
-        "The lines are extrapolated from this run's own errors and times.",
+        "estimate of σ(A). Solid: with more observations alone. Dashed: with more sign-flipped co-adds and simulated "
+        "skies as well, if they are needed. Diamond: this run.",
+        "Look for the slope of the solid line: where it flattens, a smaller error needs more sign-flipped co-adds. The "
+        "lines are extrapolated from this run's own errors and times.",
     ),
 }
 SWEEP = Caption(

@@ -79,5 +79,5 @@ def _answer_grid(summary: Content, scene: Content) -> Grid:
         f"Simulation time with {plural(run['workers'], 'worker')}, extrapolated from this run's own errors and times. "
         "The wall time also contains starting, compiling kernels and scoring."
     )
-    columns = ("error of σ(A)", "simulation time", "observations", "sign flips", "simulated skies")
+    columns = ("error of σ(A)", "simulation time", "observations", "sign-flipped co-adds", "simulated skies")
     return Grid("answer-table", "Cost of a smaller error", columns, tuple(rows), (note,), (mark,))

@@ -67,8 +67,10 @@ class Terminal(Console):
         for row in zip(*cells, strict=True):
             self.say("")
             for column, cell in zip(table.columns, row, strict=True):
-                if text := str(cell):
-                    self.say(f"{column.header}: {text}")
+                line = f"{column.header}: {cell}"
+                whole = column.justify == "right" and cell_len(line) > self.width  # as a number is not broken
+                if str(cell):
+                    self.say(f"{column.header}:\n  {cell}" if whole else line)
         self.say("")
 
 

@@ -171,11 +171,11 @@ def cost_lines(result: SurveyResult) -> list[str]:
     if cost is None or not result.estimate.relative_error > cost.relative_error:
         return []
     needs = [f"{cost.observations} observations"]
-    needs += [f"{cost.jackknives} sign flips"] * (cost.jackknives > score.jackknives)
-    needs += [f"{cost.skies} simulated skies"] * (cost.skies > score.signal_sims.skies)
+    needs += [f"{cost.jackknives} sign-flipped co-adds (score.jackknives)"] * (cost.jackknives > score.jackknives)
+    needs += [f"{cost.skies} simulated skies (score.signal_sims.skies)"] * (cost.skies > score.signal_sims.skies)
     time = f"{cost.seconds / 60:.2g} min" if cost.seconds >= 60 else f"{cost.seconds:.0f} s"
     share = 100 * cost.relative_error
-    return [f"  a {share:g} % answer would take about {time} with {result.workers} worker(s) ({', '.join(needs)})"]
+    return [f"  a {share:g} % answer would take about {time} with {result.workers} worker(s) : {', '.join(needs)}"]
 
 
 def stop_lines(result: SurveyResult) -> list[str]:

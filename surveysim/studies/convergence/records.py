@@ -1,12 +1,14 @@
 """Records of an accuracy study: settings, their measured errors and times, slopes and recommendations."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
 from mapmaker.uncertainty import ErrorBudget
 from surveysim.reduction.setup import Setup
+from surveysim.runtime.numbers import number, plain
+from surveysim.runtime.table import Table, column
 from surveysim.scene.scene import Scene
 
 SUB_SURVEY = 60  # observations for all ladders but the number of observations
@@ -117,7 +119,7 @@ class AccuracyResult:
         Number of observations for the other ladders.
     """
 
-    setup: Setup
+    setup: Setup = field(repr=False)
     seeds: int
     reference_ukcmb2: float
     reference_error: float
@@ -139,4 +141,25 @@ class AccuracyResult:
     @property
     def chosen(self) -> tuple[int, ...]:
         """Rows of the scene's own settings."""
-        return tuple(number for number, row in enumerate(self.rows) if row.setting.own)
+        return tuple(index for index, row in enumerate(self.rows) if row.setting.own)
+
+    def __repr__(self) -> str:
+        """Two lines about the study above the table of recommended settings."""
+        reference = f"{number(self.reference_ukcmb2)} uK_CMB^2, known to {100 * self.reference_error:.2g} %"
+        return (
+            f"AccuracyResult of {self.scene.name}: {len(self.rows)} settings\n"
+            f"Reference: sigma(A) = {plain(reference)}\n{self._table().text()}"
+        )
+
+    def _repr_html_(self) -> str:
+        """The table of recommended settings."""
+        return self._table().html()
+
+    def _table(self) -> Table:
+        own = {row.setting.parameter: row.setting.label for row in self.rows if row.setting.own}
+        columns = (
+            column("parameter", [item.parameter for item in self.recommended], "parameter"),
+            column("recommended", [item.label for item in self.recommended], "recommended setting"),
+            column("own", [own.get(item.parameter) for item in self.recommended], "the scene's own"),
+        )
+        return Table("recommended", "Fastest settings that are good enough", columns)

@@ -49,7 +49,9 @@ def refused_or_run(path, overrides) -> str:
         return ""
     result = observe(setup, _windiest(setup), bool(signal_sim_observations(scene).any()))
     assert np.isfinite(result.sums).all()
-    add_observations(setup, empty_coadds(setup), [observation_sums(setup, replace(result, observation=0))])
+    add_observations(
+        setup.analysis, empty_coadds(setup.analysis), [observation_sums(setup.analysis, replace(result, observation=0))]
+    )
     return ""
 
 

@@ -7,6 +7,7 @@ import pty
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 from astropy.table import Table
 
@@ -216,6 +217,25 @@ def test_failure_in_an_observation(call, scene, monkeypatch):
     monkeypatch.setattr(survey, "observe", fail)
     code, _, error = call("run", scene, "--out", scene.parent / "out", "--workers", 1)
     assert (code, error) == (1, f"{scene}: an observation failed: no strip is long enough\n")
+
+
+@pytest.mark.parametrize("fault", [FloatingPointError("overflow"), np.linalg.LinAlgError("Singular matrix")])
+def test_a_fault_of_numpy_leaves_finished_work_to_resume(call, scene, monkeypatch, fault):
+    """The line says it, beside where the details are."""
+    observe, done, out = survey.observe, [], scene.parent / "out"
+
+    def fail_third(*arguments):
+        done.append(arguments)
+        if len(done) == 3:
+            raise fault
+        return observe(*arguments)
+
+    monkeypatch.setattr(survey, "observe", fail_third)
+    code, _, error = call("run", scene, "--out", out, "--workers", 1, "--quiet")
+    assert code == 1 and error.startswith(f"surveysim can't go on: {type(fault).__name__}: {fault}; please report it")
+    assert error.endswith(f"; go on with --resume --out {out}\n") and len(error.splitlines()) == 1
+    monkeypatch.setattr(survey, "observe", observe)
+    assert call("run", scene, "--out", out, "--workers", 1, "--quiet", "--resume", "--no-figures")[0] == 0
 
 
 @pytest.mark.parametrize("damage", ["truncated", "bits", "other", "version"])

@@ -213,3 +213,31 @@ def test_shells_complete_commands_and_write_nothing(empty):
     }
     done = subprocess.run(COMMAND, env=environment, cwd=empty, capture_output=True, text=True, timeout=60)
     assert done.stdout.split() == ["forecast"] and not list(empty.glob("**/.*rc"))
+
+
+def completions(folder, words):
+    """As bash asks for them."""
+    environment = os.environ | {
+        "_SURVEYSIM_COMPLETE": "complete_bash",
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(words.count(" ")),
+    }
+    done = subprocess.run(COMMAND, env=environment, cwd=folder, capture_output=True, text=True, timeout=60)
+    return done.stdout.split()
+
+
+def test_shells_complete_scenes(empty):
+    (empty / "lynx_mine.toml").touch()
+    (empty / "lynx.txt").touch()
+    (empty / "lynxes").mkdir()
+    (empty / "lynxes" / "one.toml").touch()
+    for command in ("run", "check", "new mine --like"):
+        assert completions(empty, f"surveysim {command} lyn") == ["lynx", "lynx_mine.toml", "lynxes/"], command
+    assert completions(empty, "surveysim plan lynxes/") == ["lynxes/one.toml"]
+    assert completions(empty, "surveysim plan [") == []
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_has_no_types_and_ranges(call, name):
+    out = call(name, "--help")[1]
+    assert not re.search(r"<(path|str|int|float|list|file)|[<>]=|[{}]", out)

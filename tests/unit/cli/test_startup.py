@@ -23,7 +23,6 @@ UNWANTED = (
     "dask",
     "distributed",
     "ducc0",
-    "h5py",
     "healpy",
     "matplotlib",
     "scipy.interpolate",

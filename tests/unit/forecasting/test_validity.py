@@ -21,6 +21,7 @@ from surveysim.results.tables import agreement_table
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.runtime.strict_json import known
+from surveysim.telescope.scans import samples_per_scan
 from tests.scenes import SMALL_SCENE
 
 LYNX = Path(__file__).parents[3] / "scenarios" / "lynx.toml"
@@ -57,21 +58,21 @@ def effects_of(scene, name="actual"):
 def test_multipoles_of_the_taper_the_scan_and_the_beam(scene_of):
     """A taper of 12 arcmin, half of it edges, has 11/16 of its length; a beam of 60 arcsec leaves 3 % at ell 15160."""
     setup = prepare(scene_of())
-    assert resolution_ell(setup) == pytest.approx(2 * np.pi / (12 * 11 / 16 * ARCMIN))
-    low, high = compared_ell(setup)
-    assert low == pytest.approx(3 * resolution_ell(setup))
+    assert resolution_ell(setup.scene) == pytest.approx(2 * np.pi / (12 * 11 / 16 * ARCMIN))
+    low, high = compared_ell(setup.scene)
+    assert low == pytest.approx(3 * resolution_ell(setup.scene))
     width = ARCMIN / np.sqrt(8 * np.log(2))
     assert np.exp(-((high * width) ** 2)) == pytest.approx(0.03)
     short = prepare(scene_of(scan__duration="1.5 s"))  # 6 arcmin, shorter than the taper
-    assert resolution_ell(short) == pytest.approx(2 * np.pi / (6 * ARCMIN))
+    assert resolution_ell(short.scene) == pytest.approx(2 * np.pi / (6 * ARCMIN))
 
 
 def test_multipoles_end_at_pixels_and_samples(scene_of):
     wide_beam = {"instrument.beam_fwhm": "10 arcsec"}
-    pixels = compared_ell(prepare(scene_of(**wide_beam)))[1]
+    pixels = compared_ell(prepare(scene_of(**wide_beam)).scene)[1]
     assert pixels == pytest.approx(0.75 * np.pi / (0.5 * ARCMIN))
     fast = scene_of(scan__speed="20 arcmin / s", **wide_beam)
-    assert compared_ell(prepare(fast))[1] == pytest.approx(np.pi * 10 / (20 * ARCMIN))
+    assert compared_ell(prepare(fast).scene)[1] == pytest.approx(np.pi * 10 / (20 * ARCMIN))
 
 
 def testlowest_multipoles_follow_the_scene(scene_of, calm):
@@ -95,7 +96,7 @@ def test_runs_compare_with_the_forecast_of_the_scans_that_they_kept(calm):
     assert 0.05 < 1 - kept.mean() < 0.95 and expected.kept.discarded == pytest.approx(1 - kept.mean())
     levels = observing_conditions(setup, survey_draws(setup, 0, 12))
     noise = survey_models(setup)[0].noise(levels)
-    weight = expected_weights(setup, noise)
+    weight = expected_weights(setup.analysis, noise)
     whole = forecast(setup, {name: np.ones(12) for name in ("actual", "masked_7")}).scores["actual"]
     ratio = (weight**2 * kept) @ noise / (weight @ kept) ** 2 / (weight**2 @ noise / weight.sum() ** 2)
     np.testing.assert_allclose(expected.noise_psd / whole.noise_psd, ratio, rtol=1e-9)
@@ -117,7 +118,9 @@ def test_a_pilot_predicts_the_share(calm):
 def test_a_pilot_of_few_observations_takes_more_of_their_scans(scene_of):
     """Thirty-two times 6 scans in all, or as many as 3e6 detector-samples are; never more than there are."""
     keys = {"scan.scans": 60, "scan.step": "0.2 arcmin"}
-    sizes = [_pilot_size(prepare(scene_of(**keys)), n_obs) for n_obs in (1, 4, 16, 1000)]
+    setup = prepare(scene_of(**keys))
+    samples = setup.camera.n_det * samples_per_scan(setup.observing.scans)
+    sizes = [_pilot_size(setup.observing, samples, n_obs) for n_obs in (1, 4, 16, 1000)]
     assert sizes == [(60, 1), (48, 4), (12, 16), (6, 32)]
 
 

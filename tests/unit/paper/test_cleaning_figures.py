@@ -249,7 +249,7 @@ def result(path) -> SurveyResult:
 
 def with_merits(result, target, values) -> SurveyResult:
     """The result with figures of merit (n_obs, 2) of average and planar."""
-    places = [row_names(result.setup).index(f"merit_{target}_{name}") for name in ("actual", "planar")]
+    places = [row_names(result.setup.analysis).index(f"merit_{target}_{name}") for name in ("actual", "planar")]
     rows = np.array(result.coadds.rows)
     rows[:, places] = values
     return replace(result, coadds=replace(result.coadds, rows=[tuple(row) for row in rows]))
@@ -286,7 +286,7 @@ def test_map_figure_draws_the_scores(result):
         line = named(cumulative, label)
         np.testing.assert_array_equal(line.x, edges[1:-1])
         np.testing.assert_allclose(line.y[line.x == score.ell_min], item.band.sigma_ukcmb2)
-        all_from = [rescore(result.setup, one, 6000.0) for one in (item, result.scores["actual"])]
+        all_from = [rescore(result.setup.analysis, one, 6000.0) for one in (item, result.scores["actual"])]
         expected = gain(*all_from)
         place = np.flatnonzero(line.x == 6000)[0]
         np.testing.assert_allclose(named(ratio, label).y[place], expected.ratio)

@@ -87,7 +87,7 @@ def test_a_pipeline_that_discards_everything_never_wins(path):
     """Local templates leave nothing to calibrate on: the average after them keeps no scan, and no transfer function."""
     scene = load_scene(path, {"cleaning.compare": [["local", "average"]], "cleaning.neighbour_radius": 1.2})
     result = run(scene, engine=SERIAL)
-    columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
+    columns = dict(zip(row_names(result.setup.analysis), np.array(result.coadds.rows).T, strict=True))
     assert columns["discarded_local+average"].sum() == 16
     assert (best_pipeline(result.setup, columns, "cmb") == 0).all()
     np.testing.assert_array_equal(columns["noise_mk2_optimal"], columns["noise_mk2_actual"])
@@ -134,7 +134,7 @@ def test_what_a_comparison_leaves_behind(compared):
     sets = result.setup.analysis.data_set_names
     assert {path.stem for path in (out / "maps").iterdir()} == set(sets) == set(result.scores)
     assert (out / "figures" / "transfer_function.png").exists()
-    columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
+    columns = dict(zip(row_names(result.setup.analysis), np.array(result.coadds.rows).T, strict=True))
     # Templates a scan: of the pipelines' own kind.
     assert [columns[f"removed_{name}"].mean() for name in ("actual", "planar", "average+local")] == [1, 3, 2]
     best = best_pipeline(result.setup, columns, "cmb")
@@ -144,7 +144,7 @@ def test_what_a_comparison_leaves_behind(compared):
 def test_the_optimal_map_is_each_observation_s_best(compared):
     """Rebuilt from the co-adds' own rows: its noise is that of the best pipeline in every observation."""
     result, _ = compared
-    columns = dict(zip(row_names(result.setup), np.array(result.coadds.rows).T, strict=True))
+    columns = dict(zip(row_names(result.setup.analysis), np.array(result.coadds.rows).T, strict=True))
     best = best_pipeline(result.setup, columns, "cmb")
     noise = np.array([columns[f"noise_mk2_{pipeline.data_set}"] for pipeline in result.setup.analysis.whole_pipelines])
     np.testing.assert_array_equal(columns["noise_mk2_optimal"], noise[best, np.arange(4)])

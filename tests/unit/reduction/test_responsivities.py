@@ -223,7 +223,7 @@ def _modes(setup):
     pipeline, levels = setup.analysis.pipelines[0], observing_conditions(setup, survey_draws(setup, 0, 4))
     plane = setup.camera.focal_plane
     return removed_modes(
-        setup,
+        setup.observing,
         pipeline,
         projected_array(plane, 0.0, responsivity=setup.camera.responsivity, algorithm=pipeline.steps[0]),
         levels,

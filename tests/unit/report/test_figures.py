@@ -76,7 +76,10 @@ def test_scene_with_little_to_show(tmp_path, monkeypatch):
 
 
 def test_nothing_observed_gives_no_figures(setup):
-    assert figures.drawings(SimpleNamespace(setup=setup, coadds=empty_coadds(setup), scores={}, expected=None)) == {}
+    assert (
+        figures.drawings(SimpleNamespace(setup=setup, coadds=empty_coadds(setup.analysis), scores={}, expected=None))
+        == {}
+    )
 
 
 def test_timestream_psd_of_the_calmest_and_the_worst(setup, coadds):

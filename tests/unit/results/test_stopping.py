@@ -201,7 +201,8 @@ def test_the_cost_of_a_fine_answer_is_what_its_errors_add_up_to(forty, whole):
     # Observations come in pairs.
     assert fixed + of_observations + budget.population**2 == pytest.approx(1e-4, rel=4 / cost.observations)
     assert cost.seconds == pytest.approx(cost.observations * sum(result.coadds.seconds.values()) / 40)
-    assert f"{cost.observations} observations, {cost.jackknives} sign flips" in cost_lines(result)[0]
+    needed = f"{cost.observations} observations, {cost.jackknives} sign-flipped co-adds (score.jackknives)"
+    assert needed in cost_lines(result)[0]
     twice = replace(result, workers=2)
     assert twice.fine_cost.seconds == pytest.approx(cost.seconds / 2)
 

@@ -336,9 +336,26 @@ def test_more_observations_are_added_to_a_finished_run(tmp_path, scene, setup, p
         load_checkpoint(path, setup)
 
 
-def test_the_last_sums_of_many_observations_travel_as_nodes(tmp_path, scene):
+@pytest.mark.parametrize("kind", ["processes", pytest.param("dask", marks=pytest.mark.slow)])
+def test_sums_of_many_observations_travel_as_nodes(scene, kind):
     """Workers add up whole leaves, and the bits are those of one process."""
     setup = prepare(scene.model_copy(update={"observations": 240}))
     counts = []
-    found = run_observations(setup, None, Engine(workers=2), progress=lambda sums: counts.append(sums.done))
-    assert same(found, run_observations(setup, None)) and len(counts) < 240 and counts[-1] == 240
+    found = run_observations(setup, None, Engine(kind, workers=2), progress=lambda sums: counts.append(sums.done))
+    assert same(found, run_observations(setup, None)) and len(counts) < 200 and counts[-1] == 240
+
+
+@pytest.mark.slow
+def test_sums_on_a_cluster_are_in_its_checkpoints(tmp_path, scene):
+    setup, path, kept = prepare(scene.model_copy(update={"observations": 240})), tmp_path / "checkpoint.h5", []
+
+    def stop(sums):
+        kept[:] = [sums.finished]
+        if sums.done > 150:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_observations(setup, path, Engine("dask", workers=2), progress=stop)
+    nodes = load_checkpoint(path, setup)
+    assert sum(node.done for node in nodes) == kept[0] and max(node.done for node in nodes) >= 32
+    assert same(run_observations(setup, path, nodes=nodes), run_observations(setup, None))

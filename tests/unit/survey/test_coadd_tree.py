@@ -9,9 +9,9 @@ from surveysim import load_scene
 from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
 from surveysim.survey import coadd_tree
-from surveysim.survey.coadd_tree import LEAF, CoAddTree, is_node
+from surveysim.survey.coadd_tree import CoAddTree, is_node
 from surveysim.survey.coadds import add_observations, add_sums, empty_coadds, observation_sums
-from surveysim.survey.spans import SPAN_S, Span, Spans
+from surveysim.survey.spans import LEAF, SPAN_S, Span, Spans
 from tests import naive
 from tests.scenes import write_scene
 
@@ -41,7 +41,7 @@ def singles(setup):
             signal_maps=observed.signal_maps if number < 4 else None,
         )
 
-    return [observation_sums(setup, drawn(number)) for number in range(N_OBS)]
+    return [observation_sums(setup.analysis, drawn(number)) for number in range(N_OBS)]
 
 
 @pytest.fixture(scope="module")
@@ -156,18 +156,18 @@ def test_large_sums_are_held_once(setup, singles, monkeypatch):
         tree.add(coadd_tree.copied(item))
         tree.advance()
     assert len(tree.nodes()) == 1
-    plain = empty_coadds(setup)
+    plain = empty_coadds(setup.analysis)
     for item in singles:
-        add_observations(setup, plain, [item])
+        add_observations(setup.analysis, plain, [item])
     same(tree.so_far(), plain)
 
 
 def test_sums_that_do_not_follow_are_refused(setup, singles):
-    sums = empty_coadds(setup)
-    add_observations(setup, sums, singles[:2])
+    sums = empty_coadds(setup.analysis)
+    add_observations(setup.analysis, sums, singles[:2])
     for later in (singles[1:2], singles[3:4], singles[2:5:2]):
         with pytest.raises(ValueError, match="is the next in order"):
-            add_observations(setup, sums, later)
+            add_observations(setup.analysis, sums, later)
     for later in (singles[2], node(setup, singles, 16, 32)):
         with pytest.raises(ValueError, match="is the next in order"):
             add_sums(sums, later)

@@ -90,7 +90,7 @@ def test_the_optimal_set_loses_the_scans_of_the_best_pipeline(small, monkeypatch
     losing(monkeypatch, lambda scene, observation: 1)
     setup = prepare(small({"observations": 6, "cleaning.algorithm": "planar", "cleaning.compare": ["average"]}))
     coadds = run_observations(setup, None)
-    columns = dict(zip(row_names(setup), np.array(coadds.rows).T, strict=True))
+    columns = dict(zip(row_names(setup.analysis), np.array(coadds.rows).T, strict=True))
     best = best_pipeline(setup, columns, "cmb")
     assert discards(setup, coadds).shares[OPTIMAL] == pytest.approx(np.mean(best == 0) / N_SCANS)
     kept = score_survey(setup, coadds)[OPTIMAL].kept

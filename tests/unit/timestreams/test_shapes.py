@@ -22,19 +22,19 @@ def setup(tmp_path_factory):
 @pytest.mark.parametrize("name", ["sums", "hits", "noise_mk2"])
 @pytest.mark.parametrize("cut", [np.s_[:-1], np.s_[None], np.s_[..., :-1]])
 def test_results_of_another_shape(setup, name, cut):
-    coadds = empty_coadds(setup)
+    coadds = empty_coadds(setup.analysis)
     arrays = {
         "sums": np.ones(coadds.sums.shape),
         "hits": np.ones(coadds.hits.shape, int),
         "noise_mk2": np.ones(coadds.n_set),
     }
     with pytest.raises(ValueError, match=rf"{name}: found the shape .* is expected"):
-        observation_sums(setup, SimpleNamespace(observation=0, **(arrays | {name: arrays[name][cut]})))
+        observation_sums(setup.analysis, SimpleNamespace(observation=0, **(arrays | {name: arrays[name][cut]})))
 
 
 @pytest.mark.parametrize("cut", [np.s_[:-1], np.s_[:, :-1], np.s_[..., :-1], np.s_[:0]])
 def test_sums_of_another_shape(setup, cut):
-    coadds, later = empty_coadds(setup), empty_coadds(setup)
+    coadds, later = empty_coadds(setup.analysis), empty_coadds(setup.analysis)
     later.flipped = later.flipped[cut]
     with pytest.raises(ValueError, match="is the next in order"):
         add_sums(coadds, later)
