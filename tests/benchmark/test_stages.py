@@ -127,7 +127,7 @@ def test_signal_simulation_of_one_sky(per_sample, lynx):
     """A sky through the streams of the whole and the masked array, with cleaning and without."""
     options = {"delays_s_rad": None, "watch": Stopwatch()}
     part = reduction._reduce(lynx.setup, OBSERVATION, lynx.pointing, lynx.block, **options)
-    maps, skies = reduction._empty_signal_maps(lynx.setup, 1), lynx.setup.analysis.signal_skies_mk[:1]
+    maps, skies = reduction._empty_signal_maps(lynx.setup.analysis, 1), lynx.setup.analysis.signal_skies_mk[:1]
     per_sample("signal simulation, one sky", lambda: reduction._add_signal_maps(maps, part, skies))
 
 
