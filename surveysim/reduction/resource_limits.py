@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from mapmaker.wind import HIGHEST_HZ
 from surveysim.atmosphere.weather import Water, fastest_wind, survey_weather
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.memory import machine_bytes
@@ -134,6 +135,7 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     block_key = "numerics.max_block_memory" if of.n_scans > 1 else "scan.duration"
     needed = {
         block_key: of.n_det * of.n_samp * of.n_scans * (5 + of.n_bands) * real + 16 * of.n_det * n_freq,
+        "cleaning.algorithm": _cleaning_memory(scene, of),
         "scan.sample_rate": 100.0 * scene.scan.scans * of.n_samp,
         "map.pixel": 64.0 * of.n_set * of.n_pixel + (140.0 * of.n_pixel if scene.sky or scene.score else 0),
         "score.signal_sims.skies": float(skies),
@@ -145,6 +147,14 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
         "sky.curved_lmax": 48.0 * of.n_coefficients,
     }
     return {key: float(size) for key, size in needed.items()} | {"instrument": PROGRAM_BYTES}
+
+
+def _cleaning_memory(scene: Scene, of: Sizes) -> float:
+    """Memory [bytes] of the eigenvectors of one scan, and of the transforms of all scans that tell the wind."""
+    steps = {name for pipeline in (scene.cleaning.algorithm, *scene.cleaning.compare) for name in pipeline}
+    eigenvectors = 32.0 * min(of.n_det, of.n_samp) ** 2
+    transforms = 200.0 * of.n_det * scene.scan.scans * scene.scan.duration_s * HIGHEST_HZ
+    return eigenvectors * ("pca" in steps) + transforms * ("wind" in steps)
 
 
 def check_memory(needed: Mapping[str, float]) -> None:

@@ -156,11 +156,6 @@ def _blocks(scene: Scene, n_det: int, scans: Scans, scene_pipelines: tuple[Clean
     scan_bytes = n_det * n_samp * (1 + bands) * np.dtype(np.float32).itemsize
     key = f"numerics.max_block_memory: found {most / 1e6:.4g} MB"
     found = scan_blocks(scans.n_scans, scan_bytes, most)
-    if len(found) > 1 and any(pipeline.uses("wind") for pipeline in scene_pipelines):
-        raise SceneError(
-            f"{key}, which cuts an observation into {len(found)} blocks; 'wind' cleaning needs it whole: "
-            f"{scan_bytes * scans.n_scans / 1e6:.4g} MB or more is expected, or another cleaning.algorithm"
-        )
     together = scene.cleaning.responsivities == OBSERVATION and any(
         pipeline.takes_responsivities for pipeline in scene_pipelines
     )

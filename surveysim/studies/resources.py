@@ -20,6 +20,7 @@ from surveysim.runtime.memory import peak_bytes
 from surveysim.survey.coadd_tree import node_bytes, nodes_of_all
 from surveysim.survey.coadds import CoAdds, add_observations, empty_coadds, observation_sums
 from surveysim.telescope.scans import samples_per_scan
+from surveysim.timestreams.component import present_components
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.scan_blocks import Block
 
@@ -138,9 +139,17 @@ def _measure_block(setup: Setup) -> _Measured:
     scan_s, timed = _timed(observe, scan, *which)
     total = sum(timed.seconds.values())
     once_s, skies_s = (scan_s * sum(timed.seconds.get(name, 0.0) for name in names) / total for names in (ONCE, SKIES))
-    with_sims_s = once_s + (scan_s - once_s) * setup.observing.scans.n_scans
+    with_sims_s = once_s + (scan_s - once_s + _drawn_again_s(setup, timed)) * setup.observing.scans.n_scans
     first_s = max(0.0, block_s - once_s - (scan_s - once_s) * most)
     return _with_sums(setup, result, first_s, with_sims_s - skies_s * setup.observing.scans.n_scans, with_sims_s)
+
+
+def _drawn_again_s(setup: Setup, scan: ObservationResult) -> float:
+    """Time to draw one scan and to measure the wind in it [s], in the pass before wind cleaning; 0 without it."""
+    if not setup.analysis.uses_wind:
+        return 0.0
+    drawing = [item.name for item in present_components(setup.scene)]
+    return sum(scan.seconds.get(name, 0.0) for name in (*drawing, "response", "wind"))
 
 
 def _of_one_block(setup: Setup, n_scans: int) -> Setup:
