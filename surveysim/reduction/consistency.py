@@ -14,9 +14,10 @@ from surveysim.reduction.cleaning_pipelines import needed_detectors
 from surveysim.reduction.scored_region import FAINTEST, padded_side
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.scene.scene import Scene
+from surveysim.telescope.directions import Site
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.noise_levels import white_levels
-from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, Site, near_angles
+from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, near_angles
 from surveysim.telescope.scans import Scans, samples_per_scan
 
 MAX_REACH_RAD = math.radians(15)
