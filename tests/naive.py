@@ -23,6 +23,22 @@ def average_cleaning(scan_mk, tolerance, max_iterations):
     raise ArithmeticError("not converged")
 
 
+def remove_means(data):
+    """Each row less its mean, or None where a value is not finite."""
+    if any(not np.isfinite(value) for row in data for value in row):
+        return None
+    return np.array([[float(value) - sum(map(float, row)) / len(row) for value in row] for row in data])
+
+
+def subtract_templates(block, shapes, templates):
+    """Each sample of each detector less the sum over templates."""
+    terms = range(len(templates))
+    return [
+        [block[i, n] - sum(shapes[k, i] * templates[k, n] for k in terms) for n in range(block.shape[1])]
+        for i in range(len(block))
+    ]
+
+
 def template_cleaning(scan_mk, shapes, hold, tolerance, max_iterations):
     """Polynomial templates of one scan, sample by sample; returns (cleaned, c, steps).
 
