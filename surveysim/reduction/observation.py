@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from mapmaker.chunks import row_chunks
 from mapmaker.cleaning import Cleaned
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import MapGeometry, boresight_pixels
@@ -30,7 +29,7 @@ from surveysim.reduction.cleaning_pipelines import (
 )
 from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
 from surveysim.reduction.map_noise import map_noise
-from surveysim.reduction.noise_only_sets import add_simulated, mean_removed
+from surveysim.reduction.noise_only_sets import add_simulated
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.once import keep_last
 from surveysim.scene.analysis import Cleaning
@@ -283,9 +282,8 @@ def _add_spectra(sums: _Sums, part: _Part) -> None:
     scale = _psd_scale(part.setup.observing.scans, part.setup.stream_type)
     actual, *others = part.cleaned[: len(part.setup.analysis.whole_pipelines)]
     sums.power += hann_power(actual.data_mk, n_scans, actual.kept)
-    everyone = np.ones(n_scans, bool)
-    raw = [hann_power(mean_removed(data[rows], n_scans), n_scans, everyone) for rows in row_chunks(*data.shape)]
-    sums.raw.append((n_scans, (np.concatenate(raw) / n_scans * scale).mean(axis=0)))
+    raw = hann_power(data, n_scans, np.ones(n_scans, bool))
+    sums.raw.append((n_scans, (raw / n_scans * scale).mean(axis=0)))
     powers = [(int(item.kept.sum()), hann_power(item.data_mk, n_scans, item.kept)) for item in others]
     sums.compared.append([(n, (power / max(1, n) * scale).mean(axis=0)) for n, power in powers])
 
