@@ -6,8 +6,8 @@ from mapmaker.chunks import row_chunks
 
 
 def hann_psd(data_mk: np.ndarray, n_scans: int, kept: np.ndarray, sample_rate_hz: float) -> np.ndarray:
-    """One-sided Hann-tapered PSD (n_det, n_samp // n_scans // 2 + 1) [mK^2/Hz] of mean-removed scans: the mean over kept
-    scans.
+    """Mean over kept scans of the one-sided PSD (n_det, n_samp // n_scans // 2 + 1) [mK^2/Hz], mean-removed and
+    Hann-tapered.
 
     The taper keeps the red noise of a short scan from leaking into the white level.
     """

@@ -38,15 +38,29 @@ def plane_pixels(column, row, cos, sin, x_rad, y_rad, n_x, n_y):
 
 @njit(cache=True, nogil=True)
 def bin_samples(data, index, bounds, kept, weighted_sum, hits):
-    """Add the samples of kept scans to the flat maps `weighted_sum` (float64) and `hits` (int64), in place."""
+    """Add the samples of kept scans to the flat maps `weighted_sum` (float64) and `hits` (int64), in place.
+
+    Consecutive samples in one pixel are added up first. Without `hits` (None) they are not counted.
+    """
     for d in range(data.shape[0]):
         for s in range(bounds.shape[0]):
-            if kept[s]:
-                for n in range(bounds[s, 0], bounds[s, 1]):
-                    pixel = index[d, n]
+            if not kept[s]:
+                continue
+            samples, pixels = data[d, bounds[s, 0] : bounds[s, 1]], index[d, bounds[s, 0] : bounds[s, 1]]
+            pixel, total, count = pixels[0], 0.0, 0
+            for n in range(samples.size):
+                if pixels[n] != pixel:
                     if pixel >= 0:
-                        weighted_sum[pixel] += data[d, n]
-                        hits[pixel] += 1
+                        weighted_sum[pixel] += total
+                        if hits is not None:
+                            hits[pixel] += count
+                    pixel, total, count = pixels[n], 0.0, 0
+                total += samples[n]
+                count += 1
+            if pixel >= 0:
+                weighted_sum[pixel] += total
+                if hits is not None:
+                    hits[pixel] += count
 
 
 @njit(cache=True, nogil=True)
