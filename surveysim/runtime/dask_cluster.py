@@ -1,14 +1,11 @@
 """Engine "dask": workers of an existing cluster, or of a temporary one on this machine."""
 
-import ctypes
 import logging
 import math
-import os
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import cache
 from pickle import loads
 from queue import Empty, SimpleQueue
 from threading import Lock
@@ -22,6 +19,7 @@ from surveysim import __version__
 from surveysim.runtime.addresses import address_of
 from surveysim.runtime.interrupt_signals import hide_main_module, ignore_sigint_in_children
 from surveysim.runtime.items import Answer, Items, LargeResults
+from surveysim.runtime.memory import keep_freed_memory
 from surveysim.runtime.worker_loss import EngineError, log, too_many_losses
 
 if TYPE_CHECKING:
@@ -48,7 +46,6 @@ ANSWER_S = 60.0  # longest time for an answer of a busy scheduler
 CLOSE_S = 5.0  # time to close the connection to the scheduler
 DIRECT = {"direct_to_workers": True}
 _ONE_AT_A_TIME = Lock()
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # constants of malloc.h
 
 
 @dataclass(frozen=True)
@@ -82,7 +79,7 @@ def run_unit(job: bytes, items: bytes, version: str) -> Answers:
     if version != __version__:
         error = EngineError(f"a worker has surveysim {__version__}; {version} is expected")
         return Answers([], error, 0.0)
-    _keep_freed_memory()
+    keep_freed_memory()
     work, units = loads(job), loads(items)
     start, results = perf_counter(), []
     try:
@@ -248,20 +245,6 @@ class _Watch:
 
 def _hours(seconds: float) -> str:
     return f"{seconds / 3600:.1f} h" if seconds >= 3600 else f"{seconds:.0f} s"
-
-
-@cache
-def _keep_freed_memory() -> None:
-    """Let malloc keep freed memory, within limits, as in a process without dask.
-
-    Workers of dask return freed memory to the system at once, and glibc maps large arrays again in all threads but the
-    first. An observation of one or two megabytes then has 14000 page faults and takes twice as long. Other C libraries
-    are not changed.
-    """
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
-    if mallopt is not None:
-        mallopt(_M_MMAP_THRESHOLD, 32 << 20)  # the most that glibc itself goes up to
-        mallopt(_M_TRIM_THRESHOLD, 1 << 30)
 
 
 def unit_size(each_s: float | None, workers: int, left: int) -> int:
