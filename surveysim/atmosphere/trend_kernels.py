@@ -205,10 +205,10 @@ def add_covariances(strip, used, lane, column, weight, step, stride, cells, coef
     for i in range(weight.size):
         level += strip[lane[i], column[i]] / weight.size
     coarse -= level
-    along = np.empty((stride, 4))
+    along, between, row = np.empty((4, stride)), np.empty(4), np.empty(n_x)
     for r in range(stride):
-        _centred_weights(r / stride, along[r])
-    between, row = np.empty(4), np.empty(n_x)
+        _centred_weights(r / stride, between)
+        along[:, r] = between
     for n in range(n_lane):
         y = n / across
         cell = min(int(y), cells - 1)
@@ -220,9 +220,11 @@ def add_covariances(strip, used, lane, column, weight, step, stride, cells, coef
                 + between[2] * coarse[cell + 2, q]
                 + between[3] * coarse[cell + 3, q]
             )
-        for x in range(used):
-            q, w = x // stride, along[x % stride]
-            strip[n, x] += w[0] * row[q] + w[1] * row[q + 1] + w[2] * row[q + 2] + w[3] * row[q + 3]
+        for q in range(n_x - 3):
+            points = strip[n, q * stride : min((q + 1) * stride, used)]
+            a, b, c, d = row[q], row[q + 1], row[q + 2], row[q + 3]
+            for r in range(points.size):  # a loop without divisions, compiled to vector instructions
+                points[r] += along[0, r] * a + along[1, r] * b + along[2, r] * c + along[3, r] * d
 
 
 @njit(cache=True, nogil=True)
