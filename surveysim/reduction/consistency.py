@@ -14,9 +14,10 @@ from surveysim.reduction.cleaning_pipelines import needed_detectors
 from surveysim.reduction.scored_region import FAINTEST, padded_side
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.scene.scene import Scene
+from surveysim.telescope.directions import Site
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.noise_levels import white_levels
-from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, Site, near_angles
+from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, near_angles
 from surveysim.telescope.scans import Scans, samples_per_scan
 
 MAX_REACH_RAD = math.radians(15)
@@ -165,10 +166,10 @@ def _check_turn(number: int, up_rad: np.ndarray, turn_rad: np.ndarray, radius_ra
     if turn_rad[worst] * radius_rad > allowed_rad:
         raise SceneError(
             f"scan.duration: found scans of observation {number}, at {math.degrees(up_rad[worst]):.1f} deg elevation,"
-            f" that the sky turns in half a scan by {math.degrees(turn_rad[worst]):.2g} deg: the array's edge moves by"
-            f" {math.degrees(turn_rad[worst] * radius_rad) * 3600:.3g} arcsec on it; {MAX_TURN_BEAMS:g} of a beam,"
-            f" {math.degrees(allowed_rad) * 3600:.3g} arcsec, or less is expected: shorter scans, or a field that stays"
-            " away from the zenith"
+            f" during which the sky turns by {math.degrees(turn_rad[worst]):.2g} deg in half a scan and the array's"
+            f" edge moves by {math.degrees(turn_rad[worst] * radius_rad) * 3600:.3g} arcsec; {MAX_TURN_BEAMS:g} of a"
+            f" beam, {math.degrees(allowed_rad) * 3600:.3g} arcsec, or less is expected: shorter scans, or a field that"
+            " stays away from the zenith"
         )
 
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 PROGRAM_BYTES = 250e6  # Python and the libraries
 MANY_SAMPLES = 1e9  # detector-samples; each takes 0.07 to 6 microseconds of a core
+LEAF = 16  # observations that are added one after the other; groups of them are added in pairs
+LARGE_SUMS = 128e6  # bytes: larger sums over observations are held once
 MANY_PIXELS = 4e6  # map pixels: a minute for the skies and the score
 MOST_DRAWN = 1000  # most observations whose weather is drawn for the check
 
@@ -110,6 +112,11 @@ class Sizes:
     n_coefficients: int
 
 
+def sums_held(n_obs: int, sums_bytes: float) -> int:
+    """Largest number of sums over observations that a run holds: the nodes of a tree, or one set where it is large."""
+    return 1 if sums_bytes > LARGE_SUMS else 2 + (n_obs // LEAF).bit_length()
+
+
 def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     """Estimate the memory [bytes] of the largest process of a run, by the scene key that it depends on most.
 
@@ -121,6 +128,8 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     skies = of.n_sky * (8 * 4 * of.n_pixel + 16 * of.n_transfer * of.n_pixel + 40 * of.n_transfer * patch)
     shared = any(section and section.coherence != "none" for section in (scene.photon, scene.excess))
     pairs = of.n_det**2 if shared and of.n_det <= MOST_DENSE else 0
+    sums = 8.0 * flips * of.n_set * patch + 24.0 * of.n_set * of.n_pixel
+    more_sums = (sums_held(scene.observations, sums) - 1) * sums
     compared = 2 + len(scene.cleaning.compare)
     # A block of one scan does not depend on the limit.
     block_key = "numerics.max_block_memory" if of.n_scans > 1 else "scan.duration"
@@ -130,7 +139,7 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
         "scan.sample_rate": 100.0 * scene.scan.scans * of.n_samp,
         "map.pixel": 64.0 * of.n_set * of.n_pixel + (140.0 * of.n_pixel if scene.sky or scene.score else 0),
         "score.signal_sims.skies": float(skies),
-        "score.jackknives": 12.0 * flips * of.n_set * patch,
+        "score.jackknives": 12.0 * flips * of.n_set * patch + more_sums,
         "score.size": 110.0 * of.n_pad**2,
         "atmosphere.layer_height": 32.0 * of.strip_elements,
         "instrument.layout": 32.0 * pairs,

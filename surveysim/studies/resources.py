@@ -12,10 +12,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from surveysim.reduction.observation import ObservationResult, observe, transfer_functions
+from surveysim.reduction.resource_limits import sums_held
 from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.results import survey_result
 from surveysim.results.stages import left_out, stages_that_run
 from surveysim.runtime.memory import peak_bytes
+from surveysim.survey.coadd_tree import node_bytes, nodes_of_all
 from surveysim.survey.coadds import CoAdds, add_observations, empty_coadds, observation_sums
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.component import present_components
@@ -99,6 +101,7 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
     figures_s = start_s * (SCORE_FIGURE_STARTS if scene.score else FIGURE_STARTS)
     samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
     coadds = empty_coadds(setup.analysis)
+    sums, held = node_bytes(setup), sums_held(scene.observations, node_bytes(setup))
     maps = coadds.sums.nbytes + coadds.weight.nbytes + coadds.hits.nbytes
     return Plan(
         stages=stages_that_run(setup),
@@ -106,8 +109,8 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
         detector_samples=samples * scene.observations,
         wall_s=(1 + (parallel > 1)) * start_s + measured.first_s + working_s + measured.scoring_s + figures_s,
         figures_s=figures_s,
-        memory_bytes=measured.memory_bytes + FIGURE_BYTES,
-        output_bytes=0.6 * maps + 400 * scene.observations,
+        memory_bytes=measured.memory_bytes + (held - 1) * sums + FIGURE_BYTES,
+        output_bytes=0.6 * maps + 400 * scene.observations + nodes_of_all(setup) * sums,
         timestream_bytes=4.0 * samples * scene.observations,
     )
 

@@ -19,7 +19,6 @@ from surveysim.runtime.rng import RandomPurpose, generator, normal_deviates
 from surveysim.survey.coadds import add_observations, empty_coadds, observation_sums
 from surveysim.timestreams.atmosphere import add_atmosphere
 from surveysim.timestreams.low_frequency import add_low_frequency_noise
-from surveysim.timestreams.noise import add_white
 from surveysim.timestreams.observation import Stopwatch
 from surveysim.timestreams.photon import add_photon_noise
 from tests.benchmark.conftest import FLOOR, OBSERVATION
@@ -58,16 +57,9 @@ def test_excess(per_sample, lynx):
     per_sample("excess", lambda: add_low_frequency_noise(data, block))
 
 
-def test_photon(per_sample, lynx):
+def test_white_noise(per_sample, lynx):
     data, block = np.zeros_like(lynx.data_mk), lynx.observed_block
-    per_sample("photon", lambda: add_photon_noise(data, block))
-
-
-def test_detector(per_sample, lynx):
-    data = np.zeros_like(lynx.data_mk)
-    deviates = lynx.observed_block.deviates(RandomPurpose.DETECTOR)
-    psd, rate = lynx.setup.scene.detector.psd_mk2_hz, lynx.setup.observing.scans.sample_rate_hz
-    per_sample("detector", lambda: add_white(data, psd, rate, deviates))
+    per_sample("photon and detector", lambda: add_photon_noise(data, block))
 
 
 def test_pixels(per_sample, lynx):

@@ -75,6 +75,20 @@ def test_bin_samples(rng, kind):
 
 
 @KINDS
+def test_bin_samples_in_runs_and_without_hits(rng, kind):
+    """Neighbours in one pixel are added up first, within a scan."""
+    data = rng.standard_normal((N_DET, N_SAMP)).astype(kind)
+    index = np.repeat(rng.integers(-1, 3, (N_DET, N_SAMP // 5)), 5, axis=1).astype(np.int32)
+    total, hits = naive.bin_samples(data, index, BOUNDS, KEPT, N_X * N_Y)
+    found, again, found_hits = np.zeros(N_X * N_Y), np.zeros(N_X * N_Y), np.zeros(N_X * N_Y, np.int64)
+    bin_samples(data, index, BOUNDS, KEPT, found, found_hits)
+    bin_samples(data, index, BOUNDS, KEPT, again, None)
+    np.testing.assert_array_equal(found_hits, hits)
+    np.testing.assert_allclose(found, total, atol=1e-13)
+    np.testing.assert_array_equal(again, found)
+
+
+@KINDS
 def test_sums_of_many_samples_keep_double_precision(kind):
     """A million equal samples in one pixel: a single-precision sum would stall at 16.8 million."""
     data = np.full((1, 1_000_000), 33.25, kind)

@@ -184,11 +184,16 @@ def test_streams_are_written_block_by_block(setup_of, tmp_path):
 
 
 def test_no_more_than_a_block_is_drawn_at_a_time(setup_of, monkeypatch):
-    from surveysim.timestreams import detector
+    from surveysim.timestreams import photon
 
     shapes = []
-    add = detector.add_white
-    monkeypatch.setattr(detector, "add_white", lambda data, *rest: shapes.append(data.shape) or add(data, *rest))
+    add = photon.add_correlated_white
+
+    def noted(data, *rest):
+        shapes.append(data.shape)
+        add(data, *rest)
+
+    monkeypatch.setattr(photon, "add_correlated_white", noted)
     observe(setup_of(blocks=4), 0, with_signal_sims=True)
     assert shapes == [(18, 60)] * 4
 
