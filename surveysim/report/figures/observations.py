@@ -81,8 +81,7 @@ def weather(setup: Setup, coadds: CoAdds) -> Figure:
     if norm is not None:
         plain_ticks(bar.ax.yaxis, (1, 1.5, 2, 3, 4, 5, 6, 8))
     bar.ax.tick_params(labelsize=9)
-    scored = " in the scored multipoles" if setup.analysis.region else ""
-    finish(axes, f"$B^2$ [{_b2_unit(setup)}]", f"Map noise{scored}, variance of a sample [mK$^2$]")
+    finish(axes, f"$B^2$ [{_b2_unit(setup)}]", "Map noise, variance of a sample [mK$^2$]")
     plain_ticks(axes.yaxis)
     return figure
 

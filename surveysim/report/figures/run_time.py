@@ -22,7 +22,9 @@ def time_figure(result: SurveyResult) -> PaperFigure:
     alone = np.hypot(parts.observations * np.sqrt(own_s / seconds), fixed)
     error = result.estimate.relative_error
     costs = [cost for cost in map(result.cost, error * TARGETS) if cost and cost.observations > 2]
-    dashed = np.array([(cost.seconds, cost.relative_error) for cost in costs]).reshape(-1, 2).T
+    # Observations come in pairs: of each number, the lowest error.
+    lowest = {cost.observations: cost for cost in reversed(costs)}
+    dashed = np.array([(cost.seconds, cost.relative_error) for cost in lowest.values()]).reshape(-1, 2).T
     this_run = f"this run: {duration(own_s)} of simulation, {duration(result.wall_s)} from start to score"
     series = (
         Series("more observations", "line", seconds, alone, "black"),

@@ -37,7 +37,7 @@ _WRITTEN = [
         (r"\bsigma\(A\)", "σ(A)"),
         (r" / (s|Hz)\b", r"/\1"),
         (r"\+-", "±"),
-        (r"(?<=[a-z])([._])(?=[a-z])", r"\1<wbr>"),  # where a key of a scene may go on in the next line
+        (r"(?<=[a-z0-9])([._])(?=[a-z])", r"\1<wbr>"),  # where a key of a scene may go on in the next line
     )
 ]
 

@@ -153,7 +153,11 @@ def test_keys_of_a_section(call, monkeypatch):
     _, out, _ = call("keys", "score.size")
     assert re.findall(r"^│ ([a-z0-9_.]+) +│", out, re.MULTILINE) == ["score.size"]
     code, out, error = call("keys", "scor")
-    assert (code, out) == (2, "") and "keys: found 'scor'" in error and "score" in error
+    assert (code, out) == (2, "") and "keys: found 'scor'" in error and "did you mean score" in error
+    assert call("keys", "scan.spead") == (2, "", "keys: found 'scan.spead'; did you mean scan.speed?\n")
+    error = call("keys", "scan.quux")[2]
+    assert error.startswith("keys: found 'scan.quux'; a key of [scan] is expected: speed, scans") and "ell" not in error
+    assert "one of the sections field, schedule" in call("keys", "quux")[2]
 
 
 def test_ranges_have_the_unit_of_the_example():

@@ -10,6 +10,7 @@ import pytest
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.report.figures import survey as figures
 from surveysim.report.figures.observations import timestream_psd
+from surveysim.report.figures.run_time import time_figure
 from surveysim.report.figures.sky_map import map_planes
 from surveysim.report.figures.spectra import cumulative_sensitivity, map_psds
 from surveysim.results.results import survey_result
@@ -93,6 +94,15 @@ def test_timestream_psd_of_the_calmest_and_the_worst(setup, coadds):
         np.testing.assert_array_equal(axes.lines[1].get_ydata(), coadds.clean_psd[observation][1:-1])
 
 
+def test_lines_of_error_against_time_are_functions_of_time(setup, coadds):
+    """No time has two errors, and this run says which times it counts."""
+    figure = time_figure(survey_result(setup, coadds, wall_s=100.0, workers=1))
+    alone, dashed, own = figure.panels[0].series
+    for line in (alone, dashed):
+        assert len(set(line.x)) == len(line.x) and (np.diff(line.y[np.argsort(line.x)]) < 0).all()
+    assert own.label.startswith("this run: ") and own.label.endswith("of simulation, 1.7 min from start to score")
+
+
 def test_masked_psd_is_that_of_as_many_detectors(setup, scores):
     masked = scores["masked_7"]
     _, psd = _curve(map_psds(setup, scores), "masked")
@@ -105,7 +115,7 @@ def test_a_mask_may_keep_all_detectors():
     found = score_survey(setup, run_observations(setup, None))
     figure = map_psds(setup, found)
     assert found["masked_19"].n_det == setup.camera.n_det == 19
-    np.testing.assert_allclose(_curve(figure, "masked, 19 detectors"), _curve(figure, "actual"))
+    np.testing.assert_allclose(_curve(figure, "masked_19_scaled"), _curve(figure, "actual"))
 
 
 def test_cumulative_sensitivity_at_the_scored_range_is_the_score(setup, scores):

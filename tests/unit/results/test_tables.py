@@ -60,6 +60,31 @@ def test_unknown_errors_are_said_to_be_unknown(error):
     assert plain(quoted(221.1, error)) == "221 +- unknown"
 
 
+@pytest.mark.parametrize(
+    "value, error, text",
+    [
+        (95.2, 104.0, "95.2 +- 104.0"),
+        (0.34, 0.37, "0.340 +- 0.370"),
+        (281.2, 0.52, "281.20 +- 0.52"),
+        (0, 3, "0.0 +- 3.0"),
+    ],
+)
+def test_values_that_are_divided_keep_three_digits(value, error, text):
+    """Even where the error is larger, so that readers can follow a ratio."""
+    assert plain(quoted(value, error, 3)) == text
+
+
+def test_a_forecast_has_the_scaled_masked_array(scene):
+    """As a run has it, by its share of the detectors; all other rows stay."""
+    found = forecast(prepare(scene))
+    table = found.table()
+    sigma = dict(zip(table["name"], table["sigma_ukcmb2"].value, strict=True))
+    (masked,) = (name for name in found.scores if name.startswith("masked"))
+    share = found.scores[masked].n_det / found.scores["actual"].n_det
+    assert 0 < share < 1 and sigma[f"{masked}_scaled"] == pytest.approx(share * sigma[masked])
+    assert list(sigma) == [*found.scores, f"{masked}_scaled"]
+
+
 def test_a_run_in_a_notebook(result):
     """A few lines, not all arrays; a table with the numbers of the scores."""
     lines = repr(result).splitlines()
