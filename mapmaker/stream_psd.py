@@ -6,7 +6,8 @@ from mapmaker.chunks import row_chunks
 
 
 def hann_psd(data_mk: np.ndarray, n_scans: int, kept: np.ndarray, sample_rate_hz: float) -> np.ndarray:
-    """One-sided Hann-tapered PSD (n_det, n_samp // n_scans // 2 + 1) [mK^2/Hz], the mean over kept scans.
+    """Mean over kept scans of the one-sided PSD (n_det, n_samp // n_scans // 2 + 1) [mK^2/Hz], mean-removed and
+    Hann-tapered.
 
     The taper keeps the red noise of a short scan from leaking into the white level.
     """
@@ -15,16 +16,20 @@ def hann_psd(data_mk: np.ndarray, n_scans: int, kept: np.ndarray, sample_rate_hz
 
 
 def hann_power(data_mk: np.ndarray, n_scans: int, kept: np.ndarray) -> np.ndarray:
-    """Squared Hann-tapered transforms (n_det, n_samp // n_scans // 2 + 1) float64, summed over kept scans."""
+    """Squared transforms (n_det, n_samp // n_scans // 2 + 1) float64 of mean-removed, Hann-tapered scans, summed over
+    kept scans.
+    """
     from scipy.fft import rfft
 
+    from mapmaker.kernels.spectra import add_power, taper_scans
+
     n_det, n_samp = data_mk.shape
-    n = n_samp // n_scans
+    n, n_kept = n_samp // n_scans, int(kept.sum())
     taper, total = _hann(n, data_mk.dtype), np.zeros((n_det, n // 2 + 1))
-    if kept.any():
-        for rows in row_chunks(n_det, n_samp):
-            spectrum = rfft(data_mk[rows].reshape(-1, n_scans, n)[:, kept] * taper, axis=-1)
-            total[rows] = (spectrum.real**2 + spectrum.imag**2).sum(axis=1, dtype=np.float64)
+    for rows in row_chunks(n_det, 2 * n_samp):
+        scans = np.empty((len(total[rows]), n_kept, n), data_mk.dtype)
+        taper_scans(data_mk[rows], kept, taper, scans)
+        add_power(rfft(scans, axis=-1), total[rows])
     return total
 
 

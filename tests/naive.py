@@ -23,6 +23,35 @@ def average_cleaning(scan_mk, tolerance, max_iterations):
     raise ArithmeticError("not converged")
 
 
+def remove_means(data):
+    """Each row less its mean, or None where a value is not finite."""
+    if any(not np.isfinite(value) for row in data for value in row):
+        return None
+    return np.array([[float(value) - sum(map(float, row)) / len(row) for value in row] for row in data])
+
+
+def subtract_templates(block, shapes, templates):
+    """Each sample of each detector less the sum over templates."""
+    terms = range(len(templates))
+    return [
+        [block[i, n] - sum(shapes[k, i] * templates[k, n] for k in terms) for n in range(block.shape[1])]
+        for i in range(len(block))
+    ]
+
+
+def hann_power(data, n_scans, kept):
+    """Squares of the discrete Fourier transforms of kept scans, less their means and under Hann's taper."""
+    n_det, n = len(data), data.shape[1] // n_scans
+    power = np.zeros((n_det, n // 2 + 1))
+    for i in range(n_det):
+        for scan in np.flatnonzero(kept):
+            samples = data[i, scan * n : (scan + 1) * n].astype(float)
+            samples = (samples - np.mean(samples)) * [np.sin(np.pi * j / n) ** 2 for j in range(n)]
+            for k in range(n // 2 + 1):
+                power[i, k] += abs(sum(samples[j] * np.exp(-2j * np.pi * j * k / n) for j in range(n))) ** 2
+    return power
+
+
 def template_cleaning(scan_mk, shapes, hold, tolerance, max_iterations):
     """Polynomial templates of one scan, sample by sample; returns (cleaned, c, steps).
 

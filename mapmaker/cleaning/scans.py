@@ -83,16 +83,15 @@ def finite_scans(data_mk: np.ndarray, scan_bounds: np.ndarray) -> Iterator[tuple
 
     All blocks share their memory: a block is good until the next one is asked for.
     """
+    from mapmaker.kernels.cleaning import remove_means
+
     n_det = len(data_mk)
     # One buffer for all scans: the allocation of large arrays is slow.
     room = np.empty(n_det * int(np.diff(scan_bounds, axis=1).max(initial=0)))
     for s, (start, stop) in enumerate(scan_bounds):
         block = room[: n_det * (stop - start)].reshape(n_det, stop - start)
-        block[:] = data_mk[:, start:stop]
-        if not np.isfinite((block.min(), block.max())).all():
-            continue
-        block -= block.mean(axis=1, keepdims=True)
-        yield s, block
+        if remove_means(data_mk[:, start:stop], block):
+            yield s, block
 
 
 def has_dead(block: np.ndarray) -> bool:

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mapmaker.chunks import row_chunks
 from mapmaker.cleaning.responsivity import (
     SCAN,
     Region,
@@ -236,10 +235,10 @@ def polynomial_model(regions: tuple[Region, ...]) -> TemplateModel:
 
 
 def _subtract_regions(block: np.ndarray, c: np.ndarray, regions: tuple[Region, ...]) -> None:
+    from mapmaker.kernels.cleaning import subtract_templates
+
     for region in regions:
         part, own = block[region.rows], c[region.rows]
-        templates, shapes = (region.basis / own) @ part, (region.basis * own).T
-        for rows in row_chunks(*part.shape):
-            part[rows] -= shapes[rows] @ templates
+        subtract_templates(part, region.basis * own, (region.basis / own) @ part)
         if not isinstance(region.rows, slice):  # `part` is a copy
             block[region.rows] = part

@@ -1,9 +1,36 @@
-"""Kernels of template cleaning: responsivities from the Gram matrix of one scan."""
+"""Kernels of cleaning: scans less their means, responsivities from the Gram matrix of one scan, templates."""
 
 import numpy as np
 
 from mapmaker.kernels import DEAD_POWER
 from mapmaker.kernels.compiled import njit
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def remove_means(data, block):
+    """Write data less the mean of each row into block, both (n_det, n); tell whether all values are finite."""
+    finite = True
+    for d in range(data.shape[0]):
+        row, out = data[d], block[d]
+        total = 0.0
+        for n in range(row.size):
+            total += row[n]
+        finite = finite and np.isfinite(total)
+        mean = total / row.size
+        for n in range(row.size):
+            out[n] = row[n] - mean
+    return finite
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def subtract_templates(block, shapes, templates):
+    """Subtract shapes (n_par, n_det) times templates (n_par, n) from a block (n_det, n), in place."""
+    for d in range(block.shape[0]):
+        row = block[d]
+        for k in range(templates.shape[0]):
+            shape, template = shapes[k, d], templates[k]
+            for n in range(row.size):
+                row[n] -= shape * template[n]
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})

@@ -4,6 +4,9 @@ import numpy as np
 
 from mapmaker.kernels.compiled import njit
 
+# Samples of a detector whose places are computed before the look-up: loops without look-ups are vector instructions.
+_AT_ONCE = 256
+
 
 @njit(cache=True, nogil=True)
 def plane_pixels(column, row, cos, sin, x_rad, y_rad, n_x, n_y):
@@ -38,15 +41,29 @@ def plane_pixels(column, row, cos, sin, x_rad, y_rad, n_x, n_y):
 
 @njit(cache=True, nogil=True)
 def bin_samples(data, index, bounds, kept, weighted_sum, hits):
-    """Add the samples of kept scans to the flat maps `weighted_sum` (float64) and `hits` (int64), in place."""
+    """Add the samples of kept scans to the flat maps `weighted_sum` (float64) and `hits` (int64), in place.
+
+    Consecutive samples in one pixel are added up first. Without `hits` (None) they are not counted.
+    """
     for d in range(data.shape[0]):
         for s in range(bounds.shape[0]):
-            if kept[s]:
-                for n in range(bounds[s, 0], bounds[s, 1]):
-                    pixel = index[d, n]
+            if not kept[s]:
+                continue
+            samples, pixels = data[d, bounds[s, 0] : bounds[s, 1]], index[d, bounds[s, 0] : bounds[s, 1]]
+            pixel, total, count = pixels[0], 0.0, 0
+            for n in range(samples.size):
+                if pixels[n] != pixel:
                     if pixel >= 0:
-                        weighted_sum[pixel] += data[d, n]
-                        hits[pixel] += 1
+                        weighted_sum[pixel] += total
+                        if hits is not None:
+                            hits[pixel] += count
+                    pixel, total, count = pixels[n], 0.0, 0
+                total += samples[n]
+                count += 1
+            if pixel >= 0:
+                weighted_sum[pixel] += total
+                if hits is not None:
+                    hits[pixel] += count
 
 
 @njit(cache=True, nogil=True)
@@ -65,14 +82,32 @@ def add_sky(data, sky, column, row, cos, sin, x_rad, y_rad, gain):
     gain : (n_det,)
     """
     n_y, n_x = sky.shape
+    values, next_row = sky.reshape(sky.size), np.uint64(n_x)
+    place, across = np.empty(_AT_ONCE, np.int32), np.empty((3, _AT_ONCE), sky.dtype)
     for d in range(data.shape[0]):
-        x, y, g = x_rad[d], y_rad[d], gain[d]
-        for n in range(data.shape[1]):
-            c = column[n] + x * cos[n] - y * sin[n]
-            r = row[n] + x * sin[n] + y * cos[n]
-            if (c >= 0.0) & (r >= 0.0) & (c < n_x - 1) & (r < n_y - 1):
-                i, j = int(r), int(c)
-                v, u = r - i, c - j
-                low = sky[i, j] + u * (sky[i, j + 1] - sky[i, j])
-                high = sky[i + 1, j] + u * (sky[i + 1, j + 1] - sky[i + 1, j])
-                data[d, n] += g * (low + v * (high - low))
+        for first in range(0, data.shape[1], _AT_ONCE):
+            part = slice(first, min(first + _AT_ONCE, data.shape[1]))
+            samples = data[d, part]
+            c, r, co, si = column[part], row[part], cos[part], sin[part]
+            _corners(c, r, co, si, x_rad[d], y_rad[d], gain[d], n_x, n_y, place, across)
+            for n in range(samples.size):
+                # Unsigned, which avoids numba's check for negative indices.
+                p, u, v, g = np.uint64(place[n]), across[0, n], across[1, n], across[2, n]
+                near, far = values[p], values[p + next_row]
+                low = near + u * (values[p + np.uint64(1)] - near)
+                high = far + u * (values[p + next_row + np.uint64(1)] - far)
+                samples[n] += g * (low + v * (high - low))
+
+
+@njit(forceinline=True)
+def _corners(column, row, cos, sin, x, y, gain, n_x, n_y, place, across):
+    """Write the flat pixel below each sample, its distance from that along both axes, and its gain: 0 off the sky."""
+    for n in range(column.size):
+        c = column[n] + x * cos[n] - y * sin[n]
+        r = row[n] + x * sin[n] + y * cos[n]
+        inside = (c >= 0.0) & (r >= 0.0) & (c < n_x - 1) & (r < n_y - 1)
+        c, r = c if inside else 0.0, r if inside else 0.0
+        j, i = np.int32(c), np.int32(r)
+        place[n] = i * np.int32(n_x) + j
+        across[0, n], across[1, n] = c - j, r - i
+        across[2, n] = gain if inside else 0.0

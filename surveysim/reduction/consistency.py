@@ -8,15 +8,16 @@ from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry, check_nside, plane_offsets
 from mapmaker.stream_psd import highest_frequency
 from mapmaker.transfer_function import beam_window
-from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES
+from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES, MIN_SCANS
 from surveysim.atmosphere.weather import Water
 from surveysim.reduction.cleaning_pipelines import needed_detectors
 from surveysim.reduction.scored_region import FAINTEST, padded_side
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.scene.scene import Scene
+from surveysim.telescope.directions import Site
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.noise_levels import white_levels
-from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, Site, near_angles
+from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, near_angles
 from surveysim.telescope.scans import Scans, samples_per_scan
 
 MAX_REACH_RAD = math.radians(15)
@@ -30,7 +31,7 @@ MAX_TURN_BEAMS = 0.1  # largest motion of the array's edge by the rotation of th
 MAX_AIRMASS_CHANGE = 0.02  # largest relative change in half a scan: 2.7 % of the layer's amplitude at an index of 11/3
 FEW_MODES = 64  # modes along an axis among which an empty bin is found, if there is one
 MOST_BINS = 1_000_000
-MAX_MODES = 4000  # the eigenvectors of so many take half a minute a scan
+MAX_MODES = 10_000  # the eigenvalues of so many take some minutes a scan
 
 
 def check_templates(scene: Scene, cam: Camera) -> None:
@@ -52,7 +53,12 @@ def check_templates(scene: Scene, cam: Camera) -> None:
         if "pca" in steps and min(samples, n_det) > MAX_MODES:
             raise SceneError(
                 f"cleaning.{key}: found 'pca' with {n_det} detectors and scans of {samples} samples; "
-                f"{MAX_MODES} or fewer of one are expected, as it takes all eigenvectors of the smaller number"
+                f"{MAX_MODES} or fewer of one are expected, as it takes all eigenvalues of the smaller number"
+            )
+        if "wind" in steps and scene.scan.scans < MIN_SCANS:
+            raise SceneError(
+                f"cleaning.{key}: found 'wind' with {scene.scan.scans} scans; {MIN_SCANS} or more are expected to"
+                " measure it"
             )
         cycles = scene.scan.duration_s * HIGHEST_HZ
         if "wind" in steps and (cycles < LEAST_CYCLES or scene.scan.sample_rate_hz <= 2 * HIGHEST_HZ):

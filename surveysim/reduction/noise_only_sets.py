@@ -59,7 +59,7 @@ def add_simulated(
     Parameters
     ----------
     maps
-        Sums and hits by data set, changed in place.
+        Sums and hits by data set. Sums are changed in place; hits are those of the actual data.
     kept_scans
         Kept scans (n_pipeline, n_scan) of each block.
     psd : (n_det, n_freq)
@@ -84,7 +84,7 @@ def add_simulated(
                 with watch("simulated sets"):
                     data = NOISE_ONLY_SETS[name].draw(setup, psd, white, block.n_scans, own, rows)
                 with watch("binning"):
-                    bin_samples(data, index, bounds, kept[0], *maps[name])
+                    bin_samples(data, index, bounds, kept[0], maps[name][0], None)
 
 
 def _draw_uncorrelated(

@@ -1,7 +1,7 @@
 """Reduction of one observation: cleaning by every pipeline, maps of every data set, noise levels, the best pipeline.
 
 The blocks of the observation are drawn and added up one by one. The noise-only sets need the PSDs of all blocks, so
-they are drawn in a second pass.
+they are drawn in a second pass. Wind cleaning needs the wind of all blocks, so several blocks are drawn for it first.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from mapmaker.chunks import row_chunks
 from mapmaker.cleaning import Cleaned
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import MapGeometry, boresight_pixels
@@ -21,16 +20,11 @@ from mapmaker.stream_psd import hann_power, hann_scale, white_level
 from mapmaker.timestreams import Timestreams, timestream_file
 from surveysim.atmosphere.weather import Weather
 from surveysim.reduction.analysis import AnalysisSetup
-from surveysim.reduction.cleaning_pipelines import (
-    OPTIMAL,
-    AuxiliaryData,
-    CleaningPipeline,
-    apply_pipeline,
-    auxiliary_data,
-)
+from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL, AuxiliaryData, CleaningPipeline, apply_pipeline
 from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
+from surveysim.reduction.layer_delays import block_delays, delays_of_all_blocks
 from surveysim.reduction.map_noise import map_noise
-from surveysim.reduction.noise_only_sets import add_simulated, mean_removed
+from surveysim.reduction.noise_only_sets import add_simulated
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.once import keep_last
 from surveysim.scene.analysis import Cleaning
@@ -103,14 +97,14 @@ Map = tuple[np.ndarray, np.ndarray]  # sums and hits, (n_y, n_x) each
 
 @dataclass(frozen=True)
 class _Part:
-    """A block with its streams, pixel indices (n_det, n_samp), auxiliary data, and cleaned streams of each pipeline."""
+    """A block with its streams, auxiliary data, and for each pipeline pixels (n_det, n_samp) and cleaned streams."""
 
     setup: Setup
     observation: int
     block: Block
     pointing: Pointing
     streams: Timestreams
-    index: np.ndarray
+    index: tuple[np.ndarray, ...]
     auxiliary: AuxiliaryData
     cleaned: tuple[Cleaned, ...]
 
@@ -146,10 +140,10 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
         File for the time-streams before cleaning; None for none.
     """
     watch, (_, pointing) = Stopwatch(), observation_path(setup.observing, observation)
-    sums = _empty_sums(setup, with_signal_sims)
+    sums, delays = _empty_sums(setup, with_signal_sims), delays_of_all_blocks(setup, observation, pointing, watch)
     with nullcontext(lambda streams: None) if path is None else timestream_file(path, len(pointing.time_s)) as save:
         for block in setup.observing.blocks:
-            _add_part(sums, _reduce(setup, observation, pointing, block, watch), save, watch)
+            _add_part(sums, _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch), save, watch)
     kept = np.concatenate(sums.kept, axis=1)
     psd = sums.power / max(1, kept[0].sum()) * _psd_scale(setup.observing.scans, setup.stream_type)
     white = np.full(1, np.nan)
@@ -196,15 +190,21 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
 
 def kept_scans(setup: Setup, observation: int) -> np.ndarray:
     """Find the scans that each pipeline keeps of an observation, (n_pipeline, n_scan) bool."""
-    _, pointing = observation_path(setup.observing, observation)
-    parts = (_reduce(setup, observation, pointing, block, Stopwatch()) for block in setup.observing.blocks)
+    (_, pointing), watch = observation_path(setup.observing, observation), Stopwatch()
+    delays = delays_of_all_blocks(setup, observation, pointing, watch)
+    parts = (
+        _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch)
+        for block in setup.observing.blocks
+    )
     return np.concatenate([[item.kept for item in part.cleaned] for part in parts], axis=1)
 
 
 def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
     n_pixel = setup.analysis.geometry.n_y * setup.analysis.geometry.n_x
+    hits = {pipeline.data_set: np.zeros(n_pixel, np.int64) for pipeline in setup.analysis.pipelines}
     names = [name for name in setup.analysis.data_set_names if name != OPTIMAL]
-    maps = {name: (np.zeros(n_pixel), np.zeros(n_pixel, np.int64)) for name in names}
+    # Noise-only sets have the hits of the actual data.
+    maps = {name: (np.zeros(n_pixel), hits.get(name, hits[ACTUAL])) for name in names}
     power = np.zeros((setup.camera.n_det, samples_per_scan(setup.observing.scans) // 2 + 1))
     signals = _empty_signal_maps(setup.analysis, setup.analysis.n_signal_skies) if with_signal_sims else None
     return _Sums(maps, signals, power)
@@ -216,10 +216,9 @@ def _add_part(sums: _Sums, part: _Part, save: Callable[[Timestreams], None], wat
     save(part.streams)
     with watch("spectra"):
         _add_spectra(sums, part)
-    for pipeline, item in zip(setup.analysis.pipelines, part.cleaned, strict=True):
+    for pipeline, index, item in zip(setup.analysis.pipelines, part.index, part.cleaned, strict=True):
         with watch("binning"):
-            index, bounds = part.index[pipeline.rows], part.streams.scan_bounds
-            bin_samples(item.data_mk, index, bounds, item.kept, *sums.maps[pipeline.data_set])
+            bin_samples(item.data_mk, index, part.streams.scan_bounds, item.kept, *sums.maps[pipeline.data_set])
     for name in ("kept", "iterations", "removed"):
         getattr(sums, name).append(np.array([getattr(item, name) for item in part.cleaned]))
     if sums.signal_maps is not None:
@@ -227,18 +226,28 @@ def _add_part(sums: _Sums, part: _Part, save: Callable[[Timestreams], None], wat
             _add_signal_maps(sums.signal_maps, part, setup.analysis.signal_skies_mk)
 
 
-def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> _Part:
-    """Draw and clean one block of an observation with the pointing `whole`."""
+def _reduce(
+    setup: Setup,
+    observation: int,
+    whole: Pointing,
+    block: Block,
+    *,
+    delays_s_rad: np.ndarray | None,
+    watch: Stopwatch,
+) -> _Part:
+    """Draw and clean one block of an observation with the pointing `whole`; without delays they are the block's own."""
     streams = draw_block(setup, observation, whole, block, watch)
     pointing, plane = whole.scans(block.first, block.end), streams.focal_plane
     with watch("pixels"):
         angle = pointing.array_angle_rad[pointing.scan]
-        index = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
+        pixels = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
+        index = tuple(pixels[pipeline.rows] for pipeline in setup.analysis.pipelines)
     with watch("wind"):
         bands = _other_bands(setup, observation, whole, block)
-        rate = setup.observing.scans.sample_rate_hz
-        auxiliary = auxiliary_data(setup.analysis.pipelines, streams, bands, setup.analysis.calibration, rate)
-    section, cleaned, everyone = setup.scene.cleaning, [], np.ones(block.n_scans, bool)
+        delays = block_delays(setup, streams) if delays_s_rad is None else delays_s_rad[block.first : block.end]
+        auxiliary = AuxiliaryData(delays, bands, setup.analysis.calibration)
+    section, rate = setup.scene.cleaning, setup.observing.scans.sample_rate_hz
+    cleaned, everyone = [], np.ones(block.n_scans, bool)
     for pipeline in setup.analysis.pipelines:
         with watch("cleaning" if pipeline.steps == section.algorithm else f"cleaning {pipeline.label}"):
             data = streams.data_mk[pipeline.rows]
@@ -283,9 +292,8 @@ def _add_spectra(sums: _Sums, part: _Part) -> None:
     scale = _psd_scale(part.setup.observing.scans, part.setup.stream_type)
     actual, *others = part.cleaned[: len(part.setup.analysis.whole_pipelines)]
     sums.power += hann_power(actual.data_mk, n_scans, actual.kept)
-    everyone = np.ones(n_scans, bool)
-    raw = [hann_power(mean_removed(data[rows], n_scans), n_scans, everyone) for rows in row_chunks(*data.shape)]
-    sums.raw.append((n_scans, (np.concatenate(raw) / n_scans * scale).mean(axis=0)))
+    raw = hann_power(data, n_scans, np.ones(n_scans, bool))
+    sums.raw.append((n_scans, (raw / n_scans * scale).mean(axis=0)))
     powers = [(int(item.kept.sum()), hann_power(item.data_mk, n_scans, item.kept)) for item in others]
     sums.compared.append([(n, (power / max(1, n) * scale).mean(axis=0)) for n, power in powers])
 
@@ -321,10 +329,10 @@ def _add_signal_maps(signal_maps: np.ndarray, part: _Part, skies_mk: np.ndarray)
     """Add each sky before cleaning, and the difference that it makes to the cleaned data."""
     setup, section, streams = part.setup, part.setup.scene.cleaning, part.streams
     rate, extra, raw = setup.observing.scans.sample_rate_hz, part.auxiliary, streams.data_mk
-    hits, signal = np.zeros(signal_maps.shape[-1], np.int64), np.empty_like(streams.data_mk)
+    bounds, signal = streams.scan_bounds, np.empty_like(streams.data_mk)
     for s, sky in enumerate(skies_mk):
         write_sky_signal(setup, part.pointing, sky, signal)
-        for pipeline, base in zip(setup.analysis.pipelines, part.cleaned, strict=True):
+        for pipeline, index, base in zip(setup.analysis.pipelines, part.index, part.cleaned, strict=True):
             rows, place = pipeline.rows, setup.analysis.transfer_function_names.index(pipeline.data_set)
             scans = _cleaned_again(section, pipeline, base.kept)
             both = _clean(
@@ -337,7 +345,7 @@ def _add_signal_maps(signal_maps: np.ndarray, part: _Part, skies_mk: np.ndarray)
             difference = both.data_mk
             difference -= base.data_mk
             for state, data in enumerate((signal[rows], difference)):
-                bin_samples(data, part.index[rows], streams.scan_bounds, kept, signal_maps[s, place, state], hits)
+                bin_samples(data, index, bounds, kept, signal_maps[s, place, state], None)
 
 
 def _cleaned_again(section: Cleaning, pipeline: CleaningPipeline, kept: np.ndarray) -> np.ndarray:
@@ -391,7 +399,9 @@ def transfer_functions(setup: Setup) -> np.ndarray:
 
 def _signals_in_block(setup: Setup, observation: int, block: Block, skies_mk: np.ndarray) -> np.ndarray:
     """Simulate signals in one block of an observation, and nothing else of it."""
-    signal_maps = _empty_signal_maps(setup.analysis, len(skies_mk))
+    signal_maps, watch = _empty_signal_maps(setup.analysis, len(skies_mk)), Stopwatch()
     _, pointing = observation_path(setup.observing, observation)
-    _add_signal_maps(signal_maps, _reduce(setup, observation, pointing, block, Stopwatch()), skies_mk)
+    delays = delays_of_all_blocks(setup, observation, pointing, watch)
+    part = _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch)
+    _add_signal_maps(signal_maps, part, skies_mk)
     return signal_maps

@@ -1,13 +1,11 @@
 """Engine "dask": workers of an existing cluster, or of a temporary one on this machine."""
 
-import ctypes
 import logging
-import os
+import math
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import cache
 from pickle import loads
 from queue import Empty, SimpleQueue
 from threading import Lock
@@ -21,6 +19,7 @@ from surveysim import __version__
 from surveysim.runtime.addresses import address_of
 from surveysim.runtime.interrupt_signals import hide_main_module, ignore_sigint_in_children
 from surveysim.runtime.items import Answer, Items, LargeResults
+from surveysim.runtime.memory import keep_freed_memory
 from surveysim.runtime.worker_loss import EngineError, log, too_many_losses
 
 if TYPE_CHECKING:
@@ -38,6 +37,8 @@ UNIT_S = 0.5  # work in a unit; sending it costs the scheduler and the network a
 SCHEDULER_S = 5e-3  # work in a unit per worker: the scheduler handles at most 200 units a second
 MOST_ITEMS = 32  # items in a unit; their results are sent together
 TAKEN_AHEAD = 2  # units a worker, so that it does not wait for the parent
+OUTLINES = 256  # outlines that come back together
+COUNT_EVERY_S = 1.0  # between counts of the workers
 LOOK_S = 2.0  # interval of checks for workers while waiting for answers
 WAIT_S = 24 * 3600.0  # time to wait for a first worker, as long as a batch queue may take
 SAY_EVERY_S = 300.0  # interval of warnings while waiting
@@ -45,7 +46,6 @@ ANSWER_S = 60.0  # longest time for an answer of a busy scheduler
 CLOSE_S = 5.0  # time to close the connection to the scheduler
 DIRECT = {"direct_to_workers": True}
 _ONE_AT_A_TIME = Lock()
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # constants of malloc.h
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def run_unit(job: bytes, items: bytes, version: str) -> Answers:
     if version != __version__:
         error = EngineError(f"a worker has surveysim {__version__}; {version} is expected")
         return Answers([], error, 0.0)
-    _keep_freed_memory()
+    keep_freed_memory()
     work, units = loads(job), loads(items)
     start, results = perf_counter(), []
     try:
@@ -151,20 +151,22 @@ class _Units:
         try:
             self._submit()
             while self.numbers:
-                unit = self._next()
-                numbers, found = self.numbers.pop(unit), unit.result(timeout=ANSWER_S)
-                unit.release()
-                results = self._held(unit, found.results)
-                self.each_s = found.seconds / max(1, len(results))
-                self._submit()
-                yield from ((number, result, None) for number, result in zip(numbers, results, strict=False))
-                if found.error is not None:
-                    yield numbers[len(results)], None, found.error
-                if not self.numbers:  # items may have waited for these answers
-                    self._submit()
+                units = self._finished()
+                for unit, found in zip(units, self.client.gather(units), strict=True):
+                    yield from self._answers_of(unit, found)
+                self._submit()  # now that the answers are used: items may have waited for them
         finally:
             for unit in (*self.numbers, *self.kept.values()):
                 unit.release()
+
+    def _answers_of(self, unit: Future, found: Answers) -> Iterator[Answer]:
+        """Yield the answers of a finished unit."""
+        numbers, results = self.numbers.pop(unit), self._held(unit, found.results)
+        unit.release()
+        self.each_s = found.seconds / max(1, len(results))
+        yield from ((number, result, None) for number, result in zip(numbers, results, strict=False))
+        if found.error is not None:
+            yield numbers[len(results)], None, found.error
 
     def _held(self, unit: Future, results: list[Any]) -> list[Any]:
         """Put large results, of which only the outline came back, in the place of the outline."""
@@ -200,12 +202,16 @@ class _Units:
                 break
         return taken
 
-    def _next(self) -> Future:
-        """Wait for a unit that is finished."""
-        while True:
+    def _finished(self) -> list[Future]:
+        """Wait for a unit that is finished, and take more of which outlines come back."""
+        units: list[Future] = []
+        while not units:
             with suppress(Empty):
-                return self.finished.get(timeout=LOOK_S)
+                units.append(self.finished.get(timeout=LOOK_S))
+                while units[-1] in self.kept and len(units) < OUTLINES:
+                    units.append(self.finished.get_nowait())
             self.watch.workers()
+        return units
 
 
 class _Watch:
@@ -215,11 +221,18 @@ class _Watch:
         self.client = client
         self.since: float | None = None  # there has been no worker
         self.said = 0.0
+        self.there, self.counted = 0, -math.inf
 
     def workers(self) -> int:
-        """Count the workers; log a warning while there is none, and raise EngineError after `WAIT_S`."""
-        there = len(self.client.sync(self.client.scheduler.ncores, callback_timeout=ANSWER_S))
+        """Count the workers, once a second at most.
+
+        Log a warning while there is none, and raise EngineError after `WAIT_S`.
+        """
         now = monotonic()
+        if now - self.counted < COUNT_EVERY_S and self.there:
+            return self.there
+        self.counted, self.there = now, len(self.client.sync(self.client.scheduler.ncores, callback_timeout=ANSWER_S))
+        there = self.there
         if there:
             self.since = None
         elif self.since is None or now - self.said >= SAY_EVERY_S:
@@ -232,20 +245,6 @@ class _Watch:
 
 def _hours(seconds: float) -> str:
     return f"{seconds / 3600:.1f} h" if seconds >= 3600 else f"{seconds:.0f} s"
-
-
-@cache
-def _keep_freed_memory() -> None:
-    """Let malloc keep freed memory, within limits, as in a process without dask.
-
-    Workers of dask return freed memory to the system at once, and glibc maps large arrays again in all threads but the
-    first. An observation of one or two megabytes then has 14000 page faults and takes twice as long. Other C libraries
-    are not changed.
-    """
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
-    if mallopt is not None:
-        mallopt(_M_MMAP_THRESHOLD, 32 << 20)  # the most that glibc itself goes up to
-        mallopt(_M_TRIM_THRESHOLD, 1 << 30)
 
 
 def unit_size(each_s: float | None, workers: int, left: int) -> int:

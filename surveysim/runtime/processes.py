@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from surveysim.runtime.interrupt_signals import defer_signals, hide_main_module, ignore_sigint_in_children
 from surveysim.runtime.items import Answer, Items
+from surveysim.runtime.memory import keep_freed_memory
 from surveysim.runtime.worker_loss import LOSSES_ALLOWED, log, too_many_losses
 
 TAKEN_AHEAD = 2  # items that wait at a worker, so that it does not wait for the parent
@@ -137,6 +138,7 @@ def _work(job: Callable[[Any], Any], pipe: Connection) -> None:
     """Answer items from the parent until its pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threadpool_limits(1)
+    keep_freed_memory()
     try:
         while True:
             number, item = pipe.recv()

@@ -6,10 +6,12 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from surveysim.runtime.items import Answer, Items
+from surveysim.runtime.memory import keep_freed_memory
 
 
 def in_turn(job: Callable[[Any], Any], items: Items) -> Generator[Answer]:
     """Yield the answer for each item, in order."""
+    keep_freed_memory()
     while (taken := items.take(1)) is not None:
         number, item = taken
         try:

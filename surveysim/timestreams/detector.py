@@ -8,6 +8,7 @@ from surveysim.timestreams.observed_block import ObservedBlock
 
 
 def add_detector_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
-    """Add the detector noise of a block to streams (n_det, n_samp), in place."""
-    rate = of.setup.observing.scans.sample_rate_hz
-    add_white(data_mk, of.levels.detector_mk2_hz, rate, of.deviates(RandomPurpose.DETECTOR))
+    """Add the detector noise of a block to streams (n_det, n_samp), in place; photon noise includes it, if present."""
+    if of.setup.scene.photon is None:
+        rate = of.setup.observing.scans.sample_rate_hz
+        add_white(data_mk, of.levels.detector_mk2_hz, rate, of.deviates(RandomPurpose.DETECTOR))

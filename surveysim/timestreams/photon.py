@@ -1,4 +1,4 @@
-"""Photon noise: white, with a part that overlapping pixels share."""
+"""Photon noise: white, with a part that overlapping pixels share. It is drawn together with detector noise."""
 
 from functools import lru_cache
 
@@ -12,13 +12,19 @@ from surveysim.timestreams.observed_block import ObservedBlock
 
 
 def add_photon_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
-    """Add the photon noise of a block to streams (n_det, n_samp), in place."""
+    """Add the photon noise of a block to streams (n_det, n_samp), in place, with the detector noise.
+
+    The sum of the two is one Gaussian noise, with one draw: of the levels p and d, of which pixels share ``s p``, its
+    level is p + d, of which they share ``s p``.
+    """
     setup, levels, deviates = of.setup, of.levels, of.deviates(RandomPurpose.PHOTON)
-    noise = (data_mk, levels.photon_mk2_hz, setup.observing.scans.sample_rate_hz)
-    if setup.camera.photon_correlation is None:
+    level = levels.photon_mk2_hz + levels.detector_mk2_hz
+    noise = (data_mk, level, setup.observing.scans.sample_rate_hz)
+    if setup.camera.photon_correlation is None or level == 0:
         add_white(*noise, deviates)
     else:
-        add_correlated_white(*noise, _shared_factor(setup.camera.photon_correlation, levels.shared), deviates)
+        share = levels.shared * levels.photon_mk2_hz / level
+        add_correlated_white(*noise, _shared_factor(setup.camera.photon_correlation, share), deviates)
 
 
 @lru_cache(maxsize=1)  # most scenes have one share for all observations

@@ -12,13 +12,13 @@ from mapmaker.stream_psd import hann_psd, white_level
 from mapmaker.wind import measure_wind, scan_velocities
 from surveysim.reduction import noise_only_sets as sets
 from surveysim.reduction import observation as reduction
-from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline, measured_delays
+from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline
+from surveysim.reduction.layer_delays import layer_motion, measured_delays
 from surveysim.reduction.map_noise import map_noise
 from surveysim.runtime.rng import RandomPurpose, generator, normal_deviates
 from surveysim.survey.coadds import add_observations, empty_coadds, observation_sums
 from surveysim.timestreams.atmosphere import add_atmosphere
 from surveysim.timestreams.low_frequency import add_low_frequency_noise
-from surveysim.timestreams.noise import add_white
 from surveysim.timestreams.observation import Stopwatch
 from surveysim.timestreams.photon import add_photon_noise
 from tests.benchmark.conftest import FLOOR, OBSERVATION
@@ -57,16 +57,9 @@ def test_excess(per_sample, lynx):
     per_sample("excess", lambda: add_low_frequency_noise(data, block))
 
 
-def test_photon(per_sample, lynx):
+def test_white_noise(per_sample, lynx):
     data, block = np.zeros_like(lynx.data_mk), lynx.observed_block
-    per_sample("photon", lambda: add_photon_noise(data, block))
-
-
-def test_detector(per_sample, lynx):
-    data = np.zeros_like(lynx.data_mk)
-    deviates = lynx.observed_block.deviates(RandomPurpose.DETECTOR)
-    psd, rate = lynx.setup.scene.detector.psd_mk2_hz, lynx.setup.observing.scans.sample_rate_hz
-    per_sample("detector", lambda: add_white(data, psd, rate, deviates))
+    per_sample("photon and detector", lambda: add_photon_noise(data, block))
 
 
 def test_pixels(per_sample, lynx):
@@ -90,7 +83,7 @@ def test_cleaning(per_sample, lynx, algorithm):
         update={"sigma_cut": 3.0, "neighbour_radius": 1.2, "order": 3, "regions": 1}
     )
     pipeline = CleaningPipeline("actual", (algorithm,))
-    delays = measured_delays((CleaningPipeline("actual", ("wind",)),), streams, rate)
+    delays = measured_delays([layer_motion(streams, rate)], streams.focal_plane)
     auxiliary = AuxiliaryData(delays, np.zeros((0, *streams.data_mk.shape), np.float32))
     options = {"scan_bounds": streams.scan_bounds, "focal_plane": streams.focal_plane}
     options |= {"auxiliary": auxiliary, "sample_rate_hz": rate}
@@ -124,8 +117,9 @@ def test_simulated_set(per_sample, lynx, name):
 
 def test_signal_simulation_of_one_sky(per_sample, lynx):
     """A sky through the streams of the whole and the masked array, with cleaning and without."""
-    part = reduction._reduce(lynx.setup, OBSERVATION, lynx.pointing, lynx.block, Stopwatch())
-    maps, skies = reduction._empty_signal_maps(lynx.setup, 1), lynx.setup.analysis.signal_skies_mk[:1]
+    options = {"delays_s_rad": None, "watch": Stopwatch()}
+    part = reduction._reduce(lynx.setup, OBSERVATION, lynx.pointing, lynx.block, **options)
+    maps, skies = reduction._empty_signal_maps(lynx.setup.analysis, 1), lynx.setup.analysis.signal_skies_mk[:1]
     per_sample("signal simulation, one sky", lambda: reduction._add_signal_maps(maps, part, skies))
 
 

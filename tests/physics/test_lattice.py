@@ -243,6 +243,33 @@ def test_streams_share_what_they_do_with_a_matrix(path, few_are_many):
     assert abs(shared[1]) < 0.03 * own
 
 
+@pytest.mark.parametrize("lattice", [False, True])
+@pytest.mark.parametrize("missing", [None, "photon", "detector"])
+def test_photon_and_detector_noise_add_up(path, request, lattice, missing):
+    """Covariance p ((1 - s) I + s C) + d I, in one draw; elements of it scatter as Wishart's."""
+    if lattice:
+        request.getfixturevalue("few_are_many")
+    settings = {
+        "scan.scans": 400,
+        "photon.psd": "2 mK2/Hz",
+        "detector.psd": "3 mK2/Hz",
+        "photon.coherent_fraction": 0.8,
+    }
+    settings = {key: value for key, value in settings.items() if not key.startswith(f"{missing}.")}
+    settings |= dict.fromkeys(("atmosphere", "excess", "sky", "score", *([missing] if missing else [])))
+    settings |= {"cleaning.algorithm": "none"}
+    ready = prepare(load_scene(path, settings))
+    data = draw_observation(ready, 0).data_mk.astype(float)
+    overlap = correlation_matrix(ready.camera.positions_f_lambda, "field")
+    if lattice and missing != "photon":
+        overlap = implied(ready.camera.photon_correlation, ready.camera.cells)
+    photon, detector = (0 if missing == name else level for name, level in (("photon", 2), ("detector", 3)))
+    expected = (photon * (0.2 * np.eye(18) + 0.8 * overlap) + detector * np.eye(18)) * RATE / 2
+    spread = np.sqrt((np.outer(np.diag(expected), np.diag(expected)) + expected**2) / data.shape[1])
+    assert (np.abs(data @ data.T / data.shape[1] - expected) < 4.5 * spread).all()
+    assert abs(np.mean(data[:, 1:] * data[:, :-1])) < 5 * expected.max() / np.sqrt(data.size / 18)
+
+
 def test_tables_of_many_detectors_share_nothing(path, few_are_many):
     """Positions without a lattice need a matrix; what they do not share needs none."""
     import astropy.units as u

@@ -10,13 +10,14 @@ import math
 import numpy as np
 import pytest
 
-from mapmaker.stream_psd import hann_psd, highest_frequency, white_level
+from mapmaker.stream_psd import hann_power, hann_psd, highest_frequency, white_level
 from surveysim.scene.noise_and_sky import Excess
 from surveysim.telescope.focal_plane import hexagon
 from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix, mutual_coherence
 from surveysim.timestreams.low_frequency import add_excess, excess_psd, excess_variance
 from surveysim.timestreams.noise import add_correlated_white, add_white, draw_from_psd
 from surveysim.timestreams.photon import photon_correlation
+from tests import naive
 from tests.deviates import deviates
 
 RATE = 10.0
@@ -55,6 +56,18 @@ def test_white_level_by_psd_and_by_variance(rng):
     assert np.abs(level / 2.5 - 1).max() < 5 * math.sqrt(HANN / (used * n_scans))
     correlation = np.corrcoef(data) - np.eye(n_det)
     assert np.abs(correlation).max() < 5 / math.sqrt(n_scans * n)
+
+
+@pytest.mark.parametrize(("kind", "tolerance"), [(np.float32, 1e-6), (np.float64, 1e-13)])
+@pytest.mark.parametrize("n", [12, 15])
+def test_power_equals_its_twin(rng, kind, tolerance, n):
+    data = (3 + rng.standard_normal((4, 3 * n))).astype(kind)
+    kept = np.array([True, False, True])
+    expected = naive.hann_power(data, 3, kept)
+    found = hann_power(data, 3, kept)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * expected.max())
+    assert found[:, 0].max() < (3 * n / 2) ** 2 / 4  # the power of the mean, 3, at f = 0 is twice (3 n / 2)^2
+    assert not hann_power(data, 3, np.zeros(3, bool)).any()
 
 
 def test_psd_of_kept_scans_only(rng):

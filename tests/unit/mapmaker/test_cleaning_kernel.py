@@ -1,13 +1,18 @@
-"""The iteration on the Gram matrix against the sample-by-sample twin."""
+"""The kernels of cleaning against their sample-by-sample twins."""
 
 import numpy as np
 import pytest
 
 from mapmaker.cleaning import TemplateOptions, responsivity
-from mapmaker.kernels.cleaning import iterate_responsivity
+from mapmaker.kernels.cleaning import iterate_responsivity, remove_means, subtract_templates
 from tests import naive
 
 N_DET, N_SAMP = 20, 60
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(1)
 
 
 def _scan(seed, n_par, noise=0.3):
@@ -126,3 +131,28 @@ def test_passes_end_where_the_gram_matrix_does(spoiled, monkeypatch):
         found.append(responsivity.fit_responsivity(lambda: (data,), basis, options))
     (by_gram, steps), (by_passes, as_many) = found
     assert steps == as_many and by_gram is by_passes is None
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_remove_means_equals_its_twin(rng, kind):
+    data = (100 + rng.standard_normal((5, 40))).astype(kind)
+    block = np.empty((5, 17))
+    assert remove_means(data[:, 3:20], block)
+    np.testing.assert_allclose(block, naive.remove_means(data[:, 3:20]), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("values", [[np.nan], [np.inf], [-np.inf], [np.inf, -np.inf]])
+def test_remove_means_finds_values_that_are_not_finite(rng, kind, values):
+    data = rng.standard_normal((5, 40)).astype(kind)
+    data[3, 7 : 7 + len(values)] = values
+    assert naive.remove_means(data) is None and not remove_means(data, np.empty(data.shape))
+    data[3, 7 : 7 + len(values)] = np.finfo(np.float32).max
+    assert remove_means(data, np.empty(data.shape))
+
+
+def test_subtract_templates_equals_its_twin(rng):
+    block, shapes, templates = (rng.standard_normal(shape) for shape in ((7, 12), (3, 7), (3, 12)))
+    expected = naive.subtract_templates(block, shapes, templates)
+    subtract_templates(block, shapes, templates)
+    np.testing.assert_allclose(block, expected, rtol=0, atol=1e-14)

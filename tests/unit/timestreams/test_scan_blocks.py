@@ -79,13 +79,6 @@ def test_a_scan_larger_than_the_machine_is_refused(setup_of, monkeypatch):
         setup_of(text, numerics__max_block_memory="1 MB", **long)
 
 
-def test_wind_cleaning_needs_an_observation_whole(setup_of):
-    long = {"scan__duration": "15 s", "cleaning__algorithm": "wind"}
-    with pytest.raises(SceneError, match="max_block_memory: found 0.03 MB, which cuts an observation into 2 .* 'wind'"):
-        setup_of(numerics__max_block_memory="30 kB", **long)
-    setup_of(numerics__max_block_memory="44 kB", **long)
-
-
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_scenarios_are_of_one_block_and_dense(path):
     _check_size(path, load_scene(path))
@@ -191,11 +184,16 @@ def test_streams_are_written_block_by_block(setup_of, tmp_path):
 
 
 def test_no_more_than_a_block_is_drawn_at_a_time(setup_of, monkeypatch):
-    from surveysim.timestreams import detector
+    from surveysim.timestreams import photon
 
     shapes = []
-    add = detector.add_white
-    monkeypatch.setattr(detector, "add_white", lambda data, *rest: shapes.append(data.shape) or add(data, *rest))
+    add = photon.add_correlated_white
+
+    def noted(data, *rest):
+        shapes.append(data.shape)
+        add(data, *rest)
+
+    monkeypatch.setattr(photon, "add_correlated_white", noted)
     observe(setup_of(blocks=4), 0, with_signal_sims=True)
     assert shapes == [(18, 60)] * 4
 
