@@ -15,8 +15,11 @@ For pairs weighted by ``|r|^2``, sums over all pairs factor into sums over detec
 mean and gradient. Neighbours, which share noise, have 0.2 % of the weight for 115 detectors; the pairs that measure the
 goodness of fit exclude them. The delays found so far are removed before the gradient is fitted, so that delays may be
 long.
+
+`fit_wind` measures an observation that does not fit in memory, from the transforms of its blocks (`wind_transforms`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan2, pi
 
@@ -34,9 +37,19 @@ from mapmaker.wind_checks import (
     pair_slopes,
     quadratic_shapes,
 )
-from mapmaker.wind_delays import LOWEST_BIN, MIN_BINS, ROUNDS, Delays, ScanSpectra, measure_slowness, scan_spectra
+from mapmaker.wind_delays import (
+    LOWEST_BIN,
+    MIN_BINS,
+    ROUNDS,
+    Delays,
+    ScanSpectra,
+    measure_slowness,
+    scan_spectra,
+    scan_transforms,
+)
 
-_MIN_DETECTORS, _MIN_SCANS = 7, 3
+_MIN_DETECTORS = 7
+MIN_SCANS = 3
 HIGHEST_HZ, LEAST_CYCLES = 1.0, LOWEST_BIN + MIN_BINS  # upper end of the band [Hz]; cycles of its lower end in a scan
 _SHORTEST = 1e-3  # delay from the array's centre, in samples, below which there is none
 _CERTAIN = 0.12  # largest relative error of a trusted wind
@@ -82,6 +95,27 @@ class WindFit:
     goodness: float
     highest_hz: float
     flag: str
+
+
+@dataclass(frozen=True)
+class WindTransforms:
+    """Transforms of some scans of an observation, without their time-streams.
+
+    Attributes
+    ----------
+    scans : (n_scan, n_det, 4 n_freq)
+        `mapmaker.wind_delays.scan_transforms`.
+    live : (n_det,)
+        Detectors that are constant in none of the scans.
+    n_samp
+        Samples of a scan.
+    sample_rate_hz
+    """
+
+    scans: np.ndarray
+    live: np.ndarray
+    n_samp: int
+    sample_rate_hz: float
 
 
 def scan_velocities(streams: Timestreams) -> np.ndarray:
@@ -148,26 +182,84 @@ def measure_wind(
     ValueError
         For values that are not finite, and for shapes, scans or a band that do not match.
     """
-    data_mk = reals("data_mk", data_mk, (len(focal_plane.x_rad), "n_samp"))
-    scan_bounds = bounds_of_scans(scan_bounds, data_mk.shape[1])
-    velocity = _checked_velocity(scan_bounds, scan_velocity_rad_s, sample_rate_hz, highest_hz)
-    live = np.all([np.ptp(data_mk[:, start:stop], axis=1) > 0 for start, stop in scan_bounds], axis=0)
+    data_mk, scan_bounds = _checked_streams(data_mk, scan_bounds, focal_plane)
+    velocity = _checked_velocity(scan_velocity_rad_s, len(scan_bounds))
+    _check_band(scan_bounds, sample_rate_hz, highest_hz)
+    return _fit([_transforms(data_mk, scan_bounds, sample_rate_hz, highest_hz)], focal_plane, velocity)
+
+
+def wind_transforms(
+    data_mk: np.ndarray,
+    scan_bounds: np.ndarray,
+    focal_plane: FocalPlane,
+    *,
+    sample_rate_hz: float,
+    highest_hz: float = HIGHEST_HZ,
+) -> WindTransforms:
+    """Transform some scans of an observation for `fit_wind`; arguments and errors as for `measure_wind`."""
+    data_mk, scan_bounds = _checked_streams(data_mk, scan_bounds, focal_plane)
+    _check_band(scan_bounds, sample_rate_hz, highest_hz)
+    return _transforms(data_mk, scan_bounds, sample_rate_hz, highest_hz)
+
+
+def fit_wind(blocks: Sequence[WindTransforms], focal_plane: FocalPlane, *, scan_velocity_rad_s: np.ndarray) -> WindFit:
+    """Measure the wind of an observation from the transforms of its blocks, as `measure_wind` from its streams.
+
+    Parameters
+    ----------
+    blocks
+        Transforms of all scans in order.
+    focal_plane
+    scan_velocity_rad_s : (n_scan, 2)
+        Velocity of the boresight in the array frame, in all scans.
+
+    Returns
+    -------
+    WindFit
+
+    Raises
+    ------
+    ValueError
+        For no block, blocks that do not match, too few scans, and another number of velocities.
+    """
+    if len({(block.n_samp, block.sample_rate_hz, block.scans.shape[1:]) for block in blocks}) != 1:
+        raise ValueError(
+            f"{len(blocks)} blocks found; one or more with equal detectors, rates and scan lengths are allowed"
+        )
+    n_scan = sum(len(block.scans) for block in blocks)
+    return _fit(blocks, focal_plane, _checked_velocity(scan_velocity_rad_s, n_scan))
+
+
+def _fit(blocks: Sequence[WindTransforms], focal_plane: FocalPlane, velocity: np.ndarray) -> WindFit:
+    live, rate = np.all([block.live for block in blocks], axis=0), blocks[0].sample_rate_hz
     x, y = focal_plane.x_rad[live], focal_plane.y_rad[live]
     if live.sum() < _MIN_DETECTORS or np.linalg.matrix_rank(quadratic_shapes(x, y)) < 6:
         return _nothing("too few live detectors")
-    spectra = scan_spectra(
-        data_mk[live], scan_bounds, places_rad=np.stack([x, y]), rate=sample_rate_hz, highest_hz=highest_hz
-    )
+    scans = np.concatenate([block.scans for block in blocks]).compress(live, axis=1)
+    spectra = scan_spectra(scans, places_rad=np.stack([x, y]), bin_hz=rate / blocks[0].n_samp)
     groups = _groups(velocity)
     found = measure_slowness(spectra, groups)
-    if found is None or np.abs(found.slowness @ spectra.r_rad).max() * sample_rate_hz < _SHORTEST:
+    if found is None or np.abs(found.slowness @ spectra.r_rad).max() * rate < _SHORTEST:
         return _nothing("no coherent delay")
     return _wind_fit(spectra, found, groups, velocity)
 
 
-def _checked_velocity(bounds: np.ndarray, velocity: np.ndarray, rate: float, highest_hz: float) -> np.ndarray:
-    if len(bounds) < _MIN_SCANS:
-        raise InsufficientDataError(f"{len(bounds)} scans found; at least {_MIN_SCANS} are needed")
+def _transforms(data_mk: np.ndarray, bounds: np.ndarray, rate: float, highest_hz: float) -> WindTransforms:
+    live = np.all([np.ptp(data_mk[:, start:stop], axis=1) > 0 for start, stop in bounds], axis=0)
+    scans = scan_transforms(data_mk, bounds, rate=rate, highest_hz=highest_hz)
+    return WindTransforms(scans, live, int(bounds[0, 1] - bounds[0, 0]), rate)
+
+
+def _checked_streams(
+    data_mk: np.ndarray, scan_bounds: np.ndarray, focal_plane: FocalPlane
+) -> tuple[np.ndarray, np.ndarray]:
+    data_mk = reals("data_mk", data_mk, (len(focal_plane.x_rad), "n_samp"))
+    return data_mk, bounds_of_scans(scan_bounds, data_mk.shape[1])
+
+
+def _check_band(bounds: np.ndarray, rate: float, highest_hz: float) -> None:
+    if not len(bounds):
+        raise InsufficientDataError("no scan found; one or more are needed")
     length = np.diff(bounds, axis=1)
     if np.ptp(length):
         raise ValueError("scans of different lengths found; scans of one length are allowed")
@@ -176,7 +268,12 @@ def _checked_velocity(bounds: np.ndarray, velocity: np.ndarray, rate: float, hig
         raise OutOfRangeError(
             f"highest_hz = {highest_hz} found; {lowest:.3g} to less than {rate / 2:.3g} Hz is allowed"
         )
-    return reals("scan_velocity_rad_s", velocity, (len(bounds), 2)).astype(np.float64, copy=False)
+
+
+def _checked_velocity(velocity: np.ndarray, n_scan: int) -> np.ndarray:
+    if n_scan < MIN_SCANS:
+        raise InsufficientDataError(f"{n_scan} scans found; at least {MIN_SCANS} are needed")
+    return reals("scan_velocity_rad_s", velocity, (n_scan, 2)).astype(np.float64, copy=False)
 
 
 def _groups(velocity: np.ndarray) -> list[np.ndarray]:
@@ -185,7 +282,7 @@ def _groups(velocity: np.ndarray) -> list[np.ndarray]:
     """
     along = velocity @ velocity[0] >= 0
     split = [np.flatnonzero(along), np.flatnonzero(~along)]
-    return split if min(map(len, split)) >= _MIN_SCANS else [np.arange(len(velocity))]
+    return split if min(map(len, split)) >= MIN_SCANS else [np.arange(len(velocity))]
 
 
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")  # without delays the wind is infinite

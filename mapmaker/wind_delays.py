@@ -77,9 +77,7 @@ class Delays:
     left_out: np.ndarray
 
 
-def scan_spectra(
-    data: np.ndarray, bounds: np.ndarray, *, places_rad: np.ndarray, rate: float, highest_hz: float
-) -> ScanSpectra:
+def scan_transforms(data: np.ndarray, bounds: np.ndarray, *, rate: float, highest_hz: float) -> np.ndarray:
     """Transform scans at the lowest frequencies under a Hann taper and its derivative.
 
     Parameters
@@ -87,10 +85,13 @@ def scan_spectra(
     data : (n_det, n_samp)
     bounds : (n_scan, 2)
         Scans of equal length.
-    places_rad : (2, n_det)
-        Detector positions.
     rate, highest_hz
         Sample rate, and highest frequency [Hz].
+
+    Returns
+    -------
+    (n_scan, n_det, 4 n_freq) array
+        Real parts under the taper and under its derivative, then the imaginary parts.
     """
     n = int(bounds[0, 1] - bounds[0, 0])
     scans = np.stack([data[:, start:stop] for start, stop in bounds]).astype(np.float64)
@@ -101,12 +102,27 @@ def scan_spectra(
     taper, slope = 0.5 * (1 - np.cos(turn)), (pi * rate / n) * np.sin(turn)
     # A few bins only, so a product is faster than whole transforms.
     basis = np.hstack([taper[:, None] * wave, slope[:, None] * wave])
-    parts = scans @ np.hstack([basis.real, basis.imag])
-    both = (parts[..., : 2 * len(cycles)] + 1j * parts[..., 2 * len(cycles) :]).transpose(2, 0, 1)
-    d, e = both.reshape(2, len(cycles), *both.shape[1:])
+    return scans @ np.hstack([basis.real, basis.imag])
+
+
+def scan_spectra(transforms: np.ndarray, *, places_rad: np.ndarray, bin_hz: float) -> ScanSpectra:
+    """Convert the transforms of all scans of an observation, `scan_transforms`, to relative spectra.
+
+    Parameters
+    ----------
+    transforms : (n_scan, n_det, 4 n_freq)
+        Of detectors that are not constant.
+    places_rad : (2, n_det)
+        Detector positions.
+    bin_hz
+        One cycle a scan.
+    """
+    n_freq = transforms.shape[2] // 4
+    both = (transforms[..., : 2 * n_freq] + 1j * transforms[..., 2 * n_freq :]).transpose(2, 0, 1)
+    d, e = both.reshape(2, n_freq, *both.shape[1:])
     scale = 1 / np.sqrt(np.mean(np.abs(d) ** 2, axis=1, keepdims=True))
     r = places_rad - places_rad.mean(axis=1, keepdims=True)
-    return ScanSpectra(d * scale, e * scale, cycles * (rate / n), r)
+    return ScanSpectra(d * scale, e * scale, np.arange(LOWEST_BIN, LOWEST_BIN + n_freq) * bin_hz, r)
 
 
 def _align(spectra: ScanSpectra, slowness: np.ndarray, f_hz: np.ndarray) -> AlignedSpectra:

@@ -3,10 +3,14 @@
 The eigenvectors of each scan's covariance whose log-eigenvalues are outliers are projected out. Eigenvalues that are
 zero except for rounding, because of fewer samples than detectors or of an earlier cleaning, are not counted in the
 distribution.
+
+A matrix of at most `MOST_DENSE` detectors (or samples, if fewer) has all its eigenvectors computed. A larger one is
+reduced to tridiagonal form, which gives all eigenvalues, and only the eigenvectors that are projected out.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import floor
 from typing import TYPE_CHECKING
@@ -27,6 +31,9 @@ _ZERO = 2.0**-46
 # The Gram matrix rounds its small eigenvalues by some 1e-16 of the largest. Where they are below this fraction, the
 # singular values of the streams are used, which takes twice the time.
 _BURIED = 1e-11
+# The largest matrix with all eigenvectors, which take as long as its reduction to tridiagonal form or longer.
+MOST_DENSE = 4000
+_STRONG = 8.0  # times the median eigenvalue: modes that are removed before the others are measured anew
 _MOST_SIGMA = 1e6  # larger cuts need more detectors than any camera has
 # Logarithms of equal eigenvalues differ by rounding, which must not count as outliers.
 _ROUNDING = 1e-9
@@ -100,25 +107,84 @@ def _project(block: np.ndarray, sigma_cut: float) -> Fit:
         return Fit(None)
     n_det, n_samp = block.shape
     across = n_det <= n_samp
-    eigenvalues, vectors = _spectrum(block, across)
+    eigenvalues, leading = (
+        _spectrum(block, across) if min(block.shape) <= MOST_DENSE else _large_spectrum(block, across)
+    )
     most = min(n_det, n_samp - 1)
     rank = int(np.sum(eigenvalues[len(eigenvalues) - most :] > _ZERO * np.square(block).sum(axis=1).max()))
     if rank < min_eigenvalues(sigma_cut) <= most:
         return Fit(None)
     n_modes = count_outliers(eigenvalues[len(eigenvalues) - rank :], sigma_cut)
-    modes = vectors[:, len(eigenvalues) - n_modes :]
-    block -= modes @ (modes.T @ block) if across else (block @ modes) @ modes.T
+    _remove(block, leading(n_modes), across)
     return Fit(np.ones(n_det), 0, n_modes)
 
 
-def _spectrum(block: np.ndarray, across: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues in rising order, and modes (columns) of the detectors if `across`, else of the samples.
+def _remove(block: np.ndarray, modes: np.ndarray, across: bool) -> None:
+    """Project modes (columns) of the detectors if `across`, else of the samples, out of a scan, in place."""
+    block -= modes @ (modes.T @ block) if across else (block @ modes) @ modes.T
+
+
+def _gram(block: np.ndarray, across: bool) -> np.ndarray:
+    return block @ block.T if across else block.T @ block
+
+
+def _is_buried(eigenvalues: np.ndarray, across: bool) -> bool:
+    """Tell whether rounding reaches the smallest eigenvalue."""
+    # For samples, the mean is a mode without power.
+    return not eigenvalues[0 if across else 1] > _BURIED * eigenvalues[-1]
+
+
+_Spectrum = tuple[np.ndarray, Callable[[int], np.ndarray]]
+
+
+def _spectrum(block: np.ndarray, across: bool) -> _Spectrum:
+    """Eigenvalues in rising order, and a function of k: the k leading modes of the detectors if `across`, else samples.
 
     Both have the same non-zero eigenvalues: the smaller matrix is faster.
     """
-    eigenvalues, vectors = np.linalg.eigh(block @ block.T if across else block.T @ block)
-    # For samples, the mean is a mode without power.
-    if eigenvalues[0 if across else 1] > _BURIED * eigenvalues[-1]:
-        return eigenvalues, vectors
-    left, singular, right = np.linalg.svd(block, full_matrices=False)
-    return singular[::-1] ** 2, (left if across else right.T)[:, ::-1]
+    eigenvalues, vectors = np.linalg.eigh(_gram(block, across))
+    if _is_buried(eigenvalues, across):
+        left, singular, right = np.linalg.svd(block, full_matrices=False)
+        eigenvalues, vectors = singular[::-1] ** 2, (left if across else right.T)[:, ::-1]
+    return eigenvalues, lambda k: vectors[:, len(eigenvalues) - k :]
+
+
+def _large_spectrum(block: np.ndarray, across: bool) -> _Spectrum:
+    """Compute `_spectrum` without the eigenvectors of small eigenvalues; eigenvalues that are rounding are 0."""
+    eigenvalues, leading = _tridiagonal_spectrum(_gram(block, across))
+    n, largest = len(eigenvalues), eigenvalues[-1]
+    strong = int(np.sum(eigenvalues > _STRONG * np.median(eigenvalues)))
+    if strong and _is_buried(eigenvalues, across):
+        weak = block.copy()
+        _remove(weak, leading(strong), across)
+        # The lowest eigenvalues are those of the removed modes.
+        eigenvalues[: n - strong] = np.linalg.eigvalsh(_gram(weak, across))[strong:]
+        largest = eigenvalues[n - strong - 1]
+    eigenvalues[eigenvalues < n * np.finfo(float).eps * largest] = 0.0
+    return eigenvalues, leading
+
+
+def _tridiagonal_spectrum(matrix: np.ndarray) -> _Spectrum:
+    """Eigenvalues of a symmetric matrix in rising order, and a function of k: the k leading eigenvectors (columns).
+
+    The matrix is overwritten.
+    """
+    from scipy.linalg import eigh_tridiagonal, eigvalsh_tridiagonal
+    from scipy.linalg.lapack import dormqr, dsytrd, dsytrd_lwork
+
+    n = len(matrix)
+    with threadpool_limits(limits=1):  # of scipy's own library too, once it is imported
+        work = int(dsytrd_lwork(n, lower=1)[0])
+        reflectors, diagonal, off_diagonal, tau, _ = dsytrd(matrix.T, lower=1, lwork=work, overwrite_a=1)
+        eigenvalues = eigvalsh_tridiagonal(diagonal, off_diagonal)
+
+    @threadpool_limits.wrap(limits=1)
+    def leading(k: int) -> np.ndarray:
+        if k == 0:
+            return np.zeros((n, 0))
+        vectors = eigh_tridiagonal(diagonal, off_diagonal, select="i", select_range=(n - k, n - 1))[1]
+        # The first row and column are not reflected.
+        vectors[1:] = dormqr("L", "N", reflectors[1:, :-1], tau, vectors[1:], 64 * k)[0]
+        return vectors
+
+    return eigenvalues, leading

@@ -95,6 +95,11 @@ class AnalysisSetup:
         return any(pipeline.uses("spectral") for pipeline in self.pipelines)
 
     @property
+    def uses_wind(self) -> bool:
+        """Return whether a pipeline needs the wind."""
+        return any(pipeline.uses("wind") for pipeline in self.pipelines)
+
+    @property
     def transfer_function_names(self) -> tuple[str, ...]:
         """Names of the data sets that have a transfer function of their own; the others share the first."""
         return tuple(item.name for item in self.data_sets if item.own_transfer_function)

@@ -16,14 +16,11 @@ from mapmaker.cleaning import (
     WindOptions,
     clean_in_order,
     detectors_needed,
-    slowness,
 )
 from mapmaker.cleaning.responsivity import SCAN, Responsivities
-from mapmaker.timestreams import FocalPlane, Timestreams
-from mapmaker.wind import measure_wind, scan_velocities
+from mapmaker.timestreams import FocalPlane
 from surveysim.scene.analysis import Cleaning
 
-LONGEST_DELAY = 0.2  # longest delay, as a fraction of a scan; the wind model allows a quarter
 ACTUAL, OPTIMAL = "actual", "optimal"
 
 
@@ -152,39 +149,3 @@ def _cleaned_alike(
     for start, stop in scan_bounds[~cleaned.kept]:
         cleaned.data_mk[:, start:stop] = np.nan
     return cleaned.data_mk
-
-
-def auxiliary_data(
-    pipelines: tuple[CleaningPipeline, ...],
-    streams: Timestreams,
-    other_bands_mk: np.ndarray,
-    calibration: np.ndarray | None,
-    sample_rate_hz: float,
-) -> AuxiliaryData:
-    """Collect the auxiliary data of one observation."""
-    return AuxiliaryData(measured_delays(pipelines, streams, sample_rate_hz), other_bands_mk, calibration)
-
-
-def measured_delays(pipelines: tuple[CleaningPipeline, ...], streams: Timestreams, sample_rate_hz: float) -> np.ndarray:
-    """Measure the slowness (n_scan, 2) [s/rad] of the layer from the wind in the streams.
-
-    0 without a pipeline that uses it, without a valid measurement, and for scans with too long delays.
-    """
-    none = np.zeros((len(streams.scan_bounds), 2))
-    if not any(pipeline.uses("wind") for pipeline in pipelines):
-        return none
-    velocity = scan_velocities(streams)
-    wind = measure_wind(
-        streams.data_mk,
-        streams.scan_bounds,
-        streams.focal_plane,
-        sample_rate_hz=sample_rate_hz,
-        scan_velocity_rad_s=velocity,
-    )
-    if wind.flag:
-        return none
-    found, plane = slowness(wind.velocity_rad_s, velocity), streams.focal_plane
-    radius = np.hypot(plane.x_rad - plane.x_rad.mean(), plane.y_rad - plane.y_rad.mean()).max()
-    seconds = np.diff(streams.scan_bounds, axis=1) / sample_rate_hz
-    # A layer that hardly moves against the scan can't be followed within it.
-    return np.where(np.hypot(*found.T)[:, None] * radius < LONGEST_DELAY * seconds, found, 0.0)

@@ -8,15 +8,16 @@ from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry, check_nside, plane_offsets
 from mapmaker.stream_psd import highest_frequency
 from mapmaker.transfer_function import beam_window
-from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES
+from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES, MIN_SCANS
 from surveysim.atmosphere.weather import Water
 from surveysim.reduction.cleaning_pipelines import needed_detectors
 from surveysim.reduction.scored_region import FAINTEST, padded_side
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.scene.scene import Scene
+from surveysim.telescope.directions import Site
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.noise_levels import white_levels
-from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, Site, near_angles
+from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, near_angles
 from surveysim.telescope.scans import Scans, samples_per_scan
 
 MAX_REACH_RAD = math.radians(15)
@@ -30,7 +31,7 @@ MAX_TURN_BEAMS = 0.1  # largest motion of the array's edge by the rotation of th
 MAX_AIRMASS_CHANGE = 0.02  # largest relative change in half a scan: 2.7 % of the layer's amplitude at an index of 11/3
 FEW_MODES = 64  # modes along an axis among which an empty bin is found, if there is one
 MOST_BINS = 1_000_000
-MAX_MODES = 4000  # the eigenvectors of so many take half a minute a scan
+MAX_MODES = 10_000  # the eigenvalues of so many take some minutes a scan
 
 
 def check_templates(scene: Scene, cam: Camera) -> None:
@@ -52,7 +53,12 @@ def check_templates(scene: Scene, cam: Camera) -> None:
         if "pca" in steps and min(samples, n_det) > MAX_MODES:
             raise SceneError(
                 f"cleaning.{key}: found 'pca' with {n_det} detectors and scans of {samples} samples; "
-                f"{MAX_MODES} or fewer of one are expected, as it takes all eigenvectors of the smaller number"
+                f"{MAX_MODES} or fewer of one are expected, as it takes all eigenvalues of the smaller number"
+            )
+        if "wind" in steps and scene.scan.scans < MIN_SCANS:
+            raise SceneError(
+                f"cleaning.{key}: found 'wind' with {scene.scan.scans} scans; {MIN_SCANS} or more are expected to"
+                " measure it"
             )
         cycles = scene.scan.duration_s * HIGHEST_HZ
         if "wind" in steps and (cycles < LEAST_CYCLES or scene.scan.sample_rate_hz <= 2 * HIGHEST_HZ):
@@ -160,10 +166,10 @@ def _check_turn(number: int, up_rad: np.ndarray, turn_rad: np.ndarray, radius_ra
     if turn_rad[worst] * radius_rad > allowed_rad:
         raise SceneError(
             f"scan.duration: found scans of observation {number}, at {math.degrees(up_rad[worst]):.1f} deg elevation,"
-            f" that the sky turns in half a scan by {math.degrees(turn_rad[worst]):.2g} deg: the array's edge moves by"
-            f" {math.degrees(turn_rad[worst] * radius_rad) * 3600:.3g} arcsec on it; {MAX_TURN_BEAMS:g} of a beam,"
-            f" {math.degrees(allowed_rad) * 3600:.3g} arcsec, or less is expected: shorter scans, or a field that stays"
-            " away from the zenith"
+            f" during which the sky turns by {math.degrees(turn_rad[worst]):.2g} deg in half a scan and the array's"
+            f" edge moves by {math.degrees(turn_rad[worst] * radius_rad) * 3600:.3g} arcsec; {MAX_TURN_BEAMS:g} of a"
+            f" beam, {math.degrees(allowed_rad) * 3600:.3g} arcsec, or less is expected: shorter scans, or a field that"
+            " stays away from the zenith"
         )
 
 

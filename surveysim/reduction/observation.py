@@ -1,7 +1,7 @@
 """Reduction of one observation: cleaning by every pipeline, maps of every data set, noise levels, the best pipeline.
 
 The blocks of the observation are drawn and added up one by one. The noise-only sets need the PSDs of all blocks, so
-they are drawn in a second pass.
+they are drawn in a second pass. Wind cleaning needs the wind of all blocks, so several blocks are drawn for it first.
 """
 
 from collections.abc import Callable
@@ -20,15 +20,9 @@ from mapmaker.stream_psd import hann_power, hann_scale, white_level
 from mapmaker.timestreams import Timestreams, timestream_file
 from surveysim.atmosphere.weather import Weather
 from surveysim.reduction.analysis import AnalysisSetup
-from surveysim.reduction.cleaning_pipelines import (
-    ACTUAL,
-    OPTIMAL,
-    AuxiliaryData,
-    CleaningPipeline,
-    apply_pipeline,
-    auxiliary_data,
-)
+from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL, AuxiliaryData, CleaningPipeline, apply_pipeline
 from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
+from surveysim.reduction.layer_delays import block_delays, delays_of_all_blocks
 from surveysim.reduction.map_noise import map_noise
 from surveysim.reduction.noise_only_sets import add_simulated
 from surveysim.reduction.setup import Setup
@@ -146,10 +140,10 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
         File for the time-streams before cleaning; None for none.
     """
     watch, (_, pointing) = Stopwatch(), observation_path(setup.observing, observation)
-    sums = _empty_sums(setup, with_signal_sims)
+    sums, delays = _empty_sums(setup, with_signal_sims), delays_of_all_blocks(setup, observation, pointing, watch)
     with nullcontext(lambda streams: None) if path is None else timestream_file(path, len(pointing.time_s)) as save:
         for block in setup.observing.blocks:
-            _add_part(sums, _reduce(setup, observation, pointing, block, watch), save, watch)
+            _add_part(sums, _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch), save, watch)
     kept = np.concatenate(sums.kept, axis=1)
     psd = sums.power / max(1, kept[0].sum()) * _psd_scale(setup.observing.scans, setup.stream_type)
     white = np.full(1, np.nan)
@@ -196,8 +190,12 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
 
 def kept_scans(setup: Setup, observation: int) -> np.ndarray:
     """Find the scans that each pipeline keeps of an observation, (n_pipeline, n_scan) bool."""
-    _, pointing = observation_path(setup.observing, observation)
-    parts = (_reduce(setup, observation, pointing, block, Stopwatch()) for block in setup.observing.blocks)
+    (_, pointing), watch = observation_path(setup.observing, observation), Stopwatch()
+    delays = delays_of_all_blocks(setup, observation, pointing, watch)
+    parts = (
+        _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch)
+        for block in setup.observing.blocks
+    )
     return np.concatenate([[item.kept for item in part.cleaned] for part in parts], axis=1)
 
 
@@ -228,8 +226,16 @@ def _add_part(sums: _Sums, part: _Part, save: Callable[[Timestreams], None], wat
             _add_signal_maps(sums.signal_maps, part, setup.analysis.signal_skies_mk)
 
 
-def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> _Part:
-    """Draw and clean one block of an observation with the pointing `whole`."""
+def _reduce(
+    setup: Setup,
+    observation: int,
+    whole: Pointing,
+    block: Block,
+    *,
+    delays_s_rad: np.ndarray | None,
+    watch: Stopwatch,
+) -> _Part:
+    """Draw and clean one block of an observation with the pointing `whole`; without delays they are the block's own."""
     streams = draw_block(setup, observation, whole, block, watch)
     pointing, plane = whole.scans(block.first, block.end), streams.focal_plane
     with watch("pixels"):
@@ -238,9 +244,10 @@ def _reduce(setup: Setup, observation: int, whole: Pointing, block: Block, watch
         index = tuple(pixels[pipeline.rows] for pipeline in setup.analysis.pipelines)
     with watch("wind"):
         bands = _other_bands(setup, observation, whole, block)
-        rate = setup.observing.scans.sample_rate_hz
-        auxiliary = auxiliary_data(setup.analysis.pipelines, streams, bands, setup.analysis.calibration, rate)
-    section, cleaned, everyone = setup.scene.cleaning, [], np.ones(block.n_scans, bool)
+        delays = block_delays(setup, streams) if delays_s_rad is None else delays_s_rad[block.first : block.end]
+        auxiliary = AuxiliaryData(delays, bands, setup.analysis.calibration)
+    section, rate = setup.scene.cleaning, setup.observing.scans.sample_rate_hz
+    cleaned, everyone = [], np.ones(block.n_scans, bool)
     for pipeline in setup.analysis.pipelines:
         with watch("cleaning" if pipeline.steps == section.algorithm else f"cleaning {pipeline.label}"):
             data = streams.data_mk[pipeline.rows]
@@ -392,7 +399,9 @@ def transfer_functions(setup: Setup) -> np.ndarray:
 
 def _signals_in_block(setup: Setup, observation: int, block: Block, skies_mk: np.ndarray) -> np.ndarray:
     """Simulate signals in one block of an observation, and nothing else of it."""
-    signal_maps = _empty_signal_maps(setup.analysis, len(skies_mk))
+    signal_maps, watch = _empty_signal_maps(setup.analysis, len(skies_mk)), Stopwatch()
     _, pointing = observation_path(setup.observing, observation)
-    _add_signal_maps(signal_maps, _reduce(setup, observation, pointing, block, Stopwatch()), skies_mk)
+    delays = delays_of_all_blocks(setup, observation, pointing, watch)
+    part = _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch)
+    _add_signal_maps(signal_maps, part, skies_mk)
     return signal_maps

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from mapmaker.wind import HIGHEST_HZ
 from surveysim.atmosphere.weather import Water, fastest_wind, survey_weather
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.memory import machine_bytes
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 PROGRAM_BYTES = 250e6  # Python and the libraries
 MANY_SAMPLES = 1e9  # detector-samples; each takes 0.07 to 6 microseconds of a core
+LEAF = 16  # observations that are added one after the other; groups of them are added in pairs
+LARGE_SUMS = 128e6  # bytes: larger sums over observations are held once
 MANY_PIXELS = 4e6  # map pixels: a minute for the skies and the score
 MOST_DRAWN = 1000  # most observations whose weather is drawn for the check
 
@@ -109,6 +112,11 @@ class Sizes:
     n_coefficients: int
 
 
+def sums_held(n_obs: int, sums_bytes: float) -> int:
+    """Largest number of sums over observations that a run holds: the nodes of a tree, or one set where it is large."""
+    return 1 if sums_bytes > LARGE_SUMS else 2 + (n_obs // LEAF).bit_length()
+
+
 def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     """Estimate the memory [bytes] of the largest process of a run, by the scene key that it depends on most.
 
@@ -120,15 +128,18 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     skies = of.n_sky * (8 * 4 * of.n_pixel + 16 * of.n_transfer * of.n_pixel + 40 * of.n_transfer * patch)
     shared = any(section and section.coherence != "none" for section in (scene.photon, scene.excess))
     pairs = of.n_det**2 if shared and of.n_det <= MOST_DENSE else 0
+    sums = 8.0 * flips * of.n_set * patch + 24.0 * of.n_set * of.n_pixel
+    more_sums = (sums_held(scene.observations, sums) - 1) * sums
     compared = 2 + len(scene.cleaning.compare)
     # A block of one scan does not depend on the limit.
     block_key = "numerics.max_block_memory" if of.n_scans > 1 else "scan.duration"
     needed = {
         block_key: of.n_det * of.n_samp * of.n_scans * (5 + of.n_bands) * real + 16 * of.n_det * n_freq,
+        "cleaning.algorithm": _cleaning_memory(scene, of),
         "scan.sample_rate": 100.0 * scene.scan.scans * of.n_samp,
         "map.pixel": 64.0 * of.n_set * of.n_pixel + (140.0 * of.n_pixel if scene.sky or scene.score else 0),
         "score.signal_sims.skies": float(skies),
-        "score.jackknives": 12.0 * flips * of.n_set * patch,
+        "score.jackknives": 12.0 * flips * of.n_set * patch + more_sums,
         "score.size": 110.0 * of.n_pad**2,
         "atmosphere.layer_height": 32.0 * of.strip_elements,
         "instrument.layout": 32.0 * pairs,
@@ -136,6 +147,14 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
         "sky.curved_lmax": 48.0 * of.n_coefficients,
     }
     return {key: float(size) for key, size in needed.items()} | {"instrument": PROGRAM_BYTES}
+
+
+def _cleaning_memory(scene: Scene, of: Sizes) -> float:
+    """Memory [bytes] of the eigenvectors of one scan, and of the transforms of all scans that tell the wind."""
+    steps = {name for pipeline in (scene.cleaning.algorithm, *scene.cleaning.compare) for name in pipeline}
+    eigenvectors = 32.0 * min(of.n_det, of.n_samp) ** 2
+    transforms = 200.0 * of.n_det * scene.scan.scans * scene.scan.duration_s * HIGHEST_HZ
+    return eigenvectors * ("pca" in steps) + transforms * ("wind" in steps)
 
 
 def check_memory(needed: Mapping[str, float]) -> None:

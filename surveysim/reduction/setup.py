@@ -31,7 +31,7 @@ from surveysim.scene.instrument import Instrument, OtherBand
 from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import Camera, camera, mask_by_separation
 from surveysim.telescope.pixel_coherence import MOST_DENSE
-from surveysim.telescope.pointing import Schedule, near_hour_angle_dec
+from surveysim.telescope.pointing import Schedule
 from surveysim.telescope.responsivity import assumed_responsivity, band_responsivity, true_responsivity
 from surveysim.telescope.scan_pattern import scan_pattern
 from surveysim.telescope.scans import Scans, mid_times, samples_per_scan
@@ -92,7 +92,7 @@ def _prepare(scene: Scene) -> Setup:
     check_sky(scene, sky_geometry)
     scene_pipelines = pipelines(scene.cleaning, masked)
     responsivity, of_bands = true_responsivity(scene, n_det), band_responsivity(scene, n_det)
-    times, water = observing_schedule(scene, scans, near_hour_angle_dec), _water(scene, scene.instrument)
+    times, water = observing_schedule(scene, scans), _water(scene, scene.instrument)
     lowest = _lowest(scene, cam, times, mid_times(scans))
     check_levels(scene, water, lowest)
     check_sources(scene, sky_geometry)
@@ -156,11 +156,6 @@ def _blocks(scene: Scene, n_det: int, scans: Scans, scene_pipelines: tuple[Clean
     scan_bytes = n_det * n_samp * (1 + bands) * np.dtype(np.float32).itemsize
     key = f"numerics.max_block_memory: found {most / 1e6:.4g} MB"
     found = scan_blocks(scans.n_scans, scan_bytes, most)
-    if len(found) > 1 and any(pipeline.uses("wind") for pipeline in scene_pipelines):
-        raise SceneError(
-            f"{key}, which cuts an observation into {len(found)} blocks; 'wind' cleaning needs it whole: "
-            f"{scan_bytes * scans.n_scans / 1e6:.4g} MB or more is expected, or another cleaning.algorithm"
-        )
     together = scene.cleaning.responsivities == OBSERVATION and any(
         pipeline.takes_responsivities for pipeline in scene_pipelines
     )

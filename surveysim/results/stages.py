@@ -48,7 +48,7 @@ def left_out(setup: Setup) -> dict[str, str]:
     scene = setup.scene
     reasons = {name: f"no section [{name}]{OPTIONAL[name]}" for name in absent_sections(scene)}
     if scene.fixed_pointing:
-        reasons["ephemerides"] = "a fixed elevation needs no astropy.coordinates"
+        reasons["ephemerides"] = "a fixed elevation needs none"
     if setup.air.water is None:
         reasons["opacity"] = "no atmosphere.site"
     if not any(section and section.coherence != "none" for section in (scene.photon, scene.excess)):

@@ -1,6 +1,7 @@
 """Engine "dask": workers of an existing cluster, or of a temporary one on this machine."""
 
 import logging
+import math
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
@@ -36,6 +37,8 @@ UNIT_S = 0.5  # work in a unit; sending it costs the scheduler and the network a
 SCHEDULER_S = 5e-3  # work in a unit per worker: the scheduler handles at most 200 units a second
 MOST_ITEMS = 32  # items in a unit; their results are sent together
 TAKEN_AHEAD = 2  # units a worker, so that it does not wait for the parent
+OUTLINES = 256  # outlines that come back together
+COUNT_EVERY_S = 1.0  # between counts of the workers
 LOOK_S = 2.0  # interval of checks for workers while waiting for answers
 WAIT_S = 24 * 3600.0  # time to wait for a first worker, as long as a batch queue may take
 SAY_EVERY_S = 300.0  # interval of warnings while waiting
@@ -148,18 +151,22 @@ class _Units:
         try:
             self._submit()
             while self.numbers:
-                unit = self._next()
-                numbers, found = self.numbers.pop(unit), unit.result(timeout=ANSWER_S)
-                unit.release()
-                results = self._held(unit, found.results)
-                self.each_s = found.seconds / max(1, len(results))
-                self._submit()
-                yield from ((number, result, None) for number, result in zip(numbers, results, strict=False))
-                if found.error is not None:
-                    yield numbers[len(results)], None, found.error
+                units = self._finished()
+                for unit, found in zip(units, self.client.gather(units), strict=True):
+                    yield from self._answers_of(unit, found)
+                self._submit()  # now that the answers are used: items may have waited for them
         finally:
             for unit in (*self.numbers, *self.kept.values()):
                 unit.release()
+
+    def _answers_of(self, unit: Future, found: Answers) -> Iterator[Answer]:
+        """Yield the answers of a finished unit."""
+        numbers, results = self.numbers.pop(unit), self._held(unit, found.results)
+        unit.release()
+        self.each_s = found.seconds / max(1, len(results))
+        yield from ((number, result, None) for number, result in zip(numbers, results, strict=False))
+        if found.error is not None:
+            yield numbers[len(results)], None, found.error
 
     def _held(self, unit: Future, results: list[Any]) -> list[Any]:
         """Put large results, of which only the outline came back, in the place of the outline."""
@@ -195,12 +202,16 @@ class _Units:
                 break
         return taken
 
-    def _next(self) -> Future:
-        """Wait for a unit that is finished."""
-        while True:
+    def _finished(self) -> list[Future]:
+        """Wait for a unit that is finished, and take more of which outlines come back."""
+        units: list[Future] = []
+        while not units:
             with suppress(Empty):
-                return self.finished.get(timeout=LOOK_S)
+                units.append(self.finished.get(timeout=LOOK_S))
+                while units[-1] in self.kept and len(units) < OUTLINES:
+                    units.append(self.finished.get_nowait())
             self.watch.workers()
+        return units
 
 
 class _Watch:
@@ -210,11 +221,18 @@ class _Watch:
         self.client = client
         self.since: float | None = None  # there has been no worker
         self.said = 0.0
+        self.there, self.counted = 0, -math.inf
 
     def workers(self) -> int:
-        """Count the workers; log a warning while there is none, and raise EngineError after `WAIT_S`."""
-        there = len(self.client.sync(self.client.scheduler.ncores, callback_timeout=ANSWER_S))
+        """Count the workers, once a second at most.
+
+        Log a warning while there is none, and raise EngineError after `WAIT_S`.
+        """
         now = monotonic()
+        if now - self.counted < COUNT_EVERY_S and self.there:
+            return self.there
+        self.counted, self.there = now, len(self.client.sync(self.client.scheduler.ncores, callback_timeout=ANSWER_S))
+        there = self.there
         if there:
             self.since = None
         elif self.since is None or now - self.said >= SAY_EVERY_S:

@@ -12,12 +12,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from surveysim.reduction.observation import ObservationResult, observe, transfer_functions
+from surveysim.reduction.resource_limits import sums_held
 from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.results import survey_result
 from surveysim.results.stages import left_out, stages_that_run
 from surveysim.runtime.memory import peak_bytes
+from surveysim.survey.coadd_tree import node_bytes, nodes_of_all
 from surveysim.survey.coadds import CoAdds, add_observations, empty_coadds, observation_sums
 from surveysim.telescope.scans import samples_per_scan
+from surveysim.timestreams.component import present_components
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.scan_blocks import Block
 
@@ -98,6 +101,7 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
     figures_s = start_s * (SCORE_FIGURE_STARTS if scene.score else FIGURE_STARTS)
     samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
     coadds = empty_coadds(setup.analysis)
+    sums, held = node_bytes(setup), sums_held(scene.observations, node_bytes(setup))
     maps = coadds.sums.nbytes + coadds.weight.nbytes + coadds.hits.nbytes
     return Plan(
         stages=stages_that_run(setup),
@@ -105,8 +109,8 @@ def make_plan(setup: Setup, workers: int, start_s: float = 0.0) -> Plan:
         detector_samples=samples * scene.observations,
         wall_s=(1 + (parallel > 1)) * start_s + measured.first_s + working_s + measured.scoring_s + figures_s,
         figures_s=figures_s,
-        memory_bytes=measured.memory_bytes + FIGURE_BYTES,
-        output_bytes=0.6 * maps + 400 * scene.observations,
+        memory_bytes=measured.memory_bytes + (held - 1) * sums + FIGURE_BYTES,
+        output_bytes=0.6 * maps + 400 * scene.observations + nodes_of_all(setup) * sums,
         timestream_bytes=4.0 * samples * scene.observations,
     )
 
@@ -135,9 +139,17 @@ def _measure_block(setup: Setup) -> _Measured:
     scan_s, timed = _timed(observe, scan, *which)
     total = sum(timed.seconds.values())
     once_s, skies_s = (scan_s * sum(timed.seconds.get(name, 0.0) for name in names) / total for names in (ONCE, SKIES))
-    with_sims_s = once_s + (scan_s - once_s) * setup.observing.scans.n_scans
+    with_sims_s = once_s + (scan_s - once_s + _drawn_again_s(setup, timed)) * setup.observing.scans.n_scans
     first_s = max(0.0, block_s - once_s - (scan_s - once_s) * most)
     return _with_sums(setup, result, first_s, with_sims_s - skies_s * setup.observing.scans.n_scans, with_sims_s)
+
+
+def _drawn_again_s(setup: Setup, scan: ObservationResult) -> float:
+    """Time to draw one scan and to measure the wind in it [s], in the pass before wind cleaning; 0 without it."""
+    if not setup.analysis.uses_wind:
+        return 0.0
+    drawing = [item.name for item in present_components(setup.scene)]
+    return sum(scan.seconds.get(name, 0.0) for name in (*drawing, "response", "wind"))
 
 
 def _of_one_block(setup: Setup, n_scans: int) -> Setup:

@@ -9,19 +9,18 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from surveysim.reduction.resource_limits import LARGE_SUMS, LEAF
 from surveysim.reduction.setup import Setup
 from surveysim.survey.coadds import CoAdds, add_observations, add_sums, copied, empty_coadds
 from surveysim.survey.remote_node import Node, RemoteNode, here
-from surveysim.survey.spans import LEAF
 
-LARGE_BYTES = 128e6  # of sums, from which on only one set of them is held
 _WAITING_BYTES = 64e6  # of single observations, which are added to the sums in one pass
 _WAITING = 8
 
 
 def leaf_size(setup: Setup) -> int:
     """Number of observations in a leaf; all of the survey where sums take much memory."""
-    return 2**40 if node_bytes(setup) > LARGE_BYTES else LEAF
+    return 2**40 if node_bytes(setup) > LARGE_SUMS else LEAF
 
 
 def node_bytes(setup: Setup) -> float:
@@ -31,6 +30,12 @@ def node_bytes(setup: Setup) -> float:
         array.nbytes
         for array in (empty.sums, empty.weight, empty.hits, empty.flipped, empty.signal_maps, empty.signal_weight)
     )
+
+
+def nodes_of_all(setup: Setup) -> int:
+    """Number of nodes over all observations."""
+    whole, rest = divmod(setup.scene.observations, leaf_size(setup))
+    return whole.bit_count() + (rest > 0)
 
 
 class CoAddTree:

@@ -8,11 +8,12 @@ from pathlib import Path
 from time import monotonic
 
 from surveysim.reduction.observation import observe
+from surveysim.reduction.resource_limits import LARGE_SUMS
 from surveysim.reduction.setup import Setup, prepare, signal_sim_observations
 from surveysim.runtime.engine import SERIAL, Engine, EngineError, defer_signals, unordered_map
 from surveysim.scene.scene import Scene
 from surveysim.survey.checkpoint import check_streams, load_checkpoint, save_checkpoint
-from surveysim.survey.coadd_tree import LARGE_BYTES, CoAddTree, node_bytes
+from surveysim.survey.coadd_tree import CoAddTree, node_bytes
 from surveysim.survey.coadds import CoAdds, observation_sums
 from surveysim.survey.remote_node import SUMS_OF_SPANS, node_of
 from surveysim.survey.spans import Span, Spans
@@ -115,7 +116,8 @@ def run_observations(
         try:
             _run_missing(setup, sums, keeper, engine, timestream_dir=timestream_dir, progress=progress, stops=stops)
         except BaseException:
-            keeper.save(sums)
+            if sums.finished > keeper.finished:  # an earlier checkpoint may have sums of a cluster that is gone
+                keeper.save(sums)
             raise
     whole = sums.done == setup.scene.observations
     if keep or not whole:
@@ -138,7 +140,7 @@ def _run_missing(
     """Run the observations that the sums do not have, until all are done or the run is to stop."""
     missing = sums.missing()
     # A run that may stop looks at its sums after each observation; so does one without other processes.
-    single = stops is not None or engine.workers_for(len(missing)) == 1 or node_bytes(setup) > LARGE_BYTES
+    single = stops is not None or engine.workers_for(len(missing)) == 1 or node_bytes(setup) > LARGE_SUMS
     spans = Spans(missing, single=single)
     # Workers elsewhere may have another working directory.
     streams = None if timestream_dir is None else timestream_dir.absolute()

@@ -2,9 +2,13 @@
 
 from dataclasses import dataclass
 
-LEAF = 16  # observations that are added one after the other
+from surveysim.reduction.resource_limits import LEAF
+
 SPAN_S = 4.0  # of work in a span: its sums come back once, a killed run loses them
-_SHARES = 4  # spans a worker that are left when a span begins, so that all workers end together
+SPAN_S_A_WORKER = 0.02  # of work in a span for each worker: at most fifty come back a second
+_SHARES = 4  # spans a worker that are left when a large span begins, so that all workers end together
+_FEW_WORKERS = 32  # that share their last observations one by one
+_UNTIMED = 8  # observations that are handed out before the first has told its time
 
 
 @dataclass(frozen=True)
@@ -29,15 +33,18 @@ class Spans:
     def __init__(self, missing: list[int], *, single: bool) -> None:
         self._missing, self._single = missing[::-1], single
         self._each_s: float | None = None
+        self._untimed = 0
 
     def left(self) -> int:
         """Number of observations that are not handed out."""
         return len(self._missing)
 
     def take(self, workers: int) -> tuple[int, Span] | None:
-        """Hand out the next span, keyed by its first observation; None if none is left."""
-        if not self._missing:
+        """Hand out the next span, keyed by its first observation; None if none is left, or no time is known yet."""
+        if not self._missing or (self._untimed >= _UNTIMED and not self._single):
             return None
+        if self._each_s is None:
+            self._untimed += 1
         first = self._missing[-1]
         size = self._size(first, workers)
         del self._missing[-size:]
@@ -45,17 +52,18 @@ class Spans:
 
     def measured(self, each_s: float) -> None:
         """Note the time that an observation took [s]."""
-        self._each_s = each_s
+        self._each_s, self._untimed = each_s, 0
 
     def _size(self, first: int, workers: int) -> int:
-        """Find the largest node that starts with an observation, is missing as a whole and takes neither too long
-        nor too large a share of the work; 1 where there is none."""
+        """Find the largest node that starts with an observation, is missing as a whole and takes neither too long nor
+        too large a share of the work; 1 where there is none."""
         if self._single or self._each_s is None:
             return 1
-        most, size = min(SPAN_S / max(self._each_s, 1e-6), len(self._missing) / (_SHARES * workers)), LEAF
-        if size > most or not self._is_whole(first, size):
+        most, left = max(SPAN_S, SPAN_S_A_WORKER * workers) / max(self._each_s, 1e-6), len(self._missing)
+        if most < LEAF or not self._is_whole(first, LEAF) or (workers <= _FEW_WORKERS and left < LEAF * workers):
             return 1
-        while 2 * size <= most and self._is_whole(first, 2 * size):
+        size = LEAF
+        while 2 * size <= min(most, left / (_SHARES * workers)) and self._is_whole(first, 2 * size):
             size *= 2
         return size
 

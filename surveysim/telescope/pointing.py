@@ -1,54 +1,20 @@
-"""Schedule of a survey and pointing of its observations.
-
-Directions come from astropy (ICRS to AltAz, no refraction), with UT1 = UTC and no polar motion: an error of at most 0.9
-s or 14 arcsec of hour angle. So no Earth-rotation table is read (a second at every start) or downloaded, future dates
-work like past ones, and results do not depend on the installed table.
-"""
+"""Schedule of a survey and pointing of its observations."""
 
 import math
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from surveysim.runtime.errors import OutOfRangeError
+from surveysim.telescope.directions import FieldCentre, Site, horizontal, hour_angle_dec
 from surveysim.telescope.scans import ScanPath
-
-if TYPE_CHECKING:
-    from astropy.coordinates import SkyCoord
 
 DAY_S = 86400.0
 SIDEREAL_RAD_S = 2 * np.pi * 1.00273790935 / DAY_S  # rate of the hour angle
-_MJD_ZERO = 2400000.5  # Julian date
 MJD_ZERO_ORDINAL = date(1858, 11, 17).toordinal()
 GOLDEN = (np.sqrt(5) - 1) / 2
-INTERPOLATION_S = 1000.0  # step of nutation and aberration: accurate to 1e-6 arcsec, and nine times faster
-STEP_DOWN_RAD = 3e-4  # along the vertical through the field; the angle does not depend on it
-
-
-@dataclass(frozen=True)
-class Site:
-    """Geodetic latitude, longitude (east positive) and height of the telescope."""
-
-    latitude_rad: float
-    longitude_rad: float
-    height_m: float
-
-
-@dataclass(frozen=True)
-class FieldCentre:
-    """ICRS direction of the centre of the field."""
-
-    ra_rad: float
-    dec_rad: float
-
-
-Directions = Callable[[FieldCentre, Site, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -114,85 +80,6 @@ class Pointing:
         )
 
 
-@contextmanager
-def _offline() -> Iterator[None]:
-    """Set astropy to UT1 = UTC, a fixed pole and the installed leap seconds, without network access."""
-    from astropy import units as u
-    from astropy.utils import iers
-    from erfa import ErfaWarning
-
-    zero = np.zeros(2)
-    table = iers.IERS(
-        {"MJD": [0, 1e6] * u.day, "UT1_UTC": zero * u.s, "PM_x": zero * u.arcsec, "PM_y": zero * u.arcsec}
-    )
-    with (
-        iers.conf.set_temp("auto_download", False),
-        iers.conf.set_temp("auto_max_age", None),
-        iers.earth_orientation_table.set(table),
-        warnings.catch_warnings(),
-    ):
-        # A year is "dubious" once leap seconds yet to be announced may matter: again a second.
-        warnings.filterwarnings("ignore", message=".*dubious year", category=ErfaWarning)
-        yield
-
-
-def _sky(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple["SkyCoord", dict[str, Any]]:
-    """Astropy's field centre, and the frame arguments of the site at these times."""
-    from astropy import units as u
-    from astropy.coordinates import EarthLocation, SkyCoord
-    from astropy.time import Time
-
-    centre = SkyCoord(field.ra_rad * u.rad, field.dec_rad * u.rad, frame="icrs")
-    place = EarthLocation.from_geodetic(site.longitude_rad * u.rad, site.latitude_rad * u.rad, site.height_m * u.m)
-    return centre, {"obstime": Time(mjd, format="mjd", scale="utc"), "location": place}
-
-
-def horizontal(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute elevation, azimuth (north through east) and parallactic angle [rad], (n,) each, at UTC `mjd` (n,).
-
-    Without refraction. The parallactic angle, in (-pi, pi], is the position angle of the zenith relative to ICRS north,
-    not to the pole of date: a point slightly below the field on its vertical is transformed back to ICRS, and the
-    zenith lies in the opposite direction. (Below, so that this also works for a field at the zenith.)
-    """
-    from astropy import units as u
-    from astropy.coordinates import AltAz, SkyCoord
-    from astropy.coordinates.erfa_astrom import ErfaAstromInterpolator, erfa_astrom
-
-    with _offline(), erfa_astrom.set(ErfaAstromInterpolator(INTERPOLATION_S * u.s)):
-        centre, where = _sky(field, site, np.asarray(mjd, dtype=float))
-        frame = AltAz(**where)
-        seen = centre.transform_to(frame)
-        below = SkyCoord(az=seen.az, alt=seen.alt - STEP_DOWN_RAD * u.rad, frame=frame).icrs
-        nadir_rad = centre.position_angle(below).to_value(u.rad)  # in [0, 2 pi)
-        parallactic = np.where(nadir_rad > 0, nadir_rad - np.pi, np.pi)
-        return seen.alt.to_value(u.rad), seen.az.to_value(u.rad), parallactic
-
-
-def hour_angle_dec(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the apparent hour angle in [-pi, pi) and the declination of date of the field, (n,) each [rad]."""
-    from astropy import units as u
-    from astropy.coordinates import HADec
-
-    with _offline():
-        centre, where = _sky(field, site, mjd)
-        seen = centre.transform_to(HADec(**where))
-        return seen.ha.wrap_at(180 * u.deg).to_value(u.rad), seen.dec.to_value(u.rad)
-
-
-def near_hour_angle_dec(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute `hour_angle_dec` within 1e-10 rad with ERFA only, for checks that must not import astropy.coordinates."""
-    import erfa
-
-    place = site.longitude_rad, site.latitude_rad, site.height_m
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", erfa.ErfaWarning)
-        # No proper motion, parallax or velocity; no UT1 - UTC, polar motion, or air.
-        _, _, hour_angle, dec, _, _ = erfa.atco13(
-            field.ra_rad, field.dec_rad, 0, 0, 0, 0, _MJD_ZERO, mjd, 0, *place, 0, 0, 0, 0, 0, 0.5
-        )
-    return (hour_angle + np.pi) % (2 * np.pi) - np.pi, dec
-
-
 def _half_visibility_s(
     dec_rad: np.ndarray, site: Site, max_hour_angle_rad: float, min_elevation_rad: float
 ) -> np.ndarray:
@@ -232,7 +119,6 @@ def schedule(
     max_hour_angle_rad: float,
     min_elevation_rad: float,
     duration_s: float,
-    directions: Directions = hour_angle_dec,
 ) -> Schedule:
     """Choose start times of a survey: observations spread over the nights in order, and evenly over hour angle.
 
@@ -249,15 +135,13 @@ def schedule(
         ISO date of the local evening on which the first night begins.
     duration_s
         Duration of an observation.
-    directions
-        Function that computes hour angle and declination of date.
 
     Raises
     ------
     OutOfRangeError
         If the field never reaches the elevation limit, or the observations do not fit into the nights.
     """
-    midnight_mjd, hour_angle, dec = _midnights(field, site, first_night, nights, directions)
+    midnight_mjd, hour_angle, dec = _midnights(field, site, first_night, nights)
     half_s = _half_visibility_s(dec, site, max_hour_angle_rad, min_elevation_rad)
     _check_room(n_observations, nights, half_s, duration_s)
 
@@ -273,7 +157,7 @@ def schedule(
 
 @lru_cache(maxsize=8)  # points of a sweep have nights in common
 def _midnights(
-    field: FieldCentre, site: Site, first_night: str, nights: int, directions: Directions
+    field: FieldCentre, site: Site, first_night: str, nights: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute local mean midnight [MJD] of each night, and the field's hour angle and declination of date, (nights,)
     each.
@@ -281,12 +165,11 @@ def _midnights(
     evening_mjd = date.fromisoformat(first_night).toordinal() - MJD_ZERO_ORDINAL
     east_rad = math.remainder(site.longitude_rad, 2 * math.pi)  # 204.5 degrees east are 155.5 degrees west
     midnight_mjd = evening_mjd + 1 + np.arange(nights) - east_rad / (2 * np.pi)
-    return midnight_mjd, *directions(field, site, midnight_mjd)
+    return midnight_mjd, *hour_angle_dec(field, site, midnight_mjd)
 
 
 def near_angles(site: Site, plan: Schedule, mid_time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute elevation and parallactic angle as `survey_angles`, in closed form, for checks that must not import
-    astropy.
+    """Compute elevation and parallactic angle as `survey_angles`, in closed form, for checks.
 
     The declination of date is taken at the middle of each night. Elevations are right to arcseconds. Parallactic angles
     refer to the pole of date; differences within a night are not affected.

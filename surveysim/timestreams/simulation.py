@@ -17,20 +17,11 @@ from surveysim.runtime.once import once
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.noise_and_sky import Excess, Photon
 from surveysim.scene.scene import Scene
+from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.lattice_noise import CirculantCorrelation, CirculantFactor
 from surveysim.telescope.pixel_coherence import DenseCorrelation
-from surveysim.telescope.pointing import (
-    Directions,
-    FieldCentre,
-    Pointing,
-    Schedule,
-    Site,
-    hour_angle_dec,
-    observation_pointing,
-    schedule,
-    survey_angles,
-)
+from surveysim.telescope.pointing import Pointing, Schedule, observation_pointing, schedule, survey_angles
 from surveysim.telescope.scan_pattern import ScanPattern
 from surveysim.telescope.scans import ScanPath, Scans, duration_s, mid_times, samples_per_scan
 from surveysim.timestreams.scan_blocks import Block
@@ -199,10 +190,10 @@ def observing_site(scene: Scene) -> Site:
     return Site(scene.schedule.latitude_rad, scene.schedule.longitude_rad, scene.schedule.height_m)
 
 
-def observing_schedule(scene: Scene, scans: Scans, directions: Directions = hour_angle_dec) -> Schedule | None:
+def observing_schedule(scene: Scene, scans: Scans) -> Schedule | None:
     """Starts of the observations; None at a fixed elevation.
 
-    `directions` computes hour angles and declinations. Raises SceneError for nights that do not hold the observations.
+    Raises SceneError for nights that do not hold the observations.
     """
     plan = scene.schedule
     if plan is None:
@@ -217,7 +208,6 @@ def observing_schedule(scene: Scene, scans: Scans, directions: Directions = hour
             max_hour_angle_rad=plan.max_hour_angle_rad,
             min_elevation_rad=plan.min_elevation_rad,
             duration_s=duration_s(scans),
-            directions=directions,
         )
     except OutOfRangeError as error:
         raise SceneError(f"schedule: {error}") from None

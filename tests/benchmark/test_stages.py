@@ -12,7 +12,8 @@ from mapmaker.stream_psd import hann_psd, white_level
 from mapmaker.wind import measure_wind, scan_velocities
 from surveysim.reduction import noise_only_sets as sets
 from surveysim.reduction import observation as reduction
-from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline, measured_delays
+from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline
+from surveysim.reduction.layer_delays import layer_motion, measured_delays
 from surveysim.reduction.map_noise import map_noise
 from surveysim.runtime.rng import RandomPurpose, generator, normal_deviates
 from surveysim.survey.coadds import add_observations, empty_coadds, observation_sums
@@ -82,7 +83,7 @@ def test_cleaning(per_sample, lynx, algorithm):
         update={"sigma_cut": 3.0, "neighbour_radius": 1.2, "order": 3, "regions": 1}
     )
     pipeline = CleaningPipeline("actual", (algorithm,))
-    delays = measured_delays((CleaningPipeline("actual", ("wind",)),), streams, rate)
+    delays = measured_delays([layer_motion(streams, rate)], streams.focal_plane)
     auxiliary = AuxiliaryData(delays, np.zeros((0, *streams.data_mk.shape), np.float32))
     options = {"scan_bounds": streams.scan_bounds, "focal_plane": streams.focal_plane}
     options |= {"auxiliary": auxiliary, "sample_rate_hz": rate}
@@ -116,8 +117,9 @@ def test_simulated_set(per_sample, lynx, name):
 
 def test_signal_simulation_of_one_sky(per_sample, lynx):
     """A sky through the streams of the whole and the masked array, with cleaning and without."""
-    part = reduction._reduce(lynx.setup, OBSERVATION, lynx.pointing, lynx.block, Stopwatch())
-    maps, skies = reduction._empty_signal_maps(lynx.setup, 1), lynx.setup.analysis.signal_skies_mk[:1]
+    options = {"delays_s_rad": None, "watch": Stopwatch()}
+    part = reduction._reduce(lynx.setup, OBSERVATION, lynx.pointing, lynx.block, **options)
+    maps, skies = reduction._empty_signal_maps(lynx.setup.analysis, 1), lynx.setup.analysis.signal_skies_mk[:1]
     per_sample("signal simulation, one sky", lambda: reduction._add_signal_maps(maps, part, skies))
 
 

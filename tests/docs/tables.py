@@ -24,6 +24,7 @@ PLACEHOLDERS = {
     "<frequency>": r"[\d.]+ Hz",
     "<item>": r"(?:(?:table|figure) \d+|\d{3} GHz)",
     "<band>": r"\d{3}",
+    "<first>": r"\d{9}",
     "<NNNN>": r"\d{4}",
     "<NN>": r"\d{2}",
 }

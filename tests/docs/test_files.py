@@ -71,7 +71,6 @@ def _scene(folder: Path, name: str, text: str) -> Path:
 
 def _rich_run(folder):
     scene = surveysim.load_scene(_scene(folder, "rich", RICH_SCENE))
-    # Stopped before its last observation, so that the checkpoint stays.
     surveysim.run(scene, folder / "rich", save_timestreams=True, target_error=0.9, time_budget_s=100)
     return folder / "rich"
 
@@ -148,14 +147,18 @@ def sparse_map(path: Path) -> dict[str, str]:
         return {item.name: item.unit or "" for item in file[1].columns}
 
 
-def streams(path: Path) -> dict[str, str]:
+def hdf5(path: Path) -> dict[str, str]:
+    """Groups, data sets and attributes of all levels, joined by slashes."""
+    found: list[str] = []
     with h5py.File(path) as file:
-        return dict.fromkeys([*file, *file.attrs], "")
+        file.visit(found.append)
+        found += [f"{name}/{attribute}" for name in found for attribute in file[name].attrs]
+        return dict.fromkeys([*found, *file.attrs], "")
 
 
 def contents(name: str):
     """Reader of the names in a file; None for pictures and the like."""
-    kinds = {"_healpix.fits": sparse_map, ".fits": images, ".h5": streams, ".ecsv": columns, "summary.json": keys}
+    kinds = {"_healpix.fits": sparse_map, ".fits": images, ".h5": hdf5, ".ecsv": columns, "summary.json": keys}
     return next((read for ending, read in kinds.items() if name.endswith(ending)), None)
 
 

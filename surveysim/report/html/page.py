@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 REPORT = "report.html"
 LONGEST_REASON = 150
-FIRST = (0, 4)  # first version with the present keys of summary.json
+FIRST = (0, 5)  # first version with the present keys of summary.json
 KINDS = {"points", "scores", "accuracy"}  # keys that identify the kind of results
 EXPECTED = "the directory of a run, a sweep, 'surveysim accuracy' or 'surveysim paper' is expected"
 # Units and symbols as the results write them, once they are escaped for HTML.

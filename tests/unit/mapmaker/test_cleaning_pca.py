@@ -1,11 +1,15 @@
-"""Adaptive PCA: twin, planted modes, degenerate eigenvalues, few samples."""
+"""Adaptive PCA: twin, planted modes, degenerate eigenvalues, few samples, matrices too large for all eigenvectors."""
+
+from time import process_time
 
 import numpy as np
 import pytest
+from scipy.fft import idctn
 
-from mapmaker.cleaning import PcaOptions, TemplateOptions, clean
+from mapmaker.cleaning import PcaOptions, TemplateOptions, clean, pca
 from mapmaker.cleaning.pca import count_outliers, min_eigenvalues
 from mapmaker.timestreams import FocalPlane
+from surveysim.runtime.memory import peak_bytes
 from tests import naive
 
 OPTIONS = PcaOptions(3.0)
@@ -139,3 +143,76 @@ def test_options_out_of_range(sigma_cut):
         ValueError, match="sigma_cut: found .*; a finite number above 0 and of at most 1000000 is expected"
     ):
         PcaOptions(sigma_cut)
+
+
+def _planted(singular, n_det, n_samp):
+    """Streams with known singular values: cosines of detectors times cosines of samples, these without a mean."""
+    coefficients = np.zeros((n_det, n_samp))
+    np.fill_diagonal(coefficients[:, 1:], singular)
+    return idctn(coefficients, norm="ortho", overwrite_x=True)
+
+
+@pytest.mark.parametrize(("n_det", "n_samp"), [(120, 200), (120, 121), (121, 121), (200, 121)])
+@pytest.mark.parametrize("n_empty", [0, 7])
+@pytest.mark.parametrize("strongest", [7.0, 16.0])
+def test_large_matrices_lose_the_planted_modes(monkeypatch, n_det, n_samp, n_empty, strongest):
+    """As small ones, with and without directions that earlier cleaning emptied, and eigenvalues up to 1e14 apart."""
+    monkeypatch.setattr(pca, "MOST_DENSE", 100)
+    rank = min(n_det, n_samp - 1) - n_empty
+    bulk = np.exp(np.linspace(-0.5, 0.5, rank - 3))
+    singular = np.concatenate([[np.exp(strongest), np.exp(strongest / 2), np.exp(2)], bulk, np.zeros(n_empty)])
+    cleaned = _clean(_planted(singular, n_det, n_samp))
+    singular[:3] = 0
+    assert cleaned.kept.all() and cleaned.removed[0] == 3
+    # The rounding of the Gram matrix, 1e-16 of the largest eigenvalue.
+    level = 1e-12 + 1e-16 * np.exp(2 * strongest)
+    np.testing.assert_allclose(cleaned.data_mk, _planted(singular, n_det, n_samp), atol=level)
+
+
+@pytest.mark.parametrize(("n_det", "n_samp"), [(300, 360), (300, 300), (360, 300)])
+@pytest.mark.parametrize("level", [0.0, 3.0, 1e4])
+@pytest.mark.parametrize("cleaned_before", [False, True])
+def test_large_matrices_agree_with_the_dense_solver(monkeypatch, n_det, n_samp, level, cleaned_before):
+    rng = np.random.default_rng(5)
+    modes = rng.standard_normal((n_det, 6)) * 10.0 ** -np.arange(6)
+    data = rng.standard_normal((n_det, n_samp)) + level * modes @ rng.standard_normal((6, n_samp))
+    if cleaned_before:
+        templates = np.linalg.qr(rng.standard_normal((n_det, 5)))[0]
+        data -= templates @ (templates.T @ data)
+    dense = _clean(data)
+    monkeypatch.setattr(pca, "MOST_DENSE", 100)
+    found = _clean(data)
+    assert found.kept.all() and found.removed[0] == dense.removed[0]
+    np.testing.assert_allclose(found.data_mk, dense.data_mk, atol=1e-11 + 1e-14 * level**2)
+
+
+def test_large_matrices_have_all_eigenvalues():
+    """To the rounding of the streams, 1e-16 of the strongest mode; eigenvalues that are rounding are 0."""
+    singular = np.concatenate([[1e6, 1e5, 1e3], np.linspace(2, 1, 200), np.zeros(17)])
+    block = _planted(singular, 220, 300)
+    eigenvalues, leading = pca._large_spectrum(block, True)
+    np.testing.assert_allclose(eigenvalues[::-1], singular**2, rtol=1e-10, atol=0)
+    np.testing.assert_allclose(leading(220).T @ leading(220), np.eye(220), atol=1e-12)
+    assert leading(0).shape == (220, 0)
+
+
+def test_large_scan_whose_noise_is_lost_to_rounding_is_discarded(monkeypatch):
+    monkeypatch.setattr(pca, "MOST_DENSE", 30)
+    assert not _clean(_under(1e10, np.float64)).kept.any()
+    assert _clean(_under(1e5, np.float64)).removed[0] == 1
+
+
+@pytest.mark.slow
+def test_six_thousand_detectors():
+    """More than have all their eigenvectors computed, with directions that earlier cleaning emptied."""
+    n_det, n_samp = 6000, 6400
+    singular = np.concatenate([np.exp([8, 4, 2]), np.exp(np.linspace(-0.5, 0.5, n_det - 9)), np.zeros(6)])
+    data = _planted(singular, n_det, n_samp).astype(np.float32)
+    before, start = peak_bytes(), process_time()
+    cleaned = _clean(data)
+    assert process_time() - start < 300
+    # Streams in float64 and without their strongest modes, results, and three matrices of pairs.
+    assert peak_bytes() - before < 1.2 * (8 * (2 * data.size + 3 * n_det**2) + 4 * data.size)
+    assert cleaned.kept.all() and cleaned.removed[0] == 3
+    singular[:3] = 0
+    np.testing.assert_allclose(cleaned.data_mk, _planted(singular, n_det, n_samp), atol=1e-6)

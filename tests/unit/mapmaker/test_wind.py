@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapmaker.timestreams import FocalPlane, Timestreams
-from mapmaker.wind import N_PAIR_BINS, measure_wind, scan_velocities
+from mapmaker.wind import N_PAIR_BINS, fit_wind, measure_wind, scan_velocities, wind_transforms
 
 ARCMIN = math.radians(1 / 60)
 RATE, SAMPLES, SCANS = 10.0, 150, 6
@@ -264,6 +264,58 @@ def test_input_that_does_not_fit(rng, change, message):
     }
     with pytest.raises(ValueError, match=message):
         measure_wind(**(arguments | change))
+
+
+def _blocks(data, plane, edges):
+    return [
+        wind_transforms(data, BOUNDS[first:end], plane, sample_rate_hz=RATE)
+        for first, end in zip(edges, edges[1:], strict=False)
+    ]
+
+
+@pytest.mark.parametrize("edges", [(0, SCANS), (0, 2, SCANS), range(SCANS + 1)])
+def test_blocks_tell_the_wind_of_the_whole_bit_for_bit(rng, edges):
+    plane = hexagon()
+    data = fronts(plane, np.array([400.0, 300.0]), rng)
+    whole = measure_wind(data, BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=AT_REST)
+    found = fit_wind(_blocks(data, plane, edges), plane, scan_velocity_rad_s=AT_REST)
+    assert np.isfinite(whole.velocity_rad_s).all() and found.flag == whole.flag
+    for name in ("velocity_rad_s", "slope", "slope_error", "sinusoid"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
+
+
+def test_a_detector_dead_in_one_block_is_left_out_of_all(rng):
+    plane = hexagon()
+    data = fronts(plane, np.array([400.0, 300.0]), rng)
+    data[3, BOUNDS[1, 0] : BOUNDS[1, 1]] = 5
+    whole = measure_wind(data, BOUNDS, plane, sample_rate_hz=RATE, scan_velocity_rad_s=AT_REST)
+    found = fit_wind(_blocks(data, plane, (0, 2, SCANS)), plane, scan_velocity_rad_s=AT_REST)
+    np.testing.assert_array_equal(found.velocity_rad_s, whole.velocity_rad_s)
+    assert np.isfinite(found.velocity_rad_s).all()
+
+
+@pytest.mark.parametrize(
+    ("edges", "velocity", "message"),
+    [
+        ((0,), AT_REST, "0 blocks found"),
+        ((0, 2), AT_REST[:2], "2 scans found; at least 3"),
+        ((0, 2, SCANS), AT_REST[1:], "scan_velocity_rad_s: found the shape"),
+        ((0, 0, SCANS), AT_REST, "no scan found"),
+    ],
+)
+def test_blocks_that_do_not_fit(rng, edges, velocity, message):
+    plane = hexagon()
+    data = rng.standard_normal((len(plane.x_rad), SCANS * SAMPLES))
+    with pytest.raises(ValueError, match=message):
+        fit_wind(_blocks(data, plane, edges), plane, scan_velocity_rad_s=velocity)
+
+
+def test_blocks_of_other_rates_do_not_fit(rng):
+    plane = hexagon()
+    data = rng.standard_normal((len(plane.x_rad), SCANS * SAMPLES))
+    blocks = [wind_transforms(data, BOUNDS[:3], plane, sample_rate_hz=rate) for rate in (RATE, 1.01 * RATE)]
+    with pytest.raises(ValueError, match="2 blocks found; one or more with equal"):
+        fit_wind(blocks, plane, scan_velocity_rad_s=AT_REST)
 
 
 def test_not_a_number_in_the_data(rng):

@@ -1,13 +1,17 @@
 """Pipelines of a scene: their data sets, their transfer functions, what they need, and how wrong ones are refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mapmaker.binning import read_fits
 from surveysim.api import run
 from surveysim.reduction import consistency as checks
+from surveysim.reduction import setup as ready
 from surveysim.reduction.cleaning_pipelines import needed_detectors
 from surveysim.reduction.figure_of_merit import best_places
+from surveysim.reduction.resource_limits import needed_memory
 from surveysim.reduction.setup import prepare
 from surveysim.results.summary import best_pipeline
 from surveysim.runtime.engine import SERIAL
@@ -100,8 +104,15 @@ def test_pca_of_too_many_is_refused(path, monkeypatch):
     monkeypatch.setattr(checks, "MAX_MODES", 59)
     with pytest.raises(SceneError, match="found 'pca' with 60 detectors and scans of 60 samples; 59 or fewer of one"):
         prepare(load_scene(path, pca))
-    # Few samples of many detectors are few eigenvectors too.
+    # Few samples of many detectors are few eigenvalues too.
     prepare(load_scene(path, pca | {"scan.duration": "5.9 s"}))
+
+
+@pytest.mark.parametrize(("compared", "most"), [([], 0), (["pca"], 32.0 * 5000**2)])
+def test_pca_needs_memory_for_its_matrices(path, compared, most):
+    setup = prepare(load_scene(path, {"cleaning.compare": compared, "cleaning.sigma_cut": 3.0}))
+    sizes = replace(ready._sizes(setup, 0), n_det=5000, n_samp=6000)
+    assert needed_memory(setup.scene, sizes)["cleaning.algorithm"] == most
 
 
 def test_detectors_that_steps_need(path):

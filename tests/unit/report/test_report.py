@@ -352,16 +352,16 @@ def test_points_without_a_score_say_why(sweep_file, tmp_path):
         (lambda path: (path.mkdir(), (path / "summary.json").write_text('{"scores": ')), "summary.json: can't be read"),
         (lambda path: (path.mkdir(), (path / "summary.json").write_text("[1]")), "a JSON object is expected"),
         (
-            lambda path: (path.mkdir(), (path / "summary.json").write_text('{"surveysim": "0.4.1", "scores": {}}')),
+            lambda path: (path.mkdir(), (path / "summary.json").write_text('{"surveysim": "0.5.1", "scores": {}}')),
             "scene.json: can't be read",
         ),
         (
-            lambda path: (path.mkdir(), (path / "summary.json").write_text('{"surveysim": "0.3.0", "scores": {}}')),
-            "summary.json: written by surveysim 0.3.0; 0.4 or later is expected",
+            lambda path: (path.mkdir(), (path / "summary.json").write_text('{"surveysim": "0.4.0", "scores": {}}')),
+            "summary.json: written by surveysim 0.4.0; 0.5 or later is expected",
         ),
         (
             lambda path: (path.mkdir(), (path / "summary.json").write_text('{"points": []}')),
-            "summary.json: written by surveysim of unknown version; 0.4 or later is expected",
+            "summary.json: written by surveysim of unknown version; 0.5 or later is expected",
         ),
         (
             lambda path: (path.mkdir(), [(path / f"{name}.json").write_text(NOTHING_SCORED) for name in NAMES]),
@@ -379,7 +379,7 @@ def test_directories_without_results(call, tmp_path, prepare, words):
         write_report(out)
 
 
-NOTHING_SCORED = '{"surveysim": "0.4.0", "scores": {}}'
+NOTHING_SCORED = '{"surveysim": "0.5.0", "scores": {}}'
 NAMES = ("summary", "scene")
 
 # ---------------------------------------------------------------- numbers and units

@@ -83,6 +83,22 @@ def square_alone(item):
     return square(item)[1]
 
 
+class OneAtATime(InOrder):
+    """Items that are handed out once all before are answered."""
+
+    def take(self, workers):
+        return None if self.taken > self.position else super().take(workers)
+
+
+@ALL
+def test_items_that_wait_for_answers_are_all_handed_out(engine):
+    source, found = OneAtATime(range(3)), []
+    for answer in unordered_map(square_alone, source, engine):
+        source.position += 1
+        found.append(answer)
+    assert found == [(0, 0), (1, 1), (2, 4)]
+
+
 @ALL
 def test_the_first_error_is_raised_when_work_in_progress_is_finished(engine):
     found = []

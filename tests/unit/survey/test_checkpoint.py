@@ -12,10 +12,12 @@ import pytest
 
 from surveysim import load_scene
 from surveysim.reduction.setup import prepare
-from surveysim.runtime.engine import Engine
+from surveysim.runtime.engine import Engine, EngineError
 from surveysim.scene.scene import survey_hash
 from surveysim.survey.checkpoint import _MARK, CheckpointError, check_streams, load_checkpoint, save_checkpoint
-from surveysim.survey.run import finished_sums, run_observations
+from surveysim.survey.remote_node import SUMS_OF_SPANS
+from surveysim.survey.run import SpanJob, finished_sums, run_observations
+from surveysim.survey.spans import Span
 from tests.scenes import write_scene
 
 NODE = "000000000"
@@ -359,3 +361,38 @@ def test_sums_on_a_cluster_are_in_its_checkpoints(tmp_path, scene):
     nodes = load_checkpoint(path, setup)
     assert sum(node.done for node in nodes) == kept[0] and max(node.done for node in nodes) >= 32
     assert same(run_observations(setup, path, nodes=nodes), run_observations(setup, None))
+
+
+class HeldSums:
+    """Sums on a cluster, for as long as it is there."""
+
+    def __init__(self, sums, gone):
+        self.sums, self.gone, self.outline = sums, gone, SUMS_OF_SPANS.outline(sums)
+
+    def fetch(self):
+        if self.gone:
+            raise EngineError("the scheduler is gone")
+        return self.sums
+
+    def joined(self, other):
+        return HeldSums(SUMS_OF_SPANS.join(self.sums, other.sums), self.gone)
+
+
+def test_a_cluster_that_is_gone_leaves_the_last_checkpoint(tmp_path, scene, monkeypatch):
+    """The sums of the first 16 observations are saved; later they are joined with others that are lost."""
+    setup, path, gone = prepare(scene.model_copy(update={"observations": 48})), tmp_path / "checkpoint.h5", []
+    first, second = (SpanJob(setup.scene, None)(Span(number, number + 16)) for number in (0, 16))
+
+    def lost(job, spans, engine, large):
+        with monkeypatch.context() as patch:
+            patch.setattr("surveysim.survey.run.monotonic", lambda: np.inf)  # a checkpoint is due
+            yield 0, HeldSums(first, gone)
+        yield 16, HeldSums(second, gone)
+        gone.append(True)
+        raise EngineError("the scheduler is gone")
+
+    monkeypatch.setattr("surveysim.survey.run.unordered_map", lost)
+    with pytest.raises(EngineError, match="the scheduler is gone"):
+        run_observations(setup, path, Engine("processes", workers=2))
+    (node,) = load_checkpoint(path, setup)
+    assert (node.first, node.done) == (0, 16) and same(node, first)

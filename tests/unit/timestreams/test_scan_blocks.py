@@ -79,13 +79,6 @@ def test_a_scan_larger_than_the_machine_is_refused(setup_of, monkeypatch):
         setup_of(text, numerics__max_block_memory="1 MB", **long)
 
 
-def test_wind_cleaning_needs_an_observation_whole(setup_of):
-    long = {"scan__duration": "15 s", "cleaning__algorithm": "wind"}
-    with pytest.raises(SceneError, match="max_block_memory: found 0.03 MB, which cuts an observation into 2 .* 'wind'"):
-        setup_of(numerics__max_block_memory="30 kB", **long)
-    setup_of(numerics__max_block_memory="44 kB", **long)
-
-
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_scenarios_are_of_one_block_and_dense(path):
     _check_size(path, load_scene(path))

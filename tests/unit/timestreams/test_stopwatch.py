@@ -40,7 +40,7 @@ def test_warm_stage_counts_whole():
 def test_cost_of_a_run_leaves_out_compilation(tmp_path, monkeypatch):
     """The first observation compiles for long."""
     clock = [0.0]
-    auxiliary_data = observation.auxiliary_data
+    auxiliary_data = observation.AuxiliaryData
 
     def slow(*arguments):
         if clock[0] == 0:
@@ -50,7 +50,7 @@ def test_cost_of_a_run_leaves_out_compilation(tmp_path, monkeypatch):
 
     for name in ("surveysim.timestreams.observation.perf_counter", "numba.core.event.timer"):
         monkeypatch.setattr(name, lambda: perf_counter() + clock[0])
-    monkeypatch.setattr(observation, "auxiliary_data", slow)
+    monkeypatch.setattr(observation, "AuxiliaryData", slow)
     result = run(load_scene(write_scene(tmp_path)), engine=SERIAL)
     assert clock[0] == COMPILING_S and result.coadds.done == 4
     assert result.coadds.each_s < 0.2 * COMPILING_S / 4
