@@ -10,8 +10,9 @@ import pytest
 from astropy.io import fits
 
 from surveysim import load_scene, run
-from surveysim.output.directory import RECORD, FinishedError
+from surveysim.output.directory import FinishedError
 from surveysim.output.lock import LOCK, OutputError, locked
+from surveysim.output.record import RECORD
 from surveysim.runtime.engine import SERIAL
 from tests.scenes import SMALL_SCENE, WHITE_NOISE_SCENE
 from tests.unit.cli.test_cli import interrupt_after
