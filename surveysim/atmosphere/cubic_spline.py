@@ -1,9 +1,30 @@
-"""Cubic splines with scipy's coefficients, without scipy.interpolate, which takes 0.2 s to import in every process."""
+"""Piecewise cubics with scipy's coefficients, without scipy.interpolate, which takes 0.2 s to import."""
 
 import numpy as np
 
 
-class CubicSpline:
+class _Cubics:
+    """Cubics between knots, from values (n,) and first derivatives (n,) at them."""
+
+    def __init__(self, x: np.ndarray, y: np.ndarray, first: np.ndarray) -> None:
+        self.x, width = x, np.diff(x)
+        slope = np.diff(y) / width
+        bend = (first[:-1] + first[1:] - 2 * slope) / width
+        # Coefficients (4, n - 1) of the powers 3, 2, 1, 0 of the distance from the knot below.
+        self.c = np.stack([bend / width, (slope - first[:-1]) / width - bend, first[:-1], y[:-1]])
+
+    def __call__(self, x: np.ndarray, derivative: int = 0) -> np.ndarray:
+        """Evaluate the cubics, or their first `derivative`, at `x` of any shape; the last ones go on beyond."""
+        x = np.asarray(x, dtype=float)
+        # Of single numbers np.clip takes longer than all else.
+        below = np.minimum(np.maximum(np.searchsorted(self.x, x, side="right") - 1, 0), len(self.x) - 2)
+        h, (cubic, square, linear, constant) = x - self.x[below], self.c[:, below]
+        if derivative:
+            return linear + square * h * 2 + cubic * (h * h) * 3
+        return constant + linear * h + square * (h * h) + cubic * (h * h * h)
+
+
+class CubicSpline(_Cubics):
     """Cubic spline through points, with the third derivative continuous at the second knot from each end.
 
     It is `scipy.interpolate.CubicSpline` with its default "not-a-knot" ends, for four knots or more.
@@ -15,25 +36,47 @@ class CubicSpline:
     """
 
     def __init__(self, x: np.ndarray, y: np.ndarray) -> None:
-        self.x, width = x, np.diff(x)
-        slope = np.diff(y) / width
-        first = _slopes(x, width, slope)
-        bend = (first[:-1] + first[1:] - 2 * slope) / width
-        # Coefficients (4, n - 1) of the powers 3, 2, 1, 0 of the distance from the knot below.
-        self.c = np.stack([bend / width, (slope - first[:-1]) / width - bend, first[:-1], y[:-1]])
-
-    def __call__(self, x: np.ndarray, derivative: int = 0) -> np.ndarray:
-        """Evaluate the spline, or its first `derivative`, at `x` of any shape; the last cubics go on beyond."""
-        x = np.asarray(x, dtype=float)
-        # Of single numbers np.clip takes longer than all else.
-        below = np.minimum(np.maximum(np.searchsorted(self.x, x, side="right") - 1, 0), len(self.x) - 2)
-        h, (cubic, square, linear, constant) = x - self.x[below], self.c[:, below]
-        if derivative:
-            return linear + square * h * 2 + cubic * (h * h) * 3
-        return constant + linear * h + square * (h * h) + cubic * (h * h * h)
+        super().__init__(x, y, _smooth_slopes(x, np.diff(x), np.diff(y) / np.diff(x)))
 
 
-def _slopes(x: np.ndarray, width: np.ndarray, slope: np.ndarray) -> np.ndarray:
+class MonotoneCubic(_Cubics):
+    """Piecewise cubic that is monotone where the values are (Fritsch and Butland 1984).
+
+    It is `scipy.interpolate.PchipInterpolator`, for two knots or more.
+
+    Parameters
+    ----------
+    x, y : (n,)
+        Knots, increasing, and values.
+    """
+
+    def __init__(self, x: np.ndarray, y: np.ndarray) -> None:
+        super().__init__(x, y, _monotone_slopes(np.diff(x), np.diff(y) / np.diff(x)))
+
+
+def _monotone_slopes(width: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """First derivatives at the knots (n,): weighted harmonic means of the slopes, 0 where the slopes change sign."""
+    if len(slope) == 1:
+        return np.repeat(slope, 2)
+    below, above = 2 * width[1:] + width[:-1], width[1:] + 2 * width[:-1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = 1 / ((below / slope[:-1] + above / slope[1:]) / (below + above))
+    inner = np.where(np.sign(slope[:-1]) * np.sign(slope[1:]) > 0, mean, 0)
+    ends = _end_slope(width[:2], slope[:2]), _end_slope(width[:-3:-1], slope[:-3:-1])
+    return np.concatenate([ends[:1], inner, ends[1:]])
+
+
+def _end_slope(width: np.ndarray, slope: np.ndarray) -> float:
+    """First derivative of the parabola through three points at the outer one, limited to stay monotone."""
+    found = ((2 * width[0] + width[1]) * slope[0] - width[0] * slope[1]) / (width[0] + width[1])
+    if np.sign(found) != np.sign(slope[0]):
+        return 0.0
+    if np.sign(slope[0]) != np.sign(slope[1]) and abs(found) > 3 * abs(slope[0]):
+        return 3 * slope[0]
+    return found
+
+
+def _smooth_slopes(x: np.ndarray, width: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """First derivatives at the knots (n,), from a tridiagonal system."""
     start, end = x[2] - x[0], x[-1] - x[-3]
     above = np.concatenate([[start], width[:-1]])

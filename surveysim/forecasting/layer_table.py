@@ -1,6 +1,8 @@
 """Noise of the layer against its motion: tabulated at a few motions, and interpolated."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -35,8 +37,6 @@ def interpolate_motions(
     directions are taken as one, because the array has many angles to them. Conditions outside the table take the
     nearest value.
     """
-    from scipy.interpolate import RegularGridInterpolator
-
     slowest = _SLOWEST * speed_rad_s
 
     def place(motion: np.ndarray, sine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -48,10 +48,23 @@ def interpolate_motions(
     turns = np.linspace(turn.min(), turn.max() + 1e-6, _DIRECTIONS if np.ptp(turn) > 1e-3 else 2)
     table = np.array([[noise(np.exp(s + 1j * t)) for t in turns] for s in speeds])
     nodes = speeds, turns, np.log(sine_nodes(conditions))
-    logs = RegularGridInterpolator(nodes, np.log(np.maximum(table, 1e-300)))
+    logs = np.log(np.maximum(table, 1e-300))
 
     def between(motion: np.ndarray, sine: np.ndarray) -> np.ndarray:
-        places = zip(place(motion, sine), nodes, strict=True)
-        return np.exp(logs(np.stack([np.clip(item, node[0], node[-1]) for item, node in places], axis=-1))).mean(axis=1)
+        return np.exp(_linear(nodes, logs, place(motion, sine))).mean(axis=1)
 
     return between
+
+
+def _linear(nodes: Sequence[np.ndarray], table: np.ndarray, places: Sequence[np.ndarray]) -> np.ndarray:
+    """Interpolate between the nodes of each axis of a table (..., n_bin), at places of one shape; nearest beyond."""
+    below, share = [], []
+    for node, place in zip(nodes, places, strict=True):
+        inside = np.clip(place, node[0], node[-1])
+        below.append(np.clip(np.searchsorted(node, inside, side="right") - 1, 0, len(node) - 2))
+        share.append((inside - node[below[-1]]) / (node[below[-1] + 1] - node[below[-1]]))
+    found = np.zeros((*places[0].shape, table.shape[-1]))
+    for corner in product((0, 1), repeat=len(nodes)):
+        weight = math.prod(part if up else 1 - part for part, up in zip(share, corner, strict=True))
+        found += table[tuple(start + up for start, up in zip(below, corner, strict=True))] * weight[..., np.newaxis]
+    return found

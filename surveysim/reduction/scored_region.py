@@ -20,6 +20,7 @@ from mapmaker.spectrum import (
     tukey_taper,
 )
 from mapmaker.transfer_function import beam_window, mode_pixel_window
+from surveysim.atmosphere.cubic_spline import MonotoneCubic
 from surveysim.runtime.errors import InsufficientDataError, SceneError
 from surveysim.scene.scene import Scene
 
@@ -216,15 +217,13 @@ def left_signal(
     `transmission` (n_bin,) is that of modes at the bins' mean multipoles; between bins, and below them, it goes as
     smooth powers of ell.
     """
-    from scipy.interpolate import PchipInterpolator
-
     known = band.rings.ell > 0
     log_ell = np.log(band.rings.ell[known])
     log_share = np.log(np.maximum(transmission[known], _NOTHING))
     # Of the longest modes scans lose at least two powers of ell with their means.
     slope = max([2.0, *np.diff(log_share[:2]) / np.diff(log_ell[:2])])
     log_ell = np.append(log_ell[0] - _BELOW, log_ell)
-    between = PchipInterpolator(log_ell, np.append(log_share[0] - _BELOW * slope, log_share))
+    between = MonotoneCubic(log_ell, np.append(log_share[0] - _BELOW * slope, log_share))
 
     def share(ell: np.ndarray) -> np.ndarray:
         return np.exp(between(np.clip(np.log(np.maximum(ell, 1e-9)), log_ell[0], log_ell[-1])))

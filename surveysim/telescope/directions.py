@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import erfa
 import numpy as np
@@ -54,7 +55,8 @@ def horizontal(field: FieldCentre, site: Site, mjd: np.ndarray) -> tuple[np.ndar
     azimuth_deg, elevation_deg = np.degrees(azimuth), np.degrees(np.pi / 2 - zenith_distance)
     azimuth = np.radians(azimuth_deg)
     below = np.pi / 2 - np.radians(elevation_deg - np.degrees(STEP_DOWN_RAD))
-    nadir = _position_angle(field, *_to_icrs(*erfa.atoiq("A", azimuth, below, seen), seen))  # in [0, 2 pi)
+    ra, dec = erfa.atoiq("A", azimuth, below, seen)
+    nadir = _position_angle(field, *_to_icrs(ra, dec, seen))  # in [0, 2 pi)
     return np.radians(elevation_deg), azimuth, np.where(nadir > 0, nadir - np.pi, np.pi)
 
 
@@ -161,7 +163,7 @@ def _position_angle(field: FieldCentre, ra: np.ndarray, dec: np.ndarray) -> np.n
     return np.arctan2(np.sin(turn) * np.cos(dec), north) % (2 * np.pi)
 
 
-def _by_degrees(angle: float | np.ndarray) -> float | np.ndarray:
+def _by_degrees(angle: Any) -> Any:
     """Convert to degrees and back, for the rounding of astropy."""
     return np.radians(np.degrees(angle))
 

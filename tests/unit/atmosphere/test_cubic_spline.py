@@ -1,10 +1,11 @@
-"""The cubic spline against scipy's."""
+"""Piecewise cubics against scipy's."""
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline as Scipys
+from scipy.interpolate import PchipInterpolator
 
-from surveysim.atmosphere.cubic_spline import CubicSpline
+from surveysim.atmosphere.cubic_spline import CubicSpline, MonotoneCubic
 
 
 @pytest.mark.parametrize("n", [4, 5, 14, 801])
@@ -30,3 +31,15 @@ def test_it_passes_through_its_points_and_cubics():
     np.testing.assert_allclose(spline(q), 1 - 2 * q + 0.5 * q**2 - 3 * q**3, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(spline(q, 1), -2 + q - 9 * q**2, rtol=1e-12, atol=1e-12)
     assert spline(0.3).shape == () and float(spline(0.3)) == pytest.approx(y[1])
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 30])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_monotone_cubic_is_that_of_scipy(n, seed):
+    """Values that rise, fall and stay; within the knots, at them, and beyond both ends."""
+    rng = np.random.default_rng(seed)
+    x = np.cumsum(rng.exponential(size=n) + 1e-3)
+    q = np.concatenate([x, rng.uniform(x[0] - 1, x[-1] + 1, 300)])
+    for y in (rng.normal(size=n), rng.exponential(size=n).cumsum(), rng.integers(0, 3, n).astype(float)):
+        expected = PchipInterpolator(x, y)(q)
+        np.testing.assert_allclose(MonotoneCubic(x, y)(q), expected, rtol=1e-13, atol=1e-13 * np.abs(expected).max())

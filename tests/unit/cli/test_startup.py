@@ -75,6 +75,13 @@ def test_scenes_are_checked_without_what_only_runs_need(tmp_path, scene):
     assert not set(UNWANTED_IN_CHECKS) & loaded and "surveysim.reduction.setup" in loaded
 
 
+def test_forecasts_are_made_without_what_only_runs_need(tmp_path):
+    """Of a site, nights and a layer."""
+    loaded = imported(tmp_path, "forecast", "first_light")
+    unwanted = {"astropy", "h5py", "healpy", "matplotlib", "scipy.interpolate", "scipy.optimize"}
+    assert not unwanted & loaded and "surveysim.forecasting.layer_table" in loaded
+
+
 @pytest.mark.parametrize("name", UNUSED)
 def test_parts_of_numpy_are_executed_at_their_first_use(name):
     """They are there, but for names that only their execution defines."""
