@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mapmaker.chunks import row_chunks
 from mapmaker.cleaning.responsivity import SCAN, Region, Responsivities, TemplateModel, check_fit, clean_templates
 from mapmaker.cleaning.scans import Cleaned, checks_streams
 from mapmaker.cleaning.templates import AVERAGE, template_basis
@@ -122,20 +123,29 @@ def _view(block: np.ndarray, delay: np.ndarray) -> tuple[np.ndarray, Callable[[n
             f"delays of up to {longest:.4g} samples found in a scan of {n_samp}; a quarter is allowed"
         )
     pad = ceil(longest)
-    turn = delay_phases(delay, n_samp + 2 * pad)
-    rest = phase_shifted(np.pad(block, ((0, 0), (pad, pad)), mode="symmetric"), turn)
-    instant = np.arange(-pad, n_samp + pad) + delay[:, None]
-    within = (instant >= -_ROUNDING) & (instant <= n_samp - 1 + _ROUNDING)
+    n_det, n_padded = len(block), n_samp + 2 * pad
+    turn, rest = np.empty((n_det, n_padded + 1), np.complex128), np.empty((n_det, n_padded))
+    within = np.empty((n_det, n_padded), bool)
+    # Transforms take twenty times the memory of their streams.
+    chunks = tuple(row_chunks(n_det, n_padded))
+    for rows in chunks:
+        turn[rows] = delay_phases(delay[rows], n_padded)
+        rest[rows] = phase_shifted(np.pad(block[rows], ((0, 0), (pad, pad)), mode="symmetric"), turn[rows])
+        instant = np.arange(-pad, n_samp + pad) + delay[rows, None]
+        within[rows] = (instant >= -_ROUNDING) & (instant <= n_samp - 1 + _ROUNDING)
     common = rest[:, within.all(axis=0)]
     mean = common.mean(axis=1, keepdims=True)
     rest -= mean
+    common -= mean
 
     def subtract(responsivity: np.ndarray) -> None:
-        template = phase_shifted(_mean_within(rest / responsivity[:, None], within)[None], turn.conj())
-        np.subtract(block, responsivity[:, None] * template[:, pad : pad + n_samp], out=block)
+        template = _mean_within(rest / responsivity[:, None], within)[None]
+        for rows in chunks:
+            seen = phase_shifted(template, turn[rows].conj())[:, pad : pad + n_samp]
+            block[rows] -= responsivity[rows, None] * seen
         np.subtract(block, block.mean(axis=1, keepdims=True), out=block)
 
-    return common - mean, subtract
+    return common, subtract
 
 
 def delay_phases(delay: np.ndarray, n_samp: int) -> np.ndarray:

@@ -4,6 +4,9 @@ import numpy as np
 
 from mapmaker.kernels.compiled import njit
 
+# Samples of a detector whose places are computed before the look-up: loops without look-ups are vector instructions.
+_AT_ONCE = 512
+
 
 @njit(cache=True, nogil=True)
 def combine_columns(columns, start, normals, modes):
@@ -77,6 +80,7 @@ def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
     n_lane, n_x = strip.shape
     n_samp = stop - start
     row = np.empty(n_x + 1, strip.dtype)
+    cell, part = np.empty(_AT_ONCE, np.int32), np.empty(_AT_ONCE, strip.dtype)
     for d in range(data.shape[0]):
         last = x0[d] + (n_samp - 1) * dx
         lane = min(int(y0[d]), n_lane - 2)
@@ -89,14 +93,17 @@ def add_screen(data, start, stop, strip, x0, y0, dx, amplitude):
             row[m] = lower * near[m] + upper * far[m]
         # A last sample that rounds up to the end has zero weight here.
         row[n_cell] = row[n_cell - 1]
-        samples = data[d, start:stop]
         x_first = x0[d] - first
-        for n in range(n_samp):
-            x = x_first + n * dx
-            # Via int32, which converts fast, to unsigned, which avoids numba's check for negative indices.
-            m = np.uint64(np.int32(x))
-            value = row[m]
-            samples[n] += value + strip.dtype.type(x - m) * (row[m + np.uint64(1)] - value)
+        for begin in range(0, n_samp, _AT_ONCE):
+            samples = data[d, start + begin : min(start + begin + _AT_ONCE, stop)]
+            for n in range(samples.size):
+                x = x_first + (begin + n) * dx
+                cell[n] = np.int32(x)
+                part[n] = x - cell[n]
+            for n in range(samples.size):
+                # Unsigned, which avoids numba's check for negative indices.
+                m = np.uint64(cell[n])
+                samples[n] += row[m] + part[n] * (row[m + np.uint64(1)] - row[m])
 
 
 @njit(cache=True, nogil=True)

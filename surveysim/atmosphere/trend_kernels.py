@@ -193,22 +193,27 @@ def add_covariances(strip, used, lane, column, weight, step, stride, cells, coef
     n_lane = strip.shape[0]
     across = (n_lane - 1) / cells
     n_y, n_x = cells + 3, (used - 1) // stride + 4
-    coarse = np.empty((n_y, n_x))
+    coarse = np.zeros((n_y, n_x))
+    offset = np.empty((n_y, lane.size))
     for p in range(n_y):
-        for q in range(n_x):
-            total = 0.0
-            for i in range(weight.size):
-                dx, dy = (q - 1) * stride - column[i], (p - 1) * across - lane[i]
-                total += weight[i] * structure(step * step * (dx * dx + dy * dy), coefficients, scale)
-            coarse[p, q] = -0.5 * total
+        for i in range(lane.size):
+            offset[p, i] = abs((p - 1) * across - lane[i])
+    twin, apart = _equal_offsets(offset.reshape(offset.size), column), np.empty(offset.size)
+    for q in range(n_x):
+        for k in range(offset.size):
+            p, i = k // lane.size, k % lane.size
+            if twin[k] == k:
+                dx, dy = (q - 1) * stride - column[i], offset[p, i]
+                apart[k] = structure(step * step * (dx * dx + dy * dy), coefficients, scale)
+            coarse[p, q] -= 0.5 * weight[i] * apart[twin[k]]
     level = coarse.mean()
     for i in range(weight.size):
         level += strip[lane[i], column[i]] / weight.size
     coarse -= level
-    along = np.empty((stride, 4))
+    along, between, row = np.empty((4, stride)), np.empty(4), np.empty(n_x)
     for r in range(stride):
-        _centred_weights(r / stride, along[r])
-    between, row = np.empty(4), np.empty(n_x)
+        _centred_weights(r / stride, between)
+        along[:, r] = between
     for n in range(n_lane):
         y = n / across
         cell = min(int(y), cells - 1)
@@ -220,9 +225,23 @@ def add_covariances(strip, used, lane, column, weight, step, stride, cells, coef
                 + between[2] * coarse[cell + 2, q]
                 + between[3] * coarse[cell + 3, q]
             )
-        for x in range(used):
-            q, w = x // stride, along[x % stride]
-            strip[n, x] += w[0] * row[q] + w[1] * row[q + 1] + w[2] * row[q + 2] + w[3] * row[q + 3]
+        for q in range(n_x - 3):
+            points = strip[n, q * stride : min((q + 1) * stride, used)]
+            a, b, c, d = row[q], row[q + 1], row[q + 2], row[q + 3]
+            for r in range(points.size):  # a loop without divisions, compiled to vector instructions
+                points[r] += along[0, r] * a + along[1, r] * b + along[2, r] * c + along[3, r] * d
+
+
+@njit(cache=True, nogil=True)
+def _equal_offsets(offset, column):
+    """Find for each offset (n,) the first equal one at the same column; columns repeat along the offsets."""
+    twin = np.arange(offset.size)
+    for k in range(offset.size):
+        for j in range(k):
+            if offset[j] == offset[k] and column[j % column.size] == column[k % column.size]:
+                twin[k] = j
+                break
+    return twin
 
 
 @njit(cache=True, nogil=True)

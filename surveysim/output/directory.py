@@ -5,13 +5,12 @@ its SHA-256. A file is removed only if it is listed there, has a name that this 
 are never followed. Results are written to a temporary folder and moved to their places together.
 """
 
-import json
 import logging
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from errno import EACCES, EISDIR, ENOTDIR
 from hashlib import file_digest, sha256
 from pathlib import Path
@@ -19,12 +18,20 @@ from stat import S_ISDIR, S_ISREG
 from typing import Any
 
 from mapmaker.files import atomic_write
-from surveysim import __version__
 from surveysim.output.lock import LOCK, OutputError, alive, locked
+from surveysim.output.record import (
+    NOTHING,
+    RECORD,
+    Results,
+    is_regular,
+    read_record,
+    rewrite_record,
+    write_record,
+)
 from surveysim.scene.units import shown
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 
-RECORD, NEW = ".surveysim.json", ".surveysim.new"
+NEW = ".surveysim.new"
 OTHERWISE = "--force replaces it, --out writes elsewhere"
 # Names that any command writes: no other file is ever removed, even if the record lists it.
 _WRITTEN = re.compile(
@@ -43,29 +50,6 @@ log = logging.getLogger("surveysim")
 
 class FinishedError(OutputError):
     """The run is finished: there is nothing to resume."""
-
-
-@dataclass(frozen=True)
-class Results:
-    """Results of a command: its identity, and the names of all files that it may write, relative to its directory.
-
-    `sha256` is the hash of everything that the results depend on; `extends` is equal for runs that differ only in their
-    number of observations, and empty for other commands. `inputs` are files, with their content, that are written
-    before the work starts. The caller writes the results; it writes `piecewise` results directly to their places.
-    """
-
-    command: str
-    scene: str
-    sha256: str
-    names: tuple[str, ...]
-    inputs: Mapping[str, bytes] = field(default_factory=dict)
-    piecewise: bool = False
-    extends: str = ""
-
-    @property
-    def all_names(self) -> tuple[str, ...]:
-        """Names of inputs and results."""
-        return (*self.inputs, *self.names)
 
 
 @dataclass(frozen=True)
@@ -116,7 +100,7 @@ def begin(place: OutputDirectory, removed: Callable[[str], bool]) -> None:
     remove(place, place.mine.keys() - stay.keys())
     coming = [name for name in results.names if results.piecewise or _UNFINISHED_WORK.fullmatch(name)]
     inputs = {name: sha256(content).hexdigest() for name, content in results.inputs.items()}
-    _write_record(place, stay | dict.fromkeys(coming) | inputs, finished=False)
+    write_record(place.path, place.results, stay | dict.fromkeys(coming) | inputs, finished=False)
     for name, content in results.inputs.items():
         with atomic_write(place.path / name) as partial:
             partial.write_bytes(content)
@@ -149,19 +133,19 @@ def _put_in_place(place: OutputDirectory, new: Path, over: Callable[[str], bool]
     work = [name for name in place.results.names if _UNFINISHED_WORK.fullmatch(name) and _is_written(place, name)]
     files = written | {name: _identity(place.path / name) for name in work if not over(name)}
     gone = {name: place.mine.get(name) for name in (*place.mine, *work) if name not in files}
-    _write_record(place, files | gone, finished=False)
+    write_record(place.path, place.results, files | gone, finished=False)
     for name in written:
         (place.path / name).parent.mkdir(exist_ok=True)
         (new / name).replace(place.path / name)
     remove(place, gone)
-    _write_record(place, files, finished=True, whole=whole)
+    write_record(place.path, place.results, files, finished=True, whole=whole)
 
 
 def finish(place: OutputDirectory) -> None:
     """Record the files that a piecewise job has written."""
     names = dict.fromkeys((*place.mine, *place.results.all_names))
     files = {name: _identity(place.path / name) for name in names if _is_written(place, name)}
-    _write_record(place, files, finished=True)
+    write_record(place.path, place.results, files, finished=True)
 
 
 def remove(place: OutputDirectory, names: Iterable[str]) -> None:
@@ -185,15 +169,15 @@ def renewed(directory: Path, name: str, force: bool = False) -> Iterator[None]:
         yield  # the block raises its error
         return
     with locked(directory):
-        record = _read_record(directory) or _NOTHING
+        record = read_record(directory) or NOTHING
         _check_readable(directory)
         known = record["files"]
         if os.path.lexists(directory / name) and not force and not _is_mine(directory, name, known):
             raise OutputError(f"{directory / name}: not written by this program, or changed since; --force replaces it")
         yield
-        if record is not _NOTHING:
+        if record is not NOTHING:
             files = known | {name: _identity(directory / name)}
-            _write(directory / RECORD, record | {"files": files})
+            rewrite_record(directory, record | {"files": files})
 
 
 def holds_work(directory: Path) -> bool:
@@ -204,18 +188,16 @@ def holds_work(directory: Path) -> bool:
 
 # ---------------------------------------------------------------- whose a directory is
 
-_NOTHING: dict[str, Any] = {"command": "", "scene": "", "sha256": "", "finished": True, "files": {}}
-
 
 def _claim(path: Path, results: Results, force: bool, resume: bool) -> OutputDirectory:
     _check_folders(path, results.all_names)
-    record = _read_record(path)
+    record = read_record(path)
     if record is None and os.path.lexists(path / RECORD) and not force:
         raise OutputError(f"{path / RECORD}: not written by this program; {OTHERWISE}")
-    record = record or _NOTHING
+    record = record or NOTHING
     mine = {name: known for name, known in record["files"].items() if _is_mine(path, name, record["files"])}
     started = record["finished"] or any(not _INPUT.fullmatch(name) for name in mine)
-    if record is not _NOTHING and started and not force:
+    if record is not NOTHING and started and not force:
         _check_same(path, results, record, resume)
         _check_unfinished(path, mine, record, resume=resume, same=record["sha256"] == results.sha256)
     if resume:
@@ -325,19 +307,12 @@ def _may_be_removed(path: Path, name: str) -> bool:
     """Return whether this is a regular file with a name that this program writes, not reached through a link."""
     folder = name.rpartition("/")[0]
     through_link = folder and (path / folder).is_symlink()
-    return bool(_WRITTEN.fullmatch(name)) and not through_link and _is_regular(path / name)
-
-
-def _is_regular(path: Path) -> bool:
-    try:
-        return S_ISREG(os.lstat(path).st_mode)
-    except (OSError, ValueError):
-        return False
+    return bool(_WRITTEN.fullmatch(name)) and not through_link and is_regular(path / name)
 
 
 def _is_written(place: OutputDirectory, name: str) -> bool:
     """Return whether a file exists and is not an unreplaced file of the user."""
-    if not _is_regular(place.path / name):
+    if not is_regular(place.path / name):
         return False
     state = os.lstat(place.path / name)
     return place.others.get(name) != (state.st_ino, state.st_mtime_ns)
@@ -355,7 +330,7 @@ def _identity(path: Path) -> str:
 def _remove_partial_files(place: OutputDirectory) -> None:
     """Remove partial files of processes that no longer exist, by the exact names of this command's files."""
     _remove_folders(place.path)
-    listed = (_read_record(place.path) or _NOTHING)["files"]
+    listed = (read_record(place.path) or NOTHING)["files"]
     known = {*listed, *place.results.all_names, RECORD}
     for folder in {name.rpartition("/")[0] for name in known if _WRITTEN.fullmatch(name)} | {"timestreams", "points"}:
         where = place.path / folder
@@ -379,7 +354,7 @@ def _remove_folders(path: Path) -> None:
             for file in (Path(folder) / name for name in names):
                 name = file.relative_to(entry.path).as_posix()
                 half = _PARTIAL.fullmatch(name)
-                if _WRITTEN.fullmatch(half[1] if half else name) and _is_regular(file):
+                if _WRITTEN.fullmatch(half[1] if half else name) and is_regular(file):
                     file.unlink()
             with suppress(OSError):  # other files in it stay
                 os.rmdir(folder)
@@ -387,35 +362,3 @@ def _remove_folders(path: Path) -> None:
 
 def _is_over(pid: int) -> bool:
     return pid == os.getpid() or not alive(pid)  # this process writes nothing else here
-
-
-# ---------------------------------------------------------------- the record
-
-
-def _read_record(path: Path) -> dict[str, Any] | None:
-    """Read the record of a directory; None without one that this program wrote."""
-    if not _is_regular(path / RECORD):
-        return None
-    try:
-        found = json.loads((path / RECORD).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    types = {"surveysim": str, "command": str, "scene": str, "sha256": str, "finished": bool, "files": dict}
-    whole = isinstance(found, dict) and all(isinstance(found.get(key), kind) for key, kind in types.items())
-    whole = whole and all(isinstance(value, str | None) for value in found["files"].values())
-    return found if whole else None
-
-
-def _write_record(
-    place: OutputDirectory, files: Mapping[str, str | None], finished: bool, *, whole: bool = True
-) -> None:
-    results = place.results
-    content = {"surveysim": __version__, "command": results.command, "scene": results.scene, "sha256": results.sha256}
-    content |= {"extends": results.extends}
-    state = {"finished": finished, "whole": finished and whole}
-    _write(place.path / RECORD, content | state | {"files": dict(sorted(files.items()))})
-
-
-def _write(path: Path, content: Mapping[str, Any]) -> None:
-    with atomic_write(path) as partial:
-        partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from typing import Any
 
-from surveysim.output.directory import Results
+from surveysim.output.record import Results
 from surveysim.output.scene_copy import scene_files, sweep_files
 from surveysim.reduction.setup import Setup
 from surveysim.scene.scene import Scene, scene_hash, survey_hash

@@ -8,6 +8,7 @@ import numpy as np
 from mapmaker.chunks import row_chunks
 from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
+from mapmaker.kernels.spectra import scale_mean_removed
 from mapmaker.timestreams import scan_bounds
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.rng import NormalDeviates, RandomPurpose, normal_deviates
@@ -33,12 +34,6 @@ class NoiseOnlySet:
 
     purpose: RandomPurpose
     draw: Callable[[Setup, np.ndarray, np.ndarray, int, NormalDeviates, slice], np.ndarray]
-
-
-def mean_removed(data: np.ndarray, n_scans: int) -> np.ndarray:
-    """Subtract the mean of each scan from streams (n_det, n_samp) of equal scans."""
-    scans = data.reshape(len(data), n_scans, -1)
-    return (scans - scans.mean(axis=-1, keepdims=True)).reshape(data.shape)
 
 
 def add_simulated(
@@ -100,10 +95,10 @@ def _draw_white(
     setup: Setup, psd: np.ndarray, white: np.ndarray, n_scans: int, deviates: NormalDeviates, rows: slice
 ) -> np.ndarray:
     rate, n_samp = setup.observing.scans.sample_rate_hz, n_scans * samples_per_scan(setup.observing.scans)
-    level = np.sqrt(white[rows] * rate / 2).astype(setup.stream_type)[:, None]
+    level = np.sqrt(white[rows] * rate / 2).astype(setup.stream_type)
     data = deviates.draw((len(level), n_samp), first=rows.start * n_samp, dtype=setup.stream_type)
-    data *= level
-    return mean_removed(data, n_scans)
+    scale_mean_removed(data, n_scans, level)
+    return data
 
 
 # By their names in `score.noise_only_sets`.

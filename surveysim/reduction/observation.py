@@ -330,13 +330,14 @@ def _add_signal_maps(signal_maps: np.ndarray, part: _Part, skies_mk: np.ndarray)
     setup, section, streams = part.setup, part.setup.scene.cleaning, part.streams
     rate, extra, raw = setup.observing.scans.sample_rate_hz, part.auxiliary, streams.data_mk
     bounds, signal = streams.scan_bounds, np.empty_like(streams.data_mk)
+    of_pipelines = list(zip(setup.analysis.pipelines, part.index, part.cleaned, strict=True))
     for s, sky in enumerate(skies_mk):
         write_sky_signal(setup, part.pointing, sky, signal)
-        for pipeline, index, base in zip(setup.analysis.pipelines, part.index, part.cleaned, strict=True):
-            rows, place = pipeline.rows, setup.analysis.transfer_function_names.index(pipeline.data_set)
+        for pipeline, index, base in of_pipelines:
+            seen, place = signal[pipeline.rows], setup.analysis.transfer_function_names.index(pipeline.data_set)
             scans = _cleaned_again(section, pipeline, base.kept)
             both = _clean(
-                section, pipeline, streams, raw[rows] + signal[rows], auxiliary=extra, scans=scans, rate_hz=rate
+                section, pipeline, streams, raw[pipeline.rows] + seen, auxiliary=extra, scans=scans, rate_hz=rate
             )
             kept = base.kept.copy()
             kept[scans] &= both.kept
@@ -344,7 +345,7 @@ def _add_signal_maps(signal_maps: np.ndarray, part: _Part, skies_mk: np.ndarray)
                 kept[:] = False  # another fit: the difference is not the signal's alone
             difference = both.data_mk
             difference -= base.data_mk
-            for state, data in enumerate((signal[rows], difference)):
+            for state, data in enumerate((seen, difference)):
                 bin_samples(data, index, bounds, kept, signal_maps[s, place, state], None)
 
 

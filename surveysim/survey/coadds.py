@@ -178,10 +178,9 @@ def add_observations(analysis: AnalysisSetup, coadds: CoAdds, observations: Sequ
     patch = analysis.region.patch if analysis.region else slice(0, 0)
     signs = np.stack([jackknife_signs(analysis.scene, item.first) for item in observations], axis=1)
     # All that could fail for want of memory comes before the first sum: none is left half done.
-    patches = np.stack([item.sums[:, patch, patch] for item in observations], axis=1)
+    patches = np.stack([item.sums[:, patch, patch] for item in observations])
     if len(signs):
-        for s, weighted in enumerate(patches):
-            add_signed(coadds.flipped[:, s], weighted, signs)
+        add_signed(coadds.flipped, patches, signs)
     for item in observations:
         _add_arrays(coadds, item)
         _add_lists(coadds, item)

@@ -126,7 +126,7 @@ def test_signal_simulation_of_one_sky(per_sample, lynx):
 def test_weights(per_sample, lynx):
     """The noise of the maps of all data sets."""
     maps = list(zip(lynx.result.sums, lynx.result.hits, strict=True))
-    per_sample("weights", lambda: [map_noise(lynx.setup, *item) for item in maps])
+    per_sample("weights", lambda: [map_noise(lynx.setup.analysis.region, *item) for item in maps])
 
 
 def test_coadds(per_sample, lynx):

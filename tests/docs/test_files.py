@@ -10,7 +10,7 @@ from astropy.table import Table
 
 import surveysim
 from surveysim.forecasting.forecast import forecast
-from surveysim.output.directory import RECORD
+from surveysim.output.record import RECORD
 from surveysim.output.writer import write_accuracy, write_extremes, write_forecast
 from surveysim.paper.reproduce import reproduce
 from surveysim.paper.scenes import TABLES, wanted

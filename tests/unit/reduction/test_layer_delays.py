@@ -108,7 +108,7 @@ def test_wind_cleaning_of_blocks_leaves_less_than_the_average(setup_of):
         left.append(found.clean_psd[2:6].mean() / found.compared_psd[0, 2:6].mean())
         assert found.discarded == (0, 0, 0)
     assert max(left) < 0.95
-    np.testing.assert_allclose(left[1:], left[0], rtol=0.3)
+    np.testing.assert_allclose(left[1:], left[0], rtol=0.15)
 
 
 def test_plan_counts_the_pass_before(setup_of):

@@ -9,8 +9,8 @@ from astropy.table import Table
 
 from surveysim import SceneError, load_scene, load_sweep, run, run_sweep
 from surveysim.api import forecast_sweep
-from surveysim.output.directory import RECORD
 from surveysim.output.lock import OutputError
+from surveysim.output.record import RECORD
 from surveysim.report.figures.sweep import _ticks, draw_sweep, sweep_figure
 from surveysim.report.terminal.sweep import best_line, forecast_lines
 from surveysim.runtime.engine import SERIAL, Engine
