@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
 from tests.refusals import scene_refusal
 from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections, write_scene
