@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -124,10 +125,10 @@ class Timestreams:
         sizes = {"ra_rad": _TURNS_RAD, "dec_rad": _QUARTER_RAD, "array_angle_rad": _TURNS_RAD}
         angles = {name: reals(name, getattr(self, name), samples, least=-m, most=m) for name, m in sizes.items()}
         scan = integers("scan", self.scan, samples)
-        scan_bounds(self.scan)
+        _ = self.scan_bounds  # of the scans as they came
         _set(self, data_mk=data, time_s=time, scan=scan, **angles)
 
-    @property
+    @cached_property
     def scan_bounds(self) -> np.ndarray:
         """First and one-past-last sample of each scan, (n_scan, 2)."""
         return scan_bounds(self.scan)
@@ -158,7 +159,7 @@ def scan_bounds(scan: np.ndarray) -> np.ndarray:
         unsigned type, which stands for a stored -1.
     """
     scan = signed("scan", scan, integers("scan", scan, ("n_samp",)))
-    edges = np.flatnonzero(np.diff(scan)) + 1
+    edges = np.flatnonzero(scan[1:] != scan[:-1]) + 1
     start = np.concatenate([[0], edges]).astype(np.int64)
     stop = np.concatenate([edges, [len(scan)]]).astype(np.int64)
     inside = scan[start] >= 0

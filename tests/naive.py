@@ -52,6 +52,13 @@ def hann_power(data, n_scans, kept):
     return power
 
 
+def scale_mean_removed(data, n_scans, level):
+    """Scans of each detector less their means, times its level."""
+    scans = np.array(data, float).reshape(len(data), n_scans, -1)
+    means = [[sum(scan) / len(scan) for scan in row] for row in scans]
+    return ((scans - np.array(means)[..., None]) * level[:, None, None]).reshape(data.shape)
+
+
 def template_cleaning(scan_mk, shapes, hold, tolerance, max_iterations):
     """Polynomial templates of one scan, sample by sample; returns (cleaned, c, steps).
 

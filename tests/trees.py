@@ -3,6 +3,10 @@
 from hashlib import sha256
 from pathlib import Path
 
+import h5py
+
+from surveysim.survey.checkpoint import NAME as CHECKPOINT
+
 # The user's, around and inside an output directory: names that the program's own might be taken for.
 AROUND = ("thesis.tex", "data/raw.h5", "data/notes.part", "summary.json", "maps/mine.fits", "checkpoint.h5")
 INSIDE = (
@@ -55,7 +59,19 @@ def lost(root: Path, before: dict[str, str]) -> list[str]:
 
 
 def results(directory: Path) -> dict[str, str]:
-    """Hashes of what a run left, less the user's files; those that hold times only by name."""
+    """Hashes of what a run left, less the user's files; those that hold times only by name, or without the times."""
     mine = set(INSIDE) | {Path(name).parent.as_posix() for name in INSIDE}
     found = {name: item for name, item in files(directory).items() if name not in mine and item != "folder"}
+    if CHECKPOINT in found:
+        found[CHECKPOINT] = _sums(directory / CHECKPOINT)
     return found | {name: "timed" for name in TIMED if name in found}
+
+
+def _sums(checkpoint: Path) -> str:
+    """SHA-256 of the sums in a checkpoint, with their names and the scene, but without times."""
+    with h5py.File(checkpoint) as file:
+        digest = sha256(file.attrs["meta"].encode())
+        for first, node in file.items():
+            for name, values in node.items():
+                digest.update(f"{first} {name} {values.shape} {values.dtype}".encode() + values[()].tobytes())
+    return digest.hexdigest()

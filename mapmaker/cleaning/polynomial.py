@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mapmaker.cleaning.responsivity import SCAN, Region, Responsivities, check_fit, clean_templates
+from mapmaker.cleaning.responsivity import SCAN, Region, Responsivities, TemplateModel, check_fit, clean_templates
 from mapmaker.cleaning.scans import Cleaned, checks_streams
-from mapmaker.cleaning.templates import polynomial_model, template_basis
+from mapmaker.cleaning.templates import template_basis
 from mapmaker.errors import InsufficientDataError
 from mapmaker.validation import whole
 
@@ -108,4 +108,4 @@ def subtract_polynomial(
         Region(rows, template_basis(focal_plane.subset(rows), exponents(options.order)))
         for rows in focal_plane_regions(focal_plane, options.regions)
     )
-    return clean_templates(data_mk, scan_bounds, polynomial_model(regions), options)
+    return clean_templates(data_mk, scan_bounds, TemplateModel(regions), options)

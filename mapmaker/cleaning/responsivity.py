@@ -25,7 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, finite_scans, has_dead
+from mapmaker.chunks import row_chunks
+from mapmaker.cleaning.scans import Cleaned, Fit, clean_scans, finite_scans, has_dead, is_dead
 from mapmaker.validation import argument_error, number, reals, whole
 
 SCAN, OBSERVATION = "scan", "observation"
@@ -64,14 +65,20 @@ class TemplateModel:
     Attributes
     ----------
     regions
-    view
-        Function of a mean-removed scan (n_det, n_samp) and its number. It returns the mean-removed streams (n_det, n)
-        in which all detectors see a template at one time, and a function of c (n_det,) that subtracts the templates
-        from the scan, in place.
+    shifted
+        None where all detectors see a template at the same time. Otherwise a function of a mean-removed scan (n_det,
+        n_samp) and its number. It returns the mean-removed streams (n_det, n) in which they do, and a function of c
+        (n_det,) that subtracts the templates from the scan, in place.
     """
 
     regions: tuple[Region, ...]
-    view: Callable[[np.ndarray, int], tuple[np.ndarray, Callable[[np.ndarray], None]]]
+    shifted: Callable[[np.ndarray, int], tuple[np.ndarray, Callable[[np.ndarray], None]]] | None = None
+
+    def view(self, block: np.ndarray, scan: int) -> tuple[np.ndarray, Callable[[np.ndarray], None]]:
+        """Return the streams that `shifted` returns, and its function of c, for a scan."""
+        if self.shifted is None:
+            return block, partial(_subtract_regions, block, self.regions)
+        return self.shifted(block, scan)
 
     @property
     def n_templates(self) -> int:
@@ -122,9 +129,11 @@ def clean_templates(data_mk: np.ndarray, scan_bounds: np.ndarray, model: Templat
         c, iterations = np.asarray(asked, dtype=np.float64), 0
     else:
         raise ValueError(f"{len(asked)} responsivities found for {len(data_mk)} detectors; one a detector is expected")
-    return clean_scans(
-        data_mk, scan_bounds, lambda block, scan: _subtract(block, scan, model, c=c, iterations=iterations)
-    )
+    if c is None or model.shifted is not None:
+        return clean_scans(
+            data_mk, scan_bounds, lambda block, scan: _subtract(block, scan, model, c=c, iterations=iterations)
+        )
+    return _clean_by_rows(data_mk, scan_bounds, model, c=c, iterations=iterations)
 
 
 def _fit_scan(block: np.ndarray, scan: int, model: TemplateModel, options: Any) -> Fit:
@@ -143,6 +152,83 @@ def _subtract(block: np.ndarray, scan: int, model: TemplateModel, *, c: np.ndarr
         return Fit(None, iterations)
     model.view(block, scan)[1](c)
     return Fit(c, iterations, model.n_templates)
+
+
+def _subtract_regions(block: np.ndarray, regions: tuple[Region, ...], c: np.ndarray) -> None:
+    """Subtract the templates of all regions from one mean-removed scan, in place."""
+    from mapmaker.kernels.cleaning import subtract_templates
+
+    for region in regions:
+        part, own = block[region.rows], c[region.rows]
+        subtract_templates(part, region.basis * own, (region.basis / own) @ part)
+        if not isinstance(region.rows, slice):  # `part` is a copy
+            block[region.rows] = part
+
+
+def _clean_by_rows(
+    data_mk: np.ndarray, scan_bounds: np.ndarray, model: TemplateModel, *, c: np.ndarray, iterations: int
+) -> Cleaned:
+    """Subtract templates of known responsivities from each scan, some detectors at a time.
+
+    Scans in float64 and of many detectors would not fit in the processor's cache.
+    """
+    kept = np.zeros(len(scan_bounds), bool)
+    finite, cleaned_mk = kept.copy(), np.zeros(data_mk.shape, data_mk.dtype)
+    for s, (start, stop) in enumerate(scan_bounds):
+        scan, power = slice(start, stop), np.empty(len(c))
+        templates = [_templates_by_rows(data_mk, scan, region, c=c, power=power) for region in model.regions]
+        finite[s] = np.isfinite(power).all()
+        kept[s] = finite[s] and not is_dead(power)
+        if kept[s]:
+            for region, streams in zip(model.regions, templates, strict=True):
+                _subtract_by_rows(data_mk, scan, region, c=c, templates=streams, out=cleaned_mk)
+    responsivity = np.where(kept[:, None], c, np.nan)
+    return Cleaned(
+        cleaned_mk, kept, responsivity, np.where(finite, iterations, 0), np.where(kept, model.n_templates, 0)
+    )
+
+
+def _templates_by_rows(
+    data_mk: np.ndarray, scan: slice, region: Region, *, c: np.ndarray, power: np.ndarray
+) -> np.ndarray:
+    """Compute the templates (n_par, n) of a region in a scan; write the power of its detectors, NaN if not finite."""
+    templates = np.zeros((len(region.basis), scan.stop - scan.start))
+    for places, rows, block in _row_blocks(data_mk, scan, region):
+        if block is None:
+            power[rows] = np.nan
+            return templates
+        power[rows] = np.einsum("in,in->i", block, block)
+        templates += (region.basis[:, places] / c[rows]) @ block
+    return templates
+
+
+def _subtract_by_rows(
+    data_mk: np.ndarray, scan: slice, region: Region, *, c: np.ndarray, templates: np.ndarray, out: np.ndarray
+) -> None:
+    """Write the mean-removed scan of a region less its templates."""
+    from mapmaker.kernels.cleaning import subtract_templates
+
+    for places, rows, block in _row_blocks(data_mk, scan, region):
+        subtract_templates(block, region.basis[:, places] * c[rows], templates)
+        out[rows, scan] = block
+
+
+def _row_blocks(
+    data_mk: np.ndarray, scan: slice, region: Region
+) -> Iterator[tuple[slice, np.ndarray | slice, np.ndarray | None]]:
+    """Some detectors of a region, their rows in the streams, and their mean-removed scan (None if not finite)."""
+    from mapmaker.kernels.cleaning import remove_means
+
+    n = scan.stop - scan.start
+    for places in row_chunks(region.basis.shape[1], 2 * n):
+        rows: np.ndarray | slice = places
+        part, start = data_mk[places], scan.start
+        if not isinstance(region.rows, slice):
+            rows = region.rows[places]
+            part, start = data_mk[rows, scan], 0
+        block = np.empty((len(part), n))
+        finite = remove_means(part, start, start + n, block)
+        yield places, rows, block if finite else None
 
 
 def _fit_observation(

@@ -64,7 +64,7 @@ def clean_scans(data_mk: np.ndarray, scan_bounds: np.ndarray, subtract: Callable
     Cleaned
     """
     n_det, n_scan = len(data_mk), len(scan_bounds)
-    cleaned_mk = np.zeros_like(data_mk, order="C")
+    cleaned_mk = np.zeros(data_mk.shape, data_mk.dtype)
     responsivity = np.full((n_scan, n_det), np.nan)
     iterations, removed = np.zeros((2, n_scan), dtype=np.int64)
     for s, block in finite_scans(data_mk, scan_bounds):
@@ -90,13 +90,17 @@ def finite_scans(data_mk: np.ndarray, scan_bounds: np.ndarray) -> Iterator[tuple
     room = np.empty(n_det * int(np.diff(scan_bounds, axis=1).max(initial=0)))
     for s, (start, stop) in enumerate(scan_bounds):
         block = room[: n_det * (stop - start)].reshape(n_det, stop - start)
-        if remove_means(data_mk[:, start:stop], block):
+        if remove_means(data_mk, start, stop, block):
             yield s, block
 
 
 def has_dead(block: np.ndarray) -> bool:
     """Tell whether a detector of the mean-removed scan (n_det, n_samp) has next to no power."""
-    power = np.einsum("in,in->i", block, block)
+    return is_dead(np.einsum("in,in->i", block, block))
+
+
+def is_dead(power: np.ndarray) -> bool:
+    """Tell whether one of some detectors (n_det,) has next to no power."""
     return bool(power.min() <= DEAD_POWER * power.mean())
 
 

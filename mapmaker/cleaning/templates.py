@@ -226,19 +226,4 @@ def _subtract_templates(
     exponents: Sequence[tuple[int, int]],
 ) -> Cleaned:
     regions = (Region(slice(None), template_basis(focal_plane, exponents)),)
-    return clean_templates(data_mk, scan_bounds, polynomial_model(regions), options)
-
-
-def polynomial_model(regions: tuple[Region, ...]) -> TemplateModel:
-    """Template model in which all detectors of a region see the templates at the same time."""
-    return TemplateModel(regions, lambda block, scan: (block, lambda c: _subtract_regions(block, c, regions)))
-
-
-def _subtract_regions(block: np.ndarray, c: np.ndarray, regions: tuple[Region, ...]) -> None:
-    from mapmaker.kernels.cleaning import subtract_templates
-
-    for region in regions:
-        part, own = block[region.rows], c[region.rows]
-        subtract_templates(part, region.basis * own, (region.basis / own) @ part)
-        if not isinstance(region.rows, slice):  # `part` is a copy
-            block[region.rows] = part
+    return clean_templates(data_mk, scan_bounds, TemplateModel(regions), options)

@@ -7,11 +7,13 @@ from mapmaker.kernels.compiled import njit
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def remove_means(data, block):
-    """Write data less the mean of each row into block, both (n_det, n); tell whether all values are finite."""
+def remove_means(data, start, stop, block):
+    """Write the samples start:stop of each row of data, less their mean, into block (n_det, stop - start); tell whether
+    all are finite.
+    """
     finite = True
     for d in range(data.shape[0]):
-        row, out = data[d], block[d]
+        row, out = data[d, start:stop], block[d]
         total = 0.0
         for n in range(row.size):
             total += row[n]

@@ -1,4 +1,4 @@
-"""Kernels of the PSDs of scans, before and after their Fourier transform."""
+"""Kernels of the PSDs of scans, before and after their Fourier transform, and of streams of given level."""
 
 from mapmaker.kernels.compiled import njit
 
@@ -40,3 +40,18 @@ def add_power(spectrum, total):
             row = spectrum[d, s]
             for k in range(row.size):
                 power[k] += row[k].real * row[k].real + row[k].imag * row[k].imag
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def scale_mean_removed(data, n_scans, level):
+    """Subtract the mean of each of equal scans from data (n_det, n_samp) and multiply by `level` (n_det,), in place."""
+    n = data.shape[1] // n_scans
+    for d in range(data.shape[0]):
+        for s in range(n_scans):
+            row = data[d, s * n : (s + 1) * n]
+            total = 0.0
+            for i in range(n):
+                total += row[i]
+            mean = level.dtype.type(total / n)
+            for i in range(n):
+                row[i] = level[d] * (row[i] - mean)

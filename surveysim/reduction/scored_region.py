@@ -113,7 +113,8 @@ class ScoredRegion:
         if norm == 0:
             return np.inf, np.full(n_bin, np.inf)
         n_pad, n_column = self.mode_weight.shape
-        modes = fft(rfft(self.taper * total, n_pad)[:, :n_column], n_pad, axis=0)
+        tapered = self.taper.astype(total.dtype) * total
+        modes = fft(rfft(tapered, n_pad)[:, :n_column], n_pad, axis=0)
         power = modes.real**2 + modes.imag**2
         bins, multiplicity, count = self._mode_bins
         of_bins = np.bincount(bins, power.ravel() * multiplicity, n_bin + 1) / count

@@ -47,7 +47,11 @@ def save_checkpoint(path: Path, nodes: Sequence[CoAdds], setup: Setup) -> None:
         If the file cannot be written; it names the file.
     """
     numbers = _numbers(nodes)
-    meta = {"scene": survey_hash(setup.scene), "version": __version__, "pointing": _pointing_hash(setup, numbers)}
+    meta: dict[str, Any] = {
+        "scene": survey_hash(setup.scene),
+        "version": __version__,
+        "pointing": _pointing_hash(setup, numbers),
+    }
     meta |= _extent(setup)
     content = _packed(nodes, meta)
     with atomic_write(path) as partial, open(partial, "wb") as file:

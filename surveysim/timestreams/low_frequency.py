@@ -74,7 +74,8 @@ def add_excess(
 ) -> None:
     """Add the excess noise of whole scans to streams (n_det, n_samp), in place.
 
-    Streams are drawn with twice the length of a scan, so its end is not correlated with its beginning.
+    Streams are drawn with twice the length of a scan, so its end is not correlated with its beginning. No shorter
+    period is exact: a period of m samples makes the correlations at the lags t and m - t equal.
 
     Parameters
     ----------

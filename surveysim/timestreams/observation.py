@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from time import perf_counter
 
 import numpy as np
@@ -10,7 +11,7 @@ from mapmaker.geometry import north_angle, plane_directions
 from mapmaker.kernels.compiled import compile_s, compile_timer
 from mapmaker.timestreams import Timestreams
 from surveysim.runtime.rng import RandomPurpose
-from surveysim.scene.scene import survey_hash
+from surveysim.scene.scene import Scene, survey_hash
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.atmosphere import add_layer
@@ -108,6 +109,11 @@ def draw_other_bands(setup: Simulation, observation: int, whole: Pointing, block
     return streams
 
 
+@lru_cache(maxsize=2)  # one for all observations
+def _survey_hash(scene: Scene) -> str:
+    return survey_hash(scene)
+
+
 def _timestreams(
     setup: Simulation, observation: int, whole: Pointing, *, pointing: Pointing, first: int, data: np.ndarray
 ) -> Timestreams:
@@ -126,7 +132,7 @@ def _timestreams(
         truth["pwv_mm"] = weather.pwv_mm
     attributes = {
         "scene": setup.scene.name,
-        "survey_sha256": survey_hash(setup.scene),
+        "survey_sha256": _survey_hash(setup.scene),
         "seed": setup.scene.seed,
         "observation": observation,
         "start_mjd_utc": whole.start_mjd,

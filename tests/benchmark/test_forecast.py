@@ -14,8 +14,7 @@ def test_lynx(benchmark, pytestconfig, algorithm):
     """All data sets of 100 observations, the scene made ready before."""
     path = pytestconfig.rootpath / "scenarios" / "lynx.toml"
     scene = load_scene(path, {"observations": 100, "cleaning.algorithm": algorithm})
-    prepare(scene)
-    benchmark.pedantic(forecast, args=(scene,), rounds=3, warmup_rounds=1)
+    benchmark.pedantic(forecast, args=(prepare(scene),), rounds=3, warmup_rounds=1)
 
 
 def test_apodized_sums(benchmark):

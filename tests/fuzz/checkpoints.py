@@ -16,6 +16,7 @@ from tests.scenes import SMALL_SCENE
 
 NAME = "checkpoint.h5"
 USER_BLOCK = 512
+TEXTS = ("", "{", "[]", "null", "1", "{}", np.nan, b"\xff")
 META = (None, [], {}, "x", -1, 1e400, {"scene": 1}, True, "\x1b[31m", "y" * 3000)
 
 
@@ -73,45 +74,80 @@ def _changed(raw: bytes, rng: np.random.Generator) -> tuple[str, bytes, bool | N
 
     whole = BytesIO(raw)
     with h5py.File(whole, "r+") as file:
-        names = sorted(file)
-        name = pick(rng, names)
-        how = int(rng.integers(10))
-        if how == 0:
-            del file[name]
-            label, good = f"without {name}", False
-        elif how == 1:
-            file["extra"] = np.zeros(3)
-            label, good = "an extra data set", None
-        elif how == 2:
-            del file[name]
-            file.create_group(name)
-            label, good = f"{name} as a group", False
-        elif how in (3, 4, 5):
+        how = int(rng.integers(12))
+        if how < 2:
+            label, good = _of_groups(file, rng), False
+        elif how < 5:
             label, good = _of_meta(file, rng)
+        elif how < 7:
+            label, good = _of_seconds(file[pick(rng, sorted(file))], rng)
         else:
-            words, array, good = odd_array(file[name][()], rng)
-            del file[name]
-            file[name] = array
-            label = f"{name}: {words}"
+            label, good = _of_arrays(file[pick(rng, sorted(file))], rng)
     return label, whole.getvalue()[USER_BLOCK:], good
+
+
+def _of_groups(file: Any, rng: np.random.Generator) -> str:
+    """A group of sums that is gone, empty, there twice, or none."""
+    name, how = pick(rng, sorted(file)), int(rng.integers(4))
+    if how == 0:
+        file.copy(name, "extra")
+        return "sums that are there twice"
+    if how == 1:
+        file["extra"] = np.zeros(3)
+        return "an extra data set"
+    del file[name]
+    if how == 2:
+        file.create_group(name)
+        return f"{name} as an empty group"
+    return f"without {name}"
+
+
+def _of_arrays(node: Any, rng: np.random.Generator) -> tuple[str, bool | None]:
+    name, how = pick(rng, sorted(node)), int(rng.integers(8))
+    if how == 0:
+        node["extra"] = np.zeros(3)
+        return "an extra array", False
+    values = node[name][()]
+    del node[name]
+    if how == 1:
+        return f"without {name}", False
+    if how == 2:
+        node.create_group(name)
+        return f"{name} as a group", False
+    words, array, good = odd_array(values, rng)
+    node[name] = array
+    return f"{name}: {words}", good
+
+
+def _of_seconds(node: Any, rng: np.random.Generator) -> tuple[str, bool | None]:
+    """Other times of stages: they are in the results, but in no sum."""
+    seconds, how = json.loads(node.attrs["seconds"]), int(rng.integers(3))
+    if how == 0:
+        del node.attrs["seconds"]
+        return "without seconds", False
+    if how == 1:
+        value = pick(rng, TEXTS)
+        node.attrs["seconds"] = value
+        return f"seconds = {value!r}", None if value == "{}" else False
+    key, value = pick(rng, sorted(seconds)), pick(rng, META)
+    node.attrs["seconds"] = json.dumps(seconds | {key: value})
+    return f"seconds: {key} = {value!r}"[:200], False
 
 
 def _of_meta(file: Any, rng: np.random.Generator) -> tuple[str, bool | None]:
     meta = json.loads(file.attrs["meta"])
     how = int(rng.integers(4))
     if how == 0:
-        value = pick(
-            rng, ("", "{", "[]", "null", "1", "{}", np.nan, b"\xff", '{"scene": 1, "version": 2, "seconds": 3}')
-        )
+        value = pick(rng, (*TEXTS, '{"scene": 1, "version": 2, "pointing": 3}'))
         file.attrs["meta"] = value
         return f"meta = {value!r}", False
     key = pick(rng, sorted(meta))
     if how == 1:
         del meta[key]
-        good, label = False, f"meta without {key}"
+        label = f"meta without {key}"
     else:
         value = pick(rng, META)
         meta[key] = value
-        good, label = (None if key == "seconds" and value == {} else False), f"meta: {key} = {value!r}"[:200]
+        label = f"meta: {key} = {value!r}"[:200]
     file.attrs["meta"] = json.dumps(meta)
-    return label, good
+    return label, False

@@ -10,6 +10,7 @@ import math
 import numpy as np
 import pytest
 
+from mapmaker.kernels.spectra import scale_mean_removed
 from mapmaker.stream_psd import hann_power, hann_psd, highest_frequency, white_level
 from surveysim.scene.noise_and_sky import Excess
 from surveysim.telescope.focal_plane import hexagon
@@ -68,6 +69,14 @@ def test_power_equals_its_twin(rng, kind, tolerance, n):
     np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * expected.max())
     assert found[:, 0].max() < (3 * n / 2) ** 2 / 4  # the power of the mean, 3, at f = 0 is twice (3 n / 2)^2
     assert not hann_power(data, 3, np.zeros(3, bool)).any()
+
+
+@pytest.mark.parametrize(("kind", "tolerance"), [(np.float32, 1e-6), (np.float64, 1e-14)])
+def test_scale_mean_removed_equals_its_twin(rng, kind, tolerance):
+    data, level = (3 + rng.standard_normal((4, 45))).astype(kind), rng.uniform(0, 2, 4).astype(kind)
+    expected = naive.scale_mean_removed(data, 3, level)
+    scale_mean_removed(data, 3, level)
+    np.testing.assert_allclose(data, expected, rtol=0, atol=5 * tolerance)
 
 
 def test_psd_of_kept_scans_only(rng):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mapmaker import chunks
 from mapmaker.cleaning import (
     TEMPLATE_CLEANINGS,
     PcaOptions,
@@ -111,6 +112,25 @@ def test_given_responsivities_are_a_projection(name):
     found = clean(name, data, BOUNDS, PLANE, options=replace(TEMPLATES, responsivities=c))
     left = naive.cleaning_matrix(PLANE.x_rad, PLANE.y_rad, c, ORDERS[name])
     np.testing.assert_allclose(_scans(found.data_mk), left @ _scans(data), atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["average", "quadratic", "polynomial"])
+@pytest.mark.parametrize("bad", [None, 0.0, np.nan])
+def test_known_responsivities_take_some_detectors_at_a_time(name, bad, monkeypatch):
+    """Three rows at a time or all at once; a dead detector or a NaN in the second scan discards it."""
+    data, options = _data(order=1), replace(OPTIONS[name], responsivities=_gains())
+    if bad is not None:
+        data[7, slice(*BOUNDS[1])] = bad
+    whole = clean(name, data, BOUNDS, PLANE, options=options)
+    monkeypatch.setattr(chunks, "CHUNK_SAMPLES", 6 * N_SAMP)
+    found = clean(name, data, BOUNDS, PLANE, options=options)
+    assert found.kept.tolist() == whole.kept.tolist() == [scan != 1 or bad is None for scan in range(N_SCAN)]
+    np.testing.assert_allclose(found.data_mk, whole.data_mk, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(found.removed, whole.removed)
+    basis, c = np.linalg.qr(_shapes(ORDERS.get(name, 1)))[0], _gains()[:, None]
+    if name != "polynomial":
+        scan = _scans(data)[:, :N_SAMP]
+        np.testing.assert_allclose(found.data_mk[:, :N_SAMP], scan - c * (basis @ (basis.T @ (scan / c))), atol=1e-11)
 
 
 @pytest.mark.parametrize("name, n_par", [("average", 1), ("planar", 3), ("quadratic", 6)])

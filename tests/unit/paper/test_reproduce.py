@@ -15,6 +15,7 @@ from surveysim.output.lock import OutputError
 from surveysim.paper.reproduce import reproduce
 from surveysim.paper.scenes import FIGURES, TABLES, wanted
 from surveysim.report.html.paper import Compared
+from surveysim.report.html.paper_captions import PAPER
 from surveysim.runtime.engine import SERIAL, Engine
 from surveysim.runtime.errors import SceneError
 from tests.pages import read_page, rows_of, value_of
@@ -84,7 +85,7 @@ def test_the_report_has_all_of_it(made):
         caption = figure.one("figcaption")
         assert caption.one("h3").text == f"Figure {number}: {meta['title']}" and figure.one("img").attributes["alt"]
         drawn = caption.one("p", class_="drawn").text
-        assert drawn[:60] == meta["caption"].replace("/ s", "/s")[:60] and "Look for" in caption.text
+        assert drawn[:60] == meta["caption"].replace("/ s", "/s")[:60] and PAPER[number].look_for in caption.text
     for name in ("table1", "table1_sites", "table2", "table2_photons", "table3", "table3_gains"):
         assert len(rows_of(page, f"grid-{name}")) == len(read(out / f"{name}.ecsv"))
     table = read(out / "table3.ecsv")
