@@ -221,9 +221,11 @@ def _row_blocks(
 
     n = scan.stop - scan.start
     for places in row_chunks(region.basis.shape[1], 2 * n):
-        consecutive = isinstance(region.rows, slice)
-        rows = places if consecutive else region.rows[places]
-        part, start = (data_mk[rows], scan.start) if consecutive else (data_mk[rows, scan], 0)
+        rows: np.ndarray | slice = places
+        part, start = data_mk[places], scan.start
+        if not isinstance(region.rows, slice):
+            rows = region.rows[places]
+            part, start = data_mk[rows, scan], 0
         block = np.empty((len(part), n))
         finite = remove_means(part, start, start + n, block)
         yield places, rows, block if finite else None

@@ -14,7 +14,7 @@ import typer
 
 from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE, asked_to_stop, cause
 from surveysim.runtime.errors import SceneError
-from surveysim.runtime.printable import printable, shortened
+from surveysim.runtime.printable import LONGEST, printable, shortened
 
 EXIT_BROKEN_PIPE = 141  # as after SIGPIPE: 128 plus its number
 UsageError: Any = typer.BadParameter.__bases__[0]  # its own name is private in some versions of typer
@@ -36,7 +36,8 @@ def failure(error: BaseException, arguments: Sequence[str]) -> tuple[int, str]:
     if isinstance(error, SceneError):
         return EXIT_WRONG_SCENE, str(error)
     line = _of_the_machine(error, broken) or _fault(error, arguments)
-    return EXIT_FAILED, "; ".join([line, *getattr(error, "__notes__", ())])
+    notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
+    return EXIT_FAILED, f"{shortened(line, max(LONGEST // 2, LONGEST - len(notes)))}{notes}"
 
 
 def broken_stream(stream: TextIO) -> bool:

@@ -1,7 +1,8 @@
 """Early ends of a command: stop signals, lost workers, outputs that cannot be written."""
 
+import shlex
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from errno import EMFILE, ENFILE
 from pathlib import Path
@@ -18,11 +19,13 @@ EXIT_WRONG_SCENE = 2
 EXIT_INTERRUPTED = 130
 
 _asked_to_stop = Event()
+_arguments: list[str] = []  # of the command, for the hint how to resume it
 
 
-def listen() -> None:
-    """Handle Ctrl-C and SIGTERM alike: finished work is kept."""
+def listen(arguments: Sequence[str]) -> None:
+    """Handle Ctrl-C and SIGTERM alike, from the start of a command: finished work is kept."""
     _asked_to_stop.clear()
+    _arguments[:] = arguments
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _stop_once)
 
@@ -82,10 +85,17 @@ def report_resumable_exit(scene: Path, directory: Path) -> Iterator[None]:
 
 
 def _hint(directory: Path) -> str:
-    """Return how to resume if `directory` has kept work; empty if not."""
+    """Return the command that resumes the work kept in `directory`; empty if there is none."""
     from surveysim.output.directory import holds_work
 
-    return f"go on with --resume --out {directory}" if holds_work(directory) else ""
+    return f"go on with: {resuming_command(_arguments, directory)}" if holds_work(directory) else ""
+
+
+def resuming_command(arguments: Sequence[str], directory: Path) -> str:
+    """Return the command line with these arguments that continues from `directory`, to be pasted into a shell."""
+    kept = [text for text in arguments if text not in ("--resume", "--force")]
+    out = [] if any(text.partition("=")[0] == "--out" for text in kept) else ["--out", str(directory)]
+    return shlex.join(["surveysim", *kept, *out, "--resume"])
 
 
 def _stopped(reason: str, directory: Path, code: int) -> NoReturn:

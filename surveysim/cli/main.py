@@ -74,7 +74,7 @@ def _run(arguments: Sequence[str]) -> int:
     command = get_command(app)
     if COMPLETION in os.environ:
         command.main(list(arguments), "surveysim")
-    listen()
+    listen(arguments)
     try:
         with command.make_context("surveysim", list(arguments) or ["--help"]) as context:
             command.invoke(context)

@@ -51,7 +51,7 @@ Scheduler = Annotated[
     typer.Option(metavar="ADDRESS", help="Dask scheduler: tcp://host:port, or the path of its scheduler file."),
 ]
 Force = Annotated[
-    bool, typer.Option("--force", help="Replace other results, and your files of the same names, in the output.")
+    bool, typer.Option("--force", help="Overwrite the output directory, even other results and files of your own.")
 ]
 NoFigures = Annotated[bool, typer.Option("--no-figures", help="Draw no figures.")]
 Reference = Annotated[
@@ -137,7 +137,8 @@ def ready_setup(path: Path, given: list[str] | None) -> "Setup":
     try:
         return prepare(scene)
     except SceneError as error:
-        raise SceneError(f"{path}: {error}") from None
+        changed = "".join(f" --set {item}" for item in given or ())
+        raise SceneError(f"{path}{' with' if changed else ''}{changed}: {error}") from None
 
 
 def sweep_of(path: Path, given: list[str] | None, reference: str | None = None) -> "Sweep | None":

@@ -1,6 +1,7 @@
 """Progress of a run: a bar on a terminal, plain lines elsewhere, with the score so far."""
 
 import heapq
+import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.stopping import estimate_so_far
 from surveysim.runtime.numbers import plain, quoted
 from surveysim.runtime.printable import complain
+from surveysim.scene.scene import Scene
 from surveysim.survey.coadd_tree import CoAddTree
 
 if TYPE_CHECKING:
@@ -26,14 +28,15 @@ SHORTEST_BAR = 4
 
 START_S = 10.0  # longest time of a process to start and compile
 LEAST = 0.01  # smallest time left over the time so far: running items may take longer than others
+SIGNAL_SIM_WORK = 2.5  # work of an observation with signal simulations, over one without: measured with lynx
 ENOUGH = 0.5  # work after the first item, over its work, that is enough to estimate the time left
 
 
 class Show(Protocol):
     """Display of the number of finished items, a status, and the time left."""
 
-    def __call__(self, done: int, status: Callable[[], str], each_s: float | None = None) -> None:
-        """Show the progress; `each_s` is the time [s] of a unit of work on one worker, without compilation."""
+    def __call__(self, done: int, status: Callable[[], str], left_s: float | None = None) -> None:
+        """Show the progress; `left_s` is the time left [s] if the items tell it."""
 
 
 def equal_work(n: int) -> np.ndarray:
@@ -45,8 +48,8 @@ class TimeLeft:
     """Estimate of the time left, from the times at which items finish and the work (n,) of each.
 
     `workers` take the items in turn, and results come in order. The time per work is measured from the first finished
-    item on, because start-up and compilation come before it. Until enough work is done, it is the time reported by the
-    items, or else the time since the start, unless start-up may dominate it.
+    item on, because start-up and compilation come before it. Until enough work is done, it is the time since the
+    start, unless start-up may dominate it.
     """
 
     def __init__(
@@ -58,8 +61,16 @@ class TimeLeft:
         self.times = np.zeros(0)
         self.end: float | None = None
 
-    def add(self, done: int, each_s: float | None = None) -> float | None:
-        """Return the seconds left now that `done` items are finished, with `each_s` a unit of work; None if unknown."""
+    def add(self, done: int, left_s: float | None = None) -> float | None:
+        """Return the seconds left now that `done` items are finished, `left_s` if given; None if unknown."""
+        left = self._from_arrivals(done) if left_s is None else left_s
+        now = self.clock()
+        known = left > LEAST * (now - self.start)
+        self.end = now + left if known else None
+        return left if known else None
+
+    def _from_arrivals(self, done: int) -> float:
+        """Estimate the seconds left from the times at which items came; 0 if unknown."""
         now = self.clock()
         if self.first is None:  # those before it were kept from an earlier run
             self.first = now, done
@@ -67,16 +78,8 @@ class TimeLeft:
         (since, first), times = self.first, self.times
         whole, so_far = times[-1], times[min(done - first, len(times) - 1)]
         if so_far >= (1 + ENOUGH) * times[0]:
-            left = (now - since) * (whole - so_far) / (so_far - times[0])
-        elif each_s is not None:
-            left = each_s * (whole - so_far)
-        elif now - self.start > START_S:
-            left = (now - self.start) * (whole - so_far) / so_far
-        else:
-            left = 0.0
-        known = left > LEAST * (now - self.start)
-        self.end = now + left if known else None
-        return left if known else None
+            return (now - since) * (whole - so_far) / (so_far - times[0])
+        return (now - self.start) * (whole - so_far) / so_far if now - self.start > START_S else 0.0
 
     def now(self) -> float | None:
         """Return the seconds left by the last estimate; None without one, or when it was too short."""
@@ -102,7 +105,7 @@ def progress_display(
     """
     left = TimeLeft(work, workers)
     if quiet:
-        yield lambda done, status, each_s=None: None
+        yield lambda done, status, left_s=None: None
     elif not sys.stderr.isatty():
         yield _lines(name, len(work), what, left, complain)
     else:
@@ -140,9 +143,9 @@ def _bar(name: str, total: int, left: TimeLeft, console: "Terminal", length: int
         task = bar.add_task(name, total=total, status="")
         said = monotonic()
 
-        def show(done: int, status: Callable[[], str], each_s: float | None = None) -> None:
+        def show(done: int, status: Callable[[], str], left_s: float | None = None) -> None:
             nonlocal said
-            left.add(done, each_s)
+            left.add(done, left_s)
             bar.update(task, completed=done)
             if monotonic() - said > STATUS_EVERY_S:
                 bar.update(task, status=status())
@@ -154,9 +157,9 @@ def _bar(name: str, total: int, left: TimeLeft, console: "Terminal", length: int
 def _lines(name: str, total: int, what: str, left: TimeLeft, say: Callable[[str], None]) -> Show:
     every, said = max(1, total // LINES), monotonic()
 
-    def show(done: int, status: Callable[[], str], each_s: float | None = None) -> None:
+    def show(done: int, status: Callable[[], str], left_s: float | None = None) -> None:
         nonlocal said
-        seconds = left.add(done, each_s)
+        seconds = left.add(done, left_s)
         if done % every == 0 or done == total:
             time = "" if seconds is None else f", {time_text(seconds)}"
             text = ""
@@ -184,12 +187,28 @@ def time_text(seconds: float) -> str:
     return f"{seconds:.0f} s left"
 
 
+def observation_work(scene: Scene) -> np.ndarray:
+    """Work (n_obs,) of the observations, in units of one without signal simulations."""
+    return np.where(signal_sim_observations(scene), SIGNAL_SIM_WORK, 1.0)
+
+
+def seconds_left(sums: CoAddTree, work: np.ndarray, workers: int) -> float | None:
+    """Estimate the time left of a run from the times that its finished observations took; None before the first.
+
+    Observations are finished in any order, several at once where workers add them up.
+    """
+    finished = float(work[: sums.finished].sum())
+    return sums.seconds / finished * (float(work.sum()) - finished) / workers if finished else None
+
+
 def score_so_far(setup: Setup, sums: CoAddTree) -> str:
-    """Format the quoted score of the actual data so far as ``sigma(A) = 270.1 +- 8.3 uK_CMB^2``; empty without one."""
+    """Format the quoted score of the actual data so far as ``sigma(A) = 270.1 +- 8.3 uK_CMB^2``; empty while its error
+    is unknown.
+    """
     with_sims = signal_sim_observations(setup.scene)[: sums.done].sum()
     if setup.scene.score is None or sums.done < 2 or with_sims < 2:
         return ""
     found = estimate_so_far(setup, sums.so_far())
-    if found is None:
+    if found is None or not math.isfinite(found.error_ukcmb2):
         return ""
     return f"sigma(A) = {plain(quoted(found.sigma_ukcmb2, found.error_ukcmb2))} uK_CMB^2"

@@ -29,6 +29,7 @@ from surveysim.runtime.errors import NotForecastableError
 if TYPE_CHECKING:
     from surveysim.runtime.engine import Engine
     from surveysim.studies.sweep.axes import Sweep
+    from surveysim.survey.coadd_tree import CoAddTree
 
 
 def run(
@@ -78,20 +79,29 @@ def run(
     if limits.target_error is not None and checked.score is None:
         fail(f"{scene}: --target-error: found no [score]; the error is one of sigma(A), which needs it")
     from surveysim.api import run as run_scene
-    from surveysim.cli.progress import announce_compilation, equal_work, progress_display, score_so_far
+    from surveysim.cli.progress import (
+        announce_compilation,
+        observation_work,
+        progress_display,
+        score_so_far,
+        seconds_left,
+    )
     from surveysim.report.terminal.survey import print_result
 
     directory = out or default_directory(checked.name, options.settings(settings))
     if resume and not quiet:
         report_new_start(directory, "checkpoint", " observation")
-    work = equal_work(checked.observations)
+    work, n_workers = observation_work(checked), with_engine.workers_for(checked.observations)
     if not quiet and scheduler is None:
         announce_compilation(checked.name)
     with (
         report_resumable_exit(scene, directory),
-        progress_display(checked.name, work, quiet, workers=with_engine.workers_for(len(work))) as show,
+        progress_display(checked.name, work, quiet, workers=n_workers) as show,
     ):
-        progress = stopping(lambda sums: show(sums.done, lambda: score_so_far(setup, sums), sums.each_s))
+
+        def shown(sums: "CoAddTree") -> None:
+            show(sums.done, lambda: score_so_far(setup, sums), seconds_left(sums, work, n_workers))
+
         result = run_scene(
             checked,
             directory,
@@ -99,7 +109,7 @@ def run(
             resume=resume,
             save_timestreams=save_timestreams,
             figures=not no_figures,
-            progress=progress,
+            progress=stopping(shown),
             target_error=limits.target_error,
             time_budget_s=limits.time_budget_s,
             force=force,

@@ -10,6 +10,7 @@ import typer
 from surveysim.cli.options import Force, Overrides, SceneFile, fail, ready_setup, scene_completions, sweep_of
 from surveysim.runtime.printable import say
 from surveysim.scene.shipped import HERE, MAX_NAME, NAME, find_scene, no_such_scene
+from surveysim.scene.similar_names import did_you_mean
 from surveysim.scene.units import shown
 
 if TYPE_CHECKING:
@@ -54,8 +55,19 @@ def keys(
             found = True
             _print_keys(each.heading, each.introduction, rows)
     if not found:
-        names = ", ".join(each.name for each in sections if each.name)
-        fail(f"keys: found {shown(section)}; a key or one of the sections {names} is expected")
+        fail(f"keys: found {shown(section)}; {_expected_key(str(section), [each.name for each in sections[1:]])}")
+
+
+def _expected_key(found: str, sections: Sequence[str]) -> str:
+    """Suggest keys and sections that resemble a mistyped one, or else name those around it."""
+    from surveysim.scene.keys import all_keys
+
+    section, _, name = found.rpartition(".")
+    names = [key.rpartition(".")[2] for key in (*sections, *all_keys()) if key.rpartition(".")[0] == section]
+    if section in sections:
+        return did_you_mean(name, names, section) or f"a key of [{section}] is expected: {', '.join(names)}"
+    expected = f"a key or one of the sections {', '.join(sections)} is expected"
+    return did_you_mean(found, (*sections, *all_keys())) or expected
 
 
 def _is_within(name: str, section: str) -> bool:
@@ -111,9 +123,9 @@ def new(
         fail(f"{target}: exists; another name is expected")
     say(f"{target}: a copy of {source}; edit it, then: surveysim check {target}")
     if "[sweep" in text:
-        say("it sweeps keys of its own; give [sweep] yours, or delete it")
+        say("[sweep] varies keys of the copied scene; give it keys and values of your own, or delete it")
     if "[score.reference]" in text:
-        say("it compares with published numbers; delete [score.reference] and its gains for another survey")
+        say("[score.reference] has published values of the copied scene; delete it for another survey")
     if hint := _band_hint(content):
         say(hint)
 
@@ -136,7 +148,7 @@ def _band_hint(content: Mapping[str, Any]) -> str:
         )
     if not found:
         return ""
-    return f"{' and '.join(found)} hold for its own band and site; for another: {'; '.join(orders)}"
+    return f"{' and '.join(found)} hold for the band and site of the copied scene; for another: {'; '.join(orders)}"
 
 
 def report(

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 
 from surveysim.forecasting.forecast import DataSetForecast
+from surveysim.reduction.cleaning_pipelines import ACTUAL
+from surveysim.reduction.data_set import scaled_name
 from surveysim.runtime.numbers import count, number, short
 from surveysim.runtime.table import SIGMA, Table, column
 
@@ -28,23 +30,35 @@ def forecast_table(
         Reference values [uK_CMB^2] by data set.
     """
     published = published or {}
-    drawn = {name: item.band.sigma_ukcmb2 for name, item in scores.items()}
-    sigmas = drawn | dict(all_weather or {})
+    drawn = _with_scaled(scores, {name: item.band.sigma_ukcmb2 for name, item in scores.items()})
+    sigmas = drawn | _with_scaled(scores, all_weather or {})
+    items = [*scores.values(), *_masked(scores).values()]
     columns = [
-        column("name", list(scores), "data set"),
-        column("n_det", [item.n_det for item in scores.values()], "detectors", count),
+        column("name", list(sigmas), "data set"),
+        column("n_det", [item.n_det for item in items], "detectors", count),
         column("sigma_ukcmb2", list(sigmas.values()), SIGMA, number, unit="uK2"),
     ]
     if all_weather is not None:
         columns.append(
-            column("plain_sigma_ukcmb2", list(drawn.values()), "in the weather drawn [uK_CMB^2]", number, unit="uK2")
+            column("plain_sigma_ukcmb2", list(drawn.values()), "drawn weather [uK_CMB^2]", number, unit="uK2")
         )
     columns += [
-        column("ell_eff", [item.band.ell_eff for item in scores.values()], "ell_eff", count),
-        column("fwhm_ell", [item.band.fwhm_ell for item in scores.values()], "FWHM in ell", count),
+        column("ell_eff", [item.band.ell_eff for item in items], "ell_eff", count),
+        column("fwhm_ell", [item.band.fwhm_ell for item in items], "FWHM in ell", count),
     ]
     if source:
-        ratios = [sigmas[name] / published[name] if name in published else None for name in scores]
-        columns.append(column("reference_ukcmb2", [published.get(name) for name in scores], source, short, unit="uK2"))
+        ratios = [sigmas[name] / published[name] if name in published else None for name in sigmas]
+        columns.append(column("reference_ukcmb2", [published.get(name) for name in sigmas], source, short, unit="uK2"))
         columns.append(column("ratio", ratios, "ratio", number))
     return Table("forecast", "Forecast of the uncertainty of a flat CMB band power", tuple(columns))
+
+
+def _masked(scores: Mapping[str, DataSetForecast]) -> dict[str, DataSetForecast]:
+    """Data sets of fewer detectors than the actual one."""
+    return {name: item for name, item in scores.items() if ACTUAL in scores and item.n_det < scores[ACTUAL].n_det}
+
+
+def _with_scaled(scores: Mapping[str, DataSetForecast], sigmas: Mapping[str, float]) -> dict[str, float]:
+    """Add masked data sets times their share of the detectors."""
+    masked = {name: item.n_det / scores[ACTUAL].n_det for name, item in _masked(scores).items() if name in sigmas}
+    return {**sigmas, **{scaled_name(name): share * sigmas[name] for name, share in masked.items()}}

@@ -16,6 +16,11 @@ class DataSetKind(StrEnum):
     MASKED = "masked"
 
 
+def scaled_name(name: str) -> str:
+    """Name of the sigma(A) of a masked data set times its share of the detectors (section 5.2)."""
+    return f"{name}_scaled"
+
+
 @dataclass(frozen=True)
 class DataSet:
     """A data set.

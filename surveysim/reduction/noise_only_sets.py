@@ -27,13 +27,13 @@ class NoiseOnlySet:
     purpose
         Purpose of its random numbers.
     draw
-        Function of the setup, the measured PSDs (n_det, n_freq) and white levels (n_det,) [mK^2/Hz], the number of
-        scans, the deviates and the detectors to draw. It returns their streams [mK], the mean of each scan removed as
-        in cleaning.
+        Function of the setup, the deviates and the detectors to draw, with the measured PSDs `psd` (n_det, n_freq) and
+        white levels `white` (n_det,) [mK^2/Hz] of all detectors, and the number of scans `n_scans`. It returns the
+        streams [mK], the mean of each scan removed as in cleaning.
     """
 
     purpose: RandomPurpose
-    draw: Callable[[Setup, np.ndarray, np.ndarray, int, NormalDeviates, slice], np.ndarray]
+    draw: Callable[..., np.ndarray]
 
 
 def add_simulated(
@@ -77,13 +77,13 @@ def add_simulated(
                 index = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=some)
             for name, own in zip(names, deviates, strict=True):
                 with watch("simulated sets"):
-                    data = NOISE_ONLY_SETS[name].draw(setup, psd, white, block.n_scans, own, rows)
+                    data = NOISE_ONLY_SETS[name].draw(setup, own, rows, psd=psd, white=white, n_scans=block.n_scans)
                 with watch("binning"):
                     bin_samples(data, index, bounds, kept[0], maps[name][0], None)
 
 
 def _draw_uncorrelated(
-    setup: Setup, psd: np.ndarray, white: np.ndarray, n_scans: int, deviates: NormalDeviates, rows: slice
+    setup: Setup, deviates: NormalDeviates, rows: slice, *, psd: np.ndarray, white: np.ndarray, n_scans: int
 ) -> np.ndarray:
     rate, n = setup.observing.scans.sample_rate_hz, samples_per_scan(setup.observing.scans)
     some, first = psd[rows, None, :], rows.start * n_scans
@@ -92,7 +92,7 @@ def _draw_uncorrelated(
 
 
 def _draw_white(
-    setup: Setup, psd: np.ndarray, white: np.ndarray, n_scans: int, deviates: NormalDeviates, rows: slice
+    setup: Setup, deviates: NormalDeviates, rows: slice, *, psd: np.ndarray, white: np.ndarray, n_scans: int
 ) -> np.ndarray:
     rate, n_samp = setup.observing.scans.sample_rate_hz, n_scans * samples_per_scan(setup.observing.scans)
     level = np.sqrt(white[rows] * rate / 2).astype(setup.stream_type)

@@ -18,13 +18,13 @@ from mapmaker.geometry import MapGeometry, boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.stream_psd import hann_power, hann_scale, white_level
 from mapmaker.timestreams import Timestreams, timestream_file
-from surveysim.atmosphere.weather import Weather
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL, AuxiliaryData, CleaningPipeline, apply_pipeline
 from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
 from surveysim.reduction.layer_delays import block_delays, delays_of_all_blocks
 from surveysim.reduction.map_noise import map_noise
 from surveysim.reduction.noise_only_sets import add_simulated
+from surveysim.reduction.observation_result import ObservationResult
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.once import keep_last
 from surveysim.scene.analysis import Cleaning
@@ -37,59 +37,6 @@ from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import observation_path
 
 REFERENCE = (0, 1)  # observations that tell what pipelines leave of a signal: one along each direction
-
-
-@dataclass(frozen=True)
-class ObservationResult:
-    """Maps and sums of one observation, without time-streams.
-
-    Attributes
-    ----------
-    sums : (n_set, n_y, n_x)
-        Sum of samples [mK], of the type of the streams.
-    hits : (n_set, n_y, n_x)
-        Number of samples, int32 or int64.
-    noise_mk2 : (n_set,)
-        Noise variance per sample in the scored region; observations are weighted by it.
-    bin_noise_mk2 : (n_set, n_bin)
-        Noise variance per sample in each multipole bin; no bins without a score.
-    signal_maps : (n_sky, n_transfer, 2, n, n)
-        Signal simulations on the scored patch, without [0] and with [1] cleaning, for each transfer function; or None.
-    discarded, iterations, removed
-        Discarded scans, mean iterations, and mean removed templates per scan of each pipeline.
-    figures_of_merit : (n_pipeline, n_target)
-        Of the pipelines for all detectors; None unless pipelines are compared.
-    weather
-        None without an atmosphere.
-    elevation_rad
-        Mean over the scans.
-    raw_psd, clean_psd : (n_freq,)
-        PSDs before and after cleaning [mK^2/Hz], means over detectors.
-    compared_psd : (n_compare, n_freq)
-        PSDs after the other pipelines.
-    white_mk2_hz
-        White level after cleaning, mean over detectors.
-    seconds
-        Time spent in each stage.
-    """
-
-    observation: int
-    sums: np.ndarray
-    hits: np.ndarray
-    noise_mk2: np.ndarray
-    bin_noise_mk2: np.ndarray
-    signal_maps: np.ndarray | None
-    discarded: tuple[int, ...]
-    iterations: tuple[float, ...]
-    removed: tuple[float, ...]
-    figures_of_merit: np.ndarray | None
-    weather: Weather | None
-    elevation_rad: float
-    raw_psd: np.ndarray
-    clean_psd: np.ndarray
-    compared_psd: np.ndarray
-    white_mk2_hz: float
-    seconds: dict[str, float] = field(default_factory=dict)
 
 
 Map = tuple[np.ndarray, np.ndarray]  # sums and hits, (n_y, n_x) each

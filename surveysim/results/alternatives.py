@@ -4,6 +4,7 @@ import numpy as np
 
 from mapmaker.bandpower import BandPower, flat_band_power_fixed_weights
 from surveysim.forecasting.validity import resolution_ell
+from surveysim.reduction.data_set import scaled_name
 from surveysim.reduction.setup import Setup
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import DataSetScore, rescore, sector_sigma
@@ -68,5 +69,5 @@ def _alternative_row(
     row = {"weights": weights, "ell_min": ell_min, "ell_eff": band.ell_eff, "fwhm_ell": band.fwhm_ell}
     for name, item in scores.items():
         share = item.n_det / setup.camera.n_det
-        row[f"{name}_scaled" if share < 1 else name] = share * sigma_ukcmb2[name]
+        row[scaled_name(name) if share < 1 else name] = share * sigma_ukcmb2[name]
     return row

@@ -1,7 +1,6 @@
 """Closure tests of a run: noise levels, transfer function and weather against their inputs."""
 
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Literal
 
 import numpy as np
@@ -9,6 +8,7 @@ import numpy as np
 from surveysim.atmosphere.weather import b2_quantile, pwv_quantile
 from surveysim.forecasting.forecast import Forecast
 from surveysim.reduction.setup import Setup
+from surveysim.scene.units import b2_unit
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import DataSetScore
 from surveysim.telescope.noise_levels import white_levels
@@ -96,7 +96,7 @@ def _weather(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
     if air is None:
         return []
     b2 = b2_quantile(air, setup.air.water, ndtri(np.array(QUARTILES)))
-    unit = f"mK2 rad({Fraction(2 - air.spectral_index).limit_denominator(1000)})"
+    unit = b2_unit(air.spectral_index)
     rows = [_quartile("B2", unit, k, value, coadds.column("b2_mk2")) for k, value in enumerate(b2)]
     wind = np.degrees(coadds.column("wind_speed_rad_s")) * 60
     if air.wind_b2_exponent == 0:  # else its median depends on B2

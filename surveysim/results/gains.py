@@ -1,6 +1,6 @@
 """Gains: ratios of the uncertainties of two data sets."""
 
-from surveysim.reduction.data_set import DataSetKind
+from surveysim.reduction.data_set import DataSetKind, scaled_name
 from surveysim.reduction.setup import Setup
 from surveysim.survey.scores import DataSetScore, Gain, gain
 
@@ -15,5 +15,5 @@ def data_set_gains(setup: Setup, scores: dict[str, DataSetScore]) -> dict[str, G
         found["uncorrelated / white"] = gain(scores["uncorrelated"], scores["white"])
     if masked and "uncorrelated" in scores:
         share = scores[masked].n_det / setup.camera.n_det
-        found[f"{masked}_scaled / uncorrelated"] = gain(scores[masked], scores["uncorrelated"], share)
+        found[f"{scaled_name(masked)} / uncorrelated"] = gain(scores[masked], scores["uncorrelated"], share)
     return found

@@ -13,8 +13,8 @@ OPTIMAL_METHOD = (
     "favours chance; the transfer function of each pipeline is measured on two observations."
 )
 METHOD = (
-    "Noise is measured from co-adds with random signs (jackknives); they keep 1 / n_eff of the power of a sky in the "
-    "time-streams.",
+    "Noise is measured from co-adds with random signs (jackknives); the power of a sky in the "
+    "time-streams is divided by the effective number of observations.",
     "Each data set weights its observations by their measured noise in the scored multipoles. That lowers the co-added "
     "noise by chance; this bias is corrected.",
     "sigma(A)^-2 is the sum over bins of n/2 (M/N)^2: every data set weights its bins by its own noise.",

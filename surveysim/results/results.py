@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from surveysim.forecasting.forecast import DataSetForecast, Forecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL
-from surveysim.reduction.data_set import DataSetKind
+from surveysim.reduction.data_set import DataSetKind, scaled_name
 from surveysim.reduction.setup import Setup
 from surveysim.results.agreement import Agreement, agreement, quoted_forecast
 from surveysim.results.score import FLAT_BAND_POWER, scene_score
@@ -219,7 +219,7 @@ def score_rows(result: SurveyResult) -> list[Row]:
                 for name, value in vars(row).items()
                 if name in ("sigma_ukcmb2", "error_ukcmb2", "plain_sigma_ukcmb2", "forecast_ukcmb2")
             }
-            rows.append(replace(row, name=f"{row.name}_scaled", **scaled))
+            rows.append(replace(row, name=scaled_name(row.name), **scaled))
     reference = result.setup.scene.score.reference if rows else None
     values = dict(reference.values_ukcmb2) if reference else {}
     return [replace(row, reference_ukcmb2=values.get(row.name)) for row in rows]

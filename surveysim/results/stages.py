@@ -1,6 +1,7 @@
 """Stages of a run, and stages left out with their reasons."""
 
 from surveysim.forecasting.forecast import can_forecast, why_no_forecast
+from surveysim.reduction.data_set import scaled_name
 from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.scene.scene import Scene
 from surveysim.telescope.scans import samples_per_scan
@@ -33,7 +34,7 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
     stages["maps"] = f"{setup.analysis.geometry.n_x} x {setup.analysis.geometry.n_y} pixels"
     if scene.score:
         n_with_sims = int(signal_sim_observations(scene).sum())
-        stages["data sets"] = ", ".join(setup.analysis.data_set_names)
+        stages["data sets"] = ", ".join([*setup.analysis.data_set_names, *map(scaled_name, _masked(setup))])
         stages["transfer function"] = f"{scene.score.signal_sims.skies} skies through {n_with_sims} observations"
         stages["score"] = f"multipoles {scene.score.ell_min} to {scene.score.ell_max}"
         if can_forecast(setup):
@@ -41,6 +42,10 @@ def stages_that_run(setup: Setup) -> dict[str, str]:
     if scene.map.healpix_nside:
         stages["HEALPix"] = f"maps at nside {scene.map.healpix_nside}"
     return stages
+
+
+def _masked(setup: Setup) -> list[str]:
+    return [pipeline.data_set for pipeline in setup.analysis.pipelines if pipeline.detectors is not None]
 
 
 def left_out(setup: Setup) -> dict[str, str]:

@@ -9,8 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
 
-import numpy as np
-
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.control_variate import quoted_scores
@@ -244,4 +242,4 @@ def answer_cost(
 
 def _enough(number: int, error: float) -> int:
     """Return the number needed where this one gives an error in units of the target."""
-    return number * max(1, int(np.ceil(error**2 / _SHARE)))
+    return max(number, math.ceil(number * error**2 / _SHARE))

@@ -111,7 +111,7 @@ def alternative_table(rows: Sequence[Content]) -> Table:
     columns = []
     for name in rows[0]:
         unit = "" if name in _ALTERNATIVES else "uK2"
-        heading = _ALTERNATIVES.get(name, name.replace("_", " "))
+        heading = _ALTERNATIVES.get(name, name)
         columns.append(column(name, _values(rows, name), heading, str if name == "weights" else count, unit=unit))
     meta = {"comment": "sigma(A) in uK_CMB^2 of the same data, scored otherwise"}
     return Table("alternative", "The same data scored otherwise: sigma(A) [uK_CMB^2]", tuple(columns), meta=meta)
@@ -168,8 +168,8 @@ def closure_table(items: Sequence[Content], kind: str) -> Table:
         column("quantity", _values(rows, "quantity"), "quantity"),
         column("unit", _values(rows, "unit"), "unit"),
         column("expected", _values(rows, "expected"), "expected", number),
-        *quoted_columns(("found", "error"), found, errors, "found"),
-        *quoted_columns(("ratio", "ratio_error"), ratios, ratio_errors, "ratio"),
+        *quoted_columns(("found", "error"), found, errors, "found", digits=3),
+        *quoted_columns(("ratio", "ratio_error"), ratios, ratio_errors, "ratio", digits=3),
     )
     return Table({"measured": "closure", "drawn": "weather"}[kind], title, columns)
 

@@ -13,23 +13,31 @@ def times(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
 
-def with_error(value: float, error: float | None) -> str:
-    """``221.1 ± 5.2``: both rounded to two digits of the error; three digits without one, or where it is rounding's."""
+def with_error(value: float, error: float | None, digits: int = 0) -> str:
+    """``221.1 ± 5.2``: both rounded to two digits of the error; three digits without one, or where it is rounding's.
+
+    A value has at least `digits`, even where its error is larger.
+    """
     if error is None or not (math.isfinite(error) and error > EXACT * abs(value)):
         return number(value)
     size = max(abs(value), error)
     if 1e-3 <= size < 1e6:
-        return f"{as_known(value, error)} ± {as_known(error, error)}"
+        places = _places(error, 2)
+        if digits and value:
+            places = max(places, _places(value, digits))
+        return f"{_fixed(value, places)} ± {_fixed(error, places)}"
     exponent = math.floor(math.log10(size))
     scale = 10.0**exponent
-    return f"({with_error(value / scale, error / scale)}) {TIMES} 10^({_signed(str(exponent))})"
+    return f"({with_error(value / scale, error / scale, digits)}) {TIMES} 10^({_signed(str(exponent))})"
 
 
-def quoted(value: float | None, error: float | None) -> str:
+def quoted(value: float | None, error: float | None, digits: int = 0) -> str:
     """As `with_error`, with "unknown" for an error of None or NaN and for a value of None."""
     if value is None:
         return "unknown"
-    return f"{number(value)} ± unknown" if error is None or not math.isfinite(error) else with_error(value, error)
+    if error is None or not math.isfinite(error):
+        return f"{number(value)} ± unknown"
+    return with_error(value, error, digits)
 
 
 def quoted_share(value: float | None, error: float | None) -> str:
@@ -41,7 +49,7 @@ def as_known(value: float, error: float | None) -> str:
     """A number rounded to two digits of an error, or to three of its own where that is unknown."""
     if error is None or value is None or not math.isfinite(error):
         return number(value)
-    return _fixed(value, 1 - int(f"{error:.1e}".partition("e")[2]))  # uses the rounded error: 0.0996 is 0.10
+    return _fixed(value, _places(error, 2))
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -101,6 +109,11 @@ def plural(n: int, thing: str) -> str:
 def joined(items: Sequence[str]) -> str:
     """``a, b and c``."""
     return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}" if items else ""
+
+
+def _places(value: float, digits: int) -> int:
+    """Decimals that show so many digits of a number, of the rounded one: two of 0.0996 are 0.10."""
+    return digits - 1 - int(f"{value:.{digits - 1}e}".partition("e")[2])
 
 
 def _fixed(value: float, places: int) -> str:

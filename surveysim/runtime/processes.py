@@ -1,6 +1,7 @@
 """Engine "processes": worker processes on this machine."""
 
 import multiprocessing
+import pickle
 import signal
 from collections import Counter
 from collections.abc import Callable, Generator
@@ -11,6 +12,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from surveysim.runtime.environment import postpone_unused
 from surveysim.runtime.interrupt_signals import defer_signals, hide_main_module, ignore_sigint_in_children
 from surveysim.runtime.items import Answer, Items
 from surveysim.runtime.memory import keep_freed_memory
@@ -127,16 +129,18 @@ def _start(job: Callable[[Any], Any]) -> _Worker:
     # Spawned, not forked: a fork in a process with threads can hang, and does not exist everywhere.
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(target=_work, args=(job, theirs), daemon=True)
+    process = context.Process(target=_work, args=(pickle.dumps(job), theirs), daemon=True)
     with ignore_sigint_in_children(), hide_main_module():
         process.start()
     theirs.close()  # held by the worker alone: its end closes with it
     return _Worker(process, ours)
 
 
-def _work(job: Callable[[Any], Any], pipe: Connection) -> None:
+def _work(pickled_job: bytes, pipe: Connection) -> None:
     """Answer items from the parent until its pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    postpone_unused()
+    job: Callable[[Any], Any] = pickle.loads(pickled_job)
     threadpool_limits(1)
     keep_freed_memory()
     try:

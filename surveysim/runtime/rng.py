@@ -1,7 +1,8 @@
 """Random numbers keyed by seed, realization, observation, purpose and block.
 
-Draws of one purpose do not depend on other stages, on the number of workers, or on the order of observations. Noise is
-made of `NormalDeviates`, at a tenth of the cost of numpy's. Scalars come from a generator of numpy.
+Draws of one purpose do not depend on other stages (photon and detector noise are one), on the number of workers, or on
+the order of observations. Noise is made of `NormalDeviates`, at a tenth of the cost of numpy's. Scalars come from a
+generator of numpy.
 """
 
 from dataclasses import dataclass

@@ -159,6 +159,7 @@ def quoted_columns(
     unit: str = "",
     absent: str = "",
     in_files: bool = True,
+    digits: int = 0,
 ) -> tuple[Column, Column]:
     """Return two columns of values and their errors, which people read as one.
 
@@ -176,9 +177,11 @@ def quoted_columns(
         Text in place of a missing value.
     in_files : bool
         Whether files have the two.
+    digits : int
+        Least number of digits of a value, even where its error is larger.
     """
     pairs = zip(values, errors, strict=True)
-    cells = tuple(absent if value is None else quoted(value, error) for value, error in pairs)
+    cells = tuple(absent if value is None else quoted(value, error, digits) for value, error in pairs)
     return (
         Column(names[0], values, unit, heading, cells, in_files),
         Column(names[1], errors, unit, in_files=in_files),

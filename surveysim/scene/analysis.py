@@ -31,7 +31,7 @@ class Cleaning(Section):
     compare: tuple[Steps, ...] = ()
     """Alternative cleaning pipelines of the same time-streams, each scored as a data set of its own, and together as
     "optimal", the best of each observation. The joined names of a pipeline have 100 letters at most."""
-    tolerance: Annotated[float, *number(1e-12, 0.999999)]
+    tolerance: Annotated[float, *number(1e-12, below=1)]
     """Mean fractional change of the responsivities at which the template fit has converged."""
     max_iterations: Annotated[int, *whole(1, 100_000)]
     """Largest number of iterations of the template fit; scans whose fit does not converge are discarded."""
@@ -145,7 +145,9 @@ class Score(Section):
     @model_validator(mode="after")
     def _range_and_sets(self) -> Self:
         if self.ell_max < self.ell_min + self.ell_bin:
-            raise ValueError(f"ell_max: found {self.ell_max}; at least ell_min + ell_bin is expected")
+            raise ValueError(
+                f"ell_max: found {self.ell_max}; {self.ell_min + self.ell_bin} or more, ell_min + ell_bin, is expected"
+            )
         if repeated := [name for name in self.noise_only_sets if self.noise_only_sets.count(name) > 1]:
             raise ValueError(f"noise_only_sets: found {repeated[0]!r} more than once; different data sets are expected")
         return self

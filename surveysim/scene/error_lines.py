@@ -1,7 +1,7 @@
 """Error messages of a scene: one line for each error, with file, key, value found and values expected."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,7 @@ from pydantic import BaseModel, ValidationError
 
 from surveysim.runtime.text_files import key_text
 from surveysim.scene.section import Section
+from surveysim.scene.similar_names import did_you_mean, similar_names
 from surveysim.scene.units import shown
 
 MAX_ERRORS = 30  # lines of an error
@@ -35,9 +36,41 @@ def error_lines(path: Path, errors: Sequence[str]) -> str:
 
 def validation_lines(error: ValidationError, scene: type[BaseModel]) -> list[str]:
     """Return a line for each error that the schema `scene` finds in a file."""
-    found = error.errors(include_url=False, include_context=False)
+    found = _without_mistyped(error.errors(include_url=False, include_context=False))
     # A line quotes a value: of many errors only those that are shown are put into words.
     return [_line(item, scene) if number < MAX_ERRORS else "" for number, item in enumerate(found)]
+
+
+def _without_mistyped(errors: Sequence[Any]) -> list[Any]:
+    """Drop missing keys that an unknown key of the same section resembles: its line suggests them."""
+    unknown = [item["loc"] for item in errors if item["type"] == "extra_forbidden"]
+
+    def is_mistyped(loc: tuple[str | int, ...]) -> bool:
+        return any(
+            other[:-1] == loc[:-1] and similar_names(str(other[-1]), [str(loc[-1])]) for other in unknown[:MAX_ERRORS]
+        )
+
+    return [item for item in errors if item["type"] != "missing" or not is_mistyped(item["loc"])]
+
+
+def unknown_key(key: str, scene: type[BaseModel], hidden: Collection[str] = ()) -> str:
+    """Say that a dotted key is unknown, with the similar or else all keys of its section.
+
+    Parameters
+    ----------
+    key
+        Dotted key of the file.
+    scene
+        Schema of the file.
+    hidden
+        Keys that are not allowed here, although the schema has them.
+    """
+    *section, name = key.split(".")
+    allowed = [item for item in allowed_keys(section, scene) if item not in hidden]
+    if not allowed:
+        return "unknown key of a scene"
+    suggestion = did_you_mean(name, allowed, ".".join(section))
+    return f"unknown key; {suggestion or 'allowed are ' + ', '.join(allowed)}"
 
 
 def _line(item: Any, scene: type[BaseModel]) -> str:
@@ -47,7 +80,7 @@ def _line(item: Any, scene: type[BaseModel]) -> str:
         # A check of a whole section names the key that it is about.
         key, message = f"{key}.{match[1]}", message[match.end() :]
     if item["type"] == "extra_forbidden":
-        message = f"unknown key; allowed are {', '.join(allowed_keys(item['loc'][:-1], scene))}"
+        message = unknown_key(".".join(str(part) for part in item["loc"] if isinstance(part, str)), scene)
     elif item["type"] == "missing":
         message = "missing; this key is expected"
     elif item["type"] != "value_error":

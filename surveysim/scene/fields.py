@@ -36,9 +36,9 @@ def _several(unit: str, example: str, most: float) -> WithJsonSchema:
     return of_file(["string", "array"], unit=unit, examples=[example], minimum=0, maximum=most)
 
 
-def number(least: float, most: float) -> tuple[Any, BeforeValidator]:
-    """Accept a number from `least` to `most`; the result is unpacked into an `Annotated` type."""
-    return Field(ge=least, le=most, allow_inf_nan=False), BeforeValidator(_plain)
+def number(least: float, most: float | None = None, *, below: float | None = None) -> tuple[Any, BeforeValidator]:
+    """Accept a number from `least` to `most`, or less than `below`; the result is unpacked into an `Annotated` type."""
+    return Field(ge=least, le=most, lt=below, allow_inf_nan=False), BeforeValidator(_plain)
 
 
 def whole(least: int, most: int) -> tuple[Any, BeforeValidator]:
@@ -48,6 +48,7 @@ def whole(least: int, most: int) -> tuple[Any, BeforeValidator]:
 
 def quantity(
     unit: str,
+    usual: str = "",
     *,
     above: float | None = None,
     at_least: float | str | None = None,
@@ -60,6 +61,8 @@ def quantity(
     ----------
     unit
         Unit of the result.
+    usual
+        Unit that messages suggest; by default `unit`.
     above, at_least, at_most
         Bounds, in `unit` or as quantities such as "30 deg".
     zero_or
@@ -71,7 +74,7 @@ def quantity(
     def check(value: object) -> float | None:
         if value is None:
             return None
-        number = to_float(value, unit)
+        number = to_float(value, unit, usual)
         if above is not None and not number > above:
             raise ValueError(f"found {shown(value)}; a value above {above:g} is expected")
         if least is not None and not number >= least - 1e-12 * abs(least):
@@ -205,13 +208,13 @@ def _pairs(value: object) -> object:
 
 
 # Bounds lie beyond any use, and keep all that follows well within streams of 32 bits (1e38 mK).
-Angle = Annotated[float, *quantity("rad", at_least="-360 deg", at_most="360 deg")]
-PositiveAngle = Annotated[float, *quantity("rad", at_least="0.001 arcsec", at_most="180 deg")]
-AngleExtent = Annotated[float, *quantity("rad", at_least=0, at_most="360 deg")]
-BeamWidth = Annotated[float, *quantity("rad", at_least="0.001 arcsec", at_most="30 deg")]
+Angle = Annotated[float, *quantity("rad", "deg", at_least="-360 deg", at_most="360 deg")]
+PositiveAngle = Annotated[float, *quantity("rad", "arcsec", at_least="0.001 arcsec", at_most="180 deg")]
+AngleExtent = Annotated[float, *quantity("rad", "arcmin", at_least=0, at_most="360 deg")]
+BeamWidth = Annotated[float, *quantity("rad", "arcsec", at_least="0.001 arcsec", at_most="30 deg")]
 # Airmass is 1 / sin(elevation): 11.5 at 5 degrees, where the curved atmosphere's is 10 % less.
-Elevation = Annotated[float, *quantity("rad", at_least="5 deg", at_most="90 deg")]
-HourAngle = Annotated[float, *quantity("rad", at_least="1 arcsec", at_most="180 deg")]
+Elevation = Annotated[float, *quantity("rad", "deg", at_least="5 deg", at_most="90 deg")]
+HourAngle = Annotated[float, *quantity("rad", "hourangle", at_least="1 arcsec", at_most="180 deg")]
 Longitude = Annotated[
     float,
     BeforeValidator(_longitude),
@@ -229,27 +232,27 @@ Line = Annotated[str, BeforeValidator(_line)]
 Nside = Annotated[int | None, BeforeValidator(_nside), of_file("integer", enum=[2**k for k in range(14)])]
 SiteName = Annotated[str | None, BeforeValidator(_site), of_file("string", enum=SITES)]
 TableFile = Annotated[Path | None, BeforeValidator(_file), of_file("string", examples=["camera.ecsv"])]
-Speed = Annotated[float, *quantity("rad / s", at_least="0.001 arcsec / s", at_most="360 deg / s")]
-SpeedExtent = Annotated[float, *quantity("rad / s", at_least=0, at_most="360 deg / s")]
+Speed = Annotated[float, *quantity("rad / s", "arcmin / s", at_least="0.001 arcsec / s", at_most="360 deg / s")]
+SpeedExtent = Annotated[float, *quantity("rad / s", "arcmin / s", at_least=0, at_most="360 deg / s")]
 Duration = Annotated[float, *quantity("s", at_least="1 us", at_most="10 day")]
 DurationExtent = Annotated[float, *quantity("s", at_least=0, at_most="10 day")]
 Height = Annotated[float, *quantity("m", at_least="-1 km", at_most="100 km")]
 Length = Annotated[float, *quantity("m", at_least="1 mm", at_most="100000 km")]
 Frequency = Annotated[float, *quantity("Hz", at_least="1e-6 Hz", at_most="1 GHz")]
-BandFrequency = Annotated[float, *quantity("Hz", at_least="1 GHz", at_most="10 THz")]
+BandFrequency = Annotated[float, *quantity("Hz", "GHz", at_least="1 GHz", at_most="10 THz")]
 NoisePsd = Annotated[
     float, *quantity("mK2 / Hz", at_least=0, at_most=f"{PSD_MAX_MK2_HZ:g} mK2 / Hz", zero_or="1e-12 mK2 / Hz")
 ]
 Temperature = Annotated[float, *quantity("mK", at_least="-1e6 K", at_most="1e6 K")]
 Load = Annotated[float, *quantity("K", at_least=0, at_most="10000 K", zero_or="1e-9 K")]
 Nep = Annotated[float, *quantity("W / Hz(1/2)", at_least=0, at_most="1e-6 W / Hz(1/2)", zero_or="1e-30 W / Hz(1/2)")]
-Memory = Annotated[float, *quantity("byte", at_least="1 byte", at_most="1e15 byte")]
+Memory = Annotated[float, *quantity("byte", "MB", at_least="1 byte", at_most="1e15 byte")]
 Taper = Annotated[float, *quantity("dB", at_least=0, at_most="1000 dB")]
 BandPowerExtent = Annotated[float, *quantity("uK2", at_least=0, at_most="1e15 uK2")]
 PositiveBandPower = Annotated[float, *quantity("uK2", at_least="1e-6 uK2", at_most="1e15 uK2")]
 Positive = Annotated[float, *number(1e-6, 1e6)]
 Share = Annotated[float, *number(0, 1)]
-Bandwidth = Annotated[float, *number(1e-6, 0.999999)]
+Bandwidth = Annotated[float, *number(1e-6, below=1)]
 Probabilities = tuple[Share, ...]
 # Of excess noise, in the unit that its knots have whatever the index.
 B2Knots = tuple[Annotated[float, BeforeValidator(_plain), of_file("number", minimum=0, maximum=B2_MAX)], ...]

@@ -23,7 +23,7 @@ from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.text_files import nested_deeper, one_line, read_text
 from surveysim.scene.analysis import Cleaning, MapSection, Score
 from surveysim.scene.assumed_values import assumed_of_site, assumed_values
-from surveysim.scene.error_lines import allowed_keys, error_lines, validation_lines
+from surveysim.scene.error_lines import error_lines, unknown_key, validation_lines
 from surveysim.scene.fields import Line, whole
 from surveysim.scene.instrument import Instrument
 from surveysim.scene.noise_and_sky import StreamSections
@@ -171,7 +171,7 @@ def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mappi
     """Make the scene of a file that `read_scene` has read; errors as for `load_scene`."""
     data = deepcopy({key: value for key, value in content.items() if key != "sweep"})
     if "assumed" in data or "assumed" in overrides:
-        raise SceneError(f"{path}: assumed: unknown key; allowed are {', '.join(allowed_keys((), Scene))}")
+        raise SceneError(f"{path}: assumed: {unknown_key('assumed', Scene)}")
     assumed = {line: line.partition(" = ")[0] for line in assumed_values(text)}
     data["assumed"] = [line for line, key in assumed.items() if key not in overrides and not key.startswith("sweep.")]
     for key, value in overrides.items():

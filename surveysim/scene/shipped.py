@@ -1,9 +1,9 @@
 """Scenes by name: in the current directory, in its folder scenarios/, or shipped with the program."""
 
 import re
-from difflib import get_close_matches
 from pathlib import Path
 
+from surveysim.scene.similar_names import did_you_mean
 from surveysim.scene.units import shown
 
 NAME, MAX_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]*", 100
@@ -28,11 +28,10 @@ def scene_names() -> list[str]:
 
 
 def no_such_scene(scene: str) -> str:
-    """Return a line on a scene that does not exist: names that are alike, and all names."""
+    """Return a line on a scene that does not exist: similar names, or else all names."""
     names = scene_names()
-    alike = get_close_matches(scene[:MAX_NAME], names)
-    guess = f"did you mean {' or '.join(alike)}? " if alike else ""
-    return f"{shown(scene)}: no such scene; {guess}A file or one of {', '.join(names)} is expected"
+    expected = did_you_mean(scene, names) or f"a file or one of {', '.join(names)} is expected"
+    return f"{shown(scene)}: no such scene; {expected}"
 
 
 def is_name(scene: str) -> bool:

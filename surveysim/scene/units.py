@@ -6,6 +6,7 @@ Internal units are radians, seconds, hertz, metres and millikelvin (Rayleigh-Jea
 import math
 import re
 from datetime import date, time
+from fractions import Fraction
 from functools import lru_cache
 from typing import Any
 
@@ -54,7 +55,7 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def to_float(text: object, unit: str) -> float:
+def to_float(text: object, unit: str, usual: str = "") -> float:
     """Convert a quantity, one number and one unit such as ``"4 arcmin / s"``, to a unit.
 
     Parameters
@@ -63,17 +64,20 @@ def to_float(text: object, unit: str) -> float:
         The quantity; a bare number only where `unit` is "".
     unit
         Unit of the result, as astropy writes it.
+    usual
+        Unit that messages suggest; by default `unit`.
 
     Raises
     ------
     InputError
         With the value found and the values expected.
     """
+    usual = usual or unit
     if isinstance(text, bool) or not isinstance(text, int | float | str):
-        raise InputError(f"found {shown(text)}; a quantity in {unit or 'plain numbers'} is expected")
+        raise InputError(f"found {shown(text)}; a quantity in {usual or 'plain numbers'} is expected")
     if isinstance(text, int | float):
         if unit:
-            raise InputError(f"found the bare number {shown(text)}; a string with a unit like {unit!r} is expected")
+            raise InputError(f"found the bare number {shown(text)}; a string with a unit like {usual!r} is expected")
         try:
             return _finite(float(text), text)
         except OverflowError:  # too large an integer
@@ -82,10 +86,11 @@ def to_float(text: object, unit: str) -> float:
     if match is None:
         if _NOT_FINITE.fullmatch(text):
             _finite(math.inf, text)
-        raise InputError(f"found {shown(text)}; one number and one unit like {unit or '1'!r} are expected")
+        raise InputError(f"found {shown(text)}; one number and one unit like {usual or '1'!r} are expected")
     factor = _unit_factor(match["unit"] or "", unit)
     if factor is None:
-        raise InputError(f"found {shown(text)}; a quantity in units like {unit or '1'!r} is expected")
+        expected = f"a quantity in units like {usual!r}" if usual else "a number or a percentage"
+        raise InputError(f"found {shown(text)}; {expected} is expected")
     return _finite(float(match["number"]) * factor, text)
 
 
@@ -124,7 +129,7 @@ def to_sky_angle(text: object) -> float:
     """Convert ``"08h49m12s"``, ``"+44d50m24s"`` or any angular quantity to radians; errors as for `to_float`."""
     match = _SEXAGESIMAL.fullmatch(text) if isinstance(text, str) else None
     if match is None:
-        return to_float(text, "rad")
+        return to_float(text, "rad", "deg")
     sign, whole, unit, minutes, seconds = match.groups()
     if int(minutes) >= 60 or float(seconds) >= 60:
         raise InputError(f"found {shown(text)}; minutes and seconds below 60 are expected")
@@ -136,6 +141,11 @@ def _finite(value: float, found: object) -> float:
     if not math.isfinite(value):
         raise InputError(f"found {shown(found)}; a finite number is expected")
     return value
+
+
+def b2_unit(spectral_index: float) -> str:
+    """Unit of the amplitude of a power spectrum with an index, such as ``mK2 rad(-5/3)``."""
+    return f"mK2 rad({Fraction(2 - spectral_index).limit_denominator(1000)})"
 
 
 def file_value(value: Any) -> Any:

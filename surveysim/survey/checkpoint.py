@@ -47,11 +47,22 @@ def save_checkpoint(path: Path, nodes: Sequence[CoAdds], setup: Setup) -> None:
         If the file cannot be written; it names the file.
     """
     numbers = _numbers(nodes)
-    meta = {"scene": survey_hash(setup.scene), "version": __version__, "pointing": _pointing_hash(setup, numbers)}
+    meta: dict[str, Any] = {
+        "scene": survey_hash(setup.scene),
+        "version": __version__,
+        "pointing": _pointing_hash(setup, numbers),
+    }
+    meta |= _extent(setup)
     content = _packed(nodes, meta)
     with atomic_write(path) as partial, open(partial, "wb") as file:
         file.write((_MARK + sha256(content).hexdigest().encode()).ljust(_USER_BLOCK, b"\0"))
         file.write(content)
+
+
+def _extent(setup: Setup) -> dict[str, int]:
+    """Numbers of observations and nights of the survey, on which the starts of its observations depend."""
+    plan = setup.scene.schedule
+    return {"observations": setup.scene.observations} | ({"nights": plan.nights} if plan else {})
 
 
 def _numbers(nodes: Iterable[CoAdds]) -> np.ndarray:
@@ -105,7 +116,7 @@ def load_checkpoint(path: Path, setup: Setup) -> list[CoAdds]:
         raise
     except Exception as error:  # HDF5 and JSON readers raise a wide range for what is none
         raise _foreign(path, error) from None
-    _check_extent(path, nodes, setup, str(meta.get("pointing")))
+    _check_extent(path, nodes, setup, meta)
     return nodes
 
 
@@ -113,7 +124,7 @@ def _foreign(path: Path, error: Exception) -> CheckpointError:
     return CheckpointError(f"{path}: not what a run of this scene writes ({one_line(error, REASON)}); {_AGAIN}")
 
 
-def _check_extent(path: Path, nodes: Sequence[CoAdds], setup: Setup, pointing: str) -> None:
+def _check_extent(path: Path, nodes: Sequence[CoAdds], setup: Setup, meta: Mapping[str, Any]) -> None:
     """Raise CheckpointError unless nodes are apart, and their observations are those of the scene."""
     if any(node.first < before.end for before, node in zip(nodes, nodes[1:], strict=False)):
         raise _foreign(path, ValueError("nodes overlap"))
@@ -123,11 +134,24 @@ def _check_extent(path: Path, nodes: Sequence[CoAdds], setup: Setup, pointing: s
             f"{path}: has observations up to number {end - 1}, found observations = {setup.scene.observations}; "
             f"{end} or more is expected, or another directory with --out"
         )
-    if _pointing_hash(setup, _numbers(nodes)) != pointing:
+    if _pointing_hash(setup, _numbers(nodes)) != str(meta.get("pointing")):
         raise CheckpointError(
-            f"{path}: from observations at other times; more observations keep theirs where schedule.nights grows in "
-            "proportion; start anew with --force, or write elsewhere with --out"
+            f"{path}: {_other_times(_extent(setup), meta)}; or start anew with --force, or write elsewhere with --out"
         )
+
+
+def _other_times(found: Mapping[str, int], before: Mapping[str, Any]) -> str:
+    """Say which number of nights keeps the times of finished observations: that in proportion to the observations."""
+    text = f"observations = {found['observations']} with schedule.nights = {found.get('nights')} moves finished "
+    text += "observations to other times"
+    try:
+        nights, rest = divmod(found["observations"] * int(before["nights"]), int(before["observations"]))
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):  # no such numbers in the file
+        return f"{text}; schedule.nights in proportion to observations keeps them"
+    if rest:
+        ratio = f"{before['observations']} observations in {before['nights']} nights"
+        return f"{text}; both in the proportion of the finished run, {ratio}, keep them"
+    return f"{text}; schedule.nights = {nights} keeps them"
 
 
 def read_meta(text: object) -> dict[str, Any]:

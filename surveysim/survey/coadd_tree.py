@@ -56,6 +56,8 @@ class CoAddTree:
         Number of the observation up to which `so_far` counts; `advance` adds to it.
     finished
         Number of all finished observations.
+    seconds
+        Time [s] that they took on one worker each, without compilation.
     """
 
     def __init__(self, setup: Setup, nodes: Iterable[Node] = (), first: int = 0) -> None:
@@ -67,11 +69,6 @@ class CoAddTree:
         self.seconds = 0.0
         for node in nodes:
             self.add(node)
-
-    @property
-    def each_s(self) -> float:
-        """Mean time [s] of an observation on one worker, without compilation."""
-        return self.seconds / max(1, self.finished)
 
     def add(self, item: Node) -> None:
         """Add a finished observation or the sums of a node."""

@@ -13,7 +13,7 @@ import numpy as np
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.reduction.figure_of_merit import TARGETS, best_places
-from surveysim.reduction.observation import ObservationResult
+from surveysim.reduction.observation_result import ObservationResult
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.scene import Scene

@@ -105,8 +105,14 @@ def _check_room(n_observations: int, nights: int, half_visibility_s: np.ndarray,
         raise OutOfRangeError(
             f"{n_observations} observations of {duration_s / 60:.1f} min do not fit into {nights} night(s): "
             f"the field can be observed for {visible_s / 60:.1f} min a night, so {nights * room} would fit "
-            f"({room} a night)"
+            f"({room} a night); {_more_room(n_observations, room)} is expected"
         )
+
+
+def _more_room(n_observations: int, room: int) -> str:
+    """Name the keys that make room for all observations."""
+    nights = f"nights = {-(-n_observations // room)} or more, " if room else ""
+    return f"{nights}a larger max_hour_angle or a lower min_elevation"
 
 
 def schedule(

@@ -11,7 +11,8 @@ from threadpoolctl import threadpool_limits
 
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import Timestreams
-from surveysim.reduction.observation import ObservationResult, observe
+from surveysim.reduction.observation import observe
+from surveysim.reduction.observation_result import ObservationResult
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.pointing import Pointing

@@ -112,7 +112,7 @@ def test_simulated_set(per_sample, lynx, name):
     drawn = normal_deviates(setup.scene.seed, sets.NOISE_ONLY_SETS[name].purpose, OBSERVATION)
     n_scans = setup.observing.scans.n_scans
     draw, rows = sets.NOISE_ONLY_SETS[name].draw, slice(0, n_det)
-    per_sample(f"simulated set, {name}", lambda: draw(setup, psd, white, n_scans, drawn, rows))
+    per_sample(f"simulated set, {name}", lambda: draw(setup, drawn, rows, psd=psd, white=white, n_scans=n_scans))
 
 
 def test_signal_simulation_of_one_sky(per_sample, lynx):

@@ -79,10 +79,10 @@ def weather(setup: Setup, coadds: CoAdds) -> Figure:
     bar = figure.colorbar(drawn, ax=axes)
     bar.set_label("Wind speed [arcmin/s]", fontsize=10)
     if norm is not None:
-        plain_ticks(bar.ax.yaxis)
+        plain_ticks(bar.ax.yaxis, (1, 1.5, 2, 3, 4, 5, 6, 8))
     bar.ax.tick_params(labelsize=9)
-    band = " in the scored band" if setup.analysis.region else ""
-    finish(axes, f"$B^2$ [{_b2_unit(setup)}]", f"Map noise{band} [mK$^2$ a sample]")
+    scored = " in the scored multipoles" if setup.analysis.region else ""
+    finish(axes, f"$B^2$ [{_b2_unit(setup)}]", f"Map noise{scored}, variance of a sample [mK$^2$]")
     plain_ticks(axes.yaxis)
     return figure
 

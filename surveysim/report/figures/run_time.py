@@ -4,6 +4,7 @@ import numpy as np
 
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.results.results import SurveyResult
+from surveysim.runtime.numbers import duration
 
 SHORTEST, LONGEST = 1 / 30, 30  # of the times drawn, in those of the run
 TARGETS = np.geomspace(1 / 5, 10, 40)  # relative errors whose costs are drawn, in that of the run
@@ -22,10 +23,11 @@ def time_figure(result: SurveyResult) -> PaperFigure:
     error = result.estimate.relative_error
     costs = [cost for cost in map(result.cost, error * TARGETS) if cost and cost.observations > 2]
     dashed = np.array([(cost.seconds, cost.relative_error) for cost in costs]).reshape(-1, 2).T
+    this_run = f"this run: {duration(own_s)} of simulation, {duration(result.wall_s)} from start to score"
     series = (
         Series("more observations", "line", seconds, alone, "black"),
         Series("more sign-flipped co-adds and skies too", "line", dashed[0], dashed[1], "vermilion --"),
-        Series("this run", "points", np.array([own_s]), np.array([error]), "blue -."),
+        Series(this_run, "points", np.array([own_s]), np.array([error]), "blue -."),
     )
     label = f"Time of simulation with {result.workers} worker{'s' * (result.workers > 1)} [s]"
     reach = (float(seconds[0]), float(seconds[-1]))

@@ -63,7 +63,7 @@ def map_planes(setup: Setup, coadds: CoAdds) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _sky_axes(axes: Axes, setup: Setup) -> None:
-    for coordinate, label in zip(axes.coords, ("Right ascension [deg]", "Declination [deg]"), strict=True):
+    for coordinate, label in zip(axes.coords, ("Right ascension", "Declination"), strict=True):
         coordinate.set_major_formatter("d.d")
         coordinate.set_ticklabel(size=9, exclude_overlapping=True)
         coordinate.set_axislabel(label, fontsize=10)

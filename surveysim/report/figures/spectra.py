@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from mapmaker.transfer_function import beam_window, pixel_window
 from surveysim.forecasting.forecast import Forecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
-from surveysim.reduction.data_set import DataSetKind
+from surveysim.reduction.data_set import DataSetKind, scaled_name
 from surveysim.reduction.setup import Setup
 from surveysim.report.figures.style import (
     BLACK,
@@ -144,7 +144,7 @@ def bin_weights(setup: Setup, scores: dict[str, DataSetScore]) -> Figure:
         axes.plot(ell, weight, color=colour, ls=dashes, marker="o", ms=3.5, label=label)
         axes.axvline(item.band.ell_eff, color=colour, ls=dashes, lw=0.9)
     axes.set_ylim(bottom=0)
-    finish(axes, ELL, f"Share in the score of a bin of {setup.scene.score.ell_bin} multipoles")
+    finish(axes, ELL, rf"Share of each bin of {setup.scene.score.ell_bin} multipoles in $\sigma(A)^{{-2}}$")
     _place_legend(setup, figure, axes)
     return figure
 
@@ -157,8 +157,7 @@ def _usable(setup: Setup) -> np.ndarray:
 def _look(setup: Setup, item: DataSetScore) -> tuple[str, str, str, float]:
     """Colour, dashes, label, and the factor for the missing detectors."""
     if _is_masked(item):
-        label = rf"{_name(setup, item)}, $\times$ {item.n_det}/{setup.camera.n_det}"
-        return *MASKED_LINE, label, item.n_det / setup.camera.n_det
+        return *MASKED_LINE, scaled_name(item.name), item.n_det / setup.camera.n_det
     if item.name == OPTIMAL:
         return *OPTIMAL_LINE, "the best of each observation", 1.0
     compared = [pipeline.data_set for pipeline in setup.analysis.whole_pipelines[1:]]
@@ -172,8 +171,6 @@ def _is_masked(item: DataSetScore) -> bool:
 
 
 def _name(setup: Setup, item: DataSetScore) -> str:
-    if _is_masked(item):
-        return f"masked, {item.n_det} detectors"
     labelled = item.name == ACTUAL and setup.analysis.chooses
     return f"actual ({setup.analysis.pipelines[0].label})" if labelled else item.name
 

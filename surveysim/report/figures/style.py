@@ -56,7 +56,7 @@ def legend(axes: Axes) -> None:
     axes.legend(**LEGEND)
 
 
-def plain_ticks(axis: Axis, marks: tuple[int, ...] = (1, 2, 5)) -> None:
+def plain_ticks(axis: Axis, marks: tuple[float, ...] = (1, 2, 5)) -> None:
     """Label a logarithmic axis with numbers such as 0.5 and 2000, at `marks` in each decade."""
     axis.set_major_locator(LogLocator(subs=marks))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))

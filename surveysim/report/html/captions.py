@@ -20,7 +20,9 @@ RUN = {
         "Power spectral density of the time-streams against frequency, before and after cleaning, with noise levels.",
         "Across: frequency [Hz]. Up: power spectral density [mK^2/Hz] of single scans, a mean over detectors and "
         "observations. If the weather varies, the left panel has the quarter of the observations with the lowest B2 "
-        "and the right panel the quarter with the highest. Dotted: power of the beam at the multipole that corresponds "
+        "and the right panel the quarter with the highest. Solid green: white noise of the scene; dashed green: its "
+        "photon "
+        "noise (BLIP, background-limited performance). Dotted: power of the beam at the multipole that corresponds "
         "to a frequency at the scan speed, on an arbitrary scale.",
         "Look for the distance between the blue line, after cleaning ({cleaning}), and the measured white level "
         "(black) at frequencies where the beam still passes the sky. The excess at low frequency is the noise that "
@@ -29,7 +31,7 @@ RUN = {
     "map": Caption(
         "The co-added map and its noise",
         "Two maps in right ascension and declination: the smoothed signal and the noise of each pixel.",
-        "Across and up: right ascension and declination [deg]. Left: the co-added map of the actual data, smoothed "
+        "Across and up: right ascension and declination. Left: the co-added map of the actual data, smoothed "
         "with the beam; right: the noise of its pixels, from the weights; both in µK_CMB. The square is the scored "
         "area. Pixels with more than four times the lowest noise are blank.",
         "Look for even noise inside the square, and for stripes along the scans: they are noise that cleaning left. "
@@ -39,8 +41,9 @@ RUN = {
         "Noise of the co-added maps",
         "Noise power spectral density of the map of each data set against multipole.",
         "Across: multipole ℓ. Up: power spectral density of the noise [µK²_CMB sr], from co-adds with random signs. "
-        "Shaded: the standard error of each bin. Thin lines: the forecast in closed form. The PSD of a masked array is "
-        "multiplied by its share of the detectors. Grey line: a flat CMB spectrum with A = σ(A), as it appears in the "
+        "Shaded: the standard error of each bin. Thin lines: the forecast in closed form. Scaled: the PSD of a masked "
+        "array, multiplied by its share of the detectors. Grey line: a flat CMB spectrum with A = σ(A), as it appears "
+        "in the "
         "map; grey area: the scored range.",
         "Look for the distance from the actual line down to the uncorrelated one, the cost of correlations between "
         "detectors, and from there to the white one, the cost of low-frequency noise.",
@@ -50,30 +53,32 @@ RUN = {
         "Power transmission of cleaning, beam and pixel against multipole.",
         "Across: multipole ℓ. Up: fraction of the signal's power that passes cleaning (points with errors, from flat "
         "CMB skies through the same scans and cleaning; thin lines: forecast), the beam, the map's pixels, and all of "
-        "them.",
+        "them. Grey area: the scored range.",
         "Look for the multipole below which cleaning removes the signal with the noise, and for the one above which "
-        "the beam removes it. The score comes from the range between them.",
+        "the beam removes it: bins of the scored range beyond them add little to the score.",
     ),
     "cumulative_sensitivity": Caption(
         "Cumulative sensitivity",
         "Uncertainty of a flat band power from all data above a multipole, against that multipole.",
         "Across: the lowest multipole ℓ used. Up: uncertainty σ(A) of a flat band power [µK²_CMB] from all bins above "
-        "it. Shaded: its Monte Carlo error. At the vertical line, the scene's lowest multipole, the lines have the "
+        "it. Shaded: its Monte Carlo error. Scaled: of a masked array, multiplied by its share of the detectors. At "
+        "the vertical line, the scene's lowest multipole, the lines have the "
         "values of the score table.",
         "Look for the slope at the vertical line: the steeper, the more the result depends on the lowest multipole.",
     ),
     "weights": Caption(
         "Weights of multipoles in the score",
-        "Share of each bin of multipole in the score of each data set.",
-        "Across: multipole ℓ. Up: share of a bin in the score of each data set. Vertical lines: effective multipoles.",
+        "Share of each bin of multipoles in the score of each data set.",
+        "Across: multipole ℓ. Up: share of a bin in σ(A)^(-2) of each data set. Vertical lines: effective multipoles.",
         "Look for the multipoles with the largest shares: σ(A) comes from them. Where a share is large at an end of "
         "the scored range, σ(A) depends on where the range ends.",
     ),
     "weather": Caption(
         "Noise of each observation",
         "Noise of each observation's map against the amplitude B2 of the atmosphere, coloured by wind speed.",
-        "Across: amplitude B2 of the atmosphere drawn for the observation. Up: noise of its map [mK^2 a sample], in "
-        "the scored region if there is one. Colour: wind speed [arcmin/s]. Dashed: white level of the time-streams.",
+        "Across: amplitude B2 of the atmosphere drawn for the observation. Up: noise of its map, as variance of "
+        "one sample [mK^2], from the scored multipoles if there is a score. Colour: wind speed [arcmin/s]. Dashed: "
+        "white level of the time-streams.",
         "Look for the distance of the points from the dashed line: white noise limits observations close to it; "
         "atmosphere and low-frequency noise that cleaning left limit those far above. Observations with high noise get "
         "little weight.",
@@ -81,7 +86,8 @@ RUN = {
     "run_time": Caption(
         "Error against run time",
         "Relative error of the survey's uncertainty against the time of simulation.",
-        "Across: time of simulation [s] with the workers of this run, without start-up. Up: relative error of the best "
+        "Across: time of simulation [s] with the workers of this run, without start-up, "
+        "compilation, scoring and figures. Up: relative error of the best "
         "estimate of σ(A). Solid: with more observations alone. Dashed: with more sign-flipped co-adds and simulated "
         "skies as well, if they are needed. Diamond: this run.",
         "Look for the slope of the solid line: where it flattens, a smaller error needs more sign-flipped co-adds. The "

@@ -6,9 +6,10 @@ from typing import Any
 
 from surveysim.report.html.components import Block, Cell, Grid, Section, Text, cell
 from surveysim.runtime.numbers import number
+from surveysim.scene.units import b2_unit
 from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, WEATHER_GROUPS, listed_data_sets
 
-Content = Mapping[str, Any]  # content of summary.json
+Content = Mapping[str, Any]  # content of summary.json or scene.json
 DISCARD_RULE = (
     "Cleaning discards a scan whose templates it cannot fit. If it fits responsivities to the atmosphere, these are"
     " scans with little atmospheric signal: in the calmest weather, which gives the best data, or along the wind at"
@@ -36,12 +37,12 @@ def warned(summary: Content) -> Iterator[str]:
         yield f"Warning: {line}"
 
 
-def discarded_section(summary: Content) -> Section:
+def discarded_section(summary: Content, scene: Content) -> Section:
     """Return the fractions of discarded scans of a run, for all observations and for quarters of them."""
-    return Section("discarded", "Discarded scans", tuple(_blocks(summary)))
+    return Section("discarded", "Discarded scans", tuple(_blocks(summary, scene)))
 
 
-def _blocks(summary: Content) -> Iterator[Block]:
+def _blocks(summary: Content, scene: Content) -> Iterator[Block]:
     shares, by_weather = summary["discarded"], summary["discarded_by_weather"]
     if not any(shares.values()):
         yield Text(("No scan was discarded.",))
@@ -52,7 +53,8 @@ def _blocks(summary: Content) -> Iterator[Block]:
         b2 = f"{number(part['b2_min_mk2'])} to {number(part['b2_max_mk2'])}"
         rows.append((cell(name), Cell(b2), cell(part["observations"]), *_cells(part["discarded"], names)))
     rows.append((cell("all"), Cell(""), cell(summary["observations"]), *_cells(shares, names)))
-    columns = ("observations by B2", "B2 [mK2]", "number", *(f"{name} [%]" for name in names))
+    unit = f" [{b2_unit(scene['atmosphere']['spectral_index'])}]" if by_weather else ""
+    columns = ("observations by B2", f"B2{unit}", "number", *(f"{name} [%]" for name in names))
     title = "Share of the scans that cleaning discards"
     notes = (DISCARD_RULE, QUARTERS) if by_weather else (DISCARD_RULE,)
     yield Grid("discarded-table", title, columns, tuple(rows), notes)

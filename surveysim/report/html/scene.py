@@ -9,6 +9,7 @@ from typing import Any
 
 from surveysim.report.html.components import UK2, Block, Terms
 from surveysim.runtime.numbers import joined, number, plural, short
+from surveysim.scene.units import b2_unit
 from surveysim.timestreams.component import COMPONENTS, StreamComponent
 
 CLEANINGS = {
@@ -134,7 +135,7 @@ def _atmosphere(air: Values) -> Iterator[str]:
         yield f"Its outer scale is {short(air['outer_scale_m'])} m."
     if air["site"]:
         yield f"Water and water fluctuations are those of {SITES.get(air['site'], air['site'])}."
-    unit = f"mK2 rad({Fraction(2 - air['spectral_index']).limit_denominator(1000)})"
+    unit = b2_unit(air["spectral_index"])
     if air["b2"]:
         levels = ", ".join(short(100 * level) for level in air["b2_probabilities"])
         yield f"B2 is drawn for each observation, with the quantiles {_list(air['b2'])} {unit} at {levels} %."

@@ -54,7 +54,9 @@ def _score_note(summary: Content) -> str:
     known = [f"{name}: {DATA_SETS[name]}" for name in summary["scores"] if name in DATA_SETS]
     masked = [name for name, row in summary["scores"].items() if row["kind"] == DataSetKind.MASKED]
     if masked:
-        known.append(f"{masked[0]}: the actual streams of an array masked by separation (scaled: times its share)")
+        part, whole = summary["scores"][masked[0]]["n_det"], summary["detectors"]
+        known.append(f"{masked[0]}: the actual streams of {part} detectors, masked by separation")
+        known += [f"{name}: its σ(A) times {part}/{whole}, its share of the detectors" for name in masked[1:]]
     cleanings = [name for name in summary["scores"] if name not in DATA_SETS and name not in masked]
     known += [f"{name}: {cleaning_words(name.split('+'))} in place of the scene's own" for name in cleanings]
     errors = "Errors are Monte Carlo errors: noise, the sample of observations, and the transfer function."

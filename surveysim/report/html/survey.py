@@ -34,7 +34,7 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
     sections = [Section("scene", "What was simulated", what_was_simulated(scene, summary, summary["detectors"]))]
     if summary["scores"]:
         sections.append(Section("scores", "Scores", tuple(score_blocks(summary, scene))))
-    sections.append(discarded_section(summary))
+    sections.append(discarded_section(summary, scene))
     title = "Error against run time" if summary["scores"] else "Run time"
     sections.append(Section("time", title, (*time_blocks(summary, scene), *timing)))
     if others:

@@ -21,7 +21,7 @@ import numpy as np
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.text_files import key_text
-from surveysim.scene.error_lines import allowed_keys, error_lines
+from surveysim.scene.error_lines import allowed_keys, error_lines, unknown_key
 from surveysim.scene.fields import LONGEST_LINE
 from surveysim.scene.renamed_keys import renamed_line
 from surveysim.scene.scene import Origin, Scene, read_scene, scene_hash, scene_of
@@ -271,12 +271,10 @@ def _check_key(where: str, axis: str, key: str) -> None:
         raise InputError(f"{where}: found {shown(key)}; a key that is not common to all points is expected")
     if renamed := renamed_line(key):
         raise InputError(renamed)
-    allowed = allowed_keys(sections, Scene)
-    if last not in allowed:
+    if last not in allowed_keys(sections, Scene):
         if axis != key and key in allowed_keys(axis.split("."), Scene):
             raise InputError(f'{where}: unknown key; a key with dots goes in quotes: "{axis}.{key}"')
-        names = ", ".join(f"{'.'.join([*sections, name])}" for name in allowed if name not in COMMON)
-        raise InputError(f"{where}: unknown key{f'; allowed are {names}' if names else ' of a scene'}")
+        raise InputError(f"{where}: {unknown_key(key, Scene, COMMON)}")
 
 
 def _check_together(axes: Sequence[Axis], overrides: Mapping[str, Any]) -> None:

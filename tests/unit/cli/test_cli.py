@@ -4,6 +4,8 @@ import contextlib
 import errno
 import os
 import pty
+import re
+import shlex
 import subprocess
 from pathlib import Path
 
@@ -164,7 +166,9 @@ def test_schedules(call, scene):
     text = without_sections(SMALL_SCENE, "fixed_pointing") + SCHEDULE
     scene.write_text(text)
     assert "schedule: 100000 observations" in (error := refused(call, scene, "--set", "observations=100000"))
-    assert "would fit" in error
+    assert "would fit" in error and error.startswith(f"{scene} with --set observations=100000: schedule: ")
+    room = int(re.search(r"\((\d+) a night\)", error)[1])
+    assert f"; nights = {-(-100000 // room)} or more, a larger max_hour_angle or a lower min_elevation is" in error
     error = refused(call, scene, "--set", "field.dec=-60 deg")
     assert "schedule: the field never rises above 10." in error and "40.00 deg" in error
     for date in ("28 October", "2003-10-32", 3):
@@ -233,7 +237,8 @@ def test_a_fault_of_numpy_leaves_finished_work_to_resume(call, scene, monkeypatc
     monkeypatch.setattr(survey, "observe", fail_third)
     code, _, error = call("run", scene, "--out", out, "--workers", 1, "--quiet")
     assert code == 1 and error.startswith(f"surveysim can't go on: {type(fault).__name__}: {fault}; please report it")
-    assert error.endswith(f"; go on with --resume --out {out}\n") and len(error.splitlines()) == 1
+    command = shlex.join(["surveysim", "run", str(scene), "--out", str(out), "--workers", "1", "--quiet", "--resume"])
+    assert error.endswith(f"; go on with: {command}\n") and len(error.splitlines()) == 1
     monkeypatch.setattr(survey, "observe", observe)
     assert call("run", scene, "--out", out, "--workers", 1, "--quiet", "--resume", "--no-figures")[0] == 0
 
@@ -265,7 +270,7 @@ def interrupt_after(call, scene, out, done, monkeypatch):
 
     @contextlib.contextmanager
     def display(name, work, quiet, workers):
-        def show(finished, status, each_s=None):
+        def show(finished, status, left_s=None):
             if finished == done:
                 raise KeyboardInterrupt
 
@@ -274,7 +279,8 @@ def interrupt_after(call, scene, out, done, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("surveysim.cli.progress.progress_display", display)
         code, _, error = call("run", scene, "--out", out, "--workers", 1)
-    assert (code, error) == (130, f"interrupted; go on with --resume --out {out}\n")
+    command = shlex.join(["surveysim", "run", str(scene), "--out", str(out), "--workers", "1", "--resume"])
+    assert (code, error) == (130, f"interrupted; go on with: {command}\n")
 
 
 def test_resume_gives_the_same_bits(call, scene, monkeypatch):

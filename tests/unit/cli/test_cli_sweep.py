@@ -10,7 +10,7 @@ from astropy.table import Table
 
 from tests.scenes import SMALL_SCENE, TURBULENT_SCENE, without_sections
 from tests.unit.cli.test_cli import refused
-from tests.unit.survey.test_interruption import none_left, start, wait_for
+from tests.unit.survey.test_interruption import none_left, resuming, start, wait_for
 
 FORECAST_FILES = [".surveysim.json", "report.html", "scene.json", "scene.toml", "summary.json", "sweep.ecsv"]
 FILES = [*FORECAST_FILES, "sweep_pairs.ecsv"]
@@ -98,7 +98,7 @@ def test_interrupted_sweep(sweep):
     wait_for(out / "points" / "001.npz", process)
     os.killpg(process.pid, signal.SIGINT)
     _, error = process.communicate(timeout=20)
-    assert (process.returncode, error) == (130, f"interrupted; go on with --resume --out {out}\n")
+    assert (process.returncode, error) == (130, f"interrupted; go on with: {resuming(process)}\n")
     assert none_left(process.pid) and not list(out.rglob("*.part"))
     assert not (out / "sweep.ecsv").exists() and len(list((out / "points").glob("???.npz"))) >= 1
 

@@ -65,9 +65,9 @@ def test_commands_take_names(empty, call):
 
 @pytest.mark.parametrize("command", [("check",), ("run",), ("plan",), ("forecast",), ("new", "mine", "--like")])
 def test_unknown_names_are_answered_with_those_that_are_alike(empty, call, command):
-    for name, alike in (("lynxx", "did you mean lynx? "), ("qqq", "")):
-        said = f"'{name}': no such scene; {alike}A file or one of {', '.join(scene_names())} is expected\n"
-        assert call(*command, name) == (2, "", said)
+    names = f"a file or one of {', '.join(scene_names())} is expected"
+    for name, said in (("lynxx", "did you mean lynx?"), ("qqq", names)):
+        assert call(*command, name) == (2, "", f"'{name}': no such scene; {said}\n")
     assert [path.name for path in empty.iterdir()] == []
 
 
@@ -108,9 +108,9 @@ SITE = 'site = "alma"\n'
 )
 def test_hints_on_a_copy_can_be_followed(empty, call, name, hint, changes):
     code, out, _ = call("new", "mine", "--like", name)
-    found = [line for line in out.splitlines() if "own band" in line]
+    found = [line for line in out.splitlines() if "for another:" in line]
     assert code == 0
-    said = f"[excess] and atmosphere.b2 hold for its own band and site; for another: {hint}"
+    said = f"[excess] and atmosphere.b2 hold for the band and site of the copied scene; for another: {hint}"
     assert found == ([said] if hint else [])
     path = Path("scenarios/mine.toml")
     copied = path.read_text()

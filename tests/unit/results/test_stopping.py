@@ -79,7 +79,7 @@ def test_limits_of_texts(texts, found):
         (("--target-error", "0"), "target error: found 0"),
         (("--target-error=-3%",), "target error: found -0.03"),
         (("--target-error", "nan"), "--target-error: found 'nan'; a finite number"),
-        (("--target-error", "3 mK"), "--target-error: found '3 mK'; a quantity in units like '1'"),
+        (("--target-error", "3 mK"), "--target-error: found '3 mK'; a number or a percentage is expected"),
         (("--time-budget", "60"), "--time-budget: found '60'; a quantity in units like 's'"),
         (("--time-budget", "0 s"), "time budget: found 0 s; more than 0 s is expected"),
         (("--time-budget", "soon"), "--time-budget: found 'soon'"),

@@ -16,7 +16,7 @@ import surveysim
 from surveysim import __version__, load_scene
 from surveysim import run as run_scene
 from surveysim.runtime.engine import SERIAL
-from tests.unit.survey.test_interruption import assert_same_results, long_scene, start, wait_for
+from tests.unit.survey.test_interruption import assert_same_results, long_scene, resuming, start, wait_for
 
 ROOT = Path(surveysim.__file__).parents[1]
 DASK = ("--engine", "dask", "--scheduler")
@@ -77,7 +77,7 @@ def test_lost_scheduler(tmp_path):
         scheduler.kill()
         _, error = process.communicate(timeout=60)
     assert process.returncode == 1
-    assert error == f"the scheduler of the cluster is gone; go on with --resume --out {out}\n"
+    assert error == f"the scheduler of the cluster is gone; go on with: {resuming(process)}\n"
     assert sorted(item.name for item in out.iterdir()) == [".surveysim.json", "checkpoint.h5", "scene.toml"]
     run_scene(load_scene(path), out, engine=SERIAL, resume=True, figures=False)
     run_scene(load_scene(path), tmp_path / "whole", engine=SERIAL, figures=False)
@@ -131,4 +131,4 @@ def test_a_scheduler_that_falls_silent(tmp_path):
         time.sleep(3)
         process.send_signal(signal.SIGTERM)
         _, error = process.communicate(timeout=20)
-    assert (process.returncode, error) == (130, f"interrupted; go on with --resume --out {out}\n")
+    assert (process.returncode, error) == (130, f"interrupted; go on with: {resuming(process)}\n")

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
 from tests.refusals import scene_refusal
 from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections, write_scene
@@ -36,6 +37,25 @@ def test_unknown_keys(path, key, allowed):
     check(path, {key: 1}, key, "unknown key", allowed)
 
 
+def test_a_mistyped_key_is_one_error_with_a_suggestion(path):
+    """The missing key is not listed too, unless another is missing."""
+    path.write_text(SMALL_SCENE.replace("speed =", "spead ="))
+    with pytest.raises(SceneError) as error:
+        load_scene(path)
+    assert str(error.value) == f"{path}: scan.spead: unknown key; did you mean scan.speed?"
+    path.write_text(SMALL_SCENE.replace("speed =", "quux ="))
+    with pytest.raises(SceneError) as error:
+        load_scene(path)
+    assert len(str(error.value).splitlines()) == 2 and "scan.speed: missing" in str(error.value)
+
+
+def test_a_mistyped_section_is_one_error_with_a_suggestion(path):
+    path.write_text(SMALL_SCENE.replace("[scan]", "[scna]"))
+    with pytest.raises(SceneError) as error:
+        load_scene(path)
+    assert str(error.value) == f"{path}: scna: unknown key; did you mean scan?"
+
+
 def test_unknown_key_in_a_list(path):
     path.write_text(SMALL_SCENE.replace('peak = "5 mK"', 'peak = "5 mK"\nflux = "1 Jy"'))
     check(path, {}, "sky.point_sources.0.flux", "unknown key", "dec, peak, ra")
@@ -64,12 +84,14 @@ def test_missing_keys(path, line):
 @pytest.mark.parametrize(
     "key, found, unit",
     [
-        ("scan.speed", "4 arcmin", "rad / s"),
+        ("scan.speed", "4 arcmin", "'arcmin / s'"),
         ("scan.duration", "6 arcmin", "'s'"),
         ("scan.duration", "6 parsnips", "'s'"),
-        ("instrument.beam_fwhm", "60 Hz", "rad"),
-        ("field.ra", "08h49m", "rad"),
-        ("field.dec", "12 m", "rad"),
+        ("instrument.beam_fwhm", "60 Hz", "'arcsec'"),
+        ("instrument.frequency", "60 arcsec", "'GHz'"),
+        ("scan.sample_rate", "1 m", "'Hz'"),
+        ("field.ra", "08h49m", "'deg'"),
+        ("field.dec", "12 m", "'deg'"),
         ("photon.psd", "2.5 mK / Hz", "mK2 / Hz"),
         ("sky.cmb_band_power", "1000 uK", "uK2"),
         ("excess.variance", "[2.05, 4.52] mK", "mK2"),
@@ -376,7 +398,7 @@ def test_excess_of_several_weathers_needs_a_weather(path):
 
 
 def test_scored_range_holds_a_bin(path):
-    check(path, {"score.ell_max": 5999}, "score.ell_max", "found 5999", "at least ell_min + ell_bin")
+    check(path, {"score.ell_max": 5999}, "score.ell_max", "found 5999", "or more, ell_min + ell_bin, is expected")
 
 
 def test_each_error_has_its_line(path):

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import re
 import resource
 from hashlib import sha256
 from io import BytesIO
@@ -18,7 +19,7 @@ from surveysim.survey.checkpoint import _MARK, CheckpointError, check_streams, l
 from surveysim.survey.remote_node import SUMS_OF_SPANS
 from surveysim.survey.run import SpanJob, finished_sums, run_observations
 from surveysim.survey.spans import Span
-from tests.scenes import write_scene
+from tests.scenes import SCHEDULE, SMALL_SCENE, without_sections, write_scene
 
 NODE = "000000000"
 ARRAYS = ("sums", "weight", "hits", "flipped", "signal_maps", "signal_weight")
@@ -396,3 +397,27 @@ def test_a_cluster_that_is_gone_leaves_the_last_checkpoint(tmp_path, scene, monk
         run_observations(setup, path, Engine("processes", workers=2))
     (node,) = load_checkpoint(path, setup)
     assert (node.first, node.done) == (0, 16) and same(node, first)
+
+
+@pytest.mark.parametrize(
+    "observations, nights, words",
+    [
+        (
+            8,
+            2,
+            "observations = 8 with schedule.nights = 2 moves finished observations to other times; schedule.nights = 4",
+        ),
+        (7, 2, "both in the proportion of the finished run, 4 observations in 2 nights, keep them"),
+    ],
+)
+def test_more_observations_at_other_times_name_the_nights_that_keep_them(tmp_path, observations, nights, words):
+    """The number named is accepted."""
+    scene = tmp_path / "scene.toml"
+    scene.write_text(without_sections(SMALL_SCENE, "fixed_pointing") + SCHEDULE)
+    small = prepare(load_scene(scene, {"observations": 4, "schedule.nights": 2}))
+    path = tmp_path / "checkpoint.h5"
+    save_checkpoint(path, [run_observations(small, None)], small)
+    with pytest.raises(CheckpointError, match=re.escape(words)):
+        load_checkpoint(path, prepare(load_scene(scene, {"observations": observations, "schedule.nights": nights})))
+    (kept,) = load_checkpoint(path, prepare(load_scene(scene, {"observations": 8, "schedule.nights": 4})))
+    assert kept.done == 4

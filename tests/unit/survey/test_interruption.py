@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -61,7 +62,7 @@ def test_interruption(tmp_path, undisturbed, workers, number, to_group):
     (os.killpg if to_group else os.kill)(process.pid, number)
     _, error = process.communicate(timeout=20)
     assert time.monotonic() - begin < 5
-    assert (process.returncode, error) == (130, f"interrupted; go on with --resume --out {out}\n")
+    assert (process.returncode, error) == (130, f"interrupted; go on with: {resuming(process)}\n")
     assert none_left(process.pid) and not list(out.rglob("*.part")) and not (out / LOCK).exists()
     run_scene(load_scene(path), out, engine=SERIAL, resume=True, figures=False)
     assert_same_results(out, undisturbed)
@@ -157,6 +158,11 @@ def start(*arguments, fast=False):
         start_new_session=True,
         env=environment,
     )
+
+
+def resuming(process):
+    """The command that resumes an interrupted one."""
+    return shlex.join(["surveysim", *process.args[len(COMMAND) :], "--resume"])
 
 
 def wait_for(path, process, seconds=60):
