@@ -223,8 +223,8 @@ def test_flags_that_add_warnings(flags):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_interrupted_in_the_first_half_second(scene, number):
-    """Once Python itself has started, whatever is being imported."""
-    code = "import os, sys\nos.write(1, b'x')\nfrom surveysim.cli.main import main\nmain()"
+    """Once Python has started and loaded the entry point, whatever is being imported."""
+    code = "import os, sys\nfrom surveysim.cli.main import main\nos.write(1, b'x')\nmain()"
     for delay in (0.05, 0.2, 0.4):
         process = subprocess.Popen(
             [sys.executable, "-c", code, "run", str(scene), "-q"],
