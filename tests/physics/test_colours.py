@@ -50,8 +50,11 @@ def test_bands_see_one_layer_as_opacity_scales_it():
 
 @pytest.mark.slow
 def test_residual_at_10_mhz_is_near_the_instrument_s_noise():
-    """SuZIE II came within a factor 1.5 of it (paper, "Prospects"); here over its own level at 1.25 to 2.5 Hz."""
-    result = run(load_scene(SUZIE, {"observations": 40}), engine=SERIAL)
+    """SuZIE II came within a factor 1.5 of it (paper, "Prospects"); here over its own level at 1.25 to 2.5 Hz.
+
+    The PSD of 40 observations at 1 Hz scatters by 4.6 % over 8 seeds, so that of 240 by 1.9 %.
+    """
+    result = run(load_scene(SUZIE, {"observations": 240}), engine=SERIAL)
     entries = summary(result)["cleaning"]
     spectral, spatial = (entries[name]["psd_over_white"] for name in ("actual", "average"))
     assert 0.9 < spectral["0.01 Hz"] < 1.5
