@@ -76,7 +76,7 @@ CODES = {
     "surveysim": Code(("numpy", "scipy", "numba"), own.surveysim, own.surveysim_streams),
     "FFT + numba": Code(("numba",), screens.fft_numba),
     "pixell + numpy": Code(("pixell",), screens.pixell_numpy),
-    # Before maria: TOAST takes 1.7 times as long if it is imported after maria.
+    # TOAST comes before maria: it takes 1.7 times as long in a process that imported maria first.
     "TOAST": Code(("toast",), toast.toast),
     "maria, one layer": Code(("maria",), maria.one_layer, maria.streams),
     "maria, eight layers": Code(("maria",), maria.eight_layers, maria.streams),
