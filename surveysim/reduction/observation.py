@@ -324,19 +324,19 @@ def _scored_signal_maps(
 def transfer_functions(setup: Setup) -> np.ndarray:
     """Measure the power transfer function of each pipeline for a flat CMB sky and for a point source.
 
-    From the observations of `REFERENCE`, and in several blocks from the one in the middle of the map.
+    From the observations of `REFERENCE`. With several blocks, from those that reach the centre of the map: one, or two
+    if their number is even.
 
     Returns
     -------
     (n_pipeline, 2, n_bin) array
         0 for a pipeline that discards all their scans.
     """
-    middle = setup.observing.blocks[len(setup.observing.blocks) // 2]
     skies = setup.analysis.signal_skies_mk[[0, -1]]
     everywhere = np.ones_like(setup.analysis.region.taper)
     powers = np.zeros((len(setup.analysis.whole_pipelines), len(TARGETS), 2, len(setup.analysis.region.rings.ell)))
     for observation in REFERENCE:
-        signals = _signals_in_block(setup, observation % setup.scene.observations, middle, skies)
+        signals = _signals_in_central_blocks(setup, observation % setup.scene.observations, skies)
         maps = _scored_signal_maps(setup.analysis, setup.stream_type, signals, 0)
         for r, pipeline in enumerate(setup.analysis.whole_pipelines):
             place = setup.analysis.transfer_function_names.index(pipeline.data_set)
@@ -345,11 +345,13 @@ def transfer_functions(setup: Setup) -> np.ndarray:
     return np.divide(powers[:, :, 1], powers[:, :, 0], out=np.zeros_like(powers[:, :, 0]), where=powers[:, :, 0] > 0)
 
 
-def _signals_in_block(setup: Setup, observation: int, block: Block, skies_mk: np.ndarray) -> np.ndarray:
-    """Simulate signals in one block of an observation, and nothing else of it."""
+def _signals_in_central_blocks(setup: Setup, observation: int, skies_mk: np.ndarray) -> np.ndarray:
+    """Simulate signals in the blocks of an observation that reach the centre of the map, and nothing else."""
     signal_maps, watch = _empty_signal_maps(setup.analysis, len(skies_mk)), Stopwatch()
     _, pointing = observation_path(setup.observing, observation)
     delays = delays_of_all_blocks(setup, observation, pointing, watch)
-    part = _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch)
-    _add_signal_maps(signal_maps, part, skies_mk)
+    blocks = setup.observing.blocks
+    for block in blocks[(len(blocks) - 1) // 2 : len(blocks) // 2 + 1]:
+        part = _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch)
+        _add_signal_maps(signal_maps, part, skies_mk)
     return signal_maps

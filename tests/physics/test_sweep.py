@@ -11,7 +11,7 @@ from mapmaker.transfer_function import TransferFunction
 from surveysim import load_sweep, run_sweep
 from surveysim.reduction.data_set import DataSetKind
 from surveysim.runtime.engine import SERIAL
-from surveysim.studies.sweep.comparison import compare_runs
+from surveysim.studies.sweep.comparison import compare_forecasts, compare_runs, forecast_points
 from surveysim.studies.sweep.point_store import PointResult
 from surveysim.survey.scores import DataSetScore, error_modes
 from tests.scenes import SMALL_SCENE, without_sections
@@ -35,6 +35,7 @@ NO_AIR = (
 AIR = NO_SETS.replace("observations = 4\n", "observations = 24\n").replace(
     'algorithm = "average"\n', 'algorithm = "average"\nresponsivities = "observation"\n'
 )
+MORE_DETECTOR_NOISE = '"detector.psd" = ["2.5 mK2 / Hz", "3.75 mK2 / Hz"]'
 
 
 # ---------------------------------------------------------------- surveys of toy modes
@@ -117,14 +118,28 @@ def assert_right(log_ratio, paired):
 
 @pytest.mark.slow
 def test_paired_error_of_a_small_change(tmp_path, monkeypatch):
-    """Half more detector noise beside the same photon noise: far better known than from independent runs."""
+    """Half more detector noise with the same photon noise: far better known than from independent runs.
+
+    Detectors share a tenth of the photon noise, so maps of the points are not proportional.
+    """
     monkeypatch.setattr("surveysim.studies.sweep.comparison.run_forecast", lambda setup, coadds: None)
-    table = '"detector.psd" = ["2.5 mK2 / Hz", "3.75 mK2 / Hz"]'
-    log_ratio, paired, independent = seeds_of(tmp_path, NO_AIR, table, 24)
+    log_ratio, paired, independent = seeds_of(tmp_path, NO_AIR, MORE_DETECTOR_NOISE, 24)
     assert_right(log_ratio, paired)
     assert np.sqrt(np.mean(paired**2)) < np.sqrt(np.mean(independent**2)) / 3
-    # 5 and 6.25 mK^2/Hz of white noise.
-    assert log_ratio.mean() == pytest.approx(np.log(1.25), abs=4 * np.sqrt(np.mean(paired**2) / 24))
+    points = forecast_points(load_sweep(tmp_path / "pair.toml"), lambda done: None)
+    expected = np.log(compare_forecasts(points).ratio[1])
+    # A forecast of the shared noise is good to 0.1 % of the ratio; without shared noise the ratio is larger by 1.3 %.
+    assert log_ratio.mean() == pytest.approx(expected, abs=0.001 + 3 * np.sqrt(np.mean(paired**2) / 24))
+
+
+@pytest.mark.slow
+def test_ratio_of_proportional_maps_is_exact(tmp_path, monkeypatch):
+    """White noise of photons and of detectors is one draw: 5 and 6.25 mK^2/Hz make proportional float32 maps."""
+    monkeypatch.setattr("surveysim.studies.sweep.comparison.run_forecast", lambda setup, coadds: None)
+    scene = NO_AIR.replace("coherent_fraction = 0.1", "coherent_fraction = 0")
+    log_ratio, paired, independent = seeds_of(tmp_path, scene, MORE_DETECTOR_NOISE, 2)
+    np.testing.assert_allclose(log_ratio, np.log(1.25), atol=1e-5)
+    assert (paired < 1e-5).all() and (independent > 0.1).all()
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""maria, with tables of weather and emission that it would fetch from the network replaced."""
+"""maria, without the network: its tables of weather and emission are written here."""
 
 import logging
 import os

@@ -29,7 +29,7 @@ def screen_power(alpha: np.ndarray) -> np.ndarray:
 
 
 def pixell_numpy(seen: Observation) -> Callable[[], Streams]:
-    """A screen for each scan by pixell, its cubic splines, and numpy for all else."""
+    """Draw a screen for each scan and interpolate it with pixell; numpy does all else."""
     from pixell import enmap
 
     half = CELLS * CELL_RAD / 2
@@ -62,12 +62,12 @@ def pixell_numpy(seen: Observation) -> Callable[[], Streams]:
 
 
 def fft_numba(seen: Observation) -> Callable[[], Streams]:
-    """A screen for each scan by FFT; one kernel for interpolation, subtraction and map."""
+    """Draw a screen for each scan by FFT; one kernel interpolates, subtracts and bins."""
     from numba import njit
     from scipy.fft import fftfreq, irfft2, rfftfreq
 
     alpha = np.hypot(fftfreq(CELLS, CELL_RAD)[:, None], rfftfreq(CELLS, CELL_RAD))
-    # The imaginary parts of the columns that are their own conjugates are lost.
+    # The inverse transform ignores the imaginary parts of the first and the last column.
     amplitude = np.sqrt(screen_power(alpha) / 2) * CELLS / CELL_RAD
     amplitude[:, [0, -1]] *= np.sqrt(2)
     amplitude = amplitude.astype(np.float32)[..., None]

@@ -1,4 +1,4 @@
-"""TOAST: its operators, with their defaults where nothing is said."""
+"""TOAST: a chain of its operators, with default settings otherwise."""
 
 import datetime
 import itertools
