@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pickle import loads
 from queue import Empty, SimpleQueue
 from threading import Lock
@@ -109,9 +110,13 @@ class HeldResult:
         self._client, self._future, self._large, self.outline = client, future, large, outline
 
     def fetch(self) -> Any:
-        """Get the result itself; EngineError if the cluster has lost it."""
+        """Get the result itself; EngineError if the cluster is gone or has no worker that could make it again."""
         with _lost_scheduler():
-            return self._future.result().results[0]
+            while True:
+                with suppress(TimeoutError):
+                    return self._future.result(timeout=ANSWER_S).results[0]
+                if not self._client.sync(self._client.scheduler.ncores, callback_timeout=ANSWER_S):
+                    raise EngineError("the cluster has no worker that returns its sums")
 
     def joined(self, other: "HeldResult") -> "HeldResult":
         """Join two results on the cluster; EngineError if it is gone."""
@@ -152,12 +157,20 @@ class _Units:
             self._submit()
             while self.numbers:
                 units = self._finished()
-                for unit, found in zip(units, self.client.gather(units), strict=True):
+                for unit, found in zip(units, self._gathered(units), strict=True):
                     yield from self._answers_of(unit, found)
                 self._submit()  # now that the answers are used: items may have waited for them
         finally:
             for unit in (*self.numbers, *self.kept.values()):
                 unit.release()
+
+    def _gathered(self, units: list[Future]) -> list[Answers]:
+        """Get the answers of finished units; a worker may be lost with them, and they are made again."""
+        gather = partial(self.client.gather, units, asynchronous=True)
+        while True:
+            with suppress(TimeoutError):  # only of this check: errors of the job are in its answers
+                return self.client.sync(gather, callback_timeout=ANSWER_S)
+            self.watch.workers()
 
     def _answers_of(self, unit: Future, found: Answers) -> Iterator[Answer]:
         """Yield the answers of a finished unit."""

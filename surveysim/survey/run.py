@@ -139,8 +139,10 @@ def _run_missing(
 ) -> None:
     """Run the observations that the sums do not have, until all are done or the run is to stop."""
     missing = sums.missing()
-    # A run that may stop looks at its sums after each observation; so does one without other processes.
-    single = stops is not None or engine.workers_for(len(missing)) == 1 or node_bytes(setup) > LARGE_SUMS
+    # A run that may stop looks at its sums after each observation; so does one without other processes. Workers may
+    # still join a cluster.
+    alone = engine.kind != "dask" and engine.workers_for(len(missing)) == 1
+    single = stops is not None or alone or node_bytes(setup) > LARGE_SUMS
     spans = Spans(missing, single=single)
     # Workers elsewhere may have another working directory.
     streams = None if timestream_dir is None else timestream_dir.absolute()
@@ -159,7 +161,8 @@ def _run_missing(
                     sums.forget_later()
                     return
             keeper.save_if_due(sums)
-        sums.bring_here()
+            if sums.finished == setup.scene.observations:
+                sums.bring_here()  # while the cluster is connected
     except BaseException:
         with suppress(EngineError):
             sums.bring_here()
