@@ -5,13 +5,14 @@ the value found and the values expected.
 """
 
 import math
+import os
 import re
 from datetime import date
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, WithJsonSchema
+from pydantic import BeforeValidator, Field, ValidationInfo, WithJsonSchema
 
 from surveysim.scene.sites import SITES
 from surveysim.scene.units import NUMBER, shown, to_float, to_floats, to_sky_angle
@@ -21,6 +22,7 @@ LONGEST_LINE = 300
 FLUCTUATION_MIN, FLUCTUATION_MAX = 1e-30, 1e24  # rad^(2 - index)
 B2_MIN, B2_MAX = 1e-24, 1e24  # mK^2 rad^(2 - index): beyond any atmosphere, and in the range of float32 streams
 _FRACTION = re.compile(rf"\s*(?:{NUMBER}|[+-]?\d{{1,9}}/\d{{1,9}})\s*", re.ASCII)
+FILE = "path"  # format, in the JSON schema, of keys whose value can be the name of a file
 PSD_MAX_MK2_HZ = 1e12  # bound of any white noise, one-sided, Rayleigh-Jeans
 
 
@@ -170,10 +172,13 @@ def _nside(value: object) -> object:
     return value
 
 
-def _file(value: object) -> object:
-    if value is not None and (not isinstance(value, str) or not value or "\0" in value):
-        raise ValueError(f"found {shown(value)}; the name of an ECSV file is expected")
-    return value
+def file_path(value: object, info: ValidationInfo) -> object:
+    """Resolve the name of a file relative to the folder of the scene, which the context of the validation holds."""
+    if value is None or isinstance(value, Path):
+        return value
+    if not isinstance(value, str) or not value or "\0" in value:
+        raise ValueError(f"found {shown(value)}; the name of a file with a table is expected")
+    return Path(os.path.realpath(Path(info.context["folder"]) / value)) if info.context else Path(value)
 
 
 def _steps(value: object) -> object:
@@ -231,7 +236,7 @@ IsoDate = Annotated[
 Line = Annotated[str, BeforeValidator(_line)]
 Nside = Annotated[int | None, BeforeValidator(_nside), of_file("integer", enum=[2**k for k in range(14)])]
 SiteName = Annotated[str | None, BeforeValidator(_site), of_file("string", enum=SITES)]
-TableFile = Annotated[Path | None, BeforeValidator(_file), of_file("string", examples=["camera.ecsv"])]
+TableFile = Annotated[Path | None, BeforeValidator(file_path), of_file("string", format=FILE, examples=["camera.ecsv"])]
 Speed = Annotated[float, *quantity("rad / s", "arcmin / s", at_least="0.001 arcsec / s", at_most="360 deg / s")]
 SpeedExtent = Annotated[float, *quantity("rad / s", "arcmin / s", at_least=0, at_most="360 deg / s")]
 Duration = Annotated[float, *quantity("s", at_least="1 us", at_most="10 day")]

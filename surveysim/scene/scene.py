@@ -182,11 +182,8 @@ def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mappi
         raise SceneError(error_lines(path, renamed))
     if "name" not in data:
         data["name"] = _name_of(path)
-    positions = data.get("instrument", {}).get("positions") if isinstance(data.get("instrument"), dict) else None
-    if isinstance(positions, str) and positions and "\0" not in positions:
-        data["instrument"]["positions"] = os.path.realpath(path.parent / positions)
     try:
-        scene = Scene.model_validate(data)
+        scene = Scene.model_validate(data, context={"folder": path.parent})
         scene._origin = Origin(path.absolute(), text, dict(overrides))
         return scene
     except ValidationError as error:
@@ -206,7 +203,7 @@ def _name_of(path: Path) -> str:
 
 def scene_hash(scene: Scene) -> str:
     """SHA-256 hash of everything that the results of a run depend on; title and comments do not count."""
-    return _hash(scene, scene.model_dump(mode="json", exclude={"title", "assumed"}))
+    return _hash(scene.model_dump(exclude={"title", "assumed"}))
 
 
 def survey_hash(scene: Scene) -> str:
@@ -215,14 +212,13 @@ def survey_hash(scene: Scene) -> str:
     Surveys of more observations, or nights, have the same; those of a single one compare pipelines otherwise.
     """
     excluded: dict[str, Any] = {"title": True, "assumed": True, "observations": True, "schedule": {"nights"}}
-    return _hash(scene, scene.model_dump(mode="json", exclude=excluded) | {"single": scene.observations == 1})
+    return _hash(scene.model_dump(exclude=excluded) | {"single": scene.observations == 1})
 
 
-def _hash(scene: Scene, content: dict[str, Any]) -> str:
-    if scene.instrument.positions is not None:
-        table = scene.instrument.positions.read_bytes()
-        content["instrument"]["positions"] = hashlib.sha256(table).hexdigest()
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+def _hash(content: dict[str, Any]) -> str:
+    """Hash the values of a scene; files count by their content, whatever their names."""
+    text = json.dumps(content, sort_keys=True, default=lambda path: hashlib.sha256(path.read_bytes()).hexdigest())
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def resolved(scene: Scene) -> str:
