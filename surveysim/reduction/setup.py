@@ -3,6 +3,7 @@
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from surveysim.atmosphere.weather import Water, site_water
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline, pipelines
 from surveysim.reduction.consistency import (
+    check_bands,
     check_excess,
     check_healpix,
     check_levels,
@@ -27,13 +29,12 @@ from surveysim.reduction.consistency import (
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.runtime.errors import InputError, SceneError
-from surveysim.scene.instrument import Instrument, OtherBand
 from surveysim.scene.scene import Scene
-from surveysim.telescope.focal_plane import Camera, camera, mask_by_separation
+from surveysim.telescope.focal_plane import Camera, CameraExtent, camera, camera_extent, mask_by_separation
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.pointing import Schedule
-from surveysim.telescope.responsivity import assumed_responsivity, band_responsivity, true_responsivity
-from surveysim.telescope.scan_pattern import scan_pattern
+from surveysim.telescope.responsivity import assumed_responsivity, true_responsivity
+from surveysim.telescope.scan_pattern import ScanPattern, scan_pattern
 from surveysim.telescope.scans import Scans, mid_times, samples_per_scan
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
 from surveysim.timestreams.shared_parts import layer_strips
@@ -47,12 +48,19 @@ from surveysim.timestreams.simulation import (
     observing_site,
 )
 
+if TYPE_CHECKING:
+    from surveysim.atmosphere.screen_simulation import SlantStrips
+
 
 @dataclass(frozen=True)
 class Setup(Simulation):
-    """A scene made ready to draw and to analyse: camera, observing, air, sky and analysis."""
+    """A scene made ready to draw and to analyse: camera, observing, air, sky and analysis.
+
+    `others` are the other bands of the camera, made ready to draw; none unless a pipeline subtracts them.
+    """
 
     analysis: AnalysisSetup
+    others: tuple[Simulation, ...] = ()
 
     @property
     def key(self) -> Hashable:
@@ -71,17 +79,71 @@ def prepare(scene: Scene) -> Setup:
         raise SceneError(str(error)) from None
 
 
-def _prepare(scene: Scene) -> Setup:
-    cam = camera(scene.instrument)
+@dataclass(frozen=True)
+class _Common:
+    """Parts of a scene that are the same in all bands of its camera."""
+
+    cameras: dict[str, Camera]
+    extent: CameraExtent
+    pattern: ScanPattern
+    scans: Scans
+    n_streams: int
+    blocks: tuple[Block, ...]
+    geometry: MapGeometry
+    sky_geometry: MapGeometry
+    strips: "SlantStrips | None"
+
+
+def _common(scene: Scene) -> _Common:
+    bands = {item.band_name: item for item in sorted((scene, *scene.others), key=lambda item: item.band_name)}
+    cameras = {name: camera(item.instrument) for name, item in bands.items()}
+    extent = camera_extent(list(cameras.values()))
     pattern = scan_pattern(scene.scan)
     scans = pattern.scans(scene.scan)
-    extent = pattern.extent_rad(scans) + scans.dither_rad / 2 + cam.radius_rad
-    n_det = len(cam.focal_plane.x_rad)
+    reach = pattern.extent_rad(scans) + scans.dither_rad / 2 + extent.radius_rad
+    for name, item in bands.items():
+        check_size(item, cameras[name].n_det, reach)
+    n_streams = max(_streams(item, cameras[name]) for name, item in bands.items())
+    return _Common(
+        cameras,
+        extent,
+        pattern,
+        scans,
+        n_streams,
+        _blocks(scene, n_streams, scans),
+        _geometry(scene, reach, scene.map.pixel_rad),
+        # Half a map pixel holds the beam's multipoles with room to spare.
+        _geometry(scene, reach, scene.map.pixel_rad / 2),
+        layer_strips(scene, extent),
+    )
+
+
+def _simulation(scene: Scene, common: _Common) -> Simulation:
+    cam = common.cameras[scene.band_name]
+    cam_setup = CameraSetup(
+        cam.focal_plane,
+        cam.f_lambda_rad,
+        cam.illumination,
+        cam.pitch_rad,
+        responsivity=true_responsivity(scene, cam.n_det),
+        photon=scene.photon,
+        excess=scene.excess,
+    )
+    all_bands = common.extent.focal_plane if len(common.cameras) > 1 else None
+    return Simulation(
+        scene=scene,
+        camera=cam_setup,
+        observing=ObservingSetup(scene, common.pattern, common.scans, common.blocks),
+        air=AirSetup(common.strips, _water(scene), all_bands),
+        sky=SkySetup(scene, common.sky_geometry),
+    )
+
+
+def _prepare(scene: Scene) -> Setup:
+    common = _common(scene)
+    cam, scans, geometry = common.cameras[scene.band_name], common.scans, common.geometry
     check_templates(scene, cam)
-    check_size(scene, n_det, extent)
-    geometry = _geometry(scene, extent, scene.map.pixel_rad)
-    # Half a map pixel holds the beam's multipoles with room to spare.
-    sky_geometry = _geometry(scene, extent, scene.map.pixel_rad / 2)
+    check_bands(scene, common.cameras)
     masked = None
     if scene.score and scene.score.mask_separation_f_lambda:
         masked = mask_by_separation(cam.positions_f_lambda, scene.score.mask_separation_f_lambda)
@@ -89,38 +151,35 @@ def _prepare(scene: Scene) -> Setup:
     check_score(scene, geometry, scans)
     check_healpix(scene)
     check_excess(scene)
-    check_sky(scene, sky_geometry)
+    check_sky(scene, common.sky_geometry)
     scene_pipelines = pipelines(scene.cleaning, masked)
-    responsivity, of_bands = true_responsivity(scene, n_det), band_responsivity(scene, n_det)
-    times, water = observing_schedule(scene, scans), _water(scene, scene.instrument)
-    lowest = _lowest(scene, cam, times, mid_times(scans))
+    _check_blocks(scene, common, scene_pipelines)
+    drawn = _simulation(scene, common)
+    water, lowest = drawn.air.water, _lowest(scene, cam, observing_schedule(scene, scans), mid_times(scans))
     check_levels(scene, water, lowest)
-    check_sources(scene, sky_geometry)
-    cam_setup = CameraSetup(
-        cam.focal_plane,
-        cam.f_lambda_rad,
-        cam.illumination,
-        cam.pitch_rad,
-        responsivity=responsivity,
-        band_responsivity=of_bands,
-        photon=scene.photon,
-        excess=scene.excess,
-    )
-    air = AirSetup(layer_strips(scene, cam), water, tuple(_water(scene, band) for band in scene.instrument.bands))
-    calibration = assumed_responsivity(scene, np.vstack([responsivity[None], of_bands]))
+    check_sources(scene, common.sky_geometry)
+    others = tuple(_simulation(item, common) for item in scene.others) if "spectral" in scene.cleaning.named else ()
+    calibration = _calibration(scene, (drawn, *others))
     setup = Setup(
-        scene=scene,
-        camera=cam_setup,
-        observing=ObservingSetup(scene, pattern, scans, _blocks(scene, n_det, scans, scene_pipelines)),
-        air=air,
-        sky=SkySetup(scene, sky_geometry),
-        analysis=AnalysisSetup(scene, geometry, sky_geometry, scene_pipelines, calibration, masked, n_det),
+        **vars(drawn),
+        analysis=AnalysisSetup(
+            scene, geometry, common.sky_geometry, scene_pipelines, calibration, masked, drawn.camera.n_det
+        ),
+        others=others,
     )
-    if setup.camera.n_det > MOST_DENSE:
-        _check_torus(setup.camera)
-    elements = check_layer(scene, air.strips, water, radius_rad=cam.radius_rad, scans=scans, lowest_rad=lowest)
+    for item in (drawn, *others):
+        if item.camera.n_det > MOST_DENSE:
+            _check_torus(item.camera)
+    radius = common.extent.radius_rad
+    elements = check_layer(scene, common.strips, water, radius_rad=radius, scans=scans, lowest_rad=lowest)
     check_memory(needed_memory(scene, _sizes(setup, elements)))
     return setup
+
+
+def _calibration(scene: Scene, bands: tuple[Simulation, ...]) -> np.ndarray | None:
+    """Responsivities (n_band, n_det) that cleaning assumes, its own band first; None where it fits them."""
+    known = [assumed_responsivity(scene.cleaning, band.scene, band.camera.responsivity) for band in bands]
+    return None if known[0] is None else np.stack(known)
 
 
 def _check_torus(cam: CameraSetup) -> None:
@@ -136,7 +195,7 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
         n_det=setup.camera.n_det,
         n_samp=samples_per_scan(setup.observing.scans),
         n_scans=max(block.n_scans for block in setup.observing.blocks),
-        n_bands=1 + len(scene.instrument.bands) * setup.analysis.subtracts_bands,
+        n_bands=1 + len(setup.others),
         n_pixel=geometry.n_x * geometry.n_y,
         n_patch=patch_side(scene.score.size_rad, geometry) if scored else 0,
         n_pad=padded_side(scene.score.size_rad, geometry) if scored else 0,
@@ -148,23 +207,32 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
     )
 
 
-def _blocks(scene: Scene, n_det: int, scans: Scans, scene_pipelines: tuple[CleaningPipeline, ...]) -> tuple[Block, ...]:
-    """Blocks of an observation; raises SceneError for pipelines that need an observation whole."""
-    n_samp, most = samples_per_scan(scans), scene.numerics.max_block_bytes
-    bands = len(scene.instrument.bands) * any(pipeline.uses("spectral") for pipeline in scene_pipelines)
+def _streams(scene: Scene, cam: Camera) -> int:
+    """Count the time-streams that the cleaning of one band takes together, those of other bands too."""
+    return cam.n_det * (1 + len(scene.others) * ("spectral" in scene.cleaning.named))
+
+
+def _scan_bytes(n_streams: int, scans: Scans) -> int:
     # In single precision for any type of the streams, so that draws do not depend on it.
-    scan_bytes = n_det * n_samp * (1 + bands) * np.dtype(np.float32).itemsize
-    key = f"numerics.max_block_memory: found {most / 1e6:.4g} MB"
-    found = scan_blocks(scans.n_scans, scan_bytes, most)
+    return n_streams * samples_per_scan(scans) * np.dtype(np.float32).itemsize
+
+
+def _blocks(scene: Scene, n_streams: int, scans: Scans) -> tuple[Block, ...]:
+    return scan_blocks(scans.n_scans, _scan_bytes(n_streams, scans), scene.numerics.max_block_bytes)
+
+
+def _check_blocks(scene: Scene, common: _Common, scene_pipelines: tuple[CleaningPipeline, ...]) -> None:
+    """Raise SceneError for pipelines that need an observation whole where it is cut into blocks."""
     together = scene.cleaning.responsivities == OBSERVATION and any(
         pipeline.takes_responsivities for pipeline in scene_pipelines
     )
-    if len(found) > 1 and together:
+    if len(common.blocks) > 1 and together:
+        whole = _scan_bytes(common.n_streams, common.scans) * common.scans.n_scans
         raise SceneError(
-            f"{key}, which cuts an observation into {len(found)} blocks; cleaning.responsivities 'observation' needs "
-            f"it whole: {scan_bytes * scans.n_scans / 1e6:.4g} MB or more is expected, or 'survey' in its place"
+            f"numerics.max_block_memory: found {scene.numerics.max_block_bytes / 1e6:.4g} MB, which cuts an observation"
+            f" into {len(common.blocks)} blocks; cleaning.responsivities 'observation' needs it whole:"
+            f" {whole / 1e6:.4g} MB or more is expected, or 'survey' in its place"
         )
-    return found
 
 
 def _geometry(scene: Scene, extent_rad: float, pixel_rad: float) -> MapGeometry:
@@ -178,11 +246,11 @@ def _lowest(scene: Scene, cam: Camera, times: Schedule | None, mid_time_s: np.nd
     return check_motion(scene, cam, observing_site(scene), times, mid_time_s)
 
 
-def _water(scene: Scene, band: Instrument | OtherBand) -> Water | None:
+def _water(scene: Scene) -> Water | None:
     air = scene.atmosphere
     if air is None or air.site is None:
         return None
-    return site_water(air, band.frequency_hz, band.bandwidth)
+    return site_water(air, scene.instrument.frequency_hz, scene.instrument.bandwidth)
 
 
 def signal_sim_observations(scene: Scene) -> np.ndarray:

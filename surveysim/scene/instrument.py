@@ -9,7 +9,6 @@ from surveysim.scene.fields import (
     BandFrequency,
     Bandwidth,
     BeamWidth,
-    NoisePsd,
     PositiveAngle,
     Share,
     TableFile,
@@ -39,17 +38,6 @@ class Layout(Section):
         if (self.rings is None) == (self.field_of_view_rad is None):
             raise ValueError("exactly one of 'rings' and 'field_of_view' is expected")
         return self
-
-
-class OtherBand(Section):
-    """Another frequency band of every pixel; its noise is white."""
-
-    frequency_hz: BandFrequency = Field(alias="frequency")
-    """Centre frequency of the band."""
-    bandwidth: Bandwidth
-    """Width of the band as a fraction of its centre frequency."""
-    psd_mk2_hz: NoisePsd = Field(alias="psd")
-    """One-sided white-noise PSD of a detector, in Rayleigh-Jeans temperature."""
 
 
 class Instrument(Section):
@@ -87,8 +75,6 @@ class Instrument(Section):
     positions: TableFile = None
     """ECSV table of detectors with the columns `x` and `y` in angular units; path relative to the scene file.
     Alternative: `layout`."""
-    bands: tuple[OtherBand, ...] = ()
-    """Other frequency bands of the same pixels, used by "spectral" cleaning."""
 
     @property
     def cmb_per_rj(self) -> float:

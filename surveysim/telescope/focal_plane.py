@@ -1,6 +1,7 @@
 """Focal planes: hexagonal layouts, tables of positions, dead and masked detectors."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -39,6 +40,11 @@ class Camera:
     pitch_rad: float | None = None
 
     @property
+    def n_det(self) -> int:
+        """Number of live detectors."""
+        return len(self.focal_plane.x_rad)
+
+    @property
     def positions_f_lambda(self) -> np.ndarray:
         """Positions (n_det, 2) in (f/#)lambda."""
         return np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad]) / self.f_lambda_rad
@@ -59,6 +65,34 @@ class Camera:
         """Separation of the closest pair of detectors; 0 for a single one."""
         positions = np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad])
         return closest_pair(positions)[0] if len(positions) > 1 else 0.0
+
+
+@dataclass(frozen=True)
+class CameraExtent:
+    """Extent of the focal planes of all bands of a camera.
+
+    Attributes
+    ----------
+    focal_plane
+        Detectors of all bands; those of a camera of one band have no copy.
+    radius_rad
+        Distance of the outermost detector from the centre.
+    closest_rad
+        Separation of the closest pair of detectors of one band; 0 for single ones.
+    """
+
+    focal_plane: FocalPlane
+    radius_rad: float
+    closest_rad: float
+
+
+def camera_extent(bands: Sequence[Camera]) -> CameraExtent:
+    """Find the extent of the bands of a camera; it does not depend on their order."""
+    radius, closest = max(band.radius_rad for band in bands), min(band.closest_rad for band in bands)
+    if len(bands) == 1:
+        return CameraExtent(bands[0].focal_plane, radius, closest)
+    x, y = (np.concatenate([getattr(band.focal_plane, axis) for band in bands]) for axis in ("x_rad", "y_rad"))
+    return CameraExtent(FocalPlane(x, y, bands[0].focal_plane.fwhm_rad), radius, closest)
 
 
 def camera(section: InstrumentSection) -> Camera:

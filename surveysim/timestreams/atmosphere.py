@@ -1,11 +1,12 @@
 """The atmosphere: a frozen layer that the wind moves through the beams."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mapmaker.geometry import sky_offsets
-from mapmaker.timestreams import scan_bounds
+from mapmaker.timestreams import FocalPlane, scan_bounds
 from surveysim.atmosphere.weather import Weather
 from surveysim.runtime.rng import RandomPurpose, normal_deviates
 from surveysim.telescope.pointing import Pointing, sky_vector
@@ -49,7 +50,7 @@ def add_layer(
     block = block or Block(0, 0, len(pointing.elevation_rad))
     sine = np.sin(pointing.elevation_rad)
     strips = setup.air.strips.at(float(sine.min()))
-    motion = offsets, velocity, layer_velocity = _layer_motion(setup, pointing, weather)
+    motion = _layer_motion(setup, pointing, weather)
     trends = _trends(setup, observation, pointing, motion=motion, strips=strips, realization=realization)
     deviates = normal_deviates(
         setup.scene.seed, RandomPurpose.ATMOSPHERE, observation, realization=realization, block=block.number
@@ -59,9 +60,7 @@ def add_layer(
         data,
         scan_bounds(pointing.scans(block.first, block.end).scan),
         sample_rate_hz=setup.observing.scans.sample_rate_hz,
-        offsets_rad=offsets[scans],
-        velocity_rad_s=velocity[scans],
-        layer_velocity_rad_s=layer_velocity[scans],
+        **{name: None if values is None else values[scans] for name, values in motion.items()},
         # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
         amplitude_mk=np.sqrt(weather.b2 / sine[scans]),
         strips=strips,
@@ -70,12 +69,20 @@ def add_layer(
     )
 
 
-def _layer_motion(setup: Simulation, pointing: Pointing, weather: Weather) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _layer_motion(setup: Simulation, pointing: Pointing, weather: Weather) -> dict[str, Any]:
     """Compute offsets of detectors (n_scan, n_det, 2), velocities of boresight and layer (n_scan, 2), over sin(el)."""
     slant = 1 / np.sin(pointing.elevation_rad)[:, None]
-    offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad), axis=-1)
+
+    def offsets(plane: FocalPlane) -> np.ndarray:
+        return np.stack(sky_offsets(plane, pointing.array_angle_rad), axis=-1) * slant[:, None]
+
     layer = np.stack(sky_vector(pointing.parallactic_rad, *weather.wind_rad_s), axis=-1)
-    return offsets * slant[:, None], pointing.velocity_rad_s * slant, layer * slant
+    return {
+        "offsets_rad": offsets(setup.camera.focal_plane),
+        "velocity_rad_s": pointing.velocity_rad_s * slant,
+        "layer_velocity_rad_s": layer * slant,
+        "extent_rad": None if setup.air.all_bands is None else offsets(setup.air.all_bands),
+    }
 
 
 def _trends(
@@ -83,7 +90,7 @@ def _trends(
     observation: int,
     pointing: Pointing,
     *,
-    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    motion: Mapping[str, Any],
     strips: "StripCache",
     realization: int,
 ) -> "ScanTrends":
@@ -91,21 +98,13 @@ def _trends(
     from surveysim.atmosphere.scan_trends import draw_trends, strip_points
     from surveysim.atmosphere.screen_simulation import scan_tracks
 
-    bounds = scan_bounds(pointing.scan)
-    offsets, velocity, layer_velocity = motion
-    tracks = scan_tracks(
-        bounds,
-        sample_rate_hz=setup.observing.scans.sample_rate_hz,
-        offsets_rad=offsets,
-        velocity_rad_s=velocity,
-        layer_velocity_rad_s=layer_velocity,
-        strips=strips,
-    )
+    bounds, rate = scan_bounds(pointing.scan), setup.observing.scans.sample_rate_hz
+    tracks = scan_tracks(bounds, sample_rate_hz=rate, **motion, strips=strips)
     first, last = bounds[:, 0], bounds[:, 1] - 1
     begin, middle = pointing.time_s[first], (pointing.time_s[first] + pointing.time_s[last]) / 2
     slant = 1 / np.sin(pointing.elevation_rad)[:, None]
     boresight = np.stack([pointing.xi_rad[first], pointing.eta_rad[first]], axis=-1) * slant
-    corner = boresight - _moved(layer_velocity, middle, begin) + tracks.corner_rad
+    corner = boresight - _moved(motion["layer_velocity_rad_s"], middle, begin) + tracks.corner_rad
     deviates = normal_deviates(setup.scene.seed, RandomPurpose.TREND, observation, realization=realization)
     return draw_trends(strip_points(strips, corner, tracks.direction, tracks.length_rad), deviates)
 

@@ -11,7 +11,7 @@ from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.noise_and_sky import Excess, Photon
 from surveysim.scene.scene import Scene
-from surveysim.telescope.focal_plane import Camera
+from surveysim.telescope.focal_plane import Camera, CameraExtent
 from surveysim.telescope.lattice_noise import CirculantCorrelation, embed
 from surveysim.telescope.pixel_coherence import MOST_DENSE, DenseCorrelation, correlation_matrix, overlap
 
@@ -56,7 +56,7 @@ def screen(scene: Scene) -> "Screen":
         raise SceneError(f"atmosphere: {error}") from None
 
 
-def layer_strips(scene: Scene, cam: Camera) -> "SlantStrips | None":
+def layer_strips(scene: Scene, extent: CameraExtent) -> "SlantStrips | None":
     """Make the cache of strips of the layer, still empty; None without an atmosphere."""
     if scene.atmosphere is None:
         return None
@@ -64,7 +64,7 @@ def layer_strips(scene: Scene, cam: Camera) -> "SlantStrips | None":
 
     numerics = scene.numerics
     numbers = numerics.screen_step, numerics.interpolation, numerics.precision
-    return SlantStrips(screen(scene), cam.radius_rad, cam.closest_rad, *numbers)
+    return SlantStrips(screen(scene), extent.radius_rad, extent.closest_rad, *numbers)
 
 
 def scene_sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:

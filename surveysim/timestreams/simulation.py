@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.geometry import MapGeometry
+from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.weather import Water
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.once import once
@@ -38,22 +39,14 @@ class CameraSetup(Camera):
     Parameters
     ----------
     responsivity
-        True responsivity (n_det,) in the mapped band.
-    band_responsivity
-        True responsivity (n_band, n_det) in the other bands.
+        True responsivity (n_det,).
     photon, excess
         Sections of the scene; None without that noise.
     """
 
     responsivity: np.ndarray
-    band_responsivity: np.ndarray
     photon: Photon | None
     excess: Excess | None
-
-    @property
-    def n_det(self) -> int:
-        """Number of live detectors."""
-        return len(self.responsivity)
 
     @once
     def photon_correlation(self) -> DenseCorrelation | CirculantCorrelation | None:
@@ -133,14 +126,14 @@ class AirSetup:
     strips
         Strips of the layer, none drawn yet; None without an atmosphere.
     water
-        Response of the mapped band to the water of the site; None without a site.
-    band_waters
-        The same for each of the other bands.
+        Response of the band to the water of the site; None without a site.
+    all_bands
+        Detectors of all bands of the camera, which see the same strips; None for a camera of one band.
     """
 
     strips: "SlantStrips | None"
     water: Water | None
-    band_waters: tuple[Water | None, ...]
+    all_bands: FocalPlane | None = None
 
 
 @dataclass(frozen=True)

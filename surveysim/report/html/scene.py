@@ -40,7 +40,7 @@ def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
     tell: dict[str, Callable[[], Iterator[str]]] = {
         "Field": lambda: _field(scene),
         "Observations": lambda: _observations(scene),
-        "Camera": lambda: _camera(scene["instrument"], n_det),
+        "Camera": lambda: (*_camera(scene["instrument"], n_det), *_bands(scene)),
         **{item.title: partial(_component, item, scene[item.name]) for item in components},
         "Cleaning": lambda: _cleaning(scene["cleaning"]),
         "Map": lambda: _map(scene),
@@ -114,9 +114,12 @@ def _camera(camera: Values, n_det: int) -> Iterator[str]:
         yield f"The efficiency from window to detector is {_percent(camera['efficiency'])}."
     if camera["polarizations"] is not None:
         yield f"Detectors absorb {plural(camera['polarizations'], 'polarization')}."
-    if camera["bands"]:
-        bands = joined([f"{short(band['frequency_hz'] / 1e9)}" for band in camera["bands"]])
-        yield f"Every pixel has more bands, at {bands} GHz, which cleaning may use."
+
+
+def _bands(scene: Values) -> Iterator[str]:
+    if scene.get("other_bands"):
+        others = joined(scene["other_bands"])
+        yield f"The camera has other bands, {others}, which see the same layer and sky with noise of their own."
 
 
 def _component(item: StreamComponent, section: Values) -> Iterator[str]:
