@@ -250,7 +250,7 @@ def _water(scene: Scene) -> Water | None:
     air = scene.atmosphere
     if air is None or air.site is None:
         return None
-    return site_water(air, scene.instrument.frequency_hz, scene.instrument.bandwidth)
+    return site_water(air, scene.instrument.band)
 
 
 def signal_sim_observations(scene: Scene) -> np.ndarray:

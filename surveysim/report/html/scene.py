@@ -90,8 +90,7 @@ def _observations(scene: Values) -> Iterator[str]:
 
 
 def _camera(camera: Values, n_det: int) -> Iterator[str]:
-    width = f", {_percent(camera['bandwidth'])} wide" if camera["bandwidth"] else ""
-    yield f"{plural(n_det, 'detector')} at {short(camera['frequency_hz'] / 1e9)} GHz{width},"
+    yield f"{plural(n_det, 'detector')} {band_of(camera)},"
     yield f"with a beam of {_arcsec(camera['beam_fwhm_rad'])} (FWHM); (f/#)λ is {_arcsec(camera['f_lambda_rad'])}."
     if layout := camera["layout"]:
         extent = f"{layout['rings']} rings" if layout["rings"] is not None else ""
@@ -120,6 +119,14 @@ def _bands(scene: Values) -> Iterator[str]:
     if scene.get("other_bands"):
         others = joined(scene["other_bands"])
         yield f"The camera has other bands, {others}, which see the same layer and sky with noise of their own."
+
+
+def band_of(camera: Values) -> str:
+    """Name the band of a camera: its frequency and width, or its table."""
+    if camera["passband"]:
+        return f"in the band {PurePath(camera['passband']).name}"
+    width = f", {_percent(camera['bandwidth'])} wide" if camera["bandwidth"] else ""
+    return f"at {short(camera['frequency_hz'] / 1e9)} GHz{width}"
 
 
 def _component(item: StreamComponent, section: Values) -> Iterator[str]:
