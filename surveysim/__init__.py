@@ -7,6 +7,7 @@ __version__ = "0.5.0"
 
 _PUBLIC = {
     "load_scene": "surveysim.scene.scene",
+    "load_bands": "surveysim.scene.bands",
     "simulate_observation": "surveysim.api",
     "run": "surveysim.api",
     "forecast": "surveysim.api",

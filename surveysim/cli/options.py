@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from surveysim.reduction.setup import Setup
     from surveysim.results.stopping import StoppingCriteria
     from surveysim.runtime.engine import Engine
+    from surveysim.scene.bands import MultiBandScene
     from surveysim.studies.sweep.axes import Sweep
 
 DEEPEST = 9  # dots in a key
@@ -152,6 +153,19 @@ def sweep_of(path: Path, given: list[str] | None, reference: str | None = None) 
     if reference is not None:
         fail(f"{path}: --reference: found a scene without [sweep]; points of a sweep are expected")
     return None
+
+
+def bands_of(path: Path, given: list[str] | None) -> "MultiBandScene | None":
+    """Load, check and prepare all bands of a scene file; None without bands, SceneError with lines that name them."""
+    from surveysim.scene.bands import has_bands, load_bands, of_each_band
+
+    if not has_bands(path):
+        return None
+    from surveysim.reduction.setup import prepare
+
+    scenes = load_bands(path, settings(given))
+    of_each_band(path, scenes.content, lambda name: prepare(scenes.bands[name]))
+    return scenes
 
 
 def fail(message: str) -> NoReturn:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 from time import process_time
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +19,7 @@ from surveysim.cli.options import (
     Scheduler,
     Verbose,
     Workers,
+    bands_of,
     fail,
     ready_setup,
     sweep_of,
@@ -74,11 +75,18 @@ def run(
         )
         return
     limits = options.run_limits(target_error, time_budget)
+    if scenes := bands_of(scene, settings):
+        from surveysim.cli.bands import run_bands
+
+        asked: dict[str, Any] = {"save_timestreams": save_timestreams, "figures": not no_figures, "force": force}
+        directory = out or default_directory(scenes.name, options.settings(settings))
+        run_bands(scenes, directory, with_engine, limits, resume=resume, verbose=verbose, quiet=quiet, **asked)
+        return
     setup = ready_setup(scene, settings)
     checked = setup.scene
     if limits.target_error is not None and checked.score is None:
         fail(f"{scene}: --target-error: found no [score]; the error is one of sigma(A), which needs it")
-    from surveysim.api import run as run_scene
+    from surveysim.api import run_survey
     from surveysim.cli.progress import (
         announce_compilation,
         observation_work,
@@ -102,7 +110,7 @@ def run(
         def shown(sums: "CoAddTree") -> None:
             show(sums.done, lambda: score_so_far(setup, sums), seconds_left(sums, work, n_workers))
 
-        result = run_scene(
+        result = run_survey(
             checked,
             directory,
             engine=with_engine,
@@ -181,12 +189,17 @@ def forecast(
         directory = out or default_directory(f"{sweep.name}_forecast", options.settings(settings, reference))
         _forecast_sweep(sweep, directory, figures=not no_figures, force=force, verbose=verbose, quiet=quiet)
         return
+    if scenes := bands_of(scene, settings):
+        from surveysim.cli.bands import forecast_bands
+
+        forecast_bands(scenes, out, force=force, verbose=verbose, quiet=quiet)
+        return
     setup = ready_setup(scene, settings)
-    from surveysim.api import forecast as forecast_scene
+    from surveysim.api import forecast_survey
     from surveysim.report.terminal.forecast import print_forecast
 
     try:
-        found = forecast_scene(setup.scene, out, force=force)
+        found = forecast_survey(setup.scene, out, force=force)
     except NotForecastableError as error:
         fail(f"{scene}: {error}")
     if not quiet:
@@ -207,8 +220,7 @@ def _forecast_sweep(sweep: "Sweep", directory: Path, *, figures: bool, force: bo
 
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
     """Predict run time, memory and disk space of a run."""
-    from surveysim.api import plan as plan_scene
-    from surveysim.api import plan_sweep
+    from surveysim.api import plan_bands, plan_survey, plan_sweep
     from surveysim.report.terminal.plan import print_plan, print_sweep_plan
     from surveysim.runtime.engine import default_workers
 
@@ -216,5 +228,10 @@ def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) 
     if sweep := sweep_of(scene, settings):
         print_sweep_plan(sweep, plan_sweep(sweep, workers, start_s=process_time()), workers)
         return
+    if scenes := bands_of(scene, settings):
+        from surveysim.report.terminal.bands import print_band_plans
+
+        print_band_plans(scenes, plan_bands(scenes, workers, start_s=process_time()), workers)
+        return
     checked = ready_setup(scene, settings).scene
-    print_plan(checked, plan_scene(checked, workers, start_s=process_time()), workers)
+    print_plan(checked, plan_survey(checked, workers, start_s=process_time()), workers)

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from surveysim.cli.options import Force, Overrides, SceneFile, fail, ready_setup, scene_completions, sweep_of
+from surveysim.cli.options import Force, Overrides, SceneFile, bands_of, fail, ready_setup, scene_completions, sweep_of
 from surveysim.runtime.printable import say
 from surveysim.scene.shipped import HERE, MAX_NAME, NAME, find_scene, no_such_scene
 from surveysim.scene.similar_names import did_you_mean
 from surveysim.scene.units import shown
 
 if TYPE_CHECKING:
+    from surveysim.reduction.setup import Setup
+    from surveysim.scene.bands import MultiBandScene
     from surveysim.scene.keys import KeyRow
 
 
@@ -27,15 +29,32 @@ def check(scene: SceneFile, settings: Overrides = None) -> None:
     if sweep := sweep_of(scene, settings):
         say(f"{scene}: {sweep.name!r} is a sweep of {len(sweep.points)} points that can be run")
         large = said_of_size(sum(point.detector_samples for point in sweep.points))
+    elif scenes := bands_of(scene, settings):
+        large = _check_bands(scene, scenes)
     else:
         setup = ready_setup(scene, settings)
         say(f"{scene}: {setup.scene.name!r} is a scene that can be run")
-        samples = (
-            setup.scene.observations * setup.camera.n_det * setup.observing.samples(setup.observing.blocks[-1]).stop
-        )
-        large = said_of_size(samples, setup.analysis.geometry.n_x * setup.analysis.geometry.n_y)
+        large = said_of_size(_detector_samples(setup), setup.analysis.geometry.n_x * setup.analysis.geometry.n_y)
     if large:
         say(large)
+
+
+def _check_bands(path: Path, scenes: "MultiBandScene") -> str:
+    """Print the number of detectors in each band; return a line on the size of the whole."""
+    from surveysim.reduction.resource_limits import said_of_size
+    from surveysim.reduction.setup import prepare
+
+    say(f"{path}: {scenes.name!r} is a camera of {len(scenes.bands)} bands that can be run")
+    samples = pixels = 0
+    for name, scene in scenes.bands.items():
+        setup = prepare(scene)
+        say(f"  {name}: {setup.camera.n_det} detectors, {scene.instrument.band.centre_hz / 1e9:.4g} GHz")
+        samples, pixels = samples + _detector_samples(setup), setup.analysis.geometry.n_x * setup.analysis.geometry.n_y
+    return said_of_size(samples, pixels)
+
+
+def _detector_samples(setup: "Setup") -> int:
+    return setup.scene.observations * setup.camera.n_det * setup.observing.samples(setup.observing.blocks[-1]).stop
 
 
 def keys(

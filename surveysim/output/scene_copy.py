@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surveysim.runtime.errors import SceneError
+from surveysim.scene.bands import TABLE, MultiBandScene
 from surveysim.scene.scene import Origin, Scene, scene_hash, scene_of
 
 if TYPE_CHECKING:
@@ -30,6 +31,12 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     except SceneError:
         return {}
     return {SCENE_FILE: text.encode()} | files if scene_hash(again) == scene_hash(scene) else {}
+
+
+def bands_files(scenes: MultiBandScene) -> dict[str, bytes]:
+    """As `scene_files`, of a camera of several bands."""
+    text, files = _self_contained(scenes.origin, scenes.name)
+    return {SCENE_FILE: text.encode()} | files
 
 
 def sweep_files(sweep: "Sweep") -> dict[str, bytes]:
@@ -61,7 +68,8 @@ def _file_values(content: Mapping[str, Any]) -> Iterator[tuple[Keys, Any]]:
     from surveysim.scene.keys import file_keys
 
     sweep = content.get("sweep", {})
-    for key in file_keys():
+    bands = [f"{TABLE}.{name}." for name in content.get(TABLE, {})]
+    for key in (f"{band}{key}" for band in ("", *bands) for key in file_keys()):
         yield from _text_at(content, (), key.split("."))
         for axis, place in ((sweep, ("sweep",)), *((item, ("sweep", name)) for name, item in sweep.items())):
             if isinstance(axis, dict) and isinstance(axis.get(key), list):

@@ -48,9 +48,7 @@ class ObservedBlock:
 
     def deviates(self, purpose: RandomPurpose | str, realization: int = 0) -> NormalDeviates:
         """Create the normal deviates of one purpose in this block, and in this band of the camera."""
-        return normal_deviates(
-            self.setup.scene.seed, purpose, self.observation, realization=realization, **self._place
-        )
+        return normal_deviates(self.setup.scene.seed, purpose, self.observation, realization=realization, **self._place)
 
     @property
     def _place(self) -> dict[str, Any]:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from fractions import Fraction
 from functools import partial
+from itertools import chain
 from pathlib import PurePath
 from typing import Any
 
@@ -40,7 +41,7 @@ def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
     tell: dict[str, Callable[[], Iterator[str]]] = {
         "Field": lambda: _field(scene),
         "Observations": lambda: _observations(scene),
-        "Camera": lambda: (*_camera(scene["instrument"], n_det), *_bands(scene)),
+        "Camera": lambda: chain(_camera(scene["instrument"], n_det), _bands(scene)),
         **{item.title: partial(_component, item, scene[item.name]) for item in components},
         "Cleaning": lambda: _cleaning(scene["cleaning"]),
         "Map": lambda: _map(scene),
