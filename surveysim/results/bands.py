@@ -10,7 +10,7 @@ from surveysim.reduction.setup import prepare
 from surveysim.results.control_variate import in_all_weather
 from surveysim.results.results import SurveyResult, score_entries
 from surveysim.results.tables import rounded_column
-from surveysim.runtime.numbers import count, short
+from surveysim.runtime.numbers import count, number, short
 from surveysim.runtime.strict_json import known
 from surveysim.runtime.table import SIGMA, Table, column, quoted_columns, share_text
 from surveysim.scene.bands import MultiBandScene, bands_hash
@@ -129,8 +129,12 @@ def band_table(bands: Content, meta: Content) -> Table:
     ]
     if any("observations" in row for row in rows):
         columns.append(column("observations", values("observations"), "observations", count))
+    if any("error_ukcmb2" in row for row in rows):
+        names = "sigma_ukcmb2", "error_ukcmb2"
+        columns += quoted_columns(names, sigma, error, SIGMA, unit="uK2", absent="not scored")
+    else:  # a forecast
+        columns.append(column("sigma_ukcmb2", sigma, SIGMA, number, unit="uK2"))
     columns += [
-        *quoted_columns(("sigma_ukcmb2", "error_ukcmb2"), sigma, error, SIGMA, unit="uK2", absent="not scored"),
         rounded_column("forecast_ukcmb2", values("forecast_ukcmb2"), error, "forecast"),
         column("ell_eff", values("ell_eff"), "ell_eff", count),
         column("fwhm_ell", values("fwhm_ell"), "FWHM in ell", count),

@@ -122,7 +122,8 @@ def common_key(key: str) -> str:
 def of_each_band(path: Path, content: Mapping[str, Any], job: Callable[[str], T]) -> dict[str, T]:
     """Compute `job(name)` for each band of the values of a file; raises SceneError with each error once.
 
-    A line names a key as the file gives it: in the table of the band, or for all bands.
+    A line names a key as the file gives it: in the table of the band, or for all bands, with the name of the band if
+    others that have it can be run.
     """
     done: dict[str, T] = {}
     wrong: dict[str, list[str]] = {}
@@ -142,12 +143,15 @@ def _lines(wrong: Mapping[str, Sequence[str]], content: Mapping[str, Any]) -> It
     for line, names in wrong.items():
         found = re.match(r"[a-z_0-9]+(\.[a-z_0-9]+)*(?=: )", line)
         key = found[0] if found else ""
+        common = {name for name in tables if not _has(tables[name], key)}
+        of_all = common <= set(names) and (_has(content, key) or len(names) == len(tables) > 1)
         for name in names:
-            of_all = len(names) == len(tables) > 1 or _has(content, key)
-            if of_all and not _has(tables[name], key):
+            if of_all and name in common:
                 yield line
+            elif not key or (name in common and _has(content, key)):
+                yield f"{TABLE}.{name}: {line}"
             else:
-                yield f"{TABLE}.{name}.{line}" if key else f"{TABLE}.{name}: {line}"
+                yield f"{TABLE}.{name}.{line}"
 
 
 def _has(table: Any, key: str) -> bool:
