@@ -5,7 +5,7 @@ In the frame of the moving layer all detectors of a scan at constant velocity fo
 `surveysim.atmosphere.scan_trends` conditions them on the trends that scans share.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from math import ceil, log2, radians
 from typing import TYPE_CHECKING
 
@@ -192,6 +192,10 @@ class Tracks:
     y_rad: np.ndarray
     corner_rad: np.ndarray
 
+    def scans(self, first: int, end: int) -> "Tracks":
+        """Select scans `first` to `end - 1`."""
+        return Tracks(*(getattr(self, item.name)[first:end] for item in fields(self)))
+
 
 def scan_tracks(
     scan_bounds: np.ndarray,
@@ -203,7 +207,11 @@ def scan_tracks(
     strips: StripCache,
     extent_rad: np.ndarray | None = None,
 ) -> Tracks:
-    """Tracks of scans over their strips; parameters and errors as for `add_atmosphere`."""
+    """Tracks of scans over their strips; parameters and errors as for `add_atmosphere`.
+
+    `extent_rad` (n_scan, n, 2) are offsets that the strips hold, by default those of the detectors. Tracks of one
+    extent see one layer.
+    """
     motion = np.asarray(velocity_rad_s, dtype=float) - np.asarray(layer_velocity_rad_s, dtype=float)
     speed = np.hypot(*motion.T)
     direction = np.where(speed[:, None] > 0.0, motion, [1.0, 0.0]) / np.where(speed > 0.0, speed, 1.0)[:, None]
@@ -232,7 +240,6 @@ def add_atmosphere(
     strips: StripCache,
     deviates: NormalDeviates,
     trends: "ScanTrends | None" = None,
-    extent_rad: np.ndarray | None = None,
 ) -> None:
     """Add the emission of the moving layer to time-streams, in place.
 
@@ -257,35 +264,46 @@ def add_atmosphere(
     deviates
     trends : ScanTrends, optional
         Trends that the scans share. Without them the scans are independent, like those of different nights.
-    extent_rad : (n_scan, n, 2), optional
-        Offsets that the strips hold, by default those of the detectors. Cameras with the same extent see one layer.
 
     Raises
     ------
     ValueError
         Where a detector is outside the width of the strip.
     """
+    motion = {
+        "offsets_rad": offsets_rad,
+        "velocity_rad_s": velocity_rad_s,
+        "layer_velocity_rad_s": layer_velocity_rad_s,
+    }
+    tracks = scan_tracks(scan_bounds, sample_rate_hz=sample_rate_hz, **motion, strips=strips)
+    rest = {"amplitude_mk": amplitude_mk, "strips": strips, "deviates": deviates, "trends": trends}
+    add_along_tracks(data_mk, scan_bounds, sample_rate_hz=sample_rate_hz, tracks=tracks, **rest)
+
+
+def add_along_tracks(
+    data_mk: np.ndarray,
+    scan_bounds: np.ndarray,
+    *,
+    sample_rate_hz: float,
+    tracks: Tracks,
+    amplitude_mk: np.ndarray,
+    strips: StripCache,
+    deviates: NormalDeviates,
+    trends: "ScanTrends | None" = None,
+) -> None:
+    """Add the emission of the moving layer along given `tracks` of the scans; else as `add_atmosphere`."""
     from surveysim.atmosphere import screen_kernels
 
     add_layer = getattr(screen_kernels, LOOK_UPS[strips.interpolation])
-    tracks = scan_tracks(
-        scan_bounds,
-        sample_rate_hz=sample_rate_hz,
-        offsets_rad=offsets_rad,
-        velocity_rad_s=velocity_rad_s,
-        layer_velocity_rad_s=layer_velocity_rad_s,
-        strips=strips,
-        extent_rad=extent_rad,
-    )
     step = strips.step_rad
-    rows = zip(scan_bounds, amplitude_mk, tracks.motion_rad_s, tracks.length_rad, strict=True)
+    steps = np.hypot(*tracks.motion_rad_s.T) / (sample_rate_hz * step)
     first = 0
-    for scan, ((start, stop), amplitude, motion, length) in enumerate(rows):
-        strip = strips.strip_for(float(length))
+    for scan, (start, stop) in enumerate(scan_bounds):
+        strip = strips.strip_for(float(tracks.length_rad[scan]))
         layer = draw_strip(strip, deviates, first=first)
         first += strip.n_deviates
         if trends is not None:
             trends.impose(scan, layer)
-        dx = float(np.hypot(*motion)) / (sample_rate_hz * step)
         y0 = np.minimum(tracks.y_rad[scan] / step, len(layer) - 1.0)
-        add_layer(data_mk, start, stop, layer, tracks.x_rad[scan] / step, y0, dx, float(amplitude))
+        x0, dx, amplitude = tracks.x_rad[scan] / step, float(steps[scan]), float(amplitude_mk[scan])
+        add_layer(data_mk, start, stop, layer, x0, y0, dx, amplitude)
