@@ -7,7 +7,7 @@ from time import perf_counter
 
 from surveysim.api.surveys import PROCESSES, finished_survey, forecast_survey, plan_survey, run_survey
 from surveysim.output.directory import FinishedError, begin, claimed, replacing
-from surveysim.output.expected_files import band_directory, of_bands
+from surveysim.output.expected_files import band_directory, of_bands, of_run
 from surveysim.output.writer import write_band_forecasts, write_bands
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.results.bands import MultiBandForecast, MultiBandResult
@@ -72,6 +72,10 @@ def run_bands(
     if out is None:
         return result_of(None)
     with claimed(Path(out), of_bands(scenes, "run"), force, resume) as place:
+        for name, scene in scenes.bands.items() if not resume else ():
+            expected = of_run(prepare(scene), figures, save_timestreams)
+            with claimed(place.path / band_directory(name), expected, force):  # or an error, before any work
+                pass
         begin(place, removed=lambda name: force)
         result = result_of(place.path)
         with replacing(place, whole=result.is_whole) as new:

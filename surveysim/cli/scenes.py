@@ -174,12 +174,14 @@ def report(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="An output directory of run, accuracy or paper.")],
     force: Force = False,
 ) -> None:
-    """Write report.html of an output directory again."""
+    """Write report.html of an output directory again, of all bands too."""
     from surveysim.output.directory import renewed
     from surveysim.report.html.page import REPORT, NoResultsError, write_report
 
+    bands = sorted(path.parent for path in directory.glob("bands/*/summary.json"))
     try:
-        with renewed(directory, REPORT, force):
-            say(write_report(directory))
+        for each in (*bands, directory):
+            with renewed(each, REPORT, force):
+                say(write_report(each))
     except NoResultsError as error:
         fail(str(error))

@@ -29,6 +29,7 @@ from surveysim.reduction.consistency import (
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.runtime.errors import InputError, SceneError
+from surveysim.scene.bands import errors_of
 from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import Camera, CameraExtent, camera, camera_extent, mask_by_separation
 from surveysim.telescope.pixel_coherence import MOST_DENSE
@@ -96,13 +97,17 @@ class _Common:
 
 def _common(scene: Scene) -> _Common:
     bands = {item.band_name: item for item in sorted((scene, *scene.others), key=lambda item: item.band_name)}
-    cameras = {name: camera(item.instrument) for name, item in bands.items()}
+    cameras = {}
+    for name, item in bands.items():
+        with errors_of(item, scene):
+            cameras[name] = camera(item.instrument)
     extent = camera_extent(list(cameras.values()))
     pattern = scan_pattern(scene.scan)
     scans = pattern.scans(scene.scan)
     reach = pattern.extent_rad(scans) + scans.dither_rad / 2 + extent.radius_rad
     for name, item in bands.items():
-        check_size(item, cameras[name].n_det, reach)
+        with errors_of(item, scene):
+            check_size(item, cameras[name].n_det, reach)
     n_streams = max(_streams(item, cameras[name]) for name, item in bands.items())
     return _Common(
         cameras,
@@ -158,7 +163,7 @@ def _prepare(scene: Scene) -> Setup:
     water, lowest = drawn.air.water, _lowest(scene, cam, observing_schedule(scene, scans), mid_times(scans))
     check_levels(scene, water, lowest)
     check_sources(scene, common.sky_geometry)
-    others = tuple(_simulation(item, common) for item in scene.others) if "spectral" in scene.cleaning.named else ()
+    others = _others(scene, common) if "spectral" in scene.cleaning.named else ()
     calibration = _calibration(scene, (drawn, *others))
     setup = Setup(
         **vars(drawn),
@@ -174,6 +179,14 @@ def _prepare(scene: Scene) -> Setup:
     elements = check_layer(scene, common.strips, water, radius_rad=radius, scans=scans, lowest_rad=lowest)
     check_memory(needed_memory(scene, _sizes(setup, elements)))
     return setup
+
+
+def _others(scene: Scene, common: _Common) -> tuple[Simulation, ...]:
+    found = []
+    for item in scene.others:
+        with errors_of(item, scene):
+            found.append(_simulation(item, common))
+    return tuple(found)
 
 
 def _calibration(scene: Scene, bands: tuple[Simulation, ...]) -> np.ndarray | None:

@@ -5,13 +5,14 @@ keys replaced. All bands see the same layer, weather, pointing and sky, so the k
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, TypeVar
 
-from surveysim.runtime.errors import SceneError
+from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.text_files import key_text
 from surveysim.scene.error_lines import error_lines
 from surveysim.scene.scene import CameraBand, Origin, Scene, read_scene, scene_data, scene_hash, validated
@@ -29,6 +30,25 @@ COMMON = (
 OWN = ("atmosphere.b2", "atmosphere.b2_probabilities")
 
 T = TypeVar("T")
+
+
+class OtherBandError(SceneError):
+    """An error of another band than the one that is made ready."""
+
+    def __init__(self, band: str, text: str) -> None:
+        super().__init__(f"{TABLE}.{band}: {text}")
+        self.band, self.text = band, text
+
+
+@contextmanager
+def errors_of(band: Scene, among: Scene) -> Iterator[None]:
+    """Turn errors about a band into `OtherBandError` where the scene `among` is made ready, and not that band's own."""
+    try:
+        yield
+    except InputError as error:
+        if band.band_name == among.band_name:
+            raise
+        raise OtherBandError(band.band_name, str(error)) from None
 
 
 @dataclass(frozen=True)
@@ -126,19 +146,20 @@ def of_each_band(path: Path, content: Mapping[str, Any], job: Callable[[str], T]
     others that have it can be run.
     """
     done: dict[str, T] = {}
-    wrong: dict[str, list[str]] = {}
+    wrong: dict[str, dict[str, None]] = {}  # bands with the error, in order
     for name in content[TABLE]:
         try:
             done[name] = job(name)
         except SceneError as error:
-            for line in str(error).splitlines():
-                wrong.setdefault(line.removeprefix(f"{path}: "), []).append(name)
+            band, text = (error.band, error.text) if isinstance(error, OtherBandError) else (name, str(error))
+            for line in text.splitlines():
+                wrong.setdefault(line.removeprefix(f"{path}: "), {})[band] = None
     if wrong:
         raise SceneError(error_lines(path, list(dict.fromkeys(_lines(wrong, content)))))
     return done
 
 
-def _lines(wrong: Mapping[str, Sequence[str]], content: Mapping[str, Any]) -> Iterable[str]:
+def _lines(wrong: Mapping[str, Collection[str]], content: Mapping[str, Any]) -> Iterable[str]:
     tables = content[TABLE]
     for line, names in wrong.items():
         found = re.match(r"[a-z_0-9]+(\.[a-z_0-9]+)*(?=: )", line)

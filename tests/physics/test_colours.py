@@ -18,7 +18,6 @@ from surveysim.timestreams.simulation import observation_path
 
 SUZIE, BANDS = "scenarios/suzie_ii.toml", ("143", "221", "355")
 NOISES = ("143.photon", *(f"{name}.detector" for name in BANDS))
-AVERAGE = {"cleaning.algorithm": "average", "cleaning.compare": []}
 QUIET = {f"bands.{name}.psd": "0 mK2 / Hz" for name in NOISES}
 
 
@@ -97,8 +96,7 @@ def test_a_scan_discarded_in_one_band_is_in_all():
     "changes, words",
     [
         ({"atmosphere.site": "mars"}, "toml: atmosphere.site: found 'mars'"),
-        ({"bands.221.instrument.frequency": "500 GHz"}, "toml: atmosphere.site: found a band of 475 to 525 GHz"),
-        ({"bands.221.instrument.frequency": "500 GHz"} | AVERAGE, "toml: bands.221: atmosphere.site: found a band of"),
+        ({"bands.221.instrument.frequency": "500 GHz"}, "toml: bands.221: atmosphere.site: found a band of 475 to 525"),
         ({"bands.221.instrument.bandwidth": None}, "bands.221.instrument.bandwidth: missing"),
     ],
 )
