@@ -174,7 +174,10 @@ def report(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="An output directory of run, accuracy or paper.")],
     force: Force = False,
 ) -> None:
-    """Write report.html of an output directory again, of all bands too."""
+    """Write report.html of an output directory again.
+
+    The pages of the bands of a camera are written again too.
+    """
     from surveysim.output.directory import renewed
     from surveysim.report.html.page import REPORT, NoResultsError, write_report
 
