@@ -10,10 +10,11 @@ and 1 that approach 1 as noise dominates the template: in calm weather it oscill
 an observation takes 2/3 of each step. It leaves e (1 - 2/3) - 2/3 M e, at most a third of e in any weather, and
 converges to the same c within some thirty steps.
 
-The iteration needs only the Gram matrix G_ij = sum_n d_in d_jn of the streams. It is formed in float64 whatever the
-streams' type: in float32 it would limit c to about 1e-7, above the tolerance of 1e-8. For many detectors G takes longer
-to form than the iteration takes to pass over the streams; then G is never formed, and its product with a template is
-two products with each scan.
+The iteration needs only products of the Gram matrix G_ij = sum_n d_in d_jn of the streams with templates. Each is two
+passes over the streams, or one over G where that is formed. To form G takes as long as some fifteen iterations on the
+streams of a scan. It is formed where convergence is slow, and for an observation, whose scans would be prepared again
+for each pass. For many detectors it takes longer, and is never formed. All sums are in float64 whatever the streams'
+type: in float32 they would limit c to about 1e-7, above the tolerance of 1e-8.
 """
 
 from __future__ import annotations
@@ -34,6 +35,9 @@ SCAN, OBSERVATION = "scan", "observation"
 # Largest number of detectors for which the Gram matrix is formed. For 300 it takes as long as the passes of ten
 # iterations, 5 to 15 ns a sample; for 600 as 15, for 1000 as 21, for 4000 as 86.
 MOST_GRAM = 600
+
+# Iterations of one template that take as long on the streams of a scan as its Gram matrix does.
+_FEW_ITERATIONS = 15
 
 # Fraction of each step that is taken: 1 for a scan as in the paper, 2/3 for an observation (see the module docstring).
 _STEPS = {SCAN: 1.0, OBSERVATION: 2 / 3}
@@ -293,37 +297,59 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options: Any) -> tuple[n
     ValueError
         For streams of another number of detectors than `basis`.
     """
-    from mapmaker.kernels.cleaning import iterate_responsivity
-
     n_det, c = basis.shape[1], np.ones(basis.shape[1])
-    # Fixed types: the kernel is compiled for those of the first call.
-    tolerance, max_iterations = float(options.tolerance), int(options.max_iterations)
-    step = _STEPS[options.responsivities]
-    if n_det <= MOST_GRAM:
-        products = (block @ block.T for block in blocks())
-        gram = next(products, None)
-        for product in products:
-            gram += product
-        if gram is None:
-            return None, 0
-        if gram.shape != (n_det, n_det):
-            raise argument_error("blocks", f"{len(gram)} detectors", f"{n_det}, those of basis, are")
-        converged, iterations = iterate_responsivity(gram, basis, basis[1:], tolerance, max_iterations, step, c)
+    # Fixed types: kernels are compiled for those of the first call.
+    limits = float(options.tolerance), int(options.max_iterations), _STEPS[options.responsivities]
+    if n_det > MOST_GRAM:
+        converged, iterations = _iterate_by_passes(blocks, basis, *limits, c=c)
+    elif options.responsivities == SCAN:
+        converged, iterations = _iterate_on_scan(next(iter(blocks())), basis, *limits, c=c)
     else:
-        converged, iterations = _iterate_by_passes(
-            blocks, basis, tolerance=tolerance, max_iterations=max_iterations, step=step, c=c
-        )
+        converged, iterations = _iterate_on_gram(blocks, basis, *limits, c=c)
     return (c if converged else None), iterations
 
 
+def _iterate_on_scan(
+    block: np.ndarray, basis: np.ndarray, tolerance: float, max_iterations: int, step: float, *, c: np.ndarray
+) -> tuple[bool, int]:
+    """Run `iterate_responsivity` on one scan; the Gram matrix is formed only if convergence is slow."""
+    from mapmaker.kernels.cleaning import iterate_on_streams, iterate_responsivity
+
+    _check_detectors(block, basis)
+    block = np.ascontiguousarray(block)
+    most = _FEW_ITERATIONS // len(basis)
+    given_up, converged, done = iterate_on_streams(block, basis, basis[1:], tolerance, max_iterations, step, most, c)
+    if not given_up or done == max_iterations:
+        return converged, done
+    rest = max_iterations - done
+    converged, iterations = iterate_responsivity(block @ block.T, basis, basis[1:], tolerance, rest, step, c)
+    return converged, done + iterations
+
+
+def _iterate_on_gram(
+    blocks: Blocks, basis: np.ndarray, tolerance: float, max_iterations: int, step: float, *, c: np.ndarray
+) -> tuple[bool, int]:
+    """Run `iterate_responsivity` on the sum of the Gram matrices of all blocks."""
+    from mapmaker.kernels.cleaning import iterate_responsivity
+
+    gram = np.zeros((basis.shape[1], basis.shape[1]))
+    empty = True
+    for block in blocks():
+        _check_detectors(block, basis)
+        gram += block @ block.T
+        empty = False
+    if empty:
+        return False, 0
+    return iterate_responsivity(gram, basis, basis[1:], tolerance, max_iterations, step, c)
+
+
+def _check_detectors(block: np.ndarray, basis: np.ndarray) -> None:
+    if len(block) != basis.shape[1]:
+        raise argument_error("blocks", f"{len(block)} detectors", f"{basis.shape[1]}, those of basis, are")
+
+
 def _iterate_by_passes(
-    blocks: Blocks,
-    basis: np.ndarray,
-    *,
-    tolerance: float,
-    max_iterations: int,
-    step: float,
-    c: np.ndarray,
+    blocks: Blocks, basis: np.ndarray, tolerance: float, max_iterations: int, step: float, *, c: np.ndarray
 ) -> tuple[bool, int]:
     """Run `iterate_responsivity` without the Gram matrix, with c orthogonal to all rows of the basis but the first."""
     from mapmaker.kernels.cleaning import correlate, project_out, relax

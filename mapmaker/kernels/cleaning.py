@@ -104,6 +104,32 @@ def relax(step, previous, responsivity):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
+def _update(basis, weighted, product, power, held, step, previous, responsivity):
+    """Take one step of the iteration from sums over samples; return the mean fractional change of c.
+
+    It is NaN for c_i that vanish or are not finite.
+    """
+    previous[:] = responsivity
+    correlate(basis, weighted, product, power, responsivity)
+    if not np.all(np.isfinite(responsivity)) or np.any(responsivity == 0.0):
+        return np.nan
+    project_out(held, responsivity)
+    relax(step, previous, responsivity)
+    change = 0.0
+    for i in range(responsivity.size):
+        change += abs(responsivity[i] / previous[i] - 1.0)
+    return change / responsivity.size
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _weigh(basis, responsivity, weighted):
+    """Write basis / c into weighted, all (n_par, n_det)."""
+    for k in range(basis.shape[0]):
+        for i in range(basis.shape[1]):
+            weighted[k, i] = basis[k, i] / responsivity[i]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
 def iterate_responsivity(gram, basis, held, tolerance, max_iterations, step, responsivity):
     """Iterate templates and responsivities of one scan on its Gram matrix, without the streams.
 
@@ -135,24 +161,86 @@ def iterate_responsivity(gram, basis, held, tolerance, max_iterations, step, res
     n_par, n_det = basis.shape
     if _has_dead(gram):
         return False, 0
-    weighted = np.empty((n_par, n_det))
-    product = np.empty((n_par, n_det))
-    power = np.empty((n_par, n_par))
-    previous = np.empty(n_det)
+    weighted, product = np.empty((n_par, n_det)), np.empty((n_par, n_det))
+    power, previous = np.empty((n_par, n_par)), np.empty(n_det)
     for iteration in range(1, max_iterations + 1):
-        previous[:] = responsivity
-        for k in range(n_par):
-            for i in range(n_det):
-                weighted[k, i] = basis[k, i] / responsivity[i]
+        _weigh(basis, responsivity, weighted)
         _apply_gram(weighted, gram, product)
-        correlate(basis, weighted, product, power, responsivity)
-        if not np.all(np.isfinite(responsivity)) or np.any(responsivity == 0.0):
-            return False, iteration
-        project_out(held, responsivity)
-        relax(step, previous, responsivity)
-        change = 0.0
-        for i in range(n_det):
-            change += abs(responsivity[i] / previous[i] - 1.0)
-        if change < tolerance * n_det:
-            return True, iteration
+        change = _update(basis, weighted, product, power, held, step, previous, responsivity)
+        if not change >= tolerance:
+            return not np.isnan(change), iteration
     return False, max_iterations
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def _sum_rows(weighted, block, templates):
+    """Write weighted @ block into templates (n_par, n)."""
+    n_det, n = block.shape
+    for k in range(weighted.shape[0]):
+        template, weight = templates[k], weighted[k]
+        template[:] = 0.0
+        for d in range(0, n_det - 3, 4):  # rows at a time, which read and write the template once
+            a, b, c, e = block[d], block[d + 1], block[d + 2], block[d + 3]
+            of_a, of_b, of_c, of_e = weight[d], weight[d + 1], weight[d + 2], weight[d + 3]
+            for i in range(n):
+                template[i] += of_a * a[i] + of_b * b[i] + of_c * c[i] + of_e * e[i]
+        for d in range(n_det - n_det % 4, n_det):
+            for i in range(n):
+                template[i] += weight[d] * block[d, i]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def _multiply_rows(templates, block, product):
+    """Write templates @ block^T into product (n_par, n_det)."""
+    for k in range(templates.shape[0]):
+        template = templates[k]
+        for d in range(block.shape[0]):
+            row, total = block[d], 0.0
+            for i in range(row.size):
+                total += template[i] * row[i]
+            product[k, d] = total
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def _has_dead_row(block):
+    """Tell whether a row of a block has next to no power."""
+    least, all_rows = np.inf, 0.0
+    for d in range(block.shape[0]):
+        row, own = block[d], 0.0
+        for i in range(row.size):
+            own += row[i] * row[i]
+        least, all_rows = min(least, own), all_rows + own
+    return least <= DEAD_POWER * all_rows / block.shape[0]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def iterate_on_streams(block, basis, held, tolerance, max_iterations, step, most, responsivity):
+    """Iterate as `iterate_responsivity`, on a mean-removed scan (n_det, n_samp), without its Gram matrix.
+
+    An iteration that is not expected to converge within `most` iterations, from the last two changes, is given up.
+
+    Returns
+    -------
+    given_up : bool
+    converged : bool
+    iterations : int
+        Those done; if given up, c is that of the last.
+    """
+    n_par, n_det = basis.shape
+    if _has_dead_row(block):
+        return False, False, 0
+    weighted, product = np.empty((n_par, n_det)), np.empty((n_par, n_det))
+    power, previous = np.empty((n_par, n_par)), np.empty(n_det)
+    templates, before = np.empty((n_par, block.shape[1])), np.inf
+    for iteration in range(1, max_iterations + 1):
+        _weigh(basis, responsivity, weighted)
+        _sum_rows(weighted, block, templates)
+        _multiply_rows(templates, block, product)
+        change = _update(basis, weighted, product, power, held, step, previous, responsivity)
+        if not change >= tolerance:
+            return False, not np.isnan(change), iteration
+        # Changes decrease by a constant factor.
+        if iteration > 2 and iteration + np.log(tolerance / change) / min(np.log(change / before), -1e-3) > most:
+            return True, False, iteration
+        before = change
+    return False, False, max_iterations

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mapmaker.cleaning import TemplateOptions, responsivity
+from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.kernels.cleaning import iterate_responsivity, remove_means, subtract_templates
 from tests import naive
 
@@ -96,9 +97,24 @@ def test_passes_over_the_stream_do_what_the_gram_matrix_does(n_par, monkeypatch)
     for most in (N_DET, N_DET - 1):
         monkeypatch.setattr(responsivity, "MOST_GRAM", most)
         found.append(responsivity.fit_responsivity(lambda: (data,), basis, TemplateOptions(1e-8, 100)))
-    (by_gram, steps), (by_passes, as_many) = found
+    (on_scan, steps), (by_passes, as_many) = found
     assert steps == as_many > 2
-    np.testing.assert_allclose(by_passes, by_gram, rtol=1e-11)
+    np.testing.assert_allclose(by_passes, on_scan, rtol=1e-11)
+
+
+@pytest.mark.parametrize("most", [0, 1000], ids=["given up at once", "never given up"])
+@pytest.mark.parametrize("n_par", [1, 3, 6])
+def test_iteration_on_a_scan_does_what_the_gram_matrix_does(n_par, most, monkeypatch):
+    """Changed over to the Gram matrix after the first iterations or not at all."""
+    monkeypatch.setattr(responsivity, "_FEW_ITERATIONS", most)
+    shapes, data = _scan(5, n_par)
+    basis = np.ascontiguousarray(np.linalg.qr(shapes)[0].T)
+    found, expected = np.ones(N_DET), np.ones(N_DET)
+    converged, steps = iterate_responsivity(data @ data.T, basis, basis[1:], 1e-8, 100, 1.0, expected)
+    assert converged and steps > 3
+    assert responsivity._iterate_on_scan(data, basis, 1e-8, 100, 1.0, c=found) == (converged, steps)
+    np.testing.assert_allclose(found, expected, rtol=1e-11)
+    assert responsivity._iterate_on_scan(data, basis, 1e-8, steps - 1, 1.0, c=np.ones(N_DET)) == (False, steps - 1)
 
 
 @pytest.mark.parametrize("most", [N_DET, N_DET - 1])
@@ -108,7 +124,7 @@ def test_blocks_are_fitted_as_one(most, monkeypatch):
     basis = np.ascontiguousarray(np.linalg.qr(_scan(7, 3)[0])[0].T)
     halves = [part - part.mean(axis=1, keepdims=True) for part in (data[:, :25], data[:, 25:])]
     monkeypatch.setattr(responsivity, "MOST_GRAM", most)
-    options = TemplateOptions(1e-10, 100)
+    options = TemplateOptions(1e-10, 100, OBSERVATION)
     found, steps = responsivity.fit_responsivity(lambda: iter(halves), basis, options)
     expected, as_many = responsivity.fit_responsivity(lambda: (np.hstack(halves),), basis, options)
     assert steps == as_many
@@ -129,8 +145,8 @@ def test_passes_end_where_the_gram_matrix_does(spoiled, monkeypatch):
     for most in (len(data), 0):
         monkeypatch.setattr(responsivity, "MOST_GRAM", most)
         found.append(responsivity.fit_responsivity(lambda: (data,), basis, options))
-    (by_gram, steps), (by_passes, as_many) = found
-    assert steps == as_many and by_gram is by_passes is None
+    (on_scan, steps), (by_passes, as_many) = found
+    assert steps == as_many and on_scan is by_passes is None
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
