@@ -5,6 +5,9 @@ import numpy as np
 from mapmaker.kernels import DEAD_POWER
 from mapmaker.kernels.compiled import njit
 
+# Outcomes of a scan.
+DISCARDED, KEPT, GIVEN_UP = 0, 1, 2
+
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def remove_means(data, start, stop, block):
@@ -214,21 +217,14 @@ def _has_dead_row(block):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
-def iterate_on_streams(block, basis, held, tolerance, max_iterations, step, most, responsivity):
-    """Iterate as `iterate_responsivity`, on a mean-removed scan (n_det, n_samp), without its Gram matrix.
+def _iterate_on_streams(block, basis, held, tolerance, max_iterations, step, most, responsivity):
+    """Iterate as `iterate_responsivity`, on a mean-removed scan (n_det, n_samp); return its iterations and outcome.
 
     An iteration that is not expected to converge within `most` iterations, from the last two changes, is given up.
-
-    Returns
-    -------
-    given_up : bool
-    converged : bool
-    iterations : int
-        Those done; if given up, c is that of the last.
     """
     n_par, n_det = basis.shape
     if _has_dead_row(block):
-        return False, False, 0
+        return 0, DISCARDED
     weighted, product = np.empty((n_par, n_det)), np.empty((n_par, n_det))
     power, previous = np.empty((n_par, n_par)), np.empty(n_det)
     templates, before = np.empty((n_par, block.shape[1])), np.inf
@@ -238,9 +234,63 @@ def iterate_on_streams(block, basis, held, tolerance, max_iterations, step, most
         _multiply_rows(templates, block, product)
         change = _update(basis, weighted, product, power, held, step, previous, responsivity)
         if not change >= tolerance:
-            return False, not np.isnan(change), iteration
+            return iteration, DISCARDED if np.isnan(change) else KEPT
         # Changes decrease by a constant factor.
         if iteration > 2 and iteration + np.log(tolerance / change) / min(np.log(change / before), -1e-3) > most:
-            return True, False, iteration
+            return iteration, GIVEN_UP
         before = change
-    return False, False, max_iterations
+    return max_iterations, DISCARDED
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _write_rest(block, shapes, templates, out):
+    """Write a block (n_det, n) less shapes (n_par, n_det) times templates (n_par, n)."""
+    for d in range(block.shape[0]):
+        row, rest = block[d], out[d]
+        for k in range(templates.shape[0] - 1):
+            shape, template = shapes[k, d], templates[k]
+            for n in range(row.size):
+                row[n] -= shape * template[n]
+        shape, template = shapes[-1, d], templates[-1]
+        for n in range(row.size):
+            rest[n] = row[n] - shape * template[n]
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def clean_on_streams(
+    data, bounds, basis, held, tolerance, max_iterations, step, most, responsivity, cleaned, iterations, outcome
+):
+    """Fit responsivities to each scan as `iterate_responsivity`, without its Gram matrix, and subtract the templates.
+
+    Parameters
+    ----------
+    data : (n_det, n_samp)
+    bounds : (n_scan, 2)
+    basis, held, tolerance, max_iterations, step
+        As in `iterate_responsivity`.
+    most
+        A scan that is not expected to converge within so many iterations is given up.
+    responsivity : (n_scan, n_det)
+        First guess of c of each scan; replaced by the result.
+    cleaned : (n_det, n_samp)
+        Output, in kept scans.
+    iterations, outcome : (n_scan,)
+        Output: iterations, and KEPT, DISCARDED or GIVEN_UP.
+    """
+    n_par, n_det = basis.shape
+    longest = 0
+    for s in range(len(bounds)):
+        longest = max(longest, bounds[s, 1] - bounds[s, 0])
+    room, weighted = np.empty(n_det * longest), np.empty((n_par, n_det))
+    for s in range(len(bounds)):
+        start, n = bounds[s, 0], bounds[s, 1] - bounds[s, 0]
+        block, c = room[: n_det * n].reshape(n_det, n), responsivity[s]
+        iterations[s], outcome[s] = 0, DISCARDED
+        if remove_means(data, start, start + n, block):
+            found = _iterate_on_streams(block, basis, held, tolerance, max_iterations, step, most, c)
+            iterations[s], outcome[s] = found
+        if outcome[s] == KEPT:
+            templates = np.empty((n_par, n))
+            _weigh(basis, c, weighted)
+            _sum_rows(weighted, block, templates)
+            _write_rest(block, basis * c, templates, cleaned[:, start : start + n])
