@@ -31,6 +31,7 @@ from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.scene.bands import errors_of
 from surveysim.scene.scene import Scene
+from surveysim.telescope.diffraction import with_beam
 from surveysim.telescope.focal_plane import Camera, CameraExtent, camera, camera_extent, mask_by_separation
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.pointing import Schedule
@@ -73,11 +74,21 @@ class Setup(Simulation):
 def prepare(scene: Scene) -> Setup:
     """Make a scene ready. Raises SceneError when the scene can't be run, with key, found and allowed."""
     try:
-        return _prepare(scene)
+        return _prepare(_with_beams(scene))
     except SceneError:
         raise
     except InputError as error:
         raise SceneError(str(error)) from None
+
+
+def _with_beams(scene: Scene) -> Scene:
+    """Fill in the beams of all bands where they follow from the aperture."""
+    own, others = with_beam(scene), []
+    for item in scene.others:
+        with errors_of(item, scene):
+            others.append(with_beam(item))
+    band = scene.band and scene.band.model_copy(update={"others": tuple(others)})
+    return own.model_copy(update={"band": band}) if others else own
 
 
 @dataclass(frozen=True)

@@ -119,6 +119,7 @@ class Scene(StreamSections, ObservationSections):
             raise ValueError("excess.b2: found several values; without [atmosphere] one value is expected")
         if self.atmosphere and self.atmosphere.site and not self.instrument.band.width_hz:
             raise ValueError("instrument.bandwidth: missing; the opacity of a site needs the width of the band")
+        self._beam_is_known()
         self._load_is_given()
         self._power_is_known()
         if not any(getattr(self, name) for name in StreamSections.model_fields):
@@ -127,6 +128,15 @@ class Scene(StreamSections, ObservationSections):
         if (found := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
             raise ValueError(f"scan.duration: found {found:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
         return self
+
+    def _beam_is_known(self) -> None:
+        """Raise ValueError for a beam or (f/#)lambda that is left out without an aperture that it follows from."""
+        aperture_m = self.optics.aperture_m if self.optics else None
+        for key, value in (("beam_fwhm", self.instrument.beam_fwhm_rad), ("f_lambda", self.instrument.f_lambda_rad)):
+            if value is None and aperture_m is None:
+                raise ValueError(
+                    f"instrument.{key}: missing; an angle, or 'optics.aperture' that it follows from, is expected"
+                )
 
     def _load_is_given(self) -> None:
         """Raise ValueError unless photon noise, and noise that depends on the load, have exactly one source."""
@@ -286,7 +296,8 @@ def _of_other(scene: Scene, other: Scene, excluded: Mapping[str, Any]) -> dict[s
     """Values of another band: all where cleaning subtracts its streams, else those that size the common layer."""
     if "spectral" in scene.cleaning.named:
         return _content(other, excluded)
-    return {"instrument": other.instrument.model_dump(), "spectral": "spectral" in other.cleaning.named}
+    content = other.model_dump(include={"instrument", "optics"})
+    return content | {"spectral": "spectral" in other.cleaning.named}
 
 
 def _hash(content: dict[str, Any]) -> str:
