@@ -13,6 +13,7 @@ _PUBLIC = {
     "forecast": "surveysim.api",
     "plan": "surveysim.api",
     "load_sweep": "surveysim.studies.sweep.axes",
+    "load_band_sweep": "surveysim.studies.sweep.bands",
     "run_sweep": "surveysim.api",
     "forecast_sweep": "surveysim.api",
     "plan_sweep": "surveysim.api",

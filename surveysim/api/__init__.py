@@ -4,9 +4,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from surveysim.api.band_sweeps import forecast_band_sweep, plan_band_sweep, run_band_sweep
 from surveysim.api.bands import forecast_bands, plan_bands, run_bands
 from surveysim.api.surveys import PROCESSES, forecast_survey, plan_survey, run_survey, simulate_observation
-from surveysim.api.sweeps import forecast_sweep, plan_sweep, run_sweep
+from surveysim.api.sweeps import forecast_single_sweep, plan_single_sweep, run_single_sweep
 from surveysim.forecasting.forecast import Forecast
 from surveysim.results.bands import MultiBandForecast, MultiBandResult
 from surveysim.results.results import SurveyResult
@@ -14,19 +15,29 @@ from surveysim.runtime.engine import Engine
 from surveysim.scene.bands import MultiBandScene, has_bands
 from surveysim.scene.scene import Scene
 from surveysim.studies.resources import Plan
+from surveysim.studies.sweep.axes import Sweep
+from surveysim.studies.sweep.bands import MultiBandSweep, MultiBandSweepResult, is_band_sweep
+from surveysim.studies.sweep.plan import SweepPlan
+from surveysim.studies.sweep.result import SweepResult
 from surveysim.survey.coadd_tree import CoAddTree
 
 __all__ = [
     "forecast",
+    "forecast_band_sweep",
     "forecast_bands",
+    "forecast_single_sweep",
     "forecast_survey",
     "forecast_sweep",
     "plan",
+    "plan_band_sweep",
     "plan_bands",
+    "plan_single_sweep",
     "plan_survey",
     "plan_sweep",
     "run",
+    "run_band_sweep",
     "run_bands",
+    "run_single_sweep",
     "run_survey",
     "run_sweep",
     "simulate_observation",
@@ -172,5 +183,80 @@ def plan(
     return work(scene, workers, start_s=start_s)
 
 
+def run_sweep(
+    sweep: Sweep | MultiBandSweep | str | Path,
+    out: str | Path | None = None,
+    *,
+    engine: Engine = PROCESSES,
+    resume: bool = False,
+    figures: bool = True,
+    progress: Callable[[int], None] = lambda done: None,
+    force: bool = False,
+) -> SweepResult | MultiBandSweepResult:
+    """Run all points of a sweep and compare them.
+
+    Parameters
+    ----------
+    sweep
+        A sweep, the path of a scene file with a table [sweep], or its name.
+    out
+        Directory for the results. Finished points are kept in its folder points/ until the results are written.
+    engine
+        Where points run, one at a time per worker; results do not depend on it.
+    resume
+        Continue from the points kept in `out`.
+    figures
+        Draw the figures of the report.
+    progress
+        Called with the number of finished points.
+    force
+        As for `run`.
+
+    Returns
+    -------
+    The result, with the attribute `bands` for a camera of several: results by the name of the band.
+
+    Raises
+    ------
+    SceneError
+        A point can't be run.
+    OutputError, CheckpointError, EngineError
+        As for `run`.
+    """
+    work: Callable[..., Any] = run_band_sweep if _is_multi_band_sweep(sweep) else run_single_sweep
+    return work(sweep, out, engine=engine, resume=resume, figures=figures, progress=progress, force=force)
+
+
+def forecast_sweep(
+    sweep: Sweep | MultiBandSweep | str | Path,
+    out: str | Path | None = None,
+    *,
+    figures: bool = True,
+    progress: Callable[[int], None] = lambda done: None,
+    force: bool = False,
+) -> SweepResult | MultiBandSweepResult:
+    """Forecast all points of a sweep and compare them, without Monte Carlo errors.
+
+    Parameters, results and errors are those of `run_sweep`.
+    """
+    work: Callable[..., Any] = forecast_band_sweep if _is_multi_band_sweep(sweep) else forecast_single_sweep
+    return work(sweep, out, figures=figures, progress=progress, force=force)
+
+
+def plan_sweep(
+    sweep: Sweep | MultiBandSweep | str | Path, workers: int | None = None, *, start_s: float = 0.0
+) -> SweepPlan | dict[str, SweepPlan]:
+    """Predict the cost of a sweep from its first and last points.
+
+    Parameters and errors are those of `plan`. For a camera of several bands the result has the plan of each, by name.
+    """
+    work: Callable[..., Any] = plan_band_sweep if _is_multi_band_sweep(sweep) else plan_single_sweep
+    return work(sweep, workers, start_s=start_s)
+
+
 def _is_multi_band(scene: Scene | MultiBandScene | str | Path) -> bool:
     return isinstance(scene, MultiBandScene) or (not isinstance(scene, Scene) and has_bands(scene))
+
+
+def _is_multi_band_sweep(sweep: Sweep | MultiBandSweep | str | Path) -> bool:
+    return isinstance(sweep, MultiBandSweep) or (not isinstance(sweep, Sweep) and is_band_sweep(sweep))

@@ -27,7 +27,7 @@ from surveysim.studies.sweep.result import SweepResult
 DRAWS_SEED = 0  # seed for the probability of the best point of a sweep
 
 
-def run_sweep(
+def run_single_sweep(
     sweep: Sweep | str | Path,
     out: str | Path | None = None,
     *,
@@ -37,32 +37,7 @@ def run_sweep(
     progress: Callable[[int], None] = lambda done: None,
     force: bool = False,
 ) -> SweepResult:
-    """Run all points of a sweep and compare them.
-
-    Parameters
-    ----------
-    sweep
-        A sweep, the path of a scene file with a table [sweep], or its name.
-    out
-        Directory for the results. Finished points are kept in its folder points/ until the results are written.
-    engine
-        Where points run, one at a time per worker; results do not depend on it.
-    resume
-        Continue from the points kept in `out`.
-    figures
-        Draw the figures of the report.
-    progress
-        Called with the number of finished points.
-    force
-        As for `run`.
-
-    Raises
-    ------
-    SceneError
-        A point can't be run.
-    OutputError, CheckpointError, EngineError
-        As for `run`.
-    """
+    """Run all points of a sweep of one band; parameters and errors are those of `surveysim.run_sweep`."""
     start = perf_counter()
     sweep = _sweep(sweep)
     workers = engine.workers_for(len(sweep.points))
@@ -83,7 +58,7 @@ def run_sweep(
     return result
 
 
-def forecast_sweep(
+def forecast_single_sweep(
     sweep: Sweep | str | Path,
     out: str | Path | None = None,
     *,
@@ -91,10 +66,7 @@ def forecast_sweep(
     progress: Callable[[int], None] = lambda done: None,
     force: bool = False,
 ) -> SweepResult:
-    """Forecast all points of a sweep and compare them, without Monte Carlo errors.
-
-    Parameters, results and errors are those of `run_sweep`.
-    """
+    """Forecast all points of a sweep of one band; parameters and errors are those of `surveysim.run_sweep`."""
     start = perf_counter()
     sweep = _sweep(sweep)
 
@@ -112,11 +84,8 @@ def forecast_sweep(
     return result
 
 
-def plan_sweep(sweep: Sweep | str | Path, workers: int | None = None, *, start_s: float = 0.0) -> SweepPlan:
-    """Predict the cost of a sweep from its first and last points.
-
-    Parameters and errors are those of `plan`.
-    """
+def plan_single_sweep(sweep: Sweep | str | Path, workers: int | None = None, *, start_s: float = 0.0) -> SweepPlan:
+    """Predict the cost of a sweep of one band; parameters and errors are those of `surveysim.plan_sweep`."""
     return make_sweep_plan(_sweep(sweep), workers or default_workers(), start_s)
 
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from surveysim.runtime.engine import Engine
     from surveysim.scene.bands import MultiBandScene
     from surveysim.studies.sweep.axes import Sweep
+    from surveysim.studies.sweep.bands import MultiBandSweep
 
 DEEPEST = 9  # dots in a key
 
@@ -142,12 +143,15 @@ def ready_setup(path: Path, given: list[str] | None) -> "Setup":
         raise SceneError(f"{path}{' with' if changed else ''}{changed}: {error}") from None
 
 
-def sweep_of(path: Path, given: list[str] | None, reference: str | None = None) -> "Sweep | None":
+def sweep_of(path: Path, given: list[str] | None, reference: str | None = None) -> "Sweep | MultiBandSweep | None":
     """Load, check and prepare the sweep of a scene file that has one; raises SceneError for a reference without a
     sweep.
     """
     from surveysim.studies.sweep.axes import is_sweep, load_sweep
+    from surveysim.studies.sweep.bands import is_band_sweep, load_band_sweep
 
+    if is_band_sweep(path):
+        return load_band_sweep(path, settings(given), point(reference))
     if is_sweep(path):
         return load_sweep(path, settings(given), point(reference))
     if reference is not None:

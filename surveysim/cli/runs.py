@@ -1,5 +1,7 @@
 """Commands on surveys: run, forecast, plan."""
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING, Annotated, Any
@@ -30,6 +32,7 @@ from surveysim.runtime.errors import NotForecastableError
 if TYPE_CHECKING:
     from surveysim.runtime.engine import Engine
     from surveysim.studies.sweep.axes import Sweep
+    from surveysim.studies.sweep.bands import MultiBandSweep
     from surveysim.survey.coadd_tree import CoAddTree
 
 
@@ -139,7 +142,7 @@ def _refuse_for_sweep(scene: Path, save_timestreams: bool, target_error: str | N
 
 
 def _run_sweep(
-    sweep: "Sweep",
+    sweep: "Sweep | MultiBandSweep",
     directory: Path,
     *,
     engine: "Engine",
@@ -151,23 +154,29 @@ def _run_sweep(
 ) -> None:
     if resume and not quiet:
         report_new_start(directory, "points", "")
-    from surveysim.api import run_sweep
-    from surveysim.cli.progress import announce_compilation, progress_display
-    from surveysim.report.terminal.sweep import print_sweep
+    from surveysim.api import run_band_sweep, run_single_sweep
+    from surveysim.cli.progress import announce_compilation, sweep_display
+    from surveysim.report.terminal.sweep import print_sweep, print_sweeps
+    from surveysim.studies.sweep.axes import Sweep
 
     if not quiet and engine.scheduler is None:
         announce_compilation(sweep.name)
-    work = [point.detector_samples for point in sweep.points]
-    with (
-        report_resumable_exit(sweep.path, directory),
-        progress_display(sweep.name, work, quiet, "points", engine.workers_for(len(work))) as show,
-    ):
-        progress = stopping(lambda done: show(done, lambda: ""))
-        result = run_sweep(
-            sweep, directory, engine=engine, resume=resume, figures=figures, progress=progress, force=force
-        )
-    if not quiet:
+    options: dict[str, Any] = {"engine": engine, "resume": resume, "figures": figures, "force": force}
+
+    def display(item: "Sweep") -> "AbstractContextManager[Callable[[int], None]]":
+        work = [point.detector_samples for point in item.points]
+        return sweep_display(item.name, work, quiet, engine.workers_for(len(work)))
+
+    with report_resumable_exit(sweep.path, directory):
+        if not isinstance(sweep, Sweep):
+            results = run_band_sweep(sweep, directory, display=display, **options)
+        else:
+            with display(sweep) as progress:
+                result = run_single_sweep(sweep, directory, progress=progress, **options)
+    if not quiet and isinstance(sweep, Sweep):
         print_sweep(result, directory, verbose)
+    elif not quiet:
+        print_sweeps(results, directory, verbose)
 
 
 def forecast(
@@ -207,27 +216,41 @@ def forecast(
         print_forecast(setup, found, verbose)
 
 
-def _forecast_sweep(sweep: "Sweep", directory: Path, *, figures: bool, force: bool, verbose: bool, quiet: bool) -> None:
-    from surveysim.api import forecast_sweep
-    from surveysim.cli.progress import equal_work, progress_display
-    from surveysim.report.terminal.sweep import print_sweep
+def _forecast_sweep(
+    sweep: "Sweep | MultiBandSweep", directory: Path, *, figures: bool, force: bool, verbose: bool, quiet: bool
+) -> None:
+    from surveysim.api import forecast_band_sweep, forecast_single_sweep
+    from surveysim.cli.progress import equal_work, sweep_display
+    from surveysim.report.terminal.sweep import print_sweep, print_sweeps
+    from surveysim.studies.sweep.axes import Sweep
 
-    with progress_display(sweep.name, equal_work(len(sweep.points)), quiet, "points") as show:
-        progress = stopping(lambda done: show(done, lambda: ""))
-        result = forecast_sweep(sweep, directory, figures=figures, progress=progress, force=force)
+    def display(item: "Sweep") -> "AbstractContextManager[Callable[[int], None]]":
+        return sweep_display(item.name, equal_work(len(item.points)), quiet)
+
+    if not isinstance(sweep, Sweep):
+        results = forecast_band_sweep(sweep, directory, figures=figures, display=display, force=force)
+        if not quiet:
+            print_sweeps(results, directory, verbose)
+        return
+    with display(sweep) as progress:
+        result = forecast_single_sweep(sweep, directory, figures=figures, progress=progress, force=force)
     if not quiet:
         print_sweep(result, directory, verbose)
 
 
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
     """Predict run time, memory and disk space of a run."""
-    from surveysim.api import plan_bands, plan_survey, plan_sweep
-    from surveysim.report.terminal.plan import print_plan, print_sweep_plan
+    from surveysim.api import plan_band_sweep, plan_bands, plan_single_sweep, plan_survey
+    from surveysim.report.terminal.plan import print_band_sweep_plans, print_plan, print_sweep_plan
     from surveysim.runtime.engine import default_workers
+    from surveysim.studies.sweep.axes import Sweep
 
     workers = options.engine("processes", workers, None).workers or default_workers()
     if sweep := sweep_of(scene, settings):
-        print_sweep_plan(sweep, plan_sweep(sweep, workers, start_s=process_time()), workers)
+        if isinstance(sweep, Sweep):
+            print_sweep_plan(sweep, plan_single_sweep(sweep, workers, start_s=process_time()), workers)
+        else:
+            print_band_sweep_plans(sweep, plan_band_sweep(sweep, workers, start_s=process_time()), workers)
         return
     if scenes := bands_of(scene, settings):
         from surveysim.report.terminal.bands import print_band_plans

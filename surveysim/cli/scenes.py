@@ -25,10 +25,12 @@ def check(scene: SceneFile, settings: Overrides = None) -> None:
     Each error is one line: file, key, the value found and the values allowed.
     """
     from surveysim.reduction.resource_limits import said_of_size
+    from surveysim.studies.sweep.bands import sweep_points
 
     if sweep := sweep_of(scene, settings):
-        say(f"{scene}: {sweep.name!r} is a sweep of {len(sweep.points)} points that can be run")
-        large = said_of_size(sum(point.detector_samples for point in sweep.points))
+        points = sweep_points(sweep)
+        say(f"{scene}: {sweep.name!r} is a sweep of {len(points)} points that can be run")
+        large = said_of_size(sum(point.detector_samples for point in points))
     elif scenes := bands_of(scene, settings):
         large = _check_bands(scene, scenes)
     else:

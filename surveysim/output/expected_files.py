@@ -11,6 +11,7 @@ from surveysim.scene.bands import MultiBandScene, bands_hash
 from surveysim.scene.scene import Scene, scene_hash, survey_hash
 from surveysim.studies.convergence.records import MOST_SEEDS, REFERENCE_ERROR, SUB_SURVEY
 from surveysim.studies.sweep.axes import Sweep, sweep_hash
+from surveysim.studies.sweep.bands import MultiBandSweep, band_sweep_hash
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 
 COMMON = ("summary.json", "scene.json", "report.html")
@@ -46,11 +47,19 @@ def band_directory(name: str) -> str:
     return f"bands/{name}"
 
 
+_OF_BANDS = ("summary.json", "report.html", "bands.ecsv")
+
+
 def of_bands(scenes: MultiBandScene, command: str) -> Results:
     """Return the results of a camera of several bands beside the directories of the bands."""
-    names = (*(("summary.json", "report.html") if command == "run" else ()), "bands.ecsv")
+    names = _OF_BANDS if command == "run" else ("bands.ecsv",)
     extends = sha256(" ".join(map(survey_hash, scenes.bands.values())).encode()).hexdigest() if command == "run" else ""
     return Results(command, scenes.name, bands_hash(scenes), names, bands_files(scenes), extends=extends)
+
+
+def of_band_sweep(sweep: MultiBandSweep, command: str) -> Results:
+    """Return the results of a sweep of a camera of several bands beside the directories of the bands."""
+    return Results(command, sweep.name, band_sweep_hash(sweep), _OF_BANDS, bands_files(sweep))
 
 
 def of_sweep(sweep: Sweep, command: str, figures: bool) -> Results:

@@ -12,6 +12,7 @@ from surveysim.scene.scene import Origin, Scene, scene_hash, scene_of
 
 if TYPE_CHECKING:
     from surveysim.studies.sweep.axes import Sweep
+    from surveysim.studies.sweep.bands import MultiBandSweep
 
 SCENE_FILE = "scene.toml"
 COMMENT = "set for this run"
@@ -33,14 +34,16 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     return {SCENE_FILE: text.encode()} | files if scene_hash(again) == scene_hash(scene) else {}
 
 
-def bands_files(scenes: MultiBandScene) -> dict[str, bytes]:
+def bands_files(scenes: "MultiBandScene | MultiBandSweep") -> dict[str, bytes]:
     """As `scene_files`, of a camera of several bands."""
     text, files = _self_contained(scenes.origin, scenes.name)
     return {SCENE_FILE: text.encode()} | files
 
 
 def sweep_files(sweep: "Sweep") -> dict[str, bytes]:
-    """As `scene_files`, with the table [sweep]."""
+    """As `scene_files`, with the table [sweep]; none of one band, whose camera has them."""
+    if sweep.points[0].scene.band:
+        return {}
     text, files = _self_contained(sweep.origin, sweep.name)
     return {SCENE_FILE: text.encode()} | files
 

@@ -28,6 +28,7 @@ from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.table import Table
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import resolved, scene_hash
+from surveysim.studies.sweep.bands import MultiBandSweepResult, band_sweep_summary
 from surveysim.studies.sweep.result import SweepResult, pairs
 from surveysim.studies.sweep.summary import sweep_summary
 from surveysim.studies.sweep.tables import pair_table, sweep_table
@@ -60,11 +61,19 @@ def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestre
 
 def write_bands(directory: Path, result: MultiBandResult) -> None:
     """Write table, summary and report of all bands of a camera below `directory`; each band has results of its own."""
-    content = multi_band_summary(result) | made_by()
-    content["run"]["date"] = now()
+    _write_of_bands(directory, multi_band_summary(result))
+
+
+def write_band_sweep(directory: Path, result: MultiBandSweepResult) -> None:
+    """As `write_bands`, of a sweep."""
+    _write_of_bands(directory, band_sweep_summary(result))
+
+
+def _write_of_bands(directory: Path, content: dict[str, Any]) -> None:
+    run = content["run"] | {"date": now()}
     meta = {"temperature": "CMB", "seed": content["seed"], "scene_sha256": content["scene_sha256"]}
     written = _write_table(directory / "bands.ecsv", band_table(content["bands"], meta))
-    write_summary(directory, content, [written])
+    write_summary(directory, content | made_by() | {"run": run}, [written])
 
 
 def write_band_forecasts(directory: Path, result: MultiBandForecast) -> None:

@@ -111,7 +111,7 @@ def band_table(bands: Content, meta: Content) -> Table:
     Parameters
     ----------
     bands : mapping
-        Entry `bands` of the summary, or `forecast_entries`.
+        Entry `bands` of the summary of runs or of sweeps, or `forecast_entries`. Columns without a value are left out.
     meta : mapping
         Header of the file.
     """
@@ -121,25 +121,31 @@ def band_table(bands: Content, meta: Content) -> Table:
         return [row[key] * scale if row.get(key) is not None else None for row in rows]
 
     sigma, error = values("sigma_ukcmb2"), values("error_ukcmb2")
-    columns = [
-        column("band", list(bands), "band"),
-        column("frequency", values("frequency_hz", 1e-9), "GHz", short, unit="GHz"),
-        column("width", values("width_hz", 1e-9), "width [GHz]", short, unit="GHz"),
-        column("n_det", values("detectors"), "detectors", count),
-    ]
-    if any("observations" in row for row in rows):
+
+    def has(key: str) -> bool:
+        return any(key in row for row in rows)
+
+    columns = [column("band", list(bands), "band")]
+    if has("frequency_hz"):
+        columns.append(column("frequency", values("frequency_hz", 1e-9), "GHz", short, unit="GHz"))
+        columns.append(column("width", values("width_hz", 1e-9), "width [GHz]", short, unit="GHz"))
+    if has("points"):  # a sweep
+        columns.append(column("points", values("points"), "points", count))
+        columns.append(column("best", [row.get("best", "") for row in rows], "best point"))
+    columns.append(column("n_det", values("detectors"), "detectors", count))
+    if has("observations"):
         columns.append(column("observations", values("observations"), "observations", count))
-    if any("error_ukcmb2" in row for row in rows):
+    if has("error_ukcmb2"):
         names = "sigma_ukcmb2", "error_ukcmb2"
         columns += quoted_columns(names, sigma, error, SIGMA, unit="uK2", absent="not scored")
     else:  # a forecast
         columns.append(column("sigma_ukcmb2", sigma, SIGMA, number, unit="uK2"))
-    columns += [
-        rounded_column("forecast_ukcmb2", values("forecast_ukcmb2"), error, "forecast"),
-        column("ell_eff", values("ell_eff"), "ell_eff", count),
-        column("fwhm_ell", values("fwhm_ell"), "FWHM in ell", count),
-    ]
-    if any("discarded" in row for row in rows):
+    if has("forecast_ukcmb2"):
+        columns.append(rounded_column("forecast_ukcmb2", values("forecast_ukcmb2"), error, "forecast"))
+    if has("ell_eff"):
+        columns.append(column("ell_eff", values("ell_eff"), "ell_eff", count))
+        columns.append(column("fwhm_ell", values("fwhm_ell"), "FWHM in ell", count))
+    if has("discarded"):
         columns.append(column("discarded", values("discarded"), "discarded scans", share_text))
     return Table("band", "Uncertainty of a flat CMB band power in each band", tuple(columns), meta=meta)
 

@@ -164,18 +164,18 @@ def _lines(wrong: Mapping[str, Collection[str]], content: Mapping[str, Any]) -> 
     for line, names in wrong.items():
         found = re.match(r"[a-z_0-9]+(\.[a-z_0-9]+)*(?=: )", line)
         key = found[0] if found else ""
-        common = {name for name in tables if not _has(tables[name], key)}
-        of_all = common <= set(names) and (_has(content, key) or len(names) == len(tables) > 1)
+        common = {name for name in tables if not has_key(tables[name], key)}
+        of_all = common <= set(names) and (has_key(content, key) or len(names) == len(tables) > 1)
         for name in names:
             if of_all and name in common:
                 yield line
-            elif not key or (name in common and _has(content, key)):
+            elif not key or (name in common and has_key(content, key)):
                 yield f"{TABLE}.{name}: {line}"
             else:
                 yield f"{TABLE}.{name}.{line}"
 
 
-def _has(table: Any, key: str) -> bool:
+def has_key(table: Any, key: str) -> bool:
     """Return whether a table has a value at a dotted key, or at the list that the key is part of."""
     for part in key.split("."):
         if not isinstance(table, dict):
@@ -235,7 +235,7 @@ def _assumed(lines: Iterable[str], name: str, table: Mapping[str, Any]) -> list[
     for line in lines:
         if line.startswith(own):
             found.append(line.removeprefix(own))
-        elif not line.startswith(f"{TABLE}.") and not _has(table, line.partition(" = ")[0]):
+        elif not line.startswith(f"{TABLE}.") and not has_key(table, line.partition(" = ")[0]):
             found.append(line)
     return found
 

@@ -25,11 +25,11 @@ def bands_page(directory: Path, summary: Content) -> Page:
     table = _with_links(grid(band_table(bands, {}), *notes))
     sections = (Section("bands", "Bands", (table,)), Section("provenance", "Provenance", (provenance(summary),)))
     detectors = sum(row["detectors"] for row in bands.values())
-    lead = (
-        f"A camera of {plural(detectors, 'detector')} in the bands {joined(list(bands))},"
-        f" {plural(summary['observations_of_survey'], 'observation')} of each. Every band has a page of its own.",
-        *warned(summary),
-    )
+    observations = plural(summary["observations_of_survey"], "observation")
+    made = f"A camera of {plural(detectors, 'detector')} in the bands {joined(list(bands))}, {observations} of each."
+    if any("points" in row for row in bands.values()):
+        made = f"A sweep of {plural(len(bands), 'band')}, {joined(list(bands))}. Scores are those of the best point."
+    lead = (f"{made} Every band has a page of its own.", *warned(summary))
     time = duration(summary["run"]["wall_s"])
     key = (("bands", count(len(bands))), ("detectors", count(detectors)), ("run time", time))
     return Page("surveysim run", summary["title"], lead, key, sections)
