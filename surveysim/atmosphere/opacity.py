@@ -13,18 +13,19 @@ import numpy as np
 
 from surveysim.atmosphere.cubic_spline import CubicSpline
 from surveysim.runtime.errors import OutOfRangeError
+from surveysim.scene.passband import Passband
 from surveysim.scene.sites import SITES
 
 
 @dataclass(frozen=True)
 class BandOpacity:
-    """Opacity of a site in a top-hat band.
+    """Opacity of a site in a band.
 
     Attributes
     ----------
     site
-    frequency_hz, bandwidth
-        Centre of the band, and its width over the centre.
+    band
+        Passband.
     pwv_mm : (n,)
         Columns of precipitable water vapour.
     optical_depth : (n,)
@@ -34,8 +35,7 @@ class BandOpacity:
     """
 
     site: str
-    frequency_hz: float
-    bandwidth: float
+    band: Passband
     pwv_mm: np.ndarray
     optical_depth: np.ndarray
     temperature_k: float
@@ -47,10 +47,10 @@ class BandOpacity:
 
 
 @cache
-def band_opacity(site: str, frequency_hz: float, bandwidth: float) -> BandOpacity:
-    """Average a site's opacity table over a top-hat band: -ln of the mean transmission.
+def band_opacity(site: str, band: Passband) -> BandOpacity:
+    """Average a site's opacity table over a band: -ln of the mean transmission.
 
-    Cells at the edges of the band are weighted by the part inside it.
+    Cells of the table are weighted by their share of the band.
 
     Raises
     ------
@@ -58,15 +58,14 @@ def band_opacity(site: str, frequency_hz: float, bandwidth: float) -> BandOpacit
         For a site without a table, and for a band that is empty or extends beyond the table.
     """
     edge_ghz, pwv_mm, depth, temperature_k = _table(site)
-    low, high = (frequency_hz * (1 + side * bandwidth / 2) / 1e9 for side in (-1, 1))
+    low, high = (edge / 1e9 for edge in band.edges_hz)
     if not (edge_ghz[0] <= low < high <= edge_ghz[-1]):
         raise OutOfRangeError(
             f"found a band of {low:g} to {high:g} GHz; bands within {edge_ghz[0]:g} to {edge_ghz[-1]:g} GHz are allowed"
         )
-    inside = np.diff(np.clip(edge_ghz, low, high))
-    averaged = -np.log(inside @ np.exp(-depth) / (high - low))
+    averaged = -np.log(band.cell_shares(edge_ghz * 1e9) @ np.exp(-depth))
     averaged.setflags(write=False)
-    return BandOpacity(site, frequency_hz, bandwidth, pwv_mm, averaged, temperature_k)
+    return BandOpacity(site, band, pwv_mm, averaged, temperature_k)
 
 
 @cache

@@ -73,7 +73,7 @@ def _text_at(content: Any, place: Keys, names: list[str]) -> Iterator[tuple[Keys
     if isinstance(content, list) and names:
         for number, item in enumerate(content):
             yield from _text_at(item, (*place, number), names)
-    elif not names and isinstance(content, str):
+    elif not names and isinstance(content, str) and Path(content).suffix:  # else the name of something that ships
         yield place, content
     elif names and isinstance(content, dict) and names[0] in content:
         yield from _text_at(content[names[0]], (*place, names[0]), names[1:])
@@ -91,7 +91,7 @@ def _relocated(value: Any, key: str, folder: Path, tables: dict[str, bytes]) -> 
     return name
 
 
-def _changed(text: str, content: Mapping[str, Any], changes: Mapping[tuple[str, ...], Any]) -> str:
+def _changed(text: str, content: Mapping[str, Any], changes: Mapping[Keys, Any]) -> str:
     """Replace some values in the text and keep its comments; without comments if that is not possible."""
     import tomlkit
 
@@ -113,7 +113,7 @@ def _put(content: Any, keys: Keys, value: Any) -> None:
     """Set one value, or take it out if it is None, which only Python can ask for."""
     *sections, last = keys
     for section in sections:
-        content = content[section] if isinstance(content, list) else content.setdefault(section, {})
+        content = content.setdefault(section, {}) if isinstance(section, str) else content[section]
     if value is None:
         content.pop(last, None)
     else:

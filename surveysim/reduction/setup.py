@@ -182,7 +182,7 @@ def _water(scene: Scene, band: Instrument | OtherBand) -> Water | None:
     air = scene.atmosphere
     if air is None or air.site is None:
         return None
-    return site_water(air, band.frequency_hz, band.bandwidth)
+    return site_water(air, band.band)
 
 
 def signal_sim_observations(scene: Scene) -> np.ndarray:

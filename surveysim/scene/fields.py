@@ -181,6 +181,11 @@ def file_path(value: object, info: ValidationInfo) -> object:
     return Path(os.path.realpath(Path(info.context["folder"]) / value)) if info.context else Path(value)
 
 
+def table_or_name(value: object, info: ValidationInfo) -> object:
+    """Resolve the name of a file as `file_path`; a text without a suffix is the name of a table that ships."""
+    return value if isinstance(value, str) and value and not Path(value).suffix else file_path(value, info)
+
+
 def _steps(value: object) -> object:
     from mapmaker.cleaning import ALGORITHMS
 
@@ -237,6 +242,7 @@ Line = Annotated[str, BeforeValidator(_line)]
 Nside = Annotated[int | None, BeforeValidator(_nside), of_file("integer", enum=[2**k for k in range(14)])]
 SiteName = Annotated[str | None, BeforeValidator(_site), of_file("string", enum=SITES)]
 TableFile = Annotated[Path | None, BeforeValidator(file_path), of_file("string", format=FILE, examples=["camera.ecsv"])]
+TableOrName = Annotated[Path | str | None, BeforeValidator(table_or_name), of_file("string", format=FILE)]
 Speed = Annotated[float, *quantity("rad / s", "arcmin / s", at_least="0.001 arcsec / s", at_most="360 deg / s")]
 SpeedExtent = Annotated[float, *quantity("rad / s", "arcmin / s", at_least=0, at_most="360 deg / s")]
 Duration = Annotated[float, *quantity("s", at_least="1 us", at_most="10 day")]

@@ -1,9 +1,11 @@
 """Section [instrument]: band, beam, optics and focal plane."""
 
+from functools import cached_property
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from surveysim.runtime.errors import InputError
 from surveysim.scene.fields import (
     AngleExtent,
     BandFrequency,
@@ -13,12 +15,13 @@ from surveysim.scene.fields import (
     PositiveAngle,
     Share,
     TableFile,
+    TableOrName,
     Taper,
     number,
     whole,
 )
+from surveysim.scene.passband import Passband, read_passband, top_hat
 from surveysim.scene.section import Section
-from surveysim.scene.units import rj_to_cmb
 
 
 class Layout(Section):
@@ -51,6 +54,11 @@ class OtherBand(Section):
     psd_mk2_hz: NoisePsd = Field(alias="psd")
     """One-sided white-noise PSD of a detector, in Rayleigh-Jeans temperature."""
 
+    @property
+    def band(self) -> Passband:
+        """Passband: a top hat."""
+        return top_hat(self.frequency_hz, self.bandwidth)
+
 
 class Instrument(Section):
     """Band, beam, optics and focal plane; detectors from `layout` or from the table `positions`.
@@ -60,11 +68,15 @@ class Instrument(Section):
     `photon.load` and `detector.nep`.
     """
 
-    frequency_hz: BandFrequency = Field(alias="frequency")
-    """Centre frequency of the band, a top hat."""
+    frequency_hz: BandFrequency | None = Field(alias="frequency", default=None)
+    """Centre frequency of the band, a top hat. Alternative: `passband`."""
     bandwidth: Bandwidth | None = None
     """Width of the band as a fraction of its centre frequency. Without it, CMB temperatures are converted at the centre
     frequency. Required with `atmosphere.site` and where noise is given by power."""
+    passband: TableOrName = None
+    """Transmission of the band: an ECSV table with the columns `frequency` and `transmission` (its scale does not
+    matter, efficiency is `efficiency`), path relative to the scene file, or the name of a band that ships, such as
+    `alma_band_6`. Alternative: `frequency` and `bandwidth`."""
     beam_fwhm_rad: BeamWidth = Field(alias="beam_fwhm")
     """Full width at half maximum (FWHM) of the Gaussian beam on the sky."""
     f_lambda_rad: PositiveAngle = Field(alias="f_lambda")
@@ -90,10 +102,30 @@ class Instrument(Section):
     bands: tuple[OtherBand, ...] = ()
     """Other frequency bands of the same pixels, used by "spectral" cleaning."""
 
+    @cached_property
+    def band(self) -> Passband:
+        """Passband: of the table or name, or a top hat."""
+        if self.passband is not None:
+            return read_passband(self.passband)
+        return top_hat(self.frequency_hz, self.bandwidth or 0.0)
+
     @property
     def cmb_per_rj(self) -> float:
         """Thermodynamic CMB temperature per Rayleigh-Jeans temperature, averaged over the band."""
-        return rj_to_cmb(self.frequency_hz, self.bandwidth or 0.0)
+        return self.band.cmb_per_rj
+
+    @model_validator(mode="after")
+    def _one_band(self) -> Self:
+        if (self.frequency_hz is None) == (self.passband is None):
+            raise ValueError("exactly one of 'frequency' and 'passband' (a table or a name) is expected")
+        if self.passband is not None and self.bandwidth is not None:
+            raise ValueError("bandwidth: found together with 'passband', which sets it; one of the two is expected")
+        if self.passband is not None:
+            try:
+                _ = self.band
+            except InputError as error:
+                raise ValueError(str(error).removeprefix("instrument.")) from None
+        return self
 
     @model_validator(mode="after")
     def _one_focal_plane(self) -> Self:

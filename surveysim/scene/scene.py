@@ -95,7 +95,7 @@ class Scene(StreamSections, ObservationSections):
             raise ValueError("exactly one of the sections 'schedule' and 'fixed_pointing' is expected")
         if self.excess and len(self.excess.b2) > 1 and self.atmosphere is None:
             raise ValueError("excess.b2: found several values; without [atmosphere] one value is expected")
-        if self.atmosphere and self.atmosphere.site and self.instrument.bandwidth is None:
+        if self.atmosphere and self.atmosphere.site and not self.instrument.band.width_hz:
             raise ValueError("instrument.bandwidth: missing; the opacity of a site needs the width of the band")
         named = {name for steps in (self.cleaning.algorithm, *self.cleaning.compare) for name in steps}
         if "spectral" in named and not self.instrument.bands:
@@ -117,7 +117,7 @@ class Scene(StreamSections, ObservationSections):
             return
         name = "photon.load" if load else "detector.nep"
         for key in ("bandwidth", "efficiency", "polarizations"):
-            if getattr(self.instrument, key) is None:
+            if getattr(self.instrument, key) is None and not (key == "bandwidth" and self.instrument.passband):
                 raise ValueError(f"instrument.{key}: missing; {name!r} needs it")
         if load and load.sky_k is None and not (self.atmosphere and self.atmosphere.site):
             raise ValueError("photon.load.sky: missing; a temperature, or a site that it follows from, is expected")

@@ -49,7 +49,9 @@ def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, eleva
         photon, shared = noise.psd_mk2_hz, shared_part(scene, sky, noise)
     detector = scene.detector.psd_mk2_hz if scene.detector else 0.0
     if detector is None:
-        per_k = power_per_k(_bandwidth_hz(scene), total_efficiency(scene.instrument), scene.instrument.polarizations)
+        per_k = power_per_k(
+            scene.instrument.band.width_hz, total_efficiency(scene.instrument), scene.instrument.polarizations
+        )
         detector = (1e3 * scene.detector.nep_w_rthz / (per_k * passed)) ** 2
     _check_level("photon.load", photon)
     _check_level("detector.nep", detector)
@@ -82,8 +84,8 @@ def load_noise(scene: Scene, sky_k: float, transmission: float) -> PhotonNoise:
     band = scene.instrument
     return photon_noise(
         sky_k + scene.photon.load.optics_k,
-        band.frequency_hz,
-        band.bandwidth,
+        band.band.centre_hz,
+        band.band.width_hz / band.band.centre_hz,
         total_efficiency(band),
         polarizations=band.polarizations,
         transmission=transmission,
@@ -113,7 +115,3 @@ def _shared(coherence: str, part: float, bose: float | None) -> float:
     of the noise that is bunching.
     """
     return part**2 * bose if coherence == "intensity" else part
-
-
-def _bandwidth_hz(scene: Scene) -> float:
-    return scene.instrument.bandwidth * scene.instrument.frequency_hz

@@ -9,7 +9,8 @@ import math
 from dataclasses import dataclass
 
 from surveysim.runtime.errors import OutOfRangeError
-from surveysim.scene.units import BOLTZMANN_J_K, PLANCK_J_S, rj_to_cmb
+from surveysim.scene.passband import top_hat
+from surveysim.scene.units import BOLTZMANN_J_K, PLANCK_J_S
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class PhotonNoise:
     @property
     def net_mkcmb_rthz(self) -> float:
         """Noise-equivalent temperature in CMB temperature."""
-        return self.net_mk_rthz * rj_to_cmb(self.frequency_hz, self.bandwidth)
+        return self.net_mk_rthz * top_hat(self.frequency_hz, self.bandwidth).cmb_per_rj
 
 
 def power_per_k(bandwidth_hz: float, efficiency: float, polarizations: int) -> float:

@@ -6,7 +6,8 @@ from dataclasses import replace
 import pytest
 from scipy.integrate import quad
 
-from surveysim.scene.units import BOLTZMANN_J_K, PLANCK_J_S, rj_to_cmb
+from surveysim.scene.passband import top_hat
+from surveysim.scene.units import BOLTZMANN_J_K, PLANCK_J_S
 from surveysim.telescope.photon_noise import PhotonNoise, bose_nep2, photon_noise, power_per_k, power_w, shot_nep2
 
 BOLOCAM = {"load_k": 80.0, "frequency_hz": 143e9, "bandwidth": 0.15, "efficiency": 0.08, "polarizations": 2}
@@ -147,7 +148,7 @@ def test_atmosphere_dims_the_sky_alone():
         noise, shot_psd_mk2_hz=noise.shot_psd_mk2_hz / 0.64, bose_psd_mk2_hz=noise.bose_psd_mk2_hz / 0.64
     )
     assert vars(dimmed) == pytest.approx(vars(expected), rel=1e-12)
-    assert dimmed.net_mkcmb_rthz == pytest.approx(noise.net_mk_rthz / 0.8 * rj_to_cmb(143e9, 0.15), rel=1e-12)
+    assert dimmed.net_mkcmb_rthz == pytest.approx(noise.net_mk_rthz / 0.8 * top_hat(143e9, 0.15).cmb_per_rj, rel=1e-12)
 
 
 def test_record_adds_squares():

@@ -90,8 +90,7 @@ def _observations(scene: Values) -> Iterator[str]:
 
 
 def _camera(camera: Values, n_det: int) -> Iterator[str]:
-    width = f", {_percent(camera['bandwidth'])} wide" if camera["bandwidth"] else ""
-    yield f"{plural(n_det, 'detector')} at {short(camera['frequency_hz'] / 1e9)} GHz{width},"
+    yield f"{plural(n_det, 'detector')} {band_of(camera)},"
     yield f"with a beam of {_arcsec(camera['beam_fwhm_rad'])} (FWHM); (f/#)λ is {_arcsec(camera['f_lambda_rad'])}."
     if layout := camera["layout"]:
         extent = f"{layout['rings']} rings" if layout["rings"] is not None else ""
@@ -117,6 +116,14 @@ def _camera(camera: Values, n_det: int) -> Iterator[str]:
     if camera["bands"]:
         bands = joined([f"{short(band['frequency_hz'] / 1e9)}" for band in camera["bands"]])
         yield f"Every pixel has more bands, at {bands} GHz, which cleaning may use."
+
+
+def band_of(camera: Values) -> str:
+    """Name the band of a camera: its frequency and width, or its table."""
+    if camera["passband"]:
+        return f"in the band {PurePath(camera['passband']).name}"
+    width = f", {_percent(camera['bandwidth'])} wide" if camera["bandwidth"] else ""
+    return f"at {short(camera['frequency_hz'] / 1e9)} GHz{width}"
 
 
 def _component(item: StreamComponent, section: Values) -> Iterator[str]:

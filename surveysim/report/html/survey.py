@@ -17,7 +17,7 @@ from surveysim.report.html.components import (
 from surveysim.report.html.discarded_scans import discarded_section, warned
 from surveysim.report.html.provenance import provenance, sources, stage_times
 from surveysim.report.html.run_time import time_blocks
-from surveysim.report.html.scene import cleaning_words, what_was_simulated
+from surveysim.report.html.scene import band_of, cleaning_words, what_was_simulated
 from surveysim.report.html.scores import kind_sentence, score_blocks
 from surveysim.results.tables import over_reference
 from surveysim.runtime.numbers import as_known, count, duration, percent, plural, quoted, short
@@ -69,7 +69,7 @@ def _sky_fact(scene: Content) -> str:
 
 
 def _lead(summary: Content, scene: Content) -> Iterator[str]:
-    camera = f"{plural(summary['detectors'], 'detector')} at {short(scene['instrument']['frequency_hz'] / 1e9)} GHz"
+    camera = f"{plural(summary['detectors'], 'detector')} {band_of(scene['instrument'])}"
     stopped, made = summary["stopped"], summary["observations"]
     survey = plural(stopped["observations_of_survey"], "observation")
     if not summary["scores"]:
