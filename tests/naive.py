@@ -424,3 +424,13 @@ def box_muller(word, other, fraction=0.5, fraction_of_angle=0.5, radius_bits=40)
     swapped = other // 2**30 % 2 == 1
     cosine, sine = radius * np.cos(angle), radius * np.sin(angle)
     return np.where(swapped, sine, cosine), np.where(swapped, cosine, sine)
+
+
+def low_pass(data, per_scan, decay, now, before):
+    """One pole on each scan of each detector, which starts at its first sample."""
+    found = np.array(data, float)
+    for d in range(len(data)):
+        for n in range(data.shape[1]):
+            if n % per_scan:
+                found[d, n] = decay[d] * found[d, n - 1] + now[d] * data[d, n] + before[d] * data[d, n - 1]
+    return found

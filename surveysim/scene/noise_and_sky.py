@@ -107,15 +107,24 @@ class Detector(Section):
     """White noise of detectors and readout, uncorrelated between detectors."""
 
     psd_mk2_hz: NoisePsd | None = Field(alias="psd", default=None)
-    """One-sided white-noise PSD of a detector, in Rayleigh-Jeans temperature. Alternative: `nep`."""
+    """One-sided white-noise PSD of a detector, in Rayleigh-Jeans temperature. Alternatives: `nep`, or a column of the
+    table `instrument.positions`."""
     nep_w_rthz: Nep | None = Field(alias="nep", default=None)
-    """Noise-equivalent power (NEP) of a detector. Alternative: `psd`."""
+    """Noise-equivalent power (NEP) of a detector. Alternatives: `psd`, or a column of the table
+    `instrument.positions`."""
 
     @model_validator(mode="after")
     def _psd_or_nep(self) -> Self:
-        if (self.psd_mk2_hz is None) == (self.nep_w_rthz is None):
+        if self.psd_mk2_hz is not None and self.nep_w_rthz is not None:
             raise ValueError("exactly one of 'psd' and 'nep' is expected")
         return self
+
+    @property
+    def stated(self) -> str | None:
+        """Key that states the noise; None where the table of detectors does."""
+        return next(
+            (key for key, value in (("psd", self.psd_mk2_hz), ("nep", self.nep_w_rthz)) if value is not None), None
+        )
 
 
 class PointSource(Section):

@@ -102,6 +102,8 @@ class Scene(StreamSections, ObservationSections):
             raise ValueError("instrument.bands: missing; 'spectral' cleaning needs other bands of the pixels")
         if self.instrument.bands and not (self.atmosphere and self.atmosphere.site):
             raise ValueError("atmosphere.site: missing; the bands scale with each other by the opacity of a site")
+        if self.detector and self.detector.stated is None and self.instrument.positions is None:
+            raise ValueError("detector: exactly one of 'psd' and 'nep' is expected")
         self._power_is_known()
         if not any(getattr(self, name) for name in StreamSections.model_fields):
             *names, last = StreamSections.model_fields

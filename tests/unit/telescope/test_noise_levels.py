@@ -131,7 +131,7 @@ def test_shared_part_of_intensity_is_bunching_of_the_sky(scene_of):
 @pytest.mark.parametrize("coherence", ["field", "intensity"])
 def test_no_load_shares_nothing(scene_of, coherence):
     scene = scene_of(QUIET + LOAD.replace("10 K", "0 K").replace("30 K", "0 K").replace("field", coherence))
-    assert white_levels(scene, None, np.nan, HEIGHT) == WhiteLevels(0.0, 0.0, 0.0)
+    assert white_levels(scene, None, np.nan, HEIGHT) == WhiteLevels(0.0, 0.0, 0.0, 0.0)
     assert shared_part(scene, 0.0, PhotonNoise(143e9, 0.15, 0.0, 0.0, 0.0, 0.0)) == 0
 
 
