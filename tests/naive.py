@@ -426,11 +426,14 @@ def box_muller(word, other, fraction=0.5, fraction_of_angle=0.5, radius_bits=40)
     return np.where(swapped, sine, cosine), np.where(swapped, cosine, sine)
 
 
-def low_pass(data, per_scan, decay, now, before):
-    """One pole on each scan of each detector, which starts at its first sample."""
+def low_pass(data, per_scan, decay, taps):
+    """One pole on each scan of each detector, which starts at rest and continues as it ends."""
     found = np.array(data, float)
     for d in range(len(data)):
-        for n in range(data.shape[1]):
-            if n % per_scan:
-                found[d, n] = decay[d] * found[d, n - 1] + now[d] * data[d, n] + before[d] * data[d, n - 1]
+        for start in range(0, data.shape[1], per_scan):
+            x = [float(value) for value in data[d, start : start + per_scan]]
+            x = [x[0], *x, x[-1]]  # the sample n is x[n + 1]
+            for n in range(1, per_scan):
+                cubic = sum(taps[d, j] * x[n - 1 + j] for j in range(4))
+                found[d, start + n] = decay[d] * found[d, start + n - 1] + cubic
     return found

@@ -30,14 +30,33 @@ def with_time_constants(setup: Simulation, seen_mk: np.ndarray) -> np.ndarray:
     return passed
 
 
-def pole_coefficients(time_constant_s: np.ndarray, sample_rate_hz: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coefficients (n_det,) of `low_pass`: exact for a signal that is linear between samples.
+def pole_coefficients(time_constant_s: np.ndarray, sample_rate_hz: float) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (n_det,) and (n_det, 4) of `low_pass`: exact for a signal that is cubic between samples.
 
-    With E = exp(-1 / (rate tau)) and m = rate tau (1 - E), the mean of the response over a sampling interval:
-    E, 1 - m and m - E. A time constant of 0 changes nothing.
+    The response to a wave is that of a pole within 0.3 % in amplitude up to a tenth of the sample rate, within 3 % up
+    to a fifth. A time constant of 0 changes nothing.
     """
     samples = np.asarray(time_constant_s, dtype=float) * sample_rate_hz
     with np.errstate(divide="ignore"):
         decay = np.exp(-1 / samples)
-    mean = samples * -np.expm1(np.divide(-1.0, samples, out=np.full(len(samples), -np.inf), where=samples > 0))
-    return decay, 1 - mean, mean - decay
+    return decay, _moments(samples, decay) @ _LAGRANGE.T
+
+
+def _moments(samples: np.ndarray, decay: np.ndarray) -> np.ndarray:
+    """Moments (n_det, 4) of order 0 to 3 of the impulse response over the last sampling interval.
+
+    Their recursion is unstable for long time constants, where quadrature is exact.
+    """
+    moments = np.empty((len(samples), 4))
+    moments[:, 0] = 1 - decay
+    for order in range(1, 4):
+        moments[:, order] = 1 - order * samples * moments[:, order - 1]
+    node, weight = np.polynomial.legendre.leggauss(16)
+    time, long = (1 + node) / 2, samples > 1
+    pulse = np.exp((time - 1) / samples[long, None]) / samples[long, None] * (weight / 2)
+    moments[long] = pulse @ time[:, None] ** np.arange(4)
+    return moments
+
+
+# Coefficients (4, 4), by rising power of time, of the cubics that are 1 at one of the times -1, 0, 1, 2, else 0.
+_LAGRANGE = np.linalg.inv(np.vander([-1.0, 0.0, 1.0, 2.0], increasing=True)).T

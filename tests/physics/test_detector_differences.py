@@ -137,20 +137,37 @@ def test_low_pass_against_the_slow_twin():
     np.testing.assert_allclose(data, expected, rtol=1e-13)
 
 
-def test_low_pass_of_a_ramp_and_a_step():
-    """A ramp lags by its time constant; between samples of a smooth signal the filter is the closed form's."""
-    tau, n = np.array([0.3]), 400
-    time = np.arange(n) / RATE
+def test_coefficients_against_quadrature():
+    """They sum to 1, a signal at rest, whatever the time constant; those on both sides of a change of method agree."""
+    tau = np.array([0.0, 1e-9, 1e-3, 0.0999999, 0.1000001, 3.0, 1e4])
+    decay, taps = pole_coefficients(tau, RATE)
+    np.testing.assert_allclose(decay + taps.sum(axis=1), 1, rtol=1e-13)
+    np.testing.assert_allclose(taps[0], [0, 0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(taps[3], taps[4], atol=1e-6)
+    # For a very long one: the integral of the cubic through four samples, -1/24, 13/24, 13/24, -1/24, over tau.
+    np.testing.assert_allclose(taps[-1] * tau[-1] * RATE, np.array([-1, 13, 13, -1]) / 24, rtol=1e-4)
+
+
+def test_low_pass_of_a_ramp():
+    """A ramp lags by its time constant, after a start at rest; the first and last intervals are not straight."""
+    time = np.arange(400) / RATE
     ramp = time[None].copy()
-    low_pass(ramp, n, *pole_coefficients(tau, RATE))
-    np.testing.assert_allclose(ramp[0], time - 0.3 * (1 - np.exp(-time / 0.3)), rtol=1e-10, atol=1e-10)
-    wave = np.sin(2 * np.pi * 0.2 * time)[None].copy()
-    low_pass(wave, n, *pole_coefficients(tau, RATE))
-    response = 1 / (1 + 2j * np.pi * 0.2 * 0.3)
-    settled = time > 10 * 0.3
-    expected = np.imag(response * np.exp(2j * np.pi * 0.2 * time))
-    # The chord of a sample of this wave is short of its arc by (pi f / rate)^2 / 3 at most.
-    np.testing.assert_allclose(wave[0, settled], expected[settled], atol=(math.pi * 0.2 / RATE) ** 2 / 3)
+    low_pass(ramp, 400, *pole_coefficients(np.array([0.3]), RATE))
+    expected = time - 0.3 * (1 - np.exp(-time / 0.3))
+    np.testing.assert_allclose(ramp[0], expected, atol=0.1 / RATE)
+    np.testing.assert_allclose(ramp[0, 60:-1], expected[60:-1], rtol=1e-8)
+
+
+@pytest.mark.parametrize(("share", "error"), [(0.05, 3e-4), (0.1, 3e-3), (0.2, 0.04)])
+@pytest.mark.parametrize("tau", [0.01, 0.1, 0.4])
+def test_low_pass_of_a_wave(share, error, tau):
+    """It leaves 1 / (1 + 2 pi i f tau) of a wave, to an error that grows with its share of the sample rate."""
+    time, omega = np.arange(600) / RATE, 2 * np.pi * share * RATE
+    wave = np.sin(omega * time)[None].copy()
+    low_pass(wave, 600, *pole_coefficients(np.array([tau]), RATE))
+    response = 1 / (1 + 1j * omega * tau)
+    expected = np.imag(response * np.exp(1j * omega * time))
+    np.testing.assert_allclose(wave[0, 60:-1], expected[60:-1], atol=error * abs(response))
 
 
 def test_time_constants_of_zero_change_nothing(scene_with):
@@ -178,8 +195,8 @@ def test_photon_noise_passes_the_time_constants_and_detector_noise_does_not(scen
     settings |= {"scan.step": "1 arcmin", "scan.speed": "0.2 arcmin / s", "detector.psd": "0.5 mK2/Hz"}
     ready = prepare(scene_with({"time_constant": tau}, NOISE_ONLY | settings))
     data = draw_observation(ready, 0).data_mk.reshape(N_DET, 8, -1)[..., 50:].astype(float)
-    decay, now, before = (c[0] for c in pole_coefficients(tau[:1], RATE))
-    impulse = lfilter([now, before], [1, -decay], np.eye(1, 500)[0])
+    decay, taps = (c[0] for c in pole_coefficients(tau[:1], RATE))
+    impulse = lfilter(taps[::-1], [1, -decay], np.eye(1, 500)[0])
     lag = [2.0 * np.sum(impulse[k:] * impulse[: 500 - k]) * RATE / 2 for k in range(2)]
     expected = np.array([lag[0] + 0.5 * RATE / 2, lag[1]])
     found = [np.mean(data * data), np.mean(data[..., 1:] * data[..., :-1])]
@@ -188,14 +205,12 @@ def test_photon_noise_passes_the_time_constants_and_detector_noise_does_not(scen
 
 
 def test_signal_simulations_lose_to_the_time_constants(scene_with):
-    """The transfer function has it: scans of both directions leave 1 / (1 + (w tau)^2) of a mode."""
+    """The transfer function has it: scans of both directions leave 1 / (1 + (w tau)^2) of a mode's amplitude."""
     settings = {"atmosphere": None, "excess": None, "sky": None, "cleaning.algorithm": "none"}
     settings |= {"score.mask_separation_f_lambda": None, "photon.coherence": "none", "score.signal_sims.skies": 6}
-    settings |= {
-        "scan.scans": 50,
-        "scan.step": "0.4 arcmin",
-        "scan.dither": "0 arcmin",
-    }  # each place in both directions
+    # Each place is seen in both directions alike, and the patch resolves the bins.
+    settings |= {"scan.scans": 120, "scan.step": "0.4 arcmin", "scan.duration": "12 s", "map.pixel": "20 arcsec"}
+    settings |= {"score.size": "36 arcmin", "score.ell_bin": 2000, "observations": 2}
     tau = 0.1
     slow, plain = (
         run(scene_with(columns, settings), engine=SERIAL).scores["actual"].transfer_function
@@ -203,14 +218,13 @@ def test_signal_simulations_lose_to_the_time_constants(scene_with):
     )
     lost = slow.transmission / plain.transmission
     edges = np.arange(4000, 12001, 2000)
-    ell = (
-        edges[:-1, None] + (np.arange(20) + 0.5) * 100
-    )  # power of the skies in the bins: flat spectrum, beam and pixels
-    weight = beam_window(ell, math.radians(60 / 3600)) * pixel_window(ell, math.radians(30 / 3600)) / ell
+    # The power of the skies in the bins: of a flat spectrum, behind beam and pixels.
+    ell = edges[:-1, None] + (np.arange(20) + 0.5) * 100
+    weight = beam_window(ell, math.radians(60 / 3600)) * pixel_window(ell, math.radians(20 / 3600)) / ell
     angle = (np.arange(100) + 0.5) * math.pi / 200
-    phase = ell[..., None] * math.radians(4 / 60) * tau * np.stack([np.cos(angle), np.sin(angle)])[:, None, None]
+    turn = ell[..., None] * math.radians(4 / 60) * np.stack([np.cos(angle), np.sin(angle)])[:, None, None]
     # Half of the observations scan along the other axis.
-    left = np.mean(np.mean(1 / (1 + phase**2), axis=0) ** 2, axis=-1)
+    left = np.mean(np.mean(1 / (1 + (turn * tau) ** 2), axis=0) ** 2, axis=-1)
     expected = np.sum(left * weight, axis=-1) / np.sum(weight, axis=-1)
     scored = (slow.ell > 4000) & (slow.ell < 12000)
     np.testing.assert_allclose(lost[scored], expected, rtol=0.02)
