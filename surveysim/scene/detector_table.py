@@ -7,6 +7,7 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,45 @@ class DetectorTable:
     def live(self) -> np.ndarray:
         """Flags (n_row,) of the detectors that work."""
         return ~self.columns["dead"] if "dead" in self.columns else np.ones(len(self), bool)
+
+    def band_rows(self, band: str | None) -> np.ndarray:
+        """Flags (n_row,) of the detectors of a band, dead ones included; all of a table of one band without a choice.
+
+        Raises
+        ------
+        InputError
+            For a band that the table lacks, or has no live detector of, and for several bands without a choice.
+        """
+        names = self.columns.get("band")
+        if names is None:
+            if band is not None:
+                raise InputError(f"instrument.band: found {band!r}, and a table of detectors without a column 'band'")
+            return np.ones(len(self), bool)
+        live = list(dict.fromkeys(names[self.live].tolist()))
+        there = ", ".join(map(repr, live))
+        if band is None and len(live) > 1:
+            raise InputError(
+                f"instrument.band: missing; the table of detectors has several: one of {there} is expected"
+            )
+        if band is not None and band not in live:
+            raise InputError(f"instrument.band: found {band!r}; one of {there} is expected")
+        return np.ones(len(self), bool) if band is None else names == band
+
+    def noise(self, band: str | None) -> tuple[str, float] | None:
+        """Noise of the live detectors of a band: "nep" and its root mean square [W/sqrt(Hz)], or "psd" and its mean
+        [mK^2/Hz]; None without such a column.
+        """
+        name = next((name for name in ("nep", "psd") if name in self.columns), None)
+        if name is None:
+            return None
+        values = self.columns[name][self.band_rows(band) & self.live]
+        return name, float(np.sqrt(np.mean(values**2)) if name == "nep" else np.mean(values))
+
+
+@lru_cache(maxsize=8)  # the bands of a camera, and the points of a sweep, have a table in common
+def detector_table(path: Path) -> DetectorTable:
+    """Read a table of detectors once; as `read_detectors`."""
+    return read_detectors(path)
 
 
 def read_detectors(path: Path) -> DetectorTable:

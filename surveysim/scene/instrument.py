@@ -6,6 +6,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from surveysim.runtime.errors import InputError
+from surveysim.scene.detector_table import DetectorTable, detector_table
 from surveysim.scene.fields import (
     AngleExtent,
     BandFrequency,
@@ -95,6 +96,16 @@ class Instrument(Section):
         if self.passband is not None:
             return read_passband(self.passband)
         return top_hat(self.frequency_hz, self.bandwidth or 0.0)
+
+    @property
+    def table(self) -> DetectorTable | None:
+        """Table of detectors; None for a layout or wafers."""
+        return None if self.positions is None else detector_table(self.positions)
+
+    @property
+    def table_noise(self) -> tuple[str, float] | None:
+        """Noise of the band's detectors that the table states, as `DetectorTable.noise`; None without."""
+        return None if self.table is None else self.table.noise(self.table_band)
 
     @property
     def cmb_per_rj(self) -> float:

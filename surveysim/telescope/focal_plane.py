@@ -12,8 +12,6 @@ from surveysim.scene.instrument import Instrument as InstrumentSection
 from surveysim.telescope.detector_properties import (
     DetectorCounts,
     DetectorProperties,
-    band_rows,
-    detector_table,
     only_beams,
     table_counts,
     table_properties,
@@ -111,8 +109,8 @@ def _lattice_camera(section: InstrumentSection, seed: int) -> Camera:
 
 
 def _table_camera(section: InstrumentSection) -> Camera:
-    table = detector_table(section.positions)
-    rows = band_rows(table, section) & table.live
+    table = section.table
+    rows = table.band_rows(section.table_band) & table.live
     x, y = table.positions_rad[rows].T
     angle = table.columns["angle"][rows] if "angle" in table.columns else None
     properties = table_properties(table, rows)
@@ -139,6 +137,17 @@ def total_efficiency(section: InstrumentSection) -> float:
     if section.horn_f_lambda is None:
         return section.efficiency
     return section.efficiency * stop_efficiency(horn_taper_db(section.horn_f_lambda))
+
+
+def stop_share(section: InstrumentSection, frequency_hz: np.ndarray) -> np.ndarray:
+    """Compute the part (n,) of a horn's beam that passes the stop at frequencies (n,) [Hz]; 1 without horns.
+
+    The diameter of a horn in (f/#)lambda is that at the centre of the band, and proportional to the frequency.
+    """
+    if section.horn_f_lambda is None:
+        return np.ones(len(frequency_hz))
+    diameters = section.horn_f_lambda * frequency_hz / section.band.centre_hz
+    return np.array([stop_efficiency(horn_taper_db(diameter)) for diameter in diameters])
 
 
 def check_distinct(positions: np.ndarray) -> None:

@@ -3,7 +3,6 @@
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.detector_table import KEY
 from surveysim.scene.scene import Scene
-from surveysim.telescope.detector_properties import table_noise
 from surveysim.telescope.focal_plane import Camera
 
 
@@ -34,28 +33,21 @@ def check_table(scene: Scene, cam: Camera) -> None:
 
 
 def _check_noise(scene: Scene) -> None:
-    stated = table_noise(scene.instrument)
+    stated = scene.instrument.table_noise
     if stated is None:
-        if scene.detector and scene.detector.stated is None:
-            raise SceneError(
-                "detector: exactly one of 'psd', 'nep' and a column 'psd' or 'nep' of the table is expected"
-            )
         return
     if scene.detector is None:
         raise _refused(scene, stated[0], "without the section [detector], which adds that noise")
     if scene.detector.stated is not None:
         raise _refused(scene, stated[0], f"together with detector.{scene.detector.stated}; one of the two is expected")
-    for key in ("efficiency", "polarizations"):
-        if stated[0] == "nep" and getattr(scene.instrument, key) is None:
-            raise SceneError(f"instrument.{key}: missing; the column 'nep' of the table needs it")
-    if stated[0] == "nep" and not scene.instrument.band.width_hz > 0:
-        raise SceneError("instrument.bandwidth: missing; the column 'nep' of the table needs it")
 
 
 def _check_efficiency(scene: Scene) -> None:
     if scene.photon is None and scene.detector is None:
         raise _refused(scene, "efficiency", "without [photon] and [detector], whose noise depends on it")
-    if scene.photon and scene.photon.load is None and scene.photon.bose_fraction is None:
+    if scene.detector and scene.detector.kid:
+        raise _refused(scene, "efficiency", "together with detector.kid, whose noise depends on the load of each")
+    if scene.photon and scene.photon.psd_mk2_hz is not None and scene.photon.bose_fraction is None:
         raise _refused(
             scene,
             "efficiency",

@@ -11,9 +11,9 @@ from surveysim.api import run
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
+from surveysim.scene.detector_table import detector_table
 from surveysim.scene.scene import load_scene
 from surveysim.scene.units import BOLTZMANN_J_K
-from surveysim.telescope.detector_properties import detector_table
 from surveysim.telescope.layouts import hexagon
 from surveysim.telescope.pixel_coherence import correlation_matrix
 from surveysim.timestreams.observation import draw_observation
@@ -239,8 +239,8 @@ def test_signal_simulations_lose_to_the_time_constants(scene_with):
     [
         ({"nep": SPREAD * 1e-17}, {}, "column 'nep': found together with detector.psd; one of the two"),
         ({"psd": SPREAD}, {"detector": None}, "column 'psd': found without the section [detector]"),
-        ({}, {"detector.psd": None}, "detector: exactly one of 'psd', 'nep' and a column 'psd' or 'nep' of the table"),
-        ({"nep": SPREAD * 1e-17}, {"detector.psd": None}, "instrument.efficiency: missing; the column 'nep'"),
+        ({}, {"detector.psd": None}, "detector: exactly one of 'psd', 'nep', 'bolometer' and 'kid' is expected, or a"),
+        ({"nep": SPREAD * 1e-17}, {"detector.psd": None}, "instrument.bandwidth: missing; 'instrument.positions' needs"),
         ({"responsivity": SPREAD}, {"instrument.responsivity_scatter": 0.1}, "column 'responsivity': found together"),
         ({"efficiency": SPREAD}, {}, "column 'efficiency': found with photon.psd and without photon.bose_fraction"),
         ({"efficiency": SPREAD}, {"photon": None, "detector": None}, "column 'efficiency': found without [photon]"),
