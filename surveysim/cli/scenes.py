@@ -21,9 +21,12 @@ if TYPE_CHECKING:
 def check(scene: SceneFile, settings: Overrides = None) -> None:
     """Check a scene or sweep without running it.
 
-    Each error is one line: file, key, the value found and the values allowed.
+    Each error is one line: file, key, the value found and the values allowed. A scene's detectors are counted, and
+    questionable choices are warned of.
     """
+    from surveysim.reduction.design_warnings import design_warnings
     from surveysim.reduction.resource_limits import said_of_size
+    from surveysim.report.terminal.camera import camera_lines
     from surveysim.results.sensitivity import saturation_warnings, sensitivities
 
     if sweep := sweep_of(scene, settings):
@@ -32,6 +35,8 @@ def check(scene: SceneFile, settings: Overrides = None) -> None:
     else:
         setup = ready_setup(scene, settings)
         say(f"{scene}: {setup.scene.name!r} is a scene that can be run")
+        for line in (*camera_lines(setup), *(f"Warning: {text}" for text in design_warnings(setup))):
+            say(line)
         samples = (
             setup.scene.observations * setup.camera.n_det * setup.observing.samples(setup.observing.blocks[-1]).stop
         )
