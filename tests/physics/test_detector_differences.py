@@ -240,7 +240,7 @@ def test_signal_simulations_lose_to_the_time_constants(scene_with):
         ({"nep": SPREAD * 1e-17}, {}, "column 'nep': found together with detector.psd; one of the two"),
         ({"psd": SPREAD}, {"detector": None}, "column 'psd': found without the section [detector]"),
         ({}, {"detector.psd": None}, "detector: exactly one of 'psd', 'nep', 'bolometer' and 'kid' is expected, or a"),
-        ({"nep": SPREAD * 1e-17}, {"detector.psd": None}, "instrument.bandwidth: missing; 'instrument.positions' needs"),
+        ({"nep": SPREAD * 1e-17}, {"detector.psd": None}, "instrument.bandwidth: missing; 'instrument.positions'"),
         ({"responsivity": SPREAD}, {"instrument.responsivity_scatter": 0.1}, "column 'responsivity': found together"),
         ({"efficiency": SPREAD}, {}, "column 'efficiency': found with photon.psd and without photon.bose_fraction"),
         ({"efficiency": SPREAD}, {"photon": None, "detector": None}, "column 'efficiency': found without [photon]"),
