@@ -382,7 +382,7 @@ def test_check_warns_of_a_bolometer_that_saturates(call, tmp_path):
     path.write_text(QUIET + PHOTON + STATED_SKY + BOLOMETER)
     code, out, error = call("check", path, *settings)
     assert (code, error) == (0, "")
-    assert out.splitlines()[1].startswith("warning: detector.bolometer: ") and "3.57 pW" in out
+    assert out.splitlines()[2].startswith("Warning: detector.bolometer: ") and "3.57 pW" in out
 
 
 def test_plan(call, tmp_path):
