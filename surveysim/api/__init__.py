@@ -16,7 +16,8 @@ from surveysim.scene.bands import MultiBandScene, has_bands
 from surveysim.scene.scene import Scene
 from surveysim.studies.resources import Plan
 from surveysim.studies.sweep.axes import Sweep
-from surveysim.studies.sweep.bands import MultiBandSweep, MultiBandSweepResult, is_band_sweep
+from surveysim.studies.sweep.band_results import MultiBandSweepResult
+from surveysim.studies.sweep.bands import MultiBandSweep, is_band_sweep
 from surveysim.studies.sweep.plan import SweepPlan
 from surveysim.studies.sweep.result import SweepResult
 from surveysim.survey.coadd_tree import CoAddTree

@@ -13,7 +13,8 @@ from surveysim.output.expected_files import band_directory, of_band_sweep, of_sw
 from surveysim.output.writer import write_band_sweep
 from surveysim.runtime.engine import Engine
 from surveysim.studies.sweep.axes import Sweep
-from surveysim.studies.sweep.bands import MultiBandSweep, MultiBandSweepResult, load_band_sweep
+from surveysim.studies.sweep.band_results import MultiBandSweepResult
+from surveysim.studies.sweep.bands import MultiBandSweep, load_band_sweep
 from surveysim.studies.sweep.plan import SweepPlan
 from surveysim.studies.sweep.result import SweepResult
 from surveysim.studies.sweep.summary import sweep_summary

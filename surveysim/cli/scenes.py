@@ -1,5 +1,6 @@
 """Commands on scenes and output directories: check, keys, new, report."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,14 +16,15 @@ from surveysim.scene.units import shown
 
 if TYPE_CHECKING:
     from surveysim.reduction.setup import Setup
-    from surveysim.scene.bands import MultiBandScene
     from surveysim.scene.keys import KeyRow
+    from surveysim.scene.scene import Scene
 
 
 def check(scene: SceneFile, settings: Overrides = None) -> None:
     """Check a scene or sweep without running it.
 
-    Each error is one line: file, key, the value found and the values allowed.
+    Each error is one line: file, key, the value found and the values allowed. A scene's detectors are counted, and
+    questionable choices are warned of.
     """
     from surveysim.reduction.resource_limits import said_of_size
     from surveysim.studies.sweep.bands import sweep_points
@@ -32,31 +34,80 @@ def check(scene: SceneFile, settings: Overrides = None) -> None:
         say(f"{scene}: {sweep.name!r} is a sweep of {len(points)} points that can be run")
         large = said_of_size(sum(point.detector_samples for point in points))
     elif scenes := bands_of(scene, settings):
-        large = _check_bands(scene, scenes)
+        say(f"{scene}: {scenes.name!r} is a camera of {len(scenes.bands)} bands that can be run")
+        large = _check_setups(scenes.bands)
     else:
         setup = ready_setup(scene, settings)
         say(f"{scene}: {setup.scene.name!r} is a scene that can be run")
-        large = said_of_size(_detector_samples(setup), setup.analysis.geometry.n_x * setup.analysis.geometry.n_y)
+        large = _check_setups({"": setup.scene})
     if large:
         say(large)
 
 
-def _check_bands(path: Path, scenes: "MultiBandScene") -> str:
-    """Print the number of detectors in each band; return a line on the size of the whole."""
+def _check_setups(scenes: "Mapping[str, Scene]") -> str:
+    """Count the detectors of each band and print warnings; return a line on the size of the whole."""
+    from surveysim.reduction.design_warnings import design_warnings
     from surveysim.reduction.resource_limits import said_of_size
     from surveysim.reduction.setup import prepare
+    from surveysim.report.terminal.camera import camera_lines
+    from surveysim.results.sensitivity import saturation_warnings, sensitivities
 
-    say(f"{path}: {scenes.name!r} is a camera of {len(scenes.bands)} bands that can be run")
-    samples = pixels = 0
-    for name, scene in scenes.bands.items():
-        setup = prepare(scene)
-        say(f"  {name}: {setup.camera.n_det} detectors, {scene.instrument.band.centre_hz / 1e9:.4g} GHz")
-        samples, pixels = samples + _detector_samples(setup), setup.analysis.geometry.n_x * setup.analysis.geometry.n_y
+    samples, pixels, warnings = 0, 0, []
+    for name, scene in scenes.items():
+        setup, before = prepare(scene), f"{name}: " if name else ""
+        for line in camera_lines(setup):
+            say(before + line)
+        saturated = sensitivities(setup) if scene.detector and scene.detector.bolometer else {}
+        warnings += [before + line for line in (*design_warnings(setup), *saturation_warnings(saturated))]
+        of_observation = setup.camera.n_det * setup.observing.samples(setup.observing.blocks[-1]).stop
+        samples += scene.observations * of_observation
+        pixels = setup.analysis.geometry.n_x * setup.analysis.geometry.n_y
+    _say_warnings(warnings)
     return said_of_size(samples, pixels)
 
 
-def _detector_samples(setup: "Setup") -> int:
-    return setup.scene.observations * setup.camera.n_det * setup.observing.samples(setup.observing.blocks[-1]).stop
+def optics(scene: SceneFile, settings: Overrides = None) -> None:
+    """Print the load and the sensitivity of a scene's detectors.
+
+    The load by element, from the sky to the detector, and NEP, NET and NEFD at quartiles of the site's water.
+    """
+    from surveysim.reduction.setup import prepare
+
+    if sweep_of(scene, settings):
+        fail(f"{scene}: found a sweep; one scene is expected")
+    if scenes := bands_of(scene, settings):
+        for name, item in scenes.bands.items():
+            say(f"{name}:")
+            _print_optics(scene, prepare(item))
+        return
+    _print_optics(scene, ready_setup(scene, settings))
+
+
+def _print_optics(path: Path, setup: "Setup") -> None:
+    from surveysim.report.terminal.layout import Terminal
+    from surveysim.report.terminal.tables import show_table
+    from surveysim.results.sensitivity import (
+        saturation_warnings,
+        sensitivities,
+        sensitivity_entries,
+        sensitivity_tables,
+    )
+    from surveysim.telescope.diffraction import effective_area_m2
+
+    found = sensitivities(setup)
+    if not found:
+        fail(f"{path}: photon: found noise that follows from no load; 'photon.load' or a section [optics] is expected")
+    entries, console = sensitivity_entries(found, setup.camera.n_det), Terminal()
+    for table in sensitivity_tables(entries):
+        show_table(console, table)
+    beam = math.degrees(setup.camera.focal_plane.fwhm_rad) * 3600
+    say(f"beam of {beam:.4g} arcsec (FWHM); effective area of {effective_area_m2(setup.scene):.4g} m2")
+    _say_warnings(saturation_warnings(found))
+
+
+def _say_warnings(lines: Sequence[str]) -> None:
+    for line in lines:
+        say(f"Warning: {line}")
 
 
 def keys(

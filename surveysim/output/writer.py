@@ -28,7 +28,7 @@ from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.table import Table
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import resolved, scene_hash
-from surveysim.studies.sweep.bands import MultiBandSweepResult, band_sweep_summary
+from surveysim.studies.sweep.band_results import MultiBandSweepResult, band_sweep_summary
 from surveysim.studies.sweep.result import SweepResult, pairs
 from surveysim.studies.sweep.summary import sweep_summary
 from surveysim.studies.sweep.tables import pair_table, sweep_table

@@ -35,9 +35,10 @@ from surveysim.telescope.diffraction import with_beam
 from surveysim.telescope.focal_plane import Camera, CameraExtent, camera, camera_extent, mask_by_separation
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.pointing import Schedule
-from surveysim.telescope.responsivity import assumed_responsivity, true_responsivity
+from surveysim.telescope.responsivity import assumed_responsivity, camera_responsivity
 from surveysim.telescope.scan_pattern import ScanPattern, scan_pattern
 from surveysim.telescope.scans import Scans, mid_times, samples_per_scan
+from surveysim.telescope.table_checks import check_table
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
 from surveysim.timestreams.shared_parts import layer_strips
 from surveysim.timestreams.simulation import (
@@ -111,7 +112,8 @@ def _common(scene: Scene) -> _Common:
     cameras = {}
     for name, item in bands.items():
         with errors_of(item, scene):
-            cameras[name] = camera(item.instrument)
+            cameras[name] = camera(item.instrument, item.seed)
+            check_table(item, cameras[name])
     extent = camera_extent(list(cameras.values()))
     pattern = scan_pattern(scene.scan)
     scans = pattern.scans(scene.scan)
@@ -140,8 +142,10 @@ def _simulation(scene: Scene, common: _Common) -> Simulation:
         cam.focal_plane,
         cam.f_lambda_rad,
         cam.illumination,
-        cam.pitch_rad,
-        responsivity=true_responsivity(scene, cam.n_det),
+        cam.lattices,
+        cam.properties,
+        cam.counts,
+        responsivity=camera_responsivity(scene, cam),
         photon=scene.photon,
         excess=scene.excess,
     )

@@ -4,6 +4,7 @@ A table has keys of the scene that differ in that band, by section. The scene of
 keys replaced. All bands see the same layer, weather, pointing and sky, so the keys of these are common to all.
 """
 
+import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ from typing import Any, TypeVar
 
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.text_files import key_text
+from surveysim.scene.detector_table import detector_table
 from surveysim.scene.error_lines import error_lines
 from surveysim.scene.scene import CameraBand, Origin, Scene, read_scene, scene_data, scene_hash, validated
 from surveysim.scene.shipped import MAX_NAME, find_scene
@@ -110,7 +112,8 @@ def bands_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mappi
         if not isinstance(data.get("title"), str):
             own.pop("title")
         own["assumed"] = _assumed(data["assumed"], name, tables[name])
-        scene, wrong = validated(_merged(_merged(common, tables[name]), own), path.parent)
+        merged = _merged(_merged(common, tables[name]), own)
+        scene, wrong = validated(_with_rows_of(name, merged, path.parent), path.parent)
         if scene is None:
             raise SceneError("\n".join(wrong))
         _check_common_weather(scene, tables[name], len(tables))
@@ -227,6 +230,18 @@ def _merged(data: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]
         both = isinstance(value, dict) and isinstance(found.get(key), dict)
         found[key] = _merged(found[key], value) if both else value
     return found
+
+
+def _with_rows_of(name: str, data: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
+    """Choose the rows of the band in a table of detectors with a column `band`, unless the scene chooses some."""
+    camera = data.get("instrument")
+    if not isinstance(camera, dict) or "band" in camera or not isinstance(camera.get("positions"), str):
+        return data
+    try:
+        table = detector_table(Path(os.path.realpath(folder / camera["positions"])))
+    except (InputError, ValueError):  # which the check of the key explains
+        return data
+    return {**data, "instrument": camera | {"band": name}} if "band" in table.columns else data
 
 
 def _assumed(lines: Iterable[str], name: str, table: Mapping[str, Any]) -> list[str]:

@@ -11,7 +11,7 @@ from surveysim.results.bands import band_table
 from surveysim.runtime.numbers import number, plain, plural, quoted, quoted_share
 from surveysim.runtime.table import Table
 from surveysim.studies.sweep.axes import Axis
-from surveysim.studies.sweep.bands import MultiBandSweepResult, sweep_entries
+from surveysim.studies.sweep.band_results import MultiBandSweepResult, sweep_entries
 from surveysim.studies.sweep.result import ESTIMATES, SweepResult
 from surveysim.studies.sweep.summary import sweep_summary
 from surveysim.studies.sweep.tables import chance_text, sweep_table

@@ -4,6 +4,7 @@ import pickle
 
 import pytest
 
+from surveysim.api.bands import checked_bands
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.bands import bands_hash, common_key, load_bands
@@ -169,3 +170,38 @@ def test_spectral_cleaning_needs_bands_at_the_same_positions(tmp_path):
         prepare(load_bands(path, moved).bands["150"])
     with pytest.raises(SceneError, match=r"found 'spectral'; it needs tables \[bands.NAME\] of the same pixels"):
         prepare(load_scene(write_scene(tmp_path), spectral))
+
+
+TABLE = """# %ECSV 1.0
+# ---
+# datatype:
+# - {name: x, unit: arcmin, datatype: float64}
+# - {name: y, unit: arcmin, datatype: float64}
+# - {name: band, datatype: string}
+x y band
+0 0 150
+1 0 150
+0 1 150
+0 0 220
+1 1 220
+"""
+
+
+def test_a_band_takes_its_rows_of_a_table(tmp_path):
+    """Unless its own key `band` chooses others."""
+    (tmp_path / "camera.ecsv").write_text(TABLE)
+    text = TWO_BANDS.replace("[instrument.layout]\nrings = 2\npitch_f_lambda = 0.7\ndead = [5]\n", "")
+    text = text.replace("[bands.220.instrument.layout]\nrings = 1\n", "").replace(
+        'camera_rotation_range = "60 deg"', 'camera_rotation_range = "60 deg"\npositions = "camera.ecsv"'
+    )
+    path = write_camera(tmp_path, text)
+    assert [prepare(scene).camera.n_det for scene in load_bands(path).bands.values()] == [3, 2]
+    swapped = load_bands(path, {"bands.220.instrument.band": "150"}).bands
+    assert [prepare(scene).camera.n_det for scene in swapped.values()] == [3, 3]
+    for setting, line in (
+        ({"bands.220.instrument.band": "90"}, "bands.220.instrument.band: found"),
+        ({"instrument.positions": "missing.ecsv"}, "instrument.positions: "),
+    ):
+        with pytest.raises(SceneError) as caught:
+            checked_bands(load_bands(path, setting))
+        assert str(caught.value).startswith(f"{path}: {line}") and "\n" not in str(caught.value)
