@@ -108,13 +108,13 @@ class _Common:
 
 
 def _common(scene: Scene) -> _Common:
-    bands = {item.band_name: item for item in sorted((scene, *scene.others), key=lambda item: item.band_name)}
-    cameras = {}
+    bands = {item.band_name: item for item in (scene, *scene.others)}  # the first error is the band's own
+    cameras: dict[str, Camera] = {}
     for name, item in bands.items():
         with errors_of(item, scene):
             cameras[name] = camera(item.instrument, item.seed)
             check_table(item, cameras[name])
-    extent = camera_extent(list(cameras.values()))
+    extent = camera_extent([cameras[name] for name in sorted(cameras)])  # to the last bit the same in all bands
     pattern = scan_pattern(scene.scan)
     scans = pattern.scans(scene.scan)
     reach = pattern.extent_rad(scans) + scans.dither_rad / 2 + extent.radius_rad
