@@ -10,7 +10,7 @@ from surveysim.reduction.setup import prepare
 from surveysim.results.control_variate import in_all_weather
 from surveysim.results.results import SurveyResult, score_entries
 from surveysim.results.tables import rounded_column
-from surveysim.runtime.numbers import count, number, short
+from surveysim.runtime.numbers import count, number
 from surveysim.runtime.strict_json import known
 from surveysim.runtime.table import SIGMA, Table, column, quoted_columns, share_text
 from surveysim.scene.bands import MultiBandScene, bands_hash
@@ -127,8 +127,8 @@ def band_table(bands: Content, meta: Content) -> Table:
 
     columns = [column("band", list(bands), "band")]
     if has("frequency_hz"):
-        columns.append(column("frequency", values("frequency_hz", 1e-9), "GHz", short, unit="GHz"))
-        columns.append(column("width", values("width_hz", 1e-9), "width [GHz]", short, unit="GHz"))
+        columns.append(column("frequency", values("frequency_hz", 1e-9), "GHz", _four_digits, unit="GHz"))
+        columns.append(column("width", values("width_hz", 1e-9), "width [GHz]", _four_digits, unit="GHz"))
     if has("points"):  # a sweep
         columns.append(column("points", values("points"), "points", count))
         columns.append(column("best", [row.get("best", "") for row in rows], "best point"))
@@ -148,6 +148,10 @@ def band_table(bands: Content, meta: Content) -> Table:
     if has("discarded"):
         columns.append(column("discarded", values("discarded"), "discarded scans", share_text))
     return Table("band", "Uncertainty of a flat CMB band power in each band", tuple(columns), meta=meta)
+
+
+def _four_digits(value: float) -> str:
+    return f"{value:.4g}"
 
 
 def multi_band_summary(result: MultiBandResult) -> dict[str, Any]:
