@@ -112,7 +112,7 @@ def test_results_of_a_run(tmp_path):
     run(load_scene(tmp_path / "scene.toml", BAND | HORNS | keys), out, engine=SERIAL, figures=False)
     summary = json.loads((out / "summary.json").read_text())
     assert {f"tables/{name}.ecsv" for name in ("load", "nep", "sensitivity")} <= set(summary["files"])
-    assert "saturate it; its link carries 3.57 pW" in summary["warnings"][0]
+    assert "saturate it; its link carries 3.57 pW." in summary["warnings"][0]
     text = read_page(out / "report.html").text
     for words in (
         "Load of a detector: stated sky, at an elevation of 55.0 deg",
