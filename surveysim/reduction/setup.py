@@ -49,6 +49,10 @@ from surveysim.timestreams.simulation import (
     observing_site,
 )
 
+SAMPLE_S = 8e-8  # of a detector-sample, about
+SIGNAL_SIMS = 1.2  # time of the signal simulations of an observation, about, in that of its other work
+QUICK_S = 1.5
+
 
 @dataclass(frozen=True)
 class Setup(Simulation):
@@ -199,3 +203,10 @@ def signal_sim_observations(scene: Scene) -> np.ndarray:
     if scene.score is not None:
         chosen[: 2 * max(1, scene.score.signal_sims.observations // 2)] = True
     return chosen
+
+
+def is_quick(setup: Setup) -> bool:
+    """Return whether this process simulates a whole survey about as soon as worker processes have started."""
+    samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
+    with_sims = signal_sim_observations(setup.scene).mean()
+    return samples * setup.scene.observations * SAMPLE_S * (1 + with_sims * SIGNAL_SIMS) < QUICK_S
