@@ -25,6 +25,7 @@ COMMANDS = (
     scenes.check,
     scenes.keys,
     scenes.new,
+    scenes.cameras,
 )
 
 
