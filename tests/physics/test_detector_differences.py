@@ -8,7 +8,15 @@ from scipy.signal import lfilter
 
 from mapmaker.transfer_function import beam_window, pixel_window
 from surveysim.api import run
+from surveysim.forecasting.forecast import forecast
+from surveysim.forecasting.observing_conditions import (
+    independent_noise,
+    noise_correlations,
+    population_conditions,
+    white_shapes,
+)
 from surveysim.reduction.setup import prepare
+from surveysim.results.results import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.detector_table import detector_table
@@ -231,6 +239,51 @@ def test_signal_simulations_lose_to_the_time_constants(scene_with):
     assert (expected < 0.8).all()
 
 
+# ---------------------------------------------------------------- forecast
+
+
+def test_correlations_of_the_forecast_are_those_of_the_streams(scene_with):
+    """Levels of the observing conditions times the correlations of the noise model: the covariance of the detectors."""
+    settings = {"photon.psd": "2 mK2/Hz", "photon.bose_fraction": 0.4, "photon.coherent_fraction": 0.7}
+    settings |= {"detector.psd": None, "atmosphere": None, "excess": None, "sky": None, "cleaning.algorithm": "none"}
+    ready = prepare(scene_with({"efficiency": SPREAD, "psd": SPREAD[::-1]}, settings))
+    given, shapes = population_conditions(ready)[0], white_shapes(ready)
+    for pipeline in ready.analysis.pipelines:
+        rows = np.arange(N_DET)[pipeline.rows]
+        photon = 2.0 * (0.6 / SPREAD[rows] + 0.4)
+        overlap = correlation_matrix(ready.camera.positions_f_lambda[rows], "field")
+        expected = 0.7 * np.sqrt(np.outer(photon, photon)) * overlap + np.diag(0.3 * photon + SPREAD[::-1][rows])
+        shared, _ = noise_correlations(ready.camera, pipeline, shapes)
+        alone = independent_noise(shapes, pipeline) @ np.eye(len(rows))
+        np.testing.assert_allclose(given.shared[0] * shared + given.white[0] * alone, expected, rtol=1e-10, atol=1e-12)
+
+
+def test_forecast_of_unequal_noise(scene_with):
+    """Without cleaning, maps see the mean of the PSDs; with it, the forecast is that of a run within its errors."""
+    spread = np.where(np.arange(N_DET) % 2, 8.0, 1.0)
+    settings = {"detector.psd": None, "photon": None, "atmosphere": None, "excess": None, "sky": None}
+    settings |= {"cleaning.algorithm": "none", "score.mask_separation_f_lambda": None}
+    unequal = forecast(prepare(scene_with({"psd": spread}, settings))).scores["actual"].noise_psd
+    equal = forecast(prepare(scene_with({"psd": np.full(N_DET, spread.mean())}, settings))).scores["actual"].noise_psd
+    np.testing.assert_allclose(unequal, equal, rtol=1e-9)
+    settings |= {"scan.scans": 19, "scan.step": "2 arcmin", "scan.duration": "12 s", "score.size": "36 arcmin"}
+    settings |= {"score.ell_bin": 1000, "score.jackknives": 32, "map.pixel": "20 arcsec", "observations": 8}
+    result = run(scene_with({"psd": spread}, settings), engine=SERIAL)
+    for name, item in forecast_agreement(result).items():
+        assert abs(item.sigma) < max(0.1, 3 * item.sigma_error) and abs(item.psd) < 0.15 + 3 * item.psd_error, name
+
+
+def test_forecasts_tell_of_time_constants(scene_with):
+    """They lack them, and say how much of the signal they take."""
+    settings = {"atmosphere": None, "excess": None, "sky": None, "cleaning.algorithm": "none"}
+    for tau, flagged in ((0.001, False), (0.1, True)):
+        found = forecast(prepare(scene_with({"time_constant": np.full(N_DET, tau)}, settings)))
+        (effect,) = [item for item in found.scores["actual"].effects if item.name == "time constants"]
+        assert effect.flagged == flagged and 0 < effect.size < 0.7
+    # Loss in the lowest two bins, as the transfer function above has it: they have most of the information.
+    assert 0.24 < effect.size < 0.39
+
+
 # ---------------------------------------------------------------- refusals
 
 
@@ -240,7 +293,11 @@ def test_signal_simulations_lose_to_the_time_constants(scene_with):
         ({"nep": SPREAD * 1e-17}, {}, "column 'nep': found together with detector.psd; one of the two"),
         ({"psd": SPREAD}, {"detector": None}, "column 'psd': found without the section [detector]"),
         ({}, {"detector.psd": None}, "detector: exactly one of 'psd', 'nep', 'bolometer' and 'kid' is expected, or a"),
-        ({"nep": SPREAD * 1e-17}, {"detector.psd": None}, "instrument.bandwidth: missing; 'instrument.positions' needs"),
+        (
+            {"nep": SPREAD * 1e-17},
+            {"detector.psd": None},
+            "instrument.bandwidth: missing; 'instrument.positions' needs",
+        ),
         ({"responsivity": SPREAD}, {"instrument.responsivity_scatter": 0.1}, "column 'responsivity': found together"),
         ({"efficiency": SPREAD}, {}, "column 'efficiency': found with photon.psd and without photon.bose_fraction"),
         ({"efficiency": SPREAD}, {"photon": None, "detector": None}, "column 'efficiency': found without [photon]"),
