@@ -3,7 +3,7 @@
 from functools import cached_property
 from typing import Annotated, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, JsonValue, model_validator
 
 from surveysim.runtime.errors import InputError
 from surveysim.scene.detector_table import DetectorTable, detector_table
@@ -25,6 +25,8 @@ from surveysim.scene.fields import (
 from surveysim.scene.layout import Layout, Wafer
 from surveysim.scene.passband import Passband, read_passband, top_hat
 from surveysim.scene.section import Section
+
+_FROM_APERTURE: dict[str, JsonValue] = {"otherwise": "that of `optics.aperture`"}
 
 
 class OtherBand(Section):
@@ -60,9 +62,11 @@ class Instrument(Section):
     """Transmission of the band: an ECSV table with the columns `frequency` and `transmission` (its scale does not
     matter, efficiency is `efficiency`), path relative to the scene file, or the name of a band that ships, such as
     `alma_band_6`. Alternative: `frequency` and `bandwidth`."""
-    beam_fwhm_rad: BeamWidth = Field(alias="beam_fwhm")
-    """Full width at half maximum (FWHM) of the Gaussian beam on the sky."""
-    f_lambda_rad: PositiveAngle = Field(alias="f_lambda")
+    # Angles that are left out are None until the scene is prepared.
+    beam_fwhm_rad: BeamWidth = Field(alias="beam_fwhm", default=None, json_schema_extra=_FROM_APERTURE)
+    """Full width at half maximum (FWHM) of the Gaussian beam on the sky. Without it, that of the diffraction by
+    `optics.aperture`."""
+    f_lambda_rad: PositiveAngle = Field(alias="f_lambda", default=None, json_schema_extra=_FROM_APERTURE)
     """Angle on the sky of one (f/#)lambda: wavelength over diameter of the illuminated aperture."""
     responsivity_scatter: Share
     """Relative scatter of the detectors' responsivities (log-normal), constant over the survey."""
