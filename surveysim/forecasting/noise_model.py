@@ -106,7 +106,7 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
         n_det = len(arrays[0].place)
         responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
         transmission = _transmission(scene.observations, spectrum, arrays, responses)
-        signal = left_signal(scene, setup.analysis.geometry, setup.sky.geometry, region, transmission)
+        signal = left_signal(setup.analysis.beams, setup.analysis.geometry, setup.sky.geometry, region, transmission)
         bins = MapBins(
             scene=scene,
             conditions=conditions,

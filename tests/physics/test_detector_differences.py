@@ -15,6 +15,7 @@ from surveysim.forecasting.observing_conditions import (
     population_conditions,
     white_shapes,
 )
+from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
 from surveysim.results.results import forecast_agreement
 from surveysim.runtime.engine import SERIAL
@@ -22,6 +23,7 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.detector_table import detector_table
 from surveysim.scene.scene import load_scene
 from surveysim.scene.units import BOLTZMANN_J_K
+from surveysim.telescope.beams import beams_of
 from surveysim.telescope.layouts import hexagon
 from surveysim.telescope.pixel_coherence import correlation_matrix
 from surveysim.timestreams.observation import draw_observation
@@ -237,6 +239,68 @@ def test_signal_simulations_lose_to_the_time_constants(scene_with):
     scored = (slow.ell > 4000) & (slow.ell < 12000)
     np.testing.assert_allclose(lost[scored], expected, rtol=0.02)
     assert (expected < 0.8).all()
+
+
+# ---------------------------------------------------------------- beams
+
+BEAMS = np.where(np.arange(N_DET) % 3, 60.0, 90.0)  # arcsec: 12 of 60 and 7 of 90
+ELL = np.array([0.0, 3000.0, 9000.0])
+UNMASKED = {"score.mask_separation_f_lambda": None}
+
+
+def test_equal_beams_change_nothing(scene_with):
+    """A table with the beam of the instrument: the same streams and the same signal, bit by bit."""
+    one, other = (prepare(scene_with(columns, UNMASKED)) for columns in ({"beam_fwhm": np.full(N_DET, 60.0)}, {}))
+    np.testing.assert_array_equal(draw_observation(one, 0).data_mk, draw_observation(other, 0).data_mk)
+    np.testing.assert_array_equal(one.analysis.region.signal_psd, other.analysis.region.signal_psd)
+
+
+def test_each_detector_sees_the_sky_through_its_beam(scene_with):
+    """As a camera all of whose detectors have that beam; a point source keeps its flux, not its peak."""
+    alone = dict.fromkeys(("atmosphere", "excess", "photon")) | {"cleaning.algorithm": "none"} | UNMASKED
+    alone |= {"detector.psd": "1e-12 mK2/Hz"}
+    streams = draw_observation(prepare(scene_with({"beam_fwhm": BEAMS}, alone)), 0).data_mk
+    for width in (60.0, 90.0):
+        peak = 5 * (60 / width) ** 2
+        text = SMALL_SCENE.replace('peak = "5 mK"', f'peak = "{peak} mK"')
+        same = draw_observation(prepare(scene_with({}, alone | {"instrument.beam_fwhm": f"{width} arcsec"}, text)), 0)
+        rows = width == BEAMS
+        np.testing.assert_allclose(streams[rows], same.data_mk[rows], atol=1e-5)
+        assert np.abs(streams[~rows] - same.data_mk[~rows]).max() > 0.01
+
+
+def test_the_window_of_the_map_is_that_of_the_mean_beam(scene_with):
+    """Skies in the map before cleaning: power of two beams over that of one, with the same skies."""
+    settings = dict.fromkeys(("atmosphere", "excess", "sky", "photon")) | {"cleaning.algorithm": "none"} | UNMASKED
+    settings |= {"scan.scans": 240, "scan.step": "0.2 arcmin", "scan.duration": "12 s", "map.pixel": "20 arcsec"}
+    settings |= {"score.size": "36 arcmin", "observations": 2, "score.ell_max": 10000}
+    setups = [prepare(scene_with(columns, settings)) for columns in ({"beam_fwhm": BEAMS}, {})]
+    powers = []
+    for setup in setups:
+        maps = sum(observe(setup, number, True).signal_maps for number in range(2))[:, 0, 0]
+        powers.append(np.mean([setup.analysis.region.ring_noise(item, np.ones_like(item)) for item in maps], axis=0))
+    ell, selected = setups[0].analysis.region.rings.ell, setups[0].analysis.region.selected
+    windows = [np.sqrt(beam_window(ell, math.radians(width / 3600))) for width in (60, 90)]
+    expected = (([12 / 19, 7 / 19] @ np.array(windows)) / windows[0]) ** 2
+    signal = [setup.analysis.region.signal_psd for setup in setups]
+    np.testing.assert_allclose((powers[0] / powers[1])[selected], (signal[0] / signal[1])[selected], rtol=0.02)
+    # The window falls within a bin of 2000, where most of the power is below the middle.
+    np.testing.assert_allclose((signal[0] / signal[1])[selected], expected[selected], rtol=0.025)
+    assert expected[selected].max() < 0.85
+
+
+def test_beams_weigh_as_their_detectors_respond():
+    beams = beams_of(np.array([2e-4, 3e-4, 2e-4]), np.array([1.0, 1.5, 0.5]))
+    assert beams.fwhm_rad.tolist() == [2e-4, 3e-4] and beams.of_detector.tolist() == [0, 1, 0]
+    expected = (np.sqrt(beam_window(ELL, 2e-4)) + np.sqrt(beam_window(ELL, 3e-4))) ** 2 / 4
+    np.testing.assert_allclose(beams.window(ELL), expected, rtol=1e-13)
+
+
+def test_few_beams(scene_with):
+    with pytest.raises(SceneError, match="column 'beam_fwhm': found 19 widths.* 8 or fewer are expected"):
+        prepare(scene_with({"beam_fwhm": 60 + SPREAD}, UNMASKED))
+    with pytest.raises(SceneError, match="column 'beam_fwhm': found together with score.mask_separation_f_lambda"):
+        prepare(scene_with({"beam_fwhm": BEAMS}, {}))
 
 
 # ---------------------------------------------------------------- forecast
