@@ -122,8 +122,10 @@ def _prepare(scene: Scene) -> Setup:
         camera=cam_setup,
         observing=ObservingSetup(scene, pattern, scans, _blocks(scene, n_det, scans, scene_pipelines)),
         air=air,
-        sky=SkySetup(scene, sky_geometry),
-        analysis=AnalysisSetup(scene, geometry, sky_geometry, scene_pipelines, calibration, masked, n_det),
+        sky=SkySetup(scene, sky_geometry, tuple(cam_setup.beams.fwhm_rad.tolist())),
+        analysis=AnalysisSetup(
+            scene, geometry, sky_geometry, scene_pipelines, calibration, masked, n_det, cam_setup.beams
+        ),
     )
     if setup.camera.n_det > MOST_DENSE:
         _check_torus(setup.camera)
@@ -152,6 +154,7 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
         n_set=len(setup.analysis.data_set_names),
         n_transfer=len(setup.analysis.transfer_function_names),
         n_sky=setup.analysis.n_signal_skies,
+        n_beam=len(setup.camera.beams.fwhm_rad),
         strip_elements=strip_elements,
         n_coefficients=sky_coefficients(scene.sky.curved_lmax, setup.sky.geometry) if curved else 0,
     )

@@ -53,6 +53,11 @@ class WhiteByDetector:
     alone: np.ndarray
     detector: np.ndarray
 
+    @property
+    def mean(self) -> float:
+        """Mean of all white noise over the detectors."""
+        return float(np.mean(self.shared + self.alone + self.detector))
+
 
 def white_by_detector(
     levels: WhiteLevels, coherence: str, properties: DetectorProperties, n_det: int
