@@ -44,7 +44,7 @@ def lattice_structure(strip):
     """Structure function (n_x/2 + 1, n_lane, n_lane) that draws of a strip have, from the factors."""
     density = np.zeros((strip.n_x // 2 + 1, strip.n_lane, strip.n_lane))
     for k in range(len(strip.start) - 1):
-        columns = strip.columns[strip.start[k] : strip.start[k + 1]].astype(float)
+        columns = strip.lane_columns[strip.start[k] : strip.start[k + 1]].astype(float)
         parts = 1.0 if k in (0, strip.n_x // 2) else 2.0
         density[k] = parts * columns.T @ columns / strip.n_x
     covariance = scipy.fft.irfft(density, n=strip.n_x, axis=0)[: strip.n_x // 2 + 1]
