@@ -5,18 +5,13 @@ One-sided PSDs throughout; streams are (n_det, n_samp) float32 with whole scans 
 
 import numpy as np
 
-from mapmaker.chunks import row_chunks
 from surveysim.runtime.rng import NormalDeviates
 from surveysim.telescope.lattice_noise import CirculantFactor
 
 
 def add_white(data_mk: np.ndarray, psd_mk2_hz: float, sample_rate_hz: float, deviates: NormalDeviates) -> None:
     """Add white noise of one-sided PSD `psd_mk2_hz`, independent in each detector, in place."""
-    n_det, n_samp = data_mk.shape
-    for rows in row_chunks(n_det, n_samp):
-        noise = deviates.draw(data_mk[rows].shape, first=rows.start * n_samp, dtype=data_mk.dtype)
-        noise *= data_mk.dtype.type(np.sqrt(psd_mk2_hz * sample_rate_hz / 2))
-        data_mk[rows] += noise
+    deviates.add(data_mk, np.sqrt(psd_mk2_hz * sample_rate_hz / 2))
 
 
 def add_correlated_white(
