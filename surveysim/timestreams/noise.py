@@ -16,7 +16,7 @@ def add_white(
     detector (n_det,).
     """
     if np.ndim(psd_mk2_hz) == 0:
-        deviates.add(data_mk, np.sqrt(psd_mk2_hz * sample_rate_hz / 2))
+        deviates.add(data_mk, float(np.sqrt(psd_mk2_hz * sample_rate_hz / 2)))
         return
     n_det, n_samp = data_mk.shape
     for row, deviation in enumerate(_deviation(psd_mk2_hz, n_det, sample_rate_hz)[:, 0]):
