@@ -133,7 +133,7 @@ def nep_table(entries: Sequence[Content]) -> Table:
     ]
     for origin in entries[0]["nep_w_rthz"]:
         values = [1e18 * entry["nep_w_rthz"][origin] for entry in entries]
-        columns.append(column(f"nep_{origin.replace(', ', '_')}", values, origin, number, unit="aW / Hz(1/2)"))
+        columns.append(column(f"nep_{origin}", values, origin, number, unit="aW / Hz(1/2)"))
     totals = [1e18 * entry["total_nep_w_rthz"] for entry in entries]
     columns.append(column("nep", totals, "total", number, unit="aW / Hz(1/2)"))
     return Table("nep", f"NEP of a detector [aW/√Hz] at {_elevation(entries[0])}", tuple(columns))

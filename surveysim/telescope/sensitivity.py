@@ -121,7 +121,7 @@ def sensitivity(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevat
     """
     chain = scene_chain(scene, opacity, pwv_mm, elevation_rad)
     noise, detector = chain_noise(chain), scene.detector
-    nep2 = {"photons, shot": noise.shot_nep2, "photons, wave": noise.bose_nep2}
+    nep2 = {"shot": noise.shot_nep2, "wave": noise.bose_nep2}
     if detector is not None:
         nep2 |= detector_nep2(detector, noise.power_w)
         if detector.psd_mk2_hz is not None:

@@ -60,7 +60,7 @@ def test_shares_of_the_elements(setup_of):
     entry = sensitivity_entries({STATED: item}, 1)[0]
     assert [row["name"] for row in entry["elements"]] == ["sky", "mirrors", "filter", "stop", "lens"]
     assert item.load_w == pytest.approx(sum(row["load_w"] for row in entry["elements"]), rel=1e-12)
-    photons = item.nep2["photons, shot"] + item.nep2["photons, wave"]
+    photons = item.nep2["shot"] + item.nep2["wave"]
     assert sum(row["nep2_share"] for row in entry["elements"]) == pytest.approx(photons / item.nep_w_rthz**2, rel=1e-12)
     assert sum(element.nep2 for element in item.elements) == pytest.approx(photons, rel=1e-12)
 
@@ -96,7 +96,7 @@ def test_tables(setup_of):
     assert load.title == "Load of a detector: median water, 1.68 mm, at an elevation of 55.0 deg"
     assert load.columns[0].values == ["CMB", "atmosphere", "mirrors", "filter", "stop", "lens"]
     files = nep.in_files
-    parts = [files[f"nep_{name}"] for name in ("photons_shot", "photons_wave", "phonon", "amplifier")]
+    parts = [files[f"nep_{name}"] for name in ("shot", "wave", "phonon", "amplifier")]
     np.testing.assert_allclose(np.sqrt(np.sum(np.square(parts), axis=0)), files["nep"], rtol=1e-12)
     assert nep.units["nep_phonon"] == "aW / Hz(1/2)"
     single, whole = sensitivity.in_files["nefd_mjy"], sensitivity.in_files["array_nefd_mjy"]
