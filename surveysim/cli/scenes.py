@@ -21,9 +21,12 @@ if TYPE_CHECKING:
 def check(scene: SceneFile, settings: Overrides = None) -> None:
     """Check a scene or sweep without running it.
 
-    Each error is one line: file, key, the value found and the values allowed.
+    Each error is one line: file, key, the value found and the values allowed. A scene's detectors are counted, and
+    questionable choices are warned of.
     """
+    from surveysim.reduction.design_warnings import design_warnings
     from surveysim.reduction.resource_limits import said_of_size
+    from surveysim.report.terminal.camera import camera_lines
     from surveysim.results.sensitivity import saturation_warnings, sensitivities
 
     if sweep := sweep_of(scene, settings):
@@ -32,12 +35,14 @@ def check(scene: SceneFile, settings: Overrides = None) -> None:
     else:
         setup = ready_setup(scene, settings)
         say(f"{scene}: {setup.scene.name!r} is a scene that can be run")
+        for line in camera_lines(setup):
+            say(line)
+        saturated = sensitivities(setup) if setup.scene.detector and setup.scene.detector.bolometer else {}
+        _say_warnings([*design_warnings(setup), *saturation_warnings(saturated)])
         samples = (
             setup.scene.observations * setup.camera.n_det * setup.observing.samples(setup.observing.blocks[-1]).stop
         )
         large = said_of_size(samples, setup.analysis.geometry.n_x * setup.analysis.geometry.n_y)
-        if setup.scene.detector and setup.scene.detector.bolometer:
-            _say_warnings(saturation_warnings(sensitivities(setup)))
     if large:
         say(large)
 
@@ -73,7 +78,7 @@ def optics(scene: SceneFile, settings: Overrides = None) -> None:
 
 def _say_warnings(lines: Sequence[str]) -> None:
     for line in lines:
-        say(f"warning: {line}")
+        say(f"Warning: {line}")
 
 
 def keys(

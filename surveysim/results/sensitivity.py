@@ -48,7 +48,7 @@ def saturation_warnings(found: Mapping[str, Sensitivity]) -> list[str]:
         if item.saturates:
             return [
                 f"detector.bolometer: {1e12 * item.load_w:.3g} pW of load ({name}) saturate it; its link carries "
-                f"{1e12 * item.saturation_w:.3g} pW"
+                f"{1e12 * item.saturation_w:.3g} pW."
             ]
     return []
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from surveysim.forecasting.forecast import DataSetForecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL, CleaningPipeline
+from surveysim.reduction.design_warnings import design_warnings
 from surveysim.reduction.figure_of_merit import TARGETS, best_places
 from surveysim.reduction.setup import Setup
 from surveysim.results.closure import closure_tests
@@ -46,7 +47,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "scans_discarded": int(columns[f"discarded_{ACTUAL}"].sum()),
         "discarded": result.discards.shares,
         "discarded_by_weather": result.discards.by_weather,
-        "warnings": [*result.discards.warnings, *saturation_warnings(sensed)],
+        "warnings": [*design_warnings(setup), *result.discards.warnings, *saturation_warnings(sensed)],
         "mean_iterations": float(columns[f"iterations_{ACTUAL}"].mean()),
         "cleaning": {item.data_set: _cleaning_entry(item, result, columns) for item in setup.analysis.pipelines},
         "stopped": _stopped_entry(result),

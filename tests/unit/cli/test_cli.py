@@ -335,7 +335,11 @@ def test_help(call):
 
 
 def test_check(call, scene):
-    assert call("check", scene) == (0, f"{scene}: 'small' is a scene that can be run\n", "")
+    assert call("check", scene) == (
+        0,
+        f"{scene}: 'small' is a scene that can be run\n18 detectors; 1 dead position of 19\n",
+        "",
+    )
     code, out, error = call("check", scene, "--set", "scan.typo=1", "--set", "map.typo=1")
     assert code == 2 and out == "" and len(error.splitlines()) == 2
     assert sorted(path.name for path in scene.parent.iterdir()) == ["small.toml"]
@@ -345,14 +349,14 @@ def test_check(call, scene):
     "settings, words",
     [
         (("observations=300000",), "with 1,296 million detector-samples: 'surveysim plan' says"),
-        (("map.pixel=0.5 arcsec", "scan.scans=2"), " and maps of "),
+        (("map.pixel=0.5 arcsec", "scan.scans=2", "score.size=7 arcmin", "score.ell_bin=4000"), " and maps of "),
         (("observations=200000",), ""),
     ],
 )
 def test_check_says_that_a_scene_is_large(call, scene, settings, words):
     """One with many samples, or a fine map, runs for minutes."""
     code, out, error = call("check", scene, *(part for item in settings for part in ("--set", item)))
-    first, *more = out.splitlines()
+    first, _, *more = out.splitlines()
     assert (code, first, error) == (0, f"{scene}: 'small' is a scene that can be run", "")
     assert len(more) == bool(words) and all(line.startswith("it is large, ") and words in line for line in more)
 
@@ -378,7 +382,7 @@ def test_check_warns_of_a_bolometer_that_saturates(call, tmp_path):
     path.write_text(QUIET + PHOTON + STATED_SKY + BOLOMETER)
     code, out, error = call("check", path, *settings)
     assert (code, error) == (0, "")
-    assert out.splitlines()[1].startswith("warning: detector.bolometer: ") and "3.57 pW" in out
+    assert out.splitlines()[2].startswith("Warning: detector.bolometer: ") and "3.57 pW" in out
 
 
 def test_plan(call, tmp_path):
