@@ -1,13 +1,31 @@
 """Noise-equivalent powers of detectors: bolometers and kinetic inductance detectors (KIDs)."""
 
 from surveysim.scene.noise_and_sky import Bolometer, Detector
+from surveysim.scene.scene import Scene
 from surveysim.scene.units import BOLTZMANN_J_K
 
 
+def stated_psd_mk2_hz(scene: Scene) -> float | None:
+    """PSD of the detector noise [mK^2/Hz] that the scene or its table of detectors states; None for other noise."""
+    if scene.detector is None:
+        return 0.0
+    if scene.detector.stated is None:
+        key, level = scene.instrument.table_noise
+        return level if key == "psd" else None
+    return scene.detector.psd_mk2_hz
+
+
+def noise_by_origin(scene: Scene, load_w: float) -> dict[str, float]:
+    """Compute the squared NEPs [W^2/Hz] of a scene's detectors under a load [W], by origin; none for a stated PSD."""
+    if stated_psd_mk2_hz(scene) is not None:
+        return {}
+    if scene.detector.stated is None:
+        return {"detector": scene.instrument.table_noise[1] ** 2}
+    return detector_nep2(scene.detector, load_w)
+
+
 def detector_nep2(detector: Detector, load_w: float) -> dict[str, float]:
-    """Compute the squared NEPs [W^2/Hz] of a detector under a load [W], by origin; none for a stated PSD."""
-    if detector.nep_w_rthz is not None:
-        return {"detector": detector.nep_w_rthz**2}
+    """Compute the squared NEPs [W^2/Hz] of a detector under a load [W], by origin, but for a stated PSD."""
     if detector.bolometer is not None:
         bolometer = detector.bolometer
         return {"phonon": phonon_nep2(bolometer), "amplifier": bolometer.amplifier_nep_w_rthz**2}
@@ -15,7 +33,7 @@ def detector_nep2(detector: Detector, load_w: float) -> dict[str, float]:
         kid = detector.kid
         recombination = recombination_nep2(load_w, kid.gap_j, kid.pair_breaking_efficiency)
         return {"recombination": recombination, "amplifier": kid.amplifier_nep_w_rthz**2}
-    return {}
+    return {"detector": detector.nep_w_rthz**2}
 
 
 def phonon_nep2(bolometer: Bolometer) -> float:
