@@ -57,8 +57,10 @@ def saturation_power_w(bolometer: Bolometer) -> float:
 
 
 def recombination_nep2(load_w: float, gap_j: float, pair_breaking_efficiency: float) -> float:
-    """Recombination noise of the quasiparticles that a load breaks [W^2/Hz], ``4 Delta P / eta_pb`` (Zmuidzinas 2012).
+    """Recombination noise of the quasiparticles that a load makes [W^2/Hz], ``4 Delta P / eta_pb`` (Zmuidzinas 2012).
 
+    As many pairs recombine as the load breaks, ``r = eta_pb P / 2 Delta`` a second, at random times. Each takes two
+    quasiparticles, so that their rate has the one-sided PSD ``2 r 2^2``; one quasiparticle is worth ``Delta / eta_pb``.
     Noise of generation is the photon noise itself.
     """
     return 4 * gap_j * load_w / pair_breaking_efficiency
