@@ -68,7 +68,7 @@ def optics(scene: SceneFile, settings: Overrides = None) -> None:
     found = sensitivities(setup)
     if not found:
         fail(f"{scene}: photon: found noise that follows from no load; 'photon.load' or a section [optics] is expected")
-    entries, console = sensitivity_entries(found, setup.camera.n_det), Terminal()
+    entries, console = sensitivity_entries(setup, found), Terminal()
     for table in sensitivity_tables(entries):
         show_table(console, table)
     beam = math.degrees(setup.camera.focal_plane.fwhm_rad) * 3600

@@ -42,8 +42,8 @@ def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
     tell: dict[str, Callable[[], Iterator[str]]] = {
         "Field": lambda: _field(scene),
         "Observations": lambda: _observations(scene),
-        "Camera": lambda: _camera(scene["instrument"], n_det),
-        **({"Optics": lambda: _optics(scene["optics"])} if scene["optics"] else {}),
+        "Camera": lambda: _camera(scene["instrument"], n_det, "the last element" if scene.get("optics") else "window"),
+        **({"Optics": lambda: _optics(scene["optics"])} if scene.get("optics") else {}),
         **{item.title: partial(_component, item, scene[item.name]) for item in components},
         "Cleaning": lambda: _cleaning(scene["cleaning"]),
         "Map": lambda: _map(scene),
@@ -92,7 +92,7 @@ def _observations(scene: Values) -> Iterator[str]:
     yield f"Detectors are sampled at {short(scan['sample_rate_hz'])} Hz."
 
 
-def _camera(camera: Values, n_det: int) -> Iterator[str]:
+def _camera(camera: Values, n_det: int, behind: str) -> Iterator[str]:
     yield f"{plural(n_det, 'detector')} {band_of(camera)},"
     yield f"with a beam of {_arcsec(camera['beam_fwhm_rad'])} (FWHM); (f/#)λ is {_arcsec(camera['f_lambda_rad'])}."
     if layout := camera["layout"]:
@@ -113,7 +113,7 @@ def _camera(camera: Values, n_det: int) -> Iterator[str]:
     if camera["edge_taper_db"] is not None:
         yield f"Pixels illuminate the stop with an edge taper of {short(camera['edge_taper_db'])} dB."
     if camera["efficiency"] is not None:
-        yield f"The efficiency from window to detector is {_percent(camera['efficiency'])}."
+        yield f"The efficiency from {behind} to detector is {_percent(camera['efficiency'])}."
     if camera["polarizations"] is not None:
         yield f"Detectors absorb {plural(camera['polarizations'], 'polarization')}."
     if camera["bands"]:
