@@ -42,6 +42,14 @@ def test_the_page_has_the_numbers_of_today():
     assert with_table(text) == text
 
 
+def test_the_largest_differences_are_explained():
+    """Those of a third or more, with their ratios of today."""
+    rows = re.findall(r"(?m)^\| `(\S+)` \| ([\d.]+) \|", PAGE.read_text(encoding="utf-8").split("## Largest")[1])
+    ratios = [(number["camera"], ours(number) / number["value"]) for number in NUMBERS]
+    large = {(camera, f"{ratio:.2f}") for camera, ratio in ratios if not 2 / 3 < ratio < 3 / 2}
+    assert large <= set(rows) <= {(camera, f"{ratio:.2f}") for camera, ratio in ratios}
+
+
 def test_there_are_ten_cameras_or_more():
     assert len(CAMERAS) >= 10
     assert {number["camera"] for number in NUMBERS} <= set(CAMERAS)
