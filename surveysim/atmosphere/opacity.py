@@ -11,33 +11,36 @@ from importlib.resources import files
 
 import numpy as np
 
-from surveysim.atmosphere.cubic_spline import CubicSpline
+from surveysim.atmosphere.cubic_spline import CubicSpline, stacked_splines
 from surveysim.runtime.errors import OutOfRangeError
+from surveysim.scene.passband import Passband
 from surveysim.scene.sites import SITES
 
 
 @dataclass(frozen=True)
 class BandOpacity:
-    """Opacity of a site in a top-hat band.
+    """Opacity of a site in a band.
 
     Attributes
     ----------
     site
-    frequency_hz, bandwidth
-        Centre of the band, and its width over the centre.
+    band
+        Passband.
     pwv_mm : (n,)
         Columns of precipitable water vapour.
     optical_depth : (n,)
         Zenith optical depth at these columns.
+    spectral_depth : (m, n)
+        The same at each node of the band.
     temperature_k
         Physical temperature of the water vapour.
     """
 
     site: str
-    frequency_hz: float
-    bandwidth: float
+    band: Passband
     pwv_mm: np.ndarray
     optical_depth: np.ndarray
+    spectral_depth: np.ndarray
     temperature_k: float
 
     @cached_property
@@ -45,12 +48,17 @@ class BandOpacity:
         """Cubic spline of the optical depth against water vapour [mm]."""
         return CubicSpline(self.pwv_mm, self.optical_depth)
 
+    @cached_property
+    def spectral_spline(self) -> Callable[..., np.ndarray]:
+        """Cubic splines of `spectral_depth` against water vapour [mm]: arrays (m,) of a single number."""
+        return stacked_splines(self.pwv_mm, self.spectral_depth)
+
 
 @cache
-def band_opacity(site: str, frequency_hz: float, bandwidth: float) -> BandOpacity:
-    """Average a site's opacity table over a top-hat band: -ln of the mean transmission.
+def band_opacity(site: str, band: Passband) -> BandOpacity:
+    """Average a site's opacity table over a band: -ln of the mean transmission.
 
-    Cells at the edges of the band are weighted by the part inside it.
+    Cells of the table are weighted by their share of the band.
 
     Raises
     ------
@@ -58,15 +66,20 @@ def band_opacity(site: str, frequency_hz: float, bandwidth: float) -> BandOpacit
         For a site without a table, and for a band that is empty or extends beyond the table.
     """
     edge_ghz, pwv_mm, depth, temperature_k = _table(site)
-    low, high = (frequency_hz * (1 + side * bandwidth / 2) / 1e9 for side in (-1, 1))
+    low, high = (edge / 1e9 for edge in band.edges_hz)
     if not (edge_ghz[0] <= low < high <= edge_ghz[-1]):
         raise OutOfRangeError(
             f"found a band of {low:g} to {high:g} GHz; bands within {edge_ghz[0]:g} to {edge_ghz[-1]:g} GHz are allowed"
         )
-    inside = np.diff(np.clip(edge_ghz, low, high))
-    averaged = -np.log(inside @ np.exp(-depth) / (high - low))
+    averaged = -np.log(band.cell_shares(edge_ghz * 1e9) @ np.exp(-depth))
     averaged.setflags(write=False)
-    return BandOpacity(site, frequency_hz, bandwidth, pwv_mm, averaged, temperature_k)
+    return BandOpacity(site, band, pwv_mm, averaged, _at_nodes(edge_ghz, depth, band), temperature_k)
+
+
+def _at_nodes(edge_ghz: np.ndarray, depth: np.ndarray, band: Passband) -> np.ndarray:
+    """Interpolate optical depths (k, n) of cells linearly to the nodes of a band (m, n)."""
+    centre_hz = (edge_ghz[1:] + edge_ghz[:-1]) / 2 * 1e9
+    return np.array([np.interp(band.nodes[0], centre_hz, column) for column in depth.T]).T
 
 
 @cache
@@ -94,6 +107,11 @@ def optical_depth(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:
         Outside the table.
     """
     return band.spline(_allowed(band, pwv_mm))
+
+
+def spectral_depth(band: BandOpacity, pwv_mm: float) -> np.ndarray:
+    """Interpolate the zenith optical depth (m,) at the nodes of the band; raises as `optical_depth`."""
+    return band.spectral_spline(float(_allowed(band, pwv_mm)))
 
 
 def optical_depth_slope(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:

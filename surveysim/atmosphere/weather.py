@@ -13,6 +13,7 @@ from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.fields import B2_MAX
+from surveysim.scene.passband import Passband
 
 WIND_MAX_RAD_S = 1e3
 LARGEST_LOG = 700.0  # its exponential is finite
@@ -84,7 +85,7 @@ class Draws(Protocol):
 
 
 @lru_cache(maxsize=8)
-def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) -> Water:
+def site_water(atmosphere: Atmosphere, band: Passband) -> Water:
     """Response of a band to the water vapour of a scene's site.
 
     Raises
@@ -97,7 +98,7 @@ def site_water(atmosphere: Atmosphere, frequency_hz: float, bandwidth: float) ->
     from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
 
     try:
-        opacity = band_opacity(atmosphere.site, frequency_hz, bandwidth)
+        opacity = band_opacity(atmosphere.site, band)
     except OutOfRangeError as error:
         raise SceneError(f"atmosphere.site: {error}") from None
     response = partial(fluctuation_factor_mk2, opacity)

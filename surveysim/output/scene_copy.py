@@ -1,7 +1,7 @@
-"""Copy of the scene file in an output directory: the scene as it was run, with its tables of positions."""
+"""Copy of the scene file in an output directory: the scene as it was run, with its tables."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,21 +13,20 @@ if TYPE_CHECKING:
     from surveysim.studies.sweep.axes import Sweep
 
 SCENE_FILE = "scene.toml"
-POSITIONS = ("instrument", "positions")
 COMMENT = "set for this run"
+Keys = tuple[str | int, ...]  # the way to a value: names of keys, and numbers of tables in a list
 
 
 def scene_files(scene: Scene) -> dict[str, bytes]:
-    """Return files by name that reproduce the scene: `scene.toml`, and its table of positions.
+    """Return files by name that reproduce the scene: `scene.toml`, and its tables.
 
     None for a scene that was not read from a file, or was changed since; `scene.json` has all of it.
     """
     if scene.origin is None:
         return {}
     text, files = _self_contained(scene.origin, scene.name)
-    content = tomllib.loads(text)
     try:
-        again = scene_of(scene.origin.path, text, _with_positions(content, scene), {})
+        again = scene_of(scene.origin.path, scene.origin.text, tomllib.loads(scene.origin.text), scene.origin.overrides)
     except SceneError:
         return {}
     return {SCENE_FILE: text.encode()} | files if scene_hash(again) == scene_hash(scene) else {}
@@ -39,26 +38,17 @@ def sweep_files(sweep: "Sweep") -> dict[str, bytes]:
     return {SCENE_FILE: text.encode()} | files
 
 
-def _with_positions(content: dict[str, Any], scene: Scene) -> dict[str, Any]:
-    """Replace the table's name by its present path, before it is copied."""
-    if scene.instrument.positions is not None:
-        content["instrument"]["positions"] = str(scene.instrument.positions)
-    return content
-
-
 def _self_contained(origin: Origin, name: str) -> tuple[str, dict[str, bytes]]:
     """Make the text of a scene file self-contained, with overrides, name and table names; return it with the tables by
     name.
     """
     content = tomllib.loads(origin.text)
-    changes: dict[tuple[str, ...], Any] = {tuple(key.split(".")): value for key, value in origin.overrides.items()}
+    changes: dict[Keys, Any] = {tuple(key.split(".")): value for key, value in origin.overrides.items()}
     if content.get("name") != name:
         changes[("name",)] = name
     tables: dict[str, bytes] = {}
-    for keys in (POSITIONS, *_axes_of_positions(content)):
-        value = changes.get(keys, _at(content, keys))
-        if value is not None:
-            changes[keys] = _relocated(value, origin.path.parent, tables)
+    for keys, value in _file_values(_with(content, changes)):
+        changes[keys] = _relocated(value, str(keys[-1]).rpartition(".")[2], origin.path.parent, tables)
     if not changes:
         return origin.text, tables
     if changes.keys() == {("name",)} and "name" not in content:
@@ -66,51 +56,68 @@ def _self_contained(origin: Origin, name: str) -> tuple[str, dict[str, bytes]]:
     return _changed(origin.text, content, changes), tables
 
 
-def _axes_of_positions(content: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Keys of the sweep axes with values that are tables of positions."""
-    dotted, sweep = ".".join(POSITIONS), content.get("sweep", {})
-    found = [("sweep", dotted)] if isinstance(sweep.get(dotted), list) else []
-    return found + [
-        ("sweep", name, dotted) for name, axis in sweep.items() if isinstance(axis, dict) and dotted in axis
-    ]
+def _file_values(content: Mapping[str, Any]) -> Iterator[tuple[Keys, Any]]:
+    """Find the names of files in a scene, and lists of them in its sweep, with their keys."""
+    from surveysim.scene.keys import file_keys
+
+    sweep = content.get("sweep", {})
+    for key in file_keys():
+        yield from _text_at(content, (), key.split("."))
+        for axis, place in ((sweep, ("sweep",)), *((item, ("sweep", name)) for name, item in sweep.items())):
+            if isinstance(axis, dict) and isinstance(axis.get(key), list):
+                yield (*place, key), axis[key]
 
 
-def _at(content: Any, keys: tuple[str, ...]) -> Any:
-    for key in keys:
-        content = content.get(key) if isinstance(content, dict) else None
-    return content
+def _text_at(content: Any, place: Keys, names: list[str]) -> Iterator[tuple[Keys, str]]:
+    """Find the texts at a dotted key, in each table of a list."""
+    if isinstance(content, list) and names:
+        for number, item in enumerate(content):
+            yield from _text_at(item, (*place, number), names)
+    elif not names and isinstance(content, str) and Path(content).suffix:  # else the name of something that ships
+        yield place, content
+    elif names and isinstance(content, dict) and names[0] in content:
+        yield from _text_at(content[names[0]], (*place, names[0]), names[1:])
 
 
-def _relocated(value: Any, folder: Path, tables: dict[str, bytes]) -> Any:
+def _relocated(value: Any, key: str, folder: Path, tables: dict[str, bytes]) -> Any:
     """Add tables to the `tables` to write, and return their new name, or a list of names."""
     if isinstance(value, list):
-        return [_relocated(item, folder, tables) for item in value]
-    content = (folder / value).read_bytes()
+        return [_relocated(item, key, folder, tables) if isinstance(item, str) else item for item in value]
+    content, suffix = (folder / value).read_bytes(), Path(value).suffix
     same = [name for name, other in tables.items() if other == content]
-    name = same[0] if same else f"positions{f'_{len(tables)}' if tables else ''}.ecsv"
+    number = sum(name.startswith(key) for name in tables)
+    name = same[0] if same else f"{key}{f'_{number}' if number else ''}{suffix}"
     tables[name] = content
     return name
 
 
-def _changed(text: str, content: Mapping[str, Any], changes: Mapping[tuple[str, ...], Any]) -> str:
+def _changed(text: str, content: Mapping[str, Any], changes: Mapping[Keys, Any]) -> str:
     """Replace some values in the text and keep its comments; without comments if that is not possible."""
     import tomlkit
 
-    expected = deepcopy(dict(content))
-    document = tomlkit.parse(text)
+    expected, document = _with(content, changes), tomlkit.parse(text)
     for keys, value in changes.items():
-        *sections, last = keys
-        plain, written = expected, document
-        for section in sections:
-            plain, written = plain.setdefault(section, {}), written.setdefault(section, {})
-        if value is None:  # left out, which only Python can ask for
-            plain.pop(last, None)
-            written.pop(last, None)
-            continue
-        plain[last] = value
-        written[last] = _item(value)
+        _put(document, keys, None if value is None else _item(value))
     found = tomlkit.dumps(document)
     return found if tomllib.loads(found) == expected else tomlkit.dumps(expected)
+
+
+def _with(content: Mapping[str, Any], changes: Mapping[Keys, Any]) -> dict[str, Any]:
+    found = deepcopy(dict(content))
+    for keys, value in changes.items():
+        _put(found, keys, value)
+    return found
+
+
+def _put(content: Any, keys: Keys, value: Any) -> None:
+    """Set one value, or take it out if it is None, which only Python can ask for."""
+    *sections, last = keys
+    for section in sections:
+        content = content.setdefault(section, {}) if isinstance(section, str) else content[section]
+    if value is None:
+        content.pop(last, None)
+    else:
+        content[last] = value
 
 
 def _item(value: Any) -> Any:

@@ -54,7 +54,7 @@ class MeasuredSurvey:
     @property
     def band_ghz(self) -> int:
         """Centre frequency of the band in whole GHz."""
-        return round(self.setup.scene.instrument.frequency_hz / 1e9)
+        return round(self.setup.scene.instrument.band.centre_hz / 1e9)
 
     @property
     def fixed(self) -> tuple[int, int]:

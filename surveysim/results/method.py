@@ -34,8 +34,8 @@ def method(compared: bool, bandwidth: float | None, correlation: float) -> tuple
     ----------
     compared : bool
         Whether pipelines are compared.
-    bandwidth : float, optional
-        Fractional bandwidth of the instrument.
+    bandwidth : float
+        Width of the band; 0 if it is not known.
     correlation : float
         Correlation of the measured noise of neighbouring bins; NaN for a single bin.
     """

@@ -5,13 +5,14 @@ the value found and the values expected.
 """
 
 import math
+import os
 import re
 from datetime import date
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, WithJsonSchema
+from pydantic import BeforeValidator, Field, ValidationInfo, WithJsonSchema
 
 from surveysim.scene.sites import SITES
 from surveysim.scene.units import NUMBER, shown, to_float, to_floats, to_sky_angle
@@ -21,6 +22,7 @@ LONGEST_LINE = 300
 FLUCTUATION_MIN, FLUCTUATION_MAX = 1e-30, 1e24  # rad^(2 - index)
 B2_MIN, B2_MAX = 1e-24, 1e24  # mK^2 rad^(2 - index): beyond any atmosphere, and in the range of float32 streams
 _FRACTION = re.compile(rf"\s*(?:{NUMBER}|[+-]?\d{{1,9}}/\d{{1,9}})\s*", re.ASCII)
+FILE = "path"  # format, in the JSON schema, of keys whose value can be the name of a file
 PSD_MAX_MK2_HZ = 1e12  # bound of any white noise, one-sided, Rayleigh-Jeans
 
 
@@ -170,9 +172,25 @@ def _nside(value: object) -> object:
     return value
 
 
-def _file(value: object) -> object:
-    if value is not None and (not isinstance(value, str) or not value or "\0" in value):
-        raise ValueError(f"found {shown(value)}; the name of an ECSV file is expected")
+def file_path(value: object, info: ValidationInfo) -> object:
+    """Resolve the name of a file relative to the folder of the scene, which the context of the validation holds."""
+    if value is None or isinstance(value, Path):
+        return value
+    if not isinstance(value, str) or not value or "\0" in value:
+        raise ValueError(f"found {shown(value)}; the name of a file with a table is expected")
+    return Path(os.path.realpath(Path(info.context["folder"]) / value)) if info.context else Path(value)
+
+
+def table_or_name(value: object, info: ValidationInfo) -> object:
+    """Resolve the name of a file as `file_path`; a text without a suffix is the name of a table that ships."""
+    return value if isinstance(value, str) and value and not Path(value).suffix else file_path(value, info)
+
+
+def _share_or_table(value: object, info: ValidationInfo) -> object:
+    if isinstance(value, str | Path):
+        return file_path(value, info)
+    if value is not None and not (isinstance(value, int | float) and 0 <= value <= 1):
+        raise ValueError(f"found {shown(value)}; a number from 0 to 1, or the name of a file with a table, is expected")
     return value
 
 
@@ -231,13 +249,20 @@ IsoDate = Annotated[
 Line = Annotated[str, BeforeValidator(_line)]
 Nside = Annotated[int | None, BeforeValidator(_nside), of_file("integer", enum=[2**k for k in range(14)])]
 SiteName = Annotated[str | None, BeforeValidator(_site), of_file("string", enum=SITES)]
-TableFile = Annotated[Path | None, BeforeValidator(_file), of_file("string", examples=["camera.ecsv"])]
+TableFile = Annotated[Path | None, BeforeValidator(file_path), of_file("string", format=FILE, examples=["camera.ecsv"])]
+TableOrName = Annotated[Path | str | None, BeforeValidator(table_or_name), of_file("string", format=FILE)]
+ShareOrTable = Annotated[
+    Path | float | None,
+    BeforeValidator(_share_or_table),
+    of_file(["number", "string"], format=FILE, minimum=0, maximum=1),
+]
 Speed = Annotated[float, *quantity("rad / s", "arcmin / s", at_least="0.001 arcsec / s", at_most="360 deg / s")]
 SpeedExtent = Annotated[float, *quantity("rad / s", "arcmin / s", at_least=0, at_most="360 deg / s")]
 Duration = Annotated[float, *quantity("s", at_least="1 us", at_most="10 day")]
 DurationExtent = Annotated[float, *quantity("s", at_least=0, at_most="10 day")]
 Height = Annotated[float, *quantity("m", at_least="-1 km", at_most="100 km")]
 Length = Annotated[float, *quantity("m", at_least="1 mm", at_most="100000 km")]
+Diameter = Annotated[float, *quantity("m", at_least=0, at_most="100000 km")]
 Frequency = Annotated[float, *quantity("Hz", at_least="1e-6 Hz", at_most="1 GHz")]
 BandFrequency = Annotated[float, *quantity("Hz", "GHz", at_least="1 GHz", at_most="10 THz")]
 NoisePsd = Annotated[
@@ -245,6 +270,9 @@ NoisePsd = Annotated[
 ]
 Temperature = Annotated[float, *quantity("mK", at_least="-1e6 K", at_most="1e6 K")]
 Load = Annotated[float, *quantity("K", at_least=0, at_most="10000 K", zero_or="1e-9 K")]
+PhysicalTemperature = Annotated[float, *quantity("K", at_least="0.001 K", at_most="10000 K")]
+Conductance = Annotated[float, *quantity("W / K", "pW / K", at_least="1e-18 W / K", at_most="1 W / K")]
+Energy = Annotated[float, *quantity("J", "meV", at_least="1e-26 J", at_most="1e-19 J")]
 Nep = Annotated[float, *quantity("W / Hz(1/2)", at_least=0, at_most="1e-6 W / Hz(1/2)", zero_or="1e-30 W / Hz(1/2)")]
 Memory = Annotated[float, *quantity("byte", "MB", at_least="1 byte", at_most="1e15 byte")]
 Taper = Annotated[float, *quantity("dB", at_least=0, at_most="1000 dB")]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+from surveysim.scene.fields import FILE
 from surveysim.scene.scene import Scene
 from surveysim.scene.shipped import shipped_folder
 from surveysim.scene.units import to_float, unit_of
@@ -67,6 +68,11 @@ def all_keys() -> dict[str, dict[str, Any]]:
         for section in scene_sections()
         for name, item in section_keys(section).items()
     }
+
+
+def file_keys() -> tuple[str, ...]:
+    """Return the dotted names of all keys whose value can be the name of a file."""
+    return tuple(key for key, item in all_keys().items() if item.get("format") == FILE)
 
 
 def section_keys(section: SceneSection) -> dict[str, dict[str, Any]]:

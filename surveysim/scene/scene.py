@@ -26,9 +26,10 @@ from surveysim.scene.assumed_values import assumed_of_site, assumed_values
 from surveysim.scene.error_lines import error_lines, unknown_key, validation_lines
 from surveysim.scene.fields import Line, whole
 from surveysim.scene.instrument import Instrument
-from surveysim.scene.noise_and_sky import StreamSections
+from surveysim.scene.noise_and_sky import ONE_NOISE, StreamSections
 from surveysim.scene.numerics import Numerics
 from surveysim.scene.observing import MIN_SAMPLES, FieldSection, FixedPointing, Scan, Schedule
+from surveysim.scene.optics import Optics
 from surveysim.scene.renamed_keys import renamed_lines
 from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
@@ -67,6 +68,8 @@ class ObservationSections(Section):
     fixed_pointing: FixedPointing | None = None
     """Alternative: `schedule`."""
     instrument: Instrument
+    optics: Optics | None = None
+    """Photon noise, beam and flux calibration follow from it where they are left out."""
     scan: Scan
 
 
@@ -95,13 +98,15 @@ class Scene(StreamSections, ObservationSections):
             raise ValueError("exactly one of the sections 'schedule' and 'fixed_pointing' is expected")
         if self.excess and len(self.excess.b2) > 1 and self.atmosphere is None:
             raise ValueError("excess.b2: found several values; without [atmosphere] one value is expected")
-        if self.atmosphere and self.atmosphere.site and self.instrument.bandwidth is None:
+        if self.atmosphere and self.atmosphere.site and not self.instrument.band.width_hz:
             raise ValueError("instrument.bandwidth: missing; the opacity of a site needs the width of the band")
         named = {name for steps in (self.cleaning.algorithm, *self.cleaning.compare) for name in steps}
         if "spectral" in named and not self.instrument.bands:
             raise ValueError("instrument.bands: missing; 'spectral' cleaning needs other bands of the pixels")
         if self.instrument.bands and not (self.atmosphere and self.atmosphere.site):
             raise ValueError("atmosphere.site: missing; the bands scale with each other by the opacity of a site")
+        self._beam_is_known()
+        self._load_is_given()
         self._power_is_known()
         if not any(getattr(self, name) for name in StreamSections.model_fields):
             *names, last = StreamSections.model_fields
@@ -110,17 +115,51 @@ class Scene(StreamSections, ObservationSections):
             raise ValueError(f"scan.duration: found {found:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
         return self
 
+    def _beam_is_known(self) -> None:
+        """Raise ValueError for a beam or (f/#)lambda that is left out without an aperture that it follows from."""
+        aperture_m = self.optics.aperture_m if self.optics else None
+        for key, value in (("beam_fwhm", self.instrument.beam_fwhm_rad), ("f_lambda", self.instrument.f_lambda_rad)):
+            if value is None and aperture_m is None:
+                raise ValueError(
+                    f"instrument.{key}: missing; an angle, or 'optics.aperture' that it follows from, is expected"
+                )
+
+    def _load_is_given(self) -> None:
+        """Raise ValueError unless photon noise, and noise that depends on the load, have exactly one source."""
+        photon, kid = self.photon, self.detector.kid if self.detector else None
+        if photon and photon.psd_mk2_hz is None and photon.load is None and self.optics is None:
+            raise ValueError("photon: exactly one of 'psd', 'load' (a section) and a section [optics] is expected")
+        if self.detector and self.detector.stated is None and self.instrument.table_noise is None:
+            raise ValueError(f"detector: {ONE_NOISE}, or a column 'psd' or 'nep' of the table instrument.positions")
+        if self.optics and self.instrument.horn_f_lambda is not None and self.optics.stop is None:
+            raise ValueError("optics.stop: missing; horns spill part of their beam on it")
+        if photon and photon.load and self.optics:
+            raise ValueError("photon.load: found together with [optics], which sets it; one of the two is expected")
+        if kid and not (photon and photon.psd_mk2_hz is None):
+            raise ValueError("detector.kid: its noise depends on the load; 'photon.load' or [optics] is expected")
+
     def _power_is_known(self) -> None:
         """Raise ValueError for noise given by optical power without the keys that convert it to temperature."""
-        load = self.photon.load if self.photon else None
-        if load is None and not (self.detector and self.detector.nep_w_rthz is not None):
+        if (name := self.given_by_power) is None:
             return
-        name = "photon.load" if load else "detector.nep"
         for key in ("bandwidth", "efficiency", "polarizations"):
-            if getattr(self.instrument, key) is None:
+            if getattr(self.instrument, key) is None and not (key == "bandwidth" and self.instrument.passband):
                 raise ValueError(f"instrument.{key}: missing; {name!r} needs it")
-        if load and load.sky_k is None and not (self.atmosphere and self.atmosphere.site):
-            raise ValueError("photon.load.sky: missing; a temperature, or a site that it follows from, is expected")
+        if name not in ("photon.load", "optics"):
+            return
+        load, key = (self.photon.load, "photon.load.sky") if name == "photon.load" else (self.optics, "optics.sky")
+        if load.sky_k is None and not (self.atmosphere and self.atmosphere.site):
+            raise ValueError(f"{key}: missing; a temperature, or a site that it follows from, is expected")
+
+    @property
+    def given_by_power(self) -> str | None:
+        """Section or key that gives noise by power; None if none does."""
+        photon, detector = self.photon, self.detector
+        if photon and photon.psd_mk2_hz is None:
+            return "photon.load" if photon.load else "optics"
+        if detector and detector.stated is None:
+            return "instrument.positions" if self.instrument.table_noise[0] == "nep" else None
+        return f"detector.{detector.stated}" if detector and detector.stated != "psd" else None
 
 
 def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scene:
@@ -182,11 +221,8 @@ def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mappi
         raise SceneError(error_lines(path, renamed))
     if "name" not in data:
         data["name"] = _name_of(path)
-    positions = data.get("instrument", {}).get("positions") if isinstance(data.get("instrument"), dict) else None
-    if isinstance(positions, str) and positions and "\0" not in positions:
-        data["instrument"]["positions"] = os.path.realpath(path.parent / positions)
     try:
-        scene = Scene.model_validate(data)
+        scene = Scene.model_validate(data, context={"folder": path.parent})
         scene._origin = Origin(path.absolute(), text, dict(overrides))
         return scene
     except ValidationError as error:
@@ -206,7 +242,7 @@ def _name_of(path: Path) -> str:
 
 def scene_hash(scene: Scene) -> str:
     """SHA-256 hash of everything that the results of a run depend on; title and comments do not count."""
-    return _hash(scene, scene.model_dump(mode="json", exclude={"title", "assumed"}))
+    return _hash(scene.model_dump(exclude={"title", "assumed"}))
 
 
 def survey_hash(scene: Scene) -> str:
@@ -215,14 +251,13 @@ def survey_hash(scene: Scene) -> str:
     Surveys of more observations, or nights, have the same; those of a single one compare pipelines otherwise.
     """
     excluded: dict[str, Any] = {"title": True, "assumed": True, "observations": True, "schedule": {"nights"}}
-    return _hash(scene, scene.model_dump(mode="json", exclude=excluded) | {"single": scene.observations == 1})
+    return _hash(scene.model_dump(exclude=excluded) | {"single": scene.observations == 1})
 
 
-def _hash(scene: Scene, content: dict[str, Any]) -> str:
-    if scene.instrument.positions is not None:
-        table = scene.instrument.positions.read_bytes()
-        content["instrument"]["positions"] = hashlib.sha256(table).hexdigest()
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+def _hash(content: dict[str, Any]) -> str:
+    """Hash the values of a scene; files count by their content, whatever their names."""
+    text = json.dumps(content, sort_keys=True, default=lambda path: hashlib.sha256(path.read_bytes()).hexdigest())
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def resolved(scene: Scene) -> str:

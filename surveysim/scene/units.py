@@ -41,6 +41,9 @@ _COMMON = {
     "Hz": {"kHz": 1000.0, "MHz": 1000000.0, "GHz": 1000000000.0, "THz": 1000000000000.0},
     "m": {"mm": 0.001, "cm": 0.01, "km": 1000.0},
     "mK": {"K": 1000.0},
+    "K": {"mK": 0.001},
+    "W / K": {"nW / K": 1e-09, "pW / K": 1e-12},
+    "J": {"eV": 1.602176634e-19, "meV": 1.6021766339999998e-22},
     "byte": {"kB": 1000.0, "MB": 1000000.0, "GB": 1000000000.0},
 }
 _NOT_FINITE = re.compile(r"\s*[+-]?(?:nan|inf|infinity)\b.*", re.ASCII | re.IGNORECASE | re.DOTALL)
@@ -154,20 +157,3 @@ def file_value(value: Any) -> Any:
         number, unit = value.value.tolist(), value.unit.to_string("generic", fraction=False)
         return f"{number!r} {unit}" if unit else number
     return value.tolist() if hasattr(value, "tolist") else value
-
-
-def rj_to_cmb(frequency_hz: float, bandwidth: float) -> float:
-    """Thermodynamic CMB temperature per Rayleigh-Jeans temperature of a band.
-
-    The band has straight sides and the fractional width `bandwidth`, 0 for its centre alone. A Rayleigh-Jeans source
-    puts equal power into equal frequencies, as in `surveysim.telescope.photon_noise`: one spatial mode, whose solid
-    angle times aperture is the squared wavelength, and a beam that the source fills. So this is one over the band's
-    mean of ``x^2 e^x / (e^x - 1)^2`` with ``x = h nu / k T_CMB``: 1.65 at 143 GHz. (The ratio of the BLIP figures that
-    section 1.1 of the paper quotes in both temperatures is 1.53.)
-    """
-    import numpy as np
-
-    # Gauss-Legendre nodes: exact to rounding, as the integrand is smooth over any band.
-    node, weight = np.polynomial.legendre.leggauss(64)
-    x = PLANCK_J_S * frequency_hz / (BOLTZMANN_J_K * CMB_TEMPERATURE_K) * (1 + bandwidth / 2 * node)
-    return float(2 / np.sum(weight * np.exp(x) * (x / np.expm1(x)) ** 2))

@@ -25,9 +25,9 @@ from surveysim.results.summary import summary
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.noise_and_sky import Excess
+from surveysim.scene.passband import top_hat
 from surveysim.scene.scene import load_scene
-from surveysim.scene.units import rj_to_cmb
-from surveysim.telescope.focal_plane import hexagon
+from surveysim.telescope.layouts import hexagon
 from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix
 from surveysim.telescope.pointing import sky_vector
 from surveysim.timestreams.low_frequency import add_excess, excess_psd
@@ -448,7 +448,7 @@ def test_white_noise_by_hand(scene_of):
     seconds = 48 * 19 * 12 * result.n_det
     # Scans of 48 arcmin, 19 of them 2 arcmin apart, are evenly covered but for their ends.
     area = (48 / 60 * np.pi / 180) * (38 / 60 * np.pi / 180)
-    expected = 2.5 / 2 * area / seconds * (1e3 * rj_to_cmb(143e9, 0.0)) ** 2
+    expected = 2.5 / 2 * area / seconds * (1e3 * top_hat(143e9, 0.0).cmb_per_rj) ** 2
     assert result.noise_psd[-1] == pytest.approx(expected, rel=0.05)
 
 

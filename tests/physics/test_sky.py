@@ -17,8 +17,8 @@ from mapmaker.transfer_function import beam_window
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.noise_and_sky import PointSource, Sky
+from surveysim.scene.passband import top_hat
 from surveysim.scene.scene import load_scene
-from surveysim.scene.units import rj_to_cmb
 from surveysim.timestreams.sky_maps import (
     add_point_sources,
     curved_cmb_sky,
@@ -31,7 +31,7 @@ from surveysim.timestreams.sky_maps import (
 from tests.scenes import SMALL_SCENE, without_sections
 
 ARCMIN = math.radians(1 / 60)
-CMB_PER_RJ, FWHM, BAND_POWER = rj_to_cmb(143e9, 0.15), ARCMIN, 1000.0
+CMB_PER_RJ, FWHM, BAND_POWER = top_hat(143e9, 0.15).cmb_per_rj, ARCMIN, 1000.0
 GEOMETRY = MapGeometry(*np.radians([132.3, 44.84]), ARCMIN / 6, 384, 320)
 DEGREE = math.radians(1.0)
 

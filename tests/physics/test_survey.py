@@ -12,8 +12,8 @@ from mapmaker.spectrum import map_psd
 from mapmaker.transfer_function import beam_window, pixel_window
 from surveysim.atmosphere.thin_screen import at_elevation, temporal_psd
 from surveysim.reduction.setup import prepare
+from surveysim.scene.passband import top_hat
 from surveysim.scene.scene import load_scene
-from surveysim.scene.units import rj_to_cmb
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import score_survey
 from surveysim.timestreams.low_frequency import excess_psd, excess_variance
@@ -76,7 +76,7 @@ def test_white_streams_give_the_map_noise_of_their_hits(tmp_path):
 def test_band_power_of_white_noise_against_its_closed_form(tmp_path):
     setup, coadds = survey(tmp_path, ("detector",), **{"cleaning.algorithm": "none", "score.jackknives": 24})
     score = score_survey(setup, coadds, ("actual",))["actual"]
-    band, scale = setup.analysis.region, (1e3 * rj_to_cmb(143e9, 0.0)) ** 2
+    band, scale = setup.analysis.region, (1e3 * top_hat(143e9, 0.0).cmb_per_rj) ** 2
     variance = setup.scene.detector.psd_mk2_hz * setup.observing.scans.sample_rate_hz / 2 * (1 - 1 / 75)
     hits = coadds.hits[0][band.patch, band.patch]
     taper2 = band.taper**2
@@ -169,7 +169,7 @@ def test_a_flat_cmb_comes_back_with_its_band_power(tmp_path):
         band = setup.analysis.region
         patch = weighted_mean(coadds.sums[0], coadds.weight[0])[band.patch, band.patch]
         psd = map_psd(band.pad(patch), band.padded_taper, setup.analysis.geometry.pixel_rad, band.rings)
-        psd *= (1e3 * rj_to_cmb(143e9, 0.0)) ** 2
+        psd *= (1e3 * top_hat(143e9, 0.0).cmb_per_rj) ** 2
         # The noise is next to nothing, and sign flips of 8 observations would hold an eighth of the sky: bins are
         # weighted by the sky's own variance, and its expectation is taken off.
         modes, selected = band.rings.n_modes, band.selected & (band.rings.ell < 9000)

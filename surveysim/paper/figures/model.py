@@ -13,6 +13,7 @@ from surveysim.reduction.setup import Setup
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.runtime.errors import SceneError
 from surveysim.runtime.rng import RandomPurpose, normal_deviates
+from surveysim.scene.passband import top_hat
 from surveysim.scene.sites import SITES, median_water_mm, water_mm
 from surveysim.telescope.scans import samples_per_scan
 
@@ -48,7 +49,7 @@ def _opacity_panel(frequency_hz: float, longest_mm: float) -> Panel:
     lines, points = [], []
     for site in SITES:
         name, look = SITE_LOOKS[site]
-        band = band_opacity(site, frequency_hz, BANDWIDTH)
+        band = band_opacity(site, top_hat(frequency_hz, BANDWIDTH))
         pwv_mm = np.linspace(band.pwv_mm[0], min(longest_mm, band.pwv_mm[-1]), 100)
         lines.append(Series(name, "line", pwv_mm, optical_depth(band, pwv_mm), look))
         median = np.array([median_water_mm(site)])

@@ -76,7 +76,7 @@ def _print_details(console: Terminal, result: SurveyResult, content: Content) ->
         if any(item["kind"] == kind for item in content["closure"]):
             show_table(console, closure_table(content["closure"], kind))
     if result.scores:
-        analysis, bandwidth = result.setup.analysis, result.setup.scene.instrument.bandwidth
+        analysis, bandwidth = result.setup.analysis, result.setup.scene.instrument.band.width_hz
         lines = method(analysis.chooses, bandwidth, analysis.region.scored_correlation)
         print_list(console, "Choices of the scoring that the reference leaves open:", lines)
     print_list(console, "Assumed or calibrated in the scene:", result.setup.scene.assumed)

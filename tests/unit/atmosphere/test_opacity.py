@@ -15,6 +15,7 @@ from surveysim.atmosphere.opacity import (
     optical_depth_slope,
 )
 from surveysim.atmosphere.tables import build_opacity
+from surveysim.scene.passband import top_hat
 
 TABLES = files("surveysim.atmosphere") / "tables"
 
@@ -42,7 +43,7 @@ def test_table_is_whole(site):
 
 def test_band_of_one_cell_is_the_table():
     table = read("alma")
-    band = band_opacity("alma", 183.5e9, 1 / 183.5)
+    band = band_opacity("alma", top_hat(183.5e9, 1 / 183.5))
     row = [table[f"pwv_{pwv:g}"][103] for pwv in band.pwv_mm]
     np.testing.assert_allclose(band.optical_depth, row, rtol=1e-12)
     np.testing.assert_allclose(optical_depth(band, band.pwv_mm), row, rtol=1e-12)
@@ -52,7 +53,7 @@ def test_band_of_one_cell_is_the_table():
 def test_cells_at_the_edges_count_by_the_part_inside():
     """182.25 to 184.5 GHz: three quarters of a cell, a whole one, half a cell; the line is steep there."""
     table = read("mauna_kea")
-    band = band_opacity("mauna_kea", 183.375e9, 2.25 / 183.375)
+    band = band_opacity("mauna_kea", top_hat(183.375e9, 2.25 / 183.375))
     transmission = np.exp(-np.array([table["pwv_0.5"][row] for row in (102, 103, 104)]))
     expected = -np.log(np.array([0.75, 1.0, 0.5]) @ transmission / 2.25)
     assert optical_depth(band, 0.5) == pytest.approx(expected, rel=1e-12)
@@ -63,7 +64,7 @@ def test_cells_at_the_edges_count_by_the_part_inside():
 @pytest.mark.parametrize(("frequency_ghz", "tolerance"), [(143, 5e-5), (268, 5e-5), (183.3, 1e-3), (350, 1e-3)])
 def test_a_knot_left_out_is_predicted(site, frequency_ghz, tolerance):
     """To half a unit of the five digits of the tables, in bands without a saturated line."""
-    band = band_opacity(site, frequency_ghz * 1e9, 0.15)
+    band = band_opacity(site, top_hat(frequency_ghz * 1e9, 0.15))
     for i in range(1, len(band.pwv_mm) - 1):
         spline = CubicSpline(np.delete(band.pwv_mm, i), np.delete(band.optical_depth, i))
         assert spline(band.pwv_mm[i]) == pytest.approx(band.optical_depth[i], rel=tolerance)
@@ -72,7 +73,7 @@ def test_a_knot_left_out_is_predicted(site, frequency_ghz, tolerance):
 @pytest.mark.parametrize("site", SITES)
 @pytest.mark.parametrize("frequency_ghz", [100, 143, 183.3, 268, 350])
 def test_monotone_between_the_knots(site, frequency_ghz):
-    band = band_opacity(site, frequency_ghz * 1e9, 0.1)
+    band = band_opacity(site, top_hat(frequency_ghz * 1e9, 0.1))
     pwv_mm = np.linspace(band.pwv_mm[0], band.pwv_mm[-1], 2001)
     assert (np.diff(optical_depth(band, pwv_mm)) > 0).all()
     # A spline that swings would not keep the slope positive.
@@ -80,7 +81,7 @@ def test_monotone_between_the_knots(site, frequency_ghz):
 
 
 def test_slope_is_the_derivative():
-    band = band_opacity("mauna_kea", 268e9, 0.15)
+    band = band_opacity("mauna_kea", top_hat(268e9, 0.15))
     pwv_mm = np.array([[0.06, 0.5], [1.68, 5.9]])
     difference = optical_depth(band, pwv_mm + 1e-4) - optical_depth(band, pwv_mm - 1e-4)
     np.testing.assert_allclose(optical_depth_slope(band, pwv_mm), difference / 2e-4, rtol=1e-7)
@@ -88,7 +89,7 @@ def test_slope_is_the_derivative():
 
 def test_factor_is_the_emission_s_change_above_the_atmosphere():
     """The emission changes as the emissivity does, and the calibration is above the atmosphere: over exp(-tau)."""
-    band = band_opacity("mauna_kea", 268e9, 0.15)
+    band = band_opacity("mauna_kea", top_hat(268e9, 0.15))
     pwv_mm = np.array([[0.06, 0.5], [1.68, 5.9]])
     emissivity = [1 - np.exp(-optical_depth(band, pwv_mm + step)) for step in (-1e-4, 1e-4)]
     expected = (pwv_mm * (emissivity[1] - emissivity[0]) / 2e-4 * band.temperature_k * 1e3) ** 2
@@ -99,28 +100,28 @@ def test_factor_is_the_emission_s_change_above_the_atmosphere():
 @pytest.mark.parametrize("frequency_ghz", [100, 143])
 def test_thin_limit_goes_as_the_column_squared(frequency_ghz):
     """From 0.03 to 0.06 mm the slope changes by 0.6 % for water broadens itself."""
-    band = band_opacity("south_pole", frequency_ghz * 1e9, 0.15)
+    band = band_opacity("south_pole", top_hat(frequency_ghz * 1e9, 0.15))
     low, high = fluctuation_factor_mk2(band, np.array([0.03, 0.06]))
     assert high / low == pytest.approx(4.0, rel=0.015)
 
 
 def test_thick_limit_has_no_fluctuations_on_the_ground():
     """At the centre of the 183 GHz line the atmosphere is black: its emission, seen below it, cannot change."""
-    band = band_opacity("mauna_kea", 183.5e9, 1 / 183.5)
+    band = band_opacity("mauna_kea", top_hat(183.5e9, 1 / 183.5))
     wet, dry = (fluctuation_factor_mk2(band, pwv) * np.exp(-2 * optical_depth(band, pwv)) for pwv in (6.0, 0.5))
     assert wet < 1e-4 * dry
 
 
 def test_bands_are_kept_and_cannot_be_written_to():
-    band = band_opacity("ccat", 143e9, 0.15)
-    assert band_opacity("ccat", 143e9, 0.15) is band
+    band = band_opacity("ccat", top_hat(143e9, 0.15))
+    assert band_opacity("ccat", top_hat(143e9, 0.15)) is band
     for array in (band.pwv_mm, band.optical_depth):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
 
 
 def test_water_outside_the_table():
-    band = band_opacity("mauna_kea", 143e9, 0.15)
+    band = band_opacity("mauna_kea", top_hat(143e9, 0.15))
     for function in (optical_depth, optical_depth_slope, fluctuation_factor_mk2):
         for wrong in (7.0, [1.0, 7.0], [[7.0]]):
             with pytest.raises(ValueError, match=r"found 7 mm of water vapour; 0.05 to 6 mm is allowed"):
@@ -136,12 +137,12 @@ def test_water_outside_the_table():
 )
 def test_bands_outside_the_table(frequency_hz, bandwidth):
     with pytest.raises(ValueError, match=r"found a band of .* GHz; bands within 80 to 420 GHz are allowed"):
-        band_opacity("mauna_kea", frequency_hz, bandwidth)
+        band_opacity("mauna_kea", top_hat(frequency_hz, bandwidth))
 
 
 def test_unknown_site():
     with pytest.raises(ValueError, match="found site 'moon'; mauna_kea, south_pole, alma, ccat are allowed"):
-        band_opacity("moon", 143e9, 0.15)
+        band_opacity("moon", top_hat(143e9, 0.15))
 
 
 @pytest.mark.parametrize("site", SITES)

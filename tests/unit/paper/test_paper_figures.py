@@ -34,8 +34,8 @@ from surveysim.paper.statistics import (
 )
 from surveysim.reduction.setup import prepare
 from surveysim.results.results import survey_result
+from surveysim.scene.passband import top_hat
 from surveysim.scene.scene import load_scene
-from surveysim.scene.units import rj_to_cmb
 from surveysim.survey.run import run_observations
 from surveysim.timestreams.simulation import observation_path
 from tests.scenes import SMALL_SCENE
@@ -342,7 +342,7 @@ def test_residual_variance_of_maps_in_cmb_temperature(setup):
     whole = of_b2(setup, b2, left=0.3 * b2)
     figure = map_variance_figure(whole)
     top, bottom = figure.panels
-    scale = rj_to_cmb(143e9, 0.0) ** 2
+    scale = top_hat(143e9, 0.0).cmb_per_rj ** 2
     median, line, inner = (named(top, what) for what in ("median", "proportional", "25th"))
     np.testing.assert_allclose(median.x, 8.0 + 15.0 * np.arange(8))
     np.testing.assert_allclose(median.y, 0.3 * scale * median.x)

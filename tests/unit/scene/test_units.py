@@ -3,7 +3,8 @@ import math
 import astropy.units as u
 import pytest
 
-from surveysim.scene.units import _COMMON, rj_to_cmb, to_float, to_floats, to_sky_angle
+from surveysim.scene.passband import top_hat
+from surveysim.scene.units import _COMMON, to_float, to_floats, to_sky_angle
 
 ROUNDING = 1e-14
 
@@ -99,10 +100,10 @@ def test_broken_sky_angles_are_refused(found):
 
 def test_rayleigh_jeans_to_cmb():
     # The limit of low frequency is 1 + x^2 / 12; 1.65 at 143 GHz (x = 2.518) worked out by hand.
-    assert rj_to_cmb(143e9, 0.0) == pytest.approx(1.65, abs=0.005)
+    assert top_hat(143e9, 0.0).cmb_per_rj == pytest.approx(1.65, abs=0.005)
     x = 6.62607015e-34 * 1e9 / (1.380649e-23 * 2.7255)
-    assert rj_to_cmb(1e9, 0.0) - 1 == pytest.approx(x**2 / 12, rel=1e-3)
-    assert rj_to_cmb(1.0, 0.5) == pytest.approx(1, rel=1e-12)
+    assert top_hat(1e9, 0.0).cmb_per_rj - 1 == pytest.approx(x**2 / 12, rel=1e-3)
+    assert top_hat(1.0, 0.5).cmb_per_rj == pytest.approx(1, rel=1e-12)
 
 
 def test_rayleigh_jeans_to_cmb_is_the_ratio_of_brightness_derivatives():
@@ -111,7 +112,7 @@ def test_rayleigh_jeans_to_cmb_is_the_ratio_of_brightness_derivatives():
     for frequency in (90e9, 143e9, 275e9):
         jansky = (1 * u.K).to(u.Jy / u.sr, u.brightness_temperature(frequency * u.Hz))
         thermodynamic = jansky.to(u.K, u.thermodynamic_temperature(frequency * u.Hz, 2.7255 * u.K))
-        assert rj_to_cmb(frequency, 0.0) == pytest.approx(thermodynamic.to_value(u.K), rel=1e-6)
+        assert top_hat(frequency, 0.0).cmb_per_rj == pytest.approx(thermodynamic.to_value(u.K), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -135,10 +136,10 @@ def test_rayleigh_jeans_to_cmb_over_a_band(frequency_hz, bandwidth, too_high, di
 
     scale = slope(low)
     mean = quad(lambda nu: slope(nu) / scale, low, high, epsrel=1e-12, epsabs=0, limit=200)[0] / (high - low)
-    found = rj_to_cmb(frequency_hz, bandwidth)
+    found = top_hat(frequency_hz, bandwidth).cmb_per_rj
     assert found == pytest.approx(1 / (mean * scale), rel=1e-8)
     if digit:
-        assert (rj_to_cmb(frequency_hz, 0.0) / found) ** 2 - 1 == pytest.approx(too_high, abs=digit / 2)
+        assert (top_hat(frequency_hz, 0.0).cmb_per_rj / found) ** 2 - 1 == pytest.approx(too_high, abs=digit / 2)
 
 
 @pytest.mark.parametrize("unit", _COMMON)
