@@ -161,8 +161,11 @@ def draw_strips(strip: Strip, deviates: NormalDeviates, first: Sequence[int]) ->
     from surveysim.atmosphere.screen_kernels import combine_columns
 
     normals = np.empty((len(first), strip.n_deviates), np.float32)
-    for row, position in zip(normals, first, strict=True):
-        deviates.fill(row, position)
+    if list(first) == list(range(first[0], first[-1] + 1, strip.n_deviates)):
+        deviates.fill(normals, first[0])
+    else:
+        for row, position in zip(normals, first, strict=True):
+            deviates.fill(row, position)
     real = strip.columns.dtype
     modes = np.empty((len(first), strip.n_lane, len(strip.start) - 1), np.result_type(real, np.complex64))
     combine_columns(strip.columns, strip.start, normals, modes)
@@ -303,15 +306,14 @@ def add_along_tracks(
 
     add_layer = getattr(screen_kernels, LOOK_UPS[strips.interpolation])
     step = strips.step_rad
-    steps = np.hypot(*tracks.motion_rad_s.T) / (sample_rate_hz * step)
+    steps = (np.hypot(*tracks.motion_rad_s.T) / (sample_rate_hz * step)).tolist()
+    x, y = tracks.x_rad / step, np.minimum(tracks.y_rad / step, strips.n_lane - 1.0)
     for strip, scans, first in _alike(strips, tracks.length_rad):
         layers = draw_strips(strip, deviates, first)
         if trends is not None:
             trends.impose(scans, layers)
         for scan, layer in zip(scans, layers, strict=True):
-            y0 = np.minimum(tracks.y_rad[scan] / step, len(layer) - 1.0)
-            x0, dx, amplitude = tracks.x_rad[scan] / step, float(steps[scan]), float(amplitude_mk[scan])
-            add_layer(data_mk, *scan_bounds[scan], layer, x0, y0, dx, amplitude)
+            add_layer(data_mk, *scan_bounds[scan], layer, x[scan], y[scan], steps[scan], float(amplitude_mk[scan]))
 
 
 def _alike(strips: StripCache, length_rad: np.ndarray) -> Iterator[tuple[Strip, list[int], list[int]]]:

@@ -5,7 +5,7 @@ from a row and a few PSDs per observation (some kB), its size does not depend on
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -127,19 +127,21 @@ class CoAdds:
 
 def empty_coadds(analysis: AnalysisSetup, *, flips: bool = True) -> CoAdds:
     """Make sums over no observation, with or without sign-flipped co-adds."""
+    shape = (len(analysis.data_set_names), analysis.geometry.n_y, analysis.geometry.n_x)
+    return CoAdds(np.zeros(shape), np.zeros(shape), np.zeros(shape, np.int64), *_empty_patches(analysis, flips))
+
+
+def _empty_patches(analysis: AnalysisSetup, flips: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Make the sums on the scored patch over no observation: `flipped`, `signal_maps` and `signal_weight`."""
     n_set, n_transfer = len(analysis.data_set_names), len(analysis.transfer_function_names)
-    shape = (analysis.geometry.n_y, analysis.geometry.n_x)
     n_flip = n_sky = n = 0
     if analysis.scene.score:
         n_flip, n_sky = analysis.scene.score.jackknives * flips, analysis.n_signal_skies
         n = len(analysis.region.taper)
-    return CoAdds(
-        sums=np.zeros((n_set, *shape)),
-        weight=np.zeros((n_set, *shape)),
-        hits=np.zeros((n_set, *shape), np.int64),
-        flipped=np.zeros((n_flip, n_set, n, n)),
-        signal_maps=np.zeros((n_sky, n_transfer, 2, n, n)),
-        signal_weight=np.zeros((n_transfer, n, n)),
+    return (
+        np.zeros((n_flip, n_set, n, n)),
+        np.zeros((n_sky, n_transfer, 2, n, n)),
+        np.zeros((n_transfer, n, n)),
     )
 
 
@@ -162,11 +164,11 @@ def observation_sums(analysis: AnalysisSetup, result: ObservationResult) -> CoAd
     """
     _check_shapes(analysis, result)
     weights = noise_weights(result.noise_mk2)
-    found = replace(
-        empty_coadds(analysis, flips=False),
-        sums=weights[:, None, None] * result.sums.astype(float),
-        weight=weights[:, None, None] * result.hits,
-        hits=result.hits.astype(np.int64),
+    found = CoAdds(
+        np.multiply(weights[:, None, None], result.sums, dtype=float),
+        np.multiply(weights[:, None, None], result.hits, dtype=float),
+        result.hits.astype(np.int64),
+        *_empty_patches(analysis, flips=False),
         rows=[_row(result)],
         bin_noise=[result.bin_noise_mk2],
         raw_psd=[result.raw_psd],

@@ -306,11 +306,13 @@ def test_strips_take_as_many_deviates_as_they_say():
             asked.append((out.size, first))
             super().fill(out, first)
 
-    first = [7, 7 + strip.n_deviates]
-    both = draw_strips(strip, Told(deviates(8).words), first)
-    for one, position in zip(both, first, strict=True):
-        np.testing.assert_array_equal(one, draw_strips(strip, deviates(8), [position])[0])
-    assert asked == [(strip.n_deviates, position) for position in first]
+    for between, of_fills in ((strip.n_deviates, [2]), (strip.n_deviates + 5, [1, 1])):
+        first = [7, 7 + between]
+        asked.clear()
+        both = draw_strips(strip, Told(deviates(8).words), first)
+        for one, position in zip(both, first, strict=True):
+            np.testing.assert_array_equal(one, draw_strips(strip, deviates(8), [position])[0])
+        assert asked == [(n * strip.n_deviates, position) for n, position in zip(of_fills, first, strict=False)]
 
 
 def test_strips_come_in_powers_of_two():
