@@ -102,6 +102,17 @@ def total_efficiency(section: InstrumentSection) -> float:
     return section.efficiency * stop_efficiency(horn_taper_db(section.horn_f_lambda))
 
 
+def stop_share(section: InstrumentSection, frequency_hz: np.ndarray) -> np.ndarray:
+    """Compute the part (n,) of a horn's beam that passes the stop at frequencies (n,) [Hz]; 1 without horns.
+
+    The diameter of a horn in (f/#)lambda is that at the centre of the band, and proportional to the frequency.
+    """
+    if section.horn_f_lambda is None:
+        return np.ones(len(frequency_hz))
+    diameters = section.horn_f_lambda * frequency_hz / section.band.centre_hz
+    return np.array([stop_efficiency(horn_taper_db(diameter)) for diameter in diameters])
+
+
 def _layout_positions(section: InstrumentSection) -> np.ndarray:
     """Positions (n, 2) [rad] of a layout, including dead ones.
 
