@@ -124,7 +124,7 @@ def _own_table(lines: Sequence[str]) -> OpacityTable:
 def _waters(names: list[str]) -> np.ndarray:
     """Columns of water [mm] from the names of a table's columns."""
     found = [_COLUMN.fullmatch(name) for name in names[1:]]
-    if names[0] != "frequency" or not all(found):
+    if names[:1] != ["frequency"] or not all(found):
         raise InputError(f"found the columns {shown(', '.join(names))}, and 'frequency', 'pwv_0.5', ... are expected")
     pwv_mm = np.array([float(match[1]) for match in found])
     if len(pwv_mm) < 4 or not (np.diff(pwv_mm) > 0).all() or not pwv_mm[0] > 0:

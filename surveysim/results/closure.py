@@ -100,7 +100,7 @@ def _weather(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
         b2, pwv = season_quantiles(air, setup.air.water, setup.air.seasons, QUARTILES)
     else:
         b2 = b2_quantile(air, setup.air.water, ndtri(np.array(QUARTILES)))
-        pwv = pwv_quantile(air, np.array(QUARTILES)) if setup.air.water is not None else ()
+        pwv = pwv_quantile(air, np.array(QUARTILES)) if setup.air.water is not None else np.empty(0)
     unit = b2_unit(air.spectral_index)
     rows = [_quartile("B2", unit, k, value, coadds.column("b2_mk2")) for k, value in enumerate(b2)]
     wind = np.degrees(coadds.column("wind_speed_rad_s")) * 60

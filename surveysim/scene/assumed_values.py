@@ -16,7 +16,8 @@ def assumed_values(text: str) -> list[str]:
         elif comment := re.search(r"#\s*((?:assumed|calibrated).*)$", line):
             key, equals, value = line[: comment.start()].partition("=")
             if equals and re.fullmatch(r"\w+", key.strip()):
-                found.append(f"{section}{key.strip()} = {value.strip()}: {comment[1]}")
+                value = re.sub(r"\[$", "[...]", value.strip())  # the first line of a long list
+                found.append(f"{section}{key.strip()} = {value}: {comment[1]}")
     return found
 
 

@@ -157,14 +157,14 @@ class Atmosphere(Section):
             found = "found with 'pwv_by_month'" if self.pwv_mm else "missing"
             raise ValueError(f"pwv: {found}; either 'pwv' or 'pwv_by_month' is expected")
         if self.pwv_by_hour and not self.pwv_by_month:
-            raise ValueError("pwv_by_hour: found without 'pwv_by_month'; both or neither are expected")
+            raise ValueError("pwv_by_hour: found without 'pwv_by_month'; months are expected with it")
         for key, count, unit in (("pwv_by_month", 12, "month"), ("pwv_by_hour", 24, "hour")):
             if len(getattr(self, key)) not in (0, count):
                 raise ValueError(
                     f"{key}: found {len(getattr(self, key))} values; one for each {unit}, {count}, is expected"
                 )
-        for month, quantiles in enumerate(self.pwv_by_month or (self.pwv_mm,)):
-            key = f"pwv_by_month.{month}" if self.pwv_by_month else "pwv"
+        key = "pwv_by_month" if self.pwv_by_month else "pwv"
+        for quantiles in self.pwv_by_month or (self.pwv_mm,):
             check_knots("pwv_probabilities", self.pwv_probabilities, key, quantiles)
             if not min(quantiles) > 0:
                 raise ValueError(f"{key}: found {shown(quantiles)}; values above 0 are expected")

@@ -112,8 +112,6 @@ class Scene(StreamSections, ObservationSections):
     def _sections_fit(self) -> Self:
         if (self.schedule is None) == (self.fixed_pointing is None):
             raise ValueError("exactly one of the sections 'schedule' and 'fixed_pointing' is expected")
-        if self.site is None and self.atmosphere and self.atmosphere.site == OWN:
-            raise ValueError(f"site: missing; atmosphere.site {OWN!r} is the place of a section [site]")
         if self.excess and len(self.excess.b2) > 1 and self.atmosphere is None:
             raise ValueError("excess.b2: found several values; without [atmosphere] one value is expected")
         if self.atmosphere and self.atmosphere.site and not self.instrument.band.width_hz:

@@ -25,7 +25,8 @@ def random_places(n: int, seed: int = 17) -> list[tuple[float, float, float, flo
     rng, found = np.random.default_rng(seed), []
     for _ in range(n):
         height_m = round(rng.uniform(HEIGHTS_M[0], HEIGHTS_M[-1]), 0)
-        temperature_k = round(float(air_temperature_k(height_m, rng.uniform(OFFSETS_K[0], OFFSETS_K[-1]))), 1)
+        offset_k = np.clip(rng.uniform(OFFSETS_K[0], OFFSETS_K[-1]), OFFSETS_K[0] + 0.05, OFFSETS_K[-1] - 0.05)
+        temperature_k = round(float(air_temperature_k(height_m, offset_k)), 1)  # within the table when rounded
         most_mm = PWV_MM[-1] * np.exp(-height_m / VAPOUR_SCALE_M)
         pwv_mm = float(f"{np.exp(rng.uniform(np.log(PWV_MM[0]), np.log(most_mm))):.4g}")
         found.append((height_m, temperature_k, pwv_mm, float(rng.choice(EDGES_GHZ[:-1])) + 0.5))

@@ -21,6 +21,7 @@ OZONE_CM2, OZONE_HEIGHT_M, OZONE_WIDTH_M = 7.5e18, 22e3, 5e3
 # Lower boundaries of the layers above the sea; the last layer has no upper boundary.
 LAYERS_M = 1e3 * np.r_[np.arange(0, 9, 0.5), np.arange(9, 14, 1.0), 14, 17, 20, 24, 28, 33, 40]
 WET_M = 17e3  # no water above: less than 5e-3 of the column of any height, all of it at low pressure
+CEILING = 600.0  # so large that no window at sea level has a kink below it
 SEA_LEVEL_WATER_MM = 20.0  # column for which the quadratic of each layer is made
 
 
@@ -62,7 +63,8 @@ def optical_depths(coefficients: np.ndarray) -> np.ndarray:
         share = water_shares(LAYERS_M, height_m)
         constant = dry[height_m <= LAYERS_M].sum(axis=0)
         first, second = share @ linear, share**2 @ quadratic
-        found.append([cell_optical_depth(constant + pwv * (first + pwv * second)) for pwv in PWV_MM])
+        depths = (constant + pwv * (first + pwv * second) for pwv in PWV_MM)
+        found.append([cell_optical_depth(depth, ceiling=CEILING) for depth in depths])
     return np.swapaxes(found, 1, 2)
 
 

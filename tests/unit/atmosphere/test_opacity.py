@@ -164,8 +164,8 @@ def test_layers_of_exponential_vapour_are_hydrostatic():
 def test_cells_average_transmission():
     depth = np.array([1.0, 2.0, 3.0, 300.0, 300.0])
     expected = -np.log((np.exp(-1.0) + 2 * np.exp(-2.0) + np.exp(-3.0)) / 4)
-    np.testing.assert_allclose(cell_optical_depth(depth, 2)[0], expected, rtol=1e-12)
-    assert cell_optical_depth(np.full(5, 300.0), 2).tolist() == [50.0, 50.0]
+    np.testing.assert_allclose(cell_optical_depth(depth, steps=2)[0], expected, rtol=1e-12)
+    assert cell_optical_depth(np.full(5, 300.0), steps=2).tolist() == [50.0, 50.0]
 
 
 @pytest.mark.slow

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from surveysim.atmosphere.opacity import optical_depth
-from surveysim.atmosphere.standard_air import OFFSETS_K, air_temperature_k
+from surveysim.atmosphere.opacity_tables import OFFSETS_K
+from surveysim.atmosphere.standard_air import air_temperature_k
 from surveysim.forecasting.observing_conditions import population_draws
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
@@ -13,7 +14,7 @@ from surveysim.scene.scene import Scene, load_scene
 from surveysim.scene.sites import OWN, site_names
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.simulation import observing_site
-from tests.scenes import SMALL_SCENE, write_scene
+from tests.scenes import SMALL_SCENE, without_sections, write_scene
 
 PLACE = {"site.latitude": "-30 deg", "site.longitude": "-70.8 deg", "site.height": "4500 m"}
 WATER = {"atmosphere.pwv": "[0.5, 1, 1.5, 2, 4] mm", "instrument.bandwidth": 0.15}
@@ -43,7 +44,9 @@ def dated(tmp_path):
     """A scene with dates, of a field that rises at 30 degrees south, and without B2 of its own."""
     fixed = '[fixed_pointing]\nelevation = "55 deg"\nparallactic_angle = "20 deg"\n'
     b2 = 'b2_probabilities = [0.25, 0.5, 0.75]\nb2 = "[100, 280, 980] mK2 rad(-5/3)"\n'
-    text = SMALL_SCENE.replace(fixed, DATES).replace(b2, "").replace("+44d50m24s", "-40d00m00s")
+    text = (
+        without_sections(SMALL_SCENE, "sky").replace(fixed, DATES).replace(b2, "").replace("+44d50m24s", "-40d00m00s")
+    )
     assert DATES in text and b2 not in text
     path = tmp_path / "dated.toml"
     path.write_text(text)
@@ -100,9 +103,9 @@ def test_air_of_a_site_is_within_the_table_of_heights(site):
     for temperature_k in (place.temperature_k, usual_temperature_k(place.latitude_rad, place.height_m)):
         offset_k = temperature_k - air_temperature_k(place.height_m, 0.0)
         assert OFFSETS_K[0] < offset_k < OFFSETS_K[-1]
-    # "within 11 K" of `usual_temperature_k`, for the sites with temperatures of ERA5.
+    # "within 12 K" of `usual_temperature_k`, for the sites with temperatures of ERA5.
     if place.opacity is None:
-        assert usual_temperature_k(place.latitude_rad, place.height_m) == pytest.approx(place.temperature_k, abs=11)
+        assert usual_temperature_k(place.latitude_rad, place.height_m) == pytest.approx(place.temperature_k, abs=12)
 
 
 def test_a_schedule_of_a_named_site_may_have_its_own_place(dated):
@@ -118,7 +121,7 @@ def test_a_schedule_of_a_named_site_may_have_its_own_place(dated):
         (OWN_SITE | {"site.height": None}, "site.height: found None"),
         (OWN_SITE | {"site.heigth": "4 km"}, "site.heigth: unknown key; did you mean site.height?"),
         (OWN_SITE | {"site.height": "7 km"}, "site: found a height of 7000 m; 0 to 6000 m is allowed"),
-        (OWN_SITE | {"site.temperature": "200 K"}, "site: found 200 K at a height of 4500 m; 213.7 to 288.6 K"),
+        (OWN_SITE | {"site.temperature": "200 K"}, "site: found 200 K at a height of 4500 m; 213.7 to 288.7 K"),
         (OWN_SITE | {"instrument.frequency": "1.2 THz"}, "site: found a band of 1110 to 1290 GHz; bands within 10 to"),
         (
             OWN_SITE | {"atmosphere.pwv": "[1, 2, 3, 4, 70] mm"},
@@ -137,7 +140,7 @@ def test_a_schedule_of_a_named_site_may_have_its_own_place(dated):
         (OWN_SITE | {"atmosphere.pwv_by_hour": [1] * 24}, "atmosphere.pwv_by_hour: found without 'pwv_by_month'"),
         (
             BY_MONTH | {"atmosphere.pwv_by_month": [*MONTHS[:11], "[2, 1] mm"]},
-            "atmosphere.pwv_by_month.11: found (2.0, 1.0); values of 0 or more that do not decrease",
+            "atmosphere.pwv_by_month: found (2.0, 1.0); values of 0 or more that do not decrease",
         ),
         (
             BY_MONTH | {"atmosphere.pwv_by_hour": [1] * 23 + [70]},
