@@ -15,6 +15,7 @@ import numpy as np
 from mapmaker.chunks import row_chunks
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import FocalPlane
+from surveysim.atmosphere.water import Season
 from surveysim.atmosphere.weather import Water, Weather, draw_weather
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes, template_modes
 from surveysim.forecasting.mode_response import ProjectedArray, layer_waves
@@ -24,7 +25,6 @@ from surveysim.runtime.once import keep_last
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.noise_and_sky import Excess, Photon
-from surveysim.scene.scene import Scene
 from surveysim.telescope.lattice_noise import NoiseCorrelation
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.pixel_coherence import MOST_DENSE, correlation_matrix
@@ -98,7 +98,7 @@ def survey_draws(setup: Setup, first: int, end: int) -> list[Draw]:
     return [(number, observation_weather(setup, number)) for number in range(first, end)]
 
 
-def population_draws(scene: Scene, water: Water | None) -> list[list[Draw]]:
+def population_draws(setup: Setup) -> list[list[Draw]]:
     """Draws of observations and weather that sample their whole distribution evenly.
 
     Returns
@@ -107,18 +107,24 @@ def population_draws(scene: Scene, water: Water | None) -> list[list[Draw]]:
         Each list is a rank-one lattice in all random numbers of the weather with its own random shift. The mean over a
         list is unbiased, with an error far below that of as many independent draws.
     """
-    return [list(draws) for draws in _population(scene.atmosphere, water, scene.seed, scene.observations)]
+    scene, air = setup.scene, setup.air
+    when = air.seasons or (None,) * scene.observations
+    return [list(draws) for draws in _population(scene.atmosphere, air.water, scene.seed, when)]
 
 
 @lru_cache(maxsize=2)  # points of a sweep have weather in common
-def _population(air: Atmosphere | None, water: Water | None, seed: int, n_obs: int) -> tuple[tuple[Draw, ...], ...]:
+def _population(
+    air: Atmosphere | None, water: Water | None, seed: int, when: tuple[Season | None, ...]
+) -> tuple[tuple[Draw, ...], ...]:
+    n_obs = len(when)
     rng = generator(seed, RandomPurpose.WEATHER, realization=1)  # the survey is realization 0
     lists = []
     for shift in rng.random((_SHIFTS, _NUMBERS)):
         points = (shift + np.outer(np.arange(_DRAWS_A_SHIFT), _lattice_steps())) % 1
         numbers = np.minimum((points[:, -1] * n_obs).astype(int), n_obs - 1)
         draws = map(_QuasiRandomDraws, points[:, :-1])
-        weather = [draw_weather(air, water, draw) if air else None for draw in draws]
+        dates = (when[number] for number in numbers)
+        weather = [draw_weather(air, water, *item) if air else None for item in zip(draws, dates, strict=True)]
         lists.append(tuple(zip(numbers.tolist(), weather, strict=True)))
     return tuple(lists)
 
@@ -152,7 +158,7 @@ class _QuasiRandomDraws:
 @keep_last(1)
 def population_conditions(setup: Setup) -> tuple[ObservingConditions, int]:
     """Observing conditions of all `population_draws`, list after list, and the number of lists."""
-    lists = population_draws(setup.scene, setup.air.water)
+    lists = population_draws(setup)
     return observing_conditions(setup, chain.from_iterable(lists)), len(lists)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import MapGeometry, covering_geometry
+from surveysim.atmosphere.water import Season, seasons
 from surveysim.atmosphere.weather import Water, site_water
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline, pipelines
@@ -115,7 +116,8 @@ def _prepare(scene: Scene) -> Setup:
         photon=scene.photon,
         excess=scene.excess,
     )
-    air = AirSetup(layer_strips(scene, cam), water, tuple(_water(scene, band) for band in scene.instrument.bands))
+    waters = tuple(_water(scene, band) for band in scene.instrument.bands)
+    air = AirSetup(layer_strips(scene, cam), water, waters, _seasons(scene, times))
     calibration = assumed_responsivity(scene, np.vstack([responsivity[None], of_bands]))
     setup = Setup(
         scene=scene,
@@ -129,7 +131,7 @@ def _prepare(scene: Scene) -> Setup:
     )
     if setup.camera.n_det > MOST_DENSE:
         _check_torus(setup.camera)
-    elements = check_layer(scene, air.strips, water, radius_rad=cam.radius_rad, scans=scans, lowest_rad=lowest)
+    elements = check_layer(scene, air, radius_rad=cam.radius_rad, scans=scans, lowest_rad=lowest)
     check_memory(needed_memory(scene, _sizes(setup, elements)))
     return setup
 
@@ -191,10 +193,15 @@ def _lowest(scene: Scene, cam: Camera, times: Schedule | None, mid_time_s: np.nd
 
 
 def _water(scene: Scene, band: Instrument | OtherBand) -> Water | None:
-    air = scene.atmosphere
-    if air is None or air.site is None:
+    place = scene.place
+    return None if place is None else site_water(scene.atmosphere, place, band.band)
+
+
+def _seasons(scene: Scene, times: Schedule | None) -> tuple[Season, ...] | None:
+    """Seasons of all observations; None without a schedule or without water by month."""
+    if times is None or scene.atmosphere is None or not scene.atmosphere.pwv_by_month:
         return None
-    return site_water(air, band.band)
+    return seasons(times.start_mjd, scene.schedule.longitude_rad)
 
 
 def signal_sim_observations(scene: Scene) -> np.ndarray:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.geometry import MapGeometry
+from surveysim.atmosphere.water import Season
 from surveysim.atmosphere.weather import Water
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.once import once
@@ -155,11 +156,14 @@ class AirSetup:
         Response of the mapped band to the water of the site; None without a site.
     band_waters
         The same for each of the other bands.
+    seasons
+        Season of each observation; None unless the water goes by it.
     """
 
     strips: "SlantStrips | None"
     water: Water | None
     band_waters: tuple[Water | None, ...]
+    seasons: tuple[Season, ...] | None = None
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 
 from surveysim.report.html.components import UK2, Block, Terms
 from surveysim.runtime.numbers import joined, number, plural, short
+from surveysim.scene.sites import OWN, site_title
 from surveysim.scene.units import b2_unit
 from surveysim.timestreams.component import COMPONENTS, StreamComponent
 
@@ -29,7 +30,6 @@ COHERENCES = {
     "none": "not at all",
 }
 SIMULATED = {"uncorrelated": "the same noise without correlations", "white": "white noise"}
-SITES = {"mauna_kea": "Mauna Kea", "south_pole": "the South Pole", "alma": "ALMA", "ccat": "CCAT"}
 
 _MEV_J = 1.602176634e-22
 
@@ -159,7 +159,8 @@ def _atmosphere(air: Values) -> Iterator[str]:
     if air["outer_scale_m"] is not None:
         yield f"Its outer scale is {short(air['outer_scale_m'])} m."
     if air["site"]:
-        yield f"Water and water fluctuations are those of {SITES.get(air['site'], air['site'])}."
+        place = "the site of the scene" if air["site"] == OWN else site_title(air["site"])
+        yield f"Water and water fluctuations are those of {place}."
     unit = b2_unit(air["spectral_index"])
     if air["b2"]:
         levels = ", ".join(short(100 * level) for level in air["b2_probabilities"])

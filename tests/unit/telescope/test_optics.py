@@ -10,6 +10,7 @@ from surveysim.atmosphere.opacity import band_opacity, optical_depth, spectral_d
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.passband import top_hat
+from surveysim.scene.place import shipped_place
 from surveysim.scene.scene import load_scene
 from surveysim.scene.units import BOLTZMANN_J_K, PLANCK_J_S
 from surveysim.telescope.noise_levels import white_levels
@@ -64,7 +65,7 @@ def test_stated_sky_alone_is_a_load(scene_of):
 def test_sky_of_the_site(scene_of):
     """CMB through the atmosphere, and the atmosphere's own emission, at every frequency of the band."""
     scene = scene_of(PHOTON + CAMERA + SITE, HORNS)
-    opacity = band_opacity("mauna_kea", scene.instrument.band)
+    opacity = band_opacity(shipped_place("mauna_kea"), scene.instrument.band)
     chain = scene_chain(scene, opacity, 2.0, HEIGHT)
     assert [surface.name for surface in chain.surfaces][:3] == ["CMB", "atmosphere", "mirrors"]
     nu = chain.band.nodes[0]
@@ -77,7 +78,7 @@ def test_sky_of_the_site(scene_of):
 @pytest.mark.parametrize("frequency_ghz", [143, 268])
 def test_spectral_depth_averages_to_the_depth_of_the_band(frequency_ghz):
     """Within 0.5 %: cells of 1 GHz, interpolated between their centres."""
-    opacity = band_opacity("mauna_kea", top_hat(frequency_ghz * 1e9, 0.15))
+    opacity = band_opacity(shipped_place("mauna_kea"), top_hat(frequency_ghz * 1e9, 0.15))
     weight = opacity.band.nodes[1]
     for pwv in (0.5, 1.7, 3.5):
         mean = -math.log(weight @ np.exp(-spectral_depth(opacity, pwv)))
