@@ -74,8 +74,9 @@ def run(
         Directory for the results, which replace those of an earlier run of the same scene. Its checkpoint.h5 keeps the
         sums over finished observations. Each band of a camera has its own, bands/NAME.
     engine
-        Where observations run, by default one process per core; results do not depend on it. Only a dask worker that
-        replaces a lost one imports the calling script, which then needs ``if __name__ == "__main__":``.
+        Where observations run; results do not depend on it. By default one process per core, but this one for a survey
+        of a second or two. Only a dask worker that replaces a lost one imports the calling script, which then needs
+        ``if __name__ == "__main__":``.
     resume
         Continue from the checkpoint in `out`.
     save_timestreams

@@ -12,7 +12,7 @@ from surveysim.forecasting.forecast import forecast as forecast_scene
 from surveysim.output.directory import begin, claimed, replacing
 from surveysim.output.expected_files import of_forecast, of_run
 from surveysim.output.writer import write_forecast, write_outputs
-from surveysim.reduction.setup import prepare
+from surveysim.reduction.setup import is_quick, prepare
 from surveysim.results.results import SurveyResult, survey_result
 from surveysim.results.stopping import StoppingCriteria, check_limits, stopping_rule
 from surveysim.runtime.engine import SERIAL, Engine, default_workers
@@ -76,6 +76,7 @@ def run_survey(
     start, limits = perf_counter(), StoppingCriteria(target_error, time_budget_s)
     setup = prepare(_scene(scene))
     check_limits(setup, limits)
+    engine = engine.for_work(is_quick(setup))
     workers = engine.workers_for(setup.scene.observations)
     if save_timestreams and out is None:
         raise InputError("save_timestreams: found no output directory; one is expected")

@@ -32,6 +32,7 @@ def run_bands(
     quiet: bool,
 ) -> None:
     """Run all bands and print their results."""
+    engine.start_early()
     from surveysim import api
     from surveysim.cli.progress import announce_compilation
     from surveysim.report.terminal.bands import print_bands
@@ -61,9 +62,10 @@ def run_bands(
 def _display(setup: "Setup", engine: "Engine", quiet: bool) -> "Iterator[Progress]":
     """Show the progress of one band under its own name."""
     from surveysim.cli.progress import observation_work, progress_display, score_so_far, seconds_left
+    from surveysim.reduction.setup import is_quick
 
     scene = setup.scene
-    work, workers = observation_work(scene), engine.workers_for(scene.observations)
+    work, workers = observation_work(scene), engine.for_work(is_quick(setup)).workers_for(scene.observations)
     with progress_display(scene.name, work, quiet, workers=workers) as show:
 
         def shown(sums: "CoAddTree") -> None:

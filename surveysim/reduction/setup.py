@@ -9,6 +9,7 @@ import numpy as np
 
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import MapGeometry, covering_geometry
+from surveysim.atmosphere.water import Season, seasons
 from surveysim.atmosphere.weather import Water, site_water
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline, pipelines
@@ -50,6 +51,10 @@ from surveysim.timestreams.simulation import (
     observing_schedule,
     observing_site,
 )
+
+SAMPLE_S = 8e-8  # of a detector-sample, about
+SIGNAL_SIMS = 1.2  # time of the signal simulations of an observation, about, in that of its other work
+QUICK_S = 1.5
 
 if TYPE_CHECKING:
     from surveysim.atmosphere.screen_simulation import SlantStrips
@@ -104,6 +109,8 @@ class _Common:
     blocks: tuple[Block, ...]
     geometry: MapGeometry
     sky_geometry: MapGeometry
+    times: Schedule | None
+    seasons: tuple[Season, ...] | None
     strips: "SlantStrips | None"
 
 
@@ -122,6 +129,7 @@ def _common(scene: Scene) -> _Common:
         with errors_of(item, scene):
             check_size(item, cameras[name].n_det, reach)
     n_streams = max(_streams(item, cameras[name]) for name, item in bands.items())
+    times = observing_schedule(scene, scans)
     return _Common(
         cameras,
         extent,
@@ -132,6 +140,8 @@ def _common(scene: Scene) -> _Common:
         _geometry(scene, reach, scene.map.pixel_rad),
         # Half a map pixel holds the beam's multipoles with room to spare.
         _geometry(scene, reach, scene.map.pixel_rad / 2),
+        times,
+        _seasons(scene, times),
         layer_strips(scene, extent),
     )
 
@@ -154,8 +164,8 @@ def _simulation(scene: Scene, common: _Common) -> Simulation:
         scene=scene,
         camera=cam_setup,
         observing=ObservingSetup(scene, common.pattern, common.scans, common.blocks),
-        air=AirSetup(common.strips, _water(scene), all_bands),
-        sky=SkySetup(scene, common.sky_geometry),
+        air=AirSetup(common.strips, _water(scene), common.seasons, all_bands),
+        sky=SkySetup(scene, common.sky_geometry, tuple(cam_setup.beams.fwhm_rad.tolist())),
     )
 
 
@@ -175,15 +185,22 @@ def _prepare(scene: Scene) -> Setup:
     scene_pipelines = pipelines(scene.cleaning, masked)
     _check_blocks(scene, common, scene_pipelines)
     drawn = _simulation(scene, common)
-    water, lowest = drawn.air.water, _lowest(scene, cam, observing_schedule(scene, scans), mid_times(scans))
-    check_levels(scene, water, lowest)
+    lowest = _lowest(scene, cam, common.times, mid_times(scans))
+    check_levels(scene, drawn.air.water, lowest)
     check_sources(scene, common.sky_geometry)
     others = _others(scene, common) if "spectral" in scene.cleaning.named else ()
     calibration = _calibration(scene, (drawn, *others))
     setup = Setup(
         **vars(drawn),
         analysis=AnalysisSetup(
-            scene, geometry, common.sky_geometry, scene_pipelines, calibration, masked, drawn.camera.n_det
+            scene,
+            geometry,
+            common.sky_geometry,
+            scene_pipelines,
+            calibration,
+            masked,
+            drawn.camera.n_det,
+            drawn.camera.beams,
         ),
         others=others,
     )
@@ -191,7 +208,7 @@ def _prepare(scene: Scene) -> Setup:
         if item.camera.n_det > MOST_DENSE:
             _check_torus(item.camera)
     radius = common.extent.radius_rad
-    elements = check_layer(scene, common.strips, water, radius_rad=radius, scans=scans, lowest_rad=lowest)
+    elements = check_layer(scene, drawn.air, radius_rad=radius, scans=scans, lowest_rad=lowest)
     check_memory(needed_memory(scene, _sizes(setup, elements)))
     return setup
 
@@ -230,6 +247,7 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
         n_set=len(setup.analysis.data_set_names),
         n_transfer=len(setup.analysis.transfer_function_names),
         n_sky=setup.analysis.n_signal_skies,
+        n_beam=len(setup.camera.beams.fwhm_rad),
         strip_elements=strip_elements,
         n_coefficients=sky_coefficients(scene.sky.curved_lmax, setup.sky.geometry) if curved else 0,
     )
@@ -275,10 +293,15 @@ def _lowest(scene: Scene, cam: Camera, times: Schedule | None, mid_time_s: np.nd
 
 
 def _water(scene: Scene) -> Water | None:
-    air = scene.atmosphere
-    if air is None or air.site is None:
+    place = scene.place
+    return None if place is None else site_water(scene.atmosphere, place, scene.instrument.band)
+
+
+def _seasons(scene: Scene, times: Schedule | None) -> tuple[Season, ...] | None:
+    """Seasons of all observations; None without a schedule or without water by month."""
+    if times is None or scene.atmosphere is None or not scene.atmosphere.pwv_by_month:
         return None
-    return site_water(air, scene.instrument.band)
+    return seasons(times.start_mjd, scene.schedule.longitude_rad)
 
 
 def signal_sim_observations(scene: Scene) -> np.ndarray:
@@ -290,3 +313,10 @@ def signal_sim_observations(scene: Scene) -> np.ndarray:
     if scene.score is not None:
         chosen[: 2 * max(1, scene.score.signal_sims.observations // 2)] = True
     return chosen
+
+
+def is_quick(setup: Setup) -> bool:
+    """Return whether this process simulates a whole survey about as soon as worker processes have started."""
+    samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
+    with_sims = signal_sim_observations(setup.scene).mean()
+    return samples * setup.scene.observations * SAMPLE_S * (1 + with_sims * SIGNAL_SIMS) < QUICK_S

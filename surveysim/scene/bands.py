@@ -26,8 +26,8 @@ BAND_NAME, MAX_BAND_NAME = r"[A-Za-z0-9_]+", 20
 MAX_BANDS = 20
 # Sections and keys that are the same in all bands, and keys of a common section that bands may have.
 COMMON = (
-    *("seed", "observations", "name", "title", "field", "scan", "schedule", "fixed_pointing", "sweep", "numerics", "site"),
-    *("map", "atmosphere", "instrument.camera_rotation_range"),
+    *("seed", "observations", "name", "title", "field", "scan", "schedule", "fixed_pointing", "sweep", "numerics"),
+    *("map", "site", "atmosphere", "instrument.camera_rotation_range"),
 )
 OWN = ("atmosphere.b2", "atmosphere.b2_probabilities")
 

@@ -13,6 +13,7 @@ from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
 from surveysim.studies.sweep.axes import load_sweep
+from surveysim.telescope.diffraction import with_beam
 from surveysim.telescope.focal_plane import camera
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.timestreams.observation import Stopwatch, draw_block, draw_observation
@@ -97,7 +98,7 @@ def test_points_of_sweeps_are_of_one_block_and_dense(path):
 
 def _check_size(path, scene):
     """Assert that a scene fits into one block, which its results depend on; only the large camera does not."""
-    n_det = len(camera(scene.instrument, scene.seed).focal_plane.x_rad)
+    n_det = camera(with_beam(scene).instrument, scene.seed).n_det
     samples = n_det * scene.scan.scans * scene.scan.duration_s * scene.scan.sample_rate_hz
     many = path.stem == "large_camera"
     assert (n_det > MOST_DENSE) == (n_det > MOST_GRAM) == many
@@ -119,7 +120,8 @@ def test_layer_and_sky_do_not_depend_on_the_first_cut(setup_of):
 def test_blocks_side_by_side_are_the_observation(setup_of):
     setup = setup_of(blocks=4)
     whole, (_, pointing) = draw_observation(setup, 1), observation_path(setup.observing, 1)
-    parts = [draw_block(setup, 1, pointing, block, Stopwatch()) for block in setup.observing.blocks]
+    blocks = setup.observing.blocks
+    parts = [draw_block(setup, 1, pointing, block, Stopwatch()).timestreams() for block in blocks]
     np.testing.assert_array_equal(whole.data_mk, np.concatenate([part.data_mk for part in parts], axis=1))
     for name in ("time_s", "ra_rad", "dec_rad", "array_angle_rad", "scan"):
         np.testing.assert_array_equal(getattr(whole, name), np.concatenate([getattr(part, name) for part in parts]))
