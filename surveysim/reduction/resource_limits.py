@@ -142,7 +142,7 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
         "score.jackknives": 12.0 * flips * of.n_set * patch + more_sums,
         "score.size": 110.0 * of.n_pad**2,
         "atmosphere.layer_height": 32.0 * of.strip_elements,
-        "instrument.layout": 32.0 * pairs,
+        "instrument.layout": (56.0 if scene.photon and scene.photon.stop_fraction else 32.0) * pairs,
         "observations": 8.0 * scene.observations * (compared * n_freq + 4 * scene.scan.scans),
         "sky.curved_lmax": 48.0 * of.n_coefficients,
     }

@@ -101,6 +101,8 @@ def _prepare(scene: Scene) -> Setup:
         cam.f_lambda_rad,
         cam.illumination,
         cam.pitch_rad,
+        cam.band,
+        cam.polarizations,
         responsivity=responsivity,
         band_responsivity=of_bands,
         photon=scene.photon,
@@ -116,6 +118,7 @@ def _prepare(scene: Scene) -> Setup:
         sky=SkySetup(scene, sky_geometry),
         analysis=AnalysisSetup(scene, geometry, sky_geometry, scene_pipelines, calibration, masked, n_det),
     )
+    _ = setup.camera.photon_coherence
     if setup.camera.n_det > MOST_DENSE:
         _check_torus(setup.camera)
     elements = check_layer(scene, air.strips, water, radius_rad=cam.radius_rad, scans=scans, lowest_rad=lowest)

@@ -3,14 +3,23 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from mapmaker.timestreams import FocalPlane
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.instrument import Instrument as InstrumentSection
+from surveysim.scene.passband import Passband
 from surveysim.scene.position_table import read_positions
-from surveysim.telescope.pixel_coherence import Illumination, horn_taper_db, stop_efficiency
+from surveysim.telescope.illumination import (
+    UNIFORM,
+    GaussianIllumination,
+    He11Illumination,
+    Illumination,
+    TableIllumination,
+    gaussian_horn,
+)
 
 MAX_RINGS = 60
 MAX_PLACES = 1000
@@ -28,15 +37,21 @@ class Camera:
     f_lambda_rad
         One (f/#)lambda on the sky.
     illumination
-        Illumination of the stop by each pixel.
+        Beam of each pixel over the stop.
+    band
+        Passband of the detectors; None for a single frequency.
+    polarizations
+        Polarizations that a detector absorbs; None where the scene does not say.
     pitch_rad
         Pitch of the hexagonal lattice; None for a table of positions.
     """
 
     focal_plane: FocalPlane
     f_lambda_rad: float
-    illumination: Illumination = Illumination()
+    illumination: Illumination = UNIFORM
     pitch_rad: float | None = None
+    band: Passband | None = None
+    polarizations: int | None = None
 
     @property
     def positions_f_lambda(self) -> np.ndarray:
@@ -78,7 +93,7 @@ def camera(section: InstrumentSection) -> Camera:
         pitch = section.layout.pitch_f_lambda * section.f_lambda_rad
     check_distinct(positions)
     plane = FocalPlane(positions[:, 0].copy(), positions[:, 1].copy(), section.beam_fwhm_rad)
-    cam = Camera(plane, section.f_lambda_rad, illumination(section), pitch)
+    cam = Camera(plane, section.f_lambda_rad, illumination(section), pitch, section.band, section.polarizations)
     closest = cam.closest_rad / section.f_lambda_rad
     if section.horn_f_lambda is not None and 0 < closest < section.horn_f_lambda * (1 - 1e-9):
         raise SceneError(
@@ -89,17 +104,18 @@ def camera(section: InstrumentSection) -> Camera:
 
 
 def illumination(section: InstrumentSection) -> Illumination:
-    """Compute the illumination of the stop: uniform, or with the edge taper of the scene or of its horns."""
+    """Make the beam of a pixel over the stop: from the table of the scene, its horns or its edge taper, or uniform."""
+    if isinstance(section.illumination, Path):
+        return TableIllumination(*section.illumination_table)
     if section.horn_f_lambda is not None:
-        return Illumination(horn_taper_db(section.horn_f_lambda))
-    return Illumination(section.edge_taper_db or 0.0)
+        horn = He11Illumination if section.illumination == "he11" else gaussian_horn
+        return horn(section.horn_f_lambda)
+    return GaussianIllumination(section.edge_taper_db or 0.0)
 
 
 def total_efficiency(section: InstrumentSection) -> float:
-    """Compute the efficiency from window to detector, with the spillover of horns; needs an `efficiency`."""
-    if section.horn_f_lambda is None:
-        return section.efficiency
-    return section.efficiency * stop_efficiency(horn_taper_db(section.horn_f_lambda))
+    """Compute the efficiency from window to detector, with the spillover of the beam; needs an `efficiency`."""
+    return section.efficiency * illumination(section).efficiency
 
 
 def _layout_positions(section: InstrumentSection) -> np.ndarray:

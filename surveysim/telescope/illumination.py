@@ -1,15 +1,15 @@
 """Beams of pixels over the plane of the stop, and the mutual coherence that light within and beyond the stop gives.
 
-A beam that fills the stop and spills over its edge sees two sources: the sky and the telescope through the aperture, and
-the stop's own emission around it. Two pixels s (f/#)lambda apart see the plane of the stop with a phase that turns s times
-across the stop's diameter. By the van Cittert-Zernike theorem their mutual coherence is the Hankel transform of the beam's
-intensity over the source (Hill and Kusaka 2024, arXiv 2309.01153, equations 53 to 56). With the radius rho in units of the
-stop's radius,
+A beam that fills the stop and spills over its edge sees two sources: the sky and the telescope through the aperture,
+and the stop's own emission around it. Two pixels s (f/#)lambda apart see the plane of the stop with a phase that turns
+s times across the stop's diameter. By the van Cittert-Zernike theorem their mutual coherence is the Hankel transform of
+the beam's intensity over the source (Hill and Kusaka 2024, arXiv 2309.01153, equations 53 to 56). With the radius rho
+in units of the stop's radius, for a beam G of unit power,
 
     gamma_ap(s) = (1/eta) int_0^1 |G|^2 J0(pi s rho) 2 pi rho d rho,
 
-and gamma_stop the same from 1 outwards over 1 - eta. Eta is the share of the beam's power within the stop. For uniform G the
-first is ``2 J1(pi s) / (pi s)``. Light that fills the whole plane evenly has the coherence
+and gamma_stop the same from 1 outwards over 1 - eta. Eta is the share of the beam's power within the stop. For uniform
+G the first is ``2 J1(pi s) / (pi s)``. Light that fills the whole plane evenly has the coherence
 
     gamma_whole = eta gamma_ap + (1 - eta) gamma_stop,
 
@@ -168,9 +168,7 @@ def gaussian_horn(diameter_f_lambda: float) -> GaussianIllumination:
 
 def _check_diameter(diameter_f_lambda: float) -> None:
     if not 0 < diameter_f_lambda < math.inf:
-        raise OutOfRangeError(
-            f"diameter_f_lambda = {diameter_f_lambda:g} found; a finite diameter above 0 is allowed"
-        )
+        raise OutOfRangeError(f"diameter_f_lambda = {diameter_f_lambda:g} found; a finite diameter above 0 is allowed")
 
 
 # ---------------------------------------------------------------- corrugated horns
@@ -180,9 +178,9 @@ def _check_diameter(diameter_f_lambda: float) -> None:
 class He11Illumination(Illumination):
     """Beam of the HE11 mode of a corrugated horn, with the field ``J0(2.405 r / a)`` across its aperture of radius a.
 
-    The far field is ``J0(v) / (1 - (v / 2.405)^2)`` at ``v = (pi / 2) d rho``, d the diameter in (f/#)lambda (Clarricoats
-    and Olver, Corrugated Horns for Microwave Antennas, 1984). Valid for small angles and no phase error. Raises
-    OutOfRangeError unless the diameter is finite and above 0.
+    The far field is ``J0(v) / (1 - (v / 2.405)^2)`` at ``v = (pi / 2) d rho``, d the diameter in (f/#)lambda
+    (Clarricoats and Olver, Corrugated Horns for Microwave Antennas, 1984). Valid for small angles and no phase error.
+    Raises OutOfRangeError unless the diameter is finite and above 0.
     """
 
     diameter_f_lambda: float

@@ -9,7 +9,6 @@ import numpy as np
 from surveysim.atmosphere.opacity import BandOpacity, optical_depth
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.fields import PSD_MAX_MK2_HZ
-from surveysim.scene.noise_and_sky import Photon
 from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import total_efficiency
 from surveysim.telescope.photon_noise import PhotonNoise, photon_noise, power_per_k
@@ -17,13 +16,22 @@ from surveysim.telescope.photon_noise import PhotonNoise, photon_noise, power_pe
 
 @dataclass(frozen=True)
 class WhiteLevels:
-    """White-noise levels of one observation: one-sided PSDs [mK^2/Hz], and the PSD of the `shared` part of the photon
-    noise.
+    """White-noise levels of one observation.
+
+    Attributes
+    ----------
+    photon_mk2_hz, detector_mk2_hz
+        One-sided PSDs of a detector.
+    shared
+        Fraction of the photon noise that a detector would share with another at the same place.
+    stop_share
+        The stop's part of the light that is shared (`surveysim.telescope.pixel_coherence.part_weights`).
     """
 
     photon_mk2_hz: float
     shared: float
     detector_mk2_hz: float
+    stop_share: float = 0.0
 
 
 def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevation_rad: float) -> WhiteLevels:
@@ -39,9 +47,11 @@ def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, eleva
         Mean elevation of the observation.
     """
     passed = sky_transmission(scene, opacity, pwv_mm, elevation_rad)
-    photon, shared = 0.0, 0.0
+    photon, shared, stop = 0.0, 0.0, 0.0
     if scene.photon and scene.photon.load is None:
-        photon, shared = scene.photon.psd_mk2_hz, _stated_part(scene.photon)
+        photon, stop = scene.photon.psd_mk2_hz, scene.photon.stop_fraction or 0.0
+        shared = _shared(scene.photon.coherence, scene.photon.coherent_fraction + stop, scene.photon.bose_fraction)
+        stop /= scene.photon.coherent_fraction + stop or 1.0
     elif scene.photon:
         sky = scene.photon.load.sky_k
         sky = opacity.temperature_k * (1 - passed) if sky is None else sky
@@ -55,7 +65,7 @@ def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, eleva
         detector = (1e3 * scene.detector.nep_w_rthz / (per_k * passed)) ** 2
     _check_level("photon.load", photon)
     _check_level("detector.nep", detector)
-    return WhiteLevels(photon, shared, detector)
+    return WhiteLevels(photon, shared, detector, stop)
 
 
 def _check_level(key: str, psd_mk2_hz: float) -> None:
@@ -93,11 +103,11 @@ def load_noise(scene: Scene, sky_k: float, transmission: float) -> PhotonNoise:
 
 
 def shared_part(scene: Scene, sky_k: float, noise: PhotonNoise) -> float:
-    """Compute the photon noise that overlapping pixels share: the part of the load through the beam.
+    """Compute the fraction of the photon noise that overlapping pixels share, from the load through the beam.
 
     With "field" coherence, shot and Bose noise are shared alike, in proportion to the sky's part of the load (section
-    5.1). With "intensity" coherence, only the Bose noise is shared, in proportion to the square of the sky's part
-    (Hanbury Brown and Twiss).
+    5.1). With "hbt" coherence, only the Bose noise is shared, in proportion to the square of the sky's part (Hill and
+    Kusaka 2024, equation 59).
     """
     load = sky_k + scene.photon.load.optics_k
     part = sky_k / load if load else 0.0
@@ -105,13 +115,8 @@ def shared_part(scene: Scene, sky_k: float, noise: PhotonNoise) -> float:
     return _shared(scene.photon.coherence, part, bose)
 
 
-def _stated_part(photon: Photon) -> float:
-    """Shared part of photon noise that the scene states as a PSD with its fractions."""
-    return _shared(photon.coherence, photon.coherent_fraction, photon.bose_fraction)
-
-
 def _shared(coherence: str, part: float, bose: float | None) -> float:
-    """Shared part of the photon noise from `part`, the fraction of the load through the beam, and `bose`, the fraction
-    of the noise that is bunching.
+    """Shared fraction of the photon noise, from the `part` of the load that is coherent between pixels, and the
+    fraction `bose` of the noise that is bunching.
     """
-    return part**2 * bose if coherence == "intensity" else part
+    return part**2 * bose if coherence == "hbt" else part

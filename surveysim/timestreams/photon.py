@@ -5,8 +5,8 @@ from functools import lru_cache
 import numpy as np
 
 from surveysim.runtime.rng import RandomPurpose
-from surveysim.telescope.lattice_noise import CirculantCorrelation, CirculantFactor
-from surveysim.telescope.pixel_coherence import DenseCorrelation
+from surveysim.telescope.lattice_noise import CirculantFactor, LatticePixels
+from surveysim.telescope.pixel_coherence import DensePixels
 from surveysim.timestreams.noise import add_correlated_white, add_white
 from surveysim.timestreams.observed_block import ObservedBlock
 
@@ -24,12 +24,16 @@ def add_photon_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
         add_white(*noise, deviates)
     else:
         share = levels.shared * levels.photon_mk2_hz / level
-        add_correlated_white(*noise, _shared_factor(setup.camera.photon_correlation, share), deviates)
+        add_correlated_white(
+            *noise, _shared_factor(setup.camera.photon_correlation, levels.stop_share, share), deviates
+        )
 
 
 @lru_cache(maxsize=1)  # most scenes have one share for all observations
-def _shared_factor(pixels: DenseCorrelation | CirculantCorrelation, share: float) -> np.ndarray | CirculantFactor:
-    return pixels.factor(share)
+def _shared_factor(
+    pixels: DensePixels | LatticePixels, stop_share: float, share: float
+) -> np.ndarray | CirculantFactor:
+    return pixels.at(stop_share).factor(share)
 
 
 def photon_correlation(correlation: np.ndarray, coherent_fraction: float) -> np.ndarray:
