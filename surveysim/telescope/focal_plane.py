@@ -59,6 +59,11 @@ class Camera:
         return np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad]) / self.f_lambda_rad
 
     @property
+    def polarization_angle_rad(self) -> np.ndarray | None:
+        """Angles (n_det,) of detectors that absorb one polarization; None where they are not told or absorb both."""
+        return self.focal_plane.angle_rad if self.polarizations == 1 else None
+
+    @property
     def cells(self) -> np.ndarray:
         """Coordinates (n_det, 2) of the detectors on the lattice, along axes 60 degrees apart."""
         row = np.rint(self.focal_plane.y_rad / (np.sqrt(0.75) * self.pitch_rad))

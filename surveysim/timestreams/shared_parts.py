@@ -48,7 +48,7 @@ def shared_noise(cam: Camera, coherence: PixelCoherence, name: str) -> DensePixe
     if coherence.kind == "none":
         return None
     n_det = len(cam.focal_plane.x_rad)
-    angle = cam.focal_plane.angle_rad if coherence.kind == "hbt" and cam.polarizations == 1 else None
+    angle = cam.polarization_angle_rad if coherence.kind == "hbt" else None
     if n_det <= MOST_DENSE:
         return DensePixels(correlation_matrices(cam.positions_f_lambda, coherence, angle))
     if cam.pitch_rad is None:
