@@ -39,6 +39,13 @@ class CubicSpline(_Cubics):
         super().__init__(x, y, _smooth_slopes(x, np.diff(x), np.diff(y) / np.diff(x)))
 
 
+def stacked_splines(x: np.ndarray, y: np.ndarray) -> CubicSpline:
+    """Return splines through points (m, n) at common knots (n,) as one, whose values at a single number are (m,)."""
+    splines = [CubicSpline(x, row) for row in y]
+    splines[0].c = np.stack([spline.c for spline in splines], axis=-1)
+    return splines[0]
+
+
 class MonotoneCubic(_Cubics):
     """Piecewise cubic that is monotone where the values are (Fritsch and Butland 1984).
 

@@ -11,7 +11,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from surveysim.atmosphere.cubic_spline import CubicSpline
+from surveysim.atmosphere.cubic_spline import CubicSpline, stacked_splines
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.scene.passband import Passband
 from surveysim.scene.sites import SITES
@@ -30,6 +30,8 @@ class BandOpacity:
         Columns of precipitable water vapour.
     optical_depth : (n,)
         Zenith optical depth at these columns.
+    spectral_depth : (m, n)
+        The same at each node of the band.
     temperature_k
         Physical temperature of the water vapour.
     """
@@ -38,12 +40,18 @@ class BandOpacity:
     band: Passband
     pwv_mm: np.ndarray
     optical_depth: np.ndarray
+    spectral_depth: np.ndarray
     temperature_k: float
 
     @cached_property
     def spline(self) -> Callable[..., np.ndarray]:
         """Cubic spline of the optical depth against water vapour [mm]."""
         return CubicSpline(self.pwv_mm, self.optical_depth)
+
+    @cached_property
+    def spectral_spline(self) -> Callable[..., np.ndarray]:
+        """Cubic splines of `spectral_depth` against water vapour [mm]: arrays (m,) of a single number."""
+        return stacked_splines(self.pwv_mm, self.spectral_depth)
 
 
 @cache
@@ -65,7 +73,13 @@ def band_opacity(site: str, band: Passband) -> BandOpacity:
         )
     averaged = -np.log(band.cell_shares(edge_ghz * 1e9) @ np.exp(-depth))
     averaged.setflags(write=False)
-    return BandOpacity(site, band, pwv_mm, averaged, temperature_k)
+    return BandOpacity(site, band, pwv_mm, averaged, _at_nodes(edge_ghz, depth, band), temperature_k)
+
+
+def _at_nodes(edge_ghz: np.ndarray, depth: np.ndarray, band: Passband) -> np.ndarray:
+    """Interpolate optical depths (k, n) of cells linearly to the nodes of a band (m, n)."""
+    centre_hz = (edge_ghz[1:] + edge_ghz[:-1]) / 2 * 1e9
+    return np.array([np.interp(band.nodes[0], centre_hz, column) for column in depth.T]).T
 
 
 @cache
@@ -93,6 +107,11 @@ def optical_depth(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:
         Outside the table.
     """
     return band.spline(_allowed(band, pwv_mm))
+
+
+def spectral_depth(band: BandOpacity, pwv_mm: float) -> np.ndarray:
+    """Interpolate the zenith optical depth (m,) at the nodes of the band; raises as `optical_depth`."""
+    return band.spectral_spline(float(_allowed(band, pwv_mm)))
 
 
 def optical_depth_slope(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:

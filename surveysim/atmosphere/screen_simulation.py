@@ -5,7 +5,7 @@ In the frame of the moving layer all detectors of a scan at constant velocity fo
 `surveysim.atmosphere.scan_trends` conditions them on the trends that scans share.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from math import ceil, log2, radians
 from typing import TYPE_CHECKING
 
@@ -192,6 +192,10 @@ class Tracks:
     y_rad: np.ndarray
     corner_rad: np.ndarray
 
+    def scans(self, first: int, end: int) -> "Tracks":
+        """Select scans `first` to `end - 1`."""
+        return Tracks(*(getattr(self, item.name)[first:end] for item in fields(self)))
+
 
 def scan_tracks(
     scan_bounds: np.ndarray,
@@ -259,26 +263,40 @@ def add_atmosphere(
     ValueError
         Where a detector is outside the width of the strip.
     """
+    motion = {
+        "offsets_rad": offsets_rad,
+        "velocity_rad_s": velocity_rad_s,
+        "layer_velocity_rad_s": layer_velocity_rad_s,
+    }
+    tracks = scan_tracks(scan_bounds, sample_rate_hz=sample_rate_hz, **motion, strips=strips)
+    rest = {"amplitude_mk": amplitude_mk, "strips": strips, "deviates": deviates, "trends": trends}
+    add_along_tracks(data_mk, scan_bounds, sample_rate_hz=sample_rate_hz, tracks=tracks, **rest)
+
+
+def add_along_tracks(
+    data_mk: np.ndarray,
+    scan_bounds: np.ndarray,
+    *,
+    sample_rate_hz: float,
+    tracks: Tracks,
+    amplitude_mk: np.ndarray,
+    strips: StripCache,
+    deviates: NormalDeviates,
+    trends: "ScanTrends | None" = None,
+) -> None:
+    """Add the emission of the moving layer along given `tracks` of the scans; else as `add_atmosphere`."""
     from surveysim.atmosphere import screen_kernels
 
     add_layer = getattr(screen_kernels, LOOK_UPS[strips.interpolation])
-    tracks = scan_tracks(
-        scan_bounds,
-        sample_rate_hz=sample_rate_hz,
-        offsets_rad=offsets_rad,
-        velocity_rad_s=velocity_rad_s,
-        layer_velocity_rad_s=layer_velocity_rad_s,
-        strips=strips,
-    )
     step = strips.step_rad
-    rows = zip(scan_bounds, amplitude_mk, tracks.motion_rad_s, tracks.length_rad, strict=True)
+    steps = np.hypot(*tracks.motion_rad_s.T) / (sample_rate_hz * step)
     first = 0
-    for scan, ((start, stop), amplitude, motion, length) in enumerate(rows):
-        strip = strips.strip_for(float(length))
+    for scan, (start, stop) in enumerate(scan_bounds):
+        strip = strips.strip_for(float(tracks.length_rad[scan]))
         layer = draw_strip(strip, deviates, first=first)
         first += strip.n_deviates
         if trends is not None:
             trends.impose(scan, layer)
-        dx = float(np.hypot(*motion)) / (sample_rate_hz * step)
         y0 = np.minimum(tracks.y_rad[scan] / step, len(layer) - 1.0)
-        add_layer(data_mk, start, stop, layer, tracks.x_rad[scan] / step, y0, dx, float(amplitude))
+        x0, dx, amplitude = tracks.x_rad[scan] / step, float(steps[scan]), float(amplitude_mk[scan])
+        add_layer(data_mk, start, stop, layer, x0, y0, dx, amplitude)

@@ -143,21 +143,34 @@ def structure_table(screen: Screen) -> tuple[np.ndarray, np.ndarray]:
     Returns
     -------
     coefficients : (n, 4)
-        Cubics in the logarithm of the angle.
-    scale : (5,)
+        Cubics in the squared angle, in equal cells for each factor of two, from 1e-4 to 1e4 beams. In a cell they are
+        functions of the distance from its beginning, 0 to 1.
+    scale : (3,)
+        Squared beams per squared radian, and the powers of the squared angle below and above the table.
     """
-    coefficients, scale = _table_in_beams(*_in_beams(screen))
-    return coefficients * screen.beam_rad ** (screen.index - 2.0), np.append(screen.beam_rad, scale)
+    coefficients, powers = _table_in_beams(*_in_beams(screen))
+    return coefficients * screen.beam_rad ** (screen.index - 2.0), np.append(screen.beam_rad**-2.0, powers)
 
 
 @lru_cache(maxsize=64)
 def _table_in_beams(index: float, outer_scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute `structure_table` for a beam of 1; scale (4,) without the beam."""
+    """Compute `structure_table` for a beam of 1, and its powers (2,)."""
+    from surveysim.atmosphere.trend_kernels import TABLE_CELLS, TABLE_OCTAVES
+
     spline, slope_min = _log_structure(index, outer_scale)
-    knot = spline.x
-    values = CubicSpline(knot, np.exp(spline(knot)))
-    step = (knot[-1] - knot[0]) / (len(knot) - 1)
-    return np.ascontiguousarray(values.c.T), np.array([knot[0], step, slope_min, float(spline(knot[-1], 1))])
+    ends = spline.x[[0, -1]]
+    slopes = np.array([slope_min, float(spline(ends[1], 1))])
+    octave = 2.0 ** np.arange(-TABLE_OCTAVES, TABLE_OCTAVES)
+    squared = np.append((octave[:, None] * (1 + np.arange(TABLE_CELLS) / TABLE_CELLS)).ravel(), 2.0**TABLE_OCTAVES)
+    x = 0.5 * np.log(squared)
+    inside = np.clip(x, *ends)
+    beyond = slopes[0] * np.minimum(x - ends[0], 0.0) + slopes[1] * np.maximum(x - ends[1], 0.0)
+    value = np.exp(spline(inside) + beyond)
+    # The cubic of Hermite in each cell, from values and derivatives at its ends.
+    first, width = value * spline(inside, 1) / (2.0 * squared), np.diff(squared)
+    rise, left, right = np.diff(value), first[:-1] * width, first[1:] * width
+    cubics = [left + right - 2.0 * rise, 3.0 * rise - 2.0 * left - right, left, value[:-1]]
+    return np.stack(cubics, axis=1), 0.5 * slopes
 
 
 def _in_beams(screen: Screen) -> tuple[float, float]:

@@ -1,5 +1,7 @@
 """Kernels of the trends that scans share: their covariance, joint draws, and the conditioning of strips on them."""
 
+from math import log2
+
 import numpy as np
 
 from mapmaker.kernels.compiled import njit
@@ -8,36 +10,48 @@ from mapmaker.kernels.compiled import njit
 _DETERMINED = 1e-9
 
 
-@njit(cache=True, nogil=True)
+# Cells of `structure_table` for each factor of two, and its octaves below and above a squared beam.
+TABLE_CELLS, TABLE_OCTAVES = 32, 27
+# Bits of a float64 below those that number the cells of `structure_table`, and the number of its first cell.
+_BELOW = np.int64(52 - log2(TABLE_CELLS))
+_FIRST_CELL = np.int64((1023 - TABLE_OCTAVES) * TABLE_CELLS)
+_IN_CELL, _CELL_SHARE = np.int64(2 ** int(_BELOW) - 1), 2.0 ** -int(_BELOW)
+_TABLE_FROM, _TABLE_TO = 2.0**-TABLE_OCTAVES, 2.0**TABLE_OCTAVES
+
+
+@njit(forceinline=True)
 def structure(squared, coefficients, scale):
     """Structure function at one squared distance, from `surveysim.atmosphere.thin_screen.structure_table`.
+
+    The exponent and the first bits of the squared distance are the number of its cell: no logarithm is taken.
 
     Parameters
     ----------
     squared
         Squared distance [rad^2].
     coefficients : (n, 4)
-        Cubics in the logarithm of the distance in beams.
-    scale : (5,)
-        Beam, logarithm of the distance at which the table begins, its step, and the powers below and above the table.
+    scale : (3,)
+        As in `structure_table`.
     """
-    if squared <= 0.0:
-        return 0.0
-    x = 0.5 * np.log(squared / (scale[0] * scale[0])) - scale[1]
-    last = coefficients.shape[0]
-    end = last * scale[2]
-    if x < 0.0:
-        return coefficients[0, 3] * np.exp(scale[3] * x)
-    if x >= end:
-        return _in_cell(scale[2], coefficients[last - 1]) * np.exp(scale[4] * (x - end))
-    cell = min(int(x / scale[2]), last - 1)
-    return _in_cell(x - cell * scale[2], coefficients[cell])
+    x = squared * scale[0]
+    if _TABLE_FROM <= x < _TABLE_TO:
+        bits = np.float64(x).view(np.int64)
+        # Unsigned, which avoids numba's check for negative indices.
+        c = coefficients[np.uint64((bits >> _BELOW) - _FIRST_CELL)]
+        t = (bits & _IN_CELL) * _CELL_SHARE
+        return ((c[0] * t + c[1]) * t + c[2]) * t + c[3]
+    return _beyond_table(x, coefficients, scale)
 
 
 @njit(cache=True, nogil=True)
-def _in_cell(x, c):
-    """Evaluate a cubic (4,) at x from the beginning of its cell."""
-    return ((c[0] * x + c[1]) * x + c[2]) * x + c[3]
+def _beyond_table(x, coefficients, scale):
+    """Structure function at a squared distance in beams below or above the table: power laws."""
+    if x <= 0.0:
+        return 0.0
+    if x < _TABLE_FROM:
+        return coefficients[0, 3] * (x / _TABLE_FROM) ** scale[1]
+    c = coefficients[-1]
+    return (c[0] + c[1] + c[2] + c[3]) * (x / _TABLE_TO) ** scale[2]
 
 
 @njit(cache=True, nogil=True)
@@ -194,18 +208,16 @@ def add_covariances(strip, used, lane, column, weight, step, stride, cells, coef
     across = (n_lane - 1) / cells
     n_y, n_x = cells + 3, (used - 1) // stride + 4
     coarse = np.zeros((n_y, n_x))
-    offset = np.empty((n_y, lane.size))
-    for p in range(n_y):
-        for i in range(lane.size):
-            offset[p, i] = abs((p - 1) * across - lane[i])
-    twin, apart = _equal_offsets(offset.reshape(offset.size), column), np.empty(offset.size)
+    place, squared = _squared_offsets(lane, n_y, across)
+    apart = np.empty(squared.size)
     for q in range(n_x):
-        for k in range(offset.size):
-            p, i = k // lane.size, k % lane.size
-            if twin[k] == k:
-                dx, dy = (q - 1) * stride - column[i], offset[p, i]
-                apart[k] = structure(step * step * (dx * dx + dy * dy), coefficients, scale)
-            coarse[p, q] -= 0.5 * weight[i] * apart[twin[k]]
+        for i in range(lane.size):
+            if i == 0 or column[i] != column[i - 1]:
+                dx = (q - 1) * stride - column[i]
+                for k in range(squared.size):
+                    apart[k] = structure(step * step * (dx * dx + squared[k]), coefficients, scale)
+            for p in range(n_y):
+                coarse[p, q] -= 0.5 * weight[i] * apart[place[i, p]]
     level = coarse.mean()
     for i in range(weight.size):
         level += strip[lane[i], column[i]] / weight.size
@@ -233,15 +245,17 @@ def add_covariances(strip, used, lane, column, weight, step, stride, cells, coef
 
 
 @njit(cache=True, nogil=True)
-def _equal_offsets(offset, column):
-    """Find for each offset (n,) the first equal one at the same column; columns repeat along the offsets."""
-    twin = np.arange(offset.size)
-    for k in range(offset.size):
-        for j in range(k):
-            if offset[j] == offset[k] and column[j % column.size] == column[k % column.size]:
-                twin[k] = j
-                break
-    return twin
+def _squared_offsets(lane, n_y, across):
+    """Squares of the distances of lines across a strip from points: the place (n_point, n_y) of each, and all (n,)."""
+    place, squared, n = np.empty((lane.size, n_y), np.int64), np.empty(lane.size * n_y), 0
+    for i in range(lane.size):
+        for p in range(n_y):
+            offset = ((p - 1) * across - lane[i]) ** 2
+            found = 0
+            while found < n and squared[found] != offset:
+                found += 1
+            squared[found], place[i, p], n = offset, found, max(n, found + 1)
+    return place, squared[:n]
 
 
 @njit(cache=True, nogil=True)

@@ -30,6 +30,7 @@ from surveysim.runtime.errors import InputError, SceneError
 from surveysim.scene.instrument import Instrument, OtherBand
 from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import Camera, camera, mask_by_separation
+from surveysim.telescope.noise_levels import stop_emits
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.pointing import Schedule
 from surveysim.telescope.responsivity import assumed_responsivity, band_responsivity, true_responsivity
@@ -107,6 +108,7 @@ def _prepare(scene: Scene) -> Setup:
         band_responsivity=of_bands,
         photon=scene.photon,
         excess=scene.excess,
+        stop_emits=stop_emits(scene),
     )
     air = AirSetup(layer_strips(scene, cam), water, tuple(_water(scene, band) for band in scene.instrument.bands))
     calibration = assumed_responsivity(scene, np.vstack([responsivity[None], of_bands]))

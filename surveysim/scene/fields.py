@@ -192,6 +192,14 @@ def _photon_coherence(value: object) -> object:
     return value
 
 
+def _share_or_table(value: object, info: ValidationInfo) -> object:
+    if isinstance(value, str | Path):
+        return file_path(value, info)
+    if value is not None and not (isinstance(value, int | float) and 0 <= value <= 1):
+        raise ValueError(f"found {shown(value)}; a number from 0 to 1, or the name of a file with a table, is expected")
+    return value
+
+
 def _steps(value: object) -> object:
     from mapmaker.cleaning import ALGORITHMS
 
@@ -249,12 +257,18 @@ Nside = Annotated[int | None, BeforeValidator(_nside), of_file("integer", enum=[
 SiteName = Annotated[str | None, BeforeValidator(_site), of_file("string", enum=SITES)]
 TableFile = Annotated[Path | None, BeforeValidator(file_path), of_file("string", format=FILE, examples=["camera.ecsv"])]
 TableOrName = Annotated[Path | str | None, BeforeValidator(table_or_name), of_file("string", format=FILE)]
+ShareOrTable = Annotated[
+    Path | float | None,
+    BeforeValidator(_share_or_table),
+    of_file(["number", "string"], format=FILE, minimum=0, maximum=1),
+]
 Speed = Annotated[float, *quantity("rad / s", "arcmin / s", at_least="0.001 arcsec / s", at_most="360 deg / s")]
 SpeedExtent = Annotated[float, *quantity("rad / s", "arcmin / s", at_least=0, at_most="360 deg / s")]
 Duration = Annotated[float, *quantity("s", at_least="1 us", at_most="10 day")]
 DurationExtent = Annotated[float, *quantity("s", at_least=0, at_most="10 day")]
 Height = Annotated[float, *quantity("m", at_least="-1 km", at_most="100 km")]
 Length = Annotated[float, *quantity("m", at_least="1 mm", at_most="100000 km")]
+Diameter = Annotated[float, *quantity("m", at_least=0, at_most="100000 km")]
 Frequency = Annotated[float, *quantity("Hz", at_least="1e-6 Hz", at_most="1 GHz")]
 BandFrequency = Annotated[float, *quantity("Hz", "GHz", at_least="1 GHz", at_most="10 THz")]
 NoisePsd = Annotated[
@@ -262,6 +276,9 @@ NoisePsd = Annotated[
 ]
 Temperature = Annotated[float, *quantity("mK", at_least="-1e6 K", at_most="1e6 K")]
 Load = Annotated[float, *quantity("K", at_least=0, at_most="10000 K", zero_or="1e-9 K")]
+PhysicalTemperature = Annotated[float, *quantity("K", at_least="0.001 K", at_most="10000 K")]
+Conductance = Annotated[float, *quantity("W / K", "pW / K", above=0, at_most="1 W / K")]
+Energy = Annotated[float, *quantity("J", "meV", above=0, at_most="1 eV")]
 Nep = Annotated[float, *quantity("W / Hz(1/2)", at_least=0, at_most="1e-6 W / Hz(1/2)", zero_or="1e-30 W / Hz(1/2)")]
 Memory = Annotated[float, *quantity("byte", "MB", at_least="1 byte", at_most="1e15 byte")]
 Taper = Annotated[float, *quantity("dB", at_least=0, at_most="1000 dB")]

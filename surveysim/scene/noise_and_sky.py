@@ -10,6 +10,8 @@ from surveysim.scene.fields import (
     B2Knots,
     BandPowerExtent,
     Coherence,
+    Conductance,
+    Energy,
     Frequency,
     Latitude,
     Load,
@@ -17,6 +19,7 @@ from surveysim.scene.fields import (
     Nep,
     NoisePsd,
     PhotonCoherence,
+    PhysicalTemperature,
     Share,
     Temperature,
     Variances,
@@ -71,20 +74,21 @@ class OpticalLoad(Section):
 class Photon(Section):
     """Photon noise, correlated between overlapping pixels.
 
-    Given by a PSD and its coherent fraction, or by the optical load, which determines both.
+    Given by a PSD and its coherent fraction, or by the optical load, which determines both: `load`, or that of the
+    section [optics] without `psd` and `load`.
     """
 
     psd_mk2_hz: NoisePsd | None = Field(alias="psd", default=None)
-    """One-sided PSD of a detector's photon noise, in Rayleigh-Jeans temperature. Alternative: `load`."""
+    """One-sided PSD of a detector's photon noise, in Rayleigh-Jeans temperature. Alternatives: `load`, [optics]."""
     coherent_fraction: Share | None = None
-    """Fraction of the load that comes through the beam. Required with `psd`, not allowed with `load`."""
+    """Fraction of the load that comes through the beam. Required with `psd`, not allowed without it."""
     stop_fraction: Share | None = Field(default=None, json_schema_extra={"otherwise": "0"})
     """Fraction of the load that the stop emits, where the beam spills over its edge. For `psd` with coherence "hbt"."""
     bose_fraction: Share | None = None
     """Fraction of the noise `psd` that is photon bunching (Bose or wave noise) instead of shot noise. Required with
     `psd` and coherence "hbt"."""
     load: OpticalLoad | None = None
-    """Alternative: `psd`."""
+    """Alternatives: `psd`, [optics]."""
     coherence: PhotonCoherence
     """Correlation between pixels: "hbt" correlates the bunching of light through the aperture and of the stop (Hanbury
     Brown and Twiss; Hill and Kusaka 2024). "field" correlates all noise of the load through the beam by the field
@@ -92,14 +96,15 @@ class Photon(Section):
 
     @model_validator(mode="after")
     def _psd_or_load(self) -> Self:
-        if (self.psd_mk2_hz is None) == (self.load is None):
-            raise ValueError("exactly one of 'psd' and 'load' (a section) is expected")
-        if (self.psd_mk2_hz is None) != (self.coherent_fraction is None):
-            found = "missing; 'psd' needs it" if self.load is None else "found together with 'load', which sets it"
-            raise ValueError(f"coherent_fraction: {found}")
-        if self.load is not None and self.bose_fraction is not None:
-            raise ValueError("bose_fraction: found together with 'load', which sets it")
-        if self.load is None and self.coherence == "hbt" and self.bose_fraction is None:
+        if self.psd_mk2_hz is not None and self.load is not None:
+            raise ValueError("one of 'psd' and 'load' (a section) is expected, or neither with a section [optics]")
+        source = "'load'" if self.load else "[optics]"
+        if self.psd_mk2_hz is not None and self.coherent_fraction is None:
+            raise ValueError("coherent_fraction: missing; 'psd' needs it")
+        for name in ("coherent_fraction", "stop_fraction", "bose_fraction"):
+            if self.psd_mk2_hz is None and getattr(self, name) is not None:
+                raise ValueError(f"{name}: found without 'psd'; {source} sets it")
+        if self.psd_mk2_hz is not None and self.coherence == "hbt" and self.bose_fraction is None:
             raise ValueError(
                 "bose_fraction: missing; 'psd' with coherence 'hbt' needs it, as the bunching alone is shared: "
                 "0 for shot noise alone to 1, or give a 'load', from which it follows"
@@ -107,11 +112,11 @@ class Photon(Section):
         return self
 
     @model_validator(mode="after")
-    def _stop_is_of_psd(self) -> Self:
+    def _stop_is_of_load(self) -> Self:
         if self.stop_fraction is None:
             return self
-        if self.psd_mk2_hz is None or self.coherence != "hbt":
-            raise ValueError("stop_fraction: found without 'psd' and coherence 'hbt', which it belongs to")
+        if self.coherence != "hbt":
+            raise ValueError("stop_fraction: found without coherence 'hbt', which it belongs to")
         if self.coherent_fraction + self.stop_fraction > 1 + 1e-9:
             raise ValueError(
                 f"stop_fraction: found {self.stop_fraction:g} with a coherent_fraction of {self.coherent_fraction:g}; "
@@ -120,18 +125,63 @@ class Photon(Section):
         return self
 
 
+class Bolometer(Section):
+    """Bolometer: thermal fluctuation (phonon) noise of its link to the bath, and amplifier noise.
+
+    The link has the conductance ``G (T / T_c)^exponent``.
+    """
+
+    conductance_w_k: Conductance = Field(alias="conductance")
+    """Thermal conductance G = dP/dT of the link at the critical temperature."""
+    critical_temperature_k: PhysicalTemperature = Field(alias="critical_temperature")
+    """Temperature of the bolometer: critical temperature T_c of the thermistor."""
+    bath_temperature_k: PhysicalTemperature = Field(alias="bath_temperature")
+    """Temperature of the bath, below the critical temperature."""
+    exponent: Annotated[float, *number(0, 10)]
+    """Exponent of the conductance in temperature: 1 for a metal, 3 for a crystalline insulator."""
+    amplifier_nep_w_rthz: Nep = Field(alias="amplifier_nep")
+    """NEP of the readout: amplifier and Johnson noise; 0 for none."""
+
+    @model_validator(mode="after")
+    def _bath_is_colder(self) -> Self:
+        if not self.bath_temperature_k < self.critical_temperature_k:
+            raise ValueError(
+                f"bath_temperature: found {self.bath_temperature_k:g} K; less than the critical temperature, "
+                f"{self.critical_temperature_k:g} K, is expected"
+            )
+        return self
+
+
+class Kid(Section):
+    """Kinetic inductance detector: recombination noise of the quasiparticles that the load breaks, and amplifier and
+    two-level-system noise."""
+
+    gap_j: Energy = Field(alias="gap")
+    """Gap energy Delta of the superconductor: half of the energy that breaks a pair."""
+    pair_breaking_efficiency: Annotated[float, *number(0.01, 1)]
+    """Share of the absorbed energy that goes into quasiparticles."""
+    amplifier_nep_w_rthz: Nep = Field(alias="amplifier_nep")
+    """NEP of amplifier and two-level systems; 0 for none."""
+
+
 class Detector(Section):
     """White noise of detectors and readout, uncorrelated between detectors."""
 
     psd_mk2_hz: NoisePsd | None = Field(alias="psd", default=None)
-    """One-sided white-noise PSD of a detector, in Rayleigh-Jeans temperature. Alternative: `nep`."""
+    """One-sided white-noise PSD of a detector, in Rayleigh-Jeans temperature. Alternatives: `nep`, `bolometer`,
+    `kid`."""
     nep_w_rthz: Nep | None = Field(alias="nep", default=None)
-    """Noise-equivalent power (NEP) of a detector. Alternative: `psd`."""
+    """Noise-equivalent power (NEP) of a detector. Alternatives: `psd`, `bolometer`, `kid`."""
+    bolometer: Bolometer | None = None
+    """Alternatives: `psd`, `nep`, `kid`."""
+    kid: Kid | None = None
+    """Alternatives: `psd`, `nep`, `bolometer`. Its noise depends on the load: a `photon.load` or [optics] is
+    required."""
 
     @model_validator(mode="after")
-    def _psd_or_nep(self) -> Self:
-        if (self.psd_mk2_hz is None) == (self.nep_w_rthz is None):
-            raise ValueError("exactly one of 'psd' and 'nep' is expected")
+    def _one_noise(self) -> Self:
+        if [self.psd_mk2_hz, self.nep_w_rthz, self.bolometer, self.kid].count(None) != 3:
+            raise ValueError("exactly one of 'psd', 'nep', 'bolometer' and 'kid' is expected")
         return self
 
 

@@ -67,6 +67,10 @@ class Passband:
         weights = (width[:, None] * weight).ravel() * np.interp(frequency, knots, self.transmission)
         return frequency, weights / weights.sum()
 
+    def at(self, frequency_hz: np.ndarray) -> np.ndarray:
+        """Transmission at frequencies within the band, over its largest value."""
+        return np.interp(frequency_hz, self.frequency_hz, self.transmission) / max(self.transmission)
+
     @property
     def cmb_per_rj(self) -> float:
         """Thermodynamic CMB temperature per Rayleigh-Jeans temperature: 1.65 at 143 GHz.

@@ -29,6 +29,7 @@ from surveysim.scene.instrument import Instrument
 from surveysim.scene.noise_and_sky import StreamSections
 from surveysim.scene.numerics import Numerics
 from surveysim.scene.observing import MIN_SAMPLES, FieldSection, FixedPointing, Scan, Schedule
+from surveysim.scene.optics import Optics
 from surveysim.scene.renamed_keys import renamed_lines
 from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
@@ -67,6 +68,8 @@ class ObservationSections(Section):
     fixed_pointing: FixedPointing | None = None
     """Alternative: `schedule`."""
     instrument: Instrument
+    optics: Optics | None = None
+    """Photon noise, beam and flux calibration follow from it where they are left out."""
     scan: Scan
 
 
@@ -102,6 +105,7 @@ class Scene(StreamSections, ObservationSections):
             raise ValueError("instrument.bands: missing; 'spectral' cleaning needs other bands of the pixels")
         if self.instrument.bands and not (self.atmosphere and self.atmosphere.site):
             raise ValueError("atmosphere.site: missing; the bands scale with each other by the opacity of a site")
+        self._load_is_given()
         self._power_is_known()
         if not any(getattr(self, name) for name in StreamSections.model_fields):
             *names, last = StreamSections.model_fields
@@ -110,17 +114,41 @@ class Scene(StreamSections, ObservationSections):
             raise ValueError(f"scan.duration: found {found:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
         return self
 
+    def _load_is_given(self) -> None:
+        """Raise ValueError unless photon noise, and noise that depends on the load, have exactly one source."""
+        photon, kid = self.photon, self.detector.kid if self.detector else None
+        if photon and photon.psd_mk2_hz is None and photon.load is None and self.optics is None:
+            raise ValueError("photon: exactly one of 'psd', 'load' (a section) and a section [optics] is expected")
+        if self.optics and self.instrument.horn_f_lambda is not None and self.optics.stop is None:
+            raise ValueError("optics.stop: missing; horns spill part of their beam on it")
+        if photon and photon.load and self.optics:
+            raise ValueError("photon.load: found together with [optics], which sets it; one of the two is expected")
+        if kid and not (photon and photon.psd_mk2_hz is None):
+            raise ValueError("detector.kid: its noise depends on the load; 'photon.load' or [optics] is expected")
+
     def _power_is_known(self) -> None:
         """Raise ValueError for noise given by optical power without the keys that convert it to temperature."""
-        load = self.photon.load if self.photon else None
-        if load is None and not (self.detector and self.detector.nep_w_rthz is not None):
+        if (name := self.given_by_power) is None:
             return
-        name = "photon.load" if load else "detector.nep"
         for key in ("bandwidth", "efficiency", "polarizations"):
             if getattr(self.instrument, key) is None and not (key == "bandwidth" and self.instrument.passband):
                 raise ValueError(f"instrument.{key}: missing; {name!r} needs it")
-        if load and load.sky_k is None and not (self.atmosphere and self.atmosphere.site):
-            raise ValueError("photon.load.sky: missing; a temperature, or a site that it follows from, is expected")
+        if name not in ("photon.load", "optics"):
+            return
+        load, key = (self.photon.load, "photon.load.sky") if name == "photon.load" else (self.optics, "optics.sky")
+        if load.sky_k is None and not (self.atmosphere and self.atmosphere.site):
+            raise ValueError(f"{key}: missing; a temperature, or a site that it follows from, is expected")
+
+    @property
+    def given_by_power(self) -> str | None:
+        """Section or key that gives noise by power; None if none does."""
+        photon, detector = self.photon, self.detector
+        if photon and photon.psd_mk2_hz is None:
+            return "photon.load" if photon.load else "optics"
+        if detector and detector.psd_mk2_hz is None:
+            kind = next(name for name in ("nep_w_rthz", "bolometer", "kid") if getattr(detector, name) is not None)
+            return f"detector.{kind.removesuffix('_w_rthz')}"
+        return None
 
 
 def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scene:

@@ -123,6 +123,15 @@ def total_efficiency(section: InstrumentSection) -> float:
     return section.efficiency * illumination(section).efficiency
 
 
+def stop_share(section: InstrumentSection, frequency_hz: np.ndarray) -> np.ndarray:
+    """Compute the part (n,) of a pixel's beam that passes the stop at frequencies (n,) [Hz].
+
+    The scene tells the illumination at the centre of the band.
+    """
+    beam = illumination(section)
+    return np.array([beam.at(ratio).efficiency for ratio in (frequency_hz / section.band.centre_hz).tolist()])
+
+
 def _layout_positions(section: InstrumentSection) -> np.ndarray:
     """Positions (n, 2) [rad] of a layout, including dead ones.
 

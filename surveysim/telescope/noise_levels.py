@@ -4,14 +4,15 @@ weather.
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from surveysim.atmosphere.opacity import BandOpacity, optical_depth
+from surveysim.atmosphere.opacity import BandOpacity
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.fields import PSD_MAX_MK2_HZ
+from surveysim.scene.noise_and_sky import Photon
 from surveysim.scene.scene import Scene
-from surveysim.telescope.focal_plane import total_efficiency
-from surveysim.telescope.photon_noise import PhotonNoise, photon_noise, power_per_k
+from surveysim.telescope.detector_noise import detector_nep2
+from surveysim.telescope.optics import scene_chain
+from surveysim.telescope.photon_noise import amplitude_weights, chain_noise
+from surveysim.telescope.radiative_chain import SKY, RadiativeChain
 
 
 @dataclass(frozen=True)
@@ -21,17 +22,27 @@ class WhiteLevels:
     Attributes
     ----------
     photon_mk2_hz, detector_mk2_hz
-        One-sided PSDs of a detector.
+        One-sided PSDs [mK^2/Hz] of photons, and of detector and readout.
+    wave_mk2_hz
+        Part of `photon_mk2_hz` that is photon bunching.
+    aperture_weight, stop_weight
+        Parts of the load, by occupation number at the detector, that come through the aperture of the stop, and from
+        the stop.
     shared
-        Fraction of the photon noise that a detector would share with another at the same place.
-    stop_share
-        The stop's part of the light that is shared (`surveysim.telescope.pixel_coherence.part_weights`).
+        Fraction of `photon_mk2_hz` that a detector would share with another at the same place.
     """
 
-    photon_mk2_hz: float
-    shared: float
-    detector_mk2_hz: float
-    stop_share: float = 0.0
+    photon_mk2_hz: float = 0.0
+    wave_mk2_hz: float = 0.0
+    aperture_weight: float = 0.0
+    stop_weight: float = 0.0
+    shared: float = 0.0
+    detector_mk2_hz: float = 0.0
+
+    @property
+    def stop_share(self) -> float:
+        """The stop's part of the light that is shared (`surveysim.telescope.pixel_coherence.part_weights`)."""
+        return self.stop_weight / (self.aperture_weight + self.stop_weight) if self.stop_weight else 0.0
 
 
 def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevation_rad: float) -> WhiteLevels:
@@ -46,29 +57,23 @@ def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, eleva
     elevation_rad
         Mean elevation of the observation.
     """
-    passed = sky_transmission(scene, opacity, pwv_mm, elevation_rad)
-    photon, shared, stop = 0.0, 0.0, 0.0
-    if scene.photon and scene.photon.load is None:
-        photon, stop = scene.photon.psd_mk2_hz, scene.photon.stop_fraction or 0.0
-        shared = _shared(scene.photon.coherence, scene.photon.coherent_fraction + stop, scene.photon.bose_fraction)
-        stop /= scene.photon.coherent_fraction + stop or 1.0
-    elif scene.photon:
-        sky = scene.photon.load.sky_k
-        sky = opacity.temperature_k * (1 - passed) if sky is None else sky
-        noise = load_noise(scene, sky, passed)
-        photon, shared = noise.psd_mk2_hz, shared_part(scene, sky, noise)
-    detector = scene.detector.psd_mk2_hz if scene.detector else 0.0
-    if detector is None:
-        per_k = power_per_k(
-            scene.instrument.band.width_hz, total_efficiency(scene.instrument), scene.instrument.polarizations
-        )
-        detector = (1e3 * scene.detector.nep_w_rthz / (per_k * passed)) ** 2
-    _check_level("photon.load", photon)
-    _check_level("detector.nep", detector)
-    return WhiteLevels(photon, shared, detector, stop)
+    chain = scene_chain(scene, opacity, pwv_mm, elevation_rad) if scene.given_by_power else None
+    if scene.photon and scene.photon.psd_mk2_hz is not None:
+        levels = _stated(scene.photon)
+    elif scene.photon and chain:
+        levels = _of_chain(chain, scene.photon.coherence)
+    else:
+        levels = {}
+    detector = 0.0
+    if scene.detector:
+        detector = scene.detector.psd_mk2_hz
+        detector = _detector_psd(scene, chain) if detector is None else detector
+    _check_level(scene.given_by_power, levels.get("photon_mk2_hz", 0.0))
+    _check_level("detector", detector)
+    return WhiteLevels(**levels, detector_mk2_hz=detector)
 
 
-def _check_level(key: str, psd_mk2_hz: float) -> None:
+def _check_level(key: str | None, psd_mk2_hz: float) -> None:
     """Raise ValueError for a PSD that is not finite, as under an opaque sky."""
     if not psd_mk2_hz <= PSD_MAX_MK2_HZ:
         raise SceneError(
@@ -77,46 +82,54 @@ def _check_level(key: str, psd_mk2_hz: float) -> None:
         )
 
 
-def sky_transmission(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevation_rad: float) -> float:
-    """Transmission of the atmosphere where the photon noise follows from the site's water, else 1.
+def _detector_psd(scene: Scene, chain: RadiativeChain) -> float:
+    """Detector noise [mK^2/Hz] of a detector whose NEP is known, under the load of the chain."""
+    load_w = chain_noise(chain).power_w
+    nep2 = sum(detector_nep2(scene.detector, load_w).values())
+    return nep2 * (1e3 / chain.w_per_k) ** 2 if chain.w_per_k else float("inf")
 
-    A stated load, and a detector NEP without a load, refer to temperatures calibrated above the atmosphere, as in the
-    paper.
+
+def _stated(photon: Photon) -> dict[str, float]:
+    """Levels of photon noise that the scene states as a PSD with its fractions."""
+    part, stop, wave = photon.coherent_fraction, photon.stop_fraction or 0.0, photon.bose_fraction or 0.0
+    return {
+        "photon_mk2_hz": photon.psd_mk2_hz,
+        "wave_mk2_hz": wave * photon.psd_mk2_hz,
+        "aperture_weight": part,
+        "stop_weight": stop,
+        "shared": _shared(photon.coherence, part + stop, wave),
+    }
+
+
+def _of_chain(chain: RadiativeChain, coherence: str) -> dict[str, float]:
+    """Levels of photon noise from the load.
+
+    With "field" coherence, shot and wave noise are shared alike, in proportion to the part of the load through the beam
+    (section 5.1). With "hbt" coherence, only the wave noise is shared, in proportion to the square of the part through
+    the aperture and from the stop (Hill and Kusaka 2024, equation 59).
     """
-    of_site = scene.photon and scene.photon.load and scene.photon.load.sky_k is None
-    if not of_site:
-        return 1.0
-    return float(np.exp(-optical_depth(opacity, pwv_mm) / np.sin(elevation_rad)))
+    noise = chain_noise(chain)
+    aperture, stop = amplitude_weights(chain)
+    wave = noise.bose_nep2 / (noise.shot_nep2 + noise.bose_nep2) if noise.power_w else 0.0
+    part = aperture + stop
+    if coherence == "field":
+        part = float(chain.power_w(chain.occupation_of(SKY))) / noise.power_w if noise.power_w else 0.0
+    return {
+        "photon_mk2_hz": noise.psd_mk2_hz,
+        "wave_mk2_hz": noise.bose_psd_mk2_hz,
+        "aperture_weight": aperture,
+        "stop_weight": stop,
+        "shared": _shared(coherence, part, wave),
+    }
 
 
-def load_noise(scene: Scene, sky_k: float, transmission: float) -> PhotonNoise:
-    """Compute the photon noise of a pixel for this sky load, in temperature above the atmosphere."""
-    band = scene.instrument
-    return photon_noise(
-        sky_k + scene.photon.load.optics_k,
-        band.band.centre_hz,
-        band.band.width_hz / band.band.centre_hz,
-        total_efficiency(band),
-        polarizations=band.polarizations,
-        transmission=transmission,
-    )
-
-
-def shared_part(scene: Scene, sky_k: float, noise: PhotonNoise) -> float:
-    """Compute the fraction of the photon noise that overlapping pixels share, from the load through the beam.
-
-    With "field" coherence, shot and Bose noise are shared alike, in proportion to the sky's part of the load (section
-    5.1). With "hbt" coherence, only the Bose noise is shared, in proportion to the square of the sky's part (Hill and
-    Kusaka 2024, equation 59).
-    """
-    load = sky_k + scene.photon.load.optics_k
-    part = sky_k / load if load else 0.0
-    bose = noise.bose_psd_mk2_hz / noise.psd_mk2_hz if noise.psd_mk2_hz else 0.0
-    return _shared(scene.photon.coherence, part, bose)
-
-
-def _shared(coherence: str, part: float, bose: float | None) -> float:
+def _shared(coherence: str, part: float, wave: float) -> float:
     """Shared fraction of the photon noise, from the `part` of the load that is coherent between pixels, and the
-    fraction `bose` of the noise that is bunching.
+    fraction `wave` of the noise that is bunching.
     """
-    return part**2 * bose if coherence == "hbt" else part
+    return part**2 * wave if coherence == "hbt" else part
+
+
+def stop_emits(scene: Scene) -> bool:
+    """Whether light of the stop is part of the load, as far as the beam spills on it."""
+    return bool(scene.photon and (scene.photon.stop_fraction or (scene.optics and scene.optics.stop)))

@@ -1,8 +1,7 @@
 """Photon noise of an optical load: the background limit (BLIP) of a pixel (section 1.1).
 
-Assumptions: one spatial mode, fully coherent over the pixel, in one or two polarizations; a top-hat band; loads in
-Rayleigh-Jeans temperature at the cryostat window. NEPs are in W/sqrt(Hz) of a one-sided spectrum: noise of NEP^2
-averaged over a time t has the variance NEP^2 / (2 t). Powers are absorbed powers.
+NEPs are in W/sqrt(Hz) of a one-sided spectrum: noise of NEP^2 averaged over a time t has the variance NEP^2 / (2 t).
+Powers are absorbed powers.
 """
 
 import math
@@ -10,22 +9,43 @@ from dataclasses import dataclass
 
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.scene.passband import top_hat
-from surveysim.scene.units import BOLTZMANN_J_K, PLANCK_J_S
+from surveysim.telescope.radiative_chain import SKY, STOP, RadiativeChain, coupling, stated
 
 
 @dataclass(frozen=True)
 class PhotonNoise:
-    """Photon noise of one pixel: absorbed power, NEP, and one-sided PSDs [mK_RJ^2/Hz] above the atmosphere.
+    """Photon noise of one pixel.
 
-    `shot_psd_mk2_hz` is Poisson noise of independent photons, `bose_psd_mk2_hz` the excess from photon bunching.
+    Attributes
+    ----------
+    power_w
+        Absorbed power [W].
+    shot_nep2, bose_nep2
+        Squared NEP [W^2/Hz] of independent photons (Poisson), and of photon bunching.
+    w_per_k, w_per_k_cmb
+        Absorbed power per temperature above the atmosphere [W/K], Rayleigh-Jeans and thermodynamic CMB.
     """
 
-    frequency_hz: float
-    bandwidth: float
     power_w: float
-    nep_w_rthz: float
-    shot_psd_mk2_hz: float
-    bose_psd_mk2_hz: float
+    shot_nep2: float
+    bose_nep2: float
+    w_per_k: float
+    w_per_k_cmb: float
+
+    @property
+    def nep_w_rthz(self) -> float:
+        """Noise-equivalent power."""
+        return math.sqrt(self.shot_nep2 + self.bose_nep2)
+
+    @property
+    def shot_psd_mk2_hz(self) -> float:
+        """Shot noise as one-sided PSD [mK_RJ^2/Hz] above the atmosphere."""
+        return self.shot_nep2 * (1e3 / self.w_per_k) ** 2
+
+    @property
+    def bose_psd_mk2_hz(self) -> float:
+        """Bose noise as one-sided PSD [mK_RJ^2/Hz] above the atmosphere."""
+        return self.bose_nep2 * (1e3 / self.w_per_k) ** 2
 
     @property
     def psd_mk2_hz(self) -> float:
@@ -40,30 +60,30 @@ class PhotonNoise:
     @property
     def net_mkcmb_rthz(self) -> float:
         """Noise-equivalent temperature in CMB temperature."""
-        return self.net_mk_rthz * top_hat(self.frequency_hz, self.bandwidth).cmb_per_rj
+        return 1e3 * self.nep_w_rthz / self.w_per_k_cmb
 
 
-def power_per_k(bandwidth_hz: float, efficiency: float, polarizations: int) -> float:
-    """Absorbed power per Rayleigh-Jeans temperature at the window [W/K], ``k dnu eta n_pol``."""
-    return BOLTZMANN_J_K * bandwidth_hz * efficiency * polarizations
+def chain_noise(chain: RadiativeChain) -> PhotonNoise:
+    """Compute the photon noise of a detector behind a chain of emitting surfaces."""
+    occupation = chain.occupation.sum(axis=0)
+    return PhotonNoise(
+        float(chain.power_w(occupation)),
+        float(chain.shot_nep2(occupation)),
+        float(chain.wave_nep2(occupation)),
+        chain.w_per_k,
+        chain.w_per_k_cmb,
+    )
 
 
-def power_w(temperature_rj_k: float, bandwidth_hz: float, efficiency: float, polarizations: int) -> float:
-    """Absorbed power [W] of a load that fills the beam, ``k T dnu eta n_pol``."""
-    return temperature_rj_k * power_per_k(bandwidth_hz, efficiency, polarizations)
+def amplitude_weights(chain: RadiativeChain) -> tuple[float, float]:
+    """Weights of aperture and stop in the coherence of two pixels (Hill and Kusaka 2024, eq. 59).
 
-
-def shot_nep2(load_w: float, frequency_hz: float) -> float:
-    """Shot noise [W^2/Hz] of an absorbed power, ``2 h nu P`` (Richards 1994)."""
-    return 2 * PLANCK_J_S * frequency_hz * load_w
-
-
-def bose_nep2(load_w: float, bandwidth_hz: float, polarizations: int) -> float:
-    """Bose noise [W^2/Hz] of an absorbed power, ``2 P^2 / (n_pol dnu)`` (Richards 1994, Zmuidzinas 2003).
-
-    Polarizations bunch by themselves: two share the power and their noises add in squares.
+    They are the parts of the occupation number at the absorber that come through the aperture of the stop and from the
+    stop itself, averaged over the band with the wave noise as weight.
     """
-    return 2 * load_w**2 / (polarizations * bandwidth_hz)
+    total = chain.occupation.sum(axis=0)
+    safe = total + (total == 0)
+    return chain.wave_average(chain.occupation_of(SKY) / safe), chain.wave_average(chain.occupation_of(STOP) / safe)
 
 
 def photon_noise(
@@ -75,7 +95,7 @@ def photon_noise(
     polarizations: int,
     transmission: float = 1.0,
 ) -> PhotonNoise:
-    """Compute the photon noise of a load.
+    """Compute the photon noise of a load in a top-hat band.
 
     Parameters
     ----------
@@ -94,11 +114,10 @@ def photon_noise(
         For values out of range.
     """
     _check(load_k, frequency_hz, bandwidth, efficiency, polarizations=polarizations, transmission=transmission)
-    bandwidth_hz = bandwidth * frequency_hz
-    load_w = power_w(load_k, bandwidth_hz, efficiency, polarizations)
-    shot, bose = shot_nep2(load_w, frequency_hz), bose_nep2(load_w, bandwidth_hz, polarizations)
-    mk2_per_w2 = (1e3 / (power_per_k(bandwidth_hz, efficiency, polarizations) * transmission)) ** 2
-    return PhotonNoise(frequency_hz, bandwidth, load_w, math.sqrt(shot + bose), shot * mk2_per_w2, bose * mk2_per_w2)
+    band = top_hat(frequency_hz, bandwidth)
+    nodes = band.nodes[0]
+    surfaces = stated("load", SKY, load_k, nodes, transmission), coupling(nodes, efficiency)
+    return chain_noise(RadiativeChain(band, polarizations, surfaces))
 
 
 def _check(

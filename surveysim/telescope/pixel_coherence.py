@@ -90,7 +90,7 @@ def wave_noise_band(band: Passband) -> Band:
     of the band; beyond, they are smaller than that.
     """
     frequency, weight = band.nodes
-    weight = weight * np.interp(frequency, band.frequency_hz, band.transmission)
+    weight = weight * band.at(frequency)
     return gauss_rule(frequency / band.centre_hz, weight / weight.sum(), _BAND_NODES)
 
 

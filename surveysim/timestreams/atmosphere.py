@@ -14,8 +14,8 @@ from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import Simulation
 
 if TYPE_CHECKING:
-    from surveysim.atmosphere.scan_trends import ScanTrends
-    from surveysim.atmosphere.screen_simulation import StripCache
+    from surveysim.atmosphere.scan_trends import StripPoints
+    from surveysim.atmosphere.screen_simulation import StripCache, Tracks
 
 
 def add_atmosphere(data_mk: np.ndarray, of: ObservedBlock) -> None:
@@ -44,70 +44,62 @@ def add_layer(
     realization
         Number of the realization; time-streams have 0.
     """
-    from surveysim.atmosphere.screen_simulation import add_atmosphere as add_screen
+    from surveysim.atmosphere.scan_trends import draw_trends
+    from surveysim.atmosphere.screen_simulation import add_along_tracks, scan_tracks
 
     block = block or Block(0, 0, len(pointing.elevation_rad))
     sine = np.sin(pointing.elevation_rad)
     strips = setup.air.strips.at(float(sine.min()))
-    motion = offsets, velocity, layer_velocity = _layer_motion(setup, pointing, weather)
-    trends = _trends(setup, observation, pointing, motion=motion, strips=strips, realization=realization)
-    deviates = normal_deviates(
-        setup.scene.seed, RandomPurpose.ATMOSPHERE, observation, realization=realization, block=block.number
-    )
-    scans = slice(block.first, block.end)
-    add_screen(
+    bounds, rate = scan_bounds(pointing.scan), setup.observing.scans.sample_rate_hz
+    motion = _layer_motion(setup, pointing, weather)
+    tracks = scan_tracks(bounds, sample_rate_hz=rate, **motion, strips=strips)
+    points = _strip_points(pointing, bounds, motion["layer_velocity_rad_s"], tracks=tracks, strips=strips)
+    seed = setup.scene.seed
+    trends = draw_trends(points, normal_deviates(seed, RandomPurpose.TREND, observation, realization=realization))
+    add_along_tracks(
         data,
-        scan_bounds(pointing.scans(block.first, block.end).scan),
-        sample_rate_hz=setup.observing.scans.sample_rate_hz,
-        offsets_rad=offsets[scans],
-        velocity_rad_s=velocity[scans],
-        layer_velocity_rad_s=layer_velocity[scans],
+        bounds[block.first : block.end] - bounds[block.first, 0],
+        sample_rate_hz=rate,
+        tracks=tracks.scans(block.first, block.end),
         # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
-        amplitude_mk=np.sqrt(weather.b2 / sine[scans]),
+        amplitude_mk=np.sqrt(weather.b2 / sine[block.first : block.end]),
         strips=strips,
-        deviates=deviates,
+        deviates=normal_deviates(
+            seed, RandomPurpose.ATMOSPHERE, observation, realization=realization, block=block.number
+        ),
         trends=trends.scans(block.first, block.end),
     )
 
 
-def _layer_motion(setup: Simulation, pointing: Pointing, weather: Weather) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _layer_motion(setup: Simulation, pointing: Pointing, weather: Weather) -> dict[str, np.ndarray]:
     """Compute offsets of detectors (n_scan, n_det, 2), velocities of boresight and layer (n_scan, 2), over sin(el)."""
     slant = 1 / np.sin(pointing.elevation_rad)[:, None]
     offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad), axis=-1)
     layer = np.stack(sky_vector(pointing.parallactic_rad, *weather.wind_rad_s), axis=-1)
-    return offsets * slant[:, None], pointing.velocity_rad_s * slant, layer * slant
+    return {
+        "offsets_rad": offsets * slant[:, None],
+        "velocity_rad_s": pointing.velocity_rad_s * slant,
+        "layer_velocity_rad_s": layer * slant,
+    }
 
 
-def _trends(
-    setup: Simulation,
-    observation: int,
+def _strip_points(
     pointing: Pointing,
+    bounds: np.ndarray,
+    layer_velocity_rad_s: np.ndarray,
     *,
-    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    tracks: "Tracks",
     strips: "StripCache",
-    realization: int,
-) -> "ScanTrends":
-    """Draw the trends of the layer in all scans of an observation."""
-    from surveysim.atmosphere.scan_trends import draw_trends, strip_points
-    from surveysim.atmosphere.screen_simulation import scan_tracks
+) -> "StripPoints":
+    """Place the points of the strips of all scans, with first samples and ends `bounds`, in one frame."""
+    from surveysim.atmosphere.scan_trends import strip_points
 
-    bounds = scan_bounds(pointing.scan)
-    offsets, velocity, layer_velocity = motion
-    tracks = scan_tracks(
-        bounds,
-        sample_rate_hz=setup.observing.scans.sample_rate_hz,
-        offsets_rad=offsets,
-        velocity_rad_s=velocity,
-        layer_velocity_rad_s=layer_velocity,
-        strips=strips,
-    )
     first, last = bounds[:, 0], bounds[:, 1] - 1
     begin, middle = pointing.time_s[first], (pointing.time_s[first] + pointing.time_s[last]) / 2
     slant = 1 / np.sin(pointing.elevation_rad)[:, None]
     boresight = np.stack([pointing.xi_rad[first], pointing.eta_rad[first]], axis=-1) * slant
-    corner = boresight - _moved(layer_velocity, middle, begin) + tracks.corner_rad
-    deviates = normal_deviates(setup.scene.seed, RandomPurpose.TREND, observation, realization=realization)
-    return draw_trends(strip_points(strips, corner, tracks.direction, tracks.length_rad), deviates)
+    corner = boresight - _moved(layer_velocity_rad_s, middle, begin) + tracks.corner_rad
+    return strip_points(strips, corner, tracks.direction, tracks.length_rad)
 
 
 def _moved(velocity_rad_s: np.ndarray, middle_s: np.ndarray, begin_s: np.ndarray) -> np.ndarray:

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from surveysim.atmosphere.thin_screen import Screen
 
 
-def photon_coherence(cam: Camera, section: Photon) -> PixelCoherence:
+def photon_coherence(cam: Camera, section: Photon, stop_emits: bool) -> PixelCoherence:
     """Make the correlation of photon noise against separation.
 
-    Raises SceneError for light of the stop with a beam that does not spill on it.
+    Raises SceneError for a fraction of the stop with a beam that does not spill on it.
     """
     if section.coherence != "hbt":
         return PixelCoherence(section.coherence, cam.illumination)
@@ -38,7 +38,9 @@ def photon_coherence(cam: Camera, section: Photon) -> PixelCoherence:
             f"photon.stop_fraction: found {section.stop_fraction:g} with a beam that does not spill on the stop; 0, or "
             "an instrument.illumination beyond the edge of the stop, is expected"
         )
-    return PixelCoherence("hbt", cam.illumination, wave_noise_band(cam.band), with_stop=bool(section.stop_fraction))
+    return PixelCoherence(
+        "hbt", cam.illumination, wave_noise_band(cam.band), with_stop=stop_emits and cam.illumination.efficiency < 1
+    )
 
 
 # Correlations differ in their last bits between numbers of BLAS threads; a run must not depend on the machine's cores.

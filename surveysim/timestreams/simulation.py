@@ -46,12 +46,15 @@ class CameraSetup(Camera):
         True responsivity (n_band, n_det) in the other bands.
     photon, excess
         Sections of the scene; None without that noise.
+    stop_emits
+        Whether light of the stop reaches the detectors.
     """
 
     responsivity: np.ndarray
     band_responsivity: np.ndarray
     photon: Photon | None
     excess: Excess | None
+    stop_emits: bool = False
 
     @property
     def n_det(self) -> int:
@@ -61,7 +64,7 @@ class CameraSetup(Camera):
     @once
     def photon_coherence(self) -> PixelCoherence:
         """Correlation of photon noise against separation."""
-        return photon_coherence(self, self.photon) if self.photon else _NONE
+        return photon_coherence(self, self.photon, self.stop_emits) if self.photon else _NONE
 
     @once
     def excess_coherence(self) -> PixelCoherence:

@@ -8,9 +8,42 @@ from scipy.integrate import quad
 
 from surveysim.scene.passband import top_hat
 from surveysim.scene.units import BOLTZMANN_J_K, PLANCK_J_S
-from surveysim.telescope.photon_noise import PhotonNoise, bose_nep2, photon_noise, power_per_k, power_w, shot_nep2
+from surveysim.telescope.photon_noise import PhotonNoise, photon_noise
 
 BOLOCAM = {"load_k": 80.0, "frequency_hz": 143e9, "bandwidth": 0.15, "efficiency": 0.08, "polarizations": 2}
+
+
+def power_per_k(bandwidth_hz, efficiency, polarizations):
+    """Absorbed power per Rayleigh-Jeans temperature [W/K]."""
+    return BOLTZMANN_J_K * bandwidth_hz * efficiency * polarizations
+
+
+def power_w(temperature_rj_k, bandwidth_hz, efficiency, polarizations):
+    """Absorbed power [W] of a load that fills the beam."""
+    return temperature_rj_k * power_per_k(bandwidth_hz, efficiency, polarizations)
+
+
+def shot_nep2(load_w, frequency_hz):
+    """Shot noise [W^2/Hz] of an absorbed power."""
+    return 2 * PLANCK_J_S * frequency_hz * load_w
+
+
+def bose_nep2(load_w, bandwidth_hz, polarizations):
+    """Bose noise [W^2/Hz] of an absorbed power."""
+    return 2 * load_w**2 / (polarizations * bandwidth_hz)
+
+
+@pytest.mark.parametrize("polarizations", [1, 2])
+@pytest.mark.parametrize("frequency_hz, bandwidth", [(143e9, 0.15), (850e9, 0.01), (30e9, 0.6)])
+def test_integrals_over_the_band_are_the_closed_forms(frequency_hz, bandwidth, polarizations):
+    """Of a load in Rayleigh-Jeans temperature, to rounding."""
+    noise = photon_noise(40.0, frequency_hz, bandwidth, 0.3, polarizations=polarizations, transmission=0.8)
+    power = power_w(40.0, bandwidth * frequency_hz, 0.3, polarizations)
+    per_k = 0.8 * power_per_k(bandwidth * frequency_hz, 0.3, polarizations)
+    assert noise.power_w == pytest.approx(power, rel=1e-13)
+    assert noise.w_per_k == pytest.approx(per_k, rel=1e-13)
+    assert noise.shot_nep2 == pytest.approx(shot_nep2(power, frequency_hz), rel=1e-13)
+    assert noise.bose_nep2 == pytest.approx(bose_nep2(power, bandwidth * frequency_hz, polarizations), rel=1e-13)
 
 
 def test_by_hand():
@@ -144,16 +177,15 @@ def test_ideal_single_mode_is_dickes_radiometer():
 def test_atmosphere_dims_the_sky_alone():
     """A transmission of 0.8 leaves power and NEP as they are and makes each PSD 1 / 0.64 as large."""
     noise, dimmed = photon_noise(**BOLOCAM), photon_noise(**BOLOCAM, transmission=0.8)
-    expected = replace(
-        noise, shot_psd_mk2_hz=noise.shot_psd_mk2_hz / 0.64, bose_psd_mk2_hz=noise.bose_psd_mk2_hz / 0.64
-    )
+    expected = replace(noise, w_per_k=0.8 * noise.w_per_k, w_per_k_cmb=0.8 * noise.w_per_k_cmb)
     assert vars(dimmed) == pytest.approx(vars(expected), rel=1e-12)
+    assert dimmed.psd_mk2_hz == pytest.approx(noise.psd_mk2_hz / 0.64, rel=1e-12)
     assert dimmed.net_mkcmb_rthz == pytest.approx(noise.net_mk_rthz / 0.8 * top_hat(143e9, 0.15).cmb_per_rj, rel=1e-12)
 
 
 def test_record_adds_squares():
-    noise = PhotonNoise(143e9, 0.15, 1e-12, 1e-17, 9.0, 16.0)
-    assert (noise.psd_mk2_hz, noise.net_mk_rthz) == (25, 5)
+    noise = PhotonNoise(1e-12, shot_nep2=9.0, bose_nep2=16.0, w_per_k=1e3, w_per_k_cmb=500.0)
+    assert (noise.nep_w_rthz, noise.psd_mk2_hz, noise.net_mk_rthz, noise.net_mkcmb_rthz) == (5, 25, 5, 10)
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.passband import top_hat
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.illumination import gaussian_horn
-from surveysim.telescope.noise_levels import WhiteLevels, shared_part, white_levels
-from surveysim.telescope.photon_noise import PhotonNoise, photon_noise, power_per_k
+from surveysim.telescope.noise_levels import WhiteLevels, white_levels
+from surveysim.telescope.photon_noise import photon_noise
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_levels, observation_weather
 from tests.scenes import SMALL_SCENE, without_sections
@@ -59,7 +59,9 @@ def scene_of(tmp_path):
 def test_stated_levels_are_taken(scene_of):
     stated = '[photon]\npsd = "2.5 mK2/Hz"\ncoherent_fraction = 0.1\ncoherence = "field"\n'
     scene = scene_of(QUIET + stated + '[detector]\npsd = "1.5 mK2/Hz"\n')
-    assert white_levels(scene, None, np.nan, HEIGHT) == WhiteLevels(2.5, 0.1, 1.5)
+    assert white_levels(scene, None, np.nan, HEIGHT) == WhiteLevels(
+        photon_mk2_hz=2.5, aperture_weight=0.1, shared=0.1, detector_mk2_hz=1.5
+    )
 
 
 BOLOCAM = '[photon]\npsd = "2.5 mK2/Hz"\ncoherent_fraction = 0.1\nbose_fraction = 0.69\ncoherence = "field"\n'
@@ -108,7 +110,7 @@ def test_streams_of_neighbours_share_bunching_alone(scene_of):
 
 def test_levels_of_stages_left_out_are_zero(scene_of):
     scene = scene_of(QUIET + '[detector]\npsd = "1.5 mK2/Hz"\n')
-    assert white_levels(scene, None, np.nan, HEIGHT) == WhiteLevels(0.0, 0.0, 1.5)
+    assert white_levels(scene, None, np.nan, HEIGHT) == WhiteLevels(detector_mk2_hz=1.5)
 
 
 def test_stated_load(scene_of):
@@ -131,8 +133,7 @@ def test_shared_part_of_hbt_is_bunching_of_the_sky(scene_of):
 @pytest.mark.parametrize("coherence", ["field", "hbt"])
 def test_no_load_shares_nothing(scene_of, coherence):
     scene = scene_of(QUIET + LOAD.replace("10 K", "0 K").replace("30 K", "0 K").replace("field", coherence))
-    assert white_levels(scene, None, np.nan, HEIGHT) == WhiteLevels(0.0, 0.0, 0.0)
-    assert shared_part(scene, 0.0, PhotonNoise(143e9, 0.15, 0.0, 0.0, 0.0, 0.0)) == 0
+    assert white_levels(scene, None, np.nan, HEIGHT) == WhiteLevels()
 
 
 def test_sky_s_load_follows_the_water(scene_of):
@@ -183,7 +184,6 @@ def test_horns_lose_what_they_spill(scene_of):
     share = gaussian_horn(1.0).efficiency
     assert share < 0.6
     assert horn.detector_mk2_hz == pytest.approx(bare / share**2, rel=1e-12)
-    assert power_per_k(1e9, 0.5 * share, 1) == pytest.approx(share * power_per_k(1e9, 0.5, 1))
 
 
 @pytest.mark.parametrize("coherence", ["field", "hbt"])
@@ -252,8 +252,11 @@ def test_power_needs_an_instrument(tmp_path, text, missing):
     "text, message",
     [
         (LOAD.replace('sky = "10 K"\n', ""), "photon.load.sky: missing; a temperature, or a site"),
-        (LOAD.replace("[photon.load]", 'psd = "1 mK2/Hz"\n[photon.load]'), "exactly one of 'psd' and 'load'"),
-        (LOAD.replace("[photon.load]", "coherent_fraction = 0.1\n[photon.load]"), "found together with 'load'"),
+        (LOAD.replace("[photon.load]", 'psd = "1 mK2/Hz"\n[photon.load]'), "one of 'psd' and 'load'"),
+        (
+            LOAD.replace("[photon.load]", "coherent_fraction = 0.1\n[photon.load]"),
+            "found without 'psd'; 'load' sets it",
+        ),
         ('[photon]\npsd = "1 mK2/Hz"\ncoherence = "none"\n', "coherent_fraction: missing; 'psd' needs it"),
         (
             BOLOCAM.replace("bose_fraction = 0.69\n", "").replace("field", "hbt"),
@@ -261,10 +264,13 @@ def test_power_needs_an_instrument(tmp_path, text, missing):
         ),
         (
             LOAD.replace("[photon.load]", "bose_fraction = 0.1\n[photon.load]"),
-            "bose_fraction: found together with 'load'",
+            "bose_fraction: found without 'psd'; 'load' sets it",
         ),
-        ('[detector]\npsd = "1 mK2/Hz"\nnep = "1e-17 W / Hz(1/2)"\n', "exactly one of 'psd' and 'nep'"),
-        ("[detector]\n", "exactly one of 'psd' and 'nep'"),
+        (
+            '[detector]\npsd = "1 mK2/Hz"\nnep = "1e-17 W / Hz(1/2)"\n',
+            "exactly one of 'psd', 'nep', 'bolometer'",
+        ),
+        ("[detector]\n", "exactly one of 'psd', 'nep', 'bolometer'"),
     ],
 )
 def test_levels_that_are_stated_wrongly(scene_of, text, message):
