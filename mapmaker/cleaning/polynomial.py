@@ -39,7 +39,7 @@ class PolynomialOptions:
         Highest degree of the terms.
     regions
         Number of regions.
-    tolerance, max_iterations, responsivities
+    tolerance, max_iterations, responsivities, first_guess
         As in `TemplateOptions`; convergence is tested in each region.
     """
 
@@ -48,12 +48,13 @@ class PolynomialOptions:
     tolerance: float
     max_iterations: int
     responsivities: Responsivities = SCAN
+    first_guess: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Raise ValueError for values out of range."""
         whole("order", self.order, least=0, most=_MOST_ORDER)
         whole("regions", self.regions, least=1, most=2**31 - 1)
-        check_fit(self.tolerance, self.max_iterations, self.responsivities)
+        check_fit(self.tolerance, self.max_iterations, self.responsivities, self.first_guess)
 
 
 def exponents(order: int) -> tuple[tuple[int, int], ...]:

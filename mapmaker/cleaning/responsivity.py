@@ -10,10 +10,12 @@ and 1 that approach 1 as noise dominates the template: in calm weather it oscill
 an observation takes 2/3 of each step. It leaves e (1 - 2/3) - 2/3 M e, at most a third of e in any weather, and
 converges to the same c within some thirty steps.
 
-The iteration needs only the Gram matrix G_ij = sum_n d_in d_jn of the streams. It is formed in float64 whatever the
-streams' type: in float32 it would limit c to about 1e-7, above the tolerance of 1e-8. For many detectors G takes longer
-to form than the iteration takes to pass over the streams; then G is never formed, and its product with a template is
-two products with each scan.
+The iteration needs only products of the Gram matrix G_ij = sum_n d_in d_jn of the streams with templates. Each is two
+passes over the streams, or one over G where that is formed. To form G takes as long as some fifteen iterations on the
+streams of a scan with one template. It is formed where convergence is slow, for several templates or shifted streams,
+and for an observation, whose scans would be prepared again for each pass. For many detectors it takes longer, and is
+never formed. All sums are in float64 whatever the streams' type: in float32 they would limit c to about 1e-7, above the
+tolerance of 1e-8.
 """
 
 from __future__ import annotations
@@ -34,6 +36,9 @@ SCAN, OBSERVATION = "scan", "observation"
 # Largest number of detectors for which the Gram matrix is formed. For 300 it takes as long as the passes of ten
 # iterations, 5 to 15 ns a sample; for 600 as 15, for 1000 as 21, for 4000 as 86.
 MOST_GRAM = 600
+
+# Iterations that take as long on the streams of a scan, with one template, as its Gram matrix does.
+_FEW_ITERATIONS = 15
 
 # Fraction of each step that is taken: 1 for a scan as in the paper, 2/3 for an observation (see the module docstring).
 _STEPS = {SCAN: 1.0, OBSERVATION: 2 / 3}
@@ -86,8 +91,12 @@ class TemplateModel:
         return sum(len(region.basis) for region in self.regions)
 
 
-def check_fit(tolerance: float, max_iterations: int, responsivities: Responsivities) -> None:
+def check_fit(
+    tolerance: float, max_iterations: int, responsivities: Responsivities, first_guess: np.ndarray | None
+) -> None:
     """Raise ValueError for values out of range."""
+    if first_guess is not None and not reals("first_guess", first_guess, ("n_scan", "n_det"), empty=True).all():
+        raise argument_error("first_guess", "a zero", "finite numbers other than zero are")
     number("tolerance", tolerance, above=0)
     whole("max_iterations", max_iterations, least=1, most=2**31 - 1)
     if isinstance(responsivities, str):
@@ -109,7 +118,7 @@ def clean_templates(data_mk: np.ndarray, scan_bounds: np.ndarray, model: Templat
         Checked arguments of `mapmaker.cleaning.clean`.
     model
     options
-        Record with tolerance, max_iterations and responsivities.
+        Record with tolerance, max_iterations, responsivities and first_guess.
 
     Returns
     -------
@@ -118,10 +127,16 @@ def clean_templates(data_mk: np.ndarray, scan_bounds: np.ndarray, model: Templat
     Raises
     ------
     ValueError
-        For given responsivities of another number of detectors.
+        For given responsivities of another number of detectors, and a first guess of other scans or detectors.
     """
     asked = options.responsivities
+    guess = options.first_guess
+    if guess is not None and np.shape(guess) != (len(scan_bounds), len(data_mk)):
+        expected = f"{(len(scan_bounds), len(data_mk))}, scans and detectors, is"
+        raise argument_error("first_guess", f"the shape {np.shape(guess)}", expected)
     if isinstance(asked, str) and asked == SCAN:
+        if model.n_templates == 1 and model.shifted is None and len(data_mk) <= MOST_GRAM:
+            return _clean_on_streams(data_mk, scan_bounds, model, options)
         return clean_scans(data_mk, scan_bounds, lambda block, scan: _fit_scan(block, scan, model, options))
     if isinstance(asked, str):
         c, iterations = _fit_observation(data_mk, scan_bounds, model, options)
@@ -136,10 +151,35 @@ def clean_templates(data_mk: np.ndarray, scan_bounds: np.ndarray, model: Templat
     return _clean_by_rows(data_mk, scan_bounds, model, c=c, iterations=iterations)
 
 
+def _clean_on_streams(data_mk: np.ndarray, scan_bounds: np.ndarray, model: TemplateModel, options: Any) -> Cleaned:
+    """Fit and subtract one template; scans whose fit converges slowly are fitted by their Gram matrices."""
+    from mapmaker.kernels.cleaning import GIVEN_UP, KEPT, clean_on_streams, remove_means
+
+    basis, cleaned_mk = model.regions[0].basis, np.zeros(data_mk.shape, data_mk.dtype)
+    c = np.ones((len(scan_bounds), len(data_mk)))
+    if options.first_guess is not None:
+        c[:] = options.first_guess
+    iterations, outcome = np.empty((2, len(scan_bounds)), np.int64)
+    limits = float(options.tolerance), int(options.max_iterations), _STEPS[SCAN], _FEW_ITERATIONS
+    clean_on_streams(data_mk, scan_bounds, basis, basis[1:], *limits, c, cleaned_mk, iterations, outcome)
+    c[outcome != KEPT] = np.nan
+    for s in np.flatnonzero(outcome == GIVEN_UP):
+        start, stop = scan_bounds[s]
+        block = np.empty((len(data_mk), stop - start))
+        remove_means(data_mk, start, stop, block)
+        fit = _fit_scan(block, int(s), model, options)
+        iterations[s] = fit.iterations
+        if fit.responsivity is not None:
+            c[s], cleaned_mk[:, start:stop] = fit.responsivity, block
+    kept = np.all(np.isfinite(c), axis=1)
+    return Cleaned(cleaned_mk, kept, c, iterations, np.where(kept, model.n_templates, 0))
+
+
 def _fit_scan(block: np.ndarray, scan: int, model: TemplateModel, options: Any) -> Fit:
     """Fit responsivities to one mean-removed scan, and subtract its templates in place."""
     streams, subtract = model.view(block, scan)
-    c, iterations = fit_regions(lambda: (streams,), model.regions, options)
+    guess = np.ones(len(block)) if options.first_guess is None else options.first_guess[scan]
+    c, iterations = fit_regions(lambda: (streams,), model.regions, options, guess)
     if c is None:
         return Fit(None, iterations)
     subtract(c)
@@ -241,15 +281,17 @@ def _fit_observation(
             if not has_dead(block):
                 yield model.view(block, scan)[0]
 
-    return fit_regions(blocks, model.regions, options)
+    return fit_regions(blocks, model.regions, options, np.ones(len(data_mk)))
 
 
 def _part_of(blocks: Blocks, rows: np.ndarray | slice) -> Iterator[np.ndarray]:
     return (block[rows] for block in blocks())
 
 
-def fit_regions(blocks: Blocks, regions: tuple[Region, ...], options: Any) -> tuple[np.ndarray | None, int]:
-    """Fit the responsivities of all regions.
+def fit_regions(
+    blocks: Blocks, regions: tuple[Region, ...], options: Any, guess: np.ndarray
+) -> tuple[np.ndarray | None, int]:
+    """Fit the responsivities of all regions, from a first guess (n_det,).
 
     Returns
     -------
@@ -261,14 +303,16 @@ def fit_regions(blocks: Blocks, regions: tuple[Region, ...], options: Any) -> tu
     c, most = np.empty(sum(region.basis.shape[1] for region in regions)), 0
     for region in regions:
         rows = region.rows
-        found, iterations = fit_responsivity(partial(_part_of, blocks, rows), region.basis, options)
+        found, iterations = fit_responsivity(partial(_part_of, blocks, rows), region.basis, options, guess[rows])
         if found is None:
             return None, iterations
         c[rows], most = found, max(most, iterations)
     return c, most
 
 
-def fit_responsivity(blocks: Blocks, basis: np.ndarray, options: Any) -> tuple[np.ndarray | None, int]:
+def fit_responsivity(
+    blocks: Blocks, basis: np.ndarray, options: Any, guess: np.ndarray | None = None
+) -> tuple[np.ndarray | None, int]:
     """Fit responsivities to streams, by the Gram matrix or by passes over the streams.
 
     c is kept orthogonal to all rows of the basis but the first, the constant.
@@ -281,6 +325,8 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options: Any) -> tuple[n
         Template shapes.
     options
         Record with tolerance, max_iterations and responsivities.
+    guess : (n_det,)
+        First guess of c; 1 without one, as in the paper.
 
     Returns
     -------
@@ -293,37 +339,39 @@ def fit_responsivity(blocks: Blocks, basis: np.ndarray, options: Any) -> tuple[n
     ValueError
         For streams of another number of detectors than `basis`.
     """
-    from mapmaker.kernels.cleaning import iterate_responsivity
-
-    n_det, c = basis.shape[1], np.ones(basis.shape[1])
-    # Fixed types: the kernel is compiled for those of the first call.
-    tolerance, max_iterations = float(options.tolerance), int(options.max_iterations)
-    step = _STEPS[options.responsivities]
-    if n_det <= MOST_GRAM:
-        products = (block @ block.T for block in blocks())
-        gram = next(products, None)
-        for product in products:
-            gram += product
-        if gram is None:
-            return None, 0
-        if gram.shape != (n_det, n_det):
-            raise argument_error("blocks", f"{len(gram)} detectors", f"{n_det}, those of basis, are")
-        converged, iterations = iterate_responsivity(gram, basis, basis[1:], tolerance, max_iterations, step, c)
-    else:
-        converged, iterations = _iterate_by_passes(
-            blocks, basis, tolerance=tolerance, max_iterations=max_iterations, step=step, c=c
-        )
+    n_det = basis.shape[1]
+    c = np.ones(n_det) if guess is None else np.array(guess, dtype=np.float64)
+    # Fixed types: kernels are compiled for those of the first call.
+    limits = float(options.tolerance), int(options.max_iterations), _STEPS[options.responsivities]
+    by = _iterate_by_passes if n_det > MOST_GRAM else _iterate_on_gram
+    converged, iterations = by(blocks, basis, *limits, c=c)
     return (c if converged else None), iterations
 
 
+def _iterate_on_gram(
+    blocks: Blocks, basis: np.ndarray, tolerance: float, max_iterations: int, step: float, *, c: np.ndarray
+) -> tuple[bool, int]:
+    """Run `iterate_responsivity` on the sum of the Gram matrices of all blocks."""
+    from mapmaker.kernels.cleaning import iterate_responsivity
+
+    gram = np.zeros((basis.shape[1], basis.shape[1]))
+    empty = True
+    for block in blocks():
+        _check_detectors(block, basis)
+        gram += block @ block.T
+        empty = False
+    if empty:
+        return False, 0
+    return iterate_responsivity(gram, basis, basis[1:], tolerance, max_iterations, step, c)
+
+
+def _check_detectors(block: np.ndarray, basis: np.ndarray) -> None:
+    if len(block) != basis.shape[1]:
+        raise argument_error("blocks", f"{len(block)} detectors", f"{basis.shape[1]}, those of basis, are")
+
+
 def _iterate_by_passes(
-    blocks: Blocks,
-    basis: np.ndarray,
-    *,
-    tolerance: float,
-    max_iterations: int,
-    step: float,
-    c: np.ndarray,
+    blocks: Blocks, basis: np.ndarray, tolerance: float, max_iterations: int, step: float, *, c: np.ndarray
 ) -> tuple[bool, int]:
     """Run `iterate_responsivity` without the Gram matrix, with c orthogonal to all rows of the basis but the first."""
     from mapmaker.kernels.cleaning import correlate, project_out, relax

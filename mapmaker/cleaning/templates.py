@@ -56,15 +56,19 @@ class TemplateOptions:
     responsivities
         "scan" for one fit to each scan, as in the paper; "observation" for one fit to all scans of the streams; or
         known responsivities (n_det,), up to a common factor.
+    first_guess : (n_scan, n_det), optional
+        Responsivities that the fit to each scan begins with, which takes fewer iterations if they are close; 1 without
+        them, as in the paper.
     """
 
     tolerance: float
     max_iterations: int
     responsivities: Responsivities = SCAN
+    first_guess: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Raise ValueError for values out of range."""
-        check_fit(self.tolerance, self.max_iterations, self.responsivities)
+        check_fit(self.tolerance, self.max_iterations, self.responsivities, self.first_guess)
 
 
 def template_basis(focal_plane: FocalPlane, exponents: Sequence[tuple[int, int]]) -> np.ndarray:

@@ -45,7 +45,7 @@ class WindOptions:
     slowness_s_rad : (n_scan, 2)
         Time that the layer takes per angle, along the array's x and y [s/rad].
     sample_rate_hz
-    tolerance, max_iterations, responsivities
+    tolerance, max_iterations, responsivities, first_guess
         As in `TemplateOptions`.
     """
 
@@ -54,12 +54,13 @@ class WindOptions:
     tolerance: float
     max_iterations: int
     responsivities: Responsivities = SCAN
+    first_guess: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Raise ValueError for values out of range."""
         reals("slowness_s_rad", self.slowness_s_rad, ("n_scan", 2), empty=True)
         number("sample_rate_hz", self.sample_rate_hz, above=0)
-        check_fit(self.tolerance, self.max_iterations, self.responsivities)
+        check_fit(self.tolerance, self.max_iterations, self.responsivities, self.first_guess)
 
 
 def slowness(wind_rad_s: np.ndarray, scan_velocity_rad_s: np.ndarray) -> np.ndarray:

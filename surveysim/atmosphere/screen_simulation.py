@@ -269,8 +269,16 @@ def add_atmosphere(
         "layer_velocity_rad_s": layer_velocity_rad_s,
     }
     tracks = scan_tracks(scan_bounds, sample_rate_hz=sample_rate_hz, **motion, strips=strips)
-    rest = {"amplitude_mk": amplitude_mk, "strips": strips, "deviates": deviates, "trends": trends}
-    add_along_tracks(data_mk, scan_bounds, sample_rate_hz=sample_rate_hz, tracks=tracks, **rest)
+    add_along_tracks(
+        data_mk,
+        scan_bounds,
+        sample_rate_hz=sample_rate_hz,
+        tracks=tracks,
+        amplitude_mk=amplitude_mk,
+        strips=strips,
+        deviates=deviates,
+        trends=trends,
+    )
 
 
 def add_along_tracks(

@@ -73,18 +73,27 @@ class AuxiliaryData:
         Streams of the other bands of all detectors.
     calibration : (1 + n_band, n_det)
         Known responsivities in the mapped band and the others; None where they are fitted.
+    first_guess : (n_scan, n_det)
+        Responsivities of the pipeline's detectors that fits to the mapped band begin with; None without any.
     """
 
     delays_s_rad: np.ndarray
     other_bands_mk: np.ndarray
     calibration: np.ndarray | None = None
+    first_guess: np.ndarray | None = None
 
 
 def step_options(
-    section: Cleaning, name: str, auxiliary: AuxiliaryData, sample_rate_hz: float, responsivities: Responsivities
+    section: Cleaning,
+    name: str,
+    auxiliary: AuxiliaryData,
+    sample_rate_hz: float,
+    *,
+    responsivities: Responsivities,
+    first_guess: np.ndarray | None = None,
 ) -> Any:
     """Make the record of options of one step."""
-    template = (section.tolerance, section.max_iterations, responsivities)
+    template = (section.tolerance, section.max_iterations, responsivities, first_guess)
     if name == "wind":
         return WindOptions(auxiliary.delays_s_rad, sample_rate_hz, *template)
     if name == "spectral":
@@ -101,7 +110,7 @@ def step_options(
 def needed_detectors(section: Cleaning, name: str) -> int:
     """Count the detectors that one step needs."""
     nothing = AuxiliaryData(np.zeros((1, 2)), np.zeros((1, 1, 1)))
-    return detectors_needed(name, step_options(section, name, nothing, 1.0, SCAN))
+    return detectors_needed(name, step_options(section, name, nothing, 1.0, responsivities=SCAN))
 
 
 def apply_pipeline(
@@ -136,8 +145,12 @@ def apply_pipeline(
             alike = zip(bands[1:], others, strict=True)
             others = np.array([_cleaned_alike(steps, band_mk, scan_bounds, focal_plane) for steps, band_mk in alike])
         of_rows = replace(auxiliary, other_bands_mk=others)
-        for steps, responsivities in zip(bands, known, strict=True):
-            steps.append((name, step_options(section, name, of_rows, sample_rate_hz, responsivities)))
+        for band, (steps, responsivities) in enumerate(zip(bands, known, strict=True)):
+            guess = None if band else auxiliary.first_guess
+            options = step_options(
+                section, name, of_rows, sample_rate_hz, responsivities=responsivities, first_guess=guess
+            )
+            steps.append((name, options))
     return clean_in_order(bands[0], data_mk, scan_bounds, focal_plane)
 
 

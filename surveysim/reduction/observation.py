@@ -283,8 +283,10 @@ def _add_signal_maps(signal_maps: np.ndarray, part: _Part, skies_mk: np.ndarray)
         for pipeline, index, base in of_pipelines:
             seen, place = signal[pipeline.rows], setup.analysis.transfer_function_names.index(pipeline.data_set)
             scans = _cleaned_again(section, pipeline, base.kept)
+            # Fits to scans begin with the responsivities without the signal, which hardly changes them.
+            near = replace(extra, first_guess=base.responsivity[scans] if scans is base.kept else None)
             both = _clean(
-                section, pipeline, streams, raw[pipeline.rows] + seen, auxiliary=extra, scans=scans, rate_hz=rate
+                section, pipeline, streams, raw[pipeline.rows] + seen, auxiliary=near, scans=scans, rate_hz=rate
             )
             kept = base.kept.copy()
             kept[scans] &= both.kept

@@ -29,6 +29,7 @@ from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.scene.instrument import Instrument, OtherBand
 from surveysim.scene.scene import Scene
+from surveysim.telescope.diffraction import with_beam
 from surveysim.telescope.focal_plane import Camera, camera, mask_by_separation
 from surveysim.telescope.noise_levels import stop_emits
 from surveysim.telescope.pixel_coherence import MOST_DENSE
@@ -65,7 +66,7 @@ class Setup(Simulation):
 def prepare(scene: Scene) -> Setup:
     """Make a scene ready. Raises SceneError when the scene can't be run, with key, found and allowed."""
     try:
-        return _prepare(scene)
+        return _prepare(with_beam(scene))
     except SceneError:
         raise
     except InputError as error:

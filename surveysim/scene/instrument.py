@@ -4,7 +4,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, JsonValue, model_validator
 
 from surveysim.runtime.errors import InputError
 from surveysim.scene.fields import (
@@ -25,6 +25,8 @@ from surveysim.scene.illumination_table import IlluminationTable, read_illuminat
 from surveysim.scene.passband import Passband, read_passband, top_hat
 from surveysim.scene.section import Section
 from surveysim.scene.units import shown
+
+_FROM_APERTURE: dict[str, JsonValue] = {"otherwise": "that of `optics.aperture`"}
 
 
 class Layout(Section):
@@ -88,9 +90,11 @@ class Instrument(Section):
     """Transmission of the band: an ECSV table with the columns `frequency` and `transmission` (its scale does not
     matter, efficiency is `efficiency`), path relative to the scene file, or the name of a band that ships, such as
     `alma_band_6`. Alternative: `frequency` and `bandwidth`."""
-    beam_fwhm_rad: BeamWidth = Field(alias="beam_fwhm")
-    """Full width at half maximum (FWHM) of the Gaussian beam on the sky."""
-    f_lambda_rad: PositiveAngle = Field(alias="f_lambda")
+    # Angles that are left out are None until the scene is prepared.
+    beam_fwhm_rad: BeamWidth = Field(alias="beam_fwhm", default=None, json_schema_extra=_FROM_APERTURE)
+    """Full width at half maximum (FWHM) of the Gaussian beam on the sky. Without it, that of the diffraction by
+    `optics.aperture`."""
+    f_lambda_rad: PositiveAngle = Field(alias="f_lambda", default=None, json_schema_extra=_FROM_APERTURE)
     """Angle on the sky of one (f/#)lambda: wavelength over diameter of the illuminated aperture."""
     responsivity_scatter: Share
     """Relative scatter of the detectors' responsivities (log-normal), constant over the survey."""

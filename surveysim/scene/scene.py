@@ -105,6 +105,7 @@ class Scene(StreamSections, ObservationSections):
             raise ValueError("instrument.bands: missing; 'spectral' cleaning needs other bands of the pixels")
         if self.instrument.bands and not (self.atmosphere and self.atmosphere.site):
             raise ValueError("atmosphere.site: missing; the bands scale with each other by the opacity of a site")
+        self._beam_is_known()
         self._load_is_given()
         self._power_is_known()
         if not any(getattr(self, name) for name in StreamSections.model_fields):
@@ -113,6 +114,15 @@ class Scene(StreamSections, ObservationSections):
         if (found := self.scan.duration_s * self.scan.sample_rate_hz) < MIN_SAMPLES:
             raise ValueError(f"scan.duration: found {found:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
         return self
+
+    def _beam_is_known(self) -> None:
+        """Raise ValueError for a beam or (f/#)lambda that is left out without an aperture that it follows from."""
+        aperture_m = self.optics.aperture_m if self.optics else None
+        for key, value in (("beam_fwhm", self.instrument.beam_fwhm_rad), ("f_lambda", self.instrument.f_lambda_rad)):
+            if value is None and aperture_m is None:
+                raise ValueError(
+                    f"instrument.{key}: missing; an angle, or 'optics.aperture' that it follows from, is expected"
+                )
 
     def _load_is_given(self) -> None:
         """Raise ValueError unless photon noise, and noise that depends on the load, have exactly one source."""

@@ -3,8 +3,17 @@
 import numpy as np
 import pytest
 
-from mapmaker.cleaning import TemplateOptions, responsivity
-from mapmaker.kernels.cleaning import iterate_responsivity, remove_means, subtract_templates
+from mapmaker.cleaning import TemplateOptions, clean, responsivity
+from mapmaker.kernels.cleaning import (
+    DISCARDED,
+    GIVEN_UP,
+    KEPT,
+    clean_on_streams,
+    iterate_responsivity,
+    remove_means,
+    subtract_templates,
+)
+from mapmaker.timestreams import FocalPlane
 from tests import naive
 
 N_DET, N_SAMP = 20, 60
@@ -99,6 +108,51 @@ def test_passes_over_the_stream_do_what_the_gram_matrix_does(n_par, monkeypatch)
     (by_gram, steps), (by_passes, as_many) = found
     assert steps == as_many > 2
     np.testing.assert_allclose(by_passes, by_gram, rtol=1e-11)
+
+
+@pytest.mark.parametrize("most", [0, 1000], ids=["given up at once", "never given up"])
+@pytest.mark.parametrize("n_par", [1, 3, 6])
+def test_passes_over_a_scan_do_what_the_gram_matrix_does(n_par, most):
+    """Of two scans, one of them not finite: c, iterations and what is left, or the scan given up."""
+    shapes, data = _scan(5, n_par)
+    basis = np.ascontiguousarray(np.linalg.qr(shapes)[0].T)
+    expected = np.ones(N_DET)
+    converged, steps = iterate_responsivity(data @ data.T, basis, basis[1:], 1e-8, 100, 1.0, expected)
+    assert converged and steps > 3
+    bounds, streams = np.array([[0, 30], [30, 30 + N_SAMP]]), np.hstack([np.ones((N_DET, 30)), data + 7.0])
+    streams[4, 3] = np.nan
+    for limit in (100, steps - 1):
+        c, cleaned = np.ones((2, N_DET)), np.zeros(streams.shape)
+        iterations, outcome = np.empty((2, 2), np.int64)
+        clean_on_streams(streams, bounds, basis, basis[1:], 1e-8, limit, 1.0, most, c, cleaned, iterations, outcome)
+        assert (iterations[0], outcome[0]) == (0, DISCARDED)
+        if most == 0:
+            assert (iterations[1], outcome[1]) == (3, GIVEN_UP)
+        elif limit < steps:
+            assert (iterations[1], outcome[1]) == (limit, DISCARDED)
+        else:
+            assert (iterations[1], outcome[1]) == (steps, KEPT)
+            np.testing.assert_allclose(c[1], expected, rtol=1e-11)
+            template = (basis / expected) @ data
+            np.testing.assert_allclose(cleaned[:, 30:], data - (basis * expected).T @ template, atol=1e-10)
+
+
+@pytest.mark.parametrize("few", [0, 1000])
+def test_scans_that_are_given_up_are_cleaned_alike(few, monkeypatch):
+    """By the Gram matrix or on the streams, from a first guess or from 1: the same c and streams."""
+    plane = FocalPlane(*np.random.default_rng(3).uniform(-1e-3, 1e-3, (2, N_DET)), 1e-4)
+    data, bounds = np.hstack([_scan(seed, 1)[1] for seed in (5, 8)]), np.array([[0, N_SAMP], [N_SAMP, 2 * N_SAMP]])
+    expected = clean("average", data, bounds, plane, options=TemplateOptions(1e-12, 100))
+    monkeypatch.setattr(responsivity, "_FEW_ITERATIONS", few)
+    guess = expected.responsivity * (1 + 1e-6)
+    found = clean("average", data, bounds, plane, options=TemplateOptions(1e-12, 100, first_guess=guess))
+    assert found.kept.all() and (found.iterations < expected.iterations).all()
+    np.testing.assert_allclose(
+        found.responsivity / found.responsivity.mean(axis=1)[:, None],
+        expected.responsivity / expected.responsivity.mean(axis=1)[:, None],
+        rtol=1e-11,
+    )
+    np.testing.assert_allclose(found.data_mk, expected.data_mk, atol=1e-10)
 
 
 @pytest.mark.parametrize("most", [N_DET, N_DET - 1])
