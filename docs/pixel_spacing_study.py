@@ -21,8 +21,9 @@ from surveysim.reduction.setup import prepare
 from surveysim.scene.scene import Scene
 from surveysim.telescope.array_noise import array_psd
 from surveysim.telescope.diffraction import with_beam
-from surveysim.telescope.focal_plane import Camera, camera, hexagon
+from surveysim.telescope.focal_plane import Camera, camera
 from surveysim.telescope.illumination import TableIllumination
+from surveysim.telescope.layouts import hexagon
 from surveysim.telescope.noise_levels import WhiteLevels, stop_emits, white_levels
 from surveysim.timestreams.shared_parts import photon_coherence
 
@@ -60,7 +61,7 @@ def keys_of(band: str, pitch: float) -> dict[str, Any]:
 def array_of(scene: Scene) -> tuple[float, WhiteLevels, Camera]:
     """PSD of the mean of all detectors, levels of one, and the camera, without responsivities and weather."""
     whole = with_beam(scene)
-    cam, levels = camera(whole.instrument), white_levels(whole, None, np.nan, np.pi / 3)
+    cam, levels = camera(whole.instrument, whole.seed), white_levels(whole, None, np.nan, np.pi / 3)
     coherence = photon_coherence(cam, whole.photon, stop_emits(whole))
     return array_psd(cam, coherence, levels), levels, cam
 

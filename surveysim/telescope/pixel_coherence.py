@@ -81,10 +81,6 @@ class PixelCoherence:
                 total[2] += weight * stop**2
         return total
 
-    def intensity(self, rho: np.ndarray) -> np.ndarray:
-        """Intensity at radii `rho` over the stop's, relative to the centre's."""
-        return np.exp(-self.exponent * np.square(rho))
-
 
 def wave_noise_band(band: Passband) -> Band:
     """Make the frequencies, over the band's centre, and weights of averages of wave noise over a band.

@@ -53,9 +53,9 @@ def shared_noise(cam: Camera, coherence: PixelCoherence, name: str) -> DensePixe
     angle = cam.polarization_angle_rad if coherence.kind == "hbt" else None
     if n_det <= MOST_DENSE:
         return DensePixels(correlation_matrices(cam.positions_f_lambda, coherence, angle))
-    if cam.pitch_rad is None:
+    if cam.hexagonal is None:
         raise SceneError(
-            f"{name}.coherence: found {coherence.kind!r} for the {n_det} detectors of a table of positions; "
+            f"{name}.coherence: found {coherence.kind!r} for {n_det} detectors off a single hexagonal lattice; "
             f"{MOST_DENSE} or fewer are expected, or an instrument.layout, whose lattice makes noise that more share, "
             "or coherence 'none'"
         )
@@ -65,7 +65,7 @@ def shared_noise(cam: Camera, coherence: PixelCoherence, name: str) -> DensePixe
             "expected"
         )
     try:
-        return embed(cam.cells, cam.pitch_rad / cam.f_lambda_rad, coherence)
+        return embed(cam.hexagonal.cells, cam.hexagonal.pitch_rad / cam.f_lambda_rad, coherence)
     except OutOfRangeError as error:
         raise SceneError(f"{name}.coherence: {error}") from None
 

@@ -8,8 +8,8 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 from scipy.special import j0, roots_legendre
 
-from surveysim.telescope.focal_plane import hexagon
 from surveysim.telescope.illumination import UNIFORM, GaussianIllumination, He11Illumination, gaussian_horn
+from surveysim.telescope.layouts import hexagon
 from surveysim.telescope.pixel_coherence import correlation_factor, lattice_sum
 from tests.pixels import correlation_matrix
 

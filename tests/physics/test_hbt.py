@@ -16,7 +16,7 @@ from surveysim.runtime.engine import SERIAL
 from surveysim.scene.passband import Passband, top_hat
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.array_noise import array_correlation, array_psd, common_with_others
-from surveysim.telescope.focal_plane import Camera, hexagon
+from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.illumination import (
     UNIFORM,
     GaussianIllumination,
@@ -25,6 +25,7 @@ from surveysim.telescope.illumination import (
     gaussian_horn,
 )
 from surveysim.telescope.lattice_noise import LARGEST_ERROR, embed
+from surveysim.telescope.layouts import HEXAGONAL, Lattice, hexagon, hexagon_cells
 from surveysim.telescope.pixel_coherence import (
     PixelCoherence,
     correlation_matrices,
@@ -219,8 +220,7 @@ def test_all_parts_are_positive_semi_definite(beam, pitch):
 
 @pytest.mark.parametrize("share", [0.0, 0.35])
 def test_lattice_has_the_parts_of_the_matrix(share):
-    positions = hexagon(7, 1.2)
-    cells = Camera(FocalPlane(*positions.T, 1.0), 1.0, pitch_rad=1.2).cells
+    cells, positions = hexagon_cells(7, 1.2)
     coherence = PixelCoherence("hbt", gaussian_horn(1.2), wave_noise_band(top_hat(150e9, 0.2)), with_stop=True)
     torus = embed(cells, 1.2, coherence).at(share)
     n_q, n_r = torus.values.shape
@@ -270,7 +270,8 @@ def test_matrix_of_polarized_detectors():
 
 
 def lattice_camera(rings, pitch, illumination=UNIFORM, band=None):
-    return Camera(FocalPlane(*hexagon(rings, pitch).T, 1.0), 1.0, illumination, pitch, band)
+    cells, positions = hexagon_cells(rings, pitch)
+    return Camera(FocalPlane(*positions.T, 1.0), 1.0, illumination, (Lattice(cells, pitch, HEXAGONAL),), band=band)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4])
@@ -378,7 +379,8 @@ def test_every_pair_of_a_lattice(tmp_path, monkeypatch):
     exact = formula(setup)
     torus = setup.camera.photon_correlation.at(observation_levels(setup, 0).stop_share)
     n_q, n_r = torus.values.shape
-    q, r = (setup.camera.cells[:, None] - setup.camera.cells).transpose(2, 0, 1)
+    cells = setup.camera.hexagonal.cells
+    q, r = (cells[:, None] - cells).transpose(2, 0, 1)
     levels = observation_levels(setup, 0)
     shared = levels.photon_mk2_hz * levels.shared * setup.scene.scan.sample_rate_hz / 2
     implied = np.where(np.eye(len(exact), dtype=bool), exact, shared * torus.correlation[q % n_q, r % n_r])

@@ -18,8 +18,8 @@ from surveysim.atmosphere.thin_screen import (
     structure_function,
 )
 from surveysim.atmosphere.turbulence_fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV, TRACKS_RAD, fit_turbulence
-from surveysim.telescope.focal_plane import hexagon
 from surveysim.telescope.illumination import UNIFORM
+from surveysim.telescope.layouts import hexagon
 from tests.deviates import deviates
 
 ARCMIN = math.radians(1 / 60)
