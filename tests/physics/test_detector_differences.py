@@ -25,7 +25,6 @@ from surveysim.scene.scene import load_scene
 from surveysim.scene.units import BOLTZMANN_J_K
 from surveysim.telescope.beams import beams_of
 from surveysim.telescope.layouts import hexagon
-from surveysim.telescope.pixel_coherence import correlation_matrix
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_levels
 from surveysim.timestreams.response import write_sky_signal
@@ -33,6 +32,7 @@ from surveysim.timestreams.response_kernels import low_pass
 from surveysim.timestreams.simulation import camera_white, observation_path
 from surveysim.timestreams.time_constants import pole_coefficients
 from tests import naive
+from tests.pixels import correlation_matrix
 from tests.scenes import SMALL_SCENE, write_scene
 
 RATE = 10.0
