@@ -20,7 +20,9 @@ def apply_response(setup: Simulation, seen_mk: np.ndarray, band: int = 0, gain: 
     gain
         Common factor of all detectors.
     """
-    seen_mk *= (gain * _responsivity(setup, band))[:, None].astype(seen_mk.dtype)
+    factor = gain * _responsivity(setup, band)
+    if (factor != 1).any():
+        seen_mk *= factor[:, None].astype(seen_mk.dtype)
 
 
 def write_sky_signal(setup: Simulation, pointing: Pointing, sky_mk: np.ndarray, out_mk: np.ndarray) -> None:
