@@ -16,10 +16,13 @@ from mapmaker.validation import argument_error, flags, increasing, integers, num
 
 _PER_SAMPLE = ("time_s", "ra_deg", "dec_deg", "array_angle_deg", "scan")
 _PER_DETECTOR = ("x_arcmin", "y_arcmin")
+_ANGLE = "polarization_angle_deg"  # of each detector; files of unpolarized detectors lack it
 # Largest absolute values: right ascensions and array angles may be unwrapped by a hundred turns; declinations and
 # detector offsets are at most a quarter of a turn.
 _QUARTER_RAD, _TURNS_RAD = math.pi / 2 * (1 + 1e-9), 200 * math.pi
-_LARGEST = {"ra_deg": 36e3, "dec_deg": 90.0, "array_angle_deg": 36e3, "x_arcmin": 5400.0, "y_arcmin": 5400.0}
+_LARGEST = {"ra_deg": 36e3, "dec_deg": 90.0, "array_angle_deg": 36e3, "x_arcmin": 5400.0, "y_arcmin": 5400.0} | {
+    _ANGLE: 36e3
+}
 # Largest compression: HDF5's filters compress zeros by a thousand.
 _MOST_COMPRESSED = 2000
 
@@ -36,22 +39,27 @@ class FocalPlane:
         Offsets from the boresight.
     fwhm_rad
         Full width at half maximum of the Gaussian beam.
+    angle_rad : (n_det,), optional
+        Polarization angle of each detector from the array's y axis, in the sense of position angles; None where
+        unknown.
 
     Raises
     ------
     ValueError
-        For offsets that are not finite, of different number or none, and a beam outside 0 to half a turn.
+        For offsets or angles that are not finite, of different number or none, and a beam outside 0 to half a turn.
     """
 
     x_rad: np.ndarray
     y_rad: np.ndarray
     fwhm_rad: float
+    angle_rad: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         x = reals("x_rad", self.x_rad, ("n_det",))
         y = reals("y_rad", self.y_rad, x.shape)
         fwhm = number("fwhm_rad", self.fwhm_rad, above=0, below=np.pi)
-        _set(self, x_rad=x, y_rad=y, fwhm_rad=fwhm)
+        angle = None if self.angle_rad is None else reals("angle_rad", self.angle_rad, x.shape)
+        _set(self, x_rad=x, y_rad=y, fwhm_rad=fwhm, angle_rad=angle)
 
     def subset(self, detectors: np.ndarray | slice) -> "FocalPlane":
         """Focal plane of some detectors, given by index, by a flag each, or by a slice.
@@ -62,7 +70,8 @@ class FocalPlane:
             For none, and for an index or flags that do not match the detectors.
         """
         rows = detector_rows(detectors, len(self.x_rad))
-        return FocalPlane(self.x_rad[rows], self.y_rad[rows], self.fwhm_rad)
+        angle = None if self.angle_rad is None else self.angle_rad[rows]
+        return FocalPlane(self.x_rad[rows], self.y_rad[rows], self.fwhm_rad, angle)
 
 
 def detector_rows(detectors: np.ndarray | slice, n_det: int) -> np.ndarray | slice:
@@ -233,6 +242,8 @@ def _begin(file: Any, part: Timestreams, n_samp: int) -> None:
         file.create_dataset(name, (n_samp,), values.dtype)
     file["x_arcmin"] = np.degrees(part.focal_plane.x_rad) * 60
     file["y_arcmin"] = np.degrees(part.focal_plane.y_rad) * 60
+    if part.focal_plane.angle_rad is not None:
+        file[_ANGLE] = np.degrees(part.focal_plane.angle_rad)
     file.attrs["fwhm_arcsec"] = np.degrees(part.focal_plane.fwhm_rad) * 3600
     for name, value in part.attributes.items():
         if name == "fwhm_arcsec":
@@ -282,11 +293,15 @@ def _streams_of(file: Any) -> Timestreams:
         fwhm_rad = np.radians(number("fwhm_arcsec", attributes.pop("fwhm_arcsec"), above=0) / 3600)
         x_rad, y_rad = (_radians(name, file[name][()]) for name in _PER_DETECTOR)
         ra, dec, angle = (_radians(name, file[name][()]) for name in _PER_SAMPLE[1:4])
-        plane = FocalPlane(x_rad, y_rad, fwhm_rad)
+        plane = FocalPlane(x_rad, y_rad, fwhm_rad, _polarization_angles(file))
         data = reals("data", file["data"][()], file["data"].shape, finite=False)
         return Timestreams(data, file["time_s"][()], ra, dec, angle, file["scan"][()], plane, attributes)
     except (ArgumentError, InputError) as error:
         raise _Unfit(one_line(error)) from None
+
+
+def _polarization_angles(file: Any) -> np.ndarray | None:
+    return _radians(_ANGLE, file[_ANGLE][()]) if _ANGLE in file else None
 
 
 def _radians(name: str, values: object) -> np.ndarray:
@@ -300,7 +315,8 @@ def _check_layout(file: Any) -> None:
     missing = [name for name in ("data", *_PER_SAMPLE, *_PER_DETECTOR) if name not in file]
     if missing or "fwhm_arcsec" not in file.attrs:
         raise _Unfit(f"lacks {', '.join(missing or ['the attribute fwhm_arcsec'])}")
-    for name in ("data", *_PER_SAMPLE, *_PER_DETECTOR):
+    names = ("data", *_PER_SAMPLE, *_PER_DETECTOR, *([_ANGLE] if _ANGLE in file else []))
+    for name in names:
         if isinstance(file.get(name, getlink=True), h5py.ExternalLink):
             raise _Unfit(f"{name} is a link to another file; a data set is expected")
         item = file.get(name)
@@ -318,7 +334,7 @@ def _check_layout(file: Any) -> None:
     if file["data"].ndim != 2:
         raise _Unfit(f"data has the shape {file['data'].shape}; (n_det, n_samp) is expected")
     n_det, n_samp = file["data"].shape
-    wanted = {name: (n_samp,) for name in _PER_SAMPLE} | {name: (n_det,) for name in _PER_DETECTOR}
+    wanted = {name: (n_samp,) for name in _PER_SAMPLE} | {name: (n_det,) for name in names[1 + len(_PER_SAMPLE) :]}
     for name, shape in wanted.items():
         if file[name].shape != shape:
             raise _Unfit(f"{name} has the shape {file[name].shape}; {shape} is expected")

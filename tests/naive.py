@@ -424,3 +424,16 @@ def box_muller(word, other, fraction=0.5, fraction_of_angle=0.5, radius_bits=40)
     swapped = other // 2**30 % 2 == 1
     cosine, sine = radius * np.cos(angle), radius * np.sin(angle)
     return np.where(swapped, sine, cosine), np.where(swapped, cosine, sine)
+
+
+def low_pass(data, per_scan, decay, taps):
+    """One pole on each scan of each detector, which starts at rest and continues as it ends."""
+    found = np.array(data, float)
+    for d in range(len(data)):
+        for start in range(0, data.shape[1], per_scan):
+            x = [float(value) for value in data[d, start : start + per_scan]]
+            x = [x[0], *x, x[-1]]  # the sample n is x[n + 1]
+            for n in range(1, per_scan):
+                cubic = sum(taps[d, j] * x[n - 1 + j] for j in range(4))
+                found[d, start + n] = decay[d] * found[d, start + n - 1] + cubic
+    return found

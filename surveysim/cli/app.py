@@ -23,6 +23,7 @@ COMMANDS = (
     studies.paper,
     scenes.report,
     scenes.check,
+    scenes.optics,
     scenes.keys,
     scenes.new,
 )

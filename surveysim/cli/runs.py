@@ -59,6 +59,7 @@ def run(
 ) -> None:
     """Simulate, clean, map and score a scene or a sweep."""
     with_engine = options.engine(engine, workers, scheduler)
+    with_engine.start_early()
     if sweep := sweep_of(scene, settings, reference):
         _refuse_for_sweep(scene, save_timestreams, target_error, time_budget)
         directory = out or default_directory(sweep.name, options.settings(settings, reference))

@@ -1,5 +1,6 @@
 """Commands on scenes and output directories: check, keys, new, report."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,9 +21,13 @@ if TYPE_CHECKING:
 def check(scene: SceneFile, settings: Overrides = None) -> None:
     """Check a scene or sweep without running it.
 
-    Each error is one line: file, key, the value found and the values allowed.
+    Each error is one line: file, key, the value found and the values allowed. A scene's detectors are counted, and
+    questionable choices are warned of.
     """
+    from surveysim.reduction.design_warnings import design_warnings
     from surveysim.reduction.resource_limits import said_of_size
+    from surveysim.report.terminal.camera import camera_lines
+    from surveysim.results.sensitivity import saturation_warnings, sensitivities
 
     if sweep := sweep_of(scene, settings):
         say(f"{scene}: {sweep.name!r} is a sweep of {len(sweep.points)} points that can be run")
@@ -30,12 +35,50 @@ def check(scene: SceneFile, settings: Overrides = None) -> None:
     else:
         setup = ready_setup(scene, settings)
         say(f"{scene}: {setup.scene.name!r} is a scene that can be run")
+        for line in camera_lines(setup):
+            say(line)
+        saturated = sensitivities(setup) if setup.scene.detector and setup.scene.detector.bolometer else {}
+        _say_warnings([*design_warnings(setup), *saturation_warnings(saturated)])
         samples = (
             setup.scene.observations * setup.camera.n_det * setup.observing.samples(setup.observing.blocks[-1]).stop
         )
         large = said_of_size(samples, setup.analysis.geometry.n_x * setup.analysis.geometry.n_y)
     if large:
         say(large)
+
+
+def optics(scene: SceneFile, settings: Overrides = None) -> None:
+    """Print the load and the sensitivity of a scene's detectors.
+
+    The load by element, from the sky to the detector, and NEP, NET and NEFD at quartiles of the site's water.
+    """
+    from surveysim.report.terminal.layout import Terminal
+    from surveysim.report.terminal.tables import show_table
+    from surveysim.results.sensitivity import (
+        saturation_warnings,
+        sensitivities,
+        sensitivity_entries,
+        sensitivity_tables,
+    )
+    from surveysim.telescope.diffraction import effective_area_m2
+
+    if sweep_of(scene, settings):
+        fail(f"{scene}: found a sweep; one scene is expected")
+    setup = ready_setup(scene, settings)
+    found = sensitivities(setup)
+    if not found:
+        fail(f"{scene}: photon: found noise that follows from no load; 'photon.load' or a section [optics] is expected")
+    entries, console = sensitivity_entries(found, setup.camera.n_det), Terminal()
+    for table in sensitivity_tables(entries):
+        show_table(console, table)
+    beam = math.degrees(setup.camera.focal_plane.fwhm_rad) * 3600
+    say(f"beam of {beam:.4g} arcsec (FWHM); effective area of {effective_area_m2(setup.scene):.4g} m2")
+    _say_warnings(saturation_warnings(found))
+
+
+def _say_warnings(lines: Sequence[str]) -> None:
+    for line in lines:
+        say(f"Warning: {line}")
 
 
 def keys(

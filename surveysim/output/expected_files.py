@@ -13,7 +13,7 @@ from surveysim.studies.sweep.axes import Sweep, sweep_hash
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 
 COMMON = ("summary.json", "scene.json", "report.html")
-_TABLES = ("observations", "timestream_psd", "scores", "map_psd", "alternatives")
+_TABLES = ("observations", "timestream_psd", "scores", "map_psd", "alternatives", "load", "nep", "sensitivity")
 _FIGURES = (
     "timestream_psd",
     "map",

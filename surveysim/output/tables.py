@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surveysim.results.results import SurveyResult
+from surveysim.results.sensitivity import sensitivity_tables
 from surveysim.results.tables import alternative_table, score_table
 from surveysim.runtime.table import Column, Table, file_column
 from surveysim.survey.coadds import row_names
@@ -25,6 +26,8 @@ def run_tables(result: SurveyResult, summary: dict[str, Any]) -> dict[str, Table
         meta = {"temperature": "CMB", "reference": reference.source if reference else "none"}
         tables["scores"] = score_table(summary["scores"], meta=meta | _survey_part(result))
         tables["map_psd"] = spectrum_table(result)
+    if "sensitivity" in summary:
+        tables |= {table.name: table for table in sensitivity_tables(summary["sensitivity"])}
     if result.alternatives:
         tables["alternatives"] = alternative_table(summary["alternatives"])
     return tables

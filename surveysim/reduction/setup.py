@@ -29,12 +29,14 @@ from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.scene.instrument import Instrument, OtherBand
 from surveysim.scene.scene import Scene
+from surveysim.telescope.diffraction import with_beam
 from surveysim.telescope.focal_plane import Camera, camera, mask_by_separation
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.pointing import Schedule
-from surveysim.telescope.responsivity import assumed_responsivity, band_responsivity, true_responsivity
+from surveysim.telescope.responsivity import assumed_responsivity, band_responsivity, camera_responsivity
 from surveysim.telescope.scan_pattern import scan_pattern
 from surveysim.telescope.scans import Scans, mid_times, samples_per_scan
+from surveysim.telescope.table_checks import check_table
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
 from surveysim.timestreams.shared_parts import layer_strips
 from surveysim.timestreams.simulation import (
@@ -64,7 +66,7 @@ class Setup(Simulation):
 def prepare(scene: Scene) -> Setup:
     """Make a scene ready. Raises SceneError when the scene can't be run, with key, found and allowed."""
     try:
-        return _prepare(scene)
+        return _prepare(with_beam(scene))
     except SceneError:
         raise
     except InputError as error:
@@ -72,7 +74,7 @@ def prepare(scene: Scene) -> Setup:
 
 
 def _prepare(scene: Scene) -> Setup:
-    cam = camera(scene.instrument)
+    cam = camera(scene.instrument, scene.seed)
     pattern = scan_pattern(scene.scan)
     scans = pattern.scans(scene.scan)
     extent = pattern.extent_rad(scans) + scans.dither_rad / 2 + cam.radius_rad
@@ -91,7 +93,8 @@ def _prepare(scene: Scene) -> Setup:
     check_excess(scene)
     check_sky(scene, sky_geometry)
     scene_pipelines = pipelines(scene.cleaning, masked)
-    responsivity, of_bands = true_responsivity(scene, n_det), band_responsivity(scene, n_det)
+    check_table(scene, cam)
+    responsivity, of_bands = camera_responsivity(scene, cam), band_responsivity(scene, n_det)
     times, water = observing_schedule(scene, scans), _water(scene, scene.instrument)
     lowest = _lowest(scene, cam, times, mid_times(scans))
     check_levels(scene, water, lowest)
@@ -100,7 +103,9 @@ def _prepare(scene: Scene) -> Setup:
         cam.focal_plane,
         cam.f_lambda_rad,
         cam.illumination,
-        cam.pitch_rad,
+        cam.lattices,
+        cam.properties,
+        cam.counts,
         responsivity=responsivity,
         band_responsivity=of_bands,
         photon=scene.photon,

@@ -6,10 +6,12 @@ import numpy as np
 
 from surveysim.forecasting.forecast import DataSetForecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL, CleaningPipeline
+from surveysim.reduction.design_warnings import design_warnings
 from surveysim.reduction.figure_of_merit import TARGETS, best_places
 from surveysim.reduction.setup import Setup
 from surveysim.results.closure import closure_tests
 from surveysim.results.results import SurveyResult, forecast_agreement, score_entries
+from surveysim.results.sensitivity import saturation_warnings, sensitivities, sensitivity_entries
 from surveysim.results.stages import absent_sections, left_out, stages_that_run
 from surveysim.results.stopping import TOLD_ERRORS
 from surveysim.runtime.provenance import made_by, now
@@ -25,6 +27,7 @@ PSD_AT_HZ = (0.01, 0.1, 1.0)
 def summary(result: SurveyResult) -> dict[str, Any]:
     """Return the content of summary.json; its keys are stable (docs/reference/files.md)."""
     setup, coadds = result.setup, result.coadds
+    sensed = sensitivities(setup)
     columns = dict(zip(row_names(setup.analysis), np.array(coadds.rows).T, strict=True))
     scans = setup.observing.scans
     samples = coadds.done * setup.camera.n_det * scans.n_scans * samples_per_scan(scans)
@@ -44,12 +47,14 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "scans_discarded": int(columns[f"discarded_{ACTUAL}"].sum()),
         "discarded": result.discards.shares,
         "discarded_by_weather": result.discards.by_weather,
-        "warnings": result.discards.warnings,
+        "warnings": [*design_warnings(setup), *result.discards.warnings, *saturation_warnings(sensed)],
         "mean_iterations": float(columns[f"iterations_{ACTUAL}"].mean()),
         "cleaning": {item.data_set: _cleaning_entry(item, result, columns) for item in setup.analysis.pipelines},
         "stopped": _stopped_entry(result),
         "scores": {},
     }
+    if sensed:
+        content["sensitivity"] = sensitivity_entries(sensed, setup.camera.n_det)
     if result.unscored:
         content["unscored"] = result.unscored
     if result.scores:

@@ -8,7 +8,7 @@ from typing import Any
 from surveysim.runtime.errors import InputError
 from surveysim.runtime.interrupt_signals import defer_signals
 from surveysim.runtime.items import InOrder, Items, LargeResults, UntilFailure
-from surveysim.runtime.processes import in_processes
+from surveysim.runtime.processes import in_processes, start_early
 from surveysim.runtime.serial import in_turn
 from surveysim.runtime.worker_loss import EngineError
 
@@ -76,6 +76,11 @@ class Engine:
         if self.kind == "serial":
             return 1
         return max(1, min(self.workers or default_workers(), items))
+
+    def start_early(self) -> None:
+        """Begin to start worker processes of this machine, if there will be any, while this process gets ready."""
+        if self.kind == "processes" and (self.workers or default_workers()) > 1:
+            start_early()
 
 
 SERIAL = Engine("serial")

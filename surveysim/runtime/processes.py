@@ -6,6 +6,7 @@ import signal
 from collections import Counter
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
+from multiprocessing import forkserver
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
@@ -19,6 +20,10 @@ from surveysim.runtime.memory import keep_freed_memory
 from surveysim.runtime.worker_loss import LOSSES_ALLOWED, log, too_many_losses
 
 TAKEN_AHEAD = 2  # items that wait at a worker, so that it does not wait for the parent
+# Not forked from this process: a fork of a process with threads can hang. Where there is a fork server, its workers
+# share the modules that it has imported.
+METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+SHARED = "surveysim.survey.worker_imports"  # module of the imports that workers share
 ENDS_S = 1.0  # time for a process to end after its pipe is closed
 
 
@@ -29,6 +34,14 @@ class _Worker:
     process: BaseProcess
     pipe: Connection
     has: dict[int, Any] = field(default_factory=dict)
+
+
+def start_early() -> None:
+    """Start the process that workers are forked from, if there is one: it imports while this process gets ready."""
+    if METHOD == "forkserver":
+        forkserver.set_forkserver_preload([SHARED])
+        with ignore_sigint_in_children(), hide_main_module():
+            forkserver.ensure_running()
 
 
 def in_processes(job: Callable[[Any], Any], items: Items, workers: int) -> Generator[Answer]:
@@ -126,8 +139,8 @@ def _of_the_lost(crew: list[_Worker], losses: Counter[int]) -> dict[int, Any]:
 
 def _start(job: Callable[[Any], Any]) -> _Worker:
     """Start a worker process."""
-    # Spawned, not forked: a fork in a process with threads can hang, and does not exist everywhere.
-    context = multiprocessing.get_context("spawn")
+    start_early()
+    context: Any = multiprocessing.get_context(METHOD)
     ours, theirs = context.Pipe()
     process = context.Process(target=_work, args=(pickle.dumps(job), theirs), daemon=True)
     with ignore_sigint_in_children(), hide_main_module():

@@ -19,10 +19,11 @@ def read_text(path: Path, most_bytes: int) -> str:
     InputError
         For directories, pipes and devices, for more than `most_bytes`, and for another encoding.
     """
-    return _decoded(_read_bytes(path, most_bytes))
+    return decoded(read_bytes(path, most_bytes))
 
 
-def _read_bytes(path: Path, most_bytes: int) -> bytes:
+def read_bytes(path: Path, most_bytes: int) -> bytes:
+    """Read a regular file; raises InputError for directories, pipes and devices, and for more than `most_bytes`."""
     try:
         # Without waiting for somebody who writes into a pipe; the kind is that of the file that is open.
         with open(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb") as file:
@@ -36,7 +37,8 @@ def _read_bytes(path: Path, most_bytes: int) -> bytes:
     return content
 
 
-def _decoded(content: bytes) -> str:
+def decoded(content: bytes) -> str:
+    """Decode UTF-8 without byte order mark; raises InputError, with the line, for another encoding."""
     try:
         return content.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:

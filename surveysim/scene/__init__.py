@@ -2,5 +2,5 @@
 
 `scene.scene` reads a file into a `Scene`. `instrument`, `observing`, `atmosphere`, `noise_and_sky`, `analysis` and
 `numerics` define its sections. `fields` and `units` convert texts to numbers in internal units. `sites` and
-`position_table` read the tables that a scene refers to; `keys` lists all keys.
+`detector_table` read the tables that a scene refers to; `keys` lists all keys.
 """

@@ -3,14 +3,16 @@
 from functools import cached_property
 from typing import Annotated, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, JsonValue, model_validator
 
 from surveysim.runtime.errors import InputError
+from surveysim.scene.detector_table import DetectorTable, detector_table
 from surveysim.scene.fields import (
     AngleExtent,
     BandFrequency,
     Bandwidth,
     BeamWidth,
+    Line,
     NoisePsd,
     PositiveAngle,
     Share,
@@ -20,28 +22,11 @@ from surveysim.scene.fields import (
     number,
     whole,
 )
+from surveysim.scene.layout import Layout, Wafer
 from surveysim.scene.passband import Passband, read_passband, top_hat
 from surveysim.scene.section import Section
 
-
-class Layout(Section):
-    """Hexagonal lattice of detectors around a central position, limited by `rings` or by a round `field_of_view`."""
-
-    rings: Annotated[int, *whole(0, 60)] | None = None
-    """Number of rings around the central position: n rings have 3 n (n + 1) + 1 positions. Alternative:
-    `field_of_view`."""
-    field_of_view_rad: PositiveAngle | None = Field(alias="field_of_view", default=None)
-    """Diameter of a round area filled with detectors. Alternative: `rings`."""
-    pitch_f_lambda: Annotated[float, *number(0.1, 1000)]
-    """Distance between neighbouring detectors, in (f/#)lambda."""
-    dead: tuple[Annotated[int, *whole(0, 10_980)], ...] = ()
-    """Positions without a working detector, counted from 0 at the centre outwards, at equal distance by angle."""
-
-    @model_validator(mode="after")
-    def _one_extent(self) -> Self:
-        if (self.rings is None) == (self.field_of_view_rad is None):
-            raise ValueError("exactly one of 'rings' and 'field_of_view' is expected")
-        return self
+_FROM_APERTURE: dict[str, JsonValue] = {"otherwise": "that of `optics.aperture`"}
 
 
 class OtherBand(Section):
@@ -61,7 +46,7 @@ class OtherBand(Section):
 
 
 class Instrument(Section):
-    """Band, beam, optics and focal plane; detectors from `layout` or from the table `positions`.
+    """Band, beam, optics and focal plane; detectors from `layout`, from `wafers` or from the table `positions`.
 
     Pixels illuminate the stop uniformly, unless `horn_f_lambda` or `edge_taper` is given. `efficiency` and
     `polarizations` convert optical power to temperature. They are required where noise is given by power, in
@@ -77,9 +62,11 @@ class Instrument(Section):
     """Transmission of the band: an ECSV table with the columns `frequency` and `transmission` (its scale does not
     matter, efficiency is `efficiency`), path relative to the scene file, or the name of a band that ships, such as
     `alma_band_6`. Alternative: `frequency` and `bandwidth`."""
-    beam_fwhm_rad: BeamWidth = Field(alias="beam_fwhm")
-    """Full width at half maximum (FWHM) of the Gaussian beam on the sky."""
-    f_lambda_rad: PositiveAngle = Field(alias="f_lambda")
+    # Angles that are left out are None until the scene is prepared.
+    beam_fwhm_rad: BeamWidth = Field(alias="beam_fwhm", default=None, json_schema_extra=_FROM_APERTURE)
+    """Full width at half maximum (FWHM) of the Gaussian beam on the sky. Without it, that of the diffraction by
+    `optics.aperture`."""
+    f_lambda_rad: PositiveAngle = Field(alias="f_lambda", default=None, json_schema_extra=_FROM_APERTURE)
     """Angle on the sky of one (f/#)lambda: wavelength over diameter of the illuminated aperture."""
     responsivity_scatter: Share
     """Relative scatter of the detectors' responsivities (log-normal), constant over the survey."""
@@ -95,10 +82,15 @@ class Instrument(Section):
     polarizations: Annotated[int, *whole(1, 2)] | None = None
     """Number of polarizations that a detector absorbs."""
     layout: Layout | None = None
-    """Alternative: `positions`."""
+    """Alternatives: `wafers`, `positions`."""
+    wafers: tuple[Wafer, ...] = ()
+    """Several wafers, each with a layout. Alternatives: `layout`, `positions`."""
     positions: TableFile = None
-    """ECSV table of detectors with the columns `x` and `y` in angular units; path relative to the scene file.
-    Alternative: `layout`."""
+    """ECSV or FITS table of detectors with the columns `x` and `y` in angular units, and optional properties of each
+    detector; path relative to the scene file. Alternatives: `layout`, `wafers`."""
+    table_band: Line | None = Field(alias="band", default=None)
+    """Detectors of the table `positions` to simulate, by their value in its column `band`. Required where the table has
+    several bands."""
     bands: tuple[OtherBand, ...] = ()
     """Other frequency bands of the same pixels, used by "spectral" cleaning."""
 
@@ -108,6 +100,16 @@ class Instrument(Section):
         if self.passband is not None:
             return read_passband(self.passband)
         return top_hat(self.frequency_hz, self.bandwidth or 0.0)
+
+    @property
+    def table(self) -> DetectorTable | None:
+        """Table of detectors; None for a layout or wafers."""
+        return None if self.positions is None else detector_table(self.positions)
+
+    @property
+    def table_noise(self) -> tuple[str, float] | None:
+        """Noise of the band's detectors that the table states, as `DetectorTable.noise`; None without."""
+        return None if self.table is None else self.table.noise(self.table_band)
 
     @property
     def cmb_per_rj(self) -> float:
@@ -129,8 +131,13 @@ class Instrument(Section):
 
     @model_validator(mode="after")
     def _one_focal_plane(self) -> Self:
-        if (self.layout is None) == (self.positions is None):
-            raise ValueError("exactly one of 'layout' (a section) and 'positions' (an ECSV file) is expected")
+        if [self.layout is not None, bool(self.wafers), self.positions is not None].count(True) != 1:
+            raise ValueError(
+                "exactly one of 'layout' (a section), 'wafers' (a list of sections) and 'positions' (a table) is"
+                " expected"
+            )
+        if self.table_band is not None and self.positions is None:
+            raise ValueError(f"band: found {self.table_band!r} without 'positions', a table with a column band")
         if self.horn_f_lambda is not None and self.edge_taper_db is not None:
             raise ValueError(
                 "edge_taper: found together with 'horn_f_lambda', which sets it; one of the two is expected"

@@ -147,14 +147,17 @@ class Kid(Section):
     """NEP of amplifier and two-level systems; 0 for none."""
 
 
+ONE_NOISE = "exactly one of 'psd', 'nep', 'bolometer' and 'kid' is expected"
+
+
 class Detector(Section):
     """White noise of detectors and readout, uncorrelated between detectors."""
 
     psd_mk2_hz: NoisePsd | None = Field(alias="psd", default=None)
-    """One-sided white-noise PSD of a detector, in Rayleigh-Jeans temperature. Alternatives: `nep`, `bolometer`,
-    `kid`."""
+    """One-sided white-noise PSD of a detector, in Rayleigh-Jeans temperature. Alternatives: `nep`, `bolometer`, `kid`,
+    or a column `psd` or `nep` of the table `instrument.positions`."""
     nep_w_rthz: Nep | None = Field(alias="nep", default=None)
-    """Noise-equivalent power (NEP) of a detector. Alternatives: `psd`, `bolometer`, `kid`."""
+    """Noise-equivalent power (NEP) of a detector. Alternatives: as for `psd`."""
     bolometer: Bolometer | None = None
     """Alternatives: `psd`, `nep`, `kid`."""
     kid: Kid | None = None
@@ -163,9 +166,15 @@ class Detector(Section):
 
     @model_validator(mode="after")
     def _one_noise(self) -> Self:
-        if [self.psd_mk2_hz, self.nep_w_rthz, self.bolometer, self.kid].count(None) != 3:
-            raise ValueError("exactly one of 'psd', 'nep', 'bolometer' and 'kid' is expected")
+        if [self.psd_mk2_hz, self.nep_w_rthz, self.bolometer, self.kid].count(None) < 3:
+            raise ValueError(ONE_NOISE)
         return self
+
+    @property
+    def stated(self) -> str | None:
+        """Key that states the noise; None where the table of detectors does."""
+        keys = {"psd": self.psd_mk2_hz, "nep": self.nep_w_rthz, "bolometer": self.bolometer, "kid": self.kid}
+        return next((key for key, value in keys.items() if value is not None), None)
 
 
 class PointSource(Section):

@@ -26,7 +26,7 @@ from surveysim.scene.assumed_values import assumed_of_site, assumed_values
 from surveysim.scene.error_lines import error_lines, unknown_key, validation_lines
 from surveysim.scene.fields import Line, whole
 from surveysim.scene.instrument import Instrument
-from surveysim.scene.noise_and_sky import StreamSections
+from surveysim.scene.noise_and_sky import ONE_NOISE, StreamSections
 from surveysim.scene.numerics import Numerics
 from surveysim.scene.observing import MIN_SAMPLES, FieldSection, FixedPointing, Scan, Schedule
 from surveysim.scene.optics import Optics
@@ -105,6 +105,7 @@ class Scene(StreamSections, ObservationSections):
             raise ValueError("instrument.bands: missing; 'spectral' cleaning needs other bands of the pixels")
         if self.instrument.bands and not (self.atmosphere and self.atmosphere.site):
             raise ValueError("atmosphere.site: missing; the bands scale with each other by the opacity of a site")
+        self._beam_is_known()
         self._load_is_given()
         self._power_is_known()
         if not any(getattr(self, name) for name in StreamSections.model_fields):
@@ -114,11 +115,22 @@ class Scene(StreamSections, ObservationSections):
             raise ValueError(f"scan.duration: found {found:.3g} samples a scan; {MIN_SAMPLES} or more are expected")
         return self
 
+    def _beam_is_known(self) -> None:
+        """Raise ValueError for a beam or (f/#)lambda that is left out without an aperture that it follows from."""
+        aperture_m = self.optics.aperture_m if self.optics else None
+        for key, value in (("beam_fwhm", self.instrument.beam_fwhm_rad), ("f_lambda", self.instrument.f_lambda_rad)):
+            if value is None and aperture_m is None:
+                raise ValueError(
+                    f"instrument.{key}: missing; an angle, or 'optics.aperture' that it follows from, is expected"
+                )
+
     def _load_is_given(self) -> None:
         """Raise ValueError unless photon noise, and noise that depends on the load, have exactly one source."""
         photon, kid = self.photon, self.detector.kid if self.detector else None
         if photon and photon.psd_mk2_hz is None and photon.load is None and self.optics is None:
             raise ValueError("photon: exactly one of 'psd', 'load' (a section) and a section [optics] is expected")
+        if self.detector and self.detector.stated is None and self.instrument.table_noise is None:
+            raise ValueError(f"detector: {ONE_NOISE}, or a column 'psd' or 'nep' of the table instrument.positions")
         if self.optics and self.instrument.horn_f_lambda is not None and self.optics.stop is None:
             raise ValueError("optics.stop: missing; horns spill part of their beam on it")
         if photon and photon.load and self.optics:
@@ -145,10 +157,9 @@ class Scene(StreamSections, ObservationSections):
         photon, detector = self.photon, self.detector
         if photon and photon.psd_mk2_hz is None:
             return "photon.load" if photon.load else "optics"
-        if detector and detector.psd_mk2_hz is None:
-            kind = next(name for name in ("nep_w_rthz", "bolometer", "kid") if getattr(detector, name) is not None)
-            return f"detector.{kind.removesuffix('_w_rthz')}"
-        return None
+        if detector and detector.stated is None:
+            return "instrument.positions" if self.instrument.table_noise[0] == "nep" else None
+        return f"detector.{detector.stated}" if detector and detector.stated != "psd" else None
 
 
 def load_scene(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Scene:

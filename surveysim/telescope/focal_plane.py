@@ -1,4 +1,4 @@
-"""Focal planes: hexagonal layouts, tables of positions, dead and masked detectors."""
+"""Focal planes: detectors of layouts, wafers and tables, and masked detectors."""
 
 import math
 from dataclasses import dataclass
@@ -9,10 +9,17 @@ import numpy as np
 from mapmaker.timestreams import FocalPlane
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.instrument import Instrument as InstrumentSection
-from surveysim.scene.position_table import read_positions
+from surveysim.telescope.detector_properties import (
+    DetectorCounts,
+    DetectorProperties,
+    only_beams,
+    table_counts,
+    table_properties,
+)
+from surveysim.telescope.layouts import Lattice, placed_wafers
 from surveysim.telescope.pixel_coherence import Illumination, horn_taper_db, stop_efficiency
 
-MAX_RINGS = 60
+MAX_BEAMS = 8  # different beams of a camera: each takes a sky of its own
 MAX_PLACES = 1000
 _OBLIQUE = np.array([np.cos(1.0), np.sin(1.0)])
 
@@ -29,25 +36,25 @@ class Camera:
         One (f/#)lambda on the sky.
     illumination
         Illumination of the stop by each pixel.
-    pitch_rad
-        Pitch of the hexagonal lattice; None for a table of positions.
+    lattices
+        Lattice of each wafer, whose detectors follow those of the one before; none for a table of positions.
+    properties
+        Properties in which the detectors differ.
+    counts
+        Numbers of detectors; None for a camera of no scene.
     """
 
     focal_plane: FocalPlane
     f_lambda_rad: float
     illumination: Illumination = Illumination()
-    pitch_rad: float | None = None
+    lattices: tuple[Lattice, ...] = ()
+    properties: DetectorProperties = DetectorProperties()
+    counts: DetectorCounts | None = None
 
     @property
     def positions_f_lambda(self) -> np.ndarray:
         """Positions (n_det, 2) in (f/#)lambda."""
         return np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad]) / self.f_lambda_rad
-
-    @property
-    def cells(self) -> np.ndarray:
-        """Coordinates (n_det, 2) of the detectors on the lattice, along axes 60 degrees apart."""
-        row = np.rint(self.focal_plane.y_rad / (np.sqrt(0.75) * self.pitch_rad))
-        return np.column_stack([np.rint(self.focal_plane.x_rad / self.pitch_rad - row / 2), row]).astype(int)
 
     @property
     def radius_rad(self) -> float:
@@ -56,29 +63,26 @@ class Camera:
 
     @cached_property
     def closest_rad(self) -> float:
-        """Separation of the closest pair of detectors; 0 for a single one."""
-        positions = np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad])
+        """Separation of the closest pair of positions; 0 for a single one."""
+        positions = np.unique(np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad]), axis=0)
         return closest_pair(positions)[0] if len(positions) > 1 else 0.0
 
 
-def camera(section: InstrumentSection) -> Camera:
+def camera(section: InstrumentSection, seed: int) -> Camera:
     """Make the camera of a scene, without dead positions.
+
+    Parameters
+    ----------
+    seed
+        Seed of the scene, which chooses the dead detectors of a random yield.
 
     Raises
     ------
     ValueError
         For a dead position outside the layout, no live detector, two detectors at one position, horns that overlap
-        their neighbours, or an unreadable table.
+        their neighbours, too many different beams, or an unreadable table.
     """
-    pitch = None
-    if section.positions is not None:
-        positions = read_positions(section.positions)
-    else:
-        positions = without(_layout_positions(section), section.layout.dead)
-        pitch = section.layout.pitch_f_lambda * section.f_lambda_rad
-    check_distinct(positions)
-    plane = FocalPlane(positions[:, 0].copy(), positions[:, 1].copy(), section.beam_fwhm_rad)
-    cam = Camera(plane, section.f_lambda_rad, illumination(section), pitch)
+    cam = _lattice_camera(section, seed) if section.positions is None else _table_camera(section)
     closest = cam.closest_rad / section.f_lambda_rad
     if section.horn_f_lambda is not None and 0 < closest < section.horn_f_lambda * (1 - 1e-9):
         raise SceneError(
@@ -86,6 +90,39 @@ def camera(section: InstrumentSection) -> Camera:
             "(f/#)lambda, or less is expected"
         )
     return cam
+
+
+def _lattice_camera(section: InstrumentSection, seed: int) -> Camera:
+    wafers = placed_wafers(section, seed)
+    positions = np.concatenate([wafer.positions_rad for wafer in wafers])
+    check_distinct(positions)
+    plane = FocalPlane(positions[:, 0].copy(), positions[:, 1].copy(), section.beam_fwhm_rad)
+    total = sum(wafer.n_positions for wafer in wafers)
+    of_wafers = tuple((len(wafer.positions_rad), wafer.n_positions) for wafer in wafers) if section.wafers else ()
+    return Camera(
+        plane,
+        section.f_lambda_rad,
+        illumination(section),
+        tuple(wafer.lattice for wafer in wafers),
+        counts=DetectorCounts(total, total - len(positions), wafers=of_wafers),
+    )
+
+
+def _table_camera(section: InstrumentSection) -> Camera:
+    table = section.table
+    rows = table.band_rows(section.table_band) & table.live
+    x, y = table.positions_rad[rows].T
+    angle = table.columns["angle"][rows] if "angle" in table.columns else None
+    properties = table_properties(table, rows)
+    only_beams(section, properties, MAX_BEAMS)
+    check_distinct(np.unique(np.column_stack([x, y]), axis=0))  # detectors of a pair have angles of their own
+    return Camera(
+        FocalPlane(x.copy(), y.copy(), section.beam_fwhm_rad, angle),
+        section.f_lambda_rad,
+        illumination(section),
+        properties=properties,
+        counts=table_counts(table, section),
+    )
 
 
 def illumination(section: InstrumentSection) -> Illumination:
@@ -111,51 +148,6 @@ def stop_share(section: InstrumentSection, frequency_hz: np.ndarray) -> np.ndarr
         return np.ones(len(frequency_hz))
     diameters = section.horn_f_lambda * frequency_hz / section.band.centre_hz
     return np.array([stop_efficiency(horn_taper_db(diameter)) for diameter in diameters])
-
-
-def _layout_positions(section: InstrumentSection) -> np.ndarray:
-    """Positions (n, 2) [rad] of a layout, including dead ones.
-
-    A round field of view holds as many pixels as its area holds cells, those nearest to its centre. Counting pixels
-    with centres inside would make the number jump by a fifth as the pitch changes.
-    """
-    layout, pitch = section.layout, section.layout.pitch_f_lambda * section.f_lambda_rad
-    if layout.rings is not None:
-        return hexagon(layout.rings, pitch)
-    radius = layout.field_of_view_rad / 2
-    # Pixels of that area lie within its radius and a pitch; a ring of the hexagon is at least 0.87 pitches further out.
-    rings = int((radius + pitch) / (np.sqrt(0.75) * pitch)) + 1
-    if rings > MAX_RINGS:
-        raise SceneError(
-            f"instrument.layout.field_of_view: found {rings} rings in it; {MAX_RINGS} or fewer are expected"
-        )
-    count = max(1, round(np.pi * radius**2 / (np.sqrt(0.75) * pitch**2)))
-    return hexagon(rings, pitch)[:count]
-
-
-def hexagon(rings: int, pitch: float) -> np.ndarray:
-    """Positions (3 n (n+1) + 1, 2) of `rings` rings around a centre, in the unit of `pitch`.
-
-    Ordered by distance from the centre, then by angle: 127 positions for six rings.
-    """
-    q, r = np.meshgrid(np.arange(-rings, rings + 1), np.arange(-rings, rings + 1), indexing="ij")
-    inside = np.abs(q + r) <= rings
-    x = q[inside] + 0.5 * r[inside]
-    y = np.sqrt(0.75) * r[inside]
-    order = np.lexsort((np.round(np.arctan2(y, x), 9), np.round(np.hypot(x, y), 9)))
-    return pitch * np.column_stack([x, y])[order]
-
-
-def without(positions: np.ndarray, dead: tuple[int, ...]) -> np.ndarray:
-    """Remove dead positions; raises an error for a number that does not exist or appears twice."""
-    wrong = [index for index in dead if not 0 <= index < len(positions)]
-    if wrong or len(set(dead)) != len(dead):
-        raise SceneError(
-            f"instrument.layout.dead: found {list(dead)}; different numbers from 0 to {len(positions) - 1} are expected"
-        )
-    if len(dead) == len(positions):
-        raise SceneError(f"instrument.layout.dead: found all {len(dead)} positions; one live detector is expected")
-    return np.delete(positions, list(dead), axis=0)
 
 
 def check_distinct(positions: np.ndarray) -> None:

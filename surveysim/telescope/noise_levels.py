@@ -4,12 +4,15 @@ weather.
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from surveysim.atmosphere.opacity import BandOpacity
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.fields import PSD_MAX_MK2_HZ
 from surveysim.scene.noise_and_sky import Photon
 from surveysim.scene.scene import Scene
 from surveysim.telescope.detector_noise import detector_nep2
+from surveysim.telescope.detector_properties import DetectorProperties
 from surveysim.telescope.optics import scene_chain
 from surveysim.telescope.photon_noise import amplitude_weights, chain_noise
 from surveysim.telescope.radiative_chain import SKY, RadiativeChain
@@ -40,6 +43,35 @@ class WhiteLevels:
     detector_mk2_hz: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class WhiteByDetector:
+    """White-noise levels (n_det,) of the detectors of a camera [mK^2/Hz]: photon noise that overlapping pixels share,
+    photon noise that they do not share, and detector noise.
+    """
+
+    shared: np.ndarray
+    alone: np.ndarray
+    detector: np.ndarray
+
+
+def white_by_detector(
+    levels: WhiteLevels, coherence: str, properties: DetectorProperties, n_det: int
+) -> WhiteByDetector:
+    """Scale the white noise of a nominal detector to each detector.
+
+    In temperature, shot noise goes as one over the efficiency and bunching does not depend on it. Detector noise of a
+    given NEP goes as one over the squared efficiency. Pixels share a fraction of all photon noise with "field"
+    `coherence`, and of the bunching alone with any other.
+    """
+    photon, shared = np.full(n_det, levels.photon_mk2_hz), np.full(n_det, levels.shared * levels.photon_mk2_hz)
+    detector = levels.detector_mk2_hz * (np.ones(n_det) if properties.noise is None else properties.noise)
+    if properties.efficiency is not None:
+        photon = (levels.photon_mk2_hz - levels.wave_mk2_hz) / properties.efficiency + levels.wave_mk2_hz
+        shared = levels.shared * photon if coherence == "field" else shared
+        detector = detector / properties.efficiency**2 if properties.noise_is_power else detector
+    return WhiteByDetector(shared, photon - shared, detector)
+
+
 def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevation_rad: float) -> WhiteLevels:
     """Compute the white-noise levels of one observation; components that the scene leaves out have 0.
 
@@ -61,8 +93,10 @@ def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, eleva
         levels = {}
     detector = 0.0
     if scene.detector:
-        detector = scene.detector.psd_mk2_hz
-        detector = _detector_psd(scene, chain) if detector is None else detector
+        found = scene.detector.psd_mk2_hz
+        if scene.detector.stated is None and scene.instrument.table_noise[0] == "psd":
+            found = scene.instrument.table_noise[1]
+        detector = _detector_psd(scene, chain) if found is None else found
     _check_level(scene.given_by_power, levels.get("photon_mk2_hz", 0.0))
     _check_level("detector", detector)
     return WhiteLevels(**levels, detector_mk2_hz=detector)
@@ -79,8 +113,10 @@ def _check_level(key: str | None, psd_mk2_hz: float) -> None:
 
 def _detector_psd(scene: Scene, chain: RadiativeChain) -> float:
     """Detector noise [mK^2/Hz] of a detector whose NEP is known, under the load of the chain."""
-    load_w = chain_noise(chain).power_w
-    nep2 = sum(detector_nep2(scene.detector, load_w).values())
+    if scene.detector.stated is None:
+        nep2 = scene.instrument.table_noise[1] ** 2
+    else:
+        nep2 = sum(detector_nep2(scene.detector, chain_noise(chain).power_w).values())
     return nep2 * (1e3 / chain.w_per_k) ** 2 if chain.w_per_k else float("inf")
 
 

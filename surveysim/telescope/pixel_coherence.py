@@ -44,6 +44,10 @@ class Illumination:
         """Kappa of the intensity ``exp(-kappa u^2)``."""
         return self.edge_taper_db * math.log(10) / 10
 
+    def intensity(self, rho: np.ndarray) -> np.ndarray:
+        """Intensity at radii `rho` over the stop's, relative to the centre's."""
+        return np.exp(-self.exponent * np.square(rho))
+
 
 # ---------------------------------------------------------------- horns
 

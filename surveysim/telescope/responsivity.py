@@ -4,6 +4,14 @@ import numpy as np
 
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.scene import Scene
+from surveysim.telescope.focal_plane import Camera
+
+
+def camera_responsivity(scene: Scene, cam: Camera) -> np.ndarray:
+    """True responsivity (n_det,) of the mapped band: that of the table of detectors, or a random one."""
+    if cam.properties.responsivity is not None:
+        return cam.properties.responsivity
+    return true_responsivity(scene, len(cam.focal_plane.x_rad))
 
 
 def band_responsivity(scene: Scene, n_det: int) -> np.ndarray:

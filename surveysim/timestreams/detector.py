@@ -4,11 +4,16 @@ import numpy as np
 
 from surveysim.runtime.rng import RandomPurpose
 from surveysim.timestreams.noise import add_white
-from surveysim.timestreams.observed_block import ObservedBlock
+from surveysim.timestreams.observed_block import ObservedBlock, white_of_block
 
 
 def add_detector_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
-    """Add the detector noise of a block to streams (n_det, n_samp), in place; photon noise includes it, if present."""
-    if of.setup.scene.photon is None:
-        rate = of.setup.observing.scans.sample_rate_hz
+    """Add the detector noise of a block to streams (n_det, n_samp), in place.
+
+    Photon noise includes it, if present, unless detectors differ.
+    """
+    rate = of.setup.observing.scans.sample_rate_hz
+    if of.setup.camera.draws_parts:
+        add_white(data_mk, white_of_block(of).detector, rate, of.deviates(RandomPurpose.DETECTOR))
+    elif of.setup.scene.photon is None:
         add_white(data_mk, of.levels.detector_mk2_hz, rate, of.deviates(RandomPurpose.DETECTOR))

@@ -9,24 +9,38 @@ from surveysim.runtime.rng import NormalDeviates
 from surveysim.telescope.lattice_noise import CirculantFactor
 
 
-def add_white(data_mk: np.ndarray, psd_mk2_hz: float, sample_rate_hz: float, deviates: NormalDeviates) -> None:
-    """Add white noise of one-sided PSD `psd_mk2_hz`, independent in each detector, in place."""
-    deviates.add(data_mk, np.sqrt(psd_mk2_hz * sample_rate_hz / 2))
+def add_white(
+    data_mk: np.ndarray, psd_mk2_hz: float | np.ndarray, sample_rate_hz: float, deviates: NormalDeviates
+) -> None:
+    """Add white noise, independent in each detector, in place; its one-sided PSD is one number or one for each
+    detector (n_det,).
+    """
+    if np.ndim(psd_mk2_hz) == 0:
+        deviates.add(data_mk, np.sqrt(psd_mk2_hz * sample_rate_hz / 2))
+        return
+    n_det, n_samp = data_mk.shape
+    for row, deviation in enumerate(_deviation(psd_mk2_hz, n_det, sample_rate_hz)[:, 0]):
+        deviates.add(data_mk[row], deviation, first=row * n_samp)
+
+
+def _deviation(psd_mk2_hz: float | np.ndarray, n_det: int, sample_rate_hz: float) -> np.ndarray:
+    """Standard deviation (n_det, 1) of the samples of white noise."""
+    return np.sqrt(np.broadcast_to(psd_mk2_hz, n_det)[:, None] * sample_rate_hz / 2)
 
 
 def add_correlated_white(
     data_mk: np.ndarray,
-    psd_mk2_hz: float,
+    psd_mk2_hz: float | np.ndarray,
     sample_rate_hz: float,
     factor: np.ndarray | CirculantFactor,
     deviates: NormalDeviates,
 ) -> None:
-    """Add white noise of one-sided PSD `psd_mk2_hz` with correlation ``factor factor^T``, in place."""
-    deviation = np.sqrt(psd_mk2_hz * sample_rate_hz / 2)
+    """Add white noise with the correlation ``factor factor^T``, in place; PSD as for `add_white`."""
+    deviation = _deviation(psd_mk2_hz, len(data_mk), sample_rate_hz)
     if isinstance(factor, CirculantFactor):
         n_samp = data_mk.shape[1]
         for places, fields in factor.fields((n_samp + 1) // 2, deviates):
-            fields *= np.float32(deviation)
+            fields *= deviation.astype(np.float32)
             first, end = 2 * places.start, min(2 * places.stop, n_samp)
             data_mk[:, first:end] += fields.view(np.float32)[:, : end - first]
         return

@@ -7,10 +7,10 @@ import numpy as np
 
 from surveysim.atmosphere.weather import Weather, survey_weather
 from surveysim.runtime.rng import NormalDeviates, RandomPurpose, generator, normal_deviates
-from surveysim.telescope.noise_levels import WhiteLevels, white_levels
+from surveysim.telescope.noise_levels import WhiteByDetector, WhiteLevels, white_levels
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.scan_blocks import Block
-from surveysim.timestreams.simulation import Simulation
+from surveysim.timestreams.simulation import Simulation, camera_white
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,11 @@ def observation_weather(setup: Simulation, observation: int) -> Weather | None:
 def observation_levels(setup: Simulation, observation: int) -> WhiteLevels:
     """Photon and detector noise of one observation, in its weather and at its elevation."""
     return _levels(setup, observation, observation_weather(setup, observation))
+
+
+def white_of_block(of: ObservedBlock) -> WhiteByDetector:
+    """Photon and detector noise of each detector in the observation of a block."""
+    return camera_white(of.setup.camera, of.levels)
 
 
 def _levels(setup: Simulation, observation: int, weather: Weather | None) -> WhiteLevels:

@@ -8,10 +8,13 @@ import numpy as np
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.simulation import Simulation
 from surveysim.timestreams.sky import add_seen_sky
+from surveysim.timestreams.time_constants import apply_time_constants
 
 
 def apply_response(setup: Simulation, seen_mk: np.ndarray, band: int = 0, gain: float = 1.0) -> None:
     """Turn signals (n_det, n_samp) that the detectors see into their output, in place.
+
+    Detectors of the mapped band filter them with their time constants.
 
     Parameters
     ----------
@@ -23,10 +26,12 @@ def apply_response(setup: Simulation, seen_mk: np.ndarray, band: int = 0, gain: 
     factor = gain * _responsivity(setup, band)
     if (factor != 1).any():
         seen_mk *= factor[:, None].astype(seen_mk.dtype)
+    if band == 0:
+        apply_time_constants(setup, seen_mk)
 
 
 def write_sky_signal(setup: Simulation, pointing: Pointing, sky_mk: np.ndarray, out_mk: np.ndarray) -> None:
-    """Write the response to a sky (n_y, n_x) and nothing else to streams (n_det, n_samp).
+    """Write the response to a sky and nothing else to streams (n_det, n_samp), before the time constants.
 
     The look-up multiplies by the responsivity before it rounds to the type of the streams.
     """

@@ -13,6 +13,7 @@ from surveysim.scene.noise_and_sky import Excess, Photon
 from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.lattice_noise import CirculantCorrelation, embed
+from surveysim.telescope.layouts import HEXAGONAL
 from surveysim.telescope.pixel_coherence import MOST_DENSE, DenseCorrelation, correlation_matrix, overlap
 
 if TYPE_CHECKING:
@@ -32,14 +33,15 @@ def shared_noise(
     n_det = len(cam.focal_plane.x_rad)
     if n_det <= MOST_DENSE:
         return overlap(correlation_matrix(cam.positions_f_lambda, section.coherence, cam.illumination))
-    if cam.pitch_rad is None:
+    if len(cam.lattices) != 1 or cam.lattices[0].cosine != HEXAGONAL:
         raise SceneError(
-            f"{name}.coherence: found {section.coherence!r} for the {n_det} detectors of a table of positions; "
+            f"{name}.coherence: found {section.coherence!r} for {n_det} detectors off a single hexagonal lattice; "
             f"{MOST_DENSE} or fewer are expected, or an instrument.layout, whose lattice makes noise that more share, "
             "or coherence 'none'"
         )
     try:
-        return embed(cam.cells, cam.pitch_rad / cam.f_lambda_rad, section.coherence, cam.illumination)
+        lattice = cam.lattices[0]
+        return embed(lattice.cells, lattice.pitch_rad / cam.f_lambda_rad, section.coherence, cam.illumination)
     except OutOfRangeError as error:
         raise SceneError(f"{name}.coherence: {error}") from None
 

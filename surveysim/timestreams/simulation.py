@@ -20,6 +20,7 @@ from surveysim.scene.scene import Scene
 from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.lattice_noise import CirculantCorrelation, CirculantFactor
+from surveysim.telescope.noise_levels import WhiteByDetector, WhiteLevels, white_by_detector
 from surveysim.telescope.pixel_coherence import DenseCorrelation
 from surveysim.telescope.pointing import Pointing, Schedule, observation_pointing, schedule, survey_angles
 from surveysim.telescope.scan_pattern import ScanPattern
@@ -55,6 +56,11 @@ class CameraSetup(Camera):
         """Number of live detectors."""
         return len(self.responsivity)
 
+    @property
+    def draws_parts(self) -> bool:
+        """Whether photon and detector noise are drawn apart: detectors differ in their levels, or in time constants."""
+        return self.properties.white_differs or self.properties.time_constant_s is not None
+
     @once
     def photon_correlation(self) -> DenseCorrelation | CirculantCorrelation | None:
         """Correlation of photon noise between detectors; None where they share nothing."""
@@ -72,6 +78,12 @@ class CameraSetup(Camera):
         """Factor of the correlation of excess noise; None where detectors share nothing."""
         found = self.excess_correlation
         return None if found is None else found.factor()
+
+
+def camera_white(camera: CameraSetup, levels: WhiteLevels) -> WhiteByDetector:
+    """Scale white-noise levels of a nominal detector to those of a camera."""
+    coherence = camera.photon.coherence if camera.photon else "none"
+    return white_by_detector(levels, coherence, camera.properties, camera.n_det)
 
 
 @dataclass(frozen=True)

@@ -54,9 +54,9 @@ def prepare(folder: Path) -> str:
     """The text of a good table."""
     text = table([("x", "arcmin", "float64"), ("y", "arcmin", "float64")], ROWS)
     (folder / "camera.ecsv").write_text(text)
-    from surveysim.telescope.focal_plane import read_positions
+    from surveysim.scene.detector_table import read_detectors
 
-    read_positions(folder / "camera.ecsv")
+    read_detectors(folder / "camera.ecsv")
     return text
 
 
@@ -128,10 +128,10 @@ def laid_out(text: str, rng: np.random.Generator) -> str:
 
 def tried() -> Outcome:
     """Read the table; compare it with the simple reader's."""
-    from surveysim.telescope.focal_plane import read_positions
+    from surveysim.scene.detector_table import read_detectors
 
     try:
-        found = read_positions(Path("camera.ecsv"))
+        found = read_detectors(Path("camera.ecsv")).positions_rad
     except Exception as error:
         return outcome_of_error(error, (ValueError,))
     check(np.isfinite(found).all() and len(found) > 0, "positions that are not finite, or none")

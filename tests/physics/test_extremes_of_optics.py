@@ -15,7 +15,8 @@ from surveysim.results.results import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
-from surveysim.telescope.focal_plane import camera, hexagon
+from surveysim.telescope.focal_plane import camera
+from surveysim.telescope.layouts import hexagon
 from surveysim.telescope.pixel_coherence import correlation_matrix, lattice_sum
 from surveysim.timestreams.observed_block import observation_levels
 from tests.scenes import SMALL_SCENE, without_sections
@@ -145,7 +146,7 @@ def test_mean_of_an_ideal_array_has_the_lattice_s_noise(pitch):
 
 def test_forecast_of_the_common_mode_is_the_lattice_s(scene_of):
     """The same from the array response at a wave so long that the array sees no phase."""
-    cam = camera(scene_of(NO_AIR, {"instrument.layout.rings": 12}).instrument)
+    cam = camera(scene_of(NO_AIR, {"instrument.layout.rings": 12}).instrument, 0)
     array = projected_array(cam.focal_plane, 0.3, responsivity=np.ones(len(cam.focal_plane.x_rad)), algorithm="none")
     correlation = correlation_matrix(cam.positions_f_lambda, "intensity")
     response = array.response(np.array([1.0 + 0.5j]))
@@ -184,7 +185,7 @@ def test_streams_of_an_ideal_load_have_the_lattice_s_common_mode(scene_of):
 def test_field_of_view_holds_its_area(scene_of, pitch):
     """8 arcmin has the area of 131 cells at 0.7 (f/#)lambda; pixels are the nearest to the centre, within a pitch."""
     keys = {"instrument.layout": {"field_of_view": "8 arcmin", "pitch_f_lambda": pitch}}
-    plane = camera(scene_of(NO_AIR, keys).instrument).focal_plane
+    plane = camera(scene_of(NO_AIR, keys).instrument, 0).focal_plane
     step, radius = pitch * 57.142857 / 60, 4.0
     assert len(plane.x_rad) == round(np.pi * radius**2 / (np.sqrt(0.75) * step**2))
     everything = np.sort(np.hypot(*hexagon(20, step).T))[: len(plane.x_rad)]
@@ -195,7 +196,7 @@ def test_field_of_view_holds_its_area(scene_of, pitch):
 
 def test_field_of_view_smaller_than_a_cell_is_one_detector(scene_of):
     keys = {"instrument.layout": {"field_of_view": "0.5 arcmin", "pitch_f_lambda": 0.7}}
-    assert len(camera(scene_of(NO_AIR, keys).instrument).focal_plane.x_rad) == 1
+    assert len(camera(scene_of(NO_AIR, keys).instrument, 0).focal_plane.x_rad) == 1
 
 
 @pytest.mark.parametrize(

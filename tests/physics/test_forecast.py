@@ -27,7 +27,7 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.noise_and_sky import Excess
 from surveysim.scene.passband import top_hat
 from surveysim.scene.scene import load_scene
-from surveysim.telescope.focal_plane import hexagon
+from surveysim.telescope.layouts import hexagon
 from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix
 from surveysim.telescope.pointing import sky_vector
 from surveysim.timestreams.low_frequency import add_excess, excess_psd

@@ -19,8 +19,8 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.noise_and_sky import Excess
 from surveysim.scene.scene import load_scene
 from surveysim.telescope import lattice_noise as lattice
-from surveysim.telescope.focal_plane import Camera, hexagon
 from surveysim.telescope.lattice_noise import LARGEST_ERROR, CirculantFactor, NoiseCorrelation, embed
+from surveysim.telescope.layouts import hexagon, hexagon_cells
 from surveysim.telescope.pixel_coherence import Illumination, correlation_matrix
 from surveysim.timestreams import shared_parts as parts
 from surveysim.timestreams.low_frequency import add_excess, excess_psd
@@ -35,8 +35,8 @@ DENSE = (conditions, limits, parts, response, setup)  # all that look at how man
 
 def array(rings, pitch, dead=()):
     """Places on the lattice and positions of a hexagonal layout less some of its detectors."""
-    positions = np.delete(hexagon(rings, pitch), list(dead), axis=0)
-    return Camera(FocalPlane(*positions.T, 1.0), 1.0, pitch_rad=pitch).cells, positions
+    cells, positions = hexagon_cells(rings, pitch)
+    return np.delete(cells, list(dead), axis=0), np.delete(positions, list(dead), axis=0)
 
 
 def implied(torus, cells):
@@ -262,7 +262,7 @@ def test_photon_and_detector_noise_add_up(path, request, lattice, missing):
     data = draw_observation(ready, 0).data_mk.astype(float)
     overlap = correlation_matrix(ready.camera.positions_f_lambda, "field")
     if lattice and missing != "photon":
-        overlap = implied(ready.camera.photon_correlation, ready.camera.cells)
+        overlap = implied(ready.camera.photon_correlation, ready.camera.lattices[0].cells)
     photon, detector = (0 if missing == name else level for name, level in (("photon", 2), ("detector", 3)))
     expected = (photon * (0.2 * np.eye(18) + 0.8 * overlap) + detector * np.eye(18)) * RATE / 2
     spread = np.sqrt((np.outer(np.diag(expected), np.diag(expected)) + expected**2) / data.shape[1])
@@ -279,7 +279,7 @@ def test_tables_of_many_detectors_share_nothing(path, few_are_many):
     QTable({"x": x * u.arcsec, "y": y * u.arcsec}).write(path.parent / "camera.ecsv")
     table = {"instrument.layout": None, "instrument.positions": "camera.ecsv"}
     with pytest.raises(
-        SceneError, match=r"photon.coherence: found 'field' for the 19 detectors of a table .* 10 or few"
+        SceneError, match=r"photon.coherence: found 'field' for 19 detectors off a single hexagonal lattice; 10 or few"
     ):
         prepare(load_scene(path, table))
     alone = load_scene(path, table | {"photon.coherence": "none", "excess.coherence": "none"})

@@ -13,7 +13,7 @@ import pytest
 from mapmaker.kernels.spectra import scale_mean_removed
 from mapmaker.stream_psd import hann_power, hann_psd, highest_frequency, white_level
 from surveysim.scene.noise_and_sky import Excess
-from surveysim.telescope.focal_plane import hexagon
+from surveysim.telescope.layouts import hexagon
 from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix, mutual_coherence
 from surveysim.timestreams.low_frequency import add_excess, excess_psd, excess_variance
 from surveysim.timestreams.noise import add_correlated_white, add_white, draw_from_psd

@@ -18,7 +18,7 @@ from surveysim.atmosphere.thin_screen import (
     structure_function,
 )
 from surveysim.atmosphere.turbulence_fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV, TRACKS_RAD, fit_turbulence
-from surveysim.telescope.focal_plane import hexagon
+from surveysim.telescope.layouts import hexagon
 from surveysim.telescope.pixel_coherence import mutual_coherence
 from tests.deviates import deviates
 

@@ -54,7 +54,7 @@ def lay_out(figure: PaperFigure) -> Figure:
     rows = -(-len(figure.panels) // columns)
     width, row_height = _SIZES[min(columns, len(_SIZES)) - 1]
     canvas = drawing.new_figure(width, rows * row_height)
-    canvas.get_layout_engine().set(h_pad=_MARGIN / 2, w_pad=_MARGIN / 2)
+    canvas.get_layout_engine().pad = _MARGIN / 2
     for place, panel in enumerate(figure.panels, start=1):
         _draw_panel(canvas.add_subplot(rows, columns, place), panel, width / columns)
     title = canvas.suptitle(_wrapped(canvas, figure.title, width - 4 * _MARGIN, _TITLE_PT), fontsize=_TITLE_PT)
@@ -263,8 +263,7 @@ def _resize(canvas: Figure, height: float, caption: Text, common: float) -> None
     canvas.set_figheight(height)
     caption.set_y(_MARGIN / height)
     top = (_size(caption)[1] + 2 * _MARGIN) / height
-    below = top + common / height
-    canvas.get_layout_engine().set(rect=(0, below, 1, 1 - below))
+    canvas.get_layout_engine().below = top * height + common
     for legend in canvas.legends:
         legend.set_in_layout(False)
         legend.set_bbox_to_anchor((0, top, 1, 1), canvas.transFigure)

@@ -76,7 +76,7 @@ def weather(setup: Setup, coadds: CoAdds) -> Figure:
         axes.axhline(level, color=GREY, ls="--", lw=1.2, label="white level of the streams, mean")
         legend(axes)
     axes.set(xscale="log", yscale="log")
-    bar = figure.colorbar(drawn, ax=axes)
+    bar = figure.colorbar(drawn, ax=axes, fraction=0.05, pad=0.04)
     bar.set_label("Wind speed [arcmin/s]", fontsize=10)
     if norm is not None:
         plain_ticks(bar.ax.yaxis, (1, 1.5, 2, 3, 4, 5, 6, 8))

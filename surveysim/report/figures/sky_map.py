@@ -4,8 +4,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 
-from mapmaker.geometry import wcs
+from mapmaker.geometry import MapGeometry, plane_directions
 from surveysim.reduction.setup import Setup
 from surveysim.report.figures.style import (
     BLACK,
@@ -15,6 +16,10 @@ from surveysim.report.figures.style import (
 )
 from surveysim.survey.coadds import CoAdds
 
+Ticks = tuple[list[float], list[str]]  # places and labels
+
+# inch: figure, images, colour bars, and the room for labels to the left of an image and below
+WIDTH, HEIGHT, SIDE, BAR, LEFT, BELOW = 10.0, 4.1, 3.15, 0.15, 0.8, 0.58
 DEEPEST = 4  # the map is shown where its noise is at most this many times the lowest
 
 
@@ -24,8 +29,6 @@ def coadded_map(setup: Setup, coadds: CoAdds) -> Figure:
     The noise follows from the weights: from the scored multipoles, as if white. Pixels with a noise of the smoothed
     weights above `DEEPEST` times its minimum are blank.
     """
-    from astropy.visualization.wcsaxes import WCSAxes
-
     signal, noise = map_planes(setup, coadds)
     rows = setup.analysis.region.patch if setup.analysis.region else slice(None)
     reach = np.nanpercentile(np.abs(signal[rows, rows]), 99.5)
@@ -35,12 +38,15 @@ def coadded_map(setup: Setup, coadds: CoAdds) -> Figure:
         (signal, "Signal smoothed with the beam", "RdBu_r", -reach, reach, "both"),
         (noise, f"Noise of {side} arcsec pixels", "cividis_r", lowest, DEEPEST * lowest, "max"),
     )
-    figure = new_figure(10, 4)
-    for number, (image, label, colours, low, high, extend) in enumerate(shown, start=1):
-        axes = figure.add_subplot(1, 2, number, axes_class=WCSAxes, wcs=wcs(setup.analysis.geometry))
+    figure = new_figure(WIDTH, HEIGHT)
+    figure.set_layout_engine("none")  # images and their colour bars have one height
+    for number, (image, label, colours, low, high, extend) in enumerate(shown):
+        left, bottom = LEFT + number * WIDTH / 2, BELOW
+        axes = figure.add_axes((left / WIDTH, bottom / HEIGHT, SIDE / WIDTH, SIDE / HEIGHT))
         drawn = axes.imshow(image, origin="lower", cmap=colours, vmin=low, vmax=high, interpolation="nearest")
         _sky_axes(axes, setup)
-        bar = figure.colorbar(drawn, ax=axes, extend=extend, fraction=0.046, pad=0.03)
+        beside = ((left + SIDE + BAR) / WIDTH, bottom / HEIGHT, BAR / WIDTH, SIDE / HEIGHT)
+        bar = figure.colorbar(drawn, cax=figure.add_axes(beside), extend=extend)
         bar.set_label(f"{label} [{UK_CMB}]", fontsize=10)
         bar.ax.tick_params(labelsize=9)
     return figure
@@ -63,13 +69,42 @@ def map_planes(setup: Setup, coadds: CoAdds) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _sky_axes(axes: Axes, setup: Setup) -> None:
-    for coordinate, label in zip(axes.coords, ("Right ascension", "Declination"), strict=True):
-        coordinate.set_major_formatter("d.d")
-        coordinate.set_ticklabel(size=9, exclude_overlapping=True)
-        coordinate.set_axislabel(label, fontsize=10)
+    """Label the axes of a map (in pixels), and draw the frame of the scored patch."""
+    geometry = setup.analysis.geometry
+    for axis, (places, labels) in zip((axes.xaxis, axes.yaxis), sky_ticks(geometry), strict=True):
+        axis.set_ticks(places, labels, fontsize=9)
+    axes.set_xlabel("Right ascension", fontsize=10)
+    axes.set_ylabel("Declination", fontsize=10)
     if setup.scene.score is not None:
-        side = setup.scene.score.size_rad / setup.analysis.geometry.pixel_rad
-        corner = [(n - side) / 2 - 0.5 for n in (setup.analysis.geometry.n_x, setup.analysis.geometry.n_y)]
+        side = setup.scene.score.size_rad / geometry.pixel_rad
+        corner = [(n - side) / 2 - 0.5 for n in (geometry.n_x, geometry.n_y)]
         axes.add_patch(Rectangle(corner, side, side, fill=False, ec=BLACK, lw=1.2))
         x, y = (start + side / 40 for start in corner)
         axes.text(x, y, "scored", fontsize=8.5, bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 1.5})
+
+
+def sky_ticks(geometry: MapGeometry) -> tuple[Ticks, Ticks]:
+    """Find ticks at the lower edge of a map by right ascension, and at its left edge by declination.
+
+    Their places are in pixels, 0 at the centre of the first.
+    """
+    column, row = np.arange(geometry.n_x + 1) - 0.5, np.arange(geometry.n_y + 1) - 0.5
+    east, north = (
+        (n / 2 - 0.5 - place) * geometry.pixel_rad for n, place in ((geometry.n_x, column), (geometry.n_y, row))
+    )
+    ra, _ = plane_directions(geometry, east, np.full_like(east, -north[0]))
+    _, dec = plane_directions(geometry, np.full_like(north, east[0]), -north)
+    return _ticks(column, np.degrees(np.unwrap(ra)), 0.0), _ticks(row, np.degrees(dec), -180.0)
+
+
+def _ticks(place: np.ndarray, degrees: np.ndarray, least: float) -> Ticks:
+    """Find where an angle along an edge is a multiple of a round step; labels start at `least`."""
+    values = MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]).tick_values(degrees.min(), degrees.max())
+    digits = max(0, *(len(f"{value:.6g}".partition(".")[2]) for value in values))
+    places, labels = [], []
+    for value in values:
+        for at in np.flatnonzero(np.diff(degrees >= value)):
+            share = (value - degrees[at]) / (degrees[at + 1] - degrees[at])
+            places.append(float(place[at] + share))
+            labels.append(f"{(value - least) % 360 + least:.{digits}f}\N{DEGREE SIGN}")
+    return places, labels

@@ -12,9 +12,11 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from PIL import Image
 
 from mapmaker.files import atomic_write
+from surveysim.report.figures.margins import BEFORE, MeasuredMargins
 
 DPI = 150
 COMPRESSION = 6  # of 9, which takes ten times as long for files a tenth smaller
+NEARLY_WHITE = 250
 LONGEST = 80  # letters of a user's text in a figure
 
 # The palette of Okabe and Ito, told apart by all kinds of colour vision.
@@ -30,9 +32,15 @@ LEGEND = {"fontsize": 8.5, "frameon": False}
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Make an empty figure of a size [inch], drawn with Agg, with constrained layout."""
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    """Make an empty figure of a size [inch], drawn with Agg, with margins that fit the labels."""
+    figure = Figure(figsize=(width, height), dpi=DPI, layout=MeasuredMargins())
     FigureCanvasAgg(figure)
+    figure.subplots_adjust(
+        left=BEFORE["left"] / width,
+        right=1 - BEFORE["right"] / width,
+        bottom=BEFORE["bottom"] / height,
+        top=1 - BEFORE["top"] / height,
+    )
     return figure
 
 
@@ -74,13 +82,22 @@ def three_digits(value: float) -> str:
     return f"{float(f'{value:.3g}'):g}"
 
 
+def _in_few_colours(image: Image.Image) -> Image.Image:
+    """Reduce an image to a palette, by the method that takes a seventh of the time of Pillow's default."""
+    reduced = image.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    palette = np.array(reduced.getpalette()).reshape(-1, 3)
+    palette[palette.min(axis=1) >= NEARLY_WHITE] = 255  # the mean of white and of what is almost white
+    reduced.putpalette(palette.ravel().tolist())
+    return reduced
+
+
 def save(figure: Figure, path: Path, full_colour: bool = False) -> None:
     """Write a PNG atomically, and empty the figure; `full_colour` for figures with a colour bar."""
     figure.canvas.draw()
     image = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy())
     if not full_colour:
         # Lines look the same in 256 colours and take a third of the space.
-        image = image.quantize(256, dither=Image.Dither.NONE)
+        image = _in_few_colours(image)
     with atomic_write(path) as partial:
         image.save(partial, "PNG", dpi=(DPI, DPI), compress_level=COMPRESSION)
     # Parts of a figure refer to each other: megabytes of it would wait for a collection, and leave holes in memory.

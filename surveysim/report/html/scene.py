@@ -31,6 +31,8 @@ COHERENCES = {
 SIMULATED = {"uncorrelated": "the same noise without correlations", "white": "white noise"}
 SITES = {"mauna_kea": "Mauna Kea", "south_pole": "the South Pole", "alma": "ALMA", "ccat": "CCAT"}
 
+_MEV_J = 1.602176634e-22
+
 Values = Mapping[str, Any]
 
 
@@ -41,6 +43,7 @@ def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
         "Field": lambda: _field(scene),
         "Observations": lambda: _observations(scene),
         "Camera": lambda: _camera(scene["instrument"], n_det),
+        **({"Optics": lambda: _optics(scene["optics"])} if scene["optics"] else {}),
         **{item.title: partial(_component, item, scene[item.name]) for item in components},
         "Cleaning": lambda: _cleaning(scene["cleaning"]),
         "Map": lambda: _map(scene),
@@ -163,10 +166,32 @@ def _excess(excess: Values) -> Iterator[str]:
     yield f"spectrum f^(-{short(excess['spectral_index'])}). Neighbours share it {COHERENCES[excess['coherence']]}."
 
 
+def _optics(optics: Values) -> Iterator[str]:
+    if optics["aperture_m"] is not None:
+        hidden = optics["central_obscuration_m"]
+        less = f", obscured over {short(hidden)} m in its centre" if hidden else ""
+        yield f"An aperture of {short(optics['aperture_m'])} m{less}."
+    if optics["sky_k"] is not None:
+        yield f"A sky of {short(optics['sky_k'])} K."
+    for element in optics["elements"]:
+        losses = [_loss(element, kind) for kind in ("transmission", "emissivity") if element[kind] is not None]
+        yield f"{element['name']} at {short(element['temperature_k'])} K, {joined(losses)}."
+    if optics["stop"] is not None:
+        yield f"A stop at {short(optics['stop']['temperature_k'])} K."
+
+
+def _loss(element: Values, kind: str) -> str:
+    value = element[kind]
+    return f"{kind} {PurePath(value).name if isinstance(value, str) else _percent(value)}"
+
+
 def _photon(photon: Values) -> Iterator[str]:
-    if load := photon["load"]:
-        sky = "the site's water" if load["sky_k"] is None else f"a sky of {short(load['sky_k'])} K"
-        yield f"From the load of {sky} and warm optics of {short(load['optics_k'])} K."
+    if photon["psd_mk2_hz"] is None:
+        if load := photon["load"]:
+            sky = "the site's water" if load["sky_k"] is None else f"a sky of {short(load['sky_k'])} K"
+            yield f"From the load of {sky} and warm optics of {short(load['optics_k'])} K."
+        else:
+            yield "From the load of the optics."
         of = "its bunching part" if photon["coherence"] == "intensity" else "the noise of the load through the beam"
         yield f"Neighbours share {of} {COHERENCES[photon['coherence']]}."
     else:
@@ -184,6 +209,13 @@ def _photon(photon: Values) -> Iterator[str]:
 def _detector(detector: Values) -> Iterator[str]:
     if detector["psd_mk2_hz"] is not None:
         yield f"White, {short(detector['psd_mk2_hz'])} mK2 / Hz,"
+    elif bolometer := detector["bolometer"]:
+        yield f"Thermal noise of a link of {short(1e12 * bolometer['conductance_w_k'])} pW / K from"
+        yield f"{short(1e3 * bolometer['critical_temperature_k'])} to {short(1e3 * bolometer['bath_temperature_k'])} mK"
+        yield f"and an amplifier of {number(bolometer['amplifier_nep_w_rthz'], 2)} W / Hz(1/2),"
+    elif kid := detector["kid"]:
+        yield f"Recombination noise of the load at a gap of {short(kid['gap_j'] / _MEV_J)} meV"
+        yield f"and an amplifier of {number(kid['amplifier_nep_w_rthz'], 2)} W / Hz(1/2),"
     else:
         yield f"White, a noise-equivalent power of {number(detector['nep_w_rthz'], 2)} W / Hz(1/2),"
     yield "independent between detectors."

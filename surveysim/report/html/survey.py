@@ -1,6 +1,6 @@
 """The page of a run."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +9,11 @@ from surveysim.report.html.captions import RUN
 from surveysim.report.html.closure import closure_blocks
 from surveysim.report.html.components import (
     UK2,
+    Grid,
     Page,
     Picture,
     Section,
+    grid,
     picture,
 )
 from surveysim.report.html.discarded_scans import discarded_section, warned
@@ -19,10 +21,19 @@ from surveysim.report.html.provenance import provenance, sources, stage_times
 from surveysim.report.html.run_time import time_blocks
 from surveysim.report.html.scene import band_of, cleaning_words, what_was_simulated
 from surveysim.report.html.scores import kind_sentence, score_blocks
+from surveysim.results.sensitivity import sensitivity_tables
 from surveysim.results.tables import over_reference
 from surveysim.runtime.numbers import as_known, count, duration, percent, plural, quoted, short
 
 Content = Mapping[str, Any]  # content of summary.json or scene.json
+LOAD = (
+    "From the sky to the detector: absorbed power, occupation number at the detector, and transmission to it. Shares of"
+    " the squared NEP are of photon noise; detector noise is the rest.",
+)
+SENSITIVITY = (
+    "NET and NEFD are above the atmosphere, for an integration of one second. Those of the array are for independent"
+    " detectors; correlated noise is in the scores.",
+)
 UNKNOWN = "Its error is unknown: there are too few observations to estimate it."
 
 
@@ -32,6 +43,8 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
     timing = [item for item in pictures if item.anchor == "figure-run_time"]
     others = tuple(item for item in pictures if item not in timing)
     sections = [Section("scene", "What was simulated", what_was_simulated(scene, summary, summary["detectors"]))]
+    if "sensitivity" in summary:
+        sections.append(Section("sensitivity", "Load and sensitivity", sensitivity_blocks(summary["sensitivity"])))
     if summary["scores"]:
         sections.append(Section("scores", "Scores", tuple(score_blocks(summary, scene))))
     sections.append(discarded_section(summary, scene))
@@ -47,6 +60,12 @@ def run_page(directory: Path, summary: Content, scene: Content) -> Page:
     ]
     lead = (*_lead(summary, scene), *warned(summary))
     return Page("surveysim run", summary["title"], lead, _key_figures(summary), tuple(sections))
+
+
+def sensitivity_blocks(entries: Sequence[Content]) -> tuple[Grid, ...]:
+    """Return the tables of load and sensitivity."""
+    notes = (LOAD, (), SENSITIVITY)
+    return tuple(grid(table, *note) for table, note in zip(sensitivity_tables(entries), notes, strict=True))
 
 
 def run_pictures(directory: Path, summary: Content, scene: Content) -> list[Picture]:

@@ -11,7 +11,7 @@ from surveysim.studies.stress import atmosphere as air
 from surveysim.studies.stress import cleaning
 from surveysim.studies.stress import noise_and_maps as streams
 from surveysim.studies.stress.case import QUANTUM, STIFF, Case
-from surveysim.telescope.focal_plane import hexagon
+from surveysim.telescope.layouts import hexagon
 
 _LAYER = "the strip has the structure function of the quadrature to 2e-3; streams are finite, before cleaning and after"
 _WHITE = "white noise is left less a degree of freedom a template and two a stream, to 4 sigma"

@@ -16,6 +16,7 @@ from astropy.table import Table
 from surveysim.cli import options
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.survey import run as survey
+from tests.camera import BAND, BOLOMETER, CAMERA, HORNS, PHOTON, QUIET, SITE, STATED_SKY
 from tests.scenes import SCHEDULE, SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
 from tests.unit.survey.test_interruption import COMMAND, assert_same_results
 
@@ -334,7 +335,11 @@ def test_help(call):
 
 
 def test_check(call, scene):
-    assert call("check", scene) == (0, f"{scene}: 'small' is a scene that can be run\n", "")
+    assert call("check", scene) == (
+        0,
+        f"{scene}: 'small' is a scene that can be run\n18 detectors; 1 dead position of 19\n",
+        "",
+    )
     code, out, error = call("check", scene, "--set", "scan.typo=1", "--set", "map.typo=1")
     assert code == 2 and out == "" and len(error.splitlines()) == 2
     assert sorted(path.name for path in scene.parent.iterdir()) == ["small.toml"]
@@ -344,16 +349,40 @@ def test_check(call, scene):
     "settings, words",
     [
         (("observations=300000",), "with 1,296 million detector-samples: 'surveysim plan' says"),
-        (("map.pixel=0.5 arcsec", "scan.scans=2"), " and maps of "),
+        (("map.pixel=0.5 arcsec", "scan.scans=2", "score.size=7 arcmin", "score.ell_bin=4000"), " and maps of "),
         (("observations=200000",), ""),
     ],
 )
 def test_check_says_that_a_scene_is_large(call, scene, settings, words):
     """One with many samples, or a fine map, runs for minutes."""
     code, out, error = call("check", scene, *(part for item in settings for part in ("--set", item)))
-    first, *more = out.splitlines()
+    first, _, *more = out.splitlines()
     assert (code, first, error) == (0, f"{scene}: 'small' is a scene that can be run", "")
     assert len(more) == bool(words) and all(line.startswith("it is large, ") and words in line for line in more)
+
+
+def test_optics(call, tmp_path):
+    """Tables of load and noise; a scene without a load is told so."""
+    path, keys = tmp_path / "camera.toml", (*BAND.items(), *HORNS.items())
+    settings = [part for key, value in keys for part in ("--set", f"{key}={value}")]
+    path.write_text(QUIET + PHOTON + CAMERA + SITE)
+    code, out, error = call("optics", path, *settings)
+    assert (code, error) == (0, "")
+    for words in ("Load of a detector: median water, 1.68 mm", "atmosphere", "NEFD [mJy", "effective area of 78"):
+        assert words in out
+    path.write_text(WHITE_NOISE_SCENE)
+    code, out, error = call("optics", path)
+    assert (code, out) == (2, "") and "'photon.load' or a section [optics] is expected" in error
+    assert len(error.splitlines()) == 1
+
+
+def test_check_warns_of_a_bolometer_that_saturates(call, tmp_path):
+    path, keys = tmp_path / "camera.toml", (*BAND.items(), *HORNS.items(), ("optics.sky", "400 K"))
+    settings = [part for key, value in keys for part in ("--set", f"{key}={value}")]
+    path.write_text(QUIET + PHOTON + STATED_SKY + BOLOMETER)
+    code, out, error = call("check", path, *settings)
+    assert (code, error) == (0, "")
+    assert out.splitlines()[2].startswith("Warning: detector.bolometer: ") and "3.57 pW" in out
 
 
 def test_plan(call, tmp_path):

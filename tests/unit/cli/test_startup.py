@@ -11,7 +11,8 @@ from scipy.spatial.distance import pdist
 
 from mapmaker.files import write_ecsv
 from surveysim.runtime.environment import UNUSED
-from surveysim.telescope.focal_plane import closest_pair, hexagon
+from surveysim.telescope.focal_plane import closest_pair
+from surveysim.telescope.layouts import hexagon
 from tests.scenes import WHITE_NOISE_SCENE
 
 UNWANTED = (

@@ -22,7 +22,7 @@ from surveysim.forecasting.mode_response import (
     stream_power,
 )
 from surveysim.forecasting.scan_apodization import apodization_of, frequency_nodes, hann_apodization, scan_apodization
-from surveysim.telescope.focal_plane import hexagon
+from surveysim.telescope.layouts import hexagon
 from surveysim.telescope.pointing import sky_vector
 from surveysim.timestreams.noise import draw_from_psd
 from tests import naive

@@ -7,7 +7,7 @@ import pytest
 
 from mapmaker.correlations import correlation_profile, pair_bins, scan_covariances
 from mapmaker.timestreams import FocalPlane
-from surveysim.telescope.focal_plane import hexagon
+from surveysim.telescope.layouts import hexagon
 
 PITCH = math.radians(40 / 3600)
 BOUNDS = np.array([[0, 40], [45, 85], [85, 125]])

@@ -67,6 +67,18 @@ def part(streams, samples):
     )
 
 
+def test_polarization_angles_are_optional(path, streams, tmp_path):
+    """A file without them has none; a file with them has those of each detector, as its subsets do."""
+    assert read_timestreams(path).focal_plane.angle_rad is None
+    angle = np.radians(np.arange(N_DET) * 30.0 - 90)
+    plane = replace(streams.focal_plane, angle_rad=angle)
+    write_timestreams(tmp_path / "polarized.h5", replace(streams, focal_plane=plane))
+    np.testing.assert_allclose(read_timestreams(tmp_path / "polarized.h5").focal_plane.angle_rad, angle, atol=1e-12)
+    np.testing.assert_array_equal(plane.subset(slice(1, 3)).angle_rad, angle[1:3])
+    with pytest.raises(ValueError, match="angle_rad"):
+        replace(streams.focal_plane, angle_rad=angle[1:])
+
+
 def test_parts_make_the_same_file(path, streams, tmp_path):
     with timestream_file(tmp_path / "parts.h5", N_SAMP) as add:
         for samples in (slice(0, 7), slice(7, 30), slice(30, N_SAMP)):

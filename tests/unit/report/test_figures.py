@@ -7,11 +7,12 @@ import matplotlib
 import numpy as np
 import pytest
 
+from mapmaker.geometry import MapGeometry, wcs
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.report.figures import survey as figures
 from surveysim.report.figures.observations import timestream_psd
 from surveysim.report.figures.run_time import time_figure
-from surveysim.report.figures.sky_map import map_planes
+from surveysim.report.figures.sky_map import map_planes, sky_ticks
 from surveysim.report.figures.spectra import cumulative_sensitivity, map_psds
 from surveysim.results.results import survey_result
 from surveysim.scene.scene import load_scene
@@ -132,3 +133,16 @@ def test_map_in_cmb_temperature(setup, coadds):
     assert np.isfinite(signal[seen]).all()
     # 1 mK Rayleigh-Jeans is 1650 uK of the CMB at 143 GHz.
     np.testing.assert_allclose(noise[seen], 1650 / np.sqrt(coadds.weight[0][seen]), rtol=0.01)
+
+
+@pytest.mark.parametrize(("ra", "dec"), [(132.3, 44.8), (0.0, -55.0), (15.0, 89.7)])
+def test_ticks_of_a_map_are_where_the_world_coordinates_are(ra, dec):
+    """On the lower and the left edge, across RA 0 and at a pole too."""
+    geometry = MapGeometry(*np.radians([ra, dec]), np.radians(0.01), 120, 100)
+    (columns, ra_labels), (rows, dec_labels) = sky_ticks(geometry)
+    assert 3 <= len(columns) <= 8 and 2 <= len(rows) <= 8
+    below, _ = wcs(geometry).wcs_pix2world(columns, np.full(len(columns), -0.5), 0)
+    _, left = wcs(geometry).wcs_pix2world(np.full(len(rows), -0.5), rows, 0)
+    for found, labels in ((below, ra_labels), (left, dec_labels)):
+        shown = np.array([float(label.rstrip("\N{DEGREE SIGN}")) for label in labels])
+        np.testing.assert_allclose((found - shown + 180) % 360 - 180, 0, atol=1e-3)

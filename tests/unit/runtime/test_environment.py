@@ -130,7 +130,10 @@ def test_user_without_a_name_home_or_rights(open_place, home):
         text=True,
         timeout=60,
     )
-    assert (done.returncode, done.stdout) == (0, f"{scene}: 'small' is a scene that can be run\n")
+    assert (done.returncode, done.stdout) == (
+        0,
+        f"{scene}: 'small' is a scene that can be run\n18 detectors; 1 dead position of 19\n",
+    )
     assert done.stderr.startswith("no cache: ") and len(done.stderr.splitlines()) == 1
     assert list(open_place.iterdir()) == [scene]
 
@@ -154,7 +157,9 @@ def test_warnings_as_errors_on_an_ascii_terminal(tmp_path):
         timeout=60,
     )
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.isascii() and done.stdout.endswith("'small' is a scene that can be run\n")
+    assert done.stdout.isascii() and done.stdout.endswith(
+        "'small' is a scene that can be run\n18 detectors; 1 dead position of 19\n"
+    )
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

@@ -361,7 +361,9 @@ def test_knots_come_in_pairs(path, key, found, shown):
 def test_two_focal_planes_or_none(path):
     for overrides in ({"instrument.positions": "table.ecsv"}, {"instrument.layout": None}):
         text = scene_refusal(path, overrides)
-        assert "instrument: exactly one of 'layout' (a section) and 'positions' (an ECSV file) is expected" in text
+        assert (
+            "instrument: exactly one of 'layout' (a section), 'wafers' (a list of sections) and 'positions' (a" in text
+        )
 
 
 def test_two_ways_of_pointing_or_none(path):

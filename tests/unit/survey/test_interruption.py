@@ -182,7 +182,9 @@ def processes():
 
 
 def worker_of(pid):
-    return next(item for item, parent, _, command in processes() if parent == pid and "spawn_main" in command)
+    """A worker of the process: a child of the process that workers are forked from."""
+    servers = [item for item, parent, _, command in processes() if parent == pid and "forkserver" in command]
+    return next(item for item, parent, _, _ in processes() if parent in servers)
 
 
 def none_left(group, seconds=5):

@@ -95,7 +95,7 @@ def test_points_of_sweeps_are_of_one_block_and_dense(path):
 
 def _check_size(path, scene):
     """Assert that a scene fits into one block, which its results depend on; only the large camera does not."""
-    n_det = len(camera(scene.instrument).focal_plane.x_rad)
+    n_det = len(camera(scene.instrument, scene.seed).focal_plane.x_rad)
     samples = n_det * scene.scan.scans * scene.scan.duration_s * scene.scan.sample_rate_hz
     many = path.stem == "large_camera"
     assert (n_det > MOST_DENSE) == (n_det > MOST_GRAM) == many

@@ -1,0 +1,24 @@
+"""The detectors of a camera in a few lines."""
+
+from collections.abc import Iterator, Sequence
+
+from surveysim.reduction.setup import Setup
+from surveysim.runtime.numbers import plural
+
+
+def camera_lines(setup: Setup) -> Iterator[str]:
+    """Return the numbers of detectors, of dead ones, and of those in each wafer, band and readout group."""
+    counts = setup.camera.counts
+    dead = f"; {plural(counts.dead, 'dead position')} of {counts.positions}" if counts.dead else ""
+    yield f"{plural(setup.camera.n_det, 'detector')}{dead}"
+    if counts.wafers:
+        yield "detectors of wafers: " + ", ".join(f"{live} of {positions}" for live, positions in counts.wafers)
+    if counts.bands:
+        chosen = setup.scene.instrument.table_band
+        yield f"detectors of bands: {_named(counts.bands)}" + (f"; {chosen} is simulated" if chosen else "")
+    if counts.readout_groups:
+        yield f"detectors of readout groups, which change no result: {_named(counts.readout_groups)}"
+
+
+def _named(counts: Sequence[tuple[str, int]]) -> str:
+    return ", ".join(f"{number} of {name}" for name, number in counts)

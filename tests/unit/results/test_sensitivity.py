@@ -1,0 +1,124 @@
+"""Sensitivity of a scene's detectors: NEP, NET and NEFD, their tables, saturation."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from surveysim import load_scene, run
+from surveysim.reduction.setup import prepare
+from surveysim.results.sensitivity import (
+    STATED,
+    load_table,
+    nep_table,
+    saturation_warnings,
+    sensitivities,
+    sensitivity_entries,
+    sensitivity_table,
+)
+from surveysim.runtime.engine import SERIAL
+from surveysim.scene.units import BOLTZMANN_J_K
+from surveysim.telescope.noise_levels import white_levels
+from tests.camera import BAND, BOLOMETER, CAMERA, HORNS, PHOTON, QUIET, SITE, STATED_SKY
+from tests.pages import read_page
+
+
+@pytest.fixture
+def setup_of(tmp_path):
+    def load(text, overrides=None):
+        path = tmp_path / "scene.toml"
+        path.write_text(QUIET + text)
+        return prepare(load_scene(path, BAND | HORNS | (overrides or {})))
+
+    return load
+
+
+def test_one_sky_where_it_is_stated_and_quartiles_of_a_site(setup_of):
+    assert list(sensitivities(setup_of(PHOTON + STATED_SKY))) == [STATED]
+    found = sensitivities(setup_of(PHOTON + CAMERA + SITE))
+    # Quantiles of Mauna Kea: paper, section 1.2.
+    assert [item.pwv_mm for item in found.values()] == pytest.approx([1.0, 1.68, 2.92])
+    assert (np.diff([item.load_w for item in found.values()]) > 0).all()
+    stated = '[photon]\npsd = "1 mK2/Hz"\ncoherent_fraction = 0.1\ncoherence = "field"\n'
+    assert sensitivities(setup_of(stated)) == {}
+
+
+@pytest.mark.parametrize("detector", [BOLOMETER, '[detector]\npsd = "0.1 mK2 / Hz"\n', ""])
+def test_terms_add_up_to_the_noise_of_the_streams(setup_of, detector):
+    """NET^2 of a second is half of the one-sided PSD."""
+    setup = setup_of(PHOTON + CAMERA + SITE + detector)
+    for item in sensitivities(setup).values():
+        level = white_levels(setup.scene, setup.air.water.opacity, item.pwv_mm, item.elevation_rad)
+        psd = level.photon_mk2_hz + level.detector_mk2_hz
+        assert item.net_mk_rts**2 == pytest.approx(psd / 2, rel=1e-12)
+
+
+def test_shares_of_the_elements(setup_of):
+    """Loads add up, and so do the shares of the squared NEP with that of the detector."""
+    item = sensitivities(setup_of(PHOTON + STATED_SKY + BOLOMETER))[STATED]
+    entry = sensitivity_entries({STATED: item}, 1)[0]
+    assert [row["name"] for row in entry["elements"]] == ["sky", "mirrors", "filter", "stop", "lens"]
+    assert item.load_w == pytest.approx(sum(row["load_w"] for row in entry["elements"]), rel=1e-12)
+    photons = item.nep2["photons, shot"] + item.nep2["photons, wave"]
+    assert sum(row["nep2_share"] for row in entry["elements"]) == pytest.approx(photons / item.nep_w_rthz**2, rel=1e-12)
+    assert sum(element.nep2 for element in item.elements) == pytest.approx(photons, rel=1e-12)
+
+
+def test_flux_density(setup_of):
+    """A flux S gives the Rayleigh-Jeans temperature A S / 2 k: 1 mJy on 78.54 m2 is 28.4 uK."""
+    item = sensitivities(setup_of(PHOTON + CAMERA + SITE, {"optics.aperture_efficiency": 1}))["median"]
+    kelvin_per_mjy = math.pi * 25 * 1e-29 / (2 * BOLTZMANN_J_K)
+    assert kelvin_per_mjy == pytest.approx(28.4e-6, rel=2e-3)
+    assert item.nefd_mjy_rts == pytest.approx(1e-3 * item.net_mk_rts / kelvin_per_mjy, rel=1e-12)
+    half = sensitivities(setup_of(PHOTON + CAMERA + SITE, {"optics.aperture_efficiency": 0.5}))["median"]
+    assert half.nefd_mjy_rts == pytest.approx(2 * item.nefd_mjy_rts, rel=1e-12)
+
+
+def test_saturation(setup_of):
+    """The link of 100 pW/K carries 3.569 pW: G T_c (1 - t^4) / 4."""
+    low = sensitivities(setup_of(PHOTON + STATED_SKY + BOLOMETER))
+    assert low[STATED].saturation_w == pytest.approx(3.569e-12, rel=1e-3)
+    assert saturation_warnings(low) == []
+    high = sensitivities(setup_of(PHOTON + STATED_SKY + BOLOMETER, {"optics.sky": "400 K"}))
+    (line,) = saturation_warnings(high)
+    assert line == (
+        f"detector.bolometer: {1e12 * high[STATED].load_w:.3g} pW of load (stated sky) saturate it; its link carries "
+        "3.57 pW"
+    )
+
+
+def test_tables(setup_of):
+    found = sensitivities(setup_of(PHOTON + CAMERA + SITE + BOLOMETER))
+    entries = sensitivity_entries(found, 18)
+    assert json.loads(json.dumps(entries)) == entries
+    load, nep, sensitivity = load_table(entries), nep_table(entries), sensitivity_table(entries)
+    assert load.title == "Load of a detector: median water, 1.68 mm, at an elevation of 55.0 deg"
+    assert load.columns[0].values == ["CMB", "atmosphere", "mirrors", "filter", "stop", "lens"]
+    files = nep.in_files
+    parts = [files[f"nep_{name}"] for name in ("photons_shot", "photons_wave", "phonon", "amplifier")]
+    np.testing.assert_allclose(np.sqrt(np.sum(np.square(parts), axis=0)), files["nep"], rtol=1e-12)
+    assert nep.units["nep_phonon"] == "aW / Hz(1/2)"
+    single, whole = sensitivity.in_files["nefd_mjy"], sensitivity.in_files["array_nefd_mjy"]
+    np.testing.assert_allclose(single / whole, math.sqrt(18), rtol=1e-12)
+    for table in (load, nep, sensitivity):
+        table.quantities()
+
+
+def test_results_of_a_run(tmp_path):
+    """Tables, summary, page and a warning of a detector that saturates."""
+    (tmp_path / "scene.toml").write_text(QUIET + PHOTON + STATED_SKY + BOLOMETER)
+    out, keys = tmp_path / "out", {"optics.sky": "400 K", "observations": 2}
+    run(load_scene(tmp_path / "scene.toml", BAND | HORNS | keys), out, engine=SERIAL, figures=False)
+    summary = json.loads((out / "summary.json").read_text())
+    assert {f"tables/{name}.ecsv" for name in ("load", "nep", "sensitivity")} <= set(summary["files"])
+    assert "saturate it; its link carries 3.57 pW" in summary["warnings"][0]
+    text = read_page(out / "report.html").text
+    for words in (
+        "Load of a detector: stated sky, at an elevation of 55.0 deg",
+        "mirrors at 270 K, emissivity 5 %.",
+        "A stop at 4 K.",
+        "Thermal noise of a link of 100 pW / K from 165 to 100 mK",
+        "saturate it",
+    ):
+        assert words in text
