@@ -30,9 +30,15 @@ from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.pixel_coherence import MOST_DENSE, correlation_matrix
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.low_frequency import excess_variance
-from surveysim.timestreams.observed_block import observation_weather
+from surveysim.timestreams.observed_block import observation_levels, observation_weather
 from surveysim.timestreams.shared_parts import screen, shared_noise
-from surveysim.timestreams.simulation import CameraSetup, ObservingSetup, drawn_offsets, observation_path
+from surveysim.timestreams.simulation import (
+    CameraSetup,
+    ObservingSetup,
+    camera_white,
+    drawn_offsets,
+    observation_path,
+)
 
 _NUMBERS = 5  # random numbers of a draw: four of the weather, one for the observation
 _SHIFTS = 8  # random shifts of the lattice of draws; their scatter is the error of the mean
@@ -160,7 +166,7 @@ def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingCondit
     """Compute the observing conditions of some draws."""
     draws = list(draws)
     views = {number: _view(setup.observing, number) for number in {number for number, _ in draws}}
-    rows = [_condition_row(setup.observing, setup.air.water, views[number], weather) for number, weather in draws]
+    rows = [_condition_row(setup, views[number], weather) for number, weather in draws]
     *levels, there, back = (np.array(column) for column in zip(*rows, strict=True))
     white, shared, excess, layer, sine, angle = levels
     return ObservingConditions(white, shared, excess, layer, sine, angle, np.stack([there, back], axis=1))
@@ -178,10 +184,9 @@ def _view(observing: ObservingSetup, number: int) -> _ObservationGeometry:
     return _ObservationGeometry(slant, float(elevation.mean()), middle, middle + camera_angle, turn)
 
 
-def _condition_row(
-    observing: ObservingSetup, water: Water | None, view: _ObservationGeometry, weather: Weather | None
-) -> tuple[float | complex, ...]:
-    scene, opacity = observing.scene, water.opacity if water else None
+def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | None) -> tuple[float | complex, ...]:
+    observing, scene, water = setup.observing, setup.scene, setup.air.water
+    opacity = water.opacity if water else None
     white = white_levels(scene, opacity, weather.pwv_mm if weather else np.nan, view.elevation_rad)
     excess = excess_variance(scene.excess, weather.b2 if weather else None) if scene.excess else 0.0
     layer, wind = 0.0, 0.0
@@ -194,12 +199,47 @@ def _condition_row(
     # A backward scan is a forward scan in a frame rotated by half a turn.
     shared = white.photon_mk2_hz * white.shared
     unshared = white.photon_mk2_hz - shared + white.detector_mk2_hz
+    if setup.camera.properties.white_differs:
+        each = camera_white(setup.camera, white)
+        shared, unshared = float(each.shared.mean()), float((each.alone + each.detector).mean())
     angle = view.array_angle_rad + view.turn_rad
     return unshared, shared, excess, layer, np.sin(view.elevation_rad), angle, speed - wind, speed + wind
 
 
-def noise_correlations(camera: CameraSetup, pipeline: CleaningPipeline) -> NoiseCorrelations:
+@dataclass(frozen=True, eq=False)
+class WhiteShapes:
+    """White noise (n_det,) of each detector over the mean of all: shared photon noise, and independent noise."""
+
+    shared: np.ndarray
+    alone: np.ndarray
+
+
+def white_shapes(setup: Setup) -> WhiteShapes | None:
+    """Shapes of the white noise over the detectors, in the first observation; None where all detectors are alike.
+
+    Only efficiencies make them depend, slightly, on the load of the observation.
+    """
+    if not setup.camera.properties.white_differs:
+        return None
+    white = camera_white(setup.camera, observation_levels(setup, 0))
+    alone = white.alone + white.detector
+    return WhiteShapes(*(item / item.mean() if item.any() else item for item in (white.shared, alone)))
+
+
+def independent_noise(shapes: WhiteShapes | None, pipeline: CleaningPipeline) -> NoiseCorrelation | None:
+    """Diagonal correlation of the independent white noise of a pipeline's detectors; None where all are alike."""
+    return None if shapes is None else NoiseCorrelation(None, np.sqrt(shapes.alone[pipeline.rows]))
+
+
+def noise_correlations(
+    camera: CameraSetup, pipeline: CleaningPipeline, shapes: WhiteShapes | None = None
+) -> NoiseCorrelations:
     """Detector correlations of the shared photon noise and of the excess noise.
+
+    Parameters
+    ----------
+    shapes
+        White noise of each detector; None where all are alike.
 
     Returns
     -------
@@ -208,7 +248,8 @@ def noise_correlations(camera: CameraSetup, pipeline: CleaningPipeline) -> Noise
         `excess` includes the responsivities.
     """
     gain = camera.responsivity[pipeline.rows]
-    photon = _correlation(camera, pipeline, section=camera.photon, name="photon", gain=np.ones(len(gain)))
+    white = np.ones(len(gain)) if shapes is None else np.sqrt(shapes.shared[pipeline.rows])
+    photon = _correlation(camera, pipeline, section=camera.photon, name="photon", gain=white)
     return photon, _correlation(camera, pipeline, section=camera.excess, name="excess", gain=gain)
 
 

@@ -95,6 +95,8 @@ class Sizes:
         Pixels of the map; pixels along a side of the scored patch and of the padded patch.
     n_set, n_transfer, n_sky
         Data sets, transfer functions, simulated skies.
+    n_beam
+        Different beams.
     strip_elements
         Matrix elements of a strip of the layer.
     n_coefficients
@@ -111,6 +113,7 @@ class Sizes:
     n_set: int
     n_transfer: int
     n_sky: int
+    n_beam: int
     strip_elements: int
     n_coefficients: int
 
@@ -128,7 +131,7 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     """
     real = 4 if scene.numerics.precision == "float32" else 8
     n_freq, patch, flips = of.n_samp // 2 + 1, of.n_patch**2, scene.score.jackknives if scene.score else 0
-    skies = of.n_sky * (8 * 4 * of.n_pixel + 16 * of.n_transfer * of.n_pixel + 40 * of.n_transfer * patch)
+    skies = of.n_sky * (8 * 4 * of.n_beam * of.n_pixel + 16 * of.n_transfer * of.n_pixel + 40 * of.n_transfer * patch)
     shared = any(section and section.coherence != "none" for section in (scene.photon, scene.excess))
     pairs = of.n_det**2 if shared and of.n_det <= MOST_DENSE else 0
     sums = 8.0 * flips * of.n_set * patch + 24.0 * of.n_set * of.n_pixel

@@ -50,6 +50,10 @@ from surveysim.timestreams.simulation import (
     observing_site,
 )
 
+SAMPLE_S = 8e-8  # of a detector-sample, about
+SIGNAL_SIMS = 1.2  # time of the signal simulations of an observation, about, in that of its other work
+QUICK_S = 1.5
+
 
 @dataclass(frozen=True)
 class Setup(Simulation):
@@ -120,8 +124,10 @@ def _prepare(scene: Scene) -> Setup:
         camera=cam_setup,
         observing=ObservingSetup(scene, pattern, scans, _blocks(scene, n_det, scans, scene_pipelines)),
         air=air,
-        sky=SkySetup(scene, sky_geometry),
-        analysis=AnalysisSetup(scene, geometry, sky_geometry, scene_pipelines, calibration, masked, n_det),
+        sky=SkySetup(scene, sky_geometry, tuple(cam_setup.beams.fwhm_rad.tolist())),
+        analysis=AnalysisSetup(
+            scene, geometry, sky_geometry, scene_pipelines, calibration, masked, n_det, cam_setup.beams
+        ),
     )
     if setup.camera.n_det > MOST_DENSE:
         _check_torus(setup.camera)
@@ -150,6 +156,7 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
         n_set=len(setup.analysis.data_set_names),
         n_transfer=len(setup.analysis.transfer_function_names),
         n_sky=setup.analysis.n_signal_skies,
+        n_beam=len(setup.camera.beams.fwhm_rad),
         strip_elements=strip_elements,
         n_coefficients=sky_coefficients(scene.sky.curved_lmax, setup.sky.geometry) if curved else 0,
     )
@@ -206,3 +213,10 @@ def signal_sim_observations(scene: Scene) -> np.ndarray:
     if scene.score is not None:
         chosen[: 2 * max(1, scene.score.signal_sims.observations // 2)] = True
     return chosen
+
+
+def is_quick(setup: Setup) -> bool:
+    """Return whether this process simulates a whole survey about as soon as worker processes have started."""
+    samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
+    with_sims = signal_sim_observations(setup.scene).mean()
+    return samples * setup.scene.observations * SAMPLE_S * (1 + with_sims * SIGNAL_SIMS) < QUICK_S

@@ -10,7 +10,9 @@ from surveysim.atmosphere.weather import pwv_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.numbers import number, short
 from surveysim.runtime.table import Column, Table, column, file_column, share_text
+from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.sensitivity import Sensitivity, sensitivity
+from surveysim.timestreams.simulation import camera_white
 
 Content = Mapping[str, Any]  # an entry of `sensitivity` in summary.json
 
@@ -53,9 +55,18 @@ def saturation_warnings(found: Mapping[str, Sensitivity]) -> list[str]:
     return []
 
 
-def sensitivity_entries(found: Mapping[str, Sensitivity], n_det: int) -> list[dict[str, Any]]:
+def sensitivity_entries(setup: Setup, found: Mapping[str, Sensitivity]) -> list[dict[str, Any]]:
     """Return the entry `sensitivity` of summary.json: one item for each sky."""
-    return [_entry(name, item, math.sqrt(n_det)) for name, item in found.items()]
+    return [_entry(name, item, math.sqrt(_nominal_detectors(setup, item))) for name, item in found.items()]
+
+
+def _nominal_detectors(setup: Setup, item: Sensitivity) -> float:
+    """Number of detectors with the noise of the scene that are worth as much as those of the camera."""
+    opacity = setup.air.water.opacity if setup.air.water else None
+    levels = white_levels(setup.scene, opacity, item.pwv_mm, item.elevation_rad)
+    white = camera_white(setup.camera, levels)
+    variance = white.shared + white.alone + white.detector
+    return float(np.sum((levels.photon_mk2_hz + levels.detector_mk2_hz) / variance))
 
 
 def _entry(name: str, item: Sensitivity, root: float) -> dict[str, Any]:
@@ -133,7 +144,7 @@ def nep_table(entries: Sequence[Content]) -> Table:
     ]
     for origin in entries[0]["nep_w_rthz"]:
         values = [1e18 * entry["nep_w_rthz"][origin] for entry in entries]
-        columns.append(column(f"nep_{origin.replace(', ', '_')}", values, origin, number, unit="aW / Hz(1/2)"))
+        columns.append(column(f"nep_{origin}", values, origin, number, unit="aW / Hz(1/2)"))
     totals = [1e18 * entry["total_nep_w_rthz"] for entry in entries]
     columns.append(column("nep", totals, "total", number, unit="aW / Hz(1/2)"))
     return Table("nep", f"NEP of a detector [aW/√Hz] at {_elevation(entries[0])}", tuple(columns))

@@ -18,6 +18,7 @@ from surveysim.runtime.once import once
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.noise_and_sky import Excess, Photon
 from surveysim.scene.scene import Scene
+from surveysim.telescope.beams import Beams, beams_of
 from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.lattice_noise import CirculantCorrelation, CirculantFactor
@@ -56,6 +57,12 @@ class CameraSetup(Camera):
     def n_det(self) -> int:
         """Number of live detectors."""
         return len(self.responsivity)
+
+    @once
+    def beams(self) -> Beams:
+        """Beams of the detectors: those of the table, or one."""
+        widths = self.properties.beam_fwhm_rad
+        return beams_of(self.focal_plane.fwhm_rad if widths is None else widths, self.responsivity)
 
     @property
     def draws_parts(self) -> bool:
@@ -161,15 +168,22 @@ class AirSetup:
 
 @dataclass(frozen=True)
 class SkySetup:
-    """The astronomical sky, on a tangent-plane grid of half the pixel size of the map."""
+    """The astronomical sky, on a tangent-plane grid of half the pixel size of the map.
+
+    Parameters
+    ----------
+    fwhm_rad
+        Different widths (n_beam,) of the beams.
+    """
 
     scene: Scene
     geometry: MapGeometry
+    fwhm_rad: tuple[float, ...]
 
     @once
     def map_mk(self) -> np.ndarray | None:
-        """Sky (n_y, n_x) [mK RJ] that all streams see; None without one."""
-        return scene_sky(self.scene, self.geometry)
+        """Skies (n_beam, n_y, n_x) [mK RJ] that streams see through each beam; None without a sky."""
+        return scene_sky(self.scene, self.geometry, self.fwhm_rad)
 
 
 @dataclass(frozen=True)
