@@ -13,8 +13,8 @@ from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
 from surveysim.studies.sweep.axes import load_sweep
-from surveysim.telescope.focal_plane import camera
 from surveysim.telescope.diffraction import with_beam
+from surveysim.telescope.focal_plane import camera
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.timestreams.observation import Stopwatch, draw_block, draw_observation
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
