@@ -16,7 +16,7 @@ ClosedForm = Callable[[NoiseBins], Noise]
 
 def independent_white(of: NoiseBins) -> Noise:
     """White noise that detectors do not share."""
-    bins = of.white(None)
+    bins = of.white(of.independent)
     return lambda conditions: np.outer(conditions.white, bins)
 
 

@@ -72,6 +72,8 @@ class NoiseBins(ABC):
         Observing conditions that bracket all others.
     arrays
         The pipeline's detectors, at a few angles to the scan.
+    independent
+        Correlation of white noise that detectors do not share: diagonal; None where all detectors are alike.
     """
 
     scene: Scene
@@ -79,6 +81,7 @@ class NoiseBins(ABC):
     frequencies: ScanFrequencies
     arrays: list[ProjectedArray]
     correlations: NoiseCorrelations
+    independent: Correlation = None
 
     @property
     def scans(self) -> Scans:
@@ -230,6 +233,7 @@ def noise_only_bins(of: MapBins, name: str, white_above_hz: float) -> NoiseOnlyB
         frequencies=spectrum,
         arrays=of.arrays,
         correlations=of.correlations,
+        independent=of.independent,
         lines_hz=lines,
         hann=hann,
         in_bins=in_bins,

@@ -97,7 +97,8 @@ class Instrument(Section):
     edge_taper_db: Taper | None = Field(alias="edge_taper", default=None)
     """Edge taper of a Gaussian illumination of the stop; 0 dB is uniform. Alternative: `horn_f_lambda`."""
     efficiency: Annotated[float, *number(1e-4, 1)] | None = None
-    """Optical efficiency from window to detector, spillover at the stop excluded."""
+    """Optical efficiency from window to detector, or with [optics] from its last element to the detector; spillover at
+    the stop excluded."""
     polarizations: Annotated[int, *whole(1, 2)] | None = None
     """Number of polarizations that a detector absorbs."""
     layout: Layout | None = None

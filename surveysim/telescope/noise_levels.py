@@ -11,7 +11,7 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.fields import PSD_MAX_MK2_HZ
 from surveysim.scene.noise_and_sky import Photon
 from surveysim.scene.scene import Scene
-from surveysim.telescope.detector_noise import detector_nep2
+from surveysim.telescope.detector_noise import noise_by_origin, stated_psd_mk2_hz
 from surveysim.telescope.detector_properties import DetectorProperties
 from surveysim.telescope.optics import scene_chain
 from surveysim.telescope.photon_noise import amplitude_weights, chain_noise
@@ -58,6 +58,11 @@ class WhiteByDetector:
     alone: np.ndarray
     detector: np.ndarray
 
+    @property
+    def mean(self) -> float:
+        """Mean of all white noise over the detectors."""
+        return float(np.mean(self.shared + self.alone + self.detector))
+
 
 def white_by_detector(
     levels: WhiteLevels, coherence: str, properties: DetectorProperties, n_det: int
@@ -96,12 +101,9 @@ def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, eleva
         levels = _of_chain(chain, scene.photon.coherence)
     else:
         levels = {}
-    detector = 0.0
-    if scene.detector:
-        found = scene.detector.psd_mk2_hz
-        if scene.detector.stated is None and scene.instrument.table_noise[0] == "psd":
-            found = scene.instrument.table_noise[1]
-        detector = _detector_psd(scene, chain) if found is None else found
+    detector = stated_psd_mk2_hz(scene)
+    if detector is None:
+        detector = _detector_psd(scene, chain)
     _check_level(scene.given_by_power, levels.get("photon_mk2_hz", 0.0))
     _check_level("detector", detector)
     return WhiteLevels(**levels, detector_mk2_hz=detector)
@@ -118,10 +120,7 @@ def _check_level(key: str | None, psd_mk2_hz: float) -> None:
 
 def _detector_psd(scene: Scene, chain: RadiativeChain) -> float:
     """Detector noise [mK^2/Hz] of a detector whose NEP is known, under the load of the chain."""
-    if scene.detector.stated is None:
-        nep2 = scene.instrument.table_noise[1] ** 2
-    else:
-        nep2 = sum(detector_nep2(scene.detector, chain_noise(chain).power_w).values())
+    nep2 = sum(noise_by_origin(scene, chain_noise(chain).power_w).values())
     return nep2 * (1e3 / chain.w_per_k) ** 2 if chain.w_per_k else float("inf")
 
 

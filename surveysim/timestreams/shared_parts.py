@@ -93,37 +93,46 @@ def layer_strips(scene: Scene, cam: Camera) -> "SlantStrips | None":
     return SlantStrips(screen(scene), cam.radius_rad, cam.closest_rad, *numbers)
 
 
-def scene_sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
-    """Draw the sky (n_y, n_x) [mK RJ] of a scene; None without one."""
+def scene_sky(scene: Scene, geometry: MapGeometry, fwhm_rad: tuple[float, ...]) -> np.ndarray | None:
+    """Draw the sky of a scene through beams of some widths (n_beam,), (n_beam, n_y, n_x) [mK RJ]; None without one.
+
+    The brightness of a point source is that in the beam of the instrument; its flux is the same in all beams.
+    """
     if scene.sky is None:
         return None
     from surveysim.timestreams.sky_maps import draw_sky
 
-    instrument = scene.instrument
-    rng = generator(scene.seed, RandomPurpose.SKY)
-    return draw_sky(scene.sky, geometry, instrument.cmb_per_rj, instrument.beam_fwhm_rad, rng)
+    instrument, skies = scene.instrument, []
+    for width in fwhm_rad:
+        rng, dilution = generator(scene.seed, RandomPurpose.SKY), _dilution(scene, width)
+        sources = [item.model_copy(update={"peak_mk": item.peak_mk * dilution}) for item in scene.sky.point_sources]
+        section = scene.sky.model_copy(update={"point_sources": tuple(sources)})
+        skies.append(draw_sky(section, geometry, instrument.cmb_per_rj, width, rng))
+    return np.stack(skies)
 
 
-def signal_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
-    """Draw the skies (n_sky, n_y, n_x) [mK RJ] of the signal simulations.
+def _dilution(scene: Scene, fwhm_rad: float) -> float:
+    """Peak of a point source in a beam over that in the instrument's beam: the inverse ratio of their solid angles."""
+    return (scene.instrument.beam_fwhm_rad / fwhm_rad) ** 2
 
-    The last is a point source where pipelines are compared. None without a score.
+
+def signal_skies(scene: Scene, geometry: MapGeometry, fwhm_rad: tuple[float, ...]) -> np.ndarray | None:
+    """Draw the skies of the signal simulations through beams of some widths (n_beam,), (n_sky, n_beam, n_y, n_x).
+
+    In mK RJ. The last is a point source where pipelines are compared. None without a score.
     """
     if scene.score is None:
         return None
     from surveysim.timestreams.sky_maps import central_source, flat_cmb_sky
 
-    signal, instrument = scene.score.signal_sims, scene.instrument
-    skies = [
-        flat_cmb_sky(
-            geometry,
-            signal.band_power_ukcmb2,
-            instrument.cmb_per_rj,
-            instrument.beam_fwhm_rad,
-            generator(scene.seed, RandomPurpose.SIGNAL_SIM, realization=sky),
-        )
-        for sky in range(signal.skies)
-    ]
+    signal, cmb_per_rj = scene.score.signal_sims, scene.instrument.cmb_per_rj
+
+    def sky(number: int, width: float) -> np.ndarray:
+        rng = generator(scene.seed, RandomPurpose.SIGNAL_SIM, realization=number)
+        return flat_cmb_sky(geometry, signal.band_power_ukcmb2, cmb_per_rj, width, rng)
+
+    skies = [np.stack([sky(number, width) for width in fwhm_rad]) for number in range(signal.skies)]
     if scene.cleaning.compare:
-        skies.append(central_source(geometry, instrument.beam_fwhm_rad))
+        source = [central_source(geometry, width) * np.float32(_dilution(scene, width)) for width in fwhm_rad]
+        skies.append(np.stack(source))
     return np.stack(skies)

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.geometry import MapGeometry
+from surveysim.atmosphere.water import Season
 from surveysim.atmosphere.weather import Water
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.once import once
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.noise_and_sky import Excess, Photon
 from surveysim.scene.scene import Scene
+from surveysim.telescope.beams import Beams, beams_of
 from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.focal_plane import Camera
 from surveysim.telescope.lattice_noise import CirculantFactor, LatticePixels
@@ -61,6 +63,12 @@ class CameraSetup(Camera):
     def n_det(self) -> int:
         """Number of live detectors."""
         return len(self.responsivity)
+
+    @once
+    def beams(self) -> Beams:
+        """Beams of the detectors: those of the table, or one."""
+        widths = self.properties.beam_fwhm_rad
+        return beams_of(self.focal_plane.fwhm_rad if widths is None else widths, self.responsivity)
 
     @property
     def draws_parts(self) -> bool:
@@ -164,24 +172,34 @@ class AirSetup:
         Response of the mapped band to the water of the site; None without a site.
     band_waters
         The same for each of the other bands.
+    seasons
+        Season of each observation; None unless the water goes by it.
     """
 
     strips: "SlantStrips | None"
     water: Water | None
     band_waters: tuple[Water | None, ...]
+    seasons: tuple[Season, ...] | None = None
 
 
 @dataclass(frozen=True)
 class SkySetup:
-    """The astronomical sky, on a tangent-plane grid of half the pixel size of the map."""
+    """The astronomical sky, on a tangent-plane grid of half the pixel size of the map.
+
+    Parameters
+    ----------
+    fwhm_rad
+        Different widths (n_beam,) of the beams.
+    """
 
     scene: Scene
     geometry: MapGeometry
+    fwhm_rad: tuple[float, ...]
 
     @once
     def map_mk(self) -> np.ndarray | None:
-        """Sky (n_y, n_x) [mK RJ] that all streams see; None without one."""
-        return scene_sky(self.scene, self.geometry)
+        """Skies (n_beam, n_y, n_x) [mK RJ] that streams see through each beam; None without a sky."""
+        return scene_sky(self.scene, self.geometry, self.fwhm_rad)
 
 
 @dataclass(frozen=True)

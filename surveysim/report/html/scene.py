@@ -9,6 +9,7 @@ from typing import Any
 
 from surveysim.report.html.components import UK2, Block, Terms
 from surveysim.runtime.numbers import joined, number, plural, short
+from surveysim.scene.sites import OWN, site_title
 from surveysim.scene.units import b2_unit
 from surveysim.timestreams.component import COMPONENTS, StreamComponent
 
@@ -30,7 +31,6 @@ COHERENCES = {
     "none": "not at all",
 }
 SIMULATED = {"uncorrelated": "the same noise without correlations", "white": "white noise"}
-SITES = {"mauna_kea": "Mauna Kea", "south_pole": "the South Pole", "alma": "ALMA", "ccat": "CCAT"}
 
 _MEV_J = 1.602176634e-22
 
@@ -43,8 +43,8 @@ def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
     tell: dict[str, Callable[[], Iterator[str]]] = {
         "Field": lambda: _field(scene),
         "Observations": lambda: _observations(scene),
-        "Camera": lambda: _camera(scene["instrument"], n_det),
-        **({"Optics": lambda: _optics(scene["optics"])} if scene["optics"] else {}),
+        "Camera": lambda: _camera(scene["instrument"], n_det, "the last element" if scene.get("optics") else "window"),
+        **({"Optics": lambda: _optics(scene["optics"])} if scene.get("optics") else {}),
         **{item.title: partial(_component, item, scene[item.name]) for item in components},
         "Cleaning": lambda: _cleaning(scene["cleaning"]),
         "Map": lambda: _map(scene),
@@ -93,19 +93,34 @@ def _observations(scene: Values) -> Iterator[str]:
     yield f"Detectors are sampled at {short(scan['sample_rate_hz'])} Hz."
 
 
-def _camera(camera: Values, n_det: int) -> Iterator[str]:
+def _layout(layout: Values, f_lambda_rad: float) -> str:
+    """Describe the lattice of a layout or a wafer."""
+    shape, side = layout.get("shape", "hexagon"), layout.get("side")
+    extent = f"a {shape} of {side} by {side}" if side is not None else f"{layout['rings']} rings"
+    if layout["field_of_view_rad"] is not None:
+        extent = f"a field of view of {_arcmin(layout['field_of_view_rad'])}"
+    lattice = "on a square lattice" if shape == "square" else "hexagonal"
+    pitch = f"{short(layout['pitch_f_lambda'])} (f/#)λ"
+    dead = f", {len(layout['dead'])} of them dead" if layout["dead"] else ""
+    lost = (
+        f", {_percent(layout['yield_fraction'])} of the others working" if layout.get("yield_fraction", 1) < 1 else ""
+    )
+    width = _arcsec(layout["pitch_f_lambda"] * f_lambda_rad)
+    return f"Positions are {lattice} over {extent}, neighbours {pitch} apart ({width}){dead}{lost}."
+
+
+def _camera(camera: Values, n_det: int, behind: str) -> Iterator[str]:
     yield f"{plural(n_det, 'detector')} {band_of(camera)},"
     yield f"with a beam of {_arcsec(camera['beam_fwhm_rad'])} (FWHM); (f/#)λ is {_arcsec(camera['f_lambda_rad'])}."
-    if layout := camera["layout"]:
-        extent = f"{layout['rings']} rings" if layout["rings"] is not None else ""
-        if layout["field_of_view_rad"] is not None:
-            extent = f"a field of view of {_arcmin(layout['field_of_view_rad'])}"
-        pitch = f"{short(layout['pitch_f_lambda'])} (f/#)λ"
-        dead = f", {len(layout['dead'])} of them dead" if layout["dead"] else ""
-        yield f"Positions are hexagonal over {extent}, neighbours {pitch} apart"
-        yield f"({_arcsec(layout['pitch_f_lambda'] * camera['f_lambda_rad'])}){dead}."
+    if camera["layout"]:
+        yield _layout(camera["layout"], camera["f_lambda_rad"])
+    for index, wafer in enumerate(camera.get("wafers", ())):
+        place = f"({_arcmin(wafer['offset_x_rad'])}, {_arcmin(wafer['offset_y_rad'])})"
+        turned = f", turned by {_deg(wafer['rotation_rad'])}°" if wafer["rotation_rad"] else ""
+        yield f"Wafer {index} is at {place}{turned}. {_layout(wafer, camera['f_lambda_rad'])}"
     if camera["positions"]:
-        yield f"Positions come from the table {PurePath(camera['positions']).name}."
+        chosen = f", its band {camera['table_band']}" if camera.get("table_band") else ""
+        yield f"Detectors come from the table {PurePath(camera['positions']).name}{chosen}."
     yield f"Responsivities scatter by {_percent(camera['responsivity_scatter'])}."
     if camera["camera_rotation_range_rad"]:
         yield f"The camera angle varies within {_deg(camera['camera_rotation_range_rad'])}° between observations."
@@ -117,7 +132,7 @@ def _camera(camera: Values, n_det: int) -> Iterator[str]:
     if camera["edge_taper_db"] is not None:
         yield f"Pixels illuminate the stop with an edge taper of {short(camera['edge_taper_db'])} dB."
     if camera["efficiency"] is not None:
-        yield f"The efficiency from window to detector is {_percent(camera['efficiency'])}."
+        yield f"The efficiency from {behind} to detector is {_percent(camera['efficiency'])}."
     if camera["polarizations"] is not None:
         yield f"Detectors absorb {plural(camera['polarizations'], 'polarization')}."
     if camera["bands"]:
@@ -148,7 +163,8 @@ def _atmosphere(air: Values) -> Iterator[str]:
     if air["outer_scale_m"] is not None:
         yield f"Its outer scale is {short(air['outer_scale_m'])} m."
     if air["site"]:
-        yield f"Water and water fluctuations are those of {SITES.get(air['site'], air['site'])}."
+        place = "the site of the scene" if air["site"] == OWN else site_title(air["site"])
+        yield f"Water and water fluctuations are those of {place}."
     unit = b2_unit(air["spectral_index"])
     if air["b2"]:
         levels = ", ".join(short(100 * level) for level in air["b2_probabilities"])

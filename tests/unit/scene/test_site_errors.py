@@ -20,7 +20,8 @@ def path(tmp_path):
 @pytest.mark.parametrize(
     "changes, words",
     [
-        ({"atmosphere.site": "mauna_loa"}, "atmosphere.site: found 'mauna_loa'; one of 'mauna_kea', 'south_pole'"),
+        ({"atmosphere.site": "mauna_loa"}, "atmosphere.site: found 'mauna_loa'; did you mean mauna_kea?"),
+        ({"atmosphere.site": "moon"}, "atmosphere.site: found 'moon'; one of 'mauna_kea', 'south_pole'"),
         ({"atmosphere.site": 3}, "atmosphere.site: found 3; one of"),
         ({"atmosphere.site": "alma"}, "instrument.bandwidth: missing"),
         ({"atmosphere.pwv": "[1] mm", "atmosphere.pwv_probabilities": [0.5]}, "atmosphere.site: missing"),

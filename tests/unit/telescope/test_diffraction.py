@@ -102,6 +102,14 @@ def test_an_angle_without_an_aperture(scene_of, key):
         scene_of({}, f"{key} = ")
 
 
+@pytest.mark.parametrize("aperture", ["1 mm", "1e8 m"])
+def test_an_aperture_of_no_use(scene_of, aperture):
+    with pytest.raises(
+        SceneError, match="optics.aperture: found .* m, with a beam of .* arcsec; one of 0.001 arcsec to"
+    ):
+        prepare(scene_of({"optics.aperture": aperture}, ANGLES))
+
+
 def test_effective_area(scene_of):
     """A stated share, that of the illumination, or lambda^2 over the solid angle of a Gaussian beam."""
     full = math.pi * 25

@@ -11,6 +11,7 @@ from surveysim.paper.published import published
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.passband import top_hat
+from surveysim.scene.place import shipped_place
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.illumination import gaussian_horn
 from surveysim.telescope.noise_levels import WhiteLevels, white_levels
@@ -139,7 +140,7 @@ def test_no_load_shares_nothing(scene_of, coherence):
 def test_sky_s_load_follows_the_water(scene_of):
     """T (1 - exp(-tau / sin el)) above the window, and noise over what the atmosphere lets through."""
     scene = scene_of(QUIET + SITE)
-    opacity = band_opacity("mauna_kea", top_hat(143e9, 0.15))
+    opacity = band_opacity(shipped_place("mauna_kea"), top_hat(143e9, 0.15))
     for pwv, height in ((0.5, HEIGHT), (2.0, HEIGHT), (2.0, np.radians(35))):
         passed = float(np.exp(-optical_depth(opacity, pwv) / np.sin(height)))
         sky = opacity.temperature_k * (1 - passed)
@@ -150,7 +151,7 @@ def test_sky_s_load_follows_the_water(scene_of):
 
 
 def test_more_water_and_more_air_are_more_noise_and_more_of_it_shared(scene_of):
-    scene, opacity = scene_of(QUIET + SITE), band_opacity("mauna_kea", top_hat(143e9, 0.15))
+    scene, opacity = scene_of(QUIET + SITE), band_opacity(shipped_place("mauna_kea"), top_hat(143e9, 0.15))
     wet = [white_levels(scene, opacity, pwv, HEIGHT) for pwv in (0.5, 1.0, 2.0, 4.0)]
     low = [white_levels(scene, opacity, 1.0, np.radians(height)) for height in (90, 60, 40, 30)]
     for rising in (wet, low):
@@ -169,7 +170,7 @@ def test_noise_equivalent_power(scene_of):
     for key, value, ratio in (("efficiency", 0.8, 4), ("polarizations", 2, 4), ("bandwidth", 0.3, 4)):
         other = scene_of(QUIET + nep, {f"instrument.{key}": value})
         assert white_levels(other, None, np.nan, HEIGHT).detector_mk2_hz == pytest.approx(level / ratio, rel=1e-12)
-    opacity = band_opacity("mauna_kea", top_hat(143e9, 0.15))
+    opacity = band_opacity(shipped_place("mauna_kea"), top_hat(143e9, 0.15))
     passed = np.exp(-optical_depth(opacity, 2.0) / np.sin(HEIGHT))
     at_site = white_levels(scene_of(QUIET + SITE + nep), opacity, 2.0, HEIGHT).detector_mk2_hz
     assert at_site == pytest.approx(level / passed**2, rel=1e-9)

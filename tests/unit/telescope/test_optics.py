@@ -5,16 +5,19 @@ import math
 import numpy as np
 import pytest
 
+from mapmaker.stream_psd import hann_psd
 from surveysim.atmosphere.opacity import band_opacity, optical_depth, spectral_depth
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.passband import top_hat
+from surveysim.scene.place import shipped_place
 from surveysim.scene.scene import load_scene
 from surveysim.scene.units import BOLTZMANN_J_K, PLANCK_J_S
 from surveysim.telescope.illumination import gaussian_horn
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.optics import scene_chain
 from surveysim.telescope.photon_noise import chain_noise, photon_noise
+from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_levels, observation_weather
 from tests.camera import BAND, CAMERA, HORNS, PHOTON, QUIET, SITE, STATED_SKY
 
@@ -62,7 +65,7 @@ def test_stated_sky_alone_is_a_load(scene_of):
 def test_sky_of_the_site(scene_of):
     """CMB through the atmosphere, and the atmosphere's own emission, at every frequency of the band."""
     scene = scene_of(PHOTON + CAMERA + SITE, HORNS)
-    opacity = band_opacity("mauna_kea", scene.instrument.band)
+    opacity = band_opacity(shipped_place("mauna_kea"), scene.instrument.band)
     chain = scene_chain(scene, opacity, 2.0, HEIGHT)
     assert [surface.name for surface in chain.surfaces][:3] == ["CMB", "atmosphere", "mirrors"]
     nu = chain.band.nodes[0]
@@ -75,7 +78,7 @@ def test_sky_of_the_site(scene_of):
 @pytest.mark.parametrize("frequency_ghz", [143, 268])
 def test_spectral_depth_averages_to_the_depth_of_the_band(frequency_ghz):
     """Within 0.5 %: cells of 1 GHz, interpolated between their centres."""
-    opacity = band_opacity("mauna_kea", top_hat(frequency_ghz * 1e9, 0.15))
+    opacity = band_opacity(shipped_place("mauna_kea"), top_hat(frequency_ghz * 1e9, 0.15))
     weight = opacity.band.nodes[1]
     for pwv in (0.5, 1.7, 3.5):
         mean = -math.log(weight @ np.exp(-spectral_depth(opacity, pwv)))
@@ -96,6 +99,18 @@ def test_every_observation_has_its_own_load(scene_of):
         chain = scene_chain(setup.scene, setup.air.water.opacity, pwv, height)
         nep2 = 4 * 0.19e-3 * 1.602176634e-19 * chain_noise(chain).power_w / 0.4
         assert level.detector_mk2_hz == pytest.approx(nep2 * (1e3 / chain.w_per_k) ** 2, rel=1e-9)
+
+
+def test_streams_have_the_noise_of_the_load(scene_of):
+    """18 detectors, 4 x 18 scans of 240 samples: to 4 sqrt(2 / 1.5e5), 1.5 %, and what is shared."""
+    kid = '[detector.kid]\ngap = "0.19 meV"\npair_breaking_efficiency = 0.4\namplifier_nep = "1e-17 W / Hz(1/2)"\n'
+    longer = {"scan.scans": 18, "scan.duration": "24 s", "scan.step": "0.5 arcmin"}
+    setup = prepare(scene_of(PHOTON + STATED_SKY + kid, HORNS | longer))
+    data = np.concatenate([draw_observation(setup, number).data_mk for number in range(4)], axis=1)
+    psd = hann_psd(data, 72, np.ones(72, bool), 10.0)[:, 2:-1].mean()
+    levels = observation_levels(setup, 0)
+    assert psd == pytest.approx(levels.photon_mk2_hz + levels.detector_mk2_hz, rel=0.02)
+    assert 0.2 < levels.detector_mk2_hz / levels.photon_mk2_hz < 5  # neither would be missed
 
 
 def test_shared_parts_are_those_of_the_load_before_the_stop(scene_of):

@@ -118,7 +118,8 @@ def test_layer_and_sky_do_not_depend_on_the_first_cut(setup_of):
 def test_blocks_side_by_side_are_the_observation(setup_of):
     setup = setup_of(blocks=4)
     whole, (_, pointing) = draw_observation(setup, 1), observation_path(setup.observing, 1)
-    parts = [draw_block(setup, 1, pointing, block, Stopwatch()) for block in setup.observing.blocks]
+    blocks = setup.observing.blocks
+    parts = [draw_block(setup, 1, pointing, block, Stopwatch()).timestreams() for block in blocks]
     np.testing.assert_array_equal(whole.data_mk, np.concatenate([part.data_mk for part in parts], axis=1))
     for name in ("time_s", "ra_rad", "dec_rad", "array_angle_rad", "scan"):
         np.testing.assert_array_equal(getattr(whole, name), np.concatenate([getattr(part, name) for part in parts]))
