@@ -32,7 +32,7 @@ ROW_FIELDS = (
 
 @dataclass
 class CoAdds:
-    """Sums over `done` observations from number `first` on, with weights w, sums S and hits H of each.
+    """Sums over `done` observations from number `first` on, with weights w, sums S and exposures H of each.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ def observation_sums(analysis: AnalysisSetup, result: ObservationResult) -> CoAd
     found = replace(
         empty_coadds(analysis, flips=False),
         sums=weights[:, None, None] * result.sums.astype(float),
-        weight=weights[:, None, None] * result.hits,
+        weight=weights[:, None, None] * result.exposure,
         hits=result.hits.astype(np.int64),
         rows=[_row(result)],
         bin_noise=[result.bin_noise_mk2],
@@ -231,6 +231,7 @@ def _check_shapes(analysis: AnalysisSetup, result: ObservationResult) -> None:
     found = {
         "sums": (result.sums.shape, planes),
         "hits": (result.hits.shape, planes),
+        "exposure": (result.exposure.shape, planes),
         "noise_mk2": (result.noise_mk2.shape, planes[:1]),
     }
     for name, (shape, expected) in found.items():
@@ -270,7 +271,7 @@ def _add_signal_maps(analysis: AnalysisSetup, coadds: CoAdds, result: Observatio
     for place, name in enumerate(analysis.transfer_function_names):
         data_set = analysis.data_set_names.index(name)
         coadds.signal_maps[:, place] += weights[data_set] * result.signal_maps[:, place]
-        coadds.signal_weight[place] += weights[data_set] * result.hits[data_set][patch, patch]
+        coadds.signal_weight[place] += weights[data_set] * result.exposure[data_set][patch, patch]
 
 
 def _row(result: ObservationResult) -> tuple[float, ...]:
