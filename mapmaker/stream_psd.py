@@ -1,5 +1,7 @@
 """One-sided PSDs of time-streams, their white level and their variance at low frequencies."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from mapmaker.chunks import row_chunks
@@ -33,13 +35,17 @@ def hann_power(data_mk: np.ndarray, n_scans: int, kept: np.ndarray) -> np.ndarra
     return total
 
 
+@lru_cache(maxsize=16)  # for every observation
 def hann_scale(n: int, sample_rate_hz: float, dtype: np.dtype) -> float:
     """Factor [1 / Hz] from the mean `hann_power` of scans of n samples to their one-sided PSD."""
     return 2 / (sample_rate_hz * float((_hann(n, dtype).astype(float) ** 2).sum()))
 
 
+@lru_cache(maxsize=16)
 def _hann(n: int, dtype: np.dtype) -> np.ndarray:
-    return np.hanning(n + 1)[:n].astype(dtype)
+    taper = np.hanning(n + 1)[:n].astype(dtype)
+    taper.flags.writeable = False
+    return taper
 
 
 def low_frequency_variance(data_mk: np.ndarray, n_scans: int, sample_rate_hz: float, up_to_hz: float) -> np.ndarray:

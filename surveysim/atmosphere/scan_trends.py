@@ -21,6 +21,7 @@ Covariances are exact within a group of nine scans and between neighbouring grou
 drawn given the one before, so the time is proportional to the number of scans.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 
@@ -125,33 +126,31 @@ class ScanTrends:
         """Select scans `first` to `end - 1`."""
         return replace(self, value=self.value[first:end], points=self.points.scans(first, end))
 
-    def impose(self, scan: int, strip: np.ndarray) -> None:
-        """Condition a strip on the trends of a scan, in place.
+    def impose(self, scans: Sequence[int], strips: np.ndarray) -> None:
+        """Condition strips on the trends of some scans, in place.
 
         Parameters
         ----------
-        scan
-        strip : (n_lane, n_x)
-            Realization of unit amplitude.
+        scans
+        strips : (n_scan, n_lane, n_x)
+            Realizations of unit amplitude.
 
         Raises
         ------
         ValueError
-            For a strip that lacks one of the scan's points.
+            For strips that lack one of their scan's points.
         """
-        item = self.points
-        lane, column, step = item.lane[scan], item.column[scan], item.step_rad
-        if not (lane.min() >= 0 and lane.max() < len(strip) and column.min() >= 0 and column.max() < strip.shape[1]):
+        item, (_, n_lane, n_x) = self.points, strips.shape
+        some = np.array(scans)
+        lane, column, step = item.lane[some], item.column[some], item.step_rad
+        if not (lane.min() >= 0 and lane.max() < n_lane and column.min() >= 0 and column.max() < n_x):
             raise ValueError(
-                f"found a strip of {strip.shape}; {lane.max() + 1} by {column.max() + 1} or more is expected"
+                f"found strips of {(n_lane, n_x)}; {lane.max() + 1} by {column.max() + 1} or more are expected"
             )
-        weight = kernels.point_weights(
-            strip, lane, column, item.place_rad[scan], item.weight[scan], self.value[scan], *self.table
-        )
         coarse = (_COARSE if item.screen.index >= 3.0 else _COARSE_ROUGH) * item.screen.beam_rad / step
-        stride, cells = max(1, int(coarse)), max(1, ceil((len(strip) - 1) / coarse))
-        used = min(int(item.used[scan]), strip.shape[1])
-        kernels.add_covariances(strip, used, lane, column, weight, step, stride, cells, *self.table)
+        stride, cells = max(1, int(coarse)), max(1, ceil((n_lane - 1) / coarse))
+        points = lane, column, item.place_rad[some], item.weight[some], np.minimum(item.used[some], n_x)
+        kernels.impose_trends(strips, self.value[some], *points, step, stride, cells, *self.table)
 
 
 def draw_trends(item: StripPoints, deviates: NormalDeviates) -> ScanTrends:

@@ -10,31 +10,33 @@ _AT_ONCE = 512
 
 @njit(cache=True, nogil=True)
 def combine_columns(columns, start, normals, modes):
-    """Sum the factors of every frequency with their random amplitudes.
+    """Sum the factors of every frequency with the random amplitudes of some strips.
 
     Parameters
     ----------
-    columns : (n_total, n_lane)
+    columns : (n_total, n_lane or more)
     start : (n_freq + 1,)
-    normals : (2 n_total,)
+    normals : (n_strip, 2 n_total or more)
         Real and imaginary parts in turn.
-    modes : (n_lane, n_freq)
+    modes : (n_strip, n_lane, n_freq)
         Complex output.
     """
-    n_lane = columns.shape[1]
-    real = np.empty(n_lane, columns.dtype)
-    imag = np.empty(n_lane, columns.dtype)
-    for k in range(start.size - 1):
+    n_strip, n_lane, n_freq = modes.shape
+    real = np.empty((n_strip, columns.shape[1]), columns.dtype)
+    imag = np.empty((n_strip, columns.shape[1]), columns.dtype)
+    for k in range(n_freq):
         real[:] = 0.0
         imag[:] = 0.0
         for r in range(start[k], start[k + 1]):
-            a = normals[2 * r]
-            b = normals[2 * r + 1]
+            column = columns[r]
+            for s in range(n_strip):  # their sums do not wait for each other
+                a, b, of_a, of_b = normals[s, 2 * r], normals[s, 2 * r + 1], real[s], imag[s]
+                for lane in range(column.size):
+                    of_a[lane] += a * column[lane]
+                    of_b[lane] += b * column[lane]
+        for s in range(n_strip):
             for lane in range(n_lane):
-                real[lane] += a * columns[r, lane]
-                imag[lane] += b * columns[r, lane]
-        for lane in range(n_lane):
-            modes[lane, k] = complex(real[lane], imag[lane])
+                modes[s, lane, k] = complex(real[s, lane], imag[s, lane])
 
 
 @njit(cache=True, nogil=True)

@@ -5,12 +5,15 @@ In the frame of the moving layer all detectors of a scan at constant velocity fo
 `surveysim.atmosphere.scan_trends` conditions them on the trends that scans share.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
+from itertools import accumulate
 from math import ceil, log2, radians
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mapmaker.chunks import row_chunks
 from surveysim.atmosphere.strip_factors import Strip, build_strip, lanes, points_along
 from surveysim.atmosphere.thin_screen import Screen, at_elevation
 from surveysim.runtime.rng import NormalDeviates
@@ -142,29 +145,35 @@ def strip_step(screen: Screen, closest_rad: float) -> float:
 # ---------------------------------------------------------------- realizations
 
 
-def draw_strip(strip: Strip, deviates: NormalDeviates, *, first: int = 0) -> np.ndarray:
-    """Draw one realization of a strip, of unit amplitude.
+def draw_strips(strip: Strip, deviates: NormalDeviates, first: Sequence[int]) -> np.ndarray:
+    """Draw independent realizations of a strip, of unit amplitude.
 
-    It takes `strip.n_deviates` deviates from position `first` on. The structure function holds for points up to
+    Each takes `strip.n_deviates` deviates, from its position `first` on. The structure function holds for points up to
     `strip.length_rad` apart.
 
     Returns
     -------
-    (n_lane, n_x) array
+    (n_strip, n_lane, n_x) array
         Of the type of the strip's columns; lattice points are `strip.step_rad` apart.
     """
     from scipy.fft import irfft
 
     from surveysim.atmosphere.screen_kernels import combine_columns
 
-    normals = deviates.draw(strip.n_deviates, first=first)
+    normals = np.empty((len(first), strip.n_deviates), np.float32)
+    if list(first) == list(range(first[0], first[-1] + 1, strip.n_deviates)):
+        deviates.fill(normals, first[0])
+    else:
+        for row, position in zip(normals, first, strict=True):
+            deviates.fill(row, position)
     real = strip.columns.dtype
-    modes = np.empty((strip.n_lane, len(strip.start) - 1), np.result_type(real, np.complex64))
+    modes = np.empty((len(first), strip.n_lane, len(strip.start) - 1), np.result_type(real, np.complex64))
     combine_columns(strip.columns, strip.start, normals, modes)
     # The inverse transform sets higher modes to zero, and uses only the real parts of the real modes.
-    layer = irfft(modes, n=strip.n_x, axis=1, overwrite_x=True)
-    layer += np.arange(strip.n_x, dtype=real) * real.type(normals[-1] * strip.ramp_std * strip.step_rad)
-    return layer
+    layers = irfft(modes, n=strip.n_x, axis=-1, overwrite_x=True)
+    slopes = (normals[:, -1] * strip.ramp_std * strip.step_rad).astype(real)
+    layers += slopes[:, None, None] * np.arange(strip.n_x, dtype=real)
+    return layers
 
 
 @dataclass(frozen=True)
@@ -297,14 +306,23 @@ def add_along_tracks(
 
     add_layer = getattr(screen_kernels, LOOK_UPS[strips.interpolation])
     step = strips.step_rad
-    steps = np.hypot(*tracks.motion_rad_s.T) / (sample_rate_hz * step)
-    first = 0
-    for scan, (start, stop) in enumerate(scan_bounds):
-        strip = strips.strip_for(float(tracks.length_rad[scan]))
-        layer = draw_strip(strip, deviates, first=first)
-        first += strip.n_deviates
+    steps = (np.hypot(*tracks.motion_rad_s.T) / (sample_rate_hz * step)).tolist()
+    x, y = tracks.x_rad / step, np.minimum(tracks.y_rad / step, strips.n_lane - 1.0)
+    for strip, scans, first in _alike(strips, tracks.length_rad):
+        layers = draw_strips(strip, deviates, first)
         if trends is not None:
-            trends.impose(scan, layer)
-        y0 = np.minimum(tracks.y_rad[scan] / step, len(layer) - 1.0)
-        x0, dx, amplitude = tracks.x_rad[scan] / step, float(steps[scan]), float(amplitude_mk[scan])
-        add_layer(data_mk, start, stop, layer, x0, y0, dx, amplitude)
+            trends.impose(scans, layers)
+        for scan, layer in zip(scans, layers, strict=True):
+            add_layer(data_mk, *scan_bounds[scan], layer, x[scan], y[scan], steps[scan], float(amplitude_mk[scan]))
+
+
+def _alike(strips: StripCache, length_rad: np.ndarray) -> Iterator[tuple[Strip, list[int], list[int]]]:
+    """Scans that have strips of one size, as many as fit in a chunk, and their first deviates."""
+    of_scans = [strips.strip_for(length) for length in length_rad.tolist()]
+    first = list(accumulate((strip.n_deviates for strip in of_scans), initial=0))
+    for n_x in dict.fromkeys(strip.n_x for strip in of_scans):
+        alike = [scan for scan, strip in enumerate(of_scans) if strip.n_x == n_x]
+        strip = of_scans[alike[0]]
+        for chunk in row_chunks(len(alike), strip.n_lane * n_x):
+            scans = alike[chunk]
+            yield strip, scans, [first[scan] for scan in scans]

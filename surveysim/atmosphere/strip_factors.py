@@ -38,6 +38,8 @@ _NEGLIGIBLE, _NEGLIGIBLE_SUM = 1e-9, 1e-3
 # of a quadratic in the field of view by 7 % at 1000 m, and 7e-4 by 40 % at 375 m. For the same reason the spline of the
 # structure function must be as smooth.
 _CLIPPED_MAX = 1e-5
+# Elements of a vector instruction in single precision.
+_VECTOR = 8
 _N_X_MIN, N_X_MAX = 32, 2**17
 # Largest numbers of lattice points and of elements in all matrices: a few gigabytes.
 _MOST_POINTS, _MOST_ELEMENTS = 2**24, 10**8
@@ -55,9 +57,9 @@ class Strip:
         Points along and across the strip.
     ramp_std
         Standard deviation of the slope along x [1/rad].
-    columns : (n_total, n_lane)
-        Eigenvectors, scaled to the standard deviation of each part of a mode in an unnormalized DFT; float32 or
-        float64.
+    columns : (n_total, n_lane or more)
+        Eigenvectors, scaled to the standard deviation of each part of a mode in an unnormalized DFT, and zeros up to a
+        multiple of a vector instruction; float32 or float64.
     start : (n_freq + 1,)
         Rows start[k]:start[k + 1] of `columns` belong to frequency k; higher frequencies have none.
     clipped_fraction
@@ -81,6 +83,11 @@ class Strip:
     def half_width_rad(self) -> float:
         """Largest distance of a track from the middle of the strip [rad]."""
         return 0.5 * (self.n_lane - 1) * self.step_rad
+
+    @property
+    def lane_columns(self) -> np.ndarray:
+        """The columns without the zeros, (n_total, n_lane)."""
+        return self.columns[:, : self.n_lane]
 
     @property
     def n_deviates(self) -> int:
@@ -186,7 +193,8 @@ def _factorize(screen: Screen, *, n_x: int, n_lane: int, step_rad: float, precis
     part = np.full(n_x // 2 + 1, 0.5 * n_x)
     part[[0, -1]] = n_x
     scale = np.sqrt(np.maximum(value, 0.0) * part[: len(value), None])
-    columns = (vector * scale[:, None, :]).transpose(0, 2, 1)[kept]
+    columns = np.zeros((int(kept.sum()), -(-n_lane // _VECTOR) * _VECTOR), precision)
+    columns[:, :n_lane] = (vector * scale[:, None, :]).transpose(0, 2, 1)[kept]
     start = np.concatenate([[0], np.cumsum(kept.sum(axis=1))])
     n_freq = int(np.searchsorted(start, start[-1]))
     clipped = max(0.0, -float(share[share < 0.0].sum()))
@@ -195,7 +203,7 @@ def _factorize(screen: Screen, *, n_x: int, n_lane: int, step_rad: float, precis
         n_x,
         n_lane,
         ramp_variance**0.5,
-        columns.astype(precision),
+        columns,
         start[: n_freq + 1].astype(np.int64),
         clipped,
     )

@@ -146,7 +146,33 @@ def draw_trends(place, weight, normals, group, coefficients, scale):
 
 
 @njit(cache=True, nogil=True)
-def point_weights(strip, lane, column, place, weight, trend, coefficients, scale):
+def impose_trends(strips, trend, lane, column, place, weight, used, step, stride, cells, coefficients, scale):
+    """Change the trends of each strip to given ones: T -> T + K C^-1 (t - w T).
+
+    Parameters
+    ----------
+    strips : (n_scan, n_lane, n_x)
+        Changed in place; points are `step` apart.
+    trend : (n_scan, n_trend)
+    lane, column : (n_scan, n_point)
+    place : (n_scan, n_point, 2)
+    weight : (n_scan, n_trend, n_point)
+    used : (n_scan,)
+        Columns to change, the first ones of each strip.
+    step, stride, cells
+        As in `_add_field_covariances`.
+    coefficients, scale
+        As in `structure`.
+    """
+    for s in range(len(strips)):
+        of_points = _point_weights(strips[s], lane[s], column[s], place[s], weight[s], trend[s], coefficients, scale)
+        _add_field_covariances(
+            strips[s], used[s], lane[s], column[s], of_points, step, stride, cells, coefficients, scale
+        )
+
+
+@njit(cache=True, nogil=True)
+def _point_weights(strip, lane, column, place, weight, trend, coefficients, scale):
     """Weights w^T C^-1 (t - w T) of the field's covariance with the points, which change a strip's trends to t.
 
     Parameters
@@ -187,7 +213,7 @@ def point_weights(strip, lane, column, place, weight, trend, coefficients, scale
 
 
 @njit(cache=True, nogil=True)
-def add_covariances(strip, used, lane, column, weight, step, stride, cells, coefficients, scale):
+def _add_field_covariances(strip, used, lane, column, weight, step, stride, cells, coefficients, scale):
     """Add the field's covariance with weighted points, -1/2 sum_i weight_i D, to the first `used` columns of a strip.
 
     The sum is evaluated every `stride` columns and at `cells` + 1 lines across, with one more beyond each end, and is

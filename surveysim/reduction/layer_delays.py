@@ -10,7 +10,7 @@ from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.wind import MIN_SCANS, WindTransforms, fit_wind, scan_velocities, wind_transforms
 from surveysim.reduction.setup import Setup
 from surveysim.telescope.pointing import Pointing
-from surveysim.timestreams.observation import Stopwatch, draw_block
+from surveysim.timestreams.observation import DrawnBlock, Stopwatch, draw_block
 from surveysim.timestreams.scan_blocks import Block
 
 LONGEST_DELAY = 0.2  # longest delay, as a fraction of a scan; the wind model allows a quarter
@@ -59,11 +59,12 @@ def measured_delays(blocks: Sequence[LayerMotion], plane: FocalPlane) -> np.ndar
     return np.where(np.hypot(*found.T)[:, None] * radius < LONGEST_DELAY * seconds, found, 0.0)
 
 
-def block_delays(setup: Setup, streams: Timestreams) -> np.ndarray:
+def block_delays(setup: Setup, drawn: DrawnBlock) -> np.ndarray:
     """Measure the slowness (n_scan, 2) [s/rad] in the streams of one block; 0 where no pipeline uses it."""
     if not setup.analysis.uses_wind:
-        return np.zeros((len(streams.scan_bounds), 2))
-    return measured_delays([layer_motion(streams, setup.observing.scans.sample_rate_hz)], streams.focal_plane)
+        return np.zeros((len(drawn.scan_bounds), 2))
+    motion = layer_motion(drawn.timestreams(), setup.observing.scans.sample_rate_hz)
+    return measured_delays([motion], drawn.focal_plane)
 
 
 def delays_of_all_blocks(setup: Setup, observation: int, whole: Pointing, watch: Stopwatch) -> np.ndarray | None:
@@ -79,6 +80,6 @@ def delays_of_all_blocks(setup: Setup, observation: int, whole: Pointing, watch:
 
 
 def _block_motion(setup: Setup, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> LayerMotion:
-    streams = draw_block(setup, observation, whole, block, watch)
+    drawn = draw_block(setup, observation, whole, block, watch)
     with watch("wind"):
-        return layer_motion(streams, setup.observing.scans.sample_rate_hz)
+        return layer_motion(drawn.timestreams(), setup.observing.scans.sample_rate_hz)

@@ -4,8 +4,8 @@ The blocks of the observation are drawn and added up one by one. The noise-only 
 they are drawn in a second pass. Wind cleaning needs the wind of all blocks, so several blocks are drawn for it first.
 """
 
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import MapGeometry, boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.stream_psd import hann_power, hann_scale, white_level
-from mapmaker.timestreams import Timestreams, timestream_file
+from mapmaker.timestreams import timestream_file
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL, AuxiliaryData, CleaningPipeline, apply_pipeline
 from surveysim.reduction.detector_weights import weighted
@@ -31,7 +31,7 @@ from surveysim.runtime.once import keep_last
 from surveysim.scene.analysis import Cleaning
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.scans import Scans, samples_per_scan
-from surveysim.timestreams.observation import Stopwatch, draw_block, draw_other_bands
+from surveysim.timestreams.observation import DrawnBlock, Stopwatch, draw_block, draw_other_bands
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.response import write_sky_signal
 from surveysim.timestreams.scan_blocks import Block
@@ -52,7 +52,7 @@ class _Part:
     observation: int
     block: Block
     pointing: Pointing
-    streams: Timestreams
+    streams: DrawnBlock
     index: tuple[np.ndarray, ...]
     auxiliary: AuxiliaryData
     cleaned: tuple[Cleaned, ...]
@@ -92,7 +92,7 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
     """
     watch, (_, pointing) = Stopwatch(), observation_path(setup.observing, observation)
     sums, delays = _empty_sums(setup, with_signal_sims), delays_of_all_blocks(setup, observation, pointing, watch)
-    with nullcontext(lambda streams: None) if path is None else timestream_file(path, len(pointing.time_s)) as save:
+    with _saved(path, len(pointing.time_s)) as save:
         for block in setup.observing.blocks:
             _add_part(sums, _reduce(setup, observation, pointing, block, delays_s_rad=delays, watch=watch), save, watch)
     kept = np.concatenate(sums.kept, axis=1)
@@ -144,6 +144,16 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
     )
 
 
+@contextmanager
+def _saved(path: Path | None, n_samp: int) -> Iterator[Callable[[_Part], None]]:
+    """Write the streams of each block to a file of an observation of `n_samp` samples; to none without a path."""
+    if path is None:
+        yield lambda part: None
+        return
+    with timestream_file(path, n_samp) as save:
+        yield lambda part: save(part.streams.timestreams())
+
+
 def kept_scans(setup: Setup, observation: int) -> np.ndarray:
     """Find the scans that each pipeline keeps of an observation, (n_pipeline, n_scan) bool."""
     (_, pointing), watch = observation_path(setup.observing, observation), Stopwatch()
@@ -170,10 +180,10 @@ def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
     return _Sums(maps, exposure, signals, power)
 
 
-def _add_part(sums: _Sums, part: _Part, save: Callable[[Timestreams], None], watch: Stopwatch) -> None:
+def _add_part(sums: _Sums, part: _Part, save: Callable[[_Part], None], watch: Stopwatch) -> None:
     """Add a reduced block to the sums; its streams are freed on return unless the caller keeps them."""
     setup = part.setup
-    save(part.streams)
+    save(part)
     with watch("spectra"):
         _add_spectra(sums, part)
     for pipeline, index, item in zip(setup.analysis.pipelines, part.index, part.cleaned, strict=True):
@@ -201,7 +211,7 @@ def _reduce(
 ) -> _Part:
     """Draw and clean one block of an observation with the pointing `whole`; without delays they are the block's own."""
     streams = draw_block(setup, observation, whole, block, watch)
-    pointing, plane = whole.scans(block.first, block.end), streams.focal_plane
+    pointing, plane = streams.of.pointing, streams.focal_plane
     with watch("pixels"):
         angle = pointing.array_angle_rad[pointing.scan]
         pixels = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
@@ -231,7 +241,7 @@ def _other_bands(setup: Setup, observation: int, whole: Pointing, block: Block) 
 def _clean(
     section: Cleaning,
     pipeline: CleaningPipeline,
-    streams: Timestreams,
+    streams: DrawnBlock,
     data_mk: np.ndarray,
     *,
     auxiliary: AuxiliaryData,

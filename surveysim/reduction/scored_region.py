@@ -60,8 +60,11 @@ class ScoredRegion:
 
     def pad(self, patch: np.ndarray) -> np.ndarray:
         """A patch (..., n, n) with zeros up to the grid of the rings."""
+        n_y, n_x = patch.shape[-2:]
         extra = len(self.mode_weight) - self.taper.shape[0]
-        return np.pad(patch, [(0, 0)] * (patch.ndim - 2) + [(0, extra)] * 2)
+        padded = np.zeros((*patch.shape[:-2], n_y + extra, n_x + extra), patch.dtype)
+        padded[..., :n_y, :n_x] = patch
+        return padded
 
     @cached_property
     def correlation(self) -> np.ndarray:

@@ -5,7 +5,8 @@ from typing import Literal
 
 import numpy as np
 
-from surveysim.atmosphere.weather import b2_quantile, pwv_quantile
+from surveysim.atmosphere.water import pwv_quantile
+from surveysim.atmosphere.weather import b2_quantile, season_quantiles
 from surveysim.forecasting.forecast import Forecast
 from surveysim.reduction.setup import Setup
 from surveysim.scene.units import b2_unit
@@ -96,15 +97,17 @@ def _weather(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
     air = setup.scene.atmosphere
     if air is None:
         return []
-    b2 = b2_quantile(air, setup.air.water, ndtri(np.array(QUARTILES)))
+    if setup.air.seasons:
+        b2, pwv = season_quantiles(air, setup.air.water, setup.air.seasons, QUARTILES)
+    else:
+        b2 = b2_quantile(air, setup.air.water, ndtri(np.array(QUARTILES)))
+        pwv = pwv_quantile(air, np.array(QUARTILES)) if setup.air.water is not None else np.empty(0)
     unit = b2_unit(air.spectral_index)
     rows = [_quartile("B2", unit, k, value, coadds.column("b2_mk2")) for k, value in enumerate(b2)]
     wind = np.degrees(coadds.column("wind_speed_rad_s")) * 60
     if air.wind_b2_exponent == 0:  # else its median depends on B2
         rows.append(_quartile("wind", "arcmin / s", 1, float(np.degrees(air.wind_median_rad_s)) * 60, wind))
-    if setup.air.water is not None:
-        water = zip(range(len(QUARTILES)), pwv_quantile(air, np.array(QUARTILES)), strict=True)
-        rows += [_quartile("water", "mm", k, value, coadds.column("pwv_mm")) for k, value in water]
+    rows += [_quartile("water", "mm", k, value, coadds.column("pwv_mm")) for k, value in enumerate(pwv)]
     return rows
 
 

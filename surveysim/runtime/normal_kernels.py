@@ -135,3 +135,28 @@ def fill_float32(out, first, stream):
 def fill_float64(out, first, stream):
     """As `fill_float32`, in float64: the same deviates, with more digits."""
     _fill(out, first, stream, _tile_float64)
+
+
+@njit(forceinline=True)
+def _add(out, scale, first, stream, fill_tile):
+    scratch = np.empty(TILE, out.dtype)
+    done, number, skip = 0, first // TILE, first % TILE
+    while done < out.size:
+        n = min(TILE - skip, out.size - done)
+        fill_tile(scratch, number, stream)
+        part = out[done : done + n]
+        for i in range(n):
+            part[i] += scale * scratch[skip + i]
+        done, number, skip = done + n, number + 1, 0
+
+
+@njit(cache=True, nogil=True)
+def add_float32(out, scale, first, stream):
+    """Add the deviates of `fill_float32`, times a float32 scale, to `out` (n,), in place."""
+    _add(out, scale, first, stream, _tile_float32)
+
+
+@njit(cache=True, nogil=True)
+def add_float64(out, scale, first, stream):
+    """As `add_float32`, in float64."""
+    _add(out, scale, first, stream, _tile_float64)

@@ -56,10 +56,22 @@ class NormalDeviates:
         """Fill a contiguous float32 or float64 array with the deviates from position `first` on."""
         from surveysim.runtime.normal_kernels import fill_float32, fill_float64
 
-        if not out.flags.c_contiguous or out.dtype not in (np.float32, np.float64):
-            raise ValueError(f"found {out.dtype} of strides {out.strides}; contiguous float32 or float64 is expected")
-        fill = fill_float32 if out.dtype == np.float32 else fill_float64
+        fill = fill_float32 if _is_single(out) else fill_float64
         fill(out.reshape(-1), first, np.array(self.words, np.uint32))
+
+    def add(self, out: np.ndarray, scale: float, first: int = 0) -> None:
+        """Add the deviates from position `first` on, times a scale, to a contiguous float32 or float64 array."""
+        from surveysim.runtime.normal_kernels import add_float32, add_float64
+
+        add = add_float32 if _is_single(out) else add_float64
+        add(out.reshape(-1), out.dtype.type(scale), first, np.array(self.words, np.uint32))
+
+
+def _is_single(out: np.ndarray) -> bool:
+    """Return whether a contiguous array is float32; raises ValueError unless it is float32 or float64."""
+    if not out.flags.c_contiguous or out.dtype not in (np.float32, np.float64):
+        raise ValueError(f"found {out.dtype} of strides {out.strides}; contiguous float32 or float64 is expected")
+    return bool(out.dtype == np.float32)
 
 
 def normal_deviates(

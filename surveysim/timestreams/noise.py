@@ -5,7 +5,6 @@ One-sided PSDs throughout; streams are (n_det, n_samp) float32 with whole scans 
 
 import numpy as np
 
-from mapmaker.chunks import row_chunks
 from surveysim.runtime.rng import NormalDeviates
 from surveysim.telescope.lattice_noise import CirculantFactor
 
@@ -16,12 +15,12 @@ def add_white(
     """Add white noise, independent in each detector, in place; its one-sided PSD is one number or one for each
     detector (n_det,).
     """
-    n_det, n_samp = data_mk.shape
-    deviation = _deviation(psd_mk2_hz, n_det, sample_rate_hz).astype(data_mk.dtype)
-    for rows in row_chunks(n_det, n_samp):
-        noise = deviates.draw(data_mk[rows].shape, first=rows.start * n_samp, dtype=data_mk.dtype)
-        noise *= deviation[rows]
-        data_mk[rows] += noise
+    deviation = np.sqrt(np.asarray(psd_mk2_hz) * sample_rate_hz / 2)
+    if deviation.ndim == 0:
+        deviates.add(data_mk, float(deviation))
+        return
+    for row, of_row in enumerate(deviation.tolist()):
+        deviates.add(data_mk[row], of_row, first=row * data_mk.shape[1])
 
 
 def _deviation(psd_mk2_hz: float | np.ndarray, n_det: int, sample_rate_hz: float) -> np.ndarray:

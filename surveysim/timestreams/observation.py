@@ -2,14 +2,15 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from time import perf_counter
 
 import numpy as np
 
 from mapmaker.geometry import north_angle, plane_directions
 from mapmaker.kernels.compiled import compile_s, compile_timer
-from mapmaker.timestreams import Timestreams
+from mapmaker.timestreams import FocalPlane, Timestreams, scan_bounds
 from surveysim.runtime.rng import RandomPurpose
 from surveysim.scene.scene import Scene, survey_hash
 from surveysim.telescope.pointing import Pointing
@@ -45,14 +46,45 @@ def draw_observation(setup: Simulation, observation: int) -> Timestreams:
     """Draw the time-streams of one observation, its blocks side by side; the attributes hold its weather."""
     (_, pointing), watch = observation_path(setup.observing, observation), Stopwatch()
     if len(setup.observing.blocks) == 1:
-        return draw_block(setup, observation, pointing, setup.observing.blocks[0], watch)
+        return draw_block(setup, observation, pointing, setup.observing.blocks[0], watch).timestreams()
     data = np.empty((setup.camera.n_det, len(pointing.time_s)), setup.stream_type)
     for block in setup.observing.blocks:
         data[:, setup.observing.samples(block)] = draw_block(setup, observation, pointing, block, watch).data_mk
     return _timestreams(setup, observation, pointing, pointing=pointing, first=0, data=data)
 
 
-def draw_block(setup: Simulation, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> Timestreams:
+@dataclass(frozen=True)
+class DrawnBlock:
+    """Streams of one block of an observation.
+
+    Attributes
+    ----------
+    of
+        The block.
+    data_mk : (n_det, n_samp)
+    """
+
+    of: ObservedBlock
+    data_mk: np.ndarray
+
+    @cached_property
+    def scan_bounds(self) -> np.ndarray:
+        """First and one-past-last sample of each scan, (n_scan, 2)."""
+        return scan_bounds(self.of.pointing.scan)
+
+    @property
+    def focal_plane(self) -> FocalPlane:
+        """Detectors in the array frame."""
+        return self.of.setup.camera.focal_plane
+
+    def timestreams(self) -> Timestreams:
+        """Attach directions on the sky and true parameters, which most reductions do without."""
+        of = self.of
+        pointing, first = of.pointing, of.block.first
+        return _timestreams(of.setup, of.observation, of.whole, pointing=pointing, first=first, data=self.data_mk)
+
+
+def draw_block(setup: Simulation, observation: int, whole: Pointing, block: Block, watch: Stopwatch) -> DrawnBlock:
     """Draw the time-streams of one block of an observation.
 
     Parameters
@@ -69,7 +101,7 @@ def draw_block(setup: Simulation, observation: int, whole: Pointing, block: Bloc
     with watch("response"):
         apply_response(setup, data)
     _add([item for item in components if not item.through_response], data, of, watch)
-    return _timestreams(setup, observation, whole, pointing=of.pointing, first=block.first, data=data)
+    return DrawnBlock(of, data)
 
 
 def _add(components: Sequence[StreamComponent], data: np.ndarray, of: ObservedBlock, watch: Stopwatch) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from surveysim.atmosphere.screen_simulation import StripCache, add_atmosphere, draw_strip, strip_step
+from surveysim.atmosphere.screen_simulation import StripCache, add_atmosphere, draw_strips, strip_step
 from surveysim.atmosphere.strip_factors import build_strip
 from surveysim.atmosphere.thin_screen import Screen, cross_psd, mean_removed_variance, structure_function, temporal_psd
 from surveysim.runtime.rng import NormalDeviates
@@ -44,7 +44,7 @@ def lattice_structure(strip):
     """Structure function (n_x/2 + 1, n_lane, n_lane) that draws of a strip have, from the factors."""
     density = np.zeros((strip.n_x // 2 + 1, strip.n_lane, strip.n_lane))
     for k in range(len(strip.start) - 1):
-        columns = strip.columns[strip.start[k] : strip.start[k + 1]].astype(float)
+        columns = strip.lane_columns[strip.start[k] : strip.start[k + 1]].astype(float)
         parts = 1.0 if k in (0, strip.n_x // 2) else 2.0
         density[k] = parts * columns.T @ columns / strip.n_x
     covariance = scipy.fft.irfft(density, n=strip.n_x, axis=0)[: strip.n_x // 2 + 1]
@@ -302,13 +302,17 @@ def test_strips_take_as_many_deviates_as_they_say():
     asked = []
 
     class Told(NormalDeviates):
-        def draw(self, shape, *, first=0, **options):
-            asked.append((shape, first))
-            return super().draw(shape, first=first, **options)
+        def fill(self, out, first=0):
+            asked.append((out.size, first))
+            super().fill(out, first)
 
-    one = draw_strip(strip, Told(deviates(8).words), first=7)
-    np.testing.assert_array_equal(one, draw_strip(strip, deviates(8), first=7))
-    assert asked == [(strip.n_deviates, 7)]
+    for between, of_fills in ((strip.n_deviates, [2]), (strip.n_deviates + 5, [1, 1])):
+        first = [7, 7 + between]
+        asked.clear()
+        both = draw_strips(strip, Told(deviates(8).words), first)
+        for one, position in zip(both, first, strict=True):
+            np.testing.assert_array_equal(one, draw_strips(strip, deviates(8), [position])[0])
+        assert asked == [(n * strip.n_deviates, position) for n, position in zip(of_fills, first, strict=False)]
 
 
 def test_strips_come_in_powers_of_two():

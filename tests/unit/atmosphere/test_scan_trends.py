@@ -7,7 +7,7 @@ import pytest
 
 from surveysim.atmosphere import trend_kernels as kernels
 from surveysim.atmosphere.scan_trends import draw_trends, strip_points
-from surveysim.atmosphere.screen_simulation import StripCache, draw_strip, strip_step
+from surveysim.atmosphere.screen_simulation import StripCache, draw_strips, strip_step
 from surveysim.atmosphere.thin_screen import LAG_MAX, Screen, structure_function, structure_slope, structure_table
 from tests import naive
 from tests.deviates import deviates
@@ -110,8 +110,9 @@ def test_a_strip_has_the_trends_that_it_is_given(screen, half_width):
     for draw, row in enumerate(error):
         trends = draw_trends(item, deviates(2 * draw))
         for scan in range(2):
-            strip = draw_strip(strips.strip_for(90 * ARCMIN), deviates(2 * draw + 1), first=scan * 10**6)
-            trends.impose(scan, strip)
+            strip = draw_strips(strips.strip_for(90 * ARCMIN), deviates(2 * draw + 1), [scan * 10**6])
+            trends.impose([scan], strip)
+            strip = strip[0]
             row[scan] = item.weight[scan] @ strip[item.lane[scan], item.column[scan]] - trends.value[scan]
     seen = slice(None) if half_width > 0 else slice(0, 4, 2)
     rms = np.sqrt(np.mean((error / spread) ** 2, axis=0))
@@ -124,9 +125,9 @@ def test_a_strip_changes_by_kriging(screen):
     strips = cache(screen)
     item = scans(strips, 1)
     trends = draw_trends(item, deviates(6))
-    before = draw_strip(strips.strip_for(90 * ARCMIN), deviates(7))
+    before = draw_strips(strips.strip_for(90 * ARCMIN), deviates(7), [0])[0]
     after = before.copy()
-    trends.impose(0, after)
+    trends.impose([0], after[None])
     covariance, weight = dense(item)[0, 0], item.weight[0]
     lane, column = item.lane[0], item.column[0]
     solved = np.linalg.solve(covariance, trends.value[0] - weight @ before[lane, column])
@@ -145,16 +146,16 @@ def test_scans_without_length_or_width():
     strips = cache(half_width=0.0)
     item = strip_points(strips, np.zeros((2, 2)), np.tile([1.0, 0.0], (2, 1)), np.zeros(2))
     trends = draw_trends(item, deviates(8))
-    before = draw_strip(strips.strip_for(0.0), deviates(9))
+    before = draw_strips(strips.strip_for(0.0), deviates(9), [0])[0]
     after = before.copy()
-    trends.impose(1, after)
+    trends.impose([1], after[None])
     assert np.isfinite(after).all() and np.isfinite(trends.value).all()
 
 
 def test_a_strip_that_lacks_a_point_is_refused():
     strips = cache()
     trends = draw_trends(scans(strips, 1), deviates(4))
-    strip = draw_strip(strips.strip_for(90 * ARCMIN), deviates(5))
+    strip = draw_strips(strips.strip_for(90 * ARCMIN), deviates(5), [0])[0]
     for short in (strip[:-1], strip[:, : trends.points.column.max()]):
-        with pytest.raises(ValueError, match="found a strip of .* or more is expected"):
-            trends.impose(0, np.ascontiguousarray(short))
+        with pytest.raises(ValueError, match="found strips of .* or more are expected"):
+            trends.impose([0], np.ascontiguousarray(short)[None])

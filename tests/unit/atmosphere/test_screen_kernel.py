@@ -110,8 +110,10 @@ def test_cubic_look_up_needs_four_lanes():
 def test_combine_columns_is_a_sum_over_factors():
     rng = np.random.default_rng(3)
     start = np.array([0, 3, 3, 4, 7])
-    columns = rng.standard_normal((7, 5)).astype(np.float32)
-    normals = rng.standard_normal(15).astype(np.float32)
-    modes = np.empty((5, 4), np.complex64)
+    columns = np.zeros((7, 8), np.float32)
+    columns[:, :5] = rng.standard_normal((7, 5))
+    normals = rng.standard_normal((2, 15)).astype(np.float32)
+    modes = np.empty((2, 5, 4), np.complex64)
     kernels.combine_columns(columns, start, normals, modes)
-    np.testing.assert_allclose(modes, naive.combine_columns(columns, start, normals), atol=1e-5)
+    for own, found in zip(normals, modes, strict=True):
+        np.testing.assert_allclose(found, naive.combine_columns(columns[:, :5], start, own), atol=1e-5)

@@ -90,6 +90,16 @@ def test_parts_equal_the_whole(dtype):
     np.testing.assert_array_equal(out.ravel(), whole)
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize(("first", "n"), [(0, 1000), (1, 5), (53, 65), (52, 63), (117, 64), (7, 0)])
+def test_deviates_are_added_as_they_are_drawn(first, n, dtype):
+    before = np.random.default_rng(1).standard_normal(n).astype(dtype)
+    found = before.copy()
+    STREAM.add(found, 0.7, first)
+    expected = before + dtype(0.7) * STREAM.draw(n, first=first, dtype=dtype)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=4 * np.finfo(dtype).eps)
+
+
 def test_arrays_that_cannot_be_filled():
     with pytest.raises(
         ValueError, match=r"^found float32 of strides \(8,\); contiguous float32 or float64 is expected$"
