@@ -33,7 +33,7 @@ BESIDE: dict[str, Mapping[str, Any]] = {
     "cleaning.neighbour_radius": {"cleaning.algorithm": "local"},
     "cleaning.order": {"cleaning.algorithm": "polynomial", "cleaning.regions": 1},
     "cleaning.regions": {"cleaning.algorithm": "polynomial", "cleaning.order": 1},
-    "photon.bose_fraction": {"photon.coherence": "intensity"},
+    "photon.bose_fraction": {"photon.coherence": "hbt"},
     "sky.curved_lmax": {"sky.cmb_band_power": "1000 uK2"},
     "photon.load.sky": LOAD | {"photon.load.optics": "1 K"},
     "photon.load.optics": LOAD | {"photon.load.sky": "1 K"},

@@ -32,6 +32,7 @@ from surveysim.scene.instrument import Instrument, OtherBand
 from surveysim.scene.scene import Scene
 from surveysim.telescope.diffraction import with_beam
 from surveysim.telescope.focal_plane import Camera, camera, mask_by_separation
+from surveysim.telescope.noise_levels import stop_emits
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.pointing import Schedule
 from surveysim.telescope.responsivity import assumed_responsivity, band_responsivity, camera_responsivity
@@ -111,10 +112,13 @@ def _prepare(scene: Scene) -> Setup:
         cam.lattices,
         cam.properties,
         cam.counts,
+        cam.band,
+        cam.polarizations,
         responsivity=responsivity,
         band_responsivity=of_bands,
         photon=scene.photon,
         excess=scene.excess,
+        stop_emits=stop_emits(scene),
     )
     waters = tuple(_water(scene, band) for band in scene.instrument.bands)
     air = AirSetup(layer_strips(scene, cam), water, waters, _seasons(scene, times))
@@ -129,6 +133,7 @@ def _prepare(scene: Scene) -> Setup:
             scene, geometry, sky_geometry, scene_pipelines, calibration, masked, n_det, cam_setup.beams
         ),
     )
+    _ = setup.camera.photon_coherence
     if setup.camera.n_det > MOST_DENSE:
         _check_torus(setup.camera)
     elements = check_layer(scene, air, radius_rad=cam.radius_rad, scans=scans, lowest_rad=lowest)

@@ -25,7 +25,6 @@ from surveysim.scene.scene import load_scene
 from surveysim.scene.units import BOLTZMANN_J_K
 from surveysim.telescope.beams import beams_of
 from surveysim.telescope.layouts import hexagon
-from surveysim.telescope.pixel_coherence import correlation_matrix
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_levels
 from surveysim.timestreams.response import write_sky_signal
@@ -33,6 +32,7 @@ from surveysim.timestreams.response_kernels import low_pass
 from surveysim.timestreams.simulation import camera_white, observation_path
 from surveysim.timestreams.time_constants import pole_coefficients
 from tests import naive
+from tests.pixels import correlation_matrix
 from tests.scenes import SMALL_SCENE, write_scene
 
 RATE = 10.0
@@ -317,7 +317,7 @@ def test_correlations_of_the_forecast_are_those_of_the_streams(scene_with):
         photon = 2.0 * (0.6 / SPREAD[rows] + 0.4)
         overlap = correlation_matrix(ready.camera.positions_f_lambda[rows], "field")
         expected = 0.7 * np.sqrt(np.outer(photon, photon)) * overlap + np.diag(0.3 * photon + SPREAD[::-1][rows])
-        shared, _ = noise_correlations(ready.camera, pipeline, shapes)
+        (shared,), _ = noise_correlations(ready.camera, pipeline, shapes)
         alone = independent_noise(shapes, pipeline) @ np.eye(len(rows))
         np.testing.assert_allclose(given.shared[0] * shared + given.white[0] * alone, expected, rtol=1e-10, atol=1e-12)
 
