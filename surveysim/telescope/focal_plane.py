@@ -139,12 +139,12 @@ def _table_camera(section: InstrumentSection) -> Camera:
     table = section.table
     rows = table.band_rows(section.table_band) & table.live
     x, y = table.positions_rad[rows].T
-    angle = table.columns["angle"][rows] if "angle" in table.columns else None
+    angle, names = (table.columns[key][rows] if key in table.columns else None for key in ("angle", "name"))
     properties = table_properties(table, rows)
     only_beams(section, properties, MAX_BEAMS)
     check_distinct(np.unique(np.column_stack([x, y]), axis=0))  # detectors of a pair have angles of their own
     return Camera(
-        FocalPlane(x.copy(), y.copy(), section.beam_fwhm_rad, angle),
+        FocalPlane(x.copy(), y.copy(), section.beam_fwhm_rad, angle, names),
         section.f_lambda_rad,
         illumination(section),
         properties=properties,

@@ -23,7 +23,9 @@ def apply_response(setup: Simulation, seen_mk: np.ndarray, band: int = 0, gain: 
     gain
         Common factor of all detectors.
     """
-    seen_mk *= (gain * _responsivity(setup, band))[:, None].astype(seen_mk.dtype)
+    factor = gain * _responsivity(setup, band)
+    if (factor != 1).any():
+        seen_mk *= factor[:, None].astype(seen_mk.dtype)
     if band == 0:
         apply_time_constants(setup, seen_mk)
 

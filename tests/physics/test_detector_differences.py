@@ -317,7 +317,7 @@ def test_correlations_of_the_forecast_are_those_of_the_streams(scene_with):
         photon = 2.0 * (0.6 / SPREAD[rows] + 0.4)
         overlap = correlation_matrix(ready.camera.positions_f_lambda[rows], "field")
         expected = 0.7 * np.sqrt(np.outer(photon, photon)) * overlap + np.diag(0.3 * photon + SPREAD[::-1][rows])
-        shared, _ = noise_correlations(ready.camera, pipeline, shapes)
+        (shared,), _ = noise_correlations(ready.camera, pipeline, shapes)
         alone = independent_noise(shapes, pipeline) @ np.eye(len(rows))
         np.testing.assert_allclose(given.shared[0] * shared + given.white[0] * alone, expected, rtol=1e-10, atol=1e-12)
 
