@@ -20,15 +20,12 @@ from surveysim.forecasting.mode_response import (
     ring_modes,
     stream_power,
 )
-from surveysim.forecasting.observing_conditions import NoiseCorrelations, ObservingConditions
+from surveysim.forecasting.observing_conditions import Correlation, NoiseCorrelations, ObservingConditions
 from surveysim.forecasting.scan_apodization import ScanApodization, frequency_nodes, hann_apodization, scan_apodization
 from surveysim.scene.analysis import Score
 from surveysim.scene.scene import Scene
-from surveysim.telescope.lattice_noise import NoiseCorrelation
 from surveysim.telescope.scans import Scans, samples_per_scan
 from surveysim.timestreams.shared_parts import screen
-
-Correlation = np.ndarray | NoiseCorrelation | None  # between detectors; None for independent ones
 
 
 @dataclass(frozen=True)

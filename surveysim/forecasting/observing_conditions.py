@@ -6,7 +6,7 @@ random shifts (Roberts 2018); the scatter over the shifts is their error.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
 
@@ -24,14 +24,13 @@ from surveysim.reduction.setup import Setup
 from surveysim.runtime.once import keep_last
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.atmosphere import Atmosphere
-from surveysim.scene.noise_and_sky import Excess, Photon
-from surveysim.telescope.lattice_noise import NoiseCorrelation
+from surveysim.telescope.lattice_noise import LatticePixels, NoiseCorrelation
 from surveysim.telescope.noise_levels import white_levels
-from surveysim.telescope.pixel_coherence import MOST_DENSE, correlation_matrix
+from surveysim.telescope.pixel_coherence import MOST_DENSE, DensePixels
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.low_frequency import excess_variance
 from surveysim.timestreams.observed_block import observation_levels, observation_weather
-from surveysim.timestreams.shared_parts import screen, shared_noise
+from surveysim.timestreams.shared_parts import screen
 from surveysim.timestreams.simulation import (
     CameraSetup,
     ObservingSetup,
@@ -47,7 +46,8 @@ _HIT_SAMPLES = 3e7  # of the observations that represent the coverage
 _FEWEST_HITS, _MOST_HITS = 4, 48
 _MOST_HIT_SAMPLES = 3e7  # of one of them; larger ones are thinned in time
 
-NoiseCorrelations = tuple[np.ndarray | NoiseCorrelation | None, np.ndarray | NoiseCorrelation | None]
+Correlation = np.ndarray | NoiseCorrelation | None  # between detectors; None for independent ones
+NoiseCorrelations = tuple[list[Correlation], Correlation]
 Draw = tuple[int, Weather | None]  # number of the observation, and its weather
 
 
@@ -59,6 +59,8 @@ class ObservingConditions:
     ----------
     white, shared : (n_draw,)
         PSDs of independent and of shared photon and detector noise [mK^2/Hz].
+    stop_share : (n_draw,)
+        The stop's part of the light that detectors share.
     excess : (n_draw,)
         Variance of the excess noise [mK^2].
     layer : (n_draw,)
@@ -73,6 +75,7 @@ class ObservingConditions:
 
     white: np.ndarray
     shared: np.ndarray
+    stop_share: np.ndarray
     excess: np.ndarray
     layer: np.ndarray
     sine: np.ndarray
@@ -168,8 +171,8 @@ def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingCondit
     views = {number: _view(setup.observing, number) for number in {number for number, _ in draws}}
     rows = [_condition_row(setup, views[number], weather) for number, weather in draws]
     *levels, there, back = (np.array(column) for column in zip(*rows, strict=True))
-    white, shared, excess, layer, sine, angle = levels
-    return ObservingConditions(white, shared, excess, layer, sine, angle, np.stack([there, back], axis=1))
+    white, shared, stop, excess, layer, sine, angle = levels
+    return ObservingConditions(white, shared, stop, excess, layer, sine, angle, np.stack([there, back], axis=1))
 
 
 def _view(observing: ObservingSetup, number: int) -> _ObservationGeometry:
@@ -203,7 +206,17 @@ def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | 
         each = camera_white(setup.camera, white)
         shared, unshared = float(each.shared.mean()), float((each.alone + each.detector).mean())
     angle = view.array_angle_rad + view.turn_rad
-    return unshared, shared, excess, layer, np.sin(view.elevation_rad), angle, speed - wind, speed + wind
+    return (
+        unshared,
+        shared,
+        white.stop_share,
+        excess,
+        layer,
+        np.sin(view.elevation_rad),
+        angle,
+        speed - wind,
+        speed + wind,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +247,7 @@ def independent_noise(shapes: WhiteShapes | None, pipeline: CleaningPipeline) ->
 def noise_correlations(
     camera: CameraSetup, pipeline: CleaningPipeline, shapes: WhiteShapes | None = None
 ) -> NoiseCorrelations:
-    """Detector correlations of the shared photon noise and of the excess noise.
+    """Detector correlations of the shared photon noise, by part, and of the excess noise.
 
     Parameters
     ----------
@@ -244,27 +257,25 @@ def noise_correlations(
     Returns
     -------
     photon, excess
-        (n_det, n_det) matrices, or `NoiseCorrelation` for large arrays; None where the scene has no such noise.
-        `excess` includes the responsivities.
+        (n_det, n_det) matrices, or `NoiseCorrelation` for large arrays; None for independent noise. Those of the photon
+        noise add up with `part_weights`. `excess` includes the responsivities.
     """
     gain = camera.responsivity[pipeline.rows]
     white = np.ones(len(gain)) if shapes is None else np.sqrt(shapes.shared[pipeline.rows])
-    photon = _correlation(camera, pipeline, section=camera.photon, name="photon", gain=white)
-    return photon, _correlation(camera, pipeline, section=camera.excess, name="excess", gain=gain)
+    photon = _correlations(camera.photon_correlation, pipeline, white)
+    excess = _correlations(camera.excess_correlation, pipeline, gain)
+    return photon, excess[0]
 
 
-def _correlation(
-    camera: CameraSetup, pipeline: CleaningPipeline, *, section: Photon | Excess | None, name: str, gain: np.ndarray
-) -> np.ndarray | NoiseCorrelation | None:
-    if section is None:
-        return None
-    if camera.n_det > MOST_DENSE:
-        torus = shared_noise(camera, section, name)
-        return NoiseCorrelation(torus and replace(torus, cells=torus.cells[pipeline.rows]), gain)
-    place = camera.positions_f_lambda[pipeline.rows]
-    matrix = correlation_matrix(place, section.coherence, camera.illumination)
-    matrix *= gain[:, None] * gain
-    return matrix
+def _correlations(
+    pixels: DensePixels | LatticePixels | None, pipeline: CleaningPipeline, gain: np.ndarray
+) -> list[Correlation]:
+    """Parts of the correlation of a pipeline's detectors, multiplied by `gain` on both sides."""
+    if pixels is None:
+        return [np.diag(gain**2) if len(gain) <= MOST_DENSE else NoiseCorrelation(None, gain)]
+    if isinstance(pixels, DensePixels):
+        return [part * (gain[:, None] * gain) for part in pixels.columns(pipeline.rows)]
+    return [NoiseCorrelation(torus, gain) for torus in pixels.columns(pipeline.rows)]
 
 
 def removed_modes(

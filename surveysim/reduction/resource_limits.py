@@ -10,6 +10,7 @@ from surveysim.atmosphere.weather import fastest_wind, survey_weather
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.memory import machine_bytes
 from surveysim.scene.scene import Scene
+from surveysim.telescope.noise_levels import stop_emits
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.scans import Scans, samples_per_scan
 from surveysim.timestreams.simulation import AirSetup
@@ -148,7 +149,7 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
         "score.jackknives": 12.0 * flips * of.n_set * patch + more_sums,
         "score.size": 110.0 * of.n_pad**2,
         "atmosphere.layer_height": 32.0 * of.strip_elements,
-        "instrument.layout": 32.0 * pairs,
+        "instrument.layout": (56.0 if stop_emits(scene) else 32.0) * pairs,
         "observations": 8.0 * scene.observations * (compared * n_freq + 4 * scene.scan.scans),
         "sky.curved_lmax": 48.0 * of.n_coefficients,
     }

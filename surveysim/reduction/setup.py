@@ -27,6 +27,7 @@ from surveysim.reduction.consistency import (
     check_templates,
     sky_coefficients,
 )
+from surveysim.reduction.detector_weights import beams_of, detector_weights
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.runtime.errors import InputError, SceneError
@@ -34,6 +35,7 @@ from surveysim.scene.bands import errors_of
 from surveysim.scene.scene import Scene
 from surveysim.telescope.diffraction import with_beam
 from surveysim.telescope.focal_plane import Camera, CameraExtent, camera, camera_extent, mask_by_separation
+from surveysim.telescope.noise_levels import stop_emits
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.pointing import Schedule
 from surveysim.telescope.responsivity import assumed_responsivity, camera_responsivity
@@ -155,9 +157,12 @@ def _simulation(scene: Scene, common: _Common) -> Simulation:
         cam.lattices,
         cam.properties,
         cam.counts,
+        cam.band,
+        cam.polarizations,
         responsivity=camera_responsivity(scene, cam),
         photon=scene.photon,
         excess=scene.excess,
+        stop_emits=stop_emits(scene),
     )
     all_bands = common.extent.focal_plane if len(common.cameras) > 1 else None
     return Simulation(
@@ -186,7 +191,7 @@ def _prepare(scene: Scene) -> Setup:
     _check_blocks(scene, common, scene_pipelines)
     drawn = _simulation(scene, common)
     lowest = _lowest(scene, cam, common.times, mid_times(scans))
-    check_levels(scene, drawn.air.water, lowest)
+    weight = detector_weights(drawn.camera, check_levels(scene, drawn.air.water, lowest))
     check_sources(scene, common.sky_geometry)
     others = _others(scene, common) if "spectral" in scene.cleaning.named else ()
     calibration = _calibration(scene, (drawn, *others))
@@ -200,11 +205,13 @@ def _prepare(scene: Scene) -> Setup:
             calibration,
             masked,
             drawn.camera.n_det,
-            drawn.camera.beams,
+            weight,
+            beams_of(drawn.camera, weight),
         ),
         others=others,
     )
     for item in (drawn, *others):
+        _ = item.camera.photon_coherence
         if item.camera.n_det > MOST_DENSE:
             _check_torus(item.camera)
     radius = common.extent.radius_rad

@@ -187,6 +187,12 @@ def table_or_name(value: object, info: ValidationInfo) -> object:
     return value if isinstance(value, str) and value and not Path(value).suffix else file_path(value, info)
 
 
+def _photon_coherence(value: object) -> object:
+    if value == "intensity":
+        raise ValueError("found 'intensity'; photon noise with this correlation is 'hbt' now")
+    return value
+
+
 def _share_or_table(value: object, info: ValidationInfo) -> object:
     if isinstance(value, str | Path):
         return file_path(value, info)
@@ -307,4 +313,5 @@ Ratios = Annotated[
     tuple[tuple[str, Positive], ...], BeforeValidator(_pairs), of_file("object", minimum=1e-6, maximum=1e6)
 ]
 Coherence = Literal["field", "intensity", "none"]
+PhotonCoherence = Annotated[Literal["hbt", "field", "none"], BeforeValidator(_photon_coherence)]
 Steps = Annotated[tuple[str, ...], BeforeValidator(_steps), Field(json_schema_extra=_steps_of_file)]

@@ -11,7 +11,7 @@ import numpy as np
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import illumination
-from surveysim.telescope.pixel_coherence import Illumination
+from surveysim.telescope.illumination import Illumination
 
 LIGHT_M_S = 299792458.0
 _NODES = 200  # of the radius; the field varies slowly

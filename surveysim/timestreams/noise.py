@@ -15,12 +15,12 @@ def add_white(
     """Add white noise, independent in each detector, in place; its one-sided PSD is one number or one for each
     detector (n_det,).
     """
-    if np.ndim(psd_mk2_hz) == 0:
-        deviates.add(data_mk, float(np.sqrt(psd_mk2_hz * sample_rate_hz / 2)))
+    deviation = np.sqrt(np.asarray(psd_mk2_hz) * sample_rate_hz / 2)
+    if deviation.ndim == 0:
+        deviates.add(data_mk, float(deviation))
         return
-    n_det, n_samp = data_mk.shape
-    for row, deviation in enumerate(_deviation(psd_mk2_hz, n_det, sample_rate_hz)[:, 0]):
-        deviates.add(data_mk[row], deviation, first=row * n_samp)
+    for row, of_row in enumerate(deviation.tolist()):
+        deviates.add(data_mk[row], of_row, first=row * data_mk.shape[1])
 
 
 def _deviation(psd_mk2_hz: float | np.ndarray, n_det: int, sample_rate_hz: float) -> np.ndarray:

@@ -13,7 +13,8 @@ from surveysim.timestreams.time_constants import apply_time_constants
 
 def apply_response(setup: Simulation, seen_mk: np.ndarray) -> None:
     """Turn signals (n_det, n_samp) that the detectors see into their output, in place: responsivity, time constants."""
-    seen_mk *= setup.camera.responsivity[:, None].astype(seen_mk.dtype)
+    if (setup.camera.responsivity != 1).any():
+        seen_mk *= setup.camera.responsivity[:, None].astype(seen_mk.dtype)
     apply_time_constants(setup, seen_mk)
 
 

@@ -27,7 +27,8 @@ CLEANINGS = {
 }
 COHERENCES = {
     "field": "as far as the fields of overlapping beams are coherent (hypothesis of Sayers et al. 2010)",
-    "intensity": "as far as the intensities of overlapping beams are coherent (photon bunching)",
+    "hbt": "as far as light from common sources is coherent (Hanbury Brown and Twiss)",
+    "intensity": "as the square of the coherence of the fields of overlapping beams",
     "none": "not at all",
 }
 SIMULATED = {"uncorrelated": "the same noise without correlations", "white": "white noise"}
@@ -127,7 +128,10 @@ def _camera(camera: Values, n_det: int, behind: str) -> Iterator[str]:
     if camera["camera_rotation_range_rad"]:
         yield f"The camera angle varies within {_deg(camera['camera_rotation_range_rad'])}° between observations."
     if camera["horn_f_lambda"] is not None:
-        yield f"Horns are {short(camera['horn_f_lambda'])} (f/#)λ wide."
+        mode = " with the HE11 mode" if camera["illumination"] == "he11" else ""
+        yield f"Horns{mode} are {short(camera['horn_f_lambda'])} (f/#)λ wide."
+    elif camera["illumination"] not in (None, "uniform", "gaussian"):
+        yield f"Pixels illuminate the stop as in the table {PurePath(camera['illumination']).name}."
     if camera["edge_taper_db"] is not None:
         yield f"Pixels illuminate the stop with an edge taper of {short(camera['edge_taper_db'])} dB."
     if camera["efficiency"] is not None:
@@ -214,14 +218,16 @@ def _photon(photon: Values) -> Iterator[str]:
             yield f"From the load of {sky} and warm optics of {short(load['optics_k'])} K."
         else:
             yield "From the load of the optics."
-        of = "its bunching part" if photon["coherence"] == "intensity" else "the noise of the load through the beam"
+        of = "its bunching part" if photon["coherence"] == "hbt" else "the noise of the load through the beam"
         yield f"Neighbours share {of} {COHERENCES[photon['coherence']]}."
     else:
         share, how = photon["coherent_fraction"], photon["coherence"]
         shared = f"{_percent(share)} of it common to neighbours {COHERENCES[how]}"
-        if how == "intensity":
-            bose = photon["bose_fraction"]
-            shared = f"{_percent(bose)} of it from bunching, {_percent(share)} of the load through the beam;"
+        if how == "hbt":
+            bose, stop = photon["bose_fraction"], photon["stop_fraction"]
+            shared = f"{_percent(bose)} of it from bunching, {_percent(share)} of the load through the beam"
+            shared += f" and {_percent(stop)} from the stop;" if stop else ";"
+            share += stop or 0.0
             shared += f" neighbours share the bunching of that part {COHERENCES[how]}"
             share *= bose
         yield f"White, {short(photon['psd_mk2_hz'])} mK2 / Hz,"

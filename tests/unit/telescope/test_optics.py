@@ -13,10 +13,10 @@ from surveysim.scene.passband import top_hat
 from surveysim.scene.place import shipped_place
 from surveysim.scene.scene import load_scene
 from surveysim.scene.units import BOLTZMANN_J_K, PLANCK_J_S
+from surveysim.telescope.illumination import gaussian_horn
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.optics import scene_chain
 from surveysim.telescope.photon_noise import chain_noise, photon_noise
-from surveysim.telescope.pixel_coherence import horn_taper_db, stop_efficiency
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_levels, observation_weather
 from tests.camera import BAND, CAMERA, HORNS, PHOTON, QUIET, SITE, STATED_SKY
@@ -42,7 +42,7 @@ def test_chain_of_a_scene_by_hand(scene_of):
     chain = scene_chain(scene_of(PHOTON + STATED_SKY, HORNS), None, np.nan, HEIGHT)
     assert [surface.name for surface in chain.surfaces] == ["sky", "mirrors", "filter", "stop", "lens", "detector"]
     nu = chain.band.nodes[0]
-    share = np.array([stop_efficiency(horn_taper_db(item)) for item in nu / 143e9])
+    share = np.array([gaussian_horn(item).efficiency for item in nu / 143e9])
     received = BOLTZMANN_J_K * 20 / (PLANCK_J_S * nu)
     received = 0.95 * received + 0.05 * black(nu, 270)
     received = 0.9 * received + 0.02 * black(nu, 50)
@@ -119,9 +119,9 @@ def test_shared_parts_are_those_of_the_load_before_the_stop(scene_of):
     power = chain.power_w(chain.occupation)
     field = white_levels(scene_of(text, HORNS), None, np.nan, HEIGHT)
     assert field.shared == pytest.approx(power[:3].sum() / power.sum(), rel=1e-12)
-    hbt = white_levels(scene_of(text.replace("field", "intensity"), HORNS), None, np.nan, HEIGHT)
+    hbt = white_levels(scene_of(text.replace("field", "hbt"), HORNS), None, np.nan, HEIGHT)
     wave = hbt.wave_mk2_hz / hbt.photon_mk2_hz
-    assert hbt.shared == pytest.approx(hbt.aperture_weight**2 * wave, rel=1e-12)
+    assert hbt.shared == pytest.approx((hbt.aperture_weight + hbt.stop_weight) ** 2 * wave, rel=1e-12)
     assert 0 < hbt.stop_weight < 1 - hbt.aperture_weight < 0.2
 
 
@@ -158,7 +158,6 @@ def test_transmission_from_a_table(scene_of, tmp_path):
         (('side = "detector"', 'side = "stop"'), "found 'stop'; input should be 'sky' or 'detector'"),
         (('side = "sky"', 'side = "detector"'), "found 'filter' of side 'sky' after one of side 'detector'"),
         (('sky = "20 K"\n', ""), "optics.sky: missing; a temperature, or a site that it follows from, is expected"),
-        (('[optics.stop]\ntemperature = "4 K"\n', ""), "optics.stop: missing; .* spill part of their beam"),
         (
             ('sky = "20 K"\n', 'sky = "20 K"\naperture = "2 m"\ncentral_obscuration = "3 m"\n'),
             "central_obscuration: found 3 m; less than the aperture, 2 m, is expected",
@@ -177,6 +176,15 @@ def test_a_table_that_does_not_cover_the_band(scene_of, tmp_path):
     (tmp_path / "filter.ecsv").write_text(TABLE.replace("160", "150"))
     with pytest.raises(SceneError, match="optics.elements: 'filter': .* 100 to 150 GHz; one that covers the passband"):
         prepare(scene_of(PHOTON + TABLED, HORNS))
+
+
+@pytest.mark.parametrize("spills", [HORNS, {"instrument.edge_taper": "3 dB"}])
+def test_beams_that_spill_need_a_stop(scene_of, spills):
+    """Half of the beam of a taper of 3 dB, more of that of a horn of one (f/#)lambda."""
+    bare = STATED_SKY.replace('[optics.stop]\ntemperature = "4 K"\n', "")
+    with pytest.raises(SceneError, match="optics.stop: missing; 0.[56].* of each pixel's beam spills on it"):
+        prepare(scene_of(PHOTON + bare, spills))
+    assert scene_chain(scene_of(PHOTON + bare), None, np.nan, HEIGHT).transmission[0] > 0
 
 
 @pytest.mark.parametrize(

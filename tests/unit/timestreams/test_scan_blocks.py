@@ -84,7 +84,7 @@ def test_a_scan_larger_than_the_machine_is_refused(setup_of, monkeypatch):
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_scenarios_are_of_one_block_and_dense(path):
     for scene in scenes_of(path):
-        _check_size(path, scene)
+        _check_size(path, with_beam(scene))
 
 
 @pytest.mark.slow
@@ -93,15 +93,18 @@ def test_scenarios_are_of_one_block_and_dense(path):
 )
 def test_points_of_sweeps_are_of_one_block_and_dense(path):
     for point in load_sweep(path).points:
-        _check_size(path, point.scene)
+        _check_size(path, with_beam(point.scene))
 
 
 def _check_size(path, scene):
-    """Assert that a scene fits into one block, which its results depend on; only the large camera does not."""
-    n_det = camera(with_beam(scene).instrument, scene.seed).n_det
+    """Assert that a scene fits into one block, which its results depend on; only the large camera does not.
+
+    Responsivities of a band of 856 detectors are fitted on its streams.
+    """
+    n_det = camera(scene.instrument, scene.seed).n_det
     samples = n_det * scene.scan.scans * scene.scan.duration_s * scene.scan.sample_rate_hz
     many = path.stem == "large_camera"
-    assert (n_det > MOST_DENSE) == (n_det > MOST_GRAM) == many
+    assert (n_det > MOST_DENSE) == many and (n_det > MOST_GRAM) == (many or scene.name == "three_bands_220")
     # Four bytes a sample, and as many for each other band.
     assert (4 * samples * (1 + len(scene.others)) > scene.numerics.max_block_bytes) == many
 
