@@ -188,18 +188,40 @@ def new(
         fail(no_such_scene(like))
     text, content = read_scene(source)
     target.parent.mkdir(exist_ok=True)
+    tables = _tables_to_copy(content, source.parent, target.parent)
     try:
         with open(target, "x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
         fail(f"{target}: exists; another name is expected")
+    for table, content_of_table in tables.items():
+        table.write_bytes(content_of_table)
     say(f"{target}: a copy of {source}; edit it, then: surveysim check {target}")
+    if tables:
+        say(f"with {', '.join(table.name for table in tables)} in the same folder")
     if "[sweep" in text:
         say("[sweep] varies keys of the copied scene; give it keys and values of your own, or delete it")
     if "[score.reference]" in text:
         say("[score.reference] has published values of the copied scene; delete it for another survey")
     if hint := _band_hint(content):
         say(hint)
+
+
+def _tables_to_copy(content: Mapping[str, Any], source: Path, target: Path) -> dict[Path, bytes]:
+    """Return the tables beside a scene that its copy in another folder needs, by their new paths."""
+    from surveysim.output.scene_copy import file_values
+
+    found: dict[Path, bytes] = {}
+    for _, value in file_values(content):
+        for name in value if isinstance(value, list) else [value]:
+            old, new = source / str(name), target / str(name)
+            if not old.is_file() or (new.exists() and new.samefile(old)):
+                continue
+            if new.exists() and new.read_bytes() != old.read_bytes():
+                fail(f"{new}: exists, with another content than {old}; another folder is expected")
+            if not new.exists() and new.parent.is_dir():
+                found[new] = old.read_bytes()
+    return found
 
 
 def cameras() -> None:

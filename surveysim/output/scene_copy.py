@@ -57,7 +57,7 @@ def _self_contained(origin: Origin, name: str) -> tuple[str, dict[str, bytes]]:
     if content.get("name") != name:
         changes[("name",)] = name
     tables: dict[str, bytes] = {}
-    for keys, value in _file_values(_with(content, changes)):
+    for keys, value in file_values(_with(content, changes)):
         changes[keys] = _relocated(value, str(keys[-1]).rpartition(".")[2], origin.path.parent, tables)
     if not changes:
         return origin.text, tables
@@ -66,7 +66,7 @@ def _self_contained(origin: Origin, name: str) -> tuple[str, dict[str, bytes]]:
     return _changed(origin.text, content, changes), tables
 
 
-def _file_values(content: Mapping[str, Any]) -> Iterator[tuple[Keys, Any]]:
+def file_values(content: Mapping[str, Any]) -> Iterator[tuple[Keys, Any]]:
     """Find the names of files in a scene, and lists of them in its sweep, with their keys."""
     from surveysim.scene.keys import file_keys
 

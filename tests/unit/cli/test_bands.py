@@ -11,8 +11,10 @@ from astropy.table import QTable
 import surveysim
 from surveysim import load_bands, run
 from surveysim.api import run_survey
+from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import NotForecastableError, SceneError
+from surveysim.scene.shipped import shipped_folder
 from tests.cameras import TWO_BANDS, write_camera
 from tests.trees import files
 
@@ -194,3 +196,31 @@ def test_commands_on_scenes_of_one_band(call, camera, arguments):
         "",
         "two.toml: bands: found a camera of several bands; a scene without [bands] is expected here\n",
     )
+
+
+def test_a_shipped_camera_with_its_tables(call, camera):
+    """1,509 positions of a table at a place of its own: counts and passband by an independent reading."""
+    table = QTable.read(shipped_folder() / "three_bands_detectors.ecsv")
+    code, out, _ = call("new", "mine", "--like", "three_bands")
+    assert code == 0 and "with three_bands_detectors.ecsv, three_bands_150.ecsv in the same folder" in out
+    code, out, _ = call("check", "mine")
+    counts = {name: np.count_nonzero((table["band"] == name) & (table["dead"] == 0)) for name in ("90", "150", "220")}
+    assert code == 0 and len(table) == 1509
+    for name, live in counts.items():
+        there = np.count_nonzero(table["band"] == name)
+        assert f"{name}: {live} detectors; {there - live} dead positions of {there}\n" in out
+    setups = {name: prepare(scene) for name, scene in load_bands("mine").bands.items()}
+    for name, setup in setups.items():
+        own = table[(table["band"] == name) & (table["dead"] == 0)]
+        nep = own["nep"].to_value("W / Hz(1/2)")
+        np.testing.assert_allclose(setup.camera.properties.noise, nep**2 / np.mean(nep**2), rtol=1e-6)
+    curve = QTable.read(shipped_folder() / "three_bands_150.ecsv")
+    fine = np.linspace(124, 176, 200_001)
+    weight = np.interp(fine, curve["frequency"].to_value("GHz"), curve["transmission"])
+    centre = setups["150"].scene.instrument.band.centre_hz / 1e9
+    assert centre == pytest.approx(np.average(fine, weights=weight), rel=1e-6)
+    assert call("new", "other", "--like", "three_bands")[0] == 0  # the same tables
+    Path("scenarios/three_bands_150.ecsv").write_text("")
+    code, _, error = call("new", "third", "--like", "three_bands")
+    assert code == 2 and "three_bands_150.ecsv: exists, with another content than" in error
+    assert not Path("scenarios/third.toml").exists()
