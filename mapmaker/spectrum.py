@@ -1,6 +1,7 @@
 """PSDs of maps: tapers, 2-D and azimuthally averaged PSDs, their expectation and degrees of freedom."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -30,6 +31,11 @@ class Annuli:
     n_modes: np.ndarray
     bin_of_mode: np.ndarray
     multiplicity: np.ndarray
+
+    @cached_property
+    def modes_of_bin(self) -> np.ndarray:
+        """Number of modes of the whole plane in each bin, (n_bin,)."""
+        return np.bincount(self.bin_of_mode, self.multiplicity, self.ell.size + 1)[: self.ell.size]
 
 
 def tukey_taper(n_y: int, n_x: int, pixel_rad: float, *, size_rad: float, edge_fraction: float) -> np.ndarray:
@@ -265,7 +271,7 @@ def ring_mean(values: np.ndarray, rings: Annuli) -> np.ndarray:
 def _ring_mean(values: np.ndarray, rings: Annuli) -> np.ndarray:
     n_bin = rings.ell.size
     total = np.bincount(rings.bin_of_mode, values.ravel() * rings.multiplicity, n_bin + 1)[:n_bin]
-    return total / np.bincount(rings.bin_of_mode, rings.multiplicity, n_bin + 1)[:n_bin]
+    return total / rings.modes_of_bin
 
 
 def coupled_psd(

@@ -16,7 +16,8 @@ from mapmaker.validation import argument_error, flags, increasing, integers, num
 
 _PER_SAMPLE = ("time_s", "ra_deg", "dec_deg", "array_angle_deg", "scan")
 _PER_DETECTOR = ("x_arcmin", "y_arcmin")
-_ANGLE = "polarization_angle_deg"  # of each detector; files of unpolarized detectors lack it
+# Of each detector; files can lack them.
+_ANGLE, _NAME = "polarization_angle_deg", "detector_name"
 # Largest absolute values: right ascensions and array angles may be unwrapped by a hundred turns; declinations and
 # detector offsets are at most a quarter of a turn.
 _QUARTER_RAD, _TURNS_RAD = math.pi / 2 * (1 + 1e-9), 200 * math.pi
@@ -42,24 +43,31 @@ class FocalPlane:
     angle_rad : (n_det,), optional
         Polarization angle of each detector from the array's y axis, in the sense of position angles; None where
         unknown.
+    names : (n_det,) text, optional
+        Name of each detector; None without names.
 
     Raises
     ------
     ValueError
-        For offsets or angles that are not finite, of different number or none, and a beam outside 0 to half a turn.
+        For offsets or angles that are not finite, of different number or none, names of another number, and a beam
+        outside 0 to half a turn.
     """
 
     x_rad: np.ndarray
     y_rad: np.ndarray
     fwhm_rad: float
     angle_rad: np.ndarray | None = None
+    names: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         x = reals("x_rad", self.x_rad, ("n_det",))
         y = reals("y_rad", self.y_rad, x.shape)
         fwhm = number("fwhm_rad", self.fwhm_rad, above=0, below=np.pi)
         angle = None if self.angle_rad is None else reals("angle_rad", self.angle_rad, x.shape)
-        _set(self, x_rad=x, y_rad=y, fwhm_rad=fwhm, angle_rad=angle)
+        names = None if self.names is None else np.asarray(self.names)
+        if names is not None and (names.shape != x.shape or names.dtype.kind != "U"):
+            raise argument_error("names", f"{names.dtype} of the shape {names.shape}", f"{len(x)} texts are")
+        _set(self, x_rad=x, y_rad=y, fwhm_rad=fwhm, angle_rad=angle, names=names)
 
     def subset(self, detectors: np.ndarray | slice) -> "FocalPlane":
         """Focal plane of some detectors, given by index, by a flag each, or by a slice.
@@ -70,8 +78,8 @@ class FocalPlane:
             For none, and for an index or flags that do not match the detectors.
         """
         rows = detector_rows(detectors, len(self.x_rad))
-        angle = None if self.angle_rad is None else self.angle_rad[rows]
-        return FocalPlane(self.x_rad[rows], self.y_rad[rows], self.fwhm_rad, angle)
+        angle, names = (None if item is None else item[rows] for item in (self.angle_rad, self.names))
+        return FocalPlane(self.x_rad[rows], self.y_rad[rows], self.fwhm_rad, angle, names)
 
 
 def detector_rows(detectors: np.ndarray | slice, n_det: int) -> np.ndarray | slice:
@@ -244,6 +252,8 @@ def _begin(file: Any, part: Timestreams, n_samp: int) -> None:
     file["y_arcmin"] = np.degrees(part.focal_plane.y_rad) * 60
     if part.focal_plane.angle_rad is not None:
         file[_ANGLE] = np.degrees(part.focal_plane.angle_rad)
+    if part.focal_plane.names is not None:
+        file.create_dataset(_NAME, data=part.focal_plane.names.tolist(), dtype=_text())
     file.attrs["fwhm_arcsec"] = np.degrees(part.focal_plane.fwhm_rad) * 3600
     for name, value in part.attributes.items():
         if name == "fwhm_arcsec":
@@ -293,7 +303,7 @@ def _streams_of(file: Any) -> Timestreams:
         fwhm_rad = np.radians(number("fwhm_arcsec", attributes.pop("fwhm_arcsec"), above=0) / 3600)
         x_rad, y_rad = (_radians(name, file[name][()]) for name in _PER_DETECTOR)
         ra, dec, angle = (_radians(name, file[name][()]) for name in _PER_SAMPLE[1:4])
-        plane = FocalPlane(x_rad, y_rad, fwhm_rad, _polarization_angles(file))
+        plane = FocalPlane(x_rad, y_rad, fwhm_rad, _polarization_angles(file), _names(file))
         data = reals("data", file["data"][()], file["data"].shape, finite=False)
         return Timestreams(data, file["time_s"][()], ra, dec, angle, file["scan"][()], plane, attributes)
     except (ArgumentError, InputError) as error:
@@ -302,6 +312,16 @@ def _streams_of(file: Any) -> Timestreams:
 
 def _polarization_angles(file: Any) -> np.ndarray | None:
     return _radians(_ANGLE, file[_ANGLE][()]) if _ANGLE in file else None
+
+
+def _names(file: Any) -> np.ndarray | None:
+    return np.array(file[_NAME].asstr()[()]).astype(str) if _NAME in file else None
+
+
+def _text() -> Any:
+    import h5py
+
+    return h5py.string_dtype("utf-8")
 
 
 def _radians(name: str, values: object) -> np.ndarray:
@@ -315,7 +335,7 @@ def _check_layout(file: Any) -> None:
     missing = [name for name in ("data", *_PER_SAMPLE, *_PER_DETECTOR) if name not in file]
     if missing or "fwhm_arcsec" not in file.attrs:
         raise _Unfit(f"lacks {', '.join(missing or ['the attribute fwhm_arcsec'])}")
-    names = ("data", *_PER_SAMPLE, *_PER_DETECTOR, *([_ANGLE] if _ANGLE in file else []))
+    names = ("data", *_PER_SAMPLE, *_PER_DETECTOR, *(name for name in (_ANGLE, _NAME) if name in file))
     for name in names:
         if isinstance(file.get(name, getlink=True), h5py.ExternalLink):
             raise _Unfit(f"{name} is a link to another file; a data set is expected")

@@ -13,7 +13,7 @@ from surveysim.forecasting.forecast import forecast as forecast_scene
 from surveysim.output.directory import begin, claimed, replacing
 from surveysim.output.expected_files import of_forecast, of_run, of_sweep
 from surveysim.output.writer import write_forecast, write_outputs, write_sweep
-from surveysim.reduction.setup import prepare
+from surveysim.reduction.setup import is_quick, prepare
 from surveysim.results.results import SurveyResult, survey_result
 from surveysim.results.stopping import StoppingCriteria, check_limits, stopping_rule
 from surveysim.runtime.engine import SERIAL, Engine, default_workers
@@ -97,8 +97,9 @@ def run(
         Directory for the results, which replace those of an earlier run of the same scene. Its checkpoint.h5 keeps the
         sums over finished observations.
     engine
-        Where observations run, by default one process per core; results do not depend on it. Only a dask worker that
-        replaces a lost one imports the calling script, which then needs ``if __name__ == "__main__":``.
+        Where observations run; results do not depend on it. By default one process per core, but this one for a survey
+        of a second or two. Only a dask worker that replaces a lost one imports the calling script, which then needs
+        ``if __name__ == "__main__":``.
     resume
         Continue from the checkpoint in `out`.
     save_timestreams
@@ -132,6 +133,7 @@ def run(
     start, limits = perf_counter(), StoppingCriteria(target_error, time_budget_s)
     setup = prepare(_scene(scene))
     check_limits(setup, limits)
+    engine = engine.for_work(is_quick(setup))
     workers = engine.workers_for(setup.scene.observations)
     if save_timestreams and out is None:
         raise InputError("save_timestreams: found no output directory; one is expected")

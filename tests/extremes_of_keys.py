@@ -11,6 +11,19 @@ from surveysim.scene.units import to_float
 
 POWER = {"instrument.bandwidth": 0.15, "instrument.efficiency": 0.2, "instrument.polarizations": 2}
 LOAD = POWER | {"photon.psd": None, "photon.coherent_fraction": None}
+OPTICS = LOAD | {"optics.sky": "10 K"}
+BOLOMETER = {
+    "detector.bolometer.conductance": "100 pW / K",
+    "detector.bolometer.critical_temperature": "165 mK",
+    "detector.bolometer.bath_temperature": "100 mK",
+    "detector.bolometer.exponent": 3,
+    "detector.bolometer.amplifier_nep": "1e-17 W / Hz(1/2)",
+}
+KID = {
+    "detector.kid.gap": "0.19 meV",
+    "detector.kid.pair_breaking_efficiency": 0.4,
+    "detector.kid.amplifier_nep": "1e-17 W / Hz(1/2)",
+}
 # What a key needs beside it to be in a scene that has another in its place.
 BESIDE: dict[str, Mapping[str, Any]] = {
     "instrument.layout.field_of_view": {"instrument.layout.rings": None, "instrument.layout.dead": []},
@@ -20,16 +33,22 @@ BESIDE: dict[str, Mapping[str, Any]] = {
     "cleaning.neighbour_radius": {"cleaning.algorithm": "local"},
     "cleaning.order": {"cleaning.algorithm": "polynomial", "cleaning.regions": 1},
     "cleaning.regions": {"cleaning.algorithm": "polynomial", "cleaning.order": 1},
-    "photon.bose_fraction": {"photon.coherence": "intensity"},
+    "photon.bose_fraction": {"photon.coherence": "hbt"},
     "sky.curved_lmax": {"sky.cmb_band_power": "1000 uK2"},
     "photon.load.sky": LOAD | {"photon.load.optics": "1 K"},
     "photon.load.optics": LOAD | {"photon.load.sky": "1 K"},
     "detector.nep": POWER | {"detector.psd": None},
+    **{key: POWER | BOLOMETER | {"detector.psd": None} for key in BOLOMETER},
+    **{key: OPTICS | KID | {"detector.psd": None} for key in KID},
+    "optics.sky": OPTICS,
+    "optics.stop.temperature": OPTICS | {"instrument.horn_f_lambda": 0.7},
+    "optics.central_obscuration": OPTICS | {"optics.aperture": "10 m"},
+    "optics.aperture_efficiency": OPTICS | {"optics.aperture": "10 m"},
     "fixed_pointing.elevation": {"schedule": None, "fixed_pointing.parallactic_angle": "10 deg"},
     "fixed_pointing.parallactic_angle": {"schedule": None, "fixed_pointing.elevation": "50 deg"},
 }
 # Lists, and numbers in tables that a scene has any number of: unit tests have their own of these.
-LISTS = ("instrument.bands.", "sky.point_sources.", "score.reference.")
+LISTS = ("instrument.bands.", "optics.elements.", "sky.point_sources.", "score.reference.")
 
 
 def bounds(item: Mapping[str, Any]) -> tuple[float | None, float | None]:

@@ -426,6 +426,28 @@ def box_muller(word, other, fraction=0.5, fraction_of_angle=0.5, radius_bits=40)
     return np.where(swapped, sine, cosine), np.where(swapped, cosine, sine)
 
 
+def beam_coherence(intensity, separation, inner, outer, n=4000):
+    """Coherence of light between two radii of the stop's plane, by the midpoint rule in rho and angle."""
+    rho = inner + (outer - inner) * (np.arange(n) + 0.5) / n
+    weight = intensity(rho) * rho
+    phase = 2 * np.pi * (np.arange(400) + 0.5) / 400
+    ring = [np.mean(np.cos(np.pi * separation * r * np.cos(phase))) for r in rho]
+    return float(np.sum(weight * ring) / np.sum(weight))
+
+
+def wave_correlation(beam, separation, band, aperture_weight, stop_weight):
+    """Correlation of wave noise by Hill and Kusaka's equations 59 and 60, frequency by frequency."""
+    total = norm = 0.0
+    for frequency, transmission in band:
+        here, apart = beam.at(frequency), np.array([separation * frequency])
+        gamma = aperture_weight * here.aperture(apart)[0]
+        if stop_weight:
+            gamma += stop_weight * here.stop(apart)[0]
+        total += transmission**2 * gamma**2
+        norm += transmission**2
+    return total / norm
+
+
 def low_pass(data, per_scan, decay, taps):
     """One pole on each scan of each detector, which starts at rest and continues as it ends."""
     found = np.array(data, float)

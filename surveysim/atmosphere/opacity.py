@@ -1,29 +1,26 @@
-"""Band-averaged optical depth of a site's zenith against water vapour, and the atmospheric noise that scales with it.
+"""Band-averaged zenith optical depth of a place against water vapour, and the atmospheric noise that scales with it."""
 
-Tables of the `am` atmospheric model are in ``tables/``, with the script that builds them.
-"""
-
-import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from importlib.resources import files
 
 import numpy as np
 
 from surveysim.atmosphere.cubic_spline import CubicSpline, stacked_splines
+from surveysim.atmosphere.opacity_tables import OpacityTable, opacity_table
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.scene.passband import Passband
-from surveysim.scene.sites import SITES
+from surveysim.scene.place import Place
+from surveysim.scene.sites import OWN
 
 
 @dataclass(frozen=True)
 class BandOpacity:
-    """Opacity of a site in a band.
+    """Opacity of a place in a band.
 
     Attributes
     ----------
-    site
+    place
     band
         Passband.
     pwv_mm : (n,)
@@ -36,7 +33,7 @@ class BandOpacity:
         Physical temperature of the water vapour.
     """
 
-    site: str
+    place: Place
     band: Passband
     pwv_mm: np.ndarray
     optical_depth: np.ndarray
@@ -55,47 +52,43 @@ class BandOpacity:
 
 
 @cache
-def band_opacity(site: str, band: Passband) -> BandOpacity:
-    """Average a site's opacity table over a band: -ln of the mean transmission.
+def band_opacity(place: Place, band: Passband) -> BandOpacity:
+    """Average the opacity table of a place over a band: -ln of the mean transmission.
 
-    Cells of the table are weighted by their share of the band.
+    Cells of the table are weighted by their share of the band. Tables of sites that ship cover 80 to 420 GHz; beyond,
+    the table of all heights takes their place.
 
     Raises
     ------
-    ValueError
-        For a site without a table, and for a band that is empty or extends beyond the table.
+    OutOfRangeError
+        For a place or a band beyond the table, and for a band without width.
+    InputError
+        For a file that is no table of opacity.
     """
-    edge_ghz, pwv_mm, depth, temperature_k = _table(site)
+    table = opacity_table(place)
     low, high = (edge / 1e9 for edge in band.edges_hz)
-    if not (edge_ghz[0] <= low < high <= edge_ghz[-1]):
+    if place.name != OWN and not _covers(table, band):
+        table = opacity_table(replace(place, opacity=None))
+    if not _covers(table, band):
+        first, last = table.edge_hz[[0, -1]] / 1e9
         raise OutOfRangeError(
-            f"found a band of {low:g} to {high:g} GHz; bands within {edge_ghz[0]:g} to {edge_ghz[-1]:g} GHz are allowed"
+            f"found a band of {low:g} to {high:g} GHz; bands within {first:g} to {last:g} GHz are allowed"
         )
-    averaged = -np.log(band.cell_shares(edge_ghz * 1e9) @ np.exp(-depth))
+    averaged = -np.log(band.cell_shares(table.edge_hz) @ np.exp(-table.optical_depth))
     averaged.setflags(write=False)
-    return BandOpacity(site, band, pwv_mm, averaged, _at_nodes(edge_ghz, depth, band), temperature_k)
+    at_nodes = _at_nodes(table.edge_hz, table.optical_depth, band)
+    return BandOpacity(place, band, table.pwv_mm, averaged, at_nodes, table.temperature_k)
 
 
-def _at_nodes(edge_ghz: np.ndarray, depth: np.ndarray, band: Passband) -> np.ndarray:
+def _covers(table: OpacityTable, band: Passband) -> bool:
+    low, high = band.edges_hz
+    return bool(table.edge_hz[0] <= low < high <= table.edge_hz[-1])
+
+
+def _at_nodes(edge_hz: np.ndarray, depth: np.ndarray, band: Passband) -> np.ndarray:
     """Interpolate optical depths (k, n) of cells linearly to the nodes of a band (m, n)."""
-    centre_hz = (edge_ghz[1:] + edge_ghz[:-1]) / 2 * 1e9
+    centre_hz = (edge_hz[1:] + edge_hz[:-1]) / 2
     return np.array([np.interp(band.nodes[0], centre_hz, column) for column in depth.T]).T
-
-
-@cache
-def _table(site: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Read cell edges (m + 1,) [GHz], PWV (n,) [mm], optical depth (m, n) and temperature [K] of a site."""
-    if site not in SITES:
-        raise OutOfRangeError(f"found site {site!r}; {', '.join(SITES)} are allowed")
-    text = (files("surveysim.atmosphere") / "tables" / f"opacity_{site}.ecsv").read_text(encoding="utf-8")
-    # By numpy, as astropy's tables take long to import.
-    names, *rows = (line for line in text.splitlines() if not line.startswith("#"))
-    values = np.loadtxt(rows)
-    centre_ghz, depth = values[:, 0], np.ascontiguousarray(values[:, 1:])
-    edge_ghz = np.append(centre_ghz - 0.5, centre_ghz[-1] + 0.5)
-    pwv_mm = np.array([float(name.removeprefix("pwv_")) for name in names.split()[1:]])
-    pwv_mm.setflags(write=False)
-    return edge_ghz, pwv_mm, depth, float(re.search(r"atmosphere_temperature: ([\d.]+)", text)[1])
 
 
 def optical_depth(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Weather of one observation: water vapour, B2 and wind drawn from the survey's distributions."""
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -9,14 +10,18 @@ from typing import Any, Protocol
 import numpy as np
 
 from surveysim.atmosphere.opacity import BandOpacity
-from surveysim.runtime.errors import OutOfRangeError, SceneError
+from surveysim.atmosphere.water import Season, driest_mm, pwv_quantile, wettest_mm
+from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.fields import B2_MAX
 from surveysim.scene.passband import Passband
+from surveysim.scene.place import Place
+from surveysim.scene.sites import OWN
 
 WIND_MAX_RAD_S = 1e3
 LARGEST_LOG = 700.0  # its exponential is finite
+_SEASON_RANKS = 100  # the same in each season of a survey
 _RANKS = 400  # quantiles of water and of fluctuations, from which those of their product follow
 
 
@@ -85,27 +90,30 @@ class Draws(Protocol):
 
 
 @lru_cache(maxsize=8)
-def site_water(atmosphere: Atmosphere, band: Passband) -> Water:
+def site_water(atmosphere: Atmosphere, place: Place, band: Passband) -> Water:
     """Response of a band to the water vapour of a scene's site.
 
     Raises
     ------
     ValueError
-        Where the opacity table does not cover the band or the water, with the key of the scene.
+        Where the opacity table does not cover the place, the band or the water, or is none, with the key of the scene.
     """
     from scipy.special import ndtri
 
     from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
 
+    key = "site" if place.name == OWN else "atmosphere.site"
     try:
-        opacity = band_opacity(atmosphere.site, band)
+        opacity = band_opacity(place, band)
     except OutOfRangeError as error:
-        raise SceneError(f"atmosphere.site: {error}") from None
+        raise SceneError(f"{key}: {error}") from None
+    except InputError as error:
+        raise SceneError(f"{key}.opacity: {error}") from None
     response = partial(fluctuation_factor_mk2, opacity)
     try:
-        response(np.array(atmosphere.pwv_mm))
+        response(np.array([driest_mm(atmosphere), wettest_mm(atmosphere)]))
     except OutOfRangeError as error:
-        raise SceneError(f"atmosphere.pwv: {error}") from None
+        raise SceneError(f"atmosphere.{'pwv_by_month' if atmosphere.pwv_by_month else 'pwv'}: {error}") from None
     share = (np.arange(_RANKS) + 0.5) / _RANKS
     seen = np.log(response(pwv_quantile(atmosphere, share)))
     drawn = np.log(log_quantile(atmosphere.water_fluctuation_probabilities, atmosphere.water_fluctuation, ndtri(share)))
@@ -120,18 +128,21 @@ def site_water(atmosphere: Atmosphere, band: Passband) -> Water:
 
 
 @lru_cache(maxsize=10_000)  # checks, forecasts and points of a sweep have weather in common
-def survey_weather(atmosphere: Atmosphere, water: Water | None, seed: int, observation: int) -> Weather:
+def survey_weather(
+    atmosphere: Atmosphere, water: Water | None, seed: int, observation: int, *, when: Season | None
+) -> Weather:
     """Draw the weather of one observation of a survey; raises as `draw_weather`."""
-    return draw_weather(atmosphere, water, generator(seed, RandomPurpose.WEATHER, observation))
+    return draw_weather(atmosphere, water, generator(seed, RandomPurpose.WEATHER, observation), when)
 
 
-def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: Draws) -> Weather:
+def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: Draws, when: Season | None = None) -> Weather:
     """Draw the weather of one observation.
 
     Wind speeds are log-normal about their median, directions uniform. Without a site, B2 is drawn from its quantiles.
     With a site it is (delta C / C)^2 (C d tau / dC)^2 B_atm^2, with PWV and fractional fluctuation drawn independently
     (paper, section 3.3); if the scene has quantiles of B2 too, they replace the resulting distribution, and each draw
-    keeps its rank. With `wind_b2_exponent` the median wind scales with that power of B2 over its median.
+    keeps its rank. Water by month is that of the season `when`, or of the whole year. With `wind_b2_exponent` the
+    median wind scales with that power of B2 over its median.
 
     Raises
     ------
@@ -140,7 +151,9 @@ def draw_weather(atmosphere: Atmosphere, water: Water | None, rng: Draws) -> Wea
     """
     level, speed = rng.standard_normal(2)
     angle = rng.uniform(0, 2 * math.pi)
-    return _weather(atmosphere, water, level=level, speed=speed, angle=angle, share=rng.random())
+    share = rng.random()
+    pwv = math.nan if water is None else float(pwv_quantile(atmosphere, share, when))
+    return _weather(atmosphere, water, level=level, speed=speed, angle=angle, pwv_mm=pwv)
 
 
 def fastest_wind(atmosphere: Atmosphere, water: Water | None, n_observations: int) -> float:
@@ -159,24 +172,20 @@ def fastest_wind(atmosphere: Atmosphere, water: Water | None, n_observations: in
 
     beyond = -float(ndtri(1e-6 / (2 * n_observations)))
     extremes = [
-        _weather(atmosphere, water, level=level, speed=beyond, angle=0.0, share=share)
+        _weather(atmosphere, water, level=level, speed=beyond, angle=0.0, pwv_mm=pwv_mm)
         for level in (-beyond, beyond)
-        for share in (0.0, 1.0)
+        for pwv_mm in ((driest_mm(atmosphere), wettest_mm(atmosphere)) if water else (math.nan,))
     ]
     return max(weather.wind_speed_rad_s for weather in extremes)
 
 
 def _weather(
-    atmosphere: Atmosphere, water: Water | None, *, level: float, speed: float, angle: float, share: float
+    atmosphere: Atmosphere, water: Water | None, *, level: float, speed: float, angle: float, pwv_mm: float
 ) -> Weather:
-    """Weather at standard normal levels of B2 (or fluctuation) and wind speed, a wind angle and a probability of drier
-    water.
-    """
-    pwv = math.nan
+    """Weather at standard normal levels of B2 (or fluctuation) and wind speed, a wind angle and a column of water."""
     if water is not None:
-        pwv = float(pwv_quantile(atmosphere, share))
         fluctuation = log_quantile(atmosphere.water_fluctuation_probabilities, atmosphere.water_fluctuation, level)
-        level = np.interp(math.log(water.response(pwv)) + math.log(fluctuation), water.log_b2, water.level)
+        level = np.interp(math.log(water.response(pwv_mm)) + math.log(fluctuation), water.log_b2, water.level)
     b2 = float(b2_quantile(atmosphere, water, level))
     wind = atmosphere.wind_median_rad_s * math.exp(atmosphere.wind_log_scatter * speed)
     if atmosphere.wind_b2_exponent and b2 > 0:
@@ -190,7 +199,7 @@ def _weather(
             f"atmosphere.{key}: found distributions that give B2 = {b2:.3g} mK^2 and {wind:.3g} rad/s of wind; less"
             f" than {B2_MAX:g} and {WIND_MAX_RAD_S:g} are expected"
         )
-    return Weather(b2, wind, angle, pwv)
+    return Weather(b2, wind, angle, pwv_mm)
 
 
 def b2_quantile(atmosphere: Atmosphere, water: Water | None, normal_level: float | np.ndarray) -> np.ndarray:
@@ -200,12 +209,28 @@ def b2_quantile(atmosphere: Atmosphere, water: Water | None, normal_level: float
     return np.exp(np.minimum(np.interp(normal_level, water.level, water.log_b2), LARGEST_LOG))
 
 
-def pwv_quantile(atmosphere: Atmosphere, probability: float | np.ndarray) -> np.ndarray:
-    """PWV [mm] below which the given probability lies: ln PWV is linear in probability between the quantiles.
+def season_quantiles(
+    atmosphere: Atmosphere, water: Water, when: tuple[Season, ...], probability: tuple[float, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Quantiles (n,) of B2 and of PWV [mm] of a survey whose water goes by month, at some probabilities."""
+    from scipy.special import ndtri
 
-    Unlike B2 it has no tails, because opacity tables are finite: the outermost quantiles are the extremes.
-    """
-    return np.exp(np.interp(probability, atmosphere.pwv_probabilities, np.log(atmosphere.pwv_mm)))
+    counts = Counter(when)
+    share = (np.arange(_SEASON_RANKS) + 0.5) / _SEASON_RANKS
+    pwv = np.array([pwv_quantile(atmosphere, share, item) for item in counts])
+    fluctuation = log_quantile(atmosphere.water_fluctuation_probabilities, atmosphere.water_fluctuation, ndtri(share))
+    product = np.log(water.response(pwv))[..., None] + np.log(fluctuation)
+    b2 = b2_quantile(atmosphere, water, np.interp(product, water.log_b2, water.level))
+    weights = np.array(list(counts.values()))
+    return _weighted_quantiles(b2, weights, probability), _weighted_quantiles(pwv, weights, probability)
+
+
+def _weighted_quantiles(rows: np.ndarray, weights: np.ndarray, probability: tuple[float, ...]) -> np.ndarray:
+    """Quantiles of rows of values that count by a weight for each row."""
+    values = rows.reshape(len(rows), -1)
+    order = np.argsort(values, axis=None)
+    total = np.cumsum(np.repeat(weights, values.shape[1])[order])
+    return values.ravel()[order][np.searchsorted(total, np.array(probability) * total[-1])]
 
 
 @lru_cache(maxsize=32)

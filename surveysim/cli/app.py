@@ -26,6 +26,7 @@ COMMANDS = (
     scenes.optics,
     scenes.keys,
     scenes.new,
+    scenes.cameras,
 )
 
 

@@ -59,7 +59,6 @@ def run(
 ) -> None:
     """Simulate, clean, map and score a scene or a sweep."""
     with_engine = options.engine(engine, workers, scheduler)
-    with_engine.start_early()
     if sweep := sweep_of(scene, settings, reference):
         _refuse_for_sweep(scene, save_timestreams, target_error, time_budget)
         directory = out or default_directory(sweep.name, options.settings(settings, reference))
@@ -74,9 +73,12 @@ def run(
             quiet=quiet,
         )
         return
-    limits = options.run_limits(target_error, time_budget)
+    from surveysim.reduction.setup import is_quick
+
     setup = ready_setup(scene, settings)
-    checked = setup.scene
+    checked, with_engine = setup.scene, with_engine.for_work(is_quick(setup))
+    with_engine.start_early()
+    limits = options.run_limits(target_error, time_budget)
     if limits.target_error is not None and checked.score is None:
         fail(f"{scene}: --target-error: found no [score]; the error is one of sigma(A), which needs it")
     from surveysim.api import run as run_scene
@@ -143,6 +145,7 @@ def _run_sweep(
 ) -> None:
     if resume and not quiet:
         report_new_start(directory, "points", "")
+    engine.start_early()
     from surveysim.api import run_sweep
     from surveysim.cli.progress import announce_compilation, progress_display
     from surveysim.report.terminal.sweep import print_sweep

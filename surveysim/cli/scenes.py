@@ -1,4 +1,4 @@
-"""Commands on scenes and output directories: check, keys, new, report."""
+"""Commands on scenes and output directories: check, keys, new, cameras, report."""
 
 import math
 import re
@@ -10,7 +10,7 @@ import typer
 
 from surveysim.cli.options import Force, Overrides, SceneFile, fail, ready_setup, scene_completions, sweep_of
 from surveysim.runtime.printable import say
-from surveysim.scene.shipped import HERE, MAX_NAME, NAME, find_scene, no_such_scene
+from surveysim.scene.shipped import HERE, MAX_NAME, NAME, camera_titles, find_scene, no_such_scene
 from surveysim.scene.similar_names import did_you_mean
 from surveysim.scene.units import shown
 
@@ -68,7 +68,7 @@ def optics(scene: SceneFile, settings: Overrides = None) -> None:
     found = sensitivities(setup)
     if not found:
         fail(f"{scene}: photon: found noise that follows from no load; 'photon.load' or a section [optics] is expected")
-    entries, console = sensitivity_entries(found, setup.camera.n_det), Terminal()
+    entries, console = sensitivity_entries(setup, found), Terminal()
     for table in sensitivity_tables(entries):
         show_table(console, table)
     beam = math.degrees(setup.camera.focal_plane.fwhm_rad) * 3600
@@ -145,7 +145,7 @@ def new(
         typer.Option(
             metavar="SCENE",
             autocompletion=scene_completions,
-            help="The scene to copy: a file, or a name such as lynx or first_light.",
+            help="The scene or camera to copy: a file, or a name; 'surveysim cameras' lists the cameras.",
         ),
     ],
 ) -> None:
@@ -171,6 +171,25 @@ def new(
         say("[score.reference] has published values of the copied scene; delete it for another survey")
     if hint := _band_hint(content):
         say(hint)
+
+
+def cameras() -> None:
+    """List the cameras that ship.
+
+    Each is a scene that runs by its name. 'surveysim new NAME --like CAMERA' copies it; its comments have the source
+    of each number.
+    """
+    from rich.table import Table
+    from rich.text import Text
+
+    from surveysim.report.terminal.layout import Terminal
+
+    table = Table()
+    for column in ("name", "camera"):
+        table.add_column(column)
+    for name, title in camera_titles().items():
+        table.add_row(Text(name), Text(title))
+    Terminal().show(table)
 
 
 def _band_hint(content: Mapping[str, Any]) -> str:

@@ -6,6 +6,7 @@ import numpy as np
 
 from surveysim.forecasting.noise_bins import NoiseBins
 from surveysim.forecasting.observing_conditions import ObservingConditions
+from surveysim.telescope.pixel_coherence import part_weights
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.low_frequency import excess_psd
 
@@ -15,15 +16,15 @@ ClosedForm = Callable[[NoiseBins], Noise]
 
 def independent_white(of: NoiseBins) -> Noise:
     """White noise that detectors do not share."""
-    bins = of.white(None)
+    bins = of.white(of.independent)
     return lambda conditions: np.outer(conditions.white, bins)
 
 
 def shared_white(of: NoiseBins) -> Noise:
     """Photon noise that detectors share."""
     photon, _ = of.correlations
-    bins = of.white(photon)
-    return lambda conditions: np.outer(conditions.shared, bins)
+    bins = np.stack([of.white(part) for part in photon])
+    return lambda conditions: conditions.shared[:, None] * (part_weights(conditions.stop_share, len(bins)).T @ bins)
 
 
 def low_frequency(of: NoiseBins) -> Noise:

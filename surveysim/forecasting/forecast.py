@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.bandpower import BandPower, band_power, flat_spectrum_psd
-from mapmaker.transfer_function import beam_window
 from surveysim.forecasting.closed_forms import CLOSED_FORMS
 from surveysim.forecasting.mode_response import PROJECTIONS
 from surveysim.forecasting.noise_model import PATTERNS, NoiseModel, is_projection, survey_models
@@ -228,4 +227,4 @@ def expected_weights(analysis: AnalysisSetup, noise: np.ndarray) -> np.ndarray:
 def _beamed_sky(analysis: AnalysisSetup) -> np.ndarray:
     ell = analysis.region.rings.ell
     # The lowest bin of a small map may contain only ell = 0.
-    return flat_spectrum_psd(np.maximum(ell, 1)) * beam_window(ell, analysis.scene.instrument.beam_fwhm_rad)
+    return flat_spectrum_psd(np.maximum(ell, 1)) * analysis.beams.window(ell)

@@ -20,15 +20,12 @@ from surveysim.forecasting.mode_response import (
     ring_modes,
     stream_power,
 )
-from surveysim.forecasting.observing_conditions import NoiseCorrelations, ObservingConditions
+from surveysim.forecasting.observing_conditions import Correlation, NoiseCorrelations, ObservingConditions
 from surveysim.forecasting.scan_apodization import ScanApodization, frequency_nodes, hann_apodization, scan_apodization
 from surveysim.scene.analysis import Score
 from surveysim.scene.scene import Scene
-from surveysim.telescope.lattice_noise import NoiseCorrelation
 from surveysim.telescope.scans import Scans, samples_per_scan
 from surveysim.timestreams.shared_parts import screen
-
-Correlation = np.ndarray | NoiseCorrelation | None  # between detectors; None for independent ones
 
 
 @dataclass(frozen=True)
@@ -75,6 +72,8 @@ class NoiseBins(ABC):
         Observing conditions that bracket all others.
     arrays
         The pipeline's detectors, at a few angles to the scan.
+    independent
+        Correlation of white noise that detectors do not share: diagonal; None where all detectors are alike.
     """
 
     scene: Scene
@@ -82,6 +81,7 @@ class NoiseBins(ABC):
     frequencies: ScanFrequencies
     arrays: list[ProjectedArray]
     correlations: NoiseCorrelations
+    independent: Correlation = None
 
     @property
     def scans(self) -> Scans:
@@ -233,6 +233,7 @@ def noise_only_bins(of: MapBins, name: str, white_above_hz: float) -> NoiseOnlyB
         frequencies=spectrum,
         arrays=of.arrays,
         correlations=of.correlations,
+        independent=of.independent,
         lines_hz=lines,
         hann=hann,
         in_bins=in_bins,

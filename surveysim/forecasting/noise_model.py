@@ -28,9 +28,11 @@ from surveysim.forecasting.mode_response import PROJECTIONS, ProjectedArray, pro
 from surveysim.forecasting.noise_bins import MapBins, NoiseBins, ScanFrequencies, noise_only_bins, scan_frequencies
 from surveysim.forecasting.observing_conditions import (
     ObservingConditions,
+    independent_noise,
     noise_correlations,
     population_conditions,
     removed_modes,
+    white_shapes,
 )
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.scored_region import left_signal
@@ -96,6 +98,7 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
         Where the focal plane does not support the templates of the cleaning.
     """
     scene, region, pixel_rad = setup.scene, setup.analysis.region, setup.analysis.geometry.pixel_rad
+    shapes = white_shapes(setup)
     for pipeline in filter(is_projection, setup.analysis.pipelines):
         arrays = _arrays(setup.camera, setup.analysis.calibration, pipeline, conditions)
         fitted = removed_modes(setup.observing, pipeline, arrays[0], conditions)
@@ -103,13 +106,14 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
         n_det = len(arrays[0].place)
         responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
         transmission = _transmission(scene.observations, spectrum, arrays, responses)
-        signal = left_signal(scene, setup.analysis.geometry, setup.sky.geometry, region, transmission)
+        signal = left_signal(setup.analysis.beams, setup.analysis.geometry, setup.sky.geometry, region, transmission)
         bins = MapBins(
             scene=scene,
             conditions=conditions,
             frequencies=spectrum,
             arrays=arrays,
-            correlations=noise_correlations(setup.camera, pipeline),
+            correlations=noise_correlations(setup.camera, pipeline, shapes),
+            independent=independent_noise(shapes, pipeline),
             responses=responses,
             pixel=pixel_window(region.rings.ell, pixel_rad),
         )

@@ -6,7 +6,7 @@ random shifts (Roberts 2018); the scatter over the shifts is their error.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
 
@@ -15,6 +15,7 @@ import numpy as np
 from mapmaker.chunks import row_chunks
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import FocalPlane
+from surveysim.atmosphere.water import Season
 from surveysim.atmosphere.weather import Water, Weather, draw_weather
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes, template_modes
 from surveysim.forecasting.mode_response import ProjectedArray, layer_waves
@@ -23,16 +24,20 @@ from surveysim.reduction.setup import Setup
 from surveysim.runtime.once import keep_last
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.atmosphere import Atmosphere
-from surveysim.scene.noise_and_sky import Excess, Photon
-from surveysim.scene.scene import Scene
-from surveysim.telescope.lattice_noise import NoiseCorrelation
+from surveysim.telescope.lattice_noise import LatticePixels, NoiseCorrelation
 from surveysim.telescope.noise_levels import white_levels
-from surveysim.telescope.pixel_coherence import MOST_DENSE, correlation_matrix
+from surveysim.telescope.pixel_coherence import MOST_DENSE, DensePixels
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.low_frequency import excess_variance
-from surveysim.timestreams.observed_block import observation_weather
-from surveysim.timestreams.shared_parts import screen, shared_noise
-from surveysim.timestreams.simulation import CameraSetup, ObservingSetup, drawn_offsets, observation_path
+from surveysim.timestreams.observed_block import observation_levels, observation_weather
+from surveysim.timestreams.shared_parts import screen
+from surveysim.timestreams.simulation import (
+    CameraSetup,
+    ObservingSetup,
+    camera_white,
+    drawn_offsets,
+    observation_path,
+)
 
 _NUMBERS = 5  # random numbers of a draw: four of the weather, one for the observation
 _SHIFTS = 8  # random shifts of the lattice of draws; their scatter is the error of the mean
@@ -41,7 +46,8 @@ _HIT_SAMPLES = 3e7  # of the observations that represent the coverage
 _FEWEST_HITS, _MOST_HITS = 4, 48
 _MOST_HIT_SAMPLES = 3e7  # of one of them; larger ones are thinned in time
 
-NoiseCorrelations = tuple[np.ndarray | NoiseCorrelation | None, np.ndarray | NoiseCorrelation | None]
+Correlation = np.ndarray | NoiseCorrelation | None  # between detectors; None for independent ones
+NoiseCorrelations = tuple[list[Correlation], Correlation]
 Draw = tuple[int, Weather | None]  # number of the observation, and its weather
 
 
@@ -53,6 +59,8 @@ class ObservingConditions:
     ----------
     white, shared : (n_draw,)
         PSDs of independent and of shared photon and detector noise [mK^2/Hz].
+    stop_share : (n_draw,)
+        The stop's part of the light that detectors share.
     excess : (n_draw,)
         Variance of the excess noise [mK^2].
     layer : (n_draw,)
@@ -67,6 +75,7 @@ class ObservingConditions:
 
     white: np.ndarray
     shared: np.ndarray
+    stop_share: np.ndarray
     excess: np.ndarray
     layer: np.ndarray
     sine: np.ndarray
@@ -92,7 +101,7 @@ def survey_draws(setup: Setup, first: int, end: int) -> list[Draw]:
     return [(number, observation_weather(setup, number)) for number in range(first, end)]
 
 
-def population_draws(scene: Scene, water: Water | None) -> list[list[Draw]]:
+def population_draws(setup: Setup) -> list[list[Draw]]:
     """Draws of observations and weather that sample their whole distribution evenly.
 
     Returns
@@ -101,18 +110,24 @@ def population_draws(scene: Scene, water: Water | None) -> list[list[Draw]]:
         Each list is a rank-one lattice in all random numbers of the weather with its own random shift. The mean over a
         list is unbiased, with an error far below that of as many independent draws.
     """
-    return [list(draws) for draws in _population(scene.atmosphere, water, scene.seed, scene.observations)]
+    scene, air = setup.scene, setup.air
+    when = air.seasons or (None,) * scene.observations
+    return [list(draws) for draws in _population(scene.atmosphere, air.water, scene.seed, when)]
 
 
 @lru_cache(maxsize=2)  # points of a sweep have weather in common
-def _population(air: Atmosphere | None, water: Water | None, seed: int, n_obs: int) -> tuple[tuple[Draw, ...], ...]:
+def _population(
+    air: Atmosphere | None, water: Water | None, seed: int, when: tuple[Season | None, ...]
+) -> tuple[tuple[Draw, ...], ...]:
+    n_obs = len(when)
     rng = generator(seed, RandomPurpose.WEATHER, realization=1)  # the survey is realization 0
     lists = []
     for shift in rng.random((_SHIFTS, _NUMBERS)):
         points = (shift + np.outer(np.arange(_DRAWS_A_SHIFT), _lattice_steps())) % 1
         numbers = np.minimum((points[:, -1] * n_obs).astype(int), n_obs - 1)
         draws = map(_QuasiRandomDraws, points[:, :-1])
-        weather = [draw_weather(air, water, draw) if air else None for draw in draws]
+        dates = (when[number] for number in numbers)
+        weather = [draw_weather(air, water, *item) if air else None for item in zip(draws, dates, strict=True)]
         lists.append(tuple(zip(numbers.tolist(), weather, strict=True)))
     return tuple(lists)
 
@@ -146,7 +161,7 @@ class _QuasiRandomDraws:
 @keep_last(1)
 def population_conditions(setup: Setup) -> tuple[ObservingConditions, int]:
     """Observing conditions of all `population_draws`, list after list, and the number of lists."""
-    lists = population_draws(setup.scene, setup.air.water)
+    lists = population_draws(setup)
     return observing_conditions(setup, chain.from_iterable(lists)), len(lists)
 
 
@@ -154,10 +169,10 @@ def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingCondit
     """Compute the observing conditions of some draws."""
     draws = list(draws)
     views = {number: _view(setup.observing, number) for number in {number for number, _ in draws}}
-    rows = [_condition_row(setup.observing, setup.air.water, views[number], weather) for number, weather in draws]
+    rows = [_condition_row(setup, views[number], weather) for number, weather in draws]
     *levels, there, back = (np.array(column) for column in zip(*rows, strict=True))
-    white, shared, excess, layer, sine, angle = levels
-    return ObservingConditions(white, shared, excess, layer, sine, angle, np.stack([there, back], axis=1))
+    white, shared, stop, excess, layer, sine, angle = levels
+    return ObservingConditions(white, shared, stop, excess, layer, sine, angle, np.stack([there, back], axis=1))
 
 
 def _view(observing: ObservingSetup, number: int) -> _ObservationGeometry:
@@ -172,10 +187,9 @@ def _view(observing: ObservingSetup, number: int) -> _ObservationGeometry:
     return _ObservationGeometry(slant, float(elevation.mean()), middle, middle + camera_angle, turn)
 
 
-def _condition_row(
-    observing: ObservingSetup, water: Water | None, view: _ObservationGeometry, weather: Weather | None
-) -> tuple[float | complex, ...]:
-    scene, opacity = observing.scene, water.opacity if water else None
+def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | None) -> tuple[float | complex, ...]:
+    observing, scene, water = setup.observing, setup.scene, setup.air.water
+    opacity = water.opacity if water else None
     white = white_levels(scene, opacity, weather.pwv_mm if weather else np.nan, view.elevation_rad)
     excess = excess_variance(scene.excess, weather.b2 if weather else None) if scene.excess else 0.0
     layer, wind = 0.0, 0.0
@@ -188,36 +202,80 @@ def _condition_row(
     # A backward scan is a forward scan in a frame rotated by half a turn.
     shared = white.photon_mk2_hz * white.shared
     unshared = white.photon_mk2_hz - shared + white.detector_mk2_hz
+    if setup.camera.properties.white_differs:
+        each = camera_white(setup.camera, white)
+        shared, unshared = float(each.shared.mean()), float((each.alone + each.detector).mean())
     angle = view.array_angle_rad + view.turn_rad
-    return unshared, shared, excess, layer, np.sin(view.elevation_rad), angle, speed - wind, speed + wind
+    return (
+        unshared,
+        shared,
+        white.stop_share,
+        excess,
+        layer,
+        np.sin(view.elevation_rad),
+        angle,
+        speed - wind,
+        speed + wind,
+    )
 
 
-def noise_correlations(camera: CameraSetup, pipeline: CleaningPipeline) -> NoiseCorrelations:
-    """Detector correlations of the shared photon noise and of the excess noise.
+@dataclass(frozen=True, eq=False)
+class WhiteShapes:
+    """White noise (n_det,) of each detector over the mean of all: shared photon noise, and independent noise."""
+
+    shared: np.ndarray
+    alone: np.ndarray
+
+
+def white_shapes(setup: Setup) -> WhiteShapes | None:
+    """Shapes of the white noise over the detectors, in the first observation; None where all detectors are alike.
+
+    Only efficiencies make them depend, slightly, on the load of the observation.
+    """
+    if not setup.camera.properties.white_differs:
+        return None
+    white = camera_white(setup.camera, observation_levels(setup, 0))
+    alone = white.alone + white.detector
+    return WhiteShapes(*(item / item.mean() if item.any() else item for item in (white.shared, alone)))
+
+
+def independent_noise(shapes: WhiteShapes | None, pipeline: CleaningPipeline) -> NoiseCorrelation | None:
+    """Diagonal correlation of the independent white noise of a pipeline's detectors; None where all are alike."""
+    return None if shapes is None else NoiseCorrelation(None, np.sqrt(shapes.alone[pipeline.rows]))
+
+
+def noise_correlations(
+    camera: CameraSetup, pipeline: CleaningPipeline, shapes: WhiteShapes | None = None
+) -> NoiseCorrelations:
+    """Detector correlations of the shared photon noise, by part, and of the excess noise.
+
+    Parameters
+    ----------
+    shapes
+        White noise of each detector; None where all are alike.
 
     Returns
     -------
     photon, excess
-        (n_det, n_det) matrices, or `NoiseCorrelation` for large arrays; None where the scene has no such noise.
-        `excess` includes the responsivities.
+        (n_det, n_det) matrices, or `NoiseCorrelation` for large arrays; None for independent noise. Those of the photon
+        noise add up with `part_weights`. `excess` includes the responsivities.
     """
     gain = camera.responsivity[pipeline.rows]
-    photon = _correlation(camera, pipeline, section=camera.photon, name="photon", gain=np.ones(len(gain)))
-    return photon, _correlation(camera, pipeline, section=camera.excess, name="excess", gain=gain)
+    white = np.ones(len(gain)) if shapes is None else np.sqrt(shapes.shared[pipeline.rows])
+    photon = _correlations(camera.photon_correlation, pipeline, white)
+    excess = _correlations(camera.excess_correlation, pipeline, gain)
+    return photon, excess[0]
 
 
-def _correlation(
-    camera: CameraSetup, pipeline: CleaningPipeline, *, section: Photon | Excess | None, name: str, gain: np.ndarray
-) -> np.ndarray | NoiseCorrelation | None:
-    if section is None:
-        return None
-    if camera.n_det > MOST_DENSE:
-        torus = shared_noise(camera, section, name)
-        return NoiseCorrelation(torus and replace(torus, cells=torus.cells[pipeline.rows]), gain)
-    place = camera.positions_f_lambda[pipeline.rows]
-    matrix = correlation_matrix(place, section.coherence, camera.illumination)
-    matrix *= gain[:, None] * gain
-    return matrix
+def _correlations(
+    pixels: DensePixels | LatticePixels | None, pipeline: CleaningPipeline, gain: np.ndarray
+) -> list[Correlation]:
+    """Parts of the correlation of a pipeline's detectors, multiplied by `gain` on both sides."""
+    if pixels is None:
+        return [np.diag(gain**2) if len(gain) <= MOST_DENSE else NoiseCorrelation(None, gain)]
+    if isinstance(pixels, DensePixels):
+        return [part * (gain[:, None] * gain) for part in pixels.columns(pipeline.rows)]
+    return [NoiseCorrelation(torus, gain) for torus in pixels.columns(pipeline.rows)]
 
 
 def removed_modes(

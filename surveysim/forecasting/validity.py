@@ -133,6 +133,8 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
                 f"Cleaning {_APPROXIMATE[name]} is approximated by average subtraction, with an unknown difference."
             )
             yield NeglectedEffect("cleaning", None, sentence, True)
+    if setup.camera.properties.time_constant_s is not None:
+        yield _time_constants(setup, inputs.pipeline, inputs.share)
     if templates := len(PROJECTIONS[inputs.pipeline.label]):
         yield _few_detectors(templates, inputs.n_det)
     yield _uneven_coverage(setup.analysis.region, inputs.hits)
@@ -180,6 +182,25 @@ def _stripes(inputs: EffectInputs) -> NeglectedEffect:
         f" steps are neglected, about {_percent(size)} of the noise."
     )
     return NeglectedEffect("stripes", size, sentence, size > LARGE)
+
+
+def _time_constants(setup: Setup, pipeline: CleaningPipeline, share: np.ndarray) -> NeglectedEffect:
+    """Fraction of the signal's power in the scored multipoles that the time constants take.
+
+    Scans of both directions leave the real part of the response of a pole, averaged over the detectors, and
+    observations scan along both axes in turn.
+    """
+    tau = setup.camera.properties.time_constant_s[pipeline.rows]
+    angle = np.pi / 4 * (np.arange(16) + 0.5) / 16
+    speed = setup.scene.scan.speed_rad_s * np.stack([np.cos(angle), np.sin(angle)])
+    phase = setup.analysis.region.rings.ell[:, None, None] * speed
+    amplitude = np.mean([1 / (1 + (phase * each) ** 2) for each in tau], axis=0).mean(axis=1)
+    size = float(1 - share @ np.mean(amplitude**2, axis=1))
+    sentence = (
+        f"The time constants of the detectors take {_percent(size)} of the signal's power, and part of the noise, which"
+        " the forecast neglects."
+    )
+    return NeglectedEffect("time constants", size, sentence, size > LARGE)
 
 
 def _few_detectors(templates: int, n_det: int) -> NeglectedEffect:

@@ -33,16 +33,19 @@ from surveysim.survey.checkpoint import NAME as CHECKPOINT
 
 NEW = ".surveysim.new"
 OTHERWISE = "--force replaces it, --out writes elsewhere"
+# The scene, and the tables that its keys of files name, with the suffix of the user's file.
+_SCENE = r"scene\.toml|(positions|passband|illumination|transmission|emissivity)(_\d+)?(\.[\w-]+)?"
 # Names that any command writes: no other file is ever removed, even if the record lists it.
 _WRITTEN = re.compile(
-    r"report\.html|(summary|scene)\.json|scene\.toml|positions(_\d+)?\.ecsv|checkpoint\.h5|extremes\.ecsv"
+    rf"{_SCENE}|"
+    r"report\.html|(summary|scene)\.json|checkpoint\.h5|extremes\.ecsv"
     r"|(sweep|sweep_pairs|forecast|accuracy)\.ecsv|table\d+(_[a-z]+)?\.ecsv|figure\d+\.(png|ecsv)"
     r"|(measurements|recovered)_[0-9]+\.ecsv|tables/\w+\.ecsv|maps/\w[\w.+~,=-]*\.fits|figures/\w+\.png"
     r"|timestreams/\d+\.h5|points/\d+\.(npz|checkpoint\.h5)"
 )
 _SAYS_ITSELF = re.compile(r"checkpoint\.h5|points/\d+\.(npz|checkpoint\.h5)")  # they name their scene
 _UNFINISHED_WORK = re.compile(rf"{_SAYS_ITSELF.pattern}|timestreams/\d+\.h5")
-_INPUT = re.compile(r"scene\.toml|positions(_\d+)?\.ecsv")
+_INPUT = re.compile(_SCENE)
 _PARTIAL = re.compile(r"(.+)\.(\d+)\.part")
 
 log = logging.getLogger("surveysim")

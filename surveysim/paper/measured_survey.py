@@ -22,7 +22,7 @@ from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.engine import Engine, ordered_map
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import Scene
-from surveysim.telescope.pixel_coherence import mutual_coherence
+from surveysim.telescope.illumination import UNIFORM
 
 KNOWN = 0.3  # largest relative error of a wind speed that is used
 
@@ -165,7 +165,7 @@ def shared_overlap(setup: Setup, bins: PairBins) -> np.ndarray | None:
     excess = setup.scene.excess
     if excess is None or excess.coherence == "none":
         return None
-    gamma = mutual_coherence(bins.separation_rad / setup.camera.f_lambda_rad)
+    gamma = UNIFORM.aperture(bins.separation_rad / setup.camera.f_lambda_rad)
     return bins.mean(gamma if excess.coherence == "field" else gamma**2)
 
 

@@ -14,6 +14,7 @@ from surveysim.paper.published import published
 from surveysim.paper.statistics import QUARTILES, centile_errors, median_error, quarters
 from surveysim.runtime.errors import InsufficientDataError
 from surveysim.scene.passband import top_hat
+from surveysim.scene.place import shipped_place
 from surveysim.scene.sites import median_water_mm
 from surveysim.telescope.photon_noise import photon_noise
 
@@ -94,7 +95,7 @@ def site_table() -> "Table":
 
 
 def _median_factor(site: str, frequency_hz: float, bandwidth: float) -> float:
-    band: BandOpacity = band_opacity(site, top_hat(frequency_hz, bandwidth))
+    band: BandOpacity = band_opacity(shipped_place(site), top_hat(frequency_hz, bandwidth))
     return float(fluctuation_factor_mk2(band, median_water_mm(site)))
 
 

@@ -11,6 +11,7 @@ from surveysim.reduction.data_set import DataSet, data_sets
 from surveysim.reduction.scored_region import ScoredRegion, scored_region
 from surveysim.runtime.once import once
 from surveysim.scene.scene import Scene
+from surveysim.telescope.beams import Beams
 from surveysim.timestreams.shared_parts import signal_skies
 
 
@@ -32,6 +33,8 @@ class AnalysisSetup:
         Indices of the detectors of the masked array; None without one.
     n_det
         Number of detectors of the camera.
+    beams
+        Beams of the detectors.
     """
 
     scene: Scene
@@ -41,16 +44,17 @@ class AnalysisSetup:
     calibration: np.ndarray | None
     masked: np.ndarray | None
     n_det: int
+    beams: Beams
 
     @once
     def region(self) -> ScoredRegion | None:
         """Scored patch and multipoles; None without a score."""
-        return scored_region(self.scene, self.geometry, self.sky_geometry)
+        return scored_region(self.scene, self.geometry, self.sky_geometry, self.beams)
 
     @once
     def signal_skies_mk(self) -> np.ndarray | None:
-        """Skies (n_sky, n_y, n_x) of the signal simulations; a point source last where pipelines are compared."""
-        return signal_skies(self.scene, self.sky_geometry)
+        """Skies (n_sky, n_beam, n_y, n_x) of the signal simulations; a point source last with several pipelines."""
+        return signal_skies(self.scene, self.sky_geometry, tuple(self.beams.fwhm_rad.tolist()))
 
     @property
     def n_signal_skies(self) -> int:

@@ -9,6 +9,7 @@ from mapmaker.geometry import MapGeometry, check_nside, plane_offsets
 from mapmaker.stream_psd import highest_frequency
 from mapmaker.transfer_function import beam_window
 from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES, MIN_SCANS
+from surveysim.atmosphere.water import wettest_mm
 from surveysim.atmosphere.weather import Water
 from surveysim.reduction.cleaning_pipelines import needed_detectors
 from surveysim.reduction.scored_region import FAINTEST, padded_side
@@ -185,8 +186,8 @@ def _check_airmass(number: int, up_rad: np.ndarray, change: np.ndarray) -> None:
 
 def check_levels(scene: Scene, water: Water | None, lowest_rad: float) -> None:
     """Raise OutOfRangeError if the noise is not finite in the wettest weather at the lowest elevation."""
-    wettest_mm = max(scene.atmosphere.pwv_mm) if water else math.nan
-    white_levels(scene, water.opacity if water else None, wettest_mm, lowest_rad)
+    most_mm = wettest_mm(scene.atmosphere) if water else math.nan
+    white_levels(scene, water.opacity if water else None, most_mm, lowest_rad)
 
 
 def check_sources(scene: Scene, grid: MapGeometry) -> None:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mapmaker.transfer_function import beam_window
 from surveysim.reduction.analysis import AnalysisSetup
 
 TARGETS = ("cmb", "point_source")
@@ -37,7 +36,7 @@ def figures_of_merit(
     band, rings = analysis.region, analysis.region.rings
     rows = band.patch
     noise = np.array([band.ring_noise(total[rows, rows], hits[rows, rows]) for total, hits in maps])
-    beam = beam_window(rings.ell, analysis.scene.instrument.beam_fwhm_rad)
+    beam = analysis.beams.window(rings.ell)
     flat = band.signal_psd * transmission[:, 0] / noise
     point = beam * transmission[:, 1] / noise
     return np.stack(

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mapmaker.wind import HIGHEST_HZ
-from surveysim.atmosphere.weather import Water, fastest_wind, survey_weather
+from surveysim.atmosphere.weather import fastest_wind, survey_weather
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.memory import machine_bytes
 from surveysim.scene.scene import Scene
+from surveysim.telescope.noise_levels import stop_emits
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.scans import Scans, samples_per_scan
+from surveysim.timestreams.simulation import AirSetup
 
 if TYPE_CHECKING:
     from surveysim.atmosphere.screen_simulation import SlantStrips
@@ -26,8 +28,7 @@ MOST_DRAWN = 1000  # most observations whose weather is drawn for the check
 
 def check_layer(
     scene: Scene,
-    strips: "SlantStrips | None",
-    water: Water | None,
+    air: AirSetup,
     *,
     radius_rad: float,
     scans: Scans,
@@ -48,16 +49,19 @@ def check_layer(
     SceneError
         For weather or a strip that cannot be drawn.
     """
-    if strips is None:
+    if air.strips is None:
         return 0
     drawn = scene.observations <= MOST_DRAWN
-    wind = _drawn_wind(scene, water) if drawn else fastest_wind(scene.atmosphere, water, scene.observations)
-    return _check_strip(strips, wind, radius_rad, scans, lowest_rad)
+    wind = _drawn_wind(scene, air) if drawn else fastest_wind(scene.atmosphere, air.water, scene.observations)
+    return _check_strip(air.strips, wind, radius_rad, scans, lowest_rad)
 
 
-def _drawn_wind(scene: Scene, water: Water | None) -> float:
+def _drawn_wind(scene: Scene, air: AirSetup) -> float:
     """Draw the fastest wind [rad/s] of all observations; raises an error for weather that is not finite."""
-    drawn = (survey_weather(scene.atmosphere, water, scene.seed, number) for number in range(scene.observations))
+    drawn = (
+        survey_weather(scene.atmosphere, air.water, scene.seed, number, when=when)
+        for number, when in enumerate(air.seasons or (None,) * scene.observations)
+    )
     return max(weather.wind_speed_rad_s for weather in drawn)
 
 
@@ -92,6 +96,8 @@ class Sizes:
         Pixels of the map; pixels along a side of the scored patch and of the padded patch.
     n_set, n_transfer, n_sky
         Data sets, transfer functions, simulated skies.
+    n_beam
+        Different beams.
     strip_elements
         Matrix elements of a strip of the layer.
     n_coefficients
@@ -108,6 +114,7 @@ class Sizes:
     n_set: int
     n_transfer: int
     n_sky: int
+    n_beam: int
     strip_elements: int
     n_coefficients: int
 
@@ -125,7 +132,7 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
     """
     real = 4 if scene.numerics.precision == "float32" else 8
     n_freq, patch, flips = of.n_samp // 2 + 1, of.n_patch**2, scene.score.jackknives if scene.score else 0
-    skies = of.n_sky * (8 * 4 * of.n_pixel + 16 * of.n_transfer * of.n_pixel + 40 * of.n_transfer * patch)
+    skies = of.n_sky * (8 * 4 * of.n_beam * of.n_pixel + 16 * of.n_transfer * of.n_pixel + 40 * of.n_transfer * patch)
     shared = any(section and section.coherence != "none" for section in (scene.photon, scene.excess))
     pairs = of.n_det**2 if shared and of.n_det <= MOST_DENSE else 0
     sums = 8.0 * flips * of.n_set * patch + 24.0 * of.n_set * of.n_pixel
@@ -142,7 +149,7 @@ def needed_memory(scene: Scene, of: Sizes) -> dict[str, float]:
         "score.jackknives": 12.0 * flips * of.n_set * patch + more_sums,
         "score.size": 110.0 * of.n_pad**2,
         "atmosphere.layer_height": 32.0 * of.strip_elements,
-        "instrument.layout": 32.0 * pairs,
+        "instrument.layout": (56.0 if stop_emits(scene) else 32.0) * pairs,
         "observations": 8.0 * scene.observations * (compared * n_freq + 4 * scene.scan.scans),
         "sky.curved_lmax": 48.0 * of.n_coefficients,
     }

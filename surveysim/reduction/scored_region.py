@@ -19,10 +19,11 @@ from mapmaker.spectrum import (
     split_azimuth,
     tukey_taper,
 )
-from mapmaker.transfer_function import beam_window, mode_pixel_window
+from mapmaker.transfer_function import mode_pixel_window
 from surveysim.atmosphere.cubic_spline import MonotoneCubic
 from surveysim.runtime.errors import InsufficientDataError, SceneError
 from surveysim.scene.scene import Scene
+from surveysim.telescope.beams import Beams
 
 N_SECTORS = 3
 FAINTEST = 1e-100  # signal behind the beam whose square is still a number
@@ -59,8 +60,11 @@ class ScoredRegion:
 
     def pad(self, patch: np.ndarray) -> np.ndarray:
         """A patch (..., n, n) with zeros up to the grid of the rings."""
+        n_y, n_x = patch.shape[-2:]
         extra = len(self.mode_weight) - self.taper.shape[0]
-        return np.pad(patch, [(0, 0)] * (patch.ndim - 2) + [(0, extra)] * 2)
+        padded = np.zeros((*patch.shape[:-2], n_y + extra, n_x + extra), patch.dtype)
+        padded[..., :n_y, :n_x] = patch
+        return padded
 
     @cached_property
     def correlation(self) -> np.ndarray:
@@ -131,13 +135,15 @@ def padded_side(size_rad: float, geometry: MapGeometry) -> int:
     return fast_length(2 * patch_side(size_rad, geometry))
 
 
-def scored_region(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry) -> ScoredRegion | None:
+def scored_region(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry, beams: Beams) -> ScoredRegion | None:
     """Make the scored region of a scene; None without a score.
 
     Parameters
     ----------
     sky_geometry
         Grid of the signal simulations.
+    beams
+        Beams of the detectors.
 
     Raises
     ------
@@ -161,7 +167,7 @@ def scored_region(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry
     selected = (edges[:-1] >= score.ell_min) & (edges[1:] <= score.ell_max)
     if not selected.any():
         raise SceneError(f"score.ell_bin: found {score.ell_bin}; a bin within ell_min to ell_max is expected")
-    weight = _mode_weight(scene, mode_ell(n_pad, n_pad, geometry.pixel_rad), rings)
+    weight = _mode_weight(scene, beams, mode_ell(n_pad, n_pad, geometry.pixel_rad), rings)
     scored = annuli(
         n_pad,
         n_pad,
@@ -173,7 +179,7 @@ def scored_region(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry
         sectors = split_azimuth(scored, n_pad, n_pad, geometry.pixel_rad, n_sector=N_SECTORS)
     except InsufficientDataError:
         sectors = None
-    signal = flat_signal(scene, geometry, sky_geometry, padded)
+    signal = flat_signal(beams, geometry, sky_geometry, padded)
     return ScoredRegion(
         patch=slice(first, first + n),
         taper=taper,
@@ -181,14 +187,14 @@ def scored_region(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry
         selected=selected,
         mode_weight=weight,
         sectors=sectors,
-        mode_chance=_mode_chance(scene, padded, geometry.pixel_rad),
+        mode_chance=_mode_chance(scene, beams, padded, geometry.pixel_rad),
         signal_psd=ring_mean(signal, rings),
         sector_psd=None if sectors is None else ring_mean(signal, sectors),
     )
 
 
 def flat_signal(
-    scene: Scene,
+    beams: Beams,
     geometry: MapGeometry,
     sky_geometry: MapGeometry,
     padded_taper: np.ndarray,
@@ -202,7 +208,7 @@ def flat_signal(
     """
     shape = sky_geometry.n_y, sky_geometry.n_x
     ell = mode_ell(*shape, sky_geometry.pixel_rad)
-    sky = flat_spectrum_psd(ell) * beam_window(ell, scene.instrument.beam_fwhm_rad) * transmission(ell)
+    sky = flat_spectrum_psd(ell) * beams.window(ell) * transmission(ell)
     sky *= mode_pixel_window(*shape, sky_geometry.pixel_rad, geometry.pixel_rad)
     return coupled_psd(
         sky, shape, padded_taper, geometry.pixel_rad, cells_per_pixel=round(geometry.pixel_rad / sky_geometry.pixel_rad)
@@ -210,7 +216,7 @@ def flat_signal(
 
 
 def left_signal(
-    scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry, band: ScoredRegion, transmission: np.ndarray
+    beams: Beams, geometry: MapGeometry, sky_geometry: MapGeometry, band: ScoredRegion, transmission: np.ndarray
 ) -> np.ndarray:
     """PSD (n_bin,) [sr] that a flat spectrum of unit band power leaves in the tapered map.
 
@@ -228,27 +234,27 @@ def left_signal(
     def share(ell: np.ndarray) -> np.ndarray:
         return np.exp(between(np.clip(np.log(np.maximum(ell, 1e-9)), log_ell[0], log_ell[-1])))
 
-    return ring_mean(flat_signal(scene, geometry, sky_geometry, band.padded_taper, share), band.rings)
+    return ring_mean(flat_signal(beams, geometry, sky_geometry, band.padded_taper, share), band.rings)
 
 
-def _mode_weight(scene: Scene, ell: np.ndarray, rings: Annuli) -> np.ndarray:
-    weight = _squared_signal(scene, ell) * rings.multiplicity.reshape(ell.shape)
+def _mode_weight(scene: Scene, beams: Beams, ell: np.ndarray, rings: Annuli) -> np.ndarray:
+    weight = _squared_signal(scene, beams, ell) * rings.multiplicity.reshape(ell.shape)
     # The scored range ends far below the Nyquist multipole: the columns beyond it weigh nothing.
     return np.ascontiguousarray(weight[:, : 1 + np.flatnonzero(weight.any(axis=0))[-1]])
 
 
-def _squared_signal(scene: Scene, ell: np.ndarray) -> np.ndarray:
+def _squared_signal(scene: Scene, beams: Beams, ell: np.ndarray) -> np.ndarray:
     """Compute the squared PSD of a flat spectrum behind the beam, normalised to 1, 0 outside the scored range."""
     score = scene.score
     signal = np.zeros(ell.shape)
     inside = (ell >= score.ell_min) & (ell < score.ell_max)
-    signal[inside] = flat_spectrum_psd(ell[inside]) * beam_window(ell[inside], scene.instrument.beam_fwhm_rad)
+    signal[inside] = flat_spectrum_psd(ell[inside]) * beams.window(ell[inside])
     if not signal.max() > FAINTEST:
         raise SceneError(f"score.ell_min: found {score.ell_min}; multipoles that the beam lets through are expected")
     return (signal / signal.max()) ** 2
 
 
-def _mode_chance(scene: Scene, taper: np.ndarray, pixel_rad: float) -> np.ndarray:
+def _mode_chance(scene: Scene, beams: Beams, taper: np.ndarray, pixel_rad: float) -> np.ndarray:
     """Compute the fractional noise bias (n_mode,) from estimating weights on the same maps.
 
     Weights are the inverse of the measured noise (`ScoredRegion.noise`) with relative errors e of variance d^2. A
@@ -261,7 +267,7 @@ def _mode_chance(scene: Scene, taper: np.ndarray, pixel_rad: float) -> np.ndarra
 
     n = len(taper)
     frequency = 2 * np.pi * np.fft.fftfreq(n, pixel_rad)
-    weight = _squared_signal(scene, np.hypot(frequency[:, None], frequency))
+    weight = _squared_signal(scene, beams, np.hypot(frequency[:, None], frequency))
     tied = np.abs(fft2(taper**2) / np.sum(taper**2)) ** 2
     covariance = 2 * fft2(ifft2(weight) * ifft2(tied)).real * weight.size / weight.sum()
     scatter = float(np.sum(weight * covariance) / weight.sum())

@@ -8,6 +8,7 @@ import numpy as np
 
 from mapmaker.cleaning.responsivity import OBSERVATION
 from mapmaker.geometry import MapGeometry, covering_geometry
+from surveysim.atmosphere.water import Season, seasons
 from surveysim.atmosphere.weather import Water, site_water
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline, pipelines
@@ -31,6 +32,7 @@ from surveysim.scene.instrument import Instrument, OtherBand
 from surveysim.scene.scene import Scene
 from surveysim.telescope.diffraction import with_beam
 from surveysim.telescope.focal_plane import Camera, camera, mask_by_separation
+from surveysim.telescope.noise_levels import stop_emits
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.pointing import Schedule
 from surveysim.telescope.responsivity import assumed_responsivity, band_responsivity, camera_responsivity
@@ -48,6 +50,10 @@ from surveysim.timestreams.simulation import (
     observing_schedule,
     observing_site,
 )
+
+SAMPLE_S = 8e-8  # of a detector-sample, about
+SIGNAL_SIMS = 1.2  # time of the signal simulations of an observation, about, in that of its other work
+QUICK_S = 1.5
 
 
 @dataclass(frozen=True)
@@ -106,24 +112,31 @@ def _prepare(scene: Scene) -> Setup:
         cam.lattices,
         cam.properties,
         cam.counts,
+        cam.band,
+        cam.polarizations,
         responsivity=responsivity,
         band_responsivity=of_bands,
         photon=scene.photon,
         excess=scene.excess,
+        stop_emits=stop_emits(scene),
     )
-    air = AirSetup(layer_strips(scene, cam), water, tuple(_water(scene, band) for band in scene.instrument.bands))
+    waters = tuple(_water(scene, band) for band in scene.instrument.bands)
+    air = AirSetup(layer_strips(scene, cam), water, waters, _seasons(scene, times))
     calibration = assumed_responsivity(scene, np.vstack([responsivity[None], of_bands]))
     setup = Setup(
         scene=scene,
         camera=cam_setup,
         observing=ObservingSetup(scene, pattern, scans, _blocks(scene, n_det, scans, scene_pipelines)),
         air=air,
-        sky=SkySetup(scene, sky_geometry),
-        analysis=AnalysisSetup(scene, geometry, sky_geometry, scene_pipelines, calibration, masked, n_det),
+        sky=SkySetup(scene, sky_geometry, tuple(cam_setup.beams.fwhm_rad.tolist())),
+        analysis=AnalysisSetup(
+            scene, geometry, sky_geometry, scene_pipelines, calibration, masked, n_det, cam_setup.beams
+        ),
     )
+    _ = setup.camera.photon_coherence
     if setup.camera.n_det > MOST_DENSE:
         _check_torus(setup.camera)
-    elements = check_layer(scene, air.strips, water, radius_rad=cam.radius_rad, scans=scans, lowest_rad=lowest)
+    elements = check_layer(scene, air, radius_rad=cam.radius_rad, scans=scans, lowest_rad=lowest)
     check_memory(needed_memory(scene, _sizes(setup, elements)))
     return setup
 
@@ -148,6 +161,7 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
         n_set=len(setup.analysis.data_set_names),
         n_transfer=len(setup.analysis.transfer_function_names),
         n_sky=setup.analysis.n_signal_skies,
+        n_beam=len(setup.camera.beams.fwhm_rad),
         strip_elements=strip_elements,
         n_coefficients=sky_coefficients(scene.sky.curved_lmax, setup.sky.geometry) if curved else 0,
     )
@@ -184,10 +198,15 @@ def _lowest(scene: Scene, cam: Camera, times: Schedule | None, mid_time_s: np.nd
 
 
 def _water(scene: Scene, band: Instrument | OtherBand) -> Water | None:
-    air = scene.atmosphere
-    if air is None or air.site is None:
+    place = scene.place
+    return None if place is None else site_water(scene.atmosphere, place, band.band)
+
+
+def _seasons(scene: Scene, times: Schedule | None) -> tuple[Season, ...] | None:
+    """Seasons of all observations; None without a schedule or without water by month."""
+    if times is None or scene.atmosphere is None or not scene.atmosphere.pwv_by_month:
         return None
-    return site_water(air, band.band)
+    return seasons(times.start_mjd, scene.schedule.longitude_rad)
 
 
 def signal_sim_observations(scene: Scene) -> np.ndarray:
@@ -199,3 +218,10 @@ def signal_sim_observations(scene: Scene) -> np.ndarray:
     if scene.score is not None:
         chosen[: 2 * max(1, scene.score.signal_sims.observations // 2)] = True
     return chosen
+
+
+def is_quick(setup: Setup) -> bool:
+    """Return whether this process simulates a whole survey about as soon as worker processes have started."""
+    samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
+    with_sims = signal_sim_observations(setup.scene).mean()
+    return samples * setup.scene.observations * SAMPLE_S * (1 + with_sims * SIGNAL_SIMS) < QUICK_S

@@ -5,13 +5,15 @@ from typing import Literal
 
 import numpy as np
 
-from surveysim.atmosphere.weather import b2_quantile, pwv_quantile
+from surveysim.atmosphere.water import pwv_quantile
+from surveysim.atmosphere.weather import b2_quantile, season_quantiles
 from surveysim.forecasting.forecast import Forecast
 from surveysim.reduction.setup import Setup
 from surveysim.scene.units import b2_unit
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.scores import DataSetScore
 from surveysim.telescope.noise_levels import white_levels
+from surveysim.timestreams.simulation import camera_white
 
 QUARTILES = (0.25, 0.5, 0.75)
 
@@ -63,12 +65,12 @@ def _white(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
     """Compare photon and detector noise of the scene with the level of the cleaned time-streams, as means."""
     measured = coadds.column("white_mk2_hz")
     known = np.isfinite(measured)
-    if known.sum() < 2 or setup.scene.score is None:
-        return []
+    if known.sum() < 2 or setup.scene.score is None or setup.camera.properties.time_constant_s is not None:
+        return []  # time constants make the noise red
     opacity = setup.air.water.opacity if setup.air.water else None
     conditions = zip(coadds.column("pwv_mm")[known], coadds.column("elevation_rad")[known], strict=True)
     levels = [white_levels(setup.scene, opacity, *item) for item in conditions]
-    set_to = float(np.mean([item.photon_mk2_hz + item.detector_mk2_hz for item in levels]))
+    set_to = float(np.mean([camera_white(setup.camera, item).mean for item in levels]))
     name = f"white noise of the streams, above {setup.scene.score.white_noise_above_hz:g} Hz"
     return [ClosureTest("measured", name, "mK2 / Hz", set_to, *_mean(measured[known]))]
 
@@ -95,15 +97,17 @@ def _weather(setup: Setup, coadds: CoAdds) -> list[ClosureTest]:
     air = setup.scene.atmosphere
     if air is None:
         return []
-    b2 = b2_quantile(air, setup.air.water, ndtri(np.array(QUARTILES)))
+    if setup.air.seasons:
+        b2, pwv = season_quantiles(air, setup.air.water, setup.air.seasons, QUARTILES)
+    else:
+        b2 = b2_quantile(air, setup.air.water, ndtri(np.array(QUARTILES)))
+        pwv = pwv_quantile(air, np.array(QUARTILES)) if setup.air.water is not None else np.empty(0)
     unit = b2_unit(air.spectral_index)
     rows = [_quartile("B2", unit, k, value, coadds.column("b2_mk2")) for k, value in enumerate(b2)]
     wind = np.degrees(coadds.column("wind_speed_rad_s")) * 60
     if air.wind_b2_exponent == 0:  # else its median depends on B2
         rows.append(_quartile("wind", "arcmin / s", 1, float(np.degrees(air.wind_median_rad_s)) * 60, wind))
-    if setup.air.water is not None:
-        water = zip(range(len(QUARTILES)), pwv_quantile(air, np.array(QUARTILES)), strict=True)
-        rows += [_quartile("water", "mm", k, value, coadds.column("pwv_mm")) for k, value in water]
+    rows += [_quartile("water", "mm", k, value, coadds.column("pwv_mm")) for k, value in enumerate(pwv)]
     return rows
 
 

@@ -54,7 +54,7 @@ def summary(result: SurveyResult) -> dict[str, Any]:
         "scores": {},
     }
     if sensed:
-        content["sensitivity"] = sensitivity_entries(sensed, setup.camera.n_det)
+        content["sensitivity"] = sensitivity_entries(setup, sensed)
     if result.unscored:
         content["unscored"] = result.unscored
     if result.scores:

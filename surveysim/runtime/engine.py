@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from surveysim.runtime.errors import InputError
@@ -35,7 +35,8 @@ class Engine:
     kind
         "serial" for this process, "processes" for worker processes on this machine, or "dask".
     workers
-        Number of worker processes on this machine; None for one per core. Not allowed with `scheduler`.
+        Number of worker processes on this machine; None for one per core, or none at all where a run takes a second or
+        two. Not allowed with `scheduler`.
     scheduler
         Address of a dask scheduler, such as ``tcp://host:8786``, or path of its scheduler file; "dask" only.
 
@@ -76,6 +77,10 @@ class Engine:
         if self.kind == "serial":
             return 1
         return max(1, min(self.workers or default_workers(), items))
+
+    def for_work(self, quick: bool) -> "Engine":
+        """Choose this process for quick work, unless the caller chose a number of workers."""
+        return replace(self, workers=1) if quick and self.kind == "processes" and self.workers is None else self
 
     def start_early(self) -> None:
         """Begin to start worker processes of this machine, if there will be any, while this process gets ready."""

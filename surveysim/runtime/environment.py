@@ -1,5 +1,6 @@
 """Process environment of a command: standard streams, caches, and messages of libraries."""
 
+import gc
 import logging
 import os
 import re
@@ -22,6 +23,8 @@ _SIZE = re.compile(r"[1-9][0-9]{1,3}")  # columns or lines
 _temporary_homes: list[str] = []
 # Scipy loads all parts of numpy. These take 0.1 s, and nothing here uses them.
 UNUSED = ("numpy.f2py", "numpy.testing")
+# Allocations between two searches for cycles, 700 by default: imports make many objects and hardly any cycles.
+COLLECT_EVERY = 50_000
 
 
 def settle() -> str | None:
@@ -72,7 +75,8 @@ def forget_sizes() -> None:
 
 
 def postpone_unused() -> None:
-    """Load modules that libraries import, but hardly anything uses, at their first use."""
+    """Load modules that libraries import, but hardly anything uses, at their first use; collect garbage less often."""
+    gc.set_threshold(COLLECT_EVERY)
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it reads the metadata of all packages for them
     if _OnUse not in sys.meta_path:
         sys.meta_path.insert(0, _OnUse)

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from surveysim.scene.sites import sites_text
+from surveysim.scene.sites import PLACE_KEYS, is_taken, sites_text
 
 
 def assumed_values(text: str) -> list[str]:
@@ -16,13 +16,17 @@ def assumed_values(text: str) -> list[str]:
         elif comment := re.search(r"#\s*((?:assumed|calibrated).*)$", line):
             key, equals, value = line[: comment.start()].partition("=")
             if equals and re.fullmatch(r"\w+", key.strip()):
-                found.append(f"{section}{key.strip()} = {value.strip()}: {comment[1]}")
+                value = re.sub(r"\[$", "[...]", value.strip())  # the first line of a long list
+                found.append(f"{section}{key.strip()} = {value}: {comment[1]}")
     return found
 
 
 def assumed_of_site(section: Mapping[str, Any]) -> list[str]:
-    """Return the assumed values that an [atmosphere] takes from its site."""
+    """Return the assumed values that an [atmosphere] takes from its site, and those of the site's place."""
     lines = (line.partition(".")[::2] for line in assumed_values(sites_text()))
+    ours = ((rest.split()[0], rest) for site, rest in lines if site == section.get("site"))
     return [
-        f"atmosphere.{rest}" for site, rest in lines if site == section.get("site") and rest.split()[0] not in section
+        f"{'site' if key in PLACE_KEYS else 'atmosphere'}.{rest}"
+        for key, rest in ours
+        if key in PLACE_KEYS or is_taken(key, section)
     ]

@@ -15,6 +15,7 @@ from surveysim.scene.fields import (
     Fluctuations,
     Index,
     Length,
+    Positive,
     Probabilities,
     SiteName,
     SpeedExtent,
@@ -32,9 +33,9 @@ _OF_SITE: Any = {"otherwise": "the site's"}
 class Atmosphere(Section):
     """Kolmogorov-Taylor thin screen, and the distributions from which the weather of each observation is drawn.
 
-    A `site` supplies the keys that the scene leaves out: layer height, wind, water vapour and its fluctuations, which
-    determine B2. If `b2` is given as well, B2 follows these quantiles, at the rank of the drawn water. Without a site
-    there is no water vapour.
+    A `site`, or else a section [site], supplies the keys that the scene leaves out: layer height, wind, water vapour
+    and its fluctuations, which determine B2. The water of a section [site] is the scene's own. If `b2` is given as
+    well, B2 follows these quantiles, at the rank of the drawn water. Without a site there is no water vapour.
     """
 
     spectral_index: Index
@@ -45,7 +46,7 @@ class Atmosphere(Section):
     """Outer scale of the turbulence (von Karman), no smaller than the illuminated aperture. Required for a spectral
     index of 4 or more."""
     site: SiteName = None
-    """Site that supplies water vapour, opacity and the keys that are left out."""
+    """Site that supplies place, water vapour, opacity and the keys that are left out. Not with a section [site]."""
     layer_height_m: Length = Field(alias="layer_height", json_schema_extra=_OF_SITE)
     """Height of the layer above the telescope."""
     b2_probabilities: Probabilities = ()
@@ -57,6 +58,11 @@ class Atmosphere(Section):
     pwv_mm: Waters = Field(alias="pwv", default=(), json_schema_extra=_OF_SITE)
     """Quantiles of precipitable water vapour (PWV) at the zenith; ln PWV is interpolated linearly in probability. A
     single value holds for all observations."""
+    pwv_by_month: tuple[Waters, ...] = Field(default=(), json_schema_extra=_OF_SITE)
+    """In place of `pwv`: its quantiles in each of the 12 months. A [schedule] gives each observation its month, in
+    local mean solar time; without one all months are equally likely."""
+    pwv_by_hour: tuple[Positive, ...] = Field(default=(), json_schema_extra=_OF_SITE)
+    """With `pwv_by_month`: factors of the water in each of the 24 hours of local mean solar time."""
     water_fluctuation_probabilities: Probabilities = Field(default=(), json_schema_extra=_OF_SITE)
     """Probabilities of the quantiles `water_fluctuation`, between 0 and 1."""
     water_fluctuation: Fluctuations = Field(default=(), json_schema_extra=_OF_SITE)
@@ -107,8 +113,10 @@ class Atmosphere(Section):
 
     @model_validator(mode="after")
     def _distributions_are_whole(self) -> Self:
-        if self.site is None and self.pwv_mm:
-            raise ValueError("site: missing; 'pwv' needs the opacity of a site")
+        water = {"pwv": self.pwv_mm, "pwv_by_month": self.pwv_by_month, "pwv_by_hour": self.pwv_by_hour}
+        if self.site is None and any(water.values()):
+            key = next(key for key, values in water.items() if values)
+            raise ValueError(f"site: missing; {key!r} needs the opacity of a site")
         if self.b2 or self.b2_probabilities:
             check_quantiles("b2", self.b2_probabilities, self.b2)
             if not all(value == 0 or B2_MIN <= value <= B2_MAX for value in self.b2):
@@ -117,15 +125,11 @@ class Atmosphere(Section):
             raise ValueError("b2: missing; a distribution of B2, or a site that it follows from, is expected")
         if self.site is not None:
             check_quantiles("water_fluctuation", self.water_fluctuation_probabilities, self.water_fluctuation)
-            check_knots("pwv_probabilities", self.pwv_probabilities, "pwv", self.pwv_mm)
-            if len(self.pwv_mm) > 1 and (self.pwv_probabilities[0], self.pwv_probabilities[-1]) != (0, 1):
+            self._water_is_whole()
+            if not min(self.water_fluctuation) > 0:
                 raise ValueError(
-                    f"pwv_probabilities: found {shown(self.pwv_probabilities)}; 0 first and 1 last are expected, the"
-                    " driest and the wettest water, or one value alone"
+                    f"water_fluctuation: found {shown(self.water_fluctuation)}; values above 0 are expected"
                 )
-            for key, values in (("pwv", self.pwv_mm), ("water_fluctuation", self.water_fluctuation)):
-                if not min(values) > 0:
-                    raise ValueError(f"{key}: found {shown(values)}; values above 0 are expected")
             if not FLUCTUATION_MIN <= min(self.water_fluctuation) <= max(self.water_fluctuation) <= FLUCTUATION_MAX:
                 raise ValueError(
                     f"water_fluctuation: found {shown(self.water_fluctuation)}; values from {FLUCTUATION_MIN:g} to"
@@ -146,3 +150,27 @@ class Atmosphere(Section):
                 f"outer_scale: missing; an index of {self.spectral_index:g} (4 or more) needs an outer scale"
             )
         return self
+
+    def _water_is_whole(self) -> None:
+        """Raise ValueError for water of a site that is no distribution."""
+        if bool(self.pwv_mm) == bool(self.pwv_by_month):
+            found = "found with 'pwv_by_month'" if self.pwv_mm else "missing"
+            raise ValueError(f"pwv: {found}; either 'pwv' or 'pwv_by_month' is expected")
+        if self.pwv_by_hour and not self.pwv_by_month:
+            raise ValueError("pwv_by_hour: found without 'pwv_by_month'; months are expected with it")
+        for key, count, unit in (("pwv_by_month", 12, "month"), ("pwv_by_hour", 24, "hour")):
+            if len(getattr(self, key)) not in (0, count):
+                raise ValueError(
+                    f"{key}: found {len(getattr(self, key))} values; one for each {unit}, {count}, is expected"
+                )
+        key = "pwv_by_month" if self.pwv_by_month else "pwv"
+        for quantiles in self.pwv_by_month or (self.pwv_mm,):
+            check_knots("pwv_probabilities", self.pwv_probabilities, key, quantiles)
+            if not min(quantiles) > 0:
+                raise ValueError(f"{key}: found {shown(quantiles)}; values above 0 are expected")
+        ends = self.pwv_probabilities[0], self.pwv_probabilities[-1]
+        if len(self.pwv_probabilities) > 1 and ends != (0, 1):
+            raise ValueError(
+                f"pwv_probabilities: found {shown(self.pwv_probabilities)}; 0 first and 1 last are expected, the"
+                " driest and the wettest water, or one value alone"
+            )

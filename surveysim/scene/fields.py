@@ -14,7 +14,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, WithJsonSchema
 
-from surveysim.scene.sites import SITES
+from surveysim.scene.similar_names import did_you_mean
+from surveysim.scene.sites import OWN, site_names
 from surveysim.scene.units import NUMBER, shown, to_float, to_floats, to_sky_angle
 
 FIRST_DATE, LAST_DATE = "1900-01-01", "2199-12-31"  # range of dates with accurate precession and nutation
@@ -186,6 +187,12 @@ def table_or_name(value: object, info: ValidationInfo) -> object:
     return value if isinstance(value, str) and value and not Path(value).suffix else file_path(value, info)
 
 
+def _photon_coherence(value: object) -> object:
+    if value == "intensity":
+        raise ValueError("found 'intensity'; photon noise with this correlation is 'hbt' now")
+    return value
+
+
 def _share_or_table(value: object, info: ValidationInfo) -> object:
     if isinstance(value, str | Path):
         return file_path(value, info)
@@ -212,8 +219,10 @@ def _steps_of_file(schema: dict[str, object]) -> None:
 
 
 def _site(value: object) -> object:
-    if value is not None and value not in SITES:
-        raise ValueError(f"found {shown(value)}; one of {', '.join(map(repr, SITES))} is expected")
+    if value is not None and value not in (*site_names(), OWN):
+        similar = did_you_mean(value, site_names()) if isinstance(value, str) else ""
+        expected = similar or f"one of {', '.join(map(repr, site_names()))}, or a section [site], is expected"
+        raise ValueError(f"found {shown(value)}; {expected}")
     return value
 
 
@@ -248,7 +257,7 @@ IsoDate = Annotated[
 ]
 Line = Annotated[str, BeforeValidator(_line)]
 Nside = Annotated[int | None, BeforeValidator(_nside), of_file("integer", enum=[2**k for k in range(14)])]
-SiteName = Annotated[str | None, BeforeValidator(_site), of_file("string", enum=SITES)]
+SiteName = Annotated[str | None, BeforeValidator(_site), of_file("string", enum=site_names())]
 TableFile = Annotated[Path | None, BeforeValidator(file_path), of_file("string", format=FILE, examples=["camera.ecsv"])]
 TableOrName = Annotated[Path | str | None, BeforeValidator(table_or_name), of_file("string", format=FILE)]
 ShareOrTable = Annotated[
@@ -304,4 +313,5 @@ Ratios = Annotated[
     tuple[tuple[str, Positive], ...], BeforeValidator(_pairs), of_file("object", minimum=1e-6, maximum=1e6)
 ]
 Coherence = Literal["field", "intensity", "none"]
+PhotonCoherence = Annotated[Literal["hbt", "field", "none"], BeforeValidator(_photon_coherence)]
 Steps = Annotated[tuple[str, ...], BeforeValidator(_steps), Field(json_schema_extra=_steps_of_file)]

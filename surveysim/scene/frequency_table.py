@@ -38,19 +38,20 @@ def read_frequency_table(key: str, path: Path, name: str) -> tuple[tuple[float, 
 
 
 def _columns(lines: list[str], name: str) -> tuple[np.ndarray, np.ndarray]:
-    table = _table(lines)
+    table = ecsv_table(lines)
     if set(table.colnames) != {"frequency", name}:
         raise InputError(f"found the columns {shown(', '.join(table.colnames))}")
-    frequency, value = _numbers(table, "frequency", "Hz"), _numbers(table, name, "")
+    frequency, value = column_numbers(table, "frequency", "Hz"), column_numbers(table, name, "")
     if len(frequency) < 2:
         raise InputError(f"found {len(frequency)} rows, and two or more are needed")
-    _check_rows("frequency", frequency, (frequency >= LOWEST_HZ) & (frequency <= HIGHEST_HZ), "0.1 GHz to 100 THz")
-    _check_rows("frequency", frequency, np.append(True, np.diff(frequency) > 0), "more than in the row before")
-    _check_rows(name, value, (value >= 0) & (value <= 1), "0 to 1")
+    check_rows("frequency", frequency, (frequency >= LOWEST_HZ) & (frequency <= HIGHEST_HZ), "0.1 GHz to 100 THz")
+    check_rows("frequency", frequency, np.append(True, np.diff(frequency) > 0), "more than in the row before")
+    check_rows(name, value, (value >= 0) & (value <= 1), "0 to 1")
     return frequency, value
 
 
-def _table(lines: list[str]) -> Any:
+def ecsv_table(lines: list[str]) -> Any:
+    """Parse the lines of an ECSV file; raises InputError without the name of the file."""
     from astropy.table import Table
 
     if not lines or not lines[0].startswith("# %ECSV"):
@@ -62,8 +63,8 @@ def _table(lines: list[str]) -> Any:
         raise InputError(f"not an ECSV table ({one_line(error) or type(error).__name__})") from None
 
 
-def _numbers(table: Any, name: str, unit: str) -> np.ndarray:
-    """One column in a unit, with NaN in empty cells."""
+def column_numbers(table: Any, name: str, unit: str) -> np.ndarray:
+    """Return one column in a unit ("" for none), with NaN in empty cells; errors as `ecsv_table`."""
     column = table[name]
     if column.dtype.kind not in "iuf" or column.ndim != 1:
         raise InputError(f"column {name!r}: found datatype {column.dtype} instead of float64")
@@ -77,7 +78,8 @@ def _numbers(table: Any, name: str, unit: str) -> np.ndarray:
     return np.asarray(values, dtype=float) * factor
 
 
-def _check_rows(name: str, values: np.ndarray, allowed: np.ndarray, expected: str) -> None:
+def check_rows(name: str, values: np.ndarray, allowed: np.ndarray, expected: str) -> None:
+    """Raise InputError for the first row whose value is not allowed."""
     wrong = np.flatnonzero(~allowed)
     if len(wrong):
         found = f"{values[wrong[0]]:g}"

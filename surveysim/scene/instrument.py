@@ -1,6 +1,7 @@
 """Section [instrument]: band, beam, optics and focal plane."""
 
 from functools import cached_property
+from pathlib import Path
 from typing import Annotated, Self
 
 from pydantic import Field, JsonValue, model_validator
@@ -22,9 +23,11 @@ from surveysim.scene.fields import (
     number,
     whole,
 )
+from surveysim.scene.illumination_table import IlluminationTable, read_illumination
 from surveysim.scene.layout import Layout, Wafer
 from surveysim.scene.passband import Passband, read_passband, top_hat
 from surveysim.scene.section import Section
+from surveysim.scene.units import shown
 
 _FROM_APERTURE: dict[str, JsonValue] = {"otherwise": "that of `optics.aperture`"}
 
@@ -45,12 +48,20 @@ class OtherBand(Section):
         return top_hat(self.frequency_hz, self.bandwidth)
 
 
+# Illuminations, and the keys that one of them needs.
+_BEAM_KEYS: dict[str, tuple[str, ...]] = {
+    "uniform": (),
+    "gaussian": ("horn_f_lambda", "edge_taper"),
+    "he11": ("horn_f_lambda",),
+}
+
+
 class Instrument(Section):
     """Band, beam, optics and focal plane; detectors from `layout`, from `wafers` or from the table `positions`.
 
-    Pixels illuminate the stop uniformly, unless `horn_f_lambda` or `edge_taper` is given. `efficiency` and
-    `polarizations` convert optical power to temperature. They are required where noise is given by power, in
-    `photon.load` and `detector.nep`.
+    Pixels illuminate the stop uniformly, unless `illumination`, `horn_f_lambda` or `edge_taper` is given. The part of
+    their beam beyond the edge of the stop is spillover. `efficiency` and `polarizations` convert optical power to
+    temperature. They are required where noise is given by power, in `photon.load` and `detector.nep`.
     """
 
     frequency_hz: BandFrequency | None = Field(alias="frequency", default=None)
@@ -72,13 +83,22 @@ class Instrument(Section):
     """Relative scatter of the detectors' responsivities (log-normal), constant over the survey."""
     camera_rotation_range_rad: AngleExtent = Field(alias="camera_rotation_range")
     """Full range of the camera's rotation angle, drawn uniformly for each observation."""
+    illumination: TableOrName = Field(
+        default=None,
+        json_schema_extra={"otherwise": '"gaussian" with `horn_f_lambda` or `edge_taper`, "uniform" without'},
+    )
+    """Beam of a pixel over the plane of the stop: "uniform" for an evenly lit stop without spillover, "gaussian",
+    "he11" for corrugated horns of the diameter `horn_f_lambda`, or an ECSV table with the columns `rho` and `intensity`
+    or `amplitude`, path relative to the scene file. `rho` is the radius over that of the stop, from 0 to 1 or
+    beyond."""
     horn_f_lambda: Annotated[float, *number(0.1, 20)] | None = None
-    """Diameter of the feed horns in (f/#)lambda, up to the distance between detectors. It sets the edge taper and the
-    spillover at the stop."""
+    """Diameter of the feed horns in (f/#)lambda, up to the distance between detectors. It sets the beam over the
+    stop: the edge taper of a Gaussian beam, or that of an HE11 mode."""
     edge_taper_db: Taper | None = Field(alias="edge_taper", default=None)
     """Edge taper of a Gaussian illumination of the stop; 0 dB is uniform. Alternative: `horn_f_lambda`."""
     efficiency: Annotated[float, *number(1e-4, 1)] | None = None
-    """Optical efficiency from window to detector, spillover at the stop excluded."""
+    """Optical efficiency from window to detector, or with [optics] from its last element to the detector; spillover at
+    the stop excluded."""
     polarizations: Annotated[int, *whole(1, 2)] | None = None
     """Number of polarizations that a detector absorbs."""
     layout: Layout | None = None
@@ -100,6 +120,11 @@ class Instrument(Section):
         if self.passband is not None:
             return read_passband(self.passband)
         return top_hat(self.frequency_hz, self.bandwidth or 0.0)
+
+    @cached_property
+    def illumination_table(self) -> IlluminationTable:
+        """Beam over the plane of the stop, of the table that `illumination` names."""
+        return read_illumination(Path(self.illumination))
 
     @property
     def table(self) -> DetectorTable | None:
@@ -138,8 +163,35 @@ class Instrument(Section):
             )
         if self.table_band is not None and self.positions is None:
             raise ValueError(f"band: found {self.table_band!r} without 'positions', a table with a column band")
-        if self.horn_f_lambda is not None and self.edge_taper_db is not None:
+        return self
+
+    @model_validator(mode="after")
+    def _one_illumination(self) -> Self:
+        beams = {"horn_f_lambda": self.horn_f_lambda, "edge_taper": self.edge_taper_db}
+        given = [key for key, value in beams.items() if value is not None]
+        if len(given) > 1:
             raise ValueError(
                 "edge_taper: found together with 'horn_f_lambda', which sets it; one of the two is expected"
             )
+        if self.illumination is not None:
+            self._check_illumination(*given)
         return self
+
+    def _check_illumination(self, given: str = "") -> None:
+        """Raise ValueError for an unknown illumination, a broken table, and a beam `given` by a key it does not
+        have."""
+        if isinstance(self.illumination, Path):
+            try:
+                _ = self.illumination_table
+            except InputError as error:
+                raise ValueError(str(error).removeprefix("instrument.")) from None
+        elif self.illumination not in _BEAM_KEYS:
+            raise ValueError(
+                f"illumination: found {shown(self.illumination)}; the name of an ECSV file, or one of "
+                f"{', '.join(_BEAM_KEYS)} is expected"
+            )
+        allowed, named = _BEAM_KEYS.get(str(self.illumination), ()), shown(Path(self.illumination).name)
+        if given and not allowed:
+            raise ValueError(f"{given}: found together with the illumination {named}, which has no such key")
+        if allowed and given not in allowed:
+            raise ValueError(f"{' or '.join(allowed)}: missing; the illumination {named} needs it")

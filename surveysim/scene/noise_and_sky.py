@@ -18,6 +18,7 @@ from surveysim.scene.fields import (
     Longitude,
     Nep,
     NoisePsd,
+    PhotonCoherence,
     PhysicalTemperature,
     Share,
     Temperature,
@@ -81,14 +82,17 @@ class Photon(Section):
     """One-sided PSD of a detector's photon noise, in Rayleigh-Jeans temperature. Alternatives: `load`, [optics]."""
     coherent_fraction: Share | None = None
     """Fraction of the load that comes through the beam. Required with `psd`, not allowed without it."""
+    stop_fraction: Share | None = Field(default=None, json_schema_extra={"otherwise": "0"})
+    """Fraction of the load that the stop emits, where the beam spills over its edge. For `psd` with coherence "hbt"."""
     bose_fraction: Share | None = None
-    """Fraction of the noise `psd` that is photon bunching (Bose noise) instead of shot noise. Required with `psd` and
-    coherence "intensity"."""
+    """Fraction of the noise `psd` that is photon bunching (Bose or wave noise) instead of shot noise. Required with
+    `psd` and coherence "hbt"."""
     load: OpticalLoad | None = None
     """Alternatives: `psd`, [optics]."""
-    coherence: Coherence
-    """Correlation between overlapping pixels: "field" correlates all noise of the load through the beam by the field
-    coherence gamma, "intensity" its bunching only by gamma squared (Hanbury Brown and Twiss), "none" nothing."""
+    coherence: PhotonCoherence
+    """Correlation between pixels: "hbt" correlates the bunching of light through the aperture and of the stop (Hanbury
+    Brown and Twiss; Hill and Kusaka 2024). "field" correlates all noise of the load through the beam by the field
+    coherence gamma, the hypothesis of Sayers et al. (2010) for their excess noise. "none" correlates nothing."""
 
     @model_validator(mode="after")
     def _psd_or_load(self) -> Self:
@@ -97,13 +101,26 @@ class Photon(Section):
         source = "'load'" if self.load else "[optics]"
         if self.psd_mk2_hz is not None and self.coherent_fraction is None:
             raise ValueError("coherent_fraction: missing; 'psd' needs it")
-        for name in ("coherent_fraction", "bose_fraction"):
+        for name in ("coherent_fraction", "stop_fraction", "bose_fraction"):
             if self.psd_mk2_hz is None and getattr(self, name) is not None:
                 raise ValueError(f"{name}: found without 'psd'; {source} sets it")
-        if self.psd_mk2_hz is not None and self.coherence == "intensity" and self.bose_fraction is None:
+        if self.psd_mk2_hz is not None and self.coherence == "hbt" and self.bose_fraction is None:
             raise ValueError(
-                "bose_fraction: missing; 'psd' with coherence 'intensity' needs it, as the bunching alone is shared: "
+                "bose_fraction: missing; 'psd' with coherence 'hbt' needs it, as the bunching alone is shared: "
                 "0 for shot noise alone to 1, or give a 'load', from which it follows"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _stop_is_of_load(self) -> Self:
+        if self.stop_fraction is None:
+            return self
+        if self.coherence != "hbt":
+            raise ValueError("stop_fraction: found without coherence 'hbt', which it belongs to")
+        if self.coherent_fraction + self.stop_fraction > 1 + 1e-9:
+            raise ValueError(
+                f"stop_fraction: found {self.stop_fraction:g} with a coherent_fraction of {self.coherent_fraction:g}; "
+                "1 or less is expected of their sum"
             )
         return self
 

@@ -1,6 +1,6 @@
 """Sections [field], [schedule], [fixed_pointing] and [scan]: where, when and how the telescope observes."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -21,6 +21,7 @@ from surveysim.scene.fields import (
 )
 from surveysim.scene.section import Section
 
+_OF_SITE: Any = {"otherwise": "the site's"}
 MIN_SAMPLES = 8  # scans with fewer samples would vanish with their mean and a few templates
 
 
@@ -34,17 +35,17 @@ class FieldSection(Section):
 
 
 class Schedule(Section):
-    """Site and dates of the observations, which give elevation and parallactic angle.
+    """Place and dates of the observations, which give elevation and parallactic angle.
 
-    Observations are spread evenly over the nights and, within a night, over the time in which the field is within the
-    limits.
+    A site, named in [atmosphere] or given in [site], supplies the place. Observations are spread evenly over the nights
+    and, within a night, over the time in which the field is within the limits.
     """
 
-    latitude_rad: Latitude = Field(alias="latitude")
+    latitude_rad: Latitude = Field(alias="latitude", json_schema_extra=_OF_SITE)
     """Geodetic latitude of the telescope, north positive."""
-    longitude_rad: Longitude = Field(alias="longitude")
+    longitude_rad: Longitude = Field(alias="longitude", json_schema_extra=_OF_SITE)
     """Longitude of the telescope, east positive."""
-    height_m: Height = Field(alias="height")
+    height_m: Height = Field(alias="height", json_schema_extra=_OF_SITE)
     """Height of the telescope above the ellipsoid."""
     first_night: IsoDate
     """Local date of the first night, at its evening."""

@@ -112,8 +112,8 @@ class Optics(Section):
     sky_k: Load | None = Field(
         alias="sky", default=None, json_schema_extra={"otherwise": "CMB, and atmosphere of the site's water"}
     )
-    """Load of the sky in Rayleigh-Jeans temperature, CMB included; temperatures then refer to the sky below the
-    atmosphere."""
+    """Load of the sky in Rayleigh-Jeans temperature, CMB included. Temperatures then refer to the sky before the first
+    element."""
     stop: OpticalStop | None = None
     """Required where horns spill part of their beam."""
     elements: tuple[OpticalElement, ...] = ()

@@ -30,9 +30,11 @@ from surveysim.scene.noise_and_sky import ONE_NOISE, StreamSections
 from surveysim.scene.numerics import Numerics
 from surveysim.scene.observing import MIN_SAMPLES, FieldSection, FixedPointing, Scan, Schedule
 from surveysim.scene.optics import Optics
+from surveysim.scene.place import Place, SiteSection, own_place, shipped_place, with_place
 from surveysim.scene.renamed_keys import renamed_lines
 from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
+from surveysim.scene.sites import OWN
 from surveysim.scene.units import file_value, shown
 
 MAX_BYTES = 300_000  # largest scene file; typical ones have 5 kB with comments
@@ -63,6 +65,8 @@ class ObservationSections(Section):
     observations: Annotated[int, *whole(1, 1_000_000)]
     """Number of observations of the survey."""
     field: FieldSection
+    site: SiteSection | None = None
+    """Alternative: `atmosphere.site`, the name of a site that ships."""
     schedule: Schedule | None = None
     """Alternative: `fixed_pointing`."""
     fixed_pointing: FixedPointing | None = None
@@ -91,6 +95,18 @@ class Scene(StreamSections, ObservationSections):
     def origin(self) -> Origin | None:
         """File that the scene was read from; None for a scene made otherwise."""
         return self._origin
+
+    @property
+    def place(self) -> Place | None:
+        """Place whose air the telescope looks through; None without water vapour."""
+        if self.atmosphere is None or self.atmosphere.site is None:
+            return None
+        return own_place(self.site) if self.site else shipped_place(self.atmosphere.site)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _site_supplies_the_place(cls, data: Any) -> Any:
+        return with_place(data) if isinstance(data, dict) else data
 
     @model_validator(mode="after")
     def _sections_fit(self) -> Self:
@@ -215,8 +231,9 @@ def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mappi
     data["assumed"] = [line for line, key in assumed.items() if key not in overrides and not key.startswith("sweep.")]
     for key, value in overrides.items():
         _override(path, data, key, value)
-    if isinstance(data.get("atmosphere"), dict):
-        data["assumed"] += assumed_of_site(data["atmosphere"])
+    air = data.get("atmosphere")
+    if isinstance(air, dict):
+        data["assumed"] += assumed_of_site(air if "site" not in data else {"site": OWN} | air)
     if renamed := renamed_lines(data):
         raise SceneError(error_lines(path, renamed))
     if "name" not in data:

@@ -1,4 +1,4 @@
-"""Sites: water vapour, wind and layer height of each; `sites.toml` lists them with their sources."""
+"""Sites that ship: place, water vapour, wind and layer height of each; `sites.toml` lists them with their sources."""
 
 import tomllib
 from collections.abc import Mapping
@@ -8,7 +8,9 @@ from typing import Any
 
 from surveysim.scene.units import to_floats
 
-SITES = ("mauna_kea", "south_pole", "alma", "ccat")
+OWN = "own"  # the site of a scene with a section [site]
+PLACE_KEYS = ("title", "latitude", "longitude", "height", "temperature", "opacity")
+WATER_KEYS = (("pwv",), ("pwv_by_month", "pwv_by_hour"))  # a scene that gives one replaces the site's other
 
 
 @cache
@@ -22,14 +24,41 @@ def _tables() -> dict[str, dict[str, Any]]:
     return tomllib.loads(sites_text())
 
 
+@cache
+def site_names() -> tuple[str, ...]:
+    """Names of the sites that ship."""
+    return tuple(name for name in _tables() if name != OWN)
+
+
+def site_title(name: str) -> str:
+    """Name of a site in a sentence."""
+    return _tables().get(name, {}).get("title", name)
+
+
+def site_place(name: str) -> dict[str, Any]:
+    """Keys of the place of a site that ships: coordinates, temperature and table of opacity, as in `sites.toml`."""
+    return {key: value for key, value in _tables()[name].items() if key in PLACE_KEYS}
+
+
 def with_site(section: Mapping[str, Any]) -> dict[str, Any]:
     """Fill the keys that an [atmosphere] leaves out with those of its site, if it has one."""
     site = section.get("site")
-    return (_tables()[site] if site in SITES else {}) | dict(section)
+    if not isinstance(site, str) or site not in _tables():
+        return dict(section)
+    return {key: value for key, value in _tables()[site].items() if is_taken(key, section)} | dict(section)
+
+
+def is_taken(key: str, section: Mapping[str, Any]) -> bool:
+    """Return whether an [atmosphere] takes a key from its site."""
+    if key in PLACE_KEYS or key in section:
+        return False
+    return not any(
+        key in ours and any(other in section for other in theirs) for ours, theirs in (WATER_KEYS, WATER_KEYS[::-1])
+    )
 
 
 def water_mm(site: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Probabilities and quantiles [mm] of the water vapour of a site."""
+    """Probabilities and quantiles [mm] of the water vapour of a site, all year."""
     table = _tables()[site]
     return tuple(table["pwv_probabilities"]), to_floats(table["pwv"], "mm")
 

@@ -142,21 +142,25 @@ def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = N
     analysis, kept = setup.analysis, kept_shares(setup, coadds)
     if not kept[ACTUAL].any():
         raise InsufficientDataError("cleaning discarded all scans; some scans of 2 or more observations are expected")
-    transfer_functions = [
-        _transfer_function(analysis, coadds, place, analysis.region.rings)
-        for place in range(len(analysis.transfer_function_names))
-    ]
+    scored = [item for item in analysis.data_sets if names is None or item.name in names]
+    transfer_functions = {
+        place: _transfer_function(analysis, coadds, place, analysis.region.rings)
+        for place in {analysis.transfer_function_index(item.name) for item in scored}
+    }
     weights = noise_weights(coadds.noise_mk2())
     scores = {}
-    for s, item in enumerate(analysis.data_sets):
-        name = item.name
-        if names is None or name in names:
-            psds = _noise_psds(analysis, coadds, s, analysis.region.rings)
-            transfer_function = transfer_functions[analysis.transfer_function_index(name)]
-            bin_noise = np.array(coadds.bin_noise)[:, s]
-            scores[name] = _score(
-                analysis, item, psds, transfer_function, weights=weights[:, s], bin_noise=bin_noise, kept=kept[name]
-            )
+    for item in scored:
+        name, s = item.name, analysis.data_set_names.index(item.name)
+        psds = _noise_psds(analysis, coadds, s, analysis.region.rings)
+        scores[name] = _score(
+            analysis,
+            item,
+            psds,
+            transfer_functions[analysis.transfer_function_index(name)],
+            weights=weights[:, s],
+            bin_noise=np.array(coadds.bin_noise)[:, s],
+            kept=kept[name],
+        )
     return scores
 
 

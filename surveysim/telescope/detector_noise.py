@@ -1,13 +1,31 @@
 """Noise-equivalent powers of detectors: bolometers and kinetic inductance detectors (KIDs)."""
 
 from surveysim.scene.noise_and_sky import Bolometer, Detector
+from surveysim.scene.scene import Scene
 from surveysim.scene.units import BOLTZMANN_J_K
 
 
+def stated_psd_mk2_hz(scene: Scene) -> float | None:
+    """PSD of the detector noise [mK^2/Hz] that the scene or its table of detectors states; None for other noise."""
+    if scene.detector is None:
+        return 0.0
+    if scene.detector.stated is None:
+        key, level = scene.instrument.table_noise
+        return level if key == "psd" else None
+    return scene.detector.psd_mk2_hz
+
+
+def noise_by_origin(scene: Scene, load_w: float) -> dict[str, float]:
+    """Compute the squared NEPs [W^2/Hz] of a scene's detectors under a load [W], by origin; none for a stated PSD."""
+    if stated_psd_mk2_hz(scene) is not None:
+        return {}
+    if scene.detector.stated is None:
+        return {"detector": scene.instrument.table_noise[1] ** 2}
+    return detector_nep2(scene.detector, load_w)
+
+
 def detector_nep2(detector: Detector, load_w: float) -> dict[str, float]:
-    """Compute the squared NEPs [W^2/Hz] of a detector under a load [W], by origin; none for a stated PSD."""
-    if detector.nep_w_rthz is not None:
-        return {"detector": detector.nep_w_rthz**2}
+    """Compute the squared NEPs [W^2/Hz] of a detector under a load [W], by origin, but for a stated PSD."""
     if detector.bolometer is not None:
         bolometer = detector.bolometer
         return {"phonon": phonon_nep2(bolometer), "amplifier": bolometer.amplifier_nep_w_rthz**2}
@@ -15,7 +33,7 @@ def detector_nep2(detector: Detector, load_w: float) -> dict[str, float]:
         kid = detector.kid
         recombination = recombination_nep2(load_w, kid.gap_j, kid.pair_breaking_efficiency)
         return {"recombination": recombination, "amplifier": kid.amplifier_nep_w_rthz**2}
-    return {}
+    return {"detector": detector.nep_w_rthz**2}
 
 
 def phonon_nep2(bolometer: Bolometer) -> float:
@@ -39,8 +57,10 @@ def saturation_power_w(bolometer: Bolometer) -> float:
 
 
 def recombination_nep2(load_w: float, gap_j: float, pair_breaking_efficiency: float) -> float:
-    """Recombination noise of the quasiparticles that a load breaks [W^2/Hz], ``4 Delta P / eta_pb`` (Zmuidzinas 2012).
+    """Recombination noise of the quasiparticles that a load makes [W^2/Hz], ``4 Delta P / eta_pb`` (Zmuidzinas 2012).
 
+    As many pairs recombine as the load breaks, ``r = eta_pb P / 2 Delta`` a second, at random times. Each takes two
+    quasiparticles, so that their rate has the one-sided PSD ``2 r 2^2``; one quasiparticle is worth ``Delta / eta_pb``.
     Noise of generation is the photon noise itself.
     """
     return 4 * gap_j * load_w / pair_breaking_efficiency

@@ -8,13 +8,14 @@ import math
 
 import numpy as np
 
-from surveysim.runtime.errors import OutOfRangeError
+from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import illumination
-from surveysim.telescope.pixel_coherence import Illumination
+from surveysim.telescope.illumination import Illumination
 
 LIGHT_M_S = 299792458.0
 _NODES = 200  # of the radius; the field varies slowly
+_NARROWEST_RAD, _WIDEST_RAD = math.radians(0.001 / 3600), math.radians(30)  # as of `instrument.beam_fwhm`
 _WIDEST = 100.0  # FWHM [lambda / D] beyond which an illumination lights no aperture
 
 
@@ -65,6 +66,14 @@ def _field(lit: Illumination, obscuration: float) -> tuple[np.ndarray, np.ndarra
     return radius, (1 - obscuration) / 2 * weight * radius * np.sqrt(lit.intensity(radius))
 
 
+def _check_beam(aperture_m: float, fwhm_rad: float) -> None:
+    if not _NARROWEST_RAD <= fwhm_rad <= _WIDEST_RAD:
+        raise SceneError(
+            f"optics.aperture: found {aperture_m:g} m, with a beam of {math.degrees(fwhm_rad) * 3600:.3g} arcsec; one "
+            "of 0.001 arcsec to 30 deg is expected"
+        )
+
+
 def effective_area_m2(scene: Scene) -> float:
     """Effective area of the telescope for a point source in the centre of the beam [m^2].
 
@@ -96,4 +105,5 @@ def with_beam(scene: Scene) -> Scene:
     if instrument.beam_fwhm_rad is None:
         width = beam_width(illumination(instrument), optics.central_obscuration_m / optics.aperture_m)
         changes["beam_fwhm_rad"] = width * f_lambda_rad
+        _check_beam(optics.aperture_m, width * f_lambda_rad)
     return scene.model_copy(update={"instrument": instrument.model_copy(update=changes)})

@@ -3,12 +3,14 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from mapmaker.timestreams import FocalPlane
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.instrument import Instrument as InstrumentSection
+from surveysim.scene.passband import Passband
 from surveysim.telescope.detector_properties import (
     DetectorCounts,
     DetectorProperties,
@@ -16,8 +18,15 @@ from surveysim.telescope.detector_properties import (
     table_counts,
     table_properties,
 )
-from surveysim.telescope.layouts import Lattice, placed_wafers
-from surveysim.telescope.pixel_coherence import Illumination, horn_taper_db, stop_efficiency
+from surveysim.telescope.illumination import (
+    UNIFORM,
+    GaussianIllumination,
+    He11Illumination,
+    Illumination,
+    TableIllumination,
+    gaussian_horn,
+)
+from surveysim.telescope.layouts import HEXAGONAL, Lattice, placed_wafers
 
 MAX_BEAMS = 8  # different beams of a camera: each takes a sky of its own
 MAX_PLACES = 1000
@@ -35,26 +44,42 @@ class Camera:
     f_lambda_rad
         One (f/#)lambda on the sky.
     illumination
-        Illumination of the stop by each pixel.
+        Beam of each pixel over the stop.
     lattices
         Lattice of each wafer, whose detectors follow those of the one before; none for a table of positions.
     properties
         Properties in which the detectors differ.
     counts
         Numbers of detectors; None for a camera of no scene.
+    band
+        Passband of the detectors; None for a single frequency.
+    polarizations
+        Polarizations that a detector absorbs; None where the scene does not say.
     """
 
     focal_plane: FocalPlane
     f_lambda_rad: float
-    illumination: Illumination = Illumination()
+    illumination: Illumination = UNIFORM
     lattices: tuple[Lattice, ...] = ()
     properties: DetectorProperties = DetectorProperties()
     counts: DetectorCounts | None = None
+    band: Passband | None = None
+    polarizations: int | None = None
 
     @property
     def positions_f_lambda(self) -> np.ndarray:
         """Positions (n_det, 2) in (f/#)lambda."""
         return np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad]) / self.f_lambda_rad
+
+    @property
+    def polarization_angle_rad(self) -> np.ndarray | None:
+        """Angles (n_det,) of detectors that absorb one polarization; None where they are not told or absorb both."""
+        return self.focal_plane.angle_rad if self.polarizations == 1 else None
+
+    @property
+    def hexagonal(self) -> Lattice | None:
+        """The one hexagonal lattice of all detectors; None for other cameras."""
+        return self.lattices[0] if len(self.lattices) == 1 and self.lattices[0].cosine == HEXAGONAL else None
 
     @property
     def radius_rad(self) -> float:
@@ -105,6 +130,8 @@ def _lattice_camera(section: InstrumentSection, seed: int) -> Camera:
         illumination(section),
         tuple(wafer.lattice for wafer in wafers),
         counts=DetectorCounts(total, total - len(positions), wafers=of_wafers),
+        band=section.band,
+        polarizations=section.polarizations,
     )
 
 
@@ -112,42 +139,43 @@ def _table_camera(section: InstrumentSection) -> Camera:
     table = section.table
     rows = table.band_rows(section.table_band) & table.live
     x, y = table.positions_rad[rows].T
-    angle = table.columns["angle"][rows] if "angle" in table.columns else None
+    angle, names = (table.columns[key][rows] if key in table.columns else None for key in ("angle", "name"))
     properties = table_properties(table, rows)
     only_beams(section, properties, MAX_BEAMS)
     check_distinct(np.unique(np.column_stack([x, y]), axis=0))  # detectors of a pair have angles of their own
     return Camera(
-        FocalPlane(x.copy(), y.copy(), section.beam_fwhm_rad, angle),
+        FocalPlane(x.copy(), y.copy(), section.beam_fwhm_rad, angle, names),
         section.f_lambda_rad,
         illumination(section),
         properties=properties,
         counts=table_counts(table, section),
+        band=section.band,
+        polarizations=section.polarizations,
     )
 
 
 def illumination(section: InstrumentSection) -> Illumination:
-    """Compute the illumination of the stop: uniform, or with the edge taper of the scene or of its horns."""
+    """Make the beam of a pixel over the stop: from the table of the scene, its horns or its edge taper, or uniform."""
+    if isinstance(section.illumination, Path):
+        return TableIllumination(*section.illumination_table)
     if section.horn_f_lambda is not None:
-        return Illumination(horn_taper_db(section.horn_f_lambda))
-    return Illumination(section.edge_taper_db or 0.0)
+        horn = He11Illumination if section.illumination == "he11" else gaussian_horn
+        return horn(section.horn_f_lambda)
+    return GaussianIllumination(section.edge_taper_db or 0.0)
 
 
 def total_efficiency(section: InstrumentSection) -> float:
-    """Compute the efficiency from window to detector, with the spillover of horns; needs an `efficiency`."""
-    if section.horn_f_lambda is None:
-        return section.efficiency
-    return section.efficiency * stop_efficiency(horn_taper_db(section.horn_f_lambda))
+    """Compute the efficiency from window to detector, with the spillover of the beam; needs an `efficiency`."""
+    return section.efficiency * illumination(section).efficiency
 
 
 def stop_share(section: InstrumentSection, frequency_hz: np.ndarray) -> np.ndarray:
-    """Compute the part (n,) of a horn's beam that passes the stop at frequencies (n,) [Hz]; 1 without horns.
+    """Compute the part (n,) of a pixel's beam that passes the stop at frequencies (n,) [Hz].
 
-    The diameter of a horn in (f/#)lambda is that at the centre of the band, and proportional to the frequency.
+    The scene tells the illumination at the centre of the band.
     """
-    if section.horn_f_lambda is None:
-        return np.ones(len(frequency_hz))
-    diameters = section.horn_f_lambda * frequency_hz / section.band.centre_hz
-    return np.array([stop_efficiency(horn_taper_db(diameter)) for diameter in diameters])
+    beam = illumination(section)
+    return np.array([beam.at(ratio).efficiency for ratio in (frequency_hz / section.band.centre_hz).tolist()])
 
 
 def check_distinct(positions: np.ndarray) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.runtime.rng import NormalDeviates
-from surveysim.telescope.pixel_coherence import Illumination, coherence_at
+from surveysim.telescope.pixel_coherence import PixelCoherence, part_weights
 
 # Largest error of a correlation between detectors. At 0.7 (f/#)lambda the field coherence of neighbours is 0.5.
 LARGEST_ERROR = 2e-3
@@ -86,9 +86,27 @@ class CirculantCorrelation:
     @property
     def correlation(self) -> np.ndarray:
         """Correlation of each cell with the origin, (n_q, n_r)."""
-        from scipy.fft import ifft2
+        return _correlation(self.values)
 
-        return ifft2(self.values).real
+
+@dataclass(frozen=True, eq=False)
+class LatticePixels:
+    """Correlation of detectors at `cells` (n_det,) of a torus by its parts, of the eigenvalues (n_part, n_q, n_r).
+
+    The parts add up with the weights of `surveysim.telescope.pixel_coherence.part_weights`.
+    """
+
+    values: np.ndarray
+    cells: np.ndarray
+
+    def at(self, stop_share: float) -> CirculantCorrelation:
+        """Correlation for one share of the stop."""
+        weights = part_weights(stop_share, len(self.values))
+        return CirculantCorrelation(np.tensordot(weights, self.values, axes=1), self.cells)
+
+    def columns(self, rows: np.ndarray | slice) -> list[CirculantCorrelation]:
+        """Parts for some of the detectors."""
+        return [CirculantCorrelation(values, self.cells[rows]) for values in self.values]
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,12 +124,11 @@ class NoiseCorrelation:
         return gain * (gain * columns if self.torus is None else self.torus.times(gain * columns))
 
 
-def embed(cells: np.ndarray, pitch_f_lambda: float, coherence: str, illumination: Illumination) -> CirculantCorrelation:
+def embed(cells: np.ndarray, pitch_f_lambda: float, coherence: PixelCoherence) -> LatticePixels:
     """Find the smallest torus for detectors at lattice positions `cells` (n_det, 2) with an error within
-    `LARGEST_ERROR`.
+    `LARGEST_ERROR` of each part of `coherence`.
 
-    The lattice axes are 60 degrees apart; `coherence` and `illumination` are as for `correlation_matrix`. If a change
-    of the optics changes the size of the torus, all draws change.
+    The lattice axes are 60 degrees apart. If a change of the optics changes the size of the torus, all draws change.
 
     Raises
     ------
@@ -121,21 +138,35 @@ def embed(cells: np.ndarray, pitch_f_lambda: float, coherence: str, illumination
     places = cells - cells.min(axis=0)
     span = places.max(axis=0) + 1
     lags = _lags(places, span)
-    wanted = coherence_at(_length(lags) * pitch_f_lambda, coherence, illumination)
+    wanted = coherence.parts(_length(lags) * pitch_f_lambda)
     room, error = _ROOM, math.inf
     while room <= _MOST_SPANS:
         n_q, n_r = sizes = _sizes(span, room)
         seen = lags[:, 0] % n_q, lags[:, 1] % n_r
-        values = _eigenvalues(coherence_at(_distance(sizes) * pitch_f_lambda, coherence, illumination), seen)
-        torus = CirculantCorrelation(values, places[:, 0] * n_r + places[:, 1])
-        error = float(np.abs(torus.correlation[seen] - wanted).max())
+        parts = coherence.parts(_distance(sizes) * pitch_f_lambda)
+        values = np.stack([_eigenvalues(part, seen) for part in parts])
+        error = float(np.abs(_correlation(values)[:, *seen] - wanted).max())
         if error <= LARGEST_ERROR:
-            return torus
+            return LatticePixels(values, places[:, 0] * n_r + places[:, 1])
         room *= _GROWTH
     raise OutOfRangeError(
         f"found correlations off by {error:.2g} on a torus of {n_q} by {n_r} pixels {pitch_f_lambda:.3g} (f/#)lambda "
-        f"apart; {LARGEST_ERROR:g} or less is expected: a larger pitch, a tapered illumination or coherence 'intensity'"
+        f"apart; {LARGEST_ERROR:g} or less is expected: a larger pitch, a tapered illumination or squared coherence"
     )
+
+
+def pair_sums(cells: np.ndarray, pitch_f_lambda: float, coherence: PixelCoherence) -> np.ndarray:
+    """Sum (n_part,) of each part of the coherence over all pairs of two different detectors, both orders, exactly."""
+    places = cells - cells.min(axis=0)
+    lags, pairs = _counted_lags(places, places.max(axis=0) + 1)
+    return coherence.parts(_length(lags) * pitch_f_lambda) @ pairs - len(cells)
+
+
+def _correlation(values: np.ndarray) -> np.ndarray:
+    """Correlation (..., n_q, n_r) of each cell of a torus with the origin, from its eigenvalues."""
+    from scipy.fft import ifft2
+
+    return ifft2(values).real
 
 
 def _eigenvalues(correlation: np.ndarray, seen: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
@@ -162,13 +193,18 @@ def _distance(sizes: tuple[int, int]) -> np.ndarray:
 
 def _lags(places: np.ndarray, span: np.ndarray) -> np.ndarray:
     """List all separations (n_lag, 2) between pairs of positions, each once."""
+    return _counted_lags(places, span)[0]
+
+
+def _counted_lags(places: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """List all separations (n_lag, 2) between two positions, each once, and their ordered pairs (n_lag,)."""
     from scipy.fft import fft2, ifft2
 
     taken = np.zeros(2 * span)
     taken[tuple(places.T)] = 1
     pairs = np.rint(ifft2(np.abs(fft2(taken)) ** 2).real)
     steps = np.argwhere(pairs > 0)
-    return np.where(steps >= span, steps - 2 * span, steps)
+    return np.where(steps >= span, steps - 2 * span, steps), pairs[pairs > 0]
 
 
 def _length(steps: np.ndarray) -> np.ndarray:

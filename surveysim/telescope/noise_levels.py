@@ -11,7 +11,7 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.fields import PSD_MAX_MK2_HZ
 from surveysim.scene.noise_and_sky import Photon
 from surveysim.scene.scene import Scene
-from surveysim.telescope.detector_noise import detector_nep2
+from surveysim.telescope.detector_noise import noise_by_origin, stated_psd_mk2_hz
 from surveysim.telescope.detector_properties import DetectorProperties
 from surveysim.telescope.optics import scene_chain
 from surveysim.telescope.photon_noise import amplitude_weights, chain_noise
@@ -32,7 +32,7 @@ class WhiteLevels:
         Parts of the load, by occupation number at the detector, that come through the aperture of the stop, and from
         the stop.
     shared
-        Part of `photon_mk2_hz` that overlapping pixels share, with coherence "field" or "intensity".
+        Fraction of `photon_mk2_hz` that a detector would share with another at the same place.
     """
 
     photon_mk2_hz: float = 0.0
@@ -41,6 +41,11 @@ class WhiteLevels:
     stop_weight: float = 0.0
     shared: float = 0.0
     detector_mk2_hz: float = 0.0
+
+    @property
+    def stop_share(self) -> float:
+        """The stop's part of the light that is shared (`surveysim.telescope.pixel_coherence.part_weights`)."""
+        return self.stop_weight / (self.aperture_weight + self.stop_weight) if self.stop_weight else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +57,11 @@ class WhiteByDetector:
     shared: np.ndarray
     alone: np.ndarray
     detector: np.ndarray
+
+    @property
+    def mean(self) -> float:
+        """Mean of all white noise over the detectors."""
+        return float(np.mean(self.shared + self.alone + self.detector))
 
 
 def white_by_detector(
@@ -91,12 +101,9 @@ def white_levels(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, eleva
         levels = _of_chain(chain, scene.photon.coherence)
     else:
         levels = {}
-    detector = 0.0
-    if scene.detector:
-        found = scene.detector.psd_mk2_hz
-        if scene.detector.stated is None and scene.instrument.table_noise[0] == "psd":
-            found = scene.instrument.table_noise[1]
-        detector = _detector_psd(scene, chain) if found is None else found
+    detector = stated_psd_mk2_hz(scene)
+    if detector is None:
+        detector = _detector_psd(scene, chain)
     _check_level(scene.given_by_power, levels.get("photon_mk2_hz", 0.0))
     _check_level("detector", detector)
     return WhiteLevels(**levels, detector_mk2_hz=detector)
@@ -113,21 +120,19 @@ def _check_level(key: str | None, psd_mk2_hz: float) -> None:
 
 def _detector_psd(scene: Scene, chain: RadiativeChain) -> float:
     """Detector noise [mK^2/Hz] of a detector whose NEP is known, under the load of the chain."""
-    if scene.detector.stated is None:
-        nep2 = scene.instrument.table_noise[1] ** 2
-    else:
-        nep2 = sum(detector_nep2(scene.detector, chain_noise(chain).power_w).values())
+    nep2 = sum(noise_by_origin(scene, chain_noise(chain).power_w).values())
     return nep2 * (1e3 / chain.w_per_k) ** 2 if chain.w_per_k else float("inf")
 
 
 def _stated(photon: Photon) -> dict[str, float]:
     """Levels of photon noise that the scene states as a PSD with its fractions."""
-    part, wave = photon.coherent_fraction, photon.bose_fraction or 0.0
+    part, stop, wave = photon.coherent_fraction, photon.stop_fraction or 0.0, photon.bose_fraction or 0.0
     return {
         "photon_mk2_hz": photon.psd_mk2_hz,
         "wave_mk2_hz": wave * photon.psd_mk2_hz,
         "aperture_weight": part,
-        "shared": _shared(photon.coherence, part, wave),
+        "stop_weight": stop,
+        "shared": _shared(photon.coherence, part + stop, wave),
     }
 
 
@@ -135,13 +140,13 @@ def _of_chain(chain: RadiativeChain, coherence: str) -> dict[str, float]:
     """Levels of photon noise from the load.
 
     With "field" coherence, shot and wave noise are shared alike, in proportion to the part of the load through the beam
-    (section 5.1). With "intensity" coherence, only the wave noise is shared, in proportion to the square of that part
-    (Hanbury Brown and Twiss).
+    (section 5.1). With "hbt" coherence, only the wave noise is shared, in proportion to the square of the part through
+    the aperture and from the stop (Hill and Kusaka 2024, equation 59).
     """
     noise = chain_noise(chain)
     aperture, stop = amplitude_weights(chain)
     wave = noise.bose_nep2 / (noise.shot_nep2 + noise.bose_nep2) if noise.power_w else 0.0
-    part = aperture
+    part = aperture + stop
     if coherence == "field":
         part = float(chain.power_w(chain.occupation_of(SKY))) / noise.power_w if noise.power_w else 0.0
     return {
@@ -154,7 +159,12 @@ def _of_chain(chain: RadiativeChain, coherence: str) -> dict[str, float]:
 
 
 def _shared(coherence: str, part: float, wave: float) -> float:
-    """Shared part of the photon noise from `part`, the fraction of the load through the beam, and `wave`, the fraction
-    of the noise that is bunching.
+    """Shared fraction of the photon noise, from the `part` of the load that is coherent between pixels, and the
+    fraction `wave` of the noise that is bunching.
     """
-    return part**2 * wave if coherence == "intensity" else part
+    return part**2 * wave if coherence == "hbt" else part
+
+
+def stop_emits(scene: Scene) -> bool:
+    """Whether light of the stop is part of the load, as far as the beam spills on it."""
+    return bool(scene.photon and (scene.photon.stop_fraction or (scene.optics and scene.optics.stop)))

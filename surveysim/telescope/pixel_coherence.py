@@ -1,160 +1,168 @@
-"""Mutual coherence of overlapping pixels for a beam-filling source, for any illumination of the stop.
+"""Correlation of the noise of overlapping pixels against their separation, for any illumination of the stop.
 
-Two pixels s (f/#)lambda apart see the stop with a phase that turns s times across its diameter. Their mutual coherence
-gamma(s) is the Fourier transform of the illumination of the stop (van Cittert-Zernike). So gamma has no power beyond
-one cycle per 2 (f/#)lambda and gamma^2 none beyond one cycle per (f/#)lambda, and sums over a lattice of pixels are
-finite sums over its reciprocal lattice (Poisson).
+The coherence gamma of two pixels is the transform of the light in the plane of the stop
+(`surveysim.telescope.illumination`). Within the aperture gamma has no power beyond one cycle per 2 (f/#)lambda and
+gamma^2 none beyond one cycle per (f/#)lambda, and sums over a lattice of pixels are finite sums over its reciprocal
+lattice (Poisson).
 """
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from surveysim.runtime.errors import OutOfRangeError
+from surveysim.scene.passband import Passband
+from surveysim.telescope.illumination import UNIFORM, GaussianIllumination, Illumination
 
-# Waist of the Gaussian beam of a corrugated horn, over the radius of its aperture (Goldsmith 1998).
-_WAIST_PER_RADIUS = 0.6435
-# Beyond this exponent (174 dB) truncation by the stop is below rounding.
-_UNTRUNCATED = 40.0
 # Most detectors whose correlation is a dense matrix: a product with it then takes about 45 ns a sample, fields on a
-# torus (`surveysim.telescope.lattice_noise`) 18 ("intensity", pixels 1.3 apart) to 54 ns ("field", 0.7 apart).
+# torus (`surveysim.telescope.lattice_noise`) 18 (gamma^2, pixels 1.3 apart) to 54 ns (gamma, 0.7 apart).
 MOST_DENSE = 1500
 # Separations closer than half of 10^-13 (f/#)lambda count as the same.
 _SEPARATION_DECIMALS = 13
+_BAND_NODES = 24
+
+Kind = Literal["hbt", "field", "intensity", "none"]
+Band = tuple[tuple[float, float], ...]  # frequencies over the one that (f/#)lambda refers to, and weights that sum to 1
 
 
 @dataclass(frozen=True)
-class Illumination:
-    """Illumination of the stop by a pixel: intensity ``10^(-T/10 u^2)`` at the fraction u of the stop's radius.
+class PixelCoherence:
+    """Correlation of one kind of noise between pixels, as a function of their separation.
 
-    `edge_taper_db` is T; 0 is uniform illumination. Raises OutOfRangeError unless it is finite and 0 or more.
+    Attributes
+    ----------
+    kind
+        "hbt" for the wave noise of photons: the square of the coherence that light through the aperture and light of
+        the stop have together (Hill and Kusaka 2024, equations 59 and 60), averaged over the band. "field" for the
+        coherence gamma of light through the aperture, "intensity" for its square, "none" for no correlation.
+    illumination
+        Beam of each pixel over the stop.
+    band
+        Frequencies and weights of the average of "hbt". Wave noise is weighted by the square of the transmission.
+    with_stop
+        Whether the stop emits. Without it "hbt" has one part.
     """
 
-    edge_taper_db: float = 0.0
+    kind: Kind
+    illumination: Illumination = UNIFORM
+    band: Band = ((1.0, 1.0),)
+    with_stop: bool = False
 
-    def __post_init__(self) -> None:
-        if not 0 <= self.edge_taper_db < math.inf:
-            raise OutOfRangeError(
-                f"edge_taper_db = {self.edge_taper_db:g} found; a finite taper of 0 dB or more is allowed"
-            )
+    def parts(self, separation_f_lambda: np.ndarray) -> np.ndarray:
+        """Correlation (n_part, ...) at separations of any shape, to 1e-11.
 
-    @property
-    def exponent(self) -> float:
-        """Kappa of the intensity ``exp(-kappa u^2)``."""
-        return self.edge_taper_db * math.log(10) / 10
+        "hbt" with the stop has three parts, the band's means of gamma_ap^2, gamma_ap gamma_stop and gamma_stop^2, to
+        be added with the weights of `part_weights`. Each is positive semi-definite on any set of pixels: the
+        coherences are transforms of non-negative intensities, and so are their products (Schur). Equal separations
+        have equal correlations, to the last bit.
+        """
+        separation, which = np.unique(np.round(separation_f_lambda, _SEPARATION_DECIMALS), return_inverse=True)
+        parts = self._distinct_parts(separation)
+        return parts[:, which].reshape(len(parts), *np.shape(separation_f_lambda))
 
-    def intensity(self, rho: np.ndarray) -> np.ndarray:
-        """Intensity at radii `rho` over the stop's, relative to the centre's."""
-        return np.exp(-self.exponent * np.square(rho))
+    def _distinct_parts(self, separation: np.ndarray) -> np.ndarray:
+        if self.kind == "none":
+            return (separation == 0).astype(float)[None]
+        if self.kind != "hbt":
+            gamma = self.illumination.aperture(separation)
+            return (gamma if self.kind == "field" else gamma**2)[None]
+        total = np.zeros((3 if self.with_stop else 1, len(separation)))
+        for ratio, weight in self.band:
+            beam, apart = self.illumination.at(ratio), separation * ratio
+            gamma = beam.aperture(apart)
+            total[0] += weight * gamma**2
+            if self.with_stop:
+                stop = beam.stop(apart)
+                total[1] += weight * gamma * stop
+                total[2] += weight * stop**2
+        return total
 
 
-# ---------------------------------------------------------------- horns
+def wave_noise_band(band: Passband) -> Band:
+    """Make the frequencies, over the band's centre, and weights of averages of wave noise over a band.
 
-
-def horn_taper_db(diameter_f_lambda: float) -> float:
-    """Edge taper [dB] of a horn with an aperture of `diameter_f_lambda`: 8.9 dB at 2, 1.1 dB at 0.7.
-
-    The fundamental Gaussian beam of waist w0 spreads as ``exp(-2 (theta pi w0 / lambda)^2)``; the edge of the stop is
-    at ``theta = 1 / (2 f/#)``. Valid for corrugated horns (Goldsmith, Quasioptical Systems, 1998), approximately for
-    other horns with a symmetric beam, and for small angles. Raises OutOfRangeError unless the diameter is finite and 0
-    or more.
+    The noise of a load of one brightness at all frequencies is proportional to the square of the transmission. Gauss's
+    quadrature for this weight averages correlations to 1e-5, at separations up to 6 (f/#)lambda over the relative width
+    of the band; beyond, they are smaller than that.
     """
-    if not 0 <= diameter_f_lambda < math.inf:
-        raise OutOfRangeError(
-            f"diameter_f_lambda = {diameter_f_lambda:g} found; a finite diameter of 0 or more is allowed"
-        )
-    waist = _WAIST_PER_RADIUS * diameter_f_lambda / 2
-    return 10 / math.log(10) * 2 * (math.pi * waist / 2) ** 2
+    frequency, weight = band.nodes
+    weight = weight * band.at(frequency)
+    return gauss_rule(frequency / band.centre_hz, weight / weight.sum(), _BAND_NODES)
 
 
-def stop_efficiency(edge_taper_db: float) -> float:
-    """Fraction of a horn's beam that passes the stop, ``1 - 10^(-T/10)``; the rest ends on the cold stop.
+def gauss_rule(x: np.ndarray, weight: np.ndarray, n: int) -> Band:
+    """Condense a quadrature with nodes (m,) and positive weights to n nodes, exact for polynomials to order 2 n - 1.
 
-    For horns only: 0 dB is the limit of a small horn with a beam so wide that nothing passes the stop. Raises
-    OutOfRangeError for a taper that is negative or not finite.
+    The recursion of orthogonal polynomials (Stieltjes) gives a tridiagonal matrix, its eigenvalues are the nodes (Golub
+    and Welsch 1969).
     """
-    return -math.expm1(-Illumination(edge_taper_db).exponent)
+    if len(x) <= n:
+        return tuple(zip(x.tolist(), weight.tolist(), strict=True))
+    before, now, diagonal, beside = np.zeros(len(x)), np.ones(len(x)), np.empty(n), np.zeros(n)
+    for order in range(n):
+        diagonal[order] = weight @ (x * now**2)
+        after = (x - diagonal[order]) * now - beside[order - 1] * before
+        beside[order] = np.sqrt(weight @ after**2)
+        before, now = now, after / beside[order]
+    nodes, vectors = np.linalg.eigh(np.diag(diagonal) + np.diag(beside[:-1], 1) + np.diag(beside[:-1], -1))
+    return tuple(zip(nodes.tolist(), (vectors[0] ** 2).tolist(), strict=True))
 
 
-# ---------------------------------------------------------------- coherence
+def part_weights(stop_share: float | np.ndarray, n_part: int) -> np.ndarray:
+    """Weights (n_part, ...) of the parts of `PixelCoherence.parts`; they sum to 1.
 
-
-def mutual_coherence(separation_f_lambda: np.ndarray, illumination: Illumination = Illumination()) -> np.ndarray:
-    """Field coherence gamma of pixels s (f/#)lambda apart: ``int I J0(pi s u) u du / int I u du``.
-
-    A uniformly illuminated stop gives ``2 J1(pi s) / (pi s)``: 0.506 at 0.7 (f/#)lambda, the paper's "50 % of the power
-    received by adjacent bolometers is completely correlated" (section 5.1). A taper adds Zernike modes of the Gaussian.
-    Each transforms to a Bessel function (Nijboer); the sum is good to 1e-13 at any separation.
+    `stop_share` is the stop's part ``w_stop / (w_ap + w_stop)`` of the light that overlapping pixels have in common.
+    The weights are the terms of ``((1 - stop_share) gamma_ap + stop_share gamma_stop)^2``.
     """
-    from scipy.special import j1, jv
-
-    x = np.pi * np.asarray(separation_f_lambda, dtype=float)
-    if illumination.exponent > _UNTRUNCATED:
-        return np.exp(-(x**2) / (4 * illumination.exponent))
-    safe = np.where(x == 0, 1.0, x)
-    total = j1(safe)
-    for order, weight in _zernike_weights(illumination.exponent / 2):
-        total += weight * jv(order, safe)
-    return np.where(x == 0, 1.0, 2 * total / safe)
+    share = np.asarray(stop_share, dtype=float)
+    return (
+        np.stack([(1 - share) ** 2, 2 * share * (1 - share), share**2]) if n_part == 3 else np.ones((1, *share.shape))
+    )
 
 
-def _zernike_weights(half_exponent: float) -> list[tuple[int, float]]:
-    """Pairs (2m + 1, weight of J_(2m+1)) for m = 1, 2, ..., relative to a weight of 1 for J1, down to rounding.
-
-    ``exp(-y t) = sum (2m + 1) (-1)^m i_m(y) P_m(t)``, t = 2 u^2 - 1, and ``P_m(t)`` transforms to ``(-1)^m J_(2m+1)(x)
-    / x``; i_m are modified spherical Bessel functions.
-    """
-    from scipy.special import ive
-
-    if half_exponent == 0:
-        return []
-    m = np.arange(1, 60)
-    weight = (2 * m + 1) * ive(m + 0.5, half_exponent) / ive(0.5, half_exponent)
-    kept = weight > 1e-16
-    return list(zip((2 * m[kept] + 1).tolist(), weight[kept].tolist(), strict=True))
-
-
-def correlation_matrix(
-    positions_f_lambda: np.ndarray, coherence: str, illumination: Illumination = Illumination()
+def correlation_matrices(
+    positions_f_lambda: np.ndarray, coherence: PixelCoherence, angle_rad: np.ndarray | None = None
 ) -> np.ndarray:
-    """Correlation (n_det, n_det) of the noise of a beam-filling source between pixels at (n_det, 2) positions.
+    """Correlation (n_part, n_det, n_det) of noise between pixels at (n_det, 2) positions, by part.
 
-    `coherence` is "field" (gamma), "intensity" (gamma^2, Hanbury Brown and Twiss) or "none". All three are positive
-    semi-definite: gamma is the transform of a non-negative function, and products of such functions are positive
-    semi-definite too. Equal separations have equal correlations, to the last bit.
+    Detectors of one polarization at the angles `angle_rad` (n_det,) couple to the fraction cos(psi_i - psi_j) of each
+    other's field, so that unpolarized light correlates their noise by ``cos^2(psi_i - psi_j)`` of it. (The difference
+    of two orthogonal detectors in each pixel, Stokes Q, has ``cos 2(psi_i - psi_j)``: Hill and Kusaka's equation 62.)
+    None for detectors with one angle, or of both polarizations.
     """
     from scipy.spatial.distance import pdist, squareform
 
     positions = np.asarray(positions_f_lambda, dtype=float)
-    if coherence == "none":
-        return np.eye(len(positions))
-    matrix = squareform(coherence_at(pdist(positions), coherence, illumination))
-    np.fill_diagonal(matrix, 1.0)
-    return matrix
+    matrices = np.stack([squareform(part) for part in coherence.parts(pdist(positions))])
+    if angle_rad is not None:
+        matrices *= np.cos(angle_rad[:, None] - angle_rad) ** 2
+    matrices[:, np.arange(len(positions)), np.arange(len(positions))] = 1.0
+    return matrices
 
 
-def coherence_at(separation_f_lambda: np.ndarray, coherence: str, illumination: Illumination) -> np.ndarray:
-    """Compute the correlation at separations of any shape, to 1e-11; arguments as for `correlation_matrix`."""
-    separation, which = np.unique(np.round(separation_f_lambda, _SEPARATION_DECIMALS), return_inverse=True)
-    if coherence == "none":
-        return (separation == 0).astype(float)[which].reshape(separation_f_lambda.shape)
-    gamma = _interpolated_coherence(separation, illumination)
-    return (gamma if coherence == "field" else gamma**2)[which].reshape(separation_f_lambda.shape)
+@dataclass(frozen=True, eq=False)
+class DensePixels:
+    """Correlation of detectors by its parts (n_part, n_det, n_det); they add up with `part_weights`."""
+
+    parts: np.ndarray
+
+    def at(self, stop_share: float) -> "DenseCorrelation":
+        """Diagonalize the correlation for one share of the stop. The last one is kept."""
+        return _diagonalized(self, stop_share)
+
+    def columns(self, rows: np.ndarray | slice) -> list[np.ndarray]:
+        """Parts (n, n) for some of the detectors."""
+        return [part[rows][:, rows] for part in self.parts]
 
 
-def _interpolated_coherence(separation: np.ndarray, illumination: Illumination) -> np.ndarray:
-    """Compute `mutual_coherence` at many separations (n,), to 1e-11, by Chebyshev interpolation.
-
-    Gamma has no power beyond one cycle per 2 (f/#)lambda. Like a cosine's, its Chebyshev coefficients over separations
-    up to S vanish soon beyond the order pi S / 2.
-    """
-    order = math.pi / 2 * separation.max(initial=0.0)
-    degree = math.ceil(order + 12 * order ** (1 / 3) + 20)
-    if illumination.edge_taper_db == 0 or len(separation) <= degree:
-        return mutual_coherence(separation, illumination)
-    domain = [0.0, separation.max()]
-    return np.polynomial.Chebyshev.interpolate(mutual_coherence, degree, domain, args=(illumination,))(separation)
+@lru_cache(maxsize=1)  # most scenes have one share for all observations
+@threadpool_limits.wrap(limits=1)  # no bit depends on the cores of the machine
+def _diagonalized(pixels: DensePixels, stop_share: float) -> "DenseCorrelation":
+    return overlap(np.tensordot(part_weights(stop_share, len(pixels.parts)), pixels.parts, axes=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,9 +203,8 @@ def correlation_factor(correlation: np.ndarray) -> np.ndarray:
 # ---------------------------------------------------------------- lattices
 
 
-def lattice_sum(pitch_f_lambda: float, coherence: str, illumination: Illumination = Illumination()) -> float:
-    """Sum of the coherence with all other pixels of an infinite hexagonal lattice; `coherence` as for
-    `correlation_matrix`.
+def lattice_sum(pitch_f_lambda: float, coherence: str, illumination: GaussianIllumination = UNIFORM) -> float:
+    """Sum of the coherence with all other pixels of an infinite hexagonal lattice: "field", "intensity" or "none".
 
     The noise of the array's mean is one plus this sum times the noise of independent pixels. Exact, by Poisson's
     formula: the sum of the coherence's transform at the reciprocal lattice, divided by the area of a cell. Uniform

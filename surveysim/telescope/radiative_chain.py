@@ -128,7 +128,8 @@ class RadiativeChain:
 
 def black_body(frequency_hz: np.ndarray, temperature_k: float) -> np.ndarray:
     """Occupation number (n,) of a black body."""
-    return 1 / np.expm1(PLANCK_J_S * frequency_hz / (BOLTZMANN_J_K * temperature_k))
+    x = PLANCK_J_S * frequency_hz / (BOLTZMANN_J_K * temperature_k)
+    return np.exp(-x) / -np.expm1(-x)  # of cold surfaces e^x would be too large a number
 
 
 def rayleigh_jeans(frequency_hz: np.ndarray, temperature_k: float) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 from surveysim.atmosphere.opacity import BandOpacity
 from surveysim.scene.scene import Scene
 from surveysim.scene.units import BOLTZMANN_J_K
-from surveysim.telescope.detector_noise import detector_nep2, saturation_power_w
+from surveysim.telescope.detector_noise import noise_by_origin, saturation_power_w, stated_psd_mk2_hz
 from surveysim.telescope.diffraction import effective_area_m2
 from surveysim.telescope.optics import scene_chain
 from surveysim.telescope.photon_noise import chain_noise
@@ -120,13 +120,12 @@ def sensitivity(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevat
         Elevation.
     """
     chain = scene_chain(scene, opacity, pwv_mm, elevation_rad)
-    noise, detector = chain_noise(chain), scene.detector
-    nep2 = {"photons, shot": noise.shot_nep2, "photons, wave": noise.bose_nep2}
-    if detector is not None:
-        nep2 |= detector_nep2(detector, noise.power_w)
-        if detector.psd_mk2_hz is not None:
-            nep2["detector"] = detector.psd_mk2_hz * (1e-3 * noise.w_per_k) ** 2
-    bolometer = detector.bolometer if detector else None
+    noise = chain_noise(chain)
+    nep2 = {"shot": noise.shot_nep2, "wave": noise.bose_nep2}
+    nep2 |= noise_by_origin(scene, noise.power_w)
+    if psd := stated_psd_mk2_hz(scene):
+        nep2["detector"] = psd * (1e-3 * noise.w_per_k) ** 2
+    bolometer = scene.detector.bolometer if scene.detector else None
     return Sensitivity(
         pwv_mm,
         elevation_rad,

@@ -63,7 +63,8 @@ def observation_weather(setup: Simulation, observation: int) -> Weather | None:
     """The weather drawn for one observation; None without an atmosphere."""
     if setup.scene.atmosphere is None:
         return None
-    return survey_weather(setup.scene.atmosphere, setup.air.water, setup.scene.seed, observation)
+    when = setup.air.seasons[observation] if setup.air.seasons else None
+    return survey_weather(setup.scene.atmosphere, setup.air.water, setup.scene.seed, observation, when=when)
 
 
 def observation_levels(setup: Simulation, observation: int) -> WhiteLevels:

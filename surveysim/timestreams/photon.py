@@ -5,8 +5,8 @@ from functools import lru_cache
 import numpy as np
 
 from surveysim.runtime.rng import RandomPurpose
-from surveysim.telescope.lattice_noise import CirculantCorrelation, CirculantFactor
-from surveysim.telescope.pixel_coherence import DenseCorrelation
+from surveysim.telescope.lattice_noise import CirculantFactor, LatticePixels
+from surveysim.telescope.pixel_coherence import DensePixels
 from surveysim.timestreams.noise import add_correlated_white, add_white
 from surveysim.timestreams.observed_block import ObservedBlock, white_of_block
 from surveysim.timestreams.time_constants import apply_time_constants
@@ -28,7 +28,9 @@ def add_photon_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
         add_white(*noise, deviates)
     else:
         share = levels.shared * levels.photon_mk2_hz / level
-        add_correlated_white(*noise, _shared_factor(setup.camera.photon_correlation, share), deviates)
+        add_correlated_white(
+            *noise, _shared_factor(setup.camera.photon_correlation, levels.stop_share, share), deviates
+        )
 
 
 def _add_parts(data_mk: np.ndarray, of: ObservedBlock) -> None:
@@ -39,17 +41,18 @@ def _add_parts(data_mk: np.ndarray, of: ObservedBlock) -> None:
     if correlation is None:
         add_white(seen, white.shared + white.alone, rate, of.deviates(RandomPurpose.PHOTON))
     else:
-        add_correlated_white(
-            seen, white.shared, rate, _shared_factor(correlation, 1.0), of.deviates(RandomPurpose.PHOTON)
-        )
+        factor = _shared_factor(correlation, of.levels.stop_share, 1.0)
+        add_correlated_white(seen, white.shared, rate, factor, of.deviates(RandomPurpose.PHOTON))
         add_white(seen, white.alone, rate, of.deviates(RandomPurpose.PHOTON, realization=1))
     apply_time_constants(setup, seen)
     data_mk += seen
 
 
 @lru_cache(maxsize=1)  # most scenes have one share for all observations
-def _shared_factor(pixels: DenseCorrelation | CirculantCorrelation, share: float) -> np.ndarray | CirculantFactor:
-    return pixels.factor(share)
+def _shared_factor(
+    pixels: DensePixels | LatticePixels, stop_share: float, share: float
+) -> np.ndarray | CirculantFactor:
+    return pixels.at(stop_share).factor(share)
 
 
 def photon_correlation(correlation: np.ndarray, coherent_fraction: float) -> np.ndarray:

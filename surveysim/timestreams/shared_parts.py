@@ -9,39 +9,63 @@ from threadpoolctl import threadpool_limits
 from mapmaker.geometry import MapGeometry
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.rng import RandomPurpose, generator
-from surveysim.scene.noise_and_sky import Excess, Photon
+from surveysim.scene.noise_and_sky import Photon
 from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import Camera
-from surveysim.telescope.lattice_noise import CirculantCorrelation, embed
-from surveysim.telescope.layouts import HEXAGONAL
-from surveysim.telescope.pixel_coherence import MOST_DENSE, DenseCorrelation, correlation_matrix, overlap
+from surveysim.telescope.lattice_noise import LatticePixels, embed
+from surveysim.telescope.pixel_coherence import (
+    MOST_DENSE,
+    DensePixels,
+    PixelCoherence,
+    correlation_matrices,
+    wave_noise_band,
+)
 
 if TYPE_CHECKING:
     from surveysim.atmosphere.screen_simulation import SlantStrips
     from surveysim.atmosphere.thin_screen import Screen
 
 
-# Eigenvectors of the correlations differ in their last bits, or in a degenerate space altogether, between
-# numbers of BLAS threads; a run must not depend on the machine's cores.
+def photon_coherence(cam: Camera, section: Photon, stop_emits: bool) -> PixelCoherence:
+    """Make the correlation of photon noise against separation.
+
+    Raises SceneError for a fraction of the stop with a beam that does not spill on it.
+    """
+    if section.coherence != "hbt":
+        return PixelCoherence(section.coherence, cam.illumination)
+    if section.stop_fraction and cam.illumination.efficiency == 1:
+        raise SceneError(
+            f"photon.stop_fraction: found {section.stop_fraction:g} with a beam that does not spill on the stop; 0, or "
+            "an instrument.illumination beyond the edge of the stop, is expected"
+        )
+    return PixelCoherence(
+        "hbt", cam.illumination, wave_noise_band(cam.band), with_stop=stop_emits and cam.illumination.efficiency < 1
+    )
+
+
+# Correlations differ in their last bits between numbers of BLAS threads; a run must not depend on the machine's cores.
 @threadpool_limits.wrap(limits=1)
-def shared_noise(
-    cam: Camera, section: Photon | Excess | None, name: str
-) -> DenseCorrelation | CirculantCorrelation | None:
-    """Compute the correlation of a noise between overlapping pixels; None where they share nothing."""
-    if section is None or section.coherence == "none":
+def shared_noise(cam: Camera, coherence: PixelCoherence, name: str) -> DensePixels | LatticePixels | None:
+    """Compute the correlation of a noise between pixels, by its parts; None where they share nothing."""
+    if coherence.kind == "none":
         return None
     n_det = len(cam.focal_plane.x_rad)
+    angle = cam.polarization_angle_rad if coherence.kind == "hbt" else None
     if n_det <= MOST_DENSE:
-        return overlap(correlation_matrix(cam.positions_f_lambda, section.coherence, cam.illumination))
-    if len(cam.lattices) != 1 or cam.lattices[0].cosine != HEXAGONAL:
+        return DensePixels(correlation_matrices(cam.positions_f_lambda, coherence, angle))
+    if cam.hexagonal is None:
         raise SceneError(
-            f"{name}.coherence: found {section.coherence!r} for {n_det} detectors off a single hexagonal lattice; "
+            f"{name}.coherence: found {coherence.kind!r} for {n_det} detectors off a single hexagonal lattice; "
             f"{MOST_DENSE} or fewer are expected, or an instrument.layout, whose lattice makes noise that more share, "
             "or coherence 'none'"
         )
+    if angle is not None:
+        raise SceneError(
+            f"{name}.coherence: found 'hbt' for {n_det} detectors with polarization angles; {MOST_DENSE} or fewer are "
+            "expected"
+        )
     try:
-        lattice = cam.lattices[0]
-        return embed(lattice.cells, lattice.pitch_rad / cam.f_lambda_rad, section.coherence, cam.illumination)
+        return embed(cam.hexagonal.cells, cam.hexagonal.pitch_rad / cam.f_lambda_rad, coherence)
     except OutOfRangeError as error:
         raise SceneError(f"{name}.coherence: {error}") from None
 
@@ -69,37 +93,46 @@ def layer_strips(scene: Scene, cam: Camera) -> "SlantStrips | None":
     return SlantStrips(screen(scene), cam.radius_rad, cam.closest_rad, *numbers)
 
 
-def scene_sky(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
-    """Draw the sky (n_y, n_x) [mK RJ] of a scene; None without one."""
+def scene_sky(scene: Scene, geometry: MapGeometry, fwhm_rad: tuple[float, ...]) -> np.ndarray | None:
+    """Draw the sky of a scene through beams of some widths (n_beam,), (n_beam, n_y, n_x) [mK RJ]; None without one.
+
+    The brightness of a point source is that in the beam of the instrument; its flux is the same in all beams.
+    """
     if scene.sky is None:
         return None
     from surveysim.timestreams.sky_maps import draw_sky
 
-    instrument = scene.instrument
-    rng = generator(scene.seed, RandomPurpose.SKY)
-    return draw_sky(scene.sky, geometry, instrument.cmb_per_rj, instrument.beam_fwhm_rad, rng)
+    instrument, skies = scene.instrument, []
+    for width in fwhm_rad:
+        rng, dilution = generator(scene.seed, RandomPurpose.SKY), _dilution(scene, width)
+        sources = [item.model_copy(update={"peak_mk": item.peak_mk * dilution}) for item in scene.sky.point_sources]
+        section = scene.sky.model_copy(update={"point_sources": tuple(sources)})
+        skies.append(draw_sky(section, geometry, instrument.cmb_per_rj, width, rng))
+    return np.stack(skies)
 
 
-def signal_skies(scene: Scene, geometry: MapGeometry) -> np.ndarray | None:
-    """Draw the skies (n_sky, n_y, n_x) [mK RJ] of the signal simulations.
+def _dilution(scene: Scene, fwhm_rad: float) -> float:
+    """Peak of a point source in a beam over that in the instrument's beam: the inverse ratio of their solid angles."""
+    return (scene.instrument.beam_fwhm_rad / fwhm_rad) ** 2
 
-    The last is a point source where pipelines are compared. None without a score.
+
+def signal_skies(scene: Scene, geometry: MapGeometry, fwhm_rad: tuple[float, ...]) -> np.ndarray | None:
+    """Draw the skies of the signal simulations through beams of some widths (n_beam,), (n_sky, n_beam, n_y, n_x).
+
+    In mK RJ. The last is a point source where pipelines are compared. None without a score.
     """
     if scene.score is None:
         return None
     from surveysim.timestreams.sky_maps import central_source, flat_cmb_sky
 
-    signal, instrument = scene.score.signal_sims, scene.instrument
-    skies = [
-        flat_cmb_sky(
-            geometry,
-            signal.band_power_ukcmb2,
-            instrument.cmb_per_rj,
-            instrument.beam_fwhm_rad,
-            generator(scene.seed, RandomPurpose.SIGNAL_SIM, realization=sky),
-        )
-        for sky in range(signal.skies)
-    ]
+    signal, cmb_per_rj = scene.score.signal_sims, scene.instrument.cmb_per_rj
+
+    def sky(number: int, width: float) -> np.ndarray:
+        rng = generator(scene.seed, RandomPurpose.SIGNAL_SIM, realization=number)
+        return flat_cmb_sky(geometry, signal.band_power_ukcmb2, cmb_per_rj, width, rng)
+
+    skies = [np.stack([sky(number, width) for width in fwhm_rad]) for number in range(signal.skies)]
     if scene.cleaning.compare:
-        skies.append(central_source(geometry, instrument.beam_fwhm_rad))
+        source = [central_source(geometry, width) * np.float32(_dilution(scene, width)) for width in fwhm_rad]
+        skies.append(np.stack(source))
     return np.stack(skies)

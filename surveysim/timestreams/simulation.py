@@ -11,25 +11,30 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.geometry import MapGeometry
+from surveysim.atmosphere.water import Season
 from surveysim.atmosphere.weather import Water
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.once import once
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.noise_and_sky import Excess, Photon
 from surveysim.scene.scene import Scene
+from surveysim.telescope.beams import Beams, beams_of
 from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.focal_plane import Camera
-from surveysim.telescope.lattice_noise import CirculantCorrelation, CirculantFactor
+from surveysim.telescope.lattice_noise import CirculantFactor, LatticePixels
 from surveysim.telescope.noise_levels import WhiteByDetector, WhiteLevels, white_by_detector
-from surveysim.telescope.pixel_coherence import DenseCorrelation
+from surveysim.telescope.pixel_coherence import DensePixels, PixelCoherence
 from surveysim.telescope.pointing import Pointing, Schedule, observation_pointing, schedule, survey_angles
 from surveysim.telescope.scan_pattern import ScanPattern
 from surveysim.telescope.scans import ScanPath, Scans, duration_s, mid_times, samples_per_scan
 from surveysim.timestreams.scan_blocks import Block
-from surveysim.timestreams.shared_parts import scene_sky, shared_noise
+from surveysim.timestreams.shared_parts import photon_coherence, scene_sky, shared_noise
 
 if TYPE_CHECKING:
     from surveysim.atmosphere.screen_simulation import SlantStrips
+
+
+_NONE = PixelCoherence("none")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,17 +49,26 @@ class CameraSetup(Camera):
         True responsivity (n_band, n_det) in the other bands.
     photon, excess
         Sections of the scene; None without that noise.
+    stop_emits
+        Whether light of the stop reaches the detectors.
     """
 
     responsivity: np.ndarray
     band_responsivity: np.ndarray
     photon: Photon | None
     excess: Excess | None
+    stop_emits: bool = False
 
     @property
     def n_det(self) -> int:
         """Number of live detectors."""
         return len(self.responsivity)
+
+    @once
+    def beams(self) -> Beams:
+        """Beams of the detectors: those of the table, or one."""
+        widths = self.properties.beam_fwhm_rad
+        return beams_of(self.focal_plane.fwhm_rad if widths is None else widths, self.responsivity)
 
     @property
     def draws_parts(self) -> bool:
@@ -62,22 +76,32 @@ class CameraSetup(Camera):
         return self.properties.white_differs or self.properties.time_constant_s is not None
 
     @once
-    def photon_correlation(self) -> DenseCorrelation | CirculantCorrelation | None:
-        """Correlation of photon noise between detectors; None where they share nothing."""
-        return shared_noise(self, self.photon, "photon")
+    def photon_coherence(self) -> PixelCoherence:
+        """Correlation of photon noise against separation."""
+        return photon_coherence(self, self.photon, self.stop_emits) if self.photon else _NONE
 
     @once
-    def excess_correlation(self) -> DenseCorrelation | CirculantCorrelation | None:
+    def excess_coherence(self) -> PixelCoherence:
+        """Correlation of excess noise against separation."""
+        return PixelCoherence(self.excess.coherence, self.illumination) if self.excess else _NONE
+
+    @once
+    def photon_correlation(self) -> DensePixels | LatticePixels | None:
+        """Correlation of photon noise between detectors; None where they share nothing."""
+        return shared_noise(self, self.photon_coherence, "photon")
+
+    @once
+    def excess_correlation(self) -> DensePixels | LatticePixels | None:
         """Correlation of excess noise between detectors; None where they share nothing."""
-        if self.photon and self.excess and self.photon.coherence == self.excess.coherence:
+        if self.photon_coherence == self.excess_coherence:
             return self.photon_correlation
-        return shared_noise(self, self.excess, "excess")
+        return shared_noise(self, self.excess_coherence, "excess")
 
     @once
     def excess_factor(self) -> np.ndarray | CirculantFactor | None:
         """Factor of the correlation of excess noise; None where detectors share nothing."""
         found = self.excess_correlation
-        return None if found is None else found.factor()
+        return None if found is None else found.at(0.0).factor()
 
 
 def camera_white(camera: CameraSetup, levels: WhiteLevels) -> WhiteByDetector:
@@ -148,24 +172,34 @@ class AirSetup:
         Response of the mapped band to the water of the site; None without a site.
     band_waters
         The same for each of the other bands.
+    seasons
+        Season of each observation; None unless the water goes by it.
     """
 
     strips: "SlantStrips | None"
     water: Water | None
     band_waters: tuple[Water | None, ...]
+    seasons: tuple[Season, ...] | None = None
 
 
 @dataclass(frozen=True)
 class SkySetup:
-    """The astronomical sky, on a tangent-plane grid of half the pixel size of the map."""
+    """The astronomical sky, on a tangent-plane grid of half the pixel size of the map.
+
+    Parameters
+    ----------
+    fwhm_rad
+        Different widths (n_beam,) of the beams.
+    """
 
     scene: Scene
     geometry: MapGeometry
+    fwhm_rad: tuple[float, ...]
 
     @once
     def map_mk(self) -> np.ndarray | None:
-        """Sky (n_y, n_x) [mK RJ] that all streams see; None without one."""
-        return scene_sky(self.scene, self.geometry)
+        """Skies (n_beam, n_y, n_x) [mK RJ] that streams see through each beam; None without a sky."""
+        return scene_sky(self.scene, self.geometry, self.fwhm_rad)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,12 @@ def add_scene_sky(data_mk: np.ndarray, of: ObservedBlock) -> None:
 def add_seen_sky(
     setup: Simulation, pointing: Pointing, sky_mk: np.ndarray, data_mk: np.ndarray, gain: np.ndarray
 ) -> None:
-    """Add a sky (n_y, n_x), times the gain (n_det,) of each detector, to streams (n_det, n_samp), in place.
+    """Add a sky, times the gain (n_det,) of each detector, to streams (n_det, n_samp), in place.
+
+    Parameters
+    ----------
+    sky_mk : (n_y, n_x) or (n_beam, n_y, n_x)
+        The sky, or the sky through each of the camera's beams.
 
     Raises
     ------
@@ -35,4 +40,12 @@ def add_seen_sky(
     column = grid.n_x / 2 - 0.5 - pointing.xi_rad * scale
     row = grid.n_y / 2 - 0.5 + pointing.eta_rad * scale
     cos, sin = np.cos(angle) * scale, np.sin(angle) * scale
-    add_sky(data_mk, sky_mk, column, row, cos, sin, plane.x_rad, plane.y_rad, gain.astype(data_mk.dtype))
+    track, gain = (column, row, cos, sin), gain.astype(data_mk.dtype)
+    if len(skies := sky_mk.reshape(-1, grid.n_y, grid.n_x)) == 1:
+        add_sky(data_mk, skies[0], *track, plane.x_rad, plane.y_rad, gain)
+        return
+    for number, sky in enumerate(skies):
+        rows = np.flatnonzero(setup.camera.beams.of_detector == number)
+        part = data_mk[rows]
+        add_sky(part, sky, *track, plane.x_rad[rows], plane.y_rad[rows], gain[rows])
+        data_mk[rows] = part

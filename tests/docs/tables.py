@@ -18,6 +18,7 @@ PLACEHOLDERS = {
     "<data set>": _DATA_SET,
     "<cleaning>": f"(?:{_CLEANED})",
     "<gain>": f"{_DATA_SET} / {_DATA_SET}",
+    "<origin>": "(?:shot|wave|phonon|recombination|amplifier|detector)",
     "<key>": f"(?:{'|'.join(map(re.escape, all_keys()))})",
     "<package>": r"\w+",
     "<stage>": r"[\w +]+",

@@ -19,17 +19,20 @@ from surveysim.runtime.engine import SERIAL
 from surveysim.studies.convergence import measure_accuracy
 from surveysim.studies.stress import CASES, run_case
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
+from tests.camera import BOLOMETER, CAMERA, PHOTON
 from tests.docs.pages import ROOT
 from tests.docs.tables import differences, documented
-from tests.scenes import SMALL_SCENE
+from tests.scenes import SMALL_SCENE, without_sections
 from tests.unit.paper.test_reproduce import SCENE as PAPER_SCENE
 
 pytestmark = pytest.mark.docs
 PAGE = documented(ROOT / "docs" / "reference" / "files.md")
 # Every optional thing at once.
 RICH_SCENE = (
-    SMALL_SCENE.replace("observations = 4\n", "observations = 34\n", 1)
+    without_sections(SMALL_SCENE, "photon", "detector")
+    .replace("observations = 4\n", "observations = 34\n", 1)
     .replace('beam_fwhm = "60 arcsec"', 'beam_fwhm = "60 arcsec"\nbandwidth = 0.15')
+    .replace("bandwidth = 0.15", "bandwidth = 0.15\nefficiency = 0.4\npolarizations = 1")
     .replace("[atmosphere]", '[atmosphere]\nsite = "mauna_kea"')
     .replace(
         'algorithm = "average"',
@@ -37,6 +40,9 @@ RICH_SCENE = (
     )
     .replace('pixel = "30 arcsec"', 'pixel = "30 arcsec"\nhealpix_nside = 1024')
     + '\n[score.reference]\nsource = "nowhere"\nvalues = { actual = "270 uK2" }\n'
+    + PHOTON
+    + CAMERA
+    + BOLOMETER
 )
 TURBULENT, CALM = ("[1000, 2800, 9800] mK2 rad(-5/3)", "[10, 30, 980] mK2 rad(-5/3)")
 # Points without a score, and one of few scans that loses some.

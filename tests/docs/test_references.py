@@ -16,7 +16,10 @@ from surveysim.cli.app import app
 from surveysim.cli.failures import EXIT_BROKEN_PIPE
 from surveysim.cli.interrupts import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_WRONG_SCENE
 from surveysim.scene.keys import all_keys, scene_keys, scene_sections
+from surveysim.scene.place import shipped_place
 from surveysim.scene.renamed_keys import RENAMED
+from surveysim.scene.sites import site_names, with_site
+from surveysim.scene.units import to_floats
 from surveysim.studies.sweep.axes import REFERENCE
 from tests.docs.pages import PAGES, README, ROOT, Block, blocks
 from tests.docs.tables import documented
@@ -66,6 +69,20 @@ def test_rows_have_type_unit_range_and_default():
     assert {line.count("|") for line in rows.values()} == {6}
 
 
+def test_sites_of_the_guide_are_those_that_ship():
+    text = (ROOT / "docs" / "guide" / "sites.md").read_text()
+    rows = re.findall(r"(?m)^\| `(\w+)` \| [^|]+ \| (\d+) \| ([^|]+) \|", text)
+    assert [(name, float(height)) for name, height, _ in rows] == [
+        (name, shipped_place(name).height_m) for name in site_names()
+    ]
+    for name, _, water in rows:
+        keys = with_site({"site": name})
+        months = [to_floats(month, "mm") for month in keys.get("pwv_by_month", [keys.get("pwv")])]
+        medians = [month[2] for month in months]
+        found = [float(number) for number in re.findall(r"\d+\.?\d*", water)]
+        assert found == sorted({min(medians), max(medians)})
+
+
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_keys_of_the_scenes_are_documented(path):
     keys = keys_of(path.read_text())
@@ -89,7 +106,9 @@ def test_keys_and_modules_in_sentences_exist(path):
     text = re.sub(r"(?ms)^## Renamed keys.*|^```.*?^```$", "", path.read_text())
     named = re.findall(r"`([\w./]+)(?: = [^`]*)?`", text)
     keys, sections = all_keys().keys(), {section.name for section in scene_sections()}
-    keys_named = {name for name in named if name.rpartition(".")[0] in sections - {""} and not name.endswith(".png")}
+    keys_named = {
+        name for name in named if name.rpartition(".")[0] in sections - {""} and not name.endswith((".png", ".toml"))
+    }
     assert keys_named <= keys | sections
     modules = {name for name in named if re.fullmatch(r"(?:surveysim|mapmaker)/.*\.(?:py|toml)", name)}
     assert [name for name in modules if not (ROOT / name).is_file()] == []

@@ -140,7 +140,7 @@ def test_instruments_of_bolojax(tmp_path, name, channel):
     scene = scene_of(tmp_path, name, channel)
     found = sensitivity(scene, None, math.nan, 1.0)
     assert found.load_w == pytest.approx(expected["opt_power"], rel=3e-3)
-    photon = math.sqrt(found.nep2["photons, shot"] + found.nep2["photons, wave"])
+    photon = math.sqrt(found.nep2["shot"] + found.nep2["wave"])
     assert photon == pytest.approx(expected["NEP_ph"], rel=0.01)
     assert math.sqrt(found.nep2["phonon"]) == pytest.approx(expected["NEP_bolo"], rel=1e-6)
     assert found.nep_w_rthz == pytest.approx(expected["NEP"], rel=0.01)

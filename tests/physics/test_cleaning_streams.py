@@ -133,7 +133,9 @@ def test_scans_that_go_along_with_the_wind_hold_nothing_to_fit_to(monkeypatch):
     Over 25 draws of layer and noise in the same weather. Noise lets 2.3 % of the 325 scans fit (30 of 1300 in 100 other
     draws, with a scatter of 0.6 in 13): 5 % are three standard deviations more.
     """
-    point = surveysim.load_sweep(LYNX.with_name("prime_cam_280.toml"), {"instrument.layout.field_of_view": "8 arcmin"})
+    point = surveysim.load_sweep(
+        LYNX.with_name("horn_spacing_280.toml"), {"instrument.layout.field_of_view": "8 arcmin"}
+    )
     scene = point.points[0].scene
     setup = prepare(scene)
     weather, (_, pointing) = observation_weather(setup, 5), observation_path(setup.observing, 5)
@@ -141,7 +143,7 @@ def test_scans_that_go_along_with_the_wind_hold_nothing_to_fit_to(monkeypatch):
     relative = np.linalg.norm(pointing.velocity_rad_s - layer, axis=-1) / np.linalg.norm(layer, axis=-1)
     along = relative < 0.1
     assert weather.b2 > BAD_MK2 and along.sum() == 13 and relative[~along].min() > 1.9
-    monkeypatch.setattr("surveysim.timestreams.observed_block.survey_weather", lambda *scene: weather)
+    monkeypatch.setattr("surveysim.timestreams.observed_block.survey_weather", lambda *scene, when: weather)
     kept = []
     for seed in range(25):
         streams = draw_observation(prepare(scene.model_copy(update={"seed": seed})), 5)

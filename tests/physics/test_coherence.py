@@ -8,16 +8,10 @@ from scipy.integrate import quad
 from scipy.optimize import minimize_scalar
 from scipy.special import j0, roots_legendre
 
+from surveysim.telescope.illumination import UNIFORM, GaussianIllumination, He11Illumination, gaussian_horn
 from surveysim.telescope.layouts import hexagon
-from surveysim.telescope.pixel_coherence import (
-    Illumination,
-    correlation_factor,
-    correlation_matrix,
-    horn_taper_db,
-    lattice_sum,
-    mutual_coherence,
-    stop_efficiency,
-)
+from surveysim.telescope.pixel_coherence import correlation_factor, lattice_sum
+from tests.pixels import correlation_matrix
 
 DENSE = pytest.mark.parametrize("pitch", [0.1, 0.7, 1.3])
 COHERENCES = pytest.mark.parametrize("coherence", ["field", "intensity", "none"])
@@ -31,18 +25,18 @@ def rng():
 
 
 def test_values_of_the_paper():
-    assert mutual_coherence(0.0) == 1
-    assert mutual_coherence(0.7) == pytest.approx(0.506, abs=5e-4)  # section 5.1: 50 % for neighbours
+    assert UNIFORM.aperture(0.0) == 1
+    assert UNIFORM.aperture(0.7) == pytest.approx(0.506, abs=5e-4)  # section 5.1: 50 % for neighbours
     # First zeros of J1 at 3.8317 and 7.0156, over pi: Airy's 1.22 and 2.23.
-    assert mutual_coherence(np.array([3.8317059702, 7.0155866698]) / np.pi) == pytest.approx([0, 0], abs=1e-9)
-    assert mutual_coherence(1.21) > 0 > mutual_coherence(1.23)
+    assert UNIFORM.aperture(np.array([3.8317059702, 7.0155866698]) / np.pi) == pytest.approx([0, 0], abs=1e-9)
+    assert UNIFORM.aperture(1.21) > 0 > UNIFORM.aperture(1.23)
 
 
 def test_small_separations_are_smooth():
     """gamma = 1 - (pi s)^2 / 8 + ..., without trouble at or near 0; even in s."""
     s = np.array([1e-12, 1e-6, 1e-3])
-    np.testing.assert_allclose(mutual_coherence(s), 1 - (np.pi * s) ** 2 / 8, rtol=1e-12)
-    np.testing.assert_array_equal(mutual_coherence(-s), mutual_coherence(s))
+    np.testing.assert_allclose(UNIFORM.aperture(s), 1 - (np.pi * s) ** 2 / 8, rtol=1e-12)
+    np.testing.assert_array_equal(UNIFORM.aperture(-s), UNIFORM.aperture(s))
 
 
 def stop_quadrature(s):
@@ -58,7 +52,7 @@ def stop_quadrature(s):
 def test_van_cittert_zernike(s):
     """Pixels s (f/#)lambda apart see the stop with a phase that turns s times across its diameter."""
     # Both quadratures converge exponentially at these orders.
-    assert mutual_coherence(s) == pytest.approx(stop_quadrature(s), abs=1e-13)
+    assert UNIFORM.aperture(s) == pytest.approx(stop_quadrature(s), abs=1e-13)
 
 
 def taper_quadrature(s, taper_db):
@@ -73,28 +67,28 @@ def taper_quadrature(s, taper_db):
 def test_tapered_stop(taper_db):
     s = np.concatenate([np.linspace(0, 20, 201), np.geomspace(21, 500, 50)])
     np.testing.assert_allclose(
-        mutual_coherence(s, Illumination(taper_db)), taper_quadrature(s, taper_db), rtol=0, atol=1e-12
+        GaussianIllumination(taper_db).aperture(s), taper_quadrature(s, taper_db), rtol=0, atol=1e-12
     )
 
 
 @TAPERS
 def test_small_separations_of_a_tapered_stop(taper_db):
     """gamma = 1 - (pi s)^2 <u^2> / 4 + ..., <u^2> = 1 / kappa - 1 / (e^kappa - 1), 1 / 2 if uniform."""
-    kappa = Illumination(taper_db).exponent
+    kappa = GaussianIllumination(taper_db).exponent
     mean_square = 1 / kappa - 1 / np.expm1(kappa) if kappa else 0.5
     s = np.array([0, 1e-9, 1e-3, 1e-2])
     # The next term is (pi s)^4 <u^4> / 64, and 1 is good to rounding.
-    rest = mutual_coherence(s, Illumination(taper_db)) - 1 + (np.pi * s) ** 2 * mean_square / 4
+    rest = GaussianIllumination(taper_db).aperture(s) - 1 + (np.pi * s) ** 2 * mean_square / 4
     assert np.all(abs(rest) < 0.6 * s**4 + 1e-15)
-    assert mutual_coherence(0.0, Illumination(taper_db)) == 1
+    assert GaussianIllumination(taper_db).aperture(0.0) == 1
 
 
 @pytest.mark.parametrize("taper_db", [10.0, 30.0, 60.0, 100.0])
 def test_strong_taper_is_a_gaussian(taper_db):
     """Without the stop's edge exp(-(pi s)^2 / 4 kappa); what the edge cuts off is e^-kappa of either integral."""
     s = np.linspace(0, 10, 201)
-    kappa = Illumination(taper_db).exponent
-    beyond = abs(mutual_coherence(s, Illumination(taper_db)) - np.exp(-((np.pi * s) ** 2) / (4 * kappa)))
+    kappa = GaussianIllumination(taper_db).exponent
+    beyond = abs(GaussianIllumination(taper_db).aperture(s) - np.exp(-((np.pi * s) ** 2) / (4 * kappa)))
     assert 0.1 * np.exp(-kappa) < beyond.max() < 2 * np.exp(-kappa) + 1e-13
 
 
@@ -102,25 +96,25 @@ def test_weak_taper_is_uniform():
     """The intensity differs by kappa at most, so do numerator and denominator."""
     s = np.linspace(0, 10, 201)
     for taper_db in (1e-12, 1e-6, 1e-2):
-        tapered = mutual_coherence(s, Illumination(taper_db))
-        assert np.all(abs(tapered - mutual_coherence(s)) < 2 * Illumination(taper_db).exponent + 1e-15)
+        tapered = GaussianIllumination(taper_db).aperture(s)
+        assert np.all(abs(tapered - UNIFORM.aperture(s)) < 2 * GaussianIllumination(taper_db).exponent + 1e-15)
 
 
 @pytest.mark.parametrize("taper_db", [-0.1, np.inf, np.nan])
 def test_no_such_taper(taper_db):
-    for refuses in (Illumination, stop_efficiency):
-        with pytest.raises(ValueError, match="edge_taper_db = .* found; a finite taper of 0 dB or more"):
-            refuses(taper_db)
+    with pytest.raises(ValueError, match="edge_taper_db = .* found; a finite taper of 0 dB or more"):
+        GaussianIllumination(taper_db)
 
 
 def test_horn_taper():
     """At 2 (f/#)lambda the waist is 0.6435, pi w0 / 2 = 1.0108, and exp(-2 * 1.0217) = 0.1296 is -8.87 dB."""
-    assert horn_taper_db(2.0) == pytest.approx(8.87, abs=0.005)
-    assert horn_taper_db(0.7) == pytest.approx(8.87 * 0.35**2, abs=0.002)
-    assert horn_taper_db(0.0) == 0
-    for diameter in (-1.0, np.inf, np.nan):
+    assert gaussian_horn(2.0).edge_taper_db == pytest.approx(8.87, abs=0.005)
+    assert gaussian_horn(0.7).edge_taper_db == pytest.approx(8.87 * 0.35**2, abs=0.002)
+    for diameter in (-1.0, 0.0, np.inf, np.nan):
         with pytest.raises(ValueError, match="diameter_f_lambda = .* found; a finite diameter"):
-            horn_taper_db(diameter)
+            gaussian_horn(diameter)
+        with pytest.raises(ValueError, match="diameter_f_lambda = .* found; a finite diameter"):
+            He11Illumination(diameter)
 
 
 def test_waist_of_a_corrugated_horn():
@@ -138,7 +132,7 @@ def test_waist_of_a_corrugated_horn():
     assert best.x == pytest.approx(0.6435, abs=5e-4)
     field = quad(lambda r: np.exp(-((r / (best.x * 0.5 * 2.0)) ** 2)) * j0(np.pi * r) * r, 0, 8)[0]
     centre = quad(lambda r: np.exp(-((r / (best.x * 0.5 * 2.0)) ** 2)) * r, 0, 8)[0]
-    assert -20 * np.log10(field / centre) == pytest.approx(horn_taper_db(2.0), rel=2e-3)
+    assert -20 * np.log10(field / centre) == pytest.approx(gaussian_horn(2.0).edge_taper_db, rel=2e-3)
 
 
 @pytest.mark.parametrize("taper_db", [0.1, 3.0, 10.9, 30.0])
@@ -149,7 +143,7 @@ def test_efficiency_of_a_tapered_stop(taper_db):
         return quad(lambda u: 10 ** (-power * taper_db / 20 * u * u) * 2 * u, 0, radius, limit=200)[0]
 
     wide = np.sqrt(400 / taper_db)  # to 400 dB
-    assert stop_efficiency(taper_db) == pytest.approx(disc(2, 1) / disc(2, wide), rel=1e-7)
+    assert GaussianIllumination(taper_db).efficiency == pytest.approx(disc(2, 1) / disc(2, wide), rel=1e-7)
 
 
 @DENSE
@@ -174,7 +168,7 @@ def test_matrix(pitch, coherence):
 def test_positive_semi_definite(coherence, taper_db, pitch):
     """1 to 397 pixels of a lattice; elements are good to 1e-12, so that eigenvalues are to n times that at worst."""
     for rings in (0, 1, 4, 11):
-        matrix = correlation_matrix(hexagon(rings, pitch), coherence, Illumination(taper_db))
+        matrix = correlation_matrix(hexagon(rings, pitch), coherence, GaussianIllumination(taper_db))
         assert np.linalg.eigvalsh(matrix)[0] > -1e-12 * len(matrix)
 
 
@@ -182,7 +176,7 @@ def test_positive_semi_definite(coherence, taper_db, pitch):
 @OVERLAPS
 def test_positive_semi_definite_off_lattices(rng, coherence, taper_db):
     """300 pixels at random, ten to the square of (f/#)lambda, so that the least eigenvalue is rounding."""
-    matrix = correlation_matrix(rng.uniform(0, 5.5, (300, 2)), coherence, Illumination(taper_db))
+    matrix = correlation_matrix(rng.uniform(0, 5.5, (300, 2)), coherence, GaussianIllumination(taper_db))
     assert abs(np.linalg.eigvalsh(matrix)[0]) < 1e-12 * len(matrix)
 
 
@@ -198,22 +192,22 @@ def test_matrix_of_many_separations(rng, taper_db):
     for n, extent in ((10, 30), (60, 1), (60, 100)):
         positions = rng.uniform(0, extent, (n, 2))
         separation = np.linalg.norm(positions[:, None] - positions[None, :], axis=-1)
-        expected = mutual_coherence(separation, Illumination(taper_db))
-        matrix = correlation_matrix(positions, "field", Illumination(taper_db))
+        expected = GaussianIllumination(taper_db).aperture(separation)
+        matrix = correlation_matrix(positions, "field", GaussianIllumination(taper_db))
         # Polynomials of order 300 amplify rounding by about as much.
         np.testing.assert_allclose(matrix, expected, rtol=0, atol=1e-11)
 
 
 def test_equal_separations_have_equal_correlations():
     """To the last bit, though their positions differ by rounding: 19 pixels of a lattice have 8 separations."""
-    matrix = correlation_matrix(hexagon(2, 0.7) + 1 / 3, "intensity", Illumination(8.9))
+    matrix = correlation_matrix(hexagon(2, 0.7) + 1 / 3, "intensity", GaussianIllumination(8.9))
     assert len(np.unique(matrix)) == 1 + 8
 
 
 @DENSE
 @COHERENCES
 def test_factor(pitch, coherence):
-    matrix = correlation_matrix(hexagon(4, pitch), coherence, Illumination(3.0))
+    matrix = correlation_matrix(hexagon(4, pitch), coherence, GaussianIllumination(3.0))
     factor = correlation_factor(matrix)
     np.testing.assert_array_equal(factor, factor.T)
     # Eigenvectors are orthogonal to some eps n, and what is clipped of these matrices is rounding.
@@ -228,7 +222,7 @@ def test_factor_is_continuous(coherence, pitch):
     positions = hexagon(4, pitch)
     matrix = correlation_matrix(positions, coherence)
     for change in (1e-2, 1e-4, 1e-6):
-        other = correlation_matrix(positions * (1 + change), coherence, Illumination(change))
+        other = correlation_matrix(positions * (1 + change), coherence, GaussianIllumination(change))
         moved = np.linalg.norm(correlation_factor(other) - correlation_factor(matrix), 2)
         # Rounding of eigenvalues near 0, some 1e-15, has a root too.
         assert 0 < moved < np.sqrt(np.linalg.norm(other - matrix, 2)) + 1e-6
@@ -250,7 +244,7 @@ def test_memory_of_2000_detectors():
     """A matrix of 32 MB, the separations of half of it and their order."""
     positions = hexagon(26, 1.0)[:2000]
     tracemalloc.start()
-    matrix = correlation_matrix(positions, "intensity", Illumination(10.0))
+    matrix = correlation_matrix(positions, "intensity", GaussianIllumination(10.0))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert matrix.shape == (2000, 2000) and peak < 150e6
@@ -289,12 +283,14 @@ def test_lattice_sum_of_intensity(taper_db, pitch):
     Far away gamma is that of the stop's edge, a 2 J1(x) / x with a = kappa / (e^kappa - 1), and J1(x)^2 is
     1 / (pi x) on average, so that the pixels beyond hold 8 a^2 / (pi^3 R cell) all in all.
     """
-    kappa = Illumination(taper_db).exponent
+    kappa = GaussianIllumination(taper_db).exponent
     edge = kappa / np.expm1(kappa) if kappa else 1.0
     beyond = 8 * edge**2 / (np.pi**3 * 300 * pitch * np.sqrt(0.75) * pitch**2)
     distance, count = lattice(300)
-    total = count @ mutual_coherence(distance * pitch, Illumination(taper_db)) ** 2 + beyond
-    assert lattice_sum(pitch, "intensity", Illumination(taper_db)) == pytest.approx(total, abs=0.1 * beyond + 1e-9)
+    total = count @ GaussianIllumination(taper_db).aperture(distance * pitch) ** 2 + beyond
+    assert lattice_sum(pitch, "intensity", GaussianIllumination(taper_db)) == pytest.approx(
+        total, abs=0.1 * beyond + 1e-9
+    )
 
 
 @pytest.mark.parametrize("pitch", [0.5, 1.155, 1.2, 2.0, 3.3, 10.0])
@@ -311,7 +307,7 @@ def test_lattice_sum_of_uniform_stops(pitch):
 @pytest.mark.parametrize("pitch", [0.5, 1.2, 3.3, 10.0])
 def test_lattice_sum_of_gaussians(pitch):
     """At 120 dB, where the direct sum of exp(-(pi s)^2 / 4 kappa) and of its square ends within 20 (f/#)lambda."""
-    illumination = Illumination(120.0)
+    illumination = GaussianIllumination(120.0)
     distance, count = lattice(40)
     gamma = np.exp(-((np.pi * distance * pitch) ** 2) / (4 * illumination.exponent))
     # The stop's edge cuts off 1e-12.
@@ -329,22 +325,22 @@ def test_lattice_sum_of_field(taper_db, pitch):
     """
     distance, count = lattice(int(np.ceil(240 / pitch)))
     s = distance * pitch
-    total = count @ (mutual_coherence(s, Illumination(taper_db)) * np.exp(-((s / 40) ** 2)))
-    kappa = Illumination(taper_db).exponent
+    total = count @ (GaussianIllumination(taper_db).aperture(s) * np.exp(-((s / 40) ** 2)))
+    kappa = GaussianIllumination(taper_db).exponent
     share = 8 * kappa / (2 * np.pi**2 * 40**2) * (1 + kappa)
-    exact = lattice_sum(pitch, "field", Illumination(taper_db))
+    exact = lattice_sum(pitch, "field", GaussianIllumination(taper_db))
     assert abs(total - exact) < share * (exact + 1) + 1e-9
 
 
 @TAPERS
 def test_lattice_sum_of_dense_pixels(taper_db):
     """A continuous plane, the stop's (auto)correlation at 0: int I^2 / (int I)^2, and I(0) / int I."""
-    kappa = Illumination(taper_db).exponent
+    kappa = GaussianIllumination(taper_db).exponent
     mean = -np.expm1(-kappa) / kappa if kappa else 1.0
     mean_square = -np.expm1(-2 * kappa) / (2 * kappa) if kappa else 1.0
     cell, stop = np.sqrt(0.75) * 0.1**2, np.pi / 4
-    field = lattice_sum(0.1, "field", Illumination(taper_db))
-    intensity = lattice_sum(0.1, "intensity", Illumination(taper_db))
+    field = lattice_sum(0.1, "field", GaussianIllumination(taper_db))
+    intensity = lattice_sum(0.1, "intensity", GaussianIllumination(taper_db))
     assert field + 1 == pytest.approx(1 / (mean * stop * cell), rel=1e-12)
     assert intensity + 1 == pytest.approx(mean_square / (mean**2 * stop * cell), rel=1e-12)
 

@@ -11,6 +11,7 @@ from surveysim.results.summary import summary
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.passband import top_hat
+from surveysim.scene.place import shipped_place
 from surveysim.scene.scene import load_scene
 from surveysim.timestreams.observation import draw_observation, draw_other_bands
 from surveysim.timestreams.simulation import observation_path
@@ -35,7 +36,7 @@ def test_bands_see_one_layer_as_opacity_scales_it():
     mapped, others = draw_observation(setup, 1), other_bands(setup, 1)
     pwv = mapped.attributes["pwv_mm"]
     response = [
-        fluctuation_factor_mk2(band_opacity("mauna_kea", top_hat(frequency, width)), pwv)
+        fluctuation_factor_mk2(band_opacity(shipped_place("mauna_kea"), top_hat(frequency, width)), pwv)
         for frequency, width in ((143e9, 0.12), (221e9, 0.1), (355e9, 0.09))
     ]
     for number, other in enumerate(others):

@@ -54,7 +54,7 @@ def test_the_population_has_the_moments_of_independent_draws(tmp_path):
     """Its expected weight, against 4000 ordinary draws of the weather, and far closer than they are."""
     setup = prepare(weather_scene(tmp_path))
     air = setup.scene.atmosphere
-    lists = population_draws(setup.scene, setup.air.water)
+    lists = population_draws(setup)
     levels = observing_conditions(setup, [draw for part in lists for draw in part])
     model = next(noise_models(setup, levels))
     even = expected_weights(setup.analysis, model.noise(levels)).reshape(len(lists), -1).mean(axis=1)

@@ -25,13 +25,14 @@ from surveysim.paper.measurement import (
 from surveysim.paper.tables import correlated_noise_table
 from surveysim.reduction.setup import prepare
 from surveysim.scene.scene import load_scene
-from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix
+from surveysim.telescope.pixel_coherence import correlation_factor
 from surveysim.timestreams.low_frequency import excess_psd, excess_variance
 from surveysim.timestreams.noise import draw_from_psd
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.simulation import observation_path
 from tests.deviates import deviates
+from tests.pixels import correlation_matrix
 from tests.scenes import SMALL_SCENE
 from tests.surveys import ARCMIN, fit, named, of_b2
 

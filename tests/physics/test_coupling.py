@@ -156,7 +156,11 @@ def test_what_cleaning_leaves_does_not_depend_on_the_skies_size(algorithm):
 
     def signal(sky_geometry, transmission):
         modes = flat_signal(
-            scene, setup.analysis.geometry, sky_geometry, setup.analysis.region.padded_taper, transmission
+            setup.analysis.beams,
+            setup.analysis.geometry,
+            sky_geometry,
+            setup.analysis.region.padded_taper,
+            transmission,
         )
         return ring_mean(modes, setup.analysis.region.rings)
 

@@ -8,14 +8,23 @@ from scipy.signal import lfilter
 
 from mapmaker.transfer_function import beam_window, pixel_window
 from surveysim.api import run
+from surveysim.forecasting.forecast import forecast
+from surveysim.forecasting.observing_conditions import (
+    independent_noise,
+    noise_correlations,
+    population_conditions,
+    white_shapes,
+)
+from surveysim.reduction.observation import observe
 from surveysim.reduction.setup import prepare
+from surveysim.results.results import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.detector_table import detector_table
 from surveysim.scene.scene import load_scene
 from surveysim.scene.units import BOLTZMANN_J_K
+from surveysim.telescope.beams import beams_of
 from surveysim.telescope.layouts import hexagon
-from surveysim.telescope.pixel_coherence import correlation_matrix
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_levels
 from surveysim.timestreams.response import write_sky_signal
@@ -23,6 +32,7 @@ from surveysim.timestreams.response_kernels import low_pass
 from surveysim.timestreams.simulation import camera_white, observation_path
 from surveysim.timestreams.time_constants import pole_coefficients
 from tests import naive
+from tests.pixels import correlation_matrix
 from tests.scenes import SMALL_SCENE, write_scene
 
 RATE = 10.0
@@ -231,6 +241,113 @@ def test_signal_simulations_lose_to_the_time_constants(scene_with):
     assert (expected < 0.8).all()
 
 
+# ---------------------------------------------------------------- beams
+
+BEAMS = np.where(np.arange(N_DET) % 3, 60.0, 90.0)  # arcsec: 12 of 60 and 7 of 90
+ELL = np.array([0.0, 3000.0, 9000.0])
+UNMASKED = {"score.mask_separation_f_lambda": None}
+
+
+def test_equal_beams_change_nothing(scene_with):
+    """A table with the beam of the instrument: the same streams and the same signal, bit by bit."""
+    one, other = (prepare(scene_with(columns, UNMASKED)) for columns in ({"beam_fwhm": np.full(N_DET, 60.0)}, {}))
+    np.testing.assert_array_equal(draw_observation(one, 0).data_mk, draw_observation(other, 0).data_mk)
+    np.testing.assert_array_equal(one.analysis.region.signal_psd, other.analysis.region.signal_psd)
+
+
+def test_each_detector_sees_the_sky_through_its_beam(scene_with):
+    """As a camera all of whose detectors have that beam; a point source keeps its flux, not its peak."""
+    alone = dict.fromkeys(("atmosphere", "excess", "photon")) | {"cleaning.algorithm": "none"} | UNMASKED
+    alone |= {"detector.psd": "1e-12 mK2/Hz"}
+    streams = draw_observation(prepare(scene_with({"beam_fwhm": BEAMS}, alone)), 0).data_mk
+    for width in (60.0, 90.0):
+        peak = 5 * (60 / width) ** 2
+        text = SMALL_SCENE.replace('peak = "5 mK"', f'peak = "{peak} mK"')
+        same = draw_observation(prepare(scene_with({}, alone | {"instrument.beam_fwhm": f"{width} arcsec"}, text)), 0)
+        rows = width == BEAMS
+        np.testing.assert_allclose(streams[rows], same.data_mk[rows], atol=1e-5)
+        assert np.abs(streams[~rows] - same.data_mk[~rows]).max() > 0.01
+
+
+def test_the_window_of_the_map_is_that_of_the_mean_beam(scene_with):
+    """Skies in the map before cleaning: power of two beams over that of one, with the same skies."""
+    settings = dict.fromkeys(("atmosphere", "excess", "sky", "photon")) | {"cleaning.algorithm": "none"} | UNMASKED
+    settings |= {"scan.scans": 240, "scan.step": "0.2 arcmin", "scan.duration": "12 s", "map.pixel": "20 arcsec"}
+    settings |= {"score.size": "36 arcmin", "observations": 2, "score.ell_max": 10000}
+    setups = [prepare(scene_with(columns, settings)) for columns in ({"beam_fwhm": BEAMS}, {})]
+    powers = []
+    for setup in setups:
+        maps = sum(observe(setup, number, True).signal_maps for number in range(2))[:, 0, 0]
+        powers.append(np.mean([setup.analysis.region.ring_noise(item, np.ones_like(item)) for item in maps], axis=0))
+    ell, selected = setups[0].analysis.region.rings.ell, setups[0].analysis.region.selected
+    windows = [np.sqrt(beam_window(ell, math.radians(width / 3600))) for width in (60, 90)]
+    expected = (([12 / 19, 7 / 19] @ np.array(windows)) / windows[0]) ** 2
+    signal = [setup.analysis.region.signal_psd for setup in setups]
+    np.testing.assert_allclose((powers[0] / powers[1])[selected], (signal[0] / signal[1])[selected], rtol=0.02)
+    # The window falls within a bin of 2000, where most of the power is below the middle.
+    np.testing.assert_allclose((signal[0] / signal[1])[selected], expected[selected], rtol=0.025)
+    assert expected[selected].max() < 0.85
+
+
+def test_beams_weigh_as_their_detectors_respond():
+    beams = beams_of(np.array([2e-4, 3e-4, 2e-4]), np.array([1.0, 1.5, 0.5]))
+    assert beams.fwhm_rad.tolist() == [2e-4, 3e-4] and beams.of_detector.tolist() == [0, 1, 0]
+    expected = (np.sqrt(beam_window(ELL, 2e-4)) + np.sqrt(beam_window(ELL, 3e-4))) ** 2 / 4
+    np.testing.assert_allclose(beams.window(ELL), expected, rtol=1e-13)
+
+
+def test_few_beams(scene_with):
+    with pytest.raises(SceneError, match="column 'beam_fwhm': found 19 widths.* 8 or fewer are expected"):
+        prepare(scene_with({"beam_fwhm": 60 + SPREAD}, UNMASKED))
+    with pytest.raises(SceneError, match="column 'beam_fwhm': found together with score.mask_separation_f_lambda"):
+        prepare(scene_with({"beam_fwhm": BEAMS}, {}))
+
+
+# ---------------------------------------------------------------- forecast
+
+
+def test_correlations_of_the_forecast_are_those_of_the_streams(scene_with):
+    """Levels of the observing conditions times the correlations of the noise model: the covariance of the detectors."""
+    settings = {"photon.psd": "2 mK2/Hz", "photon.bose_fraction": 0.4, "photon.coherent_fraction": 0.7}
+    settings |= {"detector.psd": None, "atmosphere": None, "excess": None, "sky": None, "cleaning.algorithm": "none"}
+    ready = prepare(scene_with({"efficiency": SPREAD, "psd": SPREAD[::-1]}, settings))
+    given, shapes = population_conditions(ready)[0], white_shapes(ready)
+    for pipeline in ready.analysis.pipelines:
+        rows = np.arange(N_DET)[pipeline.rows]
+        photon = 2.0 * (0.6 / SPREAD[rows] + 0.4)
+        overlap = correlation_matrix(ready.camera.positions_f_lambda[rows], "field")
+        expected = 0.7 * np.sqrt(np.outer(photon, photon)) * overlap + np.diag(0.3 * photon + SPREAD[::-1][rows])
+        (shared,), _ = noise_correlations(ready.camera, pipeline, shapes)
+        alone = independent_noise(shapes, pipeline) @ np.eye(len(rows))
+        np.testing.assert_allclose(given.shared[0] * shared + given.white[0] * alone, expected, rtol=1e-10, atol=1e-12)
+
+
+def test_forecast_of_unequal_noise(scene_with):
+    """Without cleaning, maps see the mean of the PSDs; with it, the forecast is that of a run within its errors."""
+    spread = np.where(np.arange(N_DET) % 2, 8.0, 1.0)
+    settings = {"detector.psd": None, "photon": None, "atmosphere": None, "excess": None, "sky": None}
+    settings |= {"cleaning.algorithm": "none", "score.mask_separation_f_lambda": None}
+    unequal = forecast(prepare(scene_with({"psd": spread}, settings))).scores["actual"].noise_psd
+    equal = forecast(prepare(scene_with({"psd": np.full(N_DET, spread.mean())}, settings))).scores["actual"].noise_psd
+    np.testing.assert_allclose(unequal, equal, rtol=1e-9)
+    settings |= {"scan.scans": 19, "scan.step": "2 arcmin", "scan.duration": "12 s", "score.size": "36 arcmin"}
+    settings |= {"score.ell_bin": 1000, "score.jackknives": 32, "map.pixel": "20 arcsec", "observations": 8}
+    result = run(scene_with({"psd": spread}, settings), engine=SERIAL)
+    for name, item in forecast_agreement(result).items():
+        assert abs(item.sigma) < max(0.1, 3 * item.sigma_error) and abs(item.psd) < 0.15 + 3 * item.psd_error, name
+
+
+def test_forecasts_tell_of_time_constants(scene_with):
+    """They lack them, and say how much of the signal they take."""
+    settings = {"atmosphere": None, "excess": None, "sky": None, "cleaning.algorithm": "none"}
+    for tau, flagged in ((0.001, False), (0.1, True)):
+        found = forecast(prepare(scene_with({"time_constant": np.full(N_DET, tau)}, settings)))
+        (effect,) = [item for item in found.scores["actual"].effects if item.name == "time constants"]
+        assert effect.flagged == flagged and 0 < effect.size < 0.7
+    # Loss in the lowest two bins, as the transfer function above has it: they have most of the information.
+    assert 0.24 < effect.size < 0.39
+
+
 # ---------------------------------------------------------------- refusals
 
 
@@ -240,7 +357,11 @@ def test_signal_simulations_lose_to_the_time_constants(scene_with):
         ({"nep": SPREAD * 1e-17}, {}, "column 'nep': found together with detector.psd; one of the two"),
         ({"psd": SPREAD}, {"detector": None}, "column 'psd': found without the section [detector]"),
         ({}, {"detector.psd": None}, "detector: exactly one of 'psd', 'nep', 'bolometer' and 'kid' is expected, or a"),
-        ({"nep": SPREAD * 1e-17}, {"detector.psd": None}, "instrument.bandwidth: missing; 'instrument.positions'"),
+        (
+            {"nep": SPREAD * 1e-17},
+            {"detector.psd": None},
+            "instrument.bandwidth: missing; 'instrument.positions' needs",
+        ),
         ({"responsivity": SPREAD}, {"instrument.responsivity_scatter": 0.1}, "column 'responsivity': found together"),
         ({"efficiency": SPREAD}, {}, "column 'efficiency': found with photon.psd and without photon.bose_fraction"),
         ({"efficiency": SPREAD}, {"photon": None, "detector": None}, "column 'efficiency': found without [photon]"),

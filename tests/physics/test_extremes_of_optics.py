@@ -17,8 +17,9 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.focal_plane import camera
 from surveysim.telescope.layouts import hexagon
-from surveysim.telescope.pixel_coherence import correlation_matrix, lattice_sum
+from surveysim.telescope.pixel_coherence import lattice_sum
 from surveysim.timestreams.observed_block import observation_levels
+from tests.pixels import correlation_matrix
 from tests.scenes import SMALL_SCENE, without_sections
 
 # A patch wide enough for few observations, in weather that keeps all scans.
@@ -73,10 +74,11 @@ def check_survey(scene, names=("actual", "uncorrelated", "white")):
 
 
 @pytest.mark.parametrize("pitch", [0.1, 10.0])
-@pytest.mark.parametrize("coherence", ["field", "intensity"])
+@pytest.mark.parametrize("coherence", ["field", "hbt"])
 def test_pitch(scene_of, pitch, coherence):
     keys = WIDE | {"instrument.layout.pitch_f_lambda": pitch, "instrument.layout.rings": 1, "photon.bose_fraction": 0.7}
-    check_survey(scene_of(NO_AIR.replace('"field"', f'"{coherence}"'), keys))
+    keys |= {"photon.coherence": coherence, "excess.coherence": coherence.replace("hbt", "intensity")}
+    check_survey(scene_of(NO_AIR, keys))
 
 
 @pytest.mark.slow
@@ -104,7 +106,7 @@ def test_one_detector_has_no_average(scene_of):
 
 
 @pytest.mark.parametrize("fraction", [0.0, 1.0])
-@pytest.mark.parametrize("coherence", ["field", "intensity"])
+@pytest.mark.parametrize("coherence", ["field", "hbt"])
 def test_all_or_nothing_coherent(scene_of, fraction, coherence):
     keys = WIDE | {"photon.coherent_fraction": fraction, "photon.coherence": coherence, "photon.psd": "9 mK2/Hz"}
     keys |= {"photon.bose_fraction": 1.0}
@@ -160,7 +162,7 @@ def test_streams_of_an_ideal_load_have_the_lattice_s_common_mode(scene_of):
 
     Of the lattice sum, 217 detectors with 48 at the edge lack some 8 % more.
     """
-    text = without_sections(NO_AIR, "excess", "photon", "detector", "score") + LOAD.replace("field", "intensity")
+    text = without_sections(NO_AIR, "excess", "photon", "detector", "score") + LOAD.replace("field", "hbt")
     keys = EFFICIENT | {
         "instrument.layout.rings": 8,
         "scan.scans": 50,
@@ -171,7 +173,7 @@ def test_streams_of_an_ideal_load_have_the_lattice_s_common_mode(scene_of):
     data = simulate_observation(scene, 0).data_mk
     n_det = len(data)
     ratio = n_det * data.mean(axis=0).var() / data.var(axis=1).mean()
-    correlation = correlation_matrix(prepare(scene).camera.positions_f_lambda, "intensity")
+    correlation = prepare(scene).camera.photon_correlation.parts[0]
     shared = observation_levels(prepare(scene), 0).shared
     exact = 1 + shared * (correlation.sum() / n_det - 1)
     assert ratio == pytest.approx(exact, rel=0.04)

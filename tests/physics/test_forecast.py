@@ -28,7 +28,7 @@ from surveysim.scene.noise_and_sky import Excess
 from surveysim.scene.passband import top_hat
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.layouts import hexagon
-from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix
+from surveysim.telescope.pixel_coherence import correlation_factor
 from surveysim.telescope.pointing import sky_vector
 from surveysim.timestreams.low_frequency import add_excess, excess_psd
 from surveysim.timestreams.noise import add_correlated_white
@@ -36,6 +36,7 @@ from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.simulation import observation_path
 from tests import naive
 from tests.deviates import deviates
+from tests.pixels import correlation_matrix
 from tests.scenes import SMALL_SCENE, WIDE_PATCH, without_sections
 
 ARCSEC = np.pi / 648_000
@@ -468,7 +469,7 @@ def test_white_noise_by_hand(scene_of):
         {"atmosphere__outer_scale": "50 m"},
         {"atmosphere__spectral_index": "2/3", "atmosphere__b2": "[100, 280, 980] mK2 rad(4/3)"},
         {"photon__psd": "0 mK2/Hz", "detector__psd": "0 mK2/Hz"},
-        {"photon__coherence": "intensity", "photon__coherent_fraction": 1.0, "photon__bose_fraction": 1.0},
+        {"photon__coherence": "hbt", "photon__coherent_fraction": 1.0, "photon__bose_fraction": 1.0},
         {"cleaning__algorithm": "quadratic", "score__mask_separation_f_lambda": 0.8},
     ],
 )

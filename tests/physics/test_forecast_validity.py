@@ -133,7 +133,7 @@ CASES = {
             "instrument.layout.rings": 4,
             "instrument.layout.pitch_f_lambda": 1.5,
             "instrument.edge_taper": "10 dB",
-            "photon.coherence": "intensity",
+            "photon.coherence": "hbt",
             "photon.bose_fraction": 0.69,
             "excess.coherence": "none",
         }

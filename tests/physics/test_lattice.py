@@ -19,14 +19,15 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.noise_and_sky import Excess
 from surveysim.scene.scene import load_scene
 from surveysim.telescope import lattice_noise as lattice
-from surveysim.telescope.lattice_noise import LARGEST_ERROR, CirculantFactor, NoiseCorrelation, embed
+from surveysim.telescope.illumination import UNIFORM, GaussianIllumination
+from surveysim.telescope.lattice_noise import LARGEST_ERROR, CirculantFactor, NoiseCorrelation
 from surveysim.telescope.layouts import hexagon, hexagon_cells
-from surveysim.telescope.pixel_coherence import Illumination, correlation_matrix
 from surveysim.timestreams import shared_parts as parts
 from surveysim.timestreams.low_frequency import add_excess, excess_psd
 from surveysim.timestreams.noise import add_correlated_white
 from surveysim.timestreams.observation import draw_observation
 from tests.deviates import deviates
+from tests.pixels import correlation_matrix, torus_of
 from tests.scenes import write_scene
 
 RATE = 10.0
@@ -51,8 +52,8 @@ def implied(torus, cells):
 @pytest.mark.parametrize("taper_db", [0.0, 8.9])
 def test_correlation_of_all_pairs(coherence, pitch, taper_db):
     cells, positions = array(9, pitch, dead=(3, 100, 269))
-    torus = embed(cells, pitch, coherence, Illumination(taper_db))
-    expected = correlation_matrix(positions, coherence, Illumination(taper_db))
+    torus = torus_of(cells, pitch, coherence, GaussianIllumination(taper_db))
+    expected = correlation_matrix(positions, coherence, GaussianIllumination(taper_db))
     found = implied(torus, cells)
     assert (torus.values >= 0).all()
     np.testing.assert_allclose(np.diag(found), 1.0, rtol=1e-12)
@@ -64,14 +65,14 @@ def test_an_embedding_without_negative_eigenvalues_is_exact():
     cells, positions = array(9, 1.3)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lattice, "_ROOM", 2.0)
-        torus = embed(cells, 1.3, "intensity", Illumination())
+        torus = torus_of(cells, 1.3, "intensity", UNIFORM)
     np.testing.assert_allclose(implied(torus, cells), correlation_matrix(positions, "intensity"), atol=1e-12)
 
 
 def test_a_torus_has_room_for_a_wide_array():
     """Axes of unlike lengths: the shorter way around is taken in every direction."""
     cells = np.array([(q, r) for q in range(30) for r in range(12)])
-    torus = embed(cells, 0.9, "field", Illumination())
+    torus = torus_of(cells, 0.9, "field", UNIFORM)
     places = cells @ np.array([[1, 0], [0.5, math.sqrt(0.75)]]) * 0.9
     assert np.abs(implied(torus, cells) - correlation_matrix(places, "field")).max() <= LARGEST_ERROR
 
@@ -79,7 +80,7 @@ def test_a_torus_has_room_for_a_wide_array():
 def test_coherence_too_sharp_for_any_torus(monkeypatch):
     monkeypatch.setattr(lattice, "_MOST_SPANS", 1.5)
     with pytest.raises(ValueError, match=r"off by 0\.\d+ on a torus of .* a larger pitch, a tapered illumination"):
-        embed(array(3, 0.2)[0], 0.2, "field", Illumination())
+        torus_of(array(3, 0.2)[0], 0.2, "field", UNIFORM)
 
 
 def test_places_on_the_lattice():
@@ -92,7 +93,7 @@ def test_places_on_the_lattice():
 def test_fields_have_the_covariance(share):
     """Of both parts, and none between them: an element from n pairs scatters by sqrt((1 + rho^2) / n)."""
     cells, _ = array(3, 0.7)
-    torus, n = embed(cells, 0.7, "field", Illumination()), 5_000
+    torus, n = torus_of(cells, 0.7, "field", UNIFORM), 5_000
     fields = np.empty((len(cells), n), np.complex64)
     for places, part in torus.factor(share).fields(n, deviates(3)):
         fields[:, places] = part
@@ -109,7 +110,7 @@ def test_fields_have_the_covariance(share):
 @pytest.mark.parametrize("n_samp", [1, 2, 4001])
 def test_white_streams_of_any_length(n_samp):
     cells, _ = array(2, 1.0)
-    root = embed(cells, 1.0, "intensity", Illumination()).factor()
+    root = torus_of(cells, 1.0, "intensity", UNIFORM).factor()
     data = np.full((len(cells), n_samp), 100, np.float32)
     add_correlated_white(data, 2.5, RATE, root, deviates(4))
     assert (data != 100).all()
@@ -123,7 +124,7 @@ def test_white_streams_of_any_length(n_samp):
 def test_excess_streams_have_spectrum_and_correlation():
     section = Excess(spectral_index=1.0, band_limit="1 Hz", b2=[100], variance="[3] mK2", coherence="field")
     cells, positions = array(2, 0.7)
-    root, n_scans, n = embed(cells, 0.7, "field", Illumination()).factor(), 200, 300
+    root, n_scans, n = torus_of(cells, 0.7, "field", UNIFORM).factor(), 200, 300
     data = np.zeros((len(cells), n_scans * n), np.float32)
     add_excess(data, section, variance_mk2=3.0, n_scans=n_scans, sample_rate_hz=RATE, factor=root, deviates=deviates(5))
     psd = hann_psd(data, n_scans, np.ones(n_scans, bool), RATE).mean(axis=0)
@@ -146,7 +147,7 @@ def test_excess_streams_have_spectrum_and_correlation():
 @pytest.mark.parametrize("kind", [float, complex])
 def test_products_are_those_of_the_matrix(kind):
     cells, _ = array(4, 0.7, dead=(7,))
-    torus, rng = embed(cells, 0.7, "field", Illumination()), np.random.default_rng(6)
+    torus, rng = torus_of(cells, 0.7, "field", UNIFORM), np.random.default_rng(6)
     columns = rng.standard_normal((len(cells), 5)).astype(kind)
     if kind is complex:
         columns += 1j * rng.standard_normal(columns.shape)
@@ -160,7 +161,7 @@ def test_products_are_those_of_the_matrix(kind):
 @pytest.mark.parametrize("algorithm", ["none", "average", "quadratic"])
 def test_powers_of_a_forecast_are_those_of_the_matrix(algorithm):
     cells, positions = array(4, 0.7)
-    torus, rng = embed(cells, 0.7, "field", Illumination()), np.random.default_rng(7)
+    torus, rng = torus_of(cells, 0.7, "field", UNIFORM), np.random.default_rng(7)
     gain = rng.uniform(0.8, 1.2, len(cells))
     cleaned = projected_array(FocalPlane(*positions.T, 1.0), 0.3, responsivity=gain, algorithm=algorithm)
     matrix, shared = gain[:, None] * implied(torus, cells) * gain, NoiseCorrelation(torus, gain)
@@ -262,7 +263,7 @@ def test_photon_and_detector_noise_add_up(path, request, lattice, missing):
     data = draw_observation(ready, 0).data_mk.astype(float)
     overlap = correlation_matrix(ready.camera.positions_f_lambda, "field")
     if lattice and missing != "photon":
-        overlap = implied(ready.camera.photon_correlation, ready.camera.lattices[0].cells)
+        overlap = implied(ready.camera.photon_correlation.at(0.0), ready.camera.lattices[0].cells)
     photon, detector = (0 if missing == name else level for name, level in (("photon", 2), ("detector", 3)))
     expected = (photon * (0.2 * np.eye(18) + 0.8 * overlap) + detector * np.eye(18)) * RATE / 2
     spread = np.sqrt((np.outer(np.diag(expected), np.diag(expected)) + expected**2) / data.shape[1])

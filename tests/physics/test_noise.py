@@ -13,13 +13,15 @@ import pytest
 from mapmaker.kernels.spectra import scale_mean_removed
 from mapmaker.stream_psd import hann_power, hann_psd, highest_frequency, white_level
 from surveysim.scene.noise_and_sky import Excess
+from surveysim.telescope.illumination import UNIFORM
 from surveysim.telescope.layouts import hexagon
-from surveysim.telescope.pixel_coherence import correlation_factor, correlation_matrix, mutual_coherence
+from surveysim.telescope.pixel_coherence import correlation_factor
 from surveysim.timestreams.low_frequency import add_excess, excess_psd, excess_variance
 from surveysim.timestreams.noise import add_correlated_white, add_white, draw_from_psd
 from surveysim.timestreams.photon import photon_correlation
 from tests import naive
 from tests.deviates import deviates
+from tests.pixels import correlation_matrix
 
 RATE = 10.0
 HANN = 1 + 2 * (4 / 9 + 1 / 36)
@@ -126,7 +128,7 @@ def test_correlated_white_has_the_covariance_of_its_factor(rng):
     spread = np.sqrt((np.outer(np.diagonal(expected), np.diagonal(expected)) + expected**2) / n)
     assert (np.abs(covariance - expected) < 5 * spread).all()
     # Neighbours share 0.3 of their power, so that this would show a factor left out or used twice.
-    assert 0.6 * mutual_coherence(0.7) > 20 / math.sqrt(n)
+    assert 0.6 * UNIFORM.aperture(0.7) > 20 / math.sqrt(n)
     # White: neighbouring samples do not know of each other.
     assert abs(np.mean(data[:, 1:] * data[:, :-1])) < 5 * 12.5 / math.sqrt(n)
 

@@ -80,7 +80,7 @@ def test_no_sky_has_a_source_behind_its_plane(path):
     (source,) = setup.scene.sky.point_sources
     behind = source.model_copy(update={"ra_rad": source.ra_rad + math.pi, "dec_rad": -source.dec_rad})
     with pytest.raises(ValueError, match="90 degrees or more from the map's centre"):
-        add_point_sources(setup.sky.map_mk, setup.sky.geometry, (behind,), 3e-4)
+        add_point_sources(setup.sky.map_mk[0], setup.sky.geometry, (behind,), 3e-4)
 
 
 def turn_of_half_a_scan(elevation_rad, dec_rad, duration_s):

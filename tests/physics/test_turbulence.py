@@ -18,8 +18,8 @@ from surveysim.atmosphere.thin_screen import (
     structure_function,
 )
 from surveysim.atmosphere.turbulence_fit import HEIGHT_GRID_M, INDEX_GRID, KOLMOGOROV, TRACKS_RAD, fit_turbulence
+from surveysim.telescope.illumination import UNIFORM
 from surveysim.telescope.layouts import hexagon
-from surveysim.telescope.pixel_coherence import mutual_coherence
 from tests.deviates import deviates
 
 ARCMIN = math.radians(1 / 60)
@@ -192,7 +192,7 @@ def test_noise_shared_by_overlap_does_not_pass_for_turbulence(grid):
     bins, table = grid
     track, zenith = np.full(18, TRACK), np.full(18, ZENITH)
     theory = 280 * table.correlation(track, zenith)[KOLMOGOROV, 3]
-    overlap = bins.mean(mutual_coherence(bins.separation_rad / (57.14 / 60 * ARCMIN)))
+    overlap = bins.mean(UNIFORM.aperture(bins.separation_rad / (57.14 / 60 * ARCMIN)))
     profile = exact_profile(bins, theory + 4.0 * overlap)
     plain = fit_turbulence(profile, bins, table, track_rad=track, elevation_rad=zenith, overlap=None)
     fit = fit_turbulence(profile, bins, table, track_rad=track, elevation_rad=zenith, overlap=overlap)

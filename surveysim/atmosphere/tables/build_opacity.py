@@ -1,4 +1,4 @@
-"""Build the opacity tables of this folder with the `am` atmospheric model (package am-python).
+"""Build the opacity tables of sites with their own air, with the `am` atmospheric model.
 
 ``python -m surveysim.atmosphere.tables.build_opacity [SITE ...]``; about five minutes on one core for all.
 
@@ -14,9 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-FIRST_GHZ, LAST_GHZ, STEP_GHZ, CELL_STEPS = 80, 420, 0.02, 50
+from surveysim.atmosphere.tables.am_spectra import am_opacity, cell_optical_depth, layer
+
+FIRST_GHZ, LAST_GHZ = 80, 420
 CEILING = 50.0  # opaque; only three cells at 380 GHz reach it
-WATER_CM2_PER_MM = 0.1 / 18.015 * 6.02214e23  # 1 mm of PWV is 0.1 g/cm^2
 # A standard ozone column of 280 Dobson units, a layer about 22 km above the sea.
 OZONE_CM2, OZONE_HEIGHT_M, OZONE_WIDTH_M = 7.5e18, 22e3, 5e3
 GRAVITY_M_S2, GAS_CONSTANT_J_KG_K = 9.80665, 287.05
@@ -153,47 +154,12 @@ def atmosphere_temperature_k(site: Site) -> float:
     return float(np.average(temperature_k(site, height), weights=vapour_density(site, height)))
 
 
-def configuration(site: Site, pwv_mm: float, *, first_ghz: float, last_ghz: float, step_ghz: float) -> str:
-    """Configuration file of am for a zenith spectrum of optical depth."""
-    lines = [
-        f"f {first_ghz} GHz {last_ghz} GHz {step_ghz} GHz",
-        "output f GHz tau neper",
-        "tol 1e-5",
-        "za 0 deg",
-    ]
-    for pressure, temperature, water, ozone in reversed(list(zip(*layers(site), strict=True))):
-        lines += ["layer", f"Pbase {pressure:.6g} mbar", f"Tbase {temperature:.6g} K", "column dry_air hydrostatic"]
-        lines += [f"column o3 {ozone * OZONE_CM2:.6e} cm^-2"]
-        if pwv_mm > 0:
-            lines += [f"column h2o {water * pwv_mm * WATER_CM2_PER_MM:.6e} cm^-2"]
-    return "\n".join(lines) + "\n"
-
-
-def spectrum(
-    site: Site, pwv_mm: float, *, first_ghz: float = FIRST_GHZ, last_ghz: float = LAST_GHZ, step_ghz: float = STEP_GHZ
-) -> tuple[np.ndarray, str]:
-    """Zenith optical depth on am's grid, and am's version."""
-    import tempfile
-
-    import am
-
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "site.amc"
-        path.write_text(configuration(site, pwv_mm, first_ghz=first_ghz, last_ghz=last_ghz, step_ghz=step_ghz))
-        model = am.Model(path, [])
-        model.compute()
-    return model.outputs["opacity"].values, model.summary().splitlines()[0].split("(")[0].strip("# ")
-
-
-def cell_optical_depth(optical_depth: np.ndarray, steps: int) -> np.ndarray:
-    """Optical depth -ln<exp(-tau)> of cells of `steps` steps, with the trapezoidal rule for the transmission.
-
-    20 MHz is fine enough: at 5 MHz the optical depths of Mauna Kea, 1.7 mm, change by at most 6e-4 between 130 and 160
-    or 215 and 255 GHz (3e-3 with 50 MHz), and with twice as many layers by 1.1e-3.
-    """
-    transmission = np.exp(-optical_depth)
-    mean = 0.5 * (transmission[1:] + transmission[:-1])
-    return np.minimum(-np.log(np.maximum(mean.reshape(-1, steps).mean(axis=1), 1e-300)), CEILING)
+def configuration(site: Site, pwv_mm: float) -> str:
+    """Layers of am for a zenith spectrum of optical depth."""
+    return "".join(
+        layer(pressure, temperature, ozone_cm2=ozone * OZONE_CM2, water_mm=water * pwv_mm)
+        for pressure, temperature, water, ozone in reversed(list(zip(*layers(site), strict=True)))
+    )
 
 
 def build(name: str) -> Path:
@@ -203,11 +169,13 @@ def build(name: str) -> Path:
 
     site = SITES[name]
     half = site.pwv_mm[-1] / 2
-    (dry, version), (middle, _), (wet, _) = (spectrum(site, pwv) for pwv in (0.0, half, 2 * half))
+    (dry, version), (middle, _), (wet, _) = (
+        am_opacity(configuration(site, pwv), first_ghz=FIRST_GHZ, last_ghz=LAST_GHZ) for pwv in (0.0, half, 2 * half)
+    )
     linear, quadratic = (4 * middle - 3 * dry - wet) / (2 * half), (wet - 2 * middle + dry) / (2 * half**2)
     table = QTable({"frequency": np.arange(FIRST_GHZ + 0.5, LAST_GHZ) * units.GHz})
     for pwv in site.pwv_mm:
-        depth = cell_optical_depth(dry + pwv * (linear + pwv * quadratic), CELL_STEPS)
+        depth = cell_optical_depth(dry + pwv * (linear + pwv * quadratic), ceiling=CEILING)
         table[f"pwv_{pwv:g}"] = [float(f"{value:.5g}") for value in depth]
     table.meta = {
         "what": "zenith optical depth of the transmission averaged over cells of 1 GHz, for columns of water [mm]",

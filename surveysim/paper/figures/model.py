@@ -14,7 +14,8 @@ from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.runtime.errors import SceneError
 from surveysim.runtime.rng import RandomPurpose, normal_deviates
 from surveysim.scene.passband import top_hat
-from surveysim.scene.sites import SITES, median_water_mm, water_mm
+from surveysim.scene.place import shipped_place
+from surveysim.scene.sites import median_water_mm, water_mm
 from surveysim.telescope.scans import samples_per_scan
 
 BANDS_HZ = (150e9, 275e9)  # bands of the paper's figure 1
@@ -32,9 +33,9 @@ THICKNESS_M = 100.0  # drawn thickness of the layer: the model only requires it 
 
 def opacity_figure() -> PaperFigure:
     """Figure 1: zenith optical depth against water vapour at four sites, with a panel for each band."""
-    longest = max(water_mm(site)[1][-1] for site in SITES)
+    longest = max(water_mm(site)[1][-1] for site in SITE_LOOKS)
     bands = " and ".join(f"{hz / 1e9:g}" for hz in BANDS_HZ)
-    medians = ", ".join(f"{SITE_LOOKS[site][0]} {median_water_mm(site):g} mm" for site in SITES)
+    medians = ", ".join(f"{SITE_LOOKS[site][0]} {median_water_mm(site):g} mm" for site in SITE_LOOKS)
     caption = (
         f"Zenith optical depth against the column of precipitable water vapour, averaged over bands of"
         f" {100 * BANDWIDTH:g} % around {bands} GHz, from tables of the am model of each site's atmosphere."
@@ -47,9 +48,9 @@ def opacity_figure() -> PaperFigure:
 
 def _opacity_panel(frequency_hz: float, longest_mm: float) -> Panel:
     lines, points = [], []
-    for site in SITES:
+    for site in SITE_LOOKS:
         name, look = SITE_LOOKS[site]
-        band = band_opacity(site, top_hat(frequency_hz, BANDWIDTH))
+        band = band_opacity(shipped_place(site), top_hat(frequency_hz, BANDWIDTH))
         pwv_mm = np.linspace(band.pwv_mm[0], min(longest_mm, band.pwv_mm[-1]), 100)
         lines.append(Series(name, "line", pwv_mm, optical_depth(band, pwv_mm), look))
         median = np.array([median_water_mm(site)])

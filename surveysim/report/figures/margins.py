@@ -13,7 +13,7 @@ BEFORE = {"left": 0.9, "right": 0.3, "bottom": 0.6, "top": 0.5}  # inch, until l
 class MeasuredMargins(LayoutEngine):
     """Layout of a grid of axes: titles above, legends of the figure below, equal sizes of all axes.
 
-    Matplotlib's constrained layout measures all labels twice as often, and takes longer than to draw them.
+    Matplotlib's constrained layout measures all labels twice as often, which takes longer than to draw them.
 
     Attributes
     ----------

@@ -25,6 +25,7 @@ from surveysim.report.figures.style import (
 from surveysim.survey.coadds import CoAdds
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams.observed_block import observation_levels
+from surveysim.timestreams.simulation import camera_white
 
 
 def timestream_psd(setup: Setup, coadds: CoAdds) -> Figure:
@@ -109,9 +110,10 @@ def _span(increasing: np.ndarray) -> str:
 
 def _white_levels(axes: Axes, setup: Setup, coadds: CoAdds, rows: np.ndarray) -> None:
     measured = coadds.column("white_mk2_hz")[rows].mean()
-    drawn = [observation_levels(setup, int(number)) for number in np.arange(coadds.done)[rows]]
-    photon = float(np.mean([item.photon_mk2_hz for item in drawn]))
-    white = photon + float(np.mean([item.detector_mk2_hz for item in drawn]))
+    numbers = np.arange(coadds.done)[rows]
+    drawn = [camera_white(setup.camera, observation_levels(setup, int(number))) for number in numbers]
+    photon = float(np.mean([item.shared + item.alone for item in drawn]))
+    white = float(np.mean([item.mean for item in drawn]))
     levels = (
         (measured, "measured white level", BLACK, "-"),
         (white, "white noise of the scene", GREEN, "-"),

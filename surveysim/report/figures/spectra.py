@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mapmaker.transfer_function import beam_window, pixel_window
+from mapmaker.transfer_function import pixel_window
 from surveysim.forecasting.forecast import Forecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL
 from surveysim.reduction.data_set import DataSetKind, scaled_name
@@ -78,7 +78,7 @@ def transfer_functions(setup: Setup, scores: dict[str, DataSetScore], expected: 
     product.
     """
     rings, first = setup.analysis.region.rings, next(iter(scores.values()))
-    beam = beam_window(rings.ell, setup.scene.instrument.beam_fwhm_rad)
+    beam = setup.analysis.beams.window(rings.ell)
     pixel = pixel_window(rings.ell, setup.scene.map.pixel_rad)
     figure, (axes,) = panels(1)
     _shade_scored(axes, setup)

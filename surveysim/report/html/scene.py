@@ -9,6 +9,7 @@ from typing import Any
 
 from surveysim.report.html.components import UK2, Block, Terms
 from surveysim.runtime.numbers import joined, number, plural, short
+from surveysim.scene.sites import OWN, site_title
 from surveysim.scene.units import b2_unit
 from surveysim.timestreams.component import COMPONENTS, StreamComponent
 
@@ -25,11 +26,11 @@ CLEANINGS = {
 }
 COHERENCES = {
     "field": "as far as the fields of overlapping beams are coherent (hypothesis of Sayers et al. 2010)",
-    "intensity": "as far as the intensities of overlapping beams are coherent (photon bunching)",
+    "hbt": "as far as light from common sources is coherent (Hanbury Brown and Twiss)",
+    "intensity": "as the square of the coherence of the fields of overlapping beams",
     "none": "not at all",
 }
 SIMULATED = {"uncorrelated": "the same noise without correlations", "white": "white noise"}
-SITES = {"mauna_kea": "Mauna Kea", "south_pole": "the South Pole", "alma": "ALMA", "ccat": "CCAT"}
 
 _MEV_J = 1.602176634e-22
 
@@ -42,8 +43,8 @@ def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
     tell: dict[str, Callable[[], Iterator[str]]] = {
         "Field": lambda: _field(scene),
         "Observations": lambda: _observations(scene),
-        "Camera": lambda: _camera(scene["instrument"], n_det),
-        **({"Optics": lambda: _optics(scene["optics"])} if scene["optics"] else {}),
+        "Camera": lambda: _camera(scene["instrument"], n_det, "the last element" if scene.get("optics") else "window"),
+        **({"Optics": lambda: _optics(scene["optics"])} if scene.get("optics") else {}),
         **{item.title: partial(_component, item, scene[item.name]) for item in components},
         "Cleaning": lambda: _cleaning(scene["cleaning"]),
         "Map": lambda: _map(scene),
@@ -92,28 +93,46 @@ def _observations(scene: Values) -> Iterator[str]:
     yield f"Detectors are sampled at {short(scan['sample_rate_hz'])} Hz."
 
 
-def _camera(camera: Values, n_det: int) -> Iterator[str]:
+def _layout(layout: Values, f_lambda_rad: float) -> str:
+    """Describe the lattice of a layout or a wafer."""
+    shape, side = layout.get("shape", "hexagon"), layout.get("side")
+    extent = f"a {shape} of {side} by {side}" if side is not None else f"{layout['rings']} rings"
+    if layout["field_of_view_rad"] is not None:
+        extent = f"a field of view of {_arcmin(layout['field_of_view_rad'])}"
+    lattice = "on a square lattice" if shape == "square" else "hexagonal"
+    pitch = f"{short(layout['pitch_f_lambda'])} (f/#)λ"
+    dead = f", {len(layout['dead'])} of them dead" if layout["dead"] else ""
+    lost = (
+        f", {_percent(layout['yield_fraction'])} of the others working" if layout.get("yield_fraction", 1) < 1 else ""
+    )
+    width = _arcsec(layout["pitch_f_lambda"] * f_lambda_rad)
+    return f"Positions are {lattice} over {extent}, neighbours {pitch} apart ({width}){dead}{lost}."
+
+
+def _camera(camera: Values, n_det: int, behind: str) -> Iterator[str]:
     yield f"{plural(n_det, 'detector')} {band_of(camera)},"
     yield f"with a beam of {_arcsec(camera['beam_fwhm_rad'])} (FWHM); (f/#)λ is {_arcsec(camera['f_lambda_rad'])}."
-    if layout := camera["layout"]:
-        extent = f"{layout['rings']} rings" if layout["rings"] is not None else ""
-        if layout["field_of_view_rad"] is not None:
-            extent = f"a field of view of {_arcmin(layout['field_of_view_rad'])}"
-        pitch = f"{short(layout['pitch_f_lambda'])} (f/#)λ"
-        dead = f", {len(layout['dead'])} of them dead" if layout["dead"] else ""
-        yield f"Positions are hexagonal over {extent}, neighbours {pitch} apart"
-        yield f"({_arcsec(layout['pitch_f_lambda'] * camera['f_lambda_rad'])}){dead}."
+    if camera["layout"]:
+        yield _layout(camera["layout"], camera["f_lambda_rad"])
+    for index, wafer in enumerate(camera.get("wafers", ())):
+        place = f"({_arcmin(wafer['offset_x_rad'])}, {_arcmin(wafer['offset_y_rad'])})"
+        turned = f", turned by {_deg(wafer['rotation_rad'])}°" if wafer["rotation_rad"] else ""
+        yield f"Wafer {index} is at {place}{turned}. {_layout(wafer, camera['f_lambda_rad'])}"
     if camera["positions"]:
-        yield f"Positions come from the table {PurePath(camera['positions']).name}."
+        chosen = f", its band {camera['table_band']}" if camera.get("table_band") else ""
+        yield f"Detectors come from the table {PurePath(camera['positions']).name}{chosen}."
     yield f"Responsivities scatter by {_percent(camera['responsivity_scatter'])}."
     if camera["camera_rotation_range_rad"]:
         yield f"The camera angle varies within {_deg(camera['camera_rotation_range_rad'])}° between observations."
     if camera["horn_f_lambda"] is not None:
-        yield f"Horns are {short(camera['horn_f_lambda'])} (f/#)λ wide."
+        mode = " with the HE11 mode" if camera["illumination"] == "he11" else ""
+        yield f"Horns{mode} are {short(camera['horn_f_lambda'])} (f/#)λ wide."
+    elif camera["illumination"] not in (None, "uniform", "gaussian"):
+        yield f"Pixels illuminate the stop as in the table {PurePath(camera['illumination']).name}."
     if camera["edge_taper_db"] is not None:
         yield f"Pixels illuminate the stop with an edge taper of {short(camera['edge_taper_db'])} dB."
     if camera["efficiency"] is not None:
-        yield f"The efficiency from window to detector is {_percent(camera['efficiency'])}."
+        yield f"The efficiency from {behind} to detector is {_percent(camera['efficiency'])}."
     if camera["polarizations"] is not None:
         yield f"Detectors absorb {plural(camera['polarizations'], 'polarization')}."
     if camera["bands"]:
@@ -144,7 +163,8 @@ def _atmosphere(air: Values) -> Iterator[str]:
     if air["outer_scale_m"] is not None:
         yield f"Its outer scale is {short(air['outer_scale_m'])} m."
     if air["site"]:
-        yield f"Water and water fluctuations are those of {SITES.get(air['site'], air['site'])}."
+        place = "the site of the scene" if air["site"] == OWN else site_title(air["site"])
+        yield f"Water and water fluctuations are those of {place}."
     unit = b2_unit(air["spectral_index"])
     if air["b2"]:
         levels = ", ".join(short(100 * level) for level in air["b2_probabilities"])
@@ -192,14 +212,16 @@ def _photon(photon: Values) -> Iterator[str]:
             yield f"From the load of {sky} and warm optics of {short(load['optics_k'])} K."
         else:
             yield "From the load of the optics."
-        of = "its bunching part" if photon["coherence"] == "intensity" else "the noise of the load through the beam"
+        of = "its bunching part" if photon["coherence"] == "hbt" else "the noise of the load through the beam"
         yield f"Neighbours share {of} {COHERENCES[photon['coherence']]}."
     else:
         share, how = photon["coherent_fraction"], photon["coherence"]
         shared = f"{_percent(share)} of it common to neighbours {COHERENCES[how]}"
-        if how == "intensity":
-            bose = photon["bose_fraction"]
-            shared = f"{_percent(bose)} of it from bunching, {_percent(share)} of the load through the beam;"
+        if how == "hbt":
+            bose, stop = photon["bose_fraction"], photon["stop_fraction"]
+            shared = f"{_percent(bose)} of it from bunching, {_percent(share)} of the load through the beam"
+            shared += f" and {_percent(stop)} from the stop;" if stop else ";"
+            share += stop or 0.0
             shared += f" neighbours share the bunching of that part {COHERENCES[how]}"
             share *= bose
         yield f"White, {short(photon['psd_mk2_hz'])} mK2 / Hz,"

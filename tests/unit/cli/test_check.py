@@ -111,7 +111,7 @@ def test_the_fastest_wind_is_faster_than_all_that_are_drawn(small):
     drawn = max(observation_weather(setup, number).wind_speed_rad_s for number in range(300))
     bound = fastest_wind(setup.scene.atmosphere, None, 300)
     assert drawn < bound < 100 * drawn
-    assert limits._drawn_wind(setup.scene, None) == drawn
+    assert limits._drawn_wind(setup.scene, setup.air) == drawn
 
 
 @pytest.mark.parametrize(

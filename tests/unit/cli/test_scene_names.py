@@ -12,7 +12,7 @@ from surveysim import __version__
 from surveysim.cli.app import app
 from surveysim.scene.keys import all_keys, key_rows, scene_sections
 from surveysim.scene.scene import load_scene
-from surveysim.scene.shipped import find_scene, scene_names, shipped_folder
+from surveysim.scene.shipped import camera_folder, camera_titles, find_scene, scene_names, shipped_folder
 from tests.entry import COMMAND
 from tests.scenes import SMALL_SCENE
 
@@ -33,7 +33,8 @@ def empty(tmp_path, monkeypatch):
 def test_scenes_that_ship_are_found_by_name(empty):
     assert find_scene("lynx") == shipped_folder() / "lynx.toml"
     assert load_scene("lynx") == load_scene(SCENARIOS / "lynx.toml")
-    assert scene_names() == sorted(path.stem for path in SCENARIOS.glob("*.toml"))
+    paths = [*SCENARIOS.glob("*.toml"), *SCENARIOS.glob("cameras/*.toml")]
+    assert scene_names() == sorted(path.stem for path in paths) and len(set(scene_names())) == len(paths)
 
 
 def test_files_here_come_before_scenes_that_ship(empty):
@@ -62,10 +63,29 @@ def test_commands_take_names(empty, call):
     assert code == 0 and out.startswith(f"{Path('scenarios/mine.toml')}: 'mine' is a scene that can be run\n115 detect")
 
 
+def test_cameras_are_listed_and_copied(empty, call):
+    code, out, error = call("cameras")
+    assert (code, error) == (0, "") and len(camera_titles()) >= 10
+    for name, title in camera_titles().items():
+        assert re.search(rf"│ {re.escape(name)} +│ {re.escape(title)} +│", out)
+    code, out, _ = call("new", "mine", "--like", "prime_cam_280")
+    source, target = camera_folder() / "prime_cam_280.toml", Path("scenarios/mine.toml")
+    assert (code, out) == (0, f"{target}: a copy of {source}; edit it, then: surveysim check {target}\n")
+    assert target.read_text() == source.read_text()
+    assert call("check", "mine") == (0, f"{target}: 'mine' is a scene that can be run\n", "")
+
+
+def test_cameras_are_checked_by_name(empty, call):
+    for name in camera_titles():
+        path = camera_folder() / f"{name}.toml"
+        assert call("check", name) == (0, f"{path}: '{name}' is a scene that can be run\n", "")
+
+
 @pytest.mark.parametrize("command", [("check",), ("run",), ("plan",), ("forecast",), ("new", "mine", "--like")])
 def test_unknown_names_are_answered_with_those_that_are_alike(empty, call, command):
-    names = f"a file or one of {', '.join(scene_names())} is expected"
-    for name, said in (("lynxx", "did you mean lynx?"), ("qqq", names)):
+    names = ", ".join(sorted(path.stem for path in SCENARIOS.glob("*.toml")))
+    names = f"a file, a camera (surveysim cameras) or one of {names} is expected"
+    for name, said in (("lynxx", "did you mean lynx?"), ("act_151", "did you mean act_150?"), ("qqq", names)):
         assert call(*command, name) == (2, "", f"'{name}': no such scene; {said}\n")
     assert [path.name for path in empty.iterdir()] == []
 

@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
+from mapmaker.errors import InputError
 from mapmaker.timestreams import (
     FocalPlane,
     Timestreams,
@@ -65,6 +66,27 @@ def part(streams, samples):
     return replace(
         streams, data_mk=streams.data_mk[:, samples], **{name: getattr(streams, name)[samples] for name in names}
     )
+
+
+def test_names_are_optional(path, streams, tmp_path):
+    """As polarization angles are; letters of any alphabet."""
+    assert read_timestreams(path).focal_plane.names is None
+    names = np.array(["a1", "b\u00e92", "c", "d_long_name", "e"])
+    plane = replace(streams.focal_plane, names=names)
+    write_timestreams(tmp_path / "named.h5", replace(streams, focal_plane=plane))
+    assert read_timestreams(tmp_path / "named.h5").focal_plane.names.tolist() == names.tolist()
+    assert plane.subset(np.array([2, 0])).names.tolist() == ["c", "a1"]
+    for wrong in (names[1:], np.arange(N_DET)):
+        with pytest.raises(ValueError, match="names: found .* 5 texts are expected"):
+            replace(streams.focal_plane, names=wrong)
+
+
+@pytest.mark.parametrize("values", [np.arange(N_DET), np.arange(N_DET) * 1.5, np.array([b"\xff"] * N_DET)])
+def test_names_that_are_no_texts_are_refused(path, values):
+    with h5py.File(path, "a") as file:
+        file["detector_name"] = values
+    with pytest.raises(InputError, match=f"^{path}: "):
+        read_timestreams(path)
 
 
 def test_polarization_angles_are_optional(path, streams, tmp_path):

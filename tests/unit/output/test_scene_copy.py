@@ -6,7 +6,9 @@ import pytest
 
 from surveysim import load_scene, load_sweep
 from surveysim.cli.options import setting
+from surveysim.output.directory import _INPUT, _WRITTEN
 from surveysim.output.scene_copy import SCENE_FILE, scene_files, sweep_files
+from surveysim.scene.keys import file_keys
 from surveysim.scene.scene import scene_hash
 from surveysim.studies.sweep.axes import sweep_hash
 from tests.scenes import SMALL_SCENE, write_scene
@@ -87,6 +89,15 @@ def test_a_table_comes_along(tmp_path):
     assert scene_hash(load_scene(again(files, tmp_path / "elsewhere"))) == digest
     (tmp_path / "elsewhere").rename(tmp_path / "moved")
     assert scene_hash(load_scene(tmp_path / "moved" / SCENE_FILE)) == digest
+
+
+@pytest.mark.parametrize("key", file_keys())
+@pytest.mark.parametrize("suffix", ["", ".ecsv", ".fits", ".dat-2"])
+def test_a_directory_knows_the_copies_of_all_tables(key, suffix):
+    """A new run replaces them, as it does all that this program writes."""
+    for name in (key.rpartition(".")[2], f"{key.rpartition('.')[2]}_12"):
+        assert _WRITTEN.fullmatch(name + suffix) and _INPUT.fullmatch(name + suffix)
+        assert not _WRITTEN.fullmatch(f"{name}s{suffix}")
 
 
 def test_a_scene_that_was_changed_in_python_has_no_file(tmp_path):

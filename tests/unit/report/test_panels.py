@@ -8,13 +8,19 @@ import pytest
 from astropy.table import Table
 from PIL import Image
 
-from surveysim.paper.figures.model import BANDS_HZ, column_edges, edge_streams, opacity_figure, screen_figure
+from surveysim.paper.figures.model import (
+    BANDS_HZ,
+    SITE_LOOKS,
+    column_edges,
+    edge_streams,
+    opacity_figure,
+    screen_figure,
+)
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.report.figures.layout import draw_figure, lay_out
 from surveysim.report.figures.points import points_table
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
 from surveysim.scene.scene import load_scene
-from surveysim.scene.sites import SITES
 
 LYNX = Path(__file__).parents[3] / "scenarios" / "lynx.toml"
 RISING = np.arange(1.0, 6.0)
@@ -159,7 +165,7 @@ def test_opacity_of_every_site_with_its_median():
     figure = opacity_figure()
     assert len(figure.panels) == len(BANDS_HZ)
     for panel in figure.panels:
-        lines, points = panel.series[: len(SITES)], panel.series[len(SITES) :]
+        lines, points = panel.series[: len(SITE_LOOKS)], panel.series[len(SITE_LOOKS) :]
         assert [point.x[0] for point in points] == [1.68, 0.25, 1.0, 0.83]  # section 1.2 of the paper, and 3.4
         for line, point in zip(lines, points, strict=True):
             assert np.interp(point.x[0], line.x, line.y) == pytest.approx(point.y[0], rel=1e-3)

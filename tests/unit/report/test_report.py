@@ -247,7 +247,7 @@ def test_a_page_names_the_assumption_on_shared_photon_noise(tmp_path):
         "10 % of it common to neighbours as far as the fields of overlapping beams are coherent (hypothesis of Sayers"
         in field.text
     )
-    keys = {"observations": 1, "photon.coherence": "intensity", "photon.bose_fraction": 0.69}
+    keys = {"observations": 1, "photon.coherence": "hbt", "photon.bose_fraction": 0.69}
     shutil.rmtree(tmp_path / "out")
     bunching = page_of(tmp_path, text, keys)
     assert "69 % of it from bunching, 10 % of the load through the beam; neighbours share" in bunching.text
@@ -255,7 +255,7 @@ def test_a_page_names_the_assumption_on_shared_photon_noise(tmp_path):
 
 def test_a_scene_of_a_site_in_words(tmp_path):
     text = without_sections(SMALL_SCENE, "score", "photon", "detector", "fixed_pointing", "excess") + SCHEDULE
-    text += '\n[photon]\ncoherence = "intensity"\n[photon.load]\noptics = "10 K"\n'
+    text += '\n[photon]\ncoherence = "hbt"\n[photon.load]\noptics = "10 K"\n'
     text += '\n[detector]\nnep = "3e-17 W / Hz(1/2)"\n'
     page = page_of(
         tmp_path,
@@ -274,7 +274,7 @@ def test_a_scene_of_a_site_in_words(tmp_path):
     for words in (
         "Water and water fluctuations are those of ALMA.",
         "From the load of the site's water and warm optics of 10 K.",
-        "Neighbours share its bunching part as far as the intensities of overlapping beams",
+        "Neighbours share its bunching part as far as light from common sources is coherent",
         "a noise-equivalent power of 3.0 × 10−17 W/Hz1/2",
         "Observed from latitude 19.8°, longitude −155.5°, 4070 m high, in 1 night from 2003-10-28",
         "Horns are 0.6 (f/#)λ wide. The efficiency from window to detector is 30 %. Detectors absorb 2 polarizations.",

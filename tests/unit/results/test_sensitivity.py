@@ -19,6 +19,7 @@ from surveysim.results.sensitivity import (
 )
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.units import BOLTZMANN_J_K
+from surveysim.telescope.array_noise import array_psd
 from surveysim.telescope.noise_levels import white_levels
 from tests.camera import BAND, BOLOMETER, CAMERA, HORNS, PHOTON, QUIET, SITE, STATED_SKY
 from tests.pages import read_page
@@ -32,6 +33,12 @@ def setup_of(tmp_path):
         return prepare(load_scene(path, BAND | HORNS | (overrides or {})))
 
     return load
+
+
+def without_layout(text):
+    """A scene without [instrument.layout]."""
+    before, _, rest = text.partition("[instrument.layout]")
+    return before + rest[rest.index("\n[") :]
 
 
 def test_one_sky_where_it_is_stated_and_quartiles_of_a_site(setup_of):
@@ -56,11 +63,12 @@ def test_terms_add_up_to_the_noise_of_the_streams(setup_of, detector):
 
 def test_shares_of_the_elements(setup_of):
     """Loads add up, and so do the shares of the squared NEP with that of the detector."""
-    item = sensitivities(setup_of(PHOTON + STATED_SKY + BOLOMETER))[STATED]
-    entry = sensitivity_entries({STATED: item}, 1)[0]
+    setup = setup_of(PHOTON + STATED_SKY + BOLOMETER)
+    item = sensitivities(setup)[STATED]
+    entry = sensitivity_entries(setup, {STATED: item})[0]
     assert [row["name"] for row in entry["elements"]] == ["sky", "mirrors", "filter", "stop", "lens"]
     assert item.load_w == pytest.approx(sum(row["load_w"] for row in entry["elements"]), rel=1e-12)
-    photons = item.nep2["photons, shot"] + item.nep2["photons, wave"]
+    photons = item.nep2["shot"] + item.nep2["wave"]
     assert sum(row["nep2_share"] for row in entry["elements"]) == pytest.approx(photons / item.nep_w_rthz**2, rel=1e-12)
     assert sum(element.nep2 for element in item.elements) == pytest.approx(photons, rel=1e-12)
 
@@ -84,25 +92,50 @@ def test_saturation(setup_of):
     (line,) = saturation_warnings(high)
     assert line == (
         f"detector.bolometer: {1e12 * high[STATED].load_w:.3g} pW of load (stated sky) saturate it; its link carries "
-        "3.57 pW"
+        "3.57 pW."
     )
 
 
 def test_tables(setup_of):
-    found = sensitivities(setup_of(PHOTON + CAMERA + SITE + BOLOMETER))
-    entries = sensitivity_entries(found, 18)
+    setup = setup_of(PHOTON + CAMERA + SITE + BOLOMETER)
+    entries = sensitivity_entries(setup, sensitivities(setup))
     assert json.loads(json.dumps(entries)) == entries
     load, nep, sensitivity = load_table(entries), nep_table(entries), sensitivity_table(entries)
     assert load.title == "Load of a detector: median water, 1.68 mm, at an elevation of 55.0 deg"
     assert load.columns[0].values == ["CMB", "atmosphere", "mirrors", "filter", "stop", "lens"]
     files = nep.in_files
-    parts = [files[f"nep_{name}"] for name in ("photons_shot", "photons_wave", "phonon", "amplifier")]
+    parts = [files[f"nep_{name}"] for name in ("shot", "wave", "phonon", "amplifier")]
     np.testing.assert_allclose(np.sqrt(np.sum(np.square(parts), axis=0)), files["nep"], rtol=1e-12)
     assert nep.units["nep_phonon"] == "aW / Hz(1/2)"
     single, whole = sensitivity.in_files["nefd_mjy"], sensitivity.in_files["array_nefd_mjy"]
-    np.testing.assert_allclose(single / whole, math.sqrt(18), rtol=1e-12)
+    ratio = sensitivity.in_files["array_noise_ratio"]
+    np.testing.assert_allclose((single / whole) ** 2, setup.camera.n_det / np.array(ratio), rtol=1e-12)
+    for item, worse in zip(sensitivities(setup).values(), ratio, strict=True):
+        levels = white_levels(setup.scene, setup.air.water.opacity, item.pwv_mm, item.elevation_rad)
+        mean = array_psd(setup.camera, setup.camera.photon_coherence, levels)
+        alone = (levels.photon_mk2_hz + levels.detector_mk2_hz) / setup.camera.n_det
+        assert worse == pytest.approx(mean / alone, rel=1e-12) and worse > 1.2
     for table in (load, nep, sensitivity):
         table.quantities()
+
+
+def test_detectors_of_a_table(setup_of, tmp_path):
+    """NEPs of 1, 2 and 2e-17 W/sqrt(Hz) without photon noise to speak of: worth 1.5 of the first, 3 of the mean."""
+    rows = "0 0 1e-17\n0 200 2e-17\n200 0 2e-17\n"
+    head = "".join(f"# - {{name: {name}, unit: arcsec, datatype: float64}}\n" for name in "xy")
+    head += "# - {name: nep, unit: W Hz(-1/2), datatype: float64}\n"
+    (tmp_path / "camera.ecsv").write_text(f"# %ECSV 1.0\n# ---\n# datatype:\n{head}x y nep\n{rows}")
+    (tmp_path / "scene.toml").write_text(
+        without_layout(QUIET) + PHOTON + "[optics]\nsky = '1e-6 K'\n[optics.stop]\ntemperature = '10 mK'\n[detector]\n"
+    )
+    keys = BAND | {"instrument.positions": "camera.ecsv", "instrument.horn_f_lambda": 1.0}
+    setup = prepare(load_scene(tmp_path / "scene.toml", keys))
+    item = sensitivities(setup)[STATED]
+    entry = sensitivity_entries(setup, {STATED: item})[0]
+    worth = np.sum((1e-17 / np.array([1e-17, 2e-17, 2e-17])) ** 2)
+    assert entry["array_noise_ratio"] == pytest.approx(1, abs=1e-6)
+    best = 1e3 * 1e-17 / (math.sqrt(2) * item.w_per_k_cmb)
+    assert entry["array_net_mkcmb_rts"] == pytest.approx(best / math.sqrt(worth), rel=1e-4)
 
 
 def test_results_of_a_run(tmp_path):
@@ -112,7 +145,7 @@ def test_results_of_a_run(tmp_path):
     run(load_scene(tmp_path / "scene.toml", BAND | HORNS | keys), out, engine=SERIAL, figures=False)
     summary = json.loads((out / "summary.json").read_text())
     assert {f"tables/{name}.ecsv" for name in ("load", "nep", "sensitivity")} <= set(summary["files"])
-    assert "saturate it; its link carries 3.57 pW" in summary["warnings"][0]
+    assert "saturate it; its link carries 3.57 pW." in summary["warnings"][0]
     text = read_page(out / "report.html").text
     for words in (
         "Load of a detector: stated sky, at an elevation of 55.0 deg",

@@ -9,10 +9,10 @@ from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene, scene_hash
 from surveysim.telescope.diffraction import aperture_efficiency, beam_width, effective_area_m2
-from surveysim.telescope.pixel_coherence import Illumination
+from surveysim.telescope.illumination import UNIFORM, GaussianIllumination
 from tests.scenes import SMALL_SCENE
 
-UNIFORM = Illumination()
+UNIFORM = UNIFORM
 
 
 def test_uniform_circular_aperture():
@@ -24,14 +24,16 @@ def test_uniform_circular_aperture():
 @pytest.mark.parametrize("taper_db", [5, 8, 10, 12, 15])
 def test_tapers_of_the_literature(taper_db):
     """(1.02 + 0.0135 T) lambda / D (Goldsmith, Quasioptical Systems, 1998, section 6.6): within its own 1 %."""
-    assert beam_width(Illumination(taper_db)) == pytest.approx(1.02 + 0.0135 * taper_db, rel=0.01)
+    assert beam_width(GaussianIllumination(taper_db)) == pytest.approx(1.02 + 0.0135 * taper_db, rel=0.01)
 
 
 def test_strong_taper_is_a_gaussian_beam():
     """A field exp(-k u^2 / 2) without an edge has the far-field intensity exp(-(pi w)^2 / 4k) at w lambda / D."""
     taper = 120.0
     kappa = taper * math.log(10) / 10
-    assert beam_width(Illumination(taper)) == pytest.approx(2 * math.sqrt(math.log(2) * kappa) / math.pi, rel=1e-5)
+    assert beam_width(GaussianIllumination(taper)) == pytest.approx(
+        2 * math.sqrt(math.log(2) * kappa) / math.pi, rel=1e-5
+    )
 
 
 @pytest.mark.parametrize("taper_db", [0.5, 3, 10, 30])
@@ -39,7 +41,7 @@ def test_efficiency_of_a_gaussian_taper(taper_db):
     """2 (1 - exp(-k/2))^2 / ((k/2)^2) / ((1 - exp(-k)) / k) / 2: with k of the intensity (Goldsmith, section 6.4.1)."""
     kappa = taper_db * math.log(10) / 10
     expected = 4 * (1 - math.exp(-kappa / 2)) ** 2 / (kappa * (1 - math.exp(-kappa)))
-    assert aperture_efficiency(Illumination(taper_db)) == pytest.approx(expected, rel=1e-12)
+    assert aperture_efficiency(GaussianIllumination(taper_db)) == pytest.approx(expected, rel=1e-12)
 
 
 def test_obscuration_narrows_and_takes_area():
@@ -76,7 +78,7 @@ def test_beam_of_a_scene_follows_from_its_aperture(scene_of):
     assert instrument.beam_fwhm_rad / instrument.f_lambda_rad == pytest.approx(1.02899, abs=1e-5)
     tapered = {"instrument.edge_taper": "10 dB", "optics.central_obscuration": "2 m"}
     setup = prepare(scene_of(LARGE | tapered, ANGLES))
-    expected = beam_width(Illumination(10.0), 0.2) * instrument.f_lambda_rad
+    expected = beam_width(GaussianIllumination(10.0), 0.2) * instrument.f_lambda_rad
     assert setup.camera.focal_plane.fwhm_rad == pytest.approx(expected, rel=1e-12)
     assert setup.camera.f_lambda_rad == instrument.f_lambda_rad
 
@@ -98,6 +100,14 @@ def test_apertures_count_in_the_hash(scene_of):
 def test_an_angle_without_an_aperture(scene_of, key):
     with pytest.raises(SceneError, match=f"instrument.{key}: missing; an angle, or 'optics.aperture'"):
         scene_of({}, f"{key} = ")
+
+
+@pytest.mark.parametrize("aperture", ["1 mm", "1e8 m"])
+def test_an_aperture_of_no_use(scene_of, aperture):
+    with pytest.raises(
+        SceneError, match="optics.aperture: found .* m, with a beam of .* arcsec; one of 0.001 arcsec to"
+    ):
+        prepare(scene_of({"optics.aperture": aperture}, ANGLES))
 
 
 def test_effective_area(scene_of):

@@ -11,10 +11,11 @@ from surveysim.paper.published import published
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.passband import top_hat
+from surveysim.scene.place import shipped_place
 from surveysim.scene.scene import load_scene
+from surveysim.telescope.illumination import gaussian_horn
 from surveysim.telescope.noise_levels import WhiteLevels, white_levels
 from surveysim.telescope.photon_noise import photon_noise
-from surveysim.telescope.pixel_coherence import horn_taper_db, stop_efficiency
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_levels, observation_weather
 from tests.scenes import SMALL_SCENE, without_sections
@@ -78,7 +79,7 @@ def bose_share(psd_mk2_hz, frequency_hz, bandwidth, efficiency, polarizations):
     return bose * load_k**2 / psd_mk2_hz
 
 
-@pytest.mark.parametrize("coherence, expected", [("field", 0.0506), ("intensity", 0.0018)])
+@pytest.mark.parametrize("coherence, expected", [("field", 0.0506), ("hbt", 0.0018)])
 def test_neighbours_of_bolocam(scene_of, coherence, expected):
     """At 0.7 (f/#)lambda: 0.1 gamma by the paper's hypothesis, (0.1^2 of the Bose share) gamma^2 by bunching."""
     scene = scene_of(QUIET + BOLOCAM.replace('"field"', f'"{coherence}"'))
@@ -96,7 +97,7 @@ def test_neighbours_of_bolocam(scene_of, coherence, expected):
 
 def test_streams_of_neighbours_share_bunching_alone(scene_of):
     """Correlation of neighbours in streams of a load that is all beam: the Bose share times gamma^2, to 4 sigma."""
-    text = QUIET + BOLOCAM.replace('"field"', '"intensity"').replace("0.1\n", "1.0\n")
+    text = QUIET + BOLOCAM.replace('"field"', '"hbt"').replace("0.1\n", "1.0\n")
     setup = prepare(scene_of(text, {"scan.duration": "600 s", "scan.speed": "1 arcsec / s"}))
     data = draw_observation(setup, 0).data_mk.astype(float)
     positions = setup.camera.positions_f_lambda
@@ -121,8 +122,8 @@ def test_stated_load(scene_of):
     assert levels.shared == pytest.approx(0.25, rel=1e-12)
 
 
-def test_shared_part_of_intensity_is_bunching_of_the_sky(scene_of):
-    scene = scene_of(QUIET + LOAD.replace('"field"', '"intensity"'))
+def test_shared_part_of_hbt_is_bunching_of_the_sky(scene_of):
+    scene = scene_of(QUIET + LOAD.replace('"field"', '"hbt"'))
     levels = white_levels(scene, None, np.nan, HEIGHT)
     noise = photon_noise(40.0, 143e9, 0.15, 0.4, polarizations=1)
     bose = noise.bose_psd_mk2_hz / noise.psd_mk2_hz
@@ -130,7 +131,7 @@ def test_shared_part_of_intensity_is_bunching_of_the_sky(scene_of):
     assert levels.shared == pytest.approx(0.25**2 * bose, rel=1e-12)
 
 
-@pytest.mark.parametrize("coherence", ["field", "intensity"])
+@pytest.mark.parametrize("coherence", ["field", "hbt"])
 def test_no_load_shares_nothing(scene_of, coherence):
     scene = scene_of(QUIET + LOAD.replace("10 K", "0 K").replace("30 K", "0 K").replace("field", coherence))
     assert white_levels(scene, None, np.nan, HEIGHT) == WhiteLevels()
@@ -139,7 +140,7 @@ def test_no_load_shares_nothing(scene_of, coherence):
 def test_sky_s_load_follows_the_water(scene_of):
     """T (1 - exp(-tau / sin el)) above the window, and noise over what the atmosphere lets through."""
     scene = scene_of(QUIET + SITE)
-    opacity = band_opacity("mauna_kea", top_hat(143e9, 0.15))
+    opacity = band_opacity(shipped_place("mauna_kea"), top_hat(143e9, 0.15))
     for pwv, height in ((0.5, HEIGHT), (2.0, HEIGHT), (2.0, np.radians(35))):
         passed = float(np.exp(-optical_depth(opacity, pwv) / np.sin(height)))
         sky = opacity.temperature_k * (1 - passed)
@@ -150,7 +151,7 @@ def test_sky_s_load_follows_the_water(scene_of):
 
 
 def test_more_water_and_more_air_are_more_noise_and_more_of_it_shared(scene_of):
-    scene, opacity = scene_of(QUIET + SITE), band_opacity("mauna_kea", top_hat(143e9, 0.15))
+    scene, opacity = scene_of(QUIET + SITE), band_opacity(shipped_place("mauna_kea"), top_hat(143e9, 0.15))
     wet = [white_levels(scene, opacity, pwv, HEIGHT) for pwv in (0.5, 1.0, 2.0, 4.0)]
     low = [white_levels(scene, opacity, 1.0, np.radians(height)) for height in (90, 60, 40, 30)]
     for rising in (wet, low):
@@ -169,7 +170,7 @@ def test_noise_equivalent_power(scene_of):
     for key, value, ratio in (("efficiency", 0.8, 4), ("polarizations", 2, 4), ("bandwidth", 0.3, 4)):
         other = scene_of(QUIET + nep, {f"instrument.{key}": value})
         assert white_levels(other, None, np.nan, HEIGHT).detector_mk2_hz == pytest.approx(level / ratio, rel=1e-12)
-    opacity = band_opacity("mauna_kea", top_hat(143e9, 0.15))
+    opacity = band_opacity(shipped_place("mauna_kea"), top_hat(143e9, 0.15))
     passed = np.exp(-optical_depth(opacity, 2.0) / np.sin(HEIGHT))
     at_site = white_levels(scene_of(QUIET + SITE + nep), opacity, 2.0, HEIGHT).detector_mk2_hz
     assert at_site == pytest.approx(level / passed**2, rel=1e-9)
@@ -181,12 +182,12 @@ def test_horns_lose_what_they_spill(scene_of):
     nep = QUIET + '[detector]\nnep = "1e-17 W / Hz(1/2)"\n'
     bare = white_levels(scene_of(nep, layout), None, np.nan, HEIGHT).detector_mk2_hz
     horn = white_levels(scene_of(nep, {**layout, "instrument.horn_f_lambda": 1.0}), None, np.nan, HEIGHT)
-    share = stop_efficiency(horn_taper_db(1.0))
+    share = gaussian_horn(1.0).efficiency
     assert share < 0.6
     assert horn.detector_mk2_hz == pytest.approx(bare / share**2, rel=1e-12)
 
 
-@pytest.mark.parametrize("coherence", ["field", "intensity"])
+@pytest.mark.parametrize("coherence", ["field", "hbt"])
 def test_streams_have_the_level_and_what_neighbours_share(scene_of, coherence):
     """18 detectors, 4 x 18 scans of 240 samples: 3e5 deviates, of which the Hann taper's PSD loses half.
 
@@ -259,7 +260,7 @@ def test_power_needs_an_instrument(tmp_path, text, missing):
         ),
         ('[photon]\npsd = "1 mK2/Hz"\ncoherence = "none"\n', "coherent_fraction: missing; 'psd' needs it"),
         (
-            BOLOCAM.replace("bose_fraction = 0.69\n", "").replace("field", "intensity"),
+            BOLOCAM.replace("bose_fraction = 0.69\n", "").replace("field", "hbt"),
             "photon.bose_fraction: missing; 'psd'",
         ),
         (

@@ -5,16 +5,19 @@ import math
 import numpy as np
 import pytest
 
+from mapmaker.stream_psd import hann_psd
 from surveysim.atmosphere.opacity import band_opacity, optical_depth, spectral_depth
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.passband import top_hat
+from surveysim.scene.place import shipped_place
 from surveysim.scene.scene import load_scene
 from surveysim.scene.units import BOLTZMANN_J_K, PLANCK_J_S
+from surveysim.telescope.illumination import gaussian_horn
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.optics import scene_chain
 from surveysim.telescope.photon_noise import chain_noise, photon_noise
-from surveysim.telescope.pixel_coherence import horn_taper_db, stop_efficiency
+from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_levels, observation_weather
 from tests.camera import BAND, CAMERA, HORNS, PHOTON, QUIET, SITE, STATED_SKY
 
@@ -39,7 +42,7 @@ def test_chain_of_a_scene_by_hand(scene_of):
     chain = scene_chain(scene_of(PHOTON + STATED_SKY, HORNS), None, np.nan, HEIGHT)
     assert [surface.name for surface in chain.surfaces] == ["sky", "mirrors", "filter", "stop", "lens", "detector"]
     nu = chain.band.nodes[0]
-    share = np.array([stop_efficiency(horn_taper_db(item)) for item in nu / 143e9])
+    share = np.array([gaussian_horn(item).efficiency for item in nu / 143e9])
     received = BOLTZMANN_J_K * 20 / (PLANCK_J_S * nu)
     received = 0.95 * received + 0.05 * black(nu, 270)
     received = 0.9 * received + 0.02 * black(nu, 50)
@@ -62,7 +65,7 @@ def test_stated_sky_alone_is_a_load(scene_of):
 def test_sky_of_the_site(scene_of):
     """CMB through the atmosphere, and the atmosphere's own emission, at every frequency of the band."""
     scene = scene_of(PHOTON + CAMERA + SITE, HORNS)
-    opacity = band_opacity("mauna_kea", scene.instrument.band)
+    opacity = band_opacity(shipped_place("mauna_kea"), scene.instrument.band)
     chain = scene_chain(scene, opacity, 2.0, HEIGHT)
     assert [surface.name for surface in chain.surfaces][:3] == ["CMB", "atmosphere", "mirrors"]
     nu = chain.band.nodes[0]
@@ -75,7 +78,7 @@ def test_sky_of_the_site(scene_of):
 @pytest.mark.parametrize("frequency_ghz", [143, 268])
 def test_spectral_depth_averages_to_the_depth_of_the_band(frequency_ghz):
     """Within 0.5 %: cells of 1 GHz, interpolated between their centres."""
-    opacity = band_opacity("mauna_kea", top_hat(frequency_ghz * 1e9, 0.15))
+    opacity = band_opacity(shipped_place("mauna_kea"), top_hat(frequency_ghz * 1e9, 0.15))
     weight = opacity.band.nodes[1]
     for pwv in (0.5, 1.7, 3.5):
         mean = -math.log(weight @ np.exp(-spectral_depth(opacity, pwv)))
@@ -98,15 +101,27 @@ def test_every_observation_has_its_own_load(scene_of):
         assert level.detector_mk2_hz == pytest.approx(nep2 * (1e3 / chain.w_per_k) ** 2, rel=1e-9)
 
 
+def test_streams_have_the_noise_of_the_load(scene_of):
+    """18 detectors, 4 x 18 scans of 240 samples: to 4 sqrt(2 / 1.5e5), 1.5 %, and what is shared."""
+    kid = '[detector.kid]\ngap = "0.19 meV"\npair_breaking_efficiency = 0.4\namplifier_nep = "1e-17 W / Hz(1/2)"\n'
+    longer = {"scan.scans": 18, "scan.duration": "24 s", "scan.step": "0.5 arcmin"}
+    setup = prepare(scene_of(PHOTON + STATED_SKY + kid, HORNS | longer))
+    data = np.concatenate([draw_observation(setup, number).data_mk for number in range(4)], axis=1)
+    psd = hann_psd(data, 72, np.ones(72, bool), 10.0)[:, 2:-1].mean()
+    levels = observation_levels(setup, 0)
+    assert psd == pytest.approx(levels.photon_mk2_hz + levels.detector_mk2_hz, rel=0.02)
+    assert 0.2 < levels.detector_mk2_hz / levels.photon_mk2_hz < 5  # neither would be missed
+
+
 def test_shared_parts_are_those_of_the_load_before_the_stop(scene_of):
     text = PHOTON + STATED_SKY
     chain = scene_chain(scene_of(text, HORNS), None, np.nan, HEIGHT)
     power = chain.power_w(chain.occupation)
     field = white_levels(scene_of(text, HORNS), None, np.nan, HEIGHT)
     assert field.shared == pytest.approx(power[:3].sum() / power.sum(), rel=1e-12)
-    hbt = white_levels(scene_of(text.replace("field", "intensity"), HORNS), None, np.nan, HEIGHT)
+    hbt = white_levels(scene_of(text.replace("field", "hbt"), HORNS), None, np.nan, HEIGHT)
     wave = hbt.wave_mk2_hz / hbt.photon_mk2_hz
-    assert hbt.shared == pytest.approx(hbt.aperture_weight**2 * wave, rel=1e-12)
+    assert hbt.shared == pytest.approx((hbt.aperture_weight + hbt.stop_weight) ** 2 * wave, rel=1e-12)
     assert 0 < hbt.stop_weight < 1 - hbt.aperture_weight < 0.2
 
 

@@ -13,6 +13,7 @@ from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
 from surveysim.studies.sweep.axes import load_sweep
+from surveysim.telescope.diffraction import with_beam
 from surveysim.telescope.focal_plane import camera
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.timestreams.observation import Stopwatch, draw_block, draw_observation
@@ -81,7 +82,7 @@ def test_a_scan_larger_than_the_machine_is_refused(setup_of, monkeypatch):
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
 def test_scenarios_are_of_one_block_and_dense(path):
-    _check_size(path, load_scene(path))
+    _check_size(path, with_beam(load_scene(path)))
 
 
 @pytest.mark.slow
@@ -90,7 +91,7 @@ def test_scenarios_are_of_one_block_and_dense(path):
 )
 def test_points_of_sweeps_are_of_one_block_and_dense(path):
     for point in load_sweep(path).points:
-        _check_size(path, point.scene)
+        _check_size(path, with_beam(point.scene))
 
 
 def _check_size(path, scene):

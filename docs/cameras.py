@@ -1,0 +1,154 @@
+"""Cameras that ship beside published numbers: `python docs/cameras.py` writes the table of validation/cameras.md."""
+
+import math
+import tomllib
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import surveysim
+from surveysim.atmosphere.opacity import BandOpacity, band_opacity, optical_depth
+from surveysim.atmosphere.weather import pwv_quantile
+from surveysim.scene.scene import Scene
+from surveysim.telescope.diffraction import beam_width
+from surveysim.telescope.focal_plane import illumination
+from surveysim.telescope.sensitivity import Sensitivity, sensitivity
+
+HERE = Path(__file__).parent
+PAGE = HERE / "validation" / "cameras.md"
+BEGIN, END = "<!-- table of docs/cameras.py -->\n", "<!-- end of the table -->\n"
+SPEED_OF_LIGHT_M_S = 299_792_458.0
+ARCMIN2_PER_DEG2 = 3600.0
+Number = Mapping[str, Any]
+
+
+@cache
+def camera_scene(camera: str) -> Scene:
+    """Scene of a camera."""
+    return surveysim.load_scene(camera)
+
+
+def site_opacity(scene: Scene) -> BandOpacity | None:
+    """Opacity of a scene's site in its band; None without a site."""
+    air = scene.atmosphere
+    return band_opacity(air.site, scene.instrument.band) if air and air.site else None
+
+
+def elevation_rad(scene: Scene, number: Number) -> float:
+    """Elevation that a number is for: the scene's, unless its source names one."""
+    return math.radians(number["elevation"]) if "elevation" in number else scene.fixed_pointing.elevation_rad
+
+
+def detector(number: Number) -> Sensitivity:
+    """Sensitivity of a detector in the water and elevation of a number."""
+    scene = camera_scene(number["camera"])
+    opacity = site_opacity(scene)
+    pwv = math.nan if opacity is None else number.get("pwv", float(pwv_quantile(scene.atmosphere, 0.5)))
+    return sensitivity(scene, opacity, pwv, elevation_rad(scene, number))
+
+
+def _detector_net(number: Number) -> float:
+    return 1e3 * detector(number).net_mkcmb_rts * math.sqrt(number.get("parts", 1))
+
+
+def _array_net(number: Number) -> float:
+    return 1e3 * detector(number).net_mkcmb_rts / math.sqrt(number["pixels"])
+
+
+def _map_depth(number: Number) -> float:
+    """Depth of a map [uK arcmin] whose area [deg^2] the array covers evenly in the time [s]."""
+    return _array_net(number) * math.sqrt(number["area_deg2"] * ARCMIN2_PER_DEG2 / number["time_s"])
+
+
+def _nefd_ratio(number: Number) -> float:
+    other = dict(number) | {"pwv": number["over_pwv"]}
+    return detector(number).nefd_mjy_rts / detector(other).nefd_mjy_rts
+
+
+def _nefd_at_transmission(number: Number) -> float:
+    """NEFD in the water that gives a transmission along the line of sight."""
+    scene = camera_scene(number["camera"])
+    opacity, elevation = site_opacity(scene), elevation_rad(scene, number)
+    water = np.geomspace(opacity.pwv_mm[0], opacity.pwv_mm[-1], 500)
+    passed = np.exp(-optical_depth(opacity, water) / math.sin(elevation))
+    pwv = float(np.interp(number["transmission"], passed[::-1], water[::-1]))
+    return sensitivity(scene, opacity, pwv, elevation).nefd_mjy_rts
+
+
+def _jansky_per_pw(number: Number) -> float:
+    """Flux density above the atmosphere per absorbed power that it would give without atmosphere [Jy/pW]."""
+    scene = camera_scene(number["camera"])
+    found = detector(number)
+    passed = math.exp(-float(optical_depth(site_opacity(scene), found.pwv_mm)) / math.sin(found.elevation_rad))
+    return passed * 1e-15 / found.w_per_mjy
+
+
+def _opacity(number: Number) -> float:
+    scene = camera_scene(number["camera"])
+    return float(optical_depth(site_opacity(scene), number["pwv"])) / math.sin(elevation_rad(scene, number))
+
+
+def _beam(number: Number) -> float:
+    """Width of the diffracted beam of the scene's aperture [arcsec]."""
+    scene = camera_scene(number["camera"])
+    optics, section = scene.optics, scene.instrument
+    width = beam_width(illumination(section), optics.central_obscuration_m / optics.aperture_m)
+    return math.degrees(width * SPEED_OF_LIGHT_M_S / section.band.centre_hz / optics.aperture_m) * 3600
+
+
+# By kind: what the table calls it, and the function.
+KINDS: dict[str, tuple[str, Callable[[Number], float]]] = {
+    "array_net": ("NET of the array", _array_net),
+    "detector_net": ("NET of a detector", _detector_net),
+    "detector_net_rj": ("NET of a detector", lambda number: detector(number).net_mk_rts),
+    "nefd": ("NEFD of a detector", lambda number: detector(number).nefd_mjy_rts),
+    "nefd_ratio": ("NEFD, ratio", _nefd_ratio),
+    "nefd_at_transmission": ("NEFD of a detector", _nefd_at_transmission),
+    "jansky_per_pw": ("flux per power", _jansky_per_pw),
+    "load": ("absorbed load", lambda number: 1e12 * detector(number).load_w),
+    "opacity": ("opacity along the line of sight", _opacity),
+    "map_depth": ("depth of the map", _map_depth),
+    "beam": ("beam (FWHM)", _beam),
+}
+
+
+def numbers() -> list[dict[str, Any]]:
+    """Published numbers of `cameras.toml`."""
+    return tomllib.loads((HERE / "cameras.toml").read_text(encoding="utf-8"))["number"]
+
+
+def ours(number: Number) -> float:
+    """Compute the program's value of a published number, in its unit."""
+    return KINDS[number["kind"]][1](number)
+
+
+def table() -> str:
+    """Markdown: each published number beside the program's."""
+    head = "| camera | quantity | unit | program | published | ratio | source |\n|---|---|---|---:|---:|---:|---|\n"
+    rows = []
+    for number in numbers():
+        value, mark = ours(number), " *" if number.get("calibrated") else ""
+        cells = (
+            f"`{number['camera']}`",
+            KINDS[number["kind"]][0],
+            number["unit"],
+            f"{value:.3g}",
+            f"{number['value']:.3g}",
+            f"{value / number['value']:.2f}{mark}",
+            number["source"],
+        )
+        rows.append("| " + " | ".join(cells) + " |\n")
+    return head + "".join(rows)
+
+
+def with_table(text: str) -> str:
+    """Text of the page with the table of today."""
+    before, rest = text.split(BEGIN)
+    return f"{before}{BEGIN}\n{table()}\n{END}{rest.split(END)[1]}"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(with_table(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

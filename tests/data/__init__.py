@@ -1,0 +1,1 @@
+"""Reference data of tests, with the scripts that made them."""
