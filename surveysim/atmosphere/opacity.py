@@ -1,16 +1,17 @@
 """Band-averaged zenith optical depth of a place against water vapour, and the atmospheric noise that scales with it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
 
 from surveysim.atmosphere.cubic_spline import CubicSpline, stacked_splines
-from surveysim.atmosphere.opacity_tables import opacity_table
+from surveysim.atmosphere.opacity_tables import OpacityTable, opacity_table
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.scene.passband import Passband
 from surveysim.scene.place import Place
+from surveysim.scene.sites import OWN
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,8 @@ class BandOpacity:
 def band_opacity(place: Place, band: Passband) -> BandOpacity:
     """Average the opacity table of a place over a band: -ln of the mean transmission.
 
-    Cells of the table are weighted by their share of the band.
+    Cells of the table are weighted by their share of the band. Tables of sites that ship cover 80 to 420 GHz; beyond,
+    the table of all heights takes their place.
 
     Raises
     ------
@@ -64,9 +66,11 @@ def band_opacity(place: Place, band: Passband) -> BandOpacity:
         For a file that is no table of opacity.
     """
     table = opacity_table(place)
-    first, last = table.edge_hz[[0, -1]] / 1e9
     low, high = (edge / 1e9 for edge in band.edges_hz)
-    if not (first <= low < high <= last):
+    if place.name != OWN and not _covers(table, band):
+        table = opacity_table(replace(place, opacity=None))
+    if not _covers(table, band):
+        first, last = table.edge_hz[[0, -1]] / 1e9
         raise OutOfRangeError(
             f"found a band of {low:g} to {high:g} GHz; bands within {first:g} to {last:g} GHz are allowed"
         )
@@ -74,6 +78,11 @@ def band_opacity(place: Place, band: Passband) -> BandOpacity:
     averaged.setflags(write=False)
     at_nodes = _at_nodes(table.edge_hz, table.optical_depth, band)
     return BandOpacity(place, band, table.pwv_mm, averaged, at_nodes, table.temperature_k)
+
+
+def _covers(table: OpacityTable, band: Passband) -> bool:
+    low, high = band.edges_hz
+    return bool(table.edge_hz[0] <= low < high <= table.edge_hz[-1])
 
 
 def _at_nodes(edge_hz: np.ndarray, depth: np.ndarray, band: Passband) -> np.ndarray:

@@ -163,8 +163,8 @@ def new(
 ) -> None:
     """Make a scene from another one or from a description of a camera.
 
-    The new scene is scenarios/NAME.toml. --like copies a scene or a camera. --from reads the description of a camera that another program takes.
-    Edit the new scene.
+    It is scenarios/NAME.toml, to be edited. --like copies a scene or a camera; --from reads the description of a camera
+    for another program.
     """
     if not re.fullmatch(NAME, name) or len(name) > MAX_NAME:
         fail(f"name: found {shown(name)}; letters, digits, '_', '.' and '-', none of the last two first, are expected")

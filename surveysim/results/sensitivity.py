@@ -10,7 +10,8 @@ from surveysim.atmosphere.weather import pwv_quantile
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.numbers import number, short
 from surveysim.runtime.table import Column, Table, column, file_column, share_text
-from surveysim.telescope.noise_levels import white_levels
+from surveysim.telescope.array_noise import correlated_noise
+from surveysim.telescope.noise_levels import WhiteLevels, white_levels
 from surveysim.telescope.sensitivity import Sensitivity, sensitivity
 from surveysim.timestreams.simulation import camera_white
 
@@ -57,13 +58,18 @@ def saturation_warnings(found: Mapping[str, Sensitivity]) -> list[str]:
 
 def sensitivity_entries(setup: Setup, found: Mapping[str, Sensitivity]) -> list[dict[str, Any]]:
     """Return the entry `sensitivity` of summary.json: one item for each sky."""
-    return [_entry(name, item, math.sqrt(_nominal_detectors(setup, item))) for name, item in found.items()]
+    return [_sky_entry(setup, name, item) for name, item in found.items()]
 
 
-def _nominal_detectors(setup: Setup, item: Sensitivity) -> float:
-    """Number of detectors with the noise of the scene that are worth as much as those of the camera."""
+def _sky_entry(setup: Setup, name: str, item: Sensitivity) -> dict[str, Any]:
     opacity = setup.air.water.opacity if setup.air.water else None
     levels = white_levels(setup.scene, opacity, item.pwv_mm, item.elevation_rad)
+    shared = correlated_noise(setup.camera, setup.camera.photon_coherence, levels)
+    return _entry(name, item, math.sqrt(_nominal_detectors(setup, levels) / shared)) | {"array_noise_ratio": shared}
+
+
+def _nominal_detectors(setup: Setup, levels: WhiteLevels) -> float:
+    """Number of detectors with the noise of the scene that are worth as much as those of the camera."""
     white = camera_white(setup.camera, levels)
     variance = white.shared + white.alone + white.detector
     return float(np.sum((levels.photon_mk2_hz + levels.detector_mk2_hz) / variance))
@@ -151,7 +157,7 @@ def nep_table(entries: Sequence[Content]) -> Table:
 
 
 def sensitivity_table(entries: Sequence[Content]) -> Table:
-    """Return NETs and NEFDs of a detector for each sky, and of the array if its detectors are independent."""
+    """Return NETs and NEFDs of a detector and of the array for each sky."""
     columns = (
         *_skies(entries),
         _column(entries, "net_mk_rts", "NET [mK_RJ √s]", "mK s(1/2)"),
@@ -159,8 +165,9 @@ def sensitivity_table(entries: Sequence[Content]) -> Table:
         _column(entries, "nefd_mjy_rts", "NEFD [mJy √s]", "mJy s(1/2)"),
         _column(entries, "array_net_mkcmb_rts", "array [mK_CMB √s]", "mK s(1/2)"),
         _column(entries, "array_nefd_mjy_rts", "array [mJy √s]", "mJy s(1/2)"),
+        file_column("array_noise_ratio", _values(entries, "array_noise_ratio")),
     )
-    meta = {"comment": "array: all detectors, as if their noise were independent"}
+    meta = {"comment": "array: mean of all detectors with the correlation of their photon noise"}
     return Table("sensitivity", f"Sensitivity of a detector at {_elevation(entries[0])}", columns, meta=meta)
 
 

@@ -46,8 +46,17 @@ def common_with_others(cam: Camera, coherence: PixelCoherence, stop_share: float
     return float(part_weights(stop_share, len(sums)) @ sums) / n_det
 
 
+def correlated_noise(cam: Camera, coherence: PixelCoherence, levels: WhiteLevels) -> float:
+    """Variance of the mean of all detectors over that of as many independent ones; 1 without noise.
+
+    ``(shot + (1 + gamma^(2)) wave + internal) / (shot + wave + internal)``, for detectors with the noise of the scene.
+    """
+    alone = levels.photon_mk2_hz + levels.detector_mk2_hz
+    shared = levels.photon_mk2_hz * levels.shared
+    return 1 + shared * common_with_others(cam, coherence, levels.stop_share) / alone if shared else 1.0
+
+
 def array_psd(cam: Camera, coherence: PixelCoherence, levels: WhiteLevels) -> float:
     """Compute the one-sided PSD [mK^2/Hz] of the mean of all detectors: equation 68 of Hill and Kusaka (2024)."""
-    others = common_with_others(cam, coherence, levels.stop_share)
-    alone = levels.photon_mk2_hz + levels.detector_mk2_hz
-    return (alone + levels.photon_mk2_hz * levels.shared * others) / len(cam.focal_plane.x_rad)
+    alone = (levels.photon_mk2_hz + levels.detector_mk2_hz) / len(cam.focal_plane.x_rad)
+    return alone * correlated_noise(cam, coherence, levels)

@@ -12,7 +12,7 @@ import numpy as np
 from surveysim.atmosphere.opacity_tables import EDGES_GHZ, HEIGHTS_M, OFFSETS_K, PWV_MM
 from surveysim.atmosphere.standard_air import VAPOUR_SCALE_M, air_pressure_mbar, air_temperature_k
 from surveysim.atmosphere.tables.am_spectra import am_opacity, cell_optical_depth, layer
-from surveysim.atmosphere.tables.build_heights import ozone_columns_cm2, water_shares
+from surveysim.atmosphere.tables.build_heights import CEILING, ozone_columns_cm2, water_shares
 from surveysim.atmosphere.tables.build_opacity import LAYERS_M
 
 POINTS = Path(__file__).with_name("opacity_points.ecsv")
@@ -41,7 +41,7 @@ def direct_optical_depth(height_m: float, temperature_k: float, pwv_mm: float, f
     columns = zip(pressure, temperature, ozone_columns_cm2(base_m), water_shares(base_m, height_m), strict=True)
     text = "".join(layer(p, t, ozone_cm2=o, water_mm=w * pwv_mm) for p, t, o, w in reversed(list(columns)))
     spectrum, _ = am_opacity(text, first_ghz=frequency_ghz - 0.5, last_ghz=frequency_ghz + 0.5)
-    return float(cell_optical_depth(spectrum)[0])
+    return float(cell_optical_depth(spectrum, ceiling=CEILING)[0])
 
 
 def main() -> None:

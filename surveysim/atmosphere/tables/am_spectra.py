@@ -8,14 +8,10 @@ from pathlib import Path
 import numpy as np
 
 STEP_GHZ, CELL_STEPS = 0.02, 50
-FIRST_GHZ, LAST_GHZ = 10, 1000
-CEILING = 50.0  # opaque: at the centres of the strongest lines of water and oxygen
 WATER_CM2_PER_MM = 0.1 / 18.015 * 6.02214e23  # 1 mm of PWV is 0.1 g/cm^2
 
 
-def am_opacity(
-    layers: str, *, first_ghz: float = FIRST_GHZ, last_ghz: float = LAST_GHZ, step_ghz: float = STEP_GHZ
-) -> tuple[np.ndarray, str]:
+def am_opacity(layers: str, *, first_ghz: float, last_ghz: float, step_ghz: float = STEP_GHZ) -> tuple[np.ndarray, str]:
     """Run am on the layers of a configuration file.
 
     Returns
@@ -46,7 +42,7 @@ def layer(
     return "\n".join(lines) + "\n"
 
 
-def cell_optical_depth(optical_depth: np.ndarray, *, steps: int = CELL_STEPS, ceiling: float = CEILING) -> np.ndarray:
+def cell_optical_depth(optical_depth: np.ndarray, *, ceiling: float, steps: int = CELL_STEPS) -> np.ndarray:
     """Optical depth -ln<exp(-tau)> of cells of `steps` steps, with the trapezoidal rule for the transmission.
 
     20 MHz is fine enough: at 5 MHz the optical depths of Mauna Kea, 1.7 mm, change by at most 6e-4 between 130 and 160

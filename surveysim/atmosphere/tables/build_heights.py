@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surveysim.atmosphere.opacity_tables import HEIGHTS_M, HEIGHTS_TABLE, OFFSETS_K, PWV_MM
+from surveysim.atmosphere.opacity_tables import EDGES_GHZ, HEIGHTS_M, HEIGHTS_TABLE, OFFSETS_K, PWV_MM
 from surveysim.atmosphere.standard_air import TOP_M, VAPOUR_SCALE_M, air_pressure_mbar, air_temperature_k
 from surveysim.atmosphere.tables.am_spectra import am_opacity, cell_optical_depth, layer
 
@@ -48,11 +48,15 @@ def layer_coefficients(offset_k: float) -> np.ndarray:
         # An empty layer above sets the upper boundary.
         top = layer(pressure[i + 1], temperature[i + 1], air=False) if i + 1 < len(pressure) else ""
         columns = [{"ozone_cm2": ozone[i]}, *({"water_mm": water * part} for part in (0, 0.5, 1) if water)]
-        dry, *wet = (am_opacity(top + layer(pressure[i], temperature[i], **column))[0] for column in columns)
+        dry, *wet = (_opacity(top + layer(pressure[i], temperature[i], **column)) for column in columns)
         none, half, full = wet or (0 * dry,) * 3
         linear, quadratic = 4 * half - 3 * none - full, 2 * (full - 2 * half + none)
         found.append([dry, linear / (water or 1), quadratic / (water or 1) ** 2])
     return np.swapaxes(found, 0, 1)
+
+
+def _opacity(layers: str) -> np.ndarray:
+    return am_opacity(layers, first_ghz=EDGES_GHZ[0], last_ghz=EDGES_GHZ[-1])[0]
 
 
 def optical_depths(coefficients: np.ndarray) -> np.ndarray:

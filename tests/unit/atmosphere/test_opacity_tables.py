@@ -121,6 +121,12 @@ def test_a_table_of_the_user(tmp_path, delimiter):
     assert optical_depth(both, 1.0) == pytest.approx(-math.log((math.exp(-0.04) + math.exp(-0.05)) / 2))
 
 
+def test_a_band_outside_a_table_of_the_user(tmp_path):
+    path = write(tmp_path / "own.ecsv")
+    with pytest.raises(OutOfRangeError, match="found a band of 360 to 440 GHz; bands within 60 to 340 GHz are allowed"):
+        band_opacity(place(5000, 268, path), top_hat(400e9, 0.2))
+
+
 def test_a_table_that_ships_is_one_of_a_user(tmp_path):
     own = shipped_place("alma")
     copy = tmp_path / "copy.ecsv"

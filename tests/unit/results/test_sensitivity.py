@@ -19,6 +19,7 @@ from surveysim.results.sensitivity import (
 )
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.units import BOLTZMANN_J_K
+from surveysim.telescope.array_noise import array_psd
 from surveysim.telescope.noise_levels import white_levels
 from tests.camera import BAND, BOLOMETER, CAMERA, HORNS, PHOTON, QUIET, SITE, STATED_SKY
 from tests.pages import read_page
@@ -107,7 +108,13 @@ def test_tables(setup_of):
     np.testing.assert_allclose(np.sqrt(np.sum(np.square(parts), axis=0)), files["nep"], rtol=1e-12)
     assert nep.units["nep_phonon"] == "aW / Hz(1/2)"
     single, whole = sensitivity.in_files["nefd_mjy"], sensitivity.in_files["array_nefd_mjy"]
-    np.testing.assert_allclose(single / whole, math.sqrt(setup.camera.n_det), rtol=1e-12)
+    ratio = sensitivity.in_files["array_noise_ratio"]
+    np.testing.assert_allclose((single / whole) ** 2, setup.camera.n_det / np.array(ratio), rtol=1e-12)
+    for item, worse in zip(sensitivities(setup).values(), ratio, strict=True):
+        levels = white_levels(setup.scene, setup.air.water.opacity, item.pwv_mm, item.elevation_rad)
+        mean = array_psd(setup.camera, setup.camera.photon_coherence, levels)
+        alone = (levels.photon_mk2_hz + levels.detector_mk2_hz) / setup.camera.n_det
+        assert worse == pytest.approx(mean / alone, rel=1e-12) and worse > 1.2
     for table in (load, nep, sensitivity):
         table.quantities()
 
@@ -126,6 +133,7 @@ def test_detectors_of_a_table(setup_of, tmp_path):
     item = sensitivities(setup)[STATED]
     entry = sensitivity_entries(setup, {STATED: item})[0]
     worth = np.sum((1e-17 / np.array([1e-17, 2e-17, 2e-17])) ** 2)
+    assert entry["array_noise_ratio"] == pytest.approx(1, abs=1e-6)
     best = 1e3 * 1e-17 / (math.sqrt(2) * item.w_per_k_cmb)
     assert entry["array_net_mkcmb_rts"] == pytest.approx(best / math.sqrt(worth), rel=1e-4)
 

@@ -46,7 +46,7 @@ def path(tmp_path):
             SITE | {"atmosphere.pwv": "[1, 2, 3] mm", "atmosphere.pwv_probabilities": [0.25, 0.5, 0.75]},
             "atmosphere.pwv_probabilities: found (0.25, 0.5, 0.75); 0 first and 1 last are expected, the driest",
         ),
-        (SITE | {"instrument.frequency": "500 GHz"}, "bands within 80 to 420 GHz are allowed"),
+        (SITE | {"instrument.frequency": "1.2 THz"}, "bands within 10 to 1000 GHz are allowed"),
         (SITE | {"atmosphere.wind_b2_exponent": 5}, "atmosphere.wind_b2_exponent: found 5; "),
     ],
 )
