@@ -79,8 +79,8 @@ class Camera:
 
     @property
     def polarization_angle_rad(self) -> np.ndarray | None:
-        """Angles (n_det,) of detectors that absorb one polarization; None where they are not told or absorb both."""
-        return self.focal_plane.angle_rad if self.polarizations == 1 else None
+        """Angles (n_det,) of detectors that absorb one polarization; None where they have none, or absorb both."""
+        return None if self.polarizations == 2 else self.focal_plane.angle_rad
 
     @property
     def hexagonal(self) -> Lattice | None:

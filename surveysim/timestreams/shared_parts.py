@@ -50,19 +50,14 @@ def shared_noise(cam: Camera, coherence: PixelCoherence, name: str) -> DensePixe
     if coherence.kind == "none":
         return None
     n_det = len(cam.focal_plane.x_rad)
-    angle = cam.polarization_angle_rad if coherence.kind == "hbt" else None
     if n_det <= MOST_DENSE:
+        angle = cam.polarization_angle_rad if coherence.kind == "hbt" else None
         return DensePixels(correlation_matrices(cam.positions_f_lambda, coherence, angle))
     if cam.hexagonal is None:
         raise SceneError(
             f"{name}.coherence: found {coherence.kind!r} for {n_det} detectors off a single hexagonal lattice; "
             f"{MOST_DENSE} or fewer are expected, or an instrument.layout, whose lattice makes noise that more share, "
             "or coherence 'none'"
-        )
-    if angle is not None:
-        raise SceneError(
-            f"{name}.coherence: found 'hbt' for {n_det} detectors with polarization angles; {MOST_DENSE} or fewer are "
-            "expected"
         )
     try:
         return embed(cam.hexagonal.cells, cam.hexagonal.pitch_rad / cam.f_lambda_rad, coherence)

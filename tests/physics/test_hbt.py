@@ -407,6 +407,14 @@ def test_noise_of_the_mean_is_equation_68(tmp_path, pitch, stop):
     assert gamma2 > 10 * math.sqrt(2 / n)  # more than the test could miss
 
 
+def test_angles_of_detectors_that_absorb_both_polarizations_do_not_matter():
+    plane = FocalPlane(np.array([0.0, 0.9]), np.zeros(2), 1.0, np.radians([0.0, 90.0]))
+    gamma = UNIFORM.aperture(np.array([0.9]))[0]
+    for polarizations, expected in ((None, 0.0), (1, 0.0), (2, gamma**2)):
+        cam = Camera(plane, 1.0, polarizations=polarizations)
+        assert common_with_others(cam, PixelCoherence("hbt"), 0.0) == pytest.approx(expected, abs=1e-12)
+
+
 def test_two_detectors_of_each_pixel(tmp_path):
     """Orthogonal polarizations at one place share nothing, detectors of other pixels cos^2 of their angle."""
     setup = prepare(load_scene(write_scene(tmp_path, QUIET), HBT))
