@@ -204,8 +204,8 @@ def _band_hint(content: Mapping[str, Any]) -> str:
         found.append("atmosphere.b2")
         both = "atmosphere.b2 and atmosphere.b2_probabilities"
         orders.append(
-            f"delete {both}, as B2 then follows from atmosphere.site"
-            if "site" in air
+            f"delete {both}, as B2 then follows from {'atmosphere.site' if 'site' in air else '[site]'}"
+            if "site" in air or "site" in content
             else f"give {both} values of your own, or atmosphere.site and instrument.bandwidth instead"
         )
     if not found:

@@ -90,7 +90,7 @@ def _at(name: str, frequency_hz: np.ndarray, knots: tuple[float, ...], values: t
 
 
 class OpticalStop(Section):
-    """Cold stop, on which the part of the horns' beam ends that does not pass it."""
+    """Cold stop: the part of a pixel's beam that does not pass it ends there."""
 
     temperature_k: PhysicalTemperature = Field(alias="temperature")
     """Physical temperature."""
@@ -115,7 +115,7 @@ class Optics(Section):
     """Load of the sky in Rayleigh-Jeans temperature, CMB included. Temperatures then refer to the sky before the first
     element."""
     stop: OpticalStop | None = None
-    """Required where horns spill part of their beam."""
+    """Required where the beams of pixels spill on it: those of horns, and with an edge taper."""
     elements: tuple[OpticalElement, ...] = ()
     """Optical elements, from the sky to the detector."""
 

@@ -147,8 +147,6 @@ class Scene(StreamSections, ObservationSections):
             raise ValueError("photon: exactly one of 'psd', 'load' (a section) and a section [optics] is expected")
         if self.detector and self.detector.stated is None and self.instrument.table_noise is None:
             raise ValueError(f"detector: {ONE_NOISE}, or a column 'psd' or 'nep' of the table instrument.positions")
-        if self.optics and self.instrument.horn_f_lambda is not None and self.optics.stop is None:
-            raise ValueError("optics.stop: missing; horns spill part of their beam on it")
         if photon and photon.load and self.optics:
             raise ValueError("photon.load: found together with [optics], which sets it; one of the two is expected")
         if kid and not (photon and photon.psd_mk2_hz is None):

@@ -81,8 +81,12 @@ def _optics(optics: Optics, instrument: Instrument) -> tuple[Surface, ...]:
             raise SceneError(f"optics.elements: {element.name!r}: {error}") from None
         loss = {"transmission": passed, "emissivity": emitted}
         found.append(emitter(element.name, element.side, element.temperature_k, frequency_hz, **loss))
+    share = stop_share(instrument, frequency_hz)
+    if optics.stop is None and share.min() < 1:
+        raise SceneError(
+            f"optics.stop: missing; {1 - share.mean():.2f} of each pixel's beam spills on it and sees its temperature"
+        )
     if optics.stop is not None:
-        share = stop_share(instrument, frequency_hz)
         place = sum(surface.side == SKY for surface in found)
         found.insert(place, emitter("stop", STOP, optics.stop.temperature_k, frequency_hz, transmission=share))
     return *found, coupling(frequency_hz, instrument.efficiency)

@@ -177,7 +177,7 @@ def test_keys_of_a_section(call, monkeypatch):
     assert call("keys", "scan.spead") == (2, "", "keys: found 'scan.spead'; did you mean scan.speed?\n")
     error = call("keys", "scan.quux")[2]
     assert error.startswith("keys: found 'scan.quux'; a key of [scan] is expected: speed, scans") and "ell" not in error
-    assert "one of the sections field, schedule" in call("keys", "quux")[2]
+    assert "one of the sections field, site, schedule" in call("keys", "quux")[2]
 
 
 def test_ranges_have_the_unit_of_the_example():

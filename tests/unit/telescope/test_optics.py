@@ -158,7 +158,6 @@ def test_transmission_from_a_table(scene_of, tmp_path):
         (('side = "detector"', 'side = "stop"'), "found 'stop'; input should be 'sky' or 'detector'"),
         (('side = "sky"', 'side = "detector"'), "found 'filter' of side 'sky' after one of side 'detector'"),
         (('sky = "20 K"\n', ""), "optics.sky: missing; a temperature, or a site that it follows from, is expected"),
-        (('[optics.stop]\ntemperature = "4 K"\n', ""), "optics.stop: missing; .* spill part of their beam"),
         (
             ('sky = "20 K"\n', 'sky = "20 K"\naperture = "2 m"\ncentral_obscuration = "3 m"\n'),
             "central_obscuration: found 3 m; less than the aperture, 2 m, is expected",
@@ -177,6 +176,15 @@ def test_a_table_that_does_not_cover_the_band(scene_of, tmp_path):
     (tmp_path / "filter.ecsv").write_text(TABLE.replace("160", "150"))
     with pytest.raises(SceneError, match="optics.elements: 'filter': .* 100 to 150 GHz; one that covers the passband"):
         prepare(scene_of(PHOTON + TABLED, HORNS))
+
+
+@pytest.mark.parametrize("spills", [HORNS, {"instrument.edge_taper": "3 dB"}])
+def test_beams_that_spill_need_a_stop(scene_of, spills):
+    """Half of the beam of a taper of 3 dB, more of that of a horn of one (f/#)lambda."""
+    bare = STATED_SKY.replace('[optics.stop]\ntemperature = "4 K"\n', "")
+    with pytest.raises(SceneError, match="optics.stop: missing; 0.[56].* of each pixel's beam spills on it"):
+        prepare(scene_of(PHOTON + bare, spills))
+    assert scene_chain(scene_of(PHOTON + bare), None, np.nan, HEIGHT).transmission[0] > 0
 
 
 @pytest.mark.parametrize(
