@@ -84,12 +84,14 @@ class Camera:
     @property
     def gap_f_lambda(self) -> float:
         """Distance of the closest detectors of two different wafers in (f/#)lambda; infinite for one."""
+        if len(self.lattices) < 2:
+            return math.inf
         from scipy.spatial import cKDTree
 
         ends = np.cumsum([len(lattice.cells) for lattice in self.lattices])[:-1]
         wafers = np.split(self.positions_f_lambda, ends)
         pairs = [(one, other) for number, one in enumerate(wafers) for other in wafers[:number]]
-        return min((float(cKDTree(one).query(other)[0].min()) for one, other in pairs), default=math.inf)
+        return min(float(cKDTree(one).query(other)[0].min()) for one, other in pairs)
 
     @property
     def radius_rad(self) -> float:
