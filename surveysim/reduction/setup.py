@@ -233,5 +233,5 @@ def signal_sim_observations(scene: Scene) -> np.ndarray:
 def is_quick(setup: Setup) -> bool:
     """Return whether this process simulates a whole survey about as soon as worker processes have started."""
     samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
-    with_sims = signal_sim_observations(setup.scene).mean()
+    with_sims = float(signal_sim_observations(setup.scene).mean())
     return samples * setup.scene.observations * SAMPLE_S * (1 + with_sims * SIGNAL_SIMS) < QUICK_S

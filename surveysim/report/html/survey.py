@@ -31,8 +31,8 @@ LOAD = (
     " the squared NEP are of photon noise; detector noise is the rest.",
 )
 SENSITIVITY = (
-    "NET and NEFD are above the atmosphere, for an integration of one second. Those of the array are for independent"
-    " detectors; correlated noise is in the scores.",
+    "NET and NEFD are above the atmosphere, for an integration of one second. Those of the array are of the mean of all"
+    " detectors, with the correlation of their photon noise.",
 )
 UNKNOWN = "Its error is unknown: there are too few observations to estimate it."
 
