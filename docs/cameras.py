@@ -11,7 +11,7 @@ import numpy as np
 
 import surveysim
 from surveysim.atmosphere.opacity import BandOpacity, band_opacity, optical_depth
-from surveysim.atmosphere.weather import pwv_quantile
+from surveysim.atmosphere.water import pwv_quantile
 from surveysim.scene.scene import Scene
 from surveysim.telescope.diffraction import beam_width
 from surveysim.telescope.focal_plane import illumination
@@ -33,8 +33,7 @@ def camera_scene(camera: str) -> Scene:
 
 def site_opacity(scene: Scene) -> BandOpacity | None:
     """Opacity of a scene's site in its band; None without a site."""
-    air = scene.atmosphere
-    return band_opacity(air.site, scene.instrument.band) if air and air.site else None
+    return band_opacity(scene.place, scene.instrument.band) if scene.place else None
 
 
 def elevation_rad(scene: Scene, number: Number) -> float:

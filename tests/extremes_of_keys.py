@@ -24,6 +24,12 @@ KID = {
     "detector.kid.pair_breaking_efficiency": 0.4,
     "detector.kid.amplifier_nep": "1e-17 W / Hz(1/2)",
 }
+PLACE = {"latitude": "19.8 deg", "longitude": "-155.5 deg", "height": "4070 m"}
+SITE = (
+    {f"site.{key}": value for key, value in PLACE.items()}
+    | {f"schedule.{key}": None for key in PLACE}
+    | {"atmosphere.pwv": "[1] mm", "atmosphere.pwv_probabilities": [0.5], "instrument.bandwidth": 0.15}
+)
 # What a key needs beside it to be in a scene that has another in its place.
 BESIDE: dict[str, Mapping[str, Any]] = {
     "instrument.layout.field_of_view": {"instrument.layout.rings": None, "instrument.layout.dead": []},
@@ -40,6 +46,7 @@ BESIDE: dict[str, Mapping[str, Any]] = {
     "detector.nep": POWER | {"detector.psd": None},
     **{key: POWER | BOLOMETER | {"detector.psd": None} for key in BOLOMETER},
     **{key: OPTICS | KID | {"detector.psd": None} for key in KID},
+    **{f"site.{key}": SITE for key in (*PLACE, "temperature")},
     "optics.sky": OPTICS,
     "optics.stop.temperature": OPTICS | {"instrument.horn_f_lambda": 0.7},
     "optics.central_obscuration": OPTICS | {"optics.aperture": "10 m"},

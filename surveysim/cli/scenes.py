@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from surveysim.cli.options import Force, Overrides, SceneFile, fail, ready_setup, scene_completions, sweep_of
+from surveysim.runtime.errors import InputError
 from surveysim.runtime.printable import say
 from surveysim.scene.shipped import HERE, MAX_NAME, NAME, camera_titles, find_scene, no_such_scene
 from surveysim.scene.similar_names import did_you_mean
@@ -141,29 +142,50 @@ def _plain(text: str) -> str:
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the new scene.")],
     like: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="SCENE",
             autocompletion=scene_completions,
             help="The scene or camera to copy: a file, or a name; 'surveysim cameras' lists the cameras.",
         ),
-    ],
+    ] = None,
+    description: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="FILE", help="Description of a camera to make a scene of: YAML of bolojax."),
+    ] = None,
+    channel: Annotated[
+        str | None, typer.Option(metavar="CAMERA/CHANNEL", help="With --from: the channel, if there are several.")
+    ] = None,
+    aperture: Annotated[
+        str | None,
+        typer.Option(metavar="DIAMETER", help="With --from: illuminated aperture of the telescope, such as '6 m'."),
+    ] = None,
 ) -> None:
-    """Copy a scene to scenarios/NAME.toml, to be edited."""
+    """Make a scene from another one or from a description of a camera.
+
+    It is scenarios/NAME.toml, to be edited. --like copies a scene or a camera; --from reads the description of a camera
+    for another program.
+    """
+    if not re.fullmatch(NAME, name) or len(name) > MAX_NAME:
+        fail(f"name: found {shown(name)}; letters, digits, '_', '.' and '-', none of the last two first, are expected")
+    if (like is None) == (description is None):
+        fail("exactly one of --like and --from is expected")
+    if description is not None:
+        _import(name, description, channel, aperture)
+        return
+    if channel is not None or aperture is not None:
+        fail(f"--{'channel' if aperture is None else 'aperture'}: found without --from")
+    _copy(name, str(like))
+
+
+def _copy(name: str, like: str) -> None:
     from surveysim.scene.scene import read_scene
 
     source, target = find_scene(like), HERE / f"{name}.toml"
-    if not re.fullmatch(NAME, name) or len(name) > MAX_NAME:
-        fail(f"name: found {shown(name)}; letters, digits, '_', '.' and '-', none of the last two first, are expected")
     if not source.is_file():
         fail(no_such_scene(like))
     text, content = read_scene(source)
-    target.parent.mkdir(exist_ok=True)
-    try:
-        with open(target, "x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        fail(f"{target}: exists; another name is expected")
+    _write_new(target, text)
     say(f"{target}: a copy of {source}; edit it, then: surveysim check {target}")
     if "[sweep" in text:
         say("[sweep] varies keys of the copied scene; give it keys and values of your own, or delete it")
@@ -171,6 +193,41 @@ def new(
         say("[score.reference] has published values of the copied scene; delete it for another survey")
     if hint := _band_hint(content):
         say(hint)
+
+
+def _import(name: str, description: Path, channel: str | None, aperture: str | None) -> None:
+    from surveysim.descriptions.bolojax import import_bolojax
+    from surveysim.scene.units import to_float
+
+    target = HERE / f"{name}.toml"
+    if aperture is None:
+        fail("--aperture: missing; the diameter of the telescope, such as '6 m', is expected with --from")
+    try:
+        aperture_m = to_float(aperture, "m")
+        if not 0.01 <= aperture_m <= 1000:
+            raise InputError(f"found {aperture_m:g} m; 0.01 m to 1000 m are expected")
+    except InputError as error:
+        fail(f"--aperture: {error}")
+    try:
+        found = import_bolojax(description, name=name, channel=channel, aperture_m=aperture_m)
+    except InputError as error:
+        fail(str(error))
+    _write_new(target, found.text)
+    for file, text in found.files.items():
+        _write_new(HERE / file, text)
+    for line in found.unused:
+        say(f"not used: {line}")
+    say(f"{target}: a scene of {description}; values that it does not have are 'assumed' there")
+    say(f"edit it, then: surveysim check {target}")
+
+
+def _write_new(target: Path, text: str) -> None:
+    target.parent.mkdir(exist_ok=True)
+    try:
+        with open(target, "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        fail(f"{target}: exists; another name is expected")
 
 
 def cameras() -> None:
@@ -204,8 +261,8 @@ def _band_hint(content: Mapping[str, Any]) -> str:
         found.append("atmosphere.b2")
         both = "atmosphere.b2 and atmosphere.b2_probabilities"
         orders.append(
-            f"delete {both}, as B2 then follows from atmosphere.site"
-            if "site" in air
+            f"delete {both}, as B2 then follows from {'atmosphere.site' if 'site' in air else '[site]'}"
+            if "site" in air or "site" in content
             else f"give {both} values of your own, or atmosphere.site and instrument.bandwidth instead"
         )
     if not found:

@@ -93,12 +93,15 @@ class ProjectedArray:
         Responsivities that cleaning assumes.
     basis : (n_par, n_det)
         Orthonormal templates.
+    weight : (n_det,)
+        Weights of the detectors in the map.
     """
 
     place: np.ndarray
     responsivity: np.ndarray
     assumed: np.ndarray
     basis: np.ndarray
+    weight: np.ndarray
 
     def cleaned(self, streams: np.ndarray) -> np.ndarray:
         """Apply 1 - P to values (n_det, ...)."""
@@ -107,7 +110,7 @@ class ProjectedArray:
 
     def response(self, wave: np.ndarray) -> np.ndarray:
         """Array response a (n_det, n_mode) to modes (n_mode,)."""
-        phase = self.phases(wave)
+        phase = self.phases(wave) * self.weight[:, None]
         gain = self.assumed[:, None]
         return phase - (self.basis.T @ (self.basis @ (phase * gain))) / gain
 
@@ -123,6 +126,7 @@ def projected_array(
     responsivity: np.ndarray,
     algorithm: str,
     assumed: np.ndarray | None = None,
+    weight: np.ndarray | None = None,
 ) -> ProjectedArray:
     """Set up the detectors of a scan, cleaned by one algorithm.
 
@@ -138,6 +142,8 @@ def projected_array(
         A key of `PROJECTIONS`.
     assumed : (n_det,), optional
         Responsivities that cleaning assumes; the true ones by default.
+    weight : (n_det,), optional
+        Weights of the detectors in the map; 1 by default.
 
     Raises
     ------
@@ -148,7 +154,8 @@ def projected_array(
     place = np.exp(-1j * angle_rad) * (-plane.x_rad + 1j * plane.y_rad)
     exponents = PROJECTIONS[algorithm]
     basis = template_basis(plane, exponents) if exponents else np.zeros((0, len(place)))
-    return ProjectedArray(place, responsivity, responsivity if assumed is None else assumed, basis)
+    weight = np.ones(len(place)) if weight is None else weight
+    return ProjectedArray(place, responsivity, responsivity if assumed is None else assumed, basis, weight)
 
 
 def matrix_power(response: np.ndarray, correlation: np.ndarray | NoiseCorrelation | None) -> np.ndarray:
@@ -170,23 +177,25 @@ def matrix_power(response: np.ndarray, correlation: np.ndarray | NoiseCorrelatio
 
 
 def stream_power(array: ProjectedArray, correlation: np.ndarray | NoiseCorrelation | None) -> float:
-    """Mean PSD of the cleaned streams of detectors with unit PSD and a correlation (None: independent)."""
+    """Mean PSD of the cleaned and weighted streams of detectors with unit PSD and a correlation (None: independent)."""
     n_det = len(array.place)
     if correlation is None and n_det > MOST_DENSE:
         correlation = NoiseCorrelation(None, np.ones(n_det))
     if isinstance(correlation, NoiseCorrelation):
-        return float(np.mean(correlation.gain**2)) - _projected_power(array, correlation) / n_det
+        return float(np.mean((array.weight * correlation.gain) ** 2)) - _projected_power(array, correlation) / n_det
     matrix = np.eye(n_det) if correlation is None else correlation
     once = array.cleaned(matrix)
-    return float(np.trace(array.cleaned(once.T)) / n_det)
+    return float(array.weight**2 @ np.diag(array.cleaned(once.T)) / n_det)
 
 
 def _projected_power(array: ProjectedArray, correlation: NoiseCorrelation) -> float:
-    """Trace that cleaning removes from K: with ``P = U V^T``, the trace of ``P K + K P^T - P K P^T``."""
+    """Trace that cleaning removes from W K W, W the weights: with ``P = U V^T``, the trace of ``W (P K + K P^T - P K
+    P^T) W``.
+    """
     gain = array.assumed[:, None]
-    u, v = gain * array.basis.T, array.basis.T / gain
-    ku, kv = correlation @ u, correlation @ v
-    return float(2 * np.sum(v * ku) - np.sum((v.T @ kv) * (u.T @ u)))
+    u, v = array.weight[:, None] * gain * array.basis.T, array.basis.T / gain
+    kv = correlation @ v
+    return float(2 * np.sum(array.weight[:, None] * u * kv) - np.sum((v.T @ kv) * (u.T @ u)))
 
 
 @dataclass(frozen=True)
@@ -252,6 +261,6 @@ def layer_gain(array: ProjectedArray, response: np.ndarray, layer: LayerWaves) -
 
 
 def layer_stream_gain(array: ProjectedArray, layer: LayerWaves) -> np.ndarray:
-    """Fraction of each wavevector's power in the mean PSD of the cleaned streams, (n_a,)."""
-    left = array.cleaned(array.phases(2 * np.pi * layer.alpha) * array.responsivity[:, None])
+    """Fraction of each wavevector's power in the mean PSD of the cleaned and weighted streams, (n_a,)."""
+    left = array.cleaned(array.phases(2 * np.pi * layer.alpha) * array.responsivity[:, None]) * array.weight[:, None]
     return np.mean(left.real**2 + left.imag**2, axis=0)

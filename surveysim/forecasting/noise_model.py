@@ -39,7 +39,6 @@ from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InsufficientDataError, NotForecastableError
 from surveysim.runtime.once import keep_last
-from surveysim.timestreams.simulation import CameraSetup
 
 PATTERNS = ("raster",)  # scan patterns with a closed form: straight scans along RA and Dec in turn
 _ANGLES = 3  # between array and scan that represent all observations
@@ -100,7 +99,7 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
     scene, region, pixel_rad = setup.scene, setup.analysis.region, setup.analysis.geometry.pixel_rad
     shapes = white_shapes(setup)
     for pipeline in filter(is_projection, setup.analysis.pipelines):
-        arrays = _arrays(setup.camera, setup.analysis.calibration, pipeline, conditions)
+        arrays = _arrays(setup, pipeline, conditions)
         fitted = removed_modes(setup.observing, pipeline, arrays[0], conditions)
         spectrum = scan_frequencies(setup.observing.scans, scene.score, region.rings.ell, fitted)
         n_det = len(arrays[0].place)
@@ -135,21 +134,18 @@ def is_projection(pipeline: CleaningPipeline) -> bool:
     return len(pipeline.steps) == 1 and pipeline.steps[0] in PROJECTIONS
 
 
-def _arrays(
-    camera: CameraSetup, calibration: np.ndarray | None, pipeline: CleaningPipeline, conditions: ObservingConditions
-) -> list[ProjectedArray]:
+def _arrays(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingConditions) -> list[ProjectedArray]:
     """Set up the pipeline's detectors at a few angles to the scan, which represent all observations."""
+    camera, calibration = setup.camera, setup.analysis.calibration
     plane = camera.focal_plane.subset(pipeline.rows)
     angles = np.sort(np.mod(conditions.angle, 2 * np.pi))
     chosen = angles[((np.arange(_ANGLES) + 0.5) * len(angles) / _ANGLES).astype(int)] if len(angles) > 1 else angles
     responsivity, assumed = camera.responsivity[pipeline.rows], None
     if calibration is not None and pipeline.takes_responsivities:
         assumed = calibration[0, pipeline.rows]
+    gains = {"responsivity": responsivity, "assumed": assumed, "weight": setup.analysis.weight_of(pipeline.rows)}
     try:
-        return [
-            projected_array(plane, angle, responsivity=responsivity, algorithm=pipeline.steps[0], assumed=assumed)
-            for angle in np.unique(chosen)
-        ]
+        return [projected_array(plane, angle, algorithm=pipeline.steps[0], **gains) for angle in np.unique(chosen)]
     except InsufficientDataError as error:
         raise NotForecastableError(f"cleaning: {error}") from None
 
@@ -166,7 +162,7 @@ def _transmission(
     wave = modes.wave.ravel()
     kept = [
         np.einsum("ij,ij->j", response.conj(), array.phases(wave) * array.responsivity[:, None])
-        / array.responsivity.sum()
+        / (array.responsivity @ array.weight)
         for array, response in zip(arrays, responses, strict=True)
     ]
     amplitude = (np.mean(kept, axis=0) * spectrum.apodization.signal_amplitude(spectrum.at_hz)).reshape(

@@ -33,8 +33,10 @@ class AnalysisSetup:
         Indices of the detectors of the masked array; None without one.
     n_det
         Number of detectors of the camera.
+    weight
+        Weight (n_det,) of the samples of each detector in the maps, with a mean of 1; None where all weigh alike.
     beams
-        Beams of the detectors.
+        Beams of the detectors, with their weights in the maps.
     """
 
     scene: Scene
@@ -44,6 +46,7 @@ class AnalysisSetup:
     calibration: np.ndarray | None
     masked: np.ndarray | None
     n_det: int
+    weight: np.ndarray | None
     beams: Beams
 
     @once
@@ -55,6 +58,10 @@ class AnalysisSetup:
     def signal_skies_mk(self) -> np.ndarray | None:
         """Skies (n_sky, n_beam, n_y, n_x) of the signal simulations; a point source last with several pipelines."""
         return signal_skies(self.scene, self.sky_geometry, tuple(self.beams.fwhm_rad.tolist()))
+
+    def weight_of(self, rows: np.ndarray | slice) -> np.ndarray | None:
+        """Weights (n,) of some detectors in a map of their own, with a mean of 1; None where all weigh alike."""
+        return None if self.weight is None else self.weight[rows] / self.weight[rows].mean()
 
     @property
     def n_signal_skies(self) -> int:

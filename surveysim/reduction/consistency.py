@@ -17,7 +17,7 @@ from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.scene.scene import Scene
 from surveysim.telescope.directions import Site
 from surveysim.telescope.focal_plane import Camera
-from surveysim.telescope.noise_levels import white_levels
+from surveysim.telescope.noise_levels import WhiteLevels, white_levels
 from surveysim.telescope.pointing import SIDEREAL_RAD_S, Schedule, near_angles
 from surveysim.telescope.scans import Scans, samples_per_scan
 
@@ -184,10 +184,10 @@ def _check_airmass(number: int, up_rad: np.ndarray, change: np.ndarray) -> None:
         )
 
 
-def check_levels(scene: Scene, water: Water | None, lowest_rad: float) -> None:
-    """Raise OutOfRangeError if the noise is not finite in the wettest weather at the lowest elevation."""
+def check_levels(scene: Scene, water: Water | None, lowest_rad: float) -> WhiteLevels:
+    """Return the noise in the wettest weather at the lowest elevation; raises OutOfRangeError if it is not finite."""
     most_mm = wettest_mm(scene.atmosphere) if water else math.nan
-    white_levels(scene, water.opacity if water else None, most_mm, lowest_rad)
+    return white_levels(scene, water.opacity if water else None, most_mm, lowest_rad)
 
 
 def check_sources(scene: Scene, grid: MapGeometry) -> None:

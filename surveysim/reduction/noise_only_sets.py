@@ -10,6 +10,7 @@ from mapmaker.geometry import boresight_pixels
 from mapmaker.kernels.pixels import bin_samples
 from mapmaker.kernels.spectra import scale_mean_removed
 from mapmaker.timestreams import scan_bounds
+from surveysim.reduction.detector_weights import weighted
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.rng import NormalDeviates, RandomPurpose, normal_deviates
 from surveysim.telescope.pointing import Pointing
@@ -72,6 +73,7 @@ def add_simulated(
             for name in names
         ]
         for rows in row_chunks(setup.camera.n_det, len(pointing.time_s)):
+            weight = None if setup.analysis.weight is None else setup.analysis.weight[rows]
             with watch("pixels"):
                 some = plane.subset(rows)
                 index = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=some)
@@ -79,7 +81,7 @@ def add_simulated(
                 with watch("simulated sets"):
                     data = NOISE_ONLY_SETS[name].draw(setup, own, rows, psd=psd, white=white, n_scans=block.n_scans)
                 with watch("binning"):
-                    bin_samples(data, index, bounds, kept[0], maps[name][0], None)
+                    bin_samples(weighted(data, weight), index, bounds, kept[0], maps[name][0], None)
 
 
 def _draw_uncorrelated(

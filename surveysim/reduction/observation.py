@@ -20,6 +20,7 @@ from mapmaker.stream_psd import hann_power, hann_scale, white_level
 from mapmaker.timestreams import timestream_file
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import ACTUAL, OPTIMAL, AuxiliaryData, CleaningPipeline, apply_pipeline
+from surveysim.reduction.detector_weights import weighted
 from surveysim.reduction.figure_of_merit import TARGETS, best_places, figures_of_merit
 from surveysim.reduction.layer_delays import block_delays, delays_of_all_blocks
 from surveysim.reduction.map_noise import map_noise
@@ -40,7 +41,7 @@ from surveysim.timestreams.time_constants import with_time_constants
 REFERENCE = (0, 1)  # observations that tell what pipelines leave of a signal: one along each direction
 
 
-Map = tuple[np.ndarray, np.ndarray]  # sums and hits, (n_y, n_x) each
+Map = tuple[np.ndarray, np.ndarray]  # sums and hits, or exposures, (n_y, n_x) each
 
 
 @dataclass(frozen=True)
@@ -61,13 +62,15 @@ class _Part:
 class _Sums:
     """Running sums over the blocks of one observation.
 
-    `maps` by data set: float64 sums [mK] and int64 hits (n_y n_x,); `signal_maps` (n_sky, n_transfer, 2, n_y n_x)
+    `maps` by data set: float64 sums [mK] and int64 hits (n_y n_x,); `exposure` by data set: sums of weights
+    (n_y n_x,), if detectors differ in weight; `signal_maps` (n_sky, n_transfer, 2, n_y n_x)
     float64 or None; `power` (n_det, n_freq) of the kept scans of the actual data (`hann_power`). Of each block: `kept`,
     `iterations` and `removed` (n_pipeline, n_scan), and the number of kept scans with their mean PSD (n_freq,)
     [mK^2/Hz], before cleaning (`raw`) and after the other pipelines (`compared`).
     """
 
     maps: dict[str, Map]
+    exposure: dict[str, np.ndarray]
     signal_maps: np.ndarray | None
     power: np.ndarray
     kept: list[np.ndarray] = field(default_factory=list)
@@ -101,17 +104,21 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
         add_simulated(sums.maps, sums.kept, setup, observation, pointing, psd=psd, white=white, watch=watch)
     analysis = setup.analysis
     maps = {name: _plane(analysis.geometry, setup.stream_type, *item) for name, item in sums.maps.items()}
+    exposure = {name: sums.exposure.get(name, item[1]).reshape(item[1].shape) for name, item in maps.items()}
     worth, best = None, 0
     if analysis.chooses:
         with watch("figure_of_merit"):
-            of_pipelines = [maps[pipeline.data_set] for pipeline in analysis.whole_pipelines]
+            names = [pipeline.data_set for pipeline in analysis.whole_pipelines]
+            of_pipelines = [(maps[name][0], exposure[name]) for name in names]
             worth = figures_of_merit(analysis, transfer_functions(setup), of_pipelines)
         best = max(0, int(best_places(worth[:, 0])))
-        maps[OPTIMAL] = maps[analysis.whole_pipelines[best].data_set]
+        chosen = analysis.whole_pipelines[best].data_set
+        maps[OPTIMAL], exposure[OPTIMAL] = maps[chosen], exposure[chosen]
     ordered = [maps[name] for name in analysis.data_set_names]
     total, hits = (np.stack(planes) for planes in zip(*ordered, strict=True))
+    weights = np.stack([exposure[name] for name in analysis.data_set_names]) if sums.exposure else hits
     with watch("weights"):
-        measured = [map_noise(analysis.region, *item) for item in ordered]
+        measured = [map_noise(analysis.region, *item) for item in zip(total, weights, strict=True)]
         noise, of_bins = (np.array(part) for part in zip(*measured, strict=True))
     removed = np.concatenate(sums.removed, axis=1)
     compared = [_mean_psd(list(of_pipeline)) for of_pipeline in zip(*sums.compared, strict=True)]
@@ -119,6 +126,7 @@ def observe(setup: Setup, observation: int, with_signal_sims: bool, path: Path |
         observation=observation,
         sums=total,
         hits=hits,
+        exposure=weights,
         noise_mk2=noise,
         bin_noise_mk2=of_bins,
         signal_maps=_scored_signal_maps(analysis, setup.stream_type, sums.signal_maps, best),
@@ -165,7 +173,11 @@ def _empty_sums(setup: Setup, with_signal_sims: bool) -> _Sums:
     maps = {name: (np.zeros(n_pixel), hits.get(name, hits[ACTUAL])) for name in names}
     power = np.zeros((setup.camera.n_det, samples_per_scan(setup.observing.scans) // 2 + 1))
     signals = _empty_signal_maps(setup.analysis, setup.analysis.n_signal_skies) if with_signal_sims else None
-    return _Sums(maps, signals, power)
+    exposure = {}
+    if setup.analysis.weight is not None:
+        exposure = {name: np.zeros(n_pixel) for name in hits}
+        exposure |= {name: exposure[ACTUAL] for name in names if name not in hits}
+    return _Sums(maps, exposure, signals, power)
 
 
 def _add_part(sums: _Sums, part: _Part, save: Callable[[_Part], None], watch: Stopwatch) -> None:
@@ -176,7 +188,11 @@ def _add_part(sums: _Sums, part: _Part, save: Callable[[_Part], None], watch: St
         _add_spectra(sums, part)
     for pipeline, index, item in zip(setup.analysis.pipelines, part.index, part.cleaned, strict=True):
         with watch("binning"):
-            bin_samples(item.data_mk, index, part.streams.scan_bounds, item.kept, *sums.maps[pipeline.data_set])
+            weight, bounds = setup.analysis.weight_of(pipeline.rows), part.streams.scan_bounds
+            bin_samples(weighted(item.data_mk, weight), index, bounds, item.kept, *sums.maps[pipeline.data_set])
+            if weight is not None:
+                alike = weighted(np.ones_like(item.data_mk), weight)
+                bin_samples(alike, index, bounds, item.kept, sums.exposure[pipeline.data_set], None)
     for name in ("kept", "iterations", "removed"):
         getattr(sums, name).append(np.array([getattr(item, name) for item in part.cleaned]))
     if sums.signal_maps is not None:
@@ -312,8 +328,9 @@ def _add_signal_maps(signal_maps: np.ndarray, part: _Part, skies_mk: np.ndarray)
                 kept[:] = False  # another fit: the difference is not the signal's alone
             difference = both.data_mk
             difference -= base.data_mk
+            weight = setup.analysis.weight_of(pipeline.rows)
             for state, data in enumerate((seen, difference)):
-                bin_samples(data, index, bounds, kept, signal_maps[s, place, state], None)
+                bin_samples(weighted(data, weight), index, bounds, kept, signal_maps[s, place, state], None)
 
 
 def _cleaned_again(section: Cleaning, pipeline: CleaningPipeline, kept: np.ndarray) -> np.ndarray:

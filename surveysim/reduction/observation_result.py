@@ -17,6 +17,8 @@ class ObservationResult:
         Sum of samples [mK], of the type of the streams.
     hits : (n_set, n_y, n_x)
         Number of samples, int32 or int64.
+    exposure : (n_set, n_y, n_x)
+        Sum of the weights of the samples: `hits` where all detectors weigh alike.
     noise_mk2 : (n_set,)
         Noise variance per sample in the scored region; observations are weighted by it.
     bin_noise_mk2 : (n_set, n_bin)
@@ -44,6 +46,7 @@ class ObservationResult:
     observation: int
     sums: np.ndarray
     hits: np.ndarray
+    exposure: np.ndarray
     noise_mk2: np.ndarray
     bin_noise_mk2: np.ndarray
     signal_maps: np.ndarray | None

@@ -25,6 +25,7 @@ from surveysim.reduction.consistency import (
     check_templates,
     sky_coefficients,
 )
+from surveysim.reduction.detector_weights import beams_of, detector_weights
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.runtime.errors import InputError, SceneError
@@ -103,7 +104,7 @@ def _prepare(scene: Scene) -> Setup:
     responsivity, of_bands = camera_responsivity(scene, cam), band_responsivity(scene, n_det)
     times, water = observing_schedule(scene, scans), _water(scene, scene.instrument)
     lowest = _lowest(scene, cam, times, mid_times(scans))
-    check_levels(scene, water, lowest)
+    levels = check_levels(scene, water, lowest)
     check_sources(scene, sky_geometry)
     cam_setup = CameraSetup(
         cam.focal_plane,
@@ -120,6 +121,7 @@ def _prepare(scene: Scene) -> Setup:
         excess=scene.excess,
         stop_emits=stop_emits(scene),
     )
+    weight = detector_weights(cam_setup, levels)
     waters = tuple(_water(scene, band) for band in scene.instrument.bands)
     air = AirSetup(layer_strips(scene, cam), water, waters, _seasons(scene, times))
     calibration = assumed_responsivity(scene, np.vstack([responsivity[None], of_bands]))
@@ -130,7 +132,15 @@ def _prepare(scene: Scene) -> Setup:
         air=air,
         sky=SkySetup(scene, sky_geometry, tuple(cam_setup.beams.fwhm_rad.tolist())),
         analysis=AnalysisSetup(
-            scene, geometry, sky_geometry, scene_pipelines, calibration, masked, n_det, cam_setup.beams
+            scene,
+            geometry,
+            sky_geometry,
+            scene_pipelines,
+            calibration,
+            masked,
+            n_det,
+            weight,
+            beams_of(cam_setup, weight),
         ),
     )
     _ = setup.camera.photon_coherence
@@ -223,5 +233,5 @@ def signal_sim_observations(scene: Scene) -> np.ndarray:
 def is_quick(setup: Setup) -> bool:
     """Return whether this process simulates a whole survey about as soon as worker processes have started."""
     samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
-    with_sims = signal_sim_observations(setup.scene).mean()
+    with_sims = float(signal_sim_observations(setup.scene).mean())
     return samples * setup.scene.observations * SAMPLE_S * (1 + with_sims * SIGNAL_SIMS) < QUICK_S

@@ -123,7 +123,7 @@ def with_place(scene: Mapping[str, Any]) -> dict[str, Any]:
 def _placed(plan: dict[str, Any], own: dict[str, Any] | None, air: object) -> dict[str, Any]:
     """Return a [schedule] with the keys of its place."""
     if own is not None:
-        if twice := [key for key in COORDINATES if key in plan]:
+        if twice := [key for key in COORDINATES if plan.get(key) is not None]:
             raise ValueError(f"schedule.{twice[0]}: found with a section [site]; it is expected there alone")
         return plan | (NOWHERE if _is_wrong(own) else {key: own[key] for key in COORDINATES})
     site = air.get("site") if isinstance(air, dict) else None

@@ -33,7 +33,7 @@ _OF_SIGNALS = ("signal_maps", "signal_weight")
 
 @dataclass
 class CoAdds:
-    """Sums over `done` observations from number `first` on, with weights w, sums S and hits H of each.
+    """Sums over `done` observations from number `first` on, with weights w, sums S and exposures H of each.
 
     Attributes
     ----------
@@ -166,7 +166,7 @@ def observation_sums(analysis: AnalysisSetup, result: ObservationResult) -> CoAd
     weights = noise_weights(result.noise_mk2)
     found = CoAdds(
         np.multiply(weights[:, None, None], result.sums, dtype=float),
-        np.multiply(weights[:, None, None], result.hits, dtype=float),
+        np.multiply(weights[:, None, None], result.exposure, dtype=float),
         result.hits.astype(np.int64),
         *_empty_patches(analysis, flips=False),
         rows=[_row(result)],
@@ -253,6 +253,7 @@ def _check_shapes(analysis: AnalysisSetup, result: ObservationResult) -> None:
     found = {
         "sums": (result.sums.shape, planes),
         "hits": (result.hits.shape, planes),
+        "exposure": (result.exposure.shape, planes),
         "noise_mk2": (result.noise_mk2.shape, planes[:1]),
     }
     for name, (shape, expected) in found.items():
@@ -296,7 +297,7 @@ def _add_signal_maps(analysis: AnalysisSetup, coadds: CoAdds, result: Observatio
     for place, name in enumerate(analysis.transfer_function_names):
         data_set = analysis.data_set_names.index(name)
         coadds.signal_maps[:, place] += weights[data_set] * result.signal_maps[:, place]
-        coadds.signal_weight[place] += weights[data_set] * result.hits[data_set][patch, patch]
+        coadds.signal_weight[place] += weights[data_set] * result.exposure[data_set][patch, patch]
 
 
 def _row(result: ObservationResult) -> tuple[float, ...]:

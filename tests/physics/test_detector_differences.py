@@ -1,14 +1,18 @@
 """Cameras of detectors that differ: noise levels, responsivities, efficiencies and time constants of a table."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from mapmaker.geometry import pixel_indices
+from mapmaker.timestreams import FocalPlane
 from mapmaker.transfer_function import beam_window, pixel_window
 from surveysim.api import run
 from surveysim.forecasting.forecast import forecast
+from surveysim.forecasting.mode_response import projected_array, stream_power
 from surveysim.forecasting.observing_conditions import (
     independent_noise,
     noise_correlations,
@@ -20,10 +24,10 @@ from surveysim.reduction.setup import prepare
 from surveysim.results.results import forecast_agreement
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import SceneError
-from surveysim.scene.detector_table import detector_table
 from surveysim.scene.scene import load_scene
 from surveysim.scene.units import BOLTZMANN_J_K
 from surveysim.telescope.beams import beams_of
+from surveysim.telescope.lattice_noise import NoiseCorrelation
 from surveysim.telescope.layouts import hexagon
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_levels
@@ -38,7 +42,7 @@ from tests.scenes import SMALL_SCENE, write_scene
 RATE = 10.0
 UNITS = {"nep": "W / Hz(1/2)", "psd": "mK2 / Hz", "beam_fwhm": "arcsec", "time_constant": "s", "angle": "deg"}
 N_DET = 19
-TABLE = {"instrument.layout": None, "instrument.positions": "camera.ecsv", "instrument.responsivity_scatter": 0.0}
+TABLE = {"instrument.layout": None, "instrument.responsivity_scatter": 0.0}
 NOISE_ONLY = dict.fromkeys(("atmosphere", "excess", "sky", "score")) | {"cleaning.algorithm": "none"}
 POWER = {"instrument.bandwidth": 0.15, "instrument.efficiency": 0.3, "instrument.polarizations": 1}
 RNG = np.random.default_rng(7)
@@ -55,10 +59,9 @@ def scene_with(tmp_path):
         table = Table({"x": Column(x, unit="arcsec"), "y": Column(y, unit="arcsec")})
         for name, values in columns.items():
             table[name] = Column(values, unit=UNITS.get(name))
-        table.write(tmp_path / "camera.ecsv", overwrite=True)
-        prepare.cache_clear()
-        detector_table.cache_clear()
-        return load_scene(write_scene(tmp_path, text), TABLE | settings)
+        name = f"camera_{len(list(tmp_path.iterdir()))}.ecsv"  # files of one name are taken as one
+        table.write(tmp_path / name)
+        return load_scene(write_scene(tmp_path, text), TABLE | {"instrument.positions": name} | settings)
 
     return make
 
@@ -303,6 +306,60 @@ def test_few_beams(scene_with):
         prepare(scene_with({"beam_fwhm": BEAMS}, {}))
 
 
+# ---------------------------------------------------------------- weights in maps
+
+
+def test_samples_weigh_as_the_inverse_of_their_noise(scene_with):
+    """Sums and exposures of an observation against those of its streams, sample by sample; hits count samples."""
+    alone = dict.fromkeys(("atmosphere", "excess", "photon")) | {"cleaning.algorithm": "none", "detector.psd": None}
+    ready = prepare(scene_with({"psd": SPREAD}, alone))
+    weight = (1 / SPREAD) / np.mean(1 / SPREAD)
+    np.testing.assert_allclose(ready.analysis.weight, weight, rtol=1e-12)
+    streams, found = draw_observation(ready, 0), observe(ready, 0, False)
+    index = pixel_indices(ready.analysis.geometry, streams)
+    masked = ready.analysis.masked
+    scans = streams.data_mk.reshape(N_DET, 4, -1).astype(float)
+    data = (scans - scans.mean(axis=-1, keepdims=True)).reshape(N_DET, -1)
+    n_pixel, names = found.hits[0].size, ready.analysis.data_set_names
+    for name, rows in (("actual", np.arange(N_DET)), (f"masked_{len(masked)}", masked)):
+        place, each = names.index(name), weight[rows] / weight[rows].mean()
+        inside = index[rows] >= 0
+        at, of = index[rows][inside], np.broadcast_to(each[:, None], inside.shape)[inside]
+        expected = [np.bincount(at, v, n_pixel) for v in (of * data[rows][inside], of, np.ones(len(at)))]
+        planes = found.sums[place], found.exposure[place], found.hits[place]
+        for item, wanted in zip(planes, expected, strict=True):
+            np.testing.assert_allclose(item.ravel(), wanted, atol=2e-4)
+
+
+def test_detectors_that_are_alike_weigh_alike(scene_with):
+    for columns in ({"psd": np.full(N_DET, 2.5)}, {"efficiency": np.ones(N_DET)}, {"responsivity": SPREAD}):
+        settings = {"detector.psd": None} if "psd" in columns else {"photon.bose_fraction": 0.3}
+        ready = prepare(scene_with(columns, settings))
+        assert ready.analysis.weight is None or np.allclose(ready.analysis.weight, 1, rtol=1e-12)
+
+
+@pytest.mark.parametrize("algorithm", ["none", "average", "planar"])
+def test_power_of_weighted_streams_against_matrices(algorithm):
+    """Trace of W (1 - P) K (1 - P)^T W, for a matrix and for a correlation without one."""
+    rng = np.random.default_rng(5)
+    plane = FocalPlane(*hexagon(2, 2e-4).T, 3e-4)
+    root = rng.standard_normal((N_DET, N_DET))
+    root /= np.linalg.norm(root, axis=1, keepdims=True)
+    matrix, gain = root @ root.T, rng.uniform(0.5, 2, N_DET)
+    array = projected_array(
+        plane, 0.3, responsivity=SPREAD, algorithm=algorithm, assumed=SPREAD[::-1], weight=SPREAD / SPREAD.mean()
+    )
+    projected = array.cleaned(np.eye(N_DET)) * array.weight[:, None]
+    full = gain[:, None] * matrix * gain
+    expected = np.trace(projected @ full @ projected.T) / N_DET
+    correlation = NoiseCorrelation(SimpleNamespace(times=lambda columns: matrix @ columns), gain)
+    assert stream_power(array, full) == pytest.approx(expected, rel=1e-12)
+    assert stream_power(array, correlation) == pytest.approx(expected, rel=1e-12)
+    wave = np.array([1000.0 + 2000j, 300.0 - 500j])
+    seen = array.phases(wave) * array.weight[:, None]
+    np.testing.assert_allclose(array.response(wave), array.cleaned(np.eye(N_DET)).T @ seen, rtol=1e-9)
+
+
 # ---------------------------------------------------------------- forecast
 
 
@@ -323,12 +380,16 @@ def test_correlations_of_the_forecast_are_those_of_the_streams(scene_with):
 
 
 def test_forecast_of_unequal_noise(scene_with):
-    """Without cleaning, maps see the mean of the PSDs; with it, the forecast is that of a run within its errors."""
+    """Without cleaning, maps see the harmonic mean of the PSDs, as weights are their inverse; a run agrees."""
     spread = np.where(np.arange(N_DET) % 2, 8.0, 1.0)
     settings = {"detector.psd": None, "photon": None, "atmosphere": None, "excess": None, "sky": None}
     settings |= {"cleaning.algorithm": "none", "score.mask_separation_f_lambda": None}
     unequal = forecast(prepare(scene_with({"psd": spread}, settings))).scores["actual"].noise_psd
-    equal = forecast(prepare(scene_with({"psd": np.full(N_DET, spread.mean())}, settings))).scores["actual"].noise_psd
+    equal = (
+        forecast(prepare(scene_with({"psd": np.full(N_DET, 1 / np.mean(1 / spread))}, settings)))
+        .scores["actual"]
+        .noise_psd
+    )
     np.testing.assert_allclose(unequal, equal, rtol=1e-9)
     settings |= {"scan.scans": 19, "scan.step": "2 arcmin", "scan.duration": "12 s", "score.size": "36 arcmin"}
     settings |= {"score.ell_bin": 1000, "score.jackknives": 32, "map.pixel": "20 arcsec", "observations": 8}

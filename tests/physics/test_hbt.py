@@ -35,6 +35,7 @@ from surveysim.telescope.pixel_coherence import (
 )
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_levels
+from tests import camera as camera_scene
 from tests.naive import beam_coherence, wave_correlation
 from tests.scenes import SMALL_SCENE, WIDE_PATCH, without_sections, write_scene
 
@@ -448,3 +449,31 @@ def test_forecast_of_a_survey_whose_stop_is_shared(tmp_path):
     alone = forecast(prepare(load_scene(path, keys | {"photon.coherence": "none", "photon.stop_fraction": None})))
     mine = forecast(prepare(scene))
     assert mine.scores["actual"].band.sigma_ukcmb2 > 1.05 * alone.scores["actual"].band.sigma_ukcmb2
+
+
+def test_weights_follow_the_water_of_each_observation(tmp_path):
+    """A chain of elements with a stop: every pair of two observations, under its own water, by its own weights."""
+    text = camera_scene.QUIET + camera_scene.PHOTON.replace("field", "hbt") + camera_scene.CAMERA + camera_scene.SITE
+    (tmp_path / "scene.toml").write_text(text)
+    keys = camera_scene.BAND | camera_scene.HORNS | {"scan.duration": "200 s", "scan.speed": "1 arcsec / s"}
+    keys |= {"instrument.responsivity_scatter": 0.0, "atmosphere.b2": "[0, 0] mK2 rad(-5/3)"}
+    keys |= {"atmosphere.b2_probabilities": [0.25, 0.75], "instrument.illumination": "he11", "scan.scans": 8}
+    setup = prepare(load_scene(tmp_path / "scene.toml", keys))
+    place, beam = setup.camera.positions_f_lambda, setup.camera.illumination
+    separation = np.linalg.norm(place[:, None] - place, axis=-1)
+    width = keys["instrument.bandwidth"]
+    band = [(ratio, 1.0) for ratio in 1 + width * ((np.arange(60) + 0.5) / 60 - 0.5)]
+    distinct, which = np.unique(separation.round(9), return_inverse=True)
+    by_water = sorted(range(4), key=lambda number: observation_levels(setup, number).stop_share)
+    shares = []
+    for number in (by_water[0], by_water[-1]):
+        levels = observation_levels(setup, number)
+        weights = levels.aperture_weight, levels.stop_weight
+        shared = np.array([wave_correlation(beam, s, band, *weights) for s in distinct])[which]
+        own = levels.photon_mk2_hz + levels.detector_mk2_hz
+        diagonal = np.eye(len(place), dtype=bool)
+        expected = np.where(diagonal, own, levels.wave_mk2_hz * shared.reshape(separation.shape))
+        data = draw_observation(setup, number).data_mk.astype(float)
+        check_covariance(data, expected * setup.scene.scan.sample_rate_hz / 2)
+        shares.append(levels.stop_share)
+    assert min(shares) > 0.005 and abs(shares[0] / shares[1] - 1) > 0.05

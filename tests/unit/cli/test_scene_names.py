@@ -72,13 +72,16 @@ def test_cameras_are_listed_and_copied(empty, call):
     source, target = camera_folder() / "prime_cam_280.toml", Path("scenarios/mine.toml")
     assert (code, out) == (0, f"{target}: a copy of {source}; edit it, then: surveysim check {target}\n")
     assert target.read_text() == source.read_text()
-    assert call("check", "mine") == (0, f"{target}: 'mine' is a scene that can be run\n", "")
+    assert call("check", "mine") == (0, f"{target}: 'mine' is a scene that can be run\n1774 detectors\n", "")
 
 
 def test_cameras_are_checked_by_name(empty, call):
     for name in camera_titles():
         path = camera_folder() / f"{name}.toml"
-        assert call("check", name) == (0, f"{path}: '{name}' is a scene that can be run\n", "")
+        code, out, error = call("check", name)
+        assert (code, error) == (0, "")  # without a warning
+        can_run = re.escape(f"{path}: '{name}' is a scene that can be run\n")
+        assert re.fullmatch(can_run + r"\d+ detectors(; \d+ dead positions of \d+)?\n", out)
 
 
 @pytest.mark.parametrize("command", [("check",), ("run",), ("plan",), ("forecast",), ("new", "mine", "--like")])
@@ -177,7 +180,7 @@ def test_keys_of_a_section(call, monkeypatch):
     assert call("keys", "scan.spead") == (2, "", "keys: found 'scan.spead'; did you mean scan.speed?\n")
     error = call("keys", "scan.quux")[2]
     assert error.startswith("keys: found 'scan.quux'; a key of [scan] is expected: speed, scans") and "ell" not in error
-    assert "one of the sections field, schedule" in call("keys", "quux")[2]
+    assert "one of the sections field, site, schedule" in call("keys", "quux")[2]
 
 
 def test_ranges_have_the_unit_of_the_example():

@@ -37,7 +37,8 @@ TINY = {
     "score.signal_sims.skies": 2,
     "score.signal_sims.observations": 4,
 }
-CALM = {"atmosphere": None, "excess": None, "score": None, "cleaning.algorithm": "none", "observations": 1}
+PLACE = {"schedule.latitude": "19.8 deg", "schedule.longitude": "-155.5 deg", "schedule.height": "4 km"}
+CALM = PLACE | {"atmosphere": None, "excess": None, "score": None, "cleaning.algorithm": "none", "observations": 1}
 
 
 @pytest.fixture(scope="module")

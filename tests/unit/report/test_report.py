@@ -272,7 +272,7 @@ def test_a_scene_of_a_site_in_words(tmp_path):
         },
     )
     for words in (
-        "Water and water fluctuations are those of ALMA.",
+        "Water and water fluctuations are those of Chajnantor (ALMA).",
         "From the load of the site's water and warm optics of 10 K.",
         "Neighbours share its bunching part as far as light from common sources is coherent",
         "a noise-equivalent power of 3.0 × 10−17 W/Hz1/2",

@@ -234,3 +234,10 @@ def test_other_threads_hold_nothing_back():
     thread.start()
     thread.join()
     assert done == [True]
+
+
+def test_quick_work_stays_in_this_process_unless_workers_are_asked_for():
+    assert Engine().for_work(quick=True) == Engine(workers=1)
+    for engine in (TWO, DASK, SERIAL, Engine("dask")):
+        assert engine.for_work(quick=True) == engine
+    assert Engine().for_work(quick=False) == Engine()

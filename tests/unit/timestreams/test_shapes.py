@@ -19,13 +19,14 @@ def setup(tmp_path_factory):
     return prepare(load_scene(path))
 
 
-@pytest.mark.parametrize("name", ["sums", "hits", "noise_mk2"])
+@pytest.mark.parametrize("name", ["sums", "hits", "exposure", "noise_mk2"])
 @pytest.mark.parametrize("cut", [np.s_[:-1], np.s_[None], np.s_[..., :-1]])
 def test_results_of_another_shape(setup, name, cut):
     coadds = empty_coadds(setup.analysis)
     arrays = {
         "sums": np.ones(coadds.sums.shape),
         "hits": np.ones(coadds.hits.shape, int),
+        "exposure": np.ones(coadds.hits.shape),
         "noise_mk2": np.ones(coadds.n_set),
     }
     with pytest.raises(ValueError, match=rf"{name}: found the shape .* is expected"):

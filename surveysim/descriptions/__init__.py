@@ -1,0 +1,1 @@
+"""Scenes from descriptions of cameras that other programs read."""
