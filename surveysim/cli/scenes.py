@@ -241,7 +241,7 @@ def _tables_to_copy(content: Mapping[str, Any], source: Path, target: Path) -> d
                 continue
             if new.exists() and new.read_bytes() != old.read_bytes():
                 fail(f"{new}: exists, with another content than {old}; another folder is expected")
-            if not new.exists() and new.parent.is_dir():
+            if not new.exists() and new.parent == target:  # tables of other folders stay where they are
                 found[new] = old.read_bytes()
     return found
 
