@@ -236,7 +236,7 @@ def test_all_parts_are_positive_semi_definite(beam, pitch):
 def test_lattice_has_the_parts_of_the_matrix(share):
     cells, positions = hexagon_cells(7, 1.2)
     coherence = PixelCoherence("hbt", gaussian_horn(1.2), wave_noise_band(top_hat(150e9, 0.2)), with_stop=True)
-    torus = embed(cells, 1.2, coherence).at(share)
+    torus = embed(Lattice(cells, 1.2, HEXAGONAL), 1.0, coherence).at(share)
     n_q, n_r = torus.values.shape
     q, r = (cells[:, None] - cells).transpose(2, 0, 1)
     expected = np.tensordot(part_weights(share, 3), correlation_matrices(positions, coherence), axes=1)
@@ -393,7 +393,7 @@ def test_every_pair_of_a_lattice(tmp_path, monkeypatch):
     exact = formula(setup)
     torus = setup.camera.photon_correlation.at(observation_levels(setup, 0).stop_share)
     n_q, n_r = torus.values.shape
-    cells = setup.camera.hexagonal.cells
+    cells = setup.camera.lattice.cells
     q, r = (cells[:, None] - cells).transpose(2, 0, 1)
     levels = observation_levels(setup, 0)
     shared = levels.photon_mk2_hz * levels.shared * setup.scene.scan.sample_rate_hz / 2
