@@ -62,6 +62,19 @@ def _map_depth(number: Number) -> float:
     return _array_net(number) * math.sqrt(number["area_deg2"] * ARCMIN2_PER_DEG2 / number["time_s"])
 
 
+def _mapping_speed(number: Number) -> float:
+    """Beams of the array over the squared NEFD [deg^2 / (mJy^2 h)]; a beam has the area pi FWHM^2 / (4 ln 2)."""
+    beam_deg2 = math.pi / (4 * math.log(2)) * (_beam(number) / 3600) ** 2
+    return number["pixels"] * beam_deg2 * 3600 / detector(number).nefd_mjy_rts ** 2
+
+
+def _source_rms(number: Number) -> float:
+    """Noise of a point source [mJy] that a matched filter finds in a map of even coverage."""
+    sigma_arcmin = _beam(number) / 60 / math.sqrt(8 * math.log(2))
+    beams = number["area_arcmin2"] / (math.pi * sigma_arcmin**2)
+    return detector(number).nefd_mjy_rts * math.sqrt(beams / (number["pixels"] * number["time_s"]))
+
+
 def _nefd_ratio(number: Number) -> float:
     other = dict(number) | {"pwv": number["over_pwv"]}
     return detector(number).nefd_mjy_rts / detector(other).nefd_mjy_rts
@@ -104,6 +117,8 @@ KINDS: dict[str, tuple[str, Callable[[Number], float]]] = {
     "detector_net": ("NET of a detector", _detector_net),
     "detector_net_rj": ("NET of a detector", lambda number: detector(number).net_mk_rts),
     "nefd": ("NEFD of a detector", lambda number: detector(number).nefd_mjy_rts),
+    "mapping_speed": ("mapping speed", _mapping_speed),
+    "source_rms": ("noise of a point source", _source_rms),
     "nefd_ratio": ("NEFD, ratio", _nefd_ratio),
     "nefd_at_transmission": ("NEFD of a detector", _nefd_at_transmission),
     "jansky_per_pw": ("flux per power", _jansky_per_pw),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.bands import TABLE, MultiBandScene
 from surveysim.scene.scene import Origin, Scene, scene_hash, scene_of
+from surveysim.telescope.diffraction import with_beam
 
 if TYPE_CHECKING:
     from surveysim.studies.sweep.axes import Sweep
@@ -31,7 +32,9 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
         again = scene_of(scene.origin.path, scene.origin.text, tomllib.loads(scene.origin.text), scene.origin.overrides)
     except SceneError:
         return {}
-    return {SCENE_FILE: text.encode()} | files if scene_hash(again) == scene_hash(scene) else {}
+    # A prepared scene has the beam that the file leaves out.
+    same = scene_hash(with_beam(again)) == scene_hash(with_beam(scene))
+    return {SCENE_FILE: text.encode()} | files if same else {}
 
 
 def bands_files(scenes: "MultiBandScene | MultiBandSweep") -> dict[str, bytes]:

@@ -27,7 +27,7 @@ from surveysim.telescope.illumination import (
     TableIllumination,
     gaussian_horn,
 )
-from surveysim.telescope.layouts import HEXAGONAL, Lattice, placed_wafers
+from surveysim.telescope.layouts import Lattice, placed_wafers
 
 MAX_BEAMS = 8  # different beams of a camera: each takes a sky of its own
 MAX_PLACES = 1000
@@ -79,13 +79,25 @@ class Camera:
 
     @property
     def polarization_angle_rad(self) -> np.ndarray | None:
-        """Angles (n_det,) of detectors that absorb one polarization; None where they are not told or absorb both."""
-        return self.focal_plane.angle_rad if self.polarizations == 1 else None
+        """Angles (n_det,) of detectors that absorb one polarization; None where they have none, or absorb both."""
+        return None if self.polarizations == 2 else self.focal_plane.angle_rad
 
     @property
-    def hexagonal(self) -> Lattice | None:
-        """The one hexagonal lattice of all detectors; None for other cameras."""
-        return self.lattices[0] if len(self.lattices) == 1 and self.lattices[0].cosine == HEXAGONAL else None
+    def lattice(self) -> Lattice | None:
+        """The one lattice of all detectors; None for several wafers and tables."""
+        return self.lattices[0] if len(self.lattices) == 1 else None
+
+    @property
+    def gap_f_lambda(self) -> float:
+        """Distance of the closest detectors of two different wafers in (f/#)lambda; infinite for one."""
+        if len(self.lattices) < 2:
+            return math.inf
+        from scipy.spatial import cKDTree
+
+        ends = np.cumsum([len(lattice.cells) for lattice in self.lattices])[:-1]
+        wafers = np.split(self.positions_f_lambda, ends)
+        pairs = [(one, other) for number, one in enumerate(wafers) for other in wafers[:number]]
+        return min(float(cKDTree(one).query(other)[0].min()) for one, other in pairs)
 
     @property
     def radius_rad(self) -> float:

@@ -22,7 +22,7 @@ from surveysim.scene.scene import Scene
 from surveysim.telescope.beams import Beams, beams_of
 from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.focal_plane import Camera
-from surveysim.telescope.lattice_noise import CirculantFactor, LatticePixels
+from surveysim.telescope.lattice_noise import LatticeFactor, LatticePixels, WaferPixels
 from surveysim.telescope.noise_levels import WhiteByDetector, WhiteLevels, white_by_detector
 from surveysim.telescope.pixel_coherence import DensePixels, PixelCoherence
 from surveysim.telescope.pointing import Pointing, Schedule, observation_pointing, schedule, survey_angles
@@ -79,19 +79,19 @@ class CameraSetup(Camera):
         return PixelCoherence(self.excess.coherence, self.illumination) if self.excess else _NONE
 
     @once
-    def photon_correlation(self) -> DensePixels | LatticePixels | None:
+    def photon_correlation(self) -> DensePixels | LatticePixels | WaferPixels | None:
         """Correlation of photon noise between detectors; None where they share nothing."""
         return shared_noise(self, self.photon_coherence, "photon")
 
     @once
-    def excess_correlation(self) -> DensePixels | LatticePixels | None:
+    def excess_correlation(self) -> DensePixels | LatticePixels | WaferPixels | None:
         """Correlation of excess noise between detectors; None where they share nothing."""
         if self.photon_coherence == self.excess_coherence:
             return self.photon_correlation
         return shared_noise(self, self.excess_coherence, "excess")
 
     @once
-    def excess_factor(self) -> np.ndarray | CirculantFactor | None:
+    def excess_factor(self) -> np.ndarray | LatticeFactor | None:
         """Factor of the correlation of excess noise; None where detectors share nothing."""
         found = self.excess_correlation
         return None if found is None else found.at(0.0).factor()

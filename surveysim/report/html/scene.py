@@ -244,8 +244,10 @@ def _detector(detector: Values) -> Iterator[str]:
     elif kid := detector["kid"]:
         yield f"Recombination noise of the load at a gap of {short(kid['gap_j'] / _MEV_J)} meV"
         yield f"and an amplifier of {number(kid['amplifier_nep_w_rthz'], 2)} W / Hz(1/2),"
-    else:
+    elif detector["nep_w_rthz"] is not None:
         yield f"White, a noise-equivalent power of {number(detector['nep_w_rthz'], 2)} W / Hz(1/2),"
+    else:
+        yield "White, of each detector as in the table of detectors,"
     yield "independent between detectors."
 
 
