@@ -7,11 +7,13 @@ __version__ = "0.5.0"
 
 _PUBLIC = {
     "load_scene": "surveysim.scene.scene",
+    "load_bands": "surveysim.scene.bands",
     "simulate_observation": "surveysim.api",
     "run": "surveysim.api",
     "forecast": "surveysim.api",
     "plan": "surveysim.api",
     "load_sweep": "surveysim.studies.sweep.axes",
+    "load_band_sweep": "surveysim.studies.sweep.bands",
     "run_sweep": "surveysim.api",
     "forecast_sweep": "surveysim.api",
     "plan_sweep": "surveysim.api",

@@ -4,6 +4,7 @@ import numpy as np
 
 from surveysim.telescope.illumination import UNIFORM, Illumination
 from surveysim.telescope.lattice_noise import CirculantCorrelation, embed
+from surveysim.telescope.layouts import HEXAGONAL, Lattice
 from surveysim.telescope.pixel_coherence import Kind, PixelCoherence, correlation_matrices
 
 
@@ -14,4 +15,5 @@ def correlation_matrix(positions_f_lambda: np.ndarray, kind: Kind, illumination:
 
 def torus_of(cells: np.ndarray, pitch_f_lambda: float, kind: Kind, illumination: Illumination) -> CirculantCorrelation:
     """Correlation with one part of detectors on a lattice, on a torus."""
-    return embed(cells, pitch_f_lambda, PixelCoherence(kind, illumination)).at(0.0)
+    lattice = Lattice(cells, pitch_f_lambda, HEXAGONAL)
+    return embed(lattice, 1.0, PixelCoherence(kind, illumination)).at(0.0)

@@ -214,20 +214,27 @@ def scan_tracks(
     velocity_rad_s: np.ndarray,
     layer_velocity_rad_s: np.ndarray,
     strips: StripCache,
+    extent_rad: np.ndarray | None = None,
 ) -> Tracks:
-    """Tracks of scans over their strips; parameters and errors as for `add_atmosphere`."""
+    """Tracks of scans over their strips; parameters and errors as for `add_atmosphere`.
+
+    `extent_rad` (n_scan, n, 2) are offsets that the strips hold, by default those of the detectors. Tracks of one
+    extent see one layer.
+    """
     motion = np.asarray(velocity_rad_s, dtype=float) - np.asarray(layer_velocity_rad_s, dtype=float)
     speed = np.hypot(*motion.T)
     direction = np.where(speed[:, None] > 0.0, motion, [1.0, 0.0]) / np.where(speed > 0.0, speed, 1.0)[:, None]
     normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     along, across = (np.einsum("sdi,si->sd", offsets_rad, axis) for axis in (direction, normal))
+    extent = along if extent_rad is None else np.einsum("sdi,si->sd", extent_rad, direction)
     widest, half = float(np.abs(across).max(initial=0.0)), strips.strip_half_width_rad
     if widest > half + 1e-6 * strips.step_rad:
         raise ValueError(f"detector {widest:g} rad from the middle of the strip found; half_width_rad allows {half:g}")
-    first = along.min(axis=1, keepdims=True)
+    first = extent.min(axis=1, keepdims=True)
     track = speed * (np.diff(scan_bounds, axis=1)[:, 0] - 1) / sample_rate_hz
     y = np.clip(across + half, 0.0, 2.0 * half)
-    return Tracks(motion, direction, np.ptp(along, axis=1) + track, along - first, y, first * direction - half * normal)
+    corner = first * direction - half * normal
+    return Tracks(motion, direction, np.ptp(extent, axis=1) + track, np.maximum(along - first, 0), y, corner)
 
 
 def add_atmosphere(

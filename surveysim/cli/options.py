@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from surveysim.reduction.setup import Setup
     from surveysim.results.stopping import StoppingCriteria
     from surveysim.runtime.engine import Engine
+    from surveysim.scene.bands import MultiBandScene
     from surveysim.studies.sweep.axes import Sweep
+    from surveysim.studies.sweep.bands import MultiBandSweep
 
 DEEPEST = 9  # dots in a key
 
@@ -141,17 +143,33 @@ def ready_setup(path: Path, given: list[str] | None) -> "Setup":
         raise SceneError(f"{path}{' with' if changed else ''}{changed}: {error}") from None
 
 
-def sweep_of(path: Path, given: list[str] | None, reference: str | None = None) -> "Sweep | None":
+def sweep_of(path: Path, given: list[str] | None, reference: str | None = None) -> "Sweep | MultiBandSweep | None":
     """Load, check and prepare the sweep of a scene file that has one; raises SceneError for a reference without a
     sweep.
     """
     from surveysim.studies.sweep.axes import is_sweep, load_sweep
+    from surveysim.studies.sweep.bands import is_band_sweep, load_band_sweep
 
+    if is_band_sweep(path):
+        return load_band_sweep(path, settings(given), point(reference))
     if is_sweep(path):
         return load_sweep(path, settings(given), point(reference))
     if reference is not None:
         fail(f"{path}: --reference: found a scene without [sweep]; points of a sweep are expected")
     return None
+
+
+def bands_of(path: Path, given: list[str] | None) -> "MultiBandScene | None":
+    """Load, check and prepare all bands of a scene file; None without bands, SceneError with lines that name them."""
+    from surveysim.scene.bands import has_bands, load_bands, of_each_band
+
+    if not has_bands(path):
+        return None
+    from surveysim.reduction.setup import prepare
+
+    scenes = load_bands(path, settings(given))
+    of_each_band(path, scenes.content, lambda name: prepare(scenes.bands[name]))
+    return scenes
 
 
 def fail(message: str) -> NoReturn:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from surveysim.cli.interrupts import stopping
 from surveysim.reduction.setup import Setup, signal_sim_observations
 from surveysim.results.stopping import estimate_so_far
 from surveysim.runtime.numbers import plain, quoted
@@ -118,6 +119,15 @@ def progress_display(
             return
         with _bar(name, len(work), left, console, min(room, 40)) as show:
             yield show
+
+
+@contextmanager
+def sweep_display(
+    name: str, work: Sequence[float] | np.ndarray, quiet: bool, workers: int = 1
+) -> Iterator[Callable[[int], None]]:
+    """Yield a function that shows the number of finished points during the block, and ends an interrupted sweep."""
+    with progress_display(name, work, quiet, "points", workers) as show:
+        yield stopping(lambda done: show(done, lambda: ""))
 
 
 @contextmanager

@@ -1,8 +1,10 @@
 """Commands on surveys: run, forecast, plan."""
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from time import process_time
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +21,7 @@ from surveysim.cli.options import (
     Scheduler,
     Verbose,
     Workers,
+    bands_of,
     fail,
     ready_setup,
     sweep_of,
@@ -29,6 +32,7 @@ from surveysim.runtime.errors import NotForecastableError
 if TYPE_CHECKING:
     from surveysim.runtime.engine import Engine
     from surveysim.studies.sweep.axes import Sweep
+    from surveysim.studies.sweep.bands import MultiBandSweep
     from surveysim.survey.coadd_tree import CoAddTree
 
 
@@ -73,15 +77,22 @@ def run(
             quiet=quiet,
         )
         return
+    limits = options.run_limits(target_error, time_budget)
+    if scenes := bands_of(scene, settings):
+        from surveysim.cli.bands import run_bands
+
+        asked: dict[str, Any] = {"save_timestreams": save_timestreams, "figures": not no_figures, "force": force}
+        directory = out or default_directory(scenes.name, options.settings(settings))
+        run_bands(scenes, directory, with_engine, limits, resume=resume, verbose=verbose, quiet=quiet, **asked)
+        return
     from surveysim.reduction.setup import is_quick
 
     setup = ready_setup(scene, settings)
     checked, with_engine = setup.scene, with_engine.for_work(is_quick(setup))
     with_engine.start_early()
-    limits = options.run_limits(target_error, time_budget)
     if limits.target_error is not None and checked.score is None:
         fail(f"{scene}: --target-error: found no [score]; the error is one of sigma(A), which needs it")
-    from surveysim.api import run as run_scene
+    from surveysim.api import run_survey
     from surveysim.cli.progress import (
         announce_compilation,
         observation_work,
@@ -105,7 +116,7 @@ def run(
         def shown(sums: "CoAddTree") -> None:
             show(sums.done, lambda: score_so_far(setup, sums), seconds_left(sums, work, n_workers))
 
-        result = run_scene(
+        result = run_survey(
             checked,
             directory,
             engine=with_engine,
@@ -133,7 +144,7 @@ def _refuse_for_sweep(scene: Path, save_timestreams: bool, target_error: str | N
 
 
 def _run_sweep(
-    sweep: "Sweep",
+    sweep: "Sweep | MultiBandSweep",
     directory: Path,
     *,
     engine: "Engine",
@@ -146,23 +157,29 @@ def _run_sweep(
     if resume and not quiet:
         report_new_start(directory, "points", "")
     engine.start_early()
-    from surveysim.api import run_sweep
-    from surveysim.cli.progress import announce_compilation, progress_display
-    from surveysim.report.terminal.sweep import print_sweep
+    from surveysim.api import run_band_sweep, run_single_sweep
+    from surveysim.cli.progress import announce_compilation, sweep_display
+    from surveysim.report.terminal.sweep import print_sweep, print_sweeps
+    from surveysim.studies.sweep.axes import Sweep
 
     if not quiet and engine.scheduler is None:
         announce_compilation(sweep.name)
-    work = [point.detector_samples for point in sweep.points]
-    with (
-        report_resumable_exit(sweep.path, directory),
-        progress_display(sweep.name, work, quiet, "points", engine.workers_for(len(work))) as show,
-    ):
-        progress = stopping(lambda done: show(done, lambda: ""))
-        result = run_sweep(
-            sweep, directory, engine=engine, resume=resume, figures=figures, progress=progress, force=force
-        )
-    if not quiet:
+    options: dict[str, Any] = {"engine": engine, "resume": resume, "figures": figures, "force": force}
+
+    def display(item: "Sweep") -> "AbstractContextManager[Callable[[int], None]]":
+        work = [point.detector_samples for point in item.points]
+        return sweep_display(item.name, work, quiet, engine.workers_for(len(work)))
+
+    with report_resumable_exit(sweep.path, directory):
+        if not isinstance(sweep, Sweep):
+            results = run_band_sweep(sweep, directory, display=display, **options)
+        else:
+            with display(sweep) as progress:
+                result = run_single_sweep(sweep, directory, progress=progress, **options)
+    if not quiet and isinstance(sweep, Sweep):
         print_sweep(result, directory, verbose)
+    elif not quiet:
+        print_sweeps(results, directory, verbose)
 
 
 def forecast(
@@ -185,40 +202,63 @@ def forecast(
         directory = out or default_directory(f"{sweep.name}_forecast", options.settings(settings, reference))
         _forecast_sweep(sweep, directory, figures=not no_figures, force=force, verbose=verbose, quiet=quiet)
         return
+    if scenes := bands_of(scene, settings):
+        from surveysim.cli.bands import forecast_bands
+
+        forecast_bands(scenes, out, force=force, verbose=verbose, quiet=quiet)
+        return
     setup = ready_setup(scene, settings)
-    from surveysim.api import forecast as forecast_scene
+    from surveysim.api import forecast_survey
     from surveysim.report.terminal.forecast import print_forecast
 
     try:
-        found = forecast_scene(setup.scene, out, force=force)
+        found = forecast_survey(setup.scene, out, force=force)
     except NotForecastableError as error:
         fail(f"{scene}: {error}")
     if not quiet:
         print_forecast(setup, found, verbose)
 
 
-def _forecast_sweep(sweep: "Sweep", directory: Path, *, figures: bool, force: bool, verbose: bool, quiet: bool) -> None:
-    from surveysim.api import forecast_sweep
-    from surveysim.cli.progress import equal_work, progress_display
-    from surveysim.report.terminal.sweep import print_sweep
+def _forecast_sweep(
+    sweep: "Sweep | MultiBandSweep", directory: Path, *, figures: bool, force: bool, verbose: bool, quiet: bool
+) -> None:
+    from surveysim.api import forecast_band_sweep, forecast_single_sweep
+    from surveysim.cli.progress import equal_work, sweep_display
+    from surveysim.report.terminal.sweep import print_sweep, print_sweeps
+    from surveysim.studies.sweep.axes import Sweep
 
-    with progress_display(sweep.name, equal_work(len(sweep.points)), quiet, "points") as show:
-        progress = stopping(lambda done: show(done, lambda: ""))
-        result = forecast_sweep(sweep, directory, figures=figures, progress=progress, force=force)
+    def display(item: "Sweep") -> "AbstractContextManager[Callable[[int], None]]":
+        return sweep_display(item.name, equal_work(len(item.points)), quiet)
+
+    if not isinstance(sweep, Sweep):
+        results = forecast_band_sweep(sweep, directory, figures=figures, display=display, force=force)
+        if not quiet:
+            print_sweeps(results, directory, verbose)
+        return
+    with display(sweep) as progress:
+        result = forecast_single_sweep(sweep, directory, figures=figures, progress=progress, force=force)
     if not quiet:
         print_sweep(result, directory, verbose)
 
 
 def plan(scene: SceneFile, workers: Workers = None, settings: Overrides = None) -> None:
     """Predict run time, memory and disk space of a run."""
-    from surveysim.api import plan as plan_scene
-    from surveysim.api import plan_sweep
-    from surveysim.report.terminal.plan import print_plan, print_sweep_plan
+    from surveysim.api import plan_band_sweep, plan_bands, plan_single_sweep, plan_survey
+    from surveysim.report.terminal.plan import print_band_sweep_plans, print_plan, print_sweep_plan
     from surveysim.runtime.engine import default_workers
+    from surveysim.studies.sweep.axes import Sweep
 
     workers = options.engine("processes", workers, None).workers or default_workers()
     if sweep := sweep_of(scene, settings):
-        print_sweep_plan(sweep, plan_sweep(sweep, workers, start_s=process_time()), workers)
+        if isinstance(sweep, Sweep):
+            print_sweep_plan(sweep, plan_single_sweep(sweep, workers, start_s=process_time()), workers)
+        else:
+            print_band_sweep_plans(sweep, plan_band_sweep(sweep, workers, start_s=process_time()), workers)
+        return
+    if scenes := bands_of(scene, settings):
+        from surveysim.report.terminal.bands import print_band_plans
+
+        print_band_plans(scenes, plan_bands(scenes, workers, start_s=process_time()), workers)
         return
     checked = ready_setup(scene, settings).scene
-    print_plan(checked, plan_scene(checked, workers, start_s=process_time()), workers)
+    print_plan(checked, plan_survey(checked, workers, start_s=process_time()), workers)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from surveysim.cli.options import Force, Overrides, SceneFile, fail, ready_setup, scene_completions, sweep_of
+from surveysim.cli.options import Force, Overrides, SceneFile, bands_of, fail, ready_setup, scene_completions, sweep_of
 from surveysim.runtime.errors import InputError
 from surveysim.runtime.printable import say
 from surveysim.scene.shipped import HERE, MAX_NAME, NAME, camera_titles, find_scene, no_such_scene
@@ -16,7 +16,9 @@ from surveysim.scene.similar_names import did_you_mean
 from surveysim.scene.units import shown
 
 if TYPE_CHECKING:
+    from surveysim.reduction.setup import Setup
     from surveysim.scene.keys import KeyRow
+    from surveysim.scene.scene import Scene
 
 
 def check(scene: SceneFile, settings: Overrides = None) -> None:
@@ -25,27 +27,44 @@ def check(scene: SceneFile, settings: Overrides = None) -> None:
     Each error is one line: file, key, the value found and the values allowed. A scene's detectors are counted, and
     questionable choices are warned of.
     """
-    from surveysim.reduction.design_warnings import design_warnings
     from surveysim.reduction.resource_limits import said_of_size
-    from surveysim.report.terminal.camera import camera_lines
-    from surveysim.results.sensitivity import saturation_warnings, sensitivities
+    from surveysim.studies.sweep.bands import sweep_points
 
     if sweep := sweep_of(scene, settings):
-        say(f"{scene}: {sweep.name!r} is a sweep of {len(sweep.points)} points that can be run")
-        large = said_of_size(sum(point.detector_samples for point in sweep.points))
+        points = sweep_points(sweep)
+        say(f"{scene}: {sweep.name!r} is a sweep of {len(points)} points that can be run")
+        large = said_of_size(sum(point.detector_samples for point in points))
+    elif scenes := bands_of(scene, settings):
+        say(f"{scene}: {scenes.name!r} is a camera of {len(scenes.bands)} bands that can be run")
+        large = _check_setups(scenes.bands)
     else:
         setup = ready_setup(scene, settings)
         say(f"{scene}: {setup.scene.name!r} is a scene that can be run")
-        for line in camera_lines(setup):
-            say(line)
-        saturated = sensitivities(setup) if setup.scene.detector and setup.scene.detector.bolometer else {}
-        _say_warnings([*design_warnings(setup), *saturation_warnings(saturated)])
-        samples = (
-            setup.scene.observations * setup.camera.n_det * setup.observing.samples(setup.observing.blocks[-1]).stop
-        )
-        large = said_of_size(samples, setup.analysis.geometry.n_x * setup.analysis.geometry.n_y)
+        large = _check_setups({"": setup.scene})
     if large:
         say(large)
+
+
+def _check_setups(scenes: "Mapping[str, Scene]") -> str:
+    """Count the detectors of each band and print warnings; return a line on the size of the whole."""
+    from surveysim.reduction.design_warnings import design_warnings
+    from surveysim.reduction.resource_limits import said_of_size
+    from surveysim.reduction.setup import prepare
+    from surveysim.report.terminal.camera import camera_lines
+    from surveysim.results.sensitivity import saturation_warnings, sensitivities
+
+    samples, pixels, warnings = 0, 0, []
+    for name, scene in scenes.items():
+        setup, before = prepare(scene), f"{name}: " if name else ""
+        for line in camera_lines(setup):
+            say(before + line)
+        saturated = sensitivities(setup) if scene.detector and scene.detector.bolometer else {}
+        warnings += [before + line for line in (*design_warnings(setup), *saturation_warnings(saturated))]
+        of_observation = setup.camera.n_det * setup.observing.samples(setup.observing.blocks[-1]).stop
+        samples += scene.observations * of_observation
+        pixels = setup.analysis.geometry.n_x * setup.analysis.geometry.n_y
+    _say_warnings(warnings)
+    return said_of_size(samples, pixels)
 
 
 def optics(scene: SceneFile, settings: Overrides = None) -> None:
@@ -53,6 +72,19 @@ def optics(scene: SceneFile, settings: Overrides = None) -> None:
 
     The load by element, from the sky to the detector, and NEP, NET and NEFD at quartiles of the site's water.
     """
+    from surveysim.reduction.setup import prepare
+
+    if sweep_of(scene, settings):
+        fail(f"{scene}: found a sweep; one scene is expected")
+    if scenes := bands_of(scene, settings):
+        for name, item in scenes.bands.items():
+            say(f"{name}:")
+            _print_optics(scene, prepare(item))
+        return
+    _print_optics(scene, ready_setup(scene, settings))
+
+
+def _print_optics(path: Path, setup: "Setup") -> None:
     from surveysim.report.terminal.layout import Terminal
     from surveysim.report.terminal.tables import show_table
     from surveysim.results.sensitivity import (
@@ -63,12 +95,9 @@ def optics(scene: SceneFile, settings: Overrides = None) -> None:
     )
     from surveysim.telescope.diffraction import effective_area_m2
 
-    if sweep_of(scene, settings):
-        fail(f"{scene}: found a sweep; one scene is expected")
-    setup = ready_setup(scene, settings)
     found = sensitivities(setup)
     if not found:
-        fail(f"{scene}: photon: found noise that follows from no load; 'photon.load' or a section [optics] is expected")
+        fail(f"{path}: photon: found noise that follows from no load; 'photon.load' or a section [optics] is expected")
     entries, console = sensitivity_entries(setup, found), Terminal()
     for table in sensitivity_tables(entries):
         show_table(console, table)
@@ -185,14 +214,36 @@ def _copy(name: str, like: str) -> None:
     if not source.is_file():
         fail(no_such_scene(like))
     text, content = read_scene(source)
+    tables = _tables_to_copy(content, source.parent, target.parent)
     _write_new(target, text)
+    for table, rows in tables.items():
+        table.write_bytes(rows)
     say(f"{target}: a copy of {source}; edit it, then: surveysim check {target}")
+    if tables:
+        say(f"with {', '.join(table.name for table in tables)} in the same folder")
     if "[sweep" in text:
         say("[sweep] varies keys of the copied scene; give it keys and values of your own, or delete it")
     if "[score.reference]" in text:
         say("[score.reference] has published values of the copied scene; delete it for another survey")
     if hint := _band_hint(content):
         say(hint)
+
+
+def _tables_to_copy(content: Mapping[str, Any], source: Path, target: Path) -> dict[Path, bytes]:
+    """Return the tables beside a scene that its copy in another folder needs, by their new paths."""
+    from surveysim.output.scene_copy import file_values
+
+    found: dict[Path, bytes] = {}
+    for _, value in file_values(content):
+        for name in value if isinstance(value, list) else [value]:
+            old, new = source / str(name), target / str(name)
+            if not old.is_file() or (new.exists() and new.samefile(old)):
+                continue
+            if new.exists() and new.read_bytes() != old.read_bytes():
+                fail(f"{new}: exists, with another content than {old}; another folder is expected")
+            if not new.exists() and new.parent == target:  # tables of other folders stay where they are
+                found[new] = old.read_bytes()
+    return found
 
 
 def _import(name: str, description: Path, channel: str | None, aperture: str | None) -> None:
@@ -274,12 +325,17 @@ def report(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="An output directory of run, accuracy or paper.")],
     force: Force = False,
 ) -> None:
-    """Write report.html of an output directory again."""
+    """Write report.html of an output directory again.
+
+    The pages of the bands of a camera are written again too.
+    """
     from surveysim.output.directory import renewed
     from surveysim.report.html.page import REPORT, NoResultsError, write_report
 
+    bands = sorted(path.parent for path in directory.glob("bands/*/summary.json"))
     try:
-        with renewed(directory, REPORT, force):
-            say(write_report(directory))
+        for each in (*bands, directory):
+            with renewed(each, REPORT, force):
+                say(write_report(each))
     except NoResultsError as error:
         fail(str(error))

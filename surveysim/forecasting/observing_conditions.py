@@ -24,7 +24,7 @@ from surveysim.reduction.setup import Setup
 from surveysim.runtime.once import keep_last
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.atmosphere import Atmosphere
-from surveysim.telescope.lattice_noise import LatticePixels, NoiseCorrelation
+from surveysim.telescope.lattice_noise import LatticePixels, NoiseCorrelation, WaferPixels
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.pixel_coherence import MOST_DENSE, DensePixels
 from surveysim.telescope.scans import samples_per_scan
@@ -268,7 +268,7 @@ def noise_correlations(
 
 
 def _correlations(
-    pixels: DensePixels | LatticePixels | None, pipeline: CleaningPipeline, gain: np.ndarray
+    pixels: DensePixels | LatticePixels | WaferPixels | None, pipeline: CleaningPipeline, gain: np.ndarray
 ) -> list[Correlation]:
     """Parts of the correlation of a pipeline's detectors, multiplied by `gain` on both sides."""
     if pixels is None:

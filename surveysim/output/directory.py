@@ -34,12 +34,12 @@ from surveysim.survey.checkpoint import NAME as CHECKPOINT
 NEW = ".surveysim.new"
 OTHERWISE = "--force replaces it, --out writes elsewhere"
 # The scene, and the tables that its keys of files name, with the suffix of the user's file.
-_SCENE = r"scene\.toml|(positions|passband|illumination|transmission|emissivity)(_\d+)?(\.[\w-]+)?"
+_SCENE = r"scene\.toml|(positions|passband|illumination|transmission|emissivity|opacity)(_\d+)?(\.[\w-]+)?"
 # Names that any command writes: no other file is ever removed, even if the record lists it.
 _WRITTEN = re.compile(
     rf"{_SCENE}|"
     r"report\.html|(summary|scene)\.json|checkpoint\.h5|extremes\.ecsv"
-    r"|(sweep|sweep_pairs|forecast|accuracy)\.ecsv|table\d+(_[a-z]+)?\.ecsv|figure\d+\.(png|ecsv)"
+    r"|(sweep|sweep_pairs|forecast|accuracy|bands)\.ecsv|table\d+(_[a-z]+)?\.ecsv|figure\d+\.(png|ecsv)"
     r"|(measurements|recovered)_[0-9]+\.ecsv|tables/\w+\.ecsv|maps/\w[\w.+~,=-]*\.fits|figures/\w+\.png"
     r"|timestreams/\d+\.h5|points/\d+\.(npz|checkpoint\.h5)"
 )
@@ -186,7 +186,8 @@ def renewed(directory: Path, name: str, force: bool = False) -> Iterator[None]:
 def holds_work(directory: Path) -> bool:
     """Return whether a directory has files to resume from: a checkpoint, or points of a sweep."""
     patterns = (CHECKPOINT, "points/*.npz", "points/*.checkpoint.h5")
-    return any(path.is_file() for pattern in patterns for path in directory.glob(pattern))
+    places = [directory, *directory.glob("bands/*")]
+    return any(path.is_file() for place in places for pattern in patterns for path in place.glob(pattern))
 
 
 # ---------------------------------------------------------------- whose a directory is

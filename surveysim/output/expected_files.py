@@ -5,11 +5,13 @@ from hashlib import sha256
 from typing import Any
 
 from surveysim.output.record import Results
-from surveysim.output.scene_copy import scene_files, sweep_files
+from surveysim.output.scene_copy import bands_files, scene_files, sweep_files
 from surveysim.reduction.setup import Setup
+from surveysim.scene.bands import MultiBandScene, bands_hash
 from surveysim.scene.scene import Scene, scene_hash, survey_hash
 from surveysim.studies.convergence.records import MOST_SEEDS, REFERENCE_ERROR, SUB_SURVEY
 from surveysim.studies.sweep.axes import Sweep, sweep_hash
+from surveysim.studies.sweep.bands import MultiBandSweep, band_sweep_hash
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 
 COMMON = ("summary.json", "scene.json", "report.html")
@@ -38,6 +40,26 @@ def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
     if timestreams:
         names += [f"timestreams/{number:04d}.h5" for number in range(scene.observations)]
     return Results("run", scene.name, scene_hash(scene), tuple(names), scene_files(scene), extends=survey_hash(scene))
+
+
+def band_directory(name: str) -> str:
+    """Directory of the results of one band, within that of the camera."""
+    return f"bands/{name}"
+
+
+_OF_BANDS = ("summary.json", "report.html", "bands.ecsv")
+
+
+def of_bands(scenes: MultiBandScene, command: str) -> Results:
+    """Return the results of a camera of several bands beside the directories of the bands."""
+    names = _OF_BANDS if command == "run" else ("bands.ecsv",)
+    extends = sha256(" ".join(map(survey_hash, scenes.bands.values())).encode()).hexdigest() if command == "run" else ""
+    return Results(command, scenes.name, bands_hash(scenes), names, bands_files(scenes), extends=extends)
+
+
+def of_band_sweep(sweep: MultiBandSweep, command: str) -> Results:
+    """Return the results of a sweep of a camera of several bands beside the directories of the bands."""
+    return Results(command, sweep.name, band_sweep_hash(sweep), _OF_BANDS, bands_files(sweep))
 
 
 def of_sweep(sweep: Sweep, command: str, figures: bool) -> Results:

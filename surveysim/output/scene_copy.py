@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from surveysim.runtime.errors import SceneError
+from surveysim.scene.bands import TABLE, MultiBandScene
 from surveysim.scene.scene import Origin, Scene, scene_hash, scene_of
+from surveysim.telescope.diffraction import with_beam
 
 if TYPE_CHECKING:
     from surveysim.studies.sweep.axes import Sweep
+    from surveysim.studies.sweep.bands import MultiBandSweep
 
 SCENE_FILE = "scene.toml"
 COMMENT = "set for this run"
@@ -29,11 +32,21 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
         again = scene_of(scene.origin.path, scene.origin.text, tomllib.loads(scene.origin.text), scene.origin.overrides)
     except SceneError:
         return {}
-    return {SCENE_FILE: text.encode()} | files if scene_hash(again) == scene_hash(scene) else {}
+    # A prepared scene has the beam that the file leaves out.
+    same = scene_hash(with_beam(again)) == scene_hash(with_beam(scene))
+    return {SCENE_FILE: text.encode()} | files if same else {}
+
+
+def bands_files(scenes: "MultiBandScene | MultiBandSweep") -> dict[str, bytes]:
+    """As `scene_files`, of a camera of several bands."""
+    text, files = _self_contained(scenes.origin, scenes.name)
+    return {SCENE_FILE: text.encode()} | files
 
 
 def sweep_files(sweep: "Sweep") -> dict[str, bytes]:
-    """As `scene_files`, with the table [sweep]."""
+    """As `scene_files`, with the table [sweep]; none of one band, whose camera has them."""
+    if sweep.points[0].scene.band:
+        return {}
     text, files = _self_contained(sweep.origin, sweep.name)
     return {SCENE_FILE: text.encode()} | files
 
@@ -47,7 +60,7 @@ def _self_contained(origin: Origin, name: str) -> tuple[str, dict[str, bytes]]:
     if content.get("name") != name:
         changes[("name",)] = name
     tables: dict[str, bytes] = {}
-    for keys, value in _file_values(_with(content, changes)):
+    for keys, value in file_values(_with(content, changes)):
         changes[keys] = _relocated(value, str(keys[-1]).rpartition(".")[2], origin.path.parent, tables)
     if not changes:
         return origin.text, tables
@@ -56,12 +69,13 @@ def _self_contained(origin: Origin, name: str) -> tuple[str, dict[str, bytes]]:
     return _changed(origin.text, content, changes), tables
 
 
-def _file_values(content: Mapping[str, Any]) -> Iterator[tuple[Keys, Any]]:
+def file_values(content: Mapping[str, Any]) -> Iterator[tuple[Keys, Any]]:
     """Find the names of files in a scene, and lists of them in its sweep, with their keys."""
     from surveysim.scene.keys import file_keys
 
     sweep = content.get("sweep", {})
-    for key in file_keys():
+    bands = [f"{TABLE}.{name}." for name in content.get(TABLE, {})]
+    for key in (f"{band}{key}" for band in ("", *bands) for key in file_keys()):
         yield from _text_at(content, (), key.split("."))
         for axis, place in ((sweep, ("sweep",)), *((item, ("sweep", name)) for name, item in sweep.items())):
             if isinstance(axis, dict) and isinstance(axis.get(key), list):

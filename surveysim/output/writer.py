@@ -13,6 +13,13 @@ from mapmaker.files import atomic_write, write_ecsv
 from surveysim.output.tables import forecast_spectra, run_tables
 from surveysim.reduction.setup import Setup
 from surveysim.report.html.page import REPORT, write_report
+from surveysim.results.bands import (
+    MultiBandForecast,
+    MultiBandResult,
+    band_table,
+    forecast_entries,
+    multi_band_summary,
+)
 from surveysim.results.results import SurveyResult
 from surveysim.results.stages import left_out
 from surveysim.results.summary import summary
@@ -21,6 +28,7 @@ from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.table import Table
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import resolved, scene_hash
+from surveysim.studies.sweep.band_results import MultiBandSweepResult, band_sweep_summary
 from surveysim.studies.sweep.result import SweepResult, pairs
 from surveysim.studies.sweep.summary import sweep_summary
 from surveysim.studies.sweep.tables import pair_table, sweep_table
@@ -49,6 +57,28 @@ def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestre
     written += _write_maps(directory / "maps", result)
     written += [directory / name for name in timestreams]
     write_summary(directory, content, written, partial(_of_run, result) if figures else None)
+
+
+def write_bands(directory: Path, result: MultiBandResult) -> None:
+    """Write table, summary and report of all bands of a camera below `directory`; each band has results of its own."""
+    _write_of_bands(directory, multi_band_summary(result))
+
+
+def write_band_sweep(directory: Path, result: MultiBandSweepResult) -> None:
+    """As `write_bands`, of a sweep."""
+    _write_of_bands(directory, band_sweep_summary(result))
+
+
+def _write_of_bands(directory: Path, content: dict[str, Any]) -> None:
+    run = content["run"] | {"date": now()}
+    meta = {"temperature": "CMB", "seed": content["seed"], "scene_sha256": content["scene_sha256"]}
+    written = _write_table(directory / "bands.ecsv", band_table(content["bands"], meta))
+    write_summary(directory, content | made_by() | {"run": run}, [written])
+
+
+def write_band_forecasts(directory: Path, result: MultiBandForecast) -> None:
+    """Write bands.ecsv, the forecast of sigma(A) in each band of a camera."""
+    _write_table(directory / "bands.ecsv", band_table(forecast_entries(result), {"temperature": "CMB"}))
 
 
 def _of_run(result: SurveyResult) -> Drawings:

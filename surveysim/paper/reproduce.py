@@ -122,7 +122,7 @@ def _run_makers(
     names: list[str], out: Path, scene: Scene, *, engine: Engine, progress: Callable[[], None]
 ) -> list[tuple[str, Callable[[], list[Path]]]]:
     """Functions that make the items of one run; the first that is called starts the run."""
-    from surveysim.api import run
+    from surveysim.api import run_survey
 
     counted = 0
 
@@ -132,7 +132,7 @@ def _run_makers(
             progress()
         counted = sums.done
 
-    result = cache(lambda: run(scene, engine=engine, progress=count))
+    result = cache(lambda: run_survey(scene, engine=engine, progress=count))
     return [(name, partial(_write_scored, name, out, result)) for name in names]
 
 

@@ -28,7 +28,7 @@ class AnalysisSetup:
     pipelines
         Cleaning pipelines, the scene's own first and those of the masked array last.
     calibration
-        Responsivities (1 + n_band, n_det) that cleaning takes as known; None where it fits them.
+        Responsivities (n_band, n_det) that cleaning takes as known, its own band first; None where it fits them.
     masked
         Indices of the detectors of the masked array; None without one.
     n_det
@@ -99,11 +99,6 @@ class AnalysisSetup:
     def chooses(self) -> bool:
         """Return whether the best pipeline of each observation makes a data set of its own."""
         return self.scene.score is not None and len(self.whole_pipelines) > 1
-
-    @property
-    def subtracts_bands(self) -> bool:
-        """Return whether a pipeline needs the other bands of the pixels."""
-        return any(pipeline.uses("spectral") for pipeline in self.pipelines)
 
     @property
     def uses_wind(self) -> bool:

@@ -1,12 +1,14 @@
 """Consistency of the sections of a scene: errors that depend on the camera or the map."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
 from mapmaker.bandpower import flat_spectrum_psd
 from mapmaker.geometry import MapGeometry, check_nside, plane_offsets
 from mapmaker.stream_psd import highest_frequency
+from mapmaker.timestreams import FocalPlane
 from mapmaker.transfer_function import beam_window
 from mapmaker.wind import HIGHEST_HZ, LEAST_CYCLES, MIN_SCANS
 from surveysim.atmosphere.water import wettest_mm
@@ -68,6 +70,28 @@ def check_templates(scene: Scene, cam: Camera) -> None:
                 f" {scene.scan.sample_rate_hz:g} Hz; {LEAST_CYCLES / HIGHEST_HZ:g} s or more at more than"
                 f" {2 * HIGHEST_HZ:g} Hz are expected to measure it"
             )
+
+
+def check_bands(scene: Scene, cameras: Mapping[str, Camera]) -> None:
+    """Raise SceneError for a cleaning that subtracts other bands, without bands of the same pixels."""
+    if "spectral" not in scene.cleaning.named:
+        return
+    if not scene.others:
+        raise SceneError("cleaning.algorithm: found 'spectral'; it needs tables [bands.NAME] of the same pixels")
+    plane = cameras[scene.band_name].focal_plane
+    for other in scene.others:
+        found = cameras[other.band_name].focal_plane
+        if not _is_one_place(plane, found):
+            raise SceneError(
+                f"cleaning.algorithm: found 'spectral' with {len(plane.x_rad)} detectors in band {scene.band_name} and"
+                f" {len(found.x_rad)} in {other.band_name}; the same positions in all bands are expected"
+            )
+
+
+def _is_one_place(plane: FocalPlane, other: FocalPlane) -> bool:
+    """Return whether detectors of two bands are at the same positions, to 1e-6 of the extent."""
+    here, there = (np.stack([item.x_rad, item.y_rad]) for item in (plane, other))
+    return here.shape == there.shape and bool(np.abs(here - there).max() <= 1e-6 * np.abs(here).max())
 
 
 def check_size(scene: Scene, n_det: int, extent_rad: float) -> None:

@@ -67,10 +67,11 @@ def add_simulated(
     for block, kept in zip(setup.observing.blocks, kept_scans, strict=True):
         pointing = whole.scans(block.first, block.end)
         angle, bounds = pointing.array_angle_rad[pointing.scan], scan_bounds(pointing.scan)
-        names = setup.scene.score.noise_only_sets
+        scene, names = setup.scene, setup.scene.score.noise_only_sets
+        purposes = [NOISE_ONLY_SETS[name].purpose for name in names]
         deviates = [
-            normal_deviates(setup.scene.seed, NOISE_ONLY_SETS[name].purpose, observation, block=block.number)
-            for name in names
+            normal_deviates(scene.seed, purpose, observation, block=block.number, band=scene.band_name)
+            for purpose in purposes
         ]
         for rows in row_chunks(setup.camera.n_det, len(pointing.time_s)):
             weight = None if setup.analysis.weight is None else setup.analysis.weight[rows]

@@ -31,7 +31,7 @@ from surveysim.runtime.once import keep_last
 from surveysim.scene.analysis import Cleaning
 from surveysim.telescope.pointing import Pointing
 from surveysim.telescope.scans import Scans, samples_per_scan
-from surveysim.timestreams.observation import DrawnBlock, Stopwatch, draw_block, draw_other_bands
+from surveysim.timestreams.observation import DrawnBlock, Stopwatch, draw_band, draw_block
 from surveysim.timestreams.observed_block import observation_weather
 from surveysim.timestreams.response import write_sky_signal
 from surveysim.timestreams.scan_blocks import Block
@@ -217,7 +217,7 @@ def _reduce(
         pixels = boresight_pixels(setup.analysis.geometry, pointing.xi_rad, pointing.eta_rad, angle, plane=plane)
         index = tuple(pixels[pipeline.rows] for pipeline in setup.analysis.pipelines)
     with watch("wind"):
-        bands = _other_bands(setup, observation, whole, block)
+        bands = _other_bands(setup, observation, whole, block, streams.data_mk)
         delays = block_delays(setup, streams) if delays_s_rad is None else delays_s_rad[block.first : block.end]
         auxiliary = AuxiliaryData(delays, bands, setup.analysis.calibration)
     section, rate = setup.scene.cleaning, setup.observing.scans.sample_rate_hz
@@ -230,12 +230,12 @@ def _reduce(
     return _Part(setup, observation, block, pointing, streams, index, auxiliary, tuple(cleaned))
 
 
-def _other_bands(setup: Setup, observation: int, whole: Pointing, block: Block) -> np.ndarray:
-    """Draw the other bands where a pipeline subtracts them; (0, n_det, n_samp) elsewhere."""
-    if setup.analysis.subtracts_bands:
-        return draw_other_bands(setup, observation, whole, block)
-    samples = setup.observing.samples(block)
-    return np.zeros((0, setup.camera.n_det, samples.stop - samples.start), setup.stream_type)
+def _other_bands(setup: Setup, observation: int, whole: Pointing, block: Block, data_mk: np.ndarray) -> np.ndarray:
+    """Draw the other bands (n_band, n_det, n_samp) that a pipeline subtracts, of the type of the streams `data_mk`."""
+    streams = np.empty((len(setup.others), *data_mk.shape), data_mk.dtype)
+    for band, out in zip(setup.others, streams, strict=True):
+        out[:] = draw_band(band, observation, whole, block)
+    return streams
 
 
 def _clean(

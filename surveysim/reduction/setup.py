@@ -3,6 +3,7 @@
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from surveysim.atmosphere.weather import Water, site_water
 from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline, pipelines
 from surveysim.reduction.consistency import (
+    check_bands,
     check_excess,
     check_healpix,
     check_levels,
@@ -29,15 +31,15 @@ from surveysim.reduction.detector_weights import beams_of, detector_weights
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.scored_region import padded_side, patch_side
 from surveysim.runtime.errors import InputError, SceneError
-from surveysim.scene.instrument import Instrument, OtherBand
+from surveysim.scene.bands import errors_of
 from surveysim.scene.scene import Scene
 from surveysim.telescope.diffraction import with_beam
-from surveysim.telescope.focal_plane import Camera, camera, mask_by_separation
+from surveysim.telescope.focal_plane import Camera, CameraExtent, camera, camera_extent, mask_by_separation
 from surveysim.telescope.noise_levels import stop_emits
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.pointing import Schedule
-from surveysim.telescope.responsivity import assumed_responsivity, band_responsivity, camera_responsivity
-from surveysim.telescope.scan_pattern import scan_pattern
+from surveysim.telescope.responsivity import assumed_responsivity, camera_responsivity
+from surveysim.telescope.scan_pattern import ScanPattern, scan_pattern
 from surveysim.telescope.scans import Scans, mid_times, samples_per_scan
 from surveysim.telescope.table_checks import check_table
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
@@ -56,12 +58,19 @@ SAMPLE_S = 8e-8  # of a detector-sample, about
 SIGNAL_SIMS = 1.2  # time of the signal simulations of an observation, about, in that of its other work
 QUICK_S = 1.5
 
+if TYPE_CHECKING:
+    from surveysim.atmosphere.screen_simulation import SlantStrips
+
 
 @dataclass(frozen=True)
 class Setup(Simulation):
-    """A scene made ready to draw and to analyse: camera, observing, air, sky and analysis."""
+    """A scene made ready to draw and to analyse: camera, observing, air, sky and analysis.
+
+    `others` are the other bands of the camera, made ready to draw; none unless a pipeline subtracts them.
+    """
 
     analysis: AnalysisSetup
+    others: tuple[Simulation, ...] = ()
 
     @property
     def key(self) -> Hashable:
@@ -73,39 +82,74 @@ class Setup(Simulation):
 def prepare(scene: Scene) -> Setup:
     """Make a scene ready. Raises SceneError when the scene can't be run, with key, found and allowed."""
     try:
-        return _prepare(with_beam(scene))
+        return _prepare(_with_beams(scene))
     except SceneError:
         raise
     except InputError as error:
         raise SceneError(str(error)) from None
 
 
-def _prepare(scene: Scene) -> Setup:
-    cam = camera(scene.instrument, scene.seed)
+def _with_beams(scene: Scene) -> Scene:
+    """Fill in the beams of all bands where they follow from the aperture."""
+    own, others = with_beam(scene), []
+    for item in scene.others:
+        with errors_of(item, scene):
+            others.append(with_beam(item))
+    band = scene.band and scene.band.model_copy(update={"others": tuple(others)})
+    return own.model_copy(update={"band": band}) if others else own
+
+
+@dataclass(frozen=True)
+class _Common:
+    """Parts of a scene that are the same in all bands of its camera."""
+
+    cameras: dict[str, Camera]
+    extent: CameraExtent
+    pattern: ScanPattern
+    scans: Scans
+    n_streams: int
+    blocks: tuple[Block, ...]
+    geometry: MapGeometry
+    sky_geometry: MapGeometry
+    times: Schedule | None
+    seasons: tuple[Season, ...] | None
+    strips: "SlantStrips | None"
+
+
+def _common(scene: Scene) -> _Common:
+    bands = {item.band_name: item for item in (scene, *scene.others)}  # the first error is the band's own
+    cameras: dict[str, Camera] = {}
+    for name, item in bands.items():
+        with errors_of(item, scene):
+            cameras[name] = camera(item.instrument, item.seed)
+            check_table(item, cameras[name])
+    extent = camera_extent([cameras[name] for name in sorted(cameras)])  # to the last bit the same in all bands
     pattern = scan_pattern(scene.scan)
     scans = pattern.scans(scene.scan)
-    extent = pattern.extent_rad(scans) + scans.dither_rad / 2 + cam.radius_rad
-    n_det = len(cam.focal_plane.x_rad)
-    check_templates(scene, cam)
-    check_size(scene, n_det, extent)
-    geometry = _geometry(scene, extent, scene.map.pixel_rad)
-    # Half a map pixel holds the beam's multipoles with room to spare.
-    sky_geometry = _geometry(scene, extent, scene.map.pixel_rad / 2)
-    masked = None
-    if scene.score and scene.score.mask_separation_f_lambda:
-        masked = mask_by_separation(cam.positions_f_lambda, scene.score.mask_separation_f_lambda)
-        check_masked(scene, masked)
-    check_score(scene, geometry, scans)
-    check_healpix(scene)
-    check_excess(scene)
-    check_sky(scene, sky_geometry)
-    scene_pipelines = pipelines(scene.cleaning, masked)
-    check_table(scene, cam)
-    responsivity, of_bands = camera_responsivity(scene, cam), band_responsivity(scene, n_det)
-    times, water = observing_schedule(scene, scans), _water(scene, scene.instrument)
-    lowest = _lowest(scene, cam, times, mid_times(scans))
-    levels = check_levels(scene, water, lowest)
-    check_sources(scene, sky_geometry)
+    reach = pattern.extent_rad(scans) + scans.dither_rad / 2 + extent.radius_rad
+    for name, item in bands.items():
+        with errors_of(item, scene):
+            check_size(item, cameras[name].n_det, reach)
+    n_streams = max(_streams(item, cameras[name]) for name, item in bands.items())
+    times = observing_schedule(scene, scans)
+    return _Common(
+        cameras,
+        extent,
+        pattern,
+        scans,
+        n_streams,
+        _blocks(scene, n_streams, scans),
+        _geometry(scene, reach, scene.map.pixel_rad),
+        # Half a map pixel holds the beam's multipoles with room to spare.
+        _geometry(scene, reach, scene.map.pixel_rad / 2),
+        times,
+        _seasons(scene, times),
+        layer_strips(scene, extent),
+    )
+
+
+def _simulation(scene: Scene, common: _Common) -> Simulation:
+    cam = common.cameras[scene.band_name]
     cam_setup = CameraSetup(
         cam.focal_plane,
         cam.f_lambda_rad,
@@ -115,40 +159,79 @@ def _prepare(scene: Scene) -> Setup:
         cam.counts,
         cam.band,
         cam.polarizations,
-        responsivity=responsivity,
-        band_responsivity=of_bands,
+        responsivity=camera_responsivity(scene, cam),
         photon=scene.photon,
         excess=scene.excess,
         stop_emits=stop_emits(scene),
     )
-    weight = detector_weights(cam_setup, levels)
-    waters = tuple(_water(scene, band) for band in scene.instrument.bands)
-    air = AirSetup(layer_strips(scene, cam), water, waters, _seasons(scene, times))
-    calibration = assumed_responsivity(scene, np.vstack([responsivity[None], of_bands]))
-    setup = Setup(
+    all_bands = common.extent.focal_plane if len(common.cameras) > 1 else None
+    return Simulation(
         scene=scene,
         camera=cam_setup,
-        observing=ObservingSetup(scene, pattern, scans, _blocks(scene, n_det, scans, scene_pipelines)),
-        air=air,
-        sky=SkySetup(scene, sky_geometry, tuple(cam_setup.beams.fwhm_rad.tolist())),
+        observing=ObservingSetup(scene, common.pattern, common.scans, common.blocks),
+        air=AirSetup(common.strips, _water(scene), common.seasons, all_bands),
+        sky=SkySetup(scene, common.sky_geometry, tuple(cam_setup.beams.fwhm_rad.tolist())),
+    )
+
+
+def _prepare(scene: Scene) -> Setup:
+    common = _common(scene)
+    cam, scans, geometry = common.cameras[scene.band_name], common.scans, common.geometry
+    check_templates(scene, cam)
+    check_bands(scene, common.cameras)
+    masked = None
+    if scene.score and scene.score.mask_separation_f_lambda:
+        masked = mask_by_separation(cam.positions_f_lambda, scene.score.mask_separation_f_lambda)
+        check_masked(scene, masked)
+    check_score(scene, geometry, scans)
+    check_healpix(scene)
+    check_excess(scene)
+    check_sky(scene, common.sky_geometry)
+    scene_pipelines = pipelines(scene.cleaning, masked)
+    _check_blocks(scene, common, scene_pipelines)
+    drawn = _simulation(scene, common)
+    lowest = _lowest(scene, cam, common.times, mid_times(scans))
+    weight = detector_weights(drawn.camera, check_levels(scene, drawn.air.water, lowest))
+    check_sources(scene, common.sky_geometry)
+    others = _others(scene, common) if "spectral" in scene.cleaning.named else ()
+    calibration = _calibration(scene, (drawn, *others))
+    setup = Setup(
+        **vars(drawn),
         analysis=AnalysisSetup(
             scene,
             geometry,
-            sky_geometry,
+            common.sky_geometry,
             scene_pipelines,
             calibration,
             masked,
-            n_det,
+            drawn.camera.n_det,
             weight,
-            beams_of(cam_setup, weight),
+            beams_of(drawn.camera, weight),
         ),
+        others=others,
     )
-    _ = setup.camera.photon_coherence
-    if setup.camera.n_det > MOST_DENSE:
-        _check_torus(setup.camera)
-    elements = check_layer(scene, air, radius_rad=cam.radius_rad, scans=scans, lowest_rad=lowest)
+    for item in (drawn, *others):
+        _ = item.camera.photon_coherence
+        if item.camera.n_det > MOST_DENSE:
+            _check_torus(item.camera)
+    radius = common.extent.radius_rad
+    elements = check_layer(scene, drawn.air, radius_rad=radius, scans=scans, lowest_rad=lowest)
     check_memory(needed_memory(scene, _sizes(setup, elements)))
     return setup
+
+
+def _others(scene: Scene, common: _Common) -> tuple[Simulation, ...]:
+    found = []
+    for item in scene.others:
+        with errors_of(item, scene):
+            found.append(_simulation(item, common))
+    return tuple(found)
+
+
+def _calibration(scene: Scene, bands: tuple[Simulation, ...]) -> np.ndarray | None:
+    """Responsivities (n_band, n_det) that cleaning assumes, its own band first; None where it fits them."""
+    known = [assumed_responsivity(scene.cleaning, band.scene, band.camera.responsivity) for band in bands]
+    return None if known[0] is None else np.stack(known)
 
 
 def _check_torus(cam: CameraSetup) -> None:
@@ -164,7 +247,7 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
         n_det=setup.camera.n_det,
         n_samp=samples_per_scan(setup.observing.scans),
         n_scans=max(block.n_scans for block in setup.observing.blocks),
-        n_bands=1 + len(scene.instrument.bands) * setup.analysis.subtracts_bands,
+        n_bands=1 + len(setup.others),
         n_pixel=geometry.n_x * geometry.n_y,
         n_patch=patch_side(scene.score.size_rad, geometry) if scored else 0,
         n_pad=padded_side(scene.score.size_rad, geometry) if scored else 0,
@@ -177,23 +260,32 @@ def _sizes(setup: Setup, strip_elements: int) -> Sizes:
     )
 
 
-def _blocks(scene: Scene, n_det: int, scans: Scans, scene_pipelines: tuple[CleaningPipeline, ...]) -> tuple[Block, ...]:
-    """Blocks of an observation; raises SceneError for pipelines that need an observation whole."""
-    n_samp, most = samples_per_scan(scans), scene.numerics.max_block_bytes
-    bands = len(scene.instrument.bands) * any(pipeline.uses("spectral") for pipeline in scene_pipelines)
+def _streams(scene: Scene, cam: Camera) -> int:
+    """Count the time-streams that the cleaning of one band takes together, those of other bands too."""
+    return cam.n_det * (1 + len(scene.others) * ("spectral" in scene.cleaning.named))
+
+
+def _scan_bytes(n_streams: int, scans: Scans) -> int:
     # In single precision for any type of the streams, so that draws do not depend on it.
-    scan_bytes = n_det * n_samp * (1 + bands) * np.dtype(np.float32).itemsize
-    key = f"numerics.max_block_memory: found {most / 1e6:.4g} MB"
-    found = scan_blocks(scans.n_scans, scan_bytes, most)
+    return n_streams * samples_per_scan(scans) * np.dtype(np.float32).itemsize
+
+
+def _blocks(scene: Scene, n_streams: int, scans: Scans) -> tuple[Block, ...]:
+    return scan_blocks(scans.n_scans, _scan_bytes(n_streams, scans), scene.numerics.max_block_bytes)
+
+
+def _check_blocks(scene: Scene, common: _Common, scene_pipelines: tuple[CleaningPipeline, ...]) -> None:
+    """Raise SceneError for pipelines that need an observation whole where it is cut into blocks."""
     together = scene.cleaning.responsivities == OBSERVATION and any(
         pipeline.takes_responsivities for pipeline in scene_pipelines
     )
-    if len(found) > 1 and together:
+    if len(common.blocks) > 1 and together:
+        whole = _scan_bytes(common.n_streams, common.scans) * common.scans.n_scans
         raise SceneError(
-            f"{key}, which cuts an observation into {len(found)} blocks; cleaning.responsivities 'observation' needs "
-            f"it whole: {scan_bytes * scans.n_scans / 1e6:.4g} MB or more is expected, or 'survey' in its place"
+            f"numerics.max_block_memory: found {scene.numerics.max_block_bytes / 1e6:.4g} MB, which cuts an observation"
+            f" into {len(common.blocks)} blocks; cleaning.responsivities 'observation' needs it whole:"
+            f" {whole / 1e6:.4g} MB or more is expected, or 'survey' in its place"
         )
-    return found
 
 
 def _geometry(scene: Scene, extent_rad: float, pixel_rad: float) -> MapGeometry:
@@ -207,9 +299,9 @@ def _lowest(scene: Scene, cam: Camera, times: Schedule | None, mid_time_s: np.nd
     return check_motion(scene, cam, observing_site(scene), times, mid_time_s)
 
 
-def _water(scene: Scene, band: Instrument | OtherBand) -> Water | None:
+def _water(scene: Scene) -> Water | None:
     place = scene.place
-    return None if place is None else site_water(scene.atmosphere, place, band.band)
+    return None if place is None else site_water(scene.atmosphere, place, scene.instrument.band)
 
 
 def _seasons(scene: Scene, times: Schedule | None) -> tuple[Season, ...] | None:

@@ -58,7 +58,7 @@ def left_out(setup: Setup) -> dict[str, str]:
         reasons["opacity"] = "no atmosphere.site"
     if not any(section and section.coherence != "none" for section in (scene.photon, scene.excess)):
         reasons["overlap"] = "no noise that is common to detectors"
-    if scene.instrument.bands and not setup.analysis.subtracts_bands:
+    if scene.others and not setup.others:
         reasons["other bands"] = "no pipeline subtracts them"
     if scene.score is None:
         reasons |= dict.fromkeys(("transfer function", "forecast", "best pipeline"), "no section [score]")

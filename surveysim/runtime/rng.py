@@ -1,4 +1,4 @@
-"""Random numbers keyed by seed, realization, observation, purpose and block.
+"""Random numbers keyed by seed, realization, observation, purpose, block and band.
 
 Draws of one purpose do not depend on other stages (photon and detector noise are one), on the number of workers, or on
 the order of observations. Noise is made of `NormalDeviates`, at a tenth of the cost of numpy's. Scalars come from a
@@ -75,15 +75,27 @@ def _is_single(out: np.ndarray) -> bool:
 
 
 def normal_deviates(
-    seed: int, purpose: RandomPurpose | str, observation: int = 0, *, realization: int = 0, block: int = 0
+    seed: int,
+    purpose: RandomPurpose | str,
+    observation: int = 0,
+    *,
+    realization: int = 0,
+    block: int = 0,
+    band: str = "",
 ) -> NormalDeviates:
     """Make the normal deviates of one purpose; parameters as for `generator`."""
-    words = _seed_sequence(seed, purpose, observation, realization, block).generate_state(4)
+    words = _seed_sequence(seed, purpose, observation, (realization, block), band).generate_state(4)
     return NormalDeviates(tuple(words.tolist()))
 
 
 def generator(
-    seed: int, purpose: RandomPurpose | str, observation: int = 0, *, realization: int = 0, block: int = 0
+    seed: int,
+    purpose: RandomPurpose | str,
+    observation: int = 0,
+    *,
+    realization: int = 0,
+    block: int = 0,
+    band: str = "",
 ) -> np.random.Generator:
     """Make the random generator of one purpose in one observation and realization.
 
@@ -95,12 +107,21 @@ def generator(
         Purpose of the random numbers. A new stream component takes its own name, whose hash is its number.
     observation, realization, block
         Indices from 0. Block 0 is not part of the key.
+    band
+        Name of the band of a camera, for numbers that bands do not share. An empty name is not part of the key.
     """
-    return np.random.Generator(np.random.SFC64(_seed_sequence(seed, purpose, observation, realization, block)))
+    sequence = _seed_sequence(seed, purpose, observation, (realization, block), band)
+    return np.random.Generator(np.random.SFC64(sequence))
 
 
 def _seed_sequence(
-    seed: int, purpose: RandomPurpose | str, observation: int, realization: int, block: int
+    seed: int, purpose: RandomPurpose | str, observation: int, realization_block: tuple[int, int], band: str
 ) -> np.random.SeedSequence:
-    number = int.from_bytes(sha256(purpose.encode()).digest()[:8]) if isinstance(purpose, str) else int(purpose)
-    return np.random.SeedSequence(seed, spawn_key=(realization, observation, number, *((block,) if block else ())))
+    realization, block = realization_block
+    number = _number(purpose) if isinstance(purpose, str) else int(purpose)
+    own = (*((block,) if block else ()), *((_number(band),) if band else ()))
+    return np.random.SeedSequence(seed, spawn_key=(realization, observation, number, *own))
+
+
+def _number(name: str) -> int:
+    return int.from_bytes(sha256(name.encode()).digest()[:8])

@@ -49,9 +49,14 @@ class Cleaning(Section):
     regions: Annotated[int, *whole(1, 1000)] | None = None
     """Required by "polynomial": number of regions of the focal plane with separate polynomials."""
 
+    @property
+    def named(self) -> frozenset[str]:
+        """Names of all algorithms, of `compare` too."""
+        return frozenset(name for steps in (self.algorithm, *self.compare) for name in steps)
+
     @model_validator(mode="after")
     def _each_algorithm_has_its_keys(self) -> Self:
-        named = {name for steps in (self.algorithm, *self.compare) for name in steps}
+        named = self.named
         for key, algorithm in (
             ("sigma_cut", "pca"),
             ("neighbour_radius", "local"),
@@ -73,7 +78,7 @@ class Cleaning(Section):
                 )
         return self
 
-    def _check_responsivities(self, named: set[str]) -> None:
+    def _check_responsivities(self, named: frozenset[str]) -> None:
         """Raise ValueError where a key about responsivities is missing, or would do nothing."""
         from mapmaker.cleaning import TEMPLATE_CLEANINGS
 

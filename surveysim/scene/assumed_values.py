@@ -11,7 +11,7 @@ def assumed_values(text: str) -> list[str]:
     """Return lines ``section.key = value: comment`` for comments that begin with "assumed" or "calibrated"."""
     section, found = "", []
     for line in text.splitlines():
-        if match := re.match(r"\s*\[\[?([\w.]+)\]", line):
+        if match := re.match(r"\s*\[\[?([\w.\-]+)\]", line):
             section = match[1] + "."
         elif comment := re.search(r"#\s*((?:assumed|calibrated).*)$", line):
             key, equals, value = line[: comment.start()].partition("=")

@@ -13,6 +13,7 @@ from surveysim.scene.similar_names import did_you_mean, similar_names
 from surveysim.scene.units import shown
 
 MAX_ERRORS = 30  # lines of an error
+HIDDEN_KEYS = ("assumed", "band")  # attributes of a scene that are no keys of its file
 _EXPECTED = {
     "model_type": "a section is expected",
     "tuple_type": "a list is expected",
@@ -101,4 +102,4 @@ def allowed_keys(location: Sequence[str | int], scene: type[BaseModel]) -> list[
         model = next((c for c in candidates if isinstance(c, type) and issubclass(c, Section)), None)
         if model is None:
             return []
-    return sorted(f.alias or k for k, f in model.model_fields.items() if k != "assumed")
+    return sorted(f.alias or k for k, f in model.model_fields.items() if k not in HIDDEN_KEYS)

@@ -14,7 +14,6 @@ from surveysim.scene.fields import (
     Bandwidth,
     BeamWidth,
     Line,
-    NoisePsd,
     PositiveAngle,
     Share,
     TableFile,
@@ -30,22 +29,6 @@ from surveysim.scene.section import Section
 from surveysim.scene.units import shown
 
 _FROM_APERTURE: dict[str, JsonValue] = {"otherwise": "that of `optics.aperture`"}
-
-
-class OtherBand(Section):
-    """Another frequency band of every pixel; its noise is white."""
-
-    frequency_hz: BandFrequency = Field(alias="frequency")
-    """Centre frequency of the band."""
-    bandwidth: Bandwidth
-    """Width of the band as a fraction of its centre frequency."""
-    psd_mk2_hz: NoisePsd = Field(alias="psd")
-    """One-sided white-noise PSD of a detector, in Rayleigh-Jeans temperature."""
-
-    @property
-    def band(self) -> Passband:
-        """Passband: a top hat."""
-        return top_hat(self.frequency_hz, self.bandwidth)
 
 
 # Illuminations, and the keys that one of them needs.
@@ -111,8 +94,6 @@ class Instrument(Section):
     table_band: Line | None = Field(alias="band", default=None)
     """Detectors of the table `positions` to simulate, by their value in its column `band`. Required where the table has
     several bands."""
-    bands: tuple[OtherBand, ...] = ()
-    """Other frequency bands of the same pixels, used by "spectral" cleaning."""
 
     @cached_property
     def band(self) -> Passband:

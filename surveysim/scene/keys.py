@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+from surveysim.scene.bands import TABLE
 from surveysim.scene.fields import FILE
 from surveysim.scene.scene import Scene
 from surveysim.scene.shipped import shipped_folder
@@ -191,9 +192,10 @@ def _default(item: Mapping[str, Any], required: bool) -> str:
 
 
 def scene_keys(content: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Return dotted names and values of all keys of a scene file, without its [sweep]."""
+    """Return names and values of all keys of a scene file, as those of a scene of one band; without its [sweep]."""
     names = {section.name for section in scene_sections()}
-    tables = [("", content)]
+    content = dict(content)
+    tables = [("", table) for table in (*content.pop(TABLE, {}).values(), content)]
     while tables:
         section, table = tables.pop(0)
         for name, value in table.items():

@@ -3,9 +3,10 @@
 from collections.abc import Mapping
 from typing import Any
 
-# Keys before version 0.4, and their names since then.
+# Former keys, and their present names.
 RENAMED = {
-    "instrument.colours": "instrument.bands",
+    "instrument.colours": "bands.NAME",
+    "instrument.bands": "bands.NAME",
     "instrument.camera_rotation": "instrument.camera_rotation_range",
     "atmosphere.index": "atmosphere.spectral_index",
     "atmosphere.fluctuation": "atmosphere.water_fluctuation",

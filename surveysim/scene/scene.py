@@ -23,7 +23,7 @@ from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.text_files import nested_deeper, one_line, read_text
 from surveysim.scene.analysis import Cleaning, MapSection, Score
 from surveysim.scene.assumed_values import assumed_of_site, assumed_values
-from surveysim.scene.error_lines import error_lines, unknown_key, validation_lines
+from surveysim.scene.error_lines import HIDDEN_KEYS, error_lines, unknown_key, validation_lines
 from surveysim.scene.fields import Line, whole
 from surveysim.scene.instrument import Instrument
 from surveysim.scene.noise_and_sky import ONE_NOISE, StreamSections
@@ -53,6 +53,13 @@ class Origin:
     overrides: dict[str, Any] = field(compare=False)
 
 
+class CameraBand(Section):
+    """Band of a camera of several: its name, and the scenes of the other bands, which have no others themselves."""
+
+    name: str
+    others: tuple["Scene", ...] = ()
+
+
 class ObservationSections(Section):
     """Keys of the run, and sections of the field, the observations and the instrument."""
 
@@ -80,7 +87,8 @@ class ObservationSections(Section):
 class Scene(StreamSections, ObservationSections):
     """A whole scene; a section that is left out leaves out its stage of the simulation.
 
-    `assumed` is not a key of the file: it lists the values whose comments call them assumed or calibrated.
+    Two attributes are no keys of the file. `assumed` lists the values whose comments call them assumed or calibrated.
+    `band` is set where the scene is that of one band of a camera (`surveysim.scene.bands`).
     """
 
     cleaning: Cleaning
@@ -89,12 +97,23 @@ class Scene(StreamSections, ObservationSections):
     """Without it there are maps, but no uncertainties."""
     numerics: Numerics = Numerics()
     assumed: SkipJsonSchema[tuple[str, ...]] = ()
+    band: SkipJsonSchema[CameraBand | None] = None
     _origin: Origin | None = PrivateAttr(None)
 
     @property
     def origin(self) -> Origin | None:
         """File that the scene was read from; None for a scene made otherwise."""
         return self._origin
+
+    @property
+    def band_name(self) -> str:
+        """Name of the band; empty for a camera of one."""
+        return self.band.name if self.band else ""
+
+    @property
+    def others(self) -> tuple["Scene", ...]:
+        """Scenes of the other bands of the camera."""
+        return self.band.others if self.band else ()
 
     @property
     def place(self) -> Place | None:
@@ -116,11 +135,6 @@ class Scene(StreamSections, ObservationSections):
             raise ValueError("excess.b2: found several values; without [atmosphere] one value is expected")
         if self.atmosphere and self.atmosphere.site and not self.instrument.band.width_hz:
             raise ValueError("instrument.bandwidth: missing; the opacity of a site needs the width of the band")
-        named = {name for steps in (self.cleaning.algorithm, *self.cleaning.compare) for name in steps}
-        if "spectral" in named and not self.instrument.bands:
-            raise ValueError("instrument.bands: missing; 'spectral' cleaning needs other bands of the pixels")
-        if self.instrument.bands and not (self.atmosphere and self.atmosphere.site):
-            raise ValueError("atmosphere.site: missing; the bands scale with each other by the opacity of a site")
         self._beam_is_known()
         self._load_is_given()
         self._power_is_known()
@@ -222,26 +236,43 @@ def read_scene(path: Path) -> tuple[str, dict]:
 
 def scene_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mapping[str, Any]) -> Scene:
     """Make the scene of a file that `read_scene` has read; errors as for `load_scene`."""
+    data = scene_data(path, text, content, overrides)
+    if "bands" in data:
+        raise SceneError(f"{path}: bands: found a camera of several bands; a scene without [bands] is expected here")
+    scene, wrong = validated(data, path.parent)
+    if scene is None:
+        raise SceneError(error_lines(path, wrong))
+    scene._origin = Origin(path.absolute(), text, dict(overrides))
+    return scene
+
+
+def scene_data(path: Path, text: str, content: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a file by key, as `validated` takes them: with overrides, name and assumed values."""
     data = deepcopy({key: value for key, value in content.items() if key != "sweep"})
-    if "assumed" in data or "assumed" in overrides:
-        raise SceneError(f"{path}: assumed: {unknown_key('assumed', Scene)}")
+    given = {key.partition(".")[0] for key in (*data, *overrides)}
+    for hidden in HIDDEN_KEYS:
+        if hidden in given:
+            raise SceneError(f"{path}: {hidden}: {unknown_key(hidden, Scene)}")
     assumed = {line: line.partition(" = ")[0] for line in assumed_values(text)}
     data["assumed"] = [line for line, key in assumed.items() if key not in overrides and not key.startswith("sweep.")]
     for key, value in overrides.items():
         _override(path, data, key, value)
-    air = data.get("atmosphere")
-    if isinstance(air, dict):
-        data["assumed"] += assumed_of_site(air if "site" not in data else {"site": OWN} | air)
-    if renamed := renamed_lines(data):
-        raise SceneError(error_lines(path, renamed))
     if "name" not in data:
         data["name"] = _name_of(path)
+    return data
+
+
+def validated(data: Mapping[str, Any], folder: Path) -> tuple[Scene | None, list[str]]:
+    """Check the values of a scene whose file is in `folder`; return the scene, or None and a line for each error."""
+    if renamed := renamed_lines(data):
+        return None, renamed
+    if isinstance(air := data.get("atmosphere"), dict):
+        of_site = assumed_of_site(air if "site" not in data else {"site": OWN} | air)
+        data = {**data, "assumed": [*data["assumed"], *of_site]}
     try:
-        scene = Scene.model_validate(data, context={"folder": path.parent})
-        scene._origin = Origin(path.absolute(), text, dict(overrides))
-        return scene
+        return Scene.model_validate(data, context={"folder": folder}), []
     except ValidationError as error:
-        raise SceneError(error_lines(path, validation_lines(error, Scene))) from None
+        return None, validation_lines(error, Scene)
 
 
 def _name_of(path: Path) -> str:
@@ -257,7 +288,7 @@ def _name_of(path: Path) -> str:
 
 def scene_hash(scene: Scene) -> str:
     """SHA-256 hash of everything that the results of a run depend on; title and comments do not count."""
-    return _hash(scene.model_dump(exclude={"title", "assumed"}))
+    return _hash(_content(scene, {"title": True, "assumed": True}))
 
 
 def survey_hash(scene: Scene) -> str:
@@ -266,7 +297,23 @@ def survey_hash(scene: Scene) -> str:
     Surveys of more observations, or nights, have the same; those of a single one compare pipelines otherwise.
     """
     excluded: dict[str, Any] = {"title": True, "assumed": True, "observations": True, "schedule": {"nights"}}
-    return _hash(scene.model_dump(exclude=excluded) | {"single": scene.observations == 1})
+    return _hash(_content(scene, excluded) | {"single": scene.observations == 1})
+
+
+def _content(scene: Scene, excluded: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of a scene without some keys; of other bands all that the results depend on."""
+    content = scene.model_dump(exclude={**excluded, "band": True})
+    if scene.band is None:
+        return content
+    return content | {"band": scene.band.name, "others": [_of_other(scene, other, excluded) for other in scene.others]}
+
+
+def _of_other(scene: Scene, other: Scene, excluded: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of another band: all where cleaning subtracts its streams, else those that size the common layer."""
+    if "spectral" in scene.cleaning.named:
+        return _content(other, excluded)
+    content = other.model_dump(include={"instrument", "optics"})
+    return content | {"spectral": "spectral" in other.cleaning.named}
 
 
 def _hash(content: dict[str, Any]) -> str:
@@ -277,7 +324,8 @@ def _hash(content: dict[str, Any]) -> str:
 
 def resolved(scene: Scene) -> str:
     """JSON text of a scene in internal units, with units in the names."""
-    return strict_json(scene.model_dump(mode="json"), indent=1, sort_keys=True)
+    bands = {"band": scene.band_name, "other_bands": [item.band_name for item in scene.others]} if scene.band else {}
+    return strict_json(scene.model_dump(mode="json", exclude={"band"}) | bands, indent=1, sort_keys=True)
 
 
 def _override(path: Path, data: dict, key: str, value: Any) -> None:

@@ -33,8 +33,8 @@ def common_with_others(cam: Camera, coherence: PixelCoherence, stop_share: float
     """Sum of the correlation with all other detectors, averaged over detectors, for noise that is all shared."""
     place, n_det = cam.positions_f_lambda, len(cam.focal_plane.x_rad)
     angle = cam.polarization_angle_rad if coherence.kind == "hbt" else None
-    if cam.hexagonal is not None and angle is None:
-        sums = pair_sums(cam.hexagonal.cells, cam.hexagonal.pitch_rad / cam.f_lambda_rad, coherence)
+    if cam.lattice is not None and angle is None:
+        sums = pair_sums(cam.lattice, cam.f_lambda_rad, coherence)
     else:
         sums = np.zeros(1)
         for rows in row_chunks(n_det, n_det):

@@ -1,6 +1,7 @@
 """Focal planes: detectors of layouts, wafers and tables, and masked detectors."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +27,7 @@ from surveysim.telescope.illumination import (
     TableIllumination,
     gaussian_horn,
 )
-from surveysim.telescope.layouts import HEXAGONAL, Lattice, placed_wafers
+from surveysim.telescope.layouts import Lattice, placed_wafers
 
 MAX_BEAMS = 8  # different beams of a camera: each takes a sky of its own
 MAX_PLACES = 1000
@@ -67,19 +68,36 @@ class Camera:
     polarizations: int | None = None
 
     @property
+    def n_det(self) -> int:
+        """Number of live detectors."""
+        return len(self.focal_plane.x_rad)
+
+    @property
     def positions_f_lambda(self) -> np.ndarray:
         """Positions (n_det, 2) in (f/#)lambda."""
         return np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad]) / self.f_lambda_rad
 
     @property
     def polarization_angle_rad(self) -> np.ndarray | None:
-        """Angles (n_det,) of detectors that absorb one polarization; None where they are not told or absorb both."""
-        return self.focal_plane.angle_rad if self.polarizations == 1 else None
+        """Angles (n_det,) of detectors that absorb one polarization; None where they have none, or absorb both."""
+        return None if self.polarizations == 2 else self.focal_plane.angle_rad
 
     @property
-    def hexagonal(self) -> Lattice | None:
-        """The one hexagonal lattice of all detectors; None for other cameras."""
-        return self.lattices[0] if len(self.lattices) == 1 and self.lattices[0].cosine == HEXAGONAL else None
+    def lattice(self) -> Lattice | None:
+        """The one lattice of all detectors; None for several wafers and tables."""
+        return self.lattices[0] if len(self.lattices) == 1 else None
+
+    @property
+    def gap_f_lambda(self) -> float:
+        """Distance of the closest detectors of two different wafers in (f/#)lambda; infinite for one."""
+        if len(self.lattices) < 2:
+            return math.inf
+        from scipy.spatial import cKDTree
+
+        ends = np.cumsum([len(lattice.cells) for lattice in self.lattices])[:-1]
+        wafers = np.split(self.positions_f_lambda, ends)
+        pairs = [(one, other) for number, one in enumerate(wafers) for other in wafers[:number]]
+        return min(float(cKDTree(one).query(other)[0].min()) for one, other in pairs)
 
     @property
     def radius_rad(self) -> float:
@@ -91,6 +109,34 @@ class Camera:
         """Separation of the closest pair of positions; 0 for a single one."""
         positions = np.unique(np.column_stack([self.focal_plane.x_rad, self.focal_plane.y_rad]), axis=0)
         return closest_pair(positions)[0] if len(positions) > 1 else 0.0
+
+
+@dataclass(frozen=True)
+class CameraExtent:
+    """Extent of the focal planes of all bands of a camera.
+
+    Attributes
+    ----------
+    focal_plane
+        Detectors of all bands; those of a camera of one band have no copy.
+    radius_rad
+        Distance of the outermost detector from the centre.
+    closest_rad
+        Separation of the closest pair of detectors of one band; 0 for single ones.
+    """
+
+    focal_plane: FocalPlane
+    radius_rad: float
+    closest_rad: float
+
+
+def camera_extent(bands: Sequence[Camera]) -> CameraExtent:
+    """Find the extent of the bands of a camera; it does not depend on their order."""
+    radius, closest = max(band.radius_rad for band in bands), min(band.closest_rad for band in bands)
+    if len(bands) == 1:
+        return CameraExtent(bands[0].focal_plane, radius, closest)
+    x, y = (np.concatenate([getattr(band.focal_plane, axis) for band in bands]) for axis in ("x_rad", "y_rad"))
+    return CameraExtent(FocalPlane(x, y, bands[0].focal_plane.fwhm_rad), radius, closest)
 
 
 def camera(section: InstrumentSection, seed: int) -> Camera:

@@ -1,4 +1,4 @@
-"""Correlated noise of overlapping pixels on a hexagonal lattice, without a matrix of all pairs.
+"""Correlated noise of overlapping pixels on lattices, without a matrix of all pairs.
 
 Circulant embedding (Dietrich and Newsam 1997, SIAM J. Sci. Comput. 18, 1088): the lattice, square in skewed
 coordinates, is embedded in a larger torus. Two cells of the torus have the correlation at their shortest separation
@@ -18,6 +18,7 @@ import numpy as np
 
 from surveysim.runtime.errors import OutOfRangeError
 from surveysim.runtime.rng import NormalDeviates
+from surveysim.telescope.layouts import Lattice
 from surveysim.telescope.pixel_coherence import PixelCoherence, part_weights
 
 # Largest error of a correlation between detectors. At 0.7 (f/#)lambda the field coherence of neighbours is 0.5.
@@ -110,12 +111,82 @@ class LatticePixels:
 
 
 @dataclass(frozen=True, eq=False)
+class WaferFactor:
+    """Square root of the correlation of detectors on several wafers, by the factor of each; wafers share nothing."""
+
+    parts: tuple[CirculantFactor, ...]
+
+    def fields(self, n: int, deviates: NormalDeviates, *, first: int = 0) -> Iterator[tuple[slice, np.ndarray]]:
+        """Draw fields as `CirculantFactor.fields`, the wafers side by side; each field takes consecutive deviates."""
+        from scipy.fft import fft2
+
+        sizes = [part.amplitude.size for part in self.parts]
+        total, ends = sum(sizes), np.cumsum(sizes)
+        step = max(1, _BATCH // total)
+        for start in range(0, n, step):
+            places = slice(start, min(start + step, n))
+            count = places.stop - start
+            modes = deviates.draw((count, total, 2), first=2 * (first + start) * total).view(np.complex64)[..., 0]
+            found = []
+            for part, own in zip(self.parts, np.split(modes, ends[:-1], axis=1), strict=True):
+                field = fft2(own.reshape(count, *part.amplitude.shape) * part.amplitude).reshape(count, -1)
+                found.append(field[:, part.cells].T)
+            yield places, np.concatenate(found)
+
+
+@dataclass(frozen=True, eq=False)
+class WaferCorrelation:
+    """Correlation of detectors on several wafers, which share nothing; `rows` are the detectors of each part."""
+
+    parts: tuple[CirculantCorrelation, ...]
+    rows: tuple[np.ndarray, ...]
+
+    def factor(self, share: float = 1.0) -> WaferFactor:
+        """Square root of ``share C + (1 - share) I``."""
+        return WaferFactor(tuple(part.factor(share) for part in self.parts))
+
+    def times(self, columns: np.ndarray) -> np.ndarray:
+        """Multiply C with columns (n_det, n_column), real or complex."""
+        product = np.empty_like(columns)
+        for part, rows in zip(self.parts, self.rows, strict=True):
+            product[rows] = part.times(columns[rows])
+        return product
+
+
+@dataclass(frozen=True, eq=False)
+class WaferPixels:
+    """Correlation of detectors on several wafers, by the wafers and their parts; detectors follow in their order."""
+
+    wafers: tuple[LatticePixels, ...]
+
+    def at(self, stop_share: float) -> WaferCorrelation:
+        """Correlation for one share of the stop."""
+        return WaferCorrelation(tuple(wafer.at(stop_share) for wafer in self.wafers), self._rows())
+
+    def columns(self, rows: np.ndarray | slice) -> list[WaferCorrelation]:
+        """Parts for some of the detectors."""
+        chosen = np.arange(sum(len(wafer.cells) for wafer in self.wafers))[rows]
+        places = [np.flatnonzero(np.isin(chosen, own)) for own in self._rows()]
+        of_wafers = zip(self.wafers, places, self._rows(), strict=True)
+        found = [wafer.columns(chosen[at] - own[0]) for wafer, at, own in of_wafers]
+        return [WaferCorrelation(parts, tuple(places)) for parts in zip(*found, strict=True)]
+
+    def _rows(self) -> tuple[np.ndarray, ...]:
+        counts = [len(wafer.cells) for wafer in self.wafers]
+        return tuple(np.split(np.arange(sum(counts)), np.cumsum(counts)[:-1]))
+
+
+LatticeFactor = CirculantFactor | WaferFactor
+LatticeCorrelation = CirculantCorrelation | WaferCorrelation
+
+
+@dataclass(frozen=True, eq=False)
 class NoiseCorrelation:
     """Matrix (n_det, n_det) of `torus` (None: zero), multiplied by `gain` (n_det,) on both sides, for products from the
     left.
     """
 
-    torus: CirculantCorrelation | None
+    torus: LatticeCorrelation | None
     gain: np.ndarray
 
     def __matmul__(self, columns: np.ndarray) -> np.ndarray:
@@ -124,26 +195,27 @@ class NoiseCorrelation:
         return gain * (gain * columns if self.torus is None else self.torus.times(gain * columns))
 
 
-def embed(cells: np.ndarray, pitch_f_lambda: float, coherence: PixelCoherence) -> LatticePixels:
-    """Find the smallest torus for detectors at lattice positions `cells` (n_det, 2) with an error within
-    `LARGEST_ERROR` of each part of `coherence`.
+def embed(lattice: Lattice, f_lambda_rad: float, coherence: PixelCoherence) -> LatticePixels:
+    """Find the smallest torus for the detectors of a lattice with an error within `LARGEST_ERROR` of each part of
+    `coherence`.
 
-    The lattice axes are 60 degrees apart. If a change of the optics changes the size of the torus, all draws change.
+    If a change of the optics changes the size of the torus, all draws change.
 
     Raises
     ------
     OutOfRangeError
         If a torus of 64 times the lattice's area is too small: for dense pixels with a sharp coherence.
     """
-    places = cells - cells.min(axis=0)
+    pitch_f_lambda, cosine = lattice.pitch_rad / f_lambda_rad, lattice.cosine
+    places = lattice.cells - lattice.cells.min(axis=0)
     span = places.max(axis=0) + 1
     lags = _lags(places, span)
-    wanted = coherence.parts(_length(lags) * pitch_f_lambda)
+    wanted = coherence.parts(_length(lags, cosine) * pitch_f_lambda)
     room, error = _ROOM, math.inf
     while room <= _MOST_SPANS:
         n_q, n_r = sizes = _sizes(span, room)
         seen = lags[:, 0] % n_q, lags[:, 1] % n_r
-        parts = coherence.parts(_distance(sizes) * pitch_f_lambda)
+        parts = coherence.parts(_distance(sizes, cosine) * pitch_f_lambda)
         values = np.stack([_eigenvalues(part, seen) for part in parts])
         error = float(np.abs(_correlation(values)[:, *seen] - wanted).max())
         if error <= LARGEST_ERROR:
@@ -155,11 +227,12 @@ def embed(cells: np.ndarray, pitch_f_lambda: float, coherence: PixelCoherence) -
     )
 
 
-def pair_sums(cells: np.ndarray, pitch_f_lambda: float, coherence: PixelCoherence) -> np.ndarray:
+def pair_sums(lattice: Lattice, f_lambda_rad: float, coherence: PixelCoherence) -> np.ndarray:
     """Sum (n_part,) of each part of the coherence over all pairs of two different detectors, both orders, exactly."""
-    places = cells - cells.min(axis=0)
+    places = lattice.cells - lattice.cells.min(axis=0)
     lags, pairs = _counted_lags(places, places.max(axis=0) + 1)
-    return coherence.parts(_length(lags) * pitch_f_lambda) @ pairs - len(cells)
+    separation = _length(lags, lattice.cosine) * (lattice.pitch_rad / f_lambda_rad)
+    return coherence.parts(separation) @ pairs - len(places)
 
 
 def _correlation(values: np.ndarray) -> np.ndarray:
@@ -184,11 +257,11 @@ def _eigenvalues(correlation: np.ndarray, seen: tuple[np.ndarray, np.ndarray]) -
     return values / values.mean()
 
 
-def _distance(sizes: tuple[int, int]) -> np.ndarray:
+def _distance(sizes: tuple[int, int], cosine: float) -> np.ndarray:
     """Shortest distance around a torus of (n_q, n_r) cells from its origin to each cell, in pitches."""
     steps = np.stack(np.meshgrid(*map(np.arange, sizes), indexing="ij"), axis=-1)
     turns = [(a * sizes[0], b * sizes[1]) for a in range(-2, 2) for b in range(-2, 2)]
-    return np.min([_length(steps + turn) for turn in turns], axis=0)
+    return np.min([_length(steps + turn, cosine) for turn in turns], axis=0)
 
 
 def _lags(places: np.ndarray, span: np.ndarray) -> np.ndarray:
@@ -207,10 +280,10 @@ def _counted_lags(places: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, np.
     return np.where(steps >= span, steps - 2 * span, steps), pairs[pairs > 0]
 
 
-def _length(steps: np.ndarray) -> np.ndarray:
-    """Length of vectors (..., 2) along axes 60 degrees apart, in pitches."""
+def _length(steps: np.ndarray, cosine: float) -> np.ndarray:
+    """Length of vectors (..., 2) along axes with this cosine of the angle between them, in pitches."""
     q, r = steps[..., 0], steps[..., 1]
-    return np.sqrt(q * q + q * r + r * r)
+    return np.sqrt(q * q + 2 * cosine * q * r + r * r)
 
 
 def _sizes(span: np.ndarray, room: float) -> tuple[int, int]:

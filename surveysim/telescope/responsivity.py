@@ -3,6 +3,7 @@
 import numpy as np
 
 from surveysim.runtime.rng import RandomPurpose, generator
+from surveysim.scene.analysis import Cleaning
 from surveysim.scene.scene import Scene
 from surveysim.telescope.focal_plane import Camera
 
@@ -14,28 +15,21 @@ def camera_responsivity(scene: Scene, cam: Camera) -> np.ndarray:
     return true_responsivity(scene, len(cam.focal_plane.x_rad))
 
 
-def band_responsivity(scene: Scene, n_det: int) -> np.ndarray:
-    """Draw the responsivity (n_band, n_det) of the detectors of the other bands, independently in each."""
-    bands = range(1, len(scene.instrument.bands) + 1)
-    return np.array([true_responsivity(scene, n_det, band) for band in bands]).reshape(len(bands), n_det)
-
-
-def true_responsivity(scene: Scene, n_det: int, realization: int = 0) -> np.ndarray:
-    """Draw the true responsivity (n_det,) of the mapped band, or of another band by its `realization`."""
-    scatter = generator(scene.seed, RandomPurpose.RESPONSIVITY, realization=realization).standard_normal(n_det)
+def true_responsivity(scene: Scene, n_det: int) -> np.ndarray:
+    """Draw the true responsivity (n_det,) of the detectors, independently in each band of a camera."""
+    rng = generator(scene.seed, RandomPurpose.RESPONSIVITY, band=scene.band_name)
     # Log-normal, so that a large scatter never turns a detector's sign; relative, so that their mean is 1.
-    responsivity = np.exp(scene.instrument.responsivity_scatter * scatter)
+    responsivity = np.exp(scene.instrument.responsivity_scatter * rng.standard_normal(n_det))
     return responsivity / responsivity.mean()
 
 
-def assumed_responsivity(scene: Scene, true: np.ndarray) -> np.ndarray | None:
-    """Draw the responsivities (n_band, n_det) that cleaning assumes; None where cleaning fits them."""
-    section = scene.cleaning
+def assumed_responsivity(section: Cleaning, scene: Scene, true: np.ndarray) -> np.ndarray | None:
+    """Draw the responsivities (n_det,) that a cleaning assumes in one band; None where it fits them."""
     if section.responsivities == "known":
         return true
     if section.responsivities != "survey":
         return None
-    rngs = (generator(scene.seed, RandomPurpose.CALIBRATION, realization=band) for band in range(len(true)))
-    error = np.array([rng.standard_normal(true.shape[1]) for rng in rngs])
+    rng = generator(scene.seed, RandomPurpose.CALIBRATION, band=scene.band_name)
+    error = rng.standard_normal(len(true))
     assumed = true * np.exp(section.calibration_error * error)  # log-normal, as the responsivities are
-    return assumed / assumed.mean(axis=1, keepdims=True)
+    return assumed / assumed.mean()

@@ -1,5 +1,7 @@
 """Consistency of a table of detectors with the other keys of a scene."""
 
+import numpy as np
+
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.detector_table import KEY
 from surveysim.scene.scene import Scene
@@ -19,6 +21,7 @@ def check_table(scene: Scene, cam: Camera) -> None:
         )
     if found.efficiency is not None:
         _check_efficiency(scene)
+    _check_pairs(scene, cam)
     duration = scene.scan.duration_s
     if found.time_constant_s is not None and not (longest := found.time_constant_s.max()) <= duration / 10:
         raise _refused(
@@ -29,6 +32,23 @@ def check_table(scene: Scene, cam: Camera) -> None:
     if found.beam_fwhm_rad is not None and scene.score and scene.score.mask_separation_f_lambda:
         raise _refused(
             scene, "beam_fwhm", "together with score.mask_separation_f_lambda, whose detectors have another mean beam"
+        )
+
+
+def _check_pairs(scene: Scene, cam: Camera) -> None:
+    """Refuse detectors at one position where photon noise would correlate them whatever their polarization."""
+    positions = np.column_stack([cam.focal_plane.x_rad, cam.focal_plane.y_rad])
+    if scene.photon is None or scene.photon.coherence == "none" or len(np.unique(positions, axis=0)) == len(positions):
+        return
+    if scene.photon.coherence != "hbt":
+        raise SceneError(
+            f"photon.coherence: found {scene.photon.coherence!r} for detectors that differ in polarization alone; 'hbt'"
+            " or 'none' is expected"
+        )
+    if scene.instrument.polarizations != 1:
+        raise SceneError(
+            f"instrument.polarizations: found {scene.instrument.polarizations} for detectors that differ in"
+            " polarization alone; 1 is expected"
         )
 
 

@@ -1,11 +1,11 @@
 """The atmosphere: a frozen layer that the wind moves through the beams."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mapmaker.geometry import sky_offsets
-from mapmaker.timestreams import scan_bounds
+from mapmaker.timestreams import FocalPlane, scan_bounds
 from surveysim.atmosphere.weather import Weather
 from surveysim.runtime.rng import RandomPurpose, normal_deviates
 from surveysim.telescope.pointing import Pointing, sky_vector
@@ -71,15 +71,19 @@ def add_layer(
     )
 
 
-def _layer_motion(setup: Simulation, pointing: Pointing, weather: Weather) -> dict[str, np.ndarray]:
+def _layer_motion(setup: Simulation, pointing: Pointing, weather: Weather) -> dict[str, Any]:
     """Compute offsets of detectors (n_scan, n_det, 2), velocities of boresight and layer (n_scan, 2), over sin(el)."""
     slant = 1 / np.sin(pointing.elevation_rad)[:, None]
-    offsets = np.stack(sky_offsets(setup.camera.focal_plane, pointing.array_angle_rad), axis=-1)
+
+    def offsets(plane: FocalPlane) -> np.ndarray:
+        return np.stack(sky_offsets(plane, pointing.array_angle_rad), axis=-1) * slant[:, None]
+
     layer = np.stack(sky_vector(pointing.parallactic_rad, *weather.wind_rad_s), axis=-1)
     return {
-        "offsets_rad": offsets * slant[:, None],
+        "offsets_rad": offsets(setup.camera.focal_plane),
         "velocity_rad_s": pointing.velocity_rad_s * slant,
         "layer_velocity_rad_s": layer * slant,
+        "extent_rad": None if setup.air.all_bands is None else offsets(setup.air.all_bands),
     }
 
 

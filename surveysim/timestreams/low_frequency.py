@@ -5,7 +5,7 @@ import numpy as np
 from mapmaker.chunks import row_chunks
 from surveysim.runtime.rng import NormalDeviates, RandomPurpose
 from surveysim.scene.noise_and_sky import Excess
-from surveysim.telescope.lattice_noise import CirculantFactor
+from surveysim.telescope.lattice_noise import LatticeFactor
 from surveysim.timestreams.noise import draw_from_psd, mode_amplitude
 from surveysim.timestreams.observed_block import ObservedBlock
 
@@ -69,7 +69,7 @@ def add_excess(
     variance_mk2: float,
     n_scans: int,
     sample_rate_hz: float,
-    factor: np.ndarray | CirculantFactor | None,
+    factor: np.ndarray | LatticeFactor | None,
     deviates: NormalDeviates,
 ) -> None:
     """Add the excess noise of whole scans to streams (n_det, n_samp), in place.
@@ -90,7 +90,7 @@ def add_excess(
     per_scan = n_samp // n_scans
     n = next_fast_len(2 * per_scan, real=True)
     psd = excess_psd(section, variance_mk2, per_scan, n, sample_rate_hz)
-    if isinstance(factor, CirculantFactor):
+    if isinstance(factor, LatticeFactor):
         amplitude = mode_amplitude(psd, n, sample_rate_hz)
         for scan in range(n_scans):
             samples = slice(scan * per_scan, (scan + 1) * per_scan)
@@ -111,7 +111,7 @@ def _add_lattice_scan(
     n: int,
     *,
     scan: int,
-    root: CirculantFactor,
+    root: LatticeFactor,
     deviates: NormalDeviates,
 ) -> None:
     """Add one scan, whose Fourier modes are fields on the lattice of the detectors, in place."""

@@ -6,7 +6,7 @@ One-sided PSDs throughout; streams are (n_det, n_samp) float32 with whole scans 
 import numpy as np
 
 from surveysim.runtime.rng import NormalDeviates
-from surveysim.telescope.lattice_noise import CirculantFactor
+from surveysim.telescope.lattice_noise import LatticeFactor
 
 
 def add_white(
@@ -32,12 +32,12 @@ def add_correlated_white(
     data_mk: np.ndarray,
     psd_mk2_hz: float | np.ndarray,
     sample_rate_hz: float,
-    factor: np.ndarray | CirculantFactor,
+    factor: np.ndarray | LatticeFactor,
     deviates: NormalDeviates,
 ) -> None:
     """Add white noise with the correlation ``factor factor^T``, in place; PSD as for `add_white`."""
     deviation = _deviation(psd_mk2_hz, len(data_mk), sample_rate_hz)
-    if isinstance(factor, CirculantFactor):
+    if isinstance(factor, LatticeFactor):
         n_samp = data_mk.shape[1]
         for places, fields in factor.fields((n_samp + 1) // 2, deviates):
             fields *= deviation.astype(np.float32)

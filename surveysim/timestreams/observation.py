@@ -11,13 +11,9 @@ import numpy as np
 from mapmaker.geometry import north_angle, plane_directions
 from mapmaker.kernels.compiled import compile_s, compile_timer
 from mapmaker.timestreams import FocalPlane, Timestreams, scan_bounds
-from surveysim.runtime.rng import RandomPurpose
 from surveysim.scene.scene import Scene, survey_hash
 from surveysim.telescope.pointing import Pointing
-from surveysim.telescope.scans import samples_per_scan
-from surveysim.timestreams.atmosphere import add_layer
 from surveysim.timestreams.component import StreamComponent, present_components
-from surveysim.timestreams.noise import add_white
 from surveysim.timestreams.observed_block import ObservedBlock, observation_weather, observed_block
 from surveysim.timestreams.response import apply_response
 from surveysim.timestreams.scan_blocks import Block
@@ -95,13 +91,17 @@ def draw_block(setup: Simulation, observation: int, whole: Pointing, block: Bloc
         Stopwatch that each component is timed with, under its name.
     """
     of = observed_block(setup, observation, block, whole)
-    data = np.zeros((setup.camera.n_det, len(of.pointing.time_s)), setup.stream_type)
-    components = present_components(setup.scene)
+    return DrawnBlock(of, _drawn(of, present_components(setup.scene), watch))
+
+
+def _drawn(of: ObservedBlock, components: Sequence[StreamComponent], watch: Stopwatch) -> np.ndarray:
+    """Draw the streams (n_det, n_samp) of a block: the components through the response, then those at its output."""
+    data = np.zeros((of.setup.camera.n_det, len(of.pointing.time_s)), of.setup.stream_type)
     _add([item for item in components if item.through_response], data, of, watch)
     with watch("response"):
-        apply_response(setup, data)
+        apply_response(of.setup, data)
     _add([item for item in components if not item.through_response], data, of, watch)
-    return DrawnBlock(of, data)
+    return data
 
 
 def _add(components: Sequence[StreamComponent], data: np.ndarray, of: ObservedBlock, watch: Stopwatch) -> None:
@@ -110,11 +110,10 @@ def _add(components: Sequence[StreamComponent], data: np.ndarray, of: ObservedBl
             item.add(data, of)
 
 
-def draw_other_bands(setup: Simulation, observation: int, whole: Pointing, block: Block) -> np.ndarray:
-    """Draw the streams of the other bands of the same detectors in one block.
+def draw_band(setup: Simulation, observation: int, whole: Pointing, block: Block) -> np.ndarray:
+    """Draw the streams of another band in one block: layer and noise, as a run of that band draws them.
 
-    Every band sees the layer of the mapped band, scaled by its response to water (section 3.3), and has white noise of
-    its own. Excess noise and sky are in the mapped band alone.
+    The sky is left out, because the simulated signals that measure transfer functions are in the mapped band alone.
 
     Parameters
     ----------
@@ -123,22 +122,10 @@ def draw_other_bands(setup: Simulation, observation: int, whole: Pointing, block
 
     Returns
     -------
-    (n_band, n_det, n_samp) array [mK]
+    (n_det, n_samp) array [mK]
     """
-    bands = setup.scene.instrument.bands
-    n_samp = block.n_scans * samples_per_scan(setup.observing.scans)
-    streams = np.zeros((len(bands), setup.camera.n_det, n_samp), setup.stream_type)
     of = observed_block(setup, observation, block, whole)
-    layer = np.zeros(streams.shape[1:], streams.dtype)
-    add_layer(setup, observation, whole, weather=of.weather, data=layer, block=block)
-    mapped = setup.air.water.response(of.weather.pwv_mm)
-    for number, (band, data) in enumerate(zip(bands, streams, strict=True)):
-        data[:] = layer
-        scale = np.sqrt(setup.air.band_waters[number].response(of.weather.pwv_mm) / mapped)
-        apply_response(setup, data, band=number + 1, gain=scale)
-        deviates = of.deviates(RandomPurpose.DETECTOR, realization=number + 1)
-        add_white(data, band.psd_mk2_hz, setup.observing.scans.sample_rate_hz, deviates)
-    return streams
+    return _drawn(of, [item for item in present_components(setup.scene) if item.name != "sky"], Stopwatch())
 
 
 @lru_cache(maxsize=2)  # one for all observations

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -42,16 +43,16 @@ class ObservedBlock:
         return _levels(self.setup, self.observation, self.weather)
 
     def generator(self, purpose: RandomPurpose | str, realization: int = 0) -> np.random.Generator:
-        """Create the random generator of one purpose in this block."""
-        return generator(
-            self.setup.scene.seed, purpose, self.observation, realization=realization, block=self.block.number
-        )
+        """Create the random generator of one purpose in this block, and in this band of the camera."""
+        return generator(self.setup.scene.seed, purpose, self.observation, realization=realization, **self._place)
 
     def deviates(self, purpose: RandomPurpose | str, realization: int = 0) -> NormalDeviates:
-        """Create the normal deviates of one purpose in this block."""
-        return normal_deviates(
-            self.setup.scene.seed, purpose, self.observation, realization=realization, block=self.block.number
-        )
+        """Create the normal deviates of one purpose in this block, and in this band of the camera."""
+        return normal_deviates(self.setup.scene.seed, purpose, self.observation, realization=realization, **self._place)
+
+    @property
+    def _place(self) -> dict[str, Any]:
+        return {"block": self.block.number, "band": self.setup.scene.band_name}
 
 
 def observed_block(setup: Simulation, observation: int, block: Block, whole: Pointing) -> ObservedBlock:

@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from surveysim.runtime.rng import RandomPurpose
-from surveysim.telescope.lattice_noise import CirculantFactor, LatticePixels
+from surveysim.telescope.lattice_noise import LatticeFactor, LatticePixels, WaferPixels
 from surveysim.telescope.pixel_coherence import DensePixels
 from surveysim.timestreams.noise import add_correlated_white, add_white
 from surveysim.timestreams.observed_block import ObservedBlock, white_of_block
@@ -50,8 +50,8 @@ def _add_parts(data_mk: np.ndarray, of: ObservedBlock) -> None:
 
 @lru_cache(maxsize=1)  # most scenes have one share for all observations
 def _shared_factor(
-    pixels: DensePixels | LatticePixels, stop_share: float, share: float
-) -> np.ndarray | CirculantFactor:
+    pixels: DensePixels | LatticePixels | WaferPixels, stop_share: float, share: float
+) -> np.ndarray | LatticeFactor:
     return pixels.at(stop_share).factor(share)
 
 

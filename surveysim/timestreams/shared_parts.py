@@ -11,8 +11,8 @@ from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.noise_and_sky import Photon
 from surveysim.scene.scene import Scene
-from surveysim.telescope.focal_plane import Camera
-from surveysim.telescope.lattice_noise import LatticePixels, embed
+from surveysim.telescope.focal_plane import Camera, CameraExtent
+from surveysim.telescope.lattice_noise import LatticePixels, WaferPixels, embed
 from surveysim.telescope.pixel_coherence import (
     MOST_DENSE,
     DensePixels,
@@ -43,31 +43,46 @@ def photon_coherence(cam: Camera, section: Photon, stop_emits: bool) -> PixelCoh
     )
 
 
+MOST_BETWEEN_WAFERS = 0.02  # largest correlation between wafers that is neglected, for many detectors
+
+
 # Correlations differ in their last bits between numbers of BLAS threads; a run must not depend on the machine's cores.
 @threadpool_limits.wrap(limits=1)
-def shared_noise(cam: Camera, coherence: PixelCoherence, name: str) -> DensePixels | LatticePixels | None:
+def shared_noise(cam: Camera, coherence: PixelCoherence, name: str) -> DensePixels | LatticePixels | WaferPixels | None:
     """Compute the correlation of a noise between pixels, by its parts; None where they share nothing."""
     if coherence.kind == "none":
         return None
     n_det = len(cam.focal_plane.x_rad)
-    angle = cam.polarization_angle_rad if coherence.kind == "hbt" else None
     if n_det <= MOST_DENSE:
+        angle = cam.polarization_angle_rad if coherence.kind == "hbt" else None
         return DensePixels(correlation_matrices(cam.positions_f_lambda, coherence, angle))
-    if cam.hexagonal is None:
+    if not cam.lattices:
         raise SceneError(
-            f"{name}.coherence: found {coherence.kind!r} for {n_det} detectors off a single hexagonal lattice; "
-            f"{MOST_DENSE} or fewer are expected, or an instrument.layout, whose lattice makes noise that more share, "
-            "or coherence 'none'"
+            f"{name}.coherence: found {coherence.kind!r} for the {n_det} detectors of a table; {MOST_DENSE} or fewer"
+            " are expected, or an instrument.layout or wafers, whose lattices make noise that more share, or coherence"
+            " 'none'"
         )
-    if angle is not None:
-        raise SceneError(
-            f"{name}.coherence: found 'hbt' for {n_det} detectors with polarization angles; {MOST_DENSE} or fewer are "
-            "expected"
-        )
+    _check_gap(cam, coherence, name)
     try:
-        return embed(cam.hexagonal.cells, cam.hexagonal.pitch_rad / cam.f_lambda_rad, coherence)
+        wafers = tuple(embed(lattice, cam.f_lambda_rad, coherence) for lattice in cam.lattices)
+        return wafers[0] if len(wafers) == 1 else WaferPixels(wafers)
     except OutOfRangeError as error:
         raise SceneError(f"{name}.coherence: {error}") from None
+
+
+def _check_gap(cam: Camera, coherence: PixelCoherence, name: str) -> None:
+    """Raise SceneError for wafers so close that their detectors share more than `MOST_BETWEEN_WAFERS`."""
+    gap = cam.gap_f_lambda
+    if not gap < math.inf:
+        return
+    beyond = float(np.abs(coherence.parts(gap + np.linspace(0, 3, 301))).max())
+    if beyond > MOST_BETWEEN_WAFERS:
+        raise SceneError(
+            f"{name}.coherence: found {coherence.kind!r} for more than {MOST_DENSE} detectors on wafers that are"
+            f" {gap:.3g} (f/#)lambda apart, whose detectors share up to {beyond:.2g} of the noise;"
+            f" {MOST_BETWEEN_WAFERS:g} or less is expected, as it is neglected: a larger gap, or coherence 'hbt' or"
+            " 'none'"
+        )
 
 
 def screen(scene: Scene) -> "Screen":
@@ -82,7 +97,7 @@ def screen(scene: Scene) -> "Screen":
         raise SceneError(f"atmosphere: {error}") from None
 
 
-def layer_strips(scene: Scene, cam: Camera) -> "SlantStrips | None":
+def layer_strips(scene: Scene, extent: CameraExtent) -> "SlantStrips | None":
     """Make the cache of strips of the layer, still empty; None without an atmosphere."""
     if scene.atmosphere is None:
         return None
@@ -90,7 +105,7 @@ def layer_strips(scene: Scene, cam: Camera) -> "SlantStrips | None":
 
     numerics = scene.numerics
     numbers = numerics.screen_step, numerics.interpolation, numerics.precision
-    return SlantStrips(screen(scene), cam.radius_rad, cam.closest_rad, *numbers)
+    return SlantStrips(screen(scene), extent.radius_rad, extent.closest_rad, *numbers)
 
 
 def scene_sky(scene: Scene, geometry: MapGeometry, fwhm_rad: tuple[float, ...]) -> np.ndarray | None:

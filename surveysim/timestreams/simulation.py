@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mapmaker.geometry import MapGeometry
+from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.water import Season
 from surveysim.atmosphere.weather import Water
 from surveysim.runtime.errors import OutOfRangeError, SceneError
@@ -21,7 +22,7 @@ from surveysim.scene.scene import Scene
 from surveysim.telescope.beams import Beams, beams_of
 from surveysim.telescope.directions import FieldCentre, Site
 from surveysim.telescope.focal_plane import Camera
-from surveysim.telescope.lattice_noise import CirculantFactor, LatticePixels
+from surveysim.telescope.lattice_noise import LatticeFactor, LatticePixels, WaferPixels
 from surveysim.telescope.noise_levels import WhiteByDetector, WhiteLevels, white_by_detector
 from surveysim.telescope.pixel_coherence import DensePixels, PixelCoherence
 from surveysim.telescope.pointing import Pointing, Schedule, observation_pointing, schedule, survey_angles
@@ -44,9 +45,7 @@ class CameraSetup(Camera):
     Parameters
     ----------
     responsivity
-        True responsivity (n_det,) in the mapped band.
-    band_responsivity
-        True responsivity (n_band, n_det) in the other bands.
+        True responsivity (n_det,).
     photon, excess
         Sections of the scene; None without that noise.
     stop_emits
@@ -54,26 +53,20 @@ class CameraSetup(Camera):
     """
 
     responsivity: np.ndarray
-    band_responsivity: np.ndarray
     photon: Photon | None
     excess: Excess | None
     stop_emits: bool = False
 
     @property
-    def n_det(self) -> int:
-        """Number of live detectors."""
-        return len(self.responsivity)
+    def draws_parts(self) -> bool:
+        """Whether photon and detector noise are drawn apart: detectors differ in their levels, or in time constants."""
+        return self.properties.white_differs or self.properties.time_constant_s is not None
 
     @once
     def beams(self) -> Beams:
         """Beams of the detectors: those of the table, or one."""
         widths = self.properties.beam_fwhm_rad
         return beams_of(self.focal_plane.fwhm_rad if widths is None else widths, self.responsivity)
-
-    @property
-    def draws_parts(self) -> bool:
-        """Whether photon and detector noise are drawn apart: detectors differ in their levels, or in time constants."""
-        return self.properties.white_differs or self.properties.time_constant_s is not None
 
     @once
     def photon_coherence(self) -> PixelCoherence:
@@ -86,19 +79,19 @@ class CameraSetup(Camera):
         return PixelCoherence(self.excess.coherence, self.illumination) if self.excess else _NONE
 
     @once
-    def photon_correlation(self) -> DensePixels | LatticePixels | None:
+    def photon_correlation(self) -> DensePixels | LatticePixels | WaferPixels | None:
         """Correlation of photon noise between detectors; None where they share nothing."""
         return shared_noise(self, self.photon_coherence, "photon")
 
     @once
-    def excess_correlation(self) -> DensePixels | LatticePixels | None:
+    def excess_correlation(self) -> DensePixels | LatticePixels | WaferPixels | None:
         """Correlation of excess noise between detectors; None where they share nothing."""
         if self.photon_coherence == self.excess_coherence:
             return self.photon_correlation
         return shared_noise(self, self.excess_coherence, "excess")
 
     @once
-    def excess_factor(self) -> np.ndarray | CirculantFactor | None:
+    def excess_factor(self) -> np.ndarray | LatticeFactor | None:
         """Factor of the correlation of excess noise; None where detectors share nothing."""
         found = self.excess_correlation
         return None if found is None else found.at(0.0).factor()
@@ -169,17 +162,17 @@ class AirSetup:
     strips
         Strips of the layer, none drawn yet; None without an atmosphere.
     water
-        Response of the mapped band to the water of the site; None without a site.
-    band_waters
-        The same for each of the other bands.
+        Response of the band to the water of the site; None without a site.
     seasons
         Season of each observation; None unless the water goes by it.
+    all_bands
+        Detectors of all bands of the camera, which see the same strips; None for a camera of one band.
     """
 
     strips: "SlantStrips | None"
     water: Water | None
-    band_waters: tuple[Water | None, ...]
     seasons: tuple[Season, ...] | None = None
+    all_bands: FocalPlane | None = None
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from surveysim.studies.convergence import measure_accuracy
 from surveysim.studies.stress import CASES, run_case
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 from tests.camera import BOLOMETER, CAMERA, PHOTON
+from tests.cameras import write_camera
 from tests.docs.pages import ROOT
 from tests.docs.tables import differences, documented
 from tests.scenes import SMALL_SCENE, without_sections
@@ -62,6 +63,7 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
     return {
         "A run": [_rich_run(folder), _unscored_run(folder)],
+        "A camera of several bands": [_bands(folder)],
         "A sweep": [_sweep(folder)],
         "A forecast": [_forecast(folder)],
         "Accuracy": [_accuracy(folder)],
@@ -85,6 +87,13 @@ def _unscored_run(folder):
     scene = surveysim.load_scene(_scene(folder, "single", SMALL_SCENE), {"observations": 1})
     assert surveysim.run(scene, folder / "single").unscored
     return folder / "single"
+
+
+def _bands(folder):
+    surveysim.run(write_camera(folder), folder / "two", figures=False)
+    rest = folder / "bands"  # of the runs of bands, which are as other runs
+    (folder / "two" / "bands").rename(rest)
+    return folder / "two"
 
 
 def _sweep(folder):
@@ -171,7 +180,7 @@ def contents(name: str):
 # ---------------------------------------------------------------- compared
 
 
-@pytest.mark.parametrize("command", ["A run", "A sweep", "The paper"])
+@pytest.mark.parametrize("command", ["A run", "A camera of several bands", "A sweep", "The paper"])
 def test_every_file(made, command):
     there = {name: "" for folder in made[command] for name in files(folder)}
     if command == "The paper":  # one figure stands for all
@@ -205,13 +214,13 @@ def _is_of(heading, name):
 
 
 def test_the_list_of_files_in_the_summary_is_whole(made):
-    for command in ("A run", "A sweep"):
+    for command in ("A run", "A camera of several bands", "A sweep"):
         for folder in made[command]:
             listed = set(json.loads((folder / "summary.json").read_text())["files"])
             assert listed == files(folder).keys() - {"summary.json", CHECKPOINT, RECORD, "scene.toml"}
 
 
-@pytest.mark.parametrize("command", ["A run", "A sweep", "The paper"])
+@pytest.mark.parametrize("command", ["A run", "A camera of several bands", "A sweep", "The paper"])
 def test_the_record_is_whole(made, command):
     """Each file that a command writes is known as its own."""
     for folder in made[command]:

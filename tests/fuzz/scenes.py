@@ -118,7 +118,7 @@ def made(path: Path) -> dict[str, Any]:
     """The scene that the program reads, by the names of the file."""
     from surveysim.scene.scene import load_scene
 
-    return json.loads(json.dumps(load_scene(path).model_dump(mode="json", by_alias=True, exclude={"assumed"})))
+    return json.loads(json.dumps(load_scene(path).model_dump(mode="json", by_alias=True, exclude={"assumed", "band"})))
 
 
 _ENDS: dict[tuple[str, ...], tuple[str, ...]] = {}  # documented bounds of quantities

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from surveysim.scene.table_columns import COLUMNS as KNOWN
 from tests.fuzz.mangle import NUMBERS, mangled_bytes, mangled_tokens, pick
 from tests.fuzz.outcomes import Outcome, check, outcome_of_error
 from tests.fuzz.units import Unreadable, quantity
@@ -146,7 +147,7 @@ def tried() -> Outcome:
 
 
 def simply_read(text: str) -> np.ndarray:
-    """Positions [rad] of a table of two columns of numbers; Unreadable for everything else."""
+    """Positions [rad] of a table of detectors; Unreadable for everything else."""
     lines = [line.strip() for line in text.splitlines()]
     header = yaml.safe_load("\n".join(line[1:].removeprefix(" ") for line in takewhile(_begins, lines) if line))
     body = [line for line in lines if line and not line.startswith("#")]
@@ -154,10 +155,10 @@ def simply_read(text: str) -> np.ndarray:
         raise Unreadable("no header")
     names, *rows = list(csv.reader(body, delimiter=header.get("delimiter", " "), skipinitialspace=True))
     units = {column["name"]: str(column.get("unit") or "") for column in header["datatype"]}
-    if sorted(names) != ["x", "y"] or sorted(units) != ["x", "y"]:
+    if not {"x", "y"} <= set(names) <= KNOWN.keys() or sorted(names) != sorted(units) or len(set(names)) < len(names):
         raise Unreadable(f"columns {names}")
-    if any(len(row) != 2 for row in rows):
-        raise Unreadable("rows of other than two cells")
+    if any(len(row) != len(names) for row in rows):
+        raise Unreadable("rows of other than a cell for each column")
     return np.array(
         [[float(row[names.index(name)]) * quantity(f"1 {units[name]}", "rad") for name in "xy"] for row in rows]
     )

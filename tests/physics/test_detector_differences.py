@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from astropy.table import Column, Table
 from scipy.signal import lfilter
 
 from mapmaker.geometry import pixel_indices
@@ -52,13 +53,12 @@ SPREAD = RNG.uniform(0.5, 2.0, N_DET)
 @pytest.fixture
 def scene_with(tmp_path):
     """Function that makes a scene of a table with the positions of the small scene and some more columns."""
-    from astropy.table import Column, Table
 
     def make(columns, settings, text=SMALL_SCENE):
         x, y = hexagon(2, 40.0).T
-        table = Table({"x": Column(x, unit="arcsec"), "y": Column(y, unit="arcsec")})
+        table = Table({"x": Column(x, unit="arcsec"), "y": Column(y, unit="arcsec")} | columns)
         for name, values in columns.items():
-            table[name] = Column(values, unit=UNITS.get(name))
+            table[name] = Column(values, unit=UNITS.get(name, getattr(values, "unit", None)))
         name = f"camera_{len(list(tmp_path.iterdir()))}.ecsv"  # files of one name are taken as one
         table.write(tmp_path / name)
         return load_scene(write_scene(tmp_path, text), TABLE | {"instrument.positions": name} | settings)
@@ -440,6 +440,28 @@ def test_columns_that_a_scene_cannot_use(scene_with, columns, settings, words):
     with pytest.raises(SceneError) as caught:
         prepare(scene_with(columns, settings))
     assert words in str(caught.value) and len(str(caught.value).splitlines()) == 1
+
+
+def test_pairs_of_polarizations(scene_with):
+    """Two detectors of a pixel share wave noise as their polarizations do: orthogonal ones share none."""
+    settings = NOISE_ONLY | {"scan.scans": 400, "photon.psd": "2 mK2/Hz", "photon.coherent_fraction": 0.9}
+    settings |= {"photon.bose_fraction": 0.8, "detector.psd": "1 mK2/Hz"}
+    x, y = hexagon(2, 40.0).T
+    pairs = {"x": Column(np.append(x[:-1], x[0]), unit="arcsec"), "y": Column(np.append(y[:-1], y[0]), unit="arcsec")}
+    for turn in (30.0, 90.0):
+        columns = pairs | {"angle": np.append(np.zeros(N_DET - 1), turn)}
+        with pytest.raises(
+            SceneError, match="photon.coherence: found 'field' for detectors that differ in polarization"
+        ):
+            prepare(scene_with(columns, settings))
+        with pytest.raises(SceneError, match="instrument.polarizations: found None for detectors that differ"):
+            prepare(scene_with(columns, settings | {"photon.coherence": "hbt"}))
+        ready = prepare(scene_with(columns, settings | {"photon.coherence": "hbt", "instrument.polarizations": 1}))
+        found, n = covariance(ready)
+        levels = observation_levels(ready, 0)
+        expected = levels.photon_mk2_hz * levels.shared * math.cos(math.radians(turn)) ** 2 * RATE / 2
+        assert found[0, -1] == pytest.approx(expected, abs=4.5 * found[0, 0] / math.sqrt(n))
+        assert levels.shared > 0.6
 
 
 def test_a_band_of_a_table(scene_with):

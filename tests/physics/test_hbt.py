@@ -223,7 +223,7 @@ def test_all_parts_are_positive_semi_definite(beam, pitch):
 def test_lattice_has_the_parts_of_the_matrix(share):
     cells, positions = hexagon_cells(7, 1.2)
     coherence = PixelCoherence("hbt", gaussian_horn(1.2), wave_noise_band(top_hat(150e9, 0.2)), with_stop=True)
-    torus = embed(cells, 1.2, coherence).at(share)
+    torus = embed(Lattice(cells, 1.2, HEXAGONAL), 1.0, coherence).at(share)
     n_q, n_r = torus.values.shape
     q, r = (cells[:, None] - cells).transpose(2, 0, 1)
     expected = np.tensordot(part_weights(share, 3), correlation_matrices(positions, coherence), axes=1)
@@ -380,7 +380,7 @@ def test_every_pair_of_a_lattice(tmp_path, monkeypatch):
     exact = formula(setup)
     torus = setup.camera.photon_correlation.at(observation_levels(setup, 0).stop_share)
     n_q, n_r = torus.values.shape
-    cells = setup.camera.hexagonal.cells
+    cells = setup.camera.lattice.cells
     q, r = (cells[:, None] - cells).transpose(2, 0, 1)
     levels = observation_levels(setup, 0)
     shared = levels.photon_mk2_hz * levels.shared * setup.scene.scan.sample_rate_hz / 2
@@ -405,6 +405,14 @@ def test_noise_of_the_mean_is_equation_68(tmp_path, pitch, stop):
     shot, wave = (1 - photon.bose_fraction) * photon.psd_mk2_hz, photon.bose_fraction * photon.psd_mk2_hz
     assert psd == pytest.approx((shot + (1 + gamma2) * wave + 0.5) / n_det, rel=1e-12)
     assert gamma2 > 10 * math.sqrt(2 / n)  # more than the test could miss
+
+
+def test_angles_of_detectors_that_absorb_both_polarizations_do_not_matter():
+    plane = FocalPlane(np.array([0.0, 0.9]), np.zeros(2), 1.0, np.radians([0.0, 90.0]))
+    gamma = UNIFORM.aperture(np.array([0.9]))[0]
+    for polarizations, expected in ((None, 0.0), (1, 0.0), (2, gamma**2)):
+        cam = Camera(plane, 1.0, polarizations=polarizations)
+        assert common_with_others(cam, PixelCoherence("hbt"), 0.0) == pytest.approx(expected, abs=1e-12)
 
 
 def test_two_detectors_of_each_pixel(tmp_path):

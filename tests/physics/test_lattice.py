@@ -263,7 +263,7 @@ def test_photon_and_detector_noise_add_up(path, request, lattice, missing):
     data = draw_observation(ready, 0).data_mk.astype(float)
     overlap = correlation_matrix(ready.camera.positions_f_lambda, "field")
     if lattice and missing != "photon":
-        overlap = implied(ready.camera.photon_correlation.at(0.0), ready.camera.lattices[0].cells)
+        overlap = implied(ready.camera.photon_correlation.at(0.0), ready.camera.lattice.cells)
     photon, detector = (0 if missing == name else level for name, level in (("photon", 2), ("detector", 3)))
     expected = (photon * (0.2 * np.eye(18) + 0.8 * overlap) + detector * np.eye(18)) * RATE / 2
     spread = np.sqrt((np.outer(np.diag(expected), np.diag(expected)) + expected**2) / data.shape[1])
@@ -279,9 +279,7 @@ def test_tables_of_many_detectors_share_nothing(path, few_are_many):
     x, y = hexagon(2, 40.0).T
     QTable({"x": x * u.arcsec, "y": y * u.arcsec}).write(path.parent / "camera.ecsv")
     table = {"instrument.layout": None, "instrument.positions": "camera.ecsv"}
-    with pytest.raises(
-        SceneError, match=r"photon.coherence: found 'field' for 19 detectors off a single hexagonal lattice; 10 or few"
-    ):
+    with pytest.raises(SceneError, match=r"photon.coherence: found 'field' for the 19 detectors of a table; 10 or few"):
         prepare(load_scene(path, table))
     alone = load_scene(path, table | {"photon.coherence": "none", "excess.coherence": "none"})
     assert prepare(alone).camera.excess_factor is None and prepare(alone).camera.photon_correlation is None

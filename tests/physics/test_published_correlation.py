@@ -16,7 +16,7 @@ from scipy.special import j0
 
 from surveysim.telescope.illumination import TableIllumination
 
-DATA = json.loads((Path(__file__).parent.parent / "data" / "bolojax_correlation.json").read_text())["presets"]
+DATA = json.loads((Path(__file__).parent.parent / "data" / "bolojax" / "correlation.json").read_text())["presets"]
 GRID = np.linspace(0, 5, 100)  # of its curves
 
 

@@ -15,10 +15,11 @@ UK2 = "µK²_CMB"
 
 @dataclass(frozen=True)
 class Cell:
-    """Text of a table cell; `value` is the unrounded number, None for a text."""
+    """Text of a table cell; `value` is the unrounded number, None for a text; `link` leads to another page."""
 
     text: str
     value: float | None = None
+    link: str = ""
 
 
 @dataclass(frozen=True)

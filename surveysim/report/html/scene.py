@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from fractions import Fraction
 from functools import partial
+from itertools import chain
 from pathlib import PurePath
 from typing import Any
 
@@ -43,7 +44,9 @@ def scene_terms(scene: Values, n_det: int) -> tuple[tuple[str, str], ...]:
     tell: dict[str, Callable[[], Iterator[str]]] = {
         "Field": lambda: _field(scene),
         "Observations": lambda: _observations(scene),
-        "Camera": lambda: _camera(scene["instrument"], n_det, "the last element" if scene.get("optics") else "window"),
+        "Camera": lambda: chain(
+            _camera(scene["instrument"], n_det, "the last element" if scene.get("optics") else "window"), _bands(scene)
+        ),
         **({"Optics": lambda: _optics(scene["optics"])} if scene.get("optics") else {}),
         **{item.title: partial(_component, item, scene[item.name]) for item in components},
         "Cleaning": lambda: _cleaning(scene["cleaning"]),
@@ -135,9 +138,12 @@ def _camera(camera: Values, n_det: int, behind: str) -> Iterator[str]:
         yield f"The efficiency from {behind} to detector is {_percent(camera['efficiency'])}."
     if camera["polarizations"] is not None:
         yield f"Detectors absorb {plural(camera['polarizations'], 'polarization')}."
-    if camera["bands"]:
-        bands = joined([f"{short(band['frequency_hz'] / 1e9)}" for band in camera["bands"]])
-        yield f"Every pixel has more bands, at {bands} GHz, which cleaning may use."
+
+
+def _bands(scene: Values) -> Iterator[str]:
+    if scene.get("other_bands"):
+        others = joined(scene["other_bands"])
+        yield f"The camera has other bands, {others}, which see the same layer and sky with noise of their own."
 
 
 def band_of(camera: Values) -> str:
@@ -238,8 +244,10 @@ def _detector(detector: Values) -> Iterator[str]:
     elif kid := detector["kid"]:
         yield f"Recombination noise of the load at a gap of {short(kid['gap_j'] / _MEV_J)} meV"
         yield f"and an amplifier of {number(kid['amplifier_nep_w_rthz'], 2)} W / Hz(1/2),"
-    else:
+    elif detector["nep_w_rthz"] is not None:
         yield f"White, a noise-equivalent power of {number(detector['nep_w_rthz'], 2)} W / Hz(1/2),"
+    else:
+        yield "White, of each detector as in the table of detectors,"
     yield "independent between detectors."
 
 

@@ -1,5 +1,7 @@
 """Plans of runs and sweeps on the terminal: stages, and predicted cost."""
 
+from collections.abc import Mapping
+
 from rich.table import Table
 from rich.text import Text
 
@@ -7,6 +9,7 @@ from surveysim.report.terminal.layout import Terminal
 from surveysim.scene.scene import Scene
 from surveysim.studies.resources import Plan
 from surveysim.studies.sweep.axes import Sweep
+from surveysim.studies.sweep.bands import MultiBandSweep
 from surveysim.studies.sweep.plan import SweepPlan
 
 
@@ -35,6 +38,14 @@ def print_plan(scene: Scene, plan: Plan, workers: int) -> None:
 
 def _seconds(seconds: float) -> str:
     return f"{seconds:.1f}" if seconds < 10 else f"{seconds:.0f}"
+
+
+def print_band_sweep_plans(sweep: MultiBandSweep, plans: Mapping[str, SweepPlan], workers: int) -> None:
+    """Print the plan of each band's sweep, and the time of all."""
+    for name, plan in plans.items():
+        print_sweep_plan(sweep.bands[name], plan, workers)
+    seconds = sum(plan.wall_s for plan in plans.values())
+    Terminal().say(f"all {len(plans)} bands, one after another: about {seconds:.0f} s with {workers} worker(s)")
 
 
 def print_sweep_plan(sweep: Sweep, plan: SweepPlan, workers: int) -> None:

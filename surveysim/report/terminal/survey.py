@@ -143,9 +143,9 @@ def _shares(discarded: Mapping[str, float]) -> str:
     return f" ({'; '.join(shown).removeprefix(f'{ACTUAL}: ')})" if any(discarded.values()) else ""
 
 
-def where_line(directory: Path) -> str:
+def where_line(directory: Path, page: str = "all on one page in") -> str:
     """Return the line with the place of the results and their report page."""
-    return f"Results in {directory}, all on one page in {directory / REPORT}"
+    return f"Results in {directory}, {page} {directory / REPORT}"
 
 
 def survey_lines(result: SurveyResult) -> Iterator[str]:

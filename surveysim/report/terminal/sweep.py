@@ -7,9 +7,11 @@ from pathlib import Path
 from surveysim.report.terminal.layout import Terminal
 from surveysim.report.terminal.survey import print_warnings, where_line
 from surveysim.report.terminal.tables import show_table
+from surveysim.results.bands import band_table
 from surveysim.runtime.numbers import number, plain, plural, quoted, quoted_share
 from surveysim.runtime.table import Table
 from surveysim.studies.sweep.axes import Axis
+from surveysim.studies.sweep.band_results import MultiBandSweepResult, sweep_entries
 from surveysim.studies.sweep.result import ESTIMATES, SweepResult
 from surveysim.studies.sweep.summary import sweep_summary
 from surveysim.studies.sweep.tables import chance_text, sweep_table
@@ -44,6 +46,18 @@ def print_sweep(result: SweepResult, directory: Path, verbose: bool = False) -> 
     print_warnings(console, [*result.warnings, *flag_lines(result)])
     done = f"{len(result.points)} points in {result.wall_s:.1f} s with {result.workers} worker(s)"
     console.say(f"\n{done}\n{where_line(directory)}")
+
+
+def print_sweeps(result: MultiBandSweepResult, directory: Path, verbose: bool = False) -> None:
+    """Print the sweep of each band that was run, then the best point of every band."""
+    console = Terminal(160)
+    for name, item in result.bands.items():
+        print_sweep(item, directory / "bands" / name, verbose)
+        console.say("")
+    table = band_table(sweep_entries(result), {})
+    show_table(console, table, title=f"{result.sweep.title}: best point of each band")
+    where = where_line(directory, "with a page for each band behind")
+    console.say(f"\n{len(result.summaries)} bands in {result.wall_s:.1f} s\n{where}")
 
 
 def _named_by_axes(table: Table, axes: Sequence[Axis]) -> Table:

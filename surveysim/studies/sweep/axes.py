@@ -5,9 +5,10 @@ depend on the replaced keys are common, so differences between points have small
 """
 
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from hashlib import sha256
@@ -21,6 +22,7 @@ import numpy as np
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.runtime.text_files import key_text
+from surveysim.scene.bands import TABLE, band_key, common_key
 from surveysim.scene.error_lines import allowed_keys, error_lines, unknown_key
 from surveysim.scene.fields import LONGEST_LINE
 from surveysim.scene.renamed_keys import renamed_line
@@ -142,13 +144,33 @@ def load_sweep(
     path = find_scene(path)
     overrides = {key: file_value(value) for key, value in (overrides or {}).items()}
     text, content = read_scene(path)
-    axes = _axes(path, content, overrides)
+    axes = sweep_axes(path, content, overrides)
+    origin = Origin(path.absolute(), text, overrides)
+    return sweep_along(axes, origin, lambda settings: scene_of(path, text, content, overrides | settings), reference)
+
+
+def sweep_along(
+    axes: tuple[Axis, ...],
+    origin: Origin,
+    scene_at: Callable[[dict[str, Any]], Scene],
+    reference: int | str | None = None,
+) -> Sweep:
+    """Make the sweep of all combinations of values, from the scene at the settings of a point; errors as `load_sweep`.
+
+    Parameters
+    ----------
+    origin
+        The file with its overrides.
+    reference
+        As for `load_sweep`.
+    """
+    path = origin.path
     places = list(product(*(range(len(axis.values)) for axis in axes)))
     settings = [_settings(axes, place) for place in places]
     labels = [", ".join(axis.at(step) for axis, step in zip(axes, place, strict=True)) for place in places]
 
     def point(number: int) -> Point:
-        scene = scene_of(path, text, content, overrides | settings[number])
+        scene = scene_at(settings[number])
         if scene.score is None:
             raise SceneError("score: missing; a sweep compares scores")
         setup = prepare(scene)
@@ -162,13 +184,14 @@ def load_sweep(
 
     points = tuple(_of_all(path, labels, point))
     name = "sweep.reference" if reference is None else "--reference"
+    given = _given_reference(tomllib.loads(origin.text)) if reference is None else reference
     try:
-        chosen = _reference(name, _given_reference(content) if reference is None else reference, axes, points)
+        chosen = _reference(name, given, axes, points)
     except InputError as error:
         raise SceneError(f"{path}: {error}") from None
     if reference is not None and all(axis.name != REFERENCE for axis in axes):
-        overrides[f"sweep.{REFERENCE}"] = chosen
-    return Sweep(path, axes, points, Origin(path.absolute(), text, overrides), chosen)
+        origin = replace(origin, overrides={**origin.overrides, f"sweep.{REFERENCE}": chosen})
+    return Sweep(path, axes, points, origin, chosen)
 
 
 def sweep_hash(sweep: Sweep) -> str:
@@ -215,7 +238,7 @@ def _quantities(values: Sequence[str]) -> tuple[np.ndarray, str] | None:
 # ---------------------------------------------------------------- the table [sweep]
 
 
-def _axes(path: Path, content: Mapping[str, Any], overrides: Mapping[str, Any]) -> tuple[Axis, ...]:
+def sweep_axes(path: Path, content: Mapping[str, Any], overrides: Mapping[str, Any]) -> tuple[Axis, ...]:
     """Parse the axes of a file; raises SceneError with a line for each error in its table."""
     table = content.get("sweep")
     if not isinstance(table, dict) or not table:
@@ -227,7 +250,7 @@ def _axes(path: Path, content: Mapping[str, Any], overrides: Mapping[str, Any]) 
         if name in given:
             continue
         try:
-            axes.append(_axis(name, value))
+            axes.append(_axis(name, value, tuple(content.get(TABLE, ()))))
         except InputError as error:
             wrong.append(str(error))
     if wrong:
@@ -241,7 +264,7 @@ def _axes(path: Path, content: Mapping[str, Any], overrides: Mapping[str, Any]) 
     return tuple(axes)
 
 
-def _axis(name: str, value: Any) -> Axis:
+def _axis(name: str, value: Any, bands: tuple[str, ...]) -> Axis:
     where = f"sweep.{key_text(name)}"
     if isinstance(value, list):
         lists = {name: value}
@@ -255,7 +278,7 @@ def _axis(name: str, value: Any) -> Axis:
         raise InputError(f"{where}: found {shown(value)}; a list of values, or a table of keys with lists, is expected")
     for key, items in lists.items():
         of_key = where if lists is not value else f"{where}.{key_text(key)}"
-        _check_key(of_key, name, key)
+        _check_key(of_key, name, key, bands)
         if not isinstance(items, list) or not items:
             raise InputError(f"{of_key}: found {shown(items)}; a list of one or more values is expected")
     lengths = [len(items) for items in lists.values()]
@@ -264,8 +287,12 @@ def _axis(name: str, value: Any) -> Axis:
     return Axis(name, tuple(lists), tuple(zip(*lists.values(), strict=True)))
 
 
-def _check_key(where: str, axis: str, key: str) -> None:
-    """Raise an error unless this is a scene key that points may differ in."""
+def _check_key(where: str, axis: str, key: str, bands: tuple[str, ...]) -> None:
+    """Raise an error unless this is a key, of the scene or of one of its bands, that points may differ in."""
+    band, own = band_key(key)
+    if band in bands and (same := common_key(own)):
+        raise InputError(f"{where}: {same!r} is the same in all bands; {shown(own)} is expected")
+    key = own if band in bands else key
     *sections, last = key.split(".")
     if sections[:1] == ["sweep"] or key in COMMON:
         raise InputError(f"{where}: found {shown(key)}; a key that is not common to all points is expected")

@@ -114,8 +114,8 @@ def test_a_run_that_is_interrupted_costs_no_earlier_results(call, scene, monkeyp
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("surveysim.api.survey_result", stopped)
-        patch.setattr("surveysim.api.compare_runs", stopped)
+        patch.setattr("surveysim.api.surveys.survey_result", stopped)
+        patch.setattr("surveysim.api.sweeps.compare_runs", stopped)
         assert call("run", scene, *QUICK, "--out", "out")[0] == 130
     after = tree(Path("out"))
     # Sums have the times of their own run.

@@ -264,7 +264,7 @@ def test_a_full_disk_leaves_no_half_written_file_and_the_checkpoint(scene, tmp_p
 
     out = tmp_path / "out"
     with monkeypatch.context() as full:
-        full.setattr("surveysim.api.write_outputs", with_full_disk)
+        full.setattr("surveysim.api.surveys.write_outputs", with_full_disk)
         with pytest.raises(OSError) as caught:
             run(scene, out, engine=SERIAL, figures=False)
     assert caught.value.errno in (errno.EFBIG, errno.EIO) and caught.value.filename.startswith(str(out))

@@ -10,6 +10,7 @@ from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene, resolved, scene_hash
 from surveysim.survey.run import run_observations
 from surveysim.survey.scores import score_survey
+from tests.cameras import scenes_of
 from tests.scenes import SMALL_SCENE, write_scene
 
 SCENARIOS = sorted((Path(__file__).parents[3] / "scenarios").glob("*.toml"))
@@ -44,8 +45,8 @@ def test_small_scene_runs(path):
 
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda path: path.name)
 def test_scenarios_load(scenario):
-    scene = load_scene(scenario)
-    assert scene.name == scenario.stem and scene.title
+    for scene in scenes_of(scenario):
+        assert scene.name == "_".join(filter(None, (scenario.stem, scene.band_name))) and scene.title
 
 
 def test_there_are_scenarios():

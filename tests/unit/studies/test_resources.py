@@ -10,12 +10,13 @@ from surveysim.reduction import setup
 from surveysim.reduction.setup import prepare
 from surveysim.results import agreement, control_variate
 from surveysim.runtime.engine import SERIAL
+from surveysim.scene.bands import load_bands
 from surveysim.scene.scene import load_scene
 from surveysim.studies.resources import make_plan
 from surveysim.telescope.scans import samples_per_scan
 from surveysim.timestreams import low_frequency, observed_block, photon, simulation, sky_maps
 from surveysim.timestreams import shared_parts as parts
-from surveysim.timestreams.observation import draw_other_bands
+from surveysim.timestreams.observation import draw_band
 from tests.scenes import SCHEDULE, SMALL_SCENE, WHITE_NOISE_SCENE, without_sections
 
 ALWAYS = ["pointing", "detector", "cleaning", "maps"]
@@ -151,13 +152,9 @@ def test_stages_run_or_are_left_out_as_the_plan_says(tmp_path, called, name):
 
 @pytest.mark.parametrize("algorithm, subtracted", [("spectral", True), ("average", False)])
 def test_other_bands_are_drawn_only_where_subtracted(monkeypatch, algorithm, subtracted):
-    scene = load_scene(SUZIE, {"cleaning.algorithm": algorithm, "cleaning.compare": [], "observations": 2})
-    ready, drawn = prepare(scene), []
-    monkeypatch.setattr(
-        reduction,
-        "draw_other_bands",
-        lambda *arguments: drawn.append(draw_other_bands(*arguments)) or drawn[-1],
-    )
+    settings = {"cleaning.algorithm": algorithm, "cleaning.compare": [], "observations": 2}
+    ready, drawn = prepare(load_bands(SUZIE, settings).bands["143"]), []
+    monkeypatch.setattr(reduction, "draw_band", lambda *arguments: drawn.append(draw_band(*arguments)) or drawn[-1])
     plan = make_plan(ready, 1)
     assert (plan.left_out.get("other bands") is None) == subtracted
     assert (len(drawn) > 0) == subtracted and all(len(streams) > 0 for streams in drawn)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from surveysim.output.scene_copy import scene_files
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene, scene_hash
@@ -94,6 +95,14 @@ def test_stated_angles_stay(scene_of):
 def test_apertures_count_in_the_hash(scene_of):
     hashes = {scene_hash(prepare(scene_of({"optics.aperture": item}, ANGLES)).scene) for item in ("10 m", "11 m")}
     assert len(hashes) == 2
+
+
+def test_a_prepared_scene_is_copied_to_the_output(scene_of):
+    """The copy leaves the angles out as the file does."""
+    setup = prepare(scene_of(LARGE, ANGLES))
+    text = scene_files(setup.scene)["scene.toml"].decode()
+    assert 'aperture = "10 m"' in text and not any(f"\n{angle}" in text for angle in ANGLES)
+    assert scene_files(setup.scene) == scene_files(scene_of(LARGE, ANGLES))
 
 
 @pytest.mark.parametrize("key", ["beam_fwhm", "f_lambda"])

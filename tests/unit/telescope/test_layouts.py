@@ -1,12 +1,15 @@
 """Layouts of wafers against counts and distances of their lattices; random yield; several wafers."""
 
+import json
+
 import numpy as np
 import pytest
 
 from surveysim.reduction.setup import prepare
+from surveysim.report.html.scene import scene_terms
 from surveysim.report.terminal.camera import camera_lines
 from surveysim.runtime.errors import SceneError
-from surveysim.scene.scene import load_scene
+from surveysim.scene.scene import load_scene, resolved
 from surveysim.telescope.focal_plane import camera
 from surveysim.telescope.layouts import placed_wafers
 from tests.scenes import write_scene
@@ -149,3 +152,34 @@ def test_counts_of_wafers_are_said(path):
         "13 detectors; 1 dead position of 14",
         "detectors of wafers: 7 of 7, 6 of 7",
     ]
+
+
+def described(scene):
+    """Terms of the report of a scene."""
+    return dict(scene_terms(json.loads(resolved(scene)), 19))
+
+
+def test_reports_describe_layouts_and_wafers(path):
+    square = {"shape": "square", "side": 4, "pitch_f_lambda": 0.7, "yield": 0.75, "dead": [2]}
+    said = described(load_scene(path, {"instrument.layout": square} | UNMASKED))["Camera"]
+    words = (
+        "Positions are on a square lattice over a square of 4 by 4, neighbours 0.7 (f/#)\u03bb apart (40 arcsec), 1 of"
+    )
+    assert f"{words} them dead, 75 % of the others working." in said.replace("\u00a0", " ")
+    wafers = [{"rings": 2, "pitch_f_lambda": 0.7}, square | {"offset_x": "5 arcmin", "rotation": "30 deg"}]
+    keys = {"instrument.layout": None, "instrument.wafers": wafers} | UNMASKED
+    said = described(load_scene(path, keys))["Camera"].replace("\u00a0", " ")
+    assert "Wafer 0 is at (0 arcmin, 0 arcmin). Positions are hexagonal over 2 rings, neighbours" in said
+    assert "Wafer 1 is at (5 arcmin, 0 arcmin), turned by 30\u00b0. Positions are on a square lattice" in said
+
+
+def test_reports_describe_tables(path):
+    import astropy.units as u
+    from astropy.table import QTable
+
+    table = {"x": [0, 1] * u.arcmin, "y": [0, 1] * u.arcmin, "psd": [1, 2] * u.mK**2 / u.Hz, "band": ["90", "150"]}
+    QTable(table).write(path.parent / "camera.ecsv")
+    keys = {"instrument.layout": None, "instrument.positions": "camera.ecsv", "instrument.band": "150"}
+    said = described(load_scene(path, keys | {"detector.psd": None} | UNMASKED))
+    assert "Detectors come from the table camera.ecsv, its band 150." in said["Camera"]
+    assert said["Detector noise"].startswith("White, of each detector as in the table of detectors,")

@@ -1,0 +1,113 @@
+"""The Python interface of sweeps of cameras of several bands: the sweep of each band, one after another."""
+
+import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from time import perf_counter
+
+from surveysim.api.surveys import PROCESSES
+from surveysim.api.sweeps import forecast_single_sweep, plan_single_sweep, run_single_sweep
+from surveysim.output.directory import FinishedError, begin, claimed, replacing
+from surveysim.output.expected_files import band_directory, of_band_sweep, of_sweep
+from surveysim.output.writer import write_band_sweep
+from surveysim.runtime.engine import Engine
+from surveysim.studies.sweep.axes import Sweep
+from surveysim.studies.sweep.band_results import MultiBandSweepResult
+from surveysim.studies.sweep.bands import MultiBandSweep, load_band_sweep
+from surveysim.studies.sweep.plan import SweepPlan
+from surveysim.studies.sweep.result import SweepResult
+from surveysim.studies.sweep.summary import sweep_summary
+
+Progress = Callable[[int], None]
+Display = Callable[[Sweep], AbstractContextManager[Progress]]
+
+
+def run_band_sweep(
+    sweep: MultiBandSweep | str | Path,
+    out: str | Path | None = None,
+    *,
+    engine: Engine = PROCESSES,
+    resume: bool = False,
+    figures: bool = True,
+    progress: Progress = lambda done: None,
+    display: Display | None = None,
+    force: bool = False,
+) -> MultiBandSweepResult:
+    """Run the sweep of each band; parameters and errors are those of `surveysim.run_sweep`.
+
+    `display` makes the `progress` of one band, for the time of its sweep.
+    """
+
+    def work(item: Sweep, directory: Path | None, shown: Progress) -> SweepResult:
+        return run_single_sweep(
+            item, directory, engine=engine, resume=resume, figures=figures, progress=shown, force=force
+        )
+
+    shown = display or (lambda item: nullcontext(progress))
+    return _each_band(sweep, out, work, shown, command="run", figures=figures, resume=resume, force=force)
+
+
+def forecast_band_sweep(
+    sweep: MultiBandSweep | str | Path,
+    out: str | Path | None = None,
+    *,
+    figures: bool = True,
+    progress: Progress = lambda done: None,
+    display: Display | None = None,
+    force: bool = False,
+) -> MultiBandSweepResult:
+    """Forecast the sweep of each band; parameters and errors are those of `run_band_sweep`."""
+
+    def work(item: Sweep, directory: Path | None, shown: Progress) -> SweepResult:
+        return forecast_single_sweep(item, directory, figures=figures, progress=shown, force=force)
+
+    shown = display or (lambda item: nullcontext(progress))
+    return _each_band(sweep, out, work, shown, command="forecast", figures=figures, resume=False, force=force)
+
+
+def plan_band_sweep(
+    sweep: MultiBandSweep | str | Path, workers: int | None = None, *, start_s: float = 0.0
+) -> dict[str, SweepPlan]:
+    """Predict the cost of the sweep of each band, by name; parameters are those of `surveysim.plan_sweep`."""
+    sweep = sweep if isinstance(sweep, MultiBandSweep) else load_band_sweep(sweep)
+    return {name: plan_single_sweep(item, workers, start_s=start_s) for name, item in sweep.bands.items()}
+
+
+def _each_band(
+    sweep: MultiBandSweep | str | Path,
+    out: str | Path | None,
+    work: Callable[[Sweep, Path | None, Progress], SweepResult],
+    display: Display,
+    *,
+    command: str,
+    figures: bool,
+    resume: bool,
+    force: bool,
+) -> MultiBandSweepResult:
+    start = perf_counter()
+    sweep = sweep if isinstance(sweep, MultiBandSweep) else load_band_sweep(sweep)
+
+    def result_of(directory: Path | None) -> MultiBandSweepResult:
+        found, summaries = {}, {}
+        for name, item in sweep.bands.items():
+            place = directory and directory / band_directory(name)
+            with display(item) as shown:
+                try:
+                    found[name] = work(item, place, shown)
+                    summaries[name] = sweep_summary(found[name], ())
+                except FinishedError:  # in the run that is resumed
+                    summaries[name] = json.loads((place / "summary.json").read_text(encoding="utf-8"))
+        return MultiBandSweepResult(sweep, found, summaries, perf_counter() - start)
+
+    if out is None:
+        return result_of(None)
+    with claimed(Path(out), of_band_sweep(sweep, command), force, resume) as place:
+        for name, item in sweep.bands.items() if not resume else ():
+            with claimed(place.path / band_directory(name), of_sweep(item, command, figures), force):
+                pass  # or an error, before any work
+        begin(place, removed=lambda name: force)
+        result = result_of(place.path)
+        with replacing(place) as new:
+            write_band_sweep(new, result)
+    return result

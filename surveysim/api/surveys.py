@@ -1,0 +1,137 @@
+"""The Python interface of surveys: simulate, run, forecast and plan a scene."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from time import perf_counter
+
+from threadpoolctl import threadpool_limits
+
+from mapmaker.timestreams import Timestreams
+from surveysim.forecasting.forecast import Forecast
+from surveysim.forecasting.forecast import forecast as forecast_scene
+from surveysim.output.directory import begin, claimed, replacing
+from surveysim.output.expected_files import of_forecast, of_run
+from surveysim.output.writer import write_forecast, write_outputs
+from surveysim.reduction.setup import is_quick, prepare
+from surveysim.results.results import SurveyResult, survey_result
+from surveysim.results.stopping import StoppingCriteria, check_limits, stopping_rule
+from surveysim.runtime.engine import SERIAL, Engine, default_workers
+from surveysim.runtime.errors import InputError, SceneError
+from surveysim.scene.scene import Scene, load_scene
+from surveysim.scene.shipped import find_scene
+from surveysim.studies.resources import Plan, make_plan
+from surveysim.studies.sweep.axes import is_sweep
+from surveysim.survey.checkpoint import NAME as CHECKPOINT
+from surveysim.survey.coadd_tree import CoAddTree
+from surveysim.survey.coadds import CoAdds
+from surveysim.survey.run import finished_sums, run_observations
+from surveysim.timestreams.observation import draw_observation
+
+PROCESSES = Engine()
+
+
+def simulate_observation(scene: Scene | str | Path, observation: int) -> Timestreams:
+    """Simulate the time-streams of one observation.
+
+    Parameters
+    ----------
+    scene
+        A scene, the path of its file, or its name.
+    observation
+        Number of the observation, from 0.
+
+    Returns
+    -------
+    Time-streams of all detectors, whole whatever `numerics.max_block_memory` is. Their attributes hold the weather
+    that was drawn.
+
+    Raises
+    ------
+    SceneError
+        The scene can't be run.
+    InputError
+        The scene does not have this observation.
+    """
+    scene = _scene(scene)
+    if not 0 <= observation < scene.observations:
+        raise InputError(f"observation: found {observation}; 0 to {scene.observations - 1} is expected")
+    with threadpool_limits(1):  # the same bits as in a run
+        return draw_observation(prepare(scene), observation)
+
+
+def run_survey(
+    scene: Scene | str | Path,
+    out: str | Path | None = None,
+    *,
+    engine: Engine = PROCESSES,
+    resume: bool = False,
+    save_timestreams: bool = False,
+    figures: bool = True,
+    progress: Callable[[CoAddTree], None] = lambda sums: None,
+    target_error: float | None = None,
+    time_budget_s: float | None = None,
+    force: bool = False,
+) -> SurveyResult:
+    """Simulate, clean, map and score a scene of one band; parameters and errors are those of `surveysim.run`."""
+    start, limits = perf_counter(), StoppingCriteria(target_error, time_budget_s)
+    setup = prepare(_scene(scene))
+    check_limits(setup, limits)
+    engine = engine.for_work(is_quick(setup))
+    workers = engine.workers_for(setup.scene.observations)
+    if save_timestreams and out is None:
+        raise InputError("save_timestreams: found no output directory; one is expected")
+
+    def result_of(checkpoint: Path | None, streams: Path | None, nodes: Sequence[CoAdds] = ()) -> SurveyResult:
+        stops = stopping_rule(setup, limits, start)
+        coadds = run_observations(
+            setup, checkpoint, engine, nodes=nodes, keep=True, timestream_dir=streams, progress=progress, stops=stops
+        )
+        return survey_result(
+            setup, coadds, wall_s=perf_counter() - start, workers=workers, limits=limits, engine=engine.kind
+        )
+
+    if out is None:
+        return result_of(None, None)
+    with claimed(Path(out), of_run(setup, figures, save_timestreams), force, resume) as place:
+        checkpoint, streams = place.path / CHECKPOINT, place.path / "timestreams" if save_timestreams else None
+        nodes = finished_sums(setup, checkpoint, streams) if resume else []  # or an error, before anything is changed
+        begin(place, removed=lambda name: force)
+        result = result_of(checkpoint, streams, nodes)
+        whole = result.coadds.done == setup.scene.observations
+        with replacing(place, whole=whole) as new:
+            numbers = range(result.coadds.done) if save_timestreams else ()
+            names = [f"timestreams/{number:04d}.h5" for number in numbers]
+            # None of before a resumption that asked for them.
+            write_outputs(new, result, figures, [name for name in names if (place.path / name).is_file()])
+    return result
+
+
+def finished_survey(scene: Scene, out: Path) -> SurveyResult:
+    """Score the finished run of a scene in `out` again, from its checkpoint; CheckpointError if that is another's."""
+    start, setup = perf_counter(), prepare(scene)
+    coadds = run_observations(setup, None, SERIAL, nodes=finished_sums(setup, out / CHECKPOINT))
+    return survey_result(setup, coadds, wall_s=perf_counter() - start, workers=1)
+
+
+def forecast_survey(scene: Scene | str | Path, out: str | Path | None = None, *, force: bool = False) -> Forecast:
+    """Forecast the scores of a scene of one band; parameters and errors are those of `surveysim.forecast`."""
+    scene = _scene(scene)
+    found = forecast_scene(prepare(scene))
+    if out is not None:
+        with claimed(Path(out), of_forecast(scene), force) as place, replacing(place) as new:
+            write_forecast(new, found)
+    return found
+
+
+def plan_survey(scene: Scene | str | Path, workers: int | None = None, *, start_s: float = 0.0) -> Plan:
+    """Predict the cost of a run of one band; parameters and errors are those of `surveysim.plan`."""
+    return make_plan(prepare(_scene(scene)), workers or default_workers(), start_s)
+
+
+def _scene(scene: Scene | str | Path) -> Scene:
+    """A scene as it is given; SceneError for a file with a table [sweep]."""
+    if isinstance(scene, Scene):
+        return scene
+    if is_sweep(scene):
+        raise SceneError(f"{find_scene(scene)}: sweep: found a sweep; a scene without [sweep] is expected")
+    return load_scene(scene)

@@ -1,0 +1,93 @@
+"""The Python interface of sweeps: run, forecast and plan one."""
+
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from surveysim.api.surveys import PROCESSES
+from surveysim.output.directory import begin, claimed, replacing
+from surveysim.output.expected_files import of_sweep
+from surveysim.output.writer import write_sweep
+from surveysim.reduction.setup import prepare
+from surveysim.runtime.engine import SERIAL, Engine, default_workers
+from surveysim.studies.sweep.axes import Sweep, load_sweep
+from surveysim.studies.sweep.comparison import (
+    compare_forecasts,
+    compare_runs,
+    forecast_points,
+    of_one_kind,
+    run_points,
+)
+from surveysim.studies.sweep.plan import SweepPlan, make_sweep_plan
+from surveysim.studies.sweep.result import SweepResult
+
+DRAWS_SEED = 0  # seed for the probability of the best point of a sweep
+
+
+def run_single_sweep(
+    sweep: Sweep | str | Path,
+    out: str | Path | None = None,
+    *,
+    engine: Engine = PROCESSES,
+    resume: bool = False,
+    figures: bool = True,
+    progress: Callable[[int], None] = lambda done: None,
+    force: bool = False,
+) -> SweepResult:
+    """Run all points of a sweep of one band; parameters and errors are those of `surveysim.run_sweep`."""
+    start = perf_counter()
+    sweep = _sweep(sweep)
+    workers = engine.workers_for(len(sweep.points))
+
+    def result_of(kept: Path | None) -> SweepResult:
+        points = of_one_kind(run_points(sweep, kept, engine, resume, progress))
+        with threadpool_limits(1):  # the same bits on any machine
+            comparison = compare_runs(points, np.random.default_rng(DRAWS_SEED), sweep.reference)
+        return SweepResult(sweep, points, comparison, True, perf_counter() - start, workers, engine.kind)
+
+    if out is None:
+        return result_of(None)
+    with claimed(Path(out), of_sweep(sweep, "run", figures), force, resume) as place:
+        begin(place, removed=lambda name: force)
+        result = result_of(place.path / "points")
+        with replacing(place, over=lambda name: name.startswith("points/")) as new:
+            write_sweep(new, prepare(sweep.points[0].scene), result, figures)
+    return result
+
+
+def forecast_single_sweep(
+    sweep: Sweep | str | Path,
+    out: str | Path | None = None,
+    *,
+    figures: bool = True,
+    progress: Callable[[int], None] = lambda done: None,
+    force: bool = False,
+) -> SweepResult:
+    """Forecast all points of a sweep of one band; parameters and errors are those of `surveysim.run_sweep`."""
+    start = perf_counter()
+    sweep = _sweep(sweep)
+
+    def result_of() -> SweepResult:
+        points = forecast_points(sweep, progress)
+        comparison = compare_forecasts(points, sweep.reference)
+        return SweepResult(sweep, points, comparison, False, perf_counter() - start, 1, SERIAL.kind)
+
+    if out is None:
+        return result_of()
+    with claimed(Path(out), of_sweep(sweep, "forecast", figures), force) as place:
+        result = result_of()
+        with replacing(place) as new:
+            write_sweep(new, prepare(sweep.points[0].scene), result, figures)
+    return result
+
+
+def plan_single_sweep(sweep: Sweep | str | Path, workers: int | None = None, *, start_s: float = 0.0) -> SweepPlan:
+    """Predict the cost of a sweep of one band; parameters and errors are those of `surveysim.plan_sweep`."""
+    return make_sweep_plan(_sweep(sweep), workers or default_workers(), start_s)
+
+
+def _sweep(sweep: Sweep | str | Path) -> Sweep:
+    return sweep if isinstance(sweep, Sweep) else load_sweep(sweep)
