@@ -83,6 +83,7 @@ def test_cameras_have_no_published_scores(camera):
 def test_cameras_run(camera, tmp_path):
     """Each within minutes on one core, as a first look at a camera has to."""
     options = ("--set", "observations=2", "--set", "score.jackknives=8", "--workers", "1", "--no-figures")
-    ended = subprocess.run([*COMMAND, "run", camera, *options], cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    command = [*COMMAND, "run", camera, *options]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
     assert ended.returncode == 0, ended.stderr
     assert (tmp_path / "outputs").is_dir()
