@@ -178,6 +178,13 @@ def test_a_table_that_does_not_cover_the_band(scene_of, tmp_path):
         prepare(scene_of(PHOTON + TABLED, HORNS))
 
 
+def test_opaque_elements_are_refused(scene_of):
+    opaque = STATED_SKY.replace("transmission = 0.9\n", "transmission = 0\n")
+    assert opaque != STATED_SKY
+    with pytest.raises(SceneError, match="optics.elements: 'filter': found a transmission of 0; 1e-06 or more"):
+        prepare(scene_of(PHOTON + opaque, HORNS))
+
+
 @pytest.mark.parametrize("spills", [HORNS, {"instrument.edge_taper": "3 dB"}])
 def test_beams_that_spill_need_a_stop(scene_of, spills):
     """Half of the beam of a taper of 3 dB, more of that of a horn of one (f/#)lambda."""
