@@ -23,7 +23,6 @@ from surveysim.telescope.illumination import UNIFORM, GaussianIllumination, Illu
 MOST_DENSE = 1500
 # Separations closer than half of 10^-13 (f/#)lambda count as the same.
 _SEPARATION_DECIMALS = 13
-_BAND_NODES = 24
 
 Kind = Literal["hbt", "field", "intensity", "none"]
 Band = tuple[tuple[float, float], ...]  # frequencies over the one that (f/#)lambda refers to, and weights that sum to 1
@@ -91,12 +90,15 @@ def wave_noise_band(band: Passband) -> Band:
     """Make the frequencies, over the band's centre, and weights of averages of wave noise over a band.
 
     The noise of a load of one brightness at all frequencies is proportional to the square of the transmission. Gauss's
-    quadrature for this weight averages correlations to 1e-5, at separations up to 6 (f/#)lambda over the relative width
-    of the band; beyond, they are smaller than that.
+    quadrature for this weight averages correlations to 1e-6. Their phase over the band is 2 pi s times its
+    relative width, and at large separations s they decrease as s^-3.
     """
+    low, high = band.edges_hz
     frequency, weight = band.nodes
     weight = weight * band.at(frequency)
-    return gauss_rule(frequency / band.centre_hz, weight / weight.sum(), _BAND_NODES)
+    return gauss_rule(
+        frequency / band.centre_hz, weight / weight.sum(), 6 + math.ceil(30 * (high - low) / band.centre_hz)
+    )
 
 
 def gauss_rule(x: np.ndarray, weight: np.ndarray, n: int) -> Band:

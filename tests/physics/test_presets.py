@@ -6,6 +6,7 @@ import tomllib
 import pytest
 
 from docs.cameras import KINDS, PAGE, numbers, ours, with_table
+from surveysim.scene.bands import has_bands, load_bands
 from surveysim.scene.keys import scene_keys
 from surveysim.scene.scene import load_scene
 from surveysim.scene.shipped import camera_folder, camera_titles
@@ -59,7 +60,7 @@ def test_there_are_ten_cameras_or_more():
 def test_each_value_of_a_camera_has_a_source(camera):
     """A comment at each value of the instrument and the observations; its letters are sources of the head."""
     head, _, body = (camera_folder() / f"{camera}.toml").read_text(encoding="utf-8").partition("\ntitle")
-    assert load_scene(camera).name == camera and '"assumed" says' in head
+    assert (load_bands if has_bands(camera) else load_scene)(camera).name == camera and '"assumed" says' in head
     for section in re.split(r"(?m)^(?=\[)", body)[1:]:
         for line in section.splitlines()[1:]:
             value, _, comment = line.partition(" # ")
