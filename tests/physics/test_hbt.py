@@ -34,6 +34,7 @@ from surveysim.telescope.pixel_coherence import (
     part_weights,
     wave_noise_band,
 )
+from surveysim.telescope.radiative_chain import black_body
 from surveysim.timestreams.observation import draw_observation
 from surveysim.timestreams.observed_block import observation_levels
 from tests import camera as camera_scene
@@ -199,6 +200,29 @@ def test_average_over_the_band_is_brute_force(beam, band):
         stop = 0.3 if beam is not UNIFORM else 0.0
         expected = wave_correlation(beam, s, pairs, 1 - stop, stop)
         assert part_weights(stop, len(parts)) @ parts == pytest.approx(expected, abs=2e-5)
+
+
+@pytest.mark.parametrize("diameter", [0.7, 1.3])
+def test_average_over_the_band_of_a_chain_of_elements(diameter):
+    """Horns before a cold stop spill less at high frequencies: a band of 40 %, frequency by frequency.
+
+    The averages of the weights cost less than 1 % of the correlation. With the noise of a beam that spills alike at all
+    frequencies it would be 14 and 40 % too high.
+    """
+    band, beam, s = top_hat(150e9, 0.4), gaussian_horn(diameter), np.array([diameter])
+    frequency, weight = band.nodes
+    noise, shared, aperture = [], [], []
+    for each in frequency:
+        here, ratio = beam.at(each / 150e9), each / 150e9
+        eta = here.efficiency
+        light = eta * 0.3 * black_body(each, 100.0), (1 - eta) * black_body(each, 4.0)
+        amplitude = light[0] * here.aperture(s * ratio)[0] + light[1] * here.stop(s * ratio)[0]
+        noise.append((each * sum(light)) ** 2)
+        shared.append((each * amplitude) ** 2)
+        aperture.append(light[0] / sum(light))
+    stop = 1 - np.average(aperture, weights=weight * noise)
+    parts = PixelCoherence("hbt", beam, wave_noise_band(band), with_stop=True).parts(s)[:, 0]
+    assert part_weights(stop, 3) @ parts == pytest.approx(weight @ shared / (weight @ noise), rel=0.01)
 
 
 def test_far_pixels_of_a_wide_band():

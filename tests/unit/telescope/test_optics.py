@@ -162,6 +162,14 @@ def test_transmission_from_a_table(scene_of, tmp_path):
             ('sky = "20 K"\n', 'sky = "20 K"\naperture = "2 m"\ncentral_obscuration = "3 m"\n'),
             "central_obscuration: found 3 m; less than the aperture, 2 m, is expected",
         ),
+        (
+            ('sky = "20 K"\n', 'sky = "20 K"\ncentral_obscuration = "3 m"\n'),
+            "central_obscuration: found 3 without 'aperture', which it refers to",
+        ),
+        (
+            ('sky = "20 K"\n', 'sky = "20 K"\naperture_efficiency = 0.7\n'),
+            "aperture_efficiency: found 0.7 without 'aperture', which it refers to",
+        ),
     ],
 )
 def test_errors_are_one_line(scene_of, edit, message):
