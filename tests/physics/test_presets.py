@@ -1,6 +1,7 @@
 """The cameras that ship beside published numbers, and each number with a source."""
 
 import re
+import subprocess
 import tomllib
 
 import pytest
@@ -10,6 +11,7 @@ from surveysim.scene.bands import has_bands, load_bands
 from surveysim.scene.keys import scene_keys
 from surveysim.scene.scene import load_scene
 from surveysim.scene.shipped import camera_folder, camera_titles
+from tests.entry import COMMAND
 
 NUMBERS = numbers()
 CAMERAS = list(camera_titles())
@@ -74,3 +76,14 @@ def test_cameras_have_no_published_scores(camera):
     content = tomllib.loads((camera_folder() / f"{camera}.toml").read_text(encoding="utf-8"))
     keys = {key for key, _ in scene_keys(content)}
     assert "score.size" in keys and not any(key.startswith("score.reference") for key in keys)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_cameras_run(camera, tmp_path):
+    """Each within minutes on one core, as a first look at a camera has to."""
+    options = ("--set", "observations=2", "--set", "score.jackknives=8", "--workers", "1", "--no-figures")
+    command = [*COMMAND, "run", camera, *options]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / "outputs").is_dir()
