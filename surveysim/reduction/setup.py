@@ -57,6 +57,8 @@ from surveysim.timestreams.simulation import (
 SAMPLE_S = 8e-8  # of a detector-sample, about
 SIGNAL_SIMS = 1.2  # time of the signal simulations of an observation, about, in that of its other work
 QUICK_S = 1.5
+_SIMS_AT_ONCE = 4  # pairs of observations with simulated signal at the start of a survey
+_SIM_SPACING = 5  # pairs from one with simulated signal to the next, after those
 
 if TYPE_CHECKING:
     from surveysim.atmosphere.screen_simulation import SlantStrips
@@ -312,13 +314,18 @@ def _seasons(scene: Scene, times: Schedule | None) -> tuple[Season, ...] | None:
 
 
 def signal_sim_observations(scene: Scene) -> np.ndarray:
-    """Observations (n_obs,) bool that carry the signal simulations: the first ones, in pairs of both directions.
+    """Observations (n_obs,) bool that carry the signal simulations, in pairs of both directions.
 
-    Longer surveys have the same.
+    The first four pairs, from which even a short survey covers its map, then every fifth pair, up to the number of the
+    scene. The rule does not depend on the length of the survey.
     """
     chosen = np.zeros(scene.observations, bool)
     if scene.score is not None:
-        chosen[: 2 * max(1, scene.score.signal_sims.observations // 2)] = True
+        wanted = max(1, scene.score.signal_sims.observations // 2)
+        pairs = np.arange(wanted)
+        pairs += (_SIM_SPACING - 1) * np.maximum(0, pairs - _SIMS_AT_ONCE + 1)
+        carried = (2 * pairs[:, None] + [0, 1]).ravel()
+        chosen[carried[carried < scene.observations]] = True
     return chosen
 
 
