@@ -25,10 +25,14 @@ ARCMIN2_PER_DEG2 = 3600.0
 Number = Mapping[str, Any]
 
 
+def camera_scene(number: Number) -> Scene:
+    """Scene of the camera of a number, in its band if the camera has several."""
+    return _scene(number["camera"], number.get("band"))
+
+
 @cache
-def camera_scene(camera: str) -> Scene:
-    """Scene of a camera."""
-    return surveysim.load_scene(camera)
+def _scene(camera: str, band: str | None) -> Scene:
+    return surveysim.load_bands(camera).bands[band] if band else surveysim.load_scene(camera)
 
 
 def site_opacity(scene: Scene) -> BandOpacity | None:
@@ -43,7 +47,7 @@ def elevation_rad(scene: Scene, number: Number) -> float:
 
 def detector(number: Number) -> Sensitivity:
     """Sensitivity of a detector in the water and elevation of a number."""
-    scene = camera_scene(number["camera"])
+    scene = camera_scene(number)
     opacity = site_opacity(scene)
     pwv = math.nan if opacity is None else number.get("pwv", float(pwv_quantile(scene.atmosphere, 0.5)))
     return sensitivity(scene, opacity, pwv, elevation_rad(scene, number))
@@ -82,7 +86,7 @@ def _nefd_ratio(number: Number) -> float:
 
 def _nefd_at_transmission(number: Number) -> float:
     """NEFD in the water that gives a transmission along the line of sight."""
-    scene = camera_scene(number["camera"])
+    scene = camera_scene(number)
     opacity, elevation = site_opacity(scene), elevation_rad(scene, number)
     water = np.geomspace(opacity.pwv_mm[0], opacity.pwv_mm[-1], 500)
     passed = np.exp(-optical_depth(opacity, water) / math.sin(elevation))
@@ -92,20 +96,20 @@ def _nefd_at_transmission(number: Number) -> float:
 
 def _jansky_per_pw(number: Number) -> float:
     """Flux density above the atmosphere per absorbed power that it would give without atmosphere [Jy/pW]."""
-    scene = camera_scene(number["camera"])
+    scene = camera_scene(number)
     found = detector(number)
     passed = math.exp(-float(optical_depth(site_opacity(scene), found.pwv_mm)) / math.sin(found.elevation_rad))
     return passed * 1e-15 / found.w_per_mjy
 
 
 def _opacity(number: Number) -> float:
-    scene = camera_scene(number["camera"])
+    scene = camera_scene(number)
     return float(optical_depth(site_opacity(scene), number["pwv"])) / math.sin(elevation_rad(scene, number))
 
 
 def _beam(number: Number) -> float:
     """Width of the diffracted beam of the scene's aperture [arcsec]."""
-    scene = camera_scene(number["camera"])
+    scene = camera_scene(number)
     optics, section = scene.optics, scene.instrument
     width = beam_width(illumination(section), optics.central_obscuration_m / optics.aperture_m)
     return math.degrees(width * SPEED_OF_LIGHT_M_S / section.band.centre_hz / optics.aperture_m) * 3600
@@ -146,7 +150,7 @@ def table() -> str:
     for number in numbers():
         value, mark = ours(number), " *" if number.get("calibrated") else ""
         cells = (
-            f"`{number['camera']}`",
+            f"`{number['camera']}`{', ' * ('band' in number)}{number.get('band', '')}",
             KINDS[number["kind"]][0],
             number["unit"],
             f"{value:.3g}",

@@ -15,10 +15,9 @@ from matplotlib.figure import Figure
 from PIL import Image
 from scipy.special import j0
 
-from surveysim.api import load_scene
 from surveysim.forecasting.forecast import forecast
 from surveysim.reduction.setup import prepare
-from surveysim.scene.scene import Scene
+from surveysim.scene.scene import Scene, load_scene
 from surveysim.telescope.array_noise import array_psd
 from surveysim.telescope.diffraction import with_beam
 from surveysim.telescope.focal_plane import Camera, camera

@@ -436,16 +436,24 @@ def beam_coherence(intensity, separation, inner, outer, n=4000):
 
 
 def wave_correlation(beam, separation, band, aperture_weight, stop_weight):
-    """Correlation of wave noise by Hill and Kusaka's equations 59 and 60, frequency by frequency."""
-    total = norm = 0.0
-    for frequency, transmission in band:
-        here, apart = beam.at(frequency), np.array([separation * frequency])
-        gamma = aperture_weight * here.aperture(apart)[0]
-        if stop_weight:
-            gamma += stop_weight * here.stop(apart)[0]
-        total += transmission**2 * gamma**2
-        norm += transmission**2
-    return total / norm
+    """Correlation of wave noise by Hill and Kusaka's equations 59 and 60, frequency by frequency.
+
+    Aperture and stop have one brightness each at all frequencies, so that their light goes as eta and 1 - eta.
+    """
+    weights = (aperture_weight, stop_weight) if stop_weight else (aperture_weight,)
+    found = 0.0
+    for first, one in enumerate(weights):
+        for second, other in enumerate(weights):
+            total = norm = 0.0
+            for frequency, transmission in band:
+                here, apart = beam.at(frequency), np.array([separation * frequency])
+                light = here.efficiency, 1 - here.efficiency
+                gamma = here.aperture(apart)[0], here.stop(apart)[0]
+                noise = transmission**2 * light[first] * light[second]
+                total += noise * gamma[first] * gamma[second]
+                norm += noise
+            found += one * other * total / norm
+    return found
 
 
 def low_pass(data, per_scan, decay, taps):

@@ -8,7 +8,7 @@ from time import perf_counter
 
 from surveysim.api.surveys import PROCESSES
 from surveysim.api.sweeps import forecast_single_sweep, plan_single_sweep, run_single_sweep
-from surveysim.output.directory import FinishedError, begin, claimed, replacing
+from surveysim.output.directory import FinishedError, begin, claimed, remove_bands, replacing
 from surveysim.output.expected_files import band_directory, of_band_sweep, of_sweep
 from surveysim.output.writer import write_band_sweep
 from surveysim.runtime.engine import Engine
@@ -107,6 +107,8 @@ def _each_band(
             with claimed(place.path / band_directory(name), of_sweep(item, command, figures), force):
                 pass  # or an error, before any work
         begin(place, removed=lambda name: force)
+        if force:
+            remove_bands(place.path, sweep.bands)
         result = result_of(place.path)
         with replacing(place) as new:
             write_band_sweep(new, result)

@@ -6,7 +6,7 @@ from pathlib import Path
 from time import perf_counter
 
 from surveysim.api.surveys import PROCESSES, finished_survey, forecast_survey, plan_survey, run_survey
-from surveysim.output.directory import FinishedError, begin, claimed, replacing
+from surveysim.output.directory import FinishedError, begin, claimed, remove_bands, replacing
 from surveysim.output.expected_files import band_directory, of_bands, of_run
 from surveysim.output.writer import write_band_forecasts, write_bands
 from surveysim.reduction.setup import Setup, prepare
@@ -67,6 +67,8 @@ def run_bands(
                     limits=StoppingCriteria(target_error, budget),
                     force=force,
                 )
+            if (strips := found[name].setup.air.strips) is not None:
+                strips.forget()  # those of one band at a time
         return MultiBandResult(scenes, found, perf_counter() - start, engine.kind)
 
     if out is None:
@@ -77,6 +79,8 @@ def run_bands(
             with claimed(place.path / band_directory(name), expected, force):  # or an error, before any work
                 pass
         begin(place, removed=lambda name: force)
+        if force:
+            remove_bands(place.path, scenes.bands)
         result = result_of(place.path)
         with replacing(place, whole=result.is_whole) as new:
             write_bands(new, result)

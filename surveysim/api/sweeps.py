@@ -8,7 +8,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from surveysim.api.surveys import PROCESSES
-from surveysim.output.directory import begin, claimed, replacing
+from surveysim.output.directory import begin, claimed, remove_bands, replacing
 from surveysim.output.expected_files import of_sweep
 from surveysim.output.writer import write_sweep
 from surveysim.reduction.setup import prepare
@@ -52,6 +52,8 @@ def run_single_sweep(
         return result_of(None)
     with claimed(Path(out), of_sweep(sweep, "run", figures), force, resume) as place:
         begin(place, removed=lambda name: force)
+        if force:
+            remove_bands(place.path)
         result = result_of(place.path / "points")
         with replacing(place, over=lambda name: name.startswith("points/")) as new:
             write_sweep(new, prepare(sweep.points[0].scene), result, figures)

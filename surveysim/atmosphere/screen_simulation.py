@@ -115,6 +115,10 @@ class SlantStrips:
     precision: str = "float32"
     caches: dict = field(default_factory=dict, repr=False, compare=False)
 
+    def forget(self) -> None:
+        """Free the strips; they are built again when they are asked for."""
+        self.caches.clear()
+
     def at(self, sine: float) -> StripCache:
         """`StripCache` for the lowest elevation of an observation, given by its sine."""
         number = ceil(-_SLANTS * log2(sine) - 1e-9)

@@ -41,6 +41,9 @@ REASONS = {
     "num_wafer_per_optics_tube": "one wafer is simulated",
     "num_optics_tube": "one wafer is simulated",
     "Tc_fraction": "Tc is used",
+    "errors": "a distribution is its central value",
+    "bounds": "a distribution is its central value",
+    "free": "nothing is fitted",
     "absorption": "it follows from other fields",
     "scatter_frac": "it follows from surface_rough",
     "psat": "G is used",
@@ -178,59 +181,67 @@ def _other_channel(key: str, chosen: str) -> str:
 # ---------------------------------------------------------------- scene
 
 
+@dataclass(frozen=True)
+class Pixels:
+    """Pixels of a wafer: their number, distance [(f/#)lambda], edge taper [dB], and widths on the sky."""
+
+    number: int
+    pitch_f_lambda: float
+    edge_taper_db: float
+    view: View
+
+
 def _tables(
     reader: Reader, chosen: Channel, *, name: str, aperture_m: float
 ) -> tuple[dict[str, str], list[Table], list[Table]]:
     """Files of the scene, and its tables before and after [detector]."""
-    fields, camera, place = chosen.fields, chosen.camera, chosen.place
     files, band_rows, band, largest = _band(reader, chosen, name)
-    efficiency = reader.number(fields, "det_eff", SHARE, place)
-    of_efficiency = "det_eff" if efficiency is not None else "assumed: no det_eff"
-    pixel_m = reader.require(fields, "pixel_size", Allowed("m", "mm"), place)
-    f_lambda_m = reader.require(camera, "f_number", POSITIVE) * LIGHT_M_S / band.centre_hz
-    waist = reader.require(fields, "waist_factor", POSITIVE, place)
-    # Power beyond the edge of the stop: exp(-(pi^2 / 2) (pixel_size / (waist_factor f lambda))^2).
-    taper_db = 10 / math.log(10) * math.pi**2 / 2 * (pixel_m / (waist * f_lambda_m)) ** 2
-    pitch = pixel_m / f_lambda_m
-    pixels = max(1, round(reader.require(fields, "num_det_per_water", POSITIVE, place) / 2))
-    radians = LIGHT_M_S / band.centre_hz / aperture_m  # of one (f/#)lambda
-    view = View(
-        (1.02 + 0.0135 * taper_db) * radians,
-        2 * pitch * radians * math.sqrt(math.sqrt(0.75) * pixels / math.pi),
-        aperture_m,
-    )
-    # The beam of a tapered aperture, about (1.02 + 0.0135 T) lambda / D (Goldsmith 1998).
-    skipped = _names(camera.get("skip_optical_elements"), reader)
+    pixels = _pixels(reader, chosen, band, aperture_m)
+    skipped = _names(chosen.camera.get("skip_optical_elements"), reader)
+    first_look = Row("observations", 4, "assumed: a first look")
+    title = Row("title", f"{chosen.name} of {reader.path.name}, one wafer", "")
+    scan, *others = survey_tables(pixels.view)
     head = [
-        Table(
-            "",
-            (
-                Row("title", f"{chosen.name} of {reader.path.name}, one wafer", ""),
-                Row("seed", 20260101, "any number"),
-                Row("observations", 4, "assumed: a first look"),
-            ),
-        ),
+        Table("", (title, Row("seed", 20260101, "any number"), first_look)),
         Table("[field]", (Row("ra", "00h00m00s", "assumed"), Row("dec", "-45d00m00s", "assumed"))),
         Table("[fixed_pointing]", _pointing(reader)),
-        Table(
-            "[instrument]",
-            (
-                *band_rows,
-                Row("efficiency", float(f"{(1.0 if efficiency is None else efficiency) * largest:.6g}"), of_efficiency),
-                Row("polarizations", 2, "two detectors of a pixel are one, their sum"),
-                Row("edge_taper", f"{taper_db:.6g} dB", "pixel_size, waist_factor, f_number"),
-                Row("responsivity_scatter", 0.05, "assumed"),
-                Row("camera_rotation_range", "60 deg", "assumed: from one observation to the next"),
-            ),
-        ),
-        Table("[instrument.layout]", _layout(reader, chosen, pitch, pixels, view)),
-        *survey_tables(view)[:1],
-        Table("[atmosphere]", _atmosphere(reader, view)),
+        Table("[instrument]", (*band_rows, *_instrument(reader, chosen, pixels, largest))),
+        Table("[instrument.layout]", _layout(reader, chosen, pixels)),
+        scan,
+        Table("[atmosphere]", _atmosphere(reader, pixels.view)),
         Table("[optics]", (Row("aperture", f"{aperture_m:g} m", "option --aperture"),)),
         *optics_tables(reader, skipped, band),
         Table("[photon]", (Row("coherence", "hbt", "correlation of photon bunching"),)),
     ]
-    return files, head, survey_tables(view)[1:]
+    return files, head, others
+
+
+def _pixels(reader: Reader, chosen: Channel, band: Band, aperture_m: float) -> Pixels:
+    fields, place = chosen.fields, chosen.place
+    pixel_m = reader.require(fields, "pixel_size", Allowed("m", "mm"), place)
+    f_lambda_m = reader.require(chosen.camera, "f_number", POSITIVE) * LIGHT_M_S / band.centre_hz
+    waist = reader.require(fields, "waist_factor", POSITIVE, place)
+    # Power beyond the edge of the stop: exp(-(pi^2 / 2) (pixel_size / (waist_factor f lambda))^2).
+    taper_db = 10 / math.log(10) * math.pi**2 / 2 * (pixel_m / (waist * f_lambda_m)) ** 2
+    number = max(1, round(reader.require(fields, "num_det_per_water", POSITIVE, place) / 2))
+    pitch, f_lambda_rad = pixel_m / f_lambda_m, LIGHT_M_S / band.centre_hz / aperture_m
+    # The beam of a tapered aperture is about (1.02 + 0.0135 T) lambda / D wide (Goldsmith 1998).
+    beam_rad = (1.02 + 0.0135 * taper_db) * f_lambda_rad
+    field_rad = 2 * pitch * f_lambda_rad * math.sqrt(math.sqrt(0.75) * number / math.pi)
+    return Pixels(number, pitch, taper_db, View(beam_rad, field_rad, aperture_m))
+
+
+def _instrument(reader: Reader, chosen: Channel, pixels: Pixels, largest: float) -> tuple[Row, ...]:
+    efficiency = reader.number(chosen.fields, "det_eff", SHARE, chosen.place)
+    origin = "det_eff" if efficiency is not None else "assumed: no det_eff"
+    efficiency = largest * (1.0 if efficiency is None else efficiency)
+    return (
+        Row("efficiency", float(f"{efficiency:.6g}"), origin),
+        Row("polarizations", 2, "two detectors of a pixel are one, their sum"),
+        Row("edge_taper", f"{pixels.edge_taper_db:.6g} dB", "pixel_size, waist_factor, f_number"),
+        Row("responsivity_scatter", 0.05, "assumed"),
+        Row("camera_rotation_range", "60 deg", "assumed: from one observation to the next"),
+    )
 
 
 def _band(reader: Reader, chosen: Channel, name: str) -> tuple[dict[str, str], tuple[Row, ...], Band, float]:
@@ -273,14 +284,14 @@ def _pointing(reader: Reader) -> tuple[Row, ...]:
     return row, Row("parallactic_angle", "0 deg", "assumed")
 
 
-def _layout(reader: Reader, chosen: Channel, pitch: float, pixels: int, view: View) -> tuple[Row, ...]:
+def _layout(reader: Reader, chosen: Channel, pixels: Pixels) -> tuple[Row, ...]:
     """Rows of the layout: rings where they hold the pixels exactly, else a round field of view."""
-    origin = f"num_det_per_water: {pixels} pixels of two detectors"
-    rings = round((math.sqrt(12 * pixels - 3) - 3) / 6)
+    origin = f"num_det_per_water: {pixels.number} pixels of two detectors"
+    rings = round((math.sqrt(12 * pixels.number - 3) - 3) / 6)
     extent = Row("rings", rings, origin)
-    if 3 * rings * (rings + 1) + 1 != pixels or rings > 60:
-        extent = Row("field_of_view", f"{math.degrees(view.field_rad) * 60:.5g} arcmin", origin)
-    rows = extent, Row("pitch_f_lambda", float(f"{pitch:.6g}"), "pixel_size, f_number")
+    if 3 * rings * (rings + 1) + 1 != pixels.number or rings > 60:
+        extent = Row("field_of_view", f"{math.degrees(pixels.view.field_rad) * 60:.5g} arcmin", origin)
+    rows = extent, Row("pitch_f_lambda", float(f"{pixels.pitch_f_lambda:.6g}"), "pixel_size, f_number")
     working = reader.number(chosen.fields, "Yield", Allowed(high=1.0), chosen.place)
     return rows if working is None else (*rows, Row("yield", working, "Yield"))
 

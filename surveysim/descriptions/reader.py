@@ -1,7 +1,7 @@
 """Fields of a YAML description, with the keys that were read."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -112,7 +112,7 @@ class Reader:
         found = fields.get(name)
         if found is None or found.absent:
             return None
-        self.note(found)
+        self.note(found, ("var_type", "value", "unit", "scale"))
         text, bare, scale = found.value, allowed.bare, 1.0
         if isinstance(text, dict):
             if found.file is not None or "value" not in text:
@@ -148,7 +148,7 @@ class Reader:
             For a file that is missing, rows that are not two or three numbers, and a first column that does not
             increase.
         """
-        self.note(found)
+        self.note(found, ("var_type", "fname"))
         names = (found.file or "").split(",")
         path = self.path.parent / names[min(place, len(names) - 1)].strip()
         try:
@@ -166,9 +166,10 @@ class Reader:
             raise InputError(f"{found.key}: {path}: first column: increasing numbers are expected")
         return [row[0] for row in rows], [row[1] for row in rows]
 
-    def note(self, found: Field) -> None:
-        """Note that a field was read, or left out on purpose."""
-        self.used.add(found.key)
+    def note(self, found: Field, parts: Sequence[str] = ()) -> None:
+        """Note that a field was read, or left out on purpose; of a mapping only `parts`, if they are given."""
+        whole = not parts or not isinstance(found.value, dict)
+        self.used |= {found.key} if whole else {f"{found.key}.{part}" for part in parts}
         self.names.add(found.key.split(".")[-1])
 
     def unused(self) -> list[str]:

@@ -8,7 +8,7 @@ are never followed. Results are written to a temporary folder and moved to their
 import logging
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from errno import EACCES, EISDIR, ENOTDIR
@@ -160,6 +160,22 @@ def remove(place: OutputDirectory, names: Iterable[str]) -> None:
             points |= name.startswith("points/")
     if points and not any((place.path / "points").iterdir()):
         (place.path / "points").rmdir()
+
+
+def remove_bands(directory: Path, kept: Container[str] = ()) -> None:
+    """Remove the results of bands that are not `kept`: what this program wrote there, and folders left empty."""
+    for folder in directory.glob("bands/*"):
+        record = None if folder.name in kept or folder.is_symlink() else read_record(folder)
+        if record is None:
+            continue
+        with locked(folder):
+            for name in record["files"]:
+                if _is_mine(folder, name, record["files"]):
+                    (folder / name).unlink()
+            (folder / RECORD).unlink()
+        for place in (*(path for path in folder.iterdir() if path.is_dir()), folder, folder.parent):
+            with suppress(OSError):  # files of the user stay
+                place.rmdir()
 
 
 @contextmanager

@@ -41,6 +41,11 @@ class MultiBandResult:
         """Return whether all observations of all bands are finished."""
         return all(item.coadds.done == item.setup.scene.observations for item in self.bands.values())
 
+    @property
+    def workers(self) -> int:
+        """Largest number of workers of a band."""
+        return max(item.workers for item in self.bands.values())
+
     def table(self) -> "QTable":
         """Return a row for each band with units, as bands.ecsv has it."""
         return self._table().quantities()
@@ -165,5 +170,5 @@ def multi_band_summary(result: MultiBandResult) -> dict[str, Any]:
         "observations_of_survey": first.setup.scene.observations,
         "bands": run_entries(result),
         "warnings": [f"{name}: {line}" for name, item in result.bands.items() for line in item.discards.warnings],
-        "run": {"engine": result.engine, "workers": first.workers, "wall_s": result.wall_s},
+        "run": {"engine": result.engine, "workers": result.workers, "wall_s": result.wall_s},
     }

@@ -108,7 +108,8 @@ class Optics(Section):
     central_obscuration_m: Diameter = Field(alias="central_obscuration", default=0.0)
     """Diameter of the central obscuration of the aperture."""
     aperture_efficiency: Annotated[float, *number(1e-4, 1)] | None = Field(default=None)
-    """Effective area for a point source over the area of the aperture. Without it, it follows from the illumination."""
+    """Effective area for a point source over the area of the aperture, without what spills: the stop and the elements
+    take that. Without it, it follows from the illumination."""
     sky_k: Load | None = Field(
         alias="sky", default=None, json_schema_extra={"otherwise": "CMB, and atmosphere of the site's water"}
     )
@@ -128,6 +129,10 @@ class Optics(Section):
                 f"elements: found {late!r} of side 'sky' after one of side 'detector'; the order from the sky to the "
                 "detector is expected"
             )
+        given = {"central_obscuration": self.central_obscuration_m, "aperture_efficiency": self.aperture_efficiency}
+        for key, value in given.items():
+            if value and self.aperture_m is None:
+                raise ValueError(f"{key}: found {value:g} without 'aperture', which it refers to")
         if self.aperture_m is not None and self.central_obscuration_m >= self.aperture_m:
             raise ValueError(
                 f"central_obscuration: found {self.central_obscuration_m:g} m; less than the aperture, "

@@ -218,19 +218,10 @@ class He11Illumination(Illumination):
 
     def whole(self, separation_f_lambda: np.ndarray) -> np.ndarray:
         """Overlap of the fields in two apertures: 0 for horns that do not overlap, from one diameter on."""
-        from scipy.special import j0, j1
-
-        half = np.abs(np.asarray(separation_f_lambda, dtype=float)) / self.diameter_f_lambda  # over the diameter
-        node, weight = np.polynomial.legendre.leggauss(60)
-        angle, share = np.pi / 4 * (node + 1), np.pi / 4 * weight
-        inside = np.where(half < 1, half, 1.0)[..., None, None]
-        cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-        # A quarter of the lens that both apertures cover, in polar coordinates about its middle.
-        reach = np.sqrt(1 - (inside * sine) ** 2) - inside * cosine
-        r = reach * (node + 1) / 2
-        pair = [j0(_J0_ZERO * np.sqrt(r**2 + inside**2 + 2 * sign * r * inside * cosine)) for sign in (1, -1)]
-        lens = np.sum(pair[0] * pair[1] * r * (reach / 2) * weight * share[:, None], axis=(-2, -1))
-        return np.where(half < 1, 4 * lens / (np.pi * j1(_J0_ZERO) ** 2), 0.0)
+        apart = np.abs(np.asarray(separation_f_lambda, dtype=float)) / self.diameter_f_lambda
+        found, lens = np.zeros(apart.shape), apart < 1
+        found[lens] = _he11_overlap(apart[lens])
+        return found
 
     def _nodes(self, largest_f_lambda: float) -> tuple[np.ndarray, np.ndarray]:
         """Quadrature nodes over the stop's radius, and weights times the intensity, up to a separation."""
@@ -238,6 +229,23 @@ class He11Illumination(Illumination):
         node, weight = np.polynomial.legendre.leggauss(30 + math.ceil(phase / 2))
         rho = (node + 1) / 2
         return rho, weight / 2 * rho * self.intensity(rho)
+
+
+def _he11_overlap(apart: np.ndarray) -> np.ndarray:
+    """Overlap (n,) of two HE11 fields less than one diameter `apart` (n,), over the power of one.
+
+    A quarter of the lens that both apertures cover is integrated in polar coordinates about its middle.
+    """
+    from scipy.special import j0, j1
+
+    node, weight = np.polynomial.legendre.leggauss(60)
+    angle, share = np.pi / 4 * (node + 1), np.pi / 4 * weight
+    half, cosine, sine = apart[:, None, None], np.cos(angle)[:, None], np.sin(angle)[:, None]
+    reach = np.sqrt(1 - (half * sine) ** 2) - half * cosine
+    r = reach * (node + 1) / 2
+    pair = [j0(_J0_ZERO * np.sqrt(r**2 + half**2 + 2 * sign * r * half * cosine)) for sign in (1, -1)]
+    lens = np.sum(pair[0] * pair[1] * r * (reach / 2) * weight * share[:, None], axis=(-2, -1))
+    return 4 * lens / (np.pi * j1(_J0_ZERO) ** 2)
 
 
 # ---------------------------------------------------------------- measured beams

@@ -24,6 +24,8 @@ from surveysim.telescope.radiative_chain import (
     stated,
 )
 
+LEAST_TRANSMISSION = 1e-6  # of an element: nothing is measured through an opaque one
+
 
 def scene_chain(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevation_rad: float) -> RadiativeChain:
     """Make the radiative chain of a scene that gives noise by power.
@@ -42,7 +44,7 @@ def scene_chain(scene: Scene, opacity: BandOpacity | None, pwv_mm: float, elevat
     Raises
     ------
     SceneError
-        For a table of an element that does not cover the band.
+        For a table of an element that does not cover the band, and for an opaque element.
     """
     band, load = scene.instrument.band, scene.photon.load if scene.photon else None
     if scene.optics is not None:
@@ -81,6 +83,11 @@ def _optics(optics: Optics, instrument: Instrument) -> tuple[Surface, ...]:
             raise SceneError(f"optics.elements: {element.name!r}: {error}") from None
         loss = {"transmission": passed, "emissivity": emitted}
         found.append(emitter(element.name, element.side, element.temperature_k, frequency_hz, **loss))
+        if passed.max() < LEAST_TRANSMISSION:
+            raise SceneError(
+                f"optics.elements: {element.name!r}: found a transmission of {passed.max():g}; {LEAST_TRANSMISSION:g} "
+                "or more somewhere in the band is expected"
+            )
     share = stop_share(instrument, frequency_hz)
     if optics.stop is None and share.min() < 1:
         raise SceneError(

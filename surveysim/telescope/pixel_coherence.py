@@ -23,7 +23,6 @@ from surveysim.telescope.illumination import UNIFORM, GaussianIllumination, Illu
 MOST_DENSE = 1500
 # Separations closer than half of 10^-13 (f/#)lambda count as the same.
 _SEPARATION_DECIMALS = 13
-_BAND_NODES = 24
 
 Kind = Literal["hbt", "field", "intensity", "none"]
 Band = tuple[tuple[float, float], ...]  # frequencies over the one that (f/#)lambda refers to, and weights that sum to 1
@@ -42,7 +41,8 @@ class PixelCoherence:
     illumination
         Beam of each pixel over the stop.
     band
-        Frequencies and weights of the average of "hbt". Wave noise is weighted by the square of the transmission.
+        Frequencies and weights of the average of "hbt", for a beam of one efficiency. The weights are the squared
+        transmission of the band, as of wave noise.
     with_stop
         Whether the stop emits. Without it "hbt" has one part.
     """
@@ -56,9 +56,10 @@ class PixelCoherence:
         """Correlation (n_part, ...) at separations of any shape, to 1e-11.
 
         "hbt" with the stop has three parts, the band's means of gamma_ap^2, gamma_ap gamma_stop and gamma_stop^2, to
-        be added with the weights of `part_weights`. Each is positive semi-definite on any set of pixels: the
-        coherences are transforms of non-negative intensities, and so are their products (Schur). Equal separations
-        have equal correlations, to the last bit.
+        be added with the weights of `part_weights`. Their frequencies weigh by eta^2, eta (1 - eta) and (1 - eta)^2, as
+        the wave noise does: horns spill less at high frequencies. Each part is positive semi-definite on any set of
+        pixels: the coherences are transforms of non-negative intensities, and so are their products (Schur). Equal
+        separations have equal correlations, to the last bit.
         """
         separation, which = np.unique(np.round(separation_f_lambda, _SEPARATION_DECIMALS), return_inverse=True)
         parts = self._distinct_parts(separation)
@@ -70,28 +71,34 @@ class PixelCoherence:
         if self.kind != "hbt":
             gamma = self.illumination.aperture(separation)
             return (gamma if self.kind == "field" else gamma**2)[None]
-        total = np.zeros((3 if self.with_stop else 1, len(separation)))
+        n_part = 3 if self.with_stop else 1
+        total, light = np.zeros((n_part, len(separation))), np.zeros(n_part)
         for ratio, weight in self.band:
             beam, apart = self.illumination.at(ratio), separation * ratio
-            gamma = beam.aperture(apart)
-            total[0] += weight * gamma**2
+            eta, gamma = beam.efficiency, beam.aperture(apart)
+            weights = weight * np.array([eta**2, eta * (1 - eta), (1 - eta) ** 2])[:n_part]
+            light += weights
+            total[0] += weights[0] * gamma**2
             if self.with_stop:
                 stop = beam.stop(apart)
-                total[1] += weight * gamma * stop
-                total[2] += weight * stop**2
-        return total
+                total[1] += weights[1] * gamma * stop
+                total[2] += weights[2] * stop**2
+        return total / light[:, None]
 
 
 def wave_noise_band(band: Passband) -> Band:
     """Make the frequencies, over the band's centre, and weights of averages of wave noise over a band.
 
     The noise of a load of one brightness at all frequencies is proportional to the square of the transmission. Gauss's
-    quadrature for this weight averages correlations to 1e-5, at separations up to 6 (f/#)lambda over the relative width
-    of the band; beyond, they are smaller than that.
+    quadrature for this weight averages correlations to 1e-6. Their phase over the band is 2 pi s times its
+    relative width, and at large separations s they decrease as s^-3.
     """
+    low, high = band.edges_hz
     frequency, weight = band.nodes
     weight = weight * band.at(frequency)
-    return gauss_rule(frequency / band.centre_hz, weight / weight.sum(), _BAND_NODES)
+    return gauss_rule(
+        frequency / band.centre_hz, weight / weight.sum(), 6 + math.ceil(30 * (high - low) / band.centre_hz)
+    )
 
 
 def gauss_rule(x: np.ndarray, weight: np.ndarray, n: int) -> Band:

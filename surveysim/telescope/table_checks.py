@@ -20,7 +20,7 @@ def check_table(scene: Scene, cam: Camera) -> None:
             " is expected",
         )
     if found.efficiency is not None:
-        _check_efficiency(scene)
+        _check_efficiency(scene, float(found.efficiency.max()))
     _check_pairs(scene, cam)
     duration = scene.scan.duration_s
     if found.time_constant_s is not None and not (longest := found.time_constant_s.max()) <= duration / 10:
@@ -62,7 +62,12 @@ def _check_noise(scene: Scene) -> None:
         raise _refused(scene, stated[0], f"together with detector.{scene.detector.stated}; one of the two is expected")
 
 
-def _check_efficiency(scene: Scene) -> None:
+def _check_efficiency(scene: Scene, highest: float) -> None:
+    nominal = scene.instrument.efficiency
+    if nominal is not None and nominal * highest > 1 + 1e-9:
+        raise _refused(
+            scene, "efficiency", f"{highest:g}, times an instrument.efficiency of {nominal:g}; 1 or less is expected"
+        )
     if scene.photon is None and scene.detector is None:
         raise _refused(scene, "efficiency", "without [photon] and [detector], whose noise depends on it")
     if scene.detector and scene.detector.kid:

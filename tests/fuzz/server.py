@@ -30,6 +30,7 @@ KINDS = {
     "scenes": 38,
     "sweeps": 6,
     "tables": 10,
+    "descriptions": 6,
     "streams": 12,
     "maps": 10,
     "checkpoints": 5,

@@ -426,6 +426,11 @@ def test_forecasts_tell_of_time_constants(scene_with):
         ({"responsivity": SPREAD}, {"instrument.responsivity_scatter": 0.1}, "column 'responsivity': found together"),
         ({"efficiency": SPREAD}, {}, "column 'efficiency': found with photon.psd and without photon.bose_fraction"),
         ({"efficiency": SPREAD}, {"photon": None, "detector": None}, "column 'efficiency': found without [photon]"),
+        (
+            {"efficiency": SPREAD},
+            {"instrument.efficiency": 0.6, "photon.bose_fraction": 0.4},
+            "column 'efficiency': found 1.99325, times an instrument.efficiency of 0.6; 1 or less is expected",
+        ),
         ({"time_constant": SPREAD}, {}, "column 'time_constant': found 1.9"),
         (
             {"band": ["90"] * 9 + ["150"] * 10},

@@ -1,14 +1,17 @@
 """The cameras that ship beside published numbers, and each number with a source."""
 
 import re
+import subprocess
 import tomllib
 
 import pytest
 
 from docs.cameras import KINDS, PAGE, numbers, ours, with_table
+from surveysim.scene.bands import has_bands, load_bands
 from surveysim.scene.keys import scene_keys
 from surveysim.scene.scene import load_scene
 from surveysim.scene.shipped import camera_folder, camera_titles
+from tests.entry import COMMAND
 
 NUMBERS = numbers()
 CAMERAS = list(camera_titles())
@@ -59,7 +62,7 @@ def test_there_are_ten_cameras_or_more():
 def test_each_value_of_a_camera_has_a_source(camera):
     """A comment at each value of the instrument and the observations; its letters are sources of the head."""
     head, _, body = (camera_folder() / f"{camera}.toml").read_text(encoding="utf-8").partition("\ntitle")
-    assert load_scene(camera).name == camera and '"assumed" says' in head
+    assert (load_bands if has_bands(camera) else load_scene)(camera).name == camera and '"assumed" says' in head
     for section in re.split(r"(?m)^(?=\[)", body)[1:]:
         for line in section.splitlines()[1:]:
             value, _, comment = line.partition(" # ")
@@ -73,3 +76,14 @@ def test_cameras_have_no_published_scores(camera):
     content = tomllib.loads((camera_folder() / f"{camera}.toml").read_text(encoding="utf-8"))
     keys = {key for key, _ in scene_keys(content)}
     assert "score.size" in keys and not any(key.startswith("score.reference") for key in keys)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_cameras_run(camera, tmp_path):
+    """Each within minutes on one core, as a first look at a camera has to."""
+    options = ("--set", "observations=2", "--set", "score.jackknives=8", "--workers", "1", "--no-figures")
+    command = [*COMMAND, "run", camera, *options]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600)
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / "outputs").is_dir()

@@ -7,7 +7,12 @@ from matplotlib.layout_engine import LayoutEngine
 from matplotlib.transforms import Bbox
 
 PAD = 0.05  # inch, around axes with their labels
-BEFORE = {"left": 0.9, "right": 0.3, "bottom": 0.6, "top": 0.5}  # inch, until labels are measured
+BEFORE = {
+    "left": 0.9,
+    "right": 0.3,
+    "bottom": 0.6,
+    "top": 0.5,
+}  # inch, until labels are measured; less in a small figure
 
 
 class MeasuredMargins(LayoutEngine):

@@ -36,10 +36,10 @@ def new_figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), dpi=DPI, layout=MeasuredMargins())
     FigureCanvasAgg(figure)
     figure.subplots_adjust(
-        left=BEFORE["left"] / width,
-        right=1 - BEFORE["right"] / width,
-        bottom=BEFORE["bottom"] / height,
-        top=1 - BEFORE["top"] / height,
+        left=min(0.4, BEFORE["left"] / width),
+        right=1 - min(0.4, BEFORE["right"] / width),
+        bottom=min(0.4, BEFORE["bottom"] / height),
+        top=1 - min(0.4, BEFORE["top"] / height),
     )
     return figure
 

@@ -41,8 +41,7 @@ def print_bands(result: MultiBandResult, directory: Path, verbose: bool = False)
         if item.unscored:
             console.say(f"Not scored: {name}: {item.unscored}")
         print_warnings(console, [f"{name}: {line}" for line in (*item.discards.warnings, *error_warnings(item))])
-    workers = next(iter(result.bands.values())).workers
-    done = f"{len(result.bands)} bands in {result.wall_s:.1f} s with {workers} worker(s)"
+    done = f"{len(result.bands)} bands in {result.wall_s:.1f} s with {result.workers} worker(s)"
     console.say(f"\n{done}\n{where_line(directory, 'with a page for each band behind')}")
 
 

@@ -16,6 +16,7 @@ from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import NotForecastableError, SceneError
 from surveysim.scene.shipped import shipped_folder
 from tests.cameras import TWO_BANDS, write_camera
+from tests.scenes import write_scene
 from tests.trees import files
 
 QUICK = ("--engine", "serial", "--no-figures", "-q")
@@ -224,3 +225,18 @@ def test_a_shipped_camera_with_its_tables(call, camera):
     code, _, error = call("new", "third", "--like", "three_bands")
     assert code == 2 and "three_bands_150.ecsv: exists, with another content than" in error
     assert not Path("scenarios/third.toml").exists()
+
+
+def test_force_replaces_bands_that_are_gone(call, camera):
+    """Of a camera, or of a scene of one band in its place; files of the user stay."""
+    assert call("run", camera, *QUICK, "--out", "out") == (0, "", "")
+    Path("out/bands/150/notes.txt").write_text("mine")
+    camera.write_text(TWO_BANDS.replace("bands.220", "bands.230"))
+    assert call("run", camera, *QUICK, "--out", "out", "--force") == (0, "", "")
+    assert sorted(path.name for path in Path("out/bands").iterdir()) == ["150", "230"]
+    assert call("run", write_scene(Path()), *QUICK, "--out", "out", "--force") == (0, "", "")
+    assert [path.relative_to("out").as_posix() for path in Path("out/bands").rglob("*")] == [
+        "bands/150",
+        "bands/150/notes.txt",
+    ]
+    assert not Path("out/bands.ecsv").exists() and Path("out/maps/actual.fits").is_file()

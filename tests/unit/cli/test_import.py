@@ -115,6 +115,7 @@ def test_no_field_is_dropped_in_silence(call, camera):
     unused = [line for line in out.splitlines() if line.startswith("not used: ")]
     assert unused == [
         "not used: instrument.obs_time: the scene has a survey of its own",
+        "not used: instrument.channel_default.det_eff.errors: a distribution is its central value",
         "not used: instrument.channel_default.colour: unknown",
         "not used: east/low: another channel",
     ]

@@ -379,7 +379,7 @@ def test_directories_without_results(call, tmp_path, prepare, words):
         write_report(out)
 
 
-NOTHING_SCORED = '{"surveysim": "0.5.0", "scores": {}}'
+NOTHING_SCORED = '{"surveysim": "0.6.0", "scores": {}}'
 NAMES = ("summary", "scene")
 
 # ---------------------------------------------------------------- numbers and units

@@ -53,7 +53,7 @@ DOES = {
     "atmosphere": [(screen, "add_atmosphere"), (observed_block, "survey_weather")],
     "excess": [(low_frequency, "add_excess")],
     "photon": [(photon, "add_correlated_white")],
-    "overlap": [(parts, "overlap")],
+    "overlap": [(parts, "correlation_matrices")],
     "sky": [(sky_maps, "draw_sky")],
     "ephemerides": [(simulation, "schedule")],
     "opacity": [(setup, "site_water")],

@@ -162,6 +162,14 @@ def test_transmission_from_a_table(scene_of, tmp_path):
             ('sky = "20 K"\n', 'sky = "20 K"\naperture = "2 m"\ncentral_obscuration = "3 m"\n'),
             "central_obscuration: found 3 m; less than the aperture, 2 m, is expected",
         ),
+        (
+            ('sky = "20 K"\n', 'sky = "20 K"\ncentral_obscuration = "3 m"\n'),
+            "central_obscuration: found 3 without 'aperture', which it refers to",
+        ),
+        (
+            ('sky = "20 K"\n', 'sky = "20 K"\naperture_efficiency = 0.7\n'),
+            "aperture_efficiency: found 0.7 without 'aperture', which it refers to",
+        ),
     ],
 )
 def test_errors_are_one_line(scene_of, edit, message):
@@ -176,6 +184,13 @@ def test_a_table_that_does_not_cover_the_band(scene_of, tmp_path):
     (tmp_path / "filter.ecsv").write_text(TABLE.replace("160", "150"))
     with pytest.raises(SceneError, match="optics.elements: 'filter': .* 100 to 150 GHz; one that covers the passband"):
         prepare(scene_of(PHOTON + TABLED, HORNS))
+
+
+def test_opaque_elements_are_refused(scene_of):
+    opaque = STATED_SKY.replace("transmission = 0.9\n", "transmission = 0\n")
+    assert opaque != STATED_SKY
+    with pytest.raises(SceneError, match="optics.elements: 'filter': found a transmission of 0; 1e-06 or more"):
+        prepare(scene_of(PHOTON + opaque, HORNS))
 
 
 @pytest.mark.parametrize("spills", [HORNS, {"instrument.edge_taper": "3 dB"}])
