@@ -234,12 +234,14 @@ def _weighted_quantiles(rows: np.ndarray, weights: np.ndarray, probability: tupl
 
 
 @lru_cache(maxsize=32)
-def _normal_levels(probabilities: tuple[float, ...]) -> np.ndarray:
+def _knots(probabilities: tuple[float, ...], values: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray, float]:
+    """Standard normal levels of quantiles, their logarithms, and the slope between the outermost two."""
     from scipy.special import ndtri
 
-    levels = ndtri(probabilities)
+    levels, logs = ndtri(probabilities), np.log(values)
     levels.setflags(write=False)
-    return levels
+    logs.setflags(write=False)
+    return levels, logs, (logs[-1] - logs[0]) / (levels[-1] - levels[0])
 
 
 def log_quantile(
@@ -250,12 +252,12 @@ def log_quantile(
     The logarithm is linear in the normal level between the quantiles. Beyond them it has the slope between the
     outermost two, a log-normal tail.
     """
-    levels = _normal_levels(probabilities)
     if len(values) == 1 or min(values) == 0:
-        between: Any = np.interp(normal_level, levels, values)
+        from scipy.special import ndtri
+
+        between: Any = np.interp(normal_level, ndtri(probabilities), values)
         return between
-    logs = np.log(values)
-    slope = (logs[-1] - logs[0]) / (levels[-1] - levels[0])
+    levels, logs, slope = _knots(probabilities, values)
     beyond = np.minimum(normal_level - levels[0], 0) + np.maximum(normal_level - levels[-1], 0)
     # Draws beyond `B2_MAX` are refused later, and must be finite here.
     return np.exp(np.clip(np.interp(normal_level, levels, logs) + slope * beyond, -LARGEST_LOG, LARGEST_LOG))
