@@ -80,6 +80,8 @@ def _levels(result: SweepResult, x: np.ndarray, rows: np.ndarray, name: str, col
         steps = bool(_ticks(result))
         look = f"{colour} {':' if steps else '--'}"
         series.append(Series(label, "points" if steps else "line", x[rows], forecast, look))
+        if not result.simulated and not steps:
+            series.append(Series("", "points", x[rows], forecast, look))
     if result.simulated:
         sigma, error = comparison.sigma_ukcmb2[rows], comparison.error_ukcmb2[rows]
         series.append(Series(name or "simulated", "points", x[rows], sigma, colour, sigma - error, sigma + error))
@@ -90,7 +92,8 @@ def _ratios(result: SweepResult, x: np.ndarray, rows: np.ndarray, name: str, col
     comparison = result.comparison
     ratio = comparison.ratio[rows]
     if not result.simulated:
-        return [Series(name, "line", x[rows], ratio, f"{colour} --")]
+        line = () if _ticks(result) else (Series("", "line", x[rows], ratio, f"{colour} --"),)
+        return [*line, Series(name, "points", x[rows], ratio, f"{colour} --")]
     series = []
     for error, look in ((comparison.independent_error[rows], "grey"), (comparison.paired_error[rows], colour)):
         label = name if look == colour else ""

@@ -362,6 +362,14 @@ def test_forecasts_take_the_same_points(write, levels, tmp_path):
     table = Table.read(tmp_path / "sweep.ecsv", format="ascii.ecsv")
     assert "ratio" in table.colnames and not any("error" in name or "sigma" in name for name in table.colnames)
     assert (tmp_path / "figures" / "sweep.png").exists() and best_line(result).endswith("uK_CMB^2 by forecast")
+    kinds = [[series.kind for series in panel.series] for panel in sweep_figure(result).panels]
+    assert kinds == [["points"]] * 2  # of two equal values: a row of steps
+    by_value = _at(result, "2.5 mK2 / Hz", "10 mK2 / Hz", "2600000 uK2 / Hz")
+    for panel in sweep_figure(by_value).panels:
+        line, points = panel.series
+        assert (line.kind, points.kind) == ("line", "points")
+        np.testing.assert_array_equal(points.x, [2.5, 2.6, 10])
+        np.testing.assert_array_equal(points.y, line.y)
 
 
 def test_points_that_cannot_be_forecast_say_why(write, levels, monkeypatch):
