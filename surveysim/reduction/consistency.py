@@ -16,6 +16,7 @@ from surveysim.atmosphere.weather import Water
 from surveysim.reduction.cleaning_pipelines import needed_detectors
 from surveysim.reduction.scored_region import FAINTEST, padded_side
 from surveysim.runtime.errors import OutOfRangeError, SceneError
+from surveysim.runtime.numbers import plural
 from surveysim.scene.scene import Scene
 from surveysim.telescope.directions import Site
 from surveysim.telescope.focal_plane import Camera
@@ -253,7 +254,7 @@ def _check_count(scene: Scene, steps: tuple[str, ...], n_det: int, key: str) -> 
     for name in steps:
         needed = needed_detectors(scene.cleaning, name)
         if n_det < needed:
-            raise SceneError(f"{key}: found {n_det} detectors; {name!r} needs {needed} or more")
+            raise SceneError(f"{key}: found {plural(n_det, 'detector')}; {name!r} needs {needed} or more")
 
 
 def check_score(scene: Scene, geometry: MapGeometry, scans: Scans) -> None:

@@ -11,6 +11,7 @@ from surveysim.runtime.errors import InputError
 from surveysim.scene.fields import Diameter, Length, Line, Load, PhysicalTemperature, ShareOrTable, number
 from surveysim.scene.frequency_table import read_frequency_table
 from surveysim.scene.section import Section
+from surveysim.scene.units import shown
 
 Side = Literal["sky", "detector"]
 
@@ -68,12 +69,14 @@ class OpticalElement(Section):
     @model_validator(mode="after")
     def _one_loss(self) -> Self:
         if self.transmission is None and self.emissivity is None:
-            raise ValueError("'transmission', 'emissivity' or both are expected")
+            raise ValueError(
+                f"{shown(self.name)}: found no 'transmission' and no 'emissivity'; one or both are expected"
+            )
         try:
             if all(len(frequency) == 1 for frequency, _ in self.knots.values()):
                 self.losses(np.zeros(1))
         except InputError as error:
-            raise ValueError(str(error)) from None
+            raise ValueError(f"{shown(self.name)}: {error}") from None
         return self
 
 

@@ -97,7 +97,7 @@ def test_one_detector(scene_of):
 
 
 def test_one_detector_has_no_average(scene_of):
-    with pytest.raises(SceneError, match="cleaning.algorithm: found 1 detectors; 'average' needs 2 or more"):
+    with pytest.raises(SceneError, match="cleaning.algorithm: found 1 detector; 'average' needs 2 or more"):
         forecast(
             prepare(
                 scene_of(without_sections(SMALL_SCENE, "sky"), {"instrument.layout": {"rings": 0, "pitch_f_lambda": 1}})

@@ -23,7 +23,7 @@ _WRITTEN = [
     (re.compile(pattern), written)
     for pattern, written in (
         (r"\b([uµm])K_CMB\^?2\b", r"\1K²<sub>CMB</sub>"),
-        (r"\b([uµ]K²|[uµm]K)_CMB\b", r"\1<sub>CMB</sub>"),
+        (r"\b([uµ]K²|[uµm]K)_(CMB|RJ)\b", r"\1<sub>\2</sub>"),
         (r"\b([uµm])K\^?2\b", r"\1K²"),
         (r"\buK", "µK"),
         (r"\b(rad|Hz)\((-?[\d/]+)\)", r"\1<sup>\2</sup>"),

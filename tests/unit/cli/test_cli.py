@@ -96,7 +96,7 @@ def test_wrong_scene(call, scene, setting, words):
 def test_too_few_detectors(call, scene):
     text = without_sections(SMALL_SCENE, "score").replace("dead = [5]", "")
     scene.write_text(text.replace("rings = 2", "rings = 0"))
-    assert "cleaning.algorithm: found 1 detectors; 'average' needs 2 or more" in refused(call, scene)
+    assert "cleaning.algorithm: found 1 detector; 'average' needs 2 or more" in refused(call, scene)
 
 
 @pytest.mark.parametrize("item", ["scan.speed", "=3", "scan..speed=3", ""])

@@ -422,6 +422,7 @@ def test_numbers_without_errors():
     "text, written",
     [
         ("µK²_CMB and uK_CMB^2", "µK²<sub>CMB</sub> and µK²<sub>CMB</sub>"),
+        ("NET [mK_RJ √s], [mK_CMB √s]", "NET [mK<sub>RJ</sub> √s], [mK<sub>CMB</sub> √s]"),
         ("280 mK^2 rad^(-5/3)", "280 mK² rad<sup>−5/3</sup>"),
         ("[mK2 rad(-5/3)]", "[mK² rad<sup>−5/3</sup>]"),
         ("4 arcmin / s, W / Hz(1/2)", "4 arcmin/s, W/Hz<sup>1/2</sup>"),

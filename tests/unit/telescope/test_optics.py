@@ -148,10 +148,13 @@ def test_transmission_from_a_table(scene_of, tmp_path):
 @pytest.mark.parametrize(
     "edit, message",
     [
-        (("emissivity = 0.05\n", ""), "'transmission', 'emissivity' or both are expected"),
+        (
+            ("emissivity = 0.05\n", ""),
+            "optics.elements.0: 'mirrors': found no 'transmission' and no 'emissivity'; one or both are expected",
+        ),
         (
             ("transmission = 0.9\n", "transmission = 0.99\n"),
-            "transmission of 0.99 and an emissivity of 0.02; 1 or less",
+            "optics.elements.1: 'filter': found a transmission of 0.99 and an emissivity of 0.02; 1 or less",
         ),
         (("emissivity = 0.05", "emissivity = 1.5"), "found 1.5; a number from 0 to 1, or the name of a file"),
         (("emissivity = 0.05", 'emissivity = "no.ecsv"'), "emissivity: .*no.ecsv: no such file in the folder"),
