@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from surveysim.atmosphere.opacity import BandOpacity
+from surveysim.atmosphere.opacity import BandOpacity, slant_factor
 from surveysim.atmosphere.water import Season, driest_mm, pwv_quantile, wettest_mm
 from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
 from surveysim.runtime.rng import RandomPurpose, generator
@@ -207,6 +207,16 @@ def b2_quantile(atmosphere: Atmosphere, water: Water | None, normal_level: float
     if atmosphere.b2:
         return log_quantile(atmosphere.b2_probabilities, atmosphere.b2, normal_level)
     return np.exp(np.minimum(np.interp(normal_level, water.level, water.log_b2), LARGEST_LOG))
+
+
+def slant_b2(weather: Weather, water: Water | None, elevation_rad: float) -> float:
+    """B2 of the layer that an observation sees at its mean elevation, before the geometric sin(el)^(1 - b).
+
+    With a site it is the B2 at the zenith times `slant_factor`; without one it does not depend on the elevation.
+    """
+    if water is None:
+        return weather.b2
+    return weather.b2 * float(slant_factor(water.opacity, weather.pwv_mm, airmass=1 / math.sin(elevation_rad)))
 
 
 def season_quantiles(

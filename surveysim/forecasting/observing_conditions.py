@@ -16,7 +16,7 @@ from mapmaker.chunks import row_chunks
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.water import Season
-from surveysim.atmosphere.weather import Water, Weather, draw_weather
+from surveysim.atmosphere.weather import Water, Weather, draw_weather, slant_b2
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes, template_modes
 from surveysim.forecasting.mode_response import ProjectedArray, layer_waves
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
@@ -64,7 +64,7 @@ class ObservingConditions:
     excess : (n_draw,)
         Variance of the excess noise [mK^2].
     layer : (n_draw,)
-        Amplitude B2 sin(el)^(1 - b) of the layer.
+        Amplitude B2 sin(el)^(1 - b) of the layer, with the B2 of `slant_b2`.
     sine : (n_draw,)
         Sine of the elevation.
     angle : (n_draw,)
@@ -194,7 +194,7 @@ def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | 
     excess = excess_variance(scene.excess, weather.b2 if weather else None) if scene.excess else 0.0
     layer, wind = 0.0, 0.0
     if weather is not None:
-        layer = weather.b2 * view.slant
+        layer = slant_b2(weather, water, view.elevation_rad) * view.slant
         # Azimuth and elevation on the sky, then in the frame of the scan.
         wind = np.exp(-1j * view.parallactic_rad) * (-weather.wind_rad_s[0] + 1j * weather.wind_rad_s[1])
     wind = wind * np.exp(-1j * view.turn_rad)
