@@ -10,6 +10,7 @@ import numpy as np
 
 from mapmaker.errors import InputError
 from mapmaker.files import atomic_write, one_line, regular_file
+from mapmaker.fits_images import write_images
 from mapmaker.geometry import (
     MapGeometry,
     check_nside,
@@ -201,29 +202,14 @@ def write_fits(path: str | Path, item: BinnedMap, header: Mapping[str, object]) 
     ValueError
         As `checked_map`, for values beyond single precision, and for a header that FITS cannot hold.
     """
-    from astropy.io import fits
-
     item = checked_map(item)
-    base = fits.Header([(keyword, *card) for keyword, card in wcs_cards(item.geometry).items()])
+    base = wcs_cards(item.geometry)
     planes = [
         ("SIGNAL", single_precision("signal_mk", item.signal_mk), "mK"),
         ("WEIGHT", single_precision("weight", item.weight), item.weight_unit),
         ("HITS", item.hits.astype(_integers(item.hits)), ""),
     ]
-    images = [fits.PrimaryHDU()]
-    for key, value in header.items():
-        try:
-            images[0].header[key] = value
-        except (TypeError, ValueError, AttributeError) as error:
-            raise ValueError(
-                f"header: found {key!r}: {value!r:.60}; a card of FITS is expected ({one_line(error)})"
-            ) from None
-    for name, data, unit in planes:
-        image = fits.ImageHDU(data, header=base, name=name)
-        image.header["BUNIT"] = unit
-        images.append(image)
-    with atomic_write(path) as partial:
-        fits.HDUList(images).writeto(partial, overwrite=True)
+    write_images(path, header, [(name, data, base, unit) for name, data, unit in planes])
 
 
 def _integers(hits: np.ndarray) -> type:

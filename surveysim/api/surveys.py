@@ -76,7 +76,7 @@ def run_survey(
     start, limits = perf_counter(), StoppingCriteria(target_error, time_budget_s)
     setup = prepare(_scene(scene))
     check_limits(setup, limits)
-    engine = engine.for_work(is_quick(setup))
+    engine = engine.for_work(is_quick(setup, target_error))
     workers = engine.workers_for(setup.scene.observations)
     if save_timestreams and out is None:
         raise InputError("save_timestreams: found no output directory; one is expected")

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any, Protocol
@@ -209,14 +209,21 @@ def b2_quantile(atmosphere: Atmosphere, water: Water | None, normal_level: float
     return np.exp(np.minimum(np.interp(normal_level, water.level, water.log_b2), LARGEST_LOG))
 
 
-def slant_b2(weather: Weather, water: Water | None, elevation_rad: float) -> float:
-    """B2 of the layer that an observation sees at its mean elevation, before the geometric sin(el)^(1 - b).
+def slant_b2(
+    water: Water | None, weather: Sequence[Weather], elevation_rad: Sequence[float] | np.ndarray
+) -> np.ndarray:
+    """B2 (n,) of the layer in observations at some mean elevations (n,), before the geometric sin(el)^(1 - b).
 
     With a site it is the B2 at the zenith times `slant_factor`; without one it does not depend on the elevation.
     """
+    b2, elevation_rad = np.array([item.b2 for item in weather]), np.asarray(elevation_rad)
     if water is None:
-        return weather.b2
-    return weather.b2 * float(slant_factor(water.opacity, weather.pwv_mm, airmass=1 / math.sin(elevation_rad)))
+        return b2
+    pwv_mm = np.array([item.pwv_mm for item in weather])
+    for height in np.unique(elevation_rad).tolist():
+        rows = elevation_rad == height
+        b2[rows] *= slant_factor(water.opacity, pwv_mm[rows], airmass=1 / math.sin(height))
+    return b2
 
 
 def season_quantiles(
@@ -244,12 +251,14 @@ def _weighted_quantiles(rows: np.ndarray, weights: np.ndarray, probability: tupl
 
 
 @lru_cache(maxsize=32)
-def _normal_levels(probabilities: tuple[float, ...]) -> np.ndarray:
+def _knots(probabilities: tuple[float, ...], values: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray, float]:
+    """Standard normal levels of quantiles, their logarithms, and the slope between the outermost two."""
     from scipy.special import ndtri
 
-    levels = ndtri(probabilities)
+    levels, logs = ndtri(probabilities), np.log(values)
     levels.setflags(write=False)
-    return levels
+    logs.setflags(write=False)
+    return levels, logs, (logs[-1] - logs[0]) / (levels[-1] - levels[0])
 
 
 def log_quantile(
@@ -260,12 +269,12 @@ def log_quantile(
     The logarithm is linear in the normal level between the quantiles. Beyond them it has the slope between the
     outermost two, a log-normal tail.
     """
-    levels = _normal_levels(probabilities)
     if len(values) == 1 or min(values) == 0:
-        between: Any = np.interp(normal_level, levels, values)
+        from scipy.special import ndtri
+
+        between: Any = np.interp(normal_level, ndtri(probabilities), values)
         return between
-    logs = np.log(values)
-    slope = (logs[-1] - logs[0]) / (levels[-1] - levels[0])
+    levels, logs, slope = _knots(probabilities, values)
     beyond = np.minimum(normal_level - levels[0], 0) + np.maximum(normal_level - levels[-1], 0)
     # Draws beyond `B2_MAX` are refused later, and must be finite here.
     return np.exp(np.clip(np.interp(normal_level, levels, logs) + slope * beyond, -LARGEST_LOG, LARGEST_LOG))

@@ -49,7 +49,7 @@ def run_bands(
             resume=resume,
             save_timestreams=save_timestreams,
             figures=figures,
-            display=lambda setup: _display(setup, engine, quiet),
+            display=lambda setup: _display(setup, engine, quiet, limits.target_error),
             target_error=limits.target_error,
             time_budget_s=limits.time_budget_s,
             force=force,
@@ -59,13 +59,16 @@ def run_bands(
 
 
 @contextmanager
-def _display(setup: "Setup", engine: "Engine", quiet: bool) -> "Iterator[Progress]":
+def _display(setup: "Setup", engine: "Engine", quiet: bool, target_error: float | None) -> "Iterator[Progress]":
     """Show the progress of one band under its own name."""
     from surveysim.cli.progress import observation_work, progress_display, score_so_far, seconds_left
     from surveysim.reduction.setup import is_quick
 
     scene = setup.scene
-    work, workers = observation_work(scene), engine.for_work(is_quick(setup)).workers_for(scene.observations)
+    work, workers = (
+        observation_work(scene),
+        engine.for_work(is_quick(setup, target_error)).workers_for(scene.observations),
+    )
     with progress_display(scene.name, work, quiet, workers=workers) as show:
 
         def shown(sums: "CoAddTree") -> None:

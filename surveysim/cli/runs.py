@@ -88,7 +88,7 @@ def run(
     from surveysim.reduction.setup import is_quick
 
     setup = ready_setup(scene, settings)
-    checked, with_engine = setup.scene, with_engine.for_work(is_quick(setup))
+    checked, with_engine = setup.scene, with_engine.for_work(is_quick(setup, limits.target_error))
     with_engine.start_early()
     if limits.target_error is not None and checked.score is None:
         fail(f"{scene}: --target-error: found no [score]; the error is one of sigma(A), which needs it")

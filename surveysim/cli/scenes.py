@@ -70,18 +70,23 @@ def _check_setups(scenes: "Mapping[str, Scene]") -> str:
 def optics(scene: SceneFile, settings: Overrides = None) -> None:
     """Print the load and the sensitivity of a scene's detectors.
 
-    The load by element, from the sky to the detector, and NEP, NET and NEFD at quartiles of the site's water.
+    The load by element, from the sky to the detector, and NEP, NET and NEFD at quartiles of the site's water. Each
+    band and each point of a sweep has its own tables.
     """
     from surveysim.reduction.setup import prepare
+    from surveysim.studies.sweep.bands import sweep_points
 
-    if sweep_of(scene, settings):
-        fail(f"{scene}: found a sweep; one scene is expected")
-    if scenes := bands_of(scene, settings):
-        for name, item in scenes.bands.items():
-            say(f"{name}:")
-            _print_optics(scene, prepare(item))
+    if sweep := sweep_of(scene, settings):
+        points = sweep_points(sweep)
+        named = [(": ".join(filter(None, (point.scene.band_name, point.label))), point.scene) for point in points]
+    elif scenes := bands_of(scene, settings):
+        named = list(scenes.bands.items())
+    else:
+        _print_optics(scene, ready_setup(scene, settings))
         return
-    _print_optics(scene, ready_setup(scene, settings))
+    for name, item in named:
+        say(f"{name}:")
+        _print_optics(scene, prepare(item))
 
 
 def _print_optics(path: Path, setup: "Setup") -> None:

@@ -5,10 +5,11 @@ time that responsivity fits remove, and hit counts. Expectations over the weathe
 random shifts (Roberts 2018); the scatter over the shifts is their error.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from surveysim.telescope.lattice_noise import LatticePixels, NoiseCorrelation, W
 from surveysim.telescope.noise_levels import white_levels
 from surveysim.telescope.pixel_coherence import MOST_DENSE, DensePixels
 from surveysim.telescope.scans import samples_per_scan
-from surveysim.timestreams.low_frequency import excess_variance
+from surveysim.timestreams.low_frequency import excess_variance, excess_variances
 from surveysim.timestreams.observed_block import observation_levels, observation_weather
 from surveysim.timestreams.shared_parts import screen
 from surveysim.timestreams.simulation import (
@@ -83,8 +84,7 @@ class ObservingConditions:
     motion: np.ndarray
 
 
-@dataclass(frozen=True)
-class _ObservationGeometry:
+class _ObservationGeometry(NamedTuple):
     """Pointing of an observation: mean of sin(el)^(1 - b), elevation, parallactic and array angle, scan direction from
     RA.
     """
@@ -167,12 +167,59 @@ def population_conditions(setup: Setup) -> tuple[ObservingConditions, int]:
 
 def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingConditions:
     """Compute the observing conditions of some draws."""
-    draws = list(draws)
-    views = {number: _view(setup.observing, number) for number in {number for number, _ in draws}}
-    rows = [_condition_row(setup, views[number], weather) for number, weather in draws]
-    *levels, there, back = (np.array(column) for column in zip(*rows, strict=True))
-    white, shared, stop, excess, layer, sine, angle = levels
-    return ObservingConditions(white, shared, stop, excess, layer, sine, angle, np.stack([there, back], axis=1))
+    numbers, weather = zip(*draws, strict=True)
+    views = {number: _view(setup.observing, number) for number in set(numbers)}
+    geometry = np.array([views[number] for number in numbers])
+    slant, elevation, parallactic, array_angle, turn = geometry.T
+    unshared, shared, stop = _white_noise(setup, elevation, weather)
+    b2, layer, wind = np.zeros(len(weather)), np.zeros(len(weather)), np.zeros(len(weather), complex)
+    if setup.scene.atmosphere is not None:
+        b2 = np.array([item.b2 for item in weather])
+        layer = slant_b2(setup.air.water, weather, elevation) * slant
+        azimuth, height = np.array([item.wind_rad_s for item in weather]).T
+        # Azimuth and elevation on the sky, then in the frame of the scan.
+        wind = np.exp(-1j * parallactic) * (-azimuth + 1j * height) * np.exp(-1j * turn)
+    speed = setup.observing.scans.speed_rad_s
+    return ObservingConditions(
+        white=unshared,
+        shared=shared,
+        stop_share=stop,
+        excess=_excess(setup, b2),
+        layer=layer,
+        sine=np.sin(elevation),
+        angle=array_angle + turn,
+        # A backward scan is a forward scan in a frame rotated by half a turn.
+        motion=np.stack([speed - wind, speed + wind], axis=1),
+    )
+
+
+def _excess(setup: Setup, b2: np.ndarray) -> np.ndarray:
+    """Variances (n_draw,) of the excess noise."""
+    section = setup.scene.excess
+    if section is None:
+        return np.zeros(len(b2))
+    if setup.scene.atmosphere is None:
+        return np.full(len(b2), excess_variance(section, None))
+    return excess_variances(section, b2)
+
+
+def _white_noise(setup: Setup, elevation_rad: np.ndarray, weather: Sequence[Weather | None]) -> np.ndarray:
+    """White noise of independent and of shared origin [mK^2/Hz], and the stop's part, (3, n_draw)."""
+    if not setup.scene.given_by_power:  # the same in all observations
+        return np.repeat([_white_of(setup, np.nan, np.nan)], len(weather), axis=0).T
+    pwv = [np.nan if item is None else item.pwv_mm for item in weather]
+    return np.array([_white_of(setup, *item) for item in zip(pwv, elevation_rad.tolist(), strict=True)]).T
+
+
+def _white_of(setup: Setup, pwv_mm: float, elevation_rad: float) -> tuple[float, float, float]:
+    water = setup.air.water
+    white = white_levels(setup.scene, water.opacity if water else None, pwv_mm, elevation_rad)
+    shared = white.photon_mk2_hz * white.shared
+    unshared = white.photon_mk2_hz - shared + white.detector_mk2_hz
+    if setup.camera.properties.white_differs:
+        each = camera_white(setup.camera, white)
+        shared, unshared = float(each.shared.mean()), float((each.alone + each.detector).mean())
+    return unshared, shared, white.stop_share
 
 
 def _view(observing: ObservingSetup, number: int) -> _ObservationGeometry:
@@ -185,38 +232,6 @@ def _view(observing: ObservingSetup, number: int) -> _ObservationGeometry:
     middle = parallactic[len(parallactic) // 2]
     turn = number % 2 * np.pi / 2  # scans along Dec
     return _ObservationGeometry(slant, float(elevation.mean()), middle, middle + camera_angle, turn)
-
-
-def _condition_row(setup: Setup, view: _ObservationGeometry, weather: Weather | None) -> tuple[float | complex, ...]:
-    observing, scene, water = setup.observing, setup.scene, setup.air.water
-    opacity = water.opacity if water else None
-    white = white_levels(scene, opacity, weather.pwv_mm if weather else np.nan, view.elevation_rad)
-    excess = excess_variance(scene.excess, weather.b2 if weather else None) if scene.excess else 0.0
-    layer, wind = 0.0, 0.0
-    if weather is not None:
-        layer = slant_b2(weather, water, view.elevation_rad) * view.slant
-        # Azimuth and elevation on the sky, then in the frame of the scan.
-        wind = np.exp(-1j * view.parallactic_rad) * (-weather.wind_rad_s[0] + 1j * weather.wind_rad_s[1])
-    wind = wind * np.exp(-1j * view.turn_rad)
-    speed = observing.scans.speed_rad_s
-    # A backward scan is a forward scan in a frame rotated by half a turn.
-    shared = white.photon_mk2_hz * white.shared
-    unshared = white.photon_mk2_hz - shared + white.detector_mk2_hz
-    if setup.camera.properties.white_differs:
-        each = camera_white(setup.camera, white)
-        shared, unshared = float(each.shared.mean()), float((each.alone + each.detector).mean())
-    angle = view.array_angle_rad + view.turn_rad
-    return (
-        unshared,
-        shared,
-        white.stop_share,
-        excess,
-        layer,
-        np.sin(view.elevation_rad),
-        angle,
-        speed - wind,
-        speed + wind,
-    )
 
 
 @dataclass(frozen=True, eq=False)

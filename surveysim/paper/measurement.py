@@ -136,7 +136,7 @@ def measure(setup: Setup, streams: Timestreams, observation: int) -> Measurement
     return Measurement(
         observation=observation,
         truth=truth,
-        layer_b2=slant_b2(truth, setup.air.water, float(pointing.elevation_rad.mean())),
+        layer_b2=float(slant_b2(setup.air.water, [truth], [pointing.elevation_rad.mean()])[0]),
         wind=wind,
         camera_angle_rad=float(pointing.array_angle_rad[0] - pointing.parallactic_rad[0]),
         profile=correlation_profile(scan_covariances(streams.data_mk, bounds), bins),

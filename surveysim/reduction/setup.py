@@ -1,5 +1,6 @@
 """A scene made ready: checked, and taken apart into camera, observing, air, sky and analysis."""
 
+import math
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -56,7 +57,10 @@ from surveysim.timestreams.simulation import (
 
 SAMPLE_S = 8e-8  # of a detector-sample, about
 SIGNAL_SIMS = 1.2  # time of the signal simulations of an observation, about, in that of its other work
-QUICK_S = 1.5
+QUICK_S = 2.0
+TYPICAL_VARIANCE = 0.04  # relative variance of sigma from one observation, about, as of a square degree
+_SIMS_AT_ONCE = 4  # pairs of observations with simulated signal at the start of a survey
+_SIM_SPACING = 5  # pairs from one with simulated signal to the next, after those
 
 if TYPE_CHECKING:
     from surveysim.atmosphere.screen_simulation import SlantStrips
@@ -312,18 +316,29 @@ def _seasons(scene: Scene, times: Schedule | None) -> tuple[Season, ...] | None:
 
 
 def signal_sim_observations(scene: Scene) -> np.ndarray:
-    """Observations (n_obs,) bool that carry the signal simulations: the first ones, in pairs of both directions.
+    """Observations (n_obs,) bool that carry the signal simulations, in pairs of both directions.
 
-    Longer surveys have the same.
+    The first four pairs, from which even a short survey covers its map, then every fifth pair, up to the number of the
+    scene. The rule does not depend on the length of the survey.
     """
     chosen = np.zeros(scene.observations, bool)
     if scene.score is not None:
-        chosen[: 2 * max(1, scene.score.signal_sims.observations // 2)] = True
+        wanted = max(1, scene.score.signal_sims.observations // 2)
+        pairs = np.arange(wanted)
+        pairs += (_SIM_SPACING - 1) * np.maximum(0, pairs - _SIMS_AT_ONCE + 1)
+        carried = (2 * pairs[:, None] + [0, 1]).ravel()
+        chosen[carried[carried < scene.observations]] = True
     return chosen
 
 
-def is_quick(setup: Setup) -> bool:
-    """Return whether this process simulates a whole survey about as soon as worker processes have started."""
+def is_quick(setup: Setup, target_error: float | None = None) -> bool:
+    """Return whether this process simulates a survey about as soon as worker processes have started.
+
+    A survey with a target error counts up to its likely end.
+    """
+    scene, n_obs = setup.scene, setup.scene.observations
+    if target_error is not None:
+        n_obs = min(n_obs, math.ceil(TYPICAL_VARIANCE / target_error**2))
     samples = setup.camera.n_det * setup.observing.scans.n_scans * samples_per_scan(setup.observing.scans)
-    with_sims = float(signal_sim_observations(setup.scene).mean())
-    return samples * setup.scene.observations * SAMPLE_S * (1 + with_sims * SIGNAL_SIMS) < QUICK_S
+    n_with_sims = int(signal_sim_observations(scene)[:n_obs].sum())
+    return samples * SAMPLE_S * (n_obs + n_with_sims * SIGNAL_SIMS) < QUICK_S

@@ -106,7 +106,7 @@ class SignalSims(Section):
     skies: Annotated[int, *whole(2, 1000)]
     """Number of skies."""
     observations: Annotated[int, *whole(1, 1_000_000)]
-    """Number of observations with simulated signal: the first of the survey."""
+    """Largest number of observations with simulated signal: the first 8 of the survey, then pairs that are 10 apart."""
     band_power_ukcmb2: PositiveBandPower = Field(alias="band_power")
     """Band power of the skies; the transfer function does not depend on it."""
 

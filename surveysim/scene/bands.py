@@ -105,6 +105,7 @@ def bands_of(path: Path, text: str, content: Mapping[str, Any], overrides: Mappi
     """Make the scenes of the bands of a file that `read_scene` has read; errors as for `load_bands`."""
     data = scene_data(path, text, content, overrides)
     tables = _tables(path, data.get(TABLE), str(data["name"]))
+    _check_bands_of(path, content.get(TABLE), overrides)
     common = {key: value for key, value in data.items() if key not in (TABLE, "assumed")}
 
     def scene_of_band(name: str) -> Scene:
@@ -199,6 +200,14 @@ def _tables(path: Path, table: Any, scene: str) -> dict[str, dict[str, Any]]:
     if wrong:
         raise SceneError(error_lines(path, wrong))
     return table
+
+
+def _check_bands_of(path: Path, table: Any, overrides: Mapping[str, Any]) -> None:
+    """Raise SceneError for overrides of bands that the file does not have."""
+    known = list(table) if isinstance(table, dict) else []
+    for name in dict.fromkeys(filter(None, (band_key(key)[0] for key in overrides))):
+        if name not in known:
+            raise SceneError(f"{path}: {TABLE}.{name}: unknown band; allowed are {', '.join(known)}")
 
 
 def _wrong(name: str, keys: Any, scene: str) -> Iterable[str]:

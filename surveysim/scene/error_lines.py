@@ -86,6 +86,7 @@ def _line(item: Any, scene: type[BaseModel]) -> str:
         message = "missing; this key is expected"
     elif item["type"] != "value_error":
         message = re.sub(r"^Input should be (greater|less)(.*)$", r"a number \1\2 is expected", message)
+        message = re.sub(r"^Input should be ('.*')$", r"\1 is expected", message)
         allowed = _EXPECTED.get(item["type"], f"{message[0].lower()}{message[1:]}")
         message = f"found {shown(item['input'])}; {allowed}"
     return f"{key}: {message}" if key else message

@@ -44,8 +44,10 @@ def _columns(lines: list[str], name: str) -> tuple[np.ndarray, np.ndarray]:
     frequency, value = column_numbers(table, "frequency", "Hz"), column_numbers(table, name, "")
     if len(frequency) < 2:
         raise InputError(f"found {len(frequency)} rows, and two or more are needed")
-    check_rows("frequency", frequency, (frequency >= LOWEST_HZ) & (frequency <= HIGHEST_HZ), "0.1 GHz to 100 THz")
-    check_rows("frequency", frequency, np.append(True, np.diff(frequency) > 0), "more than in the row before")
+    known = (frequency >= LOWEST_HZ) & (frequency <= HIGHEST_HZ)
+    check_rows("frequency", frequency / 1e9, known, "0.1 GHz to 100 THz", unit=" GHz")
+    increases = np.append(True, np.diff(frequency) > 0)
+    check_rows("frequency", frequency / 1e9, increases, "more than in the row before", unit=" GHz")
     check_rows(name, value, (value >= 0) & (value <= 1), "0 to 1")
     return frequency, value
 
@@ -78,9 +80,9 @@ def column_numbers(table: Any, name: str, unit: str) -> np.ndarray:
     return np.asarray(values, dtype=float) * factor
 
 
-def check_rows(name: str, values: np.ndarray, allowed: np.ndarray, expected: str) -> None:
+def check_rows(name: str, values: np.ndarray, allowed: np.ndarray, expected: str, *, unit: str = "") -> None:
     """Raise InputError for the first row whose value is not allowed."""
     wrong = np.flatnonzero(~allowed)
     if len(wrong):
-        found = f"{values[wrong[0]]:g}"
+        found = f"{values[wrong[0]]:g}{unit}"
         raise InputError(f"row {wrong[0] + 1}, column {name!r}: found {found}, and {expected} is allowed")

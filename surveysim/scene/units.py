@@ -26,6 +26,7 @@ _UNIT = rf"%|{_NAME}(?:(?:\s?[*.]\s?|\s){_NAME})*(?:\s?/\s?{_NAME})?|/\s?{_NAME}
 _QUANTITY = re.compile(rf"\s*(?P<number>{NUMBER})\s*(?P<unit>{_UNIT})?\s*", re.ASCII)
 # Factors of the units that scenes use most, as astropy has them; it takes 0.25 s to import, and knows all others.
 _COMMON = {
+    "": {"%": 0.01},
     "rad": {
         "deg": 0.017453292519943295,
         "arcmin": 0.0002908882086657216,

@@ -8,7 +8,6 @@ import numpy as np
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.detector_table import KEY, DetectorTable
 from surveysim.scene.instrument import Instrument
-from surveysim.scene.units import shown
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -98,7 +97,8 @@ def only_beams(section: Instrument, properties: DetectorProperties, most: int) -
         return
     widths = np.unique(properties.beam_fwhm_rad)
     if len(widths) > most:
+        least, largest = np.degrees(widths[[0, -1]]) * 3600
         raise SceneError(
-            f"{KEY}: {section.positions}: column 'beam_fwhm': found {len(widths)} widths, {shown(widths[0])} rad first;"
-            f" {most} or fewer are expected, as each takes a sky of its own: round them"
+            f"{KEY}: {section.positions}: column 'beam_fwhm': found {len(widths)} widths, {least:.4g} to {largest:.4g}"
+            f" arcsec; {most} or fewer are expected, as each takes a sky of its own: round them"
         )

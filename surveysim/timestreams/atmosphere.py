@@ -54,7 +54,7 @@ def add_layer(
     motion = _layer_motion(setup, pointing, weather)
     tracks = scan_tracks(bounds, sample_rate_hz=rate, **motion, strips=strips)
     points = _strip_points(pointing, bounds, motion["layer_velocity_rad_s"], tracks=tracks, strips=strips)
-    seed, b2 = setup.scene.seed, slant_b2(weather, setup.air.water, float(pointing.elevation_rad.mean()))
+    seed, b2 = setup.scene.seed, slant_b2(setup.air.water, [weather], [pointing.elevation_rad.mean()])[0]
     trends = draw_trends(points, normal_deviates(seed, RandomPurpose.TREND, observation, realization=realization))
     add_along_tracks(
         data,

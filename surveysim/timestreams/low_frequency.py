@@ -27,13 +27,18 @@ def add_low_frequency_noise(data_mk: np.ndarray, of: ObservedBlock) -> None:
 
 
 def excess_variance(section: Excess, b2: float | None) -> float:
-    """Interpolate the excess variance below the band limit [mK^2] at one B2, log-log between knots (Table 2).
+    """Excess variance below the band limit [mK^2] at one B2 (`excess_variances`); that of the first knot for None."""
+    return section.variance_mk2[0] if b2 is None else float(excess_variances(section, np.asarray(b2)))
+
+
+def excess_variances(section: Excess, b2: np.ndarray) -> np.ndarray:
+    """Interpolate the excess variance below the band limit [mK^2], log-log between knots of B2 (Table 2).
 
     It is constant beyond the outermost knots, where the paper has no data.
     """
-    if b2 is None or len(section.b2) == 1:
-        return section.variance_mk2[0]
-    return float(np.exp(np.interp(np.log(max(b2, 1e-300)), np.log(section.b2), np.log(section.variance_mk2))))
+    if len(section.b2) == 1:
+        return np.full(b2.shape, section.variance_mk2[0])
+    return np.exp(np.interp(np.log(np.maximum(b2, 1e-300)), np.log(section.b2), np.log(section.variance_mk2)))
 
 
 def excess_psd(section: Excess, variance_mk2: float, n_samp: int, n: int, sample_rate_hz: float) -> np.ndarray:

@@ -396,7 +396,9 @@ def check_covariance(data, expected):
     assert low < np.sum(departure**2) < high
 
 
-@pytest.mark.parametrize("stop", [None, 0.05, 0.4])
+@pytest.mark.parametrize(
+    "stop", [None, pytest.param(0.05, marks=pytest.mark.slow), pytest.param(0.4, marks=pytest.mark.slow)]
+)
 def test_every_pair_of_drawn_streams(tmp_path, stop):
     """35 detectors in 24 000 samples, horns of one (f/#)lambda that touch; weights of the stop from none to most."""
     overrides = {"photon.stop_fraction": stop, "photon.coherent_fraction": 0.9 if stop != 0.4 else 0.5}
@@ -404,6 +406,7 @@ def test_every_pair_of_drawn_streams(tmp_path, stop):
     check_covariance(data, formula(setup))
 
 
+@pytest.mark.slow
 def test_every_pair_of_a_lattice(tmp_path, monkeypatch):
     """The same with fields on a torus, as for more than 1500 detectors; it is as good as 0.002 of the wave noise."""
     from surveysim.reduction import setup as setup_module
@@ -452,6 +455,7 @@ def test_angles_of_detectors_that_absorb_both_polarizations_do_not_matter():
         assert common_with_others(cam, PixelCoherence("hbt"), 0.0) == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_two_detectors_of_each_pixel(tmp_path):
     """Orthogonal polarizations at one place share nothing, detectors of other pixels cos^2 of their angle."""
     setup = prepare(load_scene(write_scene(tmp_path, QUIET), HBT))
@@ -496,6 +500,7 @@ def test_forecast_of_a_survey_whose_stop_is_shared(tmp_path):
     assert mine.scores["actual"].band.sigma_ukcmb2 > 1.05 * alone.scores["actual"].band.sigma_ukcmb2
 
 
+@pytest.mark.slow
 def test_weights_follow_the_water_of_each_observation(tmp_path):
     """A chain of elements with a stop: every pair of two observations, under its own water, by its own weights."""
     text = camera_scene.QUIET + camera_scene.PHOTON.replace("field", "hbt") + camera_scene.CAMERA + camera_scene.SITE

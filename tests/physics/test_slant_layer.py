@@ -1,5 +1,7 @@
 """Layer and forecast of a band in a water line, away from the zenith: the slant column's effect on the band."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -69,5 +71,16 @@ def test_forecast_has_the_layer_of_the_streams(setups):
 
 def test_at_the_zenith_and_without_a_site_b2_is_the_drawn_one(setups):
     site, plain = setups
-    assert slant_b2(WEATHER, site.air.water, np.pi / 2) == WEATHER.b2
-    assert slant_b2(WEATHER, plain.air.water, 0.3) == WEATHER.b2
+    assert slant_b2(site.air.water, [WEATHER], [np.pi / 2]) == [WEATHER.b2]
+    assert slant_b2(plain.air.water, [WEATHER], [0.3]) == [WEATHER.b2]
+
+
+def test_every_observation_has_its_water_and_elevation(setups):
+    water, weather = setups[0].air.water, [replace(WEATHER, pwv_mm=pwv) for pwv in (0.5, 1.0, 2.0, 0.5)]
+    elevation = np.radians([30.0, 60.0, 30.0, 45.0])
+    found = slant_b2(water, weather, elevation)
+    for b2, item, height in zip(found, weather, elevation, strict=True):
+        assert b2 == pytest.approx(
+            300 * slant_factor(water.opacity, item.pwv_mm, airmass=1 / np.sin(height)), rel=1e-13
+        )
+    assert len(np.unique(found)) == 4

@@ -201,7 +201,8 @@ def _optics(optics: Values) -> Iterator[str]:
         yield f"A sky of {short(optics['sky_k'])} K."
     for element in optics["elements"]:
         losses = [_loss(element, kind) for kind in ("transmission", "emissivity") if element[kind] is not None]
-        yield f"{element['name']} at {short(element['temperature_k'])} K, {joined(losses)}."
+        name = element["name"][:1].upper() + element["name"][1:]
+        yield f"{name} at {short(element['temperature_k'])} K, {joined(losses)}."
     if optics["stop"] is not None:
         yield f"A stop at {short(optics['stop']['temperature_k'])} K."
 

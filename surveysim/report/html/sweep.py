@@ -14,13 +14,14 @@ from surveysim.report.html.provenance import provenance, sources
 from surveysim.report.html.scene import what_was_simulated
 from surveysim.runtime.numbers import count, duration, joined, number, plural, quoted, quoted_share
 from surveysim.studies.sweep.axes import value_text
-from surveysim.studies.sweep.result import ESTIMATES
+from surveysim.studies.sweep.result import ESTIMATES, FORECAST_WEATHER
 from surveysim.studies.sweep.tables import WITHHELD, chance_text, data_set_table, ratio_text, sweep_table, varied_keys
 from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, listed_data_sets
 
 Content = Mapping[str, Any]  # content of summary.json, of one of its points, or of scene.json
 PICTURE = "figures/sweep.png"
 MOST_NAMED = 4  # points in a note
+NO_DISCARD_FORECAST = "By forecast no scan is discarded."
 
 
 def sweep_page(directory: Path, summary: Content, scene: Content) -> Page:
@@ -139,7 +140,7 @@ def _ratio_note(summary: Content) -> str:
     note = f"σ(A) {said}. " if said else ""
     note += f"Ratios are to {summary['points'][summary['reference']]['label']}."
     if summary["kind"] != "simulated":
-        return f"{note} A forecast has no Monte Carlo error."
+        return f"{note} A forecast has no Monte Carlo error. {FORECAST_WEATHER}"
     return (
         f"{note} Their errors allow for the noise and weather that the points share. Best: the probability that the"
         " point has the lowest σ(A) of all that lose few scans and whose error is known."
@@ -181,7 +182,9 @@ def _discarded(summary: Content) -> Iterator[Block]:
         return
     keys, names = varied_keys(summary), listed_data_sets([point["discarded"] for point in points])
     if not any(value for point in points for value in point["discarded"].values()):
-        yield Text(("No scan was discarded.",))
+        unknown = [point["label"] for point in summary["points"] if "discarded" not in point]
+        more = (f"The fraction is unknown for {joined(unknown)}.",) if unknown else ()
+        yield Text(("No scan was discarded." if summary["kind"] == "simulated" else NO_DISCARD_FORECAST, *more))
         return
     quarters = max(len(point["discarded_by_weather"]) for point in points)
     rows = []

@@ -12,7 +12,7 @@ from surveysim.runtime.numbers import number, plain, plural, quoted, quoted_shar
 from surveysim.runtime.table import Table
 from surveysim.studies.sweep.axes import Axis
 from surveysim.studies.sweep.band_results import MultiBandSweepResult, sweep_entries
-from surveysim.studies.sweep.result import ESTIMATES, SweepResult
+from surveysim.studies.sweep.result import ESTIMATES, FORECAST_WEATHER, SweepResult
 from surveysim.studies.sweep.summary import sweep_summary
 from surveysim.studies.sweep.tables import chance_text, sweep_table
 from surveysim.survey.discarded_scans import listed_data_sets, percent
@@ -40,6 +40,8 @@ def print_sweep(result: SweepResult, directory: Path, verbose: bool = False) -> 
         reference = result.sweep.points[result.comparison.reference].label
         console.say(f"Ratios are to {reference}{', with paired errors' if result.simulated else ''}.")
         console.say(best_line(result))
+    if not result.simulated:
+        console.say(FORECAST_WEATHER)
     if verbose:
         for line in (*estimate_lines(result), *discard_lines(result), *forecast_lines(result)):
             console.say(line)
@@ -57,7 +59,7 @@ def print_sweeps(result: MultiBandSweepResult, directory: Path, verbose: bool = 
     table = band_table(sweep_entries(result), {})
     show_table(console, table, title=f"{result.sweep.title}: best point of each band")
     where = where_line(directory, "with a page for each band behind")
-    console.say(f"\n{len(result.summaries)} bands in {result.wall_s:.1f} s\n{where}")
+    console.say(f"\n{plural(len(result.summaries), 'band')} in {result.wall_s:.1f} s\n{where}")
 
 
 def _named_by_axes(table: Table, axes: Sequence[Axis]) -> Table:
@@ -88,8 +90,6 @@ def forecast_lines(result: SweepResult) -> Iterator[str]:
     if compared:
         point, (off, error) = max(compared, key=lambda entry: abs(entry[1][0]))
         yield f"forecast over simulated, less 1: at worst {plain(quoted_share(off, error))}, {point.label}"
-    if not result.simulated:
-        yield "Forecasts are of the weather that the seed draws; a run quotes sigma(A) of all weather."
 
 
 def flag_lines(result: SweepResult) -> list[str]:

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 
 MOST_PAIRED = 100  # points with a score, every pair of which is compared
 
+FORECAST_WEATHER = (
+    "Forecasts of a sweep are for the weather that the seed draws; a run and the forecast of one scene are for all"
+    " weather."
+)
 ESTIMATES = {  # kinds of sigma(A)
     "controlled": "has the forecast as control variate, which removes the chance of the weather sample",
     "plain": "is for the weather drawn, which is common to all points",

@@ -43,7 +43,7 @@ def sweep_table(summary: Content) -> Table:
         *_settings(summary),
         column("n_det", [point["n_det"] for point in points], "detectors"),
         *_scores(summary),
-        *_forecasts(points),
+        *_forecasts(summary),
         *_discarded(summary),
         *_ratios(summary),
         file_column("unscored", [point.get("unscored", "") for point in points]),
@@ -121,13 +121,15 @@ def _of_scores(points: Sequence[Content], name: str, key: str) -> list[float | N
     return [point["scores"].get(name, {}).get(key) for point in points]
 
 
-def _forecasts(points: Sequence[Content]) -> Iterator[Column]:
+def _forecasts(summary: Content) -> Iterator[Column]:
     """Columns of the forecasts of each data set; the terminal shows the actual data, with ! where it may be off."""
+    points = summary["points"]
+    heading = "forecast" if summary["kind"] == "simulated" else f"forecast {SIGMA}"
     errors, flags = _of_scores(points, ACTUAL, "error_ukcmb2"), [" !" * bool(p["forecast_flags"]) for p in points]
     for name in _in_order(point["forecast_ukcmb2"] for point in points):
         values = [point["forecast_ukcmb2"].get(name) for point in points]
         if name == ACTUAL:
-            yield rounded_column(f"forecast_{name}", values, errors, "forecast", flags=flags)
+            yield rounded_column(f"forecast_{name}", values, errors, heading, flags=flags)
         else:
             yield file_column(f"forecast_{name}", values, "uK2")
 

@@ -376,6 +376,14 @@ def test_optics(call, tmp_path):
     assert len(error.splitlines()) == 1
 
 
+def test_optics_of_each_point_of_a_sweep(call):
+    code, out, error = call("optics", "horn_spacing_280")
+    assert (code, error) == (0, "")
+    for kind in ("Load of a detector", "NEP of a detector", "beam of"):
+        assert out.count(kind) == 2
+    assert re.findall("^(horn = .*):$", out, re.MULTILINE) == ["horn = 1.2", "horn = 0.8"]
+
+
 def test_check_warns_of_a_bolometer_that_saturates(call, tmp_path):
     path, keys = tmp_path / "camera.toml", (*BAND.items(), *HORNS.items(), ("optics.sky", "400 K"))
     settings = [part for key, value in keys for part in ("--set", f"{key}={value}")]

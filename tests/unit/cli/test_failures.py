@@ -30,6 +30,7 @@ def fail(monkeypatch, tmp_path, capsys, handlers):
 
         before = set(tmp_path.iterdir())
         monkeypatch.setattr("surveysim.scene.scene.load_scene", load)
+        monkeypatch.setattr("surveysim.studies.sweep.bands.is_band_sweep", lambda path: False)
         monkeypatch.setattr("surveysim.studies.sweep.axes.is_sweep", lambda path: False)
         monkeypatch.setattr("surveysim.scene.bands.has_bands", lambda path: False)
         code = ended(["check", f"a{EVIL}.toml"])
@@ -115,7 +116,7 @@ def test_interrupt_that_became_another_error(fail, monkeypatch, error):
 
 
 def test_interrupted_while_a_command_runs(monkeypatch, capsys, handlers, tmp_path):
-    monkeypatch.setattr("surveysim.studies.sweep.axes.is_sweep", lambda path: signal.raise_signal(signal.SIGTERM))
+    monkeypatch.setattr("surveysim.cli.scenes.sweep_of", lambda *arguments: signal.raise_signal(signal.SIGTERM))
     assert ended(["check", "a.toml"]) == 130
     assert capsys.readouterr() == ("", "interrupted\n")
 

@@ -84,6 +84,7 @@ def test_assumed_values_are_those_of_the_band(tmp_path):
         ({"bands.150.photo.psd": 1}, ["bands.150.photo: unknown key; did you mean photon?"]),
         ({"bands.150.instrument.frequency": None}, None),
         ({"bands.x-y.detector.psd": 3}, ["bands.x-y: a name of up to 20 ASCII letters, digits and '_' is expected"]),
+        ({"bands.90.detector.psd": "3 mK2 / Hz"}, ["bands.90: unknown band; allowed are 150, 220"]),
         ({"bands.220": 3}, ["bands.220: found 3; a table of sections is expected"]),
         ({"bands": {}}, ["bands: found {}; tables [bands.NAME] are expected"]),
         ({"instrument.bands": []}, ["instrument.bands is now bands.NAME"]),

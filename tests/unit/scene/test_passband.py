@@ -98,7 +98,7 @@ def test_named_bands():
     ("rows", "header", "expected"),
     [
         ("100 1\n", HEADER, "found 1 rows"),
-        ("100 1\n90 1\n", HEADER, "row 2, column 'frequency': found 9e+10"),
+        ("100 1\n90 1\n", HEADER, "row 2, column 'frequency': found 90 GHz"),
         ("100 1\n100 1\n", HEADER, "row 2, column 'frequency'"),
         ("100 1\n110 1.2\n", HEADER, "row 2, column 'transmission': found 1.2, and 0 to 1 is allowed"),
         ("100 nan\n110 1\n", HEADER, "row 1, column 'transmission': found nan"),

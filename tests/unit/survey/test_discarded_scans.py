@@ -12,12 +12,13 @@ from surveysim.api import forecast_sweep
 from surveysim.reduction.cleaning_pipelines import OPTIMAL
 from surveysim.reduction.setup import prepare
 from surveysim.report.figures.sweep import sweep_figure
+from surveysim.report.html.sweep import _discarded
 from surveysim.report.terminal.survey import closing_line, print_result
 from surveysim.report.terminal.sweep import best_line, discard_lines, print_sweep
 from surveysim.results.summary import best_pipeline
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.sweep.comparison import compare
-from surveysim.studies.sweep.result import pairs
+from surveysim.studies.sweep.result import FORECAST_WEATHER, pairs
 from surveysim.survey import run as survey
 from surveysim.survey.coadds import row_names
 from surveysim.survey.discarded_scans import (
@@ -271,13 +272,27 @@ def test_forecasts_predict_shares_and_compare_none(tmp_path):
     assert max(table["discarded"]) > 0.05 and result.warnings == []
 
 
-def test_forecasts_say_that_they_know_no_shares(tmp_path, monkeypatch):
+def test_forecasts_say_that_they_know_no_shares(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("surveysim.forecasting.pilot._MOST_SAMPLES", 0)
     path = tmp_path / "small.toml"
     path.write_text(without_sections(SMALL_SCENE, "sky") + TWO_LEVELS)
     result = forecast_sweep(path, tmp_path / "out", figures=False)
     assert discard_lines(result) == ["Shares of discarded scans are not known."] and result.warnings == []
+    print_sweep(result, tmp_path / "out")
+    screen = capsys.readouterr().out
+    assert "forecast sigma(A) [uK_CMB^2]" in screen and FORECAST_WEATHER in screen
     assert "discarded" not in Table.read(tmp_path / "out" / "sweep.ecsv", format="ascii.ecsv").colnames
+
+
+@pytest.mark.parametrize(
+    "kind, said", [("simulated", "No scan was discarded."), ("forecast", "By forecast no scan is discarded.")]
+)
+def test_a_page_names_the_points_whose_share_is_unknown(kind, said):
+    known, unknown = {"label": "psd = 1", "discarded": {"actual": 0.0}}, {"label": "psd = 2"}
+    (text,) = _discarded({"kind": kind, "axes": [], "points": [known, unknown]})
+    assert text.paragraphs == (said, "The fraction is unknown for psd = 2.")
+    (text,) = _discarded({"kind": kind, "axes": [], "points": [known]})
+    assert text.paragraphs == (said,)
 
 
 def test_few_observations_have_no_quarters():

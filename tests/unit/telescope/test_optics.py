@@ -155,7 +155,7 @@ def test_transmission_from_a_table(scene_of, tmp_path):
         ),
         (("emissivity = 0.05", "emissivity = 1.5"), "found 1.5; a number from 0 to 1, or the name of a file"),
         (("emissivity = 0.05", 'emissivity = "no.ecsv"'), "emissivity: .*no.ecsv: no such file in the folder"),
-        (('side = "detector"', 'side = "stop"'), "found 'stop'; input should be 'sky' or 'detector'"),
+        (('side = "detector"', 'side = "stop"'), "found 'stop'; 'sky' or 'detector' is expected"),
         (('side = "sky"', 'side = "detector"'), "found 'filter' of side 'sky' after one of side 'detector'"),
         (('sky = "20 K"\n', ""), "optics.sky: missing; a temperature, or a site that it follows from, is expected"),
         (
