@@ -89,7 +89,7 @@ def _nefd_at_transmission(number: Number) -> float:
     scene = camera_scene(number)
     opacity, elevation = site_opacity(scene), elevation_rad(scene, number)
     water = np.geomspace(opacity.pwv_mm[0], opacity.pwv_mm[-1], 500)
-    passed = np.exp(-optical_depth(opacity, water) / math.sin(elevation))
+    passed = np.exp(-optical_depth(opacity, water, airmass=1 / math.sin(elevation)))
     pwv = float(np.interp(number["transmission"], passed[::-1], water[::-1]))
     return sensitivity(scene, opacity, pwv, elevation).nefd_mjy_rts
 
@@ -98,13 +98,15 @@ def _jansky_per_pw(number: Number) -> float:
     """Flux density above the atmosphere per absorbed power that it would give without atmosphere [Jy/pW]."""
     scene = camera_scene(number)
     found = detector(number)
-    passed = math.exp(-float(optical_depth(site_opacity(scene), found.pwv_mm)) / math.sin(found.elevation_rad))
+    airmass = 1 / math.sin(found.elevation_rad)
+    passed = math.exp(-float(optical_depth(site_opacity(scene), found.pwv_mm, airmass=airmass)))
     return passed * 1e-15 / found.w_per_mjy
 
 
 def _opacity(number: Number) -> float:
     scene = camera_scene(number)
-    return float(optical_depth(site_opacity(scene), number["pwv"])) / math.sin(elevation_rad(scene, number))
+    airmass = 1 / math.sin(elevation_rad(scene, number))
+    return float(optical_depth(site_opacity(scene), number["pwv"], airmass=airmass))
 
 
 def _beam(number: Number) -> float:

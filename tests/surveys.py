@@ -46,6 +46,7 @@ def measured(setup, number=0, b2=280.0, pwv=1.0, left=1.0, found=None, profile=N
     return Measurement(
         observation=number,
         truth=Weather(b2, drawn_wind * ARCMIN, 0.3, pwv),
+        layer_b2=b2,
         wind=found or wind(30.0),
         camera_angle_rad=0.0,
         profile=profile,

@@ -1,8 +1,10 @@
-"""Band-averaged zenith optical depth of a place against water vapour, and the atmospheric noise that scales with it."""
+"""Band-averaged optical depth of a place against water vapour and airmass, and the atmospheric noise that scales with
+it.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 
@@ -14,7 +16,7 @@ from surveysim.scene.place import Place
 from surveysim.scene.sites import OWN
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # each band of a place has one record, by which its splines are looked up
 class BandOpacity:
     """Opacity of a place in a band.
 
@@ -27,8 +29,12 @@ class BandOpacity:
         Columns of precipitable water vapour.
     optical_depth : (n,)
         Zenith optical depth at these columns.
+    cell_share : (k,)
+        Shares of the band in the cells of the opacity table that it covers.
+    cell_depth : (k, n)
+        Zenith optical depth of these cells.
     spectral_depth : (m, n)
-        The same at each node of the band.
+        Zenith optical depth at each node of the band.
     temperature_k
         Physical temperature of the water vapour.
     """
@@ -37,13 +43,10 @@ class BandOpacity:
     band: Passband
     pwv_mm: np.ndarray
     optical_depth: np.ndarray
+    cell_share: np.ndarray
+    cell_depth: np.ndarray
     spectral_depth: np.ndarray
     temperature_k: float
-
-    @cached_property
-    def spline(self) -> Callable[..., np.ndarray]:
-        """Cubic spline of the optical depth against water vapour [mm]."""
-        return CubicSpline(self.pwv_mm, self.optical_depth)
 
     @cached_property
     def spectral_spline(self) -> Callable[..., np.ndarray]:
@@ -74,10 +77,24 @@ def band_opacity(place: Place, band: Passband) -> BandOpacity:
         raise OutOfRangeError(
             f"found a band of {low:g} to {high:g} GHz; bands within {first:g} to {last:g} GHz are allowed"
         )
-    averaged = -np.log(band.cell_shares(table.edge_hz) @ np.exp(-table.optical_depth))
+    share = band.cell_shares(table.edge_hz)
+    share, depth = share[share > 0], table.optical_depth[share > 0]
+    averaged = _mean_depth(share, depth, 1.0)
     averaged.setflags(write=False)
     at_nodes = _at_nodes(table.edge_hz, table.optical_depth, band)
-    return BandOpacity(place, band, table.pwv_mm, averaged, at_nodes, table.temperature_k)
+    return BandOpacity(place, band, table.pwv_mm, averaged, share, depth, at_nodes, table.temperature_k)
+
+
+def _mean_depth(share: np.ndarray, depth: np.ndarray, airmass: float) -> np.ndarray:
+    """Optical depth (n,) of cells (k, n) with shares (k,) at an airmass: -ln of their mean transmission."""
+    clearest = depth.min(axis=0)  # its transmission may be too small a number
+    return airmass * clearest - np.log(share @ np.exp(-airmass * (depth - clearest)))
+
+
+@lru_cache(maxsize=4096)  # observations have an airmass each; the draws of a forecast share them
+def _slant_spline(band: BandOpacity, airmass: float) -> CubicSpline:
+    """Cubic spline of the optical depth at an airmass against water vapour [mm]."""
+    return CubicSpline(band.pwv_mm, _mean_depth(band.cell_share, band.cell_depth, airmass))
 
 
 def _covers(table: OpacityTable, band: Passband) -> bool:
@@ -91,15 +108,18 @@ def _at_nodes(edge_hz: np.ndarray, depth: np.ndarray, band: Passband) -> np.ndar
     return np.array([np.interp(band.nodes[0], centre_hz, column) for column in depth.T]).T
 
 
-def optical_depth(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:
-    """Interpolate the zenith optical depth at water columns of any shape [mm].
+def optical_depth(band: BandOpacity, pwv_mm: float | np.ndarray, *, airmass: float = 1.0) -> np.ndarray:
+    """Interpolate the optical depth at an airmass, at zenith water columns of any shape [mm].
+
+    It is ``-ln <exp(-airmass tau)>``, averaged over the band. It grows less than the airmass where lines of the band
+    saturate.
 
     Raises
     ------
     ValueError
         Outside the table.
     """
-    return band.spline(_allowed(band, pwv_mm))
+    return _slant_spline(band, airmass)(_allowed(band, pwv_mm))
 
 
 def spectral_depth(band: BandOpacity, pwv_mm: float) -> np.ndarray:
@@ -107,17 +127,18 @@ def spectral_depth(band: BandOpacity, pwv_mm: float) -> np.ndarray:
     return band.spectral_spline(float(_allowed(band, pwv_mm)))
 
 
-def optical_depth_slope(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:
-    """Derivative of the zenith optical depth with the water column [1/mm], of any shape; raises as `optical_depth`."""
-    return band.spline(_allowed(band, pwv_mm), 1)
+def optical_depth_slope(band: BandOpacity, pwv_mm: float | np.ndarray, *, airmass: float = 1.0) -> np.ndarray:
+    """Derivative of `optical_depth` with the zenith water column [1/mm], of any shape; raises as `optical_depth`."""
+    return _slant_spline(band, airmass)(_allowed(band, pwv_mm), 1)
 
 
 def fluctuation_factor_mk2(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:
     """Squared amplitude of fluctuations of the water column by its own size [mK^2], for columns of any shape [mm].
 
     It is ``(C d tau / dC)^2 B_atm^2``, to which B2 is proportional, in temperature above the atmosphere: the emission
-    changes by B_atm d(1 - exp(-tau)), and the measured signal is divided by the transmission exp(-tau), at any
-    elevation. B_atm is the Rayleigh-Jeans brightness of the atmosphere. The factor replaces ``(C d eps / dC)^2
+    changes by B_atm d(1 - exp(-tau)), and the measured signal is divided by the transmission exp(-tau). This is the
+    factor at the zenith; `slant_factor` has its change with the airmass. B_atm is the Rayleigh-Jeans brightness of the
+    atmosphere. The factor replaces ``(C d eps / dC)^2
     B_atm^2`` of section 3.3, where the paper has eps = 1 - exp(tau).
 
     Raises
@@ -126,6 +147,23 @@ def fluctuation_factor_mk2(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.
         As `optical_depth`.
     """
     return (np.asarray(pwv_mm) * optical_depth_slope(band, pwv_mm) * band.temperature_k * 1e3) ** 2
+
+
+def slant_factor(band: BandOpacity, pwv_mm: float | np.ndarray, *, airmass: float) -> np.ndarray:
+    """Power of fluctuations of the slant column at an airmass over those of an equal column at the zenith.
+
+    It is ``((d tau(X, C) / dC / X) / (d tau(1, C) / dC))^2`` with the optical depth ``tau(X, C)`` of the band at the
+    airmass X. A change c of the slant column is one of c / X at the zenith, and in temperature above the atmosphere the
+    emission changes by ``B_atm d tau(X, C) / dC c / X``. The factor is 1 at a single frequency, and below 1 where
+    lines of the band saturate. It multiplies B2; the geometric ``sin(el)^(1 - b)`` is a factor of its own.
+
+    Raises
+    ------
+    ValueError
+        As `optical_depth`.
+    """
+    slant = optical_depth_slope(band, pwv_mm, airmass=airmass) / airmass
+    return (slant / optical_depth_slope(band, pwv_mm)) ** 2
 
 
 def _allowed(band: BandOpacity, pwv_mm: float | np.ndarray) -> np.ndarray:

@@ -2,14 +2,14 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Any, Protocol
 
 import numpy as np
 
-from surveysim.atmosphere.opacity import BandOpacity
+from surveysim.atmosphere.opacity import BandOpacity, slant_factor
 from surveysim.atmosphere.water import Season, driest_mm, pwv_quantile, wettest_mm
 from surveysim.runtime.errors import InputError, OutOfRangeError, SceneError
 from surveysim.runtime.rng import RandomPurpose, generator
@@ -207,6 +207,23 @@ def b2_quantile(atmosphere: Atmosphere, water: Water | None, normal_level: float
     if atmosphere.b2:
         return log_quantile(atmosphere.b2_probabilities, atmosphere.b2, normal_level)
     return np.exp(np.minimum(np.interp(normal_level, water.level, water.log_b2), LARGEST_LOG))
+
+
+def slant_b2(
+    water: Water | None, weather: Sequence[Weather], elevation_rad: Sequence[float] | np.ndarray
+) -> np.ndarray:
+    """B2 (n,) of the layer in observations at some mean elevations (n,), before the geometric sin(el)^(1 - b).
+
+    With a site it is the B2 at the zenith times `slant_factor`; without one it does not depend on the elevation.
+    """
+    b2, elevation_rad = np.array([item.b2 for item in weather]), np.asarray(elevation_rad)
+    if water is None:
+        return b2
+    pwv_mm = np.array([item.pwv_mm for item in weather])
+    for height in np.unique(elevation_rad).tolist():
+        rows = elevation_rad == height
+        b2[rows] *= slant_factor(water.opacity, pwv_mm[rows], airmass=1 / math.sin(height))
+    return b2
 
 
 def season_quantiles(

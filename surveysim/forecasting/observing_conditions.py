@@ -17,7 +17,7 @@ from mapmaker.chunks import row_chunks
 from mapmaker.geometry import boresight_pixels
 from mapmaker.timestreams import FocalPlane
 from surveysim.atmosphere.water import Season
-from surveysim.atmosphere.weather import Water, Weather, draw_weather
+from surveysim.atmosphere.weather import Water, Weather, draw_weather, slant_b2
 from surveysim.forecasting.fitted_modes import NO_FITTED_MODES, FittedModes, template_modes
 from surveysim.forecasting.mode_response import ProjectedArray, layer_waves
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
@@ -65,7 +65,7 @@ class ObservingConditions:
     excess : (n_draw,)
         Variance of the excess noise [mK^2].
     layer : (n_draw,)
-        Amplitude B2 sin(el)^(1 - b) of the layer.
+        Amplitude B2 sin(el)^(1 - b) of the layer, with the B2 of `slant_b2`.
     sine : (n_draw,)
         Sine of the elevation.
     angle : (n_draw,)
@@ -172,9 +172,10 @@ def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingCondit
     geometry = np.array([views[number] for number in numbers])
     slant, elevation, parallactic, array_angle, turn = geometry.T
     unshared, shared, stop = _white_noise(setup, elevation, weather)
-    b2, wind = np.zeros(len(weather)), np.zeros(len(weather), complex)
+    b2, layer, wind = np.zeros(len(weather)), np.zeros(len(weather)), np.zeros(len(weather), complex)
     if setup.scene.atmosphere is not None:
         b2 = np.array([item.b2 for item in weather])
+        layer = slant_b2(setup.air.water, weather, elevation) * slant
         azimuth, height = np.array([item.wind_rad_s for item in weather]).T
         # Azimuth and elevation on the sky, then in the frame of the scan.
         wind = np.exp(-1j * parallactic) * (-azimuth + 1j * height) * np.exp(-1j * turn)
@@ -184,7 +185,7 @@ def observing_conditions(setup: Setup, draws: Iterable[Draw]) -> ObservingCondit
         shared=shared,
         stop_share=stop,
         excess=_excess(setup, b2),
-        layer=b2 * slant,
+        layer=layer,
         sine=np.sin(elevation),
         angle=array_angle + turn,
         # A backward scan is a forward scan in a frame rotated by half a turn.

@@ -68,8 +68,8 @@ class MeasuredSurvey:
 
     @cached_property
     def b2_drawn(self) -> np.ndarray:
-        """Drawn B2, (n_obs,)."""
-        return np.array([item.truth.b2 for item in self.measurements])
+        """Drawn B2 of the layer at the elevation of each observation, (n_obs,)."""
+        return np.array([item.layer_b2 for item in self.measurements])
 
     @cached_property
     def b2_fitted(self) -> np.ndarray:

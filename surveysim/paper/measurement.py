@@ -20,7 +20,7 @@ from mapmaker.spectrum import mode_ell, mode_multiplicity, mode_psd, tukey_taper
 from mapmaker.stream_psd import hann_psd, low_frequency_variance, white_level
 from mapmaker.timestreams import FocalPlane, Timestreams
 from mapmaker.wind import WindFit, measure_wind, scan_velocities
-from surveysim.atmosphere.weather import Weather
+from surveysim.atmosphere.weather import Weather, slant_b2
 from surveysim.reduction.setup import Setup, prepare
 from surveysim.runtime.errors import InsufficientDataError
 from surveysim.scene.scene import Scene
@@ -76,6 +76,8 @@ class Measurement:
     ----------
     truth
         The drawn weather.
+    layer_b2
+        B2 of the layer at the elevation of the observation (`surveysim.atmosphere.weather.slant_b2`).
     wind
         Measured wind in the frame of the array.
     camera_angle_rad
@@ -96,6 +98,7 @@ class Measurement:
 
     observation: int
     truth: Weather
+    layer_b2: float
     wind: WindFit
     camera_angle_rad: float
     profile: Profile
@@ -129,10 +132,11 @@ def measure(setup: Setup, streams: Timestreams, observation: int) -> Measurement
     seconds = samples_per_scan(setup.observing.scans) / rate
     cleaned = {name: _clean(setup, streams, name) for name in supported_cleanings(setup)}
     variance, white = map_variances(setup, streams, pointing, cleaned["average"])
-    bins = camera_pairs(setup)
+    bins, truth = camera_pairs(setup), observation_weather(setup, observation)
     return Measurement(
         observation=observation,
-        truth=observation_weather(setup, observation),
+        truth=truth,
+        layer_b2=float(slant_b2(setup.air.water, [truth], [pointing.elevation_rad.mean()])[0]),
         wind=wind,
         camera_angle_rad=float(pointing.array_angle_rad[0] - pointing.parallactic_rad[0]),
         profile=correlation_profile(scan_covariances(streams.data_mk, bounds), bins),

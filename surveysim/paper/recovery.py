@@ -37,7 +37,7 @@ def _row(survey: MeasuredSurvey, k: int) -> dict[str, float | str]:
         "scene": survey.scene_of[k],
         "observation": item.observation,
         "elevation_deg": degrees(item.elevation_rad.mean()),
-        "drawn_b2": item.truth.b2,
+        "drawn_b2": survey.b2_drawn[k],
         "measured_b2": survey.b2_fitted[k],
         "drawn_pwv_mm": item.truth.pwv_mm,
         "drawn_wind_arcmin_s": survey.wind_drawn_arcmin_s[k],

@@ -8,7 +8,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from surveysim.atmosphere.water import pwv_quantile
 from surveysim.reduction.setup import Setup
+from surveysim.scene.detector_table import KEY
+from surveysim.telescope.optics import scene_chain
+
+MOST_APART = 0.02  # of two conversions to CMB temperature
 
 
 def design_warnings(setup: Setup) -> list[str]:
@@ -78,6 +83,63 @@ def _off_boresight(setup: Setup) -> str:
     )
 
 
+def _unused_optics(setup: Setup) -> str:
+    photon, optics = setup.scene.photon, setup.scene.optics
+    if photon is None or photon.psd_mk2_hz is None or optics is None:
+        return ""
+    if not optics.elements and optics.stop is None and optics.sky_k is None:
+        return ""
+    return (
+        "photon.psd: it sets the photon noise, and sky, stop and elements of [optics] do not enter; without 'psd' they"
+        " do."
+    )
+
+
+def _unused_angle(setup: Setup) -> str:
+    photon, polarizations = setup.scene.photon, setup.camera.polarizations
+    if setup.camera.focal_plane.angle_rad is None:
+        return ""
+    if photon is None:
+        found = "without [photon]"
+    elif photon.coherence != "hbt":
+        found = f"with photon.coherence {photon.coherence!r}"
+    elif polarizations == 2:
+        found = "with instrument.polarizations = 2"
+    else:
+        return ""
+    return (
+        f"{KEY}: column 'angle' does not change noise {found}; photon noise of coherence 'hbt' in one polarization"
+        " depends on it."
+    )
+
+
+def _unused_efficiency(setup: Setup) -> str:
+    properties = setup.camera.properties
+    if properties.efficiency is None or properties.noise_is_power or setup.scene.photon:
+        return ""
+    return (
+        f"{KEY}: column 'efficiency' changes nothing without [photon], as column 'psd' is the detector noise in"
+        " temperature."
+    )
+
+
+def _conversions(setup: Setup) -> str:
+    """Compare the conversion to CMB temperature of NETs, through median water, with that of maps."""
+    scene = setup.scene
+    if scene.photon is None or scene.photon.psd_mk2_hz is not None:
+        return ""
+    water, elevation_rad = setup.air.water, float(setup.observing.angles.elevation_rad.mean())
+    pwv_mm = math.nan if water is None else float(pwv_quantile(scene.atmosphere, 0.5))
+    chain = scene_chain(scene, water.opacity if water else None, pwv_mm, elevation_rad)
+    whole, band = chain.w_per_k / chain.w_per_k_cmb, scene.instrument.cmb_per_rj
+    if abs(whole / band - 1) <= MOST_APART:
+        return ""
+    return (
+        f"optics: NETs have {whole:.4g} K_CMB per K_RJ, through atmosphere and optics; maps and sigma(A) have"
+        f" {band:.4g}, of the passband alone."
+    )
+
+
 def _arcsec(angle: float) -> str:
     return f"{math.degrees(angle) * 3600:.3g} arcsec"
 
@@ -86,4 +148,14 @@ def _arcmin(angle: float) -> str:
     return f"{math.degrees(angle) * 60:.3g} arcmin"
 
 
-CHECKS: tuple[Callable[[Setup], str], ...] = (_sampling, _diffraction, _pixels, _coverage, _off_boresight)
+CHECKS: tuple[Callable[[Setup], str], ...] = (
+    _sampling,
+    _diffraction,
+    _pixels,
+    _coverage,
+    _off_boresight,
+    _unused_optics,
+    _unused_angle,
+    _unused_efficiency,
+    _conversions,
+)

@@ -1,5 +1,6 @@
 """Radiative chain of a scene: sky, optical elements, stop and detector, from [optics] or from [photon.load]."""
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -105,11 +106,11 @@ def _load(
     """Sky and warm optics of a stated load, in Rayleigh-Jeans temperature.
 
     A stated sky is in temperatures calibrated above the atmosphere, as in the paper. That of a site is a black body in
-    the Rayleigh-Jeans limit, with the transmission of the whole band.
+    the Rayleigh-Jeans limit, with the mean transmission of the band at the airmass.
     """
     passed, sky_k = 1.0, load.sky_k
     if sky_k is None:
-        passed = float(np.exp(-optical_depth(opacity, pwv_mm) / np.sin(elevation_rad)))
+        passed = float(np.exp(-optical_depth(opacity, pwv_mm, airmass=1 / math.sin(elevation_rad))))
         sky_k = opacity.temperature_k * (1 - passed)
     sky = stated("sky", SKY, sky_k, frequency_hz, passed)
     return sky, stated("warm optics", DETECTOR, load.optics_k, frequency_hz)

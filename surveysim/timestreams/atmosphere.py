@@ -6,7 +6,7 @@ import numpy as np
 
 from mapmaker.geometry import sky_offsets
 from mapmaker.timestreams import FocalPlane, scan_bounds
-from surveysim.atmosphere.weather import Weather
+from surveysim.atmosphere.weather import Weather, slant_b2
 from surveysim.runtime.rng import RandomPurpose, normal_deviates
 from surveysim.telescope.pointing import Pointing, sky_vector
 from surveysim.timestreams.observed_block import ObservedBlock
@@ -54,7 +54,7 @@ def add_layer(
     motion = _layer_motion(setup, pointing, weather)
     tracks = scan_tracks(bounds, sample_rate_hz=rate, **motion, strips=strips)
     points = _strip_points(pointing, bounds, motion["layer_velocity_rad_s"], tracks=tracks, strips=strips)
-    seed = setup.scene.seed
+    seed, b2 = setup.scene.seed, slant_b2(setup.air.water, [weather], [pointing.elevation_rad.mean()])[0]
     trends = draw_trends(points, normal_deviates(seed, RandomPurpose.TREND, observation, realization=realization))
     add_along_tracks(
         data,
@@ -62,7 +62,7 @@ def add_layer(
         sample_rate_hz=rate,
         tracks=tracks.scans(block.first, block.end),
         # Equation 2 of the paper, P = B2 sin(el)^(1 - b) alpha^-b, in angles over sin(el).
-        amplitude_mk=np.sqrt(weather.b2 / sine[block.first : block.end]),
+        amplitude_mk=np.sqrt(b2 / sine[block.first : block.end]),
         strips=strips,
         deviates=normal_deviates(
             seed, RandomPurpose.ATMOSPHERE, observation, realization=realization, block=block.number

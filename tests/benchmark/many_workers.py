@@ -3,7 +3,7 @@
 ``python tests/benchmark/many_workers.py [WORKERS ...]`` prints a row for each number of workers: 10, 100, 1000. A few
 processes host all workers, so that a small machine can have a thousand. CPU times of the first process, of the
 scheduler and of all hosts tell which of them limits the rate: an event loop that takes 0.1 ms an observation handles
-10,000 a second.
+10,000 a second. Sleeps are long enough for one machine to host them all.
 """
 
 import asyncio
@@ -22,8 +22,9 @@ from surveysim.runtime.items import LargeResults
 from surveysim.survey.remote_node import NodeOutline
 from surveysim.survey.spans import Span, Spans
 
-OBSERVATION_S = 0.0625  # of a Bolocam observation
-SECONDS = 40.0
+OBSERVATION_S = 0.0625  # of a Bolocam observation, by which the sizes of spans are chosen
+OBSERVATIONS = 128  # a worker
+RATE = 800  # most observations a second: one machine hosts all processes, and sleeps are longer where it could not
 A_PROCESS = 125  # workers
 
 
@@ -34,11 +35,17 @@ class Slept:
     outline: NodeOutline
 
 
-def sleep(span: Span) -> Slept:
-    """Take as long as the observations of a span."""
-    n_obs = span.end - span.first
-    time.sleep(n_obs * OBSERVATION_S)
-    return Slept(NodeOutline(span.first, n_obs, n_obs * OBSERVATION_S))
+@dataclass(frozen=True)
+class Sleep:
+    """The task of a worker: sleep for each observation of a span."""
+
+    each_s: float
+
+    def __call__(self, span: Span) -> Slept:
+        """Sleep, and tell the time of Bolocam's observations."""
+        n_obs = span.end - span.first
+        time.sleep(n_obs * self.each_s)
+        return Slept(NodeOutline(span.first, n_obs, n_obs * OBSERVATION_S))
 
 
 def outline(slept: Slept) -> NodeOutline:
@@ -81,6 +88,7 @@ def schedule(pipe) -> None:
             pipe.send(scheduler.address)
             await scheduler.finished()
 
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
     asyncio.run(serve())
 
 
@@ -110,10 +118,10 @@ def measure(n_workers: int) -> str:
     engine = Engine("dask", scheduler=address)
     while not are_there(engine, n_workers):
         time.sleep(2)
-    n_obs = int(n_workers * SECONDS / OBSERVATION_S)
+    n_obs, each_s = n_workers * OBSERVATIONS, max(OBSERVATION_S, n_workers / RATE)
     spans, nodes, joins = Spans(list(range(n_obs)), single=False), {}, 0
     start, cpu, before = time.perf_counter(), time.process_time(), [cpu_s(process) for process in crew]
-    for _, result in unordered_map(sleep, spans, engine, LargeResults(is_large, outline, join)):
+    for _, result in unordered_map(Sleep(each_s), spans, engine, LargeResults(is_large, outline, join)):
         item = result.outline
         spans.measured(item.seconds / item.done)
         if isinstance(result, Slept):
@@ -131,7 +139,7 @@ def measure(n_workers: int) -> str:
     nodes.clear()
     for process in crew[::-1]:
         process.kill()
-    ideal = n_obs * OBSERVATION_S / n_workers
+    ideal = OBSERVATIONS * each_s
     each = "".join(f"{1e3 * seconds / n_obs:14.3f}" for seconds in (cpu, scheduler, sum(hosts)))
     return f"{n_workers:8d} {n_obs:13d} {wall:9.1f} {ideal / wall:11.2f} {each} {joins:8d}"
 

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from surveysim.atmosphere.opacity import band_opacity, slant_factor
 from surveysim.reduction.setup import prepare
 from surveysim.scene.bands import load_bands
+from surveysim.scene.passband import top_hat
+from surveysim.scene.place import shipped_place
 from surveysim.timestreams.observation import draw_observation
 from tests.cameras import LAYER_BANDS, TWO_BANDS, write_camera
 from tests.scenes import without_sections
@@ -23,6 +26,13 @@ def drawn(tmp_path):
     return drawn
 
 
+def layer_b2(streams, frequency_hz):
+    """B2 of the layer at the elevation of an observation."""
+    opacity, at = band_opacity(shipped_place("mauna_kea"), top_hat(frequency_hz, 0.15)), streams.attributes
+    airmass = 1 / np.sin(np.radians(at["elevation_deg"]))
+    return at["b2_mk2"] * slant_factor(opacity, at["pwv_mm"], airmass=airmass)
+
+
 @pytest.mark.parametrize("observation", [0, 3])
 @pytest.mark.parametrize("blocks", ["250 MB", "9 kB"])
 def test_detectors_at_one_position_see_one_layer(drawn, observation, blocks):
@@ -32,7 +42,7 @@ def test_detectors_at_one_position_see_one_layer(drawn, observation, blocks):
     places = [np.stack([item.focal_plane.x_rad, item.focal_plane.y_rad], axis=-1) for item in (wide, narrow)]
     same = [int(np.argmin(np.hypot(*(places[0] - place).T))) for place in places[1]]
     np.testing.assert_allclose(places[0][same], places[1], atol=1e-15)
-    ratio = np.sqrt(narrow.attributes["b2_mk2"] / wide.attributes["b2_mk2"])
+    ratio = np.sqrt(layer_b2(narrow, 220e9) / layer_b2(wide, 150e9))
     assert ratio > 1.2  # the atmosphere is brighter at 220 GHz
     np.testing.assert_allclose(narrow.data_mk, ratio * wide.data_mk[same], rtol=1e-6, atol=1e-6 * wide.data_mk.std())
 

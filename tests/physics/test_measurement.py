@@ -122,9 +122,9 @@ def test_raw_variance_is_the_model_s(survey):
     ratio = []
     for item in survey.measurements:
         sine = np.sin(item.elevation_rad)
-        model = item.truth.b2 * np.mean(sine ** (-8 / 3))
+        model = item.layer_b2 * np.mean(sine ** (-8 / 3))
         model *= mean_removed_variance(at_elevation(layer, sine.mean()), item.truth.wind_speed_rad_s, 15.0)
-        if item.truth.b2 > 200:  # where nothing but the atmosphere counts
+        if item.layer_b2 > 200:  # where nothing but the atmosphere counts
             ratio.append(item.raw_mk2 / model)
     # The median of 18 scans that share trends lies 10 % below the mean.
     assert np.median(ratio) == pytest.approx(0.90, abs=0.03 + 2 * 1.25 * np.std(ratio) / math.sqrt(len(ratio)))

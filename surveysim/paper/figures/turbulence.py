@@ -50,7 +50,7 @@ def correlation_figure(survey: MeasuredSurvey) -> PaperFigure:
         title = f"{name} weather: best index {index:.2f}"
         panels.append(_profile_panel(survey, k, title, points=heights, name="h = {h:g} m", extra=()))
         texts.append(
-            f"observation {item.observation} of {survey.scene_of[k]} ({name}): B2 drawn {item.truth.b2:.0f}, fitted"
+            f"observation {item.observation} of {survey.scene_of[k]} ({name}): B2 drawn {item.layer_b2:.0f}, fitted"
             f" {survey.b2_fitted[k]:.0f} mK^2 rad^(-5/3), smallest chi^2 {fit.chi2[fit.best]:.1f}"
         )
     scene = survey.setup.scene

@@ -1,6 +1,7 @@
 """Opacity tables, their averages over a band and the interpolation in water vapour."""
 
 from dataclasses import replace
+from functools import partial
 from importlib.resources import files
 
 import numpy as np
@@ -13,6 +14,7 @@ from surveysim.atmosphere.opacity import (
     fluctuation_factor_mk2,
     optical_depth,
     optical_depth_slope,
+    slant_factor,
 )
 from surveysim.atmosphere.tables import build_opacity
 from surveysim.atmosphere.tables.am_spectra import WATER_CM2_PER_MM, am_opacity, cell_optical_depth
@@ -100,6 +102,59 @@ def test_factor_is_the_emission_s_change_above_the_atmosphere():
     np.testing.assert_allclose(fluctuation_factor_mk2(band, pwv_mm), expected / transmission**2, rtol=1e-6)
 
 
+AIRMASSES = (1.0, 1.15, 1.5, 2.0, 11.5)
+# Bands in and beside lines of water, with edges on the cells of the tables, and a window.
+BANDS = [("alma", 315, 385), ("alma", 309, 341), ("mauna_kea", 170, 200), ("mauna_kea", 135, 165)]
+
+
+def spectrum(site, low_ghz, high_ghz, knot):
+    """Zenith optical depth of the cells of a band, at three knots of the water about one: (n_cell, 3)."""
+    table = read(site)
+    rows = (table["frequency"] > low_ghz) & (table["frequency"] < high_ghz)
+    return np.stack([table[name][rows] for name in table.colnames[knot : knot + 3]], axis=1)
+
+
+@pytest.mark.parametrize("airmass", AIRMASSES)
+@pytest.mark.parametrize(("site", "low", "high"), BANDS)
+def test_depth_at_an_airmass_is_that_of_the_spectrum(site, low, high, airmass):
+    band = band_opacity(shipped_place(site), top_hat((low + high) / 2 * 1e9, (high - low) / ((low + high) / 2)))
+    expected = -np.log(np.exp(-airmass * spectrum(site, low, high, 5)).mean(axis=0))
+    np.testing.assert_allclose(optical_depth(band, band.pwv_mm[4:7], airmass=airmass), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("airmass", AIRMASSES[:-1])
+@pytest.mark.parametrize(("site", "low", "high"), BANDS)
+def test_slant_factor_is_the_emission_s_change_of_the_spectrum(site, low, high, airmass):
+    """A slant column that changes by as much gives the emission <1 - exp(-X tau)> a change of its own, over <exp(-X
+    tau)>. Each cell's derivative is that of its own spline of the optical depth; splines agree within 0.5 %.
+    """
+    table = read(site)
+    rows = (table["frequency"] > low) & (table["frequency"] < high)
+    pwv = np.array(table.meta["pwv"])
+    cells = CubicSpline(pwv, np.stack([table[name][rows] for name in table.colnames[1:]]))
+    depth, slope = cells(pwv[5]), cells(pwv[5], 1)
+
+    def seen(x):
+        return np.mean(slope * np.exp(-x * depth)) / np.mean(np.exp(-x * depth))  # of a change of x C by 1
+
+    band = band_opacity(shipped_place(site), top_hat((low + high) / 2 * 1e9, (high - low) / ((low + high) / 2)))
+    found = slant_factor(band, pwv[5], airmass=airmass)
+    assert found == pytest.approx((seen(airmass) / seen(1.0)) ** 2, rel=5e-3)
+    assert found == 1 if airmass == 1 else found < 1
+
+
+@pytest.mark.parametrize(("site", "low", "high"), BANDS[:3])
+def test_slant_factor_matters_in_lines(site, low, high):
+    band = band_opacity(shipped_place(site), top_hat((low + high) / 2 * 1e9, (high - low) / ((low + high) / 2)))
+    assert slant_factor(band, 1.0, airmass=2.0) < 0.85
+
+
+@pytest.mark.parametrize("frequency_ghz", [143, 268])
+def test_slant_factor_of_the_windows_is_one(frequency_ghz):
+    band = band_opacity(shipped_place("mauna_kea"), top_hat(frequency_ghz * 1e9, 0.15))
+    assert slant_factor(band, 1.68, airmass=2.0) == pytest.approx(1, abs=5e-3)
+
+
 @pytest.mark.parametrize("frequency_ghz", [100, 143])
 def test_thin_limit_goes_as_the_column_squared(frequency_ghz):
     """From 0.03 to 0.06 mm the slope changes by 0.6 % for water broadens itself."""
@@ -125,7 +180,8 @@ def test_bands_are_kept_and_cannot_be_written_to():
 
 def test_water_outside_the_table():
     band = band_opacity(shipped_place("mauna_kea"), top_hat(143e9, 0.15))
-    for function in (optical_depth, optical_depth_slope, fluctuation_factor_mk2):
+    at_two = partial(slant_factor, airmass=2.0)
+    for function in (optical_depth, optical_depth_slope, fluctuation_factor_mk2, at_two):
         for wrong in (7.0, [1.0, 7.0], [[7.0]]):
             with pytest.raises(ValueError, match=r"found 7 mm of water vapour; 0.05 to 6 mm is allowed"):
                 function(band, wrong)

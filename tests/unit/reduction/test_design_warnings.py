@@ -1,7 +1,9 @@
 """Warnings about the design of a survey: each appears beyond its limit, and none within."""
 
 import json
+import re
 
+import numpy as np
 import pytest
 
 from surveysim.api import run
@@ -10,11 +12,31 @@ from surveysim.reduction.setup import prepare
 from surveysim.report.terminal.survey import print_result
 from surveysim.runtime.engine import SERIAL
 from surveysim.scene.scene import load_scene
+from surveysim.scene.units import BOLTZMANN_J_K, CMB_TEMPERATURE_K, PLANCK_J_S
 from tests.pages import read_page
 from tests.scenes import write_scene
 
 OFF = {"instrument.layout": None, "instrument.wafers": [{"rings": 2, "pitch_f_lambda": 0.7, "offset_x": "9 arcmin"}]}
 NEAR = {"instrument.layout": None, "instrument.wafers": [{"rings": 2, "pitch_f_lambda": 0.7, "offset_x": "1 arcmin"}]}
+TABLE = {
+    "instrument.layout": None,
+    "score.mask_separation_f_lambda": None,
+    "instrument.responsivity_scatter": 0,
+    "detector.psd": "2.5 mK2 / Hz",
+}
+ANGLES = TABLE | {"instrument.positions": "angles.ecsv", "instrument.polarizations": 1}
+ANGLES |= {"photon.coherence": "hbt", "photon.bose_fraction": 0.5}
+EFFICIENT = TABLE | {"instrument.positions": "efficient.ecsv", "detector.psd": None}
+ELEMENT = {"name": "window", "side": "sky", "temperature": "270 K", "transmission": 0.9}
+# A filter that passes 1 at 123 GHz and 0.1 at 163 GHz.
+FILTER = {
+    "photon.psd": None,
+    "photon.coherent_fraction": None,
+    "optics.sky": "20 K",
+    "optics.elements": [ELEMENT | {"transmission": "filter.ecsv", "emissivity": 0}],
+    "instrument.efficiency": 0.4,
+    "instrument.polarizations": 1,
+}
 # The small scene: samples 24 arcsec apart, a beam of 60 and pixels of 30; scans of 24 arcmin, 9 arcmin across, a dither
 # of 2 arcmin, and an array of 2.67 arcmin.
 CASES = {
@@ -38,12 +60,41 @@ CASES = {
         {"score.size": "13.6 arcmin"},
         "score.size: the scored patch of 13.8 arcmin is larger than the 13.7 arcmin that scans in both directions",
     ),
+    "optics": (
+        {"optics.elements": [ELEMENT]},
+        {"optics.aperture": "10 m"},
+        "photon.psd: it sets the photon noise, and sky, stop and elements of [optics] do not enter",
+    ),
+    "angle": (
+        ANGLES | {"photon.coherence": "field"},
+        ANGLES,
+        "instrument.positions: column 'angle' does not change noise with photon.coherence 'field'",
+    ),
+    "efficiency": (
+        EFFICIENT | {"photon": None},
+        EFFICIENT | {"photon.bose_fraction": 0.5},
+        "instrument.positions: column 'efficiency' changes nothing without [photon]",
+    ),
+    "conversion": (
+        FILTER | {"instrument.bandwidth": 0.25},
+        FILTER | {"instrument.bandwidth": 0.1},
+        "optics: NETs have 1.606 K_CMB per K_RJ, through atmosphere and optics; maps and sigma(A) have 1.653, of",
+    ),
     "boresight": (OFF, NEAR, "instrument: the middle of the array is 9 arcmin off the boresight, beyond its own half"),
 }
 
 
 @pytest.fixture
 def path(tmp_path):
+    import astropy.units as u
+    from astropy.table import QTable
+
+    x, y = (item.ravel() * u.arcsec for item in np.meshgrid([0, 40, 80, 120], [0, 40]))
+    QTable({"x": x, "y": y, "angle": np.arange(8) * 20 * u.deg}).write(tmp_path / "angles.ecsv")
+    columns = {"psd": np.full(8, 2.5) * u.mK**2 / u.Hz, "efficiency": np.linspace(0.9, 1.1, 8)}
+    QTable({"x": x, "y": y} | columns).write(tmp_path / "efficient.ecsv")
+    filtered = {"frequency": [123, 163] * u.GHz, "transmission": [1, 0.1]}
+    QTable(filtered).write(tmp_path / "filter.ecsv")
     return write_scene(tmp_path)
 
 
@@ -57,6 +108,29 @@ def test_a_warning_beyond_a_limit(path, name):
     (line,) = design_warnings(prepare(load_scene(path, beyond)))
     assert line.startswith(words) and line.endswith(".") and "\n" not in line
     assert design_warnings(prepare(load_scene(path, within))) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"photon": None}, "without [photon]"),
+        ({"instrument.polarizations": 2}, "with instrument.polarizations = 2"),
+        ({"photon.coherence": "none"}, "with photon.coherence 'none'"),
+    ],
+)
+def test_noise_that_angles_do_not_change(path, change, words):
+    (line,) = design_warnings(prepare(load_scene(path, ANGLES | change)))
+    assert words in line
+
+
+def test_both_conversions_to_cmb_temperature(path):
+    """That of maps is the mean of dB/dT over the band, and that of NETs is weighted by the filter."""
+    (line,) = design_warnings(prepare(load_scene(path, CASES["conversion"][0])))
+    nu = np.linspace(143e9 * 0.875, 143e9 * 1.125, 4001)
+    x = PLANCK_J_S * nu / (BOLTZMANN_J_K * CMB_TEMPERATURE_K)
+    response, passed = np.exp(x) * (x / np.expm1(x)) ** 2, np.interp(nu, [123e9, 163e9], [1, 0.1])
+    found = [float(number) for number in re.findall(r"have ([\d.]+)", line)]
+    assert found == pytest.approx([passed.sum() / (passed @ response), len(nu) / response.sum()], rel=1e-3)
 
 
 def test_the_narrowest_beam_counts(path, tmp_path):

@@ -138,16 +138,32 @@ def test_no_load_shares_nothing(scene_of, coherence):
 
 
 def test_sky_s_load_follows_the_water(scene_of):
-    """T (1 - exp(-tau / sin el)) above the window, and noise over what the atmosphere lets through."""
+    """T (1 - t) above the window, and noise over what the atmosphere lets through."""
     scene = scene_of(QUIET + SITE)
     opacity = band_opacity(shipped_place("mauna_kea"), top_hat(143e9, 0.15))
     for pwv, height in ((0.5, HEIGHT), (2.0, HEIGHT), (2.0, np.radians(35))):
-        passed = float(np.exp(-optical_depth(opacity, pwv) / np.sin(height)))
+        passed = float(np.exp(-optical_depth(opacity, pwv, airmass=1 / np.sin(height))))
         sky = opacity.temperature_k * (1 - passed)
         levels = white_levels(scene, opacity, pwv, height)
         alone = photon_noise(sky + 30.0, 143e9, 0.15, 0.4, polarizations=1)
         assert levels.photon_mk2_hz == pytest.approx(alone.psd_mk2_hz / passed**2, rel=1e-9)
         assert levels.shared == pytest.approx(sky / (sky + 30), rel=1e-9)
+
+
+def test_sky_s_load_through_a_line_is_that_of_the_spectrum(scene_of):
+    """Transmission of 175 to 195 GHz at two airmasses, from the cells of the opacity: not that of tau over sin el."""
+    scene = scene_of(QUIET + SITE, {"instrument.frequency": "185 GHz", "instrument.bandwidth": 20 / 185})
+    opacity = band_opacity(shipped_place("mauna_kea"), top_hat(185e9, 20 / 185))
+    cells = [
+        float(optical_depth(band_opacity(shipped_place("mauna_kea"), top_hat(nu * 1e9, 1 / nu)), 2.0))
+        for nu in np.arange(175.5, 195)
+    ]
+    passed = np.mean(np.exp(-2 * np.array(cells)))
+    sky = opacity.temperature_k * (1 - passed)
+    alone = photon_noise(sky + 30.0, 185e9, 20 / 185, 0.4, polarizations=1)
+    levels = white_levels(scene, opacity, 2.0, np.radians(30))
+    assert levels.photon_mk2_hz == pytest.approx(alone.psd_mk2_hz / passed**2, rel=1e-3)
+    assert np.exp(-2 * optical_depth(opacity, 2.0)) < 0.9 * passed
 
 
 def test_more_water_and_more_air_are_more_noise_and_more_of_it_shared(scene_of):
@@ -171,7 +187,7 @@ def test_noise_equivalent_power(scene_of):
         other = scene_of(QUIET + nep, {f"instrument.{key}": value})
         assert white_levels(other, None, np.nan, HEIGHT).detector_mk2_hz == pytest.approx(level / ratio, rel=1e-12)
     opacity = band_opacity(shipped_place("mauna_kea"), top_hat(143e9, 0.15))
-    passed = np.exp(-optical_depth(opacity, 2.0) / np.sin(HEIGHT))
+    passed = np.exp(-optical_depth(opacity, 2.0, airmass=1 / np.sin(HEIGHT)))
     at_site = white_levels(scene_of(QUIET + SITE + nep), opacity, 2.0, HEIGHT).detector_mk2_hz
     assert at_site == pytest.approx(level / passed**2, rel=1e-9)
 
