@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from surveysim.reduction.setup import Setup
     from surveysim.scene.keys import KeyRow
     from surveysim.scene.scene import Scene
+    from surveysim.studies.sweep.axes import Point
 
 
 def check(scene: SceneFile, settings: Overrides = None) -> None:
@@ -34,6 +35,7 @@ def check(scene: SceneFile, settings: Overrides = None) -> None:
         points = sweep_points(sweep)
         say(f"{scene}: {sweep.name!r} is a sweep of {len(points)} points that can be run")
         large = said_of_size(sum(point.detector_samples for point in points))
+        _warn_of_points(points)
     elif scenes := bands_of(scene, settings):
         say(f"{scene}: {scenes.name!r} is a camera of {len(scenes.bands)} bands that can be run")
         large = _check_setups(scenes.bands)
@@ -47,24 +49,43 @@ def check(scene: SceneFile, settings: Overrides = None) -> None:
 
 def _check_setups(scenes: "Mapping[str, Scene]") -> str:
     """Count the detectors of each band and print warnings; return a line on the size of the whole."""
-    from surveysim.reduction.design_warnings import design_warnings
     from surveysim.reduction.resource_limits import said_of_size
     from surveysim.reduction.setup import prepare
     from surveysim.report.terminal.camera import camera_lines
-    from surveysim.results.sensitivity import saturation_warnings, sensitivities
 
     samples, pixels, warnings = 0, 0, []
     for name, scene in scenes.items():
         setup, before = prepare(scene), f"{name}: " if name else ""
         for line in camera_lines(setup):
             say(before + line)
-        saturated = sensitivities(setup) if scene.detector and scene.detector.bolometer else {}
-        warnings += [before + line for line in (*design_warnings(setup), *saturation_warnings(saturated))]
+        warnings += [before + line for line in _warnings(setup)]
         of_observation = setup.camera.n_det * setup.observing.samples(setup.observing.blocks[-1]).stop
         samples += scene.observations * of_observation
         pixels = setup.analysis.geometry.n_x * setup.analysis.geometry.n_y
     _say_warnings(warnings)
     return said_of_size(samples, pixels)
+
+
+def _warnings(setup: "Setup") -> list[str]:
+    from surveysim.reduction.design_warnings import design_warnings
+    from surveysim.results.sensitivity import saturation_warnings, sensitivities
+
+    detector = setup.scene.detector
+    saturated = sensitivities(setup) if detector and detector.bolometer else {}
+    return [*design_warnings(setup), *saturation_warnings(saturated)]
+
+
+def _warn_of_points(points: "Sequence[Point]") -> None:
+    """Print each warning once, with the points of the sweep that it is about."""
+    from surveysim.reduction.setup import prepare
+
+    found: dict[str, list[str]] = {}
+    for point in points:
+        for line in _warnings(prepare(point.scene)):
+            found.setdefault(line, []).append(": ".join(filter(None, (point.scene.band_name, point.label))))
+    _say_warnings(
+        [f"{'all points' if len(of) == len(points) else '; '.join(of)}: {line}" for line, of in found.items()]
+    )
 
 
 def optics(scene: SceneFile, settings: Overrides = None) -> None:

@@ -1,12 +1,14 @@
 """Results of a camera of several bands: those of each band, and one table of all."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from surveysim.forecasting.forecast import Forecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL
-from surveysim.reduction.setup import prepare
+from surveysim.reduction.design_warnings import design_warnings
+from surveysim.reduction.setup import Setup, prepare
 from surveysim.results.control_variate import in_all_weather
 from surveysim.results.results import SurveyResult, score_entries
 from surveysim.results.tables import rounded_column
@@ -14,7 +16,6 @@ from surveysim.runtime.numbers import count, number
 from surveysim.runtime.strict_json import known
 from surveysim.runtime.table import SIGMA, Table, column, quoted_columns, share_text
 from surveysim.scene.bands import MultiBandScene, bands_hash
-from surveysim.scene.scene import Scene
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -81,9 +82,12 @@ def run_entries(result: MultiBandResult) -> dict[str, dict[str, Any]]:
 
 
 def _run_entry(item: SurveyResult) -> dict[str, Any]:
-    entry = _band_entry(item.setup.scene, item.setup.camera.n_det)
+    entry = _band_entry(item.setup)
     entry |= {"observations": item.coadds.done, "stopped": item.stopped}
-    entry |= {"discarded": item.discards.shares[ACTUAL], "warnings": item.discards.warnings}
+    entry |= {
+        "discarded": item.discards.shares[ACTUAL],
+        "warnings": [*design_warnings(item.setup), *item.discards.warnings],
+    }
     if item.unscored:
         entry["unscored"] = item.unscored
     score = score_entries(item).get(ACTUAL, {}) if item.scores else {}
@@ -95,7 +99,7 @@ def forecast_entries(result: MultiBandForecast) -> dict[str, dict[str, Any]]:
     found = {}
     for name, scene in result.scenes.bands.items():
         setup = prepare(scene)
-        found[name] = _band_entry(scene, setup.camera.n_det)
+        found[name] = _band_entry(setup)
         if name in result.bands:
             band = result.bands[name].scores[ACTUAL].band
             sigma = in_all_weather(setup, result.bands[name]).get(ACTUAL, band.sigma_ukcmb2)
@@ -105,9 +109,10 @@ def forecast_entries(result: MultiBandForecast) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _band_entry(scene: Scene, n_det: int) -> dict[str, Any]:
-    band = scene.instrument.band
-    return {"scene": scene.name, "frequency_hz": band.centre_hz, "width_hz": band.width_hz, "detectors": n_det}
+def _band_entry(setup: Setup) -> dict[str, Any]:
+    band, camera = setup.scene.instrument.band, setup.camera
+    entry = {"scene": setup.scene.name, "frequency_hz": band.centre_hz, "width_hz": band.width_hz}
+    return entry | {"beam_fwhm_rad": camera.focal_plane.fwhm_rad, "detectors": camera.n_det}
 
 
 def band_table(bands: Content, meta: Content) -> Table:
@@ -134,6 +139,11 @@ def band_table(bands: Content, meta: Content) -> Table:
     if has("frequency_hz"):
         columns.append(column("frequency", values("frequency_hz", 1e-9), "GHz", _four_digits, unit="GHz"))
         columns.append(column("width", values("width_hz", 1e-9), "width [GHz]", _four_digits, unit="GHz"))
+    if has("beam_fwhm_rad"):
+        arcsec = math.degrees(1) * 3600
+        columns.append(
+            column("beam_fwhm", values("beam_fwhm_rad", arcsec), "beam [arcsec]", _four_digits, unit="arcsec")
+        )
     if has("points"):  # a sweep
         columns.append(column("points", values("points"), "points", count))
         columns.append(column("best", [row.get("best", "") for row in rows], "best point"))

@@ -13,7 +13,7 @@ def camera_lines(setup: Setup) -> Iterator[str]:
     yield f"{plural(setup.camera.n_det, 'detector')}{dead}"
     if counts.wafers:
         yield "detectors of wafers: " + ", ".join(f"{live} of {positions}" for live, positions in counts.wafers)
-    if counts.bands:
+    if counts.bands and not setup.scene.band_name:  # a camera of several bands has a line for each
         chosen = setup.scene.instrument.table_band
         yield f"detectors of bands: {_named(counts.bands)}" + (f"; {chosen} is simulated" if chosen else "")
     if counts.readout_groups:
