@@ -5,7 +5,7 @@ import pytest
 
 from surveysim.api import run
 from surveysim.api.bands import checked_bands
-from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2
+from surveysim.atmosphere.opacity import band_opacity, fluctuation_factor_mk2, slant_factor
 from surveysim.reduction.cleaning_pipelines import AuxiliaryData, CleaningPipeline, apply_pipeline
 from surveysim.reduction.setup import prepare
 from surveysim.results.summary import summary
@@ -40,11 +40,12 @@ def test_bands_see_one_layer_as_opacity_scales_it():
     """
     setup = prepare(of_band("143", **QUIET, observations=2))
     mapped, others = draw_observation(setup, 1), other_bands(setup, 1)
-    pwv = mapped.attributes["pwv_mm"]
-    response = [
-        fluctuation_factor_mk2(band_opacity(shipped_place("mauna_kea"), top_hat(frequency, width)), pwv)
+    pwv, airmass = mapped.attributes["pwv_mm"], 1 / np.sin(setup.observing.angles.elevation_rad[1].mean())
+    bands = [
+        band_opacity(shipped_place("mauna_kea"), top_hat(frequency, width))
         for frequency, width in ((143e9, 0.12), (221e9, 0.1), (355e9, 0.09))
     ]
+    response = [fluctuation_factor_mk2(band, pwv) * slant_factor(band, pwv, airmass=airmass) for band in bands]
     for number, (band, other) in enumerate(zip(setup.others, others, strict=True)):
         gain = band.camera.responsivity / setup.camera.responsivity
         found = other / (mapped.data_mk * gain[:, None])

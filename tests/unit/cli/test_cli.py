@@ -61,7 +61,7 @@ def refused(call, scene, *arguments):
         ("instrument.layout.dead=[19]", ("dead: found [19]", "0 to 18 are expected")),
         (
             "score.mask_separation_f_lambda=9",
-            ("mask_separation_f_lambda: found 1 detectors", "needs 2 or more"),
+            ("mask_separation_f_lambda: found 1 detector;", "needs 2 or more"),
         ),
         ("scan.duration=0.5 s", ("scan.duration: found 5 samples", "8 or more")),
         ("scan.duration=2e5 s", ("scan: found a map that reaches", "15 deg or less")),

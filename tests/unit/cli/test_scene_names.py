@@ -79,11 +79,14 @@ def test_cameras_are_checked_by_name(empty, call):
     for name in camera_titles():
         path = camera_folder() / f"{name}.toml"
         code, out, error = call("check", name)
-        assert (code, error) == (0, "")  # without a warning
+        assert (code, error) == (0, "")
         first, *lines = out.splitlines()
         assert re.fullmatch(rf"{re.escape(str(path))}: '{name}' is a (scene|camera of \d bands) that can be run", first)
         detectors = r"(\d+: )?\d+ detectors(; \d+ dead positions of \d+)?"
-        assert lines and all(re.fullmatch(detectors, line) for line in lines)
+        warned = [line for line in lines if line.startswith("Warning: ")]
+        # The wings of its band, where water absorbs, count less in the NET than in the map.
+        assert [line[:14] for line in warned] == (["Warning: optic"] if name == "scuba2_850" else [])
+        assert len(lines) > len(warned) and all(re.fullmatch(detectors, line) for line in lines if line not in warned)
 
 
 @pytest.mark.parametrize("command", [("check",), ("run",), ("plan",), ("forecast",), ("new", "mine", "--like")])

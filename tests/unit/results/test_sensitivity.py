@@ -150,7 +150,7 @@ def test_results_of_a_run(tmp_path):
     text = read_page(out / "report.html").text
     for words in (
         "Load of a detector: stated sky, at an elevation of 55.0 deg",
-        "mirrors at 270 K, emissivity 5 %.",
+        "Mirrors at 270 K, emissivity 5 %.",
         "A stop at 4 K.",
         "Thermal noise of a link of 100 pW / K from 165 to 100 mK",
         "saturate it",

@@ -134,6 +134,9 @@ def test_an_interrupted_sweep_is_resumed(call, tmp_path, monkeypatch, after):
 def test_check_and_plan(call, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = sweep_file(Path())
-    assert call("check", path) == (0, "two.toml: 'two' is a sweep of 6 points that can be run\n", "")
+    code, out, error = call("check", path)
+    first, *warnings = out.splitlines()
+    assert (code, error, first) == (0, "", "two.toml: 'two' is a sweep of 6 points that can be run")
+    assert any(line.startswith("Warning: 220: scan.speed = 4 arcmin / s: scan.sample_rate: ") for line in warnings)
     code, out, _ = call("plan", path, "--workers", 1)
     assert code == 0 and "two_150: 4 points" in out and "all 2 bands, one after another: about" in out
