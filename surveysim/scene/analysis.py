@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from surveysim.scene.fields import (
+    AboveOne,
     BandPowers,
     Frequency,
     Line,
@@ -42,7 +43,7 @@ class Cleaning(Section):
     "survey" uses the true values with a constant calibration error, "known" the true values."""
     calibration_error: Annotated[float, *number(1e-9, 1)] | None = None
     """Required by responsivities "survey": their relative rms error (log-normal)."""
-    neighbour_radius: Positive | None = None
+    neighbour_radius: AboveOne | None = None
     """Required by "local": radius of the neighbourhood of a detector, in units of the closest separation."""
     order: Annotated[int, *whole(0, 20)] | None = None
     """Required by "polynomial": order of the polynomial over the focal plane."""

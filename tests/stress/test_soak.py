@@ -27,4 +27,4 @@ def test_soak(what, number):
     assert late["mb"] <= GROWTH * early["mb"], (early, late)
     assert late["descriptors"] <= early["descriptors"]
     assert late["children"] <= early["children"]  # multiprocessing keeps one that looks after its semaphores
-    assert late["temporary"] == 0
+    assert late["temporary"] <= early["temporary"]  # the socket of the process that workers are forked from

@@ -282,7 +282,7 @@ def test_scenes_without_the_four_data_sets(tmp_path, asked, old, new, words):
     [
         ("sds1", "pitch_f_lambda = 0.7", "pitch_f_lambda = 0.8", "sds1.toml: instrument: not that of 'lynx'"),
         ("sds1", 'wind_median = "31', 'wind_median = "20', "sds1.toml: atmosphere: not that of 'lynx'"),
-        ("lynx", "143 GHz", "600 GHz", "lynx.toml: atmosphere.site: found a band"),
+        ("lynx", "143 GHz", "1500 GHz", "lynx.toml: atmosphere.site: found a band"),
         ("lynx", '"1000 m"', '"1234 m"', "lynx.toml: atmosphere: found index 3.667 and layer_height 1234 m"),
         (
             "lynx",

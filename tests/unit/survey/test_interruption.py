@@ -182,9 +182,11 @@ def processes():
 
 
 def worker_of(pid):
-    """A worker of the process: a child of the process that workers are forked from."""
-    servers = [item for item, parent, _, command in processes() if parent == pid and "forkserver" in command]
-    return next(item for item, parent, _, _ in processes() if parent in servers)
+    """A worker of the process: a child of the process that workers are forked from, or of dask its own child."""
+    own = [(item, command) for item, parent, _, command in processes() if parent == pid]
+    servers = [item for item, command in own if "forkserver" in command]
+    forked = [item for item, parent, _, _ in processes() if parent in servers]
+    return (forked or [item for item, command in own if "spawn_main" in command])[0]
 
 
 def none_left(group, seconds=5):
