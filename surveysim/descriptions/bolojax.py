@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from surveysim.descriptions.detectors import Channel, detector_table
-from surveysim.descriptions.elements import LIGHT_M_S, Band, optics_tables
+from surveysim.descriptions.elements import Band, optics_tables
 from surveysim.descriptions.reader import POSITIVE, SHARE, Allowed, Field, Reader, fields_of
 from surveysim.descriptions.scene_text import Row, Table, measured, scene_text
 from surveysim.descriptions.survey import View, layer_aperture_m, survey_tables
 from surveysim.runtime.errors import InputError
 from surveysim.scene.similar_names import did_you_mean
 from surveysim.scene.sites import site_names
-from surveysim.scene.units import shown
+from surveysim.scene.units import LIGHT_M_S, shown
 
 SITE_NAMES = {"atacama": "alma", "pole": "south_pole"} | {name: name for name in site_names()}
 _SURVEY = "the scene has a survey of its own"

@@ -9,9 +9,9 @@ import numpy as np
 from surveysim.descriptions.reader import KELVIN, POSITIVE, SHARE, Allowed, Field, Fields, Reader, fields_of
 from surveysim.descriptions.scene_text import Row, Table, measured
 from surveysim.runtime.errors import InputError
-from surveysim.scene.units import shown
+from surveysim.scene.units import LIGHT_M_S, shown
 
-LIGHT_M_S, VACUUM_OHM, VACUUM_H_M = 299_792_458.0, 376.730313668, 4e-7 * math.pi
+VACUUM_OHM, VACUUM_H_M = 376.730313668, 4e-7 * math.pi
 TYPES = ("element", "mirror", "dielectric", "aperture_stop")
 _METRE = Allowed("m", "m")
 

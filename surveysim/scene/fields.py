@@ -278,6 +278,7 @@ NoisePsd = Annotated[
     float, *quantity("mK2 / Hz", at_least=0, at_most=f"{PSD_MAX_MK2_HZ:g} mK2 / Hz", zero_or="1e-12 mK2 / Hz")
 ]
 Temperature = Annotated[float, *quantity("mK", at_least="-1e6 K", at_most="1e6 K")]
+Flux = Annotated[float, *quantity("Jy", "mJy", at_least="-1e9 Jy", at_most="1e9 Jy")]
 Load = Annotated[float, *quantity("K", at_least=0, at_most="10000 K", zero_or="1e-9 K")]
 PhysicalTemperature = Annotated[float, *quantity("K", at_least="0.001 K", at_most="10000 K")]
 Conductance = Annotated[float, *quantity("W / K", "pW / K", at_least="1e-18 W / K", at_most="1 W / K")]

@@ -8,10 +8,12 @@ from surveysim.scene.atmosphere import Atmosphere
 from surveysim.scene.fields import (
     B2_MAX,
     B2Knots,
+    BandFrequency,
     BandPowerExtent,
     Coherence,
     Conductance,
     Energy,
+    Flux,
     Frequency,
     Latitude,
     Load,
@@ -195,14 +197,31 @@ class Detector(Section):
 
 
 class PointSource(Section):
-    """Point source."""
+    """Point source, of one temperature in the beam or of a flux density with a power-law spectrum."""
 
     ra_rad: Longitude = Field(alias="ra")
     """Right ascension (J2000)."""
     dec_rad: Latitude = Field(alias="dec")
     """Declination (J2000)."""
-    peak_mk: Temperature = Field(alias="peak")
-    """Peak Rayleigh-Jeans temperature in the beam."""
+    peak_mk: Temperature | None = Field(alias="peak", default=None)
+    """Peak Rayleigh-Jeans temperature in the beam, in any band. Alternative: `flux`."""
+    flux_jy: Flux | None = Field(alias="flux", default=None)
+    """Flux density at the frequency `flux_frequency`; the mean over the band gives the peak temperature in the beam.
+    Alternative: `peak`."""
+    flux_frequency_hz: BandFrequency | None = Field(alias="flux_frequency", default=None)
+    """Frequency of `flux`. Required with it."""
+    spectral_index: Annotated[float, *number(-20, 20)] | None = None
+    """Index of the flux density as a power of frequency, such as 3.5 for dust. Required with `flux`."""
+
+    @model_validator(mode="after")
+    def _one_brightness(self) -> Self:
+        if (self.peak_mk is None) == (self.flux_jy is None):
+            raise ValueError("exactly one of 'peak' and 'flux' is expected")
+        for name in ("flux_frequency", "spectral_index"):
+            if (self.flux_jy is None) != (getattr(self, name.replace("frequency", "frequency_hz")) is None):
+                found = "found without 'flux'" if self.flux_jy is None else "missing; 'flux' needs it"
+                raise ValueError(f"{name}: {found}")
+        return self
 
 
 class Sky(Section):

@@ -14,6 +14,7 @@ from surveysim.runtime.errors import InputError
 
 PLANCK_J_S = 6.62607015e-34
 BOLTZMANN_J_K = 1.380649e-23
+LIGHT_M_S = 299792458.0
 CMB_TEMPERATURE_K = 2.7255
 LONGEST_QUANTITY = 200  # characters of one number and its unit
 _SEXAGESIMAL = re.compile(r"\s*([+-]?)(\d{1,6})([hd])\s*(\d{1,6})m\s*(\d{1,6}(?:\.\d*)?)s\s*", re.ASCII)

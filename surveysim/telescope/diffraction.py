@@ -10,10 +10,10 @@ import numpy as np
 
 from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.scene.scene import Scene
+from surveysim.scene.units import LIGHT_M_S
 from surveysim.telescope.focal_plane import illumination
 from surveysim.telescope.illumination import Illumination
 
-LIGHT_M_S = 299792458.0
 _NODES = 200  # of the radius; the field varies slowly
 _NARROWEST_RAD, _WIDEST_RAD = math.radians(0.001 / 3600), math.radians(30)  # as of `instrument.beam_fwhm`
 _WIDEST = 100.0  # FWHM [lambda / D] beyond which an illumination lights no aperture

@@ -115,12 +115,15 @@ def scene_sky(scene: Scene, geometry: MapGeometry, fwhm_rad: tuple[float, ...]) 
     """
     if scene.sky is None:
         return None
-    from surveysim.timestreams.sky_maps import draw_sky
+    from surveysim.timestreams.sky_maps import draw_sky, source_peak_mk
 
     instrument, skies = scene.instrument, []
     for width in fwhm_rad:
         rng, dilution = generator(scene.seed, RandomPurpose.SKY), _dilution(scene, width)
-        sources = [item.model_copy(update={"peak_mk": item.peak_mk * dilution}) for item in scene.sky.point_sources]
+        sources = [
+            item.model_copy(update={"peak_mk": source_peak_mk(item, instrument) * dilution})
+            for item in scene.sky.point_sources
+        ]
         section = scene.sky.model_copy(update={"point_sources": tuple(sources)})
         skies.append(draw_sky(section, geometry, instrument.cmb_per_rj, width, rng))
     return np.stack(skies)

@@ -256,8 +256,15 @@ def _sky(sky: Values) -> Iterator[str]:
     yield f"A CMB of flat band power, {short(sky['cmb_band_power_ukcmb2'])} {UK2}"
     yield f"on the sphere up to l = {sky['curved_lmax']}" if sky["curved_lmax"] else "on the plane"
     sources = sky["point_sources"]
-    peaks = _list([source["peak_mk"] for source in sources])
-    yield f"and {plural(len(sources), 'point source')} of {peaks} mK (Rayleigh-Jeans)." if sources else "alone."
+    peaks = [f"{short(source['peak_mk'])} mK" for source in sources if source["peak_mk"] is not None]
+    fluxes = [
+        f"{short(1e3 * source['flux_jy'])} mJy at {short(source['flux_frequency_hz'] / 1e9)} GHz"
+        f" (spectral index {short(source['spectral_index'])})"
+        for source in sources
+        if source["peak_mk"] is None
+    ]
+    brightness = "; ".join([*([", ".join(peaks) + " (Rayleigh-Jeans)"] if peaks else []), *fluxes])
+    yield f"and {plural(len(sources), 'point source')} of {brightness}." if sources else "alone."
 
 
 _COMPONENTS: dict[str, Callable[[Values], Iterator[str]]] = {

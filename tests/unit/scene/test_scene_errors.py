@@ -57,8 +57,8 @@ def test_a_mistyped_section_is_one_error_with_a_suggestion(path):
 
 
 def test_unknown_key_in_a_list(path):
-    path.write_text(SMALL_SCENE.replace('peak = "5 mK"', 'peak = "5 mK"\nflux = "1 Jy"'))
-    check(path, {}, "sky.point_sources.0.flux", "unknown key", "dec, peak, ra")
+    path.write_text(SMALL_SCENE.replace('peak = "5 mK"', 'peak = "5 mK"\nfluxx = "1 Jy"'))
+    check(path, {}, "sky.point_sources.0.fluxx", "unknown key", "flux")
 
 
 @pytest.mark.parametrize("section", ["field", "instrument", "scan", "cleaning", "map"])
@@ -410,3 +410,18 @@ def test_each_error_has_its_line(path):
 
 def test_overrides_of_what_is_no_section(path):
     check(path, {"title.text": "a"}, "title.text", "'title' is not a section", "")
+
+
+def test_one_brightness_of_a_source(path):
+    place = {"ra": "08h49m20s", "dec": "+44d51m00s"}
+    flux = {"flux": "5 mJy", "flux_frequency": "150 GHz", "spectral_index": 3.5}
+    for keys, words in (
+        ({}, ("exactly one of 'peak' and 'flux' is expected",)),
+        (flux | {"peak": "1 mK"}, ("exactly one of 'peak' and 'flux' is expected",)),
+        (flux | {"spectral_index": None}, ("spectral_index: missing", "'flux' needs it")),
+        (flux | {"flux_frequency": None}, ("flux_frequency: missing", "'flux' needs it")),
+        ({"peak": "1 mK", "spectral_index": 3}, ("spectral_index: found without 'flux'",)),
+    ):
+        source = place | {key: value for key, value in keys.items() if value is not None}
+        text = scene_refusal(path, {"sky.point_sources": [source]})
+        assert "sky.point_sources.0" in text and all(word in text for word in words) and "\n" not in text
