@@ -30,6 +30,7 @@ from surveysim.output.names import default_directory
 from surveysim.runtime.errors import NotForecastableError
 
 if TYPE_CHECKING:
+    from surveysim.results.stopping import StoppingCriteria
     from surveysim.runtime.engine import Engine
     from surveysim.studies.sweep.axes import Sweep
     from surveysim.studies.sweep.bands import MultiBandSweep
@@ -78,18 +79,35 @@ def run(
         )
         return
     limits = options.run_limits(target_error, time_budget)
+    asked: dict[str, Any] = {"save_timestreams": save_timestreams, "figures": not no_figures, "force": force}
     if scenes := bands_of(scene, settings):
         from surveysim.cli.bands import run_bands
 
-        asked: dict[str, Any] = {"save_timestreams": save_timestreams, "figures": not no_figures, "force": force}
         directory = out or default_directory(scenes.name, options.settings(settings))
         run_bands(scenes, directory, with_engine, limits, resume=resume, verbose=verbose, quiet=quiet, **asked)
         return
+    _run_scene(scene, settings, with_engine, limits, out=out, resume=resume, verbose=verbose, quiet=quiet, **asked)
+
+
+def _run_scene(
+    scene: Path,
+    settings: list[str] | None,
+    engine: "Engine",
+    limits: "StoppingCriteria",
+    *,
+    out: Path | None,
+    resume: bool,
+    save_timestreams: bool,
+    figures: bool,
+    force: bool,
+    verbose: bool,
+    quiet: bool,
+) -> None:
     from surveysim.reduction.setup import is_quick
 
     setup = ready_setup(scene, settings)
-    checked, with_engine = setup.scene, with_engine.for_work(is_quick(setup, limits.target_error))
-    with_engine.start_early()
+    checked, engine = setup.scene, engine.for_work(is_quick(setup, limits.target_error))
+    engine.start_early()
     if limits.target_error is not None and checked.score is None:
         fail(f"{scene}: --target-error: found no [score]; the error is one of sigma(A), which needs it")
     from surveysim.api import run_survey
@@ -105,8 +123,8 @@ def run(
     directory = out or default_directory(checked.name, options.settings(settings))
     if resume and not quiet:
         report_new_start(directory, "checkpoint", " observation")
-    work, n_workers = observation_work(checked), with_engine.workers_for(checked.observations)
-    if not quiet and scheduler is None:
+    work, n_workers = observation_work(checked), engine.workers_for(checked.observations)
+    if not quiet and engine.scheduler is None:
         announce_compilation(checked.name)
     with (
         report_resumable_exit(scene, directory),
@@ -119,10 +137,10 @@ def run(
         result = run_survey(
             checked,
             directory,
-            engine=with_engine,
+            engine=engine,
             resume=resume,
             save_timestreams=save_timestreams,
-            figures=not no_figures,
+            figures=figures,
             progress=stopping(shown),
             target_error=limits.target_error,
             time_budget_s=limits.time_budget_s,

@@ -25,7 +25,7 @@ class Field:
 
     @property
     def absent(self) -> bool:
-        """Whether the value is null."""
+        """Return whether the value is null."""
         return isinstance(self.value, str) and self.value in ABSENT
 
     @property
@@ -50,7 +50,7 @@ class Allowed:
     above: bool = True
 
     def holds(self, value: float) -> bool:
-        """Whether a value is within the bounds."""
+        """Return whether a value is within the bounds."""
         return (self.low < value if self.above else self.low <= value) and value <= self.high
 
     @property

@@ -191,7 +191,8 @@ def _add_part(sums: _Sums, part: _Part, save: Callable[[_Part], None], watch: St
             weight, bounds = setup.analysis.weight_of(pipeline.rows), part.streams.scan_bounds
             bin_samples(weighted(item.data_mk, weight), index, bounds, item.kept, *sums.maps[pipeline.data_set])
             if weight is not None:
-                alike = weighted(np.ones_like(item.data_mk), weight)
+                alike = np.empty_like(item.data_mk)
+                alike[:] = weight[:, None]
                 bin_samples(alike, index, bounds, item.kept, sums.exposure[pipeline.data_set], None)
     for name in ("kept", "iterations", "removed"):
         getattr(sums, name).append(np.array([getattr(item, name) for item in part.cleaned]))

@@ -31,6 +31,7 @@ from surveysim.reduction.consistency import (
 from surveysim.reduction.detector_weights import beams_of, detector_weights
 from surveysim.reduction.resource_limits import Sizes, check_layer, check_memory, needed_memory
 from surveysim.reduction.scored_region import padded_side, patch_side
+from surveysim.reduction.signal_sims import carriers
 from surveysim.runtime.errors import InputError, SceneError
 from surveysim.scene.bands import errors_of
 from surveysim.scene.scene import Scene
@@ -59,8 +60,6 @@ SAMPLE_S = 8e-8  # of a detector-sample, about
 SIGNAL_SIMS = 1.2  # time of the signal simulations of an observation, about, in that of its other work
 QUICK_S = 2.0
 TYPICAL_VARIANCE = 0.04  # relative variance of sigma from one observation, about, as of a square degree
-_SIMS_AT_ONCE = 4  # pairs of observations with simulated signal at the start of a survey
-_SIM_SPACING = 5  # pairs from one with simulated signal to the next, after those
 
 if TYPE_CHECKING:
     from surveysim.atmosphere.screen_simulation import SlantStrips
@@ -316,19 +315,9 @@ def _seasons(scene: Scene, times: Schedule | None) -> tuple[Season, ...] | None:
 
 
 def signal_sim_observations(scene: Scene) -> np.ndarray:
-    """Observations (n_obs,) bool that carry the signal simulations, in pairs of both directions.
-
-    The first four pairs, from which even a short survey covers its map, then every fifth pair, up to the number of the
-    scene. The rule does not depend on the length of the survey.
-    """
-    chosen = np.zeros(scene.observations, bool)
-    if scene.score is not None:
-        wanted = max(1, scene.score.signal_sims.observations // 2)
-        pairs = np.arange(wanted)
-        pairs += (_SIM_SPACING - 1) * np.maximum(0, pairs - _SIMS_AT_ONCE + 1)
-        carried = (2 * pairs[:, None] + [0, 1]).ravel()
-        chosen[carried[carried < scene.observations]] = True
-    return chosen
+    """Observations (n_obs,) bool that carry the signal simulations; none without a score."""
+    asked, n_obs = scene.score and scene.score.signal_sims.observations, scene.observations
+    return carriers(asked, n_obs) if asked else np.zeros(n_obs, bool)
 
 
 def is_quick(setup: Setup, target_error: float | None = None) -> bool:

@@ -22,7 +22,7 @@ STATED = "stated sky"
 
 
 def has_load(setup: Setup) -> bool:
-    """Whether the photon noise of a scene follows from a load."""
+    """Return whether the photon noise of a scene follows from a load."""
     photon = setup.scene.photon
     return photon is not None and photon.psd_mk2_hz is None
 

@@ -38,7 +38,7 @@ class DetectorProperties:
 
     @property
     def white_differs(self) -> bool:
-        """Whether detectors differ in their white noise."""
+        """Return whether detectors differ in their white noise."""
         return self.noise is not None or self.efficiency is not None
 
 

@@ -166,5 +166,5 @@ def _shared(coherence: str, part: float, wave: float) -> float:
 
 
 def stop_emits(scene: Scene) -> bool:
-    """Whether light of the stop is part of the load, as far as the beam spills on it."""
+    """Return whether light of the stop is part of the load, as far as the beam spills on it."""
     return bool(scene.photon and (scene.photon.stop_fraction or (scene.optics and scene.optics.stop)))

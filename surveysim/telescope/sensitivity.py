@@ -100,7 +100,7 @@ class Sensitivity:
 
     @property
     def saturates(self) -> bool:
-        """Whether the load is at or above the saturation power."""
+        """Return whether the load is at or above the saturation power."""
         return self.saturation_w is not None and self.load_w >= self.saturation_w
 
 

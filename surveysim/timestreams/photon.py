@@ -53,8 +53,3 @@ def _shared_factor(
     pixels: DensePixels | LatticePixels | WaferPixels, stop_share: float, share: float
 ) -> np.ndarray | LatticeFactor:
     return pixels.at(stop_share).factor(share)
-
-
-def photon_correlation(correlation: np.ndarray, coherent_fraction: float) -> np.ndarray:
-    """Reduce the correlation (n_det, n_det) of overlapping pixels to the coherent part of the load (section 5.1)."""
-    return coherent_fraction * correlation + (1 - coherent_fraction) * np.eye(len(correlation))

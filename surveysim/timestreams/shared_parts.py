@@ -11,6 +11,7 @@ from surveysim.runtime.errors import OutOfRangeError, SceneError
 from surveysim.runtime.rng import RandomPurpose, generator
 from surveysim.scene.noise_and_sky import Photon
 from surveysim.scene.scene import Scene
+from surveysim.telescope.diffraction import effective_area_m2
 from surveysim.telescope.focal_plane import Camera, CameraExtent
 from surveysim.telescope.lattice_noise import LatticePixels, WaferPixels, embed
 from surveysim.telescope.pixel_coherence import (
@@ -117,11 +118,11 @@ def scene_sky(scene: Scene, geometry: MapGeometry, fwhm_rad: tuple[float, ...]) 
         return None
     from surveysim.timestreams.sky_maps import draw_sky, source_peak_mk
 
-    instrument, skies = scene.instrument, []
+    instrument, area_m2, skies = scene.instrument, effective_area_m2(scene), []
     for width in fwhm_rad:
         rng, dilution = generator(scene.seed, RandomPurpose.SKY), _dilution(scene, width)
         sources = [
-            item.model_copy(update={"peak_mk": source_peak_mk(item, instrument) * dilution})
+            item.model_copy(update={"peak_mk": source_peak_mk(item, instrument.band, area_m2) * dilution})
             for item in scene.sky.point_sources
         ]
         section = scene.sky.model_copy(update={"point_sources": tuple(sources)})

@@ -7,9 +7,9 @@ from mapmaker.geometry import MapGeometry, pixel_centres, plane_offsets
 from mapmaker.spectrum import mode_ell
 from mapmaker.transfer_function import beam_window
 from surveysim.runtime.errors import OutOfRangeError
-from surveysim.scene.instrument import Instrument
 from surveysim.scene.noise_and_sky import PointSource, Sky
-from surveysim.scene.units import BOLTZMANN_J_K, LIGHT_M_S
+from surveysim.scene.passband import Passband
+from surveysim.scene.units import BOLTZMANN_J_K
 
 
 def flat_cmb_sky(
@@ -117,19 +117,16 @@ def add_point_sources(
     return total.astype(np.float32)
 
 
-def source_peak_mk(source: PointSource, instrument: Instrument) -> float:
-    """Peak Rayleigh-Jeans temperature [mK] of a point source in the beam of an instrument.
+def source_peak_mk(source: PointSource, band: Passband, effective_area_m2: float) -> float:
+    """Peak Rayleigh-Jeans temperature [mK] of a point source in the beam, ``<S> A_eff / 2 k`` of a flux density S.
 
-    A flux density S has ``<S> c^2 / (2 k nu^2 Omega)``, with its mean over the passband, the centre nu of the band and
-    the solid angle Omega of the Gaussian beam: a detector of one mode sees the effective area ``c^2 / (nu^2 Omega)``.
+    The flux density is averaged over the passband. The effective area is the same at all its frequencies.
     """
     if source.peak_mk is not None:
         return source.peak_mk
-    frequency, weight = instrument.band.nodes
+    frequency, weight = band.nodes
     mean_jy = source.flux_jy * float(weight @ (frequency / source.flux_frequency_hz) ** source.spectral_index)
-    solid_angle = 2 * np.pi * instrument.beam_fwhm_rad**2 / (8 * np.log(2))
-    wavelength = LIGHT_M_S / instrument.band.centre_hz
-    return 1e3 * 1e-26 * mean_jy * wavelength**2 / (2 * BOLTZMANN_J_K * solid_angle)
+    return 1e3 * 1e-26 * mean_jy * effective_area_m2 / (2 * BOLTZMANN_J_K)
 
 
 def central_source(geometry: MapGeometry, fwhm_rad: float) -> np.ndarray:

@@ -7,13 +7,10 @@ import pytest
 
 from mapmaker.stream_psd import hann_psd
 from mapmaker.timestreams import FocalPlane
-from surveysim.forecasting import mode_response as response
 from surveysim.forecasting import observing_conditions as conditions
 from surveysim.forecasting.forecast import forecast
 from surveysim.forecasting.mode_response import matrix_power, projected_array, stream_power
 from surveysim.forecasting.noise_model import survey_models
-from surveysim.reduction import resource_limits as limits
-from surveysim.reduction import setup
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.noise_and_sky import Excess
@@ -22,16 +19,15 @@ from surveysim.telescope import lattice_noise as lattice
 from surveysim.telescope.illumination import UNIFORM, GaussianIllumination
 from surveysim.telescope.lattice_noise import LARGEST_ERROR, CirculantFactor, NoiseCorrelation
 from surveysim.telescope.layouts import hexagon, hexagon_cells
-from surveysim.timestreams import shared_parts as parts
 from surveysim.timestreams.low_frequency import add_excess, excess_psd
 from surveysim.timestreams.noise import add_correlated_white
 from surveysim.timestreams.observation import draw_observation
+from tests.dense import DENSE
 from tests.deviates import deviates
 from tests.pixels import correlation_matrix, torus_of
 from tests.scenes import write_scene
 
 RATE = 10.0
-DENSE = (conditions, limits, parts, response, setup)  # all that look at how many detectors have a matrix
 
 
 def array(rings, pitch, dead=()):
@@ -184,18 +180,6 @@ def test_coverage_of_many_samples_is_that_of_some_of_them(path, monkeypatch):
     covered = whole > 20
     assert covered.sum() > 20
     assert np.abs(some - whole)[covered].mean() < 0.15 * whole[covered].mean()
-
-
-@pytest.fixture
-def few_are_many(monkeypatch):
-    """Arrays of more than ten detectors count as too large for a matrix."""
-    for module in DENSE:
-        monkeypatch.setattr(module, "MOST_DENSE", 10)
-    prepare.cache_clear()
-    survey_models.cache_clear()
-    yield
-    prepare.cache_clear()
-    survey_models.cache_clear()
 
 
 @pytest.fixture

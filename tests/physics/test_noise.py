@@ -18,7 +18,6 @@ from surveysim.telescope.layouts import hexagon
 from surveysim.telescope.pixel_coherence import correlation_factor
 from surveysim.timestreams.low_frequency import add_excess, excess_psd, excess_variance
 from surveysim.timestreams.noise import add_correlated_white, add_white, draw_from_psd
-from surveysim.timestreams.photon import photon_correlation
 from tests import naive
 from tests.deviates import deviates
 from tests.pixels import correlation_matrix
@@ -119,7 +118,7 @@ def test_highest_frequency_is_the_last_below_nyquist(n):
 
 def test_correlated_white_has_the_covariance_of_its_factor(rng):
     """Elements of a covariance from n samples scatter as Wishart: (C_ii C_jj + C_ij^2) / n."""
-    correlation = photon_correlation(correlation_matrix(hexagon(2, 0.7), "field"), 0.6)
+    correlation = 0.6 * correlation_matrix(hexagon(2, 0.7), "field") + 0.4 * np.eye(19)
     n = 40000
     data = np.zeros((19, n), np.float32)
     add_correlated_white(data, 2.5, RATE, correlation_factor(correlation), deviates(rng))
@@ -131,17 +130,6 @@ def test_correlated_white_has_the_covariance_of_its_factor(rng):
     assert 0.6 * UNIFORM.aperture(0.7) > 20 / math.sqrt(n)
     # White: neighbouring samples do not know of each other.
     assert abs(np.mean(data[:, 1:] * data[:, :-1])) < 5 * 12.5 / math.sqrt(n)
-
-
-def test_photon_correlation():
-    """Only the coherent fraction of the load is shared; each detector's own power stays."""
-    overlap = correlation_matrix(hexagon(2, 0.7), "field")
-    shared = photon_correlation(overlap, 0.1)
-    np.testing.assert_allclose(np.diagonal(shared), 1, rtol=1e-14)
-    off = ~np.eye(19, dtype=bool)
-    np.testing.assert_allclose(shared[off], 0.1 * overlap[off], rtol=1e-14)
-    np.testing.assert_array_equal(photon_correlation(overlap, 0.0), np.eye(19))
-    np.testing.assert_array_equal(photon_correlation(overlap, 1.0), overlap)
 
 
 def test_noise_is_added_to_what_is_there(rng):

@@ -3,12 +3,8 @@
 import numpy as np
 import pytest
 
-from surveysim.forecasting import mode_response as response
-from surveysim.forecasting import observing_conditions as conditions
 from surveysim.forecasting.forecast import forecast
 from surveysim.forecasting.noise_model import survey_models
-from surveysim.reduction import resource_limits as limits
-from surveysim.reduction import setup as preparation
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.errors import SceneError
 from surveysim.scene.scene import load_scene
@@ -17,13 +13,12 @@ from surveysim.telescope.illumination import GaussianIllumination
 from surveysim.telescope.lattice_noise import LARGEST_ERROR, CirculantFactor, WaferFactor, WaferPixels, embed
 from surveysim.telescope.layouts import SQUARE, Lattice
 from surveysim.telescope.pixel_coherence import PixelCoherence, correlation_matrices
-from surveysim.timestreams import shared_parts as parts
 from surveysim.timestreams.observation import draw_observation
+from tests.dense import DENSE
 from tests.deviates import deviates
 from tests.scenes import write_scene
 
 RATE = 10.0
-DENSE = (conditions, limits, parts, response, preparation)  # all that look at how many detectors have a matrix
 WAFER = {"rings": 1, "pitch_f_lambda": 0.7}
 FAR = [
     WAFER | {"offset_x": "-8 arcmin", "rotation": "20 deg", "dead": [3]},
@@ -37,18 +32,6 @@ FIELD = {
     "detector.psd": "1 mK2/Hz",
 }
 ALONE = {"excess.b2": [100], "excess.variance": "[3] mK2", "instrument.responsivity_scatter": 0.0}
-
-
-@pytest.fixture
-def few_are_many(monkeypatch):
-    """Arrays of more than ten detectors count as too large for a matrix."""
-    for module in DENSE:
-        monkeypatch.setattr(module, "MOST_DENSE", 10)
-    prepare.cache_clear()
-    survey_models.cache_clear()
-    yield
-    prepare.cache_clear()
-    survey_models.cache_clear()
 
 
 @pytest.fixture

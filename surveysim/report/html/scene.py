@@ -8,6 +8,7 @@ from itertools import chain
 from pathlib import PurePath
 from typing import Any
 
+from surveysim.reduction.signal_sims import carriers
 from surveysim.report.html.components import UK2, Block, Terms
 from surveysim.runtime.numbers import joined, number, plural, short
 from surveysim.scene.sites import OWN, site_title
@@ -319,7 +320,7 @@ def _score(score: Values, observations: int) -> Iterator[str]:
     edges = _percent(score["taper_fraction"])
     yield f"over {_arcmin(score['size_rad'])} square, with cosine edges on {edges} of each side."
     yield f"The noise is measured by {score['jackknives']} co-adds with random signs, the transfer function by"
-    through = min(score["signal_sims"]["observations"], observations)
+    through = int(carriers(score["signal_sims"]["observations"], observations).sum())
     yield f"{score['signal_sims']['skies']} skies through {plural(through, 'observation')}."
     others = [SIMULATED[name] for name in score["noise_only_sets"]]
     if score["mask_separation_f_lambda"]:

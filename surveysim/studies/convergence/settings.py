@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from surveysim.reduction.signal_sims import carriers
 from surveysim.scene.scene import Scene
 from surveysim.studies.convergence.records import (
     FINEST,
@@ -35,10 +36,13 @@ def sub_survey(scene: Scene, most: int) -> dict[str, Any]:
 def _sampling(scene: Scene, base: Mapping[str, Any]) -> list[Setting]:
     score, key = scene.score, "score.signal_sims.observations"
     flips, skies = sorted({*FLIPS, score.jackknives}), sorted({*SKIES, score.signal_sims.skies})
-    counts = {max(2, base["observations"] // part) for part in SIGNAL_SIM_PARTS} | {base[key]}
+    # As many as carry them: a short survey has fewer than it asks for.
+    n_obs, asked = base["observations"], {max(2, base["observations"] // part) for part in SIGNAL_SIM_PARTS}
+    own = int(carriers(base[key], n_obs).sum())
+    counts = {int(carriers(count, n_obs).sum()) for count in asked} | {own}
     ladder = [("noise realizations", "score.jackknives", count, score.jackknives) for count in flips]
     ladder += [("signal simulations", "score.signal_sims.skies", count, score.signal_sims.skies) for count in skies]
-    ladder += [("observations with simulations", key, count, base[key]) for count in sorted(counts)]
+    ladder += [("observations with simulations", key, count, own) for count in sorted(counts)]
     return [
         Setting(parameter, str(value), {key: value}, "sampling", value == own) for parameter, key, value, own in ladder
     ]

@@ -18,9 +18,12 @@ from surveysim.results.sensitivity import (
     sensitivity_table,
 )
 from surveysim.runtime.engine import SERIAL
+from surveysim.scene.noise_and_sky import PointSource
 from surveysim.scene.units import BOLTZMANN_J_K
 from surveysim.telescope.array_noise import array_psd
+from surveysim.telescope.diffraction import effective_area_m2
 from surveysim.telescope.noise_levels import white_levels
+from surveysim.timestreams.sky_maps import source_peak_mk
 from tests.camera import BAND, BOLOMETER, CAMERA, HORNS, PHOTON, QUIET, SITE, STATED_SKY
 from tests.pages import read_page
 
@@ -59,6 +62,18 @@ def test_terms_add_up_to_the_noise_of_the_streams(setup_of, detector):
         level = white_levels(setup.scene, setup.air.water.opacity, item.pwv_mm, item.elevation_rad)
         psd = level.photon_mk2_hz + level.detector_mk2_hz
         assert item.net_mk_rts**2 == pytest.approx(psd / 2, rel=1e-12)
+
+
+def test_flux_of_a_source_and_of_the_nefd_see_one_area(setup_of):
+    """The drawn peak of a source of 1 mJy, over the NET, is one over the NEFD: with an aperture, and without."""
+    source = PointSource.model_validate(
+        {"ra": "132.3 deg", "dec": "44.8 deg", "flux": "1 mJy", "flux_frequency": "90 GHz", "spectral_index": 0}
+    )
+    load = '[photon.load]\nsky = "30 K"\noptics = "10 K"\n'
+    for setup in (setup_of(PHOTON + STATED_SKY), setup_of(PHOTON + load)):
+        (item,) = sensitivities(setup).values()
+        peak_mk = source_peak_mk(source, setup.scene.instrument.band, effective_area_m2(setup.scene))
+        assert peak_mk == pytest.approx(item.net_mk_rts / item.nefd_mjy_rts, rel=1e-9)
 
 
 def test_shares_of_the_elements(setup_of):

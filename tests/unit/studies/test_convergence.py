@@ -53,7 +53,7 @@ def test_ladders_go_from_coarse_to_fine_and_hold_the_scene(path):
         "observations": ["10", "20", "40", "80", "160*"],
         "noise realizations": ["8", "16", "20*", "32", "64", "128"],
         "signal simulations": ["2*", "4", "8"],
-        "observations with simulations": ["2*", "3", "12", "30"],
+        "observations with simulations": ["2*", "12", "18"],
         "screen step": ["4", "3*", "2", "1", "0.5"],
         "interpolation": ["nearest", "linear*", "cubic"],
         "precision": ["float32*", "float64"],
