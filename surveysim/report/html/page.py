@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 REPORT = "report.html"
 LONGEST_REASON = 150
 FIRST = (0, 5)  # first version with the present keys of summary.json
-KINDS = {"points", "scores", "accuracy", "bands"}  # keys that identify the kind of results
+KINDS = {"points", "scores", "accuracy", "bands", "optimum"}  # keys that identify the kind of results
 EXPECTED = "the directory of a run, a sweep, 'surveysim accuracy' or 'surveysim paper' is expected"
 # Units and symbols as the results write them, once they are escaped for HTML.
 _WRITTEN = [
@@ -78,6 +78,10 @@ def _page_of(directory: Path) -> Page:
         from surveysim.report.html.sweep import sweep_page
 
         return sweep_page(directory, summary, _read(directory / "scene.json"))
+    if "optimum" in summary:
+        from surveysim.report.html.optimum import optimum_page
+
+        return optimum_page(directory, summary, _read(directory / "scene.json"))
     if "bands" in summary:
         from surveysim.report.html.bands import bands_page
 
