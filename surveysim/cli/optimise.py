@@ -85,7 +85,6 @@ def optimise(
 def _search_display(problem: "Problem", quiet: bool) -> Iterator[Callable[["EvaluationStore"], None]]:
     """Yield a function that says how many designs were forecast, and the best metrics so far, every few seconds."""
     from surveysim.runtime.numbers import number, plain
-    from surveysim.studies.optimise.evaluation import is_lower_better
 
     name, said = problem.scene.name, monotonic()
 
@@ -96,9 +95,10 @@ def _search_display(problem: "Problem", quiet: bool) -> Iterator[Callable[["Eval
         said = monotonic()
         found = [f"{len(store.evaluations)} designs forecast"]
         for key in problem.options.metrics:
-            values = [item.metrics[key] for item in store.evaluations if item.allowed]
-            if values:
-                best = min(values) if is_lower_better(key) else max(values)
+            allowed = [item for item in store.evaluations if item.allowed]
+            if allowed:
+                values = [item.metrics[key] for item in allowed]
+                best = min(values) if allowed[0].lower[key] else max(values)
                 found.append(f"best {key} = {plain(number(best))}")
         complain(f"{name}: {', '.join(found)}")
 

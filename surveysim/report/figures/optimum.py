@@ -7,8 +7,7 @@ from matplotlib.figure import Figure
 
 from surveysim.report.figures.layout import lay_out
 from surveysim.report.figures.spec import Panel, PaperFigure, Series
-from surveysim.report.figures.style import plain, save
-from surveysim.studies.optimise.evaluation import is_lower_better, metric_unit
+from surveysim.report.figures.style import UK2_CMB, plain, save
 from surveysim.studies.optimise.ranges import KnobRange
 from surveysim.studies.optimise.result import OptimiseResult
 from surveysim.studies.sweep.axes import value_text
@@ -46,9 +45,9 @@ def optimum_figure(result: OptimiseResult) -> PaperFigure:
     return PaperFigure(0, f"{result.problem.scene.name}: optimum", caption, panels, min(COLUMNS, len(panels)))
 
 
-def _label(key: str) -> str:
-    unit = metric_unit(key)
-    return plain(f"{key} [{unit}]" if unit else key)
+def _label(result: OptimiseResult, key: str) -> str:
+    unit = result.unit(key)
+    return f"{plain(key)} [{UK2_CMB if unit == 'uK2' else plain(unit)}]" if unit else plain(key)
 
 
 def _front(result: OptimiseResult) -> Panel:
@@ -67,13 +66,15 @@ def _front(result: OptimiseResult) -> Panel:
         present = [np.array([found.evaluations[0].metrics[key]]) for key in keys]
         series.append(Series("as it is", "points", present[0], present[1], "black --"))
     logs = [values.max() > 5 * values.min() > 0 for values in points]
-    return Panel("Pareto front", _label(keys[0]), _label(keys[1]), tuple(series), bool(logs[0]), bool(logs[1]))
+    return Panel(
+        "Pareto front", _label(result, keys[0]), _label(result, keys[1]), tuple(series), bool(logs[0]), bool(logs[1])
+    )
 
 
 def _knob(result: OptimiseResult, number: int) -> Panel:
     problem, found, key = result.problem, result.found, result.problem.options.metrics[0]
     knob, best = problem.knobs[number], found.evaluations[found.best]
-    sign = 1 if is_lower_better(key) else -1
+    sign = 1 if result.lower_is_better(key) else -1
     top = best.metrics[key] * HIGHEST**sign
     low, high = sorted((best.metrics[key], top))
     room = BELOW * (high - low)
@@ -95,12 +96,22 @@ def _knob(result: OptimiseResult, number: int) -> Panel:
     unit = f" [{knob.unit}]" if knob.unit else ""
     x_range = (-0.5, knob.high + 0.5) if knob.choices else None
     label = plain(f"{knob.key}{unit}")
-    return Panel(plain(knob.key), label, _label(key), tuple(series), knob.log, False, False, x_range, y_range)
+    return Panel(
+        plain(f"best: {value_text(best.settings[knob.key])}"),
+        label,
+        _label(result, key),
+        tuple(series),
+        knob.log,
+        False,
+        False,
+        x_range,
+        y_range,
+    )
 
 
 def _range(result: OptimiseResult, number: int, item: KnobRange, y_range: tuple[float, float]) -> list[Series]:
     knob, key = result.problem.knobs[number], result.problem.options.metrics[0]
-    sign = 1 if is_lower_better(key) else -1
+    sign = 1 if result.lower_is_better(key) else -1
     there = np.isfinite(item.values)
     x = np.array([knob.number(place) for place in item.places[there]])
     series = [Series("along this knob", "points", x, np.exp(sign * item.values[there]), "blue")]

@@ -11,9 +11,8 @@ from surveysim.report.html.discarded_scans import warned
 from surveysim.report.html.provenance import provenance, sources
 from surveysim.report.html.scene import what_was_simulated
 from surveysim.runtime.numbers import count, duration, number, plural
-from surveysim.studies.optimise.tables import design_table, front_table, optimum_table
+from surveysim.studies.optimise.tables import design_table, front_table, optimum_table, simulated_table
 from surveysim.studies.sweep.axes import value_text
-from surveysim.studies.sweep.tables import sweep_table
 
 Content = Mapping[str, Any]  # content of summary.json or scene.json
 
@@ -87,7 +86,7 @@ def _front(directory: Path, summary: Content) -> Iterator[Block]:
 
 def _simulated(directory: Path, summary: Content) -> Iterator[Block]:
     note = "Ratios are to the first design, with paired errors: all designs have one seed."
-    yield grid(replace(sweep_table(summary["simulated"]), title="Simulated designs"), note)
+    yield grid(simulated_table(summary), note)
     yield from _picture(directory, summary, "simulated", SIMULATED_DESIGNS)
 
 

@@ -10,8 +10,7 @@ from surveysim.report.terminal.tables import show_table
 from surveysim.runtime.numbers import plural
 from surveysim.studies.optimise.result import OptimiseResult
 from surveysim.studies.optimise.summary import optimum_summary
-from surveysim.studies.optimise.tables import design_table, front_table, optimum_table
-from surveysim.studies.sweep.tables import sweep_table
+from surveysim.studies.optimise.tables import design_table, front_table, optimum_table, simulated_table
 
 
 def print_optimum(result: OptimiseResult, directory: Path, verbose: bool = False) -> None:
@@ -33,8 +32,7 @@ def print_optimum(result: OptimiseResult, directory: Path, verbose: bool = False
     if result.simulated is None:
         show_table(console, design_table(content), marked="best")
     else:
-        table = sweep_table(content["simulated"])
-        show_table(console, table, title="The best design and its rivals, simulated", marked="lowest")
+        show_table(console, simulated_table(content), marked="lowest")
         console.say("Ratios are to the first design, with paired errors.")
         if result.simulated.comparison.reference is not None:
             console.say(best_line(result.simulated))

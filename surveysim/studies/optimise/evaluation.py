@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 
 from surveysim.forecasting.forecast import Forecast, forecast
+from surveysim.metrics.map_noise import Quantity, noise_of_forecast
+from surveysim.metrics.registry import metric_functions
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.setup import Setup, prepare
-from surveysim.runtime.errors import InputError
+from surveysim.runtime.errors import InputError, NotForecastableError
+from surveysim.scene.metrics import metric_keys
 from surveysim.scene.scene import Scene
 from surveysim.studies.optimise.expressions import names, value_of
 from surveysim.studies.optimise.problem import Limit, Problem
 
-FLAT_BAND_POWER = "flat_band_power.sigma"
 BEYOND = 0.5  # excess over a limit, as a fraction, from which a design is not forecast
 EQUAL = 1e-9
 
@@ -30,6 +32,8 @@ class Evaluation:
         Values of knobs and derived keys; none for the scene as it is.
     metrics
         Metrics of the actual data by key; none if there is no forecast, for the `reason`.
+    units, lower
+        Unit of each metric, and whether a lower value is the better one.
     margins
         For each bound, ln of the bound over the quantity (or the inverse): 0 or more is allowed.
     discarded
@@ -40,6 +44,8 @@ class Evaluation:
 
     settings: dict[str, Any]
     metrics: dict[str, float] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
+    lower: dict[str, bool] = field(default_factory=dict)
     margins: tuple[float, ...] = ()
     discarded: float = math.nan
     flags: tuple[str, ...] = ()
@@ -67,14 +73,29 @@ class EvaluationJob:
             if min(margins, default=0.0) < -math.log1p(BEYOND):
                 return Evaluation(found, margins=margins, reason="beyond a limit")
             expected = forecast(setup)
-            metrics = metric_values(setup, expected)
+            found_metrics = metric_quantities(setup, expected)
+            _check_values(problem, found_metrics)
+            metrics = {key: item.value for key, item in found_metrics.items()}
             margins = _margins(problem, found, quantities(setup) | metrics)
         except InputError as error:
             return Evaluation(found, reason=_first_line(error, problem))
         of = expected.scores[ACTUAL]
-        discarded = of.kept.discarded if math.isfinite(of.kept.error) else math.nan
-        flags = tuple(effect.sentence for effect in of.effects if effect.flagged)
-        return Evaluation(found, metrics, margins, discarded, flags)
+        return Evaluation(
+            found,
+            metrics=metrics,
+            units={key: item.unit for key, item in found_metrics.items()},
+            lower={key: item.lower_is_better for key, item in found_metrics.items()},
+            margins=margins,
+            discarded=of.kept.discarded if math.isfinite(of.kept.error) else math.nan,
+            flags=tuple(effect.sentence for effect in of.effects if effect.flagged),
+        )
+
+
+def _check_values(problem: Problem, found: Mapping[str, Quantity]) -> None:
+    """Raise NotForecastableError for a metric of the search without a value."""
+    for key in problem.options.metrics:
+        if not 0 < found[key].value < math.inf:
+            raise NotForecastableError(f"{key}: {found[key].note or f'found {found[key].value:g}'}")
 
 
 def _first_line(error: InputError, problem: Problem) -> str:
@@ -88,9 +109,11 @@ def _without_others(scene: Scene) -> Scene:
     return scene.model_copy(update={"score": score, "cleaning": scene.cleaning.model_copy(update={"compare": ()})})
 
 
-def metric_values(setup: Setup, expected: Forecast) -> dict[str, float]:
-    """Metrics of the actual data by key."""
-    return {FLAT_BAND_POWER: float(expected.scores[ACTUAL].band.sigma_ukcmb2)}
+def metric_quantities(setup: Setup, expected: Forecast) -> dict[str, Quantity]:
+    """Metrics of the actual data by key, in the weather drawn, which designs have in common."""
+    noise = noise_of_forecast(setup, expected.scores[ACTUAL])
+    functions = metric_functions(setup.scene.score)
+    return {f"{name}.{item.name}": item for name, function in functions.items() for item in function(noise)}
 
 
 def quantities(setup: Setup) -> dict[str, Any]:
@@ -109,32 +132,17 @@ def quantities(setup: Setup) -> dict[str, Any]:
 
 def _margins(problem: Problem, settings: Mapping[str, Any], computed: Mapping[str, Any]) -> tuple[float, ...]:
     """Margins of all limits whose quantity is known; those of metrics are only after the forecast."""
-    keys = problem.values(settings)
+    keys, keys_of_metrics = problem.values(settings), metric_keys(problem.scene.score.metrics)
 
     def given(name: str) -> Any:
         return computed[name] if name in computed else keys(name)
 
     found: list[float] = []
     for limit in problem.limits:
-        if any(is_metric(name) and name not in computed for name in names(limit.tree)):
+        if any(name in keys_of_metrics and name not in computed for name in names(limit.tree)):
             continue
         found += _margins_of(limit, given)
     return tuple(found)
-
-
-def is_lower_better(key: str) -> bool:
-    """Return whether a lower value of a metric is the better one."""
-    return True
-
-
-def metric_unit(key: str) -> str:
-    """Unit of a metric, as astropy writes it."""
-    return "uK2"
-
-
-def is_metric(name: str) -> bool:
-    """Return whether a name of an expression is the key of a metric, and not of the scene."""
-    return name == FLAT_BAND_POWER
 
 
 def _margins_of(limit: Limit, given: Callable[[str], Any]) -> list[float]:

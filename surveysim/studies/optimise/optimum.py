@@ -6,8 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from surveysim.runtime.errors import SceneError
-from surveysim.scene.similar_names import did_you_mean
-from surveysim.studies.optimise.evaluation import Evaluation, is_lower_better
+from surveysim.studies.optimise.evaluation import Evaluation
 from surveysim.studies.optimise.front import front, knee, search_front
 from surveysim.studies.optimise.importance import Importance, importance
 from surveysim.studies.optimise.problem import Problem
@@ -72,10 +71,10 @@ def search_optimum(store: EvaluationStore, importance_samples: int = 0) -> Found
     Raises
     ------
     SceneError
-        For metrics that the forecast does not have, and where no design is allowed.
+        Where no design is allowed.
     """
     problem = store.problem
-    _check_metrics(problem, store.of({}))
+    store.of({})
     objectives = [objective_of(key) for key in problem.options.metrics]
     told = None
     if importance_samples:
@@ -95,22 +94,12 @@ def search_optimum(store: EvaluationStore, importance_samples: int = 0) -> Found
 
 def objective_of(key: str) -> Objective:
     """Return the objective of a metric: its logarithm, so that less is better."""
-    sign = 1 if is_lower_better(key) else -1
-    return lambda item: sign * math.log(item.metrics[key])
+    return lambda item: math.log(item.metrics[key]) * (1 if item.lower[key] else -1)
 
 
 def _pair(objectives: list[Objective]) -> Callable[[Evaluation], tuple[float, float]]:
     first, second = objectives
     return lambda item: (first(item), second(item))
-
-
-def _check_metrics(problem: Problem, as_it_is: Evaluation) -> None:
-    """Raise SceneError for a metric that the scene does not have; a scene without a forecast tells of none."""
-    known = as_it_is.metrics
-    for key in problem.options.metrics if known else ():
-        if key not in known:
-            expected = did_you_mean(key, list(known)) or f"one of {', '.join(known)} is expected"
-            raise SceneError(f"{problem.path}: optimise.metrics: found {key!r}; {expected}")
 
 
 def _optima(store: EvaluationStore, objective: Objective) -> list[Optimum]:

@@ -13,10 +13,12 @@ from surveysim.runtime.errors import InputError, SceneError
 from surveysim.scene.bands import TABLE
 from surveysim.scene.error_lines import error_lines
 from surveysim.scene.keys import all_keys
+from surveysim.scene.metrics import metric_keys
 from surveysim.scene.optimise import Limit as LimitSection
 from surveysim.scene.optimise import Optimise
 from surveysim.scene.scene import Origin, Scene, read_scene, scene_hash, scene_of
 from surveysim.scene.shipped import find_scene
+from surveysim.scene.similar_names import did_you_mean
 from surveysim.scene.units import file_value, shown
 from surveysim.studies.optimise.expressions import key_value, parse, quantity_of, value_of
 from surveysim.studies.optimise.knobs import Knob, check_key, knob_numbers, knob_of, knob_settings
@@ -172,7 +174,11 @@ def _problem(origin: Origin, scene: Scene, content: Mapping[str, Any]) -> tuple[
                 wrong.append(str(error))
         return found
 
-    options = scene.optimise
+    options, metrics = scene.optimise, metric_keys(scene.score.metrics)
+    for key in options.metrics:
+        if key not in metrics:
+            expected = did_you_mean(key, list(metrics)) or f"one of {', '.join(metrics)} is expected"
+            wrong.append(f"optimise.metrics: found {shown(key)}; {expected}")
     knobs = tuple(made(knob_of, options.knobs, "knobs"))
     derived = dict(made(_derived_of, options.derived, "derived"))
     limits = tuple(made(_limit_of, options.limits, "limits"))

@@ -6,12 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surveysim.studies.optimise.knobs import Knob
 from surveysim.studies.optimise.problem import Places
 from surveysim.studies.optimise.search import Search
 from surveysim.studies.optimise.surface import NEAR, Surface, fit_surface
 
 TOLERANCE = 0.01  # of the metric
 SLICE = 9  # designs along a whole knob, and along its part near the optimum
+DOUBT = 3.0  # scatters by which the lowest point of a surface may lie above the best design
+EQUAL = 1e-4  # of ln of the metric
 FINE = 501  # places of a surface along a knob
 
 
@@ -66,10 +69,13 @@ def flatness(search: Search, best: Places) -> Flatness:
     SpentError
         When the problem's number of evaluations is spent.
     """
-    places = [_slice(search, best, number) for number in range(len(search.problem.knobs))]
-    surface = fit_surface(search, best)
-    if surface is not None and search.store.at(lowest := surface.lowest()).allowed:
-        best = search.settled(lowest)
+    slices = [_slice(search, best, number) for number in range(len(search.problem.knobs))]
+    places = [item for item, _ in slices]
+    surface = fit_surface(search, best, {number: box for number, (_, box) in enumerate(slices) if box})
+    if surface is not None:
+        lowest = search.settled(surface.lowest())
+        if search.allowed_value(lowest) < search.allowed_value(best) + DOUBT * surface.scatter + EQUAL:
+            best = lowest
     ranges = tuple(_range(search, best, number, found, surface) for number, found in enumerate(places))
     return Flatness(best, ranges, surface)
 
@@ -78,8 +84,11 @@ def _moved(best: Places, number: int, place: float) -> Places:
     return (*best[:number], place, *best[number + 1 :])
 
 
-def _slice(search: Search, best: Places, number: int) -> np.ndarray:
-    """Evaluate designs along a knob, twice as dense near the optimum; return all places, sorted."""
+def _slice(search: Search, best: Places, number: int) -> tuple[np.ndarray, tuple[float, float] | None]:
+    """Evaluate designs along a knob, denser near the optimum.
+
+    Returns all places, sorted, and the ends of the part near the optimum for a continuous knob.
+    """
     knob = search.problem.knobs[number]
     places = np.array(knob.steps() or np.linspace(0, 1, SLICE))
     if len(places) > SLICE and not knob.choices:
@@ -87,12 +96,12 @@ def _slice(search: Search, best: Places, number: int) -> np.ndarray:
     places = np.unique([*places, best[number]])
     search.store.all_at(_moved(best, number, place) for place in places.tolist())
     if not knob.continuous:
-        return places
+        return places, None
     values = np.array([search.allowed_value(_moved(best, number, place)) for place in places])
     low, high = _crossings(places, values, best[number], search.allowed_value(best) + NEAR)
     near = np.linspace(low, high, SLICE)
     search.store.all_at(_moved(best, number, place) for place in near.tolist())
-    return np.unique([*places, *near])
+    return np.unique([*places, *near]), (low, high)
 
 
 def _around(places: np.ndarray, best: float) -> np.ndarray:
@@ -127,15 +136,18 @@ def _range(search: Search, best: Places, number: int, places: np.ndarray, surfac
     if knob.choices:
         return KnobRange(places, values, curve, at, at, ("range", "range"))
     if curve.size:
-        low, high = _crossings(
-            curve[0], curve[1], at, curve[1][np.argmin(np.abs(curve[0] - at))] + math.log1p(TOLERANCE)
-        )
-        reasons = [_reason(end, curve[0]) for end in (low, high)]
-        return KnobRange(places, values, curve, low, high, (reasons[0], reasons[1]))
-    top = search.allowed_value(best) + math.log1p(TOLERANCE)
-    low, high = _crossings(places, values, at, top) if knob.continuous else _whole_ends(places, values, at, top)
-    reasons = [_reason(end, places[np.isfinite(values)]) for end in (low, high)]
-    return KnobRange(places, values, curve, low, high, (reasons[0], reasons[1]))
+        there = curve[0]
+        low, high = _crossings(there, curve[1], at, _value_at(curve, at) + math.log1p(TOLERANCE))
+    else:
+        there, top = places[np.isfinite(values)], search.allowed_value(best) + math.log1p(TOLERANCE)
+        low, high = _crossings(places, values, at, top) if knob.continuous else _whole_ends(places, values, at, top)
+    ends = _reason(knob, low, -1, there), _reason(knob, high, 1, there)
+    return KnobRange(places, values, curve, low, high, ends)
+
+
+def _value_at(curve: np.ndarray, place: float) -> float:
+    """Value of a curve (2, n) at one of its places."""
+    return float(curve[1][np.argmin(np.abs(curve[0] - place))])
 
 
 def _whole_ends(places: np.ndarray, values: np.ndarray, best: float, top: float) -> tuple[float, float]:
@@ -146,12 +158,12 @@ def _whole_ends(places: np.ndarray, values: np.ndarray, best: float, top: float)
     return float(places[low]), float(places[high])
 
 
-def _reason(end: float, places: np.ndarray) -> str:
-    """Reason of an end: a crossing, the end of the knob's range, or the last design that is allowed."""
-    if places.min() < end < places.max():
-        return "1 %"
+def _reason(knob: Knob, end: float, side: int, places: np.ndarray) -> str:
+    """Reason of an end: a worse design beyond it, the end of the knob's range, or the last design that is allowed."""
     edge = 1 / (2 * FINE)
-    return "range" if end < edge or end > 1 - edge else "limit"
+    if ((places - end) * side > edge).any():
+        return "1 %"
+    return "range" if abs(end - (0, 1)[side > 0]) < edge or knob.number(end) in (knob.low, knob.high) else "limit"
 
 
 def _curve(surface: Surface, best: Places, number: int) -> np.ndarray:

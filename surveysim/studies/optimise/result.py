@@ -33,6 +33,14 @@ class OptimiseResult:
         """Values of knobs and derived keys of the best design, as a scene file has them."""
         return self.found.evaluations[self.found.best].settings
 
+    def unit(self, metric: str) -> str:
+        """Return the unit of a metric, as astropy writes it."""
+        return self.found.evaluations[self.found.best].units[metric]
+
+    def lower_is_better(self, metric: str) -> bool:
+        """Return whether a lower value of a metric is the better one."""
+        return self.found.evaluations[self.found.best].lower[metric]
+
     def table(self) -> "QTable":
         """Return a row for each knob with units, as tables/optimum.ecsv has it."""
         return self._table().quantities()

@@ -14,7 +14,7 @@ from surveysim.studies.optimise.store import EvaluationStore
 MOST_SAMPLES = 64  # of each combination of choices
 MOST_DESCENTS = 3  # from the samples of each combination of choices
 FIRST_RADIUS = 0.1  # of a descent, as a fraction of the knobs' ranges
-LAST_RADIUS = 5e-3
+LAST_RADIUS = 1e-2
 MOST_TURNS = 4  # between continuous knobs and integers
 SEED = 0  # of the samples
 APART = 0.01  # ln of the metric between two optima over the higher one, from which both are local optima
@@ -136,14 +136,14 @@ def _lowest(problem: Problem, places: Sequence[Places], values: np.ndarray) -> l
 
 
 def _descend(search: Search, start: Places) -> list[Optimum]:
-    """Descend from a design; none where nothing on the way is allowed."""
+    """Descend from a design; none where it is not allowed."""
     best = Optimum(start, search.allowed_value(start))
+    if not math.isfinite(best.value):
+        return []
     radius = FIRST_RADIUS
     for _ in range(MOST_TURNS):
         before = best.value
         best = _along_integers(search, _in_continuous(search, best, radius))
-        if not math.isfinite(best.value):
-            return []
         if not best.value < before or not _is_mixed(search.problem):
             break
         radius /= 3

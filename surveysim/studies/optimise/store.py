@@ -140,11 +140,9 @@ def _read(path: Path, identity: str) -> dict[str, Evaluation]:
     for line in lines[1:]:
         try:
             content = json.loads(line)
-            discarded = content.pop("discarded")
-            found[content.pop("key")] = Evaluation(
-                **content | {name: tuple(content[name]) for name in ("margins", "flags")},
-                discarded=math.nan if discarded is None else discarded,
-            )
-        except (ValueError, KeyError, TypeError):
+        except ValueError:
             break
+        key, discarded = content.pop("key"), content.pop("discarded")
+        content |= {name: tuple(content[name]) for name in ("margins", "flags")}
+        found[key] = Evaluation(**content, discarded=math.nan if discarded is None else discarded)
     return found

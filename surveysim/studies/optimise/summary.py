@@ -8,7 +8,7 @@ from surveysim.reduction.setup import prepare
 from surveysim.runtime.provenance import made_by, now
 from surveysim.runtime.strict_json import known
 from surveysim.scene.scene import scene_hash
-from surveysim.studies.optimise.evaluation import Evaluation, metric_unit
+from surveysim.studies.optimise.evaluation import Evaluation
 from surveysim.studies.optimise.expressions import key_value
 from surveysim.studies.optimise.knobs import Knob
 from surveysim.studies.optimise.result import OptimiseResult
@@ -28,7 +28,7 @@ def optimum_summary(result: OptimiseResult) -> dict[str, Any]:
         "scene_sha256": scene_hash(scene),
         **made_by(),
         "optimum": {
-            "metrics": [{"key": key, "unit": metric_unit(key)} for key in options.metrics],
+            "metrics": [{"key": key, "unit": result.unit(key)} for key in options.metrics],
             "detectors": prepare(scene).camera.n_det,
             "evaluations": len(found.evaluations),
             "refused": dict(refused.most_common()),

@@ -1,17 +1,17 @@
 """Smooth surface through the designs near an optimum: forecasts have noise of their own, by the pilot of kept scans."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
 
-from surveysim.studies.optimise.evaluation import Evaluation
 from surveysim.studies.optimise.problem import Places
 from surveysim.studies.optimise.search import Search
 
 NEAR = 0.1  # ln of the metric over its lowest value, up to which designs are fitted
+EDGE = 1e-6  # of a knob, by the rounding of its values
 SPARE = 3  # designs beyond the number of coefficients
 STARTS = 20  # of the search for the lowest point of a surface
 SEED = 0
@@ -85,30 +85,33 @@ def _terms(offset: np.ndarray) -> np.ndarray:
     return np.stack([np.ones(len(offset)), *offset.T, *second, *offset.T**3], axis=1)
 
 
-def fit_surface(search: Search, best: Places) -> Surface | None:
-    """Fit a surface to the allowed designs near the best one; None where they are too few."""
-    problem = search.problem
-    free = tuple(number for number, knob in enumerate(problem.knobs) if knob.continuous)
-    lowest = search.allowed_value(best)
+def fit_surface(search: Search, best: Places, box: Mapping[int, tuple[float, float]]) -> Surface | None:
+    """Fit a surface to the allowed designs near the best one; None where they are too few.
 
-    def fits(item: Evaluation) -> bool:
-        return item.allowed and bool(item.settings) and search.objective(item) < lowest + NEAR
-
-    found = [
-        (problem.places_of(item.settings), search.objective(item)) for item in filter(fits, search.store.evaluations)
-    ]
-    same = [
-        (places, value)
-        for places, value in found
-        if all(place == best[number] for number, place in enumerate(places) if number not in free)
-    ]
-    points = np.array([[places[number] for number in free] for places, _ in same]).reshape(-1, len(free))
-    terms = _terms(points - np.array([best[number] for number in free]))
-    if not free or len(points) < terms.shape[1] + SPARE or not np.ptp(points, axis=0).all():
+    `box` has the ends of each continuous knob, by number, between which the metric is near the best.
+    """
+    if not box:
         return None
-    values = np.array([value for _, value in same])
+    points, values = _near(search, best, box)
+    terms = _terms(points - np.array([best[number] for number in box]))
+    if len(points) < terms.shape[1] + SPARE or not np.ptp(points, axis=0).all():
+        return None
     coefficients, _, rank, _ = np.linalg.lstsq(terms, values, rcond=None)
     if rank < terms.shape[1]:
         return None
     scatter = math.sqrt(np.sum((values - terms @ coefficients) ** 2) / (len(points) - rank))
-    return Surface(best, free, coefficients, points.min(axis=0), points.max(axis=0), len(points), scatter)
+    return Surface(best, tuple(box), coefficients, points.min(axis=0), points.max(axis=0), len(points), scatter)
+
+
+def _near(search: Search, best: Places, box: Mapping[int, tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """Places (n, n_free) and objectives (n,) of the allowed designs in a box whose metric is near the best."""
+    top, points, values = search.allowed_value(best) + NEAR, [], []
+    for item in search.store.evaluations:
+        if not item.allowed or not item.settings or search.objective(item) > top:
+            continue
+        places = search.problem.places_of(item.settings)
+        inside = all(low - EDGE <= places[number] <= high + EDGE for number, (low, high) in box.items())
+        if inside and all(place == best[number] for number, place in enumerate(places) if number not in box):
+            points.append([places[number] for number in box])
+            values.append(search.objective(item))
+    return np.array(points).reshape(-1, len(box)), np.array(values)

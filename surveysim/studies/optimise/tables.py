@@ -1,15 +1,16 @@
 """Tables of an optimisation: its knobs, its designs, the front, and all evaluations."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from surveysim.runtime.numbers import number, with_error
 from surveysim.runtime.table import Column, Table, column, file_column, share_text
-from surveysim.studies.optimise.evaluation import metric_unit
 from surveysim.studies.optimise.result import OptimiseResult
 from surveysim.studies.sweep.axes import numbers_of, value_text
+from surveysim.studies.sweep.tables import sweep_table
 
 Content = Mapping[str, Any]  # content of summary.json
 ENDS = {"1 %": "", "range": " (end of the range)", "limit": " (limit)"}
@@ -114,7 +115,7 @@ def evaluation_table(result: OptimiseResult) -> Table:
                 file_column(knob.key, [None if v is None else float(next(numbers)) for v in values], knob.unit)
             )
     for metric in sorted({key: None for item in items for key in item.metrics}):
-        columns.append(file_column(metric, [item.metrics.get(metric) for item in items], metric_unit(metric)))
+        columns.append(file_column(metric, [item.metrics.get(metric) for item in items], result.unit(metric)))
     columns += [
         file_column("allowed", np.array([item.allowed for item in items])),
         file_column("discarded", [item.discarded for item in items]),
@@ -122,3 +123,11 @@ def evaluation_table(result: OptimiseResult) -> Table:
     ]
     meta = {"scene_sha256": problem.identity, "seed": problem.scene.seed}
     return Table("evaluation", "Designs that were forecast", tuple(columns), (), meta)
+
+
+def simulated_table(summary: Content) -> Table:
+    """Return a row for each simulated design, as `sweep_table`; people read the values of the knobs alone."""
+    table, found = sweep_table(summary["simulated"]), summary["optimum"]
+    derived = found["best"]["settings"].keys() - {item["key"] for item in found["knobs"]}
+    columns = [replace(item, cells=None) if item.name in derived else item for item in table.columns]
+    return replace(table, title="The best design and its rivals, simulated", columns=tuple(columns))
