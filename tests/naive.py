@@ -491,3 +491,12 @@ def fill_flagged(data, scan_bounds, flagged):
                 if lost[d, n]:
                     filled[d, start + n] = common[n] + line[n]
     return filled
+
+
+def add_pulses(data, per_scan, detector, scan, start, amplitude, decay):
+    """Pulses that decay by a factor a sample, each within its scan."""
+    total = np.array(data, float)
+    for d, s, first, size in zip(detector, scan, start, amplitude, strict=True):
+        for n in range(max(0, first), per_scan):
+            total[d, s * per_scan + n] += size * decay ** (n - first)
+    return total
