@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from surveysim.api.surveys import PROCESSES
 from surveysim.api.sweeps import DRAWS_SEED
-from surveysim.output.directory import begin, claimed, remove_bands, replacing
+from surveysim.output.directory import begin, claimed, remove_nested, replacing
 from surveysim.output.expected_files import of_optimise
 from surveysim.output.writer import write_optimum
 from surveysim.runtime.engine import Engine
@@ -98,7 +98,7 @@ def optimise(
     with claimed(Path(out), of_optimise(problem, figures), force, resume) as place:
         begin(place, removed=lambda name: force)
         if force:
-            remove_bands(place.path)
+            remove_nested(place.path)
         result = result_of(place.path)
         with replacing(place, over=lambda name: name.startswith("points/"), whole=simulate) as new:
             write_optimum(new, result, figures)

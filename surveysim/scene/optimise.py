@@ -91,7 +91,8 @@ class Optimise(Section):
     """Search for the best design, by `surveysim optimise`. Other commands leave it out."""
 
     metrics: Annotated[tuple[Line, ...], Field(min_length=1, max_length=2)] = ("flat_band_power.sigma",)
-    """Keys of one metric to improve, or of two that compete."""
+    """Keys of one metric to improve, or of two that compete: those of the score, such as "flat_band_power.sigma", or
+    the costs `detectors`, `data_rate` and `observing_time`."""
     evaluations: Annotated[int, *whole(10, 100_000)] = 400
     """Most forecasts of the search."""
     rivals: Annotated[int, *whole(0, 20)] = 4

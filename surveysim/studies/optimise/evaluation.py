@@ -20,6 +20,7 @@ from surveysim.studies.optimise.problem import Limit, Problem
 
 BEYOND = 0.5  # excess over a limit, as a fraction, from which a design is not forecast
 EQUAL = 1e-9
+_UNITS = {"detectors": "", "data_rate": "Hz", "observing_time": "h"}
 
 
 @dataclass(frozen=True)
@@ -73,9 +74,9 @@ class EvaluationJob:
             if min(margins, default=0.0) < -math.log1p(BEYOND):
                 return Evaluation(found, margins=margins, reason="beyond a limit")
             expected = forecast(setup)
-            found_metrics = metric_quantities(setup, expected)
-            _check_values(problem, found_metrics)
-            metrics = {key: item.value for key, item in found_metrics.items()}
+            told = metric_quantities(setup, expected) | costs(setup)
+            _check_values(problem, told)
+            metrics = {key: item.value for key, item in told.items()}
             margins = _margins(problem, found, quantities(setup) | metrics)
         except InputError as error:
             return Evaluation(found, reason=_first_line(error, problem))
@@ -83,8 +84,8 @@ class EvaluationJob:
         return Evaluation(
             found,
             metrics=metrics,
-            units={key: item.unit for key, item in found_metrics.items()},
-            lower={key: item.lower_is_better for key, item in found_metrics.items()},
+            units={key: item.unit for key, item in told.items()},
+            lower={key: item.lower_is_better for key, item in told.items()},
             margins=margins,
             discarded=of.kept.discarded if math.isfinite(of.kept.error) else math.nan,
             flags=tuple(effect.sentence for effect in of.effects if effect.flagged),
@@ -114,6 +115,15 @@ def metric_quantities(setup: Setup, expected: Forecast) -> dict[str, Quantity]:
     noise = noise_of_forecast(setup, expected.scores[ACTUAL])
     functions = metric_functions(setup.scene.score)
     return {f"{name}.{item.name}": item for name, function in functions.items() for item in function(noise)}
+
+
+def costs(setup: Setup) -> dict[str, Quantity]:
+    """Costs of a design, which a search can make small as a metric."""
+    found = quantities(setup)
+    return {
+        name: Quantity(name, float(found[name].to_value(unit) if unit else found[name]), unit)
+        for name, unit in _UNITS.items()
+    }
 
 
 def quantities(setup: Setup) -> dict[str, Any]:

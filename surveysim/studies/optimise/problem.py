@@ -23,6 +23,7 @@ from surveysim.scene.units import file_value, shown
 from surveysim.studies.optimise.expressions import key_value, parse, quantity_of, value_of
 from surveysim.studies.optimise.knobs import Knob, check_key, knob_numbers, knob_of, knob_settings
 
+COSTS = ("detectors", "data_rate", "observing_time")  # quantities that a search can make small
 Places = tuple[float, ...]  # of the knobs, 0 to 1
 
 
@@ -174,7 +175,7 @@ def _problem(origin: Origin, scene: Scene, content: Mapping[str, Any]) -> tuple[
                 wrong.append(str(error))
         return found
 
-    options, metrics = scene.optimise, metric_keys(scene.score.metrics)
+    options, metrics = scene.optimise, (*metric_keys(scene.score.metrics), *COSTS)
     for key in options.metrics:
         if key not in metrics:
             expected = did_you_mean(key, list(metrics)) or f"one of {', '.join(metrics)} is expected"
