@@ -35,9 +35,7 @@ def optimum_page(directory: Path, summary: Content, scene: Content) -> Page:
         Section("sources", "Where the values come from", sources(scene)),
         Section("provenance", "Provenance", (provenance(summary),)),
     ]
-    key = [
-        (f"{item['key']} [{item['unit']}]", number(found["best"]["metrics"][item["key"]])) for item in found["metrics"]
-    ]
+    key = [(f"{item['key']} [{item['unit']}]", number(_value(found, item["key"]))) for item in found["metrics"]]
     key += [("designs forecast", count(found["evaluations"])), ("run time", duration(summary["run"]["wall_s"]))]
     return Page(
         "surveysim optimise", f"{summary['title']}: best design", tuple(_lead(summary)), tuple(key), tuple(sections)
@@ -48,13 +46,19 @@ def _lead(summary: Content) -> Iterator[str]:
     found = summary["optimum"]
     knobs = ", ".join(f"{item['key']} = {value_text(item['best'])}" for item in found["knobs"])
     metrics = " and ".join(
-        f"{item['key']} = {number(found['best']['metrics'][item['key']])} {item['unit']}" for item in found["metrics"]
+        f"{item['key']} = {number(_value(found, item['key']))} {item['unit']}" for item in found["metrics"]
     )
     which = "The design closest to the best of both metrics" if found["front"] else "The best design by forecast"
     yield f"{which} has {knobs}: {metrics}."
     if "simulated" in summary and (best := _simulated_best(summary["simulated"])):
         yield best
     yield from warned(summary)
+
+
+def _value(found: Content, key: str) -> float:
+    """Metric of the best design, without the noise of the forecast where that is known."""
+    smoothed = found["best"].get("smoothed")
+    return found["best"]["metrics"][key] if smoothed is None else smoothed
 
 
 def _simulated_best(sweep: Content) -> str:
