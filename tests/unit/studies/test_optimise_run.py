@@ -69,7 +69,7 @@ def test_an_analytic_optimum(analytic):
 
 
 def test_simulated_designs_have_paired_errors(analytic):
-    """All designs draw the same noise, so ratios are those of the PSDs; signal simulations of each band power differ."""
+    """All designs draw the same noise, so ratios are those of the PSDs; only signal simulations differ."""
     result, out = analytic
     comparison, names = result.simulated.comparison, [item.name for item in result.found.designs]
     assert names == ["as it is", "best", "score.signal_sims.band_power low", "score.signal_sims.band_power high"]
