@@ -15,7 +15,7 @@ from surveysim.scene.scene import Scene, survey_hash
 from surveysim.telescope.pointing import Pointing
 from surveysim.timestreams.component import StreamComponent, present_components
 from surveysim.timestreams.observed_block import ObservedBlock, observation_weather, observed_block
-from surveysim.timestreams.response import apply_response
+from surveysim.timestreams.response import BlockResponse, block_response
 from surveysim.timestreams.scan_blocks import Block
 from surveysim.timestreams.simulation import Simulation, observation_path
 
@@ -58,10 +58,13 @@ class DrawnBlock:
     of
         The block.
     data_mk : (n_det, n_samp)
+    response
+        Response of the detectors, for signals that are simulated alone.
     """
 
     of: ObservedBlock
     data_mk: np.ndarray
+    response: BlockResponse
 
     @cached_property
     def scan_bounds(self) -> np.ndarray:
@@ -91,17 +94,20 @@ def draw_block(setup: Simulation, observation: int, whole: Pointing, block: Bloc
         Stopwatch that each component is timed with, under its name.
     """
     of = observed_block(setup, observation, block, whole)
-    return DrawnBlock(of, _drawn(of, present_components(setup.scene), watch))
+    return _drawn(of, present_components(setup.scene), watch)
 
 
-def _drawn(of: ObservedBlock, components: Sequence[StreamComponent], watch: Stopwatch) -> np.ndarray:
-    """Draw the streams (n_det, n_samp) of a block: the components through the response, then those at its output."""
+def _drawn(of: ObservedBlock, components: Sequence[StreamComponent], watch: Stopwatch) -> DrawnBlock:
+    """Draw the streams of a block: what detectors see, through the response, and the noise that they add."""
     data = np.zeros((of.setup.camera.n_det, len(of.pointing.time_s)), of.setup.stream_type)
     _add([item for item in components if item.through_response], data, of, watch)
     with watch("response"):
-        apply_response(of.setup, data)
+        response = block_response(of, data)
+        response.acting_on("signals", "light").apply(data)
     _add([item for item in components if not item.through_response], data, of, watch)
-    return data
+    with watch("response"):
+        response.acting_on("streams").apply(data)
+    return DrawnBlock(of, data, response)
 
 
 def _add(components: Sequence[StreamComponent], data: np.ndarray, of: ObservedBlock, watch: Stopwatch) -> None:
@@ -125,7 +131,7 @@ def draw_band(setup: Simulation, observation: int, whole: Pointing, block: Block
     (n_det, n_samp) array [mK]
     """
     of = observed_block(setup, observation, block, whole)
-    return _drawn(of, [item for item in present_components(setup.scene) if item.name != "sky"], Stopwatch())
+    return _drawn(of, [item for item in present_components(setup.scene) if item.name != "sky"], Stopwatch()).data_mk
 
 
 @lru_cache(maxsize=2)  # one for all observations
