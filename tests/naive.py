@@ -479,3 +479,16 @@ def add_derivative(data, per_scan, lead):
                 slope = np.dot([1, -8, 0, 8, -1], x[n : n + 5]) / 12
                 found[d, start + n] = x[n + 2] + lead[d] * slope
     return found
+
+
+def crosstalk_matrix(n_det, groups, neighbour, group):
+    """Matrix of the crosstalk of readout groups, lists of detectors in the order of readout."""
+    matrix = np.zeros((n_det, n_det))
+    for i in range(n_det):
+        matrix[i, i] = 1.0
+        for members in groups:
+            for j in members:
+                if i in members and j != i:
+                    near = abs(members.index(i) - members.index(j)) == 1
+                    matrix[i, j] = group + (neighbour if near else 0.0)
+    return matrix
