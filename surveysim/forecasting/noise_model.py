@@ -34,11 +34,15 @@ from surveysim.forecasting.observing_conditions import (
     removed_modes,
     white_shapes,
 )
+from surveysim.forecasting.response_filters import StreamFilters, gain_variance, stream_filters
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup
 from surveysim.runtime.errors import InsufficientDataError, NotForecastableError
 from surveysim.runtime.once import keep_last
+from surveysim.scene.scene import Scene
+from surveysim.telescope.pointing_errors import smearing_variance
+from surveysim.timestreams.crosstalk import CrosstalkMatrix
 
 PATTERNS = ("raster",)  # scan patterns with a closed form: straight scans along RA and Dec in turn
 _ANGLES = 3  # between array and scan that represent all observations
@@ -103,8 +107,9 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
         fitted = removed_modes(setup.observing, pipeline, arrays[0], conditions)
         spectrum = scan_frequencies(setup.observing.scans, scene.score, region.rings.ell, fitted)
         n_det = len(arrays[0].place)
-        responses = [array.response(spectrum.modes.wave.ravel()) for array in arrays]
-        transmission = _transmission(scene.observations, spectrum, arrays, responses)
+        responses = [_response(setup, pipeline, array, spectrum.modes.wave.ravel()) for array in arrays]
+        filters = stream_filters(setup, pipeline)
+        transmission = _transmission(scene, spectrum, arrays, responses, filters) * conditions.gain.mean() ** 2
         signal = left_signal(setup.analysis.beams, setup.analysis.geometry, setup.sky.geometry, region, transmission)
         bins = MapBins(
             scene=scene,
@@ -113,6 +118,8 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
             arrays=arrays,
             correlations=noise_correlations(setup.camera, pipeline, shapes),
             independent=independent_noise(shapes, pipeline),
+            filters=filters,
+            gain_variance=gain_variance(setup, pipeline, conditions),
             responses=responses,
             pixel=pixel_window(region.rings.ell, pixel_rad),
         )
@@ -150,24 +157,41 @@ def _arrays(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingCondi
         raise NotForecastableError(f"cleaning: {error}") from None
 
 
+def _response(setup: Setup, pipeline: CleaningPipeline, array: ProjectedArray, wave: np.ndarray) -> np.ndarray:
+    """Array response (n_det, n_mode) to what is in the streams before crosstalk, whose matrix is symmetric.
+
+    Crosstalk from detectors that a pipeline leaves out is neglected, with that between those that it takes.
+    """
+    response, section = array.response(wave), setup.scene.crosstalk
+    if section is None or pipeline.detectors is not None:
+        return response
+    return CrosstalkMatrix(section, setup.camera.readout_groups).times(response)
+
+
 def _transmission(
-    n_obs: int, spectrum: ScanFrequencies, arrays: list[ProjectedArray], responses: list[np.ndarray]
+    scene: Scene,
+    spectrum: ScanFrequencies,
+    arrays: list[ProjectedArray],
+    responses: list[np.ndarray],
+    filters: StreamFilters | None,
 ) -> np.ndarray:
-    """Transfer function (n_bin,) of scans and cleaning for the co-added map.
+    """Transfer function (n_bin,) of pointing errors, response, scans and cleaning for the co-added map.
 
     Amplitudes of all observations are averaged before they are squared: scans along one direction keep modes that
     scans along the other lose.
     """
-    modes = spectrum.modes
+    modes, n_obs = spectrum.modes, scene.observations
     wave = modes.wave.ravel()
+    filtered = 1.0 if filters is None else filters.signal(spectrum.at_hz)
     kept = [
-        np.einsum("ij,ij->j", response.conj(), array.phases(wave) * array.responsivity[:, None])
+        np.einsum("ij,ij->j", response.conj(), array.phases(wave) * array.responsivity[:, None] * filtered)
         / (array.responsivity @ array.weight)
         for array, response in zip(arrays, responses, strict=True)
     ]
+    smeared = np.exp(-smearing_variance(scene.pointing_errors) / 2 * np.abs(modes.wave) ** 2)
     amplitude = (np.mean(kept, axis=0) * spectrum.apodization.signal_amplitude(spectrum.at_hz)).reshape(
         modes.wave.shape
-    )
+    ) * smeared
     across = amplitude[:, modes.turned]
     half = len(modes.share) // 2
     across[:, :half] = across[:, :half].conj()

@@ -11,7 +11,7 @@ from surveysim.timestreams.observed_block import ObservedBlock
 
 @dataclass(frozen=True, eq=False)
 class CrosstalkMatrix:
-    """Matrix ``1 + e N + u (G - 1)`` of the crosstalk, applied in time proportional to the number of detectors.
+    """Symmetric matrix ``1 + e N + u (G - 1)`` of the crosstalk, applied in time proportional to the detectors.
 
     N is 1 for neighbours in readout, and G for detectors of one group; e and u are the fractions of the section.
 
@@ -27,15 +27,10 @@ class CrosstalkMatrix:
     def __call__(self, data: np.ndarray) -> None:
         """Multiply streams (n_det, n_samp) by the matrix, in place."""
         for samples in row_chunks(data.shape[1], len(data)):
-            part = data[:, samples].astype(float)
-            data[:, samples] = part + self._leaked(part)
+            data[:, samples] = self.times(data[:, samples].astype(float))
 
-    def dense(self, n_det: int) -> np.ndarray:
-        """The matrix (n_det, n_det)."""
-        return np.eye(n_det) + self._leaked(np.eye(n_det))
-
-    def _leaked(self, data: np.ndarray) -> np.ndarray:
-        """Contributions of all other streams to each."""
+    def times(self, data: np.ndarray) -> np.ndarray:
+        """Product of the matrix and an array (n_det, ...)."""
         leaked = np.zeros_like(data)
         for group in self.groups:
             before, after = group[:-1], group[1:]
@@ -43,7 +38,7 @@ class CrosstalkMatrix:
             leaked[before] += self.section.neighbour_fraction * data[after]
             if self.section.group_fraction:
                 leaked[group] += self.section.group_fraction * (data[group].sum(axis=0) - data[group])
-        return leaked
+        return data + leaked
 
 
 def crosstalk(of: ObservedBlock, seen_mk: np.ndarray) -> CrosstalkMatrix:

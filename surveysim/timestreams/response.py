@@ -17,6 +17,7 @@ from surveysim.timestreams.simulation import Simulation
 from surveysim.timestreams.sky import add_seen_sky, add_true_sky
 from surveysim.timestreams.time_constants import deconvolution, time_constants
 
+_IN_LOOK_UP = "responsivity"  # the step that the look-up of a simulated signal makes
 Operator = Callable[[np.ndarray], None]  # changes streams (n_det, n_samp) in place; linear in them
 
 
@@ -33,12 +34,13 @@ class ResponseStep:
     title
         Its name in reports.
     operator
-        Function that returns the step for one block of an observation, or None where it changes nothing there. It gets
-        the block and the streams (n_det, n_samp) that detectors see in it, before the first step.
+        Function that makes the step for one block of an observation. It gets the block and the streams (n_det, n_samp)
+        that detectors see in it, before the first step. None for a step that look-ups of the sky make themselves.
     sentence
         One line for plans and reports.
     acts_on
-        "signals": what detectors see, but for photon noise. "light": photon noise too. "streams": all noise too.
+        "sky": the sky alone. "signals": all that detectors see, but for photon noise. "light": photon noise too.
+        "streams": all noise too.
     is_present
         Whether a simulation has the step.
     """
@@ -46,14 +48,23 @@ class ResponseStep:
     name: str
     section: str
     title: str
-    operator: Callable[[ObservedBlock, np.ndarray], Operator | None]
+    operator: Callable[[ObservedBlock, np.ndarray], Operator] | None
     sentence: str
-    acts_on: Literal["signals", "light", "streams"]
+    acts_on: Literal["sky", "signals", "light", "streams"]
     is_present: Callable[[Simulation], bool]
 
 
-# Steps that act on fewer parts of the streams come first. Look-ups of a sky do the first step themselves.
+# Steps that act on fewer parts of the streams come first.
 RESPONSE_STEPS = (
+    ResponseStep(
+        "pointing_errors",
+        "pointing_errors",
+        "Pointing errors",
+        None,
+        "detectors look at the sky beside the assumed positions",
+        acts_on="sky",
+        is_present=lambda setup: setup.scene.pointing_errors is not None,
+    ),
     ResponseStep(
         "responsivity",
         "instrument",
@@ -116,7 +127,7 @@ class BlockResponse:
     of
         The block.
     steps
-        Steps that change something, each with its operator, in their order.
+        Steps with an operator, in their order.
     """
 
     of: ObservedBlock
@@ -136,7 +147,7 @@ class BlockResponse:
 
         It is `signal_mk` itself, not a copy, where no further step and no pointing error changes it.
         """
-        later = [operator for step, operator in self.steps if step is not RESPONSE_STEPS[0]]
+        later = [operator for step, operator in self.steps if step.name != _IN_LOOK_UP]
         found = signal_mk
         if self.of.setup.scene.pointing_errors is not None:
             found = np.zeros_like(signal_mk)
@@ -150,15 +161,13 @@ class BlockResponse:
 
 def block_response(of: ObservedBlock, seen_mk: np.ndarray) -> BlockResponse:
     """Make the response of one block, in which the detectors see some streams (n_det, n_samp)."""
-    made = ((step, step.operator(of, seen_mk)) for step in present_steps(of.setup))
-    return BlockResponse(of, tuple((step, operator) for step, operator in made if operator is not None))
+    steps = (step for step in present_steps(of.setup) if step.operator is not None)
+    return BlockResponse(of, tuple((step, step.operator(of, seen_mk)) for step in steps))
 
 
 def pass_light(of: ObservedBlock, photons_mk: np.ndarray) -> None:
     """Apply the steps that act on photon noise (n_det, n_samp) in a block, in place."""
-    for step in present_steps(of.setup):
-        if step.acts_on == "light" and (operator := step.operator(of, photons_mk)) is not None:
-            operator(photons_mk)
+    block_response(of, photons_mk).acting_on("light").apply(photons_mk)
 
 
 def draws_parts(of: ObservedBlock) -> bool:

@@ -9,6 +9,7 @@ from mapmaker.chunks import row_chunks
 from surveysim.runtime.errors import SceneError
 from surveysim.runtime.rng import generator, normal_deviates
 from surveysim.scene.response import ResponsivityDrift
+from surveysim.scene.scene import Scene
 from surveysim.telescope.optics import site_load_k
 from surveysim.telescope.smooth_process import SmoothProcess, smooth_process
 from surveysim.timestreams.observed_block import ObservedBlock
@@ -17,7 +18,7 @@ MOST_LOSS = 0.5  # largest relative change of a responsivity by the load
 _PURPOSE = "responsivity_drift"
 
 
-def responsivities(of: ObservedBlock, seen_mk: np.ndarray) -> Callable[[np.ndarray], None] | None:
+def responsivities(of: ObservedBlock, seen_mk: np.ndarray) -> Callable[[np.ndarray], None]:
     """Multiply each stream by the responsivity of its detector."""
     gain = of.setup.camera.responsivity[:, None]
 
@@ -67,7 +68,7 @@ def responsivity_drift(of: ObservedBlock, seen_mk: np.ndarray) -> _Drift:
     if section.rms:
         deviates = normal_deviates(scene.seed, _PURPOSE, of.observation, band=scene.band_name)
         process = smooth_process(n_det, of.whole.time_s[-1], section.time_scale_s, deviates)
-    loss_k, load_k = load_losses(of), array_load_k(of, seen_mk)
+    loss_k, load_k = load_losses(scene, n_det), array_load_k(of, seen_mk)
     _check_loss(of.observation, loss_k, load_k)
     return _Drift(section, process, of.pointing.time_s, loss_k, load_k)
 
@@ -83,10 +84,10 @@ def _check_loss(observation: int, loss_k: np.ndarray, load_k: np.ndarray) -> Non
         )
 
 
-def load_losses(of: ObservedBlock) -> np.ndarray:
+def load_losses(scene: Scene, n_det: int) -> np.ndarray:
     """Loss (n_det,) of responsivity for each K of load: log-normal, of one sign."""
-    scene, section = of.setup.scene, of.setup.scene.responsivity_drift
-    scatter = generator(scene.seed, f"{_PURPOSE}.load", band=scene.band_name).standard_normal(of.setup.camera.n_det)
+    section = scene.responsivity_drift
+    scatter = generator(scene.seed, f"{_PURPOSE}.load", band=scene.band_name).standard_normal(n_det)
     return section.load_coefficient_k * np.exp(section.load_scatter * scatter)
 
 

@@ -50,11 +50,10 @@ def gains(setup, observation=0):
 
 
 def test_steps_that_act_on_fewer_parts_come_first():
-    kinds = ["signals", "light", "streams"]
+    kinds = ["sky", "signals", "light", "streams"]
     order = [kinds.index(step.acts_on) for step in RESPONSE_STEPS]
-    assert order == sorted(order) and RESPONSE_STEPS[0].name == "responsivity"
-    sections = {step.section for step in RESPONSE_STEPS} - {"instrument"}
-    assert sections | {"pointing_errors"} == set(ResponseSections.model_fields)
+    assert order == sorted(order)
+    assert {step.section for step in RESPONSE_STEPS} - {"instrument"} == set(ResponseSections.model_fields)
 
 
 def test_without_sections_there_is_the_responsivity_alone(ready):
@@ -188,7 +187,7 @@ def test_streams_are_the_matrix_times_streams(ready):
     plain = draw_observation(ready(), 0).data_mk.astype(float)
     np.testing.assert_allclose(draw_observation(setup, 0).data_mk, matrix @ plain, atol=1e-6 * np.abs(plain).max())
     _, operator = block_response(block_of(setup), plain).steps[-1]
-    np.testing.assert_allclose(operator.dense(N_DET), matrix, rtol=1e-14)
+    np.testing.assert_allclose(operator.times(np.eye(N_DET)), matrix, rtol=1e-14)
 
 
 @pytest.mark.parametrize("column", [True, False])
