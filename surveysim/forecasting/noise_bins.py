@@ -146,12 +146,20 @@ class MapBins(NoiseBins):
         return np.mean(means, axis=0) * self.scans.sample_rate_hz / 2
 
     def white(self, correlation: Correlation) -> np.ndarray:
-        """Bins (n_bin,) of white noise of unit PSD, added after the response of the detectors.
+        """Bins (n_bin,) of white noise of unit PSD, added after the response of the detectors."""
+        return self._at_output(self.frequencies.white, correlation)
 
-        Pixels attenuate modes, and alias the lost noise over all modes, at the white level of a stream. Templates of
-        few detectors leave much less than that in modes that are longer than the array.
+    def readout(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of noise in lines (n,), positive and negative, added after the response of the detectors."""
+        leakage = self.frequencies.apodization.sums(variance[None], at_hz, self.frequencies.at_hz)
+        return self._at_output(leakage, correlation)
+
+    def _at_output(self, leakage: np.ndarray, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of noise after the response of the detectors, with its leakage (n_mode,) into the modes.
+
+        Pixels attenuate modes, and alias the lost noise over all modes, at the level of a stream. Templates of few
+        detectors leave much less than that in modes that are longer than the array.
         """
-        leakage = self.frequencies.white
         seen = self._mean([matrix_power(response, correlation) for response in self.responses], leakage)
         scattered = self.frequencies.modes.mean(leakage) * self.scans.sample_rate_hz / 2 * (1 - self.pixel)
         return seen * self.pixel + stream_power(self.arrays[0], correlation) * scattered
@@ -161,20 +169,9 @@ class MapBins(NoiseBins):
 
         It is aliased across the scan, among modes of one frequency: independent noise is unchanged.
         """
-        pairs = zip(self.arrays, self.responses, strict=True)
-        alone = [matrix_power(response * array.responsivity[:, None], None) for array, response in pairs]
-        return self._lines(at_hz, variance, alone, correlation)
-
-    def readout(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
-        """Bins (n_bin,) of noise in lines (n,), positive and negative, added after the response of the detectors."""
-        alone = [matrix_power(response, None) for response in self.responses]
-        return self._lines(at_hz, variance, alone, correlation)
-
-    def _lines(
-        self, at_hz: np.ndarray, variance: np.ndarray, alone: list[np.ndarray], correlation: Correlation
-    ) -> np.ndarray:
-        """Bins (n_bin,) of noise in lines (n,), with the powers of the same noise of independent detectors."""
         leakage = self.frequencies.apodization.sums(variance[None], at_hz, self.frequencies.at_hz)
+        pairs = list(zip(self.arrays, self.responses, strict=True))
+        alone = [matrix_power(response * array.responsivity[:, None], None) for array, response in pairs]
         own = self._mean(alone, leakage)
         shared = self._mean([matrix_power(response, correlation) for response in self.responses], leakage)
         return own + (shared - own) * self.pixel

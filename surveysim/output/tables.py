@@ -11,6 +11,7 @@ from surveysim.results.tables import alternative_table, score_table
 from surveysim.runtime.table import Column, Table, file_column
 from surveysim.survey.coadds import row_names
 from surveysim.telescope.scans import samples_per_scan
+from surveysim.timestreams.component import loses_samples
 
 if TYPE_CHECKING:
     from surveysim.forecasting.forecast import Forecast
