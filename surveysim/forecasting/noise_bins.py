@@ -25,8 +25,11 @@ from surveysim.forecasting.response_filters import Origin, StreamFilters
 from surveysim.forecasting.scan_apodization import ScanApodization, frequency_nodes, hann_apodization, scan_apodization
 from surveysim.scene.analysis import Score
 from surveysim.scene.scene import Scene
+from surveysim.telescope.lattice_noise import GroupCorrelation, NoiseCorrelation
 from surveysim.telescope.scans import Scans, samples_per_scan
 from surveysim.timestreams.shared_parts import screen
+from surveysim.timestreams.sharing import common_streams
+from surveysim.timestreams.simulation import CameraSetup
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,8 @@ class NoiseBins(ABC):
         The pipeline's detectors, at a few angles to the scan.
     independent
         Correlation of white noise that detectors do not share: diagonal; None where all detectors are alike.
+    camera, rows
+        Camera, and the pipeline's detectors.
     filters
         Filters of the streams; None without time constants.
     gain_variance
@@ -90,6 +95,8 @@ class NoiseBins(ABC):
     frequencies: ScanFrequencies
     arrays: list[ProjectedArray]
     correlations: NoiseCorrelations
+    camera: CameraSetup
+    rows: np.ndarray | slice
     independent: Correlation = None
     filters: StreamFilters | None = None
     gain_variance: float = 0.0
@@ -118,6 +125,17 @@ class NoiseBins(ABC):
         """Bins (n_bin,) of noise in lines (n,), positive and negative, that passes the response of the detectors."""
 
     @abstractmethod
+    def readout(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of noise in lines (n,), positive and negative, added after the response of the detectors."""
+
+    def in_common(self, shared: str, group_size: int | None = None) -> Correlation:
+        """Correlation of noise that "detector", "group" or "array" has in common; None for independent detectors."""
+        if shared == "detector":
+            return None
+        streams = common_streams(self.camera, shared, group_size)[self.rows]
+        return NoiseCorrelation(GroupCorrelation(streams), np.ones(len(streams)))
+
+    @abstractmethod
     def layer(self) -> LayerNoise:
         """Bins of a layer of unit amplitude, as a function of its motion."""
 
@@ -143,17 +161,27 @@ class MapBins(NoiseBins):
         return np.mean(means, axis=0) * self.scans.sample_rate_hz / 2
 
     def white(self, correlation: Correlation, origin: Origin = "light") -> np.ndarray:
-        """Bins (n_bin,) of white noise of unit PSD, seen by the detectors or added at their output.
-
-        Pixels attenuate modes, and alias the lost noise over all modes, at the white level of a stream. Templates of
-        few detectors leave much less than that in modes that are longer than the array.
-        """
+        """Bins (n_bin,) of white noise of unit PSD, seen by the detectors or added at their output."""
         leakage = scattering = self.frequencies.white
         if self.filters is not None:
             power, weight = self.passed(self.frequencies.nodes_hz, origin), self.frequencies.weight_hz
             leakage = self.frequencies.filtered_white(power)
             # Across the scan pixels alias noise of the same frequency, along it of all others.
             scattering = (leakage + scattering * np.average(power, weights=weight)) / 2
+        return self._at_output(leakage, scattering, correlation)
+
+    def readout(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of noise in lines (n,), positive and negative, added after the response of the detectors."""
+        variance = variance * self.passed(at_hz, "output")
+        leakage = self.frequencies.apodization.sums(variance[None], at_hz, self.frequencies.at_hz)
+        return self._at_output(leakage, leakage, correlation)
+
+    def _at_output(self, leakage: np.ndarray, scattering: np.ndarray, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of noise after the response of the detectors, with its leakage (n_mode,) into the modes.
+
+        Pixels attenuate modes, and alias the lost noise over all modes, at the level of a stream, `scattering`.
+        Templates of few detectors leave much less than that in modes that are longer than the array.
+        """
         seen = self._mean([matrix_power(response, correlation) for response in self.responses], leakage)
         scattered = self.frequencies.modes.mean(scattering) * self.scans.sample_rate_hz / 2 * (1 - self.pixel)
         return seen * self.pixel + stream_power(self.arrays[0], correlation) * scattered
@@ -215,6 +243,10 @@ class NoiseOnlyBins(NoiseBins):
         """Bins (n_bin,) of noise in lines (n,), positive and negative, that passes the response of the detectors."""
         return self._streams(at_hz, variance * self.passed(at_hz, "light"), correlation)
 
+    def readout(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
+        """Bins (n_bin,) of noise in lines (n,), positive and negative, added after the response of the detectors."""
+        return self._streams(at_hz, variance * self.passed(at_hz, "output"), correlation)
+
     def _streams(self, at_hz: np.ndarray, variance: np.ndarray, correlation: Correlation) -> np.ndarray:
         # The power of the cleaned streams does not depend on the array's angle.
         psd = self.hann.sums(variance[None] / 2, at_hz, self.lines_hz)
@@ -258,6 +290,8 @@ def noise_only_bins(of: MapBins, name: str, white_above_hz: float) -> NoiseOnlyB
         frequencies=spectrum,
         arrays=of.arrays,
         correlations=of.correlations,
+        camera=of.camera,
+        rows=of.rows,
         independent=of.independent,
         filters=of.filters,
         gain_variance=of.gain_variance,

@@ -14,10 +14,13 @@ from surveysim.reduction.setup import Setup
 from surveysim.scene.observing import Scan
 from surveysim.scene.scene import Scene
 from surveysim.survey.discarded_scans import MOST_DISCARDED
+from surveysim.timestreams.component import loses_samples
 from surveysim.timestreams.crosstalk import CrosstalkMatrix
+from surveysim.timestreams.expected_losses import sampled_share
 
 LARGE = 0.1  # relative size above which an effect is flagged
 MOST_TEMPLATES = 0.25  # templates a detector above which they are flagged
+MOST_LOST = 0.3  # fraction of lost samples above which they are flagged
 MOST_UNEVEN = 0.25  # excess noise above which uneven coverage is flagged
 _RESOLUTIONS = 3.0  # of `resolution_ell`: lower end of compared multipoles
 _BEAM_LEFT = 0.03  # power in the beam: upper end of compared multipoles
@@ -136,6 +139,8 @@ def _iterate_effects(setup: Setup, inputs: EffectInputs) -> Iterator[NeglectedEf
             yield NeglectedEffect("cleaning", None, sentence, True)
     if setup.scene.crosstalk is not None and inputs.pipeline.detectors is not None:
         yield _crosstalk(setup, inputs.pipeline)
+    if loses_samples(setup.scene):
+        yield _lost_samples(setup.scene, inputs)
     if templates := len(PROJECTIONS[inputs.pipeline.label]):
         yield _few_detectors(templates, inputs.n_det)
     yield _uneven_coverage(setup.analysis.region, inputs.hits)
@@ -195,6 +200,16 @@ def _crosstalk(setup: Setup, pipeline: CleaningPipeline) -> NeglectedEffect:
         " neglects."
     )
     return NeglectedEffect("crosstalk", size, sentence, size > LARGE)
+
+
+def _lost_samples(scene: Scene, inputs: EffectInputs) -> NeglectedEffect:
+    """Fraction of the samples that is lost, which the forecast takes out of the hits alone."""
+    size = 1 - float(np.mean(sampled_share(scene, inputs.conditions.white + inputs.conditions.shared)))
+    sentence = (
+        f"{_percent(size)} of the samples are lost, which lowers the hits of the forecast; it neglects that templates"
+        " are made of fewer detectors and of filled gaps."
+    )
+    return NeglectedEffect("lost samples", size, sentence, size > MOST_LOST)
 
 
 def _few_detectors(templates: int, n_det: int) -> NeglectedEffect:

@@ -16,6 +16,7 @@ from surveysim.reduction.analysis import AnalysisSetup
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline, pipelines
 from surveysim.reduction.consistency import (
     check_bands,
+    check_dead_time,
     check_excess,
     check_healpix,
     check_levels,
@@ -42,7 +43,6 @@ from surveysim.telescope.noise_levels import stop_emits
 from surveysim.telescope.pixel_coherence import MOST_DENSE
 from surveysim.telescope.pointing import Schedule
 from surveysim.telescope.pointing_errors import true_focal_plane
-from surveysim.telescope.readout_order import readout_groups
 from surveysim.telescope.responsivity import assumed_responsivity, camera_responsivity
 from surveysim.telescope.scan_pattern import ScanPattern, scan_pattern
 from surveysim.telescope.scans import Scans, mid_times, samples_per_scan
@@ -50,6 +50,7 @@ from surveysim.telescope.table_checks import check_table
 from surveysim.telescope.time_constants import assumed_time_constants, true_time_constants
 from surveysim.timestreams.scan_blocks import Block, scan_blocks
 from surveysim.timestreams.shared_parts import layer_strips
+from surveysim.timestreams.sharing import check_groups, readout_groups
 from surveysim.timestreams.simulation import (
     AirSetup,
     CameraSetup,
@@ -174,7 +175,7 @@ def _simulation(scene: Scene, common: _Common) -> Simulation:
         true_plane=true_focal_plane(scene, cam.focal_plane),
         time_constant_s=tau_s,
         deconvolved_s=assumed_time_constants(scene, tau_s),
-        readout_groups=readout_groups(scene.crosstalk, cam) if scene.crosstalk else (),
+        readout_groups=readout_groups(cam, scene.crosstalk.group_size) if scene.crosstalk else (),
     )
     all_bands = common.extent.focal_plane if len(common.cameras) > 1 else None
     return Simulation(
@@ -190,6 +191,9 @@ def _prepare(scene: Scene) -> Setup:
     common = _common(scene)
     cam, scans, geometry = common.cameras[scene.band_name], common.scans, common.geometry
     check_templates(scene, cam)
+    check_dead_time(scene, cam)
+    for band in (scene, *scene.others):
+        check_groups(band, common.cameras[band.band_name])
     check_bands(scene, common.cameras)
     masked = None
     if scene.score and scene.score.mask_separation_f_lambda:

@@ -9,7 +9,9 @@ from surveysim.timestreams.component import COMPONENTS, present_components
 from surveysim.timestreams.response import present_steps
 
 # Optional sections, and the consequence of leaving each out.
-OPTIONAL = {item.name: item.absence for item in COMPONENTS} | {"score": ": no map PSDs, no sign-flipped maps"}
+OPTIONAL = {item.name: item.absence for item in COMPONENTS if item.absence is not None} | {
+    "score": ": no map PSDs, no sign-flipped maps"
+}
 
 
 def absent_sections(scene: Scene) -> list[str]:

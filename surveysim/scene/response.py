@@ -4,7 +4,8 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from surveysim.scene.fields import AngleExtent, Duration, Elevation, Frequency, Share, number, quantity, whole
+from surveysim.scene.fields import AngleExtent, Duration, Elevation, Frequency, Share, number, quantity
+from surveysim.scene.readout import GroupSize
 from surveysim.scene.section import Section
 
 
@@ -49,7 +50,7 @@ class Crosstalk(Section):
     their rows in the table or their numbers."""
     group_fraction: Annotated[float, *number(-0.1, 0.1)] = 0.0
     """Fraction of each stream in those of all other detectors of its group."""
-    group_size: Annotated[int, *whole(2, 1_000_000)] | None = Field(
+    group_size: GroupSize | None = Field(
         default=None, json_schema_extra={"otherwise": "groups of the table's column `readout_group`, or one of all"}
     )
     """Detectors of a readout group, which have consecutive numbers."""

@@ -11,7 +11,7 @@ from surveysim.scene.response import ResponseSections
 from surveysim.scene.scene import load_scene
 from surveysim.telescope.layouts import hexagon
 from surveysim.telescope.scans import samples_per_scan
-from surveysim.timestreams.component import COMPONENTS
+from surveysim.timestreams.component import present_components
 from surveysim.timestreams.observation import Stopwatch, draw_block, draw_observation
 from surveysim.timestreams.observed_block import observed_block
 from surveysim.timestreams.response import RESPONSE_STEPS, block_response, present_steps, write_sky_signal
@@ -73,7 +73,7 @@ def test_without_sections_no_bit_changes(ready):
     setup = ready()
     of = block_of(setup)
     expected = np.zeros((N_DET, len(of.pointing.time_s)), np.float32)
-    for item in COMPONENTS:
+    for item in present_components(setup.scene):
         if item.name == "photon":
             expected *= setup.camera.responsivity[:, None].astype(np.float32)
         item.add(expected, of)
