@@ -34,7 +34,7 @@ from surveysim.forecasting.observing_conditions import (
     removed_modes,
     white_shapes,
 )
-from surveysim.forecasting.response_filters import StreamFilters, gain_variance, stream_filters
+from surveysim.forecasting.response_filters import gain_variance, stream_filters
 from surveysim.reduction.cleaning_pipelines import CleaningPipeline
 from surveysim.reduction.scored_region import left_signal
 from surveysim.reduction.setup import Setup
@@ -107,9 +107,15 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
         fitted = removed_modes(setup.observing, pipeline, arrays[0], conditions)
         spectrum = scan_frequencies(setup.observing.scans, scene.score, region.rings.ell, fitted)
         n_det = len(arrays[0].place)
-        responses = [_response(setup, pipeline, array, spectrum.modes.wave.ravel()) for array in arrays]
+        phases = [array.phases(spectrum.modes.wave.ravel()) for array in arrays]
+        responses = [
+            _crosstalked(setup, pipeline, array.respond(item)) for array, item in zip(arrays, phases, strict=True)
+        ]
         filters = stream_filters(setup, pipeline)
-        transmission = _transmission(scene, spectrum, arrays, responses, filters) * conditions.gain.mean() ** 2
+        if filters is not None:
+            phases = [item * filters.signal(spectrum.at_hz) for item in phases]
+        transmission = _transmission(scene, spectrum, arrays, phases=phases, responses=responses)
+        transmission = transmission * conditions.gain.mean() ** 2
         signal = left_signal(setup.analysis.beams, setup.analysis.geometry, setup.sky.geometry, region, transmission)
         bins = MapBins(
             scene=scene,
@@ -159,12 +165,12 @@ def _arrays(setup: Setup, pipeline: CleaningPipeline, conditions: ObservingCondi
         raise NotForecastableError(f"cleaning: {error}") from None
 
 
-def _response(setup: Setup, pipeline: CleaningPipeline, array: ProjectedArray, wave: np.ndarray) -> np.ndarray:
-    """Array response (n_det, n_mode) to what is in the streams before crosstalk, whose matrix is symmetric.
+def _crosstalked(setup: Setup, pipeline: CleaningPipeline, response: np.ndarray) -> np.ndarray:
+    """Turn an array response (n_det, n_mode) into that to streams before crosstalk, whose matrix is symmetric.
 
     Crosstalk from detectors that a pipeline leaves out is neglected, with that between those that it takes.
     """
-    response, section = array.response(wave), setup.scene.crosstalk
+    section = setup.scene.crosstalk
     if section is None or pipeline.detectors is not None:
         return response
     return CrosstalkMatrix(section, setup.camera.readout_groups).times(response)
@@ -174,21 +180,21 @@ def _transmission(
     scene: Scene,
     spectrum: ScanFrequencies,
     arrays: list[ProjectedArray],
+    *,
+    phases: list[np.ndarray],
     responses: list[np.ndarray],
-    filters: StreamFilters | None,
 ) -> np.ndarray:
     """Transfer function (n_bin,) of pointing errors, response, scans and cleaning for the co-added map.
 
+    `phases` of the detectors include the filters of their time constants.
     Amplitudes of all observations are averaged before they are squared: scans along one direction keep modes that
     scans along the other lose.
     """
     modes, n_obs = spectrum.modes, scene.observations
-    wave = modes.wave.ravel()
-    filtered = 1.0 if filters is None else filters.signal(spectrum.at_hz)
     kept = [
-        np.einsum("ij,ij->j", response.conj(), array.phases(wave) * array.responsivity[:, None] * filtered)
+        np.einsum("ij,ij->j", response.conj(), phase * array.responsivity[:, None])
         / (array.responsivity @ array.weight)
-        for array, response in zip(arrays, responses, strict=True)
+        for array, phase, response in zip(arrays, phases, responses, strict=True)
     ]
     smeared = np.exp(-smearing_variance(scene.pointing_errors) / 2 * np.abs(modes.wave) ** 2)
     amplitude = (np.mean(kept, axis=0) * spectrum.apodization.signal_amplitude(spectrum.at_hz)).reshape(
