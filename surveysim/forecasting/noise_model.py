@@ -113,6 +113,8 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
             frequencies=spectrum,
             arrays=arrays,
             correlations=noise_correlations(setup.camera, pipeline, shapes),
+            camera=setup.camera,
+            rows=pipeline.rows,
             independent=independent_noise(shapes, pipeline),
             responses=responses,
             pixel=pixel_window(region.rings.ell, pixel_rad),
@@ -126,7 +128,7 @@ def noise_models(setup: Setup, conditions: ObservingConditions) -> Iterator[Nois
 
 def _closed_forms(bins: NoiseBins) -> dict[ClosedForm, Noise]:
     """Noise of each term of the components that the scene has a section for."""
-    there = [terms for name, terms in CLOSED_FORMS.items() if getattr(bins.scene, name) is not None]
+    there = [terms for name, terms in CLOSED_FORMS.items() if getattr(bins.scene, name)]
     return {term: term(bins) for terms in there for term in terms}
 
 
