@@ -33,6 +33,7 @@ from surveysim.scene.optics import Optics
 from surveysim.scene.place import Place, SiteSection, own_place, shipped_place, with_place
 from surveysim.scene.readout import ReadoutSections
 from surveysim.scene.renamed_keys import renamed_lines
+from surveysim.scene.response import ResponseSections
 from surveysim.scene.section import Section
 from surveysim.scene.shipped import MAX_NAME, NAME, find_scene, is_name, no_such_scene
 from surveysim.scene.sites import OWN
@@ -85,7 +86,7 @@ class ObservationSections(Section):
     scan: Scan
 
 
-class Scene(ReadoutSections, StreamSections, ObservationSections):
+class Scene(ResponseSections, ReadoutSections, StreamSections, ObservationSections):
     """A whole scene; a section that is left out leaves out its stage of the simulation.
 
     Two attributes are no keys of the file. `assumed` lists the values whose comments call them assumed or calibrated.
