@@ -32,6 +32,8 @@ class StreamComponent:
         Whether detectors see it and respond to it; else it is noise at their output.
     absence
         Consequence of its absence, for plans, after a colon.
+    switch
+        Key of the section whose value "none" turns the component off, while all else that the section sets stays.
     """
 
     name: str
@@ -40,6 +42,12 @@ class StreamComponent:
     sentence: str
     through_response: bool
     absence: str = ""
+    switch: str = ""
+
+    def is_present(self, scene: Scene) -> bool:
+        """Tell whether the scene has the section, and its switch is on."""
+        section = getattr(scene, self.name)
+        return section is not None and (not self.switch or getattr(section, self.switch) != "none")
 
 
 # The order of additions is part of a scene's results, as its seed is: float32 sums depend on it. Components that pass
@@ -52,6 +60,7 @@ COMPONENTS = (
         "a frozen layer that the wind moves through the beams",
         through_response=True,
         absence=": no layer, no weather",
+        switch="turbulence",
     ),
     StreamComponent(
         "excess",
@@ -87,4 +96,4 @@ COMPONENTS = (
 
 def present_components(scene: Scene) -> tuple[StreamComponent, ...]:
     """Components that the scene has a section for, in the order of addition."""
-    return tuple(item for item in COMPONENTS if getattr(scene, item.name) is not None)
+    return tuple(item for item in COMPONENTS if item.is_present(scene))
