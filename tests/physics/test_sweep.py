@@ -13,7 +13,8 @@ from surveysim.reduction.data_set import DataSetKind
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.sweep.comparison import compare_forecasts, compare_runs, forecast_points
 from surveysim.studies.sweep.point_store import PointResult
-from surveysim.survey.scores import DataSetScore, error_modes
+from surveysim.survey.error_modes import error_modes
+from surveysim.survey.scores import DataSetScore
 from tests.scenes import SMALL_SCENE, without_sections
 from tests.seeds import shared_expectations
 from tests.toys import ELL, N_MODES, PSD, toy_score

@@ -29,8 +29,9 @@ from surveysim.studies.sweep.point_store import (
 from surveysim.survey.checkpoint import CheckpointError
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.discarded_scans import competing, discards
+from surveysim.survey.error_modes import error_modes
 from surveysim.survey.run import finished_sums, run_observations
-from surveysim.survey.scores import FEWEST_CONTROLLED, DataSetScore, error_modes
+from surveysim.survey.scores import FEWEST_CONTROLLED, DataSetScore
 
 DRAWS = 20_000  # a probability of 0.5 has an error of 0.004
 _DRAWS_AT_ONCE = 1000
