@@ -67,7 +67,7 @@ def _draw_waterfall(axes: Axes, steps: list[tuple[str, Estimate, str]]) -> None:
     for row, (_, found, colour) in enumerate(steps):
         start = 0.0 if colour == GREY else level
         ends = np.array([start, start + found.value]) * 100
-        axes.barh(row, ends[1] - ends[0], left=ends[0], height=0.62, color=colour, lw=0)
+        axes.barh(row, ends[1] - ends[0], left=ends[0], height=0.62, color=colour, ec=colour, lw=1)
         if np.isfinite(found.error):
             axes.errorbar(ends[1], row, xerr=100 * found.error, color=BLACK, elinewidth=1, capsize=2)
         sign = "" if colour == GREY or found.value < 0 else "+"

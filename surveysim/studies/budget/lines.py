@@ -9,6 +9,7 @@ from surveysim.studies.budget.tables import NOT_COMPARABLE, time_text
 
 Content = Mapping[str, Any]  # content of summary.json
 MOST_NAMED = 3  # interactions in a sentence
+SURE = 3  # standard errors beyond which an interaction is named: pairs are many
 
 MEASURE = (
     "Times are survey times that give the same sigma(A), as shares of the whole scene's. sigma(A) goes as the noise"
@@ -45,12 +46,23 @@ def total_lines(summary: Content) -> Iterator[str]:
 
 
 def small_line(summary: Content) -> str:
-    """Name the stages that cost less than their errors, which the scene does not need."""
-    small = [item["title"] for item in summary["budget"]["stages"] if item["small"]]
-    limit = "their errors" if summary["kind"] == "simulated" else f"{100 * SMALL:g} % of the survey time"
+    """Name the stages that cost less than their errors, with their costs."""
+    simulated = summary["kind"] == "simulated"
+    small = [f"{item['title']}, {_cost_text(item)}" for item in summary["budget"]["stages"] if item["small"]]
     if not small:
-        return f"Every stage costs more than {limit.replace('their errors', 'its error')}."
-    return f"Stages that cost less than {limit}, so that this score does not need them: {joined(small)}."
+        return f"Every stage costs more than {'its error' if simulated else f'{100 * SMALL:g} %'}."
+    limit = (
+        "their errors, which more observations lower"
+        if simulated
+        else f"{100 * SMALL:g} %, which this score can do without"
+    )
+    return f"Stages that cost less than {limit}: {'; '.join(small)}."
+
+
+def _cost_text(stage: Content) -> str:
+    """Cost of a stage in the whole scene, or else in the least one."""
+    parts = [stage[name]["time"] for name in ("removed", "added") if name in stage]
+    return next(filter(None, map(time_text, parts)), "")
 
 
 def interaction_line(summary: Content) -> str:
@@ -61,11 +73,11 @@ def interaction_line(summary: Content) -> str:
         found = [(" with ".join(titles[name] for name in item["stages"]), item) for item in pairs]
     else:
         found = [(item["title"], item["interaction"]) for item in stages if item["interaction"]["value"] is not None]
-    large = [(title, item) for title, item in found if abs(item["value"]) > (2 * (item["error"] or 0) or SMALL)]
+    large = [(title, item) for title, item in found if abs(item["value"]) > (SURE * (item["error"] or 0) or SMALL)]
     large.sort(key=lambda entry: -abs(entry[1]["value"]))
     if not large:
         return ""
-    return f"Largest interactions: {joined([f'{title}, {time_text(item)}' for title, item in large[:MOST_NAMED]])}."
+    return f"Largest interactions: {'; '.join(f'{title}, {time_text(item)}' for title, item in large[:MOST_NAMED])}."
 
 
 def reason_lines(summary: Content) -> Iterator[str]:
