@@ -160,7 +160,7 @@ def pair_costs(budget: Budget, found: Measured) -> tuple[PairCost, ...]:
 def _stage_cost(row: BudgetRow, found: Measured) -> StageCost:
     removed, added = (_cost(cost, found) for cost in (row.removed, row.added))
     interaction = NONE
-    if removed[1].is_known and added[1].is_known:
+    if removed[1].is_known and added[1].is_known and row.removed != row.added:
         numbers = (row.removed.present, row.removed.absent, row.added.present, row.added.absent)
         interaction = found.time(numbers, (1, -1, -1, 1))
     times = [item[1] for item in (removed, added) if item[1].is_known]

@@ -181,6 +181,9 @@ def _points(
     reasons: dict[Removed, str] = {}
     for item in wanted:
         settings, number = stages.removal(item), len(points)
+        if not stages.has_noise_without(item):
+            reasons[item] = f"{_label(stages, item)} has no noise"
+            continue
         try:
             scene = _actual_alone(scene_at(settings))
             points[item] = sweep_point(number, (number,), _label(stages, item), settings, scene)

@@ -8,10 +8,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from surveysim.scene.noise_and_sky import Photon
 from surveysim.scene.scene import Scene
 from surveysim.timestreams.component import COMPONENTS, present_components
 
-CLEANING, ATMOSPHERE = "cleaning", "atmosphere"
+CLEANING, ATMOSPHERE, SKY = "cleaning", "atmosphere", "sky"
 FLOORS = ("detector", "photon")  # noise of the least scene: the first that the scene has
 
 
@@ -53,6 +54,10 @@ class StageList:
         """Stages that need a stage, directly or not."""
         return frozenset(other for other in self.stages if name in self.required(other))
 
+    def has_noise_without(self, names: Iterable[str]) -> bool:
+        """Tell whether a component of the noise is left without some stages."""
+        return not {item.name for item in COMPONENTS if item.name in self.stages and item.name != SKY} <= set(names)
+
     def removal(self, names: Iterable[str]) -> dict[str, Any]:
         """Values by key that remove some stages, without keys in removed sections; the first stages count most."""
         removed, merged = set(names), dict[str, Any]()
@@ -66,7 +71,8 @@ class StageList:
 def stages_of(scene: Scene) -> StageList:
     """List the stages of a scene, from cleaning to the sections of its streams and the settings that can be ideal."""
     found = {stage.name: stage for stage in _in_order(*_cleaning(scene), *_components(scene), *_settings(scene))}
-    floor = next((name for name in (*FLOORS, *(item.name for item in reversed(COMPONENTS))) if name in found), "")
+    noises = (item.name for item in reversed(COMPONENTS) if item.name != SKY)
+    floor = next((name for name in (*FLOORS, *noises) if name in found), "")
     common, stages = (CLEANING,) if CLEANING in found else (), {}
     for name, stage in found.items():
         needs = () if name in (floor, CLEANING) else (*common, *(other for other in stage.needs if other in found))
@@ -92,7 +98,17 @@ def _cleaning(scene: Scene) -> Iterator[Stage]:
 def _components(scene: Scene) -> Iterator[Stage]:
     for item in present_components(scene):
         off = {f"{item.name}.{item.switch}": "none"} if item.switch else {item.name: None}
-        yield Stage(item.name, item.title, off)
+        yield Stage(item.name, item.title, _no_photon_noise(scene.photon) if item.name == "photon" else off)
+
+
+def _no_photon_noise(photon: Photon) -> dict[str, Any]:
+    """Settings of photon noise of level 0: with them the one draw of photon and detector noise stays the same."""
+    off: dict[str, Any] = {"photon.psd": "0 mK2 / Hz"}
+    if photon.psd_mk2_hz is None:
+        off |= {"photon.coherent_fraction": 0.0, "photon.load": None}
+    if photon.stop_fraction is not None:
+        off["photon.stop_fraction"] = None
+    return off if photon.coherence == "none" else off | {"photon.coherence": "none"}
 
 
 def _settings(scene: Scene) -> Iterator[Stage]:
