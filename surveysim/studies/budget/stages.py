@@ -12,7 +12,8 @@ from surveysim.scene.noise_and_sky import Photon
 from surveysim.scene.scene import Scene
 from surveysim.timestreams.component import COMPONENTS, present_components
 
-CLEANING, ATMOSPHERE, SKY = "cleaning", "atmosphere", "sky"
+CLEANING, ATMOSPHERE = "cleaning", "atmosphere"
+NOISES = tuple(item.name for item in COMPONENTS if item.add is not None and item.name != "sky")
 FLOORS = ("detector", "photon")  # noise of the least scene: the first that the scene has
 
 
@@ -56,7 +57,7 @@ class StageList:
 
     def has_noise_without(self, names: Iterable[str]) -> bool:
         """Tell whether a component of the noise is left without some stages."""
-        return not {item.name for item in COMPONENTS if item.name in self.stages and item.name != SKY} <= set(names)
+        return not {name for name in NOISES if name in self.stages} <= set(names)
 
     def removal(self, names: Iterable[str]) -> dict[str, Any]:
         """Values by key that remove some stages, without keys in removed sections; the first stages count most."""
@@ -71,8 +72,7 @@ class StageList:
 def stages_of(scene: Scene) -> StageList:
     """List the stages of a scene, from cleaning to the sections of its streams and the settings that can be ideal."""
     found = {stage.name: stage for stage in _in_order(*_cleaning(scene), *_components(scene), *_settings(scene))}
-    noises = (item.name for item in reversed(COMPONENTS) if item.name != SKY)
-    floor = next((name for name in (*FLOORS, *noises) if name in found), "")
+    floor = next((name for name in (*FLOORS, *reversed(NOISES)) if name in found), "")
     common, stages = (CLEANING,) if CLEANING in found else (), {}
     for name, stage in found.items():
         needs = () if name in (floor, CLEANING) else (*common, *(other for other in stage.needs if other in found))
