@@ -9,6 +9,7 @@ from surveysim.output.scene_copy import bands_files, scene_files, sweep_files
 from surveysim.reduction.setup import Setup
 from surveysim.scene.bands import MultiBandScene, bands_hash
 from surveysim.scene.scene import Scene, scene_hash, survey_hash
+from surveysim.studies.budget.points import Budget
 from surveysim.studies.convergence.records import MOST_SEEDS, REFERENCE_ERROR, SUB_SURVEY
 from surveysim.studies.sweep.axes import Sweep, sweep_hash
 from surveysim.studies.sweep.bands import MultiBandSweep, band_sweep_hash
@@ -88,8 +89,22 @@ def of_sweep(sweep: Sweep, command: str, figures: bool) -> Results:
     """Return the results of a sweep; simulated sweeps keep their points until the end."""
     names = [*COMMON, "sweep.ecsv", "sweep_pairs.ecsv", *(["figures/sweep.png"] if figures else [])]
     if command == "run":
-        names += [f"points/{point.number:03d}.{kind}" for point in sweep.points for kind in ("npz", "checkpoint.h5")]
+        names += _kept_points(sweep)
     return Results(command, sweep.name, sweep_hash(sweep), tuple(names), sweep_files(sweep))
+
+
+def of_budget(budget: Budget, simulate: bool, figures: bool) -> Results:
+    """Return the results of a budget; a simulated one keeps its points until the end."""
+    names = [*COMMON, *(f"tables/{name}.ecsv" for name in ("budget", "budget_points", "budget_pairs"))]
+    names += ["figures/budget.png"] if figures else []
+    if simulate:
+        names += _kept_points(budget.sweep)
+    command = "budget" if simulate else "budget --forecast"
+    return Results(command, budget.name, sweep_hash(budget.sweep), tuple(names), sweep_files(budget.sweep))
+
+
+def _kept_points(sweep: Sweep) -> list[str]:
+    return [f"points/{point.number:03d}.{kind}" for point in sweep.points for kind in ("npz", "checkpoint.h5")]
 
 
 def of_forecast(scene: Scene) -> Results:

@@ -29,6 +29,8 @@ from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.table import Table
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import resolved, scene_hash
+from surveysim.studies.budget.result import BudgetResult
+from surveysim.studies.budget.summary import budget_summary
 from surveysim.studies.sweep.band_results import MultiBandSweepResult, band_sweep_summary
 from surveysim.studies.sweep.point_run import point_result
 from surveysim.studies.sweep.point_store import save_point
@@ -120,6 +122,26 @@ def _of_sweep(result: SweepResult) -> Drawings:
     from surveysim.report.figures.sweep import draw_sweep
 
     return {"sweep": lambda path: draw_sweep(path, result)}
+
+
+def write_budget(directory: Path, whole: Setup, result: BudgetResult, figures: bool) -> None:
+    """Write tables, figure, summary and report of a budget below `directory`, with its `whole` scene."""
+    from surveysim.studies.budget.tables import budget_table, pair_table, point_table
+
+    content = budget_summary(result) | {"left_out": left_out(whole)}
+    tables = {"budget": budget_table(content), "budget_points": point_table(content)}
+    if result.pairs:
+        tables["budget_pairs"] = pair_table(content)
+    written = [_write_table(directory / "tables" / f"{name}.ecsv", table) for name, table in tables.items()]
+    written.append(write_text(directory / "scene.json", resolved(whole.scene) + "\n"))
+    drawn = partial(_of_budget, result) if figures and result.is_scored else None
+    write_summary(directory, content, written, drawn)
+
+
+def _of_budget(result: BudgetResult) -> Drawings:
+    from surveysim.report.figures.budget import draw_budget
+
+    return {"budget": lambda path: draw_budget(path, result)}
 
 
 def write_accuracy(directory: Path, result: "AccuracyResult", figures: bool) -> None:

@@ -111,6 +111,16 @@ FORECAST_SWEEP = Caption(
     "set [µK²_CMB] by forecast. Right: its ratio to the reference point.",
     "Look for the lowest point, and for the curvature around it.",
 )
+BUDGET = Caption(
+    "Survey time by stage",
+    "Bars of survey time from the least scene to the whole one, and the cost of each stage removed or added alone.",
+    "Across: survey time that gives the same σ(A), in percent of the whole scene's. Left: each bar adds the cost of a "
+    "stage added alone to the least scene (grey at the top); the orange bar is the rest of the whole scene's time, the "
+    "interactions of the stages. Right: the cost of each stage, removed alone from the whole scene (discs) and added "
+    "alone to the least one (squares). Bars are paired errors, for simulated points.",
+    "Look for the longest bars, which a better camera shortens, for stages at 0 within their error bars, which this "
+    "scene can do without, and for discs far from their squares: stages whose cost depends on the others.",
+)
 ACCURACY = Caption(
     "Accuracy and its cost",
     "Errors and biases of the score against CPU time, for every setting of every parameter.",

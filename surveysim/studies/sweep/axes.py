@@ -170,17 +170,7 @@ def sweep_along(
     labels = [", ".join(axis.at(step) for axis, step in zip(axes, place, strict=True)) for place in places]
 
     def point(number: int) -> Point:
-        scene = scene_at(settings[number])
-        if scene.score is None:
-            raise SceneError("score: missing; a sweep compares scores")
-        setup = prepare(scene)
-        samples = (
-            setup.camera.n_det
-            * setup.observing.scans.n_scans
-            * samples_per_scan(setup.observing.scans)
-            * scene.observations
-        )
-        return Point(number, places[number], labels[number], settings[number], scene, setup.camera.n_det, samples)
+        return sweep_point(number, places[number], labels[number], settings[number], scene_at(settings[number]))
 
     points = tuple(_of_all(path, labels, point))
     name = "sweep.reference" if reference is None else "--reference"
@@ -192,6 +182,16 @@ def sweep_along(
     if reference is not None and all(axis.name != REFERENCE for axis in axes):
         origin = replace(origin, overrides={**origin.overrides, f"sweep.{REFERENCE}": chosen})
     return Sweep(path, axes, points, origin, chosen)
+
+
+def sweep_point(number: int, place: tuple[int, ...], label: str, settings: dict[str, Any], scene: Scene) -> Point:
+    """Make a point of a scene, checked and prepared; raises SceneError for one that can't be run or has no score."""
+    if scene.score is None:
+        raise SceneError("score: missing; a sweep compares scores")
+    setup = prepare(scene)
+    scans = setup.observing.scans
+    samples = setup.camera.n_det * scans.n_scans * samples_per_scan(scans) * scene.observations
+    return Point(number, place, label, settings, scene, setup.camera.n_det, samples)
 
 
 def sweep_hash(sweep: Sweep) -> str:
