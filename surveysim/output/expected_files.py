@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from hashlib import sha256
 from typing import Any
 
+from surveysim.metrics.registry import metric_table_names
 from surveysim.output.record import Results
 from surveysim.output.scene_copy import bands_files, scene_files, sweep_files
 from surveysim.reduction.setup import Setup
@@ -15,7 +16,17 @@ from surveysim.studies.sweep.bands import MultiBandSweep, band_sweep_hash
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 
 COMMON = ("summary.json", "scene.json", "report.html")
-_TABLES = ("observations", "timestream_psd", "scores", "map_psd", "alternatives", "load", "nep", "sensitivity")
+_TABLES = (
+    "observations",
+    "timestream_psd",
+    "scores",
+    "metrics",
+    "map_psd",
+    "alternatives",
+    "load",
+    "nep",
+    "sensitivity",
+)
 _FIGURES = (
     "timestream_psd",
     "map",
@@ -32,7 +43,8 @@ _PARTS = {"1": ("sites",), "2": ("photons",), "3": ("gains",)}  # parts of a tab
 def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
     """Return the results of a run of a scene."""
     scene = setup.scene
-    names = [*COMMON, CHECKPOINT, *(f"tables/{name}.ecsv" for name in _TABLES)]
+    tables = [*_TABLES, *(metric_table_names(scene.score) if scene.score else ())]
+    names = [*COMMON, CHECKPOINT, *(f"tables/{name}.ecsv" for name in tables)]
     endings = ("", "_healpix") if scene.map.healpix_nside else ("",)
     names += [f"maps/{name}{ending}.fits" for name in setup.analysis.data_set_names for ending in endings]
     if figures:

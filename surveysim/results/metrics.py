@@ -7,9 +7,10 @@ from typing import Any
 from surveysim.forecasting.forecast import DataSetForecast, Forecast
 from surveysim.metrics.errors import Estimate, estimates
 from surveysim.metrics.map_noise import MapNoise, noise_of_forecast, noise_of_score
-from surveysim.metrics.registry import MetricFunction, metric_functions
+from surveysim.metrics.registry import METRICS, MetricFunction, metric_functions, metric_table_names
 from surveysim.reduction.setup import Setup
 from surveysim.results.control_variate import weather_factors
+from surveysim.runtime.table import Table
 from surveysim.survey.scores import DataSetScore
 
 
@@ -87,6 +88,15 @@ def _of_data_set(
 def values(functions: Mapping[str, MetricFunction], noise: MapNoise) -> dict[str, Any]:
     """Return the quantities of some metrics by key."""
     return {f"{name}.{item.name}": item for name, function in functions.items() for item in function(noise)}
+
+
+def metric_tables(setup: Setup, scores: Mapping[str, DataSetScore]) -> dict[str, Table]:
+    """Return the tables that metrics have of their own, by name of the file; none without scores."""
+    if not scores:
+        return {}
+    items = {name: (noise_of_score(setup, item)[0], item) for name, item in scores.items()}
+    found = metric_table_names(setup.scene.score)
+    return {name: METRICS[options.kind].table(options, items) for name, options in found.items()}
 
 
 def forecast_metrics(setup: Setup, found: Forecast) -> dict[str, dict[str, MetricForecast]]:
