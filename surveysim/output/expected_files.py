@@ -12,6 +12,8 @@ from surveysim.scene.scene import Scene, scene_hash, survey_hash
 from surveysim.studies.convergence.records import MOST_SEEDS, REFERENCE_ERROR, SUB_SURVEY
 from surveysim.studies.sweep.axes import Sweep, sweep_hash
 from surveysim.studies.sweep.bands import MultiBandSweep, band_sweep_hash
+from surveysim.studies.sweep.point_run import Stage
+from surveysim.studies.sweep.rounds import SweepLimits, round_ends
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 
 COMMON = ("summary.json", "scene.json", "report.html")
@@ -84,12 +86,17 @@ def of_band_sweep(sweep: MultiBandSweep, command: str) -> Results:
     return Results(command, sweep.name, band_sweep_hash(sweep), _OF_BANDS, bands_files(sweep))
 
 
-def of_sweep(sweep: Sweep, command: str, figures: bool) -> Results:
-    """Return the results of a sweep; simulated sweeps keep their points until the end."""
+def of_sweep(sweep: Sweep, command: str, figures: bool, limits: SweepLimits | None = None) -> Results:
+    """Return the results of a sweep; simulated sweeps keep the scores and sums of their points until the end."""
     names = [*COMMON, "sweep.ecsv", "sweep_pairs.ecsv", *(["figures/sweep.png"] if figures else [])]
     if command == "run":
         names += [f"points/{point.number:03d}.{kind}" for point in sweep.points for kind in ("npz", "checkpoint.h5")]
-    return Results(command, sweep.name, sweep_hash(sweep), tuple(names), sweep_files(sweep))
+    identity = sweep_hash(sweep)
+    if limits is not None:
+        stages = [Stage(point, end) for point in sweep.points for end in round_ends(sweep.points)]
+        names += [f"points/{stage.file}" for stage in stages if stage.observations < stage.point.scene.observations]
+        identity = sha256(f"{identity} {limits}".encode()).hexdigest()
+    return Results(command, sweep.name, identity, tuple(names), sweep_files(sweep))
 
 
 def of_forecast(scene: Scene) -> Results:

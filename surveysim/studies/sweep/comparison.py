@@ -1,6 +1,7 @@
 """Running and comparing the points of a sweep: ratios with paired errors, and the probability of being the best."""
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -14,7 +15,7 @@ from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import Engine, ordered_map
 from surveysim.runtime.errors import InputError
 from surveysim.studies.sweep.axes import Sweep
-from surveysim.studies.sweep.point_run import Keep, PointJob, forecast_flags, whole
+from surveysim.studies.sweep.point_run import Keep, PointJob, Stage, forecast_flags, whole
 from surveysim.studies.sweep.point_store import PointResult, finished_points, load_point
 from surveysim.survey.checkpoint import CheckpointError
 from surveysim.survey.discarded_scans import competing
@@ -87,31 +88,49 @@ def run_points(
     ValueError
         If a point fails.
     """
-    found = _kept(sweep, directory) if resume and directory is not None else {}
-    missing = [whole(point) for point in sweep.points if point.number not in found]
+    stages = [whole(point) for point in sweep.points]
+    return tuple(run_stages(sweep, stages, directory, engine, resume=resume, progress=progress, keep=keep))
+
+
+def run_stages(
+    sweep: Sweep,
+    stages: Sequence[Stage],
+    directory: Path | None,
+    engine: Engine,
+    *,
+    resume: bool,
+    begun: bool = False,
+    progress: Callable[[int], None],
+    keep: Keep | None = None,
+) -> list[PointResult]:
+    """Run points of a sweep to some of their observations; parameters and errors as for `run_points`.
+
+    Points that have `begun` in this run go on from their checkpoints.
+    """
+    found = _kept(sweep, stages, directory) if resume and directory is not None else {}
+    missing = [stage for stage in stages if stage not in found]
     # Workers elsewhere may have another working directory.
     kept = None if directory is None else directory.absolute()
-    results = ordered_map(PointJob(kept, resume, keep), missing, engine)
+    results = ordered_map(PointJob(kept, resume or begun, keep), missing, engine)
     try:
         for stage in missing:
-            found[stage.point.number] = next(results)
+            found[stage] = next(results)
             progress(len(found))
     finally:
         results.close()
-    return tuple(found[point.number] for point in sweep.points)
+    return [found[stage] for stage in stages]
 
 
-def _kept(sweep: Sweep, directory: Path) -> dict[int, PointResult]:
-    """Load finished points by number; raises CheckpointError for files of another sweep."""
-    found = {}
+def _kept(sweep: Sweep, stages: Sequence[Stage], directory: Path) -> dict[Stage, PointResult]:
+    """Load finished stages; raises CheckpointError for files of another sweep."""
     for number, path in finished_points(directory).items():
         if number >= len(sweep.points):
             raise CheckpointError(
                 f"{path}: from another sweep (this one has {len(sweep.points)} points); "
                 "start anew with --force, or write elsewhere with --out"
             )
-        found[number] = load_point(path, sweep.points[number])
-    return found
+    there = [stage for stage in stages if os.path.lexists(directory / stage.file)]
+    return {stage: load_point(directory / stage.file, stage.point) for stage in there}
 
 
 def _discarded(found: Forecast | None) -> dict[str, float]:
