@@ -91,7 +91,7 @@ def noise_error_parts(
     ----------
     noise_psds_ukcmb2 : (K, n_bin)
     weight : (n_bin,)
-        g.
+        g, or the derivatives of ln of another quantity to ln N_b, of either sign.
     observation_weights : (n_obs,)
         Inverse variances w_i, up to a factor.
     n_modes : (n_bin,), optional
@@ -108,7 +108,7 @@ def noise_error_parts(
         For fewer than 2 observations, or a weight that is not positive.
     """
     _check_observations(observation_weights)
-    used = weight > 0
+    used = weight != 0
     response = (noise_psds_ukcmb2[:, used] / noise_psds_ukcmb2[:, used].mean(axis=0)) @ weight[used]
     common = np.sum(observation_weights**2) / np.sum(observation_weights) ** 2
     variance, n_real = np.var(response, ddof=1) / (1 - common), len(response)
@@ -120,7 +120,7 @@ def noise_error_parts(
 
 def _counted_variance(weight: np.ndarray, n_modes: np.ndarray, correlation: np.ndarray | None) -> float:
     """Variance of the weighted sum of the bins' relative errors, from their numbers of modes."""
-    used = weight > 0
+    used = weight != 0
     single = np.zeros(weight.shape)
     single[used] = weight[used] * np.sqrt(2 / n_modes[used])
     if correlation is None:
@@ -138,7 +138,12 @@ def _variance_of_sum(deviations: np.ndarray, correlation: np.ndarray | None) -> 
 
 
 def information_shares(
-    weights: np.ndarray, data: np.ndarray | float, noise: np.ndarray, bin_weight: np.ndarray
+    weights: np.ndarray,
+    data: np.ndarray | float,
+    noise: np.ndarray,
+    bin_weight: np.ndarray,
+    *,
+    exponent: float = 1.0,
 ) -> np.ndarray:
     """Contribution of each observation to the information of a survey.
 
@@ -156,29 +161,28 @@ def information_shares(
     noise : (n_obs, n_bin)
         v; used in bins and observations with a weight.
     bin_weight : (n_bin,)
-        g.
+        g, or the derivatives of ln of another quantity to ln N_b, of either sign.
+    exponent
+        Their sum: the power of all noise that the quantity goes with.
 
     Returns
     -------
     (n_obs,) array
-        Contributions, which sum to 1.
+        Contributions, which sum to the exponent.
 
     Raises
     ------
     ValueError
         For other shapes, fewer than 2 observations with data, and values that are negative or not finite.
     """
-    weights, bin_weight = (
-        reals("weights", weights, ("n_obs",), least=0),
-        reals("bin_weight", bin_weight, ("n_bin",), least=0),
-    )
+    weights, bin_weight = reals("weights", weights, ("n_obs",), least=0), reals("bin_weight", bin_weight, ("n_bin",))
     data = reals("data", np.broadcast_to(data, weights.shape), weights.shape, least=0)
-    used, bins = weights > 0, bin_weight > 0
+    used, bins = weights > 0, bin_weight != 0
     noise = reals("noise", noise, (len(weights), len(bins)), finite=False)
     reals("noise", noise[np.ix_(used, bins)], ("n_obs", "n_bin"), least=0)
     of_all = weights * data
     power = np.where(used[:, None], noise[:, bins], 0.0) * (weights * of_all)[:, None]
-    return 2 * of_all / of_all.sum() - (power / power.sum(axis=0)) @ bin_weight[bins]
+    return 2 * exponent * of_all / of_all.sum() - (power / power.sum(axis=0)) @ bin_weight[bins]
 
 
 def ratio_error(information: np.ndarray, expected: np.ndarray) -> float:
@@ -248,12 +252,12 @@ def transfer_function_error(
     Parameters
     ----------
     signal_psd_relative_error, weight : (n_bin,)
-        Relative errors of M, and g.
+        Relative errors of M, and g, or the derivatives of ln of another quantity to ln M_b, of either sign.
     correlation : (n_bin - 1,), optional
         Correlation of the errors of neighbouring bins by the map's taper. Without it they are independent:
         `sqrt(sum (g e)^2)`.
     """
-    errors = np.where(weight > 0, weight * signal_psd_relative_error, 0.0)
+    errors = np.where(weight != 0, weight * signal_psd_relative_error, 0.0)
     return float(np.sqrt(_variance_of_sum(errors, correlation)))
 
 

@@ -179,7 +179,7 @@ def scored_region(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry
         sectors = split_azimuth(scored, n_pad, n_pad, geometry.pixel_rad, n_sector=N_SECTORS)
     except InsufficientDataError:
         sectors = None
-    signal = flat_signal(beams, geometry, sky_geometry, padded)
+    signal = mapped_signal(beams, geometry, sky_geometry, padded)
     return ScoredRegion(
         patch=slice(first, first + n),
         taper=taper,
@@ -193,22 +193,24 @@ def scored_region(scene: Scene, geometry: MapGeometry, sky_geometry: MapGeometry
     )
 
 
-def flat_signal(
+def mapped_signal(
     beams: Beams,
     geometry: MapGeometry,
     sky_geometry: MapGeometry,
     padded_taper: np.ndarray,
     transmission: Callable[[np.ndarray], np.ndarray] = np.ones_like,
+    spectrum: Callable[[np.ndarray], np.ndarray] = flat_spectrum_psd,
 ) -> np.ndarray:
-    """Expected PSD [sr] of a flat spectrum of unit band power in the tapered map, on the half plane of `rfft2`.
+    """Expected PSD of a `spectrum` C_ell in the tapered map, on the half plane of `rfft2`: in its unit.
 
-    Behind beam and pixels, and the `transmission` of multipoles. The sky has the modes of the grid on which skies are
+    By default the spectrum is flat and of unit band power [sr]. Behind beam and pixels, and the `transmission` of
+    multipoles. The sky has the modes of the grid on which skies are
     drawn, and so no longer ones: with what these skies lose to scans and cleaning, measured as a ratio of tapered
     PSDs, the product is what they leave. Scans, which that grid just holds, lose longer modes anyway.
     """
     shape = sky_geometry.n_y, sky_geometry.n_x
     ell = mode_ell(*shape, sky_geometry.pixel_rad)
-    sky = flat_spectrum_psd(ell) * beams.window(ell) * transmission(ell)
+    sky = spectrum(ell) * beams.window(ell) * transmission(ell)
     sky *= mode_pixel_window(*shape, sky_geometry.pixel_rad, geometry.pixel_rad)
     return coupled_psd(
         sky, shape, padded_taper, geometry.pixel_rad, cells_per_pixel=round(geometry.pixel_rad / sky_geometry.pixel_rad)
@@ -234,7 +236,7 @@ def left_signal(
     def share(ell: np.ndarray) -> np.ndarray:
         return np.exp(between(np.clip(np.log(np.maximum(ell, 1e-9)), log_ell[0], log_ell[-1])))
 
-    return ring_mean(flat_signal(beams, geometry, sky_geometry, band.padded_taper, share), band.rings)
+    return ring_mean(mapped_signal(beams, geometry, sky_geometry, band.padded_taper, share), band.rings)
 
 
 def _mode_weight(scene: Scene, beams: Beams, ell: np.ndarray, rings: Annuli) -> np.ndarray:

@@ -101,17 +101,26 @@ def expectations(setup: Setup) -> dict[str, Expectation]:
     return found
 
 
+def weather_factors(setup: Setup) -> dict[str, np.ndarray]:
+    """Return by data set the noise PSD (n_bin,) over all weather, over that in the weather that the scene's seed draws.
+
+    Data sets without a forecast over all weather have none.
+    """
+    conditions = observing_conditions(setup, survey_draws(setup, 0, setup.scene.observations))
+    expected = known_expectations(setup)
+    return {name: _control(setup, item, item.model.noise(conditions)).factor for name, item in expected.items()}
+
+
 def in_all_weather(setup: Setup, found: Forecast) -> dict[str, float]:
     """Return sigma(A) [uK_CMB^2] of a forecast over all weather, as runs quote it, for data sets that have it.
 
     The forecast itself is for the weather that the scene's seed draws.
     """
-    conditions = observing_conditions(setup, survey_draws(setup, 0, setup.scene.observations))
-    region = setup.analysis.region
+    region, factors, expected = setup.analysis.region, weather_factors(setup), known_expectations(setup)
     controlled = {}
-    for name, item in known_expectations(setup).items():
-        psd = found.scores[name].noise_psd * _control(setup, item, item.model.noise(conditions)).factor
-        controlled[name] = flat_band_power(psd, item.model.signal_psd, region.rings.n_modes, region.selected)
+    for name, factor in factors.items():
+        psd, signal = found.scores[name].noise_psd * factor, expected[name].model.signal_psd
+        controlled[name] = flat_band_power(psd, signal, region.rings.n_modes, region.selected)
     return controlled
 
 

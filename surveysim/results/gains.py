@@ -2,7 +2,8 @@
 
 from surveysim.reduction.data_set import DataSetKind, scaled_name
 from surveysim.reduction.setup import Setup
-from surveysim.survey.scores import DataSetScore, Gain, gain
+from surveysim.survey.error_modes import Gain, gain
+from surveysim.survey.scores import DataSetScore
 
 
 def data_set_gains(setup: Setup, scores: dict[str, DataSetScore]) -> dict[str, Gain]:

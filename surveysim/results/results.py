@@ -7,8 +7,11 @@ from surveysim.forecasting.forecast import DataSetForecast, Forecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.reduction.data_set import DataSetKind, scaled_name
 from surveysim.reduction.setup import Setup
-from surveysim.results.agreement import Agreement, agreement, quoted_forecast
-from surveysim.results.score import FLAT_BAND_POWER, scene_score
+from surveysim.results.agreement import Agreement, agreement, quoted_forecast, run_forecast
+from surveysim.results.alternatives import alternatives
+from surveysim.results.control_variate import quoted_scores
+from surveysim.results.gains import data_set_gains
+from surveysim.results.metrics import MetricResults, survey_metrics
 from surveysim.results.stopping import (
     FINE_ERROR,
     UNLIMITED,
@@ -21,13 +24,15 @@ from surveysim.results.stopping import (
     error_parts,
     stop_reason,
 )
+from surveysim.results.tables import score_table
 from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.errors import InsufficientDataError
 from surveysim.runtime.strict_json import known
 from surveysim.runtime.table import Table
 from surveysim.survey.coadds import CoAdds
 from surveysim.survey.discarded_scans import Discards, discards
-from surveysim.survey.scores import DataSetScore, Gain, flux_removed
+from surveysim.survey.error_modes import Gain
+from surveysim.survey.scores import DataSetScore, flux_removed
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -86,6 +91,8 @@ class SurveyResult:
         Share of a faint point source's flux that each pipeline removes; empty unless pipelines are compared.
     expected : Forecast, optional
         Forecast of the data sets; None for a cleaning without one.
+    metrics : dict of dict of MetricResult
+        Quantities of all metrics by data set and key, such as "flat_band_power.sigma"; empty without a score.
     wall_s : float
         Time [s] since the start or the last resumption.
     workers : int
@@ -105,6 +112,7 @@ class SurveyResult:
     alternatives: list[dict[str, float | str]]
     flux_removed: dict[str, float]
     expected: Forecast | None
+    metrics: MetricResults
     wall_s: float
     workers: int
     unscored: str
@@ -158,7 +166,7 @@ class SurveyResult:
     def _score_table(self) -> Table:
         scene = self.setup.scene
         source = scene.score.reference.source if scene.score and scene.score.reference else ""
-        return (scene_score(scene) or FLAT_BAND_POWER).table(score_entries(self), source)
+        return score_table(score_entries(self), source)
 
     def __repr__(self) -> str:
         """A line on the run above its score table."""
@@ -193,17 +201,18 @@ def survey_result(
 ) -> SurveyResult:
     """Score the sums of a run; a survey that can't be scored keeps its maps and the reason."""
     scores, ratios, others, removed, unscored = {}, {}, [], {}, ""
-    expected, score = None, scene_score(setup.scene)
-    if score is not None:
+    expected, metrics = None, {}
+    if setup.scene.score is not None:
         try:
-            scores = score.measure(setup, coadds)
-            ratios, others = score.gains(setup, scores), score.alternatives(setup, coadds, scores)
+            scores = quoted_scores(setup, coadds)
+            ratios, others = data_set_gains(setup, scores), alternatives(setup, coadds, scores)
             removed = flux_removed(setup.analysis, coadds)
         except InsufficientDataError as error:  # too few observations, or too few scans kept in them
             scores, ratios, others, removed, unscored = {}, {}, [], {}, str(error)
         else:
-            expected = score.forecast(setup, coadds)
-    found = scores, ratios, others, removed, expected
+            expected = run_forecast(setup, coadds)
+            metrics = survey_metrics(setup, scores, expected)
+    found = scores, ratios, others, removed, expected, metrics
     return SurveyResult(setup, coadds, *found, wall_s, workers, unscored, limits, engine)
 
 

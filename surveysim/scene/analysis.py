@@ -19,6 +19,7 @@ from surveysim.scene.fields import (
     number,
     whole,
 )
+from surveysim.scene.metrics import AnyMetric, check_metrics
 from surveysim.scene.section import Section
 
 LONGEST_NAME = 100  # letters of a cleaning that is compared
@@ -147,6 +148,8 @@ class Score(Section):
     "white" its white-noise level."""
     signal_sims: SignalSims
     reference: Reference | None = None
+    metrics: tuple[AnyMetric, ...] = ()
+    """Further scores of the same maps; each is a list entry with its `kind`."""
 
     @model_validator(mode="after")
     def _range_and_sets(self) -> Self:
@@ -156,4 +159,5 @@ class Score(Section):
             )
         if repeated := [name for name in self.noise_only_sets if self.noise_only_sets.count(name) > 1]:
             raise ValueError(f"noise_only_sets: found {repeated[0]!r} more than once; different data sets are expected")
+        check_metrics(self.metrics, self.ell_bin, self.ell_max)
         return self

@@ -3,11 +3,12 @@
 import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from surveysim.runtime.text_files import key_text
+from surveysim.scene.metrics import KIND_TAG
 from surveysim.scene.section import Section
 from surveysim.scene.similar_names import did_you_mean, similar_names
 from surveysim.scene.units import shown
@@ -70,12 +71,12 @@ def unknown_key(key: str, scene: type[BaseModel], hidden: Collection[str] = ()) 
     allowed = [item for item in allowed_keys(section, scene) if item not in hidden]
     if not allowed:
         return "unknown key of a scene"
-    suggestion = did_you_mean(name, allowed, ".".join(section))
+    suggestion = did_you_mean(name, allowed, ".".join(part for part in section if not part.startswith(KIND_TAG)))
     return f"unknown key; {suggestion or 'allowed are ' + ', '.join(allowed)}"
 
 
 def _line(item: Any, scene: type[BaseModel]) -> str:
-    key = key_text(".".join(str(part) for part in item["loc"]))
+    key = key_text(".".join(str(part) for part in item["loc"] if not str(part).startswith(KIND_TAG)))
     message = item["msg"].removeprefix("Value error, ")
     if item["type"] == "value_error" and (match := re.match(r"([a-z_0-9]+): ", message)) and key:
         # A check of a whole section names the key that it is about.
@@ -94,13 +95,23 @@ def _line(item: Any, scene: type[BaseModel]) -> str:
 
 def allowed_keys(location: Sequence[str | int], scene: type[BaseModel]) -> list[str]:
     """Return the keys of the section at a location of the file, in alphabetical order; none without such a section."""
-    model: Any = scene
+    found: list[Any] = [scene]  # several for a list of sections of different kinds
     for name in location:
         if isinstance(name, int):
             continue
-        annotation = next((f.annotation for k, f in model.model_fields.items() if (f.alias or k) == name), None)
-        candidates = [annotation, *getattr(annotation, "__args__", ())]
-        model = next((c for c in candidates if isinstance(c, type) and issubclass(c, Section)), None)
-        if model is None:
-            return []
-    return sorted(f.alias or k for k, f in model.model_fields.items() if k not in HIDDEN_KEYS)
+        if name.startswith(KIND_TAG):
+            kind = name.removeprefix(KIND_TAG)
+            found = [item for item in found if kind in get_args(item.model_fields["kind"].annotation)]
+        else:
+            fields = [pair for item in found for pair in item.model_fields.items()]
+            of_name = [field for key, field in fields if (field.alias or key) == name]
+            found = [item for field in of_name for item in _sections(field.annotation)]
+    keys = {field.alias or key for item in found for key, field in item.model_fields.items()}
+    return sorted(keys - set(HIDDEN_KEYS))
+
+
+def _sections(annotation: Any) -> list[type[Section]]:
+    """Classes of sections in a type."""
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        return [annotation]
+    return [item for part in get_args(annotation) for item in _sections(part)]

@@ -20,20 +20,25 @@ TYPES = {"integer": "integer", "number": "number", "string": "text", "array": "l
 
 @dataclass(frozen=True)
 class SceneSection:
-    """A section of a scene file: dotted name ("" for the top level), whether it is a list, and its schema."""
+    """A section of a scene file: dotted name ("" for the top level), whether it is a list, and its schema.
+
+    `kind` is the value of its key `kind` where that chooses among several schemas; else it is empty.
+    """
 
     name: str
     several: bool
     required: bool
     description: str
     schema: Mapping[str, Any]
+    kind: str = ""
 
     @property
     def heading(self) -> str:
         """Heading as in the file."""
         if not self.name:
             return "Top of the file"
-        return f"`[[{self.name}]]`" if self.several else f"`[{self.name}]`"
+        of_kind = f' `kind = "{self.kind}"`' if self.kind else ""
+        return f"`[[{self.name}]]`{of_kind}" if self.several else f"`[{self.name}]`"
 
     @property
     def introduction(self) -> tuple[str, ...]:
@@ -79,7 +84,7 @@ def file_keys() -> tuple[str, ...]:
 def section_keys(section: SceneSection) -> dict[str, dict[str, Any]]:
     """Return the keys of a section, without subsections, with their schema."""
     keys = {name: _flat(item) for name, item in section.schema["properties"].items()}
-    return {name: item for name, item in keys.items() if not _reference(item)}
+    return {name: item for name, item in keys.items() if not _references(item)}
 
 
 def key_rows(section: SceneSection) -> list[KeyRow]:
@@ -95,12 +100,14 @@ def _walk(schema: Mapping[str, Any], section: SceneSection) -> Iterator[SceneSec
     yield section
     for name, item in section.schema["properties"].items():
         flat = _flat(item)
-        if found := _reference(flat):
+        for found in (several := _references(flat)):
             inner = schema["$defs"][found.rpartition("/")[2]]
             full = f"{section.name}.{name}".lstrip(".")
             required = name in section.schema.get("required", ())
             description = flat.get("description", "")
-            yield from _walk(schema, SceneSection(full, flat.get("type") == "array", required, description, inner))
+            kind = inner["properties"]["kind"]["const"] if len(several) > 1 else ""
+            is_list = flat.get("type") == "array"
+            yield from _walk(schema, SceneSection(full, is_list, required, description, inner, kind))
 
 
 def _flat(item: Mapping[str, Any]) -> dict[str, Any]:
@@ -112,8 +119,10 @@ def _flat(item: Mapping[str, Any]) -> dict[str, Any]:
     return rest
 
 
-def _reference(item: Mapping[str, Any]) -> str:
-    return item.get("$ref") or item.get("items", {}).get("$ref", "")
+def _references(item: Mapping[str, Any]) -> list[str]:
+    """Schemas of the section that a key holds: several for a list of sections of different kinds."""
+    inner = item.get("items", {})
+    return [found["$ref"] for found in (item, inner, *inner.get("oneOf", ())) if "$ref" in found]
 
 
 def _row(key: str, item: Mapping[str, Any], required: bool) -> KeyRow:
@@ -160,6 +169,8 @@ def _type(item: Mapping[str, Any]) -> str:
 
 
 def _allowed(item: Mapping[str, Any]) -> str:
+    if "const" in item:
+        return f"`{json.dumps(item['const'])}`"
     inner = item.get("items", {})
     choices = item.get("enum") or inner.get("enum") or inner.get("items", {}).get("enum")
     if choices and all(isinstance(choice, int) for choice in choices):

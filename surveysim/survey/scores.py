@@ -1,6 +1,5 @@
 """Scores: from co-added maps to the uncertainty of a flat CMB band power, for every data set."""
 
-from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,27 +107,30 @@ class DataSetScore:
     @property
     def information(self) -> np.ndarray:
         """Share of each observation in the survey's, (n_obs,)."""
-        return information_shares(self.weights, self.kept, self.bin_noise, self.band.weight)
+        return self.shares(self.band.weight)
 
     @property
     def expected(self) -> np.ndarray:
         """The same as the control variate expects it, or equal shares without one, (n_obs,)."""
+        return self.expected_shares(self.band.weight)
+
+    def shares(self, response: np.ndarray, exponent: float = 1.0) -> np.ndarray:
+        """Share (n_obs,) of each observation in a quantity, `mapmaker.uncertainty.information_shares`.
+
+        `response` (n_bin,) is the derivative of its logarithm to ln noise PSD, and `exponent` the sum.
+        """
+        return information_shares(self.weights, self.kept, self.bin_noise, response, exponent=exponent)
+
+    def expected_shares(self, response: np.ndarray, exponent: float = 1.0) -> np.ndarray:
+        """The same as the control variate expects it, or equal shares without one, (n_obs,)."""
         if self.control is None:
-            return np.full(len(self.weights), 1 / len(self.weights))
-        return information_shares(self.control.weights, 1.0, self.control.noise, self.band.weight)
+            return np.full(len(self.weights), exponent / len(self.weights))
+        return information_shares(self.control.weights, 1.0, self.control.noise, response, exponent=exponent)
 
     @property
     def plain_band(self) -> BandPower:
         """The result of the very observations that were simulated, without a control variate."""
         return self.band if self.plain is None else self.plain
-
-
-@dataclass(frozen=True)
-class Gain:
-    """Ratio of the uncertainties of two data sets, with its error."""
-
-    ratio: float
-    error: float
 
 
 def score_survey(setup: Setup, coadds: CoAdds, names: tuple[str, ...] | None = None) -> dict[str, DataSetScore]:
@@ -232,73 +234,6 @@ def sector_sigma(analysis: AnalysisSetup, coadds: CoAdds, item: DataSetScore) ->
     return flat_band_power(noise, signal, sectors.n_modes, np.ones(len(noise), bool))
 
 
-def gain(worse: DataSetScore, better: DataSetScore, factor: float = 1.0) -> Gain:
-    """Compute ``factor * sigma(worse) / sigma(better)`` with its Monte Carlo error.
-
-    The data sets share signs, weather and possibly signal skies, so the error is the norm of a difference
-    (`error_modes`), not a sum in quadrature.
-    """
-    ratio = factor * worse.band.sigma_ukcmb2 / better.band.sigma_ukcmb2
-    one, other = error_modes((worse, better), ("", ""))  # the skies of one survey
-    return Gain(ratio, ratio * float(np.linalg.norm(one - other)))
-
-
-def error_modes(items: Sequence[DataSetScore], skies: Sequence[Hashable]) -> np.ndarray:
-    """Responses (n_item, n_mode) of ln sigma to independent unit deviates: products of rows are their covariance.
-
-    The items are data sets of one survey or of surveys with one seed. A row's norm is the relative error of its
-    item, and the norm of the difference of two rows that of their ratio; what both respond to alike cancels.
-    Responses are those of `mapmaker.bandpower`: to the noise, one mode for each of the sign-flipped co-adds, whose
-    signs are common; to the weather, one for each observation, common too (of controlled scores how its information
-    differs from the forecast's); to the transfer function, one for each sky and bin, common to items whose `skies` and
-    bins are equal; to the sample of weather that expectations are taken from, common to all. An unknown error makes its
-    row NaN. How far noise is common shows in the scatter of K co-adds: its correlation between two items is known to
-    1 / sqrt(K - 1). How far transfer functions are common shows in what each sky does to each bin.
-    """
-    groups = [(key, item.band.ell.tobytes()) for item, key in zip(items, skies, strict=True)]
-    transfer = [_transfer_function_row(item) for item in items]
-    rows_of = (_noise_row, _weather_row, lambda item: np.array([item.budget.population]))
-    columns = [_stacked([row(item) for item in items]) for row in rows_of]
-    for group in dict.fromkeys(groups):
-        rows = [row if own == group else row[:0] for row, own in zip(transfer, groups, strict=True)]
-        if groups.count(group) == 1:  # shared with nobody: one mode has it all
-            rows = [np.atleast_1d(np.linalg.norm(row)) if len(row) else row for row in rows]
-        columns.append(_stacked(rows))
-    return np.hstack(columns)
-
-
-def _noise_row(item: DataSetScore) -> np.ndarray:
-    used = item.band.weight > 0
-    response = (item.noise_psds[:, used] / item.noise_psd[used]) @ item.band.weight[used]
-    return _of_norm(item.budget.noise, response - response.mean())
-
-
-def _weather_row(item: DataSetScore) -> np.ndarray:
-    return _of_norm(item.budget.weather, item.information - item.expected)
-
-
-def _transfer_function_row(item: DataSetScore) -> np.ndarray:
-    used, transfer_function = item.band.weight > 0, item.transfer_function
-    row = np.zeros(transfer_function.deviations.shape)
-    row[:, used] = (
-        -item.band.weight[used] * transfer_function.deviations[:, used] / transfer_function.transmission[used]
-    )
-    return _of_norm(item.budget.transfer_function, row.ravel())
-
-
-def _of_norm(norm: float, row: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(row)
-    return row * (norm / length) if length > 0 else row
-
-
-def _stacked(rows: Sequence[np.ndarray]) -> np.ndarray:
-    """Stack rows of any lengths, padded with zeros."""
-    stacked = np.zeros((len(rows), max(len(row) for row in rows)))
-    for row, values in zip(stacked, rows, strict=True):
-        row[: len(values)] = values
-    return stacked
-
-
 def _score(
     analysis: AnalysisSetup,
     item: DataSet | DataSetScore,
@@ -318,7 +253,7 @@ def _score(
     band, budget = score(
         psds,
         signal,
-        signal_psd_relative_error=_transfer_function_errors(transfer_function),
+        signal_psd_relative_error=transfer_function_errors(transfer_function),
         n_modes=rings.n_modes,
         mask=selected,
         observation_weights=weights[weights > 0],
@@ -332,7 +267,7 @@ def _score(
     )
 
 
-def _transfer_function_errors(transfer_function: TransferFunction) -> np.ndarray:
+def transfer_function_errors(transfer_function: TransferFunction) -> np.ndarray:
     """Compute relative errors (n_bin,) of the transfer function."""
     none = np.zeros_like(transfer_function.transmission)
     return np.divide(

@@ -23,7 +23,7 @@ def flat_cmb_sky(
 
     Flat-sky synthesis: the sky is periodic in the grid and has no mean, so modes longer than the grid are missing.
     Their leakage through a taper is missing from an uncleaned map, by up to half of the power at the longest modes of
-    the patch; scans no longer than the grid remove them anyway (`surveysim.reduction.scored_region.flat_signal`).
+    the patch; scans no longer than the grid remove them anyway (`surveysim.reduction.scored_region.mapped_signal`).
 
     Parameters
     ----------

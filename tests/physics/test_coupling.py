@@ -12,7 +12,7 @@ from mapmaker.spectrum import annuli, coupled_psd, map_psd, mode_ell, neighbour_
 from mapmaker.transfer_function import beam_window, mode_pixel_window, pixel_window
 from surveysim.forecasting.forecast import forecast
 from surveysim.forecasting.noise_model import survey_models
-from surveysim.reduction.scored_region import flat_signal
+from surveysim.reduction.scored_region import mapped_signal
 from surveysim.reduction.setup import prepare
 from surveysim.scene.scene import load_scene
 from surveysim.timestreams.simulation import observation_path
@@ -155,7 +155,7 @@ def test_what_cleaning_leaves_does_not_depend_on_the_skies_size(algorithm):
     large = MapGeometry(small.ra0_rad, small.dec0_rad, small.pixel_rad, 3 * small.n_x, 3 * small.n_y)
 
     def signal(sky_geometry, transmission):
-        modes = flat_signal(
+        modes = mapped_signal(
             setup.analysis.beams,
             setup.analysis.geometry,
             sky_geometry,

@@ -11,7 +11,8 @@ from surveysim.runtime.errors import InputError
 from surveysim.runtime.memory import peak_bytes
 from surveysim.studies.convergence.records import MUCH_FASTER, MUCH_WORSE, Measured, Recommendation, Setting, Slope
 from surveysim.studies.convergence.runs import Mark, Run, Tasks, clocks, first_line
-from surveysim.survey.scores import DataSetScore, error_modes
+from surveysim.survey.error_modes import error_modes
+from surveysim.survey.scores import DataSetScore
 
 
 def survey_rows(settings: Iterable[Setting], pooled: Sequence[Run]) -> list[Measured]:

@@ -19,7 +19,8 @@ from surveysim.studies.sweep.point_run import Keep, PointJob, Stage, forecast_fl
 from surveysim.studies.sweep.point_store import PointResult, finished_points, load_point
 from surveysim.survey.checkpoint import CheckpointError
 from surveysim.survey.discarded_scans import competing
-from surveysim.survey.scores import FEWEST_CONTROLLED, DataSetScore, error_modes
+from surveysim.survey.error_modes import error_modes
+from surveysim.survey.scores import FEWEST_CONTROLLED, DataSetScore
 
 DRAWS = 20_000  # a probability of 0.5 has an error of 0.004
 _DRAWS_AT_ONCE = 1000

@@ -11,6 +11,7 @@ import typer.main
 from surveysim import __version__
 from surveysim.cli.app import app
 from surveysim.scene.keys import all_keys, key_rows, scene_sections
+from surveysim.scene.metrics import METRIC_SECTIONS
 from surveysim.scene.scene import load_scene
 from surveysim.scene.shipped import camera_folder, camera_titles, find_scene, scene_names, shipped_folder
 from tests.entry import COMMAND
@@ -158,7 +159,7 @@ def test_all_keys_are_listed(call, monkeypatch):
     code, out, error = call("keys")
     assert (code, error) == (0, "")
     listed = re.findall(r"^│ ([a-z0-9_.]+) +│", out, re.MULTILINE)
-    assert listed == list(all_keys()) and len(listed) > 90
+    assert list(dict.fromkeys(listed)) == list(all_keys()) and len(listed) > 90
     row = next(line for line in out.splitlines() if "│ scan.speed " in line)
     cells = [cell.strip() for cell in row.strip("│").split("│")]
     assert cells[:4] == [
@@ -176,7 +177,8 @@ def test_keys_of_a_section(call, monkeypatch):
     monkeypatch.setenv("COLUMNS", "400")
     _, out, _ = call("keys", "score")
     listed = re.findall(r"^│ ([a-z0-9_.]+) +│", out, re.MULTILINE)
-    assert listed == [key for key in all_keys() if key.startswith("score.")]
+    assert list(dict.fromkeys(listed)) == [key for key in all_keys() if key.startswith("score.")]
+    assert listed.count("score.metrics.kind") == len(METRIC_SECTIONS)  # a table for each kind
     assert {"score.size", "score.signal_sims.skies"} <= set(listed) and "[score]" in out
     _, out, _ = call("keys", "score.size")
     assert re.findall(r"^│ ([a-z0-9_.]+) +│", out, re.MULTILINE) == ["score.size"]

@@ -14,7 +14,7 @@ from surveysim.runtime.engine import SERIAL
 from surveysim.runtime.numbers import plain, quoted
 from surveysim.studies.sweep.comparison import compare, compare_runs
 from surveysim.studies.sweep.result import pairs
-from surveysim.survey.scores import error_modes
+from surveysim.survey.error_modes import error_modes
 from tests.pages import read_page, rows_of
 from tests.scenes import TURBULENT_SCENE, without_sections
 from tests.unit.studies.test_sweep_run import LEVELS, SPEEDS, WHITE

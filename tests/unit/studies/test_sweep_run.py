@@ -25,7 +25,7 @@ from surveysim.studies.sweep.summary import sweep_summary
 from surveysim.studies.sweep.tables import sweep_table
 from surveysim.survey import run as survey
 from surveysim.survey.checkpoint import CheckpointError
-from surveysim.survey.scores import error_modes, gain
+from surveysim.survey.error_modes import error_modes, gain
 from tests.pages import read_page
 from tests.scenes import SMALL_SCENE, without_sections
 

@@ -1,0 +1,181 @@
+"""Noise of a data set's co-added map, as metrics take it: the same record for simulations and forecasts."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from mapmaker.spectrum import ring_mean
+from mapmaker.transfer_function import pixel_window
+from surveysim.forecasting.forecast import DataSetForecast
+from surveysim.forecasting.observing_conditions import mean_hits
+from surveysim.reduction.scored_region import mapped_signal
+from surveysim.reduction.setup import Setup
+from surveysim.runtime.once import keep_last
+from surveysim.survey.scores import DataSetScore
+from surveysim.telescope.scans import duration_s
+
+Spectrum = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredMap:
+    """Properties of the scored map that all data sets of a scene share.
+
+    Attributes
+    ----------
+    ell : (n_bin,)
+        Mean multipole of the modes of each bin.
+    edges_ell : (n_bin + 1,)
+    n_modes : (n_bin,)
+        Real degrees of freedom under the taper, about ``(2 ell + 1) d_ell f_sky``.
+    selected : (n_bin,) bool
+        Bins of the scored range.
+    correlation : (n_bin - 1,)
+        Correlation of the noise PSDs of each bin and the next, through the taper.
+    flat_psd : (n_bin,)
+        Expected PSD [sr] of a flat spectrum of unit band power in the tapered map, before scans and cleaning.
+    beam_window, pixel_window : (n_bin,)
+        Power window functions of beam and map pixels at `ell`.
+    area_sr
+        Effective area of the taper T, ``pixel^2 (sum T^2)^2 / sum T^4``: 4 pi f_sky of `n_modes`.
+    hours
+        Observing time of the survey: scans and turnarounds.
+    ukcmb_per_mk
+        CMB temperature [uK] per Rayleigh-Jeans temperature [mK].
+    psd_of
+        Function that maps a spectrum, C_ell as a function of multipoles, to its expected PSD (n_bin,) in the tapered
+        map before scans and cleaning, in the unit of C_ell.
+    """
+
+    ell: np.ndarray
+    edges_ell: np.ndarray
+    n_modes: np.ndarray
+    selected: np.ndarray
+    correlation: np.ndarray
+    flat_psd: np.ndarray
+    beam_window: np.ndarray
+    pixel_window: np.ndarray
+    area_sr: float
+    hours: float
+    ukcmb_per_mk: float
+    psd_of: Callable[[Spectrum], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class MapNoise:
+    """Noise and transfer function of one data set's co-added map.
+
+    Attributes
+    ----------
+    map
+        Properties of the map.
+    data_set, n_det
+        Name of the data set and its number of detectors.
+    noise_psd : (n_bin,)
+        Noise PSD [uK_CMB^2 sr].
+    transmission : (n_bin,)
+        Transfer function (power) of scans and cleaning.
+    exposure
+        Function that computes the exposure of the map [detector-seconds per sr]: its harmonic mean under the squared
+        taper, so that white noise of NET n per detector has the PSD ``n^2 / exposure``. All scans count, discarded
+        ones too.
+    """
+
+    map: ScoredMap
+    data_set: str
+    n_det: int
+    noise_psd: np.ndarray
+    transmission: np.ndarray
+    exposure: Callable[[], float]
+
+    @property
+    def signal_psd(self) -> np.ndarray:
+        """PSD [sr] of a flat spectrum of unit band power in the map, after scans and cleaning (n_bin,)."""
+        return self.map.flat_psd * self.transmission
+
+    def scaled(self, noise: np.ndarray | float = 1.0, transmission: np.ndarray | float = 1.0) -> "MapNoise":
+        """Return the same map with noise PSD and transfer function times these factors, (n_bin,) or scalar."""
+        return replace(self, noise_psd=self.noise_psd * noise, transmission=self.transmission * transmission)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A value of a metric.
+
+    Attributes
+    ----------
+    name
+        Name within the metric: small letters, digits and `_`.
+    value
+        Positive; NaN without a value, infinite for one that is out of reach.
+    unit
+        Unit as astropy writes it; temperatures are CMB temperatures unless the name says otherwise.
+    lower_is_better
+    note
+        Remark for readers: the reason for a missing value, or a limit of the metric.
+    response : (n_bin,), optional
+        Derivative of ln value to ln noise PSD where there is a closed form and the value depends on the ratio of noise
+        PSD and transfer function alone. Without it derivatives are finite differences.
+    """
+
+    name: str
+    value: float
+    unit: str
+    lower_is_better: bool = True
+    note: str = ""
+    response: np.ndarray | None = None
+
+
+@keep_last(1)
+def scored_map(setup: Setup) -> ScoredMap:
+    """Collect the properties of the scored map of a scene with a score."""
+    analysis, scans, scene = setup.analysis, setup.observing.scans, setup.scene
+    region, rings = analysis.region, analysis.region.rings
+    pixel_rad, squares = analysis.geometry.pixel_rad, region.taper**2
+    return ScoredMap(
+        ell=rings.ell,
+        edges_ell=rings.edges_ell,
+        n_modes=rings.n_modes,
+        selected=region.selected,
+        correlation=region.correlation,
+        flat_psd=region.signal_psd,
+        beam_window=analysis.beams.window(rings.ell),
+        pixel_window=pixel_window(rings.ell, pixel_rad),
+        area_sr=float(pixel_rad**2 * squares.sum() ** 2 / np.sum(squares**2)),
+        hours=scene.observations * duration_s(scans) / 3600,
+        ukcmb_per_mk=1e3 * scene.instrument.cmb_per_rj,
+        psd_of=partial(_spectrum_psd, setup),
+    )
+
+
+def _spectrum_psd(setup: Setup, spectrum: Spectrum) -> np.ndarray:
+    analysis = setup.analysis
+    padded = analysis.region.padded_taper
+    psd = mapped_signal(analysis.beams, analysis.geometry, setup.sky.geometry, padded, spectrum=spectrum)
+    return ring_mean(psd, analysis.region.rings)
+
+
+def noise_of_score(setup: Setup, item: DataSetScore) -> tuple[MapNoise, MapNoise]:
+    """Return the noise of a scored data set as quoted, over all weather with a control variate, and as simulated."""
+    exposure = partial(_exposure, setup, item.name)
+    passed = item.transfer_function.transmission
+    plain = MapNoise(scored_map(setup), item.name, item.n_det, item.noise_psd, passed, exposure)
+    return replace(plain, noise_psd=item.quoted_psd), plain
+
+
+def noise_of_forecast(setup: Setup, item: DataSetForecast, factor: np.ndarray | float = 1.0) -> MapNoise:
+    """Return the forecast noise of a data set, times a factor (n_bin,)."""
+    exposure = partial(_exposure, setup, item.name)
+    return MapNoise(scored_map(setup), item.name, item.n_det, item.noise_psd * factor, item.transmission, exposure)
+
+
+def _exposure(setup: Setup, data_set: str) -> float:
+    masked = [item for item in setup.analysis.pipelines if item.data_set == data_set]
+    pipeline = masked[0] if masked else setup.analysis.pipelines[0]
+    hits, squares = mean_hits(setup, pipeline), setup.analysis.region.taper**2
+    covered = hits > 0
+    inverse = np.sum(squares[covered] / hits[covered]) / squares.sum()
+    seconds = setup.scene.observations / setup.observing.scans.sample_rate_hz
+    return float(seconds / (inverse * setup.analysis.geometry.pixel_rad**2))

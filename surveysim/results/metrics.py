@@ -1,0 +1,103 @@
+"""Metrics of a run: values, Monte Carlo errors and forecasts of every quantity, by data set and key."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from surveysim.forecasting.forecast import DataSetForecast, Forecast
+from surveysim.metrics.errors import Estimate, estimates
+from surveysim.metrics.map_noise import MapNoise, noise_of_forecast, noise_of_score
+from surveysim.metrics.registry import MetricFunction, metric_functions
+from surveysim.reduction.setup import Setup
+from surveysim.results.control_variate import weather_factors
+from surveysim.survey.scores import DataSetScore
+
+
+@dataclass(frozen=True)
+class MetricResult:
+    """A quantity of a metric for one data set.
+
+    Parameters
+    ----------
+    quoted, plain : Estimate
+        With the forecast as control variate, where there is one, and without.
+    unit : str
+        Unit as astropy writes it.
+    lower_is_better : bool
+    forecast : float, optional
+        Forecast for the weather of the quoted value.
+    note : str
+        Remark for readers; empty without one.
+    """
+
+    quoted: Estimate
+    plain: Estimate
+    unit: str
+    lower_is_better: bool
+    forecast: float | None
+    note: str
+
+    @property
+    def value(self) -> float:
+        """The quoted value."""
+        return self.quoted.value
+
+    @property
+    def error(self) -> float:
+        """Its standard error; NaN if unknown."""
+        return self.quoted.error
+
+
+MetricResults = dict[str, dict[str, MetricResult]]  # by data set and key
+
+
+@dataclass(frozen=True)
+class MetricForecast:
+    """A forecast quantity of one data set: over all weather, if that is known, and in the weather drawn."""
+
+    value: float
+    drawn: float
+    unit: str
+    lower_is_better: bool
+    note: str
+
+
+def survey_metrics(setup: Setup, scores: Mapping[str, DataSetScore], expected: Forecast | None) -> MetricResults:
+    """Evaluate all metrics of the scene for scored data sets, with the forecast of the same observations."""
+    if not scores:
+        return {}
+    functions, forecasts = metric_functions(setup.scene.score), expected.scores if expected else {}
+    return {name: _of_data_set(setup, functions, item, forecasts.get(name)) for name, item in scores.items()}
+
+
+def _of_data_set(
+    setup: Setup, functions: dict[str, MetricFunction], item: DataSetScore, expected: DataSetForecast | None
+) -> dict[str, MetricResult]:
+    quoted, plain = noise_of_score(setup, item)
+    forecast = values(functions, noise_of_forecast(setup, expected)) if expected else {}
+    found = {}
+    for metric, function in functions.items():
+        for name, (quantity, own, drawn) in estimates(function, item, quoted, plain).items():
+            key = f"{metric}.{name}"
+            seen = forecast[key].value * own.value / drawn.value if key in forecast else None
+            found[key] = MetricResult(own, drawn, quantity.unit, quantity.lower_is_better, seen, quantity.note)
+    return found
+
+
+def values(functions: Mapping[str, MetricFunction], noise: MapNoise) -> dict[str, Any]:
+    """Return the quantities of some metrics by key."""
+    return {f"{name}.{item.name}": item for name, function in functions.items() for item in function(noise)}
+
+
+def forecast_metrics(setup: Setup, found: Forecast) -> dict[str, dict[str, MetricForecast]]:
+    """Evaluate all metrics of the scene for a forecast, by data set and key."""
+    functions, factors = metric_functions(setup.scene.score), weather_factors(setup)
+    metrics = {}
+    for name, item in found.scores.items():
+        drawn = values(functions, noise_of_forecast(setup, item))
+        everywhere = values(functions, noise_of_forecast(setup, item, factors[name])) if name in factors else drawn
+        metrics[name] = {
+            key: MetricForecast(item.value, drawn[key].value, item.unit, item.lower_is_better, item.note)
+            for key, item in everywhere.items()
+        }
+    return metrics

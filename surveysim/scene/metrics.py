@@ -1,0 +1,173 @@
+"""Sections [[score.metrics]]: further scores of the co-added maps, one class for each kind."""
+
+import re
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+
+from surveysim.scene.fields import PositiveBandPower, TableFile, number, whole
+from surveysim.scene.section import Section
+from surveysim.scene.units import shown
+
+SIGMA_KEY = "flat_band_power.sigma"  # key of the score that every scene has
+PIVOT_ELL = 3000.0  # multipole at which named spectra have their band power
+_NAME = re.compile("[a-z][a-z0-9_]{0,39}")
+_MOST_EDGES = 101
+
+
+def _metric_name(value: object) -> object:
+    if value and not (isinstance(value, str) and _NAME.fullmatch(value)):
+        raise ValueError(f"found {shown(value)}; up to 40 small letters, digits and '_', first a letter, are expected")
+    return value
+
+
+class Metric(Section):
+    """Base of the metrics: `quantity_names` lists its values, which results have as ``name.quantity``."""
+
+    name: Annotated[str, BeforeValidator(_metric_name)] = Field(
+        default="", json_schema_extra={"otherwise": "the value of `kind`"}
+    )
+    """Name in results: small letters, digits and `_`."""
+    quantity_names: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def label(self) -> str:
+        """Name in results."""
+        return self.name or getattr(self, "kind")  # noqa: B009 - each subclass has it
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys of its quantities in results."""
+        return tuple(f"{self.label}.{name}" for name in self.quantity_names)
+
+
+class FlatBandPower(Metric):
+    """Uncertainty of a flat CMB band power, which every score has."""
+
+    kind: Literal["flat_band_power"] = "flat_band_power"
+    """Kind of the metric."""
+    quantity_names: ClassVar[tuple[str, ...]] = ("sigma",)
+
+
+class BandPowers(Metric):
+    """Uncertainty of the band powers of a fiducial spectrum in bins of multipole, with their covariance."""
+
+    kind: Literal["band_powers"]
+    """Kind of the metric."""
+    edges: Annotated[tuple[Annotated[int, *whole(0, 10_000_000)], ...], Field(min_length=2, max_length=_MOST_EDGES)]
+    """Edges of the bins in multipole: increasing multiples of `score.ell_bin` up to `score.ell_max`."""
+    spectrum: Literal["flat", "poisson", "clustered"] | None = None
+    """Fiducial spectrum: "flat" has equal band powers, "poisson" equal C_ell, "clustered" C_ell as ell^-1.2.
+    Alternative: `file`."""
+    band_power_ukcmb2: PositiveBandPower | None = Field(alias="band_power", default=None)
+    """Required by `spectrum`: its band power ell (ell + 1) C_ell / 2 pi at ell = 3000."""
+    file: TableFile = None
+    """Fiducial spectrum: ECSV table with the columns `ell` and `cl`, C_ell in CMB temperature squared.
+    Alternative: `spectrum`."""
+
+    @property
+    def bins(self) -> tuple[tuple[int, int], ...]:
+        """Edges of each bin."""
+        return tuple(pairwise(self.edges))
+
+    @property
+    def quantity_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of its quantities: two for each bin, and one for all."""
+        of_bins = (f"{kind}_{low}_{high}" for kind in ("sigma", "total") for low, high in self.bins)
+        return (*of_bins, "amplitude")
+
+    @model_validator(mode="after")
+    def _one_spectrum(self) -> Self:
+        if (self.spectrum is None) == (self.file is None):
+            raise ValueError("spectrum: exactly one of 'spectrum' and 'file' is expected")
+        if (self.spectrum is None) != (self.band_power_ukcmb2 is None):
+            raise ValueError("band_power: it is expected together with 'spectrum', and only with it")
+        if any(high <= low for low, high in self.bins):
+            raise ValueError(f"edges: found {shown(list(self.edges))}; increasing multipoles are expected")
+        return self
+
+
+class LargestScale(Metric):
+    """Multipole at which scans and cleaning leave half of the signal's power."""
+
+    kind: Literal["largest_scale"]
+    """Kind of the metric."""
+    quantity_names: ClassVar[tuple[str, ...]] = ("ell",)
+
+
+class ArrayNet(Metric):
+    """Noise-equivalent temperature of detector and array after cleaning, as the scored multipoles see it."""
+
+    kind: Literal["array_net"]
+    """Kind of the metric."""
+    quantity_names: ClassVar[tuple[str, ...]] = ("array_rj", "array_cmb", "detector_rj", "detector_cmb")
+
+
+class TimeTo(Metric):
+    """Observing time after which another metric reaches a value."""
+
+    kind: Literal["time_to"]
+    """Kind of the metric."""
+    of: str
+    """Key of the quantity of another metric, such as "flat_band_power.sigma"."""
+    value: Annotated[float, *number(1e-30, 1e30)]
+    """Value to reach, in the unit that results have for that quantity."""
+    quantity_names: ClassVar[tuple[str, ...]] = ("hours",)
+
+
+METRIC_SECTIONS = (BandPowers, LargestScale, ArrayNet, TimeTo)
+KIND_TAG = "kind="  # begins the part of an error's location that names the kind
+
+
+def _kind(value: Any) -> str:
+    return KIND_TAG + (value.get("kind") if isinstance(value, dict) else value.kind)
+
+
+def _with_kind(value: Any) -> Any:
+    """Raise ValueError for an entry without a known kind."""
+    known = [item.model_fields["kind"].annotation.__args__[0] for item in METRIC_SECTIONS]
+    found = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
+    if found not in known:
+        expected = f"one of {', '.join(map(repr, known))} is expected"
+        raise ValueError(f"kind: {'missing' if found is None else f'found {shown(found)}'}; {expected}")
+    return value
+
+
+AnyMetric = Annotated[
+    Annotated[BandPowers, Tag("kind=band_powers")]
+    | Annotated[LargestScale, Tag("kind=largest_scale")]
+    | Annotated[ArrayNet, Tag("kind=array_net")]
+    | Annotated[TimeTo, Tag("kind=time_to")],
+    Discriminator(_kind),
+    BeforeValidator(_with_kind),
+]
+
+
+def check_metrics(metrics: tuple[Metric, ...], ell_bin: int, ell_max: int) -> None:
+    """Raise ValueError for equal names, an unknown target of a `TimeTo`, and bins that the score's do not make up."""
+    names = [FlatBandPower().label, *(item.label for item in metrics)]
+    if repeated := [name for name in names if names.count(name) > 1]:
+        raise ValueError(f"metrics: found the name {repeated[0]!r} more than once; give one of them another 'name'")
+    known = metric_keys(tuple(item for item in metrics if not isinstance(item, TimeTo)))
+    for item in metrics:
+        if isinstance(item, TimeTo) and item.of not in known:
+            raise ValueError(
+                f"metrics: found {shown(item.of)} as 'of' of {item.label!r}; one of {', '.join(known)} is expected"
+            )
+        if isinstance(item, BandPowers):
+            _check_edges(item, ell_bin, ell_max)
+
+
+def _check_edges(item: BandPowers, ell_bin: int, ell_max: int) -> None:
+    wrong = [edge for edge in item.edges if edge % ell_bin or edge > ell_max]
+    if wrong:
+        raise ValueError(
+            f"metrics: found the edge {wrong[0]} in {item.label!r}; multiples of ell_bin = {ell_bin} up to"
+            f" {ell_max // ell_bin * ell_bin} are expected"
+        )
+
+
+def metric_keys(metrics: tuple[Metric, ...]) -> tuple[str, ...]:
+    """Return the keys of all quantities of a score with these metrics."""
+    return tuple(key for item in (FlatBandPower(), *metrics) for key in item.keys)
