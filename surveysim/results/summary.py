@@ -135,7 +135,10 @@ def _budget_entry(item: DataSetScore) -> dict[str, float]:
 
 def _stopped_entry(result: SurveyResult) -> dict[str, Any]:
     """Reason for the end of the run, its observations, and its relative error."""
-    estimate, limits = result.estimate, {k: v for k, v in vars(result.limits).items() if v is not None}
+    estimate, limits = result.estimate, {}
+    for name in ("target_error", "time_budget_s"):
+        if (value := getattr(result.limits, name)) is not None:
+            limits[name] = value
     entry: dict[str, Any] = {
         "reason": result.stopped,
         "observations_simulated": result.coadds.done,

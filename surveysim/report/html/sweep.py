@@ -15,7 +15,15 @@ from surveysim.report.html.scene import what_was_simulated
 from surveysim.runtime.numbers import count, duration, joined, number, plural, quoted, quoted_share
 from surveysim.studies.sweep.axes import value_text
 from surveysim.studies.sweep.result import ESTIMATES, FORECAST_WEATHER
-from surveysim.studies.sweep.tables import WITHHELD, chance_text, data_set_table, ratio_text, sweep_table, varied_keys
+from surveysim.studies.sweep.tables import (
+    WITHHELD,
+    chance_text,
+    data_set_table,
+    ratio_text,
+    stop_sentence,
+    sweep_table,
+    varied_keys,
+)
 from surveysim.survey.discarded_scans import MOST_APART, MOST_DISCARDED, listed_data_sets
 
 Content = Mapping[str, Any]  # content of summary.json, of one of its points, or of scene.json
@@ -64,6 +72,8 @@ def _lead(summary: Content, scene: Content) -> Iterator[str]:
     if reference not in best:
         ratio = ratio_text(best[0], None)
         yield f"That is {ratio} times the σ(A) of the reference point, {reference['label']}."
+    if stopped := stop_sentence(summary):
+        yield stopped
     if summary["kind"] == "simulated":
         yield (
             f"Every point has up to {plural(scene['observations'], 'observation')} with the same seed, hence the same"
@@ -124,9 +134,17 @@ def _grids(summary: Content) -> Iterator[Block]:
         for point in summary["points"]
         for sentence in point["forecast_flags"]
     ]
-    yield grid(replace(sweep_table(summary), title="Uncertainty of a flat CMB band power, actual data"), *notes)
+    table = replace(sweep_table(summary), title="Uncertainty of a flat CMB band power, actual data")
+    yield _with_links(grid(table, *notes), summary)
     if others := data_set_table(summary):
         yield grid(others)
+
+
+def _with_links(table: Grid, summary: Content) -> Grid:
+    """Make the first cell of each point a link to the page of its results, if they are kept."""
+    links = [f"{point['directory']}/report.html" if "directory" in point else "" for point in summary["points"]]
+    rows = zip(table.rows, links, strict=True)
+    return replace(table, rows=tuple((replace(row[0], link=link), *row[1:]) for row, link in rows))
 
 
 def _values(point: Content, keys: list[str]) -> str:

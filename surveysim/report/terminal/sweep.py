@@ -14,7 +14,7 @@ from surveysim.studies.sweep.axes import Axis
 from surveysim.studies.sweep.band_results import MultiBandSweepResult, sweep_entries
 from surveysim.studies.sweep.result import ESTIMATES, FORECAST_WEATHER, SweepResult
 from surveysim.studies.sweep.summary import sweep_summary
-from surveysim.studies.sweep.tables import chance_text, sweep_table
+from surveysim.studies.sweep.tables import chance_text, stop_sentence, sweep_table
 from surveysim.survey.discarded_scans import listed_data_sets, percent
 
 
@@ -31,7 +31,8 @@ def print_sweep(result: SweepResult, directory: Path, verbose: bool = False) -> 
         Also print the kind of estimate, fractions of discarded scans, and the forecasts.
     """
     console = Terminal(160)
-    table = _named_by_axes(sweep_table(sweep_summary(result, ())), result.sweep.axes)
+    summary = sweep_summary(result, ())
+    table = _named_by_axes(sweep_table(summary), result.sweep.axes)
     show_table(console, table, marked="best")
     for point, item in zip(result.sweep.points, result.points, strict=True):
         if item.unscored:
@@ -40,6 +41,8 @@ def print_sweep(result: SweepResult, directory: Path, verbose: bool = False) -> 
         reference = result.sweep.points[result.comparison.reference].label
         console.say(f"Ratios are to {reference}{', with paired errors' if result.simulated else ''}.")
         console.say(best_line(result))
+    if stopped := stop_sentence(summary):
+        console.say(plain(stopped))
     if not result.simulated:
         console.say(FORECAST_WEATHER)
     if verbose:

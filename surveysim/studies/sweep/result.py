@@ -8,6 +8,7 @@ import numpy as np
 from surveysim.studies.sweep.axes import Sweep
 from surveysim.studies.sweep.comparison import Comparison, actual_shares
 from surveysim.studies.sweep.point_store import PointResult
+from surveysim.studies.sweep.rounds import Rounds
 from surveysim.survey.discarded_scans import competing, sweep_warnings, why_withheld
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class SweepResult:
-    """A finished sweep; `simulated` is false if its points are forecasts only."""
+    """A finished sweep; `simulated` is false if its points are forecasts only, `rounds` are those of a target error."""
 
     sweep: Sweep
     points: tuple[PointResult, ...]
@@ -54,6 +55,7 @@ class SweepResult:
     wall_s: float
     workers: int
     engine: str
+    rounds: Rounds | None
 
     def table(self) -> "QTable":
         """Return a row for each point with units, as sweep.ecsv has it."""

@@ -9,6 +9,7 @@ from surveysim.runtime.provenance import made_by, now
 from surveysim.runtime.strict_json import known
 from surveysim.scene.scene import scene_hash
 from surveysim.studies.sweep.result import Pair, SweepResult
+from surveysim.studies.sweep.rounds import Rounds
 
 MATRIX_POINTS = 12  # most columns that fit on a page
 
@@ -18,6 +19,7 @@ def sweep_summary(result: SweepResult, pairs: Sequence[Pair]) -> dict[str, Any]:
     sweep, comparison = result.sweep, result.comparison
     scene = sweep.points[0].scene
     points = [_point_entry(result, number) for number in range(len(sweep.points))]
+    stopped = {} if result.rounds is None else {"stopped": _stopped(result.rounds)}
     return {
         "scene": sweep.name,
         "title": scene.title,
@@ -28,6 +30,7 @@ def sweep_summary(result: SweepResult, pairs: Sequence[Pair]) -> dict[str, Any]:
         "estimate": result.estimate,
         "reference": comparison.reference,
         "best": list(comparison.best),
+        **stopped,
         "points": points,
         "pairs": [known(vars(pair)) for pair in pairs] if len(points) <= MATRIX_POINTS else [],
         "warnings": result.warnings,
@@ -39,6 +42,10 @@ def sweep_summary(result: SweepResult, pairs: Sequence[Pair]) -> dict[str, Any]:
             "point_s": [item.wall_s for item in result.points],
         },
     }
+
+
+def _stopped(rounds: Rounds) -> dict[str, Any]:
+    return {"reason": rounds.reason, **vars(rounds.limits), "rounds": list(rounds.ends)}
 
 
 def _point_entry(result: SweepResult, number: int) -> dict[str, Any]:
@@ -62,6 +69,8 @@ def _point_entry(result: SweepResult, number: int) -> dict[str, Any]:
         "forecast_ukcmb2": item.forecast_ukcmb2,
         "forecast_flags": item.flags,
     }
+    if result.simulated:
+        entry["observations"] = item.observations
     if item.off:
         entry["forecast_over_simulated"] = known(dict(zip(("sigma", "sigma_error"), item.off, strict=True)))
     if item.discarded:

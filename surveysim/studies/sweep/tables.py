@@ -6,7 +6,7 @@ from typing import Any
 
 from surveysim.reduction.cleaning_pipelines import ACTUAL
 from surveysim.results.tables import rounded_column
-from surveysim.runtime.numbers import number, quoted
+from surveysim.runtime.numbers import number, percent, plural, quoted
 from surveysim.runtime.table import SIGMA, Column, Table, column, file_column, quoted_columns, share_text
 from surveysim.studies.sweep.axes import numbers_of, value_text
 from surveysim.studies.sweep.comparison import SURE
@@ -42,6 +42,7 @@ def sweep_table(summary: Content) -> Table:
         file_column("point", [point["point"] for point in points]),
         *_settings(summary),
         column("n_det", [point["n_det"] for point in points], "detectors"),
+        *_observations(summary),
         *_scores(summary),
         *_forecasts(summary),
         *_discarded(summary),
@@ -96,6 +97,32 @@ def _settings(summary: Content) -> Iterator[Column]:
         texts, found = [value_text(value) for value in values], numbers_of(values)
         numbers, unit = (texts, "") if found is None else found
         yield Column(key, numbers, unit, key, tuple(texts) if key in keys else None)
+
+
+def _observations(summary: Content) -> Iterator[Column]:
+    """Column of the numbers of simulated observations; files alone have equal ones."""
+    if summary["kind"] == "simulated":
+        values = [point["observations"] for point in summary["points"]]
+        yield (
+            column("observations", values, "observations")
+            if "stopped" in summary
+            else file_column("observations", values)
+        )
+
+
+def stop_sentence(summary: Content) -> str:
+    """Return a sentence on the end of a sweep with a target error; empty for other sweeps."""
+    if (stopped := summary.get("stopped")) is None:
+        return ""
+    rounds, done = stopped["rounds"], sum(point["observations"] for point in summary["points"])
+    after = f"It ended after {plural(len(rounds), 'round')}, to {rounds[-1]} observations, {done} in all"
+    confidence, target = percent(stopped["confidence"]), percent(stopped["target_error"])
+    reasons = {
+        "confidence": f"the best point is known with a confidence of {confidence} at least",
+        "target": f"the ratios of the points that may be the best are known to {target}",
+        "all": "the points that may be the best have all their observations",
+    }
+    return f"{after}: {reasons[stopped['reason']]}."
 
 
 def _scores(summary: Content) -> Iterator[Column]:
