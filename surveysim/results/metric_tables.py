@@ -80,6 +80,22 @@ def metric_forecast_table(metrics: Mapping[str, Mapping[str, Any]]) -> Table | N
     return Table("metric", _TITLE, tuple(columns))
 
 
+def label(key: str) -> str:
+    """Name of a quantity for people."""
+    return "sigma(A)" if key == SIGMA_KEY else key
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Append a unit, as people read it, to a text."""
+    return f"{text} {_UNITS.get(unit, unit)}".rstrip()
+
+
+def heading(key: str, unit: str) -> str:
+    """Heading of a column of a quantity."""
+    shown = _UNITS.get(unit, unit)
+    return f"{label(key)} [{shown}]" if shown else label(key)
+
+
 def metric_text(entry: Content) -> str:
     """Format a value with its error, or the reason for none."""
     value = entry["value"]

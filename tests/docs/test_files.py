@@ -63,6 +63,9 @@ RICH_SCENE = (
 TURBULENT, CALM = ("[1000, 2800, 9800] mK2 rad(-5/3)", "[10, 30, 980] mK2 rad(-5/3)")
 # Points without a score, and one of few scans that loses some.
 SWEEP = f"""
+[[score.metrics]]
+kind = "largest_scale"
+
 [sweep]
 observations = [4, 1]
 
