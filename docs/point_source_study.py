@@ -1,4 +1,4 @@
-"""Fluxes of simulated sources through a cleaned survey: `python docs/point_source_study.py` writes the table of the page.
+"""Fluxes of simulated sources through a cleaned survey: `python docs/point_source_study.py` writes the page's table.
 
 Surveys of first light's field, each with its own noise, weather and scans, and with sources at random places. A matched
 filter measures each source, with a noise PSD and a transfer function from other surveys without sources.

@@ -42,8 +42,8 @@ from surveysim.runtime.errors import InsufficientDataError, NotForecastableError
 from surveysim.runtime.once import keep_last
 from surveysim.scene.scene import Scene
 from surveysim.telescope.pointing_errors import smearing_variance
-from surveysim.timestreams.crosstalk import CrosstalkMatrix
 from surveysim.timestreams.component import present_components
+from surveysim.timestreams.crosstalk import CrosstalkMatrix
 
 PATTERNS = ("raster",)  # scan patterns with a closed form: straight scans along RA and Dec in turn
 _ANGLES = 3  # between array and scan that represent all observations
