@@ -12,6 +12,7 @@ _PUBLIC = {
     "read_timestreams": "timestreams",
     "write_timestreams": "timestreams",
     "scan_bounds": "timestreams",
+    "fill_flagged": "lost_samples",
     "TemplateOptions": "cleaning",
     "PolynomialOptions": "cleaning",
     "WindOptions": "cleaning",
