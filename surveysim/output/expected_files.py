@@ -12,6 +12,8 @@ from surveysim.scene.bands import MultiBandScene, bands_hash
 from surveysim.scene.scene import Scene, scene_hash, survey_hash
 from surveysim.studies.budget.points import Budget
 from surveysim.studies.convergence.records import MOST_SEEDS, REFERENCE_ERROR, SUB_SURVEY
+from surveysim.studies.optimise.problem import Problem
+from surveysim.studies.optimise.store import FILE as EVALUATIONS
 from surveysim.studies.sweep.axes import Sweep, sweep_hash
 from surveysim.studies.sweep.bands import MultiBandSweep, band_sweep_hash
 from surveysim.studies.sweep.point_run import Stage
@@ -124,6 +126,16 @@ def of_budget(budget: Budget, simulate: bool, figures: bool) -> Results:
 
 def _kept_points(sweep: Sweep) -> list[str]:
     return [f"points/{point.number:03d}.{kind}" for point in sweep.points for kind in ("npz", "checkpoint.h5")]
+
+
+def of_optimise(problem: Problem, figures: bool) -> Results:
+    """Return the results of a search for the best design; simulated designs are kept until the end."""
+    tables = ("optimum", "designs", "front", "evaluations", "simulated", "simulated_pairs")
+    names = [*COMMON, EVALUATIONS, *(f"tables/{name}.ecsv" for name in tables)]
+    names += [f"figures/{name}.png" for name in ("optimum", "simulated") if figures]
+    for number in range(problem.options.rivals + 2):
+        names += [f"points/{number:03d}.{kind}" for kind in ("npz", "checkpoint.h5")]
+    return Results("optimise", problem.scene.name, problem.identity, tuple(names), scene_files(problem.scene))
 
 
 def of_forecast(scene: Scene) -> Results:

@@ -34,7 +34,7 @@ from surveysim.telescope.scans import samples_per_scan
 
 MAX_POINTS = 1000
 LABEL_LENGTH = 40
-COMMON = ("seed", "name", "title", "sweep")  # keys that are the same at all points
+COMMON = ("seed", "name", "title", "sweep", "optimise")  # keys that are the same at all points
 
 T = TypeVar("T")
 
@@ -303,7 +303,7 @@ def _check_key(where: str, axis: str, key: str, bands: tuple[str, ...]) -> None:
         raise InputError(f"{where}: {same!r} is the same in all bands; {shown(own)} is expected")
     key = own if band in bands else key
     *sections, last = key.split(".")
-    if sections[:1] == ["sweep"] or key in COMMON:
+    if sections[:1] in (["sweep"], ["optimise"]) or key in COMMON:
         raise InputError(f"{where}: found {shown(key)}; a key that is not common to all points is expected")
     if renamed := renamed_line(key):
         raise InputError(renamed)
