@@ -17,6 +17,7 @@ _PUBLIC = {
     "run_sweep": "surveysim.api",
     "forecast_sweep": "surveysim.api",
     "plan_sweep": "surveysim.api",
+    "budget": "surveysim.api",
     "load_problem": "surveysim.studies.optimise.problem",
     "optimise": "surveysim.api",
     "scene_names": "surveysim.scene.shipped",

@@ -119,4 +119,4 @@ def _simulated(
     with threadpool_limits(1):  # the same bits on any machine
         comparison = compare_runs(results, np.random.default_rng(DRAWS_SEED), sweep.reference)
     workers = engine.workers_for(len(sweep.points))
-    return SweepResult(sweep, results, comparison, True, perf_counter() - start, workers, engine.kind)
+    return SweepResult(sweep, results, comparison, True, perf_counter() - start, workers, engine.kind, None)

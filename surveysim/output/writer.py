@@ -29,6 +29,8 @@ from surveysim.runtime.strict_json import strict_json
 from surveysim.runtime.table import Table
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import resolved, scene_hash
+from surveysim.studies.budget.result import BudgetResult
+from surveysim.studies.budget.summary import budget_summary
 from surveysim.studies.optimise.result import OptimiseResult
 from surveysim.studies.optimise.summary import optimum_summary
 from surveysim.studies.optimise.tables import design_table, evaluation_table, front_table, optimum_table
@@ -113,7 +115,7 @@ def write_sweep(directory: Path, first: Setup, result: SweepResult, figures: boo
             entry["directory"] = point_directory(entry["point"])
     written = [_write_table(directory / "sweep.ecsv", sweep_table(content))]
     if of_pairs:
-        written.append(_write_table(directory / "sweep_pairs.ecsv", pair_table(of_pairs)))
+        written.append(_write_table(directory / "sweep_pairs.ecsv", pair_table(of_pairs, result.sweep.metric)))
     written.append(write_text(directory / "scene.json", resolved(first.scene) + "\n"))
     drawn = partial(_of_sweep, result) if figures and result.comparison.best else None
     write_summary(directory, content, written, drawn)
@@ -123,6 +125,26 @@ def _of_sweep(result: SweepResult) -> Drawings:
     from surveysim.report.figures.sweep import draw_sweep
 
     return {"sweep": lambda path: draw_sweep(path, result)}
+
+
+def write_budget(directory: Path, whole: Setup, result: BudgetResult, figures: bool) -> None:
+    """Write tables, figure, summary and report of a budget below `directory`, with its `whole` scene."""
+    from surveysim.studies.budget.tables import budget_table, pair_table, point_table
+
+    content = budget_summary(result) | {"left_out": left_out(whole)}
+    tables = {"budget": budget_table(content), "budget_points": point_table(content)}
+    if result.pairs:
+        tables["budget_pairs"] = pair_table(content)
+    written = [_write_table(directory / "tables" / f"{name}.ecsv", table) for name, table in tables.items()]
+    written.append(write_text(directory / "scene.json", resolved(whole.scene) + "\n"))
+    drawn = partial(_of_budget, result) if figures and result.is_scored else None
+    write_summary(directory, content, written, drawn)
+
+
+def _of_budget(result: BudgetResult) -> Drawings:
+    from surveysim.report.figures.budget import draw_budget
+
+    return {"budget": lambda path: draw_budget(path, result)}
 
 
 def write_optimum(directory: Path, result: OptimiseResult, figures: bool) -> None:
