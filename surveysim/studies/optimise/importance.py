@@ -59,7 +59,7 @@ def importance(store: EvaluationStore, objective: Objective, n: int) -> Importan
 
 
 def _indices(values: np.ndarray) -> np.ndarray:
-    """First-order and total indices (2, n_knob) of the objectives (n_knob + 2, n) of both samples and their mixtures."""
+    """First-order and total indices (2, n_knob) of objectives (n_knob + 2, n) of two samples and their mixtures."""
     from scipy.stats import sobol_indices
 
     given = {"f_A": values[:1], "f_B": values[1:2], "f_AB": values[2:, None]}
