@@ -18,6 +18,7 @@ from surveysim.paper.scenes import TABLES, wanted
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL
 from surveysim.studies.convergence import measure_accuracy
+from surveysim.studies.optimise.store import FILE as EVALUATIONS
 from surveysim.studies.stress import CASES, run_case
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 from tests.camera import BOLOMETER, CAMERA, PHOTON
@@ -73,6 +74,29 @@ observations = [4, 1]
 "atmosphere.b2" = ["{TURBULENT}", "{TURBULENT}", "{CALM}"]
 "scan.scans" = [4, 5, 2]
 """
+# Few forecasts of a metric that is smooth.
+SEARCH = """
+[optimise]
+rivals = 1
+
+[[optimise.knobs]]
+key = "score.signal_sims.band_power"
+low = "50 uK2"
+high = "20000 uK2"
+scale = "log"
+
+[[optimise.knobs]]
+key = "cleaning.algorithm"
+choices = ["average", "planar"]
+
+[[optimise.derived]]
+key = "detector.psd"
+value = "mK**2 / Hz * (score.signal_sims.band_power / (700 * uK**2) + 700 * uK**2 / score.signal_sims.band_power)"
+
+[[optimise.limits]]
+quantity = "score.signal_sims.band_power"
+at_most = "10000 uK2"
+"""
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +107,10 @@ def made(tmp_path_factory):
         "A run": [_rich_run(folder), _unscored_run(folder)],
         "A camera of several bands": [_bands(folder)],
         "A sweep": [_sweep(folder)],
+        "A search": [
+            _search(folder, "search"),
+            _search(folder, "front", 'metrics = ["flat_band_power.sigma", "detectors"]'),
+        ],
         "A forecast": [_forecast(folder)],
         "Accuracy": [_accuracy(folder)],
         "The paper": [_paper(folder)],
@@ -118,6 +146,13 @@ def _sweep(folder):
     surveysim.run_sweep(_scene(folder, "sweep", SMALL_SCENE + SWEEP), folder / "sweep")
     (folder / "sweep" / "points").rename(folder / "points")  # of the runs of points, which are as other runs
     return folder / "sweep"
+
+
+def _search(folder, name, metrics=""):
+    """A search with a limit that is not kept everywhere, and with the importance of its knobs."""
+    text = SMALL_SCENE.replace("dead = [5]\n", "") + SEARCH.replace("[optimise]\n", f"[optimise]\n{metrics}\n")
+    surveysim.optimise(_scene(folder, name, text), folder / name, simulate=not metrics, importance=2, engine=SERIAL)
+    return folder / name
 
 
 def _forecast(folder):
@@ -205,7 +240,7 @@ def contents(name: str):
 # ---------------------------------------------------------------- compared
 
 
-@pytest.mark.parametrize("command", ["A run", "A camera of several bands", "A sweep", "The paper"])
+@pytest.mark.parametrize("command", ["A run", "A camera of several bands", "A sweep", "A search", "The paper"])
 def test_every_file(made, command):
     there = {name: "" for folder in made[command] for name in files(folder)}
     if command == "The paper":  # one figure stands for all
@@ -239,13 +274,13 @@ def _is_of(heading, name):
 
 
 def test_the_list_of_files_in_the_summary_is_whole(made):
-    for command in ("A run", "A camera of several bands", "A sweep"):
+    for command in ("A run", "A camera of several bands", "A sweep", "A search"):
         for folder in made[command]:
             listed = set(json.loads((folder / "summary.json").read_text())["files"])
-            assert listed == files(folder).keys() - {"summary.json", CHECKPOINT, RECORD, "scene.toml"}
+            assert listed == files(folder).keys() - {"summary.json", CHECKPOINT, EVALUATIONS, RECORD, "scene.toml"}
 
 
-@pytest.mark.parametrize("command", ["A run", "A camera of several bands", "A sweep", "The paper"])
+@pytest.mark.parametrize("command", ["A run", "A camera of several bands", "A sweep", "A search", "The paper"])
 def test_the_record_is_whole(made, command):
     """Each file that a command writes is known as its own."""
     for folder in made[command]:
