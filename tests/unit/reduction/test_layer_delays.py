@@ -71,7 +71,8 @@ def test_delays_without_lost_data(setup_of):
     wild = np.where(flags, np.float32(1e4) * rng.standard_normal(flags.shape, np.float32), streams.data_mk)
     motion = layer_motion(replace(streams, data_mk=wild, flags=flags), rate)
     assert motion.used.tolist() == [True] * 2 + [False] + [True] * 5 and motion.transforms.live.sum() == len(flags) - 3
-    np.testing.assert_allclose(measured_delays([motion], streams.focal_plane), whole, rtol=0.03)
+    apart = np.linalg.norm(measured_delays([motion], streams.focal_plane) - whole, axis=1)
+    assert (apart < 0.02 * np.linalg.norm(whole, axis=1)).all()
     assert layer_motion(replace(streams, flags=np.ones_like(flags)), rate).transforms is None
 
 
