@@ -192,6 +192,7 @@ def run_sweep(
     engine: Engine = PROCESSES,
     resume: bool = False,
     figures: bool = True,
+    keep_all: bool = False,
     progress: Callable[[int], None] = lambda done: None,
     force: bool = False,
 ) -> SweepResult | MultiBandSweepResult:
@@ -202,13 +203,15 @@ def run_sweep(
     sweep
         A sweep, the path of a scene file with a table [sweep], or its name.
     out
-        Directory for the results. Finished points are kept in its folder points/ until the results are written.
+        Directory for the results. Its folder points/ has those of each point: points/3 of point 3.
     engine
         Where points run, one at a time per worker; results do not depend on it.
     resume
         Continue from the points kept in `out`.
     figures
-        Draw the figures of the report.
+        Draw the figure of the sweep.
+    keep_all
+        Write maps and figures of each point too.
     progress
         Called with the number of finished points.
     force
@@ -226,7 +229,16 @@ def run_sweep(
         As for `run`.
     """
     work: Callable[..., Any] = run_band_sweep if _is_multi_band_sweep(sweep) else run_single_sweep
-    return work(sweep, out, engine=engine, resume=resume, figures=figures, progress=progress, force=force)
+    return work(
+        sweep,
+        out,
+        engine=engine,
+        resume=resume,
+        figures=figures,
+        keep_all=keep_all,
+        progress=progress,
+        force=force,
+    )
 
 
 def forecast_sweep(

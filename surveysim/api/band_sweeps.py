@@ -8,7 +8,7 @@ from time import perf_counter
 
 from surveysim.api.surveys import PROCESSES
 from surveysim.api.sweeps import forecast_single_sweep, plan_single_sweep, run_single_sweep
-from surveysim.output.directory import FinishedError, begin, claimed, remove_bands, replacing
+from surveysim.output.directory import FinishedError, begin, claimed, remove_nested, replacing
 from surveysim.output.expected_files import band_directory, of_band_sweep, of_sweep
 from surveysim.output.writer import write_band_sweep
 from surveysim.runtime.engine import Engine
@@ -30,6 +30,7 @@ def run_band_sweep(
     engine: Engine = PROCESSES,
     resume: bool = False,
     figures: bool = True,
+    keep_all: bool = False,
     progress: Progress = lambda done: None,
     display: Display | None = None,
     force: bool = False,
@@ -41,7 +42,14 @@ def run_band_sweep(
 
     def work(item: Sweep, directory: Path | None, shown: Progress) -> SweepResult:
         return run_single_sweep(
-            item, directory, engine=engine, resume=resume, figures=figures, progress=shown, force=force
+            item,
+            directory,
+            engine=engine,
+            resume=resume,
+            figures=figures,
+            keep_all=keep_all,
+            progress=shown,
+            force=force,
         )
 
     shown = display or (lambda item: nullcontext(progress))
@@ -108,7 +116,7 @@ def _each_band(
                 pass  # or an error, before any work
         begin(place, removed=lambda name: force)
         if force:
-            remove_bands(place.path, sweep.bands)
+            remove_nested(place.path, sweep.bands)
         result = result_of(place.path)
         with replacing(place) as new:
             write_band_sweep(new, result)

@@ -6,7 +6,7 @@ from pathlib import Path
 from time import perf_counter
 
 from surveysim.api.surveys import PROCESSES, finished_survey, forecast_survey, plan_survey, run_survey
-from surveysim.output.directory import FinishedError, begin, claimed, remove_bands, replacing
+from surveysim.output.directory import FinishedError, begin, claimed, remove_nested, replacing
 from surveysim.output.expected_files import band_directory, of_bands, of_run
 from surveysim.output.writer import write_band_forecasts, write_bands
 from surveysim.reduction.setup import Setup, prepare
@@ -80,7 +80,7 @@ def run_bands(
                 pass
         begin(place, removed=lambda name: force)
         if force:
-            remove_bands(place.path, scenes.bands)
+            remove_nested(place.path, scenes.bands)
         result = result_of(place.path)
         with replacing(place, whole=result.is_whole) as new:
             write_bands(new, result)

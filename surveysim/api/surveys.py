@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 from mapmaker.timestreams import Timestreams
 from surveysim.forecasting.forecast import Forecast
 from surveysim.forecasting.forecast import forecast as forecast_scene
-from surveysim.output.directory import begin, claimed, remove_bands, replacing
+from surveysim.output.directory import begin, claimed, remove_nested, replacing
 from surveysim.output.expected_files import of_forecast, of_run
 from surveysim.output.writer import write_forecast, write_outputs
 from surveysim.reduction.setup import is_quick, prepare
@@ -97,7 +97,7 @@ def run_survey(
         nodes = finished_sums(setup, checkpoint, streams) if resume else []  # or an error, before anything is changed
         begin(place, removed=lambda name: force)
         if force:
-            remove_bands(place.path)
+            remove_nested(place.path)
         result = result_of(checkpoint, streams, nodes)
         whole = result.coadds.done == setup.scene.observations
         with replacing(place, whole=whole) as new:

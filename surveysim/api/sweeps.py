@@ -8,8 +8,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from surveysim.api.surveys import PROCESSES
-from surveysim.output.directory import begin, claimed, remove_bands, replacing
+from surveysim.output.directory import begin, claimed, remove_nested, replacing
 from surveysim.output.expected_files import of_sweep
+from surveysim.output.point_writer import PointWriter, check_points
 from surveysim.output.writer import write_sweep
 from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import SERIAL, Engine, default_workers
@@ -34,6 +35,7 @@ def run_single_sweep(
     engine: Engine = PROCESSES,
     resume: bool = False,
     figures: bool = True,
+    keep_all: bool = False,
     progress: Callable[[int], None] = lambda done: None,
     force: bool = False,
 ) -> SweepResult:
@@ -42,19 +44,22 @@ def run_single_sweep(
     sweep = _sweep(sweep)
     workers = engine.workers_for(len(sweep.points))
 
-    def result_of(kept: Path | None) -> SweepResult:
-        points = of_one_kind(run_points(sweep, kept, engine, resume, progress))
+    def result_of(kept: Path | None, writer: PointWriter | None) -> SweepResult:
+        points = of_one_kind(run_points(sweep, kept, engine, resume, progress, writer))
         with threadpool_limits(1):  # the same bits on any machine
             comparison = compare_runs(points, np.random.default_rng(DRAWS_SEED), sweep.reference)
         return SweepResult(sweep, points, comparison, True, perf_counter() - start, workers, engine.kind)
 
     if out is None:
-        return result_of(None)
+        return result_of(None, None)
     with claimed(Path(out), of_sweep(sweep, "run", figures), force, resume) as place:
+        writer = PointWriter(place.path.absolute(), keep_all, force)
+        if not resume:
+            check_points(writer, sweep)
         begin(place, removed=lambda name: force)
         if force:
-            remove_bands(place.path)
-        result = result_of(place.path / "points")
+            remove_nested(place.path)
+        result = result_of(place.path / "points", writer)
         with replacing(place, over=lambda name: name.startswith("points/")) as new:
             write_sweep(new, prepare(sweep.points[0].scene), result, figures)
     return result

@@ -26,10 +26,12 @@ from surveysim.cli.options import (
     ready_setup,
     sweep_of,
 )
+from surveysim.cli.sweep_options import point_setup, refuse_for_sweep, refuse_keep_all
 from surveysim.output.names import default_directory
 from surveysim.runtime.errors import NotForecastableError
 
 if TYPE_CHECKING:
+    from surveysim.reduction.setup import Setup
     from surveysim.results.stopping import StoppingCriteria
     from surveysim.runtime.engine import Engine
     from surveysim.studies.sweep.axes import Sweep
@@ -57,6 +59,12 @@ def run(
         str | None, typer.Option(metavar="TIME", help='Stop after this time, such as "60 s".')
     ] = None,
     reference: Reference = None,
+    point: Annotated[
+        int | None, typer.Option(metavar="N", help="Run one point of a sweep, by its number, as a run of its own.")
+    ] = None,
+    keep_all: Annotated[
+        bool, typer.Option("--keep-all", help="Write maps and figures of each point of a sweep too.")
+    ] = False,
     settings: Overrides = None,
     force: Force = False,
     verbose: Verbose = False,
@@ -64,8 +72,11 @@ def run(
 ) -> None:
     """Simulate, clean, map and score a scene or a sweep."""
     with_engine = options.engine(engine, workers, scheduler)
-    if sweep := sweep_of(scene, settings, reference):
-        _refuse_for_sweep(scene, save_timestreams, target_error, time_budget)
+    sweep = sweep_of(scene, settings, reference)
+    if keep_all:
+        refuse_keep_all(scene, point, sweep is not None)
+    if sweep and point is None:
+        refuse_for_sweep(scene, save_timestreams, target_error, time_budget)
         directory = out or default_directory(sweep.name, options.settings(settings, reference))
         _run_sweep(
             sweep,
@@ -73,6 +84,7 @@ def run(
             engine=with_engine,
             resume=resume,
             figures=not no_figures,
+            keep_all=keep_all,
             force=force,
             verbose=verbose,
             quiet=quiet,
@@ -80,22 +92,27 @@ def run(
         return
     limits = options.run_limits(target_error, time_budget)
     asked: dict[str, Any] = {"save_timestreams": save_timestreams, "figures": not no_figures, "force": force}
-    if scenes := bands_of(scene, settings):
+    if point is None and (scenes := bands_of(scene, settings)):
         from surveysim.cli.bands import run_bands
 
         directory = out or default_directory(scenes.name, options.settings(settings))
         run_bands(scenes, directory, with_engine, limits, resume=resume, verbose=verbose, quiet=quiet, **asked)
         return
-    _run_scene(scene, settings, with_engine, limits, out=out, resume=resume, verbose=verbose, quiet=quiet, **asked)
+    setup = ready_setup(scene, settings) if point is None else point_setup(scene, sweep, point)
+    own = {} if point is None else {"point": point}
+    directory = out or default_directory(setup.scene.name, options.settings(settings) | own)
+    _run_scene(
+        scene, setup, with_engine, limits, directory=directory, resume=resume, verbose=verbose, quiet=quiet, **asked
+    )
 
 
 def _run_scene(
     scene: Path,
-    settings: list[str] | None,
+    setup: "Setup",
     engine: "Engine",
     limits: "StoppingCriteria",
     *,
-    out: Path | None,
+    directory: Path,
     resume: bool,
     save_timestreams: bool,
     figures: bool,
@@ -105,7 +122,6 @@ def _run_scene(
 ) -> None:
     from surveysim.reduction.setup import is_quick
 
-    setup = ready_setup(scene, settings)
     checked, engine = setup.scene, engine.for_work(is_quick(setup, limits.target_error))
     engine.start_early()
     if limits.target_error is not None and checked.score is None:
@@ -120,7 +136,6 @@ def _run_scene(
     )
     from surveysim.report.terminal.survey import print_result
 
-    directory = out or default_directory(checked.name, options.settings(settings))
     if resume and not quiet:
         report_new_start(directory, "checkpoint", " observation")
     work, n_workers = observation_work(checked), engine.workers_for(checked.observations)
@@ -150,17 +165,6 @@ def _run_scene(
         print_result(result, directory, verbose)
 
 
-def _refuse_for_sweep(scene: Path, save_timestreams: bool, target_error: str | None, time_budget: str | None) -> None:
-    reasons = {
-        "--save-timestreams": save_timestreams and "which keeps none",
-        "--target-error": target_error is not None and "whose points are run whole",
-        "--time-budget": time_budget is not None and "whose points are run whole",
-    }
-    for option, reason in reasons.items():
-        if reason:
-            fail(f"{scene}: {option}: found a sweep, {reason}; a scene without [sweep] is expected")
-
-
 def _run_sweep(
     sweep: "Sweep | MultiBandSweep",
     directory: Path,
@@ -168,6 +172,7 @@ def _run_sweep(
     engine: "Engine",
     resume: bool,
     figures: bool,
+    keep_all: bool,
     force: bool,
     verbose: bool,
     quiet: bool,
@@ -183,6 +188,7 @@ def _run_sweep(
     if not quiet and engine.scheduler is None:
         announce_compilation(sweep.name)
     options: dict[str, Any] = {"engine": engine, "resume": resume, "figures": figures, "force": force}
+    options |= {"keep_all": keep_all}
 
     def display(item: "Sweep") -> "AbstractContextManager[Callable[[int], None]]":
         work = [point.detector_samples for point in item.points]

@@ -41,9 +41,9 @@ _WRITTEN = re.compile(
     r"report\.html|(summary|scene)\.json|checkpoint\.h5|extremes\.ecsv"
     r"|(sweep|sweep_pairs|forecast|accuracy|bands)\.ecsv|table\d+(_[a-z]+)?\.ecsv|figure\d+\.(png|ecsv)"
     r"|(measurements|recovered)_[0-9]+\.ecsv|tables/\w+\.ecsv|maps/\w[\w.+~,=-]*\.fits|figures/\w+\.png"
-    r"|timestreams/\d+\.h5|points/\d+\.(npz|checkpoint\.h5)"
+    r"|timestreams/\d+\.h5|scores\.npz|points/\d+(_\d+)?\.npz|points/\d+\.checkpoint\.h5"
 )
-_SAYS_ITSELF = re.compile(r"checkpoint\.h5|points/\d+\.(npz|checkpoint\.h5)")  # they name their scene
+_SAYS_ITSELF = re.compile(r"checkpoint\.h5|points/\d+(_\d+)?\.npz|points/\d+\.checkpoint\.h5")  # they name their scene
 _UNFINISHED_WORK = re.compile(rf"{_SAYS_ITSELF.pattern}|timestreams/\d+\.h5")
 _INPUT = re.compile(_SCENE)
 _PARTIAL = re.compile(r"(.+)\.(\d+)\.part")
@@ -162,20 +162,29 @@ def remove(place: OutputDirectory, names: Iterable[str]) -> None:
         (place.path / "points").rmdir()
 
 
-def remove_bands(directory: Path, kept: Container[str] = ()) -> None:
-    """Remove the results of bands that are not `kept`: what this program wrote there, and folders left empty."""
-    for folder in directory.glob("bands/*"):
-        record = None if folder.name in kept or folder.is_symlink() else read_record(folder)
-        if record is None:
-            continue
-        with locked(folder):
-            for name in record["files"]:
-                if _is_mine(folder, name, record["files"]):
-                    (folder / name).unlink()
-            (folder / RECORD).unlink()
-        for place in (*(path for path in folder.iterdir() if path.is_dir()), folder, folder.parent):
-            with suppress(OSError):  # files of the user stay
-                place.rmdir()
+def remove_nested(directory: Path, kept: Container[str] = ()) -> None:
+    """Remove the results of points of a sweep, and of bands that are not `kept`.
+
+    What this program wrote there goes, and folders left empty.
+    """
+    for folder in (*directory.glob("bands/*"), *directory.glob("points/*")):
+        if folder.is_dir() and not folder.parent.is_symlink() and folder.name not in kept:
+            _remove_nested(folder)
+
+
+def _remove_nested(folder: Path) -> None:
+    record = None if folder.is_symlink() else read_record(folder)
+    if record is None:
+        return
+    remove_nested(folder)
+    with locked(folder):
+        for name in record["files"]:
+            if _is_mine(folder, name, record["files"]):
+                (folder / name).unlink()
+        (folder / RECORD).unlink()
+    for place in (*(path for path in folder.iterdir() if path.is_dir()), folder, folder.parent):
+        with suppress(OSError):  # files of the user stay
+            place.rmdir()
 
 
 @contextmanager

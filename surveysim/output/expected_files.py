@@ -15,6 +15,7 @@ from surveysim.studies.sweep.bands import MultiBandSweep, band_sweep_hash
 from surveysim.survey.checkpoint import NAME as CHECKPOINT
 
 COMMON = ("summary.json", "scene.json", "report.html")
+SCORES = "scores.npz"
 _TABLES = ("observations", "timestream_psd", "scores", "map_psd", "alternatives", "load", "nep", "sensitivity")
 _FIGURES = (
     "timestream_psd",
@@ -32,14 +33,35 @@ _PARTS = {"1": ("sites",), "2": ("photons",), "3": ("gains",)}  # parts of a tab
 def of_run(setup: Setup, figures: bool, timestreams: bool) -> Results:
     """Return the results of a run of a scene."""
     scene = setup.scene
-    names = [*COMMON, CHECKPOINT, *(f"tables/{name}.ecsv" for name in _TABLES)]
-    endings = ("", "_healpix") if scene.map.healpix_nside else ("",)
-    names += [f"maps/{name}{ending}.fits" for name in setup.analysis.data_set_names for ending in endings]
-    if figures:
-        names += [f"figures/{name}.png" for name in _FIGURES]
+    names = [CHECKPOINT, *_run_names(), *_map_names(setup), *(_figure_names() if figures else ())]
     if timestreams:
         names += [f"timestreams/{number:04d}.h5" for number in range(scene.observations)]
     return Results("run", scene.name, scene_hash(scene), tuple(names), scene_files(scene), extends=survey_hash(scene))
+
+
+def of_point(setup: Setup, keep_all: bool) -> Results:
+    """Return the results of a point of a sweep: those of a run, with maps and figures if all are kept."""
+    scene = setup.scene
+    names = (*_run_names(), *((*_map_names(setup), *_figure_names()) if keep_all else ()))
+    return Results("run", scene.name, scene_hash(scene), names, scene_files(scene), extends=survey_hash(scene))
+
+
+def _run_names() -> tuple[str, ...]:
+    return (*COMMON, SCORES, *(f"tables/{name}.ecsv" for name in _TABLES))
+
+
+def _map_names(setup: Setup) -> tuple[str, ...]:
+    endings = ("", "_healpix") if setup.scene.map.healpix_nside else ("",)
+    return tuple(f"maps/{name}{ending}.fits" for name in setup.analysis.data_set_names for ending in endings)
+
+
+def _figure_names() -> tuple[str, ...]:
+    return tuple(f"figures/{name}.png" for name in _FIGURES)
+
+
+def point_directory(number: int) -> str:
+    """Directory of the results of a point, within that of its sweep."""
+    return f"points/{number}"
 
 
 def band_directory(name: str) -> str:

@@ -3,6 +3,7 @@
 import tomllib
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,13 +22,15 @@ Keys = tuple[str | int, ...]  # the way to a value: names of keys, and numbers o
 
 
 def scene_files(scene: Scene) -> dict[str, bytes]:
-    """Return files by name that reproduce the scene: `scene.toml`, and its tables.
+    """Return files by name that reproduce the scene: `scene.toml`, without a table [sweep], and its tables.
 
     None for a scene that was not read from a file, or was changed since; `scene.json` has all of it.
     """
     if scene.origin is None:
         return {}
-    text, files = _self_contained(scene.origin, scene.name)
+    overrides = {key: value for key, value in scene.origin.overrides.items() if not key.startswith("sweep.")}
+    alone = overrides | ({"sweep": None} if "sweep" in tomllib.loads(scene.origin.text) else {})
+    text, files = _self_contained(replace(scene.origin, overrides=alone), scene.name)
     try:
         again = scene_of(scene.origin.path, scene.origin.text, tomllib.loads(scene.origin.text), scene.origin.overrides)
     except SceneError:

@@ -10,6 +10,7 @@ from warnings import catch_warnings, simplefilter
 
 from mapmaker.binning import BinnedMap, write_fits, write_healpix
 from mapmaker.files import atomic_write, write_ecsv
+from surveysim.output.expected_files import SCORES, point_directory
 from surveysim.output.tables import forecast_spectra, run_tables
 from surveysim.reduction.setup import Setup
 from surveysim.report.html.page import REPORT, write_report
@@ -29,6 +30,8 @@ from surveysim.runtime.table import Table
 from surveysim.runtime.text_files import one_line
 from surveysim.scene.scene import resolved, scene_hash
 from surveysim.studies.sweep.band_results import MultiBandSweepResult, band_sweep_summary
+from surveysim.studies.sweep.point_run import point_result
+from surveysim.studies.sweep.point_store import save_point
 from surveysim.studies.sweep.result import SweepResult, pairs
 from surveysim.studies.sweep.summary import sweep_summary
 from surveysim.studies.sweep.tables import pair_table, sweep_table
@@ -45,7 +48,9 @@ REASON = 120  # letters of the reason why a figure can't be drawn
 log = logging.getLogger("surveysim")
 
 
-def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestreams: Sequence[str] = ()) -> None:
+def write_outputs(
+    directory: Path, result: SurveyResult, figures: bool, timestreams: Sequence[str] = (), *, maps: bool = True
+) -> None:
     """Write all results of a run below `directory`; summary.json lists its files, report.html is made of them all.
 
     `timestreams` are names of those that workers have written.
@@ -54,9 +59,18 @@ def write_outputs(directory: Path, result: SurveyResult, figures: bool, timestre
     written = [write_text(directory / "scene.json", resolved(result.setup.scene) + "\n")]
     tables = run_tables(result, content)
     written += [_write_table(directory / "tables" / f"{name}.ecsv", table) for name, table in tables.items()]
-    written += _write_maps(directory / "maps", result)
+    written += _write_scores(directory / SCORES, result)
+    written += _write_maps(directory / "maps", result) if maps else []
     written += [directory / name for name in timestreams]
     write_summary(directory, content, written, partial(_of_run, result) if figures else None)
+
+
+def _write_scores(path: Path, result: SurveyResult) -> list[Path]:
+    """Write the part of the scores that comparisons with other runs need; no file without a score."""
+    if not result.scores:
+        return []
+    save_point(path, point_result(result), scene_hash(result.setup.scene))
+    return [path]
 
 
 def write_bands(directory: Path, result: MultiBandResult) -> None:
@@ -91,6 +105,9 @@ def write_sweep(directory: Path, first: Setup, result: SweepResult, figures: boo
     """Write tables, figure, summary and report of a sweep below `directory`, with the scene of its `first` point."""
     of_pairs = pairs(result)
     content = sweep_summary(result, of_pairs) | {"left_out": left_out(first)}
+    if result.simulated:
+        for entry in content["points"]:
+            entry["directory"] = point_directory(entry["point"])
     written = [_write_table(directory / "sweep.ecsv", sweep_table(content))]
     if of_pairs:
         written.append(_write_table(directory / "sweep_pairs.ecsv", pair_table(of_pairs)))

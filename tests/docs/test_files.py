@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.table import Table
@@ -98,6 +99,7 @@ def _bands(folder):
 
 def _sweep(folder):
     surveysim.run_sweep(_scene(folder, "sweep", SMALL_SCENE + SWEEP), folder / "sweep")
+    (folder / "sweep" / "points").rename(folder / "points")  # of the runs of points, which are as other runs
     return folder / "sweep"
 
 
@@ -162,6 +164,11 @@ def sparse_map(path: Path) -> dict[str, str]:
         return {item.name: item.unit or "" for item in file[1].columns}
 
 
+def arrays(path: Path) -> dict[str, str]:
+    with np.load(path) as file:
+        return dict.fromkeys(file.files, "")
+
+
 def hdf5(path: Path) -> dict[str, str]:
     """Groups, data sets and attributes of all levels, joined by slashes."""
     found: list[str] = []
@@ -174,6 +181,7 @@ def hdf5(path: Path) -> dict[str, str]:
 def contents(name: str):
     """Reader of the names in a file; None for pictures and the like."""
     kinds = {"_healpix.fits": sparse_map, ".fits": images, ".h5": hdf5, ".ecsv": columns, "summary.json": keys}
+    kinds |= {".npz": arrays}
     return next((read for ending, read in kinds.items() if name.endswith(ending)), None)
 
 

@@ -124,9 +124,17 @@ def _grids(summary: Content) -> Iterator[Block]:
         for point in summary["points"]
         for sentence in point["forecast_flags"]
     ]
-    yield grid(replace(sweep_table(summary), title="Uncertainty of a flat CMB band power, actual data"), *notes)
+    table = replace(sweep_table(summary), title="Uncertainty of a flat CMB band power, actual data")
+    yield _with_links(grid(table, *notes), summary)
     if others := data_set_table(summary):
         yield grid(others)
+
+
+def _with_links(table: Grid, summary: Content) -> Grid:
+    """Make the first cell of each point a link to the page of its results, if they are kept."""
+    links = [f"{point['directory']}/report.html" if "directory" in point else "" for point in summary["points"]]
+    rows = zip(table.rows, links, strict=True)
+    return replace(table, rows=tuple((replace(row[0], link=link), *row[1:]) for row, link in rows))
 
 
 def _values(point: Content, keys: list[str]) -> str:

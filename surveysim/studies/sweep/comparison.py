@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 from time import perf_counter
 
@@ -11,26 +10,15 @@ import numpy as np
 from mapmaker.uncertainty import ratio_error, student_factor
 from surveysim.forecasting.forecast import Forecast, forecast
 from surveysim.reduction.cleaning_pipelines import ACTUAL
-from surveysim.reduction.setup import Setup, prepare
-from surveysim.results.agreement import agreement, quoted_forecast, run_forecast
-from surveysim.results.control_variate import quoted_scores
+from surveysim.reduction.setup import prepare
 from surveysim.runtime.engine import Engine, ordered_map
-from surveysim.runtime.errors import InputError, InsufficientDataError
-from surveysim.scene.scene import scene_hash
-from surveysim.studies.sweep.axes import Point, Sweep
-from surveysim.studies.sweep.point_store import (
-    PointResult,
-    finished_points,
-    load_point,
-    point_checkpoint,
-    point_file,
-    save_point,
-)
+from surveysim.runtime.errors import InputError
+from surveysim.studies.sweep.axes import Sweep
+from surveysim.studies.sweep.point_run import Keep, PointJob, forecast_flags, whole
+from surveysim.studies.sweep.point_store import PointResult, finished_points, load_point
 from surveysim.survey.checkpoint import CheckpointError
-from surveysim.survey.coadds import CoAdds
-from surveysim.survey.discarded_scans import competing, discards
+from surveysim.survey.discarded_scans import competing
 from surveysim.survey.error_modes import error_modes
-from surveysim.survey.run import finished_sums, run_observations
 from surveysim.survey.scores import FEWEST_CONTROLLED, DataSetScore
 
 DRAWS = 20_000  # a probability of 0.5 has an error of 0.004
@@ -70,64 +58,13 @@ class Comparison:
     best_probability: np.ndarray
 
 
-@dataclass(frozen=True)
-class PointJob:
-    """Run, score and forecast a point in one process, and save it in `directory` if given."""
-
-    directory: Path | None
-    resume: bool
-
-    def __call__(self, point: Point) -> PointResult:
-        """Run a point; raises an error that names the point, and CheckpointError for a checkpoint of another scene."""
-        start, setup, checkpoint, nodes = perf_counter(), prepare(point.scene), None, []
-        if self.directory is not None:
-            checkpoint = point_checkpoint(self.directory, point.number)
-        try:
-            if self.resume and checkpoint is not None:
-                nodes = finished_sums(setup, checkpoint)
-            coadds = run_observations(setup, checkpoint, nodes=nodes)
-        except CheckpointError:
-            raise
-        except InputError as error:
-            raise InputError(f"point ({point.label}): {error}") from None
-        scores, unscored = _scored(setup, coadds)
-        lost = discards(setup, coadds)
-        expected, sigma, off = run_forecast(setup, coadds) if scores else None, {}, []
-        if expected is not None:
-            sigma = {name: quoted_forecast(scores[name], item) for name, item in expected.scores.items()}
-            found = agreement(setup, scores[ACTUAL], expected.scores[ACTUAL])
-            off = [found.sigma, found.sigma_error]
-        told = sigma, off, _flags(expected)
-        result = PointResult(
-            setup.camera.n_det,
-            scores,
-            *told,
-            lost.shares,
-            lost.by_weather,
-            _skies(setup),
-            unscored,
-            perf_counter() - start,
-        )
-        if self.directory is not None:
-            save_point(point_file(self.directory, point.number), result, scene_hash(point.scene))
-            checkpoint.unlink(missing_ok=True)
-        return result
-
-
-def _scored(setup: Setup, coadds: CoAdds) -> tuple[dict[str, DataSetScore], str]:
-    """Scores by data set, or none and the reason."""
-    try:
-        return quoted_scores(setup, coadds), ""
-    except InsufficientDataError as error:  # too few observations, or too few scans kept in them
-        return {}, str(error)
-
-
 def run_points(
     sweep: Sweep,
     directory: Path | None,
     engine: Engine,
     resume: bool,
     progress: Callable[[int], None],
+    keep: Keep | None = None,
 ) -> tuple[PointResult, ...]:
     """Run all points, several at a time, each on one worker.
 
@@ -139,6 +76,8 @@ def run_points(
         Continue from the points in `directory`.
     progress
         Function of the number of finished points.
+    keep
+        Function that writes the results of a point where it runs, by its number; None for none.
 
     Raises
     ------
@@ -150,13 +89,13 @@ def run_points(
         If a point fails.
     """
     found = _kept(sweep, directory) if resume and directory is not None else {}
-    missing = [point for point in sweep.points if point.number not in found]
+    missing = [whole(point) for point in sweep.points if point.number not in found]
     # Workers elsewhere may have another working directory.
     kept = None if directory is None else directory.absolute()
-    results = ordered_map(PointJob(kept, resume), missing, engine)
+    results = ordered_map(PointJob(kept, resume, keep), missing, engine)
     try:
-        for point in missing:
-            found[point.number] = next(results)
+        for stage in missing:
+            found[stage.point.number] = next(results)
             progress(len(found))
     finally:
         results.close()
@@ -176,11 +115,6 @@ def _kept(sweep: Sweep, directory: Path) -> dict[int, PointResult]:
     return found
 
 
-def _flags(found: Forecast | None) -> list[str]:
-    """Reasons why the forecast of the actual data may be off."""
-    return [effect.sentence for effect in found.scores[ACTUAL].effects if effect.flagged] if found else []
-
-
 def _discarded(found: Forecast | None) -> dict[str, float]:
     """Predicted fractions of discarded scans by data set, without unknown ones."""
     kept = {name: item.kept for name, item in found.scores.items()} if found else {}
@@ -197,16 +131,10 @@ def forecast_points(sweep: Sweep, progress: Callable[[int], None]) -> tuple[Poin
         except InputError as error:  # a scene without a forecast
             reason = str(error)
         sigma = {name: float(item.band.sigma_ukcmb2) for name, item in found.scores.items()} if found else {}
-        told = _flags(found), _discarded(found)
-        results.append(PointResult(point.n_det, {}, sigma, [], *told, [], "", reason, perf_counter() - start))
+        told = forecast_flags(found), _discarded(found)
+        results.append(PointResult(point.n_det, 0, {}, sigma, [], *told, [], "", reason, perf_counter() - start))
         progress(len(results))
     return tuple(results)
-
-
-def _skies(setup: Setup) -> str:
-    """Return a key that is equal for points whose signal simulations are the same: same seed, skies and grid."""
-    scene = setup.scene
-    return sha256(f"{scene.seed} {scene.score.signal_sims} {setup.sky.geometry}".encode()).hexdigest()
 
 
 # ---------------------------------------------------------------- comparison

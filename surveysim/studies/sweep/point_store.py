@@ -46,6 +46,8 @@ class PointResult:
 
     Attributes
     ----------
+    observations
+        Number of simulated observations; 0 for a forecast.
     scores
         By data set; empty if there are none, with the reason in `unscored`.
     forecast_ukcmb2
@@ -64,6 +66,7 @@ class PointResult:
     """
 
     n_det: int
+    observations: int
     scores: dict[str, DataSetScore]
     forecast_ukcmb2: dict[str, float]
     off: list[float]
@@ -75,9 +78,9 @@ class PointResult:
     wall_s: float
 
 
-def point_file(directory: Path, number: int) -> Path:
-    """Path of the file of a finished point."""
-    return directory / f"{number:03d}.npz"
+def point_file(number: int, observations: int, of_survey: int) -> str:
+    """Name of the file of a finished point, or of one with the first of its observations."""
+    return f"{number:03d}.npz" if observations == of_survey else f"{number:03d}_{observations:04d}.npz"
 
 
 def point_checkpoint(directory: Path, number: int) -> Path:
@@ -178,6 +181,7 @@ class _Quarter(_Numbers):
 
 class _Rest(_Numbers):
     n_det: int
+    observations: Annotated[int, Field(ge=1)]
     forecast_ukcmb2: dict[str, Annotated[float, Field(gt=0)]]
     off: Annotated[list[float], Field(max_length=2)]
     flags: list[str]
@@ -219,7 +223,9 @@ def _check_point(result: PointResult, point: Point) -> None:
     if others := [name for name in others if name not in names]:
         raise ValueError(f"no data set of the scene: {others[0]}")
     n_bin = {len(item.signal_psd) for item in result.scores.values()}
-    n_obs, skies = point.scene.observations, score.signal_sims.skies
+    n_obs, skies = result.observations, score.signal_sims.skies
+    if n_obs > point.scene.observations:
+        raise ValueError(f"{n_obs} observations, more than the scene's {point.scene.observations}")
     sizes = {"noise_psds": (score.jackknives, *n_bin), "transfer_function.deviations": (skies, *n_bin)}
     sizes |= dict.fromkeys(("weights", "control.weights"), (n_obs,))
     sizes |= dict.fromkeys(("bin_noise", "control.noise"), (n_obs, *n_bin))

@@ -1,6 +1,7 @@
 """The command line on sweeps and forecasts."""
 
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -62,12 +63,31 @@ def test_run_of_a_sweep(call, sweep):
     lines = error.splitlines()
     assert lines[0] == f"no points in {out}: starting with the first"
     assert [line.split(",")[0] for line in lines[1:]] == ["speeds: 1/2 points", "speeds: 2/2 points"]
-    assert sorted(path.name for path in out.iterdir()) == FILES
+    assert sorted(path.name for path in out.iterdir()) == sorted(["points", *FILES])
     assert call("run", sweep, *arguments, "--quiet") == (0, "", "")
     assert (out / "figures" / "sweep.png").exists()
+    shutil.rmtree(out / "points")
     (out / "points").write_text("mine")
     code, _, error = call("run", sweep, *arguments)
     assert code == 1 and f"{out / 'points'}: a file where a folder is to be written" in error
+
+
+def test_one_point_of_a_sweep(call, sweep, monkeypatch):
+    """A run of its own, with the numbers of the sweep's point and all that a run takes."""
+    monkeypatch.chdir(sweep.parent)
+    quick = ("--engine", "serial", "--no-figures", "-q")
+    assert call("run", sweep, *quick, "--set", "observations=5", "--out", "whole") == (0, "", "")
+    assert call("run", sweep, *quick, "--set", "observations=5", "--point", 1, "--save-timestreams") == (0, "", "")
+    alone, point = Path("outputs/speeds+observations=5+point=1"), Path("whole/points/1")
+    for name in ("scores", "map_psd", "observations", "timestream_psd"):
+        assert (alone / f"tables/{name}.ecsv").read_bytes() == (point / f"tables/{name}.ecsv").read_bytes()
+    assert len(list((alone / "timestreams").iterdir())) == 5 and (alone / "checkpoint.h5").is_file()
+    error = refused(call, sweep, "--point", 2)
+    assert error == f"{sweep}: --point: found 2; the number of a point, 0 to 1, is expected\n"
+    assert "--keep-all: found --point, whose run keeps all" in refused(call, sweep, "--point", 1, "--keep-all")
+    sweep.write_text(SMALL_SCENE)
+    assert "--point: found a scene without [sweep]; a sweep of one" in refused(call, sweep, "--point", 1)
+    assert "--keep-all: found a scene without [sweep]; a sweep is" in refused(call, sweep, "--keep-all")
 
 
 def test_reference_point_of_the_command_line(call, sweep):

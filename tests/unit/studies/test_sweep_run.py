@@ -1,6 +1,7 @@
 """Sweeps as they run: files, the best point, shared errors, workers, interruption and what is kept meanwhile."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +26,7 @@ from surveysim.studies.sweep.tables import sweep_table
 from surveysim.survey import run as survey
 from surveysim.survey.checkpoint import CheckpointError
 from surveysim.survey.error_modes import error_modes, gain
+from tests.pages import read_page
 from tests.scenes import SMALL_SCENE, without_sections
 
 WHITE = (
@@ -35,7 +37,7 @@ WHITE = (
 )
 LEVELS = '\n[sweep]\n"detector.psd" = ["2.5 mK2 / Hz", "10 mK2 / Hz", "2500000 uK2 / Hz"]\n'
 SPEEDS = '\n[sweep]\n"scan.speed" = ["3 arcmin / s", "4 arcmin / s", "5 arcmin / s"]\n'
-FILES = [RECORD, "report.html", "scene.json", "scene.toml", "summary.json", "sweep.ecsv", "sweep_pairs.ecsv"]
+FILES = [RECORD, "points", "report.html", "scene.json", "scene.toml", "summary.json", "sweep.ecsv", "sweep_pairs.ecsv"]
 ROWS = ("ratio", "paired_error", "independent_error", "best_probability")
 
 
@@ -197,19 +199,62 @@ def test_files_of_a_sweep(levels):
     assert table["forecast_actual"][1] == pytest.approx(4 * table["forecast_actual"][0])
 
 
+def test_each_point_has_the_files_of_a_run(levels, tmp_path):
+    """Those of its scene run alone, less maps, figures and sums; the page of the sweep leads there."""
+    result, out = levels
+    run(result.sweep.points[1].scene, tmp_path / "alone", engine=SERIAL, figures=False)
+    content = json.loads((out / "points" / "1" / "summary.json").read_text())
+    kept = {path.relative_to(out / "points" / "1").as_posix() for path in (out / "points" / "1").rglob("*.*")}
+    assert {*content["files"], "scene.toml", "summary.json", RECORD} == kept
+    alone = json.loads((tmp_path / "alone" / "summary.json").read_text())
+    assert set(alone["files"]) - set(content["files"]) == {"maps/actual.fits"}
+    assert content["scores"] == alone["scores"] and content["scene_sha256"] == alone["scene_sha256"]
+    for name in content["files"]:
+        if name.startswith("tables/"):
+            assert (out / "points" / "1" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
+    (link,) = [item for item in read_page(out / "report.html").all("a") if "points/1" in item.attributes["href"]]
+    assert link.text == "10 mK²/Hz" and link.attributes["href"] == "points/1/report.html"
+
+
+def test_all_of_a_point_is_kept_if_asked(write, tmp_path):
+    run_sweep(write(WHITE + '\n[sweep]\n"scan.scans" = [4]\n'), tmp_path, engine=SERIAL, figures=False, keep_all=True)
+    point = tmp_path / "points" / "0"
+    assert (point / "maps" / "actual.fits").is_file() and (point / "figures" / "map_psd.png").is_file()
+    assert not (point / "checkpoint.h5").exists()
+
+
+def test_the_scene_of_a_point_is_no_sweep(levels, tmp_path):
+    _, out = levels
+    again = load_scene(out / "points" / "1" / "scene.toml")
+    assert scene_hash(again) == json.loads((out / "points" / "1" / "summary.json").read_text())["scene_sha256"]
+    assert "[sweep]" not in (out / "points" / "1" / "scene.toml").read_text()
+
+
+def test_files_of_the_user_in_place_of_a_point(write, tmp_path):
+    """They are found before the work starts, and stay."""
+    (tmp_path / "points" / "1").mkdir(parents=True)
+    (tmp_path / "points" / "1" / "summary.json").write_text("mine")
+    with pytest.raises(OutputError, match="points/1/summary.json: not written by this program"):
+        run_sweep(write(WHITE + SPEEDS), tmp_path, engine=SERIAL)
+    assert sorted(path.name for path in tmp_path.rglob("*.*") if path.name != ".surveysim.lock") == ["summary.json"]
+
+
 def test_a_new_run_takes_the_place_of_an_old_one(write, levels, tmp_path):
     path = write(WHITE + SPEEDS)
     run_sweep(path, tmp_path, engine=SERIAL)
-    (tmp_path / "points").mkdir()
     (tmp_path / "points" / "mine.npz").write_text("mine")
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(OutputError, match="holds results of .white. with other settings; --force replaces them, --out"):
         run(load_scene(path), tmp_path, engine=SERIAL, figures=False)
     run(load_scene(path), tmp_path, engine=SERIAL, figures=False, force=True)
     assert not (tmp_path / "sweep.ecsv").exists() and not (tmp_path / "figures" / "sweep.png").exists()
-    run_sweep(path, tmp_path, engine=SERIAL, figures=False, force=True)
-    assert sorted(item.name for item in tmp_path.iterdir() if item.is_file()) == sorted(["mine.txt", *FILES])
     assert [item.name for item in (tmp_path / "points").iterdir()] == ["mine.npz"]
+    run_sweep(path, tmp_path, engine=SERIAL, figures=False, force=True)
+    assert sorted(item.name for item in tmp_path.iterdir() if item.is_file() or any(item.iterdir())) == sorted(
+        ["mine.txt", *FILES]
+    )
+    run_sweep(write(WHITE + SPEEDS.replace(', "5 arcmin / s"', "")), tmp_path, engine=SERIAL, figures=False, force=True)
+    assert sorted(item.name for item in (tmp_path / "points").iterdir()) == ["0", "1", "mine.npz"]
 
 
 def test_points_without_a_score_are_listed(write, levels, tmp_path):
@@ -268,13 +313,18 @@ def test_two_workers_and_an_interruption_give_the_same_table(write, tmp_path, mo
     run_sweep(path, one, engine=SERIAL, figures=False)
     run_sweep(path, two, engine=Engine(workers=2), figures=False)
     interrupted(path, three, monkeypatch)
-    assert sorted(file.name for file in (three / "points").iterdir()) == ["000.npz", "001.checkpoint.h5"]
+    assert sorted(file.name for file in (three / "points").iterdir()) == ["0", "000.npz", "001.checkpoint.h5"]
     observe, calls, seen = survey.observe, [], []
     monkeypatch.setattr(survey, "observe", lambda *arguments: calls.append(arguments[1]) or observe(*arguments))
     run_sweep(path, three, engine=SERIAL, resume=True, figures=False, progress=seen.append)
     assert calls == [2, 3, 0, 1, 2, 3] and seen == [2, 3]
     assert (one / "sweep.ecsv").read_bytes() == (two / "sweep.ecsv").read_bytes() == (three / "sweep.ecsv").read_bytes()
     assert sorted(item.name for item in three.iterdir()) == FILES
+    assert sorted(item.name for item in (three / "points").iterdir()) == ["0", "1", "2"]
+    for name in ("scores", "map_psd", "observations", "timestream_psd"):
+        for number in range(3):
+            tables = [(folder / f"points/{number}/tables/{name}.ecsv").read_bytes() for folder in (one, two, three)]
+            assert tables[0] == tables[1] == tables[2]
 
 
 @pytest.mark.parametrize("kind", ["000.npz", "001.checkpoint.h5"])
@@ -296,6 +346,7 @@ def test_wrong_files_of_points(write, tmp_path, monkeypatch, kind, damage):
             run_sweep(sweep, tmp_path, engine=SERIAL, resume=True)
         for name in (RECORD, "scene.toml"):
             (tmp_path / name).unlink()
+        shutil.rmtree(tmp_path / "points" / "0")
     with pytest.raises(CheckpointError, match=damage) as caught:
         run_sweep(sweep, tmp_path, engine=SERIAL, resume=True)
     hint = "--resume" if damage == "damaged" else "--force"
